@@ -1,0 +1,86 @@
+//! The control types of a device (paper, table 2).
+
+use std::fmt;
+use std::str::FromStr;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+
+use crate::limits::LimitError;
+
+/// How a device is controlled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum ControlType {
+    /// Control by position.
+    Position,
+    /// Control by speed.
+    Speed,
+    /// Control by acceleration.
+    Acceleration,
+    /// A sequence of the other control types in one command.
+    Script,
+    /// Not control but a request for a reading.
+    Sensor,
+    /// Arbitrary control `custom_N`.
+    Custom(u32),
+}
+
+impl fmt::Display for ControlType {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Position => f.pad("position"),
+            Self::Speed => f.pad("speed"),
+            Self::Acceleration => f.pad("acceleration"),
+            Self::Script => f.pad("script"),
+            Self::Sensor => f.pad("sensor"),
+            Self::Custom(n) => write!(f, "custom_{n}"),
+        }
+    }
+}
+
+impl FromStr for ControlType {
+    type Err = LimitError;
+
+    fn from_str(name: &str) -> Result<Self, LimitError> {
+        match name {
+            "position" => Ok(Self::Position),
+            "speed" => Ok(Self::Speed),
+            "acceleration" => Ok(Self::Acceleration),
+            "script" => Ok(Self::Script),
+            "sensor" => Ok(Self::Sensor),
+            _ => custom_number(name)
+                .map(Self::Custom)
+                .ok_or_else(|| LimitError::ControlType { name: name.chars().take(64).collect() }),
+        }
+    }
+}
+
+/// The N of `custom_N`, in its one canonical spelling.
+fn custom_number(name: &str) -> Option<u32> {
+    let digits = name.strip_prefix("custom_")?;
+    let number: u32 = digits.parse().ok()?;
+    (number.to_string() == digits).then_some(number)
+}
+
+impl Serialize for ControlType {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_str(self)
+    }
+}
+
+impl<'de> Deserialize<'de> for ControlType {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Name;
+        impl de::Visitor<'_> for Name {
+            type Value = ControlType;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("the name of a control type")
+            }
+
+            fn visit_str<E: de::Error>(self, name: &str) -> Result<ControlType, E> {
+                name.parse().map_err(E::custom)
+            }
+        }
+        deserializer.deserialize_str(Name)
+    }
+}

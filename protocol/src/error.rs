@@ -1,0 +1,100 @@
+//! Why a robot refused or ended a command.
+
+use std::fmt;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::text::Label;
+
+/// The reason in a failed response (key `error`, our extension).
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+#[error("{code}: {message}")]
+pub struct ControlError {
+    /// What kind of failure, for machines.
+    pub code: ErrorCode,
+    /// What was found and expected, for people.
+    #[serde(default)]
+    pub message: String,
+}
+
+impl ControlError {
+    /// Joins a code and its sentence.
+    pub fn new(code: ErrorCode, message: impl Into<String>) -> Self {
+        Self { code, message: message.into() }
+    }
+}
+
+macro_rules! error_codes {
+    ($($(#[$doc:meta])* $variant:ident = $word:literal,)*) => {
+        /// The kinds of failure.
+        #[derive(Clone, Debug, PartialEq, Eq, Hash)]
+        pub enum ErrorCode {
+            $($(#[$doc])* $variant,)*
+            /// A code that this version does not know.
+            Other(Label),
+        }
+
+        impl ErrorCode {
+            /// The word on the wire.
+            #[must_use]
+            pub fn as_str(&self) -> &str {
+                match self {
+                    $(Self::$variant => $word,)*
+                    Self::Other(label) => label.as_str(),
+                }
+            }
+
+            fn from_label(label: Label) -> Self {
+                match label.as_str() {
+                    $($word => Self::$variant,)*
+                    _ => Self::Other(label),
+                }
+            }
+        }
+    };
+}
+
+error_codes! {
+    /// The device does not list this control type; it goes to its default state.
+    UnsupportedControlType = "unsupported_control_type",
+    /// The robot has no such device.
+    UnknownDevice = "unknown_device",
+    /// A value lies outside min_value to max_value.
+    OutOfRange = "out_of_range",
+    /// A value is no multiple of the granularity.
+    OffGranularity = "off_granularity",
+    /// More steps than max_number_of_steps.
+    TooManySteps = "too_many_steps",
+    /// The start has passed already.
+    Late = "late",
+    /// The device is taken at that time.
+    Overlap = "overlap",
+    /// The server has been silent for longer than the stop_condition.
+    LinkLost = "link_lost",
+    /// The message cannot be understood.
+    Malformed = "malformed",
+    /// The queue is full, or the robot cannot take commands now.
+    Busy = "busy",
+    /// The robot itself failed.
+    Internal = "internal",
+    /// An empty script cancelled the command (ours).
+    Cancelled = "cancelled",
+}
+
+impl fmt::Display for ErrorCode {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl Serialize for ErrorCode {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.as_str())
+    }
+}
+
+impl<'de> Deserialize<'de> for ErrorCode {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Label::deserialize(deserializer).map(Self::from_label)
+    }
+}

@@ -1,0 +1,62 @@
+//! Which open request a response answers.
+
+use std::collections::{HashMap, VecDeque};
+
+use crate::message::ControlResponse;
+use crate::text::{DeviceId, RequestId};
+
+/// The requests sent on one link that still await an answer, each with what the sender wants to remember of it.
+///
+/// A response names its request by `request_id`; without one it answers the oldest open request of its device.
+#[derive(Clone, Debug)]
+pub struct OpenRequests<T> {
+    by_id: HashMap<RequestId, T>,
+    oldest: HashMap<DeviceId, VecDeque<RequestId>>,
+}
+
+impl<T> Default for OpenRequests<T> {
+    fn default() -> Self {
+        Self { by_id: HashMap::new(), oldest: HashMap::new() }
+    }
+}
+
+impl<T> OpenRequests<T> {
+    /// Notes a request. One of the same id is replaced.
+    pub fn open(&mut self, device_id: DeviceId, request_id: RequestId, note: T) {
+        if self.by_id.insert(request_id.clone(), note).is_none() {
+            self.oldest.entry(device_id).or_default().push_back(request_id);
+        }
+    }
+
+    /// The request that the response belongs to. It stays open for further reports until [`OpenRequests::close`].
+    #[must_use]
+    pub fn find(&self, response: &ControlResponse) -> Option<(&RequestId, &T)> {
+        match &response.request_id {
+            Some(id) => self.by_id.get_key_value(id),
+            None => {
+                let id = self.oldest.get(&response.device_id)?.front()?;
+                self.by_id.get_key_value(id)
+            }
+        }
+    }
+
+    /// Forgets a request that needs no more answers.
+    pub fn close(&mut self, device_id: &DeviceId, request_id: &RequestId) -> Option<T> {
+        if let Some(queue) = self.oldest.get_mut(device_id) {
+            queue.retain(|id| id != request_id);
+        }
+        self.by_id.remove(request_id)
+    }
+
+    /// How many are open.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.by_id.len()
+    }
+
+    /// Whether none is open.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.by_id.is_empty()
+    }
+}

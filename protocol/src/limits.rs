@@ -1,0 +1,88 @@
+//! The limits that the protocol sets, and the error for a value beyond one.
+
+use thiserror::Error;
+
+/// Largest number of characters in any string (paper, steps 4 and 5).
+pub const STRING_CHARS_MAX: usize = 256;
+/// Largest number of devices in an initialization block (paper, step 4); the smallest is 1.
+pub const DEVICES_MAX: usize = 32_000;
+/// Largest number of input parameters `control_value`, `control_value_2` ... of one command (ours).
+pub const CONTROL_VALUES_MAX: usize = 256;
+/// Largest line that a decoder accepts unless told otherwise, in bytes (ours): 16 MiB.
+pub const LINE_BYTES_MAX: usize = 16 * 1024 * 1024;
+/// Largest offset or period in milliseconds (ours): 1e11 ms, a little over three years.
+pub const OFFSET_MS_MAX: f64 = 1e11;
+
+/// A value lies outside what the protocol allows.
+#[derive(Clone, Debug, PartialEq, Error)]
+#[non_exhaustive]
+pub enum LimitError {
+    /// A string is longer than [`STRING_CHARS_MAX`].
+    #[error("a string of {chars} characters, the limit is {STRING_CHARS_MAX}")]
+    StringTooLong {
+        /// Its length in characters.
+        chars: usize,
+    },
+    /// An identifier is empty.
+    #[error("an empty identifier, expected 1 to {STRING_CHARS_MAX} characters")]
+    EmptyIdentifier,
+    /// A number is infinite or not a number.
+    #[error("a number that is not finite")]
+    NotFinite,
+    /// An offset or period is negative or beyond [`OFFSET_MS_MAX`].
+    #[error("{millis} ms, expected 0 to {OFFSET_MS_MAX} ms")]
+    OffsetOutOfRange {
+        /// The offending number of milliseconds.
+        millis: f64,
+    },
+    /// An initialization block lists no device or too many.
+    #[error("{count} devices, expected 1 to {DEVICES_MAX}")]
+    DeviceCount {
+        /// How many it lists.
+        count: usize,
+    },
+    /// Two devices of one robot bear the same id.
+    #[error("the device id `{id}` stands twice, expected ids unique within the robot")]
+    DuplicateDevice {
+        /// The repeated id.
+        id: String,
+    },
+    /// The lower bound lies above the upper one.
+    #[error("min_value {min} lies above max_value {max}")]
+    EmptyRange {
+        /// Lower bound.
+        min: f64,
+        /// Upper bound.
+        max: f64,
+    },
+    /// A granularity is not positive.
+    #[error("granularity {granularity}, expected a finite number above 0")]
+    Granularity {
+        /// The offending granularity.
+        granularity: f64,
+    },
+    /// A bound on an error or delay is negative.
+    #[error("{key} {value}, expected a finite number of at least 0")]
+    Negative {
+        /// Which parameter.
+        key: &'static str,
+        /// The offending value.
+        value: f64,
+    },
+    /// A script's step starts before the step ahead of it.
+    #[error("step {step} is at {millis} ms, before the step ahead of it at {previous} ms")]
+    StepsOutOfOrder {
+        /// Index of the step, from 0.
+        step: usize,
+        /// Its offset.
+        millis: f64,
+        /// The offset of the step ahead.
+        previous: f64,
+    },
+    /// The name of a control type is none that the protocol knows.
+    #[error("control type `{name}`, expected position, speed, acceleration, script, sensor or custom_N")]
+    ControlType {
+        /// The unknown name.
+        name: String,
+    },
+}

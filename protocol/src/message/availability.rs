@@ -1,0 +1,32 @@
+//! Steps 1 and 2: is the equipment there, and what does its clock say?
+
+use serde::{Deserialize, Serialize};
+
+use super::Status;
+use crate::error::ControlError;
+use crate::time::{Robot, Server, Timestamp};
+
+/// Step 1. Also serves to renew the leases of a quiet link.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct AvailabilityRequest {
+    /// When the server sent it, T1 of RFC 5905 (our extension).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub timestamp: Option<Timestamp<Server>>,
+}
+
+/// Step 2. With the instant of its arrival the three times in it give offset and delay as in NTP (RFC 5905, section 8).
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct AvailabilityResponse {
+    /// The request's own timestamp, echoed: T1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub originate_timestamp: Option<Timestamp<Server>>,
+    /// When the robot received the request: T2.
+    pub receive_timestamp: Timestamp<Robot>,
+    /// When the robot sent this: T3.
+    pub timestamp: Timestamp<Robot>,
+    /// `OK`, or `Failed` with an error: then the mission stops.
+    pub status: Status,
+    /// Why the check failed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error: Option<ControlError>,
+}

@@ -1,0 +1,265 @@
+//! Step 5: the control signal, with all that is needed to drive one device.
+
+use std::borrow::Cow;
+use std::fmt;
+
+use serde::de::{self, IgnoredAny, MapAccess, Visitor};
+use serde::ser::SerializeMap;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use super::script::{FurtherValues, serialize_values, set_once};
+use super::{Script, Setpoint, StopCondition};
+use crate::content_hash::ContentHash;
+use crate::control_type::ControlType;
+use crate::number;
+use crate::text::{DeviceId, RequestId};
+use crate::time::{Millis, Server, Timestamp};
+
+/// Drives, reads or stops one device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ControlRequest {
+    /// When the server sent it; all requests of one act carry the same.
+    pub timestamp: Option<Timestamp<Server>>,
+    /// Milliseconds from `timestamp` to the start. Left out: at once on receipt.
+    pub time_offset_to_start: Option<Millis>,
+    /// The device that the signal is for.
+    pub device_id: DeviceId,
+    /// The lease. Left out: none.
+    pub stop_condition: Option<StopCondition>,
+    /// Echoed in every response (our extension).
+    pub request_id: Option<RequestId>,
+    /// Of `control_value`, checked and echoed by the robot (our extension).
+    pub content_hash: Option<ContentHash>,
+    /// What to do: `control_type` with its values.
+    pub command: Command,
+}
+
+/// The control type of a request with the values that belong to it.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Command {
+    /// position, speed, acceleration or custom_N.
+    Set(Setpoint),
+    /// script.
+    Script(Script),
+    /// sensor.
+    ReadSensor,
+}
+
+impl Command {
+    /// The `control_type` on the wire.
+    #[must_use]
+    pub const fn control_type(&self) -> ControlType {
+        match self {
+            Self::Set(setpoint) => setpoint.control_type,
+            Self::Script(_) => ControlType::Script,
+            Self::ReadSensor => ControlType::Sensor,
+        }
+    }
+
+    /// SHA-256 over the canonical JSON of the value or the steps.
+    #[must_use]
+    pub fn content_hash(&self) -> ContentHash {
+        let json = match self {
+            Self::Set(setpoint) => {
+                let all: Vec<_> = setpoint.values().map(super::script::Number).collect();
+                match all.as_slice() {
+                    [one] => serde_json::to_vec(one),
+                    many => serde_json::to_vec(many),
+                }
+            }
+            Self::Script(script) => serde_json::to_vec(script),
+            Self::ReadSensor => Ok(b"null".to_vec()),
+        };
+        ContentHash::of(&json.unwrap_or_default())
+    }
+}
+
+impl ControlRequest {
+    /// A request that starts at once on receipt, without a lease.
+    #[must_use]
+    pub const fn immediate(device_id: DeviceId, command: Command) -> Self {
+        Self {
+            timestamp: None,
+            time_offset_to_start: None,
+            device_id,
+            stop_condition: None,
+            request_id: None,
+            content_hash: None,
+            command,
+        }
+    }
+
+    /// The instant of its start, or `None` where it starts at once on receipt.
+    #[must_use]
+    pub fn starts_at(&self) -> Option<Timestamp<Server>> {
+        Some(self.timestamp? + self.time_offset_to_start?.span())
+    }
+}
+
+impl Serialize for ControlRequest {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        if let Some(timestamp) = &self.timestamp {
+            map.serialize_entry("timestamp", timestamp)?;
+        }
+        if let Some(offset) = &self.time_offset_to_start {
+            map.serialize_entry("time_offset_to_start", offset)?;
+        }
+        map.serialize_entry("device_id", &self.device_id)?;
+        if let Some(stop_condition) = &self.stop_condition {
+            map.serialize_entry("stop_condition", stop_condition)?;
+        }
+        if let Some(request_id) = &self.request_id {
+            map.serialize_entry("request_id", request_id)?;
+        }
+        if let Some(content_hash) = &self.content_hash {
+            map.serialize_entry("content_hash", content_hash)?;
+        }
+        map.serialize_entry("control_type", &self.command.control_type())?;
+        match &self.command {
+            Command::Set(setpoint) => serialize_values(setpoint, &mut map)?,
+            Command::Script(script) => map.serialize_entry("control_value", script)?,
+            Command::ReadSensor => {}
+        }
+        map.end()
+    }
+}
+
+impl<'de> Deserialize<'de> for ControlRequest {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(RequestVisitor)
+    }
+}
+
+/// `control_value` before its control type is known.
+enum RawValue {
+    Null,
+    Number(f64),
+    Script(Script),
+}
+
+impl<'de> Deserialize<'de> for RawValue {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(RawValueVisitor)
+    }
+}
+
+struct RawValueVisitor;
+
+impl<'de> Visitor<'de> for RawValueVisitor {
+    type Value = RawValue;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number, or the list of a script's steps")
+    }
+
+    fn visit_unit<E: de::Error>(self) -> Result<RawValue, E> {
+        Ok(RawValue::Null)
+    }
+
+    fn visit_f64<E: de::Error>(self, value: f64) -> Result<RawValue, E> {
+        number::finite(value).map(RawValue::Number)
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "the protocol's numbers are doubles")]
+    fn visit_u64<E: de::Error>(self, value: u64) -> Result<RawValue, E> {
+        Ok(RawValue::Number(value as f64))
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "the protocol's numbers are doubles")]
+    fn visit_i64<E: de::Error>(self, value: i64) -> Result<RawValue, E> {
+        Ok(RawValue::Number(value as f64))
+    }
+
+    fn visit_seq<A: de::SeqAccess<'de>>(self, seq: A) -> Result<RawValue, A::Error> {
+        Script::deserialize(de::value::SeqAccessDeserializer::new(seq)).map(RawValue::Script)
+    }
+}
+
+struct RequestVisitor;
+
+#[derive(Default)]
+struct Fields {
+    timestamp: Option<Option<Timestamp<Server>>>,
+    time_offset_to_start: Option<Option<Millis>>,
+    device_id: Option<DeviceId>,
+    stop_condition: Option<Option<StopCondition>>,
+    request_id: Option<Option<RequestId>>,
+    content_hash: Option<Option<ContentHash>>,
+    control_type: Option<ControlType>,
+    control_value: Option<RawValue>,
+    more: FurtherValues,
+}
+
+impl<'de> Visitor<'de> for RequestVisitor {
+    type Value = ControlRequest;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a control request")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ControlRequest, A::Error> {
+        let mut fields = Fields::default();
+        while let Some(key) = map.next_key::<Cow<'_, str>>()? {
+            read_field(&mut fields, &key, &mut map)?;
+        }
+        finish(fields)
+    }
+}
+
+fn read_field<'de, A: MapAccess<'de>>(fields: &mut Fields, key: &str, map: &mut A) -> Result<(), A::Error> {
+    match key {
+        "timestamp" => set_once(&mut fields.timestamp, "timestamp", map.next_value()?),
+        "time_offset_to_start" => {
+            let offset = map.next_value()?;
+            set_once(&mut fields.time_offset_to_start, "time_offset_to_start", offset)
+        }
+        "device_id" => set_once(&mut fields.device_id, "device_id", map.next_value()?),
+        "stop_condition" => set_once(&mut fields.stop_condition, "stop_condition", map.next_value()?),
+        "request_id" => set_once(&mut fields.request_id, "request_id", map.next_value()?),
+        "content_hash" => set_once(&mut fields.content_hash, "content_hash", map.next_value()?),
+        "control_type" => set_once(&mut fields.control_type, "control_type", map.next_value()?),
+        "control_value" => set_once(&mut fields.control_value, "control_value", map.next_value()?),
+        other => match FurtherValues::index(other)? {
+            Some(index) => fields.more.put(index, map.next_value()?),
+            None => map.next_value::<IgnoredAny>().map(drop),
+        },
+    }
+}
+
+fn finish<E: de::Error>(fields: Fields) -> Result<ControlRequest, E> {
+    let control_type = fields.control_type.ok_or_else(|| E::missing_field("control_type"))?;
+    Ok(ControlRequest {
+        timestamp: fields.timestamp.flatten(),
+        time_offset_to_start: fields.time_offset_to_start.flatten(),
+        device_id: fields.device_id.ok_or_else(|| E::missing_field("device_id"))?,
+        stop_condition: fields.stop_condition.flatten(),
+        request_id: fields.request_id.flatten(),
+        content_hash: fields.content_hash.flatten(),
+        command: command(control_type, fields.control_value, fields.more)?,
+    })
+}
+
+fn command<E: de::Error>(
+    control_type: ControlType,
+    value: Option<RawValue>,
+    more: FurtherValues,
+) -> Result<Command, E> {
+    match (control_type, value) {
+        (ControlType::Sensor, _) => Ok(Command::ReadSensor),
+        (ControlType::Script, Some(RawValue::Script(script))) if more.is_empty() => {
+            Ok(Command::Script(script))
+        }
+        (ControlType::Script, None | Some(RawValue::Null)) => Err(E::missing_field("control_value")),
+        (ControlType::Script, _) => {
+            Err(E::custom("control_value of a script, expected the list of its steps and no further values"))
+        }
+        (_, None | Some(RawValue::Null)) => Err(E::missing_field("control_value")),
+        (_, Some(RawValue::Script(_))) => {
+            Err(E::custom(format!("control_value of `{control_type}` is a list, expected a number")))
+        }
+        (_, Some(RawValue::Number(value))) => {
+            Ok(Command::Set(Setpoint { control_type, value, more: more.finish()? }))
+        }
+    }
+}

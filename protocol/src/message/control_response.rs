@@ -1,0 +1,161 @@
+//! Step 6: what the robot made of a control request.
+
+use std::fmt;
+
+use serde::de::{self, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use super::Script;
+use super::script::Number;
+use crate::content_hash::ContentHash;
+use crate::error::ControlError;
+use crate::number;
+use crate::text::{DeviceId, Label, RequestId};
+use crate::time::{Robot, Timestamp};
+
+/// Confirms acceptance, reports progress, or provides a reading.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ControlResponse {
+    /// When the robot sent this. Not for synchronising.
+    pub timestamp: Timestamp<Robot>,
+    /// The device that reports.
+    pub device_id: DeviceId,
+    /// What became of the request.
+    pub status: Status,
+    /// The value accepted for execution, or the reading; null on failure.
+    #[serde(default)]
+    pub status_value: StatusValue,
+    /// Of the request that this answers (our extension).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub request_id: Option<RequestId>,
+    /// Computed by the robot over what it accepted (our extension).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub content_hash: Option<ContentHash>,
+    /// When the reported event, a start or an end, really happened (our extension).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub event_timestamp: Option<Timestamp<Robot>>,
+    /// How many steps have been executed (our extension).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub steps_done: Option<u32>,
+    /// Why it failed (our extension).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub error: Option<ControlError>,
+}
+
+/// What became of a request.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Status {
+    /// Done.
+    Ok,
+    /// Taken for execution.
+    Accepted,
+    /// Execution has begun (ours).
+    Started,
+    /// A sensor's reading.
+    Provide,
+    /// Refused, or ended early.
+    Failed,
+    /// A word that this version does not know.
+    Other(Label),
+}
+
+impl Status {
+    /// The word on the wire.
+    #[must_use]
+    pub fn as_str(&self) -> &str {
+        match self {
+            Self::Ok => "OK",
+            Self::Accepted => "Accepted",
+            Self::Started => "Started",
+            Self::Provide => "Provide",
+            Self::Failed => "Failed",
+            Self::Other(label) => label.as_str(),
+        }
+    }
+}
+
+impl fmt::Display for Status {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(self.as_str())
+    }
+}
+
+impl Serialize for Status {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.serialize_str(self.as_str())
+    }
+}
+
+impl<'de> Deserialize<'de> for Status {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let label = Label::deserialize(deserializer)?;
+        Ok(match label.as_str() {
+            "OK" => Self::Ok,
+            "Accepted" => Self::Accepted,
+            "Started" => Self::Started,
+            "Provide" => Self::Provide,
+            "Failed" => Self::Failed,
+            _ => Self::Other(label),
+        })
+    }
+}
+
+/// The value in a response.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum StatusValue {
+    /// Nothing, as on failure.
+    #[default]
+    Null,
+    /// A setpoint's value or a reading.
+    Number(f64),
+    /// The accepted script.
+    Script(Script),
+}
+
+impl Serialize for StatusValue {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Null => serializer.serialize_none(),
+            Self::Number(value) => Number(*value).serialize(serializer),
+            Self::Script(script) => script.serialize(serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for StatusValue {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(StatusValueVisitor)
+    }
+}
+
+struct StatusValueVisitor;
+
+impl<'de> Visitor<'de> for StatusValueVisitor {
+    type Value = StatusValue;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("null, a number, or the list of a script's steps")
+    }
+
+    fn visit_unit<E: de::Error>(self) -> Result<StatusValue, E> {
+        Ok(StatusValue::Null)
+    }
+
+    fn visit_f64<E: de::Error>(self, value: f64) -> Result<StatusValue, E> {
+        number::finite(value).map(StatusValue::Number)
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "the protocol's numbers are doubles")]
+    fn visit_u64<E: de::Error>(self, value: u64) -> Result<StatusValue, E> {
+        Ok(StatusValue::Number(value as f64))
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "the protocol's numbers are doubles")]
+    fn visit_i64<E: de::Error>(self, value: i64) -> Result<StatusValue, E> {
+        Ok(StatusValue::Number(value as f64))
+    }
+
+    fn visit_seq<A: de::SeqAccess<'de>>(self, seq: A) -> Result<StatusValue, A::Error> {
+        Script::deserialize(de::value::SeqAccessDeserializer::new(seq)).map(StatusValue::Script)
+    }
+}

@@ -1,0 +1,38 @@
+//! The six messages, one object with exactly one key that names it.
+
+mod availability;
+mod control_request;
+mod control_response;
+mod initialization_block;
+mod script;
+mod stop_condition;
+
+use serde::{Deserialize, Serialize};
+
+pub use availability::{AvailabilityRequest, AvailabilityResponse};
+pub use control_request::{Command, ControlRequest};
+pub use control_response::{ControlResponse, Status, StatusValue};
+pub use initialization_block::{
+    ControlParameters, ControlTypes, Device, InitializationBlock, InitializationRequest, Interpolation,
+    Limits, RobotType, ScriptParameters, SensorParameters,
+};
+pub use script::{Script, Setpoint, Step};
+pub use stop_condition::StopCondition;
+
+/// Any message of the protocol.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Message {
+    /// Step 1, server to robot: is the equipment there?
+    AvailabilityRequest(AvailabilityRequest),
+    /// Step 2, robot to server.
+    AvailabilityResponse(AvailabilityResponse),
+    /// Step 3, server to robot: describe yourself.
+    InitializationRequest(InitializationRequest),
+    /// Step 4, robot to server.
+    InitializationBlock(InitializationBlock),
+    /// Step 5, server to robot: drive one device.
+    ControlRequest(ControlRequest),
+    /// Step 6, robot to server.
+    ControlResponse(ControlResponse),
+}

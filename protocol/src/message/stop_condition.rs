@@ -1,0 +1,90 @@
+//! When to stop executing although nobody says so: the lease.
+
+use std::fmt;
+
+use serde::de::{self, MapAccess, Visitor};
+use serde::ser::SerializeMap;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+use crate::number;
+use crate::time::Millis;
+
+/// How long the server may stay silent, in milliseconds, before the device drops what is pending, ends what is running
+/// and goes to its default state. `None` means without limit.
+///
+/// On the wire a number for both, or `{"pending": ms, "running": ms or null}`.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct StopCondition {
+    /// While the command waits for its start.
+    pub pending: Option<Millis>,
+    /// Once it has started.
+    pub running: Option<Millis>,
+}
+
+impl StopCondition {
+    /// The same limit before and after the start.
+    #[must_use]
+    pub const fn both(silence: Millis) -> Self {
+        Self { pending: Some(silence), running: Some(silence) }
+    }
+}
+
+impl Serialize for StopCondition {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match (self.pending, self.running) {
+            (Some(pending), Some(running)) if pending == running => pending.serialize(serializer),
+            (pending, running) => {
+                let mut map = serializer.serialize_map(Some(2))?;
+                map.serialize_entry("pending", &pending)?;
+                map.serialize_entry("running", &running)?;
+                map.end()
+            }
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for StopCondition {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_any(NumberOrPair)
+    }
+}
+
+struct NumberOrPair;
+
+fn both<E: de::Error>(millis: f64) -> Result<StopCondition, E> {
+    Millis::new(number::finite(millis)?).map(StopCondition::both).map_err(E::custom)
+}
+
+impl<'de> Visitor<'de> for NumberOrPair {
+    type Value = StopCondition;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("milliseconds, or {\"pending\": milliseconds, \"running\": milliseconds or null}")
+    }
+
+    fn visit_f64<E: de::Error>(self, millis: f64) -> Result<StopCondition, E> {
+        both(millis)
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "beyond 2^53 it is out of range anyway")]
+    fn visit_u64<E: de::Error>(self, millis: u64) -> Result<StopCondition, E> {
+        both(millis as f64)
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "beyond 2^53 it is out of range anyway")]
+    fn visit_i64<E: de::Error>(self, millis: i64) -> Result<StopCondition, E> {
+        both(millis as f64)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, map: A) -> Result<StopCondition, A::Error> {
+        #[derive(Deserialize)]
+        struct Pair {
+            #[serde(default)]
+            pending: Option<Millis>,
+            #[serde(default)]
+            running: Option<Millis>,
+        }
+        let pair = Pair::deserialize(de::value::MapAccessDeserializer::new(map))?;
+        Ok(StopCondition { pending: pair.pending, running: pair.running })
+    }
+}

@@ -1,0 +1,120 @@
+//! Strings of bounded length: identifiers and labels.
+
+use std::fmt;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
+
+use crate::limits::{LimitError, STRING_CHARS_MAX};
+
+fn check_length(text: &str) -> Result<(), LimitError> {
+    // Bytes bound characters from above, so most strings are never counted.
+    if text.len() <= STRING_CHARS_MAX {
+        return Ok(());
+    }
+    match text.chars().count() {
+        chars if chars <= STRING_CHARS_MAX => Ok(()),
+        chars => Err(LimitError::StringTooLong { chars }),
+    }
+}
+
+fn check_identifier(text: &str) -> Result<(), LimitError> {
+    match text.is_empty() {
+        true => Err(LimitError::EmptyIdentifier),
+        false => check_length(text),
+    }
+}
+
+macro_rules! bounded_string {
+    ($(#[$doc:meta])* $name:ident, $check:ident) => {
+        $(#[$doc])*
+        #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        pub struct $name(Box<str>);
+
+        impl $name {
+            /// Takes a string of at most 256 characters.
+            ///
+            /// # Errors
+            /// [`LimitError`] when it is longer or, for an identifier, empty.
+            pub fn new(text: impl Into<String>) -> Result<Self, LimitError> {
+                let text = text.into();
+                $check(&text)?;
+                Ok(Self(text.into_boxed_str()))
+            }
+
+            /// The text itself.
+            #[must_use]
+            pub fn as_str(&self) -> &str {
+                &self.0
+            }
+        }
+
+        impl fmt::Display for $name {
+            fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.pad(&self.0)
+            }
+        }
+
+        impl std::borrow::Borrow<str> for $name {
+            fn borrow(&self) -> &str {
+                &self.0
+            }
+        }
+
+        impl std::str::FromStr for $name {
+            type Err = LimitError;
+
+            fn from_str(text: &str) -> Result<Self, LimitError> {
+                Self::new(text)
+            }
+        }
+
+        impl Serialize for $name {
+            fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+                serializer.serialize_str(&self.0)
+            }
+        }
+
+        impl<'de> Deserialize<'de> for $name {
+            fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+                Self::new(String::deserialize(deserializer)?).map_err(de::Error::custom)
+            }
+        }
+    };
+}
+
+bounded_string!(
+    /// Identifies a robot uniquely (initialization block, key `id`).
+    RobotId,
+    check_identifier
+);
+bounded_string!(
+    /// Identifies a device among the devices of its robot.
+    DeviceId,
+    check_identifier
+);
+bounded_string!(
+    /// Ties responses to the request that they answer (our extension).
+    RequestId,
+    check_length
+);
+bounded_string!(
+    /// A text for people, or a word that only the peer understands.
+    Label,
+    check_length
+);
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_limit_counts_characters_and_not_bytes() {
+        assert!(Label::new("я".repeat(256)).is_ok());
+        assert_eq!(Label::new("я".repeat(257)), Err(LimitError::StringTooLong { chars: 257 }));
+    }
+
+    #[test]
+    fn an_identifier_is_not_empty() {
+        assert_eq!(DeviceId::new(""), Err(LimitError::EmptyIdentifier));
+    }
+}

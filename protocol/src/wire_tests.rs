@@ -1,0 +1,254 @@
+//! What the wire carries, byte for byte, and what it refuses.
+
+use crate::{
+    Command, ControlRequest, ControlType, DecodeErrorKind, DeviceId, ErrorCode, LineDecoder, Message, Millis,
+    RequestId, Script, Setpoint, Step, StopCondition, encode,
+};
+
+/// The paper's own script, 45, 0, 45, as `docs/protocol.md` shows it.
+const PAPER_SCRIPT: &str = r#"{"control_request":{"timestamp":"2026-11-20T19:00:00.000000000Z","time_offset_to_start":1500,"device_id":"shoulder","stop_condition":2000,"request_id":"wave/arm-1/shoulder/0","control_type":"script","control_value":[{"time_offset_to_start":0,"control_type":"position","control_value":45},{"time_offset_to_start":1000,"control_type":"position","control_value":0},{"time_offset_to_start":2000,"control_type":"position","control_value":45}]}}"#;
+
+const SERVO_ARM: &str = r#"{"initialization_block": {"id": "arm-1", "name": "left arm", "type": "Industrial", "manufacture": "Example", "version": "2.1",
+  "api_version": "1", "reports": true, "devices": [
+  {"id": "shoulder", "name": "shoulder servo", "unit": "deg", "default_value": 0, "interpolation": "linear", "script_queue": 2,
+   "available_control_types": {
+     "position": {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25},
+     "script":   {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25, "max_number_of_steps": 64, "control_types": ["position"]}}}]}}"#;
+
+fn decode_one(line: &str) -> Result<Message, crate::DecodeError> {
+    let mut decoder = LineDecoder::default();
+    decoder.push(line.replace('\n', " ").as_bytes());
+    decoder.push(b"\n");
+    decoder.next_message().expect("a whole line gives a message or an error")
+}
+
+fn line_of(message: &Message) -> String {
+    let mut line = Vec::new();
+    encode(message, &mut line);
+    String::from_utf8(line).unwrap()
+}
+
+fn step(millis: f64, value: f64) -> Step {
+    Step {
+        offset: Millis::new(millis).unwrap(),
+        setpoint: Setpoint::new(ControlType::Position, value),
+        stop_condition: None,
+    }
+}
+
+#[test]
+fn the_papers_script_is_one_request_byte_for_byte() {
+    let Ok(Message::ControlRequest(decoded)) = decode_one(PAPER_SCRIPT) else { panic!() };
+    let steps = vec![step(0.0, 45.0), step(1000.0, 0.0), step(2000.0, 45.0)];
+    let built = ControlRequest {
+        timestamp: decoded.timestamp,
+        time_offset_to_start: Some(Millis::new(1500.0).unwrap()),
+        stop_condition: Some(StopCondition::both(Millis::new(2000.0).unwrap())),
+        request_id: Some(RequestId::new("wave/arm-1/shoulder/0").unwrap()),
+        ..ControlRequest::immediate(
+            DeviceId::new("shoulder").unwrap(),
+            Command::Script(Script::new(steps).unwrap()),
+        )
+    };
+    assert_eq!(decoded, built);
+    assert_eq!(line_of(&Message::ControlRequest(built)), format!("{PAPER_SCRIPT}\n"));
+}
+
+#[test]
+fn an_initialization_block_keeps_everything_through_a_round_trip() {
+    let block = decode_one(SERVO_ARM).unwrap();
+    assert_eq!(decode_one(&line_of(&block)).unwrap(), block);
+    let Message::InitializationBlock(block) = block else { panic!() };
+    let shoulder = block.device("shoulder").unwrap();
+    assert_eq!(shoulder.primary_control_type(), Some(ControlType::Position));
+    assert_eq!(shoulder.script_control_types(), [ControlType::Position]);
+    let refusal = |value| {
+        let setpoint = Setpoint::new(ControlType::Position, value);
+        shoulder.check_in_script(&setpoint).map_err(|e| e.code)
+    };
+    assert_eq!(refusal(45.5), Ok(()));
+    assert_eq!(refusal(90.5), Err(ErrorCode::OutOfRange));
+    assert_eq!(refusal(f64::NAN), Err(ErrorCode::OutOfRange));
+    assert_eq!(refusal(45.25), Err(ErrorCode::OffGranularity));
+}
+
+#[track_caller]
+fn check_round_trip(line: &str) {
+    let message = decode_one(line).unwrap();
+    assert_eq!(line_of(&message).trim_end(), line);
+}
+
+#[test]
+fn every_kind_of_message_is_written_as_it_was_read() {
+    check_round_trip(r#"{"availability_request":{"timestamp":"2026-11-20T19:00:00.000000000Z"}}"#);
+    check_round_trip(
+        r#"{"availability_response":{"originate_timestamp":"2026-11-20T19:00:00.000000000Z","receive_timestamp":"2026-11-20T19:00:00.000100000Z","timestamp":"2026-11-20T19:00:00.000200000Z","status":"OK"}}"#,
+    );
+    check_round_trip(r#"{"initialization_request":{}}"#);
+    check_round_trip(
+        r#"{"control_request":{"device_id":"d","control_type":"custom_2","control_value":1,"control_value_2":0.5,"control_value_3":-7}}"#,
+    );
+    check_round_trip(r#"{"control_request":{"device_id":"d","control_type":"sensor"}}"#);
+    check_round_trip(
+        r#"{"control_request":{"device_id":"d","stop_condition":{"pending":500,"running":null},"control_type":"script","control_value":[]}}"#,
+    );
+    check_round_trip(
+        r#"{"control_response":{"timestamp":"2026-11-20T19:00:00.000000000Z","device_id":"d","status":"Provide","status_value":36.6}}"#,
+    );
+    check_round_trip(
+        r#"{"control_response":{"timestamp":"2026-11-20T19:00:00.000000000Z","device_id":"d","status":"Failed","status_value":null,"request_id":"r","error":{"code":"late","message":"by 3 ms"}}}"#,
+    );
+}
+
+#[track_caller]
+fn check_invalid(line: &str, path: &str, says: &str) {
+    let error = decode_one(line).unwrap_err();
+    let DecodeErrorKind::Invalid { path: found, message } = &error.kind else { panic!("{error:?}") };
+    assert!(message.contains(says), "{message}");
+    assert_eq!(found, path);
+}
+
+#[test]
+fn a_message_beyond_the_limits_is_refused_with_its_place() {
+    let long = "x".repeat(257);
+    check_invalid(
+        &format!(r#"{{"control_request":{{"device_id":"{long}","control_type":"sensor"}}}}"#),
+        "control_request.device_id",
+        "257 characters",
+    );
+    check_invalid(
+        r#"{"control_request":{"device_id":"d","time_offset_to_start":-1,"control_type":"sensor"}}"#,
+        "control_request.time_offset_to_start",
+        "-1 ms",
+    );
+    check_invalid(
+        r#"{"control_request":{"device_id":"d","control_type":"position"}}"#,
+        "control_request",
+        "missing field `control_value`",
+    );
+    check_invalid(
+        r#"{"control_request":{"device_id":"d","device_id":"e","control_type":"sensor"}}"#,
+        "control_request",
+        "duplicate field `device_id`",
+    );
+    check_invalid(
+        r#"{"control_request":{"device_id":"d","control_type":"script","control_value":[{"time_offset_to_start":0,"control_type":"script","control_value":1}]}}"#,
+        "control_request.control_value[0]",
+        "in a script step",
+    );
+    check_invalid(
+        r#"{"control_request":{"device_id":"d","control_type":"script","control_value":[{"time_offset_to_start":9,"control_type":"speed","control_value":1},{"time_offset_to_start":8,"control_type":"speed","control_value":1}]}}"#,
+        "control_request.control_value",
+        "step 1 is at 8 ms, before",
+    );
+    check_invalid(r#"{"hello":{}}"#, ".", "unknown variant");
+    check_invalid(
+        r#"{"initialization_block":{"id":"r","api_version":"1","devices":[]}}"#,
+        "initialization_block",
+        "0 devices, expected 1 to 32000",
+    );
+    check_invalid(
+        r#"{"initialization_block":{"id":"r","api_version":"1","type":"Toy","devices":[]}}"#,
+        "initialization_block.type",
+        "unknown variant `Toy`",
+    );
+    check_invalid(
+        r#"{"initialization_block":{"id":"r","api_version":"1","devices":[{"id":"d","name":"d","available_control_types":{"position":{"min_value":1,"max_value":0,"granularity":1}}}]}}"#,
+        "initialization_block.devices[0].available_control_types.position",
+        "min_value 1 lies above max_value 0",
+    );
+}
+
+#[test]
+fn thirty_two_thousand_devices_are_taken_and_one_more_is_not() {
+    let block = |count: usize| {
+        let devices: Vec<_> = (0..count)
+            .map(|i| format!(r#"{{"id":"d{i}","name":"d","available_control_types":{{}}}}"#))
+            .collect();
+        let devices = devices.join(",");
+        decode_one(&format!(
+            r#"{{"initialization_block":{{"id":"r","api_version":"1","devices":[{devices}]}}}}"#
+        ))
+    };
+    assert!(block(32_000).is_ok());
+    assert!(block(32_001).unwrap_err().to_string().contains("32001 devices"));
+}
+
+#[test]
+fn an_error_names_the_device_and_request_that_an_answer_needs() {
+    let error = decode_one(
+        r#"{"control_request":{"device_id":"d","request_id":"r","control_type":"position","control_value":"x"}}"#,
+    )
+    .unwrap_err();
+    assert_eq!(error.device_id.unwrap().as_str(), "d");
+    assert_eq!(error.request_id.unwrap().as_str(), "r");
+}
+
+#[test]
+fn unknown_keys_are_ignored_so_that_versions_can_differ() {
+    let line = r#"{"control_request":{"device_id":"d","colour":{"r":[1]},"control_type":"sensor"}}"#;
+    assert!(decode_one(line).is_ok());
+}
+
+#[test]
+fn a_line_over_the_limit_is_dropped_once_and_the_next_is_read() {
+    let mut decoder = LineDecoder::new(64);
+    for _ in 0..1000 {
+        decoder.push(&[b'x'; 50]);
+        if let Some(error) = decoder.next_message() {
+            assert_eq!(error.unwrap_err().kind, DecodeErrorKind::LineTooLong { limit: 64 });
+        }
+    }
+    decoder.push(b"\n{\"availability_request\":{}}\n");
+    assert!(matches!(decoder.next_message(), Some(Ok(Message::AvailabilityRequest(_)))));
+    assert!(decoder.next_message().is_none());
+}
+
+#[test]
+fn bytes_that_are_no_message_give_typed_errors() {
+    let mut decoder = LineDecoder::default();
+    decoder.push(b"\xff\xfe\nnot json\n");
+    decoder.push("[".repeat(100_000).as_bytes());
+    decoder.push(b"\n{\"availability_request\":{},\"x\":1}\n");
+    let mut kind = || decoder.next_message().unwrap().unwrap_err().kind;
+    assert_eq!(kind(), DecodeErrorKind::NotUtf8 { valid_up_to: 0 });
+    assert!(matches!(kind(), DecodeErrorKind::NotJson { .. }));
+    assert!(!matches!(kind(), DecodeErrorKind::LineTooLong { .. }));
+    assert!(matches!(kind(), DecodeErrorKind::NotJson { .. } | DecodeErrorKind::Invalid { .. }));
+    assert!(decoder.next_message().is_none());
+}
+
+#[test]
+fn numbers_that_are_not_finite_are_refused() {
+    let line = r#"{"control_request":{"device_id":"d","control_type":"speed","control_value":1e999}}"#;
+    assert!(decode_one(line).is_err());
+}
+
+#[test]
+fn a_content_hash_depends_on_the_steps_alone() {
+    let script = |value| Command::Script(Script::new(vec![step(0.0, value)]).unwrap());
+    assert_eq!(script(1.0).content_hash(), script(1.0).content_hash());
+    assert_ne!(script(1.0).content_hash(), script(2.0).content_hash());
+}
+
+proptest::proptest! {
+    #[test]
+    fn no_bytes_make_the_decoder_panic(bytes: Vec<u8>, cut in 0usize..64) {
+        let mut decoder = LineDecoder::new(256);
+        let (a, b) = bytes.split_at(cut.min(bytes.len()));
+        decoder.push(a);
+        while decoder.next_message().is_some() {}
+        decoder.push(b);
+        while decoder.next_message().is_some() {}
+    }
+
+    #[test]
+    fn a_stream_cut_anywhere_gives_the_same_messages(cut in 0usize..PAPER_SCRIPT.len()) {
+        let mut decoder = LineDecoder::default();
+        decoder.push(&PAPER_SCRIPT.as_bytes()[..cut]);
+        proptest::prop_assert!(decoder.next_message().is_none());
+        decoder.push(&PAPER_SCRIPT.as_bytes()[cut..]);
+        decoder.push(b"\n");
+        proptest::prop_assert!(decoder.next_message().unwrap().is_ok());
+    }
+}
