@@ -1,1 +1,21 @@
-//! Placeholder
+//! The robot's side of URRCP: machines that decide, and a thin real world round them.
+//!
+//! `device` and `robot` are machines without I/O and without a clock: messages and the time in, answers and values out.
+//! `simulated` wraps a robot with a clock, delays and faults of its own, still without touching the world. `host` runs
+//! simulated robots in real time on one precise thread (`precise_wait`, `clock`), `serve` puts TCP round it.
+
+pub mod clock;
+mod device;
+mod host;
+mod lease;
+mod precise_wait;
+mod robot;
+mod serve;
+mod set_log;
+pub mod simulated;
+
+pub use device::Motion;
+pub use host::{Host, HostError, HostHandle, HostOptions, LinkEvent, RobotLink};
+pub use robot::{Input, LinkId, Output, Robot, SetValue};
+pub use serve::serve;
+pub use set_log::LogEntry;

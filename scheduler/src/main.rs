@@ -1,2 +1,5 @@
-//! Placeholder
-fn main() {}
+//! The program `downbeat`.
+
+fn main() -> std::process::ExitCode {
+    downbeat::cli::main()
+}

@@ -1,0 +1,348 @@
+//! Runs robots in real time: one thread of its own that wakes precisely, however many robots live on it.
+
+use std::collections::{BTreeSet, HashMap};
+use std::fs::File;
+use std::io::{self, Write};
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, mpsc as std_mpsc};
+use std::thread::JoinHandle;
+use std::time::Duration;
+
+use serde::Serialize;
+use tokio::sync::mpsc;
+use urrcp::{Message, RobotId, Timestamp};
+
+use crate::clock::HostClock;
+use crate::precise_wait::{self, Woken};
+use crate::robot::{Input, LinkId};
+use crate::set_log::LogEntry;
+use crate::simulated::{Outgoing, SimulatedRobot, True};
+
+/// Messages that may wait for a peer; one that does not read is hung up on.
+const OUTGOING_MAX: usize = 65_536;
+/// Between two writes of the log, so that a killed process loses little.
+const LOG_FLUSH: Duration = Duration::from_millis(50);
+
+/// How robots are run.
+#[derive(Clone, Debug, Default)]
+pub struct HostOptions {
+    /// Ask for real-time scheduling of the precise thread.
+    pub realtime: bool,
+    /// Write everything that is set to this file, a JSON line each.
+    pub log: Option<PathBuf>,
+}
+
+/// A host could not be started.
+#[derive(Debug, thiserror::Error)]
+pub enum HostError {
+    /// The log file cannot be written.
+    #[error("cannot write the log {}: {error}", path.display())]
+    Log {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        error: io::Error,
+    },
+    /// The system gives no thread.
+    #[error("no thread for the robots: {0}")]
+    Thread(io::Error),
+}
+
+/// What comes back on a link.
+#[derive(Clone, Debug)]
+pub enum LinkEvent {
+    /// The robot says something.
+    Message(Message),
+    /// The robot has closed the link.
+    Closed,
+}
+
+enum Order {
+    Open { robot: usize, link: LinkId, peer: mpsc::Sender<LinkEvent> },
+    Input { robot: usize, link: LinkId, input: Input },
+    Stop,
+}
+
+/// Robots running on a precise thread.
+#[derive(Debug)]
+pub struct Host {
+    handle: HostHandle,
+    thread: Option<JoinHandle<()>>,
+    writer: Option<JoinHandle<()>>,
+}
+
+/// Opens links to the robots of a host.
+#[derive(Clone, Debug)]
+pub struct HostHandle {
+    orders: std_mpsc::Sender<Order>,
+    robots: Arc<[RobotId]>,
+    next_link: Arc<AtomicU64>,
+}
+
+/// A link to one robot. Dropping it breaks the link.
+#[derive(Debug)]
+pub struct RobotLink {
+    orders: std_mpsc::Sender<Order>,
+    robot: usize,
+    link: LinkId,
+    incoming: mpsc::Receiver<LinkEvent>,
+}
+
+/// The sending end of a link, for use beside the receiving one.
+#[derive(Clone, Debug)]
+pub(crate) struct LinkSender {
+    orders: std_mpsc::Sender<Order>,
+    robot: usize,
+    link: LinkId,
+}
+
+impl Host {
+    /// Starts the robots.
+    ///
+    /// # Errors
+    /// [`HostError`] when the log cannot be written or the system gives no thread.
+    pub fn start(robots: Vec<SimulatedRobot>, options: HostOptions) -> Result<Self, HostError> {
+        let ids: Arc<[RobotId]> = robots.iter().map(|robot| robot.robot().block().id.clone()).collect();
+        let (log, writer) = match options.log {
+            None => (None, None),
+            Some(path) => {
+                let file = File::create(&path).map_err(|error| HostError::Log { path, error })?;
+                let (log, entries) = std_mpsc::channel();
+                let ids = Arc::clone(&ids);
+                let writer = std::thread::Builder::new().name("set-log".into());
+                // Ends when the precise thread drops its sender.
+                let writer =
+                    writer.spawn(move || write_log(file, &ids, &entries)).map_err(HostError::Thread)?;
+                (Some(log), Some(writer))
+            }
+        };
+        let (orders, inbox) = std_mpsc::channel();
+        let handle = HostHandle { orders, robots: ids, next_link: Arc::new(AtomicU64::new(0)) };
+        let thread = std::thread::Builder::new().name("robots".into());
+        // Ends by `Order::Stop`, or when every handle is gone.
+        let thread = thread
+            .spawn(move || {
+                precise_wait::prepare_thread(options.realtime);
+                Executor::new(robots, log).run(&inbox);
+            })
+            .map_err(HostError::Thread)?;
+        Ok(Self { handle, thread: Some(thread), writer })
+    }
+
+    /// Opens links to these robots.
+    #[must_use]
+    pub fn handle(&self) -> HostHandle {
+        self.handle.clone()
+    }
+
+    /// Stops the robots where they are and completes the log.
+    pub fn stop(mut self) {
+        self.shut_down();
+    }
+
+    fn shut_down(&mut self) {
+        let _already_gone = self.handle.orders.send(Order::Stop);
+        for thread in [self.thread.take(), self.writer.take()].into_iter().flatten() {
+            if thread.join().is_err() {
+                tracing::error!("a thread of the robots' host panicked");
+            }
+        }
+    }
+}
+
+impl Drop for Host {
+    fn drop(&mut self) {
+        self.shut_down();
+    }
+}
+
+impl HostHandle {
+    /// The robots, in the order of their indices.
+    #[must_use]
+    pub fn robots(&self) -> &[RobotId] {
+        &self.robots
+    }
+
+    /// Opens a link to a robot; `None` when there is no such robot or the host has stopped.
+    #[must_use]
+    pub fn connect(&self, robot: usize) -> Option<RobotLink> {
+        if robot >= self.robots.len() {
+            return None;
+        }
+        let link = LinkId(self.next_link.fetch_add(1, Ordering::Relaxed));
+        let (peer, incoming) = mpsc::channel(OUTGOING_MAX);
+        self.orders.send(Order::Open { robot, link, peer }).ok()?;
+        Some(RobotLink { orders: self.orders.clone(), robot, link, incoming })
+    }
+}
+
+impl RobotLink {
+    /// Sends a message to the robot. A host that has stopped takes none; [`RobotLink::recv`] says so.
+    pub fn send(&self, message: Message) {
+        self.sender().send(Input::Message(message));
+    }
+
+    /// What the robot says next; `None` once the host has stopped.
+    pub async fn recv(&mut self) -> Option<LinkEvent> {
+        self.incoming.recv().await
+    }
+
+    /// What the robot has said already.
+    pub(crate) fn try_recv(&mut self) -> Option<LinkEvent> {
+        self.incoming.try_recv().ok()
+    }
+
+    pub(crate) fn sender(&self) -> LinkSender {
+        LinkSender { orders: self.orders.clone(), robot: self.robot, link: self.link }
+    }
+}
+
+impl LinkSender {
+    pub(crate) fn send(&self, input: Input) {
+        let _stopped = self.orders.send(Order::Input { robot: self.robot, link: self.link, input });
+    }
+}
+
+impl Drop for RobotLink {
+    fn drop(&mut self) {
+        self.sender().send(Input::LinkDown);
+    }
+}
+
+type LoggedBatch = (usize, Vec<LogEntry>);
+
+/// The precise thread's state.
+struct Executor {
+    robots: Vec<SimulatedRobot>,
+    wakeups: BTreeSet<(Timestamp<True>, usize)>,
+    wakeup_of: Vec<Option<Timestamp<True>>>,
+    peers: HashMap<LinkId, mpsc::Sender<LinkEvent>>,
+    clock: HostClock,
+    log: Option<std_mpsc::Sender<LoggedBatch>>,
+    out: Vec<Outgoing>,
+}
+
+impl Executor {
+    fn new(robots: Vec<SimulatedRobot>, log: Option<std_mpsc::Sender<LoggedBatch>>) -> Self {
+        Self {
+            wakeup_of: vec![None; robots.len()],
+            robots,
+            wakeups: BTreeSet::new(),
+            peers: HashMap::new(),
+            clock: HostClock::anchored(),
+            log,
+            out: Vec::new(),
+        }
+    }
+
+    fn run(mut self, inbox: &std_mpsc::Receiver<Order>) {
+        loop {
+            let deadline = self.wakeups.first().map(|(at, _)| self.clock.instant_of(*at));
+            match precise_wait::wait(inbox, deadline) {
+                Woken::Deadline => self.advance_due(),
+                Woken::Message(Order::Stop) | Woken::Closed => return,
+                Woken::Message(order) => self.obey(order),
+            }
+        }
+    }
+
+    fn obey(&mut self, order: Order) {
+        match order {
+            Order::Open { robot, link, peer } => {
+                // Nothing is scheduled on an idle host, so it may follow the system's clock again.
+                if self.robots.len() <= 64 && self.robots.iter().all(SimulatedRobot::is_idle) {
+                    self.clock = HostClock::anchored();
+                }
+                self.peers.insert(link, peer);
+                self.advance(robot);
+            }
+            Order::Input { robot, link, input } => {
+                if matches!(input, Input::LinkDown) {
+                    self.peers.remove(&link);
+                }
+                let now = self.clock.now();
+                self.robots[robot].receive(now, link, input);
+                self.advance(robot);
+            }
+            Order::Stop => {}
+        }
+    }
+
+    fn advance_due(&mut self) {
+        let now = self.clock.now();
+        while let Some(&(at, robot)) = self.wakeups.first() {
+            if at > now {
+                return;
+            }
+            self.advance(robot);
+        }
+    }
+
+    fn advance(&mut self, robot: usize) {
+        let now = self.clock.now();
+        self.robots[robot].advance(now, &mut self.out);
+        let log = self.robots[robot].take_log();
+        if let (Some(sink), false) = (&self.log, log.is_empty()) {
+            let _writer_gone = sink.send((robot, log));
+        }
+        let next = self.robots[robot].next_wakeup();
+        let known = std::mem::replace(&mut self.wakeup_of[robot], next);
+        known.map(|at| self.wakeups.remove(&(at, robot)));
+        next.map(|at| self.wakeups.insert((at, robot)));
+        self.send_out();
+    }
+
+    fn send_out(&mut self) {
+        for outgoing in self.out.drain(..) {
+            match outgoing {
+                Outgoing::Message { link, message } => {
+                    let Some(peer) = self.peers.get(&link) else { continue };
+                    if peer.try_send(LinkEvent::Message(message)).is_err() {
+                        tracing::warn!("a peer that does not read is hung up on");
+                        self.peers.remove(&link);
+                    }
+                }
+                Outgoing::Close { link } => {
+                    if let Some(peer) = self.peers.remove(&link) {
+                        let _full_or_gone = peer.try_send(LinkEvent::Closed);
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[derive(Serialize)]
+struct LogLine<'a> {
+    robot: &'a RobotId,
+    #[serde(flatten)]
+    entry: &'a LogEntry,
+}
+
+/// Writes what was set, away from the precise thread.
+fn write_log(file: File, ids: &[RobotId], entries: &std_mpsc::Receiver<LoggedBatch>) {
+    let mut file = io::BufWriter::new(file);
+    loop {
+        let written = match entries.recv_timeout(LOG_FLUSH) {
+            Ok((robot, batch)) => write_batch(&mut file, &ids[robot], &batch),
+            Err(std_mpsc::RecvTimeoutError::Timeout) => file.flush(),
+            Err(std_mpsc::RecvTimeoutError::Disconnected) => {
+                let _checked_below =
+                    file.flush().map_err(|error| tracing::error!("the set log is incomplete: {error}"));
+                return;
+            }
+        };
+        if let Err(error) = written {
+            return tracing::error!("the set log ends here: {error}");
+        }
+    }
+}
+
+fn write_batch(file: &mut impl Write, robot: &RobotId, batch: &[LogEntry]) -> io::Result<()> {
+    for entry in batch {
+        serde_json::to_writer(&mut *file, &LogLine { robot, entry })?;
+        file.write_all(b"\n")?;
+    }
+    Ok(())
+}

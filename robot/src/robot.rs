@@ -1,0 +1,434 @@
+//! A robot as a machine: messages and the time in, answers and values out.
+
+use std::collections::{BTreeSet, HashMap, VecDeque};
+
+use urrcp::{
+    AvailabilityResponse, Command, ContentHash, ControlError, ControlRequest, ControlResponse, ControlType,
+    DecodeError, DeviceId, ErrorCode, InitializationBlock, Message, RequestId, Status, StatusValue,
+    Timestamp,
+};
+
+use crate::device::{DeviceMachine, Effect, Motion};
+use crate::lease::LastHeard;
+
+/// One connection of a server with this robot.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct LinkId(pub u64);
+
+/// What reaches a robot on a link.
+#[derive(Clone, Debug)]
+pub enum Input {
+    /// A message.
+    Message(Message),
+    /// A line that is no message.
+    Undecodable(DecodeError),
+    /// The link broke. Its silence counts from its last message on.
+    LinkDown,
+}
+
+/// What a robot wants done.
+#[derive(Clone, Debug)]
+pub enum Output {
+    /// Send a message on a link.
+    Send {
+        /// Which.
+        link: LinkId,
+        /// What.
+        message: Message,
+    },
+    /// Drive a device.
+    Set(SetValue),
+}
+
+/// One movement of one device.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SetValue {
+    /// Which device.
+    pub device: DeviceId,
+    /// What to do.
+    pub motion: Motion,
+    /// When it was due.
+    pub due: Timestamp<urrcp::Robot>,
+    /// The request behind it; `None` for the default state.
+    pub request_id: Option<RequestId>,
+    /// Index of the script's step.
+    pub step: Option<u32>,
+}
+
+/// Requests whose last answer is kept besides those that are held, so that a repeated one is answered and not repeated.
+const ANSWERS_KEPT: usize = 1_024;
+
+/// The machine of one robot.
+#[derive(Clone, Debug)]
+pub struct Robot {
+    block: InitializationBlock,
+    devices: Vec<DeviceMachine>,
+    index_of: HashMap<DeviceId, usize>,
+    heard: LastHeard,
+    /// Earliest possible wake-up of each device; a renewed lease makes an entry early, never late.
+    wakeups: BTreeSet<(Timestamp<urrcp::Robot>, usize)>,
+    wakeup_of: Vec<Option<Timestamp<urrcp::Robot>>>,
+    answers: HashMap<RequestId, ControlResponse>,
+    answered: VecDeque<RequestId>,
+    readings: HashMap<DeviceId, f64>,
+    effects: Vec<Effect>,
+}
+
+type Now = Timestamp<urrcp::Robot>;
+
+impl Robot {
+    /// A robot at rest, as its initialization block describes it.
+    #[must_use]
+    pub fn new(block: InitializationBlock) -> Self {
+        let devices: Vec<_> = block.devices.iter().cloned().map(DeviceMachine::new).collect();
+        let index_of = block.devices.iter().enumerate().map(|(i, device)| (device.id.clone(), i)).collect();
+        let wakeup_of = vec![None; devices.len()];
+        Self {
+            block,
+            devices,
+            index_of,
+            heard: LastHeard::default(),
+            wakeups: BTreeSet::new(),
+            wakeup_of,
+            answers: HashMap::new(),
+            answered: VecDeque::new(),
+            readings: HashMap::new(),
+            effects: Vec::new(),
+        }
+    }
+
+    /// How it describes itself.
+    #[must_use]
+    pub const fn block(&self) -> &InitializationBlock {
+        &self.block
+    }
+
+    /// Whether nothing is held and no lease runs.
+    #[must_use]
+    pub fn is_idle(&self) -> bool {
+        self.wakeups.is_empty() && self.devices.iter().all(DeviceMachine::is_idle)
+    }
+
+    /// The value of a signal, linear movements included.
+    #[must_use]
+    pub fn value(&self, device: &str, control_type: ControlType, now: Now) -> Option<f64> {
+        self.devices[*self.index_of.get(device)?].value(control_type, now)
+    }
+
+    /// What a sensor reads from now on.
+    pub fn set_reading(&mut self, device: DeviceId, reading: f64) {
+        self.readings.insert(device, reading);
+    }
+
+    /// When [`Robot::advance`] is next due, or a little earlier.
+    #[must_use]
+    pub fn next_wakeup(&self) -> Option<Now> {
+        self.wakeups.first().map(|(at, _)| *at)
+    }
+
+    /// Does everything due at or before `now`.
+    pub fn advance(&mut self, now: Now, out: &mut Vec<Output>) {
+        while let Some(&(at, index)) = self.wakeups.first() {
+            if at > now {
+                return;
+            }
+            self.devices[index].advance(now, &self.heard, &mut self.effects);
+            self.refresh_wakeup(index);
+            self.emit(now, index, out);
+        }
+    }
+
+    /// Takes what reached the robot at `now`, after everything that was due until then.
+    pub fn handle(&mut self, now: Now, link: LinkId, input: Input, out: &mut Vec<Output>) {
+        self.advance(now, out);
+        match input {
+            Input::LinkDown => {}
+            Input::Undecodable(error) => self.answer_undecodable(now, link, &error, out),
+            Input::Message(message) => {
+                self.heard.heard(link, now);
+                self.handle_message(now, link, message, out);
+            }
+        }
+    }
+
+    fn handle_message(&mut self, now: Now, link: LinkId, message: Message, out: &mut Vec<Output>) {
+        match message {
+            Message::AvailabilityRequest(request) => {
+                let response = AvailabilityResponse {
+                    originate_timestamp: request.timestamp,
+                    receive_timestamp: now,
+                    timestamp: now,
+                    status: Status::Ok,
+                    error: None,
+                };
+                out.push(Output::Send { link, message: Message::AvailabilityResponse(response) });
+            }
+            Message::InitializationRequest(_) => {
+                let message = Message::InitializationBlock(self.block.clone());
+                out.push(Output::Send { link, message });
+            }
+            Message::ControlRequest(request) => self.control(now, link, request, out),
+            Message::AvailabilityResponse(_)
+            | Message::InitializationBlock(_)
+            | Message::ControlResponse(_) => {
+                tracing::debug!(robot = %self.block.id, "a message that only a robot sends: ignored");
+            }
+        }
+    }
+
+    fn answer_undecodable(&mut self, now: Now, link: LinkId, error: &DecodeError, out: &mut Vec<Output>) {
+        let reason = ControlError::new(ErrorCode::Malformed, error.to_string());
+        let message = match &error.device_id {
+            Some(device) => Message::ControlResponse(ControlResponse {
+                request_id: error.request_id.clone(),
+                error: Some(reason),
+                ..response(now, device.clone(), Status::Failed)
+            }),
+            None => Message::AvailabilityResponse(AvailabilityResponse {
+                originate_timestamp: None,
+                receive_timestamp: now,
+                timestamp: now,
+                status: Status::Failed,
+                error: Some(reason),
+            }),
+        };
+        out.push(Output::Send { link, message });
+    }
+
+    fn control(&mut self, now: Now, link: LinkId, request: ControlRequest, out: &mut Vec<Output>) {
+        if let Some(answer) = request.request_id.as_ref().and_then(|id| self.answers.get(id)) {
+            let message = Message::ControlResponse(answer.clone());
+            return out.push(Output::Send { link, message });
+        }
+        let Some(&index) = self.index_of.get(&request.device_id) else {
+            let error = ControlError::new(
+                ErrorCode::UnknownDevice,
+                format!("`{}` has no device `{}`", self.block.id, request.device_id),
+            );
+            return self.refuse(now, link, &request, error, out);
+        };
+        let result = match &request.command {
+            Command::ReadSensor => return self.provide(now, link, index, &request, out),
+            Command::Script(script) if script.is_empty() => {
+                return self.cancel(now, link, index, &request, out);
+            }
+            command => check_hash(&request, command)
+                .and_then(|hash| self.accept(now, link, index, &request).map(|()| hash)),
+        };
+        match result {
+            Ok(content_hash) => self.confirm(now, link, index, &request, content_hash, out),
+            Err(error) => {
+                if error.code == ErrorCode::UnsupportedControlType {
+                    self.devices[index].stop(now, &error, &mut self.effects);
+                    self.refresh_wakeup(index);
+                    self.emit(now, index, out);
+                }
+                self.refuse(now, link, &request, error, out);
+            }
+        }
+    }
+
+    fn accept(
+        &mut self,
+        now: Now,
+        link: LinkId,
+        index: usize,
+        request: &ControlRequest,
+    ) -> Result<(), ControlError> {
+        let start = request.starts_at().map_or(now, Timestamp::assume_clock);
+        self.devices[index].accept(now, start, link, request)
+    }
+
+    fn confirm(
+        &mut self,
+        now: Now,
+        link: LinkId,
+        index: usize,
+        request: &ControlRequest,
+        content_hash: Option<ContentHash>,
+        out: &mut Vec<Output>,
+    ) {
+        let status_value = match &request.command {
+            Command::Set(setpoint) => StatusValue::Number(setpoint.value),
+            Command::Script(script) => StatusValue::Script(script.clone()),
+            Command::ReadSensor => StatusValue::Null,
+        };
+        let answer = ControlResponse {
+            status_value,
+            content_hash,
+            request_id: request.request_id.clone(),
+            ..response(now, request.device_id.clone(), Status::Accepted)
+        };
+        self.answer(link, answer, out);
+        self.refresh_wakeup(index);
+        self.advance(now, out);
+    }
+
+    fn provide(
+        &mut self,
+        now: Now,
+        link: LinkId,
+        index: usize,
+        request: &ControlRequest,
+        out: &mut Vec<Output>,
+    ) {
+        let spec = &self.devices[index].spec;
+        let Some(sensor) = spec.available_control_types.sensor() else {
+            let message = format!("`{}` is no sensor", spec.id);
+            let error = ControlError::new(ErrorCode::UnsupportedControlType, message);
+            self.devices[index].stop(now, &error, &mut self.effects);
+            self.refresh_wakeup(index);
+            self.emit(now, index, out);
+            return self.refuse(now, link, request, error, out);
+        };
+        let middle = f64::midpoint(sensor.min_value, sensor.max_value);
+        let position = self.devices[index].value(ControlType::Position, now);
+        let reading = self.readings.get(&request.device_id).copied().or(position).unwrap_or(middle);
+        let answer = ControlResponse {
+            status_value: StatusValue::Number(reading),
+            request_id: request.request_id.clone(),
+            ..response(now, request.device_id.clone(), Status::Provide)
+        };
+        self.answer(link, answer, out);
+    }
+
+    fn cancel(
+        &mut self,
+        now: Now,
+        link: LinkId,
+        index: usize,
+        request: &ControlRequest,
+        out: &mut Vec<Output>,
+    ) {
+        let error = ControlError::new(ErrorCode::Cancelled, "cancelled by an empty script");
+        let from: Option<Now> = request.starts_at().map(Timestamp::assume_clock);
+        match from.filter(|from| *from > now) {
+            Some(from) => self.devices[index].cancel_from(from, &error, &mut self.effects),
+            None => self.devices[index].stop(now, &error, &mut self.effects),
+        }
+        self.refresh_wakeup(index);
+        self.emit(now, index, out);
+        let answer = ControlResponse {
+            request_id: request.request_id.clone(),
+            ..response(now, request.device_id.clone(), Status::Ok)
+        };
+        self.answer(link, answer, out);
+    }
+
+    fn refuse(
+        &mut self,
+        now: Now,
+        link: LinkId,
+        request: &ControlRequest,
+        error: ControlError,
+        out: &mut Vec<Output>,
+    ) {
+        let answer = ControlResponse {
+            request_id: request.request_id.clone(),
+            error: Some(error),
+            ..response(now, request.device_id.clone(), Status::Failed)
+        };
+        self.answer(link, answer, out);
+    }
+
+    /// Sends an answer and remembers it for a repetition of its request.
+    fn answer(&mut self, link: LinkId, answer: ControlResponse, out: &mut Vec<Output>) {
+        self.remember(&answer);
+        out.push(Output::Send { link, message: Message::ControlResponse(answer) });
+    }
+
+    fn remember(&mut self, answer: &ControlResponse) {
+        let Some(id) = &answer.request_id else { return };
+        if self.answers.insert(id.clone(), answer.clone()).is_none() {
+            self.answered.push_back(id.clone());
+        }
+        let held: usize = if self.answered.len() > ANSWERS_KEPT {
+            self.devices.iter().map(DeviceMachine::held).sum()
+        } else {
+            0
+        };
+        while self.answered.len() > ANSWERS_KEPT + held {
+            let oldest = self.answered.pop_front();
+            oldest.and_then(|id| self.answers.remove(&id));
+        }
+    }
+
+    fn refresh_wakeup(&mut self, index: usize) {
+        let next = self.devices[index].next_wakeup(&self.heard);
+        let known = std::mem::replace(&mut self.wakeup_of[index], next);
+        if known != next {
+            known.map(|at| self.wakeups.remove(&(at, index)));
+            next.map(|at| self.wakeups.insert((at, index)));
+        }
+    }
+
+    /// Turns what a device wants into outputs: movements first, then reports.
+    fn emit(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
+        let device = self.devices[index].spec.id.clone();
+        let mut reports = Vec::new();
+        let effects = std::mem::take(&mut self.effects);
+        for effect in effects {
+            match effect {
+                Effect::Move { motion, due, request_id, step } => {
+                    let device = device.clone();
+                    out.push(Output::Set(SetValue { device, motion, due, request_id, step }));
+                }
+                report => reports.push(report),
+            }
+        }
+        for report in reports {
+            self.report(now, &device, report, out);
+        }
+    }
+
+    fn report(&mut self, now: Now, device: &DeviceId, effect: Effect, out: &mut Vec<Output>) {
+        let base =
+            |status| ControlResponse { event_timestamp: Some(now), ..response(now, device.clone(), status) };
+        let (link, report) = match effect {
+            Effect::Move { .. } => return,
+            Effect::Started { link, request_id, value } => {
+                let status_value = StatusValue::Number(value);
+                (link, ControlResponse { request_id, status_value, ..base(Status::Started) })
+            }
+            Effect::Ended { link, request_id, value, steps_done } => {
+                let status_value = StatusValue::Number(value);
+                let steps_done = Some(steps_done);
+                (link, ControlResponse { request_id, status_value, steps_done, ..base(Status::Ok) })
+            }
+            Effect::Failed { link, request_id, error, steps_done } => {
+                let (error, steps_done) = (Some(error), Some(steps_done));
+                (link, ControlResponse { request_id, error, steps_done, ..base(Status::Failed) })
+            }
+        };
+        self.remember(&report);
+        if self.block.reports {
+            out.push(Output::Send { link, message: Message::ControlResponse(report) });
+        }
+    }
+}
+
+/// The robot's own hash of what it takes, where the request carries one to compare.
+fn check_hash(request: &ControlRequest, command: &Command) -> Result<Option<ContentHash>, ControlError> {
+    let Some(expected) = request.content_hash else { return Ok(None) };
+    match command.content_hash() {
+        computed if computed == expected => Ok(Some(computed)),
+        computed => {
+            let message = format!("content_hash is {expected}, the control_value hashes to {computed}");
+            Err(ControlError::new(ErrorCode::Malformed, message))
+        }
+    }
+}
+
+fn response(now: Now, device_id: DeviceId, status: Status) -> ControlResponse {
+    ControlResponse {
+        timestamp: now,
+        device_id,
+        status,
+        status_value: StatusValue::Null,
+        request_id: None,
+        content_hash: None,
+        event_timestamp: None,
+        steps_done: None,
+        error: None,
+    }
+}

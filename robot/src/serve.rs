@@ -1,0 +1,87 @@
+//! JSON lines over TCP round a robot of a host.
+
+use std::io;
+use std::sync::Arc;
+
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio::net::tcp::OwnedReadHalf;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::Semaphore;
+use urrcp::{LINE_BYTES_MAX, LineDecoder, encode};
+
+use crate::host::{HostHandle, LinkEvent, LinkSender, RobotLink};
+use crate::robot::Input;
+
+/// Servers that may be connected to one robot at a time; more have to wait.
+const CONNECTIONS_MAX: usize = 16;
+
+/// Accepts servers for one robot until the host stops.
+///
+/// # Errors
+/// When the listening socket fails.
+pub async fn serve(listener: TcpListener, host: HostHandle, robot: usize) -> io::Result<()> {
+    let room = Arc::new(Semaphore::new(CONNECTIONS_MAX));
+    loop {
+        let Ok(permit) = Arc::clone(&room).acquire_owned().await else { return Ok(()) };
+        let (stream, peer) = listener.accept().await?;
+        let Some(link) = host.connect(robot) else { return Ok(()) };
+        // One task a connection, so that a slow or broken peer harms only itself; ends when either side closes.
+        tokio::spawn(async move {
+            if let Err(error) = carry(stream, link).await {
+                tracing::debug!(%peer, "connection ended: {error}");
+            }
+            drop(permit);
+        });
+    }
+}
+
+async fn carry(stream: TcpStream, mut link: RobotLink) -> io::Result<()> {
+    stream.set_nodelay(true)?;
+    let (reader, mut writer) = stream.into_split();
+    let sender = link.sender();
+    let reading = read(reader, sender);
+    tokio::pin!(reading);
+    let mut bytes = Vec::new();
+    loop {
+        tokio::select! {
+            ended = &mut reading => return ended,
+            event = link.recv() => {
+                let Some(LinkEvent::Message(message)) = event else { return Ok(()) };
+                encode(&message, &mut bytes);
+                let open = encode_waiting(&mut link, &mut bytes);
+                writer.write_all(&bytes).await?;
+                bytes.clear();
+                if !open {
+                    return Ok(());
+                }
+            }
+        }
+    }
+}
+
+/// Adds what else the robot has said already; false once the robot has closed the link.
+fn encode_waiting(link: &mut RobotLink, bytes: &mut Vec<u8>) -> bool {
+    while bytes.len() < 64 * 1024 {
+        match link.try_recv() {
+            Some(LinkEvent::Message(message)) => encode(&message, bytes),
+            Some(LinkEvent::Closed) => return false,
+            None => return true,
+        }
+    }
+    true
+}
+
+async fn read(mut reader: OwnedReadHalf, robot: LinkSender) -> io::Result<()> {
+    let mut decoder = LineDecoder::new(LINE_BYTES_MAX);
+    let mut bytes = vec![0; 8 * 1024];
+    loop {
+        let n = reader.read(&mut bytes).await?;
+        if n == 0 {
+            return Ok(());
+        }
+        decoder.push(&bytes[..n]);
+        while let Some(decoded) = decoder.next_message() {
+            robot.send(decoded.map_or_else(Input::Undecodable, Input::Message));
+        }
+    }
+}

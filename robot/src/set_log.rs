@@ -1,0 +1,52 @@
+//! What a simulated robot set, and when: the truth against which reports are held.
+
+use serde::Serialize;
+use urrcp::{DeviceId, Robot, Timestamp};
+
+use crate::device::Motion;
+use crate::robot::SetValue;
+use crate::simulated::True;
+
+/// One value set.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct LogEntry {
+    /// When, by the one true clock of the host, in nanoseconds since the Unix epoch.
+    pub true_ns: i64,
+    /// When, by the robot's own clock.
+    pub set_at: Timestamp<Robot>,
+    /// When it was due by the robot's own clock.
+    pub due: Timestamp<Robot>,
+    /// Which device.
+    pub device: DeviceId,
+    /// `set`, `ramp` or `default`.
+    pub motion: &'static str,
+    /// position, speed, acceleration or custom_N.
+    pub control_type: String,
+    /// The value set, or where the ramp ends.
+    pub value: f64,
+    /// Index of the script's step.
+    pub step: Option<u32>,
+    /// The request behind it.
+    pub request_id: Option<String>,
+}
+
+impl LogEntry {
+    pub(crate) fn new(true_time: Timestamp<True>, set_at: Timestamp<Robot>, set: SetValue) -> Self {
+        let (motion, control_type, value) = match set.motion {
+            Motion::Set(setpoint) => ("set", setpoint.control_type, setpoint.value),
+            Motion::Ramp { control_type, to, .. } => ("ramp", control_type, to),
+            Motion::Default { control_type, value } => ("default", control_type, value),
+        };
+        Self {
+            true_ns: true_time.as_nanos(),
+            set_at,
+            due: set.due,
+            device: set.device,
+            motion,
+            control_type: control_type.to_string(),
+            value,
+            step: set.step,
+            request_id: set.request_id.map(|id| id.to_string()),
+        }
+    }
+}

@@ -1,0 +1,223 @@
+//! `downbeat fleet`: who is there, and what they say of themselves.
+
+use std::path::PathBuf;
+
+use clap::{Args, Subcommand};
+use comfy_table::{Table, presets};
+use downbeat_robot::HostOptions;
+use downbeat_scripts::{Address, Fleet, FleetRobot};
+use serde::Serialize;
+use tokio::sync::mpsc;
+use urrcp::{
+    AvailabilityRequest, InitializationBlock, InitializationRequest, Message, RobotId, Span, Status,
+};
+
+use super::run::parse_span;
+use super::{Exit, Format, console, load};
+use crate::clock::{ClockEstimate, ClockReading, ClockSample};
+use crate::fleet;
+use crate::link::Link;
+use crate::mission::Event;
+use crate::server_clock::ServerClock;
+
+/// Look at the fleet's robots.
+#[derive(Debug, Subcommand)]
+pub(super) enum FleetCommand {
+    /// Ask every robot whether it is there, and compare clocks.
+    #[command(
+        after_help = "Examples:\n  downbeat fleet ping\n  downbeat fleet ping stage.yaml --format json"
+    )]
+    Ping(FleetArgs),
+    /// Ask every robot what it is, and show its devices.
+    #[command(
+        after_help = "Examples:\n  downbeat fleet show\n  downbeat fleet show stage.yaml --format json"
+    )]
+    Show(FleetArgs),
+}
+
+#[derive(Debug, Args)]
+pub(super) struct FleetArgs {
+    /// The fleet file.
+    #[arg(default_value = "fleet.yaml")]
+    fleet: PathBuf,
+    /// How long to wait for answers.
+    #[arg(long, value_parser = parse_span, default_value = "5s", value_name = "TIME")]
+    patience: Span,
+}
+
+/// Exchanges with each robot.
+const SAMPLES: u32 = 8;
+
+/// What one robot answered.
+#[derive(Debug, Serialize)]
+struct Answer {
+    robot: RobotId,
+    reachable: bool,
+    clock: Option<ClockReading>,
+    problem: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    block: Option<InitializationBlock>,
+}
+
+pub(super) fn fleet(command: &FleetCommand, format: Format) -> Exit {
+    let (FleetCommand::Ping(args) | FleetCommand::Show(args)) = command;
+    let fleet = match load::load_fleet(&args.fleet, format) {
+        Ok(fleet) => fleet,
+        Err(exit) => return exit,
+    };
+    super::with_runtime(async {
+        let answers = match ask_all(&fleet, args.patience).await {
+            Ok(answers) => answers,
+            Err(message) => {
+                console::error(&message);
+                return Exit::Failed;
+            }
+        };
+        let all_well = answers.iter().all(|answer| answer.problem.is_none());
+        match (format, command) {
+            (Format::Json, _) => console::print_json(&answers),
+            (Format::Text, FleetCommand::Ping(_)) => console::print(&ping_table(&fleet, &answers)),
+            (Format::Text, FleetCommand::Show(_)) => console::print(&show_table(&answers)),
+        }
+        if all_well { Exit::Done } else { Exit::Failed }
+    })
+}
+
+async fn ask_all(fleet: &Fleet, patience: Span) -> Result<Vec<Answer>, String> {
+    let clock = ServerClock::anchored(Span::ZERO);
+    let robots: Vec<&FleetRobot> = fleet.robots.iter().collect();
+    let (host, endpoints) =
+        fleet::endpoints(&robots, HostOptions::default()).map_err(|error| error.to_string())?;
+    let asked = robots.iter().zip(endpoints).map(|(robot, endpoint)| {
+        let (events, happened) = mpsc::channel(64);
+        let link = Link::open(0, endpoint, clock, events);
+        let id = robot.id.clone();
+        // One task a robot, so that a silent one keeps no other waiting; ends after `patience`.
+        tokio::spawn(ask(id, link, happened, clock, patience))
+    });
+    let mut answers = Vec::new();
+    for task in asked.collect::<Vec<_>>() {
+        answers.push(task.await.map_err(|error| error.to_string())?);
+    }
+    if let Some(host) = host {
+        host.stop();
+    }
+    Ok(answers)
+}
+
+async fn ask(
+    robot: RobotId,
+    link: Link,
+    mut happened: mpsc::Receiver<crate::link::LinkEvent>,
+    clock: ServerClock,
+    patience: Span,
+) -> Answer {
+    let mut answer = Answer { robot, reachable: false, clock: None, problem: None, block: None };
+    let mut estimate = ClockEstimate::default();
+    let talk = async {
+        while let Some((at, event)) = happened.recv().await {
+            match event {
+                Event::LinkUp { .. } => {
+                    answer.reachable = true;
+                    link.send(Message::InitializationRequest(InitializationRequest {
+                        timestamp: Some(clock.now()),
+                    }));
+                    ping(&link, &clock);
+                }
+                Event::Received { message: Message::AvailabilityResponse(response), .. } => {
+                    if response.status == Status::Failed {
+                        return Some(
+                            response.error.map_or("not available".to_owned(), |error| error.to_string()),
+                        );
+                    }
+                    if let Some(sent) = response.originate_timestamp {
+                        let sample = ClockSample::from_exchange(
+                            sent,
+                            response.receive_timestamp,
+                            response.timestamp,
+                            at,
+                        );
+                        estimate.add(sample);
+                    }
+                    match estimate.samples() < SAMPLES {
+                        true => ping(&link, &clock),
+                        false if answer.block.is_some() => return None,
+                        false => {}
+                    }
+                }
+                Event::Received { message: Message::InitializationBlock(block), .. } => {
+                    answer.block = Some(block);
+                    if estimate.samples() >= SAMPLES {
+                        return None;
+                    }
+                }
+                Event::LinkDown { reason, .. } | Event::Garbled { reason, .. } => return Some(reason),
+                Event::Received { .. } | Event::StopRequested => {}
+            }
+        }
+        Some("the link ended".to_owned())
+    };
+    let problem = tokio::time::timeout(patience.to_duration(), talk).await;
+    answer.problem = problem.unwrap_or_else(|_| Some(format!("no answer within {patience}")));
+    answer.clock = estimate.reading();
+    answer
+}
+
+fn ping(link: &Link, clock: &ServerClock) {
+    link.send(Message::AvailabilityRequest(AvailabilityRequest { timestamp: Some(clock.now()) }));
+}
+
+fn ping_table(fleet: &Fleet, answers: &[Answer]) -> String {
+    let mut table = Table::new();
+    table.load_style(presets::NOTHING);
+    table.set_header(["robot", "address", "answers", "least delay", "clock offset", "uncertainty"]);
+    for (answer, robot) in answers.iter().zip(&fleet.robots) {
+        let address = match &robot.address {
+            Address::Simulated => "sim".to_owned(),
+            Address::Tcp { host, port } => format!("tcp://{host}:{port}"),
+        };
+        let state = answer.problem.clone().unwrap_or_else(|| "yes".to_owned());
+        let clock = |value: fn(&ClockReading) -> Span| {
+            answer.clock.as_ref().map_or_else(|| "-".to_owned(), |reading| value(reading).to_string())
+        };
+        table.add_row([
+            answer.robot.to_string(),
+            address,
+            state,
+            clock(|reading| reading.delay_min),
+            clock(|reading| reading.offset),
+            clock(|reading| reading.uncertainty),
+        ]);
+    }
+    format!("{table}\n")
+}
+
+fn show_table(answers: &[Answer]) -> String {
+    let mut table = Table::new();
+    table.load_style(presets::NOTHING);
+    table.set_header(["robot", "device", "unit", "control type", "from", "to", "granularity", "steps"]);
+    for answer in answers {
+        let Some(block) = &answer.block else {
+            let problem = answer.problem.clone().unwrap_or_default();
+            table.add_row([answer.robot.to_string(), problem]);
+            continue;
+        };
+        for device in &block.devices {
+            for (control_type, parameters) in device.available_control_types.iter() {
+                let json = serde_json::to_value(parameters).unwrap_or_default();
+                let cell = |key: &str| json.get(key).map_or_else(|| "-".to_owned(), ToString::to_string);
+                table.add_row([
+                    answer.robot.to_string(),
+                    device.id.to_string(),
+                    device.unit.as_ref().map_or_else(|| "-".to_owned(), ToString::to_string),
+                    control_type.to_string(),
+                    cell("min_value"),
+                    cell("max_value"),
+                    cell("granularity"),
+                    cell("max_number_of_steps"),
+                ]);
+            }
+        }
+    }
+    format!("{table}\n")
+}

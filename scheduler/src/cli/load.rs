@@ -1,0 +1,99 @@
+//! Reading a scenario with its fleet, for every command that takes one.
+
+use std::path::{Path, PathBuf};
+
+use downbeat_scripts::{Finding, Fleet, Plan, Source};
+
+use super::{Exit, Format, ScenarioArgs, console};
+
+/// A scenario that was read, whatever became of it.
+pub(super) struct Loaded {
+    pub(super) scenario: String,
+    pub(super) fleet: Option<Fleet>,
+    pub(super) plan: Option<Plan>,
+    pub(super) findings: Vec<Finding>,
+    /// A file could not be read at all.
+    pub(super) unreadable: bool,
+}
+
+/// Reads and compiles; findings are collected from all files.
+pub(super) fn load(args: &ScenarioArgs) -> Loaded {
+    let mut loaded = Loaded {
+        scenario: args.scenario.display().to_string(),
+        fleet: None,
+        plan: None,
+        findings: Vec::new(),
+        unreadable: false,
+    };
+    let source = match Source::read(&args.scenario) {
+        Ok(source) => source,
+        Err(finding) => {
+            loaded.unreadable = true;
+            loaded.findings.push(finding);
+            return loaded;
+        }
+    };
+    let fleet_path = fleet_path(args, &source);
+    let (fleet, findings) = downbeat_scripts::read_fleet(&fleet_path);
+    loaded.unreadable = findings.iter().any(Finding::is_unreadable);
+    loaded.findings.extend(findings);
+    if let Some(fleet) = &fleet {
+        let compiled = downbeat_scripts::compile(&source, fleet);
+        loaded.findings.extend(compiled.findings);
+        loaded.plan = compiled.plan;
+    }
+    loaded.fleet = fleet;
+    loaded
+}
+
+fn fleet_path(args: &ScenarioArgs, source: &Source) -> PathBuf {
+    if let Some(path) = &args.fleet {
+        return path.clone();
+    }
+    let beside = args.scenario.parent().unwrap_or(Path::new(""));
+    match downbeat_scripts::fleet_named_by(source) {
+        Some(named) => beside.join(named),
+        None => PathBuf::from("fleet.yaml"),
+    }
+}
+
+/// The same for commands that need a plan: findings are shown, and end the command unless they are warnings.
+pub(super) fn load_plan(args: &ScenarioArgs, format: Format) -> Result<(Plan, Fleet), Exit> {
+    let loaded = load(args);
+    match format {
+        Format::Text => show_findings(&loaded.findings),
+        Format::Json if loaded.plan.is_none() => {
+            console::print_json(&serde_json::json!({ "findings": loaded.findings }));
+        }
+        Format::Json => {}
+    }
+    match (loaded.plan, loaded.fleet) {
+        (Some(plan), Some(fleet)) => Ok((plan, fleet)),
+        _ if loaded.unreadable => Err(Exit::Usage),
+        _ => Err(Exit::Failed),
+    }
+}
+
+/// Reads a fleet file alone.
+pub(super) fn load_fleet(path: &Path, format: Format) -> Result<Fleet, Exit> {
+    let (fleet, findings) = downbeat_scripts::read_fleet(path);
+    match format {
+        Format::Text => show_findings(&findings),
+        Format::Json if fleet.is_none() => {
+            console::print_json(&serde_json::json!({ "findings": findings }));
+        }
+        Format::Json => {}
+    }
+    let unreadable = findings.iter().any(Finding::is_unreadable);
+    fleet.ok_or(if unreadable { Exit::Usage } else { Exit::Failed })
+}
+
+pub(super) fn show_findings(findings: &[Finding]) {
+    if !findings.is_empty() {
+        console::note(&downbeat_scripts::render(findings, console::stderr_has_colour()));
+    }
+}
+
+pub(super) fn step_count(plan: &Plan) -> usize {
+    plan.robots.iter().flat_map(|robot| &robot.scripts).map(|script| script.script.steps().len()).sum()
+}

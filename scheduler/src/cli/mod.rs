@@ -1,0 +1,143 @@
+//! The command line: one file a subcommand. The only room that prints.
+//!
+//! Exit codes: 0 done; 1 findings, or the mission failed or did not start; 2 usage or unreadable input; 3 stopped by the
+//! operator, every robot confirmed; 4 ended with robots whose stop nobody confirmed.
+
+mod check;
+mod console;
+mod dry_run;
+mod fleet;
+mod load;
+mod plan;
+mod robot;
+mod run;
+mod sim;
+
+use std::path::PathBuf;
+use std::process::ExitCode;
+
+use clap::{Args, Parser, Subcommand, ValueEnum};
+
+/// Makes many robots start together and stay together.
+#[derive(Debug, Parser)]
+#[command(
+    name = "downbeat",
+    version,
+    after_help = "Examples:
+  downbeat check scripts/examples/swap.yaml       find everything that will not work
+  downbeat dry-run scripts/examples/swap.yaml     play it in virtual time
+  downbeat run scripts/examples/swap.yaml         play it on the fleet of ./fleet.yaml
+  downbeat sim fleet.yaml                         run the fleet's robots as simulated ones on TCP
+
+Exit codes:
+  0  done
+  1  findings, or the mission failed or did not start
+  2  usage, or input that cannot be read
+  3  stopped by the operator, every robot confirmed it
+  4  ended with robots whose stop nobody confirmed"
+)]
+pub struct Cli {
+    #[command(subcommand)]
+    command: Command,
+    /// What to print: text for people, or JSON for machines.
+    #[arg(long, global = true, value_enum, default_value_t = Format::Text)]
+    format: Format,
+    /// What to log to standard error, as `info` or `downbeat=debug`.
+    #[arg(long, global = true, value_name = "FILTER", default_value = "off")]
+    log: String,
+}
+
+/// What is printed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// For people.
+    Text,
+    /// For machines: one JSON document on standard output.
+    Json,
+}
+
+#[derive(Debug, Subcommand)]
+enum Command {
+    /// Find everything in a scenario that will not work, without moving anything.
+    Check(check::CheckArgs),
+    /// Show the control requests that a scenario compiles to.
+    Plan(plan::PlanArgs),
+    /// Play a scenario in virtual time, with simulated robots and the real mission machine.
+    DryRun(dry_run::DryRunArgs),
+    /// Play a scenario on the fleet: all robots start together, or none does.
+    Run(run::RunArgs),
+    /// Run one simulated robot as a process of its own.
+    Robot(robot::RobotArgs),
+    /// Run all TCP robots of a fleet as simulated ones in this process.
+    Sim(sim::SimArgs),
+    /// Look at the fleet's robots.
+    #[command(subcommand)]
+    Fleet(fleet::FleetCommand),
+}
+
+/// A scenario with its fleet, as most commands take them.
+#[derive(Debug, Args)]
+pub struct ScenarioArgs {
+    /// The scenario, a YAML file.
+    scenario: PathBuf,
+    /// The fleet file; otherwise the one that the scenario names, otherwise ./fleet.yaml.
+    #[arg(long, value_name = "FILE")]
+    fleet: Option<PathBuf>,
+}
+
+/// How a command ended, as scripts see it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exit {
+    /// All went well.
+    Done = 0,
+    /// Findings, or a mission that failed or did not start.
+    Failed = 1,
+    /// Usage or unreadable input.
+    Usage = 2,
+    /// Stopped by the operator and confirmed by all.
+    Stopped = 3,
+    /// Somebody's stop is not confirmed.
+    Unconfirmed = 4,
+}
+
+/// Reads the arguments, does what they say and tells the shell how it went.
+#[must_use]
+pub fn main() -> ExitCode {
+    let cli = Cli::parse();
+    start_log(&cli.log);
+    let format = cli.format;
+    let exit = match cli.command {
+        Command::Check(args) => check::check(&args, format),
+        Command::Plan(args) => plan::plan(&args, format),
+        Command::DryRun(args) => dry_run::dry_run(&args, format),
+        Command::Run(args) => run::run(&args, format),
+        Command::Robot(args) => robot::robot(&args, format),
+        Command::Sim(args) => sim::sim(&args, format),
+        Command::Fleet(command) => fleet::fleet(&command, format),
+    };
+    ExitCode::from(exit as u8)
+}
+
+fn start_log(filter: &str) {
+    let filter = tracing_subscriber::EnvFilter::new(filter);
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    if let Err(error) = log.try_init() {
+        console::warn(&format!("no log: {error}"));
+    }
+}
+
+/// A runtime for the commands that talk to robots.
+fn with_runtime(work: impl Future<Output = Exit>) -> Exit {
+    match tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build() {
+        Ok(runtime) => {
+            let exit = runtime.block_on(work);
+            // Listening sockets and silent links must not keep the process.
+            runtime.shutdown_background();
+            exit
+        }
+        Err(error) => {
+            console::error(&format!("no asynchronous runtime: {error}"));
+            Exit::Failed
+        }
+    }
+}

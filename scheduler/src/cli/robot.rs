@@ -1,0 +1,140 @@
+//! `downbeat robot`: one simulated robot as a process of its own.
+
+use std::path::PathBuf;
+
+use clap::ValueEnum;
+use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
+use downbeat_robot::{Host, HostOptions, serve};
+use tokio::net::TcpListener;
+use urrcp::{RobotId, Span};
+
+use super::run::parse_span;
+use super::{Exit, Format, console};
+
+/// Run one simulated robot as a process of its own.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Prints the address on which it listens, then runs until it is ended.
+
+Examples:
+  downbeat robot --init scripts/examples/robots/ur5e.yaml --listen 127.0.0.1:7401
+  downbeat robot --init robot.yaml --id arm-2 --listen 127.0.0.1:0 --clock-offset 120ms --delay-max 80ms --log set.jsonl")]
+pub(super) struct RobotArgs {
+    /// Its initialization block, YAML or JSON.
+    #[arg(long, value_name = "FILE")]
+    init: PathBuf,
+    /// Its id, instead of the file's.
+    #[arg(long)]
+    id: Option<RobotId>,
+    /// Where to listen; port 0 takes any free one.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7401")]
+    listen: String,
+    /// How far its raw clock is ahead of the true time.
+    #[arg(long, value_parser = parse_span, default_value = "0s", value_name = "TIME")]
+    clock_offset: Span,
+    /// How well its NTP knows the raw clock.
+    #[arg(long, value_parser = parse_span, default_value = "0s", value_name = "TIME")]
+    ntp_error: Span,
+    /// It has no NTP: its raw clock shows.
+    #[arg(long)]
+    no_ntp: bool,
+    /// Every message is delayed at random up to this, each way.
+    #[arg(long, value_parser = parse_span, value_name = "TIME")]
+    delay_max: Option<Span>,
+    /// What it does wrong.
+    #[arg(long, value_enum)]
+    fault: Option<FaultArg>,
+    /// Of its random draws.
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Write everything that it sets to this file, a JSON line each.
+    #[arg(long, value_name = "FILE")]
+    log_file: Option<PathBuf>,
+    /// Ask for real-time scheduling (needs the right to).
+    #[arg(long)]
+    realtime: bool,
+}
+
+/// What a simulated robot does wrong.
+#[derive(Clone, Copy, Debug, ValueEnum)]
+enum FaultArg {
+    /// Refuses every script.
+    Refuse,
+    /// Never answers a control request.
+    Silent,
+    /// Hangs up after it has accepted a script.
+    Disconnect,
+}
+
+pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
+    let mut block = match downbeat_scripts::read_init(&args.init) {
+        Ok(block) => block,
+        Err(finding) => {
+            super::load::show_findings(&[finding]);
+            return Exit::Usage;
+        }
+    };
+    if let Some(id) = &args.id {
+        block.id = id.clone();
+    }
+    let settings = Settings {
+        clock_offset: args.clock_offset,
+        ntp_error: (!args.no_ntp).then_some(args.ntp_error),
+        delay: args.delay_max.map(|largest| (Span::ZERO, largest)),
+        fault: args.fault.map(|fault| match fault {
+            FaultArg::Refuse => Fault::Refuse,
+            FaultArg::Silent => Fault::Silent,
+            FaultArg::Disconnect => Fault::Disconnect,
+        }),
+        seed: args.seed,
+        ..Settings::default()
+    };
+    let options = HostOptions { realtime: args.realtime, log: args.log_file.clone() };
+    let host = match Host::start(vec![SimulatedRobot::new(block, settings)], options) {
+        Ok(host) => host,
+        Err(error) => return failed(&error.to_string()),
+    };
+    super::with_runtime(async {
+        let listener = match TcpListener::bind(&args.listen).await {
+            Ok(listener) => listener,
+            Err(error) => return failed(&format!("cannot listen on {}: {error}", args.listen)),
+        };
+        announce(&host, 0, &listener, format);
+        let exit = serve_until_interrupted(vec![(listener, 0)], &host).await;
+        host.stop();
+        exit
+    })
+}
+
+fn failed(message: &str) -> Exit {
+    console::error(message);
+    Exit::Usage
+}
+
+/// Says where a robot listens.
+pub(super) fn announce(host: &Host, index: usize, listener: &TcpListener, format: Format) {
+    let robot = host.handle().robots()[index].clone();
+    let Ok(address) = listener.local_addr() else { return };
+    match format {
+        Format::Text => console::print(&format!("robot {robot} listens on {address}\n")),
+        Format::Json => console::print(&format!(
+            "{}\n",
+            serde_json::json!({"robot": robot, "listens": address.to_string()})
+        )),
+    }
+}
+
+/// Serves robots until Ctrl-C or SIGTERM.
+pub(super) async fn serve_until_interrupted(listeners: Vec<(TcpListener, usize)>, host: &Host) -> Exit {
+    let mut serving = tokio::task::JoinSet::new();
+    for (listener, index) in listeners {
+        serving.spawn(serve(listener, host.handle(), index));
+    }
+    tokio::select! {
+        _ = super::run::interrupted() => Exit::Done,
+        Some(ended) = serving.join_next() => match ended {
+            Ok(Ok(())) => Exit::Done,
+            Ok(Err(error)) => failed(&format!("listening ended: {error}")),
+            Err(error) => failed(&format!("listening ended: {error}")),
+        },
+    }
+}

@@ -1,0 +1,80 @@
+//! `downbeat sim`: all TCP robots of a fleet as simulated ones in this process.
+
+use std::path::PathBuf;
+
+use downbeat_robot::{Host, HostOptions};
+use downbeat_scripts::Address;
+use tokio::net::TcpListener;
+
+use super::{Exit, Format, console, load, robot};
+use crate::fleet;
+
+/// Run all TCP robots of a fleet as simulated ones in this process.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Each robot listens on the port of its address in the fleet file, until Ctrl-C.
+
+Examples:
+  downbeat sim stage.yaml")]
+pub(super) struct SimArgs {
+    /// The fleet file.
+    #[arg(default_value = "fleet.yaml")]
+    fleet: PathBuf,
+    /// Write everything that they set to this file, a JSON line each.
+    #[arg(long, value_name = "FILE")]
+    log_file: Option<PathBuf>,
+    /// Ask for real-time scheduling (needs the right to).
+    #[arg(long)]
+    realtime: bool,
+}
+
+pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
+    let fleet = match load::load_fleet(&args.fleet, format) {
+        Ok(fleet) => fleet,
+        Err(exit) => return exit,
+    };
+    let mut machines = Vec::new();
+    let mut addresses = Vec::new();
+    for (seed, robot) in fleet.robots.iter().enumerate() {
+        let Address::Tcp { host, port } = &robot.address else { continue };
+        match fleet::simulated(robot, seed as u64) {
+            Ok(machine) => machines.push(machine),
+            Err(error) => {
+                console::error(&error.to_string());
+                return Exit::Failed;
+            }
+        }
+        addresses.push((host.clone(), *port));
+    }
+    if machines.is_empty() {
+        console::error(
+            "no robot of this fleet has `address: tcp://host:port`; those with `address: sim` live in `downbeat run`",
+        );
+        return Exit::Failed;
+    }
+    let options = HostOptions { realtime: args.realtime, log: args.log_file.clone() };
+    let host = match Host::start(machines, options) {
+        Ok(host) => host,
+        Err(error) => {
+            console::error(&error.to_string());
+            return Exit::Usage;
+        }
+    };
+    super::with_runtime(async {
+        let mut listeners = Vec::new();
+        for (index, (name, port)) in addresses.into_iter().enumerate() {
+            match TcpListener::bind((name.as_str(), port)).await {
+                Ok(listener) => {
+                    robot::announce(&host, index, &listener, format);
+                    listeners.push((listener, index));
+                }
+                Err(error) => {
+                    console::error(&format!("cannot listen on {name}:{port}: {error}"));
+                    return Exit::Usage;
+                }
+            }
+        }
+        let exit = robot::serve_until_interrupted(listeners, &host).await;
+        host.stop();
+        exit
+    })
+}

@@ -1,0 +1,155 @@
+//! Whole missions in virtual time: what must hold whatever a robot does.
+
+use downbeat_robot::LogEntry;
+use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
+use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
+use urrcp::{
+    ControlType, DeviceId, InitializationBlock, Millis, RobotId, Script, Setpoint, Span, Step, StopCondition,
+};
+
+use super::{BEGIN, Played, play};
+use crate::mission::{Greeting, Mission, MissionOptions, Participant};
+use crate::report::Outcome;
+
+const ARM: &str = r#"{"id": "arm", "api_version": "1", "reports": true, "devices": [
+  {"id": "shoulder", "name": "shoulder", "default_value": 0, "available_control_types": {
+     "position": {"min_value": 0, "max_value": 90, "granularity": 1},
+     "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
+
+fn block(id: usize) -> InitializationBlock {
+    let mut block: InitializationBlock = serde_json::from_str(ARM).unwrap();
+    block.id = RobotId::new(format!("arm-{id}")).unwrap();
+    block
+}
+
+fn plan(robots: usize) -> Plan {
+    let step = |millis, value| Step {
+        offset: Millis::new(millis).unwrap(),
+        setpoint: Setpoint::new(ControlType::Position, value),
+        stop_condition: None,
+    };
+    let running = Millis::new(2_000.0).ok();
+    let stop_condition = StopCondition { pending: None, running };
+    let script = DeviceScript {
+        device: DeviceId::new("shoulder").unwrap(),
+        start: Millis::ZERO,
+        stop_condition,
+        script: Script::new(vec![step(0.0, 45.0), step(1_000.0, 0.0), step(2_000.0, 45.0)]).unwrap(),
+    };
+    let robots = (0..robots).map(|id| RobotPlan { robot: block(id).id, scripts: vec![script.clone()] });
+    Plan {
+        scenario: "wave".into(),
+        start_tolerance: Span::from_millis(10),
+        lead: None,
+        stop_condition,
+        robots: robots.collect(),
+    }
+}
+
+fn play_with(settings: Vec<Settings>, options: MissionOptions) -> Played {
+    let robots = settings.len();
+    let machines: Vec<_> =
+        settings.into_iter().enumerate().map(|(id, s)| SimulatedRobot::new(block(id), s)).collect();
+    let participants: Vec<_> =
+        (0..robots).map(|id| Participant { id: block(id).id, block: Some(block(id)) }).collect();
+    play(Mission::new(plan(robots), participants, options, BEGIN).unwrap(), machines)
+}
+
+fn six(change: impl Fn(usize, &mut Settings)) -> Vec<Settings> {
+    let one = |id| {
+        let mut settings = Settings {
+            seed: id as u64,
+            clock_offset: Span::from_millis(100 * id as i64),
+            ntp_error: Some(Span::from_micros(40)),
+            delay: Some((Span::ZERO, Span::from_millis(80))),
+            ..Settings::default()
+        };
+        change(id, &mut settings);
+        settings
+    };
+    (0..6).map(one).collect()
+}
+
+fn moved(logs: &[Vec<LogEntry>]) -> usize {
+    logs.iter().filter(|log| log.iter().any(|entry| entry.motion == "set")).count()
+}
+
+#[test]
+fn six_robots_behind_slow_links_start_within_the_error_of_their_clocks() {
+    let played = play_with(six(|_, _| {}), MissionOptions::default());
+    assert_eq!(played.report.outcome, Outcome::Done);
+    let starts: Vec<i64> = played.logs.iter().map(|log| log[0].true_ns).collect();
+    let spread = starts.iter().max().unwrap() - starts.iter().min().unwrap();
+    assert!(spread <= 80_000, "spread {spread} ns");
+    assert!(played.report.robots.iter().all(|robot| robot.steps_done == 3));
+    let values: Vec<f64> = played.logs[0].iter().map(|entry| entry.value).collect();
+    assert_eq!(values, [45.0, 0.0, 45.0]);
+    assert_eq!(played.logs[0][2].due - played.logs[0][0].due, Span::from_millis(2_000));
+}
+
+#[track_caller]
+fn check_none_starts(fault: Fault, says: &str) {
+    let settings = six(|id, settings| settings.fault = (id == 3).then_some(fault));
+    let played = play_with(settings, MissionOptions::default());
+    assert_eq!(played.report.outcome, Outcome::NotStarted);
+    assert_eq!(moved(&played.logs), 0, "{:?}", played.logs);
+    let failure = &played.report.failures[0];
+    assert_eq!(failure.robot.as_str(), "arm-3");
+    assert!(failure.kind.to_string().contains(says), "{}", failure.kind);
+}
+
+#[test]
+fn if_one_refuses_none_starts() {
+    check_none_starts(Fault::Refuse, "busy");
+}
+
+#[test]
+fn if_one_is_silent_none_starts() {
+    check_none_starts(Fault::Silent, "silent: no acceptance by `shoulder`");
+}
+
+#[test]
+fn if_one_disconnects_after_acceptance_none_starts() {
+    check_none_starts(Fault::Disconnect, "link down");
+}
+
+#[test]
+fn a_clock_that_is_surely_off_keeps_the_fleet_from_starting() {
+    let settings = six(|id, settings| {
+        settings.delay = None;
+        settings.ntp_error = (id != 2).then_some(Span::ZERO);
+    });
+    let played = play_with(settings, MissionOptions::default());
+    assert_eq!(played.report.outcome, Outcome::NotStarted);
+    assert!(played.report.failures[0].kind.to_string().contains("clock off by 200 ms"));
+    assert_eq!(moved(&played.logs), 0);
+}
+
+#[test]
+fn too_short_a_lead_is_refused_with_the_lead_that_is_needed() {
+    let options = MissionOptions { lead: Some(Span::from_millis(100)), ..MissionOptions::default() };
+    let played = play_with(six(|_, _| {}), options);
+    let Outcome::LeadTooShort { needed, .. } = played.report.outcome else {
+        panic!("{:?}", played.report.outcome)
+    };
+    assert!(needed.total() > Span::from_millis(100));
+    assert_eq!(moved(&played.logs), 0);
+    let enough = MissionOptions { lead: Some(needed.total()), ..MissionOptions::default() };
+    assert_eq!(play_with(six(|_, _| {}), enough).report.outcome, Outcome::Done);
+}
+
+#[test]
+fn a_static_fleet_starts_without_steps_one_to_four() {
+    let settings = six(|_, settings| settings.delay = None);
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let played = play_with(settings, options);
+    assert_eq!(played.report.outcome, Outcome::Done);
+    assert_eq!(moved(&played.logs), 6);
+}
+
+#[test]
+fn the_same_seed_plays_the_same_mission() {
+    let json = |played: Played| serde_json::to_string(&played.report).unwrap();
+    let once = json(play_with(six(|_, _| {}), MissionOptions::default()));
+    assert_eq!(once, json(play_with(six(|_, _| {}), MissionOptions::default())));
+}

@@ -1,0 +1,100 @@
+//! From the fleet file to robots that can be talked to.
+
+use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
+use downbeat_robot::{Host, HostError, HostOptions};
+use downbeat_scripts::{Address, Fleet, FleetRobot, Handshake, Plan};
+use urrcp::RobotId;
+
+use crate::link::Endpoint;
+use crate::mission::{Greeting, Participant};
+
+/// A robot cannot be simulated.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("robot `{robot}` has no `init:` file in the fleet file, a simulated robot needs one")]
+pub struct NoInit {
+    /// Which.
+    pub robot: RobotId,
+}
+
+/// Robots with `address: sim` cannot be started.
+#[derive(Debug, thiserror::Error)]
+pub enum EndpointError {
+    /// One of them is not described.
+    #[error(transparent)]
+    NoInit(#[from] NoInit),
+    /// The host of all of them cannot start.
+    #[error(transparent)]
+    Host(#[from] HostError),
+}
+
+/// The fleet's robots that the plan moves, in the plan's order.
+#[must_use]
+pub fn robots_of<'a>(fleet: &'a Fleet, plan: &Plan) -> Vec<&'a FleetRobot> {
+    let by_id: std::collections::HashMap<_, _> =
+        fleet.robots.iter().map(|robot| (&robot.id, robot)).collect();
+    plan.robots.iter().filter_map(|planned| by_id.get(&planned.robot).copied()).collect()
+}
+
+/// As the mission sees them.
+#[must_use]
+pub fn participants(robots: &[&FleetRobot]) -> Vec<Participant> {
+    robots.iter().map(|robot| Participant { id: robot.id.clone(), block: robot.init.clone() }).collect()
+}
+
+/// Whether steps 1 to 4 are played.
+#[must_use]
+pub fn greeting(fleet: &Fleet) -> Greeting {
+    match fleet.handshake {
+        Handshake::Full => Greeting::Full,
+        Handshake::Skip => Greeting::Skip,
+    }
+}
+
+/// The robot as a simulated one. Robots of one fleet draw from different seeds.
+///
+/// # Errors
+/// [`NoInit`] when the fleet file does not describe it.
+pub fn simulated(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit> {
+    let block = robot.init.clone().ok_or_else(|| NoInit { robot: robot.id.clone() })?;
+    let from = &robot.simulation;
+    let settings = Settings {
+        clock_offset: from.clock_offset,
+        drift_ppm: from.drift_ppm,
+        jitter: from.jitter,
+        ntp_error: from.ntp_error,
+        delay: from.delay,
+        fault: from.fault.map(|fault| match fault {
+            downbeat_scripts::Fault::Refuse => Fault::Refuse,
+            downbeat_scripts::Fault::Silent => Fault::Silent,
+            downbeat_scripts::Fault::Disconnect => Fault::Disconnect,
+        }),
+        seed,
+    };
+    Ok(SimulatedRobot::new(block, settings))
+}
+
+/// Where each robot is reached; those with `address: sim` are started in this process.
+///
+/// # Errors
+/// [`EndpointError`] for a robot that cannot be simulated, or when the host cannot start.
+pub fn endpoints(
+    robots: &[&FleetRobot],
+    options: HostOptions,
+) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
+    let in_process: Vec<_> = robots.iter().filter(|robot| robot.address == Address::Simulated).collect();
+    let machines: Result<Vec<_>, _> =
+        in_process.iter().enumerate().map(|(seed, robot)| simulated(robot, seed as u64)).collect();
+    let machines = machines?;
+    let host = if machines.is_empty() { None } else { Some(Host::start(machines, options)?) };
+    let mut index = 0;
+    let endpoint = |robot: &&FleetRobot| match (&robot.address, &host) {
+        (Address::Tcp { host, port }, _) => Some(Endpoint::Tcp { host: host.clone(), port: *port }),
+        (Address::Simulated, Some(host)) => {
+            index += 1;
+            Some(Endpoint::InProcess { host: host.handle(), index: index - 1 })
+        }
+        (Address::Simulated, None) => None,
+    };
+    let endpoints = robots.iter().filter_map(endpoint).collect();
+    Ok((host, endpoints))
+}

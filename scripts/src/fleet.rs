@@ -1,0 +1,344 @@
+//! The fleet file: which robots there are, where they are reached, how they describe themselves.
+
+use std::collections::{BTreeMap, HashMap};
+use std::path::{Path, PathBuf};
+
+use urrcp::{InitializationBlock, RobotId, Span};
+
+use crate::fields::{At, Findings};
+use crate::finding::{Code, Finding};
+use crate::locate::locate;
+use crate::node::{self, Node};
+use crate::source::Source;
+
+/// All robots of a site.
+#[derive(Clone, Debug, Default)]
+pub struct Fleet {
+    /// NTP server, `host` or `host:port`; without one the system's clock is trusted.
+    pub ntp: Option<String>,
+    /// Whether robots are asked who they are.
+    pub handshake: Handshake,
+    /// In the order of the file.
+    pub robots: Vec<FleetRobot>,
+    /// Names for several robots.
+    pub groups: BTreeMap<String, Vec<RobotId>>,
+}
+
+/// Whether steps 1 to 4 of the protocol are played.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Handshake {
+    /// Every robot is asked.
+    #[default]
+    Full,
+    /// The files are trusted.
+    Skip,
+}
+
+/// One robot.
+#[derive(Clone, Debug)]
+pub struct FleetRobot {
+    /// Its key in the fleet file.
+    pub id: RobotId,
+    /// Where it is reached.
+    pub address: Address,
+    /// Its description, with the id of the fleet file.
+    pub init: Option<InitializationBlock>,
+    /// How it behaves when it is simulated.
+    pub simulation: SimulationSettings,
+}
+
+/// Where a robot is reached.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Address {
+    /// `sim`: simulated in the same process.
+    Simulated,
+    /// `tcp://host:port`.
+    Tcp {
+        /// Host name or address.
+        host: String,
+        /// Port.
+        port: u16,
+    },
+}
+
+/// How a simulated robot differs from a perfect one.
+#[derive(Clone, Debug, PartialEq)]
+pub struct SimulationSettings {
+    /// Its raw clock minus the true one.
+    pub clock_offset: Span,
+    /// How much faster its raw clock runs, in parts per million.
+    pub drift_ppm: f64,
+    /// Largest random error of the times that it states.
+    pub jitter: Span,
+    /// How well its NTP knows the raw clock; `None`: it has no NTP.
+    pub ntp_error: Option<Span>,
+    /// Least and largest delay of every message, each way.
+    pub delay: Option<(Span, Span)>,
+    /// What it does wrong.
+    pub fault: Option<Fault>,
+}
+
+impl Default for SimulationSettings {
+    fn default() -> Self {
+        Self {
+            clock_offset: Span::ZERO,
+            drift_ppm: 0.0,
+            jitter: Span::ZERO,
+            ntp_error: Some(Span::ZERO),
+            delay: None,
+            fault: None,
+        }
+    }
+}
+
+/// What a simulated robot does wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// Refuses every script.
+    Refuse,
+    /// Never answers a control request.
+    Silent,
+    /// Hangs up after it has accepted a script.
+    Disconnect,
+}
+
+/// Reads a fleet file and the initialization blocks that it names. All findings of all files come together; the fleet is
+/// there only without errors.
+#[must_use]
+pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
+    let source = match Source::read(path) {
+        Ok(source) => source,
+        Err(mut finding) => {
+            finding
+                .hint
+                .get_or_insert_with(|| "name a fleet file with --fleet, or put one at ./fleet.yaml".into());
+            return (None, vec![finding]);
+        }
+    };
+    let document = match node::parse(&source) {
+        Ok(document) => document,
+        Err(finding) => return (None, vec![finding]),
+    };
+    let mut reader = FleetReader {
+        folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
+        blocks: HashMap::new(),
+        findings: Findings::default(),
+        elsewhere: Vec::new(),
+    };
+    let fleet = reader.fleet(&At::document(&document));
+    let mut findings = locate(&source, reader.findings.0);
+    findings.append(&mut reader.elsewhere);
+    (fleet.filter(|_| findings.is_empty()), findings)
+}
+
+/// Reads a robot's initialization block from a YAML or JSON file.
+///
+/// # Errors
+/// A finding when the file cannot be read or describes no robot.
+pub fn read_init(path: &Path) -> Result<InitializationBlock, Finding> {
+    let source = Source::read(path)?;
+    serde_yaml::from_str(&source.text).map_err(|error| {
+        let mut finding = node::syntax_finding(&source, &error);
+        finding.code = Code::InitializationBlock;
+        finding.expected =
+            "an initialization block: id, api_version, devices with their available_control_types".into();
+        finding
+    })
+}
+
+struct FleetReader {
+    folder: PathBuf,
+    /// Blocks read so far, by path: many robots share one.
+    blocks: HashMap<PathBuf, Option<InitializationBlock>>,
+    findings: Findings,
+    /// Findings in other files.
+    elsewhere: Vec<Finding>,
+}
+
+impl FleetReader {
+    fn fleet(&mut self, at: &At<'_>) -> Option<Fleet> {
+        let known = ["ntp", "handshake", "robots", "groups"];
+        let [ntp, handshake, robots, groups] = self.findings.map(at, "the fleet file", known, &["robots"])?;
+        let mut fleet = Fleet::default();
+        if let Some(ntp) = ntp.filter(|at| *at.node != Node::Null) {
+            fleet.ntp = self.findings.text(&ntp, "the name of an NTP server").map(str::to_owned);
+        }
+        if let Some(handshake) = handshake {
+            let words = [("full", Handshake::Full), ("skip", Handshake::Skip)];
+            fleet.handshake = self.findings.word(&handshake, &words).unwrap_or_default();
+        }
+        let robots = robots?;
+        for (name, at) in self.findings.entries(&robots, "robot id to its address and init file") {
+            let robot = self.robot(name, &at);
+            fleet.robots.extend(robot);
+        }
+        if fleet.robots.is_empty() && matches!(robots.node, Node::Map(entries) if entries.is_empty()) {
+            self.findings.add(
+                Code::NothingToDo,
+                robots.place(),
+                "the fleet has no robots",
+                "at least one robot",
+                None,
+            );
+        }
+        if let Some(groups) = groups {
+            self.groups(&groups, &mut fleet);
+        }
+        Some(fleet)
+    }
+
+    fn robot(&mut self, name: &str, at: &At<'_>) -> Option<FleetRobot> {
+        let id = match RobotId::new(name) {
+            Ok(id) => id,
+            Err(error) => {
+                let expected = "a robot id of 1 to 256 characters";
+                self.findings.add(Code::WrongType, at.key_place(), error.to_string(), expected, None);
+                return None;
+            }
+        };
+        let what = format!("robot `{name}`");
+        let known = ["init", "address", "simulate"];
+        let [init, address, simulate] = self.findings.map(at, &what, known, &["init", "address"])?;
+        let address = address.and_then(|at| self.address(&at));
+        let simulation = simulate.map(|at| self.simulation(&at)).unwrap_or_default();
+        let mut init = init.and_then(|at| self.init(&at))?;
+        init.id = id.clone();
+        Some(FleetRobot { id, address: address?, init: Some(init), simulation })
+    }
+
+    fn address(&mut self, at: &At<'_>) -> Option<Address> {
+        let expected = "`sim`, or tcp://host:port";
+        let text = self.findings.text(at, expected)?;
+        if text == "sim" {
+            return Some(Address::Simulated);
+        }
+        let parsed = text.strip_prefix("tcp://").and_then(|rest| rest.rsplit_once(':'));
+        let parsed =
+            parsed.and_then(|(host, port)| Some((host, port.parse::<u16>().ok().filter(|port| *port > 0)?)));
+        match parsed.filter(|(host, _)| !host.is_empty()) {
+            Some((host, port)) => {
+                let host = host.trim_start_matches('[').trim_end_matches(']').to_owned();
+                Some(Address::Tcp { host, port })
+            }
+            None => {
+                let message = format!("`{}` is no address", node::shortened(text));
+                self.findings.add(Code::UnknownWord, at.place(), message, expected, None);
+                None
+            }
+        }
+    }
+
+    fn init(&mut self, at: &At<'_>) -> Option<InitializationBlock> {
+        let path = self.folder.join(self.findings.text(at, "the path of an initialization block")?);
+        if let Some(known) = self.blocks.get(&path) {
+            return known.clone();
+        }
+        let block = match read_init(&path) {
+            Ok(block) => Some(block),
+            Err(finding) if finding.code == Code::Unreadable => {
+                let message = format!("cannot read the init file `{}`: {}", path.display(), finding.message);
+                let hint = Some("the path counts from the folder of the fleet file".to_owned());
+                self.findings.add(Code::InitializationBlock, at.place(), message, "a readable file", hint);
+                None
+            }
+            Err(finding) => {
+                self.elsewhere.push(finding);
+                None
+            }
+        };
+        self.blocks.insert(path, block.clone());
+        block
+    }
+
+    fn simulation(&mut self, at: &At<'_>) -> SimulationSettings {
+        let mut settings = SimulationSettings::default();
+        let known = ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault"];
+        let Some([offset, drift, jitter, ntp_error, delay, fault]) =
+            self.findings.map(at, "`simulate`", known, &[])
+        else {
+            return settings;
+        };
+        let findings = &mut self.findings;
+        settings.clock_offset = offset.and_then(|at| findings.signed_duration(&at)).unwrap_or_default();
+        settings.drift_ppm = drift.and_then(|at| drift_ppm(findings, &at)).unwrap_or_default();
+        settings.jitter = jitter.and_then(|at| findings.duration(&at)).unwrap_or_default();
+        if let Some(at) = ntp_error {
+            settings.ntp_error = match at.node {
+                Node::Text(text) if text == "none" => None,
+                _ => findings.duration(&at),
+            };
+        }
+        settings.delay = delay.and_then(|at| delay_range(findings, &at));
+        let words = [("refuse", Fault::Refuse), ("silent", Fault::Silent), ("disconnect", Fault::Disconnect)];
+        settings.fault = fault.and_then(|at| findings.word(&at, &words));
+        settings
+    }
+
+    fn groups(&mut self, at: &At<'_>, fleet: &mut Fleet) {
+        let ids: HashMap<String, RobotId> =
+            fleet.robots.iter().map(|r| (r.id.to_string(), r.id.clone())).collect();
+        for (name, at) in self.findings.entries(at, "group to the list of its robots") {
+            if ids.contains_key(name) {
+                let message = format!("the group `{name}` bears the name of a robot");
+                self.findings.add(Code::NameClash, at.key_place(), message, "a name of its own", None);
+            }
+            let mut members = Vec::new();
+            for item in self.findings.list(&at, "a list of robots") {
+                let Some(id) = self.findings.name(&item, "the id of a robot") else { continue };
+                match ids.get(&id) {
+                    Some(id) => members.push(id.clone()),
+                    None => unknown_robot(&mut self.findings, &item, &id, ids.keys().map(String::as_str)),
+                }
+            }
+            fleet.groups.insert(name.to_owned(), members);
+        }
+    }
+}
+
+pub(crate) fn unknown_robot<'a>(
+    findings: &mut Findings,
+    at: &At<'_>,
+    name: &str,
+    known: impl IntoIterator<Item = &'a str> + Clone,
+) {
+    let hint = crate::finding::did_you_mean(name, known.clone());
+    let message = format!("no robot or group `{}` in the fleet", node::shortened(name));
+    let mut all: Vec<_> = known.into_iter().collect();
+    all.sort_unstable();
+    let expected = format!("one of {}", crate::finding::names(all));
+    findings.add(Code::UnknownRobot, at.place(), message, expected, hint);
+}
+
+fn drift_ppm(findings: &mut Findings, at: &At<'_>) -> Option<f64> {
+    let expected = "a drift such as 5ppm";
+    let text = findings.text(at, expected)?;
+    let number = text.strip_suffix("ppm").and_then(|number| number.trim().parse::<f64>().ok());
+    let number = number.filter(|ppm| ppm.abs() <= 100_000.0);
+    if number.is_none() {
+        findings.add(
+            Code::UnknownWord,
+            at.place(),
+            format!("`{}` is no drift", node::shortened(text)),
+            expected,
+            None,
+        );
+    }
+    number
+}
+
+fn delay_range(findings: &mut Findings, at: &At<'_>) -> Option<(Span, Span)> {
+    let expected = "the least and the largest delay, as [0ms, 80ms]";
+    let items = findings.list(at, expected);
+    let [least, largest] = items.as_slice() else {
+        if matches!(at.node, Node::List(_)) {
+            let message = format!("found {} entries", items.len());
+            findings.add(Code::WrongType, at.place(), message, expected, None);
+        }
+        return None;
+    };
+    let (least, largest) = (findings.duration(least)?, findings.duration(largest)?);
+    if largest < least {
+        findings.add(Code::TimeOrder, at.place(), format!("{least} lies above {largest}"), expected, None);
+    }
+    Some((least, largest.max(least)))
+}

@@ -1,0 +1,195 @@
+//! Where paths into the tree stand in the text: one pass of a parser that keeps places, made only when there is something
+//! to report. What stands behind an alias is placed where the alias is used.
+
+use std::collections::HashMap;
+
+use saphyr_parser::{Event, Parser, Span};
+
+use crate::finding::{Finding, Part, Pending, Place, Severity};
+use crate::source::Source;
+
+/// Gives every finding its line and column, and sorts them by place.
+pub(crate) fn locate(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {
+    if pending.is_empty() {
+        return Vec::new();
+    }
+    let mut wanted = Wanted::default();
+    let nodes: Vec<usize> = pending.iter().map(|p| wanted.add(&p.place)).collect();
+    wanted.find(&source.text);
+    let lines = LineStarts::of(&source.text);
+    let mut findings: Vec<_> = pending
+        .into_iter()
+        .zip(nodes)
+        .map(|(pending, node)| {
+            let place = wanted.spot(node, pending.place.key);
+            finding(source, &lines, pending, place)
+        })
+        .collect();
+    findings.sort_by_key(|finding| (finding.line, finding.column, finding.code));
+    findings
+}
+
+fn finding(source: &Source, lines: &LineStarts, pending: Pending, spot: Spot) -> Finding {
+    Finding {
+        code: pending.code,
+        severity: Severity::Error,
+        file: source.name.clone(),
+        line: spot.line,
+        column: spot.column,
+        width: spot.width.max(1),
+        message: pending.message,
+        expected: pending.expected,
+        hint: pending.hint,
+        source_line: lines.line(&source.text, spot.line).to_owned(),
+    }
+}
+
+/// Byte offsets of the beginnings of lines.
+struct LineStarts(Vec<usize>);
+
+impl LineStarts {
+    fn of(text: &str) -> Self {
+        let after = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at + 1);
+        Self(std::iter::once(0).chain(after).collect())
+    }
+
+    fn line<'a>(&self, text: &'a str, number: usize) -> &'a str {
+        let Some(&start) = number.checked_sub(1).and_then(|index| self.0.get(index)) else { return "" };
+        let end = self.0.get(number).copied().unwrap_or(text.len());
+        text[start..end].trim_end_matches(['\r', '\n'])
+    }
+}
+
+#[derive(Clone, Copy, Debug, Default)]
+struct Spot {
+    line: usize,
+    column: usize,
+    width: usize,
+}
+
+impl Spot {
+    fn of(span: Span) -> Self {
+        let width = match span.end.line() == span.start.line() {
+            true => span.end.col().saturating_sub(span.start.col()),
+            false => 1,
+        };
+        Self { line: span.start.line(), column: span.start.col() + 1, width }
+    }
+}
+
+/// A tree of the wanted paths; node 0 is the document.
+struct Wanted {
+    children: Vec<HashMap<Part, usize>>,
+    parents: Vec<usize>,
+    values: Vec<Option<Spot>>,
+    keys: Vec<Option<Spot>>,
+}
+
+impl Default for Wanted {
+    fn default() -> Self {
+        Self { children: vec![HashMap::new()], parents: vec![0], values: vec![None], keys: vec![None] }
+    }
+}
+
+/// A collection that is being read.
+struct Frame {
+    /// The wanted node that it is, if any.
+    wanted: Option<usize>,
+    map: bool,
+    index: usize,
+    /// The child that the key just read leads to.
+    pending: Option<Option<usize>>,
+    seen: HashMap<String, usize>,
+}
+
+impl Wanted {
+    fn add(&mut self, place: &Place) -> usize {
+        let mut node = 0;
+        for part in &place.path {
+            node = match self.children[node].get(part) {
+                Some(&child) => child,
+                None => {
+                    let child = self.children.len();
+                    self.children[node].insert(part.clone(), child);
+                    self.children.push(HashMap::new());
+                    self.parents.push(node);
+                    self.values.push(None);
+                    self.keys.push(None);
+                    child
+                }
+            };
+        }
+        node
+    }
+
+    /// The place of a node; of its nearest known ancestor where it has none, as behind an alias or for a missing key.
+    fn spot(&self, node: usize, key: bool) -> Spot {
+        let own =
+            if key { self.keys[node].or(self.values[node]) } else { self.values[node].or(self.keys[node]) };
+        match own {
+            Some(spot) => spot,
+            None if node == 0 => Spot { line: 1, column: 1, width: 1 },
+            None => self.spot(self.parents[node], false),
+        }
+    }
+
+    fn find(&mut self, text: &str) {
+        let mut stack: Vec<Frame> = Vec::new();
+        let mut parser = Parser::new_from_str(text);
+        while let Some(Ok((event, span))) = parser.next_event() {
+            match event {
+                Event::MappingStart(..) | Event::SequenceStart(..) => {
+                    let wanted = self.arrive(&mut stack, None, span);
+                    let map = matches!(event, Event::MappingStart(..));
+                    stack.push(Frame { wanted, map, index: 0, pending: None, seen: HashMap::new() });
+                }
+                Event::MappingEnd | Event::SequenceEnd => {
+                    stack.pop();
+                }
+                Event::Scalar(text, ..) => {
+                    self.arrive(&mut stack, Some(&text), span);
+                }
+                Event::Alias(_) => {
+                    self.arrive(&mut stack, None, span);
+                }
+                Event::DocumentEnd => return,
+                _ => {}
+            }
+        }
+    }
+
+    /// A node begins: as a key of the innermost map, as its value, as an item, or as the document.
+    fn arrive(&mut self, stack: &mut [Frame], text: Option<&str>, span: Span) -> Option<usize> {
+        let Some(frame) = stack.last_mut() else {
+            self.values[0] = Some(Spot::of(span));
+            return Some(0);
+        };
+        let node = match (frame.map, frame.pending.take()) {
+            (true, None) => {
+                let child = frame.wanted.and_then(|parent| self.child_of_key(parent, &mut frame.seen, text?));
+                if let Some(child) = child {
+                    self.keys[child] = Some(Spot::of(span));
+                }
+                frame.pending = Some(child);
+                return None;
+            }
+            (true, Some(child)) => child,
+            (false, _) => {
+                frame.index += 1;
+                let part = Part::Index(frame.index - 1);
+                frame.wanted.and_then(|parent| self.children[parent].get(&part).copied())
+            }
+        };
+        if let Some(node) = node {
+            self.values[node] = Some(Spot::of(span));
+        }
+        node
+    }
+
+    fn child_of_key(&self, parent: usize, seen: &mut HashMap<String, usize>, key: &str) -> Option<usize> {
+        let count = seen.entry(key.to_owned()).or_default();
+        let part = Part::Key(key.to_owned(), *count);
+        *count += 1;
+        self.children[parent].get(&part).copied()
+    }
+}
