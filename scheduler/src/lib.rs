@@ -10,6 +10,7 @@ pub mod dry_run;
 pub mod fleet;
 pub mod link;
 pub mod mission;
+pub mod open_files;
 pub mod report;
 pub mod run;
 pub mod server_clock;

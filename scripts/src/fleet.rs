@@ -1,6 +1,6 @@
 //! The fleet file: which robots there are, where they are reached, how they describe themselves.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use urrcp::{InitializationBlock, RobotId, Span};
@@ -182,7 +182,10 @@ impl FleetReader {
             );
         }
         if let Some(groups) = groups {
-            self.groups(&groups, &mut fleet);
+            // Robots with findings of their own count as known: one fault, one finding.
+            let Node::Map(named) = robots.node else { return Some(fleet) };
+            let named = named.iter().map(|(name, _)| name.as_str()).collect();
+            self.groups(&groups, &named, &mut fleet);
         }
         Some(fleet)
     }
@@ -274,11 +277,11 @@ impl FleetReader {
         settings
     }
 
-    fn groups(&mut self, at: &At<'_>, fleet: &mut Fleet) {
+    fn groups(&mut self, at: &At<'_>, named: &HashSet<&str>, fleet: &mut Fleet) {
         let ids: HashMap<String, RobotId> =
             fleet.robots.iter().map(|r| (r.id.to_string(), r.id.clone())).collect();
         for (name, at) in self.findings.entries(at, "group to the list of its robots") {
-            if ids.contains_key(name) {
+            if named.contains(name) {
                 let message = format!("the group `{name}` bears the name of a robot");
                 self.findings.add(Code::NameClash, at.key_place(), message, "a name of its own", None);
             }
@@ -287,7 +290,8 @@ impl FleetReader {
                 let Some(id) = self.findings.name(&item, "the id of a robot") else { continue };
                 match ids.get(&id) {
                     Some(id) => members.push(id.clone()),
-                    None => unknown_robot(&mut self.findings, &item, &id, ids.keys().map(String::as_str)),
+                    None if named.contains(id.as_str()) => {}
+                    None => unknown_robot(&mut self.findings, &item, &id, named.iter().copied()),
                 }
             }
             fleet.groups.insert(name.to_owned(), members);
@@ -295,7 +299,7 @@ impl FleetReader {
     }
 }
 
-pub(crate) fn unknown_robot<'a>(
+fn unknown_robot<'a>(
     findings: &mut Findings,
     at: &At<'_>,
     name: &str,

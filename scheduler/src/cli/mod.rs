@@ -128,6 +128,7 @@ fn start_log(filter: &str) {
 
 /// A runtime for the commands that talk to robots.
 fn with_runtime(work: impl Future<Output = Exit>) -> Exit {
+    crate::open_files::raise_limit();
     match tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build() {
         Ok(runtime) => {
             let exit = runtime.block_on(work);

@@ -12,7 +12,7 @@ const RENEWALS_A_LEASE: i64 = 3;
 /// Bytes a second that any link and robot is trusted to take in.
 const BYTES_A_SECOND: i64 = 20_000_000;
 /// Time to encode, send, check and answer one request, besides its bytes.
-const EACH_REQUEST: Span = Span::from_micros(100);
+const EACH_REQUEST: Span = Span::from_micros(200);
 
 /// The parts of the lead time: requests travel and are answered (`prepare`), then the decision is due; from then on the
 /// pending leases can run out (`lease`) before the start, and `margin` is left.
@@ -41,7 +41,7 @@ impl LeadTime {
         let transfer =
             EACH_REQUEST * requests + Span::from_millis(bytes.saturating_mul(1_000) / BYTES_A_SECOND);
         Self {
-            prepare: delay_max * 2 + transfer + LEAD_MARGIN_MIN,
+            prepare: delay_max * 3 + transfer + LEAD_MARGIN_MIN,
             lease: lease.unwrap_or_else(|| Self::lease_needed(delay_max)),
             margin: LEAD_MARGIN_MIN.max(delay_max / 2),
         }

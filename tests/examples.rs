@@ -1,0 +1,77 @@
+//! The examples do what they are there for.
+
+use std::process::Command;
+
+use crate::session::{PROGRAM, Ran, root};
+
+fn downbeat(args: &[&str]) -> Ran {
+    Ran(Command::new(PROGRAM).args(args).current_dir(root()).output().unwrap())
+}
+
+#[test]
+fn every_example_is_sound_and_plays_in_virtual_time() {
+    for name in ["swap", "dance", "tank", "wave"] {
+        let scenario = format!("scripts/examples/{name}.yaml");
+        downbeat(&["check", &scenario]).says(0, &["no errors"]);
+        downbeat(&["dry-run", &scenario]).says(0, &[&format!("{name}: done")]);
+    }
+}
+
+#[test]
+fn the_swap_has_432_steps_in_4250_ms_18_a_device() {
+    let plan = downbeat(&["plan", "scripts/examples/swap.yaml", "--format", "json"]).json();
+    assert_eq!(plan["duration_ms"], 4_250);
+    let robots = plan["robots"].as_object().unwrap();
+    assert_eq!(robots.len(), 6);
+    let requests: Vec<_> = robots.values().flat_map(|requests| requests.as_array().unwrap()).collect();
+    assert_eq!(requests.len(), 24);
+    for request in requests {
+        let steps = request["control_request"]["control_value"].as_array().unwrap();
+        assert_eq!(steps.len(), 18);
+        assert_eq!(steps[17]["time_offset_to_start"], 4_250);
+    }
+}
+
+#[test]
+fn the_unmended_dance_breaks_exactly_five_limits() {
+    let ran = downbeat(&["check", "scripts/examples/dance.unmended.yaml", "--format", "json"]);
+    assert_eq!(ran.code(), 1);
+    let json = ran.json();
+    let limits: Vec<_> = json["findings"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .filter(|f| f["code"] == "DB0011")
+        .map(|f| f["message"].as_str().unwrap().to_owned())
+        .collect();
+    let expected = [
+        "keyframe 26: 45.52734375 lies outside the limits for position of `LShoulderRoll`",
+        "keyframe 28: 45.087890625 lies outside the limits for position of `LShoulderRoll`",
+        "keyframe 21: -94.04296875 lies outside the limits for position of `RElbow`",
+        "keyframe 0: -50.44921875 lies outside the limits for position of `RShoulderRoll`",
+        "keyframe 27: -45.703125 lies outside the limits for position of `RShoulderRoll`",
+    ];
+    assert_eq!(limits.len(), 5, "{limits:#?}");
+    for (found, expected) in limits.iter().zip(expected) {
+        assert!(found.starts_with(expected), "{found}");
+    }
+}
+
+#[test]
+fn the_picture_of_a_dry_run_shows_every_device() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("swap.svg");
+    downbeat(&["dry-run", "scripts/examples/swap.yaml", "--picture", path.to_str().unwrap()]).says(0, &[]);
+    let svg = std::fs::read_to_string(path).unwrap();
+    assert_eq!(svg.matches("<polyline").count(), 24);
+    assert_eq!(svg.matches("<circle").count(), 432);
+}
+
+#[test]
+fn the_demo_fleet_answers_ping_and_show() {
+    let ping = downbeat(&["fleet", "ping", "--format", "json"]).json();
+    assert_eq!(ping.as_array().unwrap().len(), 12);
+    assert!(ping.as_array().unwrap().iter().all(|answer| answer["clock"]["samples"].as_u64() >= Some(8)));
+    downbeat(&["fleet", "show"])
+        .says(0, &["RShoulderRoll", "max", "battery"].map(|s| if s == "max" { "granularity" } else { s }));
+}

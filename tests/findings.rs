@@ -1,0 +1,237 @@
+//! What `downbeat check` says of wrong input: where, what, what was expected, how to mend it.
+
+use crate::session::Session;
+
+/// A scenario with one keyframe track; `{}` stands for the track's keyframes.
+fn scenario(keyframes: &str) -> String {
+    format!("scenario: test\ncues:\n  - at: 0s\n    robots: arms\n    tracks:\n      shoulder:\n{keyframes}")
+}
+
+#[track_caller]
+fn check(yaml: impl AsRef<[u8]>, code: i32, parts: &[&str]) {
+    let session = Session::new();
+    session.file("test.yaml", yaml);
+    session.run(&["check", "test.yaml"]).says(code, parts);
+}
+
+#[test]
+fn a_sound_scenario_is_passed_with_its_figures() {
+    check(
+        scenario("        - {at: 0s, to: 45}\n        - {at: 1s, to: 0}\n"),
+        0,
+        &["no errors, 2 robots, 2 devices, 4 steps, 1 s"],
+    );
+}
+
+#[test]
+fn a_wrong_type_is_found() {
+    let yaml = scenario("        - {at: 0s, to: high}\n");
+    check(yaml, 1, &["DB0003", "test.yaml:7:24", "found the text `high`", "expected a finite number"]);
+}
+
+#[test]
+fn an_unknown_key_is_found_with_the_key_that_was_meant() {
+    let yaml = scenario("        - {at: 0s, too: 45}\n");
+    check(yaml, 1, &["DB0004", "test.yaml:7:20", "unknown key `too`", "did you mean `to`?"]);
+}
+
+#[test]
+fn a_duplicate_key_is_found_at_its_second_place() {
+    let yaml = scenario("        - {at: 0s, to: 45, to: 40}\n");
+    check(yaml, 1, &["DB0005", "test.yaml:7:28", "stands twice"]);
+}
+
+#[test]
+fn a_missing_key_is_found() {
+    check(scenario("        - {at: 0s}\n"), 1, &["DB0006", "test.yaml:7:11", "a keyframe has no `to`"]);
+}
+
+#[test]
+fn a_time_without_unit_is_found_with_the_units_it_may_have() {
+    check(scenario("        - {at: 2, to: 45}\n"), 1, &["DB0007", "the time 2 has no unit", "`2s` or `2ms`"]);
+}
+
+#[test]
+fn an_unknown_robot_is_found() {
+    let yaml = scenario("        - {at: 0s, to: 45}\n").replace("arms", "letf");
+    check(yaml, 1, &["DB0008", "test.yaml:4:13", "no robot or group `letf`", "did you mean `left`?"]);
+}
+
+#[test]
+fn an_unknown_device_is_found_once_for_all_robots() {
+    let yaml = scenario("        - {at: 0s, to: 45}\n").replace("shoulder", "sholder");
+    check(
+        yaml,
+        1,
+        &[
+            "DB0009",
+            "robots `left`, `right` have no device `sholder`",
+            "did you mean `shoulder`?",
+            "1 errors",
+        ],
+    );
+}
+
+#[test]
+fn a_control_type_that_the_device_lacks_is_found() {
+    let yaml = scenario("        control: speed\n        keyframes: [{at: 0s, to: 45}]\n");
+    check(yaml, 1, &["DB0010", "does not support speed", "scripts of `position`"]);
+}
+
+#[test]
+fn a_value_outside_the_limits_is_found() {
+    let yaml = scenario("        - {at: 0s, to: 90.5}\n");
+    check(yaml, 1, &["DB0011", "test.yaml:7:24", "90.5 lies outside", "expected 0 to 90", "is 90"]);
+}
+
+#[test]
+fn a_value_off_granularity_is_found_with_its_neighbours() {
+    let yaml = scenario("        - {at: 0s, to: 45.3}\n");
+    check(yaml, 1, &["DB0012", "45.3 lies off the grid", "a multiple of 0.5", "45 and 45.5"]);
+}
+
+#[test]
+fn too_many_steps_are_found_with_the_numbers() {
+    let keyframes: String = (0..9).map(|i| format!("        - {{at: {i}s, to: {i}}}\n")).collect();
+    check(scenario(&keyframes), 1, &["DB0013", "has 9 steps", "at most 8 steps", "take out 1 keyframes"]);
+}
+
+#[test]
+fn keyframes_out_of_order_are_found() {
+    let yaml = scenario("        - {at: 1s, to: 45}\n        - {at: 500ms, to: 0}\n");
+    check(yaml, 1, &["DB0014", "test.yaml:8:16", "500 ms stands after the one at 1 s"]);
+}
+
+#[test]
+fn overlapping_cues_on_one_device_are_found() {
+    let mut yaml = scenario("        - {at: 0s, to: 0}\n        - {at: 2s, to: 45}\n");
+    yaml.push_str("  - cue: again\n    at: 1s\n    robots: right\n    tracks: {shoulder: [{at: 0s, to: 0}, {at: 1s, to: 9}]}\n");
+    check(
+        yaml,
+        1,
+        &[
+            "DB0015",
+            "test.yaml:12:14",
+            "`again` moves `shoulder` of `right` from 1 s on, but `cue 1`",
+            "1 s later",
+        ],
+    );
+}
+
+#[test]
+fn a_scenario_without_cues_and_a_cue_without_robots_are_found() {
+    check("scenario: test\ncues: []\n", 1, &["DB0016", "no cues"]);
+    let yaml = scenario("        - {at: 0s, to: 45}\n").replace("robots: arms", "robots: []");
+    check(yaml, 1, &["DB0016", "for no robot"]);
+}
+
+#[test]
+fn a_robot_listed_twice_is_found() {
+    let yaml = scenario("        - {at: 0s, to: 45}\n").replace("robots: arms", "robots: [left, arms]");
+    check(yaml, 1, &["DB0017", "robot `left` is in this cue already"]);
+}
+
+#[test]
+fn a_movement_from_an_unknown_value_is_found() {
+    let yaml = scenario("        - {at: 1s, to: 45, ease: smooth}\n");
+    check(yaml, 1, &["DB0021", "unknown value", "put a keyframe at 0s"]);
+}
+
+#[test]
+fn an_unknown_easing_is_found() {
+    let yaml = scenario("        - {at: 0s, to: 0}\n        - {at: 1s, to: 45, ease: smoth}\n");
+    check(yaml, 1, &["DB0020", "unknown word `smoth`", "did you mean `smooth`?"]);
+}
+
+#[test]
+fn all_findings_come_at_once_in_the_order_of_the_file() {
+    let session = Session::new();
+    let yaml = "scenario: test\nled: 2s\ncues:\n  - at: soon\n    robots: nobody\n    tracks: {elbow: [{at: 0s, to: x}]}\n  - at: 1s\n    robots: left\n    tracks: {elbow: [{at: 0s, to: 1}]}\n";
+    session.file("test.yaml", yaml);
+    let json = session.run(&["check", "test.yaml", "--format", "json"]).json();
+    let findings: Vec<_> = json["findings"]
+        .as_array()
+        .unwrap()
+        .iter()
+        .map(|f| (f["code"].as_str().unwrap().to_owned(), f["line"].as_u64().unwrap()))
+        .collect();
+    let expected = [("DB0004", 2), ("DB0007", 4), ("DB0003", 6), ("DB0009", 9)];
+    assert_eq!(findings, expected.map(|(code, line)| (code.to_owned(), line)));
+}
+
+#[test]
+fn faults_of_the_fleet_file_are_found_in_its_own_lines() {
+    let session = Session::new();
+    session.file("test.yaml", scenario("        - {at: 0s, to: 45}\n"));
+    session.file("fleet.yaml", "robots:\n  left: {init: missing.yaml, address: sim}\n  right: {init: arm.yaml, address: 'udp://x'}\ngroups:\n  left: [right]\n  all: [middle]\n");
+    session.run(&["check", "test.yaml"]).says(
+        1,
+        &[
+            "DB0018",
+            "fleet.yaml:2:16",
+            "DB0020",
+            "`udp://x` is no address",
+            "DB0019",
+            "DB0008",
+            "no robot or group `middle`",
+        ],
+    );
+}
+
+#[test]
+fn a_bad_initialization_block_is_found_in_its_own_file() {
+    let session = Session::new();
+    session.file("test.yaml", scenario("        - {at: 0s, to: 45}\n"));
+    session.file("arm.yaml", crate::session::ARM.replace("granularity: 0.5}", "granularity: 0}"));
+    session
+        .run(&["check", "test.yaml"])
+        .says(1, &["DB0018", "arm.yaml:", "granularity 0, expected a finite number above 0"]);
+}
+
+/// Runs `check` with 200 MB of address space in all.
+#[track_caller]
+fn check_in_little_memory(session: &Session, code: i32, parts: &[&str]) {
+    let line = format!("ulimit -v 204800; exec {} check test.yaml", crate::session::PROGRAM);
+    let mut shell = std::process::Command::new("sh");
+    shell.args(["-c", &line]).current_dir(session.path(""));
+    crate::session::Ran(shell.output().unwrap()).says(code, parts);
+}
+
+#[test]
+fn hostile_files_get_a_clear_message_in_little_memory() {
+    let session = Session::new();
+    session.file("test.yaml", "");
+    check_in_little_memory(&session, 1, &["DB0002", "the file is empty"]);
+
+    let mut bomb = "a0: &a0 [x, x, x, x, x, x, x, x, x]\n".to_owned();
+    for level in 1..10 {
+        let aliases = vec![format!("*a{}", level - 1); 9].join(", ");
+        bomb.push_str(&format!("a{level}: &a{level} [{aliases}]\n"));
+    }
+    session.file("test.yaml", bomb);
+    check_in_little_memory(&session, 1, &["DB0002", "repetition limit", "aliases multiply"]);
+
+    session.file("test.yaml", "[".repeat(10_000));
+    check_in_little_memory(&session, 1, &["DB0002", "recursion limit"]);
+
+    session.file("test.yaml", [0u8, 159, 146, 150, 255, 0, 7]);
+    check_in_little_memory(&session, 2, &["DB0001", "not UTF-8"]);
+
+    std::fs::File::create(session.path("test.yaml")).unwrap().set_len(200_000_000).unwrap();
+    check_in_little_memory(&session, 2, &["DB0001", "200000000 bytes, the limit is 67108864"]);
+
+    session.file("test.yaml", "scenario: a\n---\nscenario: b\n");
+    check_in_little_memory(&session, 1, &["DB0002", "more than one document"]);
+
+    session.file("test.yaml", "cues: !!python/tuple [1, 2]\nscenario: x\n");
+    check_in_little_memory(&session, 1, &["DB00"]);
+}
+
+#[test]
+fn files_that_are_not_there_are_named() {
+    let session = Session::new();
+    session.run(&["check", "nowhere.yaml"]).says(2, &["DB0001", "nowhere.yaml"]);
+    session.file("test.yaml", scenario("        - {at: 0s, to: 45}\n"));
+    session.run(&["check", "test.yaml", "--fleet", "none.yaml"]).says(2, &["DB0001", "none.yaml", "--fleet"]);
+    session.run(&["check"]).says(2, &["Usage"]);
+}

@@ -1,0 +1,10 @@
+//! What crosses crates: sessions at a terminal, real processes, whole fleets, documents.
+#![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
+#![expect(clippy::disallowed_methods, reason = "real processes take real time")]
+
+mod documents;
+mod examples;
+mod findings;
+mod ntp;
+mod processes;
+mod session;
