@@ -7,11 +7,13 @@ use std::collections::{BTreeMap, VecDeque};
 
 use urrcp::{
     Command, ControlError, ControlType, Device, ErrorCode, Interpolation, RequestId, Robot, Script, Setpoint,
-    Span, StopCondition, Timestamp,
+    Span, Timestamp,
 };
 
-use crate::lease::{self, LastHeard, Lease};
+use crate::held::{Held, Steps};
+use crate::lease::{LastHeard, Lease};
 use crate::robot::LinkId;
+use crate::signal::{Signal, is_rate, resting_value};
 
 /// What a driver does with a device.
 #[derive(Clone, Debug, PartialEq)]
@@ -47,101 +49,13 @@ pub(crate) enum Effect {
     Failed { link: LinkId, request_id: Option<RequestId>, error: ControlError, steps_done: u32 },
 }
 
-/// A command that has been accepted and has not ended.
-#[derive(Clone, Debug)]
-struct Held {
-    link: LinkId,
-    request_id: Option<RequestId>,
-    accepted: Timestamp<Robot>,
-    start: Timestamp<Robot>,
-    end: Timestamp<Robot>,
-    steps: Steps,
-    stop_condition: Option<StopCondition>,
-    next_step: usize,
-    began: bool,
-}
-
-#[derive(Clone, Debug)]
-enum Steps {
-    One(Setpoint),
-    Script(Script),
-}
-
-impl Held {
-    fn setpoint(&self, index: usize) -> Option<&Setpoint> {
-        match &self.steps {
-            Steps::One(setpoint) => (index == 0).then_some(setpoint),
-            Steps::Script(script) => script.steps().get(index).map(|step| &step.setpoint),
-        }
-    }
-
-    fn time_of(&self, index: usize) -> Option<Timestamp<Robot>> {
-        match &self.steps {
-            Steps::One(_) => (index == 0).then_some(self.start),
-            Steps::Script(script) => script.steps().get(index).map(|step| self.start + step.offset.span()),
-        }
-    }
-
-    fn step_condition(&self, index: usize) -> Option<StopCondition> {
-        match &self.steps {
-            Steps::One(_) => None,
-            Steps::Script(script) => script.steps().get(index)?.stop_condition,
-        }
-    }
-
-    fn lease(&self) -> Lease {
-        let silence = match self.began {
-            false => lease::pending(self.stop_condition),
-            true => {
-                let current = self.next_step.checked_sub(1).and_then(|step| self.step_condition(step));
-                lease::running(self.stop_condition, current)
-            }
-        };
-        Lease { link: self.link, granted: self.accepted, silence }
-    }
-
-    /// Its start, then each of its steps.
-    fn next_event(&self) -> Option<Timestamp<Robot>> {
-        match self.began {
-            false => Some(self.start),
-            true => self.time_of(self.next_step),
-        }
-    }
-
-    fn steps_done(&self) -> u32 {
-        u32::try_from(self.next_step).unwrap_or(u32::MAX)
-    }
-}
-
-/// A rate that goes on after its command has ended, still under that command's lease.
+/// Rates that go on after their command has ended, still under that command's lease.
 #[derive(Clone, Debug)]
 struct Guard {
+    rates: Vec<ControlType>,
     lease: Lease,
     request_id: Option<RequestId>,
     steps_done: u32,
-}
-
-/// A signal under way or at rest.
-#[derive(Clone, Copy, Debug)]
-struct Signal {
-    from: f64,
-    since: Timestamp<Robot>,
-    to: f64,
-    until: Timestamp<Robot>,
-}
-
-impl Signal {
-    fn resting(value: f64, at: Timestamp<Robot>) -> Self {
-        Self { from: value, since: at, to: value, until: at }
-    }
-
-    fn value(&self, now: Timestamp<Robot>) -> f64 {
-        if now >= self.until {
-            return self.to;
-        }
-        let part = (now - self.since).as_millis_f64() / (self.until - self.since).as_millis_f64();
-        self.from + (self.to - self.from) * part.clamp(0.0, 1.0)
-    }
 }
 
 /// The machine of one device.
@@ -150,7 +64,8 @@ pub(crate) struct DeviceMachine {
     pub(crate) spec: Device,
     signals: BTreeMap<ControlType, Signal>,
     queue: VecDeque<Held>,
-    guard: Option<Guard>,
+    /// At most one for each control type: a command that drives the rate takes it over.
+    guards: Vec<Guard>,
 }
 
 impl DeviceMachine {
@@ -164,7 +79,7 @@ impl DeviceMachine {
                 (control_type, Signal::resting(resting_value(&spec, control_type), begin))
             })
             .collect();
-        Self { spec, signals, queue: VecDeque::new(), guard: None }
+        Self { spec, signals, queue: VecDeque::new(), guards: Vec::new() }
     }
 
     pub(crate) fn value(&self, control_type: ControlType, now: Timestamp<Robot>) -> Option<f64> {
@@ -172,9 +87,11 @@ impl DeviceMachine {
     }
 
     pub(crate) fn is_idle(&self) -> bool {
-        self.queue.is_empty() && self.guard.is_none()
+        self.queue.is_empty() && self.guards.is_empty()
     }
 
+    /// How many commands it holds.
+    #[cfg(test)]
     pub(crate) fn held(&self) -> usize {
         self.queue.len()
     }
@@ -186,8 +103,8 @@ impl DeviceMachine {
     }
 
     fn lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
-        let guard = self.guard.as_ref().map(|guard| guard.lease);
-        self.queue.iter().map(Held::lease).chain(guard).filter_map(|lease| heard.ends(&lease)).min()
+        let guards = self.guards.iter().filter_map(|guard| heard.ends(&guard.lease));
+        self.queue.iter().filter_map(|held| held.lease_end(heard)).chain(guards).min()
     }
 
     /// Does everything due at or before `now`, in the order of its time.
@@ -208,7 +125,6 @@ impl DeviceMachine {
         let Some(mut held) = self.queue.pop_front() else { return };
         if !held.began {
             held.began = true;
-            self.guard = None;
             let value = held.setpoint(0).map_or(0.0, |setpoint| setpoint.value);
             if held.time_of(0) > Some(at) {
                 self.ramp_to(&held, 0, at, effects);
@@ -231,6 +147,7 @@ impl DeviceMachine {
         let index = held.next_step;
         let Some(setpoint) = held.setpoint(index).cloned() else { return };
         held.next_step += 1;
+        self.take_over(setpoint.control_type);
         self.signals.insert(setpoint.control_type, Signal::resting(setpoint.value, at));
         effects.push(Effect::Move {
             motion: Motion::Set(setpoint),
@@ -239,6 +156,14 @@ impl DeviceMachine {
             step: u32::try_from(index).ok(),
         });
         self.ramp_to(held, index + 1, at, effects);
+    }
+
+    /// A rate that is driven again is no longer under the lease of the command that drove it before.
+    fn take_over(&mut self, rate: ControlType) {
+        for guard in &mut self.guards {
+            guard.rates.retain(|guarded| *guarded != rate);
+        }
+        self.guards.retain(|guard| !guard.rates.is_empty());
     }
 
     /// Begins the linear way to a step, where the device moves linearly and the control type stays the same.
@@ -250,8 +175,8 @@ impl DeviceMachine {
             return;
         }
         let Some(from) = self.value(next.control_type, now) else { return };
-        let signal = Signal { from, since: now, to: next.value, until };
-        self.signals.insert(next.control_type, signal);
+        self.take_over(next.control_type);
+        self.signals.insert(next.control_type, Signal::ramp(from, now, next.value, until));
         effects.push(Effect::Move {
             motion: Motion::Ramp { control_type: next.control_type, from, to: next.value, until },
             due: now,
@@ -265,27 +190,28 @@ impl DeviceMachine {
         let value = held.setpoint(last).map_or(0.0, |setpoint| setpoint.value);
         let (link, request_id) = (held.link, held.request_id.clone());
         effects.push(Effect::Ended { link, request_id, value, steps_done: held.steps_done() });
-        let moving = self.signals.iter().any(|(control_type, signal)| {
-            is_rate(*control_type) && signal.to != resting_value(&self.spec, *control_type)
-        });
-        self.guard = (moving && held.lease().silence.is_some()).then(|| Guard {
-            lease: held.lease(),
-            request_id: held.request_id.clone(),
-            steps_done: held.steps_done(),
-        });
+        let lease = held.lease();
+        let rates: Vec<_> = self.rates_left_on().filter(|rate| held.drives(*rate)).collect();
+        if lease.silence.is_some() && !rates.is_empty() {
+            let (request_id, steps_done) = (held.request_id.clone(), held.steps_done());
+            self.guards.push(Guard { rates, lease, request_id, steps_done });
+        }
+    }
+
+    fn rates_left_on(&self) -> impl Iterator<Item = ControlType> + '_ {
+        self.signals
+            .iter()
+            .filter(|(control_type, signal)| {
+                is_rate(**control_type) && signal.target() != resting_value(&self.spec, **control_type)
+            })
+            .map(|(control_type, _)| *control_type)
     }
 
     fn link_lost(&mut self, at: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         let error =
             ControlError::new(ErrorCode::LinkLost, "the server was silent for longer than stop_condition");
-        if let Some(guard) = self.guard.take() {
-            let (link, request_id) = (guard.lease.link, guard.request_id);
-            effects.push(Effect::Failed {
-                link,
-                request_id,
-                error: error.clone(),
-                steps_done: guard.steps_done,
-            });
+        for Guard { lease, request_id, steps_done, .. } in self.guards.drain(..) {
+            effects.push(Effect::Failed { link: lease.link, request_id, error: error.clone(), steps_done });
         }
         self.drop_all(&error, effects);
         self.go_to_default_state(at, effects);
@@ -318,7 +244,7 @@ impl DeviceMachine {
 
     /// default_value, or hold the last position; every other rate to zero.
     fn go_to_default_state(&mut self, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
-        self.guard = None;
+        self.guards.clear();
         let primary = self.spec.primary_control_type();
         let default = self.spec.default_value;
         for (control_type, signal) in &mut self.signals {
@@ -351,7 +277,11 @@ impl DeviceMachine {
             return Err(ControlError::new(ErrorCode::Late, message));
         }
         let end = start + duration;
-        let overlaps = |held: &&Held| start < held.end && held.start < end;
+        // At one instant a command of no length comes before one that has yet to begin, and never into a running one.
+        let overlaps = |held: &&Held| {
+            let into_running = held.began && (start, end) < (held.start, held.end);
+            into_running || start < held.end && held.start < end
+        };
         if let Some(held) = self.queue.iter().find(overlaps) {
             let message = format!("`{}` is taken from {} to {}", self.spec.id, held.start, held.end);
             return Err(ControlError::new(ErrorCode::Overlap, message));
@@ -365,7 +295,7 @@ impl DeviceMachine {
             );
             return Err(ControlError::new(ErrorCode::Busy, message));
         }
-        let place = self.queue.partition_point(|held| held.start <= start);
+        let place = self.queue.partition_point(|held| (held.start, held.end) <= (start, end));
         let held = Held {
             link,
             request_id: request.request_id.clone(),
@@ -418,16 +348,4 @@ impl DeviceMachine {
 fn failed(held: Held, error: &ControlError) -> Effect {
     let steps_done = held.steps_done();
     Effect::Failed { link: held.link, request_id: held.request_id, error: error.clone(), steps_done }
-}
-
-const fn is_rate(control_type: ControlType) -> bool {
-    !matches!(control_type, ControlType::Position)
-}
-
-/// The value of a signal in the default state, as far as it does not depend on the past.
-fn resting_value(spec: &Device, control_type: ControlType) -> f64 {
-    match spec.primary_control_type() == Some(control_type) {
-        true => spec.default_value.unwrap_or(0.0),
-        false => 0.0,
-    }
 }

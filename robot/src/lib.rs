@@ -4,14 +4,17 @@
 //! `simulated` wraps a robot with a clock, delays and faults of its own, still without touching the world. `host` runs
 //! simulated robots in real time on one precise thread (`precise_wait`, `clock`), `serve` puts TCP round it.
 
+mod answers;
 pub mod clock;
 mod device;
+mod held;
 mod host;
 mod lease;
 mod precise_wait;
 mod robot;
 mod serve;
 mod set_log;
+mod signal;
 pub mod simulated;
 
 pub use device::Motion;

@@ -1,6 +1,6 @@
 //! A robot as a machine: messages and the time in, answers and values out.
 
-use std::collections::{BTreeSet, HashMap, VecDeque};
+use std::collections::{BTreeSet, HashMap};
 
 use urrcp::{
     AvailabilityResponse, Command, ContentHash, ControlError, ControlRequest, ControlResponse, ControlType,
@@ -8,6 +8,7 @@ use urrcp::{
     Timestamp,
 };
 
+use crate::answers::Answers;
 use crate::device::{DeviceMachine, Effect, Motion};
 use crate::lease::LastHeard;
 
@@ -55,9 +56,6 @@ pub struct SetValue {
     pub step: Option<u32>,
 }
 
-/// Requests whose last answer is kept besides those that are held, so that a repeated one is answered and not repeated.
-const ANSWERS_KEPT: usize = 1_024;
-
 /// The machine of one robot.
 #[derive(Clone, Debug)]
 pub struct Robot {
@@ -68,10 +66,10 @@ pub struct Robot {
     /// Earliest possible wake-up of each device; a renewed lease makes an entry early, never late.
     wakeups: BTreeSet<(Timestamp<urrcp::Robot>, usize)>,
     wakeup_of: Vec<Option<Timestamp<urrcp::Robot>>>,
-    answers: HashMap<RequestId, ControlResponse>,
-    answered: VecDeque<RequestId>,
+    answers: Answers,
     readings: HashMap<DeviceId, f64>,
     effects: Vec<Effect>,
+    reports: Vec<(usize, Effect)>,
 }
 
 type Now = Timestamp<urrcp::Robot>;
@@ -90,10 +88,10 @@ impl Robot {
             heard: LastHeard::default(),
             wakeups: BTreeSet::new(),
             wakeup_of,
-            answers: HashMap::new(),
-            answered: VecDeque::new(),
+            answers: Answers::default(),
             readings: HashMap::new(),
             effects: Vec::new(),
+            reports: Vec::new(),
         }
     }
 
@@ -126,16 +124,17 @@ impl Robot {
         self.wakeups.first().map(|(at, _)| *at)
     }
 
-    /// Does everything due at or before `now`.
+    /// Does everything due at or before `now`: all movements stand ahead of all reports.
     pub fn advance(&mut self, now: Now, out: &mut Vec<Output>) {
         while let Some(&(at, index)) = self.wakeups.first() {
             if at > now {
-                return;
+                break;
             }
             self.devices[index].advance(now, &self.heard, &mut self.effects);
             self.refresh_wakeup(index);
-            self.emit(now, index, out);
+            self.move_device(index, out);
         }
+        self.send_reports(now, out);
     }
 
     /// Takes what reached the robot at `now`, after everything that was due until then.
@@ -196,9 +195,9 @@ impl Robot {
     }
 
     fn control(&mut self, now: Now, link: LinkId, request: ControlRequest, out: &mut Vec<Output>) {
-        if let Some(answer) = request.request_id.as_ref().and_then(|id| self.answers.get(id)) {
-            let message = Message::ControlResponse(answer.clone());
-            return out.push(Output::Send { link, message });
+        if let Some(answer) = request.request_id.as_ref().and_then(|id| self.answers.find(id)) {
+            let again = ControlResponse { timestamp: now, ..answer.clone() };
+            return out.push(Output::Send { link, message: Message::ControlResponse(again) });
         }
         let Some(&index) = self.index_of.get(&request.device_id) else {
             let error = ControlError::new(
@@ -207,21 +206,24 @@ impl Robot {
             );
             return self.refuse(now, link, &request, error, out);
         };
-        let result = match &request.command {
+        let content_hash = match check_hash(&request) {
+            Ok(content_hash) => content_hash,
+            Err(error) => return self.refuse(now, link, &request, error, out),
+        };
+        match &request.command {
             Command::ReadSensor => return self.provide(now, link, index, &request, out),
             Command::Script(script) if script.is_empty() => {
-                return self.cancel(now, link, index, &request, out);
+                return self.cancel(now, link, index, &request, content_hash, out);
             }
-            command => check_hash(&request, command)
-                .and_then(|hash| self.accept(now, link, index, &request).map(|()| hash)),
-        };
-        match result {
-            Ok(content_hash) => self.confirm(now, link, index, &request, content_hash, out),
+            Command::Set(_) | Command::Script(_) => {}
+        }
+        match self.accept(now, link, index, &request) {
+            Ok(()) => self.confirm(now, link, index, &request, content_hash, out),
             Err(error) => {
                 if error.code == ErrorCode::UnsupportedControlType {
-                    self.devices[index].stop(now, &error, &mut self.effects);
-                    self.refresh_wakeup(index);
-                    self.emit(now, index, out);
+                    let why =
+                        "the device went to its default state: it was sent a control type that it lacks";
+                    self.stop(now, index, why, out);
                 }
                 self.refuse(now, link, &request, error, out);
             }
@@ -276,9 +278,8 @@ impl Robot {
         let Some(sensor) = spec.available_control_types.sensor() else {
             let message = format!("`{}` is no sensor", spec.id);
             let error = ControlError::new(ErrorCode::UnsupportedControlType, message);
-            self.devices[index].stop(now, &error, &mut self.effects);
-            self.refresh_wakeup(index);
-            self.emit(now, index, out);
+            let why = "the device went to its default state: it was asked for a reading and is no sensor";
+            self.stop(now, index, why, out);
             return self.refuse(now, link, request, error, out);
         };
         let middle = f64::midpoint(sensor.min_value, sensor.max_value);
@@ -298,21 +299,39 @@ impl Robot {
         link: LinkId,
         index: usize,
         request: &ControlRequest,
+        content_hash: Option<ContentHash>,
         out: &mut Vec<Output>,
     ) {
-        let error = ControlError::new(ErrorCode::Cancelled, "cancelled by an empty script");
+        let why = "cancelled by an empty script";
         let from: Option<Now> = request.starts_at().map(Timestamp::assume_clock);
         match from.filter(|from| *from > now) {
-            Some(from) => self.devices[index].cancel_from(from, &error, &mut self.effects),
-            None => self.devices[index].stop(now, &error, &mut self.effects),
+            None => self.stop(now, index, why, out),
+            Some(from) => {
+                let error = ControlError::new(ErrorCode::Cancelled, why);
+                self.devices[index].cancel_from(from, &error, &mut self.effects);
+                self.settle(now, index, out);
+            }
         }
-        self.refresh_wakeup(index);
-        self.emit(now, index, out);
         let answer = ControlResponse {
             request_id: request.request_id.clone(),
+            content_hash,
             ..response(now, request.device_id.clone(), Status::Ok)
         };
         self.answer(link, answer, out);
+    }
+
+    /// Ends all that a device holds or does, and sends it to its default state.
+    fn stop(&mut self, now: Now, index: usize, why: &str, out: &mut Vec<Output>) {
+        let error = ControlError::new(ErrorCode::Cancelled, why);
+        self.devices[index].stop(now, &error, &mut self.effects);
+        self.settle(now, index, out);
+    }
+
+    /// After a device has been changed from outside: its next wake-up, its movements, its reports.
+    fn settle(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
+        self.refresh_wakeup(index);
+        self.move_device(index, out);
+        self.send_reports(now, out);
     }
 
     fn refuse(
@@ -333,24 +352,8 @@ impl Robot {
 
     /// Sends an answer and remembers it for a repetition of its request.
     fn answer(&mut self, link: LinkId, answer: ControlResponse, out: &mut Vec<Output>) {
-        self.remember(&answer);
+        self.answers.remember(&answer);
         out.push(Output::Send { link, message: Message::ControlResponse(answer) });
-    }
-
-    fn remember(&mut self, answer: &ControlResponse) {
-        let Some(id) = &answer.request_id else { return };
-        if self.answers.insert(id.clone(), answer.clone()).is_none() {
-            self.answered.push_back(id.clone());
-        }
-        let held: usize = if self.answered.len() > ANSWERS_KEPT {
-            self.devices.iter().map(DeviceMachine::held).sum()
-        } else {
-            0
-        };
-        while self.answered.len() > ANSWERS_KEPT + held {
-            let oldest = self.answered.pop_front();
-            oldest.and_then(|id| self.answers.remove(&id));
-        }
     }
 
     fn refresh_wakeup(&mut self, index: usize) {
@@ -362,23 +365,27 @@ impl Robot {
         }
     }
 
-    /// Turns what a device wants into outputs: movements first, then reports.
-    fn emit(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
-        let device = self.devices[index].spec.id.clone();
-        let mut reports = Vec::new();
-        let effects = std::mem::take(&mut self.effects);
-        for effect in effects {
+    /// Puts out a device's movements and keeps its reports for later, so that no movement waits for a report.
+    fn move_device(&mut self, index: usize, out: &mut Vec<Output>) {
+        let device = &self.devices[index].spec.id;
+        for effect in self.effects.drain(..) {
             match effect {
                 Effect::Move { motion, due, request_id, step } => {
-                    let device = device.clone();
-                    out.push(Output::Set(SetValue { device, motion, due, request_id, step }));
+                    out.push(Output::Set(SetValue { device: device.clone(), motion, due, request_id, step }));
                 }
-                report => reports.push(report),
+                report => self.reports.push((index, report)),
             }
         }
-        for report in reports {
+    }
+
+    fn send_reports(&mut self, now: Now, out: &mut Vec<Output>) {
+        let mut reports = std::mem::take(&mut self.reports);
+        for (index, report) in reports.drain(..) {
+            let device = self.devices[index].spec.id.clone();
             self.report(now, &device, report, out);
         }
+        // Back goes the empty vector, so that its memory serves again.
+        self.reports = reports;
     }
 
     fn report(&mut self, now: Now, device: &DeviceId, effect: Effect, out: &mut Vec<Output>) {
@@ -400,7 +407,7 @@ impl Robot {
                 (link, ControlResponse { request_id, error, steps_done, ..base(Status::Failed) })
             }
         };
-        self.remember(&report);
+        self.answers.remember(&report);
         if self.block.reports {
             out.push(Output::Send { link, message: Message::ControlResponse(report) });
         }
@@ -408,9 +415,9 @@ impl Robot {
 }
 
 /// The robot's own hash of what it takes, where the request carries one to compare.
-fn check_hash(request: &ControlRequest, command: &Command) -> Result<Option<ContentHash>, ControlError> {
+fn check_hash(request: &ControlRequest) -> Result<Option<ContentHash>, ControlError> {
     let Some(expected) = request.content_hash else { return Ok(None) };
-    match command.content_hash() {
+    match request.command.content_hash() {
         computed if computed == expected => Ok(Some(computed)),
         computed => {
             let message = format!("content_hash is {expected}, the control_value hashes to {computed}");
@@ -432,3 +439,6 @@ fn response(now: Now, device_id: DeviceId, status: Status) -> ControlResponse {
         error: None,
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,100 @@
+//! A command that a device has accepted and that has not ended: its steps, their absolute times, its lease.
+
+use urrcp::{ControlType, RequestId, Robot, Script, Setpoint, StopCondition, Timestamp};
+
+use crate::lease::{self, LastHeard, Lease};
+use crate::robot::LinkId;
+
+/// A command that has been accepted and has not ended.
+#[derive(Clone, Debug)]
+pub(crate) struct Held {
+    pub(crate) link: LinkId,
+    pub(crate) request_id: Option<RequestId>,
+    pub(crate) accepted: Timestamp<Robot>,
+    pub(crate) start: Timestamp<Robot>,
+    pub(crate) end: Timestamp<Robot>,
+    pub(crate) steps: Steps,
+    pub(crate) stop_condition: Option<StopCondition>,
+    pub(crate) next_step: usize,
+    pub(crate) began: bool,
+}
+
+/// What a command does.
+#[derive(Clone, Debug)]
+pub(crate) enum Steps {
+    One(Setpoint),
+    Script(Script),
+}
+
+impl Held {
+    pub(crate) fn setpoint(&self, index: usize) -> Option<&Setpoint> {
+        match &self.steps {
+            Steps::One(setpoint) => (index == 0).then_some(setpoint),
+            Steps::Script(script) => script.steps().get(index).map(|step| &step.setpoint),
+        }
+    }
+
+    pub(crate) fn time_of(&self, index: usize) -> Option<Timestamp<Robot>> {
+        match &self.steps {
+            Steps::One(_) => (index == 0).then_some(self.start),
+            Steps::Script(script) => script.steps().get(index).map(|step| self.start + step.offset.span()),
+        }
+    }
+
+    /// Its start, then each of its steps.
+    pub(crate) fn next_event(&self) -> Option<Timestamp<Robot>> {
+        match self.began {
+            false => Some(self.start),
+            true => self.time_of(self.next_step),
+        }
+    }
+
+    pub(crate) fn steps_done(&self) -> u32 {
+        u32::try_from(self.next_step).unwrap_or(u32::MAX)
+    }
+
+    /// Whether one of its steps drives this signal.
+    pub(crate) fn drives(&self, control_type: ControlType) -> bool {
+        match &self.steps {
+            Steps::One(setpoint) => setpoint.control_type == control_type,
+            Steps::Script(script) => {
+                script.steps().iter().any(|step| step.setpoint.control_type == control_type)
+            }
+        }
+    }
+
+    /// The lease that holds now.
+    pub(crate) fn lease(&self) -> Lease {
+        match self.began {
+            false => self.lease_of(lease::pending(self.stop_condition)),
+            true => self.running_lease(self.next_step),
+        }
+    }
+
+    /// When its lease runs out. Where the lease that follows the next event would have run out by then, the event
+    /// does not take place: the lease ends at that instant, and at one instant a lease wins.
+    pub(crate) fn lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
+        let over_by_then = self.next_event().filter(|at| {
+            let first_step_is_later = !self.began && self.time_of(0) > Some(*at);
+            let steps_done = if first_step_is_later { 0 } else { self.next_step + 1 };
+            heard.ends(&self.running_lease(steps_done)).is_some_and(|end| end <= *at)
+        });
+        heard.ends(&self.lease()).into_iter().chain(over_by_then).min()
+    }
+
+    fn running_lease(&self, steps_done: usize) -> Lease {
+        let current = steps_done.checked_sub(1).and_then(|step| self.step_condition(step));
+        self.lease_of(lease::running(self.stop_condition, current))
+    }
+
+    const fn lease_of(&self, silence: Option<urrcp::Millis>) -> Lease {
+        Lease { link: self.link, granted: self.accepted, silence }
+    }
+
+    fn step_condition(&self, index: usize) -> Option<StopCondition> {
+        match &self.steps {
+            Steps::One(_) => None,
+            Steps::Script(script) => script.steps().get(index)?.stop_condition,
+        }
+    }
+}

@@ -1,0 +1,436 @@
+//! The rules of the robot's side, one a test.
+
+mod instants;
+
+use proptest::prelude::*;
+use urrcp::{
+    AvailabilityRequest, Command, ControlRequest, ControlResponse, ControlType, DeviceId, ErrorCode,
+    InitializationBlock, LineDecoder, Message, Millis, RequestId, Script, Server, Setpoint, Span, Status,
+    StatusValue, Step, StopCondition, Timestamp,
+};
+
+use super::{Input, LinkId, Output, Robot, SetValue};
+use crate::device::Motion;
+
+const LINK: LinkId = LinkId(1);
+/// Begin of all tests, in nanoseconds.
+const BEGIN: i64 = 1_000_000_000_000;
+
+const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
+  {"id": "arm", "name": "arm", "default_value": 10, "script_queue": 2, "available_control_types": {
+     "position": {"min_value": 0, "max_value": 90, "granularity": 0.5},
+     "speed": {"min_value": -10, "max_value": 10, "granularity": 1},
+     "script": {"min_value": -10, "max_value": 90, "granularity": 0.5, "max_number_of_steps": 4}}},
+  {"id": "ramp", "name": "ramp", "interpolation": "linear", "available_control_types": {
+     "position": {"min_value": 0, "max_value": 90, "granularity": 0.5},
+     "script": {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_number_of_steps": 4}}},
+  {"id": "wheel", "name": "wheel", "available_control_types": {
+     "speed": {"min_value": -10, "max_value": 10, "granularity": 1},
+     "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 4}}},
+  {"id": "thermometer", "name": "t", "available_control_types": {"sensor": {"min_value": -20, "max_value": 60}}}]}"#;
+
+/// A robot with what it has said and done so far.
+struct Bench {
+    robot: Robot,
+    now: Timestamp<urrcp::Robot>,
+    out: Vec<Output>,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+        Self { robot: Robot::new(block), now: Timestamp::from_nanos(BEGIN), out: Vec::new() }
+    }
+
+    /// Lets time pass from wake-up to wake-up.
+    fn until(&mut self, millis: i64) {
+        let end = at(millis);
+        while let Some(wakeup) = self.robot.next_wakeup().filter(|wakeup| *wakeup <= end) {
+            self.now = self.now.max(wakeup);
+            self.robot.advance(self.now, &mut self.out);
+        }
+        self.now = end;
+        self.robot.advance(end, &mut self.out);
+    }
+
+    fn send(&mut self, message: Message) {
+        self.robot.handle(self.now, LINK, Input::Message(message), &mut self.out);
+    }
+
+    fn request(&mut self, request: ControlRequest) {
+        self.send(Message::ControlRequest(request));
+    }
+
+    fn responses(&self) -> Vec<&ControlResponse> {
+        let response =
+            |output: &'_ Output| matches!(output, Output::Send { message: Message::ControlResponse(_), .. });
+        let sent = self.out.iter().filter(|output| response(output));
+        sent.filter_map(|output| match output {
+            Output::Send { message: Message::ControlResponse(response), .. } => Some(response),
+            _ => None,
+        })
+        .collect()
+    }
+
+    fn statuses(&self) -> Vec<String> {
+        let word = |r: &&ControlResponse| match &r.error {
+            Some(error) => format!("{} {}", r.status, error.code),
+            None => r.status.to_string(),
+        };
+        self.responses().iter().map(word).collect()
+    }
+
+    fn sets(&self) -> Vec<&SetValue> {
+        self.out.iter().filter_map(|o| if let Output::Set(set) = o { Some(set) } else { None }).collect()
+    }
+
+    /// Milliseconds and values of all plain sets.
+    fn values(&self) -> Vec<(i64, f64)> {
+        let value = |set: &&SetValue| match &set.motion {
+            Motion::Set(setpoint) => Some(((set.due.as_nanos() - BEGIN) / 1_000_000, setpoint.value)),
+            _ => None,
+        };
+        self.sets().iter().filter_map(value).collect()
+    }
+}
+
+fn at(millis: i64) -> Timestamp<urrcp::Robot> {
+    Timestamp::from_nanos(BEGIN + millis * 1_000_000)
+}
+
+fn script(control_type: ControlType, steps: &[(f64, f64)]) -> Command {
+    let step = |(millis, value): &(f64, f64)| Step {
+        offset: Millis::new(*millis).unwrap(),
+        setpoint: Setpoint::new(control_type, *value),
+        stop_condition: None,
+    };
+    Command::Script(Script::new(steps.iter().map(step).collect()).unwrap())
+}
+
+fn timed(device: &str, id: &str, start_ms: f64, command: Command) -> ControlRequest {
+    ControlRequest {
+        timestamp: Some(Timestamp::<Server>::from_nanos(BEGIN)),
+        time_offset_to_start: Some(Millis::new(start_ms).unwrap()),
+        request_id: Some(RequestId::new(id).unwrap()),
+        ..ControlRequest::immediate(DeviceId::new(device).unwrap(), command)
+    }
+}
+
+fn lease(pending: f64, running: f64) -> Option<StopCondition> {
+    Some(StopCondition { pending: Millis::new(pending).ok(), running: Millis::new(running).ok() })
+}
+
+const PAPER: [(f64, f64); 3] = [(0.0, 45.0), (1_000.0, 0.0), (2_000.0, 45.0)];
+
+#[test]
+fn the_papers_script_sets_45_0_45_on_absolute_deadlines() {
+    let mut bench = Bench::new();
+    bench.until(3);
+    bench.request(timed("arm", "a", 1_500.0, script(ControlType::Position, &PAPER)));
+    bench.until(5_000);
+    assert_eq!(bench.values(), [(1_500, 45.0), (2_500, 0.0), (3_500, 45.0)]);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "OK"]);
+    let [accepted, started, ended] = bench.responses()[..] else { panic!() };
+    assert!(matches!(&accepted.status_value, StatusValue::Script(script) if script.steps().len() == 3));
+    assert_eq!(started.event_timestamp, Some(at(1_500)));
+    assert_eq!((ended.steps_done, &ended.status_value), (Some(3), &StatusValue::Number(45.0)));
+}
+
+#[test]
+fn a_start_that_has_passed_is_refused_and_never_started() {
+    let mut bench = Bench::new();
+    bench.until(1_501);
+    bench.request(timed("arm", "a", 1_500.0, script(ControlType::Position, &PAPER)));
+    bench.until(9_000);
+    assert_eq!(bench.statuses(), ["Failed late"]);
+    assert_eq!(bench.values(), []);
+}
+
+#[test]
+fn without_an_offset_a_command_starts_at_once() {
+    let mut bench = Bench::new();
+    bench.until(70);
+    let command = Command::Set(Setpoint::new(ControlType::Position, 30.0));
+    bench.request(ControlRequest::immediate(DeviceId::new("arm").unwrap(), command));
+    assert_eq!(bench.values(), [(70, 30.0)]);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "OK"]);
+}
+
+#[track_caller]
+fn check_refused(device: &str, command: Command, code: ErrorCode) {
+    let mut bench = Bench::new();
+    bench.request(timed(device, "a", 100.0, command));
+    bench.until(500);
+    let error = bench.responses()[0].error.clone().unwrap();
+    assert_eq!(error.code, code, "{error}");
+    assert_eq!(bench.responses()[0].status_value, StatusValue::Null);
+    assert_eq!(bench.values(), []);
+}
+
+#[test]
+fn what_the_device_does_not_declare_is_refused() {
+    check_refused("leg", script(ControlType::Position, &PAPER), ErrorCode::UnknownDevice);
+    check_refused("arm", script(ControlType::Acceleration, &PAPER), ErrorCode::UnsupportedControlType);
+    check_refused("arm", script(ControlType::Position, &[(0.0, 90.5)]), ErrorCode::OutOfRange);
+    check_refused("arm", script(ControlType::Position, &[(0.0, 0.25)]), ErrorCode::OffGranularity);
+    let five: Vec<_> = (0..5).map(|i| (f64::from(i), 1.0)).collect();
+    check_refused("arm", script(ControlType::Position, &five), ErrorCode::TooManySteps);
+}
+
+#[test]
+fn an_unsupported_control_type_sends_the_device_to_its_default_state() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
+    bench.until(150);
+    bench.request(timed("arm", "b", 900.0, script(ControlType::Acceleration, &PAPER)));
+    bench.until(9_000);
+    assert_eq!(bench.values(), [(100, 45.0)]);
+    let position = bench.robot.value("arm", ControlType::Position, bench.now);
+    assert_eq!(position, Some(10.0), "the default value");
+}
+
+#[test]
+fn a_content_hash_that_differs_is_refused() {
+    let mut bench = Bench::new();
+    let mut request = timed("arm", "a", 100.0, script(ControlType::Position, &PAPER));
+    request.content_hash = Some(script(ControlType::Position, &[(0.0, 1.0)]).content_hash());
+    bench.request(request);
+    assert_eq!(bench.statuses(), ["Failed malformed"]);
+}
+
+#[test]
+fn overlapping_scripts_are_refused_and_touching_ones_follow_without_a_gap() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
+    bench.request(timed("arm", "b", 2_999.0, script(ControlType::Position, &PAPER)));
+    bench.request(timed("arm", "c", 3_000.0, script(ControlType::Position, &PAPER)));
+    bench.request(timed("arm", "d", 9_000.0, script(ControlType::Position, &PAPER)));
+    assert_eq!(bench.statuses(), ["Accepted", "Failed overlap", "Accepted", "Failed busy"]);
+    bench.until(9_000);
+    assert_eq!(bench.values().len(), 6);
+}
+
+#[test]
+fn a_repeated_request_is_answered_twice_and_executed_once() {
+    let mut bench = Bench::new();
+    let request = timed("arm", "a", 100.0, script(ControlType::Position, &PAPER));
+    bench.request(request.clone());
+    bench.request(request.clone());
+    bench.until(5_000);
+    bench.request(request);
+    assert_eq!(bench.statuses(), ["Accepted", "Accepted", "Started", "OK", "OK"]);
+    assert_eq!(bench.values().len(), 3);
+}
+
+#[test]
+fn an_empty_script_now_ends_what_runs_and_goes_to_the_default_state() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
+    bench.request(timed("arm", "b", 5_000.0, script(ControlType::Position, &PAPER)));
+    bench.until(600);
+    bench
+        .request(ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel())));
+    bench.until(9_000);
+    assert_eq!(bench.statuses()[3..], ["Failed cancelled", "Failed cancelled", "OK"]);
+    assert_eq!(bench.values(), [(100, 45.0)]);
+    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(10.0));
+}
+
+#[test]
+fn an_empty_script_later_drops_what_starts_then_and_leaves_the_running_one() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
+    bench.request(timed("arm", "b", 5_000.0, script(ControlType::Position, &PAPER)));
+    bench.until(600);
+    bench.request(timed("arm", "c", 4_000.0, Command::Script(Script::cancel())));
+    bench.until(9_000);
+    assert_eq!(bench.values(), [(100, 45.0), (1_100, 0.0), (2_100, 45.0)]);
+}
+
+#[test]
+fn a_pending_script_is_dropped_when_the_server_falls_silent() {
+    let mut bench = Bench::new();
+    let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
+    request.stop_condition = lease(300.0, 300.0);
+    bench.request(request);
+    bench.until(250);
+    bench.send(Message::AvailabilityRequest(AvailabilityRequest::default()));
+    bench.until(9_000);
+    assert_eq!(bench.values(), [], "silent from 250 ms on, dropped at 550 ms");
+    assert_eq!(bench.statuses(), ["Accepted", "Failed link_lost"]);
+    assert_eq!(bench.responses()[1].event_timestamp, Some(at(550)));
+}
+
+#[test]
+fn a_lease_that_ends_at_the_very_instant_of_the_start_wins() {
+    let mut bench = Bench::new();
+    let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
+    request.stop_condition = lease(1_000.0, 1_000.0);
+    bench.request(request);
+    bench.until(9_000);
+    assert_eq!(bench.values(), []);
+}
+
+#[test]
+fn every_message_renews_a_lease_and_a_link_that_is_down_does_not() {
+    let mut bench = Bench::new();
+    let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
+    request.stop_condition = lease(300.0, 300.0);
+    bench.request(request);
+    for millis in (200..=1_600).step_by(200) {
+        bench.until(millis);
+        bench.send(Message::AvailabilityRequest(AvailabilityRequest::default()));
+    }
+    bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
+    bench.until(9_000);
+    assert_eq!(bench.values(), [(1_000, 45.0)], "ended at 1,900 ms, before its second step");
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed link_lost"]);
+}
+
+#[test]
+fn another_servers_messages_renew_nothing() {
+    let mut bench = Bench::new();
+    let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
+    request.stop_condition = lease(300.0, 300.0);
+    bench.request(request);
+    bench.until(250);
+    let ping = Message::AvailabilityRequest(AvailabilityRequest::default());
+    bench.robot.handle(bench.now, LinkId(2), Input::Message(ping), &mut bench.out);
+    bench.until(9_000);
+    assert_eq!(bench.values(), []);
+}
+
+#[test]
+fn a_speed_that_goes_on_after_its_script_still_ends_with_the_lease() {
+    let mut bench = Bench::new();
+    let mut request = timed("wheel", "a", 100.0, script(ControlType::Speed, &[(0.0, 5.0)]));
+    request.stop_condition = lease(400.0, 400.0);
+    bench.request(request);
+    bench.until(300);
+    assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(5.0));
+    bench.until(500);
+    assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(0.0));
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "OK", "Failed link_lost"]);
+}
+
+#[test]
+fn a_linear_device_moves_linearly_and_arrives_on_time() {
+    let mut bench = Bench::new();
+    bench.request(timed("ramp", "a", 100.0, script(ControlType::Position, &[(500.0, 50.0), (1_000.0, 0.0)])));
+    let mut value = |millis| {
+        bench.until(millis);
+        bench.robot.value("ramp", ControlType::Position, bench.now).unwrap()
+    };
+    assert_eq!([value(100), value(350), value(600), value(850), value(1_100)], [0.0, 25.0, 50.0, 25.0, 0.0]);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "OK"]);
+}
+
+#[test]
+fn a_linear_device_without_default_value_holds_where_it_is_stopped() {
+    let mut bench = Bench::new();
+    bench.request(timed("ramp", "a", 100.0, script(ControlType::Position, &[(0.0, 0.0), (1_000.0, 80.0)])));
+    bench.until(600);
+    bench.request(ControlRequest::immediate(
+        DeviceId::new("ramp").unwrap(),
+        Command::Script(Script::cancel()),
+    ));
+    bench.until(2_000);
+    assert_eq!(bench.robot.value("ramp", ControlType::Position, bench.now), Some(40.0));
+}
+
+#[test]
+fn a_sensor_provides_its_reading_and_nothing_else_does() {
+    let mut bench = Bench::new();
+    bench.robot.set_reading(DeviceId::new("thermometer").unwrap(), 21.5);
+    let read = |device: &str| ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::ReadSensor);
+    bench.request(read("thermometer"));
+    bench.request(read("arm"));
+    assert_eq!(bench.responses()[0].status, Status::Provide);
+    assert_eq!(bench.responses()[0].status_value, StatusValue::Number(21.5));
+    assert_eq!(bench.statuses()[1], "Failed unsupported_control_type");
+}
+
+#[test]
+fn a_line_that_is_no_message_is_answered_where_an_answer_is_possible() {
+    let mut bench = Bench::new();
+    let mut decoder = LineDecoder::default();
+    decoder.push(b"{\"control_request\":{\"device_id\":\"arm\",\"request_id\":\"x\"}}\nnonsense\n");
+    for _ in 0..2 {
+        let error = decoder.next_message().unwrap().unwrap_err();
+        bench.robot.handle(bench.now, LINK, Input::Undecodable(error), &mut bench.out);
+    }
+    assert_eq!(bench.statuses(), ["Failed malformed"]);
+    assert_eq!(bench.out.len(), 2, "the second by an availability response");
+}
+
+/// What a server may do at a time.
+#[derive(Clone, Debug)]
+enum Act {
+    Request { device: usize, id: u8, start: f64, steps: Vec<(u16, i16)>, lease: Option<u16> },
+    Ping,
+    Wait(u16),
+}
+
+fn act() -> impl Strategy<Value = Act> {
+    let steps = prop::collection::vec((0u16..400, -30i16..120), 0..6);
+    prop_oneof![
+        4 => (0usize..4, any::<u8>(), 0.0..3_000.0, steps, prop::option::of(1u16..600))
+            .prop_map(|(device, id, start, steps, lease)| Act::Request { device, id, start, steps, lease }),
+        1 => Just(Act::Ping),
+        3 => (0u16..500).prop_map(Act::Wait),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn whatever_a_server_does_no_value_outside_the_limits_is_set_and_nothing_starts_late_or_twice(
+        acts in prop::collection::vec(act(), 0..60),
+    ) {
+        let mut bench = Bench::new();
+        let names = ["arm", "ramp", "wheel", "thermometer"];
+        let mut clock = 0;
+        for act in acts {
+            match act {
+                Act::Wait(millis) => {
+                    clock += i64::from(millis);
+                    bench.until(clock);
+                }
+                Act::Ping => bench.send(Message::AvailabilityRequest(AvailabilityRequest::default())),
+                Act::Request { device, id, start, mut steps, lease: silence } => {
+                    steps.sort_unstable();
+                    let control_type = if device == 2 { ControlType::Speed } else { ControlType::Position };
+                    let steps: Vec<_> = steps.iter().map(|(t, v)| (f64::from(*t), f64::from(*v) / 2.0)).collect();
+                    let mut request = timed(names[device], &id.to_string(), start, script(control_type, &steps));
+                    request.stop_condition = silence.and_then(|s| lease(f64::from(s), f64::from(s)));
+                    bench.request(request);
+                }
+            }
+            for (device, limit) in bench.robot.devices.iter().zip([2, 1, 1, 1]) {
+                prop_assert!(device.held() <= limit);
+            }
+        }
+        bench.until(clock + 10_000);
+        prop_assert!(bench.robot.is_idle() || bench.robot.next_wakeup().is_none());
+        for set in bench.sets() {
+            if let Motion::Set(setpoint) = &set.motion {
+                let device = bench.robot.block().device(set.device.as_str()).unwrap();
+                prop_assert!(device.check(setpoint).is_ok(), "{set:?}");
+            }
+        }
+        let mut started: Vec<_> = bench.responses().iter().filter(|r| r.status == Status::Started)
+            .map(|r| r.request_id.clone()).collect();
+        // A repeated request may repeat the answer, at its own time; starts of one id stand at one instant.
+        started.sort();
+        started.dedup();
+        for id in started {
+            let instants: std::collections::BTreeSet<_> = bench.responses().iter()
+                .filter(|r| r.status == Status::Started && r.request_id == id).map(|r| r.event_timestamp).collect();
+            prop_assert_eq!(instants.len(), 1);
+        }
+    }
+}
+
+#[test]
+fn spans_of_these_tests_are_milliseconds() {
+    assert_eq!(at(1) - at(0), Span::from_millis(1));
+}

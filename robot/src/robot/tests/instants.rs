@@ -1,0 +1,411 @@
+//! What happens at one and the same instant, which lease holds when, and what is remembered.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use super::*;
+use crate::answers::ENDED_KEPT;
+
+fn set(control_type: ControlType, value: f64) -> Command {
+    Command::Set(Setpoint::new(control_type, value))
+}
+
+fn at_once(device: &str, id: &str, command: Command) -> ControlRequest {
+    let request_id = Some(RequestId::new(id).unwrap());
+    ControlRequest { request_id, ..ControlRequest::immediate(DeviceId::new(device).unwrap(), command) }
+}
+
+fn ping() -> Message {
+    Message::AvailabilityRequest(AvailabilityRequest::default())
+}
+
+fn bench_of(devices: &str, reports: bool) -> Bench {
+    let block = format!(r#"{{"id": "r", "api_version": "1", "reports": {reports}, "devices": [{devices}]}}"#);
+    let block = serde_json::from_str(&block).unwrap();
+    Bench { robot: Robot::new(block), now: at(0), out: Vec::new() }
+}
+
+#[test]
+fn a_set_at_the_start_of_a_held_script_comes_before_it() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
+    bench.request(timed("arm", "b", 1_000.0, set(ControlType::Position, 30.0)));
+    bench.until(1_000);
+    assert_eq!(bench.values(), [(1_000, 30.0), (1_000, 45.0)]);
+    assert_eq!(bench.statuses()[2..], ["Started", "OK", "Started"]);
+}
+
+#[test]
+fn a_set_into_a_script_that_has_begun_overlaps_even_at_its_first_instant() {
+    let mut bench = Bench::new();
+    bench.request(at_once("arm", "a", script(ControlType::Position, &PAPER)));
+    bench.request(at_once("arm", "b", set(ControlType::Position, 30.0)));
+    bench.until(500);
+    bench.request(at_once("arm", "c", set(ControlType::Position, 30.0)));
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed overlap", "Failed overlap"]);
+}
+
+#[test]
+fn a_set_at_the_end_of_a_script_follows_it() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, set(ControlType::Position, 30.0)));
+    bench.request(timed("arm", "b", 0.0, script(ControlType::Position, &[(0.0, 1.0), (1_000.0, 2.0)])));
+    bench.until(2_000);
+    assert_eq!(bench.values(), [(0, 1.0), (1_000, 2.0), (1_000, 30.0)]);
+}
+
+#[test]
+fn at_one_instant_a_step_comes_before_the_message_that_would_cancel_it() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
+    bench.now = at(2_000);
+    bench.request(at_once("arm", "b", Command::Script(Script::cancel())));
+    assert_eq!(bench.values(), [(1_000, 45.0), (2_000, 0.0)]);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed cancelled", "OK"]);
+}
+
+#[test]
+fn at_one_instant_a_lease_runs_out_before_the_message_that_would_renew_it() {
+    let mut bench = Bench::new();
+    let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
+    request.stop_condition = lease(300.0, 300.0);
+    bench.request(request);
+    bench.now = at(300);
+    bench.send(ping());
+    assert_eq!(bench.statuses(), ["Accepted", "Failed link_lost"]);
+}
+
+#[test]
+fn all_movements_of_one_instant_come_before_all_reports() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
+    bench.request(timed("wheel", "b", 1_000.0, set(ControlType::Speed, 5.0)));
+    bench.out.clear();
+    bench.until(1_000);
+    let kinds: Vec<_> = bench.out.iter().map(|output| matches!(output, Output::Set(_))).collect();
+    assert_eq!(kinds, [true, true, false, false, false]);
+}
+
+#[test]
+fn steps_keep_their_absolute_deadlines_when_the_driver_wakes_late() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
+    bench.robot.advance(at(1_007), &mut bench.out);
+    bench.robot.advance(at(2_900), &mut bench.out);
+    bench.until(3_000);
+    assert_eq!(bench.values(), [(1_000, 45.0), (2_000, 0.0), (3_000, 45.0)]);
+    assert_eq!(bench.responses()[1].event_timestamp, Some(at(1_007)), "when it really started");
+}
+
+#[test]
+fn a_start_does_not_take_place_when_the_running_lease_is_over_by_then() {
+    let mut bench = Bench::new();
+    let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
+    request.stop_condition = lease(5_000.0, 200.0);
+    bench.request(request);
+    bench.until(9_000);
+    assert_eq!(bench.values(), []);
+    assert_eq!(bench.statuses(), ["Accepted", "Failed link_lost"]);
+    assert_eq!(bench.responses()[1].event_timestamp, Some(at(1_000)));
+}
+
+fn with_own_lease(step: usize, own: Option<StopCondition>) -> Command {
+    let Command::Script(script) = script(ControlType::Position, &PAPER) else { panic!() };
+    let mut steps = script.steps().to_vec();
+    steps[step].stop_condition = own;
+    Command::Script(Script::new(steps).unwrap())
+}
+
+#[test]
+fn a_step_is_not_set_when_its_own_lease_is_over_by_then() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 100.0, with_own_lease(1, lease(300.0, 300.0))));
+    bench.until(9_000);
+    assert_eq!(bench.values(), [(100, 45.0)]);
+    assert_eq!(bench.responses()[2].event_timestamp, Some(at(1_100)));
+}
+
+#[test]
+fn a_steps_own_stop_condition_holds_while_it_is_the_current_one() {
+    let mut bench = Bench::new();
+    let unlimited = Some(StopCondition { pending: None, running: None });
+    let mut request = timed("arm", "a", 100.0, with_own_lease(0, unlimited));
+    request.stop_condition = lease(1_500.0, 1_500.0);
+    bench.request(request);
+    bench.until(9_000);
+    assert_eq!(bench.values(), [(100, 45.0), (1_100, 0.0)], "lost at 1,500 ms, in the second step");
+}
+
+#[test]
+fn a_speed_left_on_stays_under_its_lease_when_a_command_for_another_signal_begins() {
+    let mut bench = Bench::new();
+    let mut request = at_once("arm", "a", set(ControlType::Speed, 5.0));
+    request.stop_condition = lease(400.0, 400.0);
+    bench.request(request);
+    bench.until(100);
+    let mut position = at_once("arm", "b", set(ControlType::Position, 30.0));
+    position.stop_condition = lease(9_000.0, 9_000.0);
+    bench.request(position);
+    bench.until(500);
+    assert_eq!(bench.robot.value("arm", ControlType::Speed, bench.now), Some(0.0));
+    let lost = bench.responses()[6];
+    assert_eq!(lost.request_id.as_ref().map(RequestId::as_str), Some("a"));
+    assert_eq!(lost.event_timestamp, Some(at(500)));
+}
+
+#[test]
+fn a_speed_that_is_set_again_is_under_the_new_lease() {
+    let mut bench = Bench::new();
+    let mut request = at_once("wheel", "a", set(ControlType::Speed, 5.0));
+    request.stop_condition = lease(400.0, 400.0);
+    bench.request(request);
+    bench.request(at_once("wheel", "b", set(ControlType::Speed, 3.0)));
+    bench.until(9_000);
+    assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(3.0), "b has no lease");
+    assert!(bench.robot.is_idle());
+}
+
+#[test]
+fn a_pending_set_that_is_repeated_after_many_other_requests_is_executed_once() {
+    let mut bench = Bench::new();
+    let held = timed("arm", "held", 5_000.0, set(ControlType::Position, 30.0));
+    bench.request(held.clone());
+    for i in 0..2 * ENDED_KEPT {
+        bench.request(timed("leg", &i.to_string(), 100.0, set(ControlType::Position, 1.0)));
+    }
+    bench.until(10);
+    bench.request(held);
+    assert_eq!(bench.statuses().last().map(String::as_str), Some("Accepted"));
+    assert_eq!(bench.responses().last().unwrap().timestamp, at(10), "sent again, so stamped again");
+    bench.until(9_000);
+    assert_eq!(bench.values(), [(5_000, 30.0)]);
+}
+
+#[test]
+fn an_unsupported_control_type_cancels_what_the_device_held() {
+    let mut bench = Bench::new();
+    bench.request(timed("wheel", "a", 100.0, set(ControlType::Speed, 5.0)));
+    bench.request(at_once("wheel", "b", set(ControlType::Position, 5.0)));
+    assert_eq!(bench.statuses(), ["Accepted", "Failed cancelled", "Failed unsupported_control_type"]);
+}
+
+#[test]
+fn a_cancel_is_never_late_and_echoes_its_hash() {
+    let mut bench = Bench::new();
+    bench.until(700);
+    let mut cancel = timed("arm", "a", 100.0, Command::Script(Script::cancel()));
+    cancel.content_hash = Some(cancel.command.content_hash());
+    bench.request(cancel.clone());
+    assert_eq!(bench.statuses(), ["OK"]);
+    assert_eq!(bench.responses()[0].content_hash, cancel.content_hash);
+}
+
+#[test]
+fn the_content_hash_is_computed_and_echoed_where_the_request_carries_one() {
+    let mut bench = Bench::new();
+    let mut request = timed("arm", "a", 100.0, script(ControlType::Position, &PAPER));
+    request.content_hash = Some(request.command.content_hash());
+    bench.request(request.clone());
+    bench.request(timed("ramp", "b", 100.0, script(ControlType::Position, &PAPER)));
+    let hashes: Vec<_> = bench.responses().iter().map(|response| response.content_hash).collect();
+    assert_eq!(hashes, [request.content_hash, None]);
+}
+
+const DOOR: &str = r#"{"id": "door", "name": "door", "interpolation": "linear", "available_control_types": {
+    "position": {"min_value": 20, "max_value": 90, "granularity": 1},
+    "speed": {"min_value": -5, "max_value": 5, "granularity": 1},
+    "script": {"min_value": -5, "max_value": 90, "granularity": 1, "max_number_of_steps": 9}}}"#;
+
+#[test]
+fn without_reports_nothing_follows_the_acceptance() {
+    let mut bench = bench_of(DOOR, false);
+    let mut request = timed("door", "a", 100.0, script(ControlType::Position, &[(0.0, 45.0)]));
+    request.stop_condition = lease(200.0, 200.0);
+    bench.request(request);
+    bench.until(9_000);
+    assert_eq!(bench.statuses(), ["Accepted"]);
+    assert_eq!(bench.values(), [(100, 45.0)]);
+}
+
+#[test]
+fn a_position_that_cannot_be_zero_begins_at_the_nearest_it_can_take() {
+    let bench = bench_of(DOOR, true);
+    assert_eq!(bench.robot.value("door", ControlType::Position, at(0)), Some(20.0));
+}
+
+#[test]
+fn a_step_at_the_time_of_the_one_before_is_a_jump() {
+    let mut bench = bench_of(DOOR, true);
+    let steps = [(0.0, 30.0), (1_000.0, 40.0), (1_000.0, 60.0)];
+    bench.request(timed("door", "a", 0.0, script(ControlType::Position, &steps)));
+    bench.until(9_000);
+    assert_eq!(bench.values(), [(0, 30.0), (1_000, 40.0), (1_000, 60.0)]);
+    let ramps = bench.sets().iter().filter(|set| matches!(set.motion, Motion::Ramp { .. })).count();
+    assert_eq!(ramps, 1, "from 30 to 40");
+}
+
+#[test]
+fn a_linear_device_does_not_ramp_from_one_control_type_to_another() {
+    let mut bench = bench_of(DOOR, true);
+    let step = |millis, control_type, value| Step {
+        offset: Millis::new(millis).unwrap(),
+        setpoint: Setpoint::new(control_type, value),
+        stop_condition: None,
+    };
+    let steps = vec![step(0.0, ControlType::Position, 30.0), step(500.0, ControlType::Speed, 4.0)];
+    bench.request(timed("door", "a", 0.0, Command::Script(Script::new(steps).unwrap())));
+    bench.until(9_000);
+    assert!(bench.sets().iter().all(|set| matches!(set.motion, Motion::Set(_))));
+    assert_eq!(bench.values(), [(0, 30.0), (500, 4.0)]);
+}
+
+#[test]
+fn an_availability_request_is_answered_with_its_own_time_and_the_robots() {
+    let mut bench = Bench::new();
+    bench.until(40);
+    bench.send(Message::AvailabilityRequest(AvailabilityRequest {
+        timestamp: Some(Timestamp::from_nanos(7)),
+    }));
+    let Some(Output::Send { message: Message::AvailabilityResponse(response), .. }) = bench.out.last() else {
+        panic!()
+    };
+    assert_eq!(response.originate_timestamp, Some(Timestamp::from_nanos(7)));
+    assert_eq!((response.receive_timestamp, response.timestamp), (at(40), at(40)));
+    assert_eq!(response.status, Status::Ok);
+}
+
+#[test]
+fn an_initialization_request_is_answered_with_the_block_and_a_robots_own_message_not_at_all() {
+    let mut bench = Bench::new();
+    bench.send(Message::InitializationRequest(urrcp::InitializationRequest::default()));
+    let block = bench.robot.block().clone();
+    bench.send(Message::InitializationBlock(block.clone()));
+    assert_eq!(bench.out.len(), 1);
+    let answered =
+        matches!(&bench.out[0], Output::Send { message: Message::InitializationBlock(b), .. } if *b == block);
+    assert!(answered);
+}
+
+#[test]
+fn the_wake_ups_of_32_000_devices_are_found_without_asking_each() {
+    let device = |i: usize| DOOR.replacen("\"door\"", &format!("\"d{i}\""), 1);
+    let devices: Vec<_> = (0..32_000).map(device).collect();
+    let mut bench = bench_of(&devices.join(","), true);
+    for i in 0..32_000 {
+        let id = format!("d{i}");
+        bench.request(timed(&id, &id, 1_000.0 + f64::from(i), set(ControlType::Position, 30.0)));
+    }
+    let end = 1_000 + 32_000;
+    bench.until(end);
+    assert_eq!(bench.values().len(), 32_000);
+    assert!(bench.values().iter().map(|(millis, _)| *millis).eq(1_000..end));
+}
+
+/// What a server may do at a time, with ids of its own for each request.
+#[derive(Clone, Debug)]
+enum Move {
+    Request {
+        device: usize,
+        link: u64,
+        start: Option<u16>,
+        steps: Vec<(u16, u8)>,
+        pending: u16,
+        running: u16,
+    },
+    Ping {
+        link: u64,
+    },
+    Wait(u16),
+}
+
+fn any_move() -> impl Strategy<Value = Move> {
+    // Coarse times, so that many events fall on one instant.
+    let tick = |max: u16| (0..max).prop_map(|ticks| ticks * 50);
+    let steps = prop::collection::vec((tick(8), 0u8..10), 0..4);
+    prop_oneof![
+        4 => (0usize..3, 0u64..2, prop::option::of(tick(30)), steps, tick(20), tick(20)).prop_map(
+            |(device, link, start, steps, pending, running)| Move::Request {
+                device, link, start, steps, pending, running
+            }
+        ),
+        2 => (0u64..2).prop_map(|link| Move::Ping { link }),
+        3 => tick(8).prop_map(Move::Wait),
+    ]
+}
+
+struct Sent {
+    link: u64,
+    start: Timestamp<urrcp::Robot>,
+    first_offset: Span,
+    lease: StopCondition,
+}
+
+proptest! {
+    #[test]
+    fn no_lease_is_outlived_no_start_is_missed_by_a_nanosecond_and_no_step_is_set_twice(
+        moves in prop::collection::vec(any_move(), 0..80),
+    ) {
+        let mut bench = Bench::new();
+        let mut heard: BTreeMap<u64, Vec<Timestamp<urrcp::Robot>>> = BTreeMap::new();
+        let mut sent = BTreeMap::new();
+        let mut millis = 0;
+        for (id, one) in moves.into_iter().enumerate() {
+            match one {
+                Move::Wait(wait) => {
+                    millis += i64::from(wait);
+                    bench.until(millis);
+                }
+                Move::Ping { link } => {
+                    heard.entry(link).or_default().push(bench.now);
+                    bench.robot.handle(bench.now, LinkId(link), Input::Message(ping()), &mut bench.out);
+                }
+                Move::Request { device, link, start, mut steps, pending, running } => {
+                    steps.sort_unstable();
+                    let name = ["arm", "ramp", "wheel"][device];
+                    let control_type = if device == 2 { ControlType::Speed } else { ControlType::Position };
+                    let steps: Vec<_> = steps.iter().map(|(t, v)| (f64::from(*t), f64::from(*v))).collect();
+                    let command = match steps[..] {
+                        [(_, value)] => set(control_type, value),
+                        _ => script(control_type, &steps),
+                    };
+                    let first_offset = match &command {
+                        Command::Script(script) => script.steps().first().map_or(Span::ZERO, |s| s.offset.span()),
+                        _ => Span::ZERO,
+                    };
+                    let mut request = at_once(name, &id.to_string(), command);
+                    if let Some(start) = start {
+                        request.timestamp = Some(Timestamp::from_nanos(BEGIN));
+                        request.time_offset_to_start = Millis::new(f64::from(start)).ok();
+                    }
+                    let lease = lease(f64::from(pending), f64::from(running)).unwrap();
+                    request.stop_condition = Some(lease);
+                    let start = start.map_or(bench.now, |start| at(i64::from(start)));
+                    sent.insert(id.to_string(), Sent { link, start, first_offset, lease });
+                    heard.entry(link).or_default().push(bench.now);
+                    let input = Input::Message(Message::ControlRequest(request));
+                    bench.robot.handle(bench.now, LinkId(link), input, &mut bench.out);
+                }
+            }
+        }
+        bench.until(millis + 10_000);
+        prop_assert!(bench.robot.is_idle());
+        let mut seen = BTreeSet::new();
+        for moved in bench.sets() {
+            let Some(id) = moved.request_id.as_ref().map(RequestId::as_str) else { continue };
+            let Sent { link, start, first_offset, lease } = &sent[id];
+            // Messages of the instant itself come after the movement, so only those before it count; but a command
+            // that starts on receipt starts by that very message.
+            let last = heard[link].iter().filter(|at| **at < moved.due || **at <= *start && *start == moved.due).max();
+            let silence = moved.due - *last.unwrap();
+            prop_assert!(lease.running.is_some_and(|running| silence < running.span()), "{moved:?} after {silence}");
+            if let (Motion::Set(_), Some(step)) = (&moved.motion, moved.step) {
+                prop_assert!(seen.insert((id.to_owned(), step)), "twice: {moved:?}");
+                prop_assert!(step > 0 || moved.due == *start + *first_offset, "{moved:?}");
+            }
+        }
+        for response in bench.responses() {
+            if let (Status::Started, Some(id)) = (&response.status, &response.request_id) {
+                prop_assert_eq!(response.event_timestamp, Some(sent[id.as_str()].start));
+            }
+        }
+    }
+}
