@@ -1,0 +1,184 @@
+//! How closely six robots start: deferred start against start on receipt, side by side in one run.
+//!
+//! Six robot processes on TCP, each with a clock of its own up to 300 ms off that its NTP knows to 40 us, every message
+//! delayed at random by 0 to 80 ms each way. True starts are read from the robots' own logs, by the one clock of the host.
+#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a program that measures, and stops if it cannot")]
+#![expect(clippy::disallowed_methods, reason = "real processes take real time")]
+#![expect(clippy::cast_precision_loss, reason = "figures for people")]
+
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use downbeat::link::{Endpoint, Link};
+use downbeat::mission::{Event, Mission, MissionOptions, Participant};
+use downbeat::server_clock::ServerClock;
+use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
+use tokio::sync::mpsc;
+use urrcp::{
+    Command as Control, ControlRequest, ControlType, DeviceId, InitializationBlock, Message, Millis, RobotId, Script,
+    Setpoint, Span, Status, Step, StopCondition,
+};
+
+const ROBOTS: usize = 6;
+const MISSIONS: usize = 50;
+
+const ROBOT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
+  {"id": "d", "name": "d", "available_control_types": {
+     "position": {"min_value": 0, "max_value": 90, "granularity": 1},
+     "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
+
+struct Fleet {
+    folder: PathBuf,
+    robots: Vec<Child>,
+    ports: Vec<u16>,
+}
+
+impl Fleet {
+    fn start(folder: &Path) -> Self {
+        std::fs::write(folder.join("robot.json"), ROBOT).unwrap();
+        let mut fleet = Self { folder: folder.to_path_buf(), robots: Vec::new(), ports: Vec::new() };
+        for id in 0..ROBOTS {
+            let mut command = Command::new(env!("CARGO_BIN_EXE_downbeat"));
+            command.args(["robot", "--listen", "127.0.0.1:0", "--id", &format!("r{id}"), "--init"]);
+            command.arg(folder.join("robot.json")).arg("--log-file").arg(fleet.log(id));
+            command.args(["--clock-offset", &format!("{}ms", id * 60), "--ntp-error", "40us"]);
+            command.args(["--delay-max", "80ms", "--seed", &id.to_string()]);
+            let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
+            let mut line = String::new();
+            BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+            fleet.ports.push(line.trim().rsplit(':').next().unwrap().parse().unwrap());
+            fleet.robots.push(child);
+        }
+        fleet
+    }
+
+    fn log(&self, id: usize) -> PathBuf {
+        self.folder.join(format!("r{id}.jsonl"))
+    }
+
+    fn endpoint(&self, id: usize) -> Endpoint {
+        Endpoint::Tcp { host: "127.0.0.1".into(), port: self.ports[id] }
+    }
+
+    /// True instants at which a robot began a script, in nanoseconds.
+    fn starts(&self, id: usize) -> Vec<i64> {
+        let log = std::fs::read_to_string(self.log(id)).unwrap();
+        let entries = log.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
+        let first = entries.filter(|entry| entry["motion"] == "set" && entry["step"] == 0);
+        first.map(|entry| entry["true_ns"].as_i64().unwrap()).collect()
+    }
+
+    /// Spread of each mission's starts in milliseconds, sorted.
+    fn spreads(&self, missions: std::ops::Range<usize>) -> Vec<f64> {
+        let starts: Vec<_> = (0..ROBOTS).map(|id| self.starts(id)).collect();
+        let spread = |mission: usize| {
+            let instants = || starts.iter().map(|starts| starts[mission]);
+            (instants().max().unwrap() - instants().min().unwrap()) as f64 / 1e6
+        };
+        let mut spreads: Vec<_> = missions.map(spread).collect();
+        spreads.sort_by(f64::total_cmp);
+        spreads
+    }
+}
+
+impl Drop for Fleet {
+    fn drop(&mut self) {
+        for robot in &mut self.robots {
+            let _gone = robot.kill();
+            let _reaped = robot.wait();
+        }
+    }
+}
+
+fn script() -> Script {
+    let step = |millis, value| Step {
+        offset: Millis::new(millis).unwrap(),
+        setpoint: Setpoint::new(ControlType::Position, value),
+        stop_condition: None,
+    };
+    Script::new(vec![step(0.0, 45.0), step(20.0, 0.0), step(40.0, 45.0)]).unwrap()
+}
+
+fn plan() -> Plan {
+    let stop_condition = StopCondition { pending: None, running: Millis::new(2_000.0).ok() };
+    let device = DeviceId::new("d").unwrap();
+    let script = DeviceScript { device, start: Millis::ZERO, stop_condition, script: script() };
+    let robot = |id| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script.clone()] };
+    let robots = (0..ROBOTS).map(robot).collect();
+    let start_tolerance = Span::from_millis(10);
+    Plan { scenario: "spread".into(), start_tolerance, lead: None, stop_condition, robots }
+}
+
+/// One mission by Downbeat.
+async fn deferred(fleet: &Fleet) {
+    let block: InitializationBlock = serde_json::from_str(ROBOT).unwrap();
+    let participant = |id| Participant { id: RobotId::new(format!("r{id}")).unwrap(), block: Some(block.clone()) };
+    let clock = ServerClock::anchored(Span::ZERO);
+    let participants = (0..ROBOTS).map(participant).collect();
+    let mission = Mission::new(plan(), participants, MissionOptions::default(), clock.now()).unwrap();
+    let endpoints = (0..ROBOTS).map(|id| fleet.endpoint(id)).collect();
+    let (_operator, said) = mpsc::channel(1);
+    let report = downbeat::run::run(mission, endpoints, clock, said, |_, _| {}).await;
+    assert!(report.is_done(), "{}: {:?}", report.outcome, report.failures);
+}
+
+/// The same script sent to all at once, each starting when it receives it.
+async fn on_receipt(fleet: &Fleet) {
+    let (events, mut happened) = mpsc::channel(1_024);
+    let clock = ServerClock::anchored(Span::ZERO);
+    let links: Vec<_> =
+        (0..ROBOTS).map(|id| Link::open(id, fleet.endpoint(id), clock, events.clone())).collect();
+    let (mut up, mut ended) = (0, 0);
+    while ended < ROBOTS {
+        match happened.recv().await.unwrap().1 {
+            Event::LinkUp { .. } => {
+                up += 1;
+                if up == ROBOTS {
+                    links.iter().for_each(send_at_once);
+                }
+            }
+            Event::Received { message: Message::ControlResponse(response), .. } => {
+                assert_ne!(response.status, Status::Failed, "{response:?}");
+                ended += usize::from(response.status == Status::Ok);
+            }
+            _ => {}
+        }
+    }
+}
+
+fn send_at_once(link: &Link) {
+    let command = Control::Script(script());
+    link.send(Message::ControlRequest(ControlRequest::immediate(DeviceId::new("d").unwrap(), command)));
+}
+
+fn row(name: &str, spreads: &[f64]) {
+    let count = spreads.len();
+    // Nearest rank: the p99 of 50 is the largest.
+    let rank = |percent: usize| spreads[(count * percent).div_ceil(100) - 1];
+    println!("{name:<28}{:>12.3}{:>12.3}{:>12.3}", rank(50), rank(99), rank(100));
+}
+
+fn main() {
+    let folder = tempfile::tempdir().unwrap();
+    let fleet = Fleet::start(folder.path());
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+    runtime.block_on(async {
+        for _ in 0..MISSIONS {
+            deferred(&fleet).await;
+        }
+        for _ in 0..MISSIONS {
+            on_receipt(&fleet).await;
+        }
+    });
+    // The logs are written within 50 ms.
+    std::thread::sleep(Duration::from_millis(200));
+    println!("spread of true starts of {ROBOTS} robots over {MISSIONS} missions, ms");
+    println!("{:<28}{:>12}{:>12}{:>12}", "", "p50", "p99", "max");
+    let (by_time, by_receipt) = (fleet.spreads(0..MISSIONS), fleet.spreads(MISSIONS..2 * MISSIONS));
+    row("deferred start", &by_time);
+    row("start on receipt (baseline)", &by_receipt);
+    let middle = |spreads: &[f64]| spreads[spreads.len() / 2];
+    println!("ratio of medians, receipt / deferred: {:.0}", middle(&by_receipt) / middle(&by_time));
+}
