@@ -2,7 +2,11 @@
 //!
 //! Six robot processes on TCP, each with a clock of its own up to 300 ms off that its NTP knows to 40 us, every message
 //! delayed at random by 0 to 80 ms each way. True starts are read from the robots' own logs, by the one clock of the host.
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a program that measures, and stops if it cannot")]
+#![expect(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    reason = "a program that measures, and stops if it cannot"
+)]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 #![expect(clippy::cast_precision_loss, reason = "figures for people")]
 
@@ -17,8 +21,8 @@ use downbeat::server_clock::ServerClock;
 use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
 use tokio::sync::mpsc;
 use urrcp::{
-    Command as Control, ControlRequest, ControlType, DeviceId, InitializationBlock, Message, Millis, RobotId, Script,
-    Setpoint, Span, Status, Step, StopCondition,
+    Command as Control, ControlRequest, ControlType, DeviceId, InitializationBlock, Message, Millis, RobotId,
+    Script, Setpoint, Span, Status, Step, StopCondition,
 };
 
 const ROBOTS: usize = 6;
@@ -105,7 +109,8 @@ fn plan() -> Plan {
     let stop_condition = StopCondition { pending: None, running: Millis::new(2_000.0).ok() };
     let device = DeviceId::new("d").unwrap();
     let script = DeviceScript { device, start: Millis::ZERO, stop_condition, script: script() };
-    let robot = |id| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script.clone()] };
+    let robot =
+        |id| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script.clone()] };
     let robots = (0..ROBOTS).map(robot).collect();
     let start_tolerance = Span::from_millis(10);
     Plan { scenario: "spread".into(), start_tolerance, lead: None, stop_condition, robots }
@@ -114,7 +119,8 @@ fn plan() -> Plan {
 /// One mission by Downbeat.
 async fn deferred(fleet: &Fleet) {
     let block: InitializationBlock = serde_json::from_str(ROBOT).unwrap();
-    let participant = |id| Participant { id: RobotId::new(format!("r{id}")).unwrap(), block: Some(block.clone()) };
+    let participant =
+        |id| Participant { id: RobotId::new(format!("r{id}")).unwrap(), block: Some(block.clone()) };
     let clock = ServerClock::anchored(Span::ZERO);
     let participants = (0..ROBOTS).map(participant).collect();
     let mission = Mission::new(plan(), participants, MissionOptions::default(), clock.now()).unwrap();
