@@ -1,7 +1,11 @@
 //! One device as a machine: its queue of commands, its steps on absolute deadlines, its default state.
 //!
-//! Order of events at one instant: leases that run out, then steps in the order of the queue, then (in `robot`) the
-//! message that arrives. So a lease that ends at the very instant of a start wins, and nothing starts.
+//! Order of events at one instant:
+//! 1. leases that run out, counting the lease that would hold after a start or step due then: so a lease that ends at
+//!    the very instant of a start wins, and nothing starts;
+//! 2. starts and steps in the order of the queue: a command that ends then, commands of no length, a script that
+//!    begins then;
+//! 3. (in `robot`) the message that arrives.
 
 use std::collections::{BTreeMap, VecDeque};
 

@@ -10,7 +10,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use serde::Serialize;
-use tokio::sync::mpsc;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use urrcp::{Message, RobotId, Timestamp};
 
 use crate::clock::HostClock;
@@ -21,6 +21,8 @@ use crate::simulated::{Outgoing, SimulatedRobot, True};
 
 /// Messages that may wait for a peer; one that does not read is hung up on.
 const OUTGOING_MAX: usize = 65_536;
+/// Inputs that a peer outside this process may have handed over and the robot not yet taken; more have to wait.
+const WINDOW: usize = 32;
 /// Between two writes of the log, so that a killed process loses little.
 const LOG_FLUSH: Duration = Duration::from_millis(50);
 
@@ -58,9 +60,20 @@ pub enum LinkEvent {
     Closed,
 }
 
+#[expect(clippy::large_enum_variant, reason = "nearly every order is an input")]
 enum Order {
-    Open { robot: usize, link: LinkId, peer: mpsc::Sender<LinkEvent> },
-    Input { robot: usize, link: LinkId, input: Input },
+    Open {
+        robot: usize,
+        link: LinkId,
+        peer: mpsc::Sender<LinkEvent>,
+    },
+    /// The permit, where there is one, is given back once the robot has taken the input.
+    Input {
+        robot: usize,
+        link: LinkId,
+        input: Input,
+        permit: Option<OwnedSemaphorePermit>,
+    },
     Stop,
 }
 
@@ -95,6 +108,7 @@ pub(crate) struct LinkSender {
     orders: std_mpsc::Sender<Order>,
     robot: usize,
     link: LinkId,
+    window: Arc<Semaphore>,
 }
 
 impl Host {
@@ -180,7 +194,12 @@ impl HostHandle {
 impl RobotLink {
     /// Sends a message to the robot. A host that has stopped takes none; [`RobotLink::recv`] says so.
     pub fn send(&self, message: Message) {
-        self.sender().send(Input::Message(message));
+        self.order(Input::Message(message));
+    }
+
+    fn order(&self, input: Input) {
+        let order = Order::Input { robot: self.robot, link: self.link, input, permit: None };
+        let _stopped = self.orders.send(order);
     }
 
     /// What the robot says next; `None` once the host has stopped.
@@ -194,19 +213,23 @@ impl RobotLink {
     }
 
     pub(crate) fn sender(&self) -> LinkSender {
-        LinkSender { orders: self.orders.clone(), robot: self.robot, link: self.link }
+        let window = Arc::new(Semaphore::new(WINDOW));
+        LinkSender { orders: self.orders.clone(), robot: self.robot, link: self.link, window }
     }
 }
 
 impl LinkSender {
-    pub(crate) fn send(&self, input: Input) {
-        let _stopped = self.orders.send(Order::Input { robot: self.robot, link: self.link, input });
+    /// Sends once the robot keeps up, so that a peer can never make the host hold more than [`WINDOW`] of its inputs.
+    pub(crate) async fn send(&self, input: Input) {
+        // Nobody closes the window, so there always is a permit in the end.
+        let permit = Arc::clone(&self.window).acquire_owned().await.ok();
+        let _stopped = self.orders.send(Order::Input { robot: self.robot, link: self.link, input, permit });
     }
 }
 
 impl Drop for RobotLink {
     fn drop(&mut self) {
-        self.sender().send(Input::LinkDown);
+        self.order(Input::LinkDown);
     }
 }
 
@@ -221,6 +244,7 @@ struct Executor {
     clock: HostClock,
     log: Option<std_mpsc::Sender<LoggedBatch>>,
     out: Vec<Outgoing>,
+    due: Vec<usize>,
 }
 
 impl Executor {
@@ -233,6 +257,7 @@ impl Executor {
             clock: HostClock::anchored(),
             log,
             out: Vec::new(),
+            due: Vec::new(),
         }
     }
 
@@ -257,26 +282,33 @@ impl Executor {
                 self.peers.insert(link, peer);
                 self.advance(robot);
             }
-            Order::Input { robot, link, input } => {
+            Order::Input { robot, link, input, permit } => {
                 if matches!(input, Input::LinkDown) {
                     self.peers.remove(&link);
                 }
                 let now = self.clock.now();
                 self.robots[robot].receive(now, link, input);
                 self.advance(robot);
+                drop(permit);
             }
             Order::Stop => {}
         }
     }
 
+    /// First moves every robot that is due, then lets each speak: no robot's start waits for another's report.
     fn advance_due(&mut self) {
         let now = self.clock.now();
-        while let Some(&(at, robot)) = self.wakeups.first() {
-            if at > now {
-                return;
-            }
+        let mut due = std::mem::take(&mut self.due);
+        due.extend(self.wakeups.iter().take_while(|(at, _)| *at <= now).map(|(_, robot)| *robot));
+        for robot in &due {
+            let now = self.clock.now();
+            self.robots[*robot].advance_movements(now);
+        }
+        for robot in due.drain(..) {
             self.advance(robot);
         }
+        // Back goes the empty vector, so that its memory serves again.
+        self.due = due;
     }
 
     fn advance(&mut self, robot: usize) {
@@ -346,3 +378,6 @@ fn write_batch(file: &mut impl Write, robot: &RobotId, batch: &[LogEntry]) -> io
     }
     Ok(())
 }
+
+#[cfg(test)]
+pub(crate) mod tests;

@@ -69,7 +69,8 @@ pub struct Robot {
     answers: Answers,
     readings: HashMap<DeviceId, f64>,
     effects: Vec<Effect>,
-    reports: Vec<(usize, Effect)>,
+    /// What is to be told, of which device, and when it happened.
+    reports: Vec<(usize, Now, Effect)>,
 }
 
 type Now = Timestamp<urrcp::Robot>;
@@ -126,15 +127,21 @@ impl Robot {
 
     /// Does everything due at or before `now`: all movements stand ahead of all reports.
     pub fn advance(&mut self, now: Now, out: &mut Vec<Output>) {
+        self.advance_movements(now, out);
+        self.send_reports(now, out);
+    }
+
+    /// The movements due at or before `now`, without their reports: for a driver that moves many robots at one instant
+    /// before it spends time on words.
+    pub(crate) fn advance_movements(&mut self, now: Now, out: &mut Vec<Output>) {
         while let Some(&(at, index)) = self.wakeups.first() {
             if at > now {
                 break;
             }
             self.devices[index].advance(now, &self.heard, &mut self.effects);
             self.refresh_wakeup(index);
-            self.move_device(index, out);
+            self.move_device(now, index, out);
         }
-        self.send_reports(now, out);
     }
 
     /// Takes what reached the robot at `now`, after everything that was due until then.
@@ -330,7 +337,7 @@ impl Robot {
     /// After a device has been changed from outside: its next wake-up, its movements, its reports.
     fn settle(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
         self.refresh_wakeup(index);
-        self.move_device(index, out);
+        self.move_device(now, index, out);
         self.send_reports(now, out);
     }
 
@@ -366,31 +373,31 @@ impl Robot {
     }
 
     /// Puts out a device's movements and keeps its reports for later, so that no movement waits for a report.
-    fn move_device(&mut self, index: usize, out: &mut Vec<Output>) {
+    fn move_device(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
         let device = &self.devices[index].spec.id;
         for effect in self.effects.drain(..) {
             match effect {
                 Effect::Move { motion, due, request_id, step } => {
                     out.push(Output::Set(SetValue { device: device.clone(), motion, due, request_id, step }));
                 }
-                report => self.reports.push((index, report)),
+                report => self.reports.push((index, now, report)),
             }
         }
     }
 
-    fn send_reports(&mut self, now: Now, out: &mut Vec<Output>) {
+    pub(crate) fn send_reports(&mut self, now: Now, out: &mut Vec<Output>) {
         let mut reports = std::mem::take(&mut self.reports);
-        for (index, report) in reports.drain(..) {
-            let device = self.devices[index].spec.id.clone();
-            self.report(now, &device, report, out);
+        for (index, happened, report) in reports.drain(..) {
+            self.report(now, index, happened, report, out);
         }
         // Back goes the empty vector, so that its memory serves again.
         self.reports = reports;
     }
 
-    fn report(&mut self, now: Now, device: &DeviceId, effect: Effect, out: &mut Vec<Output>) {
+    fn report(&mut self, now: Now, index: usize, happened: Now, effect: Effect, out: &mut Vec<Output>) {
+        let device = self.devices[index].spec.id.clone();
         let base =
-            |status| ControlResponse { event_timestamp: Some(now), ..response(now, device.clone(), status) };
+            |status| ControlResponse { event_timestamp: Some(happened), ..response(now, device, status) };
         let (link, report) = match effect {
             Effect::Move { .. } => return,
             Effect::Started { link, request_id, value } => {

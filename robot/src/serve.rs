@@ -1,7 +1,9 @@
 //! JSON lines over TCP round a robot of a host.
 
 use std::io;
+use std::net::SocketAddr;
 use std::sync::Arc;
+use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::tcp::OwnedReadHalf;
@@ -14,6 +16,10 @@ use crate::robot::Input;
 
 /// Servers that may be connected to one robot at a time; more have to wait.
 const CONNECTIONS_MAX: usize = 16;
+/// How long a peer may refuse to read before it is hung up on.
+const WRITE_WAIT_MAX: Duration = Duration::from_secs(10);
+/// Before the next try when the system has no file descriptor left: others must close first.
+const ACCEPT_RETRY: Duration = Duration::from_millis(50);
 
 /// Accepts servers for one robot until the host stops.
 ///
@@ -23,7 +29,7 @@ pub async fn serve(listener: TcpListener, host: HostHandle, robot: usize) -> io:
     let room = Arc::new(Semaphore::new(CONNECTIONS_MAX));
     loop {
         let Ok(permit) = Arc::clone(&room).acquire_owned().await else { return Ok(()) };
-        let (stream, peer) = listener.accept().await?;
+        let (stream, peer) = accept(&listener).await?;
         let Some(link) = host.connect(robot) else { return Ok(()) };
         // One task a connection, so that a slow or broken peer harms only itself; ends when either side closes.
         tokio::spawn(async move {
@@ -35,6 +41,28 @@ pub async fn serve(listener: TcpListener, host: HostHandle, robot: usize) -> io:
     }
 }
 
+/// The next connection. One that breaks before it is accepted, or a system short of file descriptors, is no reason to
+/// serve nobody any more.
+async fn accept(listener: &TcpListener) -> io::Result<(TcpStream, SocketAddr)> {
+    loop {
+        match listener.accept().await {
+            Ok(accepted) => return Ok(accepted),
+            Err(error) if is_passing(&error) => {
+                tracing::warn!("a connection was not accepted: {error}");
+                tokio::time::sleep(ACCEPT_RETRY).await;
+            }
+            Err(error) => return Err(error),
+        }
+    }
+}
+
+fn is_passing(error: &io::Error) -> bool {
+    use rustix::io::Errno;
+    let passing = [Errno::CONNABORTED, Errno::INTR, Errno::MFILE, Errno::NFILE, Errno::NOBUFS, Errno::NOMEM];
+    Errno::from_io_error(error).is_some_and(|errno| passing.contains(&errno))
+}
+
+/// Carries both ways. While the peer does not read, nothing more is read from it either.
 async fn carry(stream: TcpStream, mut link: RobotLink) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let (reader, mut writer) = stream.into_split();
@@ -49,7 +77,7 @@ async fn carry(stream: TcpStream, mut link: RobotLink) -> io::Result<()> {
                 let Some(LinkEvent::Message(message)) = event else { return Ok(()) };
                 encode(&message, &mut bytes);
                 let open = encode_waiting(&mut link, &mut bytes);
-                writer.write_all(&bytes).await?;
+                tokio::time::timeout(WRITE_WAIT_MAX, writer.write_all(&bytes)).await??;
                 bytes.clear();
                 if !open {
                     return Ok(());
@@ -81,7 +109,10 @@ async fn read(mut reader: OwnedReadHalf, robot: LinkSender) -> io::Result<()> {
         }
         decoder.push(&bytes[..n]);
         while let Some(decoded) = decoder.next_message() {
-            robot.send(decoded.map_or_else(Input::Undecodable, Input::Message));
+            robot.send(decoded.map_or_else(Input::Undecodable, Input::Message)).await;
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

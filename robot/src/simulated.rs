@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, HashMap};
 
 use urrcp::{
-    Command, ControlError, ControlResponse, ErrorCode, InitializationBlock, Message, Robot as RobotClock,
-    Span, Status, StatusValue, Timestamp,
+    Command, ControlError, ControlResponse, DEVICES_MAX, ErrorCode, InitializationBlock, Message,
+    Robot as RobotClock, Span, Status, StatusValue, Timestamp,
 };
 
 use crate::robot::{Input, LinkId, Output, Robot};
@@ -81,6 +81,23 @@ enum InFlight {
     Out(Outgoing),
 }
 
+/// One direction of one link.
+type LaneId = (LinkId, Way);
+
+/// What travels one way on one link. Messages keep their order, as on TCP. Gone when nothing travels.
+#[derive(Clone, Debug)]
+struct Lane {
+    last: Timestamp<True>,
+    travelling: usize,
+    /// Too much travelled: the link is being closed, and takes no more.
+    closing: bool,
+}
+
+/// Messages that may travel one way on one link: a request for each device of the largest robot, and its reports.
+const TRAVELLING_MAX: usize = 4 * DEVICES_MAX;
+/// Fastest drift, either way, that a simulated clock has: beyond any real one, and the clock still runs forward.
+const DRIFT_PPM_MAX: f64 = 100_000.0;
+
 /// A robot machine with a clock, a delayed link and faults. Everything is keyed on the true time.
 #[derive(Clone, Debug)]
 pub struct SimulatedRobot {
@@ -89,12 +106,11 @@ pub struct SimulatedRobot {
     ntp_residue: Span,
     rng: fastrand::Rng,
     epoch: Option<Timestamp<True>>,
-    in_flight: BTreeMap<(Timestamp<True>, u64), InFlight>,
+    in_flight: BTreeMap<(Timestamp<True>, u64), (LaneId, InFlight)>,
     sequence: u64,
-    /// Messages of one link and direction keep their order, as on TCP.
-    last_in: HashMap<LinkId, Timestamp<True>>,
-    last_out: HashMap<LinkId, Timestamp<True>>,
+    lanes: HashMap<LaneId, Lane>,
     log: Vec<LogEntry>,
+    outputs: Vec<Output>,
 }
 
 impl SimulatedRobot {
@@ -111,9 +127,9 @@ impl SimulatedRobot {
             epoch: None,
             in_flight: BTreeMap::new(),
             sequence: 0,
-            last_in: HashMap::new(),
-            last_out: HashMap::new(),
+            lanes: HashMap::new(),
             log: Vec::new(),
+            outputs: Vec::new(),
         }
     }
 
@@ -136,30 +152,43 @@ impl SimulatedRobot {
 
     /// Something was sent to the robot at `now`; it arrives after the link's delay.
     pub fn receive(&mut self, now: Timestamp<True>, link: LinkId, input: Input) {
-        let at = self.delivery(now, link, Way::In);
-        self.put(at, InFlight::In(link, input));
+        self.dispatch(now, (link, Way::In), InFlight::In(link, input));
     }
 
     /// Does everything due at or before `now`: first what the machine does by itself, then deliveries.
     pub fn advance(&mut self, now: Timestamp<True>, out: &mut Vec<Outgoing>) {
         self.epoch.get_or_insert(now);
-        let mut outputs = Vec::new();
+        self.robot.send_reports(self.robot_from_true(now), &mut self.outputs);
+        self.perform(now);
         loop {
-            let mine = self.robot.next_wakeup().map(|at| self.true_from_robot(at));
-            let travelling = self.in_flight.first_key_value().map(|((at, _), _)| *at);
-            match (mine.filter(|at| *at <= now), travelling.filter(|at| *at <= now)) {
+            let mine = self.due_movement(now);
+            let travelling = self.in_flight.first_key_value().map(|((at, _), _)| *at).filter(|at| *at <= now);
+            match (mine, travelling) {
                 (Some(mine), travelling) if travelling.is_none_or(|at| mine <= at) => {
-                    self.robot.advance(self.robot_from_true(now), &mut outputs);
-                    self.perform(now, &mut outputs);
+                    self.robot.advance(self.robot_from_true(now), &mut self.outputs);
+                    self.perform(now);
                 }
-                (_, Some(_)) => {
-                    if let Some((_, in_flight)) = self.in_flight.pop_first() {
-                        self.deliver(now, in_flight, &mut outputs, out);
-                    }
-                }
+                (_, Some(_)) => self.deliver_first(now, out),
                 (_, None) => return,
             }
         }
+    }
+
+    /// The movements due at or before `now`, as far as no delivery comes first. Their reports go out with the next
+    /// [`SimulatedRobot::advance`].
+    pub(crate) fn advance_movements(&mut self, now: Timestamp<True>) {
+        let travelling = self.in_flight.first_key_value().map(|((at, _), _)| *at);
+        let mine = self.due_movement(now);
+        if mine.is_some_and(|mine| travelling.is_none_or(|at| mine <= at)) {
+            self.robot.advance_movements(self.robot_from_true(now), &mut self.outputs);
+            self.perform(now);
+        }
+    }
+
+    /// When the machine's next wake-up was due, if it is.
+    fn due_movement(&self, now: Timestamp<True>) -> Option<Timestamp<True>> {
+        let due = self.robot.next_wakeup().filter(|at| *at <= self.robot_from_true(now))?;
+        Some(self.true_from_robot(due))
     }
 
     /// When [`SimulatedRobot::advance`] is next due.
@@ -170,20 +199,15 @@ impl SimulatedRobot {
         mine.into_iter().chain(travelling).min()
     }
 
-    fn deliver(
-        &mut self,
-        now: Timestamp<True>,
-        in_flight: InFlight,
-        outputs: &mut Vec<Output>,
-        out: &mut Vec<Outgoing>,
-    ) {
+    fn deliver_first(&mut self, now: Timestamp<True>, out: &mut Vec<Outgoing>) {
+        let Some((_, (lane, in_flight))) = self.in_flight.pop_first() else { return };
+        self.leave(lane);
         match in_flight {
             InFlight::Out(outgoing) => out.push(outgoing),
             InFlight::In(link, input) => {
                 if let Some(input) = self.through_fault(now, link, input) {
-                    let at = self.robot_from_true(now);
-                    self.robot.handle(at, link, input, outputs);
-                    self.perform(now, outputs);
+                    self.robot.handle(self.robot_from_true(now), link, input, &mut self.outputs);
+                    self.perform(now);
                 }
             }
         }
@@ -214,7 +238,8 @@ impl SimulatedRobot {
         }
     }
 
-    fn perform(&mut self, now: Timestamp<True>, outputs: &mut Vec<Output>) {
+    fn perform(&mut self, now: Timestamp<True>) {
+        let mut outputs = std::mem::take(&mut self.outputs);
         for output in outputs.drain(..) {
             match output {
                 Output::Set(set) => {
@@ -225,12 +250,13 @@ impl SimulatedRobot {
                     let hangs_up = self.settings.fault == Some(Fault::Disconnect) && is_acceptance(&message);
                     self.send(now, link, message);
                     if hangs_up {
-                        let at = self.delivery(now, link, Way::Out);
-                        self.put(at, InFlight::Out(Outgoing::Close { link }));
+                        self.dispatch(now, (link, Way::Out), InFlight::Out(Outgoing::Close { link }));
                     }
                 }
             }
         }
+        // Back goes the empty vector, so that its memory serves again.
+        self.outputs = outputs;
     }
 
     fn send(&mut self, now: Timestamp<True>, link: LinkId, mut message: Message) {
@@ -239,30 +265,38 @@ impl SimulatedRobot {
             response.receive_timestamp = response.receive_timestamp + error;
             response.timestamp = response.timestamp + error;
         }
-        let at = self.delivery(now, link, Way::Out);
-        self.put(at, InFlight::Out(Outgoing::Message { link, message }));
+        self.dispatch(now, (link, Way::Out), InFlight::Out(Outgoing::Message { link, message }));
     }
 
-    fn put(&mut self, at: Timestamp<True>, in_flight: InFlight) {
+    /// Sends something on its way, behind what travels there already.
+    fn dispatch(&mut self, now: Timestamp<True>, lane_id: LaneId, mut in_flight: InFlight) {
+        let arrival = now + self.draw_delay();
+        let lane = self.lanes.entry(lane_id).or_insert(Lane { last: arrival, travelling: 0, closing: false });
+        if lane.closing {
+            return;
+        }
+        if lane.travelling >= TRAVELLING_MAX {
+            lane.closing = true;
+            in_flight = InFlight::Out(Outgoing::Close { link: lane_id.0 });
+        }
+        lane.last = lane.last.max(arrival);
+        lane.travelling += 1;
         self.sequence += 1;
-        self.in_flight.insert((at, self.sequence), in_flight);
+        self.in_flight.insert((lane.last, self.sequence), (lane_id, in_flight));
     }
 
-    fn delivery(&mut self, now: Timestamp<True>, link: LinkId, way: Way) -> Timestamp<True> {
-        let delay = match self.settings.delay {
-            None => Span::ZERO,
-            Some((least, largest)) => {
-                let width = (largest - least).as_nanos().max(0);
-                least + Span::from_nanos(self.rng.i64(0..=width))
-            }
-        };
-        let last = match way {
-            Way::In => &mut self.last_in,
-            Way::Out => &mut self.last_out,
-        };
-        let at = last.get(&link).map_or(now + delay, |last| (now + delay).max(*last));
-        last.insert(link, at);
-        at
+    fn leave(&mut self, lane_id: LaneId) {
+        let Some(lane) = self.lanes.get_mut(&lane_id) else { return };
+        lane.travelling -= 1;
+        if lane.travelling == 0 {
+            self.lanes.remove(&lane_id);
+        }
+    }
+
+    fn draw_delay(&mut self) -> Span {
+        let Some((least, largest)) = self.settings.delay else { return Span::ZERO };
+        let width = (largest - least).as_nanos().max(0);
+        (least + Span::from_nanos(self.rng.i64(0..=width))).max(Span::ZERO)
     }
 
     /// What the robot believes the time to be: its raw clock, less what its NTP discipline knows of it.
@@ -277,23 +311,38 @@ impl SimulatedRobot {
 
     fn drifted(&self, now: Timestamp<True>) -> Span {
         let since = self.epoch.map_or(Span::ZERO, |epoch| now - epoch);
-        Span::from_millis_f64(since.as_millis_f64() * self.settings.drift_ppm * 1e-6)
+        Span::from_millis_f64(since.as_millis_f64() * self.drift())
+    }
+
+    /// As a fraction of true time.
+    fn drift(&self) -> f64 {
+        self.settings.drift_ppm.clamp(-DRIFT_PPM_MAX, DRIFT_PPM_MAX) * 1e-6
     }
 
     /// The first instant at which the robot's clock shows `at`.
     fn true_from_robot(&self, at: Timestamp<RobotClock>) -> Timestamp<True> {
         let mut guess: Timestamp<True> = at.assume_clock();
-        // The clock error changes by parts per million, so a few rounds settle it to the nanosecond.
-        for _ in 0..4 {
-            guess = guess + (at - self.robot_from_true(guess));
+        if self.settings.ntp_error.is_some() {
+            return guess - self.ntp_residue;
         }
-        while self.robot_from_true(guess) < at {
-            guess = guess + Span::from_nanos(1);
+        guess = guess - self.settings.clock_offset;
+        let since = self.epoch.map_or(Span::ZERO, |epoch| guess - epoch);
+        guess = guess - Span::from_millis_f64(since.as_millis_f64() * self.drift() / (1.0 + self.drift()));
+        // What is left is the rounding to nanoseconds; a bounded search, since at the end of time no instant may fit.
+        for _ in 0..8 {
+            match self.robot_from_true(guess) {
+                shown if shown < at => guess = guess + Span::from_nanos(1),
+                _ if self.robot_from_true(guess - Span::from_nanos(1)) >= at => {
+                    guess = guess - Span::from_nanos(1);
+                }
+                _ => break,
+            }
         }
         guess
     }
 }
 
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Way {
     In,
     Out,
@@ -315,3 +364,6 @@ fn is_movement(command: &Command) -> bool {
 fn is_acceptance(message: &Message) -> bool {
     matches!(message, Message::ControlResponse(response) if response.status == Status::Accepted)
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,147 @@
+//! Robots on the real clock: what must come and in which order. How precisely is for the benchmark to say.
+
+use std::path::PathBuf;
+
+use urrcp::{
+    AvailabilityRequest, Command, ControlRequest, ControlResponse, ControlType, DeviceId,
+    InitializationBlock, Millis, RequestId, Script, Server, Setpoint, Status, Step,
+};
+
+use super::*;
+use crate::simulated::{Fault, Settings};
+
+const ARM: &str = r#"{"id": "arm", "name": "arm", "available_control_types": {
+    "position": {"min_value": 0, "max_value": 90, "granularity": 1},
+    "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 4}}}"#;
+
+/// Robots of one arm.
+pub(crate) fn arms(count: usize, settings: &Settings) -> Vec<SimulatedRobot> {
+    let block = |i| format!(r#"{{"id": "r{i}", "api_version": "1", "reports": true, "devices": [{ARM}]}}"#);
+    let block = |i| serde_json::from_str::<InitializationBlock>(&block(i)).unwrap();
+    (0..count).map(|i| SimulatedRobot::new(block(i), settings.clone())).collect()
+}
+
+/// 45, 0, 45, a little faster than in the paper, `lead_ms` from now.
+pub(crate) fn paper(lead_ms: f64) -> Message {
+    let step = |millis, value| Step {
+        offset: Millis::new(millis).unwrap(),
+        setpoint: Setpoint::new(ControlType::Position, value),
+        stop_condition: None,
+    };
+    let steps = vec![step(0.0, 45.0), step(20.0, 0.0), step(40.0, 45.0)];
+    let now: Timestamp<Server> = HostClock::anchored().now().assume_clock();
+    Message::ControlRequest(ControlRequest {
+        timestamp: Some(now),
+        time_offset_to_start: Some(Millis::new(lead_ms).unwrap()),
+        request_id: Some(RequestId::new("wave").unwrap()),
+        ..ControlRequest::immediate(
+            DeviceId::new("arm").unwrap(),
+            Command::Script(Script::new(steps).unwrap()),
+        )
+    })
+}
+
+/// A log file of this test alone, gone in the end.
+pub(crate) struct LogFile(pub(crate) PathBuf);
+
+impl LogFile {
+    pub(crate) fn new(test: &str) -> Self {
+        Self(std::env::temp_dir().join(format!("downbeat-robot-{}-{test}.jsonl", std::process::id())))
+    }
+
+    pub(crate) fn lines(&self) -> Vec<serde_json::Value> {
+        let text = std::fs::read_to_string(&self.0).unwrap();
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    }
+}
+
+impl Drop for LogFile {
+    fn drop(&mut self) {
+        let _never_written = std::fs::remove_file(&self.0);
+    }
+}
+
+async fn response(link: &mut RobotLink) -> ControlResponse {
+    match link.recv().await {
+        Some(LinkEvent::Message(Message::ControlResponse(response))) => response,
+        other => panic!("{other:?}"),
+    }
+}
+
+#[tokio::test]
+async fn a_robot_starts_at_the_instant_set_and_never_early_and_logs_what_it_did() {
+    let file = LogFile::new("starts");
+    let options = HostOptions { log: Some(file.0.clone()), ..HostOptions::default() };
+    let host = Host::start(arms(1, &Settings::default()), options).unwrap();
+    let mut link = host.handle().connect(0).unwrap();
+    link.send(paper(200.0));
+    for expected in [Status::Accepted, Status::Started, Status::Ok] {
+        assert_eq!(response(&mut link).await.status, expected);
+    }
+    host.stop();
+    let lines = file.lines();
+    let values: Vec<_> = lines.iter().map(|line| line["value"].as_f64().unwrap()).collect();
+    assert_eq!(values, [45.0, 0.0, 45.0]);
+    for line in &lines {
+        assert_eq!(line["robot"], "r0");
+        assert!(line["set_at"].as_str() >= line["due"].as_str(), "early: {line}");
+    }
+}
+
+#[tokio::test]
+async fn many_robots_due_at_one_instant_all_start() {
+    let file = LogFile::new("many");
+    let options = HostOptions { log: Some(file.0.clone()), ..HostOptions::default() };
+    let host = Host::start(arms(300, &Settings::default()), options).unwrap();
+    let mut links: Vec<_> = (0..300).map(|i| host.handle().connect(i).unwrap()).collect();
+    let request = paper(400.0);
+    links.iter().for_each(|link| link.send(request.clone()));
+    for link in &mut links {
+        for expected in [Status::Accepted, Status::Started, Status::Ok] {
+            assert_eq!(response(link).await.status, expected);
+        }
+    }
+    host.stop();
+    assert_eq!(file.lines().len(), 900);
+}
+
+#[tokio::test]
+async fn a_link_to_no_robot_or_to_a_stopped_host_is_refused() {
+    let host = Host::start(arms(2, &Settings::default()), HostOptions::default()).unwrap();
+    let handle = host.handle();
+    assert_eq!(handle.robots().len(), 2);
+    assert!(handle.connect(2).is_none());
+    let mut link = handle.connect(1).unwrap();
+    host.stop();
+    assert!(link.recv().await.is_none());
+    assert!(handle.connect(1).is_none());
+}
+
+#[tokio::test]
+async fn a_robot_that_disconnects_closes_the_link_after_its_acceptance() {
+    let settings = Settings { fault: Some(Fault::Disconnect), ..Settings::default() };
+    let host = Host::start(arms(1, &settings), HostOptions::default()).unwrap();
+    let mut link = host.handle().connect(0).unwrap();
+    link.send(paper(5_000.0));
+    assert_eq!(response(&mut link).await.status, Status::Accepted);
+    assert!(matches!(link.recv().await, Some(LinkEvent::Closed)));
+    assert!(link.recv().await.is_none());
+}
+
+#[tokio::test]
+async fn a_peer_that_does_not_read_is_hung_up_on_and_harms_no_other() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let mut deaf = host.handle().connect(0).unwrap();
+    let ping = Message::AvailabilityRequest(AvailabilityRequest::default());
+    for _ in 0..=OUTGOING_MAX {
+        deaf.send(ping.clone());
+    }
+    let mut other = host.handle().connect(0).unwrap();
+    other.send(ping);
+    assert!(matches!(other.recv().await, Some(LinkEvent::Message(_))));
+    let mut waiting = 0;
+    while deaf.recv().await.is_some() {
+        waiting += 1;
+    }
+    assert_eq!(waiting, OUTGOING_MAX, "what had been said before, and no more");
+}

@@ -1,0 +1,115 @@
+//! A robot behind a real socket on the loopback interface.
+
+use tokio::io::{AsyncBufReadExt, BufReader};
+use urrcp::{Message, Status};
+
+use super::*;
+use crate::host::tests::{LogFile, arms, paper};
+use crate::host::{Host, HostOptions};
+use crate::simulated::Settings;
+
+/// A served robot and the address at which it listens.
+async fn served(log: &LogFile) -> (Host, SocketAddr) {
+    let options = HostOptions { log: Some(log.0.clone()), ..HostOptions::default() };
+    let host = Host::start(arms(1, &Settings::default()), options).unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    tokio::spawn(serve(listener, host.handle(), 0));
+    (host, address)
+}
+
+/// A server's end of the connection, reading whole lines.
+struct Peer(BufReader<TcpStream>);
+
+impl Peer {
+    async fn connected(address: SocketAddr) -> Self {
+        Self(BufReader::new(TcpStream::connect(address).await.unwrap()))
+    }
+
+    async fn write(&mut self, bytes: &[u8]) {
+        self.0.get_mut().write_all(bytes).await.unwrap();
+    }
+
+    async fn send(&mut self, message: &Message) {
+        let mut line = Vec::new();
+        encode(message, &mut line);
+        self.write(&line).await;
+    }
+
+    async fn read(&mut self) -> Message {
+        let mut line = String::new();
+        self.0.read_line(&mut line).await.unwrap();
+        serde_json::from_str(&line).unwrap()
+    }
+}
+
+#[tokio::test]
+async fn a_script_over_tcp_is_accepted_started_and_done_and_sets_its_values_in_order() {
+    let log = LogFile::new("tcp");
+    let (host, address) = served(&log).await;
+    let mut peer = Peer::connected(address).await;
+    peer.send(&paper(200.0)).await;
+    for expected in [Status::Accepted, Status::Started, Status::Ok] {
+        let Message::ControlResponse(response) = peer.read().await else { panic!() };
+        assert_eq!(response.status, expected);
+    }
+    host.stop();
+    let lines = log.lines();
+    let values: Vec<_> = lines.iter().map(|line| line["value"].as_f64().unwrap()).collect();
+    assert_eq!(values, [45.0, 0.0, 45.0]);
+    assert!(lines.iter().all(|line| line["set_at"].as_str() >= line["due"].as_str()), "never early");
+}
+
+#[tokio::test]
+async fn garbage_is_answered_and_the_link_goes_on() {
+    let log = LogFile::new("garbage");
+    let (_host, address) = served(&log).await;
+    let mut peer = Peer::connected(address).await;
+    peer.write(b"\xff\xfe\nnonsense\n{\"control_request\": {\"device_id\": \"arm\"}}\n").await;
+    for _ in 0..2 {
+        let Message::AvailabilityResponse(response) = peer.read().await else { panic!() };
+        assert_eq!(response.status, Status::Failed);
+    }
+    let Message::ControlResponse(response) = peer.read().await else { panic!() };
+    assert_eq!(response.error.map(|error| error.code), Some(urrcp::ErrorCode::Malformed));
+    peer.write(b"{\"availability_request\": {}}\n").await;
+    let Message::AvailabilityResponse(response) = peer.read().await else { panic!() };
+    assert_eq!(response.status, Status::Ok);
+}
+
+#[tokio::test]
+async fn a_peer_that_sends_without_reading_harms_only_itself() {
+    let log = LogFile::new("flood");
+    let (_host, address) = served(&log).await;
+    let mut flood = TcpStream::connect(address).await.unwrap();
+    let lines = b"{\"initialization_request\": {}}\n".repeat(1_000);
+    let flooding = tokio::spawn(async move {
+        // Ends when the robot no longer reads, since nobody reads its answers.
+        while flood.write_all(&lines).await.is_ok() {}
+    });
+    let mut peer = Peer::connected(address).await;
+    for _ in 0..50 {
+        peer.write(b"{\"availability_request\": {}}\n").await;
+        assert!(matches!(peer.read().await, Message::AvailabilityResponse(_)));
+    }
+    flooding.abort();
+}
+
+#[tokio::test]
+async fn no_more_than_the_limit_of_connections_is_served_at_a_time() {
+    let log = LogFile::new("limit");
+    let (_host, address) = served(&log).await;
+    let mut peers = Vec::new();
+    for _ in 0..CONNECTIONS_MAX {
+        let mut peer = Peer::connected(address).await;
+        peer.write(b"{\"availability_request\": {}}\n").await;
+        peer.read().await;
+        peers.push(peer);
+    }
+    let mut waiting = Peer::connected(address).await;
+    waiting.write(b"{\"availability_request\": {}}\n").await;
+    let answer = tokio::time::timeout(Duration::from_millis(100), waiting.read()).await;
+    assert!(answer.is_err(), "answered although {CONNECTIONS_MAX} others are connected");
+    peers.pop();
+    assert!(matches!(waiting.read().await, Message::AvailabilityResponse(_)), "served once one has gone");
+}

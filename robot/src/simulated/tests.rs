@@ -1,0 +1,244 @@
+//! A simulated robot's clock, link and faults, in virtual time.
+
+use urrcp::{
+    AvailabilityRequest, ControlRequest, ControlType, DeviceId, Millis, RequestId, Script, Server, Setpoint,
+    Step, StopCondition,
+};
+
+use super::*;
+
+const LINK: LinkId = LinkId(1);
+const BEGIN: i64 = 1_000_000_000_000;
+
+fn at(millis: i64) -> Timestamp<True> {
+    Timestamp::from_nanos(BEGIN + millis * 1_000_000)
+}
+
+fn robot(settings: Settings) -> SimulatedRobot {
+    let block = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [{"id": "arm", "name": "arm",
+        "available_control_types": {
+          "position": {"min_value": 0, "max_value": 90, "granularity": 1},
+          "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 4}}}]}"#;
+    SimulatedRobot::new(serde_json::from_str(block).unwrap(), settings)
+}
+
+fn paper(start_ms: f64, id: &str) -> Input {
+    let step = |millis, value| Step {
+        offset: Millis::new(millis).unwrap(),
+        setpoint: Setpoint::new(ControlType::Position, value),
+        stop_condition: None,
+    };
+    let steps = vec![step(0.0, 45.0), step(1_000.0, 0.0), step(2_000.0, 45.0)];
+    let command = Command::Script(Script::new(steps).unwrap());
+    Input::Message(Message::ControlRequest(ControlRequest {
+        timestamp: Some(Timestamp::<Server>::from_nanos(BEGIN)),
+        time_offset_to_start: Some(Millis::new(start_ms).unwrap()),
+        stop_condition: Some(StopCondition::both(Millis::new(5_000.0).unwrap())),
+        request_id: Some(RequestId::new(id).unwrap()),
+        ..ControlRequest::immediate(DeviceId::new("arm").unwrap(), command)
+    }))
+}
+
+fn ping(sent: i64) -> Input {
+    let timestamp = Some(Timestamp::from_nanos(sent));
+    Input::Message(Message::AvailabilityRequest(AvailabilityRequest { timestamp }))
+}
+
+/// Jumps from wake-up to wake-up, and notes what leaves when.
+fn run(robot: &mut SimulatedRobot, until: Timestamp<True>) -> Vec<(Timestamp<True>, Outgoing)> {
+    let mut left = Vec::new();
+    let mut out = Vec::new();
+    while let Some(now) = robot.next_wakeup().filter(|wakeup| *wakeup <= until) {
+        robot.advance(now, &mut out);
+        left.extend(out.drain(..).map(|outgoing| (now, outgoing)));
+    }
+    left
+}
+
+fn words(left: &[(Timestamp<True>, Outgoing)]) -> Vec<String> {
+    let word = |outgoing: &Outgoing| match outgoing {
+        Outgoing::Close { .. } => "closed".to_owned(),
+        Outgoing::Message { message: Message::ControlResponse(response), .. } => match &response.error {
+            Some(error) => format!("{} {}", response.status, error.code),
+            None => response.status.to_string(),
+        },
+        Outgoing::Message { .. } => "other".to_owned(),
+    };
+    left.iter().map(|(_, outgoing)| word(outgoing)).collect()
+}
+
+#[test]
+fn a_perfect_robot_sets_each_step_at_its_true_time() {
+    let mut robot = robot(Settings::default());
+    robot.receive(at(0), LINK, paper(1_500.0, "a"));
+    let left = run(&mut robot, at(9_000));
+    assert_eq!(words(&left), ["Accepted", "Started", "OK"]);
+    let log: Vec<_> = robot.take_log().iter().map(|entry| (entry.true_ns, entry.value)).collect();
+    let due = |millis| at(millis).as_nanos();
+    assert_eq!(log, [(due(1_500), 45.0), (due(2_500), 0.0), (due(3_500), 45.0)]);
+    assert!(robot.take_log().is_empty() && robot.is_idle());
+}
+
+#[test]
+fn ntp_hides_offset_and_drift_but_for_its_error() {
+    let error = Span::from_micros(40);
+    let mut robot = robot(Settings {
+        clock_offset: Span::from_millis(300),
+        drift_ppm: 50.0,
+        ntp_error: Some(error),
+        seed: 7,
+        ..Settings::default()
+    });
+    robot.receive(at(0), LINK, paper(1_500.0, "a"));
+    run(&mut robot, at(9_000));
+    let starts = robot.take_log()[0].true_ns - at(1_500).as_nanos();
+    assert!(Span::from_nanos(starts).abs() <= error && starts != 0, "{starts} ns");
+}
+
+#[test]
+fn without_ntp_offset_and_drift_show() {
+    let settings = Settings {
+        clock_offset: Span::from_millis(300),
+        drift_ppm: 100.0,
+        ntp_error: None,
+        ..Settings::default()
+    };
+    let mut robot = robot(settings);
+    robot.advance(at(0), &mut Vec::new());
+    assert_eq!(robot.robot_from_true(at(0)).as_nanos(), at(300).as_nanos());
+    assert_eq!(robot.robot_from_true(at(10_000)).as_nanos(), at(10_301).as_nanos());
+    robot.receive(at(0), LINK, paper(1_500.0, "a"));
+    run(&mut robot, at(9_000));
+    let log = robot.take_log();
+    assert_eq!(log[0].set_at, log[0].due, "on time by its own clock");
+    let early = at(1_500).as_nanos() - log[0].true_ns;
+    assert!((300_000_000..301_000_000).contains(&early), "early by {early} ns of true time");
+}
+
+#[test]
+fn the_true_time_of_a_robots_instant_is_its_first_whatever_the_drift() {
+    for drift_ppm in [-100_000.0, -333.3, 0.0, 17.0, 100_000.0, f64::NAN] {
+        let clock_offset = Span::from_millis(-123);
+        let mut robot = robot(Settings { clock_offset, drift_ppm, ntp_error: None, ..Settings::default() });
+        robot.advance(at(0), &mut Vec::new());
+        for millis in [0, 1, 999, 86_400_000] {
+            let shown = Timestamp::from_nanos(at(millis).as_nanos() + 77);
+            let first = robot.true_from_robot(shown);
+            assert!(robot.robot_from_true(first) >= shown, "{drift_ppm} ppm, {millis} ms");
+            assert!(
+                robot.robot_from_true(first - Span::from_nanos(1)) < shown,
+                "{drift_ppm} ppm, {millis} ms"
+            );
+        }
+    }
+}
+
+#[test]
+fn a_start_at_the_end_of_time_hangs_nothing() {
+    for seed in 0..8 {
+        let mut robot =
+            robot(Settings { ntp_error: Some(Span::from_millis(5)), seed, ..Settings::default() });
+        let Input::Message(Message::ControlRequest(mut request)) = paper(1e11, "a") else { panic!() };
+        request.timestamp = Some(Timestamp::from_nanos(i64::MAX));
+        request.stop_condition = None;
+        robot.receive(at(0), LINK, Input::Message(Message::ControlRequest(request)));
+        assert_eq!(words(&run(&mut robot, at(60_000))), ["Accepted"]);
+    }
+}
+
+#[test]
+fn every_message_is_delayed_each_way_and_keeps_its_order() {
+    let delay = Some((Span::from_millis(10), Span::from_millis(80)));
+    let mut robot = robot(Settings { delay, seed: 3, ..Settings::default() });
+    for i in 0..200 {
+        robot.receive(at(i), LINK, ping(i));
+    }
+    let left = run(&mut robot, at(9_000));
+    let mut order = Vec::new();
+    for (left_at, outgoing) in left {
+        let Outgoing::Message { message: Message::AvailabilityResponse(response), .. } = outgoing else {
+            panic!()
+        };
+        let sent = response.originate_timestamp.unwrap().as_nanos();
+        let there = response.receive_timestamp.as_nanos() - at(sent).as_nanos();
+        let back = left_at.as_nanos() - response.timestamp.as_nanos();
+        assert!((10_000_000..=80_000_000).contains(&there), "{there}");
+        assert!((10_000_000..=80_000_000).contains(&back), "{back}");
+        order.push(sent);
+    }
+    assert_eq!(order, (0..200).collect::<Vec<_>>());
+    assert!(robot.lanes.is_empty(), "nothing is kept of a link on which nothing travels");
+}
+
+#[test]
+fn jitter_moves_what_the_robot_states_and_not_what_it_does() {
+    let mut robot = robot(Settings { jitter: Span::from_micros(500), seed: 5, ..Settings::default() });
+    robot.receive(at(0), LINK, ping(0));
+    let left = run(&mut robot, at(0));
+    let Outgoing::Message { message: Message::AvailabilityResponse(response), .. } = &left[0].1 else {
+        panic!()
+    };
+    let error = response.receive_timestamp.as_nanos() - BEGIN;
+    assert!(error != 0 && error.abs() <= 500_000, "{error} ns");
+    robot.receive(at(0), LINK, paper(100.0, "a"));
+    run(&mut robot, at(100));
+    assert_eq!(robot.take_log()[0].true_ns, at(100).as_nanos());
+}
+
+#[track_caller]
+fn check_fault(fault: Fault, expected: &[&str], sets: usize) {
+    let mut robot = robot(Settings { fault: Some(fault), ..Settings::default() });
+    robot.receive(at(0), LINK, paper(100.0, "a"));
+    let mut left = run(&mut robot, at(50));
+    robot.receive(at(50), LINK, Input::LinkDown);
+    left.extend(run(&mut robot, at(150)));
+    assert_eq!(words(&left), expected);
+    assert_eq!(robot.take_log().len(), sets);
+}
+
+#[test]
+fn faults_refuse_or_stay_silent_or_disconnect_right_after_the_acceptance() {
+    check_fault(Fault::Refuse, &["Failed busy"], 0);
+    check_fault(Fault::Silent, &[], 0);
+    // Its lease of five seconds still runs.
+    check_fault(Fault::Disconnect, &["Accepted", "closed", "Started"], 1);
+}
+
+#[test]
+fn a_faulty_robot_still_answers_what_the_fault_does_not_concern() {
+    for fault in [Fault::Refuse, Fault::Silent, Fault::Disconnect] {
+        let mut robot = robot(Settings { fault: Some(fault), ..Settings::default() });
+        robot.receive(at(0), LINK, ping(0));
+        assert_eq!(words(&run(&mut robot, at(1))), ["other"], "{fault:?}");
+    }
+}
+
+#[test]
+fn a_flood_closes_its_own_link_and_is_forgotten() {
+    let delay = Some((Span::from_millis(50), Span::from_millis(50)));
+    let mut robot = robot(Settings { delay, ..Settings::default() });
+    for i in 0..2 * i64::try_from(TRAVELLING_MAX).unwrap() {
+        robot.receive(at(0), LINK, ping(i));
+    }
+    robot.receive(at(0), LinkId(2), ping(0));
+    assert_eq!(robot.in_flight.len(), TRAVELLING_MAX + 2);
+    let left = run(&mut robot, at(1_000));
+    let closed =
+        |link| left.iter().any(|(_, o)| matches!(o, Outgoing::Close { link: l } if *l == LinkId(link)));
+    assert!(closed(1) && !closed(2));
+}
+
+#[test]
+fn the_same_seed_gives_the_same_run() {
+    let run_of = |seed| {
+        let delay = Some((Span::ZERO, Span::from_millis(80)));
+        let ntp_error = Some(Span::from_micros(100));
+        let mut robot = robot(Settings { delay, ntp_error, seed, ..Settings::default() });
+        robot.receive(at(0), LINK, ping(0));
+        robot.receive(at(0), LINK, paper(1_500.0, "a"));
+        let left = run(&mut robot, at(9_000));
+        (left.iter().map(|(at, _)| at.as_nanos()).collect::<Vec<_>>(), robot.take_log())
+    };
+    assert_eq!(run_of(1), run_of(1));
+    assert_ne!(run_of(1), run_of(2));
+}
