@@ -42,3 +42,32 @@ impl HostClock {
         self.instant + (timestamp - self.timestamp).to_duration()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_instant_and_its_timestamp_lie_equally_far_from_the_anchor() {
+        let clock = HostClock::anchored();
+        let later = clock.timestamp + Span::from_millis(1_500);
+        assert_eq!(Span::from(clock.instant_of(later) - clock.instant), Span::from_millis(1_500));
+    }
+
+    #[test]
+    fn an_instant_before_the_anchor_becomes_the_anchor() {
+        let clock = HostClock::anchored();
+        assert_eq!(clock.instant_of(clock.timestamp - Span::from_millis(1)), clock.instant);
+    }
+
+    #[test]
+    fn the_clock_agrees_with_the_systems_at_its_anchor() {
+        // The system's clock is read before and after, so no bound on speed is needed.
+        let system = || Span::from(SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap());
+        let before = system();
+        let anchored = Span::from_nanos(HostClock::anchored().now().as_nanos());
+        let after = system();
+        let slack = Span::from_micros(100);
+        assert!(anchored >= before - slack && anchored <= after + slack, "{before} {anchored} {after}");
+    }
+}

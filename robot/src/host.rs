@@ -7,7 +7,6 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, mpsc as std_mpsc};
 use std::thread::JoinHandle;
-use std::time::Duration;
 
 use serde::Serialize;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
@@ -23,8 +22,6 @@ use crate::simulated::{Outgoing, SimulatedRobot, True};
 const OUTGOING_MAX: usize = 65_536;
 /// Inputs that a peer outside this process may have handed over and the robot not yet taken; more have to wait.
 const WINDOW: usize = 32;
-/// Between two writes of the log, so that a killed process loses little.
-const LOG_FLUSH: Duration = Duration::from_millis(50);
 
 /// How robots are run.
 #[derive(Clone, Debug, Default)]
@@ -352,20 +349,14 @@ struct LogLine<'a> {
     entry: &'a LogEntry,
 }
 
-/// Writes what was set, away from the precise thread.
+/// Writes what was set, away from the precise thread. Whenever nothing waits to be written all is on its way to the
+/// file, so that a killed process loses little. Ends when the precise thread has ended.
 fn write_log(file: File, ids: &[RobotId], entries: &std_mpsc::Receiver<LoggedBatch>) {
     let mut file = io::BufWriter::new(file);
-    loop {
-        let written = match entries.recv_timeout(LOG_FLUSH) {
-            Ok((robot, batch)) => write_batch(&mut file, &ids[robot], &batch),
-            Err(std_mpsc::RecvTimeoutError::Timeout) => file.flush(),
-            Err(std_mpsc::RecvTimeoutError::Disconnected) => {
-                let _checked_below =
-                    file.flush().map_err(|error| tracing::error!("the set log is incomplete: {error}"));
-                return;
-            }
-        };
-        if let Err(error) = written {
+    while let Ok(first) = entries.recv() {
+        let mut batches = std::iter::once(first).chain(entries.try_iter());
+        let written = batches.try_for_each(|(robot, batch)| write_batch(&mut file, &ids[robot], &batch));
+        if let Err(error) = written.and_then(|()| file.flush()) {
             return tracing::error!("the set log ends here: {error}");
         }
     }

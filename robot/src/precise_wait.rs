@@ -69,3 +69,40 @@ pub(crate) fn wait<T>(messages: &Receiver<T>, deadline: Option<Instant>) -> Woke
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use std::sync::mpsc::channel;
+
+    use super::*;
+
+    #[test]
+    fn a_deadline_is_never_met_early() {
+        let (_sender, receiver) = channel::<()>();
+        for micros in [0, 1, 150, 1_000, 5_000] {
+            let deadline = Instant::now() + Duration::from_micros(micros);
+            assert!(matches!(wait(&receiver, Some(deadline)), Woken::Deadline));
+            assert!(Instant::now() >= deadline);
+        }
+    }
+
+    #[test]
+    fn a_message_ends_a_wait_and_a_deadline_that_is_here_comes_before_it() {
+        let (sender, receiver) = channel();
+        sender.send(1).unwrap();
+        sender.send(2).unwrap();
+        let now = Instant::now();
+        assert!(matches!(wait(&receiver, Some(now + Duration::from_secs(3_600))), Woken::Message(1)));
+        assert!(matches!(wait(&receiver, Some(now)), Woken::Deadline));
+        assert!(matches!(wait(&receiver, None), Woken::Message(2)));
+    }
+
+    #[test]
+    fn a_wait_ends_when_nobody_can_send_any_more() {
+        let (sender, receiver) = channel::<()>();
+        drop(sender);
+        assert!(matches!(wait(&receiver, None), Woken::Closed));
+        let far = Instant::now() + Duration::from_secs(3_600);
+        assert!(matches!(wait(&receiver, Some(far)), Woken::Closed));
+    }
+}

@@ -21,7 +21,7 @@ pub struct LinkId(pub u64);
 pub enum Input {
     /// A message.
     Message(Message),
-    /// A line that is no message.
+    /// A line that is no message. It is answered and renews no lease: noise on a line is no server.
     Undecodable(DecodeError),
     /// The link broke. Its silence counts from its last message on.
     LinkDown,

@@ -75,6 +75,21 @@ fn at_one_instant_a_lease_runs_out_before_the_message_that_would_renew_it() {
 }
 
 #[test]
+fn a_line_that_is_no_message_renews_no_lease() {
+    let mut bench = Bench::new();
+    let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
+    request.stop_condition = lease(300.0, 300.0);
+    bench.request(request);
+    bench.until(200);
+    let mut decoder = LineDecoder::default();
+    decoder.push(b"noise\n");
+    let error = decoder.next_message().unwrap().unwrap_err();
+    bench.robot.handle(bench.now, LINK, Input::Undecodable(error), &mut bench.out);
+    bench.until(9_000);
+    assert_eq!(bench.responses()[1].event_timestamp, Some(at(300)));
+}
+
+#[test]
 fn all_movements_of_one_instant_come_before_all_reports() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
