@@ -67,7 +67,7 @@ fn an_unknown_device_is_found_once_for_all_robots() {
             "DB0009",
             "robots `left`, `right` have no device `sholder`",
             "did you mean `shoulder`?",
-            "1 errors",
+            "1 error,",
         ],
     );
 }
@@ -93,7 +93,7 @@ fn a_value_off_granularity_is_found_with_its_neighbours() {
 #[test]
 fn too_many_steps_are_found_with_the_numbers() {
     let keyframes: String = (0..9).map(|i| format!("        - {{at: {i}s, to: {i}}}\n")).collect();
-    check(scenario(&keyframes), 1, &["DB0013", "has 9 steps", "at most 8 steps", "take out 1 keyframes"]);
+    check(scenario(&keyframes), 1, &["DB0013", "has 9 steps", "at most 8 steps", "take out 1 keyframe"]);
 }
 
 #[test]

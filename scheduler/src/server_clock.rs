@@ -1,9 +1,9 @@
 //! The server's clock: the system's, corrected by NTP, and from then on carried by the monotonic clock, so that a step of
-//! the system's clock does not move what is scheduled. The scheduler's one door to real clocks.
-#![expect(clippy::disallowed_methods, reason = "the door through which the scheduler reads the time")]
+//! the system's clock does not move what is scheduled.
 
-use std::time::{Duration, Instant, SystemTime};
+use std::time::{Duration, Instant};
 
+use downbeat_robot::clock::HostClock;
 use rsntp::{AsyncSntpClient, Config};
 use serde::Serialize;
 use urrcp::{Server, Span, Timestamp};
@@ -17,41 +17,29 @@ const NTP_TIMEOUT: Duration = Duration::from_secs(2);
 /// Reads the server's time. Copies agree for ever.
 #[derive(Clone, Copy, Debug)]
 pub struct ServerClock {
-    instant: Instant,
-    timestamp: Timestamp<Server>,
+    host: HostClock,
+    /// Server time minus the host's.
+    offset: Span,
 }
 
 impl ServerClock {
     /// Anchored now: system clock plus `offset`.
     #[must_use]
     pub fn anchored(offset: Span) -> Self {
-        let (instant, wall) = read_together();
-        Self { instant, timestamp: Timestamp::from_nanos(wall) + offset }
+        Self { host: HostClock::anchored(), offset }
     }
 
     /// The time now.
     #[must_use]
     pub fn now(&self) -> Timestamp<Server> {
-        self.timestamp + Span::from(self.instant.elapsed())
+        self.host.now().assume_clock() + self.offset
     }
 
     /// The monotonic instant of a timestamp; instants before the anchor become the anchor.
     #[must_use]
     pub fn instant_of(&self, timestamp: Timestamp<Server>) -> Instant {
-        self.instant + (timestamp - self.timestamp).to_duration()
+        self.host.instant_of((timestamp - self.offset).assume_clock())
     }
-}
-
-/// Both clocks as of one moment: of a few tries the one in which the readings lay closest together.
-fn read_together() -> (Instant, i64) {
-    let reading = || {
-        let before = Instant::now();
-        let wall = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
-        let width = before.elapsed();
-        (width, before + width / 2, i64::try_from(wall.as_nanos()).unwrap_or(i64::MAX))
-    };
-    let best = (0..4).map(|_| reading()).fold(reading(), |a, b| if b.0 < a.0 { b } else { a });
-    (best.1, best.2)
 }
 
 /// What an NTP server says of the system's clock.

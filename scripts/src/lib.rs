@@ -20,6 +20,9 @@ pub use duration::parse_duration;
 pub use finding::{Code, Finding, Severity};
 pub use fleet::{Address, Fault, Fleet, FleetRobot, Handshake, SimulationSettings, read_fleet, read_init};
 pub use plan::{Compiled, DeviceScript, Plan, RobotPlan, compile};
-pub use render::render;
+pub use render::{counted, render};
 pub use scenario::fleet_named_by;
 pub use source::Source;
+
+#[cfg(test)]
+mod tests;

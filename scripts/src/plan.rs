@@ -12,6 +12,7 @@ use crate::fleet::{Fleet, FleetRobot};
 use crate::locate::locate;
 use crate::motion::Actuator;
 use crate::node;
+use crate::render::counted;
 use crate::scenario::{self, Cue, Keyframe, Scenario, Track};
 use crate::source::Source;
 
@@ -368,7 +369,8 @@ impl<'a> Compiler<'a> {
         let most = script.max_number_of_steps as usize;
         if steps > most {
             let message = format!("the script for `{}` of `{}` has {steps} steps", device.id, robot.id);
-            let hint = Some(format!("take out {} keyframes, or allow a larger max_error", steps - most));
+            let hint =
+                Some(format!("take out {}, or allow a larger max_error", counted(steps - most, "keyframe")));
             let expected = format!("at most {most} steps (max_number_of_steps)");
             self.findings.add(Code::TooManySteps, place, message, expected, hint);
         }

@@ -22,8 +22,17 @@ pub fn render(findings: &[Finding], colour: bool) -> String {
         text.push_str("\n\n");
     }
     let errors = findings.iter().filter(|finding| finding.severity == Severity::Error).count();
-    text.push_str(&format!("{errors} errors, {} warnings", findings.len() - errors));
+    text.push_str(&format!("{}, {}", counted(errors, "error"), counted(findings.len() - errors, "warning")));
     text
+}
+
+/// `1 robot`, `2 robots`.
+#[must_use]
+pub fn counted(count: usize, thing: &str) -> String {
+    match count {
+        1 => format!("1 {thing}"),
+        _ => format!("{count} {thing}s"),
+    }
 }
 
 fn render_one(renderer: &Renderer, finding: &Finding) -> String {

@@ -29,13 +29,7 @@ pub(super) fn check(args: &CheckArgs, format: Format) -> Exit {
         Format::Text => {
             load::show_findings(&findings);
             if let Some(plan) = &plan {
-                console::print(&format!(
-                    "{scenario}: no errors, {} robots, {} devices, {} steps, {}\n",
-                    plan.robots.len(),
-                    plan.robots.iter().map(|robot| robot.scripts.len()).sum::<usize>(),
-                    load::step_count(plan),
-                    plan.duration()
-                ));
+                console::print(&format!("{scenario}: no errors, {}\n", crate::report::plan_figures(plan)));
             }
         }
     }

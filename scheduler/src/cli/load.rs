@@ -93,7 +93,3 @@ pub(super) fn show_findings(findings: &[Finding]) {
         console::note(&downbeat_scripts::render(findings, console::stderr_has_colour()));
     }
 }
-
-pub(super) fn step_count(plan: &Plan) -> usize {
-    plan.robots.iter().flat_map(|robot| &robot.scripts).map(|script| script.script.steps().len()).sum()
-}

@@ -3,7 +3,7 @@
 use std::time::Duration;
 
 use downbeat_robot::HostOptions;
-use downbeat_scripts::{Fleet, Plan};
+use downbeat_scripts::{Fleet, Plan, counted};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use tokio::sync::mpsc;
 use urrcp::{Server, Span, Timestamp};
@@ -172,7 +172,7 @@ impl Console {
     fn tell(&self, at: Timestamp<Server>, progress: &Progress) {
         let (accepted, finished) = self.counts.get();
         match progress {
-            Progress::Connected { robots } => self.line(&format!("{robots} robots connected")),
+            Progress::Connected { robots } => self.line(&format!("{} connected", counted(*robots, "robot"))),
             Progress::Greeted { clock_offset_max: Some(offset) } => {
                 self.line(&format!("clocks agree to {offset}"));
             }
@@ -197,7 +197,11 @@ impl Console {
     }
 
     fn decided(&self, at: Timestamp<Server>, start: Timestamp<Server>) {
-        self.line(&format!("all {} robots have accepted: starting in {}", self.robots, start - at));
+        self.line(&format!(
+            "all {} have accepted: starting in {}",
+            counted(self.robots, "robot"),
+            start - at
+        ));
         let total = self.duration.to_duration();
         self.bar.set_length(u64::try_from(total.as_millis()).unwrap_or(u64::MAX));
         if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos:>6}/{len} ms  {msg}") {

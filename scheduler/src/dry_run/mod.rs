@@ -5,7 +5,7 @@
 
 use downbeat_robot::simulated::{Outgoing, SimulatedRobot, True};
 use downbeat_robot::{Input, LinkId, LogEntry};
-use urrcp::{Server, Timestamp};
+use urrcp::{Server, Span, Timestamp};
 
 use crate::mission::{Action, Event, Mission, Progress};
 use crate::report::Report;
@@ -35,7 +35,7 @@ pub fn play(mission: Mission, robots: Vec<SimulatedRobot>) -> Played {
         world.tell_mission(BEGIN, Event::LinkUp { robot });
     }
     let mut now = BEGIN;
-    let report = loop {
+    let mut report = loop {
         world.advance_robots(now);
         let due = world.mission.advance(now);
         world.perform(now, due);
@@ -48,8 +48,21 @@ pub fn play(mission: Mission, robots: Vec<SimulatedRobot>) -> Played {
             None => break world.mission.report_as_left(),
         }
     };
-    let logs = world.robots.iter_mut().map(SimulatedRobot::take_log).collect();
+    let logs: Vec<_> = world.robots.iter_mut().map(SimulatedRobot::take_log).collect();
+    report.true_spread = true_spread(&report, &logs);
     Played { report, logs, progress: world.progress }
+}
+
+/// Largest minus smallest start error, by true time instead of the robots' own.
+fn true_spread(report: &Report, logs: &[Vec<LogEntry>]) -> Option<Span> {
+    let errors = report.robots.iter().zip(logs).flat_map(|(robot, log)| {
+        robot.devices.iter().filter_map(|device| {
+            let first = log.iter().find(|entry| entry.device == device.device && entry.step == Some(0))?;
+            Some(Span::from_nanos(first.true_ns - device.planned_start?.as_nanos()))
+        })
+    });
+    let errors: Vec<Span> = errors.collect();
+    Some(*errors.iter().max()? - *errors.iter().min()?)
 }
 
 struct World {

@@ -80,7 +80,8 @@ fn six_robots_behind_slow_links_start_within_the_error_of_their_clocks() {
     assert_eq!(played.report.outcome, Outcome::Done);
     let starts: Vec<i64> = played.logs.iter().map(|log| log[0].true_ns).collect();
     let spread = starts.iter().max().unwrap() - starts.iter().min().unwrap();
-    assert!(spread <= 80_000, "spread {spread} ns");
+    assert!(spread > 0 && spread <= 80_000, "spread {spread} ns");
+    assert_eq!(played.report.true_spread, Some(Span::from_nanos(spread)));
     assert!(played.report.robots.iter().all(|robot| robot.steps_done == 3));
     let values: Vec<f64> = played.logs[0].iter().map(|entry| entry.value).collect();
     assert_eq!(values, [45.0, 0.0, 45.0]);

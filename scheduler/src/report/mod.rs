@@ -11,7 +11,7 @@ use urrcp::{DeviceId, Robot, RobotId, Server, Span, Timestamp};
 
 use crate::clock::ClockReading;
 use crate::mission::{Failure, LeadTime};
-pub use text::{plan_table, report_text};
+pub use text::{plan_figures, plan_table, report_text};
 
 use crate::mission::robot_state::{Link, RobotState, ScriptPhase, ScriptState};
 
@@ -95,6 +95,9 @@ pub struct Report {
     /// Largest minus smallest start error over all robots, by their own clocks.
     #[serde(rename = "spread_ms")]
     pub spread: Option<Span>,
+    /// The same by the one true clock, which only a dry run has.
+    #[serde(rename = "true_spread_ms", skip_serializing_if = "Option::is_none")]
+    pub true_spread: Option<Span>,
     /// Robots in the order of the plan.
     pub robots: Vec<RobotReport>,
     /// All failures, in order.
@@ -179,6 +182,7 @@ impl Report {
             start,
             lead: timing.map(|(_, lead)| lead),
             spread,
+            true_spread: None,
             robots: robots.iter().map(|robot| robot_report(robot, start, timing.map(|t| t.1))).collect(),
             failures: robots.iter().flat_map(|robot| robot.failures.iter().cloned()).collect(),
         }

@@ -47,7 +47,7 @@ pub fn draw(plan: &Plan, played: &Played) -> String {
 
 fn head(svg: &mut String, plan: &Plan, played: &Played, height: f64, total: f64, lanes: usize) {
     let width = LEFT + WIDTH + RIGHT;
-    let spread = played.report.spread.map_or_else(|| "-".to_owned(), |spread| spread.to_string());
+    let spread = played.report.true_spread.map_or_else(|| "-".to_owned(), |spread| spread.to_string());
     let _infallible = write!(
         svg,
         "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 {width} {height}' width='{width}' height='{height}'>\
@@ -55,22 +55,33 @@ fn head(svg: &mut String, plan: &Plan, played: &Played, height: f64, total: f64,
          .line{{fill:none;stroke:#2a6fb0;stroke-width:1.4}}.dot{{fill:#d9480f}}.grid{{stroke:#ddd}}.lane{{stroke:#eee}}</style>\
          <rect width='100%' height='100%' fill='white'/>\
          <text x='14' y='26' class='title'>{}</text>\
-         <text x='14' y='44' class='small'>{}; start spread {spread}; line: planned, dots: set by the robot</text>",
+         <text x='14' y='44' class='small'>{}; true start spread {spread}; line: planned, dots: set by the robot</text>",
         escaped(&plan.scenario),
         escaped(&played.report.outcome.to_string()),
     );
     let bottom = TOP + LANE_HEIGHT * lanes as f64;
-    for tick in 0..=10 {
-        let part = f64::from(tick) / 10.0;
-        let x = LEFT + WIDTH * part;
+    let every = tick_millis(total);
+    for tick in 0..=(total / every) as u32 {
+        let millis = f64::from(tick) * every;
+        let x = LEFT + WIDTH * millis / total;
         let _infallible = write!(
             svg,
             "<line x1='{x}' y1='{TOP}' x2='{x}' y2='{bottom}' class='grid'/>\
-             <text x='{x}' y='{}' class='small' text-anchor='middle'>{:.2} s</text>",
+             <text x='{x}' y='{}' class='small' text-anchor='middle'>{} s</text>",
             bottom + 16.0,
-            total * part / 1_000.0
+            millis / 1_000.0
         );
     }
+}
+
+/// A round time between two ticks, so that there are at most ten.
+fn tick_millis(total: f64) -> f64 {
+    let decade = 10_f64.powf((total / 10.0).log10().floor());
+    [1.0, 2.0, 5.0, 10.0]
+        .map(|factor| factor * decade)
+        .into_iter()
+        .find(|every| total / every <= 10.0)
+        .unwrap_or(total)
 }
 
 struct Lane {

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use comfy_table::{CellAlignment, Table, presets};
-use downbeat_scripts::Plan;
+use downbeat_scripts::{Plan, counted};
 use urrcp::Span;
 
 use super::{Report, RobotReport, StopState};
@@ -53,12 +53,19 @@ pub fn plan_table(plan: &Plan) -> String {
             ]);
         }
     }
-    let steps: usize = plan.robots.iter().flat_map(|r| &r.scripts).map(|s| s.script.steps().len()).sum();
-    let devices: usize = plan.robots.iter().map(|robot| robot.scripts.len()).sum();
+    format!("{}: {}\n{rows}\n", plan.scenario, plan_figures(plan))
+}
+
+/// How large a plan is, in one line.
+#[must_use]
+pub fn plan_figures(plan: &Plan) -> String {
+    let scripts = || plan.robots.iter().flat_map(|robot| &robot.scripts);
+    let steps: usize = scripts().map(|script| script.script.steps().len()).sum();
     format!(
-        "{}: {} robots, {devices} devices, {steps} steps, {}\n{rows}\n",
-        plan.scenario,
-        plan.robots.len(),
+        "{}, {}, {}, {}",
+        counted(plan.robots.len(), "robot"),
+        counted(scripts().count(), "device"),
+        counted(steps, "step"),
         plan.duration()
     )
 }
@@ -111,10 +118,14 @@ fn closing_lines(report: &Report) -> String {
         Some(spread) => {
             let _infallible = writeln!(
                 text,
-                "start spread {spread} over {started} robots, by their own clocks, each known to the uncertainty above"
+                "start spread {spread} over {}, by their own clocks, each known to the uncertainty above",
+                counted(started, "robot")
             );
         }
         None => text.push_str("no robot reported a start\n"),
+    }
+    if let Some(spread) = report.true_spread {
+        let _infallible = writeln!(text, "true start spread {spread}, by the one clock of the virtual world");
     }
     text.extend(report.robots.iter().filter_map(stop_line));
     text

@@ -1,0 +1,89 @@
+//! Laws of the whole compiler: nothing panics, findings stand in the text, places survive aliases.
+
+use proptest::prelude::*;
+
+use crate::{Address, Code, Fleet, FleetRobot, SimulationSettings, Source, compile};
+
+const BLOCK: &str = r#"{"id": "arm", "api_version": "1", "devices": [
+  {"id": "d", "name": "d", "interpolation": "linear", "available_control_types": {
+     "position": {"min_value": 0, "max_value": 90, "granularity": 0.5},
+     "script": {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_number_of_steps": 8}}}]}"#;
+
+const SCENARIO: &str = "scenario: s
+cues:
+  - at: 0s
+    robots: [arm]
+    tracks:
+      d: [{at: 0s, to: 0}, {at: 1s, to: 45, ease: smooth}]
+";
+
+fn fleet() -> Fleet {
+    let init: urrcp::InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+    let robot = FleetRobot {
+        id: init.id.clone(),
+        address: Address::Simulated,
+        init: Some(init),
+        simulation: SimulationSettings::default(),
+    };
+    Fleet { robots: vec![robot], ..Fleet::default() }
+}
+
+fn compile_text(text: &str) -> crate::Compiled {
+    compile(&Source { name: "s.yaml".into(), text: text.to_owned() }, &fleet())
+}
+
+/// Every finding names a line of the text, and there is a plan exactly when there are none.
+fn check_laws(text: &str) {
+    let compiled = compile_text(text);
+    assert_eq!(compiled.plan.is_none(), !compiled.findings.is_empty());
+    for finding in &compiled.findings {
+        assert!(finding.line <= text.lines().count() + 1, "{finding:?}");
+    }
+    let _shown = crate::render(&compiled.findings, true);
+}
+
+#[test]
+fn what_stands_behind_an_alias_is_placed_where_the_alias_is_used() {
+    let text =
+        "scenario: s\ncues:\n  - &cue {at: 0s, robots: [arm], tracks: {d: [{at: 0s, to: 1000}]}}\n  - *cue\n";
+    let compiled = compile_text(text);
+    let places: Vec<_> =
+        compiled.findings.iter().filter(|f| f.code == Code::OutOfRange).map(|f| (f.line, f.column)).collect();
+    assert_eq!(places, [(3, 60), (4, 5)]);
+}
+
+#[test]
+fn a_gap_between_two_cues_is_held_and_not_crept_through() {
+    let second = "  - at: 5s\n    robots: arm\n    tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 9}]}\n";
+    let plan = compile_text(&format!("{SCENARIO}{second}").replace(", ease: smooth", "")).plan.unwrap();
+    let steps = plan.robots[0].scripts[0].script.steps();
+    let shown: Vec<_> = steps.iter().map(|step| (step.offset.get(), step.setpoint.value)).collect();
+    assert_eq!(shown, [(0.0, 0.0), (1_000.0, 45.0), (5_000.0, 45.0), (5_000.0, 0.0), (6_000.0, 9.0)]);
+}
+
+#[test]
+fn ten_thousand_findings_are_all_placed() {
+    let keyframes: String = (0..10_000).map(|i| format!("        - {{at: {i}s, to: 0.3}}\n")).collect();
+    let text = format!("scenario: s\ncues:\n  - at: 0s\n    robots: arm\n    tracks:\n      d:\n{keyframes}");
+    let compiled = compile_text(&text);
+    let off = compiled.findings.iter().filter(|finding| finding.code == Code::OffGranularity);
+    let lines: Vec<_> = off.map(|finding| finding.line).collect();
+    assert_eq!(lines, (7..10_007).collect::<Vec<_>>());
+}
+
+proptest! {
+    #[test]
+    fn no_text_makes_the_compiler_panic(text in "\\PC{0,200}") {
+        check_laws(&text);
+    }
+
+    #[test]
+    fn no_mutation_of_a_scenario_makes_it_panic(
+        cut in 0usize..SCENARIO.len(),
+        drop in 0usize..20,
+        insert in "[\\[\\]{}:,&*!|>'\"#%@`a-z0-9 \n-]{0,12}",
+    ) {
+        let end = (cut + drop).min(SCENARIO.len());
+        check_laws(&format!("{}{insert}{}", &SCENARIO[..cut], &SCENARIO[end..]));
+    }
+}
