@@ -45,6 +45,16 @@ fn a_set_into_a_script_that_has_begun_overlaps_even_at_its_first_instant() {
 }
 
 #[test]
+fn a_start_at_the_instant_of_receipt_is_in_time_and_one_a_nanosecond_ago_is_late() {
+    let mut bench = Bench::new();
+    bench.until(500);
+    bench.request(timed("arm", "a", 500.0, set(ControlType::Position, 30.0)));
+    bench.request(timed("arm", "b", 499.999_999, set(ControlType::Position, 40.0)));
+    assert_eq!(bench.values(), [(500, 30.0)]);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "OK", "Failed late"]);
+}
+
+#[test]
 fn a_set_at_the_end_of_a_script_follows_it() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, set(ControlType::Position, 30.0)));
