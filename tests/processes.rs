@@ -218,3 +218,36 @@ fn robots_whose_scheduler_is_killed_while_they_move_stop_when_their_lease_ends()
         assert!(log.lines().last().unwrap().contains(r#""motion":"default""#), "{log}");
     }
 }
+
+/// A port that is free now.
+fn free_port() -> u16 {
+    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}
+
+#[test]
+fn a_whole_fleet_in_one_process_is_pinged_and_started_without_a_handshake() {
+    let session = Session::new();
+    let yaml = |handshake: &str, ports: &[u16]| {
+        let robot = |(id, port): (usize, &u16)| {
+            format!("  r{id}: {{init: arm.yaml, address: 'tcp://127.0.0.1:{port}'}}\n")
+        };
+        let robots: String = ports.iter().enumerate().map(robot).collect();
+        format!("handshake: {handshake}\nrobots:\n{robots}groups: {{all: [r0, r1, r2]}}\n")
+    };
+    let ports = [free_port(), free_port(), free_port()];
+    session.file("test.yaml", SCENARIO).file("fleet.yaml", yaml("skip", &ports));
+    let mut sim = session.command(&["sim", "fleet.yaml"]).stdout(Stdio::piped()).spawn().unwrap();
+    let mut listening = BufReader::new(sim.stdout.take().unwrap()).lines();
+    for (id, port) in ports.iter().enumerate() {
+        let line = listening.next().unwrap().unwrap();
+        assert_eq!(line, format!("robot r{id} listens on 127.0.0.1:{port}"));
+    }
+    let ping = session.run(&["fleet", "ping", "fleet.yaml"]);
+    let ran = session.run(&["run", "test.yaml", "--format", "json"]);
+    signal(&sim, "-TERM");
+    assert_eq!(sim.wait().unwrap().code(), Some(0));
+    ping.says(0, &["r2", "tcp://127.0.0.1:", "yes"]);
+    assert_eq!(ran.code(), 0, "{}", ran.text());
+    let report = ran.json();
+    assert!(report["robots"].as_array().unwrap().iter().all(|r| r["steps_done"] == 3));
+}

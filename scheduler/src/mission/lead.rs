@@ -3,8 +3,9 @@
 use serde::Serialize;
 use urrcp::Span;
 
-/// Least time kept free between the end of all leases and the start, in milliseconds.
-pub const LEAD_MARGIN_MIN: Span = Span::from_millis(20);
+/// Least time kept free between the end of all leases and the start, and on top of what preparing needs: a loaded machine
+/// wakes the scheduler tens of milliseconds late.
+pub const LEAD_MARGIN_MIN: Span = Span::from_millis(50);
 /// Least pending lease: a few renewals must fit into it on the scheduler's millisecond timer.
 const LEASE_MIN: Span = Span::from_millis(240);
 /// A renewal may take up to this part of a lease to arrive without anyone noticing.
