@@ -21,7 +21,7 @@ fn every_example_is_sound_and_plays_in_virtual_time() {
 fn the_swap_has_432_steps_in_4250_ms_18_a_device() {
     let plan = downbeat(&["plan", "scripts/examples/swap.yaml", "--format", "json"]).json();
     assert_eq!(plan["duration_ms"], 4_250);
-    let robots = plan["robots"].as_object().unwrap();
+    let robots = plan["acts"][0]["robots"].as_object().unwrap();
     assert_eq!(robots.len(), 6);
     let requests: Vec<_> = robots.values().flat_map(|requests| requests.as_array().unwrap()).collect();
     assert_eq!(requests.len(), 24);

@@ -155,7 +155,7 @@ fn all_findings_come_at_once_in_the_order_of_the_file() {
         .iter()
         .map(|f| (f["code"].as_str().unwrap().to_owned(), f["line"].as_u64().unwrap()))
         .collect();
-    let expected = [("DB0004", 2), ("DB0007", 4), ("DB0003", 6), ("DB0009", 9)];
+    let expected = [("DB0004", 2), ("DB0007", 4), ("DB0008", 5), ("DB0003", 6), ("DB0009", 9)];
     assert_eq!(findings, expected.map(|(code, line)| (code.to_owned(), line)));
 }
 

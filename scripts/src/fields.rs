@@ -1,8 +1,12 @@
-//! Reading a tree key by key, collecting every finding on the way.
+//! Reading a tree key by key, collecting every finding on the way. Variables are put in where they are used.
+
+use std::borrow::Cow;
 
 use crate::duration;
 use crate::finding::{Code, Part, Pending, Place, did_you_mean, names};
+use crate::music::Music;
 use crate::node::{Node, shortened};
+use crate::scope::Scope;
 use urrcp::Span;
 
 /// A node with the way that led to it.
@@ -14,14 +18,15 @@ pub(crate) struct At<'a> {
 
 #[derive(Clone, Copy)]
 enum Trail<'a> {
-    Document,
+    Document(u16),
     Key(&'a At<'a>, &'a str, usize),
     Index(&'a At<'a>, usize),
 }
 
 impl<'a> At<'a> {
-    pub(crate) fn document(node: &'a Node) -> Self {
-        Self { node, trail: Trail::Document }
+    /// The root of a file, counted from 0 for the scenario itself.
+    pub(crate) fn document(node: &'a Node, file: u16) -> Self {
+        Self { node, trail: Trail::Document(file) }
     }
 
     pub(crate) fn item(&'a self, index: usize, node: &'a Node) -> At<'a> {
@@ -34,36 +39,42 @@ impl<'a> At<'a> {
 
     /// The place of this node.
     pub(crate) fn place(&self) -> Place {
-        Place { path: self.path(), key: false }
+        let (file, path) = self.path();
+        Place { file, path, key: false }
     }
 
     /// The place of the key that leads to it.
     pub(crate) fn key_place(&self) -> Place {
-        Place { path: self.path(), key: true }
+        let (file, path) = self.path();
+        Place { file, path, key: true }
     }
 
-    fn path(&self) -> Vec<Part> {
+    fn path(&self) -> (u16, Vec<Part>) {
         match self.trail {
-            Trail::Document => Vec::new(),
+            Trail::Document(file) => (file, Vec::new()),
             Trail::Key(parent, key, occurrence) => {
-                let mut path = parent.path();
+                let (file, mut path) = parent.path();
                 path.push(Part::Key(key.to_owned(), occurrence));
-                path
+                (file, path)
             }
             Trail::Index(parent, index) => {
-                let mut path = parent.path();
+                let (file, mut path) = parent.path();
                 path.push(Part::Index(index));
-                path
+                (file, path)
             }
         }
     }
 }
 
-/// What has been found so far.
+/// Reads values; keeps what has been found so far, the variables in force, and how long a beat is.
 #[derive(Default)]
-pub(crate) struct Findings(pub(crate) Vec<Pending>);
+pub(crate) struct Reader {
+    pub(crate) found: Vec<Pending>,
+    pub(crate) scope: Scope,
+    pub(crate) music: Music,
+}
 
-impl Findings {
+impl Reader {
     pub(crate) fn add(
         &mut self,
         code: Code,
@@ -73,7 +84,7 @@ impl Findings {
         hint: Option<String>,
     ) {
         let (message, expected) = (message.into(), expected.into());
-        self.0.push(Pending { code, place, message, expected, hint });
+        self.found.push(Pending { code, place, message, expected, hint });
     }
 
     pub(crate) fn wrong_type(&mut self, at: &At<'_>, expected: &str) {
@@ -153,9 +164,43 @@ impl Findings {
         }
     }
 
-    pub(crate) fn text<'a>(&mut self, at: &At<'a>, expected: &str) -> Option<&'a str> {
+    /// The node itself, or the value of the variable that stands there.
+    pub(crate) fn scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
         match at.node {
-            Node::Text(text) => Some(text),
+            Node::Text(text) if text.starts_with('$') || text.starts_with("-$") => {
+                self.variable(at, text).map(Cow::Owned)
+            }
+            node => Some(Cow::Borrowed(node)),
+        }
+    }
+
+    fn variable(&mut self, at: &At<'_>, text: &str) -> Option<Node> {
+        let (negated, name) = match text.strip_prefix('-') {
+            Some(rest) => (true, &rest[1..]),
+            None => (false, &text[1..]),
+        };
+        match (self.scope.get(name), negated) {
+            (Some(Node::Number(value)), true) => return Some(Node::Number(-value)),
+            (Some(value), false) => return Some(value.clone()),
+            (Some(_), true) => {
+                let message = format!("`{}` is no number to put a minus before", shortened(name));
+                self.add(Code::Variable, at.place(), message, "a variable that is a number", None);
+            }
+            (None, _) => {
+                let known: Vec<_> = self.scope.names().collect();
+                let hint = did_you_mean(name, known.iter().copied());
+                let expected = format!("one of the variables {}", names(known));
+                let message = format!("no variable `{}` is known here", shortened(name));
+                self.add(Code::Variable, at.place(), message, expected, hint);
+            }
+        }
+        None
+    }
+
+    pub(crate) fn text<'a>(&mut self, at: &At<'a>, expected: &str) -> Option<Cow<'a, str>> {
+        match self.scalar(at)? {
+            Cow::Borrowed(Node::Text(text)) => Some(Cow::Borrowed(text)),
+            Cow::Owned(Node::Text(text)) => Some(Cow::Owned(text)),
             _ => {
                 self.wrong_type(at, expected);
                 None
@@ -165,14 +210,18 @@ impl Findings {
 
     /// A name: text, or a number that someone uses as one.
     pub(crate) fn name(&mut self, at: &At<'_>, expected: &str) -> Option<String> {
-        match at.node {
+        match self.scalar(at)?.as_ref() {
             Node::Number(value) => Some(value.to_string()),
-            _ => self.text(at, expected).map(str::to_owned),
+            Node::Text(text) => Some(text.clone()),
+            _ => {
+                self.wrong_type(at, expected);
+                None
+            }
         }
     }
 
     pub(crate) fn number(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
-        match at.node {
+        match self.scalar(at)?.as_ref() {
             Node::Number(value) if value.is_finite() => Some(*value),
             _ => {
                 self.wrong_type(at, expected);
@@ -181,20 +230,42 @@ impl Findings {
         }
     }
 
+    /// A number above 0.
+    pub(crate) fn positive(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
+        let value = self.number(at, expected)?;
+        if value > 0.0 {
+            return Some(value);
+        }
+        self.add(Code::WrongType, at.place(), format!("found the number {value}"), expected, None);
+        None
+    }
+
+    /// A whole number from `least` to `most`.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "checked by the range")]
+    pub(crate) fn count(&mut self, at: &At<'_>, least: u32, most: u32) -> Option<u32> {
+        let expected = format!("a whole number from {least} to {most}");
+        let value = self.number(at, &expected)?;
+        if value.fract() == 0.0 && value >= f64::from(least) && value <= f64::from(most) {
+            return Some(value as u32);
+        }
+        self.add(Code::WrongType, at.place(), format!("found the number {value}"), expected, None);
+        None
+    }
+
+    pub(crate) fn truth(&mut self, at: &At<'_>) -> Option<bool> {
+        match self.scalar(at)?.as_ref() {
+            Node::Bool(value) => Some(*value),
+            _ => {
+                self.wrong_type(at, "true or false");
+                None
+            }
+        }
+    }
+
+    /// A length of time, in seconds and their kind or in beats and bars.
     pub(crate) fn duration(&mut self, at: &At<'_>) -> Option<Span> {
-        self.parsed_duration(at, duration::parse_duration)
-    }
-
-    pub(crate) fn signed_duration(&mut self, at: &At<'_>) -> Option<Span> {
-        self.parsed_duration(at, duration::parse_signed)
-    }
-
-    fn parsed_duration(&mut self, at: &At<'_>, parse: fn(&str) -> Option<Span>) -> Option<Span> {
-        let (found, hint) = match at.node {
-            Node::Text(text) => match parse(text) {
-                Some(span) => return Some(span),
-                None => (format!("the time `{}` cannot be read", shortened(text)), None),
-            },
+        let (found, hint) = match self.scalar(at)?.as_ref() {
+            Node::Text(text) => return self.time(at, text),
             Node::Number(value) => {
                 let hint = format!("add the unit: `{value}s` or `{value}ms`");
                 (format!("the time {value} has no unit"), Some(hint))
@@ -205,6 +276,42 @@ impl Findings {
         None
     }
 
+    /// The same from a part of a text.
+    pub(crate) fn time(&mut self, at: &At<'_>, text: &str) -> Option<Span> {
+        let text = text.trim();
+        if let Some(name) = text.strip_prefix('$') {
+            let value = self.scope.get(name).cloned();
+            return match value {
+                Some(node @ (Node::Text(_) | Node::Number(_))) => self.duration(&At { node: &node, ..*at }),
+                _ => self.variable(at, text).and(None),
+            };
+        }
+        if let Some(span) = duration::parse_duration(text) {
+            return Some(span);
+        }
+        match self.music.span(text) {
+            Some(Ok(span)) => return Some(span),
+            Some(Err(why)) => {
+                let expected = "a `tempo`, and a fixed start where it changes";
+                self.add(Code::Music, at.place(), why.message(text), expected, Some(why.hint().to_owned()));
+            }
+            None => {
+                let found = format!("the time `{}` cannot be read", shortened(text));
+                self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, None);
+            }
+        }
+        None
+    }
+
+    pub(crate) fn signed_duration(&mut self, at: &At<'_>) -> Option<Span> {
+        if let Node::Text(text) = at.node
+            && let Some(span) = duration::parse_signed(text)
+        {
+            return Some(span);
+        }
+        self.duration(at)
+    }
+
     /// One of a few words.
     pub(crate) fn word<T: Copy>(&mut self, at: &At<'_>, words: &[(&'static str, T)]) -> Option<T> {
         let known = || words.iter().map(|(word, _)| *word);
@@ -212,9 +319,9 @@ impl Findings {
         if let Some((_, value)) = words.iter().find(|(word, _)| *word == text) {
             return Some(*value);
         }
-        let message = format!("unknown word `{}`", shortened(text));
+        let message = format!("unknown word `{}`", shortened(&text));
         let expected = format!("one of {}", names(known()));
-        self.add(Code::UnknownWord, at.place(), message, expected, did_you_mean(text, known()));
+        self.add(Code::UnknownWord, at.place(), message, expected, did_you_mean(&text, known()));
         None
     }
 }

@@ -13,7 +13,7 @@ pub enum Severity {
 }
 
 macro_rules! codes {
-    ($($variant:ident = $text:literal, $title:literal;)*) => {
+    ($($variant:ident = $text:literal, $severity:ident, $title:literal;)*) => {
         /// The kinds of findings. Codes are stable: a number is never used again for something else.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
         pub enum Code {
@@ -35,33 +35,80 @@ macro_rules! codes {
             pub const fn title(self) -> &'static str {
                 match self { $(Self::$variant => $title,)* }
             }
+
+            /// Whether nothing can be run with it.
+            #[must_use]
+            pub const fn severity(self) -> Severity {
+                match self { $(Self::$variant => Severity::$severity,)* }
+            }
         }
     };
 }
 
 codes! {
-    Unreadable = "DB0001", "a file cannot be read";
-    Syntax = "DB0002", "a text is not YAML";
-    WrongType = "DB0003", "a value is of another kind than expected";
-    UnknownKey = "DB0004", "a key that is not known here";
-    DuplicateKey = "DB0005", "a key stands twice";
-    MissingKey = "DB0006", "a key is missing";
-    BadDuration = "DB0007", "a time cannot be read";
-    UnknownRobot = "DB0008", "no robot or group of this name";
-    UnknownDevice = "DB0009", "the robot has no such device";
-    ControlType = "DB0010", "the device cannot be controlled this way";
-    OutOfRange = "DB0011", "a value lies outside the device's limits";
-    OffGranularity = "DB0012", "a value lies off the device's grid";
-    TooManySteps = "DB0013", "a script is longer than the device takes";
-    TimeOrder = "DB0014", "keyframes are not in order of time";
-    Overlap = "DB0015", "two cues move one device at the same time";
-    NothingToDo = "DB0016", "nothing to do";
-    ListedTwice = "DB0017", "a robot is listed twice";
-    InitializationBlock = "DB0018", "an initialization block is not valid";
-    NameClash = "DB0019", "a group bears the name of a robot";
-    UnknownWord = "DB0020", "a word that is not known here";
-    UnknownBeginning = "DB0021", "a movement without a beginning";
+    Unreadable = "DB0001", Error, "a file cannot be read";
+    Syntax = "DB0002", Error, "a text is not YAML";
+    WrongType = "DB0003", Error, "a value is of another kind than expected";
+    UnknownKey = "DB0004", Error, "a key that is not known here";
+    DuplicateKey = "DB0005", Error, "a key stands twice";
+    MissingKey = "DB0006", Error, "a key is missing";
+    BadDuration = "DB0007", Error, "a time cannot be read";
+    UnknownRobot = "DB0008", Error, "no robot or group of this name";
+    UnknownDevice = "DB0009", Error, "the robot has no such device";
+    ControlType = "DB0010", Error, "the device cannot be controlled this way";
+    OutOfRange = "DB0011", Error, "a value lies outside the device's limits";
+    OffGranularity = "DB0012", Error, "a value lies off the device's grid";
+    TooManySteps = "DB0013", Error, "a script is longer than the device takes";
+    TimeOrder = "DB0014", Error, "keyframes are not in order of time";
+    Overlap = "DB0015", Error, "two cues move one device at the same time";
+    NothingToDo = "DB0016", Error, "nothing to do";
+    ListedTwice = "DB0017", Error, "a robot is listed twice";
+    InitializationBlock = "DB0018", Error, "an initialization block is not valid";
+    NameClash = "DB0019", Error, "a group bears the name of a robot";
+    UnknownWord = "DB0020", Error, "a word that is not known here";
+    UnknownBeginning = "DB0021", Error, "a movement without a beginning";
+    UnknownCue = "DB0022", Error, "no cue of this name";
+    UnknownMove = "DB0023", Error, "no move of this name";
+    Variable = "DB0024", Error, "a variable without a value";
+    Music = "DB0025", Error, "beats and bars without a tempo";
+    Conflict = "DB0026", Error, "times that contradict each other";
+    NoOrder = "DB0027", Error, "no order found for cues that exclude each other";
+    UnknownZone = "DB0028", Error, "no zone of this name";
+    Unreachable = "DB0029", Error, "an act that is never reached";
+    DeadEnd = "DB0030", Error, "acts that never come to an end";
+    UnknownAct = "DB0031", Error, "no act of this name";
+    TooFast = "DB0032", Error, "a movement faster than the device";
+    TooSudden = "DB0033", Error, "a movement with more acceleration than the device";
+    Jump = "DB0034", Warning, "a device that has to jump";
+    LeftInMotion = "DB0035", Warning, "a device is left in motion at the end";
+    LeaseTooLong = "DB0036", Warning, "a lease longer than the script that it guards";
+    NoRobot = "DB0037", Error, "a cue that no robot answers to";
+    Snapped = "DB0038", Warning, "a value was moved to the device's grid";
+    QueueTooShort = "DB0039", Error, "more scripts than the device's queue holds";
+    ToleranceTooTight = "DB0040", Error, "an error larger than allowed";
+    BadMotion = "DB0041", Error, "a movement that cannot be made";
+    Include = "DB0042", Error, "an include that leads nowhere";
+    NameTwice = "DB0043", Error, "a name stands for two things";
+    UnknownSensor = "DB0044", Error, "the robot has no such sensor";
+    TooMuch = "DB0045", Error, "more than anything could play";
+    BadData = "DB0046", Error, "a data file cannot be used";
 }
+
+impl Code {
+    /// What it means, why it matters and how to mend it: its section of `findings.md`.
+    #[must_use]
+    pub fn explanation(self) -> &'static str {
+        let heading = format!("## {}", self.as_str());
+        let text = EXPLANATIONS;
+        let Some(begin) = text.find(&heading) else { return self.title() };
+        let body = &text[begin + heading.len()..];
+        let body = body.split_once('\n').map_or("", |(_, body)| body);
+        body.split("\n## ").next().unwrap_or(body).trim()
+    }
+}
+
+/// The page that people read is the one that the program shows.
+const EXPLANATIONS: &str = include_str!("../../docs/findings.md");
 
 impl Serialize for Code {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
@@ -110,7 +157,7 @@ impl Finding {
     ) -> Self {
         Self {
             code,
-            severity: Severity::Error,
+            severity: code.severity(),
             file: file.to_owned(),
             line: 0,
             column: 0,
@@ -134,10 +181,26 @@ pub(crate) struct Pending {
 }
 
 /// A place in a file: a node, or the key that leads to it.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
 pub(crate) struct Place {
+    /// Which file: 0 for the scenario, then includes in the order of their reading.
+    pub(crate) file: u16,
     pub(crate) path: Vec<Part>,
     pub(crate) key: bool,
+}
+
+impl Place {
+    /// The place of an entry below this one.
+    pub(crate) fn below(&self, part: Part) -> Self {
+        let mut path = self.path.clone();
+        path.push(part);
+        Self { file: self.file, path, key: false }
+    }
+
+    /// The place of a key's value below this one.
+    pub(crate) fn of_key(&self, key: &str) -> Self {
+        self.below(Part::Key(key.to_owned(), 0))
+    }
 }
 
 /// One step into the tree. Occurrences count equal keys of one map from 0.

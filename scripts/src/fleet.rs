@@ -3,13 +3,19 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use urrcp::{InitializationBlock, RobotId, Span};
+use urrcp::{ControlType, Device, InitializationBlock, RobotId, Span};
 
-use crate::fields::{At, Findings};
+use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding};
 use crate::locate::locate;
 use crate::node::{self, Node};
 use crate::source::Source;
+
+pub(crate) const FLEET_KEYS: [&str; 4] = ["ntp", "handshake", "robots", "groups"];
+pub(crate) const ROBOT_KEYS: [&str; 4] = ["init", "address", "simulate", "limits"];
+pub(crate) const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
+pub(crate) const SIMULATE_KEYS: [&str; 6] =
+    ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault"];
 
 /// All robots of a site.
 #[derive(Clone, Debug, Default)]
@@ -45,6 +51,38 @@ pub struct FleetRobot {
     pub init: Option<InitializationBlock>,
     /// How it behaves when it is simulated.
     pub simulation: SimulationSettings,
+    /// How fast its devices may move, by device id, where that is less than their speed control type says.
+    pub limits: BTreeMap<String, RateLimits>,
+}
+
+/// How fast a device may move: bounds of the derivatives of its value, in its unit a second and a second squared.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct RateLimits {
+    /// Of the first derivative: speed for positions.
+    pub speed: Option<f64>,
+    /// Of the second derivative: acceleration for positions.
+    pub acceleration: Option<f64>,
+}
+
+impl RateLimits {
+    /// Completed by what the device declares for the control types speed and acceleration: the larger of |min_value|
+    /// and |max_value|. For a device driven by speed the first derivative is an acceleration.
+    #[must_use]
+    pub fn or_declared(self, device: &Device, control_type: ControlType) -> Self {
+        let declared = |rate| {
+            let limits = device.available_control_types.limits(rate)?;
+            Some(limits.min_value.abs().max(limits.max_value.abs()))
+        };
+        let (speed, acceleration) = (
+            self.speed.or_else(|| declared(ControlType::Speed)),
+            self.acceleration.or_else(|| declared(ControlType::Acceleration)),
+        );
+        match control_type {
+            ControlType::Position => Self { speed, acceleration },
+            ControlType::Speed => Self { speed: acceleration, acceleration: None },
+            _ => Self::default(),
+        }
+    }
 }
 
 /// Where a robot is reached.
@@ -122,11 +160,11 @@ pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
     let mut reader = FleetReader {
         folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
         blocks: HashMap::new(),
-        findings: Findings::default(),
+        findings: Reader::default(),
         elsewhere: Vec::new(),
     };
-    let fleet = reader.fleet(&At::document(&document));
-    let mut findings = locate(&source, reader.findings.0);
+    let fleet = reader.fleet(&At::document(&document, 0));
+    let mut findings = locate(std::slice::from_ref(&source), reader.findings.found);
     findings.append(&mut reader.elsewhere);
     (fleet.filter(|_| findings.is_empty()), findings)
 }
@@ -150,18 +188,18 @@ struct FleetReader {
     folder: PathBuf,
     /// Blocks read so far, by path: many robots share one.
     blocks: HashMap<PathBuf, Option<InitializationBlock>>,
-    findings: Findings,
+    findings: Reader,
     /// Findings in other files.
     elsewhere: Vec<Finding>,
 }
 
 impl FleetReader {
     fn fleet(&mut self, at: &At<'_>) -> Option<Fleet> {
-        let known = ["ntp", "handshake", "robots", "groups"];
-        let [ntp, handshake, robots, groups] = self.findings.map(at, "the fleet file", known, &["robots"])?;
+        let [ntp, handshake, robots, groups] =
+            self.findings.map(at, "the fleet file", FLEET_KEYS, &["robots"])?;
         let mut fleet = Fleet::default();
         if let Some(ntp) = ntp.filter(|at| *at.node != Node::Null) {
-            fleet.ntp = self.findings.text(&ntp, "the name of an NTP server").map(str::to_owned);
+            fleet.ntp = self.findings.text(&ntp, "the name of an NTP server").map(Into::into);
         }
         if let Some(handshake) = handshake {
             let words = [("full", Handshake::Full), ("skip", Handshake::Skip)];
@@ -200,13 +238,35 @@ impl FleetReader {
             }
         };
         let what = format!("robot `{name}`");
-        let known = ["init", "address", "simulate"];
-        let [init, address, simulate] = self.findings.map(at, &what, known, &["init", "address"])?;
+        let [init, address, simulate, limits] =
+            self.findings.map(at, &what, ROBOT_KEYS, &["init", "address"])?;
         let address = address.and_then(|at| self.address(&at));
         let simulation = simulate.map(|at| self.simulation(&at)).unwrap_or_default();
         let mut init = init.and_then(|at| self.init(&at))?;
         init.id = id.clone();
-        Some(FleetRobot { id, address: address?, init: Some(init), simulation })
+        let limits = limits.map(|at| self.limits(&at, &init)).unwrap_or_default();
+        Some(FleetRobot { id, address: address?, init: Some(init), simulation, limits })
+    }
+
+    fn limits(&mut self, at: &At<'_>, init: &InitializationBlock) -> BTreeMap<String, RateLimits> {
+        let mut limits = BTreeMap::new();
+        for (device, at) in self.findings.entries(at, "device to its largest speed and acceleration") {
+            if init.device(device).is_none() {
+                let known = || init.devices.iter().map(|device| device.id.as_str());
+                let message = format!("the robot has no device `{}`", node::shortened(device));
+                let expected = format!("one of {}", crate::finding::names(known()));
+                let hint = crate::finding::did_you_mean(device, known());
+                self.findings.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
+            }
+            let Some([speed, acceleration]) = self.findings.map(&at, "limits", LIMIT_KEYS, &[]) else {
+                continue;
+            };
+            let expected = "a number above 0, in the device's unit";
+            let mut positive = |at: Option<At<'_>>| at.and_then(|at| self.findings.positive(&at, expected));
+            let rates = RateLimits { speed: positive(speed), acceleration: positive(acceleration) };
+            limits.insert(device.to_owned(), rates);
+        }
+        limits
     }
 
     fn address(&mut self, at: &At<'_>) -> Option<Address> {
@@ -224,7 +284,7 @@ impl FleetReader {
                 Some(Address::Tcp { host, port })
             }
             None => {
-                let message = format!("`{}` is no address", node::shortened(text));
+                let message = format!("`{}` is no address", node::shortened(&text));
                 self.findings.add(Code::UnknownWord, at.place(), message, expected, None);
                 None
             }
@@ -232,7 +292,7 @@ impl FleetReader {
     }
 
     fn init(&mut self, at: &At<'_>) -> Option<InitializationBlock> {
-        let path = self.folder.join(self.findings.text(at, "the path of an initialization block")?);
+        let path = self.folder.join(self.findings.text(at, "the path of an initialization block")?.as_ref());
         if let Some(known) = self.blocks.get(&path) {
             return known.clone();
         }
@@ -255,9 +315,8 @@ impl FleetReader {
 
     fn simulation(&mut self, at: &At<'_>) -> SimulationSettings {
         let mut settings = SimulationSettings::default();
-        let known = ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault"];
         let Some([offset, drift, jitter, ntp_error, delay, fault]) =
-            self.findings.map(at, "`simulate`", known, &[])
+            self.findings.map(at, "`simulate`", SIMULATE_KEYS, &[])
         else {
             return settings;
         };
@@ -300,7 +359,7 @@ impl FleetReader {
 }
 
 fn unknown_robot<'a>(
-    findings: &mut Findings,
+    findings: &mut Reader,
     at: &At<'_>,
     name: &str,
     known: impl IntoIterator<Item = &'a str> + Clone,
@@ -313,7 +372,7 @@ fn unknown_robot<'a>(
     findings.add(Code::UnknownRobot, at.place(), message, expected, hint);
 }
 
-fn drift_ppm(findings: &mut Findings, at: &At<'_>) -> Option<f64> {
+fn drift_ppm(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
     let expected = "a drift such as 5ppm";
     let text = findings.text(at, expected)?;
     let number = text.strip_suffix("ppm").and_then(|number| number.trim().parse::<f64>().ok());
@@ -322,7 +381,7 @@ fn drift_ppm(findings: &mut Findings, at: &At<'_>) -> Option<f64> {
         findings.add(
             Code::UnknownWord,
             at.place(),
-            format!("`{}` is no drift", node::shortened(text)),
+            format!("`{}` is no drift", node::shortened(&text)),
             expected,
             None,
         );
@@ -330,7 +389,7 @@ fn drift_ppm(findings: &mut Findings, at: &At<'_>) -> Option<f64> {
     number
 }
 
-fn delay_range(findings: &mut Findings, at: &At<'_>) -> Option<(Span, Span)> {
+fn delay_range(findings: &mut Reader, at: &At<'_>) -> Option<(Span, Span)> {
     let expected = "the least and the largest delay, as [0ms, 80ms]";
     let items = findings.list(at, expected);
     let [least, largest] = items.as_slice() else {

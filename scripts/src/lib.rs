@@ -1,26 +1,42 @@
 //! The scenario language: read a fleet and a choreography, find everything that will not work, compile the rest.
 //!
-//! The way through this crate: `source` and `node` (text to tree), `fleet` and `scenario` (tree to meaning), `motion`
-//! (keyframes to steps), `plan` (steps to one script a device, checked). Findings carry a path into the tree; `locate`
-//! turns it into line and column only when there is something to report, and `render` shows it.
+//! The way through this crate: `source` and `node` (text to tree), `fleet` and `scenario` (tree to meaning), `compile`
+//! (who, when, what: `timing` solves the times, `motion` and `fit` make the steps), `plan` (what comes of it). Findings
+//! carry a path into the tree; `locate` turns it into line and column only when there is something to report, and
+//! `render` shows it.
 
+mod compile;
 mod duration;
 mod fields;
+mod files;
 mod finding;
+pub mod fit;
 mod fleet;
 mod locate;
 mod motion;
+mod music;
 mod node;
 mod plan;
 mod render;
+mod sarif;
 mod scenario;
+mod scope;
 mod source;
+pub mod timing;
 
+pub use compile::{Compiled, compile};
 pub use duration::parse_duration;
+pub use files::{Files, Folder, NoFiles};
 pub use finding::{Code, Finding, Severity};
-pub use fleet::{Address, Fault, Fleet, FleetRobot, Handshake, SimulationSettings, read_fleet, read_init};
-pub use plan::{Compiled, DeviceScript, Plan, RobotPlan, compile};
+pub use fleet::{
+    Address, Fault, Fleet, FleetRobot, Handshake, RateLimits, SimulationSettings, read_fleet, read_init,
+};
+pub use plan::{
+    Act, Choreography, DeviceScript, DeviceUse, FailurePolicy, OnFailure, Plan, PlannedCue, PlannedReading,
+    RobotPlan, SensorRange, Wait, Way,
+};
 pub use render::{counted, render};
+pub use sarif::sarif;
 pub use scenario::fleet_named_by;
 pub use source::Source;
 

@@ -5,11 +5,29 @@ use std::collections::HashMap;
 
 use saphyr_parser::{Event, Parser, Span};
 
-use crate::finding::{Finding, Part, Pending, Place, Severity};
+use crate::finding::{Finding, Part, Pending, Place};
 use crate::source::Source;
 
-/// Gives every finding its line and column, and sorts them by place.
-pub(crate) fn locate(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {
+/// Gives every finding its line and column, and sorts them by place: the findings of each file together.
+pub(crate) fn locate(sources: &[Source], pending: Vec<Pending>) -> Vec<Finding> {
+    let mut by_file: Vec<Vec<Pending>> = sources.iter().map(|_| Vec::new()).collect();
+    for finding in pending {
+        if let Some(file) = by_file.get_mut(usize::from(finding.place.file)) {
+            file.push(finding);
+        }
+    }
+    sources.iter().zip(by_file).flat_map(|(source, pending)| locate_in(source, pending)).collect()
+}
+
+/// Line numbers of places, from 1, for messages that name several.
+pub(crate) fn lines_of(source: &Source, places: &[Place]) -> Vec<usize> {
+    let mut wanted = Wanted::default();
+    let nodes: Vec<usize> = places.iter().map(|place| wanted.add(place)).collect();
+    wanted.find(&source.text);
+    nodes.iter().zip(places).map(|(node, place)| wanted.spot(*node, place.key).line).collect()
+}
+
+fn locate_in(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {
     if pending.is_empty() {
         return Vec::new();
     }
@@ -26,13 +44,15 @@ pub(crate) fn locate(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {
         })
         .collect();
     findings.sort_by_key(|finding| (finding.line, finding.column, finding.code));
+    // A move that several cues use is read once for each, and its faults found as often.
+    findings.dedup();
     findings
 }
 
 fn finding(source: &Source, lines: &LineStarts, pending: Pending, spot: Spot) -> Finding {
     Finding {
         code: pending.code,
-        severity: Severity::Error,
+        severity: pending.code.severity(),
         file: source.name.clone(),
         line: spot.line,
         column: spot.column,

@@ -24,18 +24,20 @@ fn fleet() -> Fleet {
         address: Address::Simulated,
         init: Some(init),
         simulation: SimulationSettings::default(),
+        limits: std::collections::BTreeMap::new(),
     };
     Fleet { robots: vec![robot], ..Fleet::default() }
 }
 
 fn compile_text(text: &str) -> crate::Compiled {
-    compile(&Source { name: "s.yaml".into(), text: text.to_owned() }, &fleet())
+    compile(&Source { name: "s.yaml".into(), text: text.to_owned() }, &fleet(), &crate::NoFiles)
 }
 
 /// Every finding names a line of the text, and there is a plan exactly when there are none.
 fn check_laws(text: &str) {
     let compiled = compile_text(text);
-    assert_eq!(compiled.plan.is_none(), !compiled.findings.is_empty());
+    let error = |finding: &crate::Finding| finding.severity == crate::Severity::Error;
+    assert_eq!(compiled.choreography.is_none(), compiled.findings.iter().any(error));
     for finding in &compiled.findings {
         assert!(finding.line <= text.lines().count() + 1, "{finding:?}");
     }
@@ -55,7 +57,12 @@ fn what_stands_behind_an_alias_is_placed_where_the_alias_is_used() {
 #[test]
 fn a_gap_between_two_cues_is_held_and_not_crept_through() {
     let second = "  - at: 5s\n    robots: arm\n    tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 9}]}\n";
-    let plan = compile_text(&format!("{SCENARIO}{second}").replace(", ease: smooth", "")).plan.unwrap();
+    let plan = compile_text(&format!("{SCENARIO}{second}").replace(", ease: smooth", ""))
+        .choreography
+        .unwrap()
+        .acts
+        .remove(0)
+        .plan;
     let steps = plan.robots[0].scripts[0].script.steps();
     let shown: Vec<_> = steps.iter().map(|step| (step.offset.get(), step.setpoint.value)).collect();
     assert_eq!(shown, [(0.0, 0.0), (1_000.0, 45.0), (5_000.0, 45.0), (5_000.0, 0.0), (6_000.0, 9.0)]);

@@ -1,5 +1,8 @@
 //! `downbeat check`: all findings at once.
 
+use std::path::PathBuf;
+
+use clap::ValueEnum;
 use serde::Serialize;
 
 use super::load::{self, Loaded};
@@ -9,10 +12,24 @@ use super::{Exit, Format, ScenarioArgs, console};
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   downbeat check scripts/examples/dance.yaml
-  downbeat check show.yaml --fleet stage.yaml --format json")]
+  downbeat check show.yaml --fleet stage.yaml --format json
+  downbeat check show.yaml --deny warnings --sarif findings.sarif
+  downbeat explain DB0012                         what a code means, at length")]
 pub(super) struct CheckArgs {
     #[command(flatten)]
     scenario: ScenarioArgs,
+    /// What counts as an error beside errors.
+    #[arg(long, value_enum, value_name = "WHAT")]
+    deny: Option<Deny>,
+    /// Write the findings also as SARIF 2.1.0, from which code hosts annotate files.
+    #[arg(long, value_name = "FILE")]
+    sarif: Option<PathBuf>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Deny {
+    /// Warnings end with exit code 1.
+    Warnings,
 }
 
 #[derive(Serialize)]
@@ -20,22 +37,38 @@ struct Checked<'a> {
     scenario: String,
     ok: bool,
     findings: &'a [downbeat_scripts::Finding],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    acts: Option<Vec<super::plan::ActFigures<'a>>>,
 }
 
 pub(super) fn check(args: &CheckArgs, format: Format) -> Exit {
-    let Loaded { plan, findings, scenario, unreadable, .. } = load::load(&args.scenario);
+    let Loaded { choreography, findings, scenario, unreadable, .. } = load::load(&args.scenario);
+    if let Some(path) = &args.sarif {
+        let sarif = downbeat_scripts::sarif(&findings);
+        if let Err(error) = std::fs::write(path, format!("{sarif:#}\n")) {
+            console::error(&format!("cannot write {}: {error}", path.display()));
+            return Exit::Usage;
+        }
+    }
+    let denied = args.deny == Some(Deny::Warnings) && !findings.is_empty();
+    let ok = choreography.is_some() && !denied;
     match format {
-        Format::Json => console::print_json(&Checked { scenario, ok: plan.is_some(), findings: &findings }),
+        Format::Json => {
+            let acts = choreography.as_ref().map(super::plan::figures);
+            console::print_json(&Checked { scenario, ok, findings: &findings, acts });
+        }
         Format::Text => {
             load::show_findings(&findings);
-            if let Some(plan) = &plan {
-                console::print(&format!("{scenario}: no errors, {}\n", crate::report::plan_figures(plan)));
+            if let Some(choreography) = &choreography {
+                let errors = if denied { "warnings denied" } else { "no errors" };
+                let figures = crate::report::choreography_figures(choreography);
+                console::print(&format!("{scenario}: {errors}, {figures}\n"));
             }
         }
     }
-    match plan {
-        Some(_) => Exit::Done,
-        None if unreadable => Exit::Usage,
-        None => Exit::Failed,
+    match ok {
+        true => Exit::Done,
+        false if unreadable => Exit::Usage,
+        false => Exit::Failed,
     }
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use downbeat_scripts::{Finding, Fleet, Plan, Source};
+use downbeat_scripts::{Act, Choreography, Finding, Fleet, Folder, Source};
 
 use super::{Exit, Format, ScenarioArgs, console};
 
@@ -10,7 +10,7 @@ use super::{Exit, Format, ScenarioArgs, console};
 pub(super) struct Loaded {
     pub(super) scenario: String,
     pub(super) fleet: Option<Fleet>,
-    pub(super) plan: Option<Plan>,
+    pub(super) choreography: Option<Choreography>,
     pub(super) findings: Vec<Finding>,
     /// A file could not be read at all.
     pub(super) unreadable: bool,
@@ -21,7 +21,7 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
     let mut loaded = Loaded {
         scenario: args.scenario.display().to_string(),
         fleet: None,
-        plan: None,
+        choreography: None,
         findings: Vec::new(),
         unreadable: false,
     };
@@ -38,9 +38,10 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
     loaded.unreadable = findings.iter().any(Finding::is_unreadable);
     loaded.findings.extend(findings);
     if let Some(fleet) = &fleet {
-        let compiled = downbeat_scripts::compile(&source, fleet);
+        let folder = Folder(args.scenario.parent().map(Path::to_path_buf).unwrap_or_default());
+        let compiled = downbeat_scripts::compile(&source, fleet, &folder);
         loaded.findings.extend(compiled.findings);
-        loaded.plan = compiled.plan;
+        loaded.choreography = compiled.choreography;
     }
     loaded.fleet = fleet;
     loaded
@@ -57,20 +58,35 @@ fn fleet_path(args: &ScenarioArgs, source: &Source) -> PathBuf {
     }
 }
 
-/// The same for commands that need a plan: findings are shown, and end the command unless they are warnings.
-pub(super) fn load_plan(args: &ScenarioArgs, format: Format) -> Result<(Plan, Fleet), Exit> {
+/// The same for commands that need what the scenario compiles to: errors end the command, warnings are shown.
+pub(super) fn load_choreography(args: &ScenarioArgs, format: Format) -> Result<(Choreography, Fleet), Exit> {
     let loaded = load(args);
     match format {
         Format::Text => show_findings(&loaded.findings),
-        Format::Json if loaded.plan.is_none() => {
+        Format::Json if loaded.choreography.is_none() => {
             console::print_json(&serde_json::json!({ "findings": loaded.findings }));
         }
         Format::Json => {}
     }
-    match (loaded.plan, loaded.fleet) {
-        (Some(plan), Some(fleet)) => Ok((plan, fleet)),
+    match (loaded.choreography, loaded.fleet) {
+        (Some(choreography), Some(fleet)) => Ok((choreography, fleet)),
         _ if loaded.unreadable => Err(Exit::Usage),
         _ => Err(Exit::Failed),
+    }
+}
+
+/// The acts that a command is about: the one that is named, or all along the main line.
+pub(super) fn acts<'a>(choreography: &'a Choreography, named: Option<&str>) -> Result<Vec<&'a Act>, Exit> {
+    let Some(name) = named else {
+        return Ok(choreography.main_line().into_iter().map(|index| &choreography.acts[index]).collect());
+    };
+    match choreography.acts.iter().find(|act| act.name == name) {
+        Some(act) => Ok(vec![act]),
+        None => {
+            let known: Vec<_> = choreography.acts.iter().map(|act| format!("`{}`", act.name)).collect();
+            console::error(&format!("no act `{name}`, the scenario has {}", known.join(", ")));
+            Err(Exit::Usage)
+        }
     }
 }
 

@@ -6,6 +6,7 @@
 mod check;
 mod console;
 mod dry_run;
+mod explain;
 mod fleet;
 mod load;
 mod plan;
@@ -60,7 +61,9 @@ pub enum Format {
 enum Command {
     /// Find everything in a scenario that will not work, without moving anything.
     Check(check::CheckArgs),
-    /// Show the control requests that a scenario compiles to.
+    /// Explain a code of a finding at length.
+    Explain(explain::ExplainArgs),
+    /// Show when each cue takes place, what each device needs of its budget, and the control requests.
     Plan(plan::PlanArgs),
     /// Play a scenario in virtual time, with simulated robots and the real mission machine.
     DryRun(dry_run::DryRunArgs),
@@ -108,6 +111,7 @@ pub fn main() -> ExitCode {
     let format = cli.format;
     let exit = match cli.command {
         Command::Check(args) => check::check(&args, format),
+        Command::Explain(args) => explain::explain(&args, format),
         Command::Plan(args) => plan::plan(&args, format),
         Command::DryRun(args) => dry_run::dry_run(&args, format),
         Command::Run(args) => run::run(&args, format),

@@ -1,15 +1,18 @@
 //! `downbeat plan`: the control requests that a scenario compiles to.
 
+use downbeat_scripts::{Act, Choreography, DeviceUse, OnFailure, PlannedCue, PlannedReading, Wait, Way};
+use serde::Serialize;
 use urrcp::{Command, ControlRequest, Message, Millis, Server, Span, Timestamp};
 
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console};
 use crate::report::plan_table;
 
-/// Show the control requests that a scenario compiles to.
+/// Show what a scenario compiles to: when each cue takes place, what each device needs of its budget, the requests.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "With --format json: an object from robot to its requests, offsets counted with a lead of 0.
+    after_help = "With --format json: each act with its times, its devices, and an object from robot to its requests,
+offsets counted with a lead of 0.
 
 Examples:
   downbeat plan scripts/examples/tank.yaml
@@ -21,27 +24,83 @@ pub(super) struct PlanArgs {
 }
 
 pub(super) fn plan(args: &PlanArgs, format: Format) -> Exit {
-    let plan = match load::load_plan(&args.scenario, format) {
-        Ok((plan, ..)) => plan,
+    let choreography = match load::load_choreography(&args.scenario, format) {
+        Ok((choreography, _)) => choreography,
         Err(exit) => return exit,
     };
     match format {
-        Format::Text => console::print(&plan_table(&plan)),
-        Format::Json => {
-            let robots: serde_json::Map<_, _> = plan
-                .robots
-                .iter()
-                .map(|robot| (robot.robot.to_string(), serde_json::json!(requests(&plan, robot))))
-                .collect();
-            console::print_json(&serde_json::json!({
-                "scenario": plan.scenario,
-                "duration_ms": plan.duration(),
-                "start_tolerance_ms": plan.start_tolerance,
-                "robots": robots,
-            }));
+        Format::Text => {
+            for act in &choreography.acts {
+                console::print(&plan_table(act));
+            }
         }
+        Format::Json => console::print_json(&Planned {
+            scenario: &choreography.scenario,
+            duration_ms: crate::report::main_duration(&choreography),
+            start_tolerance_ms: choreography.acts.first().map(|act| act.plan.start_tolerance),
+            acts: choreography.acts.iter().map(|act| planned_act(act, &choreography)).collect(),
+        }),
     }
     Exit::Done
+}
+
+#[derive(Serialize)]
+struct Planned<'a> {
+    scenario: &'a str,
+    duration_ms: Span,
+    start_tolerance_ms: Option<Span>,
+    acts: Vec<PlannedAct<'a>>,
+}
+
+#[derive(Serialize)]
+struct PlannedAct<'a> {
+    #[serde(flatten)]
+    figures: ActFigures<'a>,
+    wait: &'a Wait,
+    timeout_ms: Option<Span>,
+    on_timeout: Option<String>,
+    next: Option<String>,
+    on_failure: OnFailure,
+    readings: &'a [PlannedReading],
+    robots: serde_json::Map<String, serde_json::Value>,
+}
+
+/// Times and budgets of an act.
+#[derive(Serialize)]
+pub(super) struct ActFigures<'a> {
+    act: &'a str,
+    duration_ms: Span,
+    cues: &'a [PlannedCue],
+    devices: &'a [DeviceUse],
+}
+
+pub(super) fn figures(choreography: &Choreography) -> Vec<ActFigures<'_>> {
+    choreography.acts.iter().map(act_figures).collect()
+}
+
+fn act_figures(act: &Act) -> ActFigures<'_> {
+    ActFigures { act: &act.name, duration_ms: act.plan.duration(), cues: &act.cues, devices: &act.devices }
+}
+
+fn planned_act<'a>(act: &'a Act, choreography: &'a Choreography) -> PlannedAct<'a> {
+    let way = |way: Way| match way {
+        Way::Act(index) => choreography.acts.get(index).map(|act| act.name.clone()),
+        Way::End => Some("end".to_owned()),
+        Way::Fail => None,
+    };
+    let robots = act.plan.robots.iter();
+    PlannedAct {
+        figures: act_figures(act),
+        wait: &act.wait,
+        timeout_ms: act.timeout,
+        on_timeout: way(act.on_timeout),
+        next: way(act.next),
+        on_failure: act.on_failure.default,
+        readings: &act.readings,
+        robots: robots
+            .map(|robot| (robot.robot.to_string(), serde_json::json!(requests(&act.plan, robot))))
+            .collect(),
+    }
 }
 
 fn requests(plan: &downbeat_scripts::Plan, robot: &downbeat_scripts::RobotPlan) -> Vec<Message> {

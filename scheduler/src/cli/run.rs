@@ -29,6 +29,9 @@ Examples:
 pub(super) struct RunArgs {
     #[command(flatten)]
     scenario: ScenarioArgs,
+    /// Play this act; needed where the scenario has several.
+    #[arg(long, value_name = "NAME")]
+    act: Option<String>,
     /// Time from sending to the start, instead of the computed one, as 1500ms or 3s.
     #[arg(long, value_parser = parse_span, value_name = "TIME")]
     lead: Option<Span>,
@@ -46,9 +49,22 @@ pub(super) fn parse_span(text: &str) -> Result<Span, String> {
 }
 
 pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
-    let (plan, fleet) = match load::load_plan(&args.scenario, format) {
+    let (choreography, fleet) = match load::load_choreography(&args.scenario, format) {
         Ok(loaded) => loaded,
         Err(exit) => return exit,
+    };
+    let plan = match load::acts(&choreography, args.act.as_deref()).as_deref() {
+        Ok([act]) if choreography.acts.len() == 1 || args.act.is_some() => act.plan.clone(),
+        Ok(_) => {
+            let names: Vec<_> = choreography.acts.iter().map(|act| format!("`{}`", act.name)).collect();
+            console::error(&format!(
+                "this scenario has {} acts, a run plays one: name it by --act, one of {}",
+                names.len(),
+                names.join(", ")
+            ));
+            return Exit::Usage;
+        }
+        Err(exit) => return *exit,
     };
     super::with_runtime(async {
         match play(args, format, plan, &fleet).await {
@@ -129,6 +145,11 @@ pub(super) fn finish(report: &Report, format: Format) -> Exit {
         Format::Json => console::print_json(report),
         Format::Text => console::print(&report_text(report)),
     }
+    exit_of(report)
+}
+
+/// How a mission ended, as scripts see it.
+pub(super) fn exit_of(report: &Report) -> Exit {
     let unconfirmed = report.robots.iter().any(|robot| matches!(robot.stop, StopState::Unconfirmed { .. }));
     match &report.outcome {
         Outcome::Done => Exit::Done,

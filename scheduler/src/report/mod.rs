@@ -11,7 +11,7 @@ use urrcp::{DeviceId, Robot, RobotId, Server, Span, Timestamp};
 
 use crate::clock::ClockReading;
 use crate::mission::{Failure, LeadTime};
-pub use text::{plan_figures, plan_table, report_text};
+pub use text::{choreography_figures, main_duration, plan_figures, plan_table, report_text};
 
 use crate::mission::robot_state::{Link, RobotState, ScriptPhase, ScriptState};
 

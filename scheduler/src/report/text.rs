@@ -3,7 +3,7 @@
 use std::fmt::Write;
 
 use comfy_table::{CellAlignment, Table, presets};
-use downbeat_scripts::{Plan, counted};
+use downbeat_scripts::{Act, Choreography, Plan, RobotPlan, counted};
 use urrcp::Span;
 
 use super::{Report, RobotReport, StopState};
@@ -29,43 +29,74 @@ fn signed(span: Span) -> String {
     }
 }
 
-/// The compiled scripts, a row a device.
+/// An act: its cues with their times, and a row a device.
 #[must_use]
-pub fn plan_table(plan: &Plan) -> String {
-    let mut rows = table(&["robot", "device", "start", "end", "steps", "lowest", "highest", "control"], 2);
-    for robot in &plan.robots {
-        for script in &robot.scripts {
-            let steps = script.script.steps();
-            let values = || steps.iter().map(|step| step.setpoint.value);
-            let mut types: Vec<_> = steps.iter().map(|step| step.setpoint.control_type).collect();
-            types.sort_unstable();
-            types.dedup();
-            let types: Vec<_> = types.iter().map(ToString::to_string).collect();
-            rows.add_row(vec![
-                robot.robot.to_string(),
-                script.device.to_string(),
-                script.start.to_string(),
-                (script.start.span() + script.script.duration()).to_string(),
-                steps.len().to_string(),
-                values().fold(f64::INFINITY, f64::min).to_string(),
-                values().fold(f64::NEG_INFINITY, f64::max).to_string(),
-                types.join(", "),
-            ]);
-        }
+pub fn plan_table(act: &Act) -> String {
+    let mut cues = table(&["cue", "start", "end"], 1);
+    for cue in &act.cues {
+        cues.add_row(vec![cue.name.clone(), cue.start.to_string(), cue.end.to_string()]);
     }
-    format!("{}: {}\n{rows}\n", plan.scenario, plan_figures(plan))
+    let header = ["robot", "device", "scripts", "steps", "at least", "budget", "worst error", "at"];
+    let mut rows = table(&header, 2);
+    for device in &act.devices {
+        rows.add_row(vec![
+            device.robot.to_string(),
+            device.device.to_string(),
+            device.scripts.to_string(),
+            device.steps.to_string(),
+            device.at_least.to_string(),
+            device.budget.to_string(),
+            format!("{:.4}", device.worst_error),
+            device.worst_at.to_string(),
+        ]);
+    }
+    format!("{}: {}\n{cues}\n{rows}\n", act.plan.scenario, plan_figures(&act.plan))
+}
+
+/// How long the acts last one after another.
+#[must_use]
+pub fn main_duration(choreography: &Choreography) -> Span {
+    let acts = choreography.main_line().into_iter().map(|act| choreography.acts[act].plan.duration());
+    acts.fold(Span::ZERO, |sum, duration| sum + duration)
+}
+
+/// How large a choreography is, in one line.
+#[must_use]
+pub fn choreography_figures(choreography: &Choreography) -> String {
+    if let [act] = choreography.acts.as_slice() {
+        return plan_figures(&act.plan);
+    }
+    let plans = || choreography.acts.iter().map(|act| &act.plan);
+    let robots: std::collections::BTreeSet<_> =
+        plans().flat_map(|plan| &plan.robots).map(|robot| robot.robot.as_str()).collect();
+    let steps: usize = plans().map(steps_of).sum();
+    format!(
+        "{}, {}, {}, {} on the main line",
+        counted(choreography.acts.len(), "act"),
+        counted(robots.len(), "robot"),
+        counted(steps, "step"),
+        main_duration(choreography)
+    )
+}
+
+fn steps_of(plan: &Plan) -> usize {
+    let scripts = plan.robots.iter().flat_map(|robot| &robot.scripts);
+    scripts.map(|script| script.script.steps().len()).sum()
 }
 
 /// How large a plan is, in one line.
 #[must_use]
 pub fn plan_figures(plan: &Plan) -> String {
-    let scripts = || plan.robots.iter().flat_map(|robot| &robot.scripts);
-    let steps: usize = scripts().map(|script| script.script.steps().len()).sum();
+    let devices = |robot: &RobotPlan| {
+        let mut devices: Vec<_> = robot.scripts.iter().map(|script| &script.device).collect();
+        devices.dedup();
+        devices.len()
+    };
     format!(
         "{}, {}, {}, {}",
         counted(plan.robots.len(), "robot"),
-        counted(scripts().count(), "device"),
-        counted(steps, "step"),
+        counted(plan.robots.iter().map(devices).sum(), "device"),
+        counted(steps_of(plan), "step"),
         plan.duration()
     )
 }

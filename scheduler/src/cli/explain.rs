@@ -1,0 +1,67 @@
+//! `downbeat explain`: what a code of a finding means.
+
+use downbeat_scripts::{Code, Severity};
+
+use super::{Exit, Format, console};
+
+/// Explain a code of a finding at length.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Examples:
+  downbeat explain DB0012
+  downbeat explain                 all codes with their titles")]
+pub(super) struct ExplainArgs {
+    /// As it is printed with a finding; all of them without one.
+    code: Option<String>,
+}
+
+pub(super) fn explain(args: &ExplainArgs, format: Format) -> Exit {
+    let Some(wanted) = &args.code else { return list(format) };
+    let wanted = wanted.to_uppercase();
+    let Some(code) = Code::ALL.iter().find(|code| code.as_str() == wanted) else {
+        console::error(&format!("no code `{wanted}`: `downbeat explain` lists all of them"));
+        return Exit::Usage;
+    };
+    match format {
+        Format::Json => console::print_json(&described(*code)),
+        Format::Text => {
+            let kind = word(*code);
+            console::print(&format!(
+                "{} ({kind}): {}\n\n{}\n",
+                code.as_str(),
+                code.title(),
+                code.explanation()
+            ));
+        }
+    }
+    Exit::Done
+}
+
+fn word(code: Code) -> &'static str {
+    match code.severity() {
+        Severity::Error => "error",
+        Severity::Warning => "warning",
+    }
+}
+
+fn described(code: Code) -> serde_json::Value {
+    serde_json::json!({
+        "code": code.as_str(),
+        "severity": code.severity(),
+        "title": code.title(),
+        "explanation": code.explanation(),
+    })
+}
+
+fn list(format: Format) -> Exit {
+    match format {
+        Format::Json => {
+            let all: Vec<_> = Code::ALL.iter().map(|code| described(*code)).collect();
+            console::print_json(&all);
+        }
+        Format::Text => {
+            let line = |code: &Code| format!("{}  {:<7}  {}\n", code.as_str(), word(*code), code.title());
+            console::print(&Code::ALL.iter().map(line).collect::<String>());
+        }
+    }
+    Exit::Done
+}

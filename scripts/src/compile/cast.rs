@@ -1,0 +1,224 @@
+//! Who plays: names of robots, groups and roles against the fleet, and what each robot's devices are.
+
+use std::collections::{HashMap, HashSet};
+
+use urrcp::{ControlType, Device, RobotId, Span};
+
+use crate::fields::Reader;
+use crate::finding::{Code, did_you_mean, names};
+use crate::fleet::{Fleet, FleetRobot, RateLimits};
+use crate::node::shortened;
+use crate::plan::{Act, Way};
+use crate::scenario::{Cue, Movement, Name};
+
+/// The fleet with the scenario's roles.
+pub(super) struct Cast<'a> {
+    pub(super) fleet: &'a Fleet,
+    roles: &'a HashMap<String, Vec<Name>>,
+    index_of: HashMap<&'a str, usize>,
+    /// For each robot a number; robots of one number have the same devices and limits.
+    kinds: Vec<usize>,
+}
+
+/// A robot in a cue.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Member {
+    pub(super) robot: usize,
+    /// 0 for the cue's own movement, else one more than the index of its override.
+    pub(super) movement: usize,
+    /// Later than the cue.
+    pub(super) delay: Span,
+}
+
+/// The robots of a cue.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Members {
+    pub(super) all: Vec<Member>,
+    /// The largest delay.
+    pub(super) delay: Span,
+    /// The longest movement, before it is stretched.
+    pub(super) length: Span,
+}
+
+impl Cue {
+    pub(super) fn movement_of(&self, member: &Member) -> &Movement {
+        match member.movement.checked_sub(1) {
+            None => &self.movement,
+            Some(index) => &self.overrides[index].1,
+        }
+    }
+}
+
+impl<'a> Cast<'a> {
+    pub(super) fn new(fleet: &'a Fleet, roles: &'a HashMap<String, Vec<Name>>) -> Self {
+        let index_of = fleet.robots.iter().enumerate().map(|(i, robot)| (robot.id.as_str(), i)).collect();
+        let mut kinds: Vec<usize> = Vec::with_capacity(fleet.robots.len());
+        let mut firsts: Vec<&FleetRobot> = Vec::new();
+        for robot in &fleet.robots {
+            let alike =
+                |other: &&FleetRobot| other.limits == robot.limits && devices_of(other) == devices_of(robot);
+            let kind = firsts.iter().rposition(alike).unwrap_or_else(|| {
+                firsts.push(robot);
+                firsts.len() - 1
+            });
+            kinds.push(kind);
+        }
+        Self { fleet, roles, index_of, kinds }
+    }
+
+    pub(super) fn kind(&self, robot: usize) -> usize {
+        self.kinds[robot]
+    }
+
+    pub(super) fn id(&self, robot: usize) -> &'a RobotId {
+        &self.fleet.robots[robot].id
+    }
+
+    pub(super) fn devices(&self, robot: usize) -> &'a [Device] {
+        devices_of(&self.fleet.robots[robot])
+    }
+
+    pub(super) fn limits(&self, robot: usize, device: &Device, control_type: ControlType) -> RateLimits {
+        let given = self.fleet.robots[robot].limits.get(device.id.as_str()).copied().unwrap_or_default();
+        given.or_declared(device, control_type)
+    }
+
+    /// `robot `a` has`, `robots `a`, `b` have`.
+    pub(super) fn have(&self, robots: &[usize]) -> String {
+        match robots {
+            [one] => format!("robot `{}` has", self.id(*one)),
+            _ => format!("robots {} have", self.names(robots)),
+        }
+    }
+
+    pub(super) fn names(&self, robots: &[usize]) -> String {
+        names(robots.iter().map(|index| self.id(*index).as_str()))
+    }
+
+    /// The robots that a name stands for.
+    pub(super) fn robots(&self, findings: &mut Reader, name: &Name) -> Vec<usize> {
+        match self.roles.get(&name.text) {
+            Some(role) => role.iter().flat_map(|name| self.robots_of_fleet(findings, name)).collect(),
+            None => self.robots_of_fleet(findings, name),
+        }
+    }
+
+    fn robots_of_fleet(&self, findings: &mut Reader, name: &Name) -> Vec<usize> {
+        if let Some(&index) = self.index_of.get(name.text.as_str()) {
+            return vec![index];
+        }
+        if let Some(members) = self.fleet.groups.get(&name.text) {
+            return members.iter().filter_map(|id| self.index_of.get(id.as_str()).copied()).collect();
+        }
+        let groups = self.fleet.groups.keys().map(String::as_str);
+        let known = || {
+            self.index_of.keys().copied().chain(groups.clone()).chain(self.roles.keys().map(String::as_str))
+        };
+        let hint = did_you_mean(&name.text, known());
+        let mut all: Vec<_> = known().collect();
+        all.sort_unstable();
+        let message = format!("no robot or group `{}` in the fleet", shortened(&name.text));
+        findings.add(Code::UnknownRobot, name.place.clone(), message, format!("one of {}", names(all)), hint);
+        Vec::new()
+    }
+
+    /// The robots of a cue, each once, with what each of them does.
+    pub(super) fn members(&self, findings: &mut Reader, cue: &Cue) -> Members {
+        let mut robots: Vec<usize> = Vec::new();
+        let mut seen = HashSet::new();
+        let before = findings.found.len();
+        for name in &cue.robots {
+            for robot in self.robots(findings, name) {
+                if seen.insert(robot) {
+                    robots.push(robot);
+                } else {
+                    let message = format!("robot `{}` is in this cue already", self.id(robot));
+                    let expected = "each robot once in a cue";
+                    findings.add(Code::ListedTwice, name.place.clone(), message, expected, None);
+                }
+            }
+        }
+        if robots.is_empty() && !cue.robots.is_empty() && findings.found.len() == before {
+            let message =
+                format!("no robot answers to the cue `{}`: its groups are empty", shortened(&cue.name));
+            findings.add(Code::NoRobot, cue.robots_place.clone(), message, "at least one robot", None);
+        }
+        let overridden = self.overridden(findings, cue, &seen);
+        let mut members = Members::default();
+        for (index, &robot) in robots.iter().enumerate() {
+            let movement = overridden.get(&robot).copied().unwrap_or(0);
+            let stagger = cue.canon * i64::try_from(index).unwrap_or(i64::MAX);
+            let mut member = Member { robot, movement, delay: stagger };
+            let movement = cue.movement_of(&member);
+            member.delay += movement.delay;
+            members.delay = members.delay.max(member.delay);
+            members.length = members.length.max(movement.length);
+            members.all.push(member);
+        }
+        members
+    }
+
+    fn overridden(&self, findings: &mut Reader, cue: &Cue, seen: &HashSet<usize>) -> HashMap<usize, usize> {
+        let mut overridden = HashMap::new();
+        for (index, (name, _)) in cue.overrides.iter().enumerate() {
+            for robot in self.robots(findings, name) {
+                if !seen.contains(&robot) {
+                    let message = format!("robot `{}` is not in this cue", self.id(robot));
+                    let expected = "overrides for the cue's own robots";
+                    findings.add(Code::UnknownRobot, name.place.clone(), message, expected, None);
+                }
+                if overridden.insert(robot, index + 1).is_some() {
+                    let message = format!("robot `{}` is overridden twice", self.id(robot));
+                    findings.add(
+                        Code::ListedTwice,
+                        name.place.clone(),
+                        message,
+                        "one override a robot",
+                        None,
+                    );
+                }
+            }
+        }
+        overridden
+    }
+}
+
+pub(super) fn devices_of(robot: &FleetRobot) -> &[Device] {
+    robot.init.as_ref().map_or(&[], |block| &block.devices)
+}
+
+/// Where devices are left: by robot and device.
+pub(super) type Rest = HashMap<(usize, usize), f64>;
+
+/// Where devices are when an act begins, as far as that is known.
+pub(super) struct Positions<'a> {
+    fleet: &'a Fleet,
+    /// Of each act that leads here.
+    before: Vec<&'a Rest>,
+    first: bool,
+}
+
+impl<'a> Positions<'a> {
+    pub(super) fn after(
+        fleet: &'a Fleet,
+        before: &[usize],
+        rests: &'a HashMap<usize, Rest>,
+        first: bool,
+    ) -> Self {
+        Self { fleet, before: before.iter().filter_map(|act| rests.get(act)).collect(), first }
+    }
+
+    /// Known only where every way that leads here leaves the device at the same place.
+    pub(super) fn of(&self, robot: usize, device: usize) -> Option<f64> {
+        let default = devices_of(&self.fleet.robots[robot]).get(device)?.default_value;
+        let mut known = self.before.iter().map(|rest| rest.get(&(robot, device)).copied().or(default));
+        let begin = if self.first { Some(default) } else { known.next() }?;
+        known.all(|other| other == begin).then_some(begin).flatten()
+    }
+}
+
+/// The acts ahead of `index` whose `next` leads there.
+pub(super) fn leading_to(acts: &[Option<Act>], index: usize) -> Vec<usize> {
+    let leads = |act: &Option<Act>| act.as_ref().is_some_and(|act| act.next == Way::Act(index));
+    acts.iter().enumerate().filter(|(_, act)| leads(act)).map(|(index, _)| index).collect()
+}

@@ -1,0 +1,220 @@
+//! Values against the limits and the grid of the device.
+
+use std::collections::HashSet;
+
+use urrcp::{ControlType, Limits, Span};
+
+use super::perform::{OnDevice, limits_of, snaps};
+use crate::fields::Reader;
+use crate::finding::{Code, Part, Place};
+use crate::motion::{Curve, Knot, Shape};
+use crate::scenario::{Track, Vector};
+
+/// How many places of one way between two knots are looked at.
+const SAMPLES: u32 = 128;
+
+/// The place of an item of a track's list; of the list where the item has none.
+pub(super) fn item_place(track: &Track, item: u32) -> Place {
+    match item {
+        u32::MAX => track.list.clone(),
+        item => track.list.below(Part::Index(item as usize)),
+    }
+}
+
+fn value_place(track: &Track, item: u32) -> Place {
+    match item {
+        u32::MAX => track.list.clone(),
+        item => item_place(track, item).of_key("to"),
+    }
+}
+
+/// A number without the dust of its multiplication.
+pub(super) fn tidy(value: f64) -> f64 {
+    let rounded = (value * 1e9).round() / 1e9;
+    if rounded.is_finite() { rounded } else { value }
+}
+
+/// Whether the value of a knot stands in the file, or follows from one by scaling and mirroring.
+fn is_written(knot: &Knot) -> bool {
+    matches!(knot.shape, Shape::Own | Shape::OwnReversed | Shape::Eased(_) | Shape::Early)
+}
+
+/// Checks every value; where the cue says so, moves values to the grid.
+pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, curve: &mut Curve) {
+    let limits: Vec<&Limits> = limits_of(on.device, control_type).collect();
+    if limits.is_empty() {
+        return;
+    }
+    // Repeated movements come from the same items again and again.
+    let mut seen = HashSet::new();
+    for index in 0..curve.knots.len() {
+        let knot = curve.knots[index];
+        let sound = limits.iter().all(|limits| limits.contains(knot.to) && limits.on_grid(knot.to));
+        if !sound {
+            let first = seen.insert((knot.item, knot.to.to_bits()));
+            if let Some(broken) = limits.iter().find(|limits| !limits.contains(knot.to)) {
+                if first {
+                    out_of_range(findings, on, control_type, &knot, broken);
+                }
+            } else if let Some(broken) =
+                limits.iter().find(|limits| is_written(&knot) && !limits.on_grid(knot.to))
+            {
+                match snaps(on.cue) {
+                    true => curve.knots[index].to = snap(findings, on, control_type, &knot, broken, first),
+                    false if first => off_grid(findings, on, control_type, &knot, broken),
+                    false => {}
+                }
+            }
+        }
+        if matches!(knot.shape, Shape::Function { .. }) && index > 0 {
+            reaches(findings, on, control_type, curve, index, &limits);
+        }
+    }
+}
+
+fn out_of_range(
+    findings: &mut Reader,
+    on: &OnDevice<'_>,
+    control_type: ControlType,
+    knot: &Knot,
+    limits: &Limits,
+) {
+    let value = tidy(knot.to);
+    let which = named(knot);
+    let message = format!("{which}{value} lies outside the limits for {}", on.who(control_type));
+    let expected = format!("{} to {}", limits.min_value, limits.max_value);
+    let nearest = limits.nearest(value.clamp(limits.min_value, limits.max_value));
+    let inward = match limits.contains(nearest) {
+        true => nearest,
+        false => nearest - limits.granularity.copysign(nearest),
+    };
+    let hint = Some(format!("the nearest value that it can take is {}", tidy(inward)));
+    findings.add(Code::OutOfRange, value_place(on.track, knot.item), message, expected, hint);
+}
+
+fn off_grid(
+    findings: &mut Reader,
+    on: &OnDevice<'_>,
+    control_type: ControlType,
+    knot: &Knot,
+    limits: &Limits,
+) {
+    let (value, granularity) = (knot.to, limits.granularity);
+    let message = format!("{}{} lies off the grid for {}", named(knot), tidy(value), on.who(control_type));
+    let below = tidy((value / granularity).floor() * granularity);
+    let above = tidy((value / granularity).ceil() * granularity);
+    let hint = format!(
+        "the nearest values on the grid are {below} and {above}; `off_grid: snap` takes the nearest everywhere"
+    );
+    let expected = format!("a multiple of {granularity}");
+    findings.add(Code::OffGranularity, value_place(on.track, knot.item), message, expected, Some(hint));
+}
+
+/// The nearest value on the grid, with a warning; an error where it is further off than max_error allows.
+fn snap(
+    findings: &mut Reader,
+    on: &OnDevice<'_>,
+    control_type: ControlType,
+    knot: &Knot,
+    limits: &Limits,
+    first: bool,
+) -> f64 {
+    let mut nearest = limits.nearest(knot.to);
+    if !limits.contains(nearest) {
+        nearest -= limits.granularity.copysign(nearest - knot.to);
+    }
+    let error = (nearest - knot.to).abs();
+    let allowed = on.track.tolerance.or(limits.max_error).unwrap_or(limits.granularity).max(0.0);
+    if !first {
+        return nearest;
+    }
+    let place = value_place(on.track, knot.item);
+    let (value, nearest_shown, error_shown) = (tidy(knot.to), tidy(nearest), tidy(error));
+    let message = format!(
+        "{}{value} becomes {nearest_shown}, {error_shown} off, for {}",
+        named(knot),
+        on.who(control_type)
+    );
+    if error <= allowed {
+        findings.add(Code::Snapped, place, message, format!("a multiple of {}", limits.granularity), None);
+    } else {
+        let hint = Some("write a value on the grid, or allow more with `tolerance`".to_owned());
+        findings.add(
+            Code::ToleranceTooTight,
+            place,
+            message,
+            format!("at most {allowed} off (max_error)"),
+            hint,
+        );
+    }
+    nearest
+}
+
+/// `keyframe 3: `, where the file has keyframes.
+fn named(knot: &Knot) -> String {
+    match knot.item {
+        u32::MAX => String::new(),
+        item => format!("keyframe {item}: "),
+    }
+}
+
+/// A function may go beyond the values at its ends.
+fn reaches(
+    findings: &mut Reader,
+    on: &OnDevice<'_>,
+    control_type: ControlType,
+    curve: &Curve,
+    index: usize,
+    limits: &[&Limits],
+) {
+    let (from, to) = (curve.knots[index - 1].at, curve.knots[index].at);
+    let mut worst: Option<(f64, f64, f64, &Limits)> = None;
+    for sample in 0..=SAMPLES {
+        let s = f64::from(sample) / f64::from(SAMPLES);
+        let value = curve.value(index, s);
+        for limits in limits {
+            let beyond = (value - limits.max_value).max(limits.min_value - value);
+            // What rounding to the grid takes back is none.
+            if beyond > limits.granularity / 2.0 && worst.is_none_or(|(known, ..)| beyond > known) {
+                worst = Some((beyond, value, s, limits));
+            }
+        }
+    }
+    if let Some((_, value, s, limits)) = worst {
+        let at = from + Span::from_millis_f64((to - from).as_millis_f64() * s);
+        let message = format!(
+            "the movement reaches {:.4} at {at}, outside the limits for {}",
+            value,
+            on.who(control_type)
+        );
+        let expected = format!("{} to {}", limits.min_value, limits.max_value);
+        let hint = Some("make it smaller, for example by `scale`".to_owned());
+        findings.add(
+            Code::OutOfRange,
+            item_place(on.track, curve.knots[index].item),
+            message,
+            expected,
+            hint,
+        );
+    }
+}
+
+/// Values of custom_N are bounded by what the script inherits, if by anything.
+pub(super) fn check_inherited(findings: &mut Reader, on: &OnDevice<'_>, vectors: &[Vector]) {
+    let Some(script) = on.device.available_control_types.script() else { return };
+    for vector in vectors {
+        for value in &vector.values {
+            if !script.limits.contains(*value) {
+                let message = format!(
+                    "keyframe {}: {value} lies outside the limits for scripts of `{}` on {}",
+                    vector.item,
+                    on.device.id,
+                    on.cast.names(on.robots)
+                );
+                let expected = format!("{} to {}", script.limits.min_value, script.limits.max_value);
+                let place = value_place(on.track, vector.item);
+                findings.add(Code::OutOfRange, place, message, expected, None);
+            }
+        }
+    }
+}

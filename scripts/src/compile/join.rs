@@ -1,0 +1,309 @@
+//! What the cues do with one device, joined into one chain of scripts.
+
+use std::collections::{BTreeMap, HashMap};
+
+use urrcp::{Device, DeviceId, Interpolation, Millis, Script, Setpoint, Span, Step, StopCondition};
+
+use super::cast::{Cast, Positions, Rest};
+use super::perform::{Segment, Steps};
+use crate::fields::Reader;
+use crate::finding::Code;
+use crate::plan::{DeviceScript, DeviceUse, RobotPlan, is_rate};
+use crate::render::counted;
+use crate::scenario::Scenario;
+
+/// Most steps of one act: no fleet holds as many.
+const STEPS_MAX: usize = 200_000_000;
+
+/// An act's scripts, how they came about, and where they leave the devices.
+pub(super) struct Joined {
+    pub(super) robots: Vec<RobotPlan>,
+    pub(super) devices: Vec<DeviceUse>,
+    pub(super) rest: Rest,
+}
+
+pub(super) fn join(
+    findings: &mut Reader,
+    scenario: &Scenario,
+    cast: &Cast<'_>,
+    segments: BTreeMap<(usize, usize), Vec<Segment>>,
+    positions: &Positions<'_>,
+) -> Joined {
+    let mut joined = Joined { robots: Vec::new(), devices: Vec::new(), rest: HashMap::new() };
+    let steps = segments.values().flatten().map(|segment| segment.part.steps.len());
+    let all = steps.fold(0, usize::saturating_add);
+    if let Some(first) = segments.values().flatten().next().filter(|_| all > STEPS_MAX) {
+        let message = format!("{all} steps in one act");
+        findings.add(Code::TooMuch, first.part.place.clone(), message, format!("at most {STEPS_MAX}"), None);
+        return joined;
+    }
+    let mut last_robot = None;
+    for ((robot, index), mut segments) in segments {
+        segments.sort_by_key(Segment::start);
+        let device = &cast.devices(robot)[index];
+        let lane = Lane { scenario, robot: cast.id(robot), device, segments: &segments };
+        lane.check_overlaps(findings);
+        lane.check_jumps(findings, positions.of(robot, index));
+        lane.check_left_in_motion(findings);
+        let Some((scripts, used)) = lane.scripts(findings) else { continue };
+        if let Some(value) = lane.last_value() {
+            joined.rest.insert((robot, index), value);
+        }
+        if last_robot != Some(robot) {
+            joined.robots.push(RobotPlan { robot: cast.id(robot).clone(), scripts: Vec::new() });
+            last_robot = Some(robot);
+        }
+        if let Some(plan) = joined.robots.last_mut() {
+            plan.scripts.extend(scripts);
+        }
+        joined.devices.push(used);
+    }
+    joined
+}
+
+/// One device of one robot, with everything that it does in an act.
+struct Lane<'a> {
+    scenario: &'a Scenario,
+    robot: &'a urrcp::RobotId,
+    device: &'a Device,
+    segments: &'a [Segment],
+}
+
+impl Lane<'_> {
+    fn moves(&self) -> bool {
+        self.device.interpolation == Interpolation::Linear
+    }
+
+    fn check_overlaps(&self, findings: &mut Reader) {
+        let mut latest: Option<&Segment> = None;
+        for segment in self.segments {
+            if let Some(before) = latest.filter(|before| segment.start() < before.end()) {
+                let message = format!(
+                    "`{}` moves `{}` of `{}` from {} on, but `{}` moves it until {}",
+                    segment.cue,
+                    self.device.id,
+                    self.robot,
+                    segment.start(),
+                    before.cue,
+                    before.end()
+                );
+                let expected = format!("a start at {} or later", before.end());
+                let later = before.end() - segment.start();
+                let hint =
+                    Some(format!("start `{}` {later} later, as with `after: {}`", segment.cue, before.cue));
+                findings.add(Code::Overlap, segment.part.place.clone(), message, expected, hint);
+            }
+            latest = latest.filter(|before| before.end() > segment.end()).or(Some(segment));
+        }
+    }
+
+    /// A device that moves linearly, told to be somewhere else at once.
+    fn check_jumps(&self, findings: &mut Reader, begin: Option<f64>) {
+        let mut position = begin.map(|value| (value, "where it is when the act begins".to_owned()));
+        for segment in self.segments {
+            let Steps::One(values) = &segment.part.steps else { return };
+            let position_control = segment.part.control_type == urrcp::ControlType::Position;
+            if !self.moves() || !position_control {
+                return;
+            }
+            let (Some(first), Some(last)) = (values.first(), values.last()) else { continue };
+            if let Some((from, whence)) = &position
+                && !segment.part.moves_from_anywhere
+                && (first.to - from).abs() > segment.part.tolerance.max(1e-9)
+            {
+                let message = format!(
+                    "`{}` of `{}` has to jump from {from}, {whence}, to {} at {}",
+                    self.device.id,
+                    self.robot,
+                    first.to,
+                    segment.begin + first.at
+                );
+                let expected = format!("a first keyframe of {from}, or one later than 0s");
+                let hint = Some("a first keyframe later than 0s is reached by moving there".to_owned());
+                findings.add(Code::Jump, segment.part.place.clone(), message, expected, hint);
+            }
+            position = Some((last.to, format!("where `{}` leaves it", segment.cue)));
+        }
+    }
+
+    /// A rate that nothing ends: neither a last step of the resting value nor a lease.
+    fn check_left_in_motion(&self, findings: &mut Reader) {
+        let Some(last) = self.segments.last() else { return };
+        let value = match &last.part.steps {
+            Steps::One(values) => values.last().map(|value| value.to),
+            Steps::Several(_) => None,
+        };
+        let resting = self.device.default_value.unwrap_or(0.0);
+        let lease = self.stop_condition().running;
+        if let Some(value) = value.filter(|value| *value != resting)
+            && is_rate(last.part.control_type)
+            && lease.is_none()
+        {
+            let message = format!(
+                "`{}` of `{}` is left at {} {value} at the end, and no stop_condition ends it",
+                self.device.id, self.robot, last.part.control_type
+            );
+            let hint = Some(format!("end with {resting}, or give the cue a `stop_condition`"));
+            findings.add(
+                Code::LeftInMotion,
+                last.part.place.clone(),
+                message,
+                format!("a last value of {resting}"),
+                hint,
+            );
+        }
+    }
+
+    fn stop_condition(&self) -> StopCondition {
+        match self.segments {
+            [only] => only.stop_condition.unwrap_or(self.scenario.stop_condition),
+            _ => self.scenario.stop_condition,
+        }
+    }
+
+    fn last_value(&self) -> Option<f64> {
+        match &self.segments.last()?.part.steps {
+            Steps::One(values) => values.last().map(|value| value.to),
+            Steps::Several(_) => None,
+        }
+    }
+
+    /// Every step with its time from the act's start.
+    fn steps(&self) -> Vec<Step> {
+        let count: usize = self.segments.iter().map(|segment| segment.part.steps.len() + 1).sum();
+        let mut steps: Vec<Step> = Vec::with_capacity(count);
+        let several = self.segments.len() > 1;
+        for segment in self.segments {
+            if let Some(held) = steps.last().and_then(|last| self.held_until(last, segment)) {
+                steps.push(held);
+            }
+            let stop_condition = segment.stop_condition.filter(|_| several);
+            let step = |at: Span, setpoint: Setpoint| Step {
+                offset: Millis::from_span(segment.begin + at),
+                setpoint,
+                stop_condition,
+            };
+            let control_type = segment.part.control_type;
+            match &segment.part.steps {
+                Steps::One(values) => {
+                    steps.extend(values.iter().map(|v| step(v.at, Setpoint::new(control_type, v.to))));
+                }
+                Steps::Several(setpoints) => {
+                    steps.extend(setpoints.iter().map(|(at, setpoint)| step(*at, setpoint.clone())));
+                }
+            }
+        }
+        steps
+    }
+
+    /// A device that moves linearly would creep through the gap between two cues; this step makes it wait.
+    fn held_until(&self, last: &Step, next: &Segment) -> Option<Step> {
+        let (control_type, value) = match &next.part.steps {
+            Steps::One(values) => (next.part.control_type, values.first()?.to),
+            Steps::Several(setpoints) => (next.part.control_type, setpoints.first()?.1.value),
+        };
+        let until = next.start();
+        let creeps = self.moves()
+            && control_type == last.setpoint.control_type
+            && until > last.offset.span()
+            && (next.part.moves_from_anywhere || value != last.setpoint.value);
+        creeps.then(|| Step {
+            offset: Millis::from_span(until),
+            setpoint: last.setpoint.clone(),
+            stop_condition: None,
+        })
+    }
+
+    /// As many scripts as needed, each beginning where the one before ends.
+    fn scripts(&self, findings: &mut Reader) -> Option<(Vec<DeviceScript>, DeviceUse)> {
+        let start = self.segments.first()?.start();
+        let steps = self.steps();
+        let script = self.device.available_control_types.script()?;
+        let most = script.max_number_of_steps.max(1) as usize;
+        let count = steps.len().div_ceil(most).max(1);
+        if count > self.device.script_queue.max(1) as usize {
+            self.too_many(findings, steps.len(), most, count);
+        }
+        let used = self.used(steps.len(), count, most);
+        let scripts = split(&self.device.id, steps, most, start, self.stop_condition())?;
+        Some((scripts, used))
+    }
+
+    fn used(&self, steps: usize, scripts: usize, most: usize) -> DeviceUse {
+        let parts = || self.segments.iter().map(|segment| (&segment.part, segment.begin));
+        let worst = parts().max_by(|a, b| a.0.worst.total_cmp(&b.0.worst));
+        let fitted: usize = parts().map(|(part, _)| part.steps.len()).sum();
+        let at_least: usize = parts().map(|(part, _)| part.at_least).sum();
+        DeviceUse {
+            robot: self.robot.clone(),
+            device: self.device.id.clone(),
+            steps,
+            at_least: at_least + (steps - fitted.min(steps)),
+            scripts,
+            budget: most as u64 * u64::from(self.device.script_queue.max(1)),
+            worst_error: worst.map_or(0.0, |(part, _)| part.worst),
+            worst_at: worst.map_or(Span::ZERO, |(part, begin)| begin + part.worst_at),
+        }
+    }
+
+    fn too_many(&self, findings: &mut Reader, steps: usize, most: usize, count: usize) {
+        let (device, robot) = (&self.device.id, self.robot);
+        let queue = self.device.script_queue.max(1);
+        let place = self.segments[0].part.place.clone();
+        let over = steps - most * queue as usize;
+        let hint = format!(
+            "take out {}, allow a larger error with `tolerance`, or cut the scenario into acts",
+            counted(over, "keyframe")
+        );
+        let (code, message, expected) = match queue {
+            1 => (
+                Code::TooManySteps,
+                format!("the script for `{device}` of `{robot}` has {steps} steps"),
+                format!("at most {most} steps (max_number_of_steps)"),
+            ),
+            _ => (
+                Code::QueueTooShort,
+                format!("`{device}` of `{robot}` needs {count} scripts for its {steps} steps"),
+                format!("at most {queue} scripts (script_queue) of {most} steps (max_number_of_steps)"),
+            ),
+        };
+        findings.add(code, place, message, expected, Some(hint));
+    }
+}
+
+/// Cuts steps into scripts without a gap: each begins when the one before ends.
+fn split(
+    device: &DeviceId,
+    steps: Vec<Step>,
+    most: usize,
+    start: Span,
+    stop_condition: StopCondition,
+) -> Option<Vec<DeviceScript>> {
+    let mut scripts = Vec::with_capacity(steps.len().div_ceil(most));
+    let mut begin = start;
+    let mut add = |mut steps: Vec<Step>| {
+        let end = steps.last().map_or(begin, |step| step.offset.span());
+        for step in &mut steps {
+            step.offset = Millis::from_span(step.offset.span() - begin);
+        }
+        // Times out of order have been found already; then there is no plan.
+        let script = Script::new(steps).ok()?;
+        scripts.push(DeviceScript {
+            device: device.clone(),
+            start: Millis::from_span(begin),
+            stop_condition,
+            script,
+        });
+        begin = end;
+        Some(())
+    };
+    if steps.len() <= most {
+        add(steps)?;
+        return Some(scripts);
+    }
+    let mut steps = steps.into_iter();
+    while steps.len() > 0 {
+        add(steps.by_ref().take(most).collect())?;
+    }
+    Some(scripts)
+}

@@ -1,0 +1,121 @@
+//! From a scenario and a fleet to a choreography, checked against what each robot declares.
+//!
+//! The way of an act: `cast` (which robots a cue is for), `schedule` (when it takes place), `perform` (the steps of each
+//! device for each cue), `join` (one chain of scripts a device). `check_*` hold the rules, `acts` the graph of acts.
+
+mod acts;
+mod cast;
+mod check_motion;
+mod check_safety;
+mod check_values;
+mod conflict;
+mod join;
+mod perform;
+mod schedule;
+
+use std::collections::HashMap;
+
+use crate::fields::Reader;
+use crate::files::Files;
+use crate::finding::{Finding, Severity};
+use crate::fleet::Fleet;
+use crate::locate::locate;
+use crate::plan::{Act, Choreography, Plan};
+use crate::scenario::{self, Documents, Scenario};
+use crate::source::Source;
+
+use cast::Cast;
+use join::Joined;
+
+/// What became of a scenario.
+#[derive(Clone, Debug)]
+pub struct Compiled {
+    /// There only without errors.
+    pub choreography: Option<Choreography>,
+    /// Everything that is wrong or worth a look, in the order of the files.
+    pub findings: Vec<Finding>,
+}
+
+/// Reads, checks and compiles a scenario for a fleet.
+#[must_use]
+pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
+    let documents = match scenario::documents(source, files) {
+        Ok(documents) => documents,
+        Err(findings) => return Compiled { choreography: None, findings },
+    };
+    let mut reader = Reader::default();
+    let scenario = scenario::read(&mut reader, &documents, files);
+    let Documents { sources, nodes } = documents;
+    drop(nodes);
+    let readable = reader.found.is_empty();
+    let mut compiler =
+        Compiler { scenario: scenario.unwrap_or_default(), sources: &sources, findings: reader };
+    let choreography = compiler.choreography(fleet, readable);
+    let findings = locate(&sources, compiler.findings.found);
+    let sound = findings.iter().all(|finding| finding.severity == Severity::Warning);
+    Compiled { choreography: choreography.filter(|_| sound), findings }
+}
+
+struct Compiler<'a> {
+    scenario: Scenario,
+    sources: &'a [Source],
+    findings: Reader,
+}
+
+impl Compiler<'_> {
+    /// `readable`: nothing was left out in reading, so that what refers to something else can be judged.
+    fn choreography(&mut self, fleet: &Fleet, readable: bool) -> Option<Choreography> {
+        let scenario = std::mem::take(&mut self.scenario);
+        let cast = Cast::new(fleet, &scenario.roles);
+        let ways = acts::ways(&mut self.findings, &scenario.acts, &cast, readable);
+        let mut fits = crate::motion::Fits::default();
+        let mut rests = HashMap::new();
+        let mut acts = Vec::with_capacity(scenario.acts.len());
+        for (index, (act, ways)) in scenario.acts.iter().zip(ways).enumerate() {
+            let before = cast::leading_to(&acts, index);
+            let positions = cast::Positions::after(fleet, &before, &rests, index == 0);
+            let members: Vec<_> = act.cues.iter().map(|cue| cast.members(&mut self.findings, cue)).collect();
+            let (times, consistent) =
+                schedule::schedule(&mut self.findings, self.sources, act, &members, &cast);
+            let mut performer = perform::Performer::new(&mut self.findings, &cast, &mut fits);
+            for ((cue, members), time) in act.cues.iter().zip(&members).zip(&times) {
+                performer.cue(cue, members, time);
+            }
+            let (segments, readings) = (performer.segments, performer.readings);
+            // Where times contradict each other, cues would seem to overlap.
+            if !consistent {
+                acts.push(None);
+                continue;
+            }
+            let Joined { robots, devices, rest } =
+                join::join(&mut self.findings, &scenario, &cast, segments, &positions);
+            rests.insert(index, rest);
+            let title = match act.name.as_str() {
+                "" => scenario.name.clone(),
+                name => format!("{}, {name}", scenario.name),
+            };
+            let plan = Plan {
+                scenario: title,
+                start_tolerance: scenario.start_tolerance,
+                lead: scenario.lead,
+                stop_condition: scenario.stop_condition,
+                robots,
+            };
+            acts.push(Some(Act {
+                name: act.name.clone(),
+                plan,
+                cues: schedule::planned(act, &times),
+                devices,
+                readings,
+                wait: ways.wait,
+                timeout: act.wait.timeout,
+                on_timeout: ways.on_timeout,
+                next: ways.next,
+                on_failure: ways.on_failure,
+            }));
+        }
+        check_safety::check(&mut self.findings, &scenario, &acts);
+        let acts: Option<Vec<Act>> = acts.into_iter().collect();
+        Some(Choreography { scenario: scenario.name, acts: acts? })
+    }
+}

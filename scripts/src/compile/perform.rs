@@ -1,0 +1,381 @@
+//! What each robot does in a cue: its tracks on its devices, as steps.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use urrcp::{ControlParameters, ControlType, Device, Limits, Setpoint, Span, StopCondition};
+
+use super::cast::{Cast, Member, Members};
+use super::schedule::CueTime;
+use super::{check_motion, check_values};
+use crate::fields::Reader;
+use crate::finding::{Code, Place, did_you_mean, names};
+use crate::motion::{Actuator, Curve, Fits, Value};
+use crate::node::shortened;
+use crate::plan::PlannedReading;
+use crate::scenario::{Cue, Motion, OffGrid, Track};
+
+/// A stretch of one device's time that a cue has taken.
+#[derive(Clone, Debug)]
+pub(super) struct Segment {
+    /// From the act's start: when the cue begins for this robot.
+    pub(super) begin: Span,
+    pub(super) cue: Arc<str>,
+    pub(super) stop_condition: Option<StopCondition>,
+    pub(super) part: Arc<Part>,
+}
+
+/// The steps of one track on one kind of device, shared by all robots of that kind.
+#[derive(Debug)]
+pub(super) struct Part {
+    pub(super) control_type: ControlType,
+    pub(super) steps: Steps,
+    pub(super) at_least: usize,
+    pub(super) worst: f64,
+    pub(super) worst_at: Span,
+    /// The first step is reached by moving from wherever the device is.
+    pub(super) moves_from_anywhere: bool,
+    /// The budget and tolerance within which it was made.
+    pub(super) tolerance: f64,
+    pub(super) place: Place,
+}
+
+/// Values at times from the cue's start.
+#[derive(Debug)]
+pub(super) enum Steps {
+    One(Vec<Value>),
+    Several(Vec<(Span, Setpoint)>),
+}
+
+impl Steps {
+    pub(super) fn len(&self) -> usize {
+        match self {
+            Self::One(values) => values.len(),
+            Self::Several(setpoints) => setpoints.len(),
+        }
+    }
+
+    fn first_at(&self) -> Option<Span> {
+        match self {
+            Self::One(values) => values.first().map(|value| value.at),
+            Self::Several(setpoints) => setpoints.first().map(|(at, _)| *at),
+        }
+    }
+
+    fn last_at(&self) -> Option<Span> {
+        match self {
+            Self::One(values) => values.last().map(|value| value.at),
+            Self::Several(setpoints) => setpoints.last().map(|(at, _)| *at),
+        }
+    }
+}
+
+impl Segment {
+    pub(super) fn start(&self) -> Span {
+        match self.part.moves_from_anywhere {
+            true => self.begin,
+            false => self.begin + self.part.steps.first_at().unwrap_or_default(),
+        }
+    }
+
+    pub(super) fn end(&self) -> Span {
+        self.begin + self.part.steps.last_at().unwrap_or_default()
+    }
+}
+
+/// Collects what all cues of an act do.
+pub(super) struct Performer<'c, 'a> {
+    findings: &'c mut Reader,
+    cast: &'c Cast<'a>,
+    fits: &'c mut Fits,
+    /// By robot and device, in the order of both.
+    pub(super) segments: std::collections::BTreeMap<(usize, usize), Vec<Segment>>,
+    pub(super) readings: Vec<PlannedReading>,
+}
+
+/// Robots of one kind that do the same.
+struct Alike {
+    movement: usize,
+    kind: usize,
+    members: Vec<Member>,
+}
+
+/// A track on the device of some robots.
+pub(super) struct OnDevice<'p> {
+    pub(super) cue: &'p Cue,
+    pub(super) track: &'p Track,
+    pub(super) device: &'p Device,
+    pub(super) robots: &'p [usize],
+    pub(super) cast: &'p Cast<'p>,
+}
+
+impl OnDevice<'_> {
+    /// `position of `elbow` on `arm-1``.
+    pub(super) fn who(&self, control_type: ControlType) -> String {
+        format!("{control_type} of `{}` on {}", self.device.id, self.cast.names(self.robots))
+    }
+}
+
+impl<'c, 'a> Performer<'c, 'a> {
+    pub(super) fn new(findings: &'c mut Reader, cast: &'c Cast<'a>, fits: &'c mut Fits) -> Self {
+        Self { findings, cast, fits, segments: std::collections::BTreeMap::new(), readings: Vec::new() }
+    }
+
+    pub(super) fn cue(&mut self, cue: &Cue, members: &Members, time: &CueTime) {
+        let mut alike: Vec<Alike> = Vec::new();
+        let mut index_of: HashMap<(usize, usize), usize> = HashMap::new();
+        for member in &members.all {
+            let key = (member.movement, self.cast.kind(member.robot));
+            let at = *index_of.entry(key).or_insert_with(|| {
+                alike.push(Alike { movement: key.0, kind: key.1, members: Vec::new() });
+                alike.len() - 1
+            });
+            alike[at].members.push(*member);
+        }
+        let name: Arc<str> = cue.name.as_str().into();
+        self.missing_devices(cue, &alike);
+        for group in &alike {
+            self.group(cue, &name, group, time);
+        }
+        self.readings(cue, members, time);
+    }
+
+    /// A device that several kinds of robots lack is found once.
+    fn missing_devices(&mut self, cue: &Cue, alike: &[Alike]) {
+        let mut missing: Vec<(&Track, Vec<usize>)> = Vec::new();
+        for group in alike {
+            let first = group.members[0];
+            for track in &cue.movement_of(&first).tracks {
+                let known =
+                    self.cast.devices(first.robot).iter().any(|device| device.id.as_str() == track.device);
+                if known {
+                    continue;
+                }
+                let robots = group.members.iter().map(|member| member.robot);
+                match missing.iter_mut().find(|(other, _)| other.place == track.place) {
+                    Some((_, all)) => all.extend(robots),
+                    None => missing.push((track, robots.collect())),
+                }
+            }
+        }
+        for (track, robots) in missing {
+            let known = || self.cast.devices(robots[0]).iter().map(|device| device.id.as_str());
+            let message = format!("{} no device `{}`", self.cast.have(&robots), shortened(&track.device));
+            let hint = did_you_mean(&track.device, known());
+            let expected = format!("one of {}", names(known()));
+            self.findings.add(Code::UnknownDevice, track.place.clone(), message, expected, hint);
+        }
+    }
+
+    fn group(&mut self, cue: &Cue, name: &Arc<str>, group: &Alike, time: &CueTime) {
+        let robots: Vec<usize> = group.members.iter().map(|member| member.robot).collect();
+        let _ = (group.movement, group.kind);
+        for track in &cue.movement_of(&group.members[0]).tracks {
+            let devices = self.cast.devices(robots[0]);
+            let Some(index) = devices.iter().position(|device| device.id.as_str() == track.device) else {
+                continue;
+            };
+            let on = OnDevice { cue, track, device: &devices[index], robots: &robots, cast: self.cast };
+            let Some(part) = self.part(&on, time.factor) else { continue };
+            let part = Arc::new(part);
+            for member in &group.members {
+                let segment = Segment {
+                    begin: time.start + member.delay,
+                    cue: name.clone(),
+                    stop_condition: cue.stop_condition,
+                    part: part.clone(),
+                };
+                self.segments.entry((member.robot, index)).or_default().push(segment);
+            }
+        }
+    }
+
+    fn part(&mut self, on: &OnDevice<'_>, factor: f64) -> Option<Part> {
+        let control_type = self.control_type(on)?;
+        let curve = match &on.track.motion {
+            Motion::Vectors(vectors) => return self.vectors(on, control_type, vectors, factor),
+            Motion::Curve(curve) => curve,
+        };
+        if let ControlType::Custom(_) = control_type
+            && !matches!(
+                on.device.available_control_types.get(control_type),
+                Some(ControlParameters::Custom(_))
+            )
+        {
+            return None;
+        }
+        let mut curve = curve.clone();
+        if factor != 1.0 {
+            curve.stretch(factor);
+        }
+        let actuator = Actuator::new(on.device, control_type);
+        check_values::check(self.findings, on, control_type, &mut curve);
+        check_motion::check(self.findings, on, control_type, &curve);
+        self.check_beginning(on, &actuator, &curve);
+        curve.knots.first()?;
+        self.fitted(on, &actuator, &curve)
+    }
+
+    /// The fewest steps within the tolerance; or the least error with so many steps, where the track asks for that.
+    fn fitted(&mut self, on: &OnDevice<'_>, actuator: &Actuator<'_>, curve: &Curve) -> Option<Part> {
+        let own = actuator.tolerance();
+        let thinned = on.track.tolerance.is_some() || on.track.steps_max.is_some();
+        let mut tolerance = on.track.tolerance.unwrap_or(own);
+        let mut fitted = actuator.steps(curve, tolerance, thinned, self.fits);
+        if let Some(most) = on.track.steps_max.map(|most| most as usize) {
+            (tolerance, fitted) = actuator.least_error(curve, tolerance, most, self.fits);
+            if fitted.steps.len() > most || (fitted.worst > own && on.track.tolerance.is_none()) {
+                self.too_few_steps(on, most, &fitted, own);
+            }
+        } else if let Some(needed) = fitted.needed {
+            let message = format!(
+                "no steps on the grid of {} keep the movement within {tolerance}",
+                on.who(actuator.control_type)
+            );
+            let expected = format!("a tolerance of {needed} or more");
+            let hint = Some(format!("add `tolerance: {needed}` to the track, if that will do"));
+            self.findings.add(Code::ToleranceTooTight, on.track.place.clone(), message, expected, hint);
+        }
+        Some(Part {
+            control_type: actuator.control_type,
+            moves_from_anywhere: actuator.moves_from_anywhere(curve),
+            at_least: fitted.at_least,
+            worst: fitted.worst,
+            worst_at: fitted.worst_at,
+            tolerance,
+            place: on.track.place.clone(),
+            steps: Steps::One(fitted.steps),
+        })
+    }
+
+    fn too_few_steps(&mut self, on: &OnDevice<'_>, most: usize, fitted: &crate::motion::Fitted, own: f64) {
+        let message = format!(
+            "with {most} steps the movement is off by {:.4} at {}, {} steps in all",
+            fitted.worst,
+            fitted.worst_at,
+            fitted.steps.len()
+        );
+        let expected = format!("at most {own} (max_error of `{}`)", on.device.id);
+        let hint = Some(format!("allow more steps, or add `tolerance: {:.4}` to the track", fitted.worst));
+        self.findings.add(Code::ToleranceTooTight, on.track.place.clone(), message, expected, hint);
+    }
+
+    fn check_beginning(&mut self, on: &OnDevice<'_>, actuator: &Actuator<'_>, curve: &Curve) {
+        let Some(first) = curve.knots.first().filter(|_| actuator.lacks_beginning(curve)) else { return };
+        let place = check_values::item_place(on.track, first.item);
+        let message =
+            format!("device `{}` has to move to its first keyframe from an unknown value", on.device.id);
+        let hint = Some("put a keyframe at 0s ahead of it, or `ease: step`".to_owned());
+        self.findings.add(Code::UnknownBeginning, place, message, "a keyframe at 0s", hint);
+    }
+
+    fn control_type(&mut self, on: &OnDevice<'_>) -> Option<ControlType> {
+        let (track, device) = (on.track, on.device);
+        let available = device.script_control_types();
+        let several = matches!(track.motion, Motion::Vectors(_));
+        let custom = || available.iter().copied().find(|t| matches!(t, ControlType::Custom(_)));
+        let control_type = track
+            .control
+            .or_else(|| if several { custom() } else { device.primary_control_type().or_else(custom) });
+        if let Some(control_type) = control_type.filter(|t| available.contains(t)) {
+            return Some(control_type);
+        }
+        let what = match (device.available_control_types.script(), control_type) {
+            (None, _) => "scripts".to_owned(),
+            (Some(_), Some(control_type)) => format!("{control_type} in scripts"),
+            (Some(_), None) => "being moved".to_owned(),
+        };
+        let available: Vec<_> = available.iter().map(ToString::to_string).collect();
+        let message =
+            format!("device `{}` of {} does not support {what}", device.id, on.cast.names(on.robots));
+        let expected =
+            format!("a device that takes scripts of {}", names(available.iter().map(String::as_str)));
+        self.findings.add(Code::ControlType, track.place.clone(), message, expected, None);
+        None
+    }
+
+    fn vectors(
+        &mut self,
+        on: &OnDevice<'_>,
+        control_type: ControlType,
+        vectors: &[crate::scenario::Vector],
+        factor: f64,
+    ) -> Option<Part> {
+        if !matches!(control_type, ControlType::Custom(_))
+            && vectors.iter().any(|vector| vector.values.len() > 1)
+        {
+            let message = format!("several values for {}", on.who(control_type));
+            let expected = "one value a keyframe: only custom_N takes several";
+            self.findings.add(Code::WrongType, on.track.list.clone(), message, expected, None);
+            return None;
+        }
+        let steps = vectors.iter().map(|vector| {
+            let at = Span::from_millis_f64(vector.at.as_millis_f64() * factor);
+            let mut setpoint = Setpoint::new(control_type, vector.values[0]);
+            setpoint.more = vector.values[1..].into();
+            (at, setpoint)
+        });
+        let steps: Vec<_> = steps.collect();
+        check_values::check_inherited(self.findings, on, vectors);
+        Some(Part {
+            control_type,
+            at_least: steps.len(),
+            worst: 0.0,
+            worst_at: Span::ZERO,
+            moves_from_anywhere: false,
+            tolerance: 0.0,
+            place: on.track.place.clone(),
+            steps: Steps::Several(steps),
+        })
+    }
+
+    fn readings(&mut self, cue: &Cue, members: &Members, time: &CueTime) {
+        for reading in &cue.readings {
+            let mut without = Vec::new();
+            for member in &members.all {
+                let devices = self.cast.devices(member.robot);
+                let sensor = devices.iter().find(|device| device.id.as_str() == reading.sensor);
+                match sensor.filter(|device| device.available_control_types.sensor().is_some()) {
+                    Some(device) => self.readings.push(PlannedReading {
+                        robot: self.cast.id(member.robot).clone(),
+                        sensor: device.id.clone(),
+                        at: time.start + member.delay + reading.at,
+                    }),
+                    None => without.push(member.robot),
+                }
+            }
+            if !without.is_empty() {
+                unknown_sensor(self.findings, self.cast, &without, &reading.sensor, &reading.place);
+            }
+        }
+    }
+}
+
+pub(super) fn unknown_sensor(
+    findings: &mut Reader,
+    cast: &Cast<'_>,
+    robots: &[usize],
+    sensor: &str,
+    place: &Place,
+) {
+    let devices = cast.devices(robots[0]).iter();
+    let sensors: Vec<_> = devices
+        .filter(|device| device.available_control_types.sensor().is_some())
+        .map(|device| device.id.as_str())
+        .collect();
+    let message = format!("{} no sensor `{}`", cast.have(robots), shortened(sensor));
+    let hint = did_you_mean(sensor, sensors.iter().copied());
+    findings.add(Code::UnknownSensor, place.clone(), message, format!("one of {}", names(sensors)), hint);
+}
+
+/// Whether a policy moves values to the grid.
+pub(super) fn snaps(cue: &Cue) -> bool {
+    cue.off_grid == OffGrid::Snap
+}
+
+/// The limits that values of a control type must keep: its own, and those that the script inherits.
+pub(super) fn limits_of(device: &Device, control_type: ControlType) -> impl Iterator<Item = &Limits> {
+    let own = device.available_control_types.limits(control_type);
+    let inherited = device.available_control_types.script().map(|script| &script.limits);
+    own.into_iter().chain(inherited)
+}

@@ -1,0 +1,344 @@
+//! When the cues of an act take place: their times and relations as a simple temporal network (Dechter, Meiri and Pearl,
+//! Artificial Intelligence 49, 1991), solved for the earliest schedule.
+
+use std::collections::HashMap;
+
+use urrcp::{ControlType, Span};
+
+use super::cast::{Cast, Members};
+use super::conflict::{self, Origin};
+use crate::fields::Reader;
+use crate::finding::{Code, did_you_mean, names};
+use crate::node::shortened;
+use crate::plan::PlannedCue;
+use crate::scenario::{Act, Anchor, Cue, Motion, Name, Order, Relation};
+use crate::source::Source;
+use crate::timing::{ConstraintId, Effort, Event, Network, Ordering, Schedule, Task, order};
+
+/// When a cue takes place.
+#[derive(Clone, Debug)]
+pub(super) struct CueTime {
+    pub(super) start: Span,
+    pub(super) end: Span,
+    /// How much longer its movement is than as it is written.
+    pub(super) factor: f64,
+    pub(super) slack: Option<Span>,
+}
+
+/// The start and end of each cue, and whether they satisfy everything that is asked.
+pub(super) fn schedule(
+    findings: &mut Reader,
+    sources: &[Source],
+    act: &Act,
+    members: &[Members],
+    cast: &Cast<'_>,
+) -> (Vec<CueTime>, bool) {
+    let before = findings.found.len();
+    let mut times = Timetable::new(act);
+    for (index, cue) in act.cues.iter().enumerate() {
+        times.length(index, cue, &members[index]);
+        times.limits(index, cue, &members[index], cast);
+        for relation in &cue.relations {
+            times.relate(findings, index, relation);
+        }
+    }
+    let shared = times.zones(findings);
+    times.order_given(&shared);
+    let consistent = match times.network.solve() {
+        Ok(schedule) => times.order_auto(findings, &shared, schedule),
+        Err(conflict) => {
+            findings.found.push(conflict::finding(sources, act, &times.origins, &conflict));
+            None
+        }
+    };
+    match consistent {
+        Some(schedule) => (times.read(&schedule, members), findings.found.len() == before),
+        None => (natural(act, members), false),
+    }
+}
+
+/// Every cue at its earliest by itself: what is known where the times contradict each other.
+fn natural(act: &Act, members: &[Members]) -> Vec<CueTime> {
+    let time = |(cue, members): (&Cue, &Members)| {
+        let length = cue.duration.as_ref().map_or(members.length, |bounds| bounds.min);
+        let factor = factor(length, members.length);
+        CueTime { start: Span::ZERO, end: length + members.delay, factor, slack: None }
+    };
+    act.cues.iter().zip(members).map(time).collect()
+}
+
+fn factor(length: Span, natural: Span) -> f64 {
+    match natural > Span::ZERO && length != natural {
+        true => length.as_millis_f64() / natural.as_millis_f64(),
+        false => 1.0,
+    }
+}
+
+/// The cues as they are shown.
+pub(super) fn planned(act: &Act, times: &[CueTime]) -> Vec<PlannedCue> {
+    let cue = |(cue, time): (&Cue, &CueTime)| PlannedCue {
+        name: cue.name.clone(),
+        start: time.start,
+        end: time.end,
+        slack: time.slack,
+    };
+    act.cues.iter().zip(times).map(cue).collect()
+}
+
+/// Cues that need the same thing.
+struct Shared {
+    /// Its name; none for cues that are only kept apart.
+    zone: Option<String>,
+    order: Order,
+    cues: Vec<usize>,
+}
+
+struct Timetable<'a> {
+    act: &'a Act,
+    network: Network,
+    origins: HashMap<ConstraintId, Origin>,
+    /// Start and end of each cue.
+    events: Vec<(Event, Event)>,
+    by_name: HashMap<&'a str, Option<usize>>,
+}
+
+impl<'a> Timetable<'a> {
+    fn new(act: &'a Act) -> Self {
+        let mut network = Network::new();
+        let events = act.cues.iter().map(|_| (network.event(), network.event())).collect();
+        let mut by_name: HashMap<&str, Option<usize>> = HashMap::new();
+        for (index, cue) in act.cues.iter().enumerate() {
+            // A name that stands twice may be referred to by nobody.
+            by_name.entry(&cue.name).and_modify(|known| *known = None).or_insert(Some(index));
+        }
+        Self { act, network, origins: HashMap::new(), events, by_name }
+    }
+
+    fn constrain(
+        &mut self,
+        from: Event,
+        to: Event,
+        (min, max): (Option<Span>, Option<Span>),
+        origin: Origin,
+    ) {
+        let id = self.network.constrain(from, to, min, max);
+        self.origins.insert(id, origin);
+    }
+
+    /// A cue lasts as long as its movement, or as long as it is told to.
+    fn length(&mut self, index: usize, cue: &Cue, members: &Members) {
+        let (start, end) = self.events[index];
+        let (min, max, place) = match &cue.duration {
+            Some(bounds) => (bounds.min, bounds.max, &bounds.place),
+            None => (members.length, Some(members.length), &cue.place),
+        };
+        let bounds = (Some(min + members.delay), max.map(|max| max + members.delay));
+        self.constrain(start, end, bounds, Origin::Length { cue: index, place: place.clone() });
+    }
+
+    /// Where a cue may be stretched, it is no shorter than its devices' speed and acceleration allow.
+    fn limits(&mut self, index: usize, cue: &Cue, members: &Members, cast: &Cast<'_>) {
+        let Some(bounds) = cue.duration.as_ref().filter(|bounds| bounds.max != Some(bounds.min)) else {
+            return;
+        };
+        let mut largest: Option<(Span, usize, String)> = None;
+        for member in &members.all {
+            let movement = cue.movement_of(member);
+            for track in &movement.tracks {
+                let (Motion::Curve(curve), Some(device)) = (
+                    &track.motion,
+                    cast.devices(member.robot).iter().find(|device| device.id.as_str() == track.device),
+                ) else {
+                    continue;
+                };
+                let limits =
+                    cast.limits(member.robot, device, track.control.unwrap_or(ControlType::Position));
+                let worst = |limit: Option<f64>, rate: fn((f64, f64)) -> f64| {
+                    let rates = (1..curve.knots.len()).map(|knot| rate(curve.peak_rates(knot)));
+                    limit.map_or(0.0, |limit| rates.fold(0.0, f64::max) / limit)
+                };
+                // Stretched by f, speeds fall with f and accelerations with its square.
+                let factor = worst(limits.speed, |rates| rates.0)
+                    .max(worst(limits.acceleration, |rates| rates.1).sqrt());
+                let needed = Span::from_millis_f64(movement.length.as_millis_f64() * factor);
+                if needed > bounds.min && largest.as_ref().is_none_or(|(known, ..)| needed > *known) {
+                    largest = Some((needed, member.robot, track.device.clone()));
+                }
+            }
+        }
+        if let Some((needed, robot, device)) = largest {
+            let (start, end) = self.events[index];
+            let origin = Origin::Limit {
+                cue: index,
+                robot: cast.id(robot).to_string(),
+                device,
+                place: bounds.place.clone(),
+            };
+            self.constrain(start, end, (Some(needed + members.delay), None), origin);
+        }
+    }
+
+    fn relate(&mut self, findings: &mut Reader, index: usize, relation: &Relation) {
+        let from = self.event(findings, index, &relation.from, relation);
+        let to = self.event(findings, index, &relation.to, relation);
+        if let (Some(from), Some(to)) = (from, to) {
+            let origin = Origin::Relation { cue: index, relation: relation.clone() };
+            self.constrain(from, to, (relation.min, relation.max), origin);
+        }
+    }
+
+    fn event(
+        &self,
+        findings: &mut Reader,
+        index: usize,
+        anchor: &Anchor,
+        relation: &Relation,
+    ) -> Option<Event> {
+        let other = |findings: &mut Reader, name: &str| {
+            let name = Name { text: name.to_owned(), place: relation.place.clone() };
+            self.cue(findings, &name).map(|cue| self.events[cue])
+        };
+        Some(match anchor {
+            Anchor::Origin => self.network.origin(),
+            Anchor::Start => self.events[index].0,
+            Anchor::End => self.events[index].1,
+            Anchor::StartOf(name) => other(findings, name)?.0,
+            Anchor::EndOf(name) => other(findings, name)?.1,
+        })
+    }
+
+    fn cue(&self, findings: &mut Reader, name: &Name) -> Option<usize> {
+        match self.by_name.get(name.text.as_str()) {
+            Some(Some(index)) => Some(*index),
+            Some(None) => {
+                let message = format!("several cues are called `{}`", shortened(&name.text));
+                let hint = Some("give each cue that others refer to a name of its own".to_owned());
+                findings.add(Code::NameTwice, name.place.clone(), message, "the name of one cue", hint);
+                None
+            }
+            None => {
+                let known = || self.act.cues.iter().map(|cue| cue.name.as_str());
+                let hint = did_you_mean(&name.text, known());
+                let message = format!("no cue `{}`", shortened(&name.text));
+                let expected = format!("one of {}", names(known()));
+                findings.add(Code::UnknownCue, name.place.clone(), message, expected, hint);
+                None
+            }
+        }
+    }
+
+    /// What cues share, in the order of their first use.
+    fn zones(&self, findings: &mut Reader) -> Vec<Shared> {
+        let mut shared: Vec<Shared> = Vec::new();
+        let mut index_of: HashMap<&str, usize> = HashMap::new();
+        for (index, cue) in self.act.cues.iter().enumerate() {
+            for zone in &cue.uses {
+                let Some((_, order)) = self.act.zones.iter().rev().find(|(name, _)| *name == zone.text)
+                else {
+                    let known = || self.act.zones.iter().map(|(name, _)| name.as_str());
+                    let message = format!("no zone `{}`", shortened(&zone.text));
+                    let hint = did_you_mean(&zone.text, known())
+                        .or(Some("list it under `zones` at the top of the scenario".to_owned()));
+                    let expected = format!("one of {}", names(known()));
+                    findings.add(Code::UnknownZone, zone.place.clone(), message, expected, hint);
+                    continue;
+                };
+                let at = *index_of.entry(&zone.text).or_insert_with(|| {
+                    shared.push(Shared { zone: Some(zone.text.clone()), order: *order, cues: Vec::new() });
+                    shared.len() - 1
+                });
+                if shared[at].cues.last() != Some(&index) {
+                    shared[at].cues.push(index);
+                }
+            }
+            for other in &cue.apart {
+                if let Some(other) = self.cue(findings, other).filter(|other| *other != index) {
+                    shared.push(Shared {
+                        zone: None,
+                        order: self.act.order,
+                        cues: vec![index.min(other), index.max(other)],
+                    });
+                }
+            }
+        }
+        shared
+    }
+
+    /// One after another, as they stand in the file.
+    fn order_given(&mut self, shared: &[Shared]) {
+        for zone in shared.iter().filter(|zone| zone.order == Order::Given) {
+            for pair in zone.cues.windows(2) {
+                self.follow(pair[0], pair[1], zone);
+            }
+        }
+    }
+
+    fn follow(&mut self, first: usize, second: usize, zone: &Shared) {
+        let (from, to) = (self.events[first].1, self.events[second].0);
+        let origin = Origin::Zone { zone: zone.zone.clone(), first, second, auto: zone.order == Order::Auto };
+        self.constrain(from, to, (Some(Span::ZERO), None), origin);
+    }
+
+    /// In an order with a short makespan.
+    fn order_auto(
+        &mut self,
+        findings: &mut Reader,
+        shared: &[Shared],
+        schedule: Schedule,
+    ) -> Option<Schedule> {
+        let auto: Vec<_> =
+            shared.iter().filter(|zone| zone.order == Order::Auto && zone.cues.len() > 1).collect();
+        if auto.is_empty() {
+            return Some(schedule);
+        }
+        let task = |zone: usize| {
+            let events = &self.events;
+            move |cue: &usize| Task { start: events[*cue].0, end: events[*cue].1, zone }
+        };
+        let tasks: Vec<Task> =
+            auto.iter().enumerate().flat_map(|(index, zone)| zone.cues.iter().map(task(index))).collect();
+        let sequences = match order(&self.network, &tasks, Effort::default()) {
+            Ordering::Found(found) => found.sequences,
+            failed => {
+                let zones = names(auto.iter().filter_map(|zone| zone.zone.as_deref()));
+                let proven = matches!(failed, Ordering::Infeasible(_));
+                let message = match proven {
+                    true => format!("no order of the cues of {zones} keeps all their times"),
+                    false => format!("no order of the cues of {zones} was found that keeps all their times"),
+                };
+                let hint = match proven {
+                    true => "allow more time, or take a cue out of the zone",
+                    false => "the search may have missed one: allow more time, or order some cues by `after`",
+                };
+                let place = self.act.cues[auto[0].cues[0]].place.clone();
+                findings.add(
+                    Code::NoOrder,
+                    place,
+                    message,
+                    "an order within all deadlines",
+                    Some(hint.to_owned()),
+                );
+                return None;
+            }
+        };
+        let cue_of: HashMap<Event, usize> =
+            self.events.iter().enumerate().map(|(cue, (start, _))| (*start, cue)).collect();
+        for (zone, sequence) in auto.iter().zip(sequences) {
+            let cues: Vec<_> =
+                sequence.iter().filter_map(|task| cue_of.get(&tasks[*task].start).copied()).collect();
+            for pair in cues.windows(2) {
+                self.follow(pair[0], pair[1], zone);
+            }
+        }
+        self.network.solve().ok()
+    }
+
+    fn read(&self, schedule: &Schedule, members: &[Members]) -> Vec<CueTime> {
+        let time = |((start, end), members): (&(Event, Event), &Members)| {
+            let (start, end) = (schedule.time(*start), schedule.time(*end));
+            let factor = factor(end - start - members.delay, members.length);
+            CueTime { start, end, factor, slack: None }
+        };
+        self.events.iter().zip(members).map(time).collect()
+    }
+}

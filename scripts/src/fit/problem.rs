@@ -1,0 +1,195 @@
+//! A curve, a grid and the ends, checked once; how far steps are from the curve.
+
+use urrcp::Interpolation;
+
+use super::lattice::Lattice;
+use super::{Ends, Fit, Grid, Samples, Unfit, hold, linear, search};
+
+/// Times and values up to here; slopes and their products then stay finite.
+pub(super) const EXTREME: f64 = 1e100;
+/// What a few roundings move a value by, as a part of the largest value.
+const ROUNDING: f64 = 64.0 * f64::EPSILON;
+
+/// Steps as sample and value.
+pub(super) type Path = Vec<(usize, f64)>;
+
+/// A question whose parts are known to be usable.
+pub(super) struct Problem<'a> {
+    pub(super) curve: Samples<'a>,
+    pub(super) interpolation: Interpolation,
+    pub(super) lattice: Lattice,
+    pub(super) ends: Ends,
+    /// Added to the room, so that a curve which touches its tolerance fits in spite of rounding.
+    pub(super) dust: f64,
+}
+
+/// Steps with their distance from the samples.
+#[derive(Clone, Debug)]
+pub(super) struct Found {
+    pub(super) path: Path,
+    pub(super) at_least: usize,
+    /// Largest distance from a sample.
+    pub(super) off: f64,
+    /// Which sample.
+    pub(super) off_at: usize,
+}
+
+impl<'a> Problem<'a> {
+    pub(super) fn new(
+        curve: &Samples<'a>,
+        interpolation: Interpolation,
+        grid: &Grid,
+        ends: Ends,
+    ) -> Result<Self, Unfit> {
+        check(curve)?;
+        let usable = [ends.first, ends.last].into_iter().flatten().all(|value| value.abs() <= EXTREME);
+        let differ = ends.first.zip(ends.last).is_some_and(|(first, last)| first != last);
+        if !usable || (differ && curve.times.len() == 1) {
+            return Err(Unfit::Ends);
+        }
+        let dust = dust(curve, ends);
+        Ok(Self { curve: *curve, interpolation, lattice: Lattice::new(grid)?, ends, dust })
+    }
+
+    pub(super) fn fewest(&self, tolerance: f64) -> Result<Fit, Unfit> {
+        let room = tolerance - self.curve.slack;
+        let Some(found) = self.within(room, usize::MAX) else {
+            let closest = search::least(self, self.closest_start(), usize::MAX, search::Precision::Fine);
+            let smallest = closest.off + self.curve.slack;
+            return Err(Unfit::Tolerance { smallest, at: self.curve.times[closest.off_at] });
+        };
+        let (steps, at_least) = (found.path.len(), found.at_least);
+        let found = search::least(self, found, steps, search::Precision::Within(room / 100.0));
+        Ok(self.fit(&Found { at_least, ..found }))
+    }
+
+    pub(super) fn least_error(&self, budget: usize) -> Result<Fit, Unfit> {
+        let shortest = self.shortest();
+        let needed = shortest.path.len();
+        if needed > budget {
+            return Err(Unfit::Budget { needed });
+        }
+        let start = if budget >= self.curve.times.len() { self.closest_start() } else { shortest };
+        Ok(self.fit(&search::least(self, start, budget, search::Precision::Fine)))
+    }
+
+    /// The fewest steps within the room, if that takes no more than `most`.
+    pub(super) fn within(&self, room: f64, most: usize) -> Option<Found> {
+        let shortest = self.shortest();
+        let possible = room >= 0.0 && shortest.path.len() <= most;
+        let room = possible.then_some(room + self.dust)?;
+        if shortest.off <= room {
+            return Some(shortest);
+        }
+        if self.curve.times.len() == 1 {
+            return None;
+        }
+        let (path, at_least) = match self.interpolation {
+            Interpolation::Hold => hold::steps(self, room, most)?,
+            Interpolation::Linear => linear::steps(self, room, most)?,
+        };
+        Some(self.measured(path, at_least))
+    }
+
+    /// The steps at the ends alone; nothing else has fewer.
+    fn shortest(&self) -> Found {
+        let last = self.curve.times.len() - 1;
+        let path = match self.interpolation {
+            _ if last == 0 => vec![(0, self.end(self.ends.first.or(self.ends.last), 0))],
+            Interpolation::Hold => hold::single(self),
+            Interpolation::Linear => {
+                vec![(0, self.end(self.ends.first, 0)), (last, self.end(self.ends.last, last))]
+            }
+        };
+        let steps = path.len();
+        self.measured(path, steps)
+    }
+
+    /// Any steps from which to search for the closest: for linear ones, a step at each sample.
+    fn closest_start(&self) -> Found {
+        let shortest = self.shortest();
+        let last = self.curve.times.len() - 1;
+        if self.interpolation == Interpolation::Hold || last == 0 {
+            return shortest;
+        }
+        let mut path: Path =
+            self.curve.values.iter().map(|value| self.lattice.nearest(*value)).enumerate().collect();
+        for end in shortest.path {
+            path[end.0] = end;
+        }
+        let at_least = 2;
+        self.measured(path, at_least)
+    }
+
+    fn end(&self, prescribed: Option<f64>, sample: usize) -> f64 {
+        prescribed.unwrap_or_else(|| self.lattice.nearest(self.curve.values[sample]))
+    }
+
+    /// No steps at all are closer than this: the distance at prescribed ends, and of linear ones at free ends.
+    pub(super) fn off_min(&self) -> f64 {
+        let last = self.curve.times.len() - 1;
+        let linear = self.interpolation == Interpolation::Linear;
+        let off = |end: Option<f64>, sample: usize| match end {
+            None if !linear => 0.0,
+            end => (self.end(end, sample) - self.curve.values[sample]).abs(),
+        };
+        if last == 0 { self.shortest().off } else { off(self.ends.first, 0).max(off(self.ends.last, last)) }
+    }
+
+    fn measured(&self, path: Path, at_least: usize) -> Found {
+        let mut worst = (0.0, path.first().map_or(0, |step| step.0));
+        let last = self.curve.times.len() - 1;
+        for (i, &from) in path.iter().enumerate() {
+            let to = path.get(i + 1).copied().unwrap_or((last, from.1));
+            for k in from.0..=to.0 {
+                let off = (self.follows(from, to, k) - self.curve.values[k]).abs();
+                if off > worst.0 {
+                    worst = (off, k);
+                }
+            }
+        }
+        Found { path, at_least, off: worst.0, off_at: worst.1 }
+    }
+
+    /// What the device does between two steps; a held value is held until just ahead of the next step.
+    fn follows(&self, from: (usize, f64), to: (usize, f64), sample: usize) -> f64 {
+        let times = self.curve.times;
+        match self.interpolation {
+            Interpolation::Linear if sample > from.0 => {
+                let part = (times[sample] - times[from.0]) / (times[to.0] - times[from.0]);
+                from.1 + (to.1 - from.1) * part
+            }
+            _ => from.1,
+        }
+    }
+
+    fn fit(&self, found: &Found) -> Fit {
+        Fit {
+            steps: found.path.iter().map(|(sample, value)| (self.curve.times[*sample], *value)).collect(),
+            worst: found.off + self.curve.slack,
+            worst_at: self.curve.times[found.off_at],
+            at_least: found.at_least,
+        }
+    }
+}
+
+/// Whether the samples are numbers in the order of time.
+pub(super) fn check(curve: &Samples) -> Result<(), Unfit> {
+    let Samples { times, values, slack } = *curve;
+    if times.is_empty() && values.is_empty() {
+        return Err(Unfit::Empty);
+    }
+    let number = |of: &[f64], i: usize| of.get(i).is_some_and(|number| number.abs() <= EXTREME);
+    let later = |i: usize| i == 0 || times[i] - times[i - 1] >= 1.0 / EXTREME;
+    let usable = |i: &usize| number(times, *i) && number(values, *i) && later(*i);
+    if let Some(broken) = (0..times.len().max(values.len())).find(|i| !usable(i)) {
+        return Err(Unfit::Sample(broken));
+    }
+    if (0.0..=EXTREME).contains(&slack) { Ok(()) } else { Err(Unfit::Slack(slack)) }
+}
+
+/// What rounding may move a value of this curve by.
+pub(super) fn dust(curve: &Samples, ends: Ends) -> f64 {
+    let values = curve.values.iter().chain(&ends.first).chain(&ends.last);
+    ROUNDING * values.fold(0.0, |largest: f64, value| largest.max(value.abs()))
+}

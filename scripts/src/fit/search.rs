@@ -1,0 +1,70 @@
+//! The least error with a number of steps, by bisecting the room over the fewest steps within it.
+
+use urrcp::Interpolation;
+
+use super::problem::{Found, Problem};
+use super::tube;
+
+/// Halvings of the room; after these a double has no smaller half.
+const ROUNDS_MAX: u32 = 200;
+
+/// How close to the least error is close enough.
+#[derive(Clone, Copy)]
+pub(super) enum Precision {
+    /// A relative 1e-6, or a millionth of the granularity.
+    Fine,
+    /// This distance.
+    Within(f64),
+}
+
+/// The closest steps within the budget, no worse than those to start from.
+pub(super) fn least(problem: &Problem, start: Found, budget: usize, precision: Precision) -> Found {
+    let mut too_little = problem.off_min().max(bound(problem, start.off, budget));
+    if let Some(found) = problem.within(too_little, budget) {
+        return if found.off < start.off { found } else { start };
+    }
+    let (mut enough, mut best) = (start.off, start);
+    // The least error is seldom far above its bound, and little room is searched much faster than much.
+    let mut stride = problem.lattice.granularity / 4.0;
+    for _ in 0..ROUNDS_MAX {
+        let close = match precision {
+            Precision::Fine => (enough * 1e-6).max(problem.lattice.granularity * 1e-6),
+            Precision::Within(distance) => distance,
+        };
+        if enough - too_little <= close {
+            break;
+        }
+        let room = too_little + stride.min((enough - too_little) / 2.0);
+        stride *= 2.0;
+        match problem.within(room, budget) {
+            None => too_little = room,
+            Some(found) => {
+                stride = f64::INFINITY;
+                // Rounding is the only way to be off by more than the room.
+                enough = room.min(found.off);
+                best = found;
+            }
+        }
+    }
+    best
+}
+
+/// A room that is too little, or only just enough, for connected lines on any grid.
+fn bound(problem: &Problem, enough: f64, budget: usize) -> f64 {
+    if problem.interpolation == Interpolation::Hold {
+        return 0.0;
+    }
+    let close = problem.lattice.granularity * 1e-7;
+    let (mut too_little, mut enough) = (0.0, enough);
+    for _ in 0..ROUNDS_MAX {
+        let room = too_little + (enough - too_little) / 2.0;
+        if enough - too_little <= close.max(enough * 1e-7) {
+            break;
+        }
+        match tube::steps_at_least(&problem.curve, room + 2.0 * problem.dust) <= budget {
+            true => enough = room,
+            false => too_little = room,
+        }
+    }
+    too_little
+}

@@ -1,0 +1,86 @@
+//! Why a curve has no fit.
+
+use std::fmt;
+
+/// Why a curve has no fit.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Unfit {
+    /// There is no sample.
+    Empty,
+    /// The sample of this index has no value or no time, one beyond 1e100 or not a number, or is not later than the one
+    /// before.
+    Sample(usize),
+    /// The slack is negative, beyond 1e100 or not a number.
+    Slack(f64),
+    /// No multiple of the granularity lies from `min` to `max`, or the granularity is not a number above 0.
+    Grid,
+    /// A prescribed value beyond 1e100 or not a number, or two different ones for a single sample.
+    Ends,
+    /// No number of steps is that close.
+    Tolerance {
+        /// The smallest tolerance that can be met.
+        smallest: f64,
+        /// The time in milliseconds of the sample that allows no smaller one.
+        at: f64,
+    },
+    /// The ends alone take more steps.
+    Budget {
+        /// Steps that are needed at least.
+        needed: usize,
+    },
+}
+
+impl fmt::Display for Unfit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Empty => write!(f, "the curve has no samples"),
+            Self::Sample(index) => write!(f, "sample {index} is no number, or no later than the one before"),
+            Self::Slack(slack) => write!(f, "{slack} is no distance from a chord"),
+            Self::Grid => write!(f, "the grid has no value"),
+            Self::Ends => write!(f, "the values at the ends are no numbers, or differ at a single sample"),
+            Self::Tolerance { smallest, at } => {
+                write!(f, "no steps are closer to the curve than {smallest}, at {at} ms")
+            }
+            Self::Budget { needed } => write!(f, "the ends alone need {needed} steps"),
+        }
+    }
+}
+
+impl std::error::Error for Unfit {}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::Interpolation;
+
+    use super::*;
+    use crate::fit::{Ends, Grid, Samples, fewest, least_error};
+
+    const GRID: Grid = Grid { min: -3.0, max: 3.0, granularity: 1.0 };
+
+    #[track_caller]
+    fn check_unfit(times: &[f64], values: &[f64], grid: Grid, ends: Ends, expected: Unfit) {
+        let curve = Samples { times, values, slack: 0.0 };
+        for interpolation in [Interpolation::Hold, Interpolation::Linear] {
+            assert_eq!(fewest(&curve, interpolation, &grid, 1.0, ends), Err(expected));
+            assert_eq!(least_error(&curve, interpolation, &grid, 9, ends), Err(expected));
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_used_is_named() {
+        let free = Ends::default();
+        check_unfit(&[], &[], GRID, free, Unfit::Empty);
+        check_unfit(&[0.0, 1.0], &[0.0], GRID, free, Unfit::Sample(1));
+        check_unfit(&[0.0, 1.0, 1.0], &[0.0; 3], GRID, free, Unfit::Sample(2));
+        check_unfit(&[0.0, f64::NAN], &[0.0; 2], GRID, free, Unfit::Sample(1));
+        check_unfit(&[0.0], &[f64::INFINITY], GRID, free, Unfit::Sample(0));
+        for grid in
+            [Grid { granularity: 0.0, ..GRID }, Grid { min: 4.0, ..GRID }, Grid { max: f64::NAN, ..GRID }]
+        {
+            check_unfit(&[0.0], &[0.0], grid, free, Unfit::Grid);
+        }
+        check_unfit(&[0.0], &[0.0], Grid { min: 1.0, max: 2.0, granularity: 10.0 }, free, Unfit::Grid);
+        check_unfit(&[0.0], &[0.0], GRID, Ends { first: Some(0.0), last: Some(1.0) }, Unfit::Ends);
+        check_unfit(&[0.0], &[0.0], GRID, Ends { first: Some(f64::NAN), last: None }, Unfit::Ends);
+    }
+}

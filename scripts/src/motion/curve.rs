@@ -1,0 +1,234 @@
+//! A movement as knots: values at times, with the way that leads to each; and what can be done with a whole movement.
+
+use std::sync::Arc;
+
+use urrcp::Span;
+
+use super::{Easing, Function};
+
+/// A movement over time, counted from its cue's start.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) struct Curve {
+    /// In order of time; two at one time are a jump.
+    pub(crate) knots: Vec<Knot>,
+    /// What [`Shape::Function`] refers to.
+    pub(crate) functions: Arc<[Function]>,
+}
+
+/// A value at a time, and the way there.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Knot {
+    pub(crate) at: Span,
+    pub(crate) to: f64,
+    pub(crate) shape: Shape,
+    /// Which item of the list in the file it comes from.
+    pub(crate) item: u32,
+}
+
+/// The way to a knot from the one before.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Shape {
+    /// As the device moves by itself: linearly, or not at all until the knot's time.
+    Own,
+    /// The same backwards: a device that holds takes the knot's value at once.
+    OwnReversed,
+    Eased(Easing),
+    /// The new value at once.
+    Early,
+    /// Linear between samples of a curve, which nobody asked to be kept each.
+    Sampled,
+    /// offset + gain * function, over s from 0 to 1 or, reversed, from 1 to 0.
+    Function {
+        index: u32,
+        gain: f64,
+        offset: f64,
+        reversed: bool,
+    },
+}
+
+impl Shape {
+    fn reversed(self) -> Self {
+        match self {
+            Self::Own => Self::OwnReversed,
+            Self::OwnReversed => Self::Own,
+            Self::Eased(Easing::Step) => Self::Early,
+            Self::Early => Self::Eased(Easing::Step),
+            Self::Function { index, gain, offset, reversed } => {
+                Self::Function { index, gain, offset, reversed: !reversed }
+            }
+            // The others are symmetric about their middle.
+            other => other,
+        }
+    }
+
+    fn affine(self, factor: f64, shift: f64) -> Self {
+        match self {
+            Self::Function { index, gain, offset, reversed } => {
+                Self::Function { index, gain: factor * gain, offset: factor * offset + shift, reversed }
+            }
+            other => other,
+        }
+    }
+}
+
+impl Curve {
+    /// Knots with the functions that they refer to.
+    pub(crate) fn new(knots: Vec<Knot>, functions: Vec<Function>) -> Self {
+        Self { knots, functions: functions.into() }
+    }
+
+    pub(crate) fn length(&self) -> Span {
+        self.knots.last().map_or(Span::ZERO, |knot| knot.at)
+    }
+
+    /// value = about + factor * (value - about)
+    pub(crate) fn scale(&mut self, about: f64, factor: f64) {
+        let shift = about - factor * about;
+        for knot in &mut self.knots {
+            knot.to = factor * knot.to + shift;
+            knot.shape = knot.shape.affine(factor, shift);
+        }
+    }
+
+    /// All times by a factor.
+    pub(crate) fn stretch(&mut self, factor: f64) {
+        for knot in &mut self.knots {
+            knot.at = Span::from_millis_f64(knot.at.as_millis_f64() * factor);
+        }
+    }
+
+    /// Backwards within a time of `length`, which is no shorter than the movement.
+    pub(crate) fn reverse(&mut self, length: Span) {
+        let shapes: Vec<_> = self.knots.iter().map(|knot| knot.shape).collect();
+        self.knots.reverse();
+        for (index, knot) in self.knots.iter_mut().enumerate() {
+            knot.at = length - knot.at;
+            knot.shape = match index.checked_sub(1) {
+                None => Shape::Own,
+                Some(_) => shapes[shapes.len() - index].reversed(),
+            };
+        }
+    }
+
+    /// The movement `times` times, a new one every `cycle`. Where it does not end as it begins, it jumps.
+    pub(crate) fn repeat(&mut self, times: u32, cycle: Span) {
+        let once = self.knots.clone();
+        let (Some(first), Some(last)) = (once.first().copied(), once.last().copied()) else { return };
+        self.knots.reserve_exact(once.len() * times.saturating_sub(1) as usize);
+        for turn in 1..times {
+            let begin = cycle * i64::from(turn);
+            let joined = first.at == Span::ZERO && first.to == last.to;
+            if last.at < cycle || first.at > Span::ZERO {
+                self.knots.push(Knot { at: begin, shape: Shape::Eased(Easing::Step), ..last });
+            }
+            if !joined {
+                let shape = if first.at == Span::ZERO { Shape::Early } else { first.shape };
+                self.knots.push(Knot { at: begin + first.at, shape, ..first });
+            }
+            self.knots.extend(once[1..].iter().map(|knot| Knot { at: begin + knot.at, ..*knot }));
+        }
+    }
+
+    /// The largest speed and acceleration on the way to a knot, in units a second and a second squared, as bounds.
+    pub(crate) fn rates(&self, index: usize) -> (f64, f64) {
+        let (Some(before), Some(knot)) =
+            (index.checked_sub(1).and_then(|i| self.knots.get(i)), self.knots.get(index))
+        else {
+            return (0.0, 0.0);
+        };
+        let seconds = (knot.at - before.at).as_millis_f64() / 1_000.0;
+        let change = (knot.to - before.to).abs();
+        if seconds <= 0.0 {
+            return (0.0, 0.0);
+        }
+        let (slope, curvature) = match knot.shape {
+            Shape::Eased(easing) => (change * easing.slope_max(), change * easing.curvature_max()),
+            Shape::Function { index, gain, .. } => self
+                .functions
+                .get(index as usize)
+                .map_or((0.0, 0.0), |f| (gain.abs() * f.slope_max(), gain.abs() * f.curvature_max())),
+            Shape::Own | Shape::OwnReversed | Shape::Sampled => (change, 0.0),
+            Shape::Early => (0.0, 0.0),
+        };
+        (slope / seconds, curvature / (seconds * seconds))
+    }
+
+    /// The largest speed and acceleration on the way to a knot, in units a second and a second squared: of easings exactly,
+    /// of functions the largest of many samples.
+    pub(crate) fn peak_rates(&self, index: usize) -> (f64, f64) {
+        let Some(knot) = self.knots.get(index) else { return (0.0, 0.0) };
+        let Shape::Function { index: function, gain, .. } = knot.shape else { return self.rates(index) };
+        let (Some(before), Some(function)) = (
+            index.checked_sub(1).and_then(|before| self.knots.get(before)),
+            self.functions.get(function as usize),
+        ) else {
+            return (0.0, 0.0);
+        };
+        let seconds = (knot.at - before.at).as_millis_f64() / 1_000.0;
+        let (slope, curvature) = function.peak_rates();
+        (gain.abs() * slope / seconds, gain.abs() * curvature / (seconds * seconds))
+    }
+
+    /// The value on the way to a knot, s of the way there in time.
+    pub(crate) fn value(&self, index: usize, s: f64) -> f64 {
+        let knot = &self.knots[index];
+        let from = index.checked_sub(1).map_or(knot.to, |before| self.knots[before].to);
+        let change = knot.to - from;
+        match knot.shape {
+            Shape::Own | Shape::OwnReversed | Shape::Sampled => from + change * s,
+            Shape::Early => knot.to,
+            Shape::Eased(easing) => from + change * easing.at(s),
+            Shape::Function { index, gain, offset, reversed } => {
+                let s = if reversed { 1.0 - s } else { s };
+                self.functions.get(index as usize).map_or(from, |function| offset + gain * function.at(s))
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn curve(knots: &[(i64, f64, Shape)]) -> Curve {
+        let knot =
+            |&(at, to, shape): &(i64, f64, Shape)| Knot { at: Span::from_millis(at), to, shape, item: 0 };
+        Curve::new(knots.iter().map(knot).collect(), vec![Function::Sine { cycles: 1.0, phase: 0.0 }])
+    }
+
+    fn shown(curve: &Curve) -> Vec<(f64, f64)> {
+        curve.knots.iter().map(|knot| (knot.at.as_millis_f64(), knot.to)).collect()
+    }
+
+    #[test]
+    fn a_closed_movement_repeats_without_a_seam_and_an_open_one_jumps() {
+        let mut closed = curve(&[(0, 0.0, Shape::Own), (10, 5.0, Shape::Own), (20, 0.0, Shape::Own)]);
+        closed.repeat(2, Span::from_millis(20));
+        assert_eq!(shown(&closed), [(0.0, 0.0), (10.0, 5.0), (20.0, 0.0), (30.0, 5.0), (40.0, 0.0)]);
+        let mut open = curve(&[(0, 0.0, Shape::Own), (10, 5.0, Shape::Own)]);
+        open.repeat(2, Span::from_millis(15));
+        assert_eq!(shown(&open), [(0.0, 0.0), (10.0, 5.0), (15.0, 5.0), (15.0, 0.0), (25.0, 5.0)]);
+    }
+
+    #[test]
+    fn reversing_twice_changes_nothing() {
+        let wave = Shape::Function { index: 0, gain: 2.0, offset: 1.0, reversed: false };
+        let once = curve(&[(0, 0.0, Shape::Own), (10, 5.0, Shape::Eased(Easing::Step)), (30, 5.0, wave)]);
+        let mut twice = once.clone();
+        twice.reverse(Span::from_millis(40));
+        assert_eq!(shown(&twice), [(10.0, 5.0), (30.0, 5.0), (40.0, 0.0)]);
+        assert_eq!(twice.knots[2].shape, Shape::Early);
+        twice.reverse(Span::from_millis(40));
+        assert_eq!(twice, once);
+    }
+
+    #[test]
+    fn mirroring_is_scaling_by_minus_one_about_a_value() {
+        let wave = Shape::Function { index: 0, gain: 2.0, offset: 10.0, reversed: false };
+        let mut mirrored = curve(&[(0, 10.0, Shape::Own), (100, 10.0, wave)]);
+        assert_eq!(mirrored.value(1, 0.25), 12.0);
+        mirrored.scale(20.0, -1.0);
+        assert_eq!(shown(&mirrored), [(0.0, 30.0), (100.0, 30.0)]);
+        assert_eq!(mirrored.value(1, 0.25), 28.0);
+    }
+}

@@ -1,0 +1,16 @@
+//! Movements: what a track does over time, however it was written, and how it becomes steps of a device.
+//!
+//! `curve` holds the one form that all movements share, `easing` and `function` the ways between two values, `actuator` the
+//! steps of a device.
+
+mod actuator;
+mod curve;
+mod easing;
+mod function;
+mod spline;
+
+pub(crate) use actuator::{Actuator, Fits, Fitted, Value};
+pub(crate) use curve::{Curve, Knot, Shape};
+pub(crate) use easing::Easing;
+pub(crate) use function::Function;
+pub(crate) use spline::spline;

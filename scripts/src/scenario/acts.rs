@@ -1,0 +1,349 @@
+//! Acts: what is synchronised together, what each waits for, what follows, what a failure does.
+
+use serde::Serialize;
+use serde::de::IntoDeserializer;
+use urrcp::{Server, Span, StopCondition, Timestamp};
+
+use super::cue::{self, ORDER};
+use super::library::{self, Library};
+use super::{Act, Name, OffGrid, Order};
+use crate::fields::{At, Reader};
+use crate::finding::{Code, Place, names};
+use crate::node::{Node, shortened};
+
+pub(crate) const ACT_KEYS: [&str; 9] =
+    ["act", "cues", "wait", "next", "on_failure", "zones", "order", "tempo", "signature"];
+pub(crate) const WAIT_KEYS: [&str; 8] =
+    ["for", "time", "sensor", "above", "below", "within", "timeout", "otherwise"];
+
+/// What holds where an act or cue says nothing.
+pub(super) struct Defaults<'a> {
+    pub(super) lease: StopCondition,
+    pub(super) off_grid: OffGrid,
+    pub(super) order: Order,
+    pub(super) zones: Option<At<'a>>,
+    pub(super) on_failure: OnFailureRule,
+}
+
+/// What the fleet does when a robot fails.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OnFailure {
+    /// All robots go to their default state.
+    #[default]
+    Abort,
+    /// The others go on.
+    Without,
+    /// All robots stay where they are.
+    Hold,
+}
+
+/// What a failure does, as it is written.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct OnFailureRule {
+    pub(crate) default: Option<OnFailure>,
+    pub(crate) robots: Vec<(Name, OnFailure)>,
+    pub(crate) then: Option<Name>,
+}
+
+/// What an act waits for before it begins.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Wait {
+    /// The act before has ended everywhere.
+    #[default]
+    Done,
+    /// The operator says go.
+    Operator,
+    /// A time of day of the server's clock, since midnight of its local time.
+    TimeOfDay(Span),
+    /// An instant.
+    Instant(Timestamp<Server>),
+    /// A reading within a range.
+    Sensor {
+        /// Robot, by its id.
+        robot: String,
+        /// Sensor, by its device id.
+        sensor: String,
+        /// Which readings will do.
+        range: SensorRange,
+    },
+}
+
+/// Which readings of a sensor will do, in its unit.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum SensorRange {
+    /// Larger than this.
+    Above(f64),
+    /// Smaller than this.
+    Below(f64),
+    /// From the first to the second.
+    Within(f64, f64),
+}
+
+impl SensorRange {
+    /// Whether a reading will do.
+    #[must_use]
+    pub fn contains(self, reading: f64) -> bool {
+        match self {
+            Self::Above(bound) => reading > bound,
+            Self::Below(bound) => reading < bound,
+            Self::Within(least, largest) => reading >= least && reading <= largest,
+        }
+    }
+}
+
+/// What an act waits for, as it is written.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct WrittenWait {
+    pub(crate) wait: Wait,
+    pub(crate) timeout: Option<Span>,
+    pub(crate) otherwise: Option<Name>,
+    pub(crate) place: Place,
+}
+
+pub(super) fn read(
+    reader: &mut Reader,
+    library: &Library<'_>,
+    defaults: &Defaults<'_>,
+    root: &At<'_>,
+    [cues, acts]: [Option<At<'_>>; 2],
+) -> Vec<Act> {
+    match (cues, acts) {
+        (Some(cues), None) => {
+            let zones = defaults.zones.map(|at| zones(reader, &at, defaults.order)).unwrap_or_default();
+            vec![Act {
+                name: String::new(),
+                place: cues.place(),
+                cues: read_cues(reader, library, defaults, &cues, "the scenario"),
+                zones,
+                order: defaults.order,
+                wait: WrittenWait::default(),
+                next: None,
+                on_failure: defaults.on_failure.clone(),
+            }]
+        }
+        (None, Some(acts)) => {
+            let items = reader.list(&acts, "a list of acts");
+            if items.is_empty() && matches!(acts.node, Node::List(_)) {
+                super::nothing(reader, &acts, "the scenario has no acts", "at least one act");
+            }
+            let tempo = reader.music.clone();
+            let act = |(index, item)| {
+                reader.music = tempo.clone();
+                act(reader, library, defaults, item, index)
+            };
+            items.iter().enumerate().filter_map(act).collect()
+        }
+        (Some(_), Some(acts)) => {
+            let hint = Some("move the cues into an act of their own".to_owned());
+            let message = "a scenario with both `cues` and `acts`";
+            reader.add(Code::UnknownKey, acts.key_place(), message, "one of the two", hint);
+            Vec::new()
+        }
+        (None, None) => {
+            let message = "the scenario has no `cues`";
+            reader.add(Code::MissingKey, root.place(), message, "a key `cues`, or `acts`", None);
+            Vec::new()
+        }
+    }
+}
+
+fn read_cues(
+    reader: &mut Reader,
+    library: &Library<'_>,
+    defaults: &Defaults<'_>,
+    at: &At<'_>,
+    whose: &str,
+) -> Vec<super::Cue> {
+    let items = reader.list(at, "a list of cues");
+    if items.is_empty() && matches!(at.node, Node::List(_)) {
+        super::nothing(reader, at, &format!("{whose} has no cues"), "at least one cue");
+    }
+    let cue = |(index, item)| cue::read(reader, library, defaults, item, index);
+    items.iter().enumerate().filter_map(cue).collect()
+}
+
+fn act(
+    reader: &mut Reader,
+    library: &Library<'_>,
+    defaults: &Defaults<'_>,
+    at: &At<'_>,
+    index: usize,
+) -> Option<Act> {
+    let [name, cues, wait, next, failure, own_zones, order, tempo, signature] =
+        reader.map(at, "an act", ACT_KEYS, &["cues"])?;
+    let name = name
+        .and_then(|at| reader.name(&at, "the act's name"))
+        .unwrap_or_else(|| format!("act {}", index + 1));
+    library::music(reader, tempo, signature);
+    let order = order.and_then(|at| reader.word(&at, &ORDER)).unwrap_or(defaults.order);
+    let mut all = defaults.zones.map(|at| zones(reader, &at, order)).unwrap_or_default();
+    all.extend(own_zones.map(|at| zones(reader, &at, order)).unwrap_or_default());
+    let whose = format!("the act `{}`", shortened(&name));
+    let mut rule = failure.map(|at| on_failure(reader, &at)).unwrap_or_default();
+    rule.default = rule.default.or(defaults.on_failure.default);
+    rule.robots.extend(defaults.on_failure.robots.iter().cloned());
+    Some(Act {
+        place: at.place(),
+        cues: cues.map(|at| read_cues(reader, library, defaults, &at, &whose)).unwrap_or_default(),
+        zones: all,
+        order,
+        wait: wait.map(|at| read_wait(reader, &at)).unwrap_or_default(),
+        next: next.and_then(|at| {
+            Some(Name { text: reader.name(&at, "the name of an act, or `end`")?, place: at.place() })
+        }),
+        on_failure: rule,
+        name,
+    })
+}
+
+/// `[table, lift]`, or `{table: auto, lift: given}`.
+fn zones(reader: &mut Reader, at: &At<'_>, order: Order) -> Vec<(String, Order)> {
+    let expected = "a list of zones, or a map from zone to its order";
+    match at.node {
+        Node::Map(_) => {
+            let entries = reader.entries(at, "zone to its order");
+            let zone =
+                |(name, at): &(&str, At<'_>)| ((*name).to_owned(), reader.word(at, &ORDER).unwrap_or(order));
+            entries.iter().map(zone).collect()
+        }
+        _ => {
+            let items = reader.list(at, expected);
+            items.iter().filter_map(|item| Some((reader.name(item, "the name of a zone")?, order))).collect()
+        }
+    }
+}
+
+const ON_FAILURE: [(&str, OnFailure); 3] =
+    [("abort", OnFailure::Abort), ("without", OnFailure::Without), ("hold", OnFailure::Hold)];
+
+/// One word for all, or a map with `default`, `then` and words for robots or groups.
+pub(super) fn on_failure(reader: &mut Reader, at: &At<'_>) -> OnFailureRule {
+    let Node::Map(_) = at.node else {
+        return OnFailureRule { default: reader.word(at, &ON_FAILURE), ..OnFailureRule::default() };
+    };
+    let mut rule = OnFailureRule::default();
+    for (key, at) in reader.entries(at, "robot, `default` or `then` to what happens") {
+        match key {
+            "default" => rule.default = reader.word(&at, &ON_FAILURE),
+            "then" => {
+                let text = reader.name(&at, "the name of an act");
+                rule.then = text.map(|text| Name { text, place: at.place() });
+            }
+            robot => {
+                let name = Name { text: robot.to_owned(), place: at.key_place() };
+                rule.robots.extend(reader.word(&at, &ON_FAILURE).map(|word| (name, word)));
+            }
+        }
+    }
+    rule
+}
+
+fn read_wait(reader: &mut Reader, at: &At<'_>) -> WrittenWait {
+    let words = [("done", Wait::Done), ("operator", Wait::Operator)];
+    let Node::Map(_) = at.node else {
+        let index = [("done", 0), ("operator", 1)];
+        let wait = reader.word(at, &index).map_or(Wait::Done, |i| words[i].1.clone());
+        return WrittenWait { wait, place: at.place(), ..WrittenWait::default() };
+    };
+    let Some([word, time, sensor, above, below, within, timeout, otherwise]) =
+        reader.map(at, "`wait`", WAIT_KEYS, &[])
+    else {
+        return WrittenWait::default();
+    };
+    let wait = match (word, time, sensor) {
+        (Some(word), None, None) => {
+            reader.word(&word, &[("done", 0), ("operator", 1)]).map(|i| words[i].1.clone())
+        }
+        (None, Some(time), None) => time_of_day(reader, &time),
+        (None, None, Some(sensor)) => sensor_wait(reader, at, &sensor, [above, below, within]),
+        _ => {
+            let message = "found none or several of `for`, `time` and `sensor`";
+            reader.add(Code::MissingKey, at.place(), message, "exactly one of them", None);
+            None
+        }
+    };
+    let timeout = timeout.and_then(|at| reader.duration(&at));
+    let otherwise = otherwise.and_then(|at| {
+        Some(Name { text: reader.name(&at, "the name of an act, or `end`")?, place: at.place() })
+    });
+    if let (None, Some(name)) = (timeout, &otherwise) {
+        let message = "`otherwise` without a `timeout` is never taken";
+        let hint = Some("add a timeout, such as `timeout: 30s`".to_owned());
+        reader.add(Code::MissingKey, name.place.clone(), message, "a `timeout`", hint);
+    }
+    WrittenWait { wait: wait.unwrap_or_default(), timeout, otherwise, place: at.place() }
+}
+
+fn sensor_wait(
+    reader: &mut Reader,
+    at: &At<'_>,
+    sensor: &At<'_>,
+    [above, below, within]: [Option<At<'_>>; 3],
+) -> Option<Wait> {
+    let expected = "a robot and its sensor, such as rover/range";
+    let text = reader.text(sensor, expected)?;
+    let named = text.split_once('/').map(|(robot, sensor)| (robot.to_owned(), sensor.to_owned()));
+    if named.is_none() {
+        let message = format!("`{}` names no robot and sensor", shortened(&text));
+        reader.add(Code::UnknownSensor, sensor.place(), message, expected, None);
+    }
+    let mut bound = |at: &At<'_>| reader.number(at, "a number in the sensor's unit");
+    let range = match (above, below, within) {
+        (Some(at), None, None) => SensorRange::Above(bound(&at)?),
+        (None, Some(at), None) => SensorRange::Below(bound(&at)?),
+        (None, None, Some(at)) => {
+            let bounds = reader.list(&at, "the least and the largest reading, as [0.2, 0.5]");
+            let [least, largest] = bounds.as_slice() else {
+                let expected = "the least and the largest reading, as [0.2, 0.5]";
+                reader.add(
+                    Code::WrongType,
+                    at.place(),
+                    format!("found {} entries", bounds.len()),
+                    expected,
+                    None,
+                );
+                return None;
+            };
+            let (least, largest) = (reader.number(least, "a number")?, reader.number(largest, "a number")?);
+            SensorRange::Within(least, largest)
+        }
+        _ => {
+            let expected = names(["above", "below", "within"]);
+            let message = "a sensor to wait for without a range, or with several";
+            reader.add(Code::MissingKey, at.place(), message, format!("exactly one of {expected}"), None);
+            return None;
+        }
+    };
+    named.map(|(robot, sensor)| Wait::Sensor { robot, sensor, range })
+}
+
+/// `19:30`, `19:30:00.5`, or a date and time as in RFC 3339.
+fn time_of_day(reader: &mut Reader, at: &At<'_>) -> Option<Wait> {
+    let expected = "a time of day such as \"19:30:00\", or a date and time as in RFC 3339";
+    let text = reader.text(at, expected)?;
+    let deserializer = IntoDeserializer::<serde::de::value::Error>::into_deserializer(text.as_ref());
+    if let Ok(instant) = <Timestamp<Server> as serde::Deserialize>::deserialize(deserializer) {
+        return Some(Wait::Instant(instant));
+    }
+    let parts: Vec<_> = text.split(':').collect();
+    let clock = match parts.as_slice() {
+        [hour, minute] => Some((*hour, *minute, "0")),
+        [hour, minute, second] => Some((*hour, *minute, *second)),
+        _ => None,
+    };
+    let parsed = clock.and_then(|(hour, minute, second)| {
+        let hour = hour.parse::<u8>().ok().filter(|hour| *hour < 24)?;
+        let minute = minute.parse::<u8>().ok().filter(|minute| *minute < 60)?;
+        let second = second.parse::<f64>().ok().filter(|second| *second >= 0.0 && *second < 60.0)?;
+        let minutes = i64::from(hour) * 60 + i64::from(minute);
+        Some(Span::from_millis(minutes * 60_000) + Span::from_millis_f64(second * 1_000.0))
+    });
+    if parsed.is_none() {
+        let message = format!("`{}` is no time of day", shortened(&text));
+        reader.add(Code::BadDuration, at.place(), message, expected, None);
+    }
+    parsed.map(Wait::TimeOfDay)
+}

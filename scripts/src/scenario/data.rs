@@ -1,0 +1,134 @@
+//! Sampled movements: one column of a CSV file.
+
+use urrcp::Span;
+
+use crate::fields::{At, Reader};
+use crate::files::Files;
+use crate::finding::{Code, did_you_mean, names};
+use crate::motion::{Curve, Knot, Shape};
+use crate::node::{Node, shortened};
+
+/// Most faults of one file that are listed; the last says how many more there are.
+const FAULTS_MAX: usize = 20;
+
+/// `{file: arm.csv, time: t, value: elbow, time_unit: s, scale: 1}`
+pub(super) fn samples(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Curve> {
+    let known = ["file", "time", "value", "time_unit", "scale"];
+    let [file, time, value, unit, scale] = reader.map(at, "`samples`", known, &["file", "time", "value"])?;
+    let name =
+        file.and_then(|at| reader.text(&at, "the path of a CSV file").map(std::borrow::Cow::into_owned));
+    let units = [("s", 1_000.0), ("ms", 1.0), ("us", 0.001)];
+    let millis = unit.map_or(Some(1_000.0), |at| reader.word(&at, &units))?;
+    let scale = scale.map_or(Some(1.0), |at| reader.number(&at, "a factor"))?;
+    let (file, name) = (file?, name?);
+    let source = match files.read(&name) {
+        Ok(source) => source,
+        Err(finding) => {
+            let message = format!("cannot read `{}`: {}", shortened(&name), finding.message);
+            let hint = Some("the path counts from the folder of the scenario".to_owned());
+            reader.add(Code::BadData, file.place(), message, "a readable CSV file", hint);
+            return None;
+        }
+    };
+    let mut table = Table { reader, file, name: &name, faults: 0 };
+    let (time, value) = (time?, value?);
+    let rows = table.rows(&source.text);
+    let header = rows.first().map(|(_, cells)| cells.clone()).unwrap_or_default();
+    let columns = (table.column(&time, &header), table.column(&value, &header));
+    let (Some((time, named)), Some((value, also_named))) = columns else { return None };
+    let body = &rows[usize::from(named || also_named).min(rows.len())..];
+    table.curve(body, time, value, millis, scale)
+}
+
+type Row<'t> = (usize, Vec<&'t str>);
+
+struct Table<'r, 'a> {
+    reader: &'r mut Reader,
+    file: At<'a>,
+    name: &'r str,
+    faults: usize,
+}
+
+impl Table<'_, '_> {
+    /// Lines with their numbers, cut at commas; empty lines and lines that begin with `#` are left out.
+    fn rows<'t>(&self, text: &'t str) -> Vec<Row<'t>> {
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let lines = text.lines().enumerate().map(|(index, line)| (index + 1, line.trim()));
+        let full = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
+        full.map(|(number, line)| {
+            (number, line.split(',').map(|cell| cell.trim().trim_matches('"')).collect())
+        })
+        .collect()
+    }
+
+    /// A column by its name in the header, or by its number from 1; and whether there is a header.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a small whole number")]
+    fn column(&mut self, at: &At<'_>, header: &[&str]) -> Option<(usize, bool)> {
+        if let Node::Number(number) = at.node {
+            let index = *number as usize;
+            if number.fract() == 0.0 && index >= 1 && index <= header.len() {
+                let headed = header.iter().all(|cell| cell.parse::<f64>().is_err());
+                return Some((index - 1, headed));
+            }
+        }
+        let expected = "the name of a column, or its number from 1";
+        let name = self.reader.name(at, expected)?;
+        let found = header.iter().position(|cell| *cell == name);
+        if found.is_none() {
+            let message = format!("`{}` has no column `{}`", shortened(self.name), shortened(&name));
+            let hint = did_you_mean(&name, header.iter().copied());
+            let expected = format!("one of {}", names(header.iter().copied()));
+            self.reader.add(Code::BadData, at.place(), message, expected, hint);
+        }
+        found.map(|index| (index, true))
+    }
+
+    fn fault(&mut self, line: usize, message: &str, expected: &str) {
+        self.faults += 1;
+        if self.faults <= FAULTS_MAX {
+            let message = format!("`{}` line {line}: {message}", shortened(self.name));
+            self.reader.add(Code::BadData, self.file.place(), message, expected, None);
+        }
+    }
+
+    fn curve(
+        &mut self,
+        rows: &[Row<'_>],
+        time: usize,
+        value: usize,
+        millis: f64,
+        scale: f64,
+    ) -> Option<Curve> {
+        let mut knots: Vec<Knot> = Vec::with_capacity(rows.len());
+        for (index, (line, cells)) in rows.iter().enumerate() {
+            let number = |column: usize| {
+                cells.get(column).and_then(|cell| cell.parse::<f64>().ok()).filter(|value| value.is_finite())
+            };
+            let (Some(at), Some(to)) = (number(time), number(value)) else {
+                self.fault(*line, "no finite number in one of the two columns", "a number in both columns");
+                continue;
+            };
+            let at = Span::from_millis_f64(at * millis);
+            if at < Span::ZERO || at.as_millis_f64() > urrcp::OFFSET_MS_MAX {
+                self.fault(*line, &format!("the time {at}"), "a time from 0 on");
+                continue;
+            }
+            if let Some(last) = knots.last().filter(|last| at <= last.at) {
+                let message = format!("{at} stands after {}", last.at);
+                self.fault(*line, &message, "times that increase");
+                continue;
+            }
+            let item = u32::try_from(index).unwrap_or(u32::MAX);
+            knots.push(Knot { at, to: to * scale, shape: Shape::Sampled, item });
+        }
+        if self.faults > FAULTS_MAX {
+            let message = format!("`{}`: {} more faults", shortened(self.name), self.faults - FAULTS_MAX);
+            self.reader.add(Code::BadData, self.file.place(), message, "a table of numbers", None);
+        }
+        if knots.is_empty() && self.faults == 0 {
+            let message = format!("`{}` has no rows", shortened(self.name));
+            self.reader.add(Code::BadData, self.file.place(), message, "at least one row of numbers", None);
+        }
+        (self.faults == 0 && !knots.is_empty()).then(|| Curve::new(knots, Vec::new()))
+    }
+}

@@ -1,0 +1,249 @@
+//! The scenario as it is written, variables and moves put in. Names of robots are resolved against the fleet in `compile`.
+//!
+//! `library` reads what cues share, `cue` a cue, `when` its times, `track` the movement of one device, `acts` the graph.
+
+mod acts;
+mod cue;
+mod data;
+mod library;
+mod track;
+mod when;
+
+use std::collections::HashMap;
+use std::path::PathBuf;
+
+use urrcp::{ControlType, Millis, Span, StopCondition};
+
+use crate::fields::{At, Reader};
+use crate::files::Files;
+use crate::finding::{Code, Finding, Place};
+use crate::motion::Curve;
+use crate::node::{self, Node};
+use crate::source::Source;
+
+pub use acts::{OnFailure, SensorRange, Wait};
+pub(crate) use acts::{OnFailureRule, WrittenWait};
+pub(crate) use library::{Documents, SCENARIO_KEYS};
+pub(crate) use when::{Anchor, Relation};
+
+/// Largest allowed spread of starts where the scenario names none.
+const START_TOLERANCE: Span = Span::from_millis(10);
+/// Running lease where the scenario names none: two seconds of silence.
+const RUNNING_LEASE_MS: f64 = 2_000.0;
+
+/// A choreography as it is written.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Scenario {
+    pub(crate) name: String,
+    pub(crate) start_tolerance: Span,
+    pub(crate) lead: Option<Span>,
+    pub(crate) stop_condition: StopCondition,
+    pub(crate) lease_place: Option<Place>,
+    pub(crate) roles: HashMap<String, Vec<Name>>,
+    pub(crate) acts: Vec<Act>,
+}
+
+/// A name with its place.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Name {
+    pub(crate) text: String,
+    pub(crate) place: Place,
+}
+
+/// What starts together.
+#[derive(Clone, Debug)]
+pub(crate) struct Act {
+    pub(crate) name: String,
+    pub(crate) place: Place,
+    pub(crate) cues: Vec<Cue>,
+    /// Zones with the way their cues are ordered.
+    pub(crate) zones: Vec<(String, Order)>,
+    /// For cues that are kept apart.
+    pub(crate) order: Order,
+    pub(crate) wait: WrittenWait,
+    pub(crate) next: Option<Name>,
+    pub(crate) on_failure: OnFailureRule,
+}
+
+/// How cues that need the same zone are put in order.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Order {
+    /// As they stand in the file.
+    #[default]
+    Given,
+    /// The best order that is found.
+    Auto,
+}
+
+/// Some robots move some devices.
+#[derive(Clone, Debug)]
+pub(crate) struct Cue {
+    pub(crate) name: String,
+    pub(crate) place: Place,
+    pub(crate) relations: Vec<Relation>,
+    /// Fixed or bounded length to which its movement is stretched.
+    pub(crate) duration: Option<Bounds>,
+    pub(crate) robots: Vec<Name>,
+    pub(crate) robots_place: Place,
+    /// What the robots do that no override names.
+    pub(crate) movement: Movement,
+    pub(crate) overrides: Vec<(Name, Movement)>,
+    /// How much later each robot begins than the one before.
+    pub(crate) canon: Span,
+    pub(crate) uses: Vec<Name>,
+    pub(crate) apart: Vec<Name>,
+    pub(crate) stop_condition: Option<StopCondition>,
+    pub(crate) off_grid: OffGrid,
+    pub(crate) readings: Vec<Reading>,
+}
+
+/// The tracks of a cue for some robots.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Movement {
+    pub(crate) tracks: Vec<Track>,
+    /// Later than the cue.
+    pub(crate) delay: Span,
+    pub(crate) length: Span,
+}
+
+/// A least and a largest length.
+#[derive(Clone, Debug)]
+pub(crate) struct Bounds {
+    pub(crate) min: Span,
+    pub(crate) max: Option<Span>,
+    pub(crate) place: Place,
+}
+
+/// The movement of one device.
+#[derive(Clone, Debug)]
+pub(crate) struct Track {
+    pub(crate) device: String,
+    pub(crate) control: Option<ControlType>,
+    pub(crate) motion: Motion,
+    pub(crate) tolerance: Option<f64>,
+    pub(crate) steps_max: Option<u32>,
+    /// Of the track's key.
+    pub(crate) place: Place,
+    /// Of the list of its keyframes.
+    pub(crate) list: Place,
+}
+
+/// One value over time, or several at times.
+#[derive(Clone, Debug)]
+pub(crate) enum Motion {
+    Curve(Curve),
+    Vectors(Vec<Vector>),
+}
+
+/// Several values at once, for custom_N.
+#[derive(Clone, Debug)]
+pub(crate) struct Vector {
+    pub(crate) at: Span,
+    pub(crate) values: Vec<f64>,
+    pub(crate) item: u32,
+}
+
+/// What happens to values off a device's grid.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum OffGrid {
+    /// A finding.
+    #[default]
+    Refuse,
+    /// The nearest value on the grid, with a warning.
+    Snap,
+}
+
+/// A sensor is read at some time of a cue.
+#[derive(Clone, Debug)]
+pub(crate) struct Reading {
+    pub(crate) sensor: String,
+    pub(crate) at: Span,
+    pub(crate) place: Place,
+}
+
+impl Motion {
+    pub(crate) fn length(&self) -> Span {
+        match self {
+            Self::Curve(curve) => curve.length(),
+            Self::Vectors(vectors) => vectors.last().map_or(Span::ZERO, |vector| vector.at),
+        }
+    }
+}
+
+/// The fleet file that a scenario names, relative to the scenario's own folder.
+#[must_use]
+pub fn fleet_named_by(source: &Source) -> Option<PathBuf> {
+    // The key stands at the left margin of a block map, or nowhere that is found so cheaply.
+    if !source.text.contains("fleet") {
+        return None;
+    }
+    let Ok(Node::Map(entries)) = node::parse(source) else { return None };
+    entries.into_iter().find_map(|(key, node)| match node {
+        Node::Text(path) if key == "fleet" => Some(PathBuf::from(path)),
+        _ => None,
+    })
+}
+
+/// Reads the trees of a scenario and its includes. What is wrong is left out and found.
+pub(crate) fn read(reader: &mut Reader, documents: &Documents, files: &dyn Files) -> Option<Scenario> {
+    let (root, included) = documents.nodes.split_first()?;
+    let at = At::document(root, 0);
+    let [
+        name,
+        fleet,
+        _include,
+        variables,
+        moves,
+        roles,
+        tempo,
+        signature,
+        zones,
+        order,
+        off_grid,
+        tolerance,
+        lead,
+        stop_condition,
+        on_failure,
+        cues,
+        acts,
+    ] = reader.map(&at, "the scenario", SCENARIO_KEYS, &["scenario"])?;
+    fleet.and_then(|at| reader.text(&at, "the path of a fleet file").map(drop));
+    let mut library = library::Library::new(&documents.nodes, files);
+    for (index, node) in included.iter().enumerate() {
+        let file = u16::try_from(index + 1).unwrap_or(u16::MAX);
+        library.include(reader, node, file);
+    }
+    library.add(reader, [variables, moves, roles]);
+    library::music(reader, tempo, signature);
+    let default = StopCondition { pending: None, running: Millis::new(RUNNING_LEASE_MS).ok() };
+    let mut scenario = Scenario {
+        name: name.and_then(|at| reader.name(&at, "the scenario's name")).unwrap_or_default(),
+        start_tolerance: tolerance.and_then(|at| reader.duration(&at)).unwrap_or(START_TOLERANCE),
+        lead: lead.and_then(|at| reader.duration(&at)),
+        stop_condition: stop_condition.and_then(|at| cue::lease(reader, &at, default)).unwrap_or(default),
+        lease_place: stop_condition.map(|at| at.place()),
+        ..Scenario::default()
+    };
+    let defaults = acts::Defaults {
+        lease: scenario.stop_condition,
+        off_grid: off_grid.and_then(|at| reader.word(&at, &cue::OFF_GRID)).unwrap_or_default(),
+        order: order.and_then(|at| reader.word(&at, &cue::ORDER)).unwrap_or_default(),
+        zones,
+        on_failure: on_failure.map(|at| acts::on_failure(reader, &at)).unwrap_or_default(),
+    };
+    scenario.acts = acts::read(reader, &library, &defaults, &at, [cues, acts]);
+    scenario.roles = library.roles;
+    Some(scenario)
+}
+
+/// Reads a scenario's file and everything that it includes.
+///
+/// # Errors
+/// The findings when one of them cannot be read or is not YAML.
+pub(crate) fn documents(source: &Source, files: &dyn Files) -> Result<Documents, Vec<Finding>> {
+    library::documents(source, files)
+}
+
+fn nothing(reader: &mut Reader, at: &At<'_>, message: &str, expected: &str) {
+    reader.add(Code::NothingToDo, at.place(), message, expected, None);
+}

@@ -1,0 +1,310 @@
+//! A track: the movement of one device, in any of the forms in which it may be written.
+
+use urrcp::{ControlType, Span};
+
+use super::library::Library;
+use super::{Motion, Track, Vector, data, nothing};
+use crate::fields::{At, Reader};
+use crate::finding::{Code, Part};
+use crate::motion::{Curve, Easing, Function, Knot, Shape, spline};
+use crate::node::{self, Node};
+
+pub(crate) const TRACK_KEYS: [&str; 9] =
+    ["control", "tolerance", "max_steps", "keyframes", "spline", "polynomial", "wave", "travel", "samples"];
+pub(crate) const KEYFRAME_KEYS: [&str; 3] = ["at", "to", "ease"];
+
+/// What the file does not number.
+const NO_ITEM: u32 = u32::MAX;
+
+pub(super) fn read_tracks(reader: &mut Reader, library: &Library<'_>, at: &At<'_>) -> Vec<Track> {
+    let entries = reader.entries(at, "device to its keyframes");
+    if entries.is_empty() && matches!(at.node, Node::Map(_)) {
+        nothing(reader, at, "the cue moves no device", "at least one track");
+    }
+    entries.iter().filter_map(|(device, at)| track(reader, library, device, at)).collect()
+}
+
+fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) -> Option<Track> {
+    let new = |motion: Motion, list: &At<'_>| Track {
+        device: device.to_owned(),
+        control: None,
+        motion,
+        tolerance: None,
+        steps_max: None,
+        place: at.key_place(),
+        list: list.place(),
+    };
+    let Node::Map(_) = at.node else { return Some(new(keyframes(reader, at), at)) };
+    let [control, tolerance, steps_max, keys, points, pieces, wave, travel, samples] =
+        reader.map(at, "a track", TRACK_KEYS, &[])?;
+    let forms = [keys, points, pieces, wave, travel, samples];
+    let forms: Vec<_> = forms.into_iter().flatten().collect();
+    let [form] = forms.as_slice() else {
+        let expected = "exactly one of `keyframes`, `spline`, `polynomial`, `wave`, `travel`, `samples`";
+        let code = if forms.is_empty() { Code::MissingKey } else { Code::UnknownKey };
+        let message = format!("a track with {} movements", forms.len());
+        reader.add(code, at.place(), message, expected, None);
+        return None;
+    };
+    let motion = match (keys, points, pieces, wave, travel, samples) {
+        (Some(at), ..) => Some(keyframes(reader, &at)),
+        (_, Some(at), ..) => Some(Motion::Curve(splined(reader, &at))),
+        (_, _, Some(at), ..) => Some(Motion::Curve(polynomial(reader, &at))),
+        (_, _, _, Some(at), ..) => waved(reader, &at).map(Motion::Curve),
+        (_, _, _, _, Some(at), _) => travelled(reader, &at).map(Motion::Curve),
+        (_, _, _, _, _, Some(at)) => data::samples(reader, library.files, &at).map(Motion::Curve),
+        _ => None,
+    };
+    Some(Track {
+        control: control.and_then(|at| control_type(reader, &at)),
+        tolerance: tolerance.and_then(|at| reader.positive(&at, "an error above 0, in the device's unit")),
+        steps_max: steps_max.and_then(|at| reader.count(&at, 2, 1_000_000_000)),
+        ..new(motion?, form)
+    })
+}
+
+fn control_type(reader: &mut Reader, at: &At<'_>) -> Option<ControlType> {
+    let expected = "position, speed, acceleration or custom_N";
+    let text = reader.text(at, expected)?;
+    let parsed = text.parse().ok().filter(|t| !matches!(t, ControlType::Script | ControlType::Sensor));
+    if parsed.is_none() {
+        let message = format!("`{}` is no control type for keyframes", node::shortened(&text));
+        reader.add(Code::UnknownWord, at.place(), message, expected, None);
+    }
+    parsed
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "a file of 64 MiB has fewer items than u32 counts")]
+const fn item(index: usize) -> u32 {
+    index as u32
+}
+
+fn keyframes(reader: &mut Reader, at: &At<'_>) -> Motion {
+    let expected = "a list of keyframes such as {at: 1s, to: 45}";
+    let Node::List(items) = at.node else {
+        reader.wrong_type(at, expected);
+        return Motion::Curve(Curve::default());
+    };
+    if items.is_empty() {
+        nothing(reader, at, "the track has no keyframes", "at least one keyframe");
+    }
+    let several = |node: &Node| matches!(node, Node::Map(entries) if entries.iter().any(|(key, node)| key == "to" && matches!(node, Node::List(_))));
+    if items.first().is_some_and(several) {
+        return Motion::Vectors(vectors(reader, at, items));
+    }
+    let mut knots: Vec<Knot> = Vec::with_capacity(items.len());
+    for (index, node) in items.iter().enumerate() {
+        if let Some(knot) = keyframe(reader, &at.item(index, node), item(index)) {
+            let before = knots.last().map(|last| last.at);
+            in_order(reader, at, index, before, knot.at);
+            knots.push(knot);
+        }
+    }
+    Motion::Curve(Curve::new(knots, Vec::new()))
+}
+
+fn in_order(reader: &mut Reader, list: &At<'_>, index: usize, before: Option<Span>, at: Span) {
+    if let Some(before) = before.filter(|before| at <= *before) {
+        let place = list.place().below(Part::Index(index)).of_key("at");
+        let message = format!("the keyframe at {at} stands after the one at {before}");
+        let hint = Some("keyframes of one track stand in order, each later than the one before".to_owned());
+        reader.add(Code::TimeOrder, place, message, format!("a time after {before}"), hint);
+    }
+}
+
+fn keyframe(reader: &mut Reader, at: &At<'_>, item: u32) -> Option<Knot> {
+    let [time, to, ease] = reader.map(at, "a keyframe", KEYFRAME_KEYS, &["at", "to"])?;
+    let time = time.and_then(|at| reader.duration(&at));
+    let to = to.and_then(|at| reader.number(&at, "a finite number"));
+    let easing = ease.and_then(|at| reader.word(&at, &Easing::WORDS));
+    Some(Knot { at: time?, to: to?, shape: easing.map_or(Shape::Own, Shape::Eased), item })
+}
+
+fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Vec<Vector> {
+    let mut vectors: Vec<Vector> = Vec::new();
+    for (index, node) in items.iter().enumerate() {
+        let at = list.item(index, node);
+        let Some([time, to]) = reader.map(&at, "a keyframe of several values", ["at", "to"], &["at", "to"])
+        else {
+            continue;
+        };
+        let time = time.and_then(|at| reader.duration(&at));
+        let values: Option<Vec<f64>> = to.and_then(|at| {
+            let values = reader.list(&at, "a list of finite numbers");
+            let most = urrcp::CONTROL_VALUES_MAX;
+            if values.is_empty() || values.len() > most {
+                let message = format!("found {} values", values.len());
+                reader.add(Code::WrongType, at.place(), message, format!("1 to {most} values"), None);
+            }
+            values.iter().map(|at| reader.number(at, "a finite number")).collect()
+        });
+        let (Some(at), Some(values)) = (time, values.filter(|values| !values.is_empty())) else { continue };
+        in_order(reader, list, index, vectors.last().map(|last| last.at), at);
+        vectors.push(Vector { at, values, item: item(index) });
+    }
+    vectors
+}
+
+/// Points in order of time, through which a curve goes.
+fn points(reader: &mut Reader, at: &At<'_>, least: usize) -> Vec<Knot> {
+    let mut knots: Vec<Knot> = Vec::new();
+    for (index, point) in reader.list(at, "a list of points such as {at: 1s, to: 45}").iter().enumerate() {
+        let Some([time, to]) = reader.map(point, "a point", ["at", "to"], &["at", "to"]) else { continue };
+        let time = time.and_then(|at| reader.duration(&at));
+        let to = to.and_then(|at| reader.number(&at, "a finite number"));
+        let (Some(time), Some(to)) = (time, to) else { continue };
+        let before = knots.last().map(|last| last.at);
+        in_order(reader, at, index, before, time);
+        // Out of order is found; the curve is made of what is in order.
+        if before.is_none_or(|before| time > before) {
+            knots.push(Knot { at: time, to, shape: Shape::Sampled, item: item(index) });
+        }
+    }
+    if knots.len() < least && matches!(at.node, Node::List(_)) {
+        let message = format!("found {} points in order", knots.len());
+        reader.add(Code::BadMotion, at.place(), message, format!("at least {least} points"), None);
+    }
+    knots
+}
+
+fn splined(reader: &mut Reader, at: &At<'_>) -> Curve {
+    let mut knots = points(reader, at, 2);
+    let times: Vec<_> = knots.iter().map(|knot| knot.at.as_millis_f64()).collect();
+    let values: Vec<_> = knots.iter().map(|knot| knot.to).collect();
+    let functions: Vec<_> =
+        spline(&times, &values).into_iter().map(|c| Function::Polynomial(Box::new(c))).collect();
+    for (index, knot) in knots.iter_mut().enumerate().skip(1) {
+        knot.shape = Shape::Function { index: item(index - 1), gain: 1.0, offset: 0.0, reversed: false };
+    }
+    Curve::new(knots, functions)
+}
+
+/// Pieces one after another, each with its coefficients in seconds from its own start.
+fn polynomial(reader: &mut Reader, at: &At<'_>) -> Curve {
+    let expected = "a list of pieces such as {for: 2s, coefficients: [0, 10, -2]}";
+    let pieces = match at.node {
+        Node::Map(_) => vec![*at],
+        _ => reader.list(at, expected),
+    };
+    let (mut knots, mut functions): (Vec<Knot>, Vec<Function>) = (Vec::new(), Vec::new());
+    for (index, piece) in pieces.iter().enumerate() {
+        let known = ["for", "coefficients"];
+        let Some([length, coefficients]) = reader.map(piece, "a polynomial", known, &known) else { continue };
+        let length = length.and_then(|at| positive_time(reader, &at));
+        let coefficients: Option<Vec<f64>> = coefficients.and_then(|at| {
+            let list = reader.list(&at, "a list of numbers, the constant first");
+            if list.is_empty() || list.len() > 64 {
+                let message = format!("found {} coefficients", list.len());
+                reader.add(Code::BadMotion, at.place(), message, "1 to 64 coefficients", None);
+                return None;
+            }
+            list.iter().map(|at| reader.number(at, "a finite number")).collect()
+        });
+        if let (Some(length), Some(coefficients)) = (length, coefficients) {
+            let seconds = length.as_millis_f64() / 1_000.0;
+            add_function(&mut knots, &mut functions, item(index), length, in_s(&coefficients, seconds));
+        }
+    }
+    Curve::new(knots, functions)
+}
+
+/// The coefficients for a time that runs from 0 to 1 instead of to `seconds`.
+fn in_s(coefficients: &[f64], seconds: f64) -> Function {
+    let mut power = 1.0;
+    let scaled = coefficients.iter().map(|c| {
+        let scaled = c * power;
+        power *= seconds;
+        scaled
+    });
+    Function::Polynomial(scaled.collect())
+}
+
+fn add_function(
+    knots: &mut Vec<Knot>,
+    functions: &mut Vec<Function>,
+    item: u32,
+    length: Span,
+    function: Function,
+) {
+    let begin = knots.last().map_or(Span::ZERO, |last| last.at);
+    let first = function.at(0.0);
+    if knots.last().is_none_or(|last| (last.to - first).abs() > 1e-9 * (1.0 + first.abs())) {
+        let shape = if knots.is_empty() { Shape::Sampled } else { Shape::Early };
+        knots.push(Knot { at: begin, to: first, shape, item });
+    }
+    let index = u32::try_from(functions.len()).unwrap_or(u32::MAX);
+    let shape = Shape::Function { index, gain: 1.0, offset: 0.0, reversed: false };
+    knots.push(Knot { at: begin + length, to: function.at(1.0), shape, item });
+    functions.push(function);
+}
+
+fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Span> {
+    let length = reader.duration(at)?;
+    if length > Span::ZERO {
+        return Some(length);
+    }
+    reader.add(Code::BadMotion, at.place(), "a movement of no length", "a time above 0", None);
+    None
+}
+
+/// center + amplitude * sin(2 pi (frequency t + phase / 360))
+fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Curve> {
+    let known = ["amplitude", "frequency", "period", "phase", "center", "for"];
+    let [amplitude, frequency, period, phase, center, length] =
+        reader.map(at, "a wave", known, &["amplitude", "for"])?;
+    let amplitude = amplitude.and_then(|at| reader.number(&at, "a number in the device's unit"));
+    let length = length.and_then(|at| positive_time(reader, &at));
+    let hertz = match (frequency, period) {
+        (Some(at), None) => reader.positive(&at, "a frequency above 0, in hertz"),
+        (None, Some(at)) => positive_time(reader, &at).map(|period| 1_000.0 / period.as_millis_f64()),
+        _ => {
+            let message = "a wave with both or neither of frequency and period";
+            reader.add(Code::MissingKey, at.place(), message, "one of `frequency` and `period`", None);
+            None
+        }
+    };
+    let phase = phase.and_then(|at| reader.number(&at, "a phase in degrees")).unwrap_or(0.0);
+    let center = center.and_then(|at| reader.number(&at, "a value in the device's unit")).unwrap_or(0.0);
+    let (amplitude, length, hertz) = (amplitude?, length?, hertz?);
+    let cycles = hertz * length.as_millis_f64() / 1_000.0;
+    if cycles > 10_000.0 {
+        let message = format!("{cycles:.0} cycles in one wave");
+        let hint = Some("write fewer cycles and `repeat` them".to_owned());
+        reader.add(Code::TooMuch, at.place(), message, "at most 10000 cycles", hint);
+        return None;
+    }
+    let sine = Function::Sine { cycles, phase: phase / 360.0 };
+    let shape = Shape::Function { index: 0, gain: amplitude, offset: center, reversed: false };
+    let value = |s: f64| center + amplitude * sine.at(s);
+    let knots = vec![
+        Knot { at: Span::ZERO, to: value(0.0), shape: Shape::Sampled, item: NO_ITEM },
+        Knot { at: length, to: value(1.0), shape, item: NO_ITEM },
+    ];
+    Some(Curve::new(knots, vec![sine]))
+}
+
+/// from + speed t + acceleration t^2 / 2
+fn travelled(reader: &mut Reader, at: &At<'_>) -> Option<Curve> {
+    let known = ["from", "speed", "acceleration", "for"];
+    let [from, speed, acceleration, length] = reader.map(at, "`travel`", known, &["from", "for"])?;
+    if speed.is_none() && acceleration.is_none() {
+        let expected = "at least one of `speed` and `acceleration`";
+        reader.add(
+            Code::MissingKey,
+            at.place(),
+            "`travel` has neither speed nor acceleration",
+            expected,
+            None,
+        );
+    }
+    let mut number =
+        |at: Option<At<'_>>, expected: &str| at.map_or(Some(0.0), |at| reader.number(&at, expected));
+    let from = number(from, "a value in the device's unit");
+    let speed = number(speed, "a speed in units a second");
+    let acceleration = number(acceleration, "an acceleration in units a second squared");
+    let length = length.and_then(|at| positive_time(reader, &at))?;
+    let function = in_s(&[from?, speed?, acceleration? / 2.0], length.as_millis_f64() / 1_000.0);
+    let (mut knots, mut functions) = (Vec::new(), Vec::new());
+    add_function(&mut knots, &mut functions, NO_ITEM, length, function);
+    Some(Curve::new(knots, functions))
+}

@@ -1,0 +1,201 @@
+//! When a cue takes place: at a time, or relative to other cues.
+
+use urrcp::Span;
+
+use crate::duration;
+use crate::fields::{At, Reader};
+use crate::finding::{Code, Place};
+use crate::node::{Node, shortened};
+
+/// A bound on the time between two anchors: min <= to - from <= max.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Relation {
+    pub(crate) from: Anchor,
+    pub(crate) to: Anchor,
+    pub(crate) min: Option<Span>,
+    pub(crate) max: Option<Span>,
+    pub(crate) place: Place,
+}
+
+/// An instant of an act.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Anchor {
+    /// The act's start.
+    Origin,
+    /// The start of this cue.
+    Start,
+    /// The end of this cue.
+    End,
+    StartOf(String),
+    EndOf(String),
+}
+
+/// The keys of a cue that say when.
+#[derive(Clone, Copy)]
+pub(super) struct When<'a> {
+    pub(super) at: Option<At<'a>>,
+    pub(super) after: Option<At<'a>>,
+    pub(super) with: Option<At<'a>>,
+    pub(super) before: Option<At<'a>>,
+    pub(super) end_by: Option<At<'a>>,
+}
+
+impl When<'_> {
+    /// All relations; and the start, where it is one fixed time.
+    pub(super) fn read(&self, reader: &mut Reader) -> (Vec<Relation>, Option<Span>) {
+        let mut relations = Vec::new();
+        let mut fixed = None;
+        if let Some(at) = self.at
+            && let Some((min, max)) = instants(reader, &at)
+        {
+            fixed = (max == Some(min)).then_some(min);
+            let (from, to) = (Anchor::Origin, Anchor::Start);
+            relations.push(Relation { from, to, min: Some(min), max, place: at.place() });
+        }
+        if let Some(at) = self.end_by
+            && let Some((last, _)) = instants(reader, &at)
+        {
+            let (from, to) = (Anchor::Origin, Anchor::End);
+            relations.push(Relation { from, to, min: None, max: Some(last), place: at.place() });
+        }
+        each(reader, self.after, '+', &mut relations, |target, gap, place| {
+            let (min, max) = gap.unwrap_or((Span::ZERO, None));
+            Relation { from: target.or_end(), to: Anchor::Start, min: Some(min), max, place }
+        });
+        each(reader, self.with, '+', &mut relations, |target, gap, place| {
+            let (min, max) =
+                gap.map_or((Span::ZERO, Some(Span::ZERO)), |(min, max)| (min, max.or(Some(min))));
+            Relation { from: target.or_start(), to: Anchor::Start, min: Some(min), max, place }
+        });
+        each(reader, self.before, '-', &mut relations, |target, gap, place| {
+            let (min, max) = gap.unwrap_or((Span::ZERO, None));
+            Relation { from: Anchor::End, to: target.or_start(), min: Some(min), max, place }
+        });
+        (relations, fixed)
+    }
+}
+
+/// A cue, and which end of it where that is said.
+struct Target {
+    cue: String,
+    end: Option<bool>,
+}
+
+impl Target {
+    fn or_start(self) -> Anchor {
+        if self.end == Some(true) { Anchor::EndOf(self.cue) } else { Anchor::StartOf(self.cue) }
+    }
+
+    fn or_end(self) -> Anchor {
+        if self.end == Some(false) { Anchor::StartOf(self.cue) } else { Anchor::EndOf(self.cue) }
+    }
+}
+
+type Gap = (Span, Option<Span>);
+
+fn each(
+    reader: &mut Reader,
+    at: Option<At<'_>>,
+    sign: char,
+    relations: &mut Vec<Relation>,
+    relation: impl Fn(Target, Option<Gap>, Place) -> Relation,
+) {
+    let Some(at) = at else { return };
+    let expected = format!("a cue, such as `raise` or `start of raise {sign} 500ms`, or a list of them");
+    let items = match at.node {
+        Node::List(_) => reader.list(&at, &expected),
+        _ => vec![at],
+    };
+    for item in items {
+        let Some(text) = reader.name(&item, &expected) else { continue };
+        if let Some((target, gap)) = target(reader, &item, &text, sign) {
+            relations.push(relation(target, gap, item.place()));
+        }
+    }
+}
+
+/// `[start of|end of] CUE [+ GAP]`, where a cue may bear any name.
+fn target(reader: &mut Reader, at: &At<'_>, text: &str, sign: char) -> Option<(Target, Option<Gap>)> {
+    let (name, gap) = match text.rsplit_once(&format!(" {sign} ")) {
+        Some((name, gap)) if looks_like_time(gap) => (name, Some(range(reader, at, gap)?)),
+        _ => (text, None),
+    };
+    let name = name.trim();
+    let (end, name) = match (name.strip_prefix("start of "), name.strip_prefix("end of ")) {
+        (Some(rest), _) => (Some(false), rest.trim()),
+        (_, Some(rest)) => (Some(true), rest.trim()),
+        _ => (None, name),
+    };
+    Some((Target { cue: name.to_owned(), end }, gap))
+}
+
+fn looks_like_time(text: &str) -> bool {
+    text.trim_start().starts_with(|c: char| c.is_ascii_digit() || c == '$' || c == '.')
+}
+
+/// `500ms` as a least gap, `0s..1s` as bounds.
+pub(super) fn range(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Gap> {
+    match text.split_once("..") {
+        None => Some((reader.time(at, text)?, None)),
+        Some((least, largest)) => {
+            let (least, largest) = (reader.time(at, least), reader.time(at, largest));
+            let (least, largest) = (least?, largest?);
+            if largest < least {
+                let message = format!("{least} lies above {largest}");
+                reader.add(Code::TimeOrder, at.place(), message, "the smaller time first", None);
+                return None;
+            }
+            Some((least, Some(largest)))
+        }
+    }
+}
+
+/// One time, or a range of them; each a length from the act's start or a position in the music.
+fn instants(reader: &mut Reader, at: &At<'_>) -> Option<Gap> {
+    let Some(text) = reader.scalar(at).and_then(|node| match node.as_ref() {
+        Node::Text(text) => Some(text.clone()),
+        _ => None,
+    }) else {
+        return reader.duration(at).map(|span| (span, Some(span)));
+    };
+    match text.split_once("..") {
+        Some((least, largest)) => {
+            let (least, largest) = (instant(reader, at, least.trim()), instant(reader, at, largest.trim()));
+            let (least, largest) = (least?, largest?);
+            if largest < least {
+                let message = format!("{least} lies above {largest}");
+                reader.add(Code::TimeOrder, at.place(), message, "the smaller time first", None);
+                return None;
+            }
+            Some((least, Some(largest)))
+        }
+        None => instant(reader, at, &text).map(|span| (span, Some(span))),
+    }
+}
+
+pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Span> {
+    match reader.music.position(text) {
+        Some(Ok(span)) => Some(span),
+        Some(Err(why)) => {
+            let hint = Some(why.hint().to_owned());
+            reader.add(Code::Music, at.place(), why.message(text), "a `tempo`", hint);
+            None
+        }
+        None if text.starts_with("bar") => {
+            let message = format!("the position `{}` cannot be read", shortened(text));
+            let expected = "a position such as `bar 3 beat 2`";
+            reader.add(Code::BadDuration, at.place(), message, expected, None);
+            None
+        }
+        None => {
+            // From the act's start, whenever the cue itself begins.
+            let start = reader.music.start.replace(Span::ZERO);
+            let span = match duration::parse_duration(text) {
+                Some(span) => Some(span),
+                None => reader.time(at, text),
+            };
+            reader.music.start = start;
+            span
+        }
+    }
+}

@@ -1,0 +1,183 @@
+//! Why a network has no schedule: its smallest contradiction, and what would resolve it.
+
+use urrcp::Span;
+
+use super::network::{ConstraintId, Event, Network};
+use super::paths::{Arc, Arcs, IMPLICIT, UNREACHED, longest};
+use petgraph::graph::{EdgeIndex, NodeIndex};
+
+/// How many arcs may be looked at in the search for the smallest contradiction.
+const WORK_MAX: usize = 200_000_000;
+/// How many arcs may be looked at in the search for corrections.
+const CORRECTION_WORK_MAX: usize = 400_000_000;
+
+/// Which bound of a constraint.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Bound {
+    /// to - from >= span
+    Min,
+    /// to - from <= span
+    Max,
+}
+
+/// A set of bounds that cannot all hold, and of which each is needed for that.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Conflict {
+    /// Each link begins where the one before ends: a cycle of events.
+    pub chain: Vec<Link>,
+    /// By how much all of them together are too tight.
+    pub excess: Span,
+    /// Single bounds whose loosening makes the whole network consistent.
+    pub corrections: Vec<Correction>,
+}
+
+/// One bound of a contradiction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Link {
+    /// Whose bound; none for "not before the origin".
+    pub constraint: Option<ConstraintId>,
+    /// Which.
+    pub bound: Bound,
+    /// As the constraint has it.
+    pub from: Event,
+    /// As the constraint has it.
+    pub to: Event,
+    /// The bound itself.
+    pub span: Span,
+}
+
+/// A way to resolve a contradiction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Correction {
+    /// Index into the chain.
+    pub link: usize,
+    /// Loosen that bound by so much, and by no less.
+    pub by: Span,
+}
+
+/// The contradiction with the fewest bounds.
+///
+/// A simple positive cycle cannot lose a bound and stay one, so the one with the fewest arcs is the smallest. It is found
+/// by longest walks of 1, 2, 3 ... arcs from a node back to itself; from every node while that takes at most
+/// [`WORK_MAX`] looks at arcs, in larger networks from the nodes of the cycle that was found first.
+pub(super) fn explain(network: &Network, arcs: &Arcs, found: &[Arc]) -> Conflict {
+    let cycle = smallest(arcs, found);
+    let excess = cycle.iter().map(|arc| arc.weight).fold(0, i64::saturating_add);
+    let chain = cycle.iter().map(link).collect();
+    let corrections = corrections(network, arcs, &cycle);
+    Conflict { chain, excess: Span::from_nanos(excess), corrections }
+}
+
+fn link(arc: &Arc) -> Link {
+    let event = |node: u32| Event(NodeIndex::new(node as usize));
+    if arc.label == IMPLICIT {
+        let (from, to) = (event(arc.from), event(arc.to));
+        return Link { constraint: None, bound: Bound::Min, from, to, span: Span::ZERO };
+    }
+    let constraint = Some(ConstraintId(EdgeIndex::new(arc.label / 2)));
+    match arc.label % 2 {
+        0 => {
+            let span = Span::from_nanos(arc.weight);
+            Link { constraint, bound: Bound::Min, from: event(arc.from), to: event(arc.to), span }
+        }
+        _ => {
+            let span = Span::from_nanos(-arc.weight);
+            Link { constraint, bound: Bound::Max, from: event(arc.to), to: event(arc.from), span }
+        }
+    }
+}
+
+fn smallest(arcs: &Arcs, found: &[Arc]) -> Vec<Arc> {
+    let mut best = found.to_vec();
+    let everywhere = arcs.nodes().saturating_mul(arcs.all().len()).saturating_mul(best.len()) <= WORK_MAX;
+    let starts: Vec<usize> = match everywhere {
+        true => (0..arcs.nodes()).collect(),
+        false => found.iter().map(|arc| arc.from as usize).collect(),
+    };
+    let mut work = 0usize;
+    for start in starts {
+        work = work.saturating_add(arcs.all().len().saturating_mul(best.len()));
+        if work > WORK_MAX || best.len() <= 1 {
+            break;
+        }
+        if let Some(shorter) = walk(arcs, start, best.len() - 1) {
+            best = shorter;
+        }
+    }
+    best
+}
+
+/// A positive cycle through `start` of at most `most` arcs, the shortest one.
+fn walk(arcs: &Arcs, start: usize, most: usize) -> Option<Vec<Arc>> {
+    let mut layers: Vec<Vec<(i64, Option<Arc>)>> = vec![vec![(UNREACHED, None); arcs.nodes()]];
+    layers[0][start].0 = 0;
+    for hops in 0..most {
+        let mut next = vec![(UNREACHED, None); arcs.nodes()];
+        for arc in arcs.all() {
+            let before = layers[hops][arc.from as usize].0;
+            let value = before.saturating_add(arc.weight);
+            if before != UNREACHED && value > next[arc.to as usize].0 {
+                next[arc.to as usize] = (value, Some(*arc));
+            }
+        }
+        let closed = next[start].0 > 0;
+        layers.push(next);
+        if closed {
+            return Some(back(&layers, start));
+        }
+    }
+    None
+}
+
+fn back(layers: &[Vec<(i64, Option<Arc>)>], start: usize) -> Vec<Arc> {
+    let mut node = start;
+    let mut cycle = Vec::with_capacity(layers.len() - 1);
+    for layer in layers[1..].iter().rev() {
+        let Some(arc) = layer[node].1 else { break };
+        cycle.push(arc);
+        node = arc.from as usize;
+    }
+    cycle.reverse();
+    simple(cycle)
+}
+
+/// A walk that meets a node twice holds a shorter cycle, one of which is positive.
+fn simple(cycle: Vec<Arc>) -> Vec<Arc> {
+    for (i, arc) in cycle.iter().enumerate() {
+        for (j, other) in cycle.iter().enumerate().skip(i + 1) {
+            if arc.from == other.from {
+                let inner = cycle[i..j].to_vec();
+                let outer: Vec<Arc> = cycle[..i].iter().chain(&cycle[j..]).copied().collect();
+                let positive = inner.iter().map(|arc| arc.weight).fold(0, i64::saturating_add) > 0;
+                return simple(if positive { inner } else { outer });
+            }
+        }
+    }
+    cycle
+}
+
+/// For each bound of the cycle the least loosening that leaves no positive cycle anywhere, where there is one: without the
+/// bound the network is consistent, and the longest way from its end back to its beginning says how much it may ask for.
+fn corrections(network: &Network, arcs: &Arcs, cycle: &[Arc]) -> Vec<Correction> {
+    let mut corrections = Vec::new();
+    let mut work = 0usize;
+    for (index, arc) in cycle.iter().enumerate() {
+        work = work.saturating_add(arcs.all().len().saturating_mul(8));
+        if arc.label == IMPLICIT || work > CORRECTION_WORK_MAX {
+            continue;
+        }
+        let without = network.arcs(Some(arc.label));
+        if longest(&without, vec![0; without.nodes()]).is_err() {
+            continue;
+        }
+        let mut times = vec![UNREACHED; without.nodes()];
+        times[arc.to as usize] = 0;
+        let Ok(times) = longest(&without, times) else { continue };
+        let back = times[arc.from as usize];
+        if back != UNREACHED {
+            corrections
+                .push(Correction { link: index, by: Span::from_nanos(arc.weight.saturating_add(back)) });
+        }
+    }
+    corrections
+}

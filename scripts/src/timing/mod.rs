@@ -1,0 +1,21 @@
+//! Times that depend on each other: a simple temporal network, its earliest schedule, its smallest contradiction, and an
+//! order for tasks that exclude each other. Pure mathematics on events and bounds; what they stand for is not known here.
+//!
+//! A simple temporal network (Dechter, Meiri and Pearl, Artificial Intelligence 49, 1991) bounds differences of events:
+//! min <= to - from <= max. It is consistent if and only if its graph has no positive cycle, and its earliest schedule are
+//! the longest paths from the origin.
+
+mod conflict;
+mod network;
+mod order;
+mod paths;
+mod solved;
+mod tabu;
+
+pub use conflict::{Bound, Conflict, Correction, Link};
+pub use network::{ConstraintId, Event, Network, Schedule};
+pub use order::{Effort, Found, Ordering, Task, order};
+pub use solved::Solved;
+
+#[cfg(test)]
+mod tests;

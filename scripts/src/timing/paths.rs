@@ -1,0 +1,193 @@
+//! Longest paths, and the positive cycles that leave none.
+
+/// The label of the arc that keeps an event from being earlier than the origin.
+pub(super) const IMPLICIT: usize = usize::MAX;
+/// No path leads there.
+pub(super) const UNREACHED: i64 = i64::MIN;
+
+/// Arcs to >= from + weight, grouped by where they begin.
+#[derive(Clone, Debug)]
+pub(super) struct Arcs {
+    /// Where the arcs of each node begin; one more at the end.
+    first: Vec<u32>,
+    arcs: Vec<Arc>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Arc {
+    pub(super) from: u32,
+    pub(super) to: u32,
+    pub(super) weight: i64,
+    /// Twice the constraint's index, plus one for its upper bound; or [`IMPLICIT`].
+    pub(super) label: usize,
+}
+
+impl Arcs {
+    /// From (from, to, weight, label).
+    #[expect(clippy::cast_possible_truncation, reason = "petgraph's indices are u32")]
+    pub(super) fn new(nodes: usize, arcs: impl Iterator<Item = (usize, usize, i64, usize)> + Clone) -> Self {
+        let mut first = vec![0u32; nodes + 1];
+        for (from, ..) in arcs.clone() {
+            first[from + 1] += 1;
+        }
+        for node in 0..nodes {
+            first[node + 1] += first[node];
+        }
+        let none = Arc { from: 0, to: 0, weight: 0, label: IMPLICIT };
+        let mut sorted = vec![none; first[nodes] as usize];
+        let mut next = first.clone();
+        for (from, to, weight, label) in arcs {
+            sorted[next[from] as usize] = Arc { from: from as u32, to: to as u32, weight, label };
+            next[from] += 1;
+        }
+        Self { first, arcs: sorted }
+    }
+
+    pub(super) fn nodes(&self) -> usize {
+        self.first.len() - 1
+    }
+
+    pub(super) fn all(&self) -> &[Arc] {
+        &self.arcs
+    }
+
+    fn range(&self, node: usize) -> std::ops::Range<usize> {
+        self.first[node] as usize..self.first[node + 1] as usize
+    }
+
+    pub(super) fn of(&self, node: usize) -> &[Arc] {
+        &self.arcs[self.range(node)]
+    }
+}
+
+impl Arc {
+    /// The time that it asks for where it asks for a later one.
+    pub(super) fn raises(&self, times: &[i64]) -> Option<i64> {
+        let from = times[self.from as usize];
+        let asked = from.saturating_add(self.weight);
+        (from != UNREACHED && asked > times[self.to as usize]).then_some(asked)
+    }
+}
+
+/// The least times at or above the given ones that satisfy every arc; or the arcs of a positive cycle.
+///
+/// Goldberg and Radzik's method: a pass sorts the nodes that violated arcs reach, over violated arcs only, and relaxes them
+/// in topological order. A cycle of violated arcs is a positive cycle, and so is a cycle of the arcs that raised their ends
+/// last (Cherkassky and Goldberg, Mathematical Programming 85, 1999), of which one appears if there is any positive cycle.
+pub(super) fn longest(arcs: &Arcs, mut times: Vec<i64>) -> Result<Vec<i64>, Vec<Arc>> {
+    let nodes = arcs.nodes();
+    let mut search = Search { state: vec![State::New; nodes], stack: Vec::new(), order: Vec::new() };
+    let mut raised_by: Vec<Option<Arc>> = vec![None; nodes];
+    let mut active: Vec<u32> = (0..u32::try_from(nodes).unwrap_or(u32::MAX)).collect();
+    while !active.is_empty() {
+        for node in active.drain(..) {
+            if search.state[node as usize] == State::New {
+                search.visit(arcs, &times, node)?;
+            }
+        }
+        // Last finished comes first.
+        for &node in search.order.iter().rev() {
+            search.state[node as usize] = State::New;
+            for arc in arcs.of(node as usize) {
+                if let Some(later) = arc.raises(&times) {
+                    times[arc.to as usize] = later;
+                    raised_by[arc.to as usize] = Some(*arc);
+                    if search.state[arc.to as usize] == State::New {
+                        // Not ahead of us in this pass: the next one looks at it again.
+                        active.push(arc.to);
+                    }
+                }
+            }
+        }
+        search.order.clear();
+        active.sort_unstable();
+        active.dedup();
+        if !active.is_empty()
+            && let Some(cycle) = cycle_of(&raised_by)
+        {
+            return Err(cycle);
+        }
+    }
+    Ok(times)
+}
+
+/// A cycle of the arcs that raised their ends.
+fn cycle_of(raised_by: &[Option<Arc>]) -> Option<Vec<Arc>> {
+    // The walk that came by each node.
+    let mut seen = vec![usize::MAX; raised_by.len()];
+    for start in 0..raised_by.len() {
+        let mut node = start;
+        while seen[node] == usize::MAX {
+            seen[node] = start;
+            match raised_by[node] {
+                Some(arc) => node = arc.from as usize,
+                None => break,
+            }
+        }
+        if seen[node] == start && raised_by[node].is_some() {
+            let mut cycle = Vec::new();
+            let mut at = node;
+            while let Some(arc) = raised_by[at] {
+                cycle.push(arc);
+                at = arc.from as usize;
+                if at == node {
+                    cycle.reverse();
+                    return Some(cycle);
+                }
+            }
+        }
+    }
+    None
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum State {
+    New,
+    Open,
+    Closed,
+}
+
+/// Depth first over violated arcs, without recursion.
+struct Search {
+    state: Vec<State>,
+    /// Node, and how many of its arcs have been followed.
+    stack: Vec<(u32, u32)>,
+    /// Nodes as they are finished.
+    order: Vec<u32>,
+}
+
+impl Search {
+    fn visit(&mut self, arcs: &Arcs, times: &[i64], root: u32) -> Result<(), Vec<Arc>> {
+        self.stack.push((root, 0));
+        self.state[root as usize] = State::Open;
+        while let Some((node, followed)) = self.stack.last_mut() {
+            let out = arcs.of(*node as usize);
+            let Some(arc) = out.get(*followed as usize) else {
+                self.state[*node as usize] = State::Closed;
+                self.order.push(*node);
+                self.stack.pop();
+                continue;
+            };
+            *followed += 1;
+            if arc.raises(times).is_none() {
+                continue;
+            }
+            match self.state[arc.to as usize] {
+                State::New => {
+                    self.state[arc.to as usize] = State::Open;
+                    self.stack.push((arc.to, 0));
+                }
+                State::Open => return Err(self.cycle(arcs, arc.to)),
+                State::Closed => {}
+            }
+        }
+        Ok(())
+    }
+
+    /// The arcs on the stack from `node` on: they close a cycle.
+    fn cycle(&self, arcs: &Arcs, node: u32) -> Vec<Arc> {
+        let begin = self.stack.iter().position(|(open, _)| *open == node).unwrap_or(0);
+        let followed = |&(node, followed): &(u32, u32)| arcs.of(node as usize)[followed as usize - 1];
+        self.stack[begin..].iter().map(followed).collect()
+    }
+}

@@ -1,0 +1,207 @@
+//! Laws of networks, against brute force on small ones.
+
+use proptest::prelude::*;
+
+use super::*;
+use urrcp::Span;
+
+fn span(nanos: i64) -> Span {
+    Span::from_nanos(nanos)
+}
+
+#[derive(Clone, Debug)]
+struct Small {
+    events: usize,
+    constraints: Vec<(usize, usize, Option<i64>, Option<i64>)>,
+}
+
+impl Small {
+    fn network(&self) -> (Network, Vec<ConstraintId>) {
+        let mut network = Network::new();
+        let mut events = vec![network.origin()];
+        events.extend((0..self.events).map(|_| network.event()));
+        let constrain = |(from, to, min, max): &(usize, usize, Option<i64>, Option<i64>)| {
+            network.constrain(events[*from], events[*to], min.map(span), max.map(span))
+        };
+        let ids = self.constraints.iter().map(constrain).collect();
+        (network, ids)
+    }
+
+    /// Longest ways between all events (Floyd and Warshall); none on a positive cycle.
+    fn ways(&self) -> Option<Vec<Vec<Option<i64>>>> {
+        let n = self.events + 1;
+        let mut ways = vec![vec![None; n]; n];
+        let raise =
+            |way: &mut Option<i64>, value: i64| *way = Some(way.map_or(value, |known: i64| known.max(value)));
+        for (node, row) in ways.iter_mut().enumerate() {
+            raise(&mut row[node], 0);
+        }
+        for way in &mut ways[0] {
+            raise(way, 0);
+        }
+        for (from, to, min, max) in &self.constraints {
+            if let Some(min) = min {
+                raise(&mut ways[*from][*to], *min);
+            }
+            if let Some(max) = max {
+                raise(&mut ways[*to][*from], -max);
+            }
+        }
+        for k in 0..n {
+            for i in 0..n {
+                for j in 0..n {
+                    if let (Some(a), Some(b)) = (ways[i][k], ways[k][j]) {
+                        raise(&mut ways[i][j], a + b);
+                    }
+                }
+            }
+        }
+        (0..n).all(|node| ways[node][node] == Some(0)).then_some(ways)
+    }
+}
+
+fn small() -> impl Strategy<Value = Small> {
+    (2usize..7).prop_flat_map(|events| {
+        let bound = prop::option::of(-6i64..12);
+        let constraint = (0..=events, 0..=events, bound.clone(), bound).prop_map(|(from, to, min, max)| {
+            let max = max.map(|max| max.max(min.unwrap_or(max)));
+            (from, to, min, max)
+        });
+        prop::collection::vec(constraint, 1..10).prop_map(move |constraints| Small { events, constraints })
+    })
+}
+
+/// The fewest arcs of a positive cycle, by trying all lengths from all events.
+fn fewest(small: &Small) -> usize {
+    let n = small.events + 1;
+    let mut arcs: Vec<(usize, usize, i64)> = (1..n).map(|node| (0, node, 0)).collect();
+    for (from, to, min, max) in &small.constraints {
+        arcs.extend(min.map(|min| (*from, *to, min)));
+        arcs.extend(max.map(|max| (*to, *from, -max)));
+    }
+    for length in 1..=n {
+        for start in 0..n {
+            let mut best = vec![None; n];
+            best[start] = Some(0i64);
+            for _ in 0..length {
+                let mut next: Vec<Option<i64>> = vec![None; n];
+                for (from, to, weight) in &arcs {
+                    if let Some(value) = best[*from] {
+                        next[*to] =
+                            Some(next[*to].map_or(value + weight, |known: i64| known.max(value + weight)));
+                    }
+                }
+                best = next;
+            }
+            if best[start].is_some_and(|value| value > 0) {
+                return length;
+            }
+        }
+    }
+    usize::MAX
+}
+
+fn check_conflict(small: &Small, conflict: &Conflict, ids: &[ConstraintId]) {
+    assert_eq!(conflict.chain.len(), fewest(small), "{small:?} {conflict:?}");
+    assert!(conflict.excess > Span::ZERO);
+    let begin = |link: &Link| if link.bound == Bound::Min { link.from } else { link.to };
+    let end = |link: &Link| if link.bound == Bound::Min { link.to } else { link.from };
+    for (index, link) in conflict.chain.iter().enumerate() {
+        let next = &conflict.chain[(index + 1) % conflict.chain.len()];
+        assert_eq!(end(link), begin(next), "a chain");
+    }
+    for correction in &conflict.corrections {
+        let link = conflict.chain[correction.link];
+        let index = ids.iter().position(|id| Some(*id) == link.constraint).unwrap();
+        for (by, consistent) in [(correction.by, true), (correction.by - span(1), false)] {
+            let mut loosened = small.clone();
+            let (_, _, min, max) = &mut loosened.constraints[index];
+            match link.bound {
+                Bound::Min => *min = min.map(|min| min - by.as_nanos()),
+                Bound::Max => *max = max.map(|max| max + by.as_nanos()),
+            }
+            assert_eq!(loosened.ways().is_some(), consistent, "{small:?} {correction:?}");
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(512))]
+
+    #[test]
+    fn a_schedule_is_the_earliest_and_a_conflict_the_smallest(small in small()) {
+        let (network, ids) = small.network();
+        match (small.ways(), network.solve()) {
+            (Some(ways), Ok(schedule)) => {
+                let expected: Vec<_> = ways[0].iter().map(|way| way.unwrap()).collect();
+                prop_assert_eq!(schedule.0, expected);
+            }
+            (None, Err(conflict)) => check_conflict(&small, &conflict, &ids),
+            (ways, solved) => prop_assert!(false, "{:?} {:?} {:?}", small, ways, solved),
+        }
+    }
+
+    #[test]
+    fn a_change_gives_what_solving_anew_gives(
+        small in small(),
+        changes in prop::collection::vec((0usize..9, prop::option::of(-6i64..12), prop::option::of(-6i64..12)), 1..6),
+    ) {
+        let (network, ids) = small.network();
+        let Ok(mut solved) = Solved::new(network) else { return Ok(()) };
+        let mut changed = small.clone();
+        for (index, min, max) in changes {
+            let index = index % ids.len();
+            let max = max.map(|max| max.max(min.unwrap_or(max)));
+            let old = changed.constraints[index];
+            (changed.constraints[index].2, changed.constraints[index].3) = (min, max);
+            let anew = changed.network().0.solve();
+            match (solved.change(ids[index], min.map(span), max.map(span)), anew) {
+                (Ok(()), Ok(schedule)) => prop_assert_eq!(solved.schedule(), schedule),
+                (Err(_), Err(_)) => changed.constraints[index] = old,
+                (change, anew) => prop_assert!(false, "{:?} {:?}", change, anew),
+            }
+        }
+    }
+
+    #[test]
+    fn an_order_of_few_tasks_is_the_best_there_is(lengths in prop::collection::vec((1i64..9, 0usize..2), 2..6), jobs in 1usize..4) {
+        let mut network = Network::new();
+        let mut tasks: Vec<Task> = Vec::new();
+        let mut last = vec![network.origin(); jobs];
+        for (index, (length, zone)) in lengths.iter().enumerate() {
+            let (start, end) = (network.event(), network.event());
+            network.constrain(start, end, Some(span(*length)), Some(span(*length)));
+            network.constrain(last[index % jobs], start, Some(Span::ZERO), None);
+            last[index % jobs] = end;
+            tasks.push(Task { start, end, zone: *zone });
+        }
+        let Ordering::Found(found) = order(&network, &tasks, Effort { moves: 400, ..Effort::default() }) else { panic!("always possible") };
+        let best = best_of_all(&network, &tasks, &mut Vec::new(), &mut (0..tasks.len()).collect());
+        prop_assert_eq!(found.makespan.as_nanos(), best);
+        prop_assert_eq!(found.schedule.makespan().as_nanos(), best);
+        prop_assert!(found.at_least <= found.makespan);
+    }
+}
+
+/// The shortest makespan over all orders of all tasks.
+fn best_of_all(network: &Network, tasks: &[Task], order: &mut Vec<usize>, rest: &mut Vec<usize>) -> i64 {
+    if rest.is_empty() {
+        let mut network = network.clone();
+        for zone in 0..2 {
+            let sequence: Vec<_> = order.iter().filter(|task| tasks[**task].zone == zone).collect();
+            for pair in sequence.windows(2) {
+                network.constrain(tasks[*pair[0]].end, tasks[*pair[1]].start, Some(Span::ZERO), None);
+            }
+        }
+        return network.solve().map_or(i64::MAX, |schedule| schedule.makespan().as_nanos());
+    }
+    let mut best = i64::MAX;
+    for index in 0..rest.len() {
+        let task = rest.remove(index);
+        order.push(task);
+        best = best.min(best_of_all(network, tasks, order, rest));
+        order.pop();
+        rest.insert(index, task);
+    }
+    best
+}
