@@ -61,6 +61,16 @@ codes! {
     NameClash = "DB0019", "a group bears the name of a robot";
     UnknownWord = "DB0020", "a word that is not known here";
     UnknownBeginning = "DB0021", "a movement without a beginning";
+    ImportTable = "DB0060", "a table of another shape than its format has";
+    ImportNumber = "DB0061", "an imported value is no finite number";
+    ImportTime = "DB0062", "imported times that do not go forward";
+    TimesCollide = "DB0063", "two imported times fall into one millisecond";
+    ForeignTag = "DB0064", "a tag of another program";
+    TooManyPieces = "DB0065", "a trajectory has more pieces than the robot holds";
+    ImportShape = "DB0066", "lists of an imported motion that do not fit together";
+    ImportNames = "DB0067", "imported robots, devices or scenes that cannot be named so";
+    ImportLimit = "DB0068", "an import is larger than its limit";
+    FileExists = "DB0069", "a file is there already";
 }
 
 impl Serialize for Code {

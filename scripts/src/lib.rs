@@ -8,6 +8,7 @@ mod duration;
 mod fields;
 mod finding;
 mod fleet;
+pub mod import;
 mod locate;
 mod motion;
 mod node;

@@ -1,0 +1,132 @@
+//! Reading YAML and JSON of other programs: keys that are not needed are passed over, tags are refused, since what they
+//! mean is known only to the program that wrote them.
+
+use crate::fields::{At, Findings};
+use crate::finding::Code;
+use crate::node::{self, Node, shortened};
+use crate::source::Source;
+
+use super::sink::{FINDINGS_A_FILE_MAX, Sink};
+
+/// Deepest nesting in which tags are looked for; the parser allows 128.
+const DEPTH_MAX: usize = 200;
+
+/// Parses a file, refuses foreign tags, and hands its tree to a reader whose findings get their places.
+pub(super) fn read<T>(
+    source: &Source,
+    sink: &mut Sink,
+    read: impl FnOnce(&At<'_>, &mut Findings, &mut Sink) -> Option<T>,
+) -> Option<T> {
+    let document = match node::parse(source) {
+        Ok(document) => document,
+        Err(mut finding) => {
+            finding.expected = "a YAML or JSON document".into();
+            if finding.hint.as_deref().is_some_and(|hint| hint.contains("scenario.md")) {
+                finding.hint = Some("see `docs/import.md` for what goes into it".into());
+            }
+            sink.findings.push(finding);
+            return None;
+        }
+    };
+    let mut findings = Findings::default();
+    let root = At::document(&document);
+    refuse_tags(&root, &mut findings, DEPTH_MAX);
+    let result = if findings.0.is_empty() { read(&root, &mut findings, sink) } else { None };
+    let sound = findings.0.is_empty();
+    sink.located(source, findings);
+    result.filter(|_| sound)
+}
+
+fn refuse_tags(at: &At<'_>, findings: &mut Findings, depth: usize) {
+    if depth == 0 || is_full(findings) {
+        return;
+    }
+    match at.node {
+        Node::Tagged(tag) => {
+            let message = format!("the tag `{}` belongs to another program", shortened(tag));
+            let hint = "remove the tag: nothing in an imported file is ever executed or converted by a tag";
+            findings.add(Code::ForeignTag, at.place(), message, "a plain value", Some(hint.into()));
+        }
+        Node::List(items) => {
+            for (index, node) in items.iter().enumerate() {
+                refuse_tags(&at.item(index, node), findings, depth - 1);
+            }
+        }
+        Node::Map(entries) => {
+            for (key, node) in entries {
+                refuse_tags(&at.entry(key, 0, node), findings, depth - 1);
+            }
+        }
+        _ => {}
+    }
+}
+
+/// Whether more findings would help nobody.
+pub(super) fn is_full(findings: &Findings) -> bool {
+    findings.0.len() > FINDINGS_A_FILE_MAX
+}
+
+/// The value of a key, if it is there.
+pub(super) fn optional<'a>(at: &'a At<'a>, key: &'static str) -> Option<At<'a>> {
+    let Node::Map(entries) = at.node else { return None };
+    entries.iter().find(|(name, _)| name == key).map(|(_, node)| at.entry(key, 0, node))
+}
+
+/// The value of a key; a finding where it is missing.
+pub(super) fn required<'a>(
+    at: &'a At<'a>,
+    key: &'static str,
+    what: &str,
+    findings: &mut Findings,
+) -> Option<At<'a>> {
+    let Node::Map(_) = at.node else {
+        findings.wrong_type(at, &format!("{what}: a map with `{key}`"));
+        return None;
+    };
+    let found = optional(at, key);
+    if found.is_none() {
+        let message = format!("{what} has no `{key}`");
+        findings.add(Code::MissingKey, at.place(), message, format!("a key `{key}`"), None);
+    }
+    found
+}
+
+/// A finite number; a finding otherwise.
+pub(super) fn number(at: &At<'_>, what: &str, findings: &mut Findings) -> Option<f64> {
+    match at.node {
+        Node::Number(value) if value.is_finite() => Some(*value),
+        other => {
+            let message = format!("{what} is {}", other.kind());
+            findings.add(Code::ImportNumber, at.place(), message, "a finite number", None);
+            None
+        }
+    }
+}
+
+/// A list of finite numbers. All that are wrong are found.
+pub(super) fn numbers(at: &At<'_>, what: &str, findings: &mut Findings) -> Option<Vec<f64>> {
+    let items = findings.list(at, &format!("{what}: a list of numbers"));
+    let mut values = Vec::with_capacity(items.len());
+    for (index, item) in items.iter().enumerate() {
+        values.extend(number(item, &format!("{what}, number {},", index + 1), findings));
+        if is_full(findings) {
+            return None;
+        }
+    }
+    (values.len() == items.len() && matches!(at.node, Node::List(_))).then_some(values)
+}
+
+/// A list of names, each once.
+pub(super) fn unique_names(at: &At<'_>, what: &str, findings: &mut Findings) -> Option<Vec<String>> {
+    let mut names: Vec<String> = Vec::new();
+    let mut seen = std::collections::HashSet::new();
+    for item in findings.list(at, &format!("a list of {what}s")) {
+        let name = findings.name(&item, &format!("the name of a {what}"))?;
+        if !seen.insert(name.clone()) {
+            let message = format!("the {what} `{}` is listed twice", shortened(&name));
+            findings.add(Code::ImportNames, item.place(), message, "each name once", None);
+        }
+        names.push(name);
+    }
+    (!names.is_empty()).then_some(names)
+}
