@@ -146,6 +146,10 @@ pub(super) fn import(args: &ImportArgs, format: Format) -> Exit {
         console::error("csv needs at least one --map robot/device=column");
         return Exit::Usage;
     }
+    if args.from.0 != ImportFormat::Csv && (args.time.is_some() || !args.map.is_empty()) {
+        console::error("--time and --map are for csv");
+        return Exit::Usage;
+    }
     let (init, mut outcome) = read(args);
     let scenes = if args.join { Scenes::Joined } else { Scenes::Acts };
     let mut files = Vec::new();

@@ -270,6 +270,6 @@ fn note_joins(scenes: &[Scene], sink: &mut Sink) {
         }
     }
     if let Some((_, text)) = largest {
-        sink.note(format!("scenes do not quite begin where the ones before end: at most {text}"));
+        sink.note(format!("scenes do not begin quite where the ones before ended, off by at most {text}"));
     }
 }

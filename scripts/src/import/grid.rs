@@ -4,7 +4,8 @@
 const SERVO_STEP_DEG: f64 = 360.0 / 4096.0;
 /// That grid is believed from this part of the values on.
 const SERVO_SHARE: f64 = 0.9;
-/// Most digits after the point that a grid has.
+/// Least and most digits after the point that a grid has.
+const DIGITS_MIN: i32 = 3;
 const DIGITS_MAX: i32 = 9;
 /// How far, in steps, a value may lie off its grid through rounding.
 const TOLERANCE: f64 = 1e-6;
@@ -29,7 +30,8 @@ pub(super) fn grid_of(values: &[f64], unit: &str) -> Grid {
     if unit == "deg" && moving && on_servo as f64 >= SERVO_SHARE * values.len() as f64 {
         return Grid { min, max, granularity: SERVO_STEP_DEG, complete: on_servo == values.len() };
     }
-    let decimal = (0..=DIGITS_MAX).find(|digits| values.iter().all(|v| on_grid(*v, 10_f64.powi(-digits))));
+    let decimal =
+        (DIGITS_MIN..=DIGITS_MAX).find(|digits| values.iter().all(|v| on_grid(*v, 10_f64.powi(-digits))));
     let granularity = 10_f64.powi(-decimal.unwrap_or(DIGITS_MAX));
     Grid { min, max, granularity, complete: decimal.is_some() }
 }

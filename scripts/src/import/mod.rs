@@ -70,6 +70,10 @@ impl ImportFormat {
         Self::WORDS.iter().find(|(_, format)| *format == self).map_or("", |(word, _)| word)
     }
 
+    fn has_curves(self) -> bool {
+        matches!(self, Self::Crazyswarm | Self::JointTrajectory)
+    }
+
     /// What kind of robot plays such files, where the user says nothing else.
     fn kind(self) -> &'static str {
         match self {
@@ -219,6 +223,9 @@ pub struct ImportOutcome {
 pub fn import(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions) -> ImportOutcome {
     let mut sink = Sink::default();
     let inputs = input::gather(format, paths, options, &mut sink);
+    if options.rate_hz.is_some() && !format.has_curves() {
+        sink.note(format!("{} has no curves: --rate samples nothing", format.word()));
+    }
     let mut motions = Vec::new();
     for input in &inputs {
         match Source::read(&input.path) {
@@ -256,3 +263,6 @@ fn read(
     sink.count(&motions, &source.name);
     motions
 }
+
+#[cfg(test)]
+mod tests;

@@ -1,15 +1,15 @@
 //! Reading YAML and JSON of other programs: keys that are not needed are passed over, tags are refused, since what they
 //! mean is known only to the program that wrote them.
 
+use saphyr_parser::{Event, Parser};
+
 use crate::fields::{At, Findings};
 use crate::finding::Code;
 use crate::node::{self, Node, shortened};
+use crate::render::line_of;
 use crate::source::Source;
 
-use super::sink::{FINDINGS_A_FILE_MAX, Sink};
-
-/// Deepest nesting in which tags are looked for; the parser allows 128.
-const DEPTH_MAX: usize = 200;
+use super::sink::{FINDINGS_A_FILE_MAX, Sink, Spot};
 
 /// Parses a file, refuses foreign tags, and hands its tree to a reader whose findings get their places.
 pub(super) fn read<T>(
@@ -29,35 +29,40 @@ pub(super) fn read<T>(
         }
     };
     let mut findings = Findings::default();
-    let root = At::document(&document);
-    refuse_tags(&root, &mut findings, DEPTH_MAX);
-    let result = if findings.0.is_empty() { read(&root, &mut findings, sink) } else { None };
+    let before = sink.findings.len();
+    refuse_tags(source, sink);
+    if sink.findings.len() > before {
+        return None;
+    }
+    let result = read(&At::document(&document), &mut findings, sink);
     let sound = findings.0.is_empty();
     sink.located(source, findings);
     result.filter(|_| sound)
 }
 
-fn refuse_tags(at: &At<'_>, findings: &mut Findings, depth: usize) {
-    if depth == 0 || is_full(findings) {
+/// The parser that keeps places sees all tags, those too that the other one drops.
+fn refuse_tags(source: &Source, sink: &mut Sink) {
+    if !source.text.contains('!') {
         return;
     }
-    match at.node {
-        Node::Tagged(tag) => {
-            let message = format!("the tag `{}` belongs to another program", shortened(tag));
+    let mut parser = Parser::new_from_str(&source.text);
+    while let Some(Ok((event, span))) = parser.next_event() {
+        let tag = match &event {
+            Event::Scalar(_, _, _, tag) | Event::SequenceStart(_, tag) | Event::MappingStart(_, tag) => tag,
+            _ => continue,
+        };
+        if let Some(tag) = tag.as_ref().filter(|tag| !tag.is_yaml_core_schema() || tag.suffix.contains('/')) {
+            let line = span.start.line();
+            let text = line_of(&source.text, line);
+            let column = text.char_indices().nth(span.start.col()).map_or(text.len(), |(at, _)| at);
+            let spot = Spot { line, text, start: column, width: 0 };
+            let message = format!("the tag `!{}` belongs to another program", shortened(&tag.suffix));
             let hint = "remove the tag: nothing in an imported file is ever executed or converted by a tag";
-            findings.add(Code::ForeignTag, at.place(), message, "a plain value", Some(hint.into()));
+            sink.found(source, spot, Code::ForeignTag, message, "a plain value", Some(hint));
         }
-        Node::List(items) => {
-            for (index, node) in items.iter().enumerate() {
-                refuse_tags(&at.item(index, node), findings, depth - 1);
-            }
+        if sink.is_full(source) {
+            return;
         }
-        Node::Map(entries) => {
-            for (key, node) in entries {
-                refuse_tags(&at.entry(key, 0, node), findings, depth - 1);
-            }
-        }
-        _ => {}
     }
 }
 

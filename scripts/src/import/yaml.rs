@@ -188,7 +188,7 @@ pub(super) fn scalar(text: &str) -> Cow<'_, str> {
 
 fn is_plain(text: &str) -> bool {
     let inner = |c: char| c.is_ascii_alphanumeric() || "_-./ ".contains(c);
-    let words = ["true", "false", "null", "yes", "no", "on", "off", "y", "n"];
+    let words = ["true", "false", "null", "yes", "no", "on", "off"];
     text.starts_with(|c: char| c.is_ascii_alphabetic() || c == '_')
         && !text.ends_with(' ')
         && text.chars().all(inner)
