@@ -1,6 +1,6 @@
 //! From the motions of all files to one choreography: names, scenes, units, and what is remarkable about them.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use urrcp::{DeviceId, InitializationBlock, RobotId};
@@ -11,10 +11,13 @@ use crate::node::shortened;
 use super::input::stem;
 use super::natural::natural_order;
 use super::sink::Sink;
-use super::{ImportFormat, ImportOptions, Imported, Motion, RobotMotion, Scene, units};
+use super::{ImportFormat, ImportOptions, Imported, Motion, RobotMotion, Scene, remarks, units};
 
-/// Scenes may end and begin so far apart without a word: rounding of the files' own digits.
-const JOIN_TOLERANCE: f64 = 1e-9;
+/// Most robots of an import, and devices of a robot in a scene.
+const ROBOTS_MAX: usize = 10_000;
+const DEVICES_MAX: usize = 1_000;
+/// Longest name of a kind of robot, in characters: it becomes a file name.
+const KIND_CHARS_MAX: usize = 48;
 /// Most names in a note about the origin.
 const ORIGINS_MAX: usize = 6;
 
@@ -28,6 +31,9 @@ pub(super) fn assemble(
 ) -> Option<Imported> {
     let name = options.name.clone().unwrap_or_else(|| scenario_name(paths));
     let file = paths.first().map(|path| path.display().to_string()).unwrap_or_default();
+    if !is_bounded(&motions, &file, sink) {
+        return None;
+    }
     let mut scenes = scenes(motions, &name, format, &file, sink);
     select(&mut scenes, options, &file, sink);
     rename(&mut scenes, format, options, &file, sink);
@@ -36,15 +42,34 @@ pub(super) fn assemble(
         fit(&mut scenes, init, sink);
     }
     check_names(&scenes, &file, sink);
-    note_ends(&scenes, sink);
-    note_joins(&scenes, sink);
-    let kind = options.kind.clone().unwrap_or_else(|| match &options.init {
+    remarks::note_ends(&scenes, sink);
+    remarks::note_joins(&scenes, sink);
+    let kind = options.kind.clone().filter(|kind| !kind.is_empty()).unwrap_or_else(|| match &options.init {
         Some(init) => init.id.to_string(),
         None => format.kind().to_owned(),
     });
+    let kind = kind.chars().take(KIND_CHARS_MAX).collect();
     let origin = format!("{} {}", format.word(), origin(paths));
     let imported = Imported { name, origin, kind, scenes, held: sink.held };
     (imported.steps() > 0).then_some(imported)
+}
+
+fn is_bounded(motions: &[Motion], file: &str, sink: &mut Sink) -> bool {
+    let robots: HashSet<&str> = motions.iter().map(|motion| motion.robot.robot.as_str()).collect();
+    let devices = motions.iter().map(|motion| motion.robot.devices.len()).max().unwrap_or(0);
+    if robots.len() <= ROBOTS_MAX && devices <= DEVICES_MAX {
+        return true;
+    }
+    let message = format!("the import has {} robots with up to {devices} devices", robots.len());
+    let expected = format!("at most {ROBOTS_MAX} robots of {DEVICES_MAX} devices");
+    sink.about(
+        file,
+        Code::ImportLimit,
+        message,
+        &expected,
+        Some("is it of this format? see `docs/import.md`"),
+    );
+    false
 }
 
 fn scenario_name(paths: &[PathBuf]) -> String {
@@ -72,7 +97,7 @@ fn origin(paths: &[PathBuf]) -> String {
 fn scenes(motions: Vec<Motion>, name: &str, format: ImportFormat, file: &str, sink: &mut Sink) -> Vec<Scene> {
     let mut scenes: Vec<Scene> = Vec::new();
     let mut places: HashMap<String, usize> = HashMap::new();
-    let mut seen = std::collections::HashSet::new();
+    let mut seen = HashSet::new();
     for Motion { scene, robot } in motions {
         let scene = if scene.is_empty() { name.to_owned() } else { scene };
         if !seen.insert((scene.clone(), robot.robot.clone())) {
@@ -89,21 +114,8 @@ fn scenes(motions: Vec<Motion>, name: &str, format: ImportFormat, file: &str, si
     if format == ImportFormat::Crazyswarm {
         scenes.sort_by(|a, b| natural_order(&a.name, &b.name));
     }
-    note_absent(&scenes, sink);
+    remarks::note_absent(&scenes, sink);
     scenes
-}
-
-fn note_absent(scenes: &[Scene], sink: &mut Sink) {
-    let mut present: BTreeMap<&str, usize> = BTreeMap::new();
-    for robot in scenes.iter().flat_map(|scene| &scene.robots) {
-        *present.entry(&robot.robot).or_default() += 1;
-    }
-    for (robot, count) in present.into_iter().filter(|(_, count)| *count < scenes.len()).take(20) {
-        sink.note(format!(
-            "`{robot}` is in {count} of {} scenes and holds still in the others",
-            scenes.len()
-        ));
-    }
 }
 
 fn select(scenes: &mut Vec<Scene>, options: &ImportOptions, file: &str, sink: &mut Sink) {
@@ -144,6 +156,11 @@ fn rename(scenes: &mut [Scene], format: ImportFormat, options: &ImportOptions, f
         );
         sink.about(file, Code::ImportNames, message, &expected, hint);
         return;
+    }
+    let mut seen = HashSet::new();
+    for name in options.robots.iter().filter(|name| !seen.insert(*name)) {
+        let message = format!("--robots names `{}` twice", shortened(name));
+        sink.about(file, Code::ImportNames, message, "a name of its own for each robot", None);
     }
     for robot in scenes.iter_mut().flat_map(|scene| &mut scene.robots) {
         if let Some(index) = old.iter().position(|name| *name == robot.robot) {
@@ -210,7 +227,7 @@ fn fit(scenes: &mut [Scene], init: &InitializationBlock, sink: &mut Sink) {
 }
 
 fn check_names(scenes: &[Scene], file: &str, sink: &mut Sink) {
-    let mut wrong = std::collections::BTreeSet::new();
+    let mut wrong = BTreeSet::new();
     for robot in scenes.iter().flat_map(|scene| &scene.robots) {
         if let Err(error) = RobotId::new(robot.robot.as_str()) {
             wrong.insert(format!("robot `{}`: {error}", shortened(&robot.robot)));
@@ -220,56 +237,12 @@ fn check_names(scenes: &[Scene], file: &str, sink: &mut Sink) {
                 wrong.insert(format!("device `{}`: {error}", shortened(&device.device)));
             }
         }
-        let mut seen = std::collections::HashSet::new();
+        let mut seen = HashSet::new();
         for device in robot.devices.iter().filter(|device| !seen.insert(&device.device)) {
             wrong.insert(format!("two columns move `{}` of `{}`", device.device, robot.robot));
         }
     }
     for message in wrong {
         sink.about(file, Code::ImportNames, message, "names of 1 to 256 characters, each once", None);
-    }
-}
-
-fn note_ends(scenes: &[Scene], sink: &mut Sink) {
-    for scene in scenes {
-        let ends = || scene.robots.iter().map(|robot| (robot.duration_ms(), robot.robot.as_str()));
-        if let (Some((first, early)), Some((last, late))) = (ends().min(), ends().max())
-            && first < last
-        {
-            sink.note(format!(
-                "`{}`: robots end at different times, `{early}` at {} s, `{late}` at {} s",
-                scene.name,
-                first as f64 / 1_000.0,
-                last as f64 / 1_000.0
-            ));
-        }
-    }
-}
-
-/// The largest way that a device would have to go in no time where two scenes meet.
-fn note_joins(scenes: &[Scene], sink: &mut Sink) {
-    let mut largest: Option<(f64, String)> = None;
-    let mut last: HashMap<(&str, &str), f64> = HashMap::new();
-    for scene in scenes {
-        for (robot, device) in scene.robots.iter().flat_map(|r| r.devices.iter().map(move |d| (r, d))) {
-            let key = (robot.robot.as_str(), device.device.as_str());
-            let first = device.keyframes.first().filter(|keyframe| keyframe.at_ms == 0);
-            if let (Some(first), Some(before)) = (first, last.get(&key)) {
-                let gap = (first.value - before).abs();
-                if gap > JOIN_TOLERANCE && largest.as_ref().is_none_or(|(most, _)| gap > *most) {
-                    let unit = &device.unit;
-                    largest = Some((
-                        gap,
-                        format!("{gap:.7} {unit}, `{}` of `{}` in `{}`", key.1, key.0, scene.name),
-                    ));
-                }
-            }
-            if let Some(keyframe) = device.keyframes.last() {
-                last.insert(key, keyframe.value);
-            }
-        }
-    }
-    if let Some((_, text)) = largest {
-        sink.note(format!("scenes do not begin quite where the ones before ended, off by at most {text}"));
     }
 }

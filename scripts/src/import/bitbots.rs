@@ -1,6 +1,6 @@
 //! Keyframe animations of the RoboCup team Bit-Bots: `keyframes: [{duration, pause, goals: {joint: degrees}}]`.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, HashSet};
 
 use crate::fields::{At, Findings};
 use crate::finding::{Code, names};
@@ -10,6 +10,9 @@ use crate::source::Source;
 use super::input::Input;
 use super::sink::Sink;
 use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes, tree};
+
+/// Most joints of an animation.
+const JOINTS_MAX: usize = 1_000;
 
 /// A keyframe of the file with its times.
 struct Pose {
@@ -23,6 +26,13 @@ struct Pose {
 /// Reads one file: one robot in one scene.
 pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motion> {
     let poses = tree::read(source, sink, |root, findings, _| read_poses(root, findings)).unwrap_or_default();
+    let joints: HashSet<&str> =
+        poses.iter().flat_map(|pose| &pose.goals).map(|(joint, _)| joint.as_str()).collect();
+    if joints.len() > JOINTS_MAX {
+        let message = format!("the animation has {} joints", joints.len());
+        sink.about(&source.name, Code::ImportLimit, message, &format!("at most {JOINTS_MAX} joints"), None);
+        return Vec::new();
+    }
     let mut tracks = Tracks::default();
     for (index, pose) in poses.iter().enumerate() {
         tracks.add(index, pose);

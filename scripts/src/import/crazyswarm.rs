@@ -68,6 +68,7 @@ fn read_pieces(source: &Source, pieces_max: usize, sink: &mut Sink) -> Vec<Piece
     if !header_is_right(&header, &names, source, sink) {
         return Vec::new();
     }
+    let before = sink.findings.len();
     let mut pieces = Vec::new();
     let mut end_s = 0.0;
     for mut row in rows {
@@ -84,7 +85,7 @@ fn read_pieces(source: &Source, pieces_max: usize, sink: &mut Sink) -> Vec<Piece
             too_many_pieces(pieces_max, &row, source, sink);
         }
     }
-    if pieces.is_empty() && !sink.is_full(source) {
+    if pieces.is_empty() && sink.findings.len() == before {
         sink.about(
             &source.name,
             Code::NothingToDo,

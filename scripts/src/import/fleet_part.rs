@@ -57,7 +57,7 @@ struct Kind {
 fn path_of(kind: &Kind) -> String {
     // The name becomes a file name, so nothing in it may lead elsewhere.
     let safe = |c: char| if c.is_alphanumeric() || "-_".contains(c) { c } else { '-' };
-    format!("robots/{}.yaml", kind.name.chars().take(64).map(safe).collect::<String>())
+    format!("robots/{}.yaml", kind.name.chars().map(safe).collect::<String>())
 }
 
 fn kinds(imported: &Imported, all_alike: bool) -> Vec<Kind> {

@@ -13,6 +13,7 @@ mod keyframes;
 mod natural;
 mod play_motion2;
 mod polynomial;
+mod remarks;
 mod sink;
 mod table;
 mod timed_csv;

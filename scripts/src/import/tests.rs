@@ -101,6 +101,15 @@ fn scalars_read_back_as_the_text_that_was_written() {
 }
 
 #[test]
+fn numbers_read_back_as_they_were() {
+    for value in [0.0, -0.1, 0.087890625, 1e300, -1.5e-300, 123_456.789, 1e15, 1e-9] {
+        let source = Source { name: String::new(), text: format!("k: {}\n", yaml::number(value)) };
+        let expected = Node::Map(vec![("k".into(), Node::Number(value))]);
+        assert_eq!(node::parse(&source).unwrap(), expected, "{value:?}");
+    }
+}
+
+#[test]
 fn folders_are_robots_and_their_files_scenes_in_numerical_order() {
     let folder = tempfile(&["1/10.csv", "1/2.csv", "2/10.csv", "2/2.csv"], CRAZYSWARM);
     let outcome =

@@ -37,6 +37,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
         rows.next();
     }
     let Some((time, mut mapped)) = header.columns(options, source, sink) else { return Vec::new() };
+    let found = sink.findings.len();
     let mut before = None;
     for mut row in rows {
         row.drop_trailing(header.width);
@@ -45,7 +46,7 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
             break;
         }
     }
-    if before.is_none() && !sink.is_full(source) {
+    if before.is_none() && sink.findings.len() == found {
         sink.about(
             &source.name,
             Code::NothingToDo,
@@ -191,15 +192,13 @@ fn motions(input: &Input, mapped: Vec<Mapped>, source: &Source, sink: &mut Sink)
     let mut motions: Vec<Motion> = Vec::new();
     for column in mapped {
         let Mapped { robot, motion, empty, .. } = column;
-        if motion.keyframes.is_empty() {
+        if motion.keyframes.is_empty() && sink.findings.is_empty() {
             let message = format!("the column of `{}` of `{robot}` is empty", motion.device);
             sink.about(&source.name, Code::NothingToDo, message, "at least one value", None);
         } else if empty > 0 {
             let device = &motion.device;
-            sink.note(format!(
-                "{}: `{device}` of `{robot}` moves straight through {empty} empty cells",
-                source.name
-            ));
+            let cells = crate::counted(empty, "empty cell");
+            sink.note(format!("{}: `{device}` of `{robot}` moves straight through {cells}", source.name));
         }
         match motions.iter_mut().find(|known| known.robot.robot == robot) {
             Some(known) => known.robot.devices.push(motion),

@@ -34,6 +34,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
     };
     header.drop_trailing(COLUMNS.len());
     let Some(factors) = factors(&header, source, sink) else { return Vec::new() };
+    let before = sink.findings.len();
     let mut robots: HashMap<String, Vec<Waypoint>> = HashMap::new();
     for mut row in rows {
         row.drop_trailing(COLUMNS.len());
@@ -47,7 +48,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
             break;
         }
     }
-    if robots.is_empty() && !sink.is_full(source) {
+    if robots.is_empty() && sink.findings.len() == before {
         sink.about(
             &source.name,
             Code::NothingToDo,
@@ -106,13 +107,15 @@ fn read_waypoint(
         let message = "the waypoint names no robot";
         sink.found(source, row.spot(0), Code::ImportNames, message, "the id of a robot", None);
     }
-    let [Some(x), Some(y), Some(z), Some(at_s)] = numbers else { return None };
+    let [x, y, z, at_s] = numbers;
+    let at_s = at_s?;
     let Some(at_ms) = keyframes::millis(at_s) else {
         let expected = format!("a time from 0 to {} s", keyframes::SECONDS_MAX);
         sink.found(source, row.spot(4), Code::ImportTime, format!("the time is {at_s} s"), expected, None);
         return None;
     };
-    (!robot.is_empty()).then_some((robot, Waypoint { at_ms, at_s, position: [x, y, z] }))
+    let position = [x?, y?, z?];
+    (!robot.is_empty()).then_some((robot, Waypoint { at_ms, at_s, position }))
 }
 
 fn is_later(last: &Waypoint, next: &Waypoint, row: &Row<'_>, source: &Source, sink: &mut Sink) -> bool {
