@@ -5,6 +5,8 @@
 mod documents;
 mod examples;
 mod findings;
+mod import;
+mod import_real;
 mod ntp;
 mod processes;
 mod session;

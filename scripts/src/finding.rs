@@ -92,6 +92,16 @@ codes! {
     UnknownSensor = "DB0044", Error, "the robot has no such sensor";
     TooMuch = "DB0045", Error, "more than anything could play";
     BadData = "DB0046", Error, "a data file cannot be used";
+    ImportTable = "DB0060", Error, "a table of another shape than its format has";
+    ImportNumber = "DB0061", Error, "an imported value is no finite number";
+    ImportTime = "DB0062", Error, "imported times that do not go forward";
+    TimesCollide = "DB0063", Error, "two imported times fall into one millisecond";
+    ForeignTag = "DB0064", Error, "a tag of another program";
+    TooManyPieces = "DB0065", Error, "a trajectory has more pieces than the robot holds";
+    ImportShape = "DB0066", Error, "lists of an imported motion that do not fit together";
+    ImportNames = "DB0067", Error, "imported robots, devices or scenes that cannot be named so";
+    ImportLimit = "DB0068", Error, "an import is larger than its limit";
+    FileExists = "DB0069", Error, "a file is there already";
 }
 
 impl Code {

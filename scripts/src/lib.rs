@@ -12,6 +12,7 @@ mod files;
 mod finding;
 pub mod fit;
 mod fleet;
+pub mod import;
 mod locate;
 mod motion;
 mod music;

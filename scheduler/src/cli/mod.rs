@@ -8,6 +8,7 @@ mod console;
 mod dry_run;
 mod explain;
 mod fleet;
+mod import;
 mod load;
 mod plan;
 mod robot;
@@ -73,6 +74,8 @@ enum Command {
     Robot(robot::RobotArgs),
     /// Run all TCP robots of a fleet as simulated ones in this process.
     Sim(sim::SimArgs),
+    /// Turn other people's choreography files into a scenario and its fleet.
+    Import(import::ImportArgs),
     /// Look at the fleet's robots.
     #[command(subcommand)]
     Fleet(fleet::FleetCommand),
@@ -117,6 +120,7 @@ pub fn main() -> ExitCode {
         Command::Run(args) => run::run(&args, format),
         Command::Robot(args) => robot::robot(&args, format),
         Command::Sim(args) => sim::sim(&args, format),
+        Command::Import(args) => import::import(&args, format),
         Command::Fleet(command) => fleet::fleet(&command, format),
     };
     ExitCode::from(exit as u8)

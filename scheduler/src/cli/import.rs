@@ -1,0 +1,247 @@
+//! `downbeat import`: other people's choreography files become a scenario and its fleet.
+
+mod write;
+
+use std::path::PathBuf;
+
+use clap::builder::PossibleValue;
+use downbeat_scripts::import::{self, ImportFormat, ImportOptions, ImportOutcome, Imported, Scenes};
+use downbeat_scripts::{Finding, Source, counted};
+use serde::Serialize;
+
+use super::load::show_findings;
+use super::{Exit, Format, console};
+
+/// Turn other people's choreography files into a scenario and its fleet.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Formats:
+  crazyswarm        CSVs of polynomial pieces: a file a robot, or a folder of numbered scenes a robot
+  waypoints         CSV with id,x[m],y[m],z[m],t[s]
+  joint-trajectory  YAML or JSON with the fields of ROS trajectory_msgs/JointTrajectory
+  play-motion2      motions of PAL Robotics' robots, YAML; a scene a motion
+  bitbots           keyframe animations of the Bit-Bots, JSON
+  csv               any CSV with times, with --time and --map
+
+Several scenes become an act each, or with --join one list of cues.
+
+Examples:
+  downbeat import crazyswarm pp*.csv --robots cf1,cf2,cf3,cf4,cf5,cf6 --output swap
+  downbeat import crazyswarm sequence_trajectories --rate 10 --join --output sequence
+  downbeat import bitbots schnup_dance.json --init robots/wolfgang.yaml --robots wolf-1
+  downbeat import play-motion2 tiago_motions.yaml --only wave,offer --output wave
+  downbeat import csv log.csv --time t --map arm-1/elbow=q2 --scale elbow=57.29578")]
+pub(super) struct ImportArgs {
+    /// Whose files they are.
+    #[arg(value_name = "FORMAT")]
+    from: From,
+    /// The files, or folders of them.
+    #[arg(required = true, value_name = "FILE")]
+    files: Vec<PathBuf>,
+    /// Write DIR/scenario.yaml, DIR/fleet.yaml and DIR/robots/; otherwise the scenario goes to standard output.
+    #[arg(long, short, value_name = "DIR")]
+    output: Option<PathBuf>,
+    /// Replace files that are there already.
+    #[arg(long, requires = "output")]
+    force: bool,
+    /// The initialization block of the robots; otherwise one is made from the data's range.
+    #[arg(long, value_name = "FILE")]
+    init: Option<PathBuf>,
+    /// Sample curves so many times a second; otherwise at the pieces' boundaries or the points.
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    rate: Option<f64>,
+    /// Most polynomial pieces a robot and scene: a Crazyflie has 4 KB for pieces of 132 bytes.
+    #[arg(long, value_name = "N", default_value_t = 31)]
+    max_pieces: usize,
+    /// All scenes in one list of cues, one after the other.
+    #[arg(long)]
+    join: bool,
+    /// Only these scenes.
+    #[arg(long, value_name = "SCENE", value_delimiter = ',')]
+    only: Vec<String>,
+    /// The name of the scenario.
+    #[arg(long)]
+    name: Option<String>,
+    /// Names for the robots, in the order of the files.
+    #[arg(long, value_name = "ROBOT", value_delimiter = ',')]
+    robots: Vec<String>,
+    /// The kind of robot, which names the initialization block.
+    #[arg(long)]
+    kind: Option<String>,
+    /// The column of times of a csv, by name or number.
+    #[arg(long, value_name = "COLUMN")]
+    time: Option<String>,
+    /// A column of a csv that moves a device.
+    #[arg(long, value_name = "ROBOT/DEVICE=COLUMN", value_parser = column)]
+    map: Vec<(String, String)>,
+    /// A factor for a device's values.
+    #[arg(long, value_name = "DEVICE=FACTOR", value_parser = factor)]
+    scale: Vec<(String, f64)>,
+}
+
+/// A format as it is typed.
+#[derive(Clone, Copy, Debug)]
+struct From(ImportFormat);
+
+impl clap::ValueEnum for From {
+    fn value_variants<'a>() -> &'a [Self] {
+        const ALL: [From; ImportFormat::WORDS.len()] = {
+            let mut all = [From(ImportFormat::Csv); ImportFormat::WORDS.len()];
+            let mut index = 0;
+            while index < all.len() {
+                all[index] = From(ImportFormat::WORDS[index].1);
+                index += 1;
+            }
+            all
+        };
+        &ALL
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(self.0.word()))
+    }
+}
+
+fn rate(text: &str) -> Result<f64, String> {
+    let rate = text.parse::<f64>().ok().filter(|rate| *rate >= 0.001 && *rate <= 1_000.0);
+    rate.ok_or_else(|| "a rate from 0.001 to 1000 Hz".to_owned())
+}
+
+fn column(text: &str) -> Result<(String, String), String> {
+    let parts = text.split_once('=').filter(|(to, column)| {
+        let device =
+            to.split_once('/').map_or("", |(robot, device)| if robot.is_empty() { "" } else { device });
+        !device.is_empty() && !column.is_empty()
+    });
+    let (to, column) = parts.ok_or("a column as robot/device=column")?;
+    Ok((to.to_owned(), column.to_owned()))
+}
+
+fn factor(text: &str) -> Result<(String, f64), String> {
+    let parts =
+        text.rsplit_once('=').and_then(|(device, factor)| Some((device, factor.parse::<f64>().ok()?)));
+    let parts = parts.filter(|(device, factor)| !device.is_empty() && factor.is_finite() && *factor != 0.0);
+    let (device, factor) = parts.ok_or("a factor as device=0.001, not 0")?;
+    Ok((device.to_owned(), factor))
+}
+
+#[derive(Serialize)]
+struct Done<'a> {
+    scenario: Option<&'a str>,
+    robots: usize,
+    scenes: usize,
+    steps: usize,
+    /// How many of the steps repeat the one before, for pauses and for what a file leaves out.
+    held: usize,
+    duration_ms: u64,
+    notes: &'a [String],
+    findings: &'a [Finding],
+    files: &'a [String],
+    /// The scenario itself, where it is written to no file.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    text: Option<&'a str>,
+}
+
+pub(super) fn import(args: &ImportArgs, format: Format) -> Exit {
+    if args.from.0 == ImportFormat::Csv && args.map.is_empty() {
+        console::error("csv needs at least one --map robot/device=column");
+        return Exit::Usage;
+    }
+    if args.from.0 != ImportFormat::Csv && (args.time.is_some() || !args.map.is_empty()) {
+        console::error("--time and --map are for csv");
+        return Exit::Usage;
+    }
+    let (init, mut outcome) = read(args);
+    let scenes = if args.join { Scenes::Joined } else { Scenes::Acts };
+    let mut files = Vec::new();
+    let mut text = None;
+    if let Some(imported) = outcome.imported.as_ref().filter(|_| outcome.findings.is_empty()) {
+        let block = init.as_ref().map(|init| (&init.block, init.text.as_str()));
+        match &args.output {
+            Some(folder) => {
+                match write::write_all(folder, &import::files_of(imported, scenes, block), args.force) {
+                    Ok(written) => files = written,
+                    Err(mut findings) => outcome.findings.append(&mut findings),
+                }
+            }
+            None => text = Some(import::scenario_text(imported, scenes, block.map(|(block, _)| block), None)),
+        }
+    }
+    match format {
+        Format::Json => show_json(&outcome, scenes, &files, text.as_deref()),
+        Format::Text => show_text(&outcome, scenes, &files, text.as_deref()),
+    }
+    match outcome.findings.as_slice() {
+        [] => Exit::Done,
+        findings if findings.iter().any(Finding::is_unreadable) => Exit::Usage,
+        _ => Exit::Failed,
+    }
+}
+
+/// The block that the user names, and its text.
+struct Init {
+    block: urrcp::InitializationBlock,
+    text: String,
+}
+
+fn read(args: &ImportArgs) -> (Option<Init>, ImportOutcome) {
+    let init = args.init.as_deref().map(|path| {
+        Ok::<_, Finding>(Init { text: Source::read(path)?.text, block: downbeat_scripts::read_init(path)? })
+    });
+    let (init, broken) = match init.transpose() {
+        Ok(init) => (init, None),
+        Err(finding) => (None, Some(finding)),
+    };
+    let options = ImportOptions {
+        rate_hz: args.rate,
+        pieces_max: Some(args.max_pieces),
+        name: args.name.clone(),
+        robots: args.robots.clone(),
+        kind: args.kind.clone(),
+        only: args.only.clone(),
+        scales: args.scale.clone(),
+        time_column: args.time.clone(),
+        columns: args.map.clone(),
+        init: init.as_ref().map(|init| init.block.clone()),
+    };
+    let mut outcome = import::import(args.from.0, &args.files, &options);
+    outcome.findings.extend(broken);
+    (init, outcome)
+}
+
+fn show_json(outcome: &ImportOutcome, scenes: Scenes, files: &[String], text: Option<&str>) {
+    let imported = outcome.imported.as_ref();
+    console::print_json(&Done {
+        scenario: imported.map(|imported| imported.name.as_str()),
+        robots: imported.map_or(0, |imported| imported.robots().len()),
+        scenes: imported.map_or(0, |imported| imported.scenes.len()),
+        steps: imported.map_or(0, |imported| import::steps_written(imported, scenes)),
+        held: imported.map_or(0, |imported| imported.held),
+        duration_ms: imported.map_or(0, Imported::duration_ms),
+        notes: &outcome.notes,
+        findings: &outcome.findings,
+        files,
+        text,
+    });
+}
+
+fn show_text(outcome: &ImportOutcome, scenes: Scenes, files: &[String], text: Option<&str>) {
+    for note in &outcome.notes {
+        console::note(&format!("note: {note}"));
+    }
+    show_findings(&outcome.findings);
+    let Some(imported) = outcome.imported.as_ref().filter(|_| outcome.findings.is_empty()) else { return };
+    if let Some(text) = text {
+        console::print(text);
+    }
+    for file in files {
+        console::note(&format!("wrote {file}"));
+    }
+    console::note(&format!(
+        "{}: {}, {}, {}, {} s",
+        imported.name,
+        counted(imported.robots().len(), "robot"),
+        counted(imported.scenes.len(), "scene"),
+        counted(import::steps_written(imported, scenes), "step"),
+        imported.duration_ms() as f64 / 1_000.0
+    ));
+}

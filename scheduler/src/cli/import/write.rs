@@ -1,0 +1,86 @@
+//! Writing what was imported: whole files or none, and nothing that is there already is lost unasked.
+
+use std::fs;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use downbeat_scripts::import::FilePart;
+use downbeat_scripts::{Code, Finding, Severity};
+
+/// Writes all files beside their places first, then moves them there.
+pub(super) fn write_all(folder: &Path, files: &[FilePart], force: bool) -> Result<Vec<String>, Vec<Finding>> {
+    let paths: Vec<_> = files.iter().map(|file| folder.join(&file.path)).collect();
+    let there: Vec<_> = paths.iter().filter(|path| !force && path.symlink_metadata().is_ok()).collect();
+    if !there.is_empty() {
+        return Err(there.into_iter().map(|path| already_there(path)).collect());
+    }
+    let mut waiting = Vec::new();
+    for (path, file) in paths.iter().zip(files) {
+        match write_beside(path, &file.text) {
+            Ok(temporary) => waiting.push(temporary),
+            Err(error) => return Err(vec![unwritable(path, &error)]),
+        }
+    }
+    for (temporary, path) in waiting.into_iter().zip(&paths) {
+        temporary.persist(path).map_err(|error| vec![unwritable(path, &error)])?;
+    }
+    Ok(paths.iter().map(|path| path.display().to_string()).collect())
+}
+
+/// A file that is removed unless it gets its final name.
+struct Temporary(Option<PathBuf>);
+
+impl Temporary {
+    fn persist(mut self, path: &Path) -> std::io::Result<()> {
+        if let Some(temporary) = &self.0 {
+            fs::rename(temporary, path)?;
+        }
+        self.0 = None;
+        Ok(())
+    }
+}
+
+impl Drop for Temporary {
+    fn drop(&mut self) {
+        if let Some(path) = &self.0 {
+            // It may be gone already; nobody can do more about it.
+            let _gone = fs::remove_file(path);
+        }
+    }
+}
+
+fn write_beside(path: &Path, text: &str) -> std::io::Result<Temporary> {
+    let folder = path.parent().unwrap_or(Path::new("."));
+    fs::create_dir_all(folder)?;
+    let name = path.file_name().unwrap_or_default().to_string_lossy();
+    let temporary = folder.join(format!(".{name}.{}.tmp", std::process::id()));
+    let mut file = fs::File::create_new(&temporary)?;
+    let guard = Temporary(Some(temporary));
+    file.write_all(text.as_bytes())?;
+    file.sync_all()?;
+    Ok(guard)
+}
+
+fn already_there(path: &Path) -> Finding {
+    let hint = "name another --output, or replace it with --force";
+    about(Code::FileExists, path, "the file is there already".into(), "a path that is free", Some(hint))
+}
+
+fn unwritable(path: &Path, error: &std::io::Error) -> Finding {
+    about(Code::Unreadable, path, format!("cannot write: {error}"), "a folder that can be written to", None)
+}
+
+fn about(code: Code, path: &Path, message: String, expected: &str, hint: Option<&str>) -> Finding {
+    Finding {
+        code,
+        severity: Severity::Error,
+        file: path.display().to_string(),
+        line: 0,
+        column: 0,
+        width: 0,
+        message,
+        expected: expected.to_owned(),
+        hint: hint.map(str::to_owned),
+        source_line: String::new(),
+    }
+}

@@ -1,0 +1,248 @@
+//! From the motions of all files to one choreography: names, scenes, units, and what is remarkable about them.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap, HashSet};
+use std::path::{Path, PathBuf};
+
+use urrcp::{DeviceId, InitializationBlock, RobotId};
+
+use crate::finding::{Code, did_you_mean, names};
+use crate::node::shortened;
+
+use super::input::stem;
+use super::natural::natural_order;
+use super::sink::Sink;
+use super::{ImportFormat, ImportOptions, Imported, Motion, RobotMotion, Scene, remarks, units};
+
+/// Most robots of an import, and devices of a robot in a scene.
+const ROBOTS_MAX: usize = 10_000;
+const DEVICES_MAX: usize = 1_000;
+/// Longest name of a kind of robot, in characters: it becomes a file name.
+const KIND_CHARS_MAX: usize = 48;
+/// Most names in a note about the origin.
+const ORIGINS_MAX: usize = 6;
+
+/// Puts it together; `None` without anything to play.
+pub(super) fn assemble(
+    format: ImportFormat,
+    paths: &[PathBuf],
+    motions: Vec<Motion>,
+    options: &ImportOptions,
+    sink: &mut Sink,
+) -> Option<Imported> {
+    let name = options.name.clone().unwrap_or_else(|| scenario_name(paths));
+    let file = paths.first().map(|path| path.display().to_string()).unwrap_or_default();
+    if !is_bounded(&motions, &file, sink) {
+        return None;
+    }
+    let mut scenes = scenes(motions, &name, format, &file, sink);
+    select(&mut scenes, options, &file, sink);
+    rename(&mut scenes, format, options, &file, sink);
+    scale(&mut scenes, options, &file, sink);
+    if let Some(init) = &options.init {
+        fit(&mut scenes, init, sink);
+    }
+    check_names(&scenes, &file, sink);
+    remarks::note_ends(&scenes, sink);
+    remarks::note_joins(&scenes, sink);
+    let kind = options.kind.clone().filter(|kind| !kind.is_empty()).unwrap_or_else(|| match &options.init {
+        Some(init) => init.id.to_string(),
+        None => format.kind().to_owned(),
+    });
+    let kind = kind.chars().take(KIND_CHARS_MAX).collect();
+    let origin = format!("{} {}", format.word(), origin(paths));
+    let imported = Imported { name, origin, kind, scenes, held: sink.held };
+    (imported.steps() > 0).then_some(imported)
+}
+
+fn is_bounded(motions: &[Motion], file: &str, sink: &mut Sink) -> bool {
+    let robots: HashSet<&str> = motions.iter().map(|motion| motion.robot.robot.as_str()).collect();
+    let devices = motions.iter().map(|motion| motion.robot.devices.len()).max().unwrap_or(0);
+    if robots.len() <= ROBOTS_MAX && devices <= DEVICES_MAX {
+        return true;
+    }
+    let message = format!("the import has {} robots with up to {devices} devices", robots.len());
+    let expected = format!("at most {ROBOTS_MAX} robots of {DEVICES_MAX} devices");
+    sink.about(
+        file,
+        Code::ImportLimit,
+        message,
+        &expected,
+        Some("is it of this format? see `docs/import.md`"),
+    );
+    false
+}
+
+fn scenario_name(paths: &[PathBuf]) -> String {
+    match paths {
+        [one] => stem(one),
+        [first, ..] => match first.parent().filter(|parent| *parent != Path::new("")) {
+            Some(parent) => stem(parent),
+            None => "imported".to_owned(),
+        },
+        [] => "imported".to_owned(),
+    }
+}
+
+fn origin(paths: &[PathBuf]) -> String {
+    let name =
+        |path: &PathBuf| path.file_name().map_or_else(|| stem(path), |n| n.to_string_lossy().into_owned());
+    let shown: Vec<_> = paths.iter().take(ORIGINS_MAX).map(name).collect();
+    match paths.len().saturating_sub(ORIGINS_MAX) {
+        0 => shown.join(", "),
+        more => format!("{} and {more} more", shown.join(", ")),
+    }
+}
+
+/// Motions of the same scene are played together. A robot that comes twice in a scene is a finding.
+fn scenes(motions: Vec<Motion>, name: &str, format: ImportFormat, file: &str, sink: &mut Sink) -> Vec<Scene> {
+    let mut scenes: Vec<Scene> = Vec::new();
+    let mut places: HashMap<String, usize> = HashMap::new();
+    let mut seen = HashSet::new();
+    for Motion { scene, robot } in motions {
+        let scene = if scene.is_empty() { name.to_owned() } else { scene };
+        if !seen.insert((scene.clone(), robot.robot.clone())) {
+            let message = format!("two files move `{}` in `{}`", shortened(&robot.robot), shortened(&scene));
+            sink.about(file, Code::ImportNames, message, "each robot once a scene", Some("rename a file"));
+            continue;
+        }
+        let place = *places.entry(scene.clone()).or_insert_with(|| {
+            scenes.push(Scene { name: scene, robots: Vec::new() });
+            scenes.len() - 1
+        });
+        scenes[place].robots.push(robot);
+    }
+    if format == ImportFormat::Crazyswarm {
+        scenes.sort_by(|a, b| natural_order(&a.name, &b.name));
+    }
+    remarks::note_absent(&scenes, sink);
+    scenes
+}
+
+fn select(scenes: &mut Vec<Scene>, options: &ImportOptions, file: &str, sink: &mut Sink) {
+    if options.only.is_empty() {
+        return;
+    }
+    for wanted in &options.only {
+        if !scenes.iter().any(|scene| scene.name == *wanted) {
+            let known = || scenes.iter().map(|scene| scene.name.as_str());
+            let message = format!("no scene `{}`", shortened(wanted));
+            let expected = format!("one of {}", names(known()));
+            let hint = did_you_mean(wanted, known());
+            sink.about(file, Code::ImportNames, message, &expected, hint.as_deref());
+        }
+    }
+    scenes.retain(|scene| options.only.contains(&scene.name));
+}
+
+fn rename(scenes: &mut [Scene], format: ImportFormat, options: &ImportOptions, file: &str, sink: &mut Sink) {
+    if options.robots.is_empty() {
+        return;
+    }
+    let mut old: Vec<String> = Vec::new();
+    for robot in scenes.iter().flat_map(|scene| &scene.robots) {
+        if !old.contains(&robot.robot) {
+            old.push(robot.robot.clone());
+        }
+    }
+    if old.len() != options.robots.len() && !scenes.is_empty() {
+        let message = format!("--robots has {} names for {} robots", options.robots.len(), old.len());
+        let expected = format!("{} names, in the order {}", old.len(), names(old.iter().map(String::as_str)));
+        let one = matches!(
+            format,
+            ImportFormat::JointTrajectory | ImportFormat::PlayMotion2 | ImportFormat::Bitbots
+        );
+        let hint = one.then_some(
+            "as many names as files make each file a robot of its own, one name makes them scenes",
+        );
+        sink.about(file, Code::ImportNames, message, &expected, hint);
+        return;
+    }
+    let mut seen = HashSet::new();
+    for name in options.robots.iter().filter(|name| !seen.insert(*name)) {
+        let message = format!("--robots names `{}` twice", shortened(name));
+        sink.about(file, Code::ImportNames, message, "a name of its own for each robot", None);
+    }
+    for robot in scenes.iter_mut().flat_map(|scene| &mut scene.robots) {
+        if let Some(index) = old.iter().position(|name| *name == robot.robot) {
+            robot.robot.clone_from(&options.robots[index]);
+        }
+    }
+}
+
+fn scale(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut Sink) {
+    for (target, factor) in &options.scales {
+        let mut used = false;
+        for robot in scenes.iter_mut().flat_map(|scene| &mut scene.robots) {
+            let RobotMotion { robot, devices } = robot;
+            let meant = |device: &str| *target == device || *target == format!("{robot}/{device}");
+            for device in devices.iter_mut().filter(|device| meant(&device.device)) {
+                used = true;
+                // What the values measure now only the user knows.
+                device.unit.clear();
+                device.keyframes.iter_mut().for_each(|keyframe| keyframe.value *= factor);
+            }
+        }
+        if !used && !scenes.is_empty() {
+            let message = format!("--scale names `{}`, which nothing moves", shortened(target));
+            sink.about(file, Code::ImportNames, message, "a device, or robot/device", None);
+        }
+    }
+}
+
+/// Checks the devices against the block of the robots, and turns values into its units.
+fn fit(scenes: &mut [Scene], init: &InitializationBlock, sink: &mut Sink) {
+    let known = || init.devices.iter().map(|device| device.id.as_str());
+    let mut missing: BTreeMap<String, Option<String>> = BTreeMap::new();
+    let mut converted: BTreeMap<String, String> = BTreeMap::new();
+    for device in scenes.iter_mut().flat_map(|scene| &mut scene.robots).flat_map(|robot| &mut robot.devices) {
+        let Some(block) = init.device(&device.device) else {
+            missing.entry(device.device.clone()).or_insert_with(|| did_you_mean(&device.device, known()));
+            continue;
+        };
+        let Some(unit) = block.unit.as_ref().map(ToString::to_string).filter(|unit| *unit != device.unit)
+        else {
+            continue;
+        };
+        let text = match units::factor(&device.unit, &unit) {
+            Some(factor) => {
+                device
+                    .keyframes
+                    .iter_mut()
+                    .for_each(|k| k.value = super::keyframes::rounded(k.value * factor, 7));
+                format!("`{}` is converted from {} to {unit}", device.device, device.unit)
+            }
+            None if device.unit.is_empty() => format!("`{}` is taken to be in {unit}", device.device),
+            None => format!("`{}` is in {}, the robot's block says {unit}", device.device, device.unit),
+        };
+        device.unit = unit;
+        converted.insert(device.device.clone(), text);
+    }
+    for (device, hint) in missing {
+        let message =
+            format!("the initialization block `{}` has no device `{}`", init.id, shortened(&device));
+        let expected = format!("one of {}", names(known()));
+        sink.about(init.id.as_str(), Code::UnknownDevice, message, &expected, hint.as_deref());
+    }
+    converted.into_values().take(20).for_each(|text| sink.note(text));
+}
+
+fn check_names(scenes: &[Scene], file: &str, sink: &mut Sink) {
+    let mut wrong = BTreeSet::new();
+    for robot in scenes.iter().flat_map(|scene| &scene.robots) {
+        if let Err(error) = RobotId::new(robot.robot.as_str()) {
+            wrong.insert(format!("robot `{}`: {error}", shortened(&robot.robot)));
+        }
+        for device in &robot.devices {
+            if let Err(error) = DeviceId::new(device.device.as_str()) {
+                wrong.insert(format!("device `{}`: {error}", shortened(&device.device)));
+            }
+        }
+        let mut seen = HashSet::new();
+        for device in robot.devices.iter().filter(|device| !seen.insert(&device.device)) {
+            wrong.insert(format!("two columns move `{}` of `{}`", device.device, robot.robot));
+        }
+    }
+    for message in wrong {
+        sink.about(file, Code::ImportNames, message, "names of 1 to 256 characters, each once", None);
+    }
+}

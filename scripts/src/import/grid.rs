@@ -1,0 +1,85 @@
+//! The range and the grid of values that stand in files, for robots whose own limits nobody has stated.
+
+/// One step of the servos with 4096 steps a turn that many robots are made of, in degrees.
+const SERVO_STEP_DEG: f64 = 360.0 / 4096.0;
+/// That grid is believed from this part of the values on.
+const SERVO_SHARE: f64 = 0.9;
+/// Least and most digits after the point that a grid has.
+const DIGITS_MIN: i32 = 3;
+const DIGITS_MAX: i32 = 9;
+/// How far, in steps, a value may lie off its grid through rounding.
+const TOLERANCE: f64 = 1e-6;
+
+/// What the values of a device have in common.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Grid {
+    pub(super) min: f64,
+    pub(super) max: f64,
+    pub(super) granularity: f64,
+    /// Whether all values are multiples of it.
+    pub(super) complete: bool,
+}
+
+/// The range of values, rounded outward, and the coarsest grid on which they lie.
+pub(super) fn grid_of(values: &[f64], unit: &str) -> Grid {
+    let least = values.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let (min, max) = outward(least, most);
+    let on_servo = values.iter().filter(|value| on_grid(**value, SERVO_STEP_DEG)).count();
+    let moving = values.iter().any(|value| *value != 0.0 && on_grid(*value, SERVO_STEP_DEG));
+    if unit == "deg" && moving && on_servo as f64 >= SERVO_SHARE * values.len() as f64 {
+        return Grid { min, max, granularity: SERVO_STEP_DEG, complete: on_servo == values.len() };
+    }
+    let decimal =
+        (DIGITS_MIN..=DIGITS_MAX).find(|digits| values.iter().all(|v| on_grid(*v, 10_f64.powi(-digits))));
+    let granularity = 10_f64.powi(-decimal.unwrap_or(DIGITS_MAX));
+    Grid { min, max, granularity, complete: decimal.is_some() }
+}
+
+/// Whether a value is a multiple of a step, but for rounding.
+pub(super) fn on_grid(value: f64, granularity: f64) -> bool {
+    let steps = value / granularity;
+    (steps - steps.round()).abs() <= TOLERANCE
+}
+
+/// A range with two digits more than its width needs, and one unit wide where there is none.
+fn outward(least: f64, most: f64) -> (f64, f64) {
+    if least >= most || !least.is_finite() || !most.is_finite() {
+        return (least.floor() - 1.0, most.ceil() + 1.0);
+    }
+    let digits = (most - least).log10().floor() - 1.0;
+    let digits = digits.clamp(-12.0, 300.0);
+    // Powers of ten above one are exact, those below are not: divide by their inverse.
+    match digits < 0.0 {
+        true => {
+            let scale = 10_f64.powf(-digits).round();
+            ((least * scale).floor() / scale, (most * scale).ceil() / scale)
+        }
+        false => {
+            let step = 10_f64.powf(digits).round();
+            ((least / step).floor() * step, (most / step).ceil() * step)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_range_is_rounded_outward() {
+        let grid = grid_of(&[-3.6678, -3.01], "m");
+        assert_eq!((grid.min, grid.max, grid.granularity), (-3.67, -3.01, 1e-4));
+        assert_eq!((grid_of(&[0.0, 0.0], "rad").min, grid_of(&[0.0], "rad").max), (-1.0, 1.0));
+    }
+
+    #[test]
+    fn servo_steps_are_recognised_though_some_values_lie_off() {
+        let mut values: Vec<f64> = (0..95).map(|n| f64::from(n) * SERVO_STEP_DEG).collect();
+        values.push(45.0);
+        let grid = grid_of(&values, "deg");
+        assert_eq!((grid.granularity, grid.complete), (SERVO_STEP_DEG, true));
+        values.push(12.34);
+        assert!(!grid_of(&values, "deg").complete);
+    }
+}

@@ -1,0 +1,47 @@
+//! The cubic through two points with given slopes, as ROS' joint trajectory controller follows it.
+
+/// A point of a curve.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Point {
+    pub(super) at_s: f64,
+    pub(super) value: f64,
+    /// Units a second.
+    pub(super) slope: f64,
+}
+
+/// The value of the curve at a time; it rests at its ends.
+pub(super) fn value(points: &[Point], at_s: f64) -> Option<f64> {
+    let next = points.partition_point(|point| point.at_s <= at_s);
+    match (next.checked_sub(1).map(|index| points[index]), points.get(next)) {
+        (Some(from), Some(to)) => Some(between(from, *to, at_s)),
+        (Some(last), None) => Some(last.value),
+        (None, first) => first.map(|point| point.value),
+    }
+}
+
+fn between(from: Point, to: Point, at_s: f64) -> f64 {
+    let length = to.at_s - from.at_s;
+    let s = (at_s - from.at_s) / length;
+    let (s2, s3) = (s * s, s * s * s);
+    from.value * (2.0 * s3 - 3.0 * s2 + 1.0)
+        + from.slope * length * (s3 - 2.0 * s2 + s)
+        + to.value * (3.0 * s2 - 2.0 * s3)
+        + to.slope * length * (s3 - s2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_cubic_is_followed_exactly() {
+        let cubic = |t: f64| t * t * t - 2.0 * t + 1.0;
+        let slope = |t: f64| 3.0 * t * t - 2.0;
+        let points = [0.5, 2.0, 3.0].map(|t| Point { at_s: t, value: cubic(t), slope: slope(t) });
+        for t in [0.5, 0.75, 1.9, 2.0, 2.5, 3.0] {
+            assert!(value(&points, t).is_some_and(|v| (v - cubic(t)).abs() < 1e-12), "at {t}");
+        }
+        assert_eq!(value(&points, 0.0), Some(cubic(0.5)));
+        assert_eq!(value(&[], 0.0), None);
+    }
+}

@@ -1,0 +1,209 @@
+//! The fields of the ROS message `trajectory_msgs/JointTrajectory`, as YAML or JSON.
+
+use crate::fields::{At, Reader};
+use crate::finding::Code;
+use crate::node::Node;
+use crate::source::Source;
+
+use super::hermite::{self, Point};
+use super::input::Input;
+use super::keyframes::{self, rounded};
+use super::sink::Sink;
+use super::{DeviceMotion, ImportOptions, Keyframe, Motion, RobotMotion, tree};
+
+/// Digits after the point of sampled values.
+const DIGITS: i32 = 7;
+
+/// One point of all joints.
+struct JointPoint {
+    at_s: f64,
+    at_ms: u64,
+    positions: Vec<f64>,
+    velocities: Option<Vec<f64>>,
+}
+
+/// Reads one file: one robot in one scene.
+pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink: &mut Sink) -> Vec<Motion> {
+    let read = tree::read(source, sink, |root, findings, _| read_points(root, findings));
+    let Some((joints, points)) = read else { return Vec::new() };
+    let curved = !points.is_empty() && points.iter().all(|point| point.velocities.is_some());
+    if points.first().is_some_and(|point| point.at_ms == 0) {
+        sink.note(format!(
+            "{}: the first point is at 0 s: the robot must be there when it starts",
+            source.name
+        ));
+    }
+    let rate_hz = options.rate_hz.filter(|_| curved);
+    match (curved, options.rate_hz) {
+        (true, None) => sink.note(format!(
+            "{}: velocities are left out, the way between points is straight; --rate samples the curve",
+            source.name
+        )),
+        (false, Some(_)) => {
+            sink.note(format!("{}: no velocities, so --rate has no curve to sample", source.name))
+        }
+        _ => {}
+    }
+    let times = times(&points, rate_hz, joints.len(), source, sink);
+    let device = |(index, device): (usize, String)| DeviceMotion {
+        device,
+        unit: String::new(),
+        keyframes: match rate_hz {
+            Some(_) => curve(&points, index, &times),
+            None => {
+                points.iter().map(|p| Keyframe { at_ms: p.at_ms, value: p.positions[index] + 0.0 }).collect()
+            }
+        },
+    };
+    let devices = joints.into_iter().enumerate().map(device).collect();
+    vec![Motion { scene: input.scene.clone(), robot: RobotMotion { robot: input.robot.clone(), devices } }]
+}
+
+fn times(
+    points: &[JointPoint],
+    rate_hz: Option<f64>,
+    joints: usize,
+    source: &Source,
+    sink: &mut Sink,
+) -> Vec<u64> {
+    let (Some(rate), Some(last)) = (rate_hz, points.last()) else { return Vec::new() };
+    let samples = (last.at_s * rate + 2.0) * joints as f64;
+    if !sink.has_room_for(samples) {
+        sink.too_many(&source.name, samples);
+        return Vec::new();
+    }
+    keyframes::sampled_times(last.at_s, rate)
+}
+
+/// Samples from the first point on: before it the robot is on its way there.
+fn curve(points: &[JointPoint], joint: usize, times: &[u64]) -> Vec<Keyframe> {
+    let point = |p: &JointPoint| {
+        let slope = p.velocities.as_ref().map_or(0.0, |velocities| velocities[joint]);
+        Point { at_s: p.at_s, value: p.positions[joint], slope }
+    };
+    let joint: Vec<Point> = points.iter().map(point).collect();
+    let first = points.first().map_or(0, |point| point.at_ms);
+    let begin = (!times.contains(&first)).then_some(first);
+    let times = begin.into_iter().chain(times.iter().copied().filter(|at_ms| *at_ms >= first));
+    let sample = |at_ms: u64| {
+        let value = hermite::value(&joint, at_ms as f64 / 1_000.0).unwrap_or(0.0);
+        Keyframe { at_ms, value: rounded(value, DIGITS) }
+    };
+    times.map(sample).collect()
+}
+
+fn read_points(root: &At<'_>, findings: &mut Reader) -> Option<(Vec<String>, Vec<JointPoint>)> {
+    // Goals of actions and displays wrap the message in a field of this name.
+    let inner = tree::optional(root, "trajectory").or_else(|| tree::optional(root, "joint_trajectory"));
+    let root = inner.as_ref().unwrap_or(root);
+    let what = "a joint trajectory";
+    let joints = tree::required(root, "joint_names", what, findings);
+    let joints = joints.and_then(|at| tree::unique_names(&at, "joint", findings));
+    let list = tree::required(root, "points", what, findings)?;
+    let items = findings.list(&list, "a list of points");
+    if items.is_empty() && matches!(list.node, Node::List(_)) {
+        findings.add(
+            Code::NothingToDo,
+            list.place(),
+            "the trajectory has no points",
+            "at least one point",
+            None,
+        );
+    }
+    let joints = joints?;
+    let mut points: Vec<JointPoint> = Vec::new();
+    for (index, item) in items.iter().enumerate() {
+        let point = read_point(item, index, joints.len(), points.last(), findings);
+        points.extend(point);
+        if tree::is_full(findings) {
+            break;
+        }
+    }
+    Some((joints, points))
+}
+
+fn read_point(
+    at: &At<'_>,
+    index: usize,
+    joints: usize,
+    before: Option<&JointPoint>,
+    findings: &mut Reader,
+) -> Option<JointPoint> {
+    let what = format!("point {index}");
+    let positions = tree::required(at, "positions", &what, findings);
+    let positions = positions.and_then(|at| one_a_joint(&at, &what, "positions", joints, findings));
+    let velocities = tree::optional(at, "velocities").filter(|at| !is_empty(at.node));
+    let velocities = match velocities {
+        Some(at) => Some(one_a_joint(&at, &what, "velocities", joints, findings)?),
+        None => None,
+    };
+    let time = tree::required(at, "time_from_start", &what, findings)?;
+    let at_s = read_time(&time, &what, findings)?;
+    let at_ms = checked_time(&time, &what, at_s, before, findings)?;
+    Some(JointPoint { at_s, at_ms, positions: positions?, velocities })
+}
+
+fn is_empty(node: &Node) -> bool {
+    matches!(node, Node::Null) || matches!(node, Node::List(items) if items.is_empty())
+}
+
+fn one_a_joint(
+    at: &At<'_>,
+    what: &str,
+    list: &str,
+    joints: usize,
+    findings: &mut Reader,
+) -> Option<Vec<f64>> {
+    let values = tree::numbers(at, &format!("`{list}` of {what}"), findings)?;
+    if values.len() == joints {
+        return Some(values);
+    }
+    let message = format!("{what} has {} {list} for {joints} joints", values.len());
+    findings.add(Code::ImportShape, at.place(), message, format!("{joints} numbers"), None);
+    None
+}
+
+/// Seconds as a number, or seconds and nanoseconds as ROS 1 (`secs`, `nsecs`) and ROS 2 (`sec`, `nanosec`) write them.
+fn read_time(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<f64> {
+    let Node::Map(_) = at.node else { return tree::number(at, &format!("the time of {what}"), findings) };
+    let mut seconds = 0.0;
+    let mut found = false;
+    for (key, factor) in [("sec", 1.0), ("secs", 1.0), ("nanosec", 1e-9), ("nsecs", 1e-9)] {
+        if let Some(part) = tree::optional(at, key) {
+            seconds += tree::number(&part, &format!("`{key}` of {what}"), findings)? * factor;
+            found = true;
+        }
+    }
+    if !found {
+        let expected = "seconds, or a map of `sec` and `nanosec`, or of `secs` and `nsecs`";
+        findings.add(
+            Code::MissingKey,
+            at.place(),
+            format!("{what} has a time without seconds"),
+            expected,
+            None,
+        );
+    }
+    found.then_some(seconds)
+}
+
+fn checked_time(
+    at: &At<'_>,
+    what: &str,
+    at_s: f64,
+    before: Option<&JointPoint>,
+    findings: &mut Reader,
+) -> Option<u64> {
+    let Some(at_ms) = keyframes::millis(at_s) else {
+        let expected = format!("a time from 0 to {} s", keyframes::SECONDS_MAX);
+        findings.add(Code::ImportTime, at.place(), format!("{what} is at {at_s} s"), expected, None);
+        return None;
+    };
+    let before_s = before.map(|point| point.at_s);
+    if let Some((code, message, hint)) = before_s.and_then(|before| keyframes::check_later(before, at_s)) {
+        let expected = format!("a time after {} s", before_s.unwrap_or(0.0));
+        findings.add(code, at.place(), format!("{what}: {message}"), expected, Some(hint.into()));
+        return None;
+    }
+    Some(at_ms)
+}

@@ -1,0 +1,137 @@
+//! Reading YAML and JSON of other programs: keys that are not needed are passed over, tags are refused, since what they
+//! mean is known only to the program that wrote them.
+
+use saphyr_parser::{Event, Parser};
+
+use crate::fields::{At, Reader};
+use crate::finding::Code;
+use crate::node::{self, Node, shortened};
+use crate::render::line_of;
+use crate::source::Source;
+
+use super::sink::{FINDINGS_A_FILE_MAX, Sink, Spot};
+
+/// Parses a file, refuses foreign tags, and hands its tree to a reader whose findings get their places.
+pub(super) fn read<T>(
+    source: &Source,
+    sink: &mut Sink,
+    read: impl FnOnce(&At<'_>, &mut Reader, &mut Sink) -> Option<T>,
+) -> Option<T> {
+    let document = match node::parse(source) {
+        Ok(document) => document,
+        Err(mut finding) => {
+            finding.expected = "a YAML or JSON document".into();
+            if finding.hint.as_deref().is_some_and(|hint| hint.contains("scenario.md")) {
+                finding.hint = Some("see `docs/import.md` for what goes into it".into());
+            }
+            sink.findings.push(finding);
+            return None;
+        }
+    };
+    let mut findings = Reader::default();
+    let before = sink.findings.len();
+    refuse_tags(source, sink);
+    if sink.findings.len() > before {
+        return None;
+    }
+    let result = read(&At::document(&document, 0), &mut findings, sink);
+    let sound = findings.found.is_empty();
+    sink.located(source, findings);
+    result.filter(|_| sound)
+}
+
+/// The parser that keeps places sees all tags, those too that the other one drops.
+fn refuse_tags(source: &Source, sink: &mut Sink) {
+    if !source.text.contains('!') {
+        return;
+    }
+    let mut parser = Parser::new_from_str(&source.text);
+    while let Some(Ok((event, span))) = parser.next_event() {
+        let tag = match &event {
+            Event::Scalar(_, _, _, tag) | Event::SequenceStart(_, tag) | Event::MappingStart(_, tag) => tag,
+            _ => continue,
+        };
+        if let Some(tag) = tag.as_ref().filter(|tag| !tag.is_yaml_core_schema() || tag.suffix.contains('/')) {
+            let line = span.start.line();
+            let text = line_of(&source.text, line);
+            let column = text.char_indices().nth(span.start.col()).map_or(text.len(), |(at, _)| at);
+            let spot = Spot { line, text, start: column, width: 0 };
+            let message = format!("the tag `!{}` belongs to another program", shortened(&tag.suffix));
+            let hint = "remove the tag: nothing in an imported file is ever executed or converted by a tag";
+            sink.found(source, spot, Code::ForeignTag, message, "a plain value", Some(hint));
+        }
+        if sink.is_full(source) {
+            return;
+        }
+    }
+}
+
+/// Whether more findings would help nobody.
+pub(super) fn is_full(findings: &Reader) -> bool {
+    findings.found.len() > FINDINGS_A_FILE_MAX
+}
+
+/// The value of a key, if it is there.
+pub(super) fn optional<'a>(at: &'a At<'a>, key: &'static str) -> Option<At<'a>> {
+    let Node::Map(entries) = at.node else { return None };
+    entries.iter().find(|(name, _)| name == key).map(|(_, node)| at.entry(key, 0, node))
+}
+
+/// The value of a key; a finding where it is missing.
+pub(super) fn required<'a>(
+    at: &'a At<'a>,
+    key: &'static str,
+    what: &str,
+    findings: &mut Reader,
+) -> Option<At<'a>> {
+    let Node::Map(_) = at.node else {
+        findings.wrong_type(at, &format!("{what}: a map with `{key}`"));
+        return None;
+    };
+    let found = optional(at, key);
+    if found.is_none() {
+        let message = format!("{what} has no `{key}`");
+        findings.add(Code::MissingKey, at.place(), message, format!("a key `{key}`"), None);
+    }
+    found
+}
+
+/// A finite number; a finding otherwise.
+pub(super) fn number(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<f64> {
+    match at.node {
+        Node::Number(value) if value.is_finite() => Some(*value),
+        other => {
+            let message = format!("{what} is {}", other.kind());
+            findings.add(Code::ImportNumber, at.place(), message, "a finite number", None);
+            None
+        }
+    }
+}
+
+/// A list of finite numbers. All that are wrong are found.
+pub(super) fn numbers(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<f64>> {
+    let items = findings.list(at, &format!("{what}: a list of numbers"));
+    let mut values = Vec::with_capacity(items.len());
+    for (index, item) in items.iter().enumerate() {
+        values.extend(number(item, &format!("{what}, number {},", index + 1), findings));
+        if is_full(findings) {
+            return None;
+        }
+    }
+    (values.len() == items.len() && matches!(at.node, Node::List(_))).then_some(values)
+}
+
+/// A list of names, each once.
+pub(super) fn unique_names(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<Vec<String>> {
+    let mut names: Vec<String> = Vec::new();
+    let mut seen = std::collections::HashSet::new();
+    for item in findings.list(at, &format!("a list of {what}s")) {
+        let name = findings.name(&item, &format!("the name of a {what}"))?;
+        if !seen.insert(name.clone()) {
+            let message = format!("the {what} `{}` is listed twice", shortened(&name));
+            findings.add(Code::ImportNames, item.place(), message, "each name once", None);
+        }
+        names.push(name);
+    }
+    (!names.is_empty()).then_some(names)
+}

@@ -1,0 +1,45 @@
+//! Units as they stand in headers, and what turns one into another.
+
+/// Factor from one unit to another, where both measure the same.
+pub(super) fn factor(from: &str, to: &str) -> Option<f64> {
+    let (from_kind, from_size) = known(from)?;
+    let (to_kind, to_size) = known(to)?;
+    (from_kind == to_kind).then_some(from_size / to_size)
+}
+
+/// `x[m]` as name and unit.
+pub(super) fn name_and_unit(header: &str) -> (&str, &str) {
+    match header.trim().strip_suffix(']').and_then(|rest| rest.split_once('[')) {
+        Some((name, unit)) => (name.trim(), unit.trim()),
+        None => (header.trim(), ""),
+    }
+}
+
+fn known(unit: &str) -> Option<(&'static str, f64)> {
+    Some(match unit {
+        "m" => ("length", 1.0),
+        "cm" => ("length", 0.01),
+        "mm" => ("length", 0.001),
+        "rad" => ("angle", 1.0),
+        "deg" | "degree" | "degrees" | "°" => ("angle", std::f64::consts::PI / 180.0),
+        "s" | "sec" => ("time", 1.0),
+        "ms" => ("time", 0.001),
+        "us" => ("time", 1e-6),
+        "ns" => ("time", 1e-9),
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn units_of_one_kind_convert() {
+        assert_eq!(factor("cm", "mm"), Some(10.0));
+        assert!(factor("rad", "deg").is_some_and(|f| (f - 57.295_779_513).abs() < 1e-9));
+        assert_eq!(factor("rad", "m"), None);
+        assert_eq!(name_and_unit(" x[mm] "), ("x", "mm"));
+        assert_eq!(name_and_unit("t"), ("t", ""));
+    }
+}
