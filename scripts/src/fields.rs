@@ -84,7 +84,7 @@ impl Reader {
         hint: Option<String>,
     ) {
         let (message, expected) = (message.into(), expected.into());
-        self.found.push(Pending { code, place, message, expected, hint });
+        self.found.push(Pending { code, place, message, expected, hint, related: Vec::new() });
     }
 
     pub(crate) fn wrong_type(&mut self, at: &At<'_>, expected: &str) {

@@ -149,6 +149,24 @@ pub struct Finding {
     pub hint: Option<String>,
     /// The offending line.
     pub source_line: String,
+    /// Other places that have to do with it, in the order of the argument.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub related: Vec<Related>,
+}
+
+/// A place that has to do with a finding, and how.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Related {
+    /// Line, from 1.
+    pub line: usize,
+    /// Column in characters, from 1.
+    pub column: usize,
+    /// How many characters.
+    pub width: usize,
+    /// What is said there.
+    pub message: String,
+    /// The line.
+    pub source_line: String,
 }
 
 impl Finding {
@@ -176,6 +194,7 @@ impl Finding {
             expected: expected.to_owned(),
             hint,
             source_line: String::new(),
+            related: Vec::new(),
         }
     }
 }
@@ -188,6 +207,8 @@ pub(crate) struct Pending {
     pub(crate) message: String,
     pub(crate) expected: String,
     pub(crate) hint: Option<String>,
+    /// Other places of the same file.
+    pub(crate) related: Vec<(Place, String)>,
 }
 
 /// A place in a file: a node, or the key that leads to it.

@@ -28,7 +28,7 @@ pub mod timing;
 pub use compile::{Compiled, compile};
 pub use duration::parse_duration;
 pub use files::{Files, Folder, NoFiles};
-pub use finding::{Code, Finding, Severity};
+pub use finding::{Code, Finding, Related, Severity};
 pub use fleet::{
     Address, Fault, Fleet, FleetRobot, Handshake, RateLimits, SimulationSettings, read_fleet, read_init,
 };

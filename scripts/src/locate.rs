@@ -5,7 +5,7 @@ use std::collections::HashMap;
 
 use saphyr_parser::{Event, Parser, Span};
 
-use crate::finding::{Finding, Part, Pending, Place};
+use crate::finding::{Finding, Part, Pending, Place, Related};
 use crate::source::Source;
 
 /// Gives every finding its line and column, and sorts them by place: the findings of each file together.
@@ -19,28 +19,27 @@ pub(crate) fn locate(sources: &[Source], pending: Vec<Pending>) -> Vec<Finding> 
     sources.iter().zip(by_file).flat_map(|(source, pending)| locate_in(source, pending)).collect()
 }
 
-/// Line numbers of places, from 1, for messages that name several.
-pub(crate) fn lines_of(source: &Source, places: &[Place]) -> Vec<usize> {
-    let mut wanted = Wanted::default();
-    let nodes: Vec<usize> = places.iter().map(|place| wanted.add(place)).collect();
-    wanted.find(&source.text);
-    nodes.iter().zip(places).map(|(node, place)| wanted.spot(*node, place.key).line).collect()
-}
-
 fn locate_in(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {
     if pending.is_empty() {
         return Vec::new();
     }
     let mut wanted = Wanted::default();
     let nodes: Vec<usize> = pending.iter().map(|p| wanted.add(&p.place)).collect();
+    let related: Vec<Vec<usize>> =
+        pending.iter().map(|p| p.related.iter().map(|(place, _)| wanted.add(place)).collect()).collect();
     wanted.find(&source.text);
     let lines = LineStarts::of(&source.text);
     let mut findings: Vec<_> = pending
         .into_iter()
         .zip(nodes)
-        .map(|(pending, node)| {
+        .zip(related)
+        .map(|((pending, node), related)| {
             let place = wanted.spot(node, pending.place.key);
-            finding(source, &lines, pending, place)
+            let others = related.iter().zip(&pending.related).map(|(node, (place, message))| {
+                related_place(source, &lines, wanted.spot(*node, place.key), message)
+            });
+            let others = others.collect();
+            finding(source, &lines, pending, place, others)
         })
         .collect();
     findings.sort_by_key(|finding| (finding.line, finding.column, finding.code));
@@ -49,7 +48,23 @@ fn locate_in(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {
     findings
 }
 
-fn finding(source: &Source, lines: &LineStarts, pending: Pending, spot: Spot) -> Finding {
+fn related_place(source: &Source, lines: &LineStarts, spot: Spot, message: &str) -> Related {
+    Related {
+        line: spot.line,
+        column: spot.column,
+        width: spot.width.max(1),
+        message: message.to_owned(),
+        source_line: lines.line(&source.text, spot.line).to_owned(),
+    }
+}
+
+fn finding(
+    source: &Source,
+    lines: &LineStarts,
+    pending: Pending,
+    spot: Spot,
+    related: Vec<Related>,
+) -> Finding {
     Finding {
         code: pending.code,
         severity: pending.code.severity(),
@@ -61,6 +76,7 @@ fn finding(source: &Source, lines: &LineStarts, pending: Pending, spot: Spot) ->
         expected: pending.expected,
         hint: pending.hint,
         source_line: lines.line(&source.text, spot.line).to_owned(),
+        related,
     }
 }
 

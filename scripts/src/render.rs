@@ -1,6 +1,6 @@
 //! Findings as people read them: the line, what is wrong with it, what was expected, how to mend it.
 
-use annotate_snippets::{AnnotationKind, Level, Renderer, Snippet};
+use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 
 use crate::finding::{Finding, Severity};
 
@@ -41,17 +41,28 @@ fn render_one(renderer: &Renderer, finding: &Finding) -> String {
         Severity::Warning => Level::WARNING,
     };
     let title = level.primary_title(finding.message.as_str()).id(finding.code.as_str());
-    let (line, span) = shown_part(finding);
+    let lines = shown_lines(finding);
     let mut group = match finding.line {
-        0 => title.element(annotate_snippets::Origin::path(finding.file.as_str())),
-        number => title.element(
-            Snippet::source(line.as_str()).path(finding.file.as_str()).line_start(number).annotation(
-                AnnotationKind::Primary.span(span).label(format!("expected {}", finding.expected)),
-            ),
-        ),
+        0 => title
+            .element(annotate_snippets::Origin::path(finding.file.as_str()))
+            .element(Level::NOTE.message(format!("expected {}", finding.expected))),
+        _ => {
+            let mut group = Group::with_title(title);
+            for (number, text, marks) in &lines {
+                let marks = marks.iter().map(|mark| {
+                    let kind = if mark.primary { AnnotationKind::Primary } else { AnnotationKind::Context };
+                    kind.span(mark.span.clone()).label(mark.label.as_str())
+                });
+                let snippet = Snippet::source(text.as_str()).path(finding.file.as_str()).line_start(*number);
+                group = group.element(snippet.annotations(marks));
+            }
+            group
+        }
     };
-    if finding.line == 0 {
-        group = group.element(Level::NOTE.message(format!("expected {}", finding.expected)));
+    if !finding.related.is_empty() {
+        let chain: Vec<_> =
+            finding.related.iter().map(|place| format!("{} (line {})", place.message, place.line)).collect();
+        group = group.element(Level::NOTE.message(chain.join(", ")));
     }
     if let Some(hint) = &finding.hint {
         group = group.element(Level::HELP.message(hint.as_str()));
@@ -59,14 +70,43 @@ fn render_one(renderer: &Renderer, finding: &Finding) -> String {
     renderer.render(&[group])
 }
 
+/// A part of a line that is marked.
+struct Mark {
+    span: std::ops::Range<usize>,
+    label: String,
+    primary: bool,
+}
+
+/// The finding's line with what was expected; where a chain of places leads to it, the lines of that chain.
+fn shown_lines(finding: &Finding) -> Vec<(usize, String, Vec<Mark>)> {
+    if finding.related.is_empty() {
+        let (text, span) = shown_part(&finding.source_line, finding.column, finding.width);
+        let label = format!("expected {}", finding.expected);
+        return vec![(finding.line, text, vec![Mark { span, label, primary: true }])];
+    }
+    let mut places: Vec<_> = finding.related.iter().enumerate().collect();
+    places.sort_by_key(|(_, place)| (place.line, place.column));
+    let mut lines: Vec<(usize, String, Vec<Mark>)> = Vec::new();
+    for (index, place) in places {
+        let (text, span) = shown_part(&place.source_line, place.column, place.width);
+        let label = format!("{}: {}", index + 1, place.message);
+        let mark = Mark { span, label, primary: index == 0 };
+        match lines.last_mut().filter(|(number, shown, _)| *number == place.line && *shown == text) {
+            Some((.., marks)) => marks.push(mark),
+            None => lines.push((place.line, text, vec![mark])),
+        }
+    }
+    lines
+}
+
 /// The line or a part of it round the place, and the place in it in bytes.
-fn shown_part(finding: &Finding) -> (String, std::ops::Range<usize>) {
-    let column = finding.column.saturating_sub(1);
+fn shown_part(line: &str, column: usize, width: usize) -> (String, std::ops::Range<usize>) {
+    let column = column.saturating_sub(1);
     let first = column.saturating_sub(LINE_CHARS_MAX / 2);
-    let chars = finding.source_line.chars().skip(first).take(LINE_CHARS_MAX);
+    let chars = line.chars().skip(first).take(LINE_CHARS_MAX);
     let shown: String = chars.map(|c| if c.is_control() && c != '\t' { ' ' } else { c }).collect();
     let byte = |chars: usize| shown.char_indices().nth(chars).map_or(shown.len(), |(at, _)| at);
     let start = byte(column - first);
-    let end = byte((column - first).saturating_add(finding.width)).max(start);
+    let end = byte((column - first).saturating_add(width)).max(start);
     (shown, start..end)
 }

@@ -2,7 +2,7 @@
 
 use serde_json::{Value, json};
 
-use crate::finding::{Code, Finding, Severity};
+use crate::finding::{Code, Finding, Related, Severity};
 
 /// One run with all findings, and a rule for each code that occurs.
 #[must_use]
@@ -58,12 +58,28 @@ fn result(finding: &Finding, codes: &[Code]) -> Value {
             "endColumn": finding.column.max(1) + finding.width.max(1),
         });
     }
+    let related: Vec<Value> = finding.related.iter().map(|place| related(&uri, place)).collect();
     json!({
         "ruleId": finding.code.as_str(),
         "ruleIndex": codes.binary_search(&finding.code).unwrap_or(0),
         "level": level(finding.severity),
         "message": {"text": text},
         "locations": [{"physicalLocation": location}],
+        "relatedLocations": related,
+    })
+}
+
+fn related(uri: &str, place: &Related) -> Value {
+    json!({
+        "message": {"text": place.message},
+        "physicalLocation": {
+            "artifactLocation": {"uri": uri},
+            "region": {
+                "startLine": place.line,
+                "startColumn": place.column.max(1),
+                "endColumn": place.column.max(1) + place.width.max(1),
+            },
+        },
     })
 }
 

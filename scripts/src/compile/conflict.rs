@@ -1,11 +1,11 @@
 //! Times that contradict each other, told in the lines of the file: the chain, and what would mend it.
 
+use std::collections::HashMap;
+
 use urrcp::Span;
 
 use crate::finding::{Code, Pending, Place};
-use crate::locate::lines_of;
 use crate::scenario::{Act, Anchor, Relation};
-use crate::source::Source;
 use crate::timing::{Bound, Conflict, ConstraintId, Link};
 
 /// Most links of a chain that are told.
@@ -20,33 +20,14 @@ pub(super) enum Origin {
     Zone { zone: Option<String>, first: usize, second: usize, auto: bool },
 }
 
-pub(super) fn finding(
-    sources: &[Source],
-    act: &Act,
-    origins: &std::collections::HashMap<ConstraintId, Origin>,
-    conflict: &Conflict,
-) -> Pending {
+pub(super) fn finding(act: &Act, origins: &HashMap<ConstraintId, Origin>, conflict: &Conflict) -> Pending {
     let teller = Teller { act };
     let links: Vec<(&Link, Option<&Origin>)> =
         conflict.chain.iter().map(|link| (link, link.constraint.and_then(|id| origins.get(&id)))).collect();
-    let places: Vec<Place> = links
-        .iter()
-        .map(|(_, origin)| origin.map_or_else(|| act.place.clone(), |o| teller.place(o)))
-        .collect();
-    // Cues stand in the scenario's own file; line numbers of other files are not looked up.
-    let lines = sources.first().map(|source| lines_of(source, &places)).unwrap_or_default();
-    let mut parts: Vec<String> = Vec::new();
-    for ((link, origin), line) in links.iter().zip(&lines).take(LINKS_MAX) {
-        parts.push(match origin {
-            Some(origin) => format!("{} (line {line})", teller.says(origin, link)),
-            None => "nothing starts before the act".to_owned(),
-        });
-    }
-    if links.len() > LINKS_MAX {
-        parts.push(format!("and {} more", links.len() - LINKS_MAX));
-    }
-    let message = format!("{}: {} too tight", parts.join(", "), conflict.excess);
-    let place = places.first().cloned().unwrap_or_default();
+    let told = links.iter().filter_map(|(link, origin)| Some((*link, (*origin)?))).take(LINKS_MAX);
+    let related: Vec<(Place, String)> =
+        told.map(|(link, origin)| (teller.place(origin), teller.says(origin, link))).collect();
+    let place = related.first().map_or_else(|| act.place.clone(), |(place, _)| place.clone());
     let mends: Vec<String> = conflict
         .corrections
         .iter()
@@ -60,8 +41,14 @@ pub(super) fn finding(
         [only] => only.clone(),
         several => format!("any one of: {}", several.join("; ")),
     };
-    let expected = "times that can all be kept".to_owned();
-    Pending { code: Code::Conflict, place, message, expected, hint: Some(hint) }
+    Pending {
+        code: Code::Conflict,
+        place,
+        message: format!("these times contradict each other: {} too tight", conflict.excess),
+        expected: "times that can all be kept".to_owned(),
+        hint: Some(hint),
+        related,
+    }
 }
 
 struct Teller<'a> {

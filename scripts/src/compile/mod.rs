@@ -48,21 +48,19 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
     let Documents { sources, nodes } = documents;
     drop(nodes);
     let readable = reader.found.is_empty();
-    let mut compiler =
-        Compiler { scenario: scenario.unwrap_or_default(), sources: &sources, findings: reader };
+    let mut compiler = Compiler { scenario: scenario.unwrap_or_default(), findings: reader };
     let choreography = compiler.choreography(fleet, readable);
     let findings = locate(&sources, compiler.findings.found);
     let sound = findings.iter().all(|finding| finding.severity == Severity::Warning);
     Compiled { choreography: choreography.filter(|_| sound), findings }
 }
 
-struct Compiler<'a> {
+struct Compiler {
     scenario: Scenario,
-    sources: &'a [Source],
     findings: Reader,
 }
 
-impl Compiler<'_> {
+impl Compiler {
     /// `readable`: nothing was left out in reading, so that what refers to something else can be judged.
     fn choreography(&mut self, fleet: &Fleet, readable: bool) -> Option<Choreography> {
         let scenario = std::mem::take(&mut self.scenario);
@@ -75,8 +73,7 @@ impl Compiler<'_> {
             let before = cast::leading_to(&acts, index);
             let positions = cast::Positions::after(fleet, &before, &rests, index == 0);
             let members: Vec<_> = act.cues.iter().map(|cue| cast.members(&mut self.findings, cue)).collect();
-            let (times, consistent) =
-                schedule::schedule(&mut self.findings, self.sources, act, &members, &cast);
+            let (times, consistent) = schedule::schedule(&mut self.findings, act, &members, &cast);
             let mut performer = perform::Performer::new(&mut self.findings, &cast, &mut fits);
             for ((cue, members), time) in act.cues.iter().zip(&members).zip(&times) {
                 performer.cue(cue, members, time);

@@ -12,7 +12,6 @@ use crate::finding::{Code, did_you_mean, names};
 use crate::node::shortened;
 use crate::plan::PlannedCue;
 use crate::scenario::{Act, Anchor, Cue, Motion, Name, Order, Relation};
-use crate::source::Source;
 use crate::timing::{ConstraintId, Effort, Event, Network, Ordering, Schedule, Task, order};
 
 /// When a cue takes place.
@@ -28,7 +27,6 @@ pub(super) struct CueTime {
 /// The start and end of each cue, and whether they satisfy everything that is asked.
 pub(super) fn schedule(
     findings: &mut Reader,
-    sources: &[Source],
     act: &Act,
     members: &[Members],
     cast: &Cast<'_>,
@@ -47,7 +45,7 @@ pub(super) fn schedule(
     let consistent = match times.network.solve() {
         Ok(schedule) => times.order_auto(findings, &shared, schedule),
         Err(conflict) => {
-            findings.found.push(conflict::finding(sources, act, &times.origins, &conflict));
+            findings.found.push(conflict::finding(act, &times.origins, &conflict));
             None
         }
     };

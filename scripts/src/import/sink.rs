@@ -62,6 +62,7 @@ impl Sink {
             expected: expected.into(),
             hint: hint.map(str::to_owned),
             source_line: shown(spot.text, spot.start),
+            related: Vec::new(),
         });
     }
 

@@ -173,7 +173,12 @@ impl<'a> Actuator<'a> {
     }
 
     fn on_grid(&self, value: f64) -> f64 {
-        self.limits.map_or(value, |limits| limits.nearest(value).clamp(limits.min_value, limits.max_value))
+        self.limits.map_or(value, |limits| {
+            tidy(
+                limits.nearest(value).clamp(limits.min_value, limits.max_value),
+                tidy_scale(limits.granularity),
+            )
+        })
     }
 
     fn means(&self, shape: Shape, thinned: bool) -> Means {
@@ -224,7 +229,7 @@ impl<'a> Actuator<'a> {
             }))
         });
         match fit.as_ref() {
-            Ok(fit) => fitted.add(begin, fit),
+            Ok(fit) => fitted.add(begin, fit, limits.granularity),
             Err(needed) => {
                 fitted.needed = Some(fitted.needed.map_or(*needed, |known| known.max(*needed)));
                 fitted.direct(&[Value { at: curve.knots[last].at, to: curve.knots[last].to }]);
@@ -302,6 +307,19 @@ impl<'a> Actuator<'a> {
     }
 }
 
+/// By what values on a grid are multiplied to be rounded to whole numbers: so finely that they move far less than a
+/// millionth of the granularity.
+fn tidy_scale(granularity: f64) -> f64 {
+    10f64.powf((-granularity.log10()).ceil().max(0.0) + 7.0)
+}
+
+/// A value on a grid without the dust of its multiplication: fewer digits on the wire.
+fn tidy(value: f64, scale: f64) -> f64 {
+    let scaled = value * scale;
+    // Beyond this doubles have no fractions left.
+    if scaled.abs() < 9e15 { scaled.round() / scale } else { value }
+}
+
 struct Sampled {
     times: Vec<f64>,
     values: Vec<f64>,
@@ -319,9 +337,11 @@ impl Fitted {
         }
     }
 
-    fn add(&mut self, begin: Span, fit: &Fit) {
+    fn add(&mut self, begin: Span, fit: &Fit, granularity: f64) {
         let at = |millis: f64| begin + Span::from_millis_f64(millis);
-        self.steps.extend(fit.steps.iter().skip(1).map(|&(time, to)| Value { at: at(time), to }));
+        let scale = tidy_scale(granularity);
+        let value = |&(time, to): &(f64, f64)| Value { at: at(time), to: tidy(to, scale) };
+        self.steps.extend(fit.steps.iter().skip(1).map(value));
         self.at_least += fit.at_least.saturating_sub(1);
         if fit.worst > self.worst {
             (self.worst, self.worst_at) = (fit.worst, at(fit.worst_at));

@@ -82,5 +82,6 @@ fn about(code: Code, path: &Path, message: String, expected: &str, hint: Option<
         expected: expected.to_owned(),
         hint: hint.map(str::to_owned),
         source_line: String::new(),
+        related: Vec::new(),
     }
 }
