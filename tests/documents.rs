@@ -26,6 +26,17 @@ fn blocks(text: &str, opening: &str) -> Vec<String> {
     blocks
 }
 
+/// Blocks that open with "```yaml file NAME": files that the scenarios of the document use.
+fn files(text: &str) -> Vec<(String, String)> {
+    let openings = text.lines().filter(|line| line.starts_with("```yaml file "));
+    openings
+        .map(|opening| {
+            let name = opening.trim_start_matches("```yaml file ").trim().to_owned();
+            (name, blocks(text, opening.trim()).concat())
+        })
+        .collect()
+}
+
 #[test]
 fn every_scenario_in_the_documents_is_sound() {
     for document in ["docs/scenario.md", "README.md"] {
@@ -34,6 +45,9 @@ fn every_scenario_in_the_documents_is_sound() {
         for scenario in scenarios {
             let session = Session::new();
             session.file("test.yaml", &scenario);
+            for (name, content) in files(&read(document)) {
+                session.file(&name, content);
+            }
             let fleet = root().join("fleet.yaml");
             let ran = session.run(&["check", "test.yaml", "--fleet", fleet.to_str().unwrap()]);
             assert_eq!(ran.code(), 0, "{document}:\n{scenario}\n{}", ran.text());
