@@ -9,4 +9,5 @@ mod import;
 mod import_real;
 mod ntp;
 mod processes;
+mod real_scenarios;
 mod session;

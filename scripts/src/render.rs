@@ -2,8 +2,12 @@
 
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 
-use crate::finding::{Finding, Severity};
+use std::collections::HashMap;
 
+use crate::finding::{Code, Finding, Severity};
+
+/// Most warnings of one code that are shown.
+const WARNINGS_MAX: usize = 20;
 /// Longest part of a line that is shown, in characters.
 const LINE_CHARS_MAX: usize = 160;
 
@@ -17,9 +21,24 @@ pub(crate) fn line_of(text: &str, number: usize) -> &str {
 pub fn render(findings: &[Finding], colour: bool) -> String {
     let renderer = if colour { Renderer::styled() } else { Renderer::plain() };
     let mut text = String::new();
+    let mut shown: HashMap<Code, usize> = HashMap::new();
     for finding in findings {
-        text.push_str(&render_one(&renderer, finding));
-        text.push_str("\n\n");
+        let count = shown.entry(finding.code).or_default();
+        *count += 1;
+        if finding.severity == Severity::Error || *count <= WARNINGS_MAX {
+            text.push_str(&render_one(&renderer, finding));
+            text.push_str("\n\n");
+        }
+    }
+    let mut hidden: Vec<_> = shown
+        .into_iter()
+        .filter(|(code, count)| code.severity() == Severity::Warning && *count > WARNINGS_MAX)
+        .collect();
+    hidden.sort_unstable();
+    for (code, count) in hidden {
+        let more = counted(count - WARNINGS_MAX, "warning");
+        let code = code.as_str();
+        text.push_str(&format!("and {more} of {code} more: `--format json` lists all of them\n\n"));
     }
     let errors = findings.iter().filter(|finding| finding.severity == Severity::Error).count();
     text.push_str(&format!("{}, {}", counted(errors, "error"), counted(findings.len() - errors, "warning")));

@@ -52,7 +52,12 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
         let sound = limits.iter().all(|limits| limits.contains(knot.to) && limits.on_grid(knot.to));
         if !sound {
             let first = seen.insert((knot.item, knot.to.to_bits()));
-            if let Some(broken) = limits.iter().find(|limits| !limits.contains(knot.to)) {
+            let beyond = |limits: &&&Limits| {
+                // What rounding to the grid takes back is none.
+                let nearest = limits.nearest(knot.to);
+                !limits.contains(knot.to) && !(snaps(on.cue) && is_written(&knot) && limits.contains(nearest))
+            };
+            if let Some(broken) = limits.iter().find(beyond) {
                 if first {
                     out_of_range(findings, on, control_type, &knot, broken);
                 }

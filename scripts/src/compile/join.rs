@@ -2,12 +2,15 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use urrcp::{Device, DeviceId, Interpolation, Millis, Script, Setpoint, Span, Step, StopCondition};
+use urrcp::{
+    ControlType, Device, DeviceId, Interpolation, Millis, Script, Setpoint, Span, Step, StopCondition,
+};
 
 use super::cast::{Cast, Positions, Rest};
 use super::perform::{Segment, Steps};
 use crate::fields::Reader;
 use crate::finding::Code;
+use crate::motion::Value;
 use crate::plan::{DeviceScript, DeviceUse, RobotPlan, is_rate};
 use crate::render::counted;
 use crate::scenario::Scenario;
@@ -41,7 +44,8 @@ pub(super) fn join(
     for ((robot, index), mut segments) in segments {
         segments.sort_by_key(Segment::start);
         let device = &cast.devices(robot)[index];
-        let lane = Lane { scenario, robot: cast.id(robot), device, segments: &segments };
+        let speed = cast.limits(robot, device, ControlType::Position).speed;
+        let lane = Lane { scenario, robot: cast.id(robot), device, speed, segments: &segments };
         lane.check_overlaps(findings);
         lane.check_jumps(findings, positions.of(robot, index));
         lane.check_left_in_motion(findings);
@@ -66,6 +70,8 @@ struct Lane<'a> {
     scenario: &'a Scenario,
     robot: &'a urrcp::RobotId,
     device: &'a Device,
+    /// Its largest speed, driven by position.
+    speed: Option<f64>,
     segments: &'a [Segment],
 }
 
@@ -102,28 +108,45 @@ impl Lane<'_> {
         let mut position = begin.map(|value| (value, "where it is when the act begins".to_owned()));
         for segment in self.segments {
             let Steps::One(values) = &segment.part.steps else { return };
-            let position_control = segment.part.control_type == urrcp::ControlType::Position;
+            let position_control = segment.part.control_type == ControlType::Position;
             if !self.moves() || !position_control {
                 return;
             }
             let (Some(first), Some(last)) = (values.first(), values.last()) else { continue };
-            if let Some((from, whence)) = &position
-                && !segment.part.moves_from_anywhere
-                && (first.to - from).abs() > segment.part.tolerance.max(1e-9)
-            {
-                let message = format!(
-                    "`{}` of `{}` has to jump from {from}, {whence}, to {} at {}",
-                    self.device.id,
-                    self.robot,
-                    first.to,
-                    segment.begin + first.at
-                );
-                let expected = format!("a first keyframe of {from}, or one later than 0s");
-                let hint = Some("a first keyframe later than 0s is reached by moving there".to_owned());
-                findings.add(Code::Jump, segment.part.place.clone(), message, expected, hint);
+            if let Some((from, whence)) = &position {
+                let way = (first.to - from).abs();
+                match segment.part.moves_from_anywhere {
+                    true => self.check_way_there(findings, segment, *from, first),
+                    false if way > segment.part.tolerance.max(1e-9) => {
+                        self.jump(findings, segment, *from, whence, first);
+                    }
+                    false => {}
+                }
             }
             position = Some((last.to, format!("where `{}` leaves it", segment.cue)));
         }
+    }
+
+    fn jump(&self, findings: &mut Reader, segment: &Segment, from: f64, whence: &str, first: &Value) {
+        let at = segment.begin + first.at;
+        let (device, robot, to) = (&self.device.id, self.robot, first.to);
+        let message = format!("`{device}` of `{robot}` has to jump from {from}, {whence}, to {to} at {at}");
+        let expected = format!("a first keyframe of {from}, or one later than 0s");
+        let hint = Some("a first keyframe later than 0s is reached by moving there".to_owned());
+        findings.add(Code::Jump, segment.part.place.clone(), message, expected, hint);
+    }
+
+    /// The way to a first keyframe later than 0s, from where the device is.
+    fn check_way_there(&self, findings: &mut Reader, segment: &Segment, from: f64, first: &Value) {
+        let seconds = first.at.as_millis_f64() / 1_000.0;
+        let needed = (first.to - from).abs() / seconds;
+        let Some(speed) = self.speed.filter(|speed| needed > speed * (1.0 + 1e-6)) else { return };
+        let message = format!(
+            "`{}` of `{}` has {} to get from {from} to its first keyframe, {}: a speed of {needed:.4}",
+            self.device.id, self.robot, first.at, first.to
+        );
+        let hint = Some(format!("put the first keyframe at {:.3} s or later", seconds * needed / speed));
+        findings.add(Code::Jump, segment.part.place.clone(), message, format!("at most {speed}"), hint);
     }
 
     /// A rate that nothing ends: neither a last step of the resting value nor a lease.
