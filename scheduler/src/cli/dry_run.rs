@@ -57,7 +57,9 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         };
         if let Some(path) = &args.picture {
             let path = if acts.len() > 1 { numbered(path, index + 1) } else { path.clone() };
-            if let Err(error) = std::fs::write(&path, picture::draw(&act.plan, &played)) {
+            if let Err(error) =
+                std::fs::write(&path, picture::draw(act, &fleet::robots_of(&fleet, &act.plan), &played))
+            {
                 console::error(&format!("cannot write {}: {error}", path.display()));
                 return Exit::Usage;
             }

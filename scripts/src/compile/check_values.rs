@@ -55,7 +55,8 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
             let beyond = |limits: &&&Limits| {
                 // What rounding to the grid takes back is none.
                 let nearest = limits.nearest(knot.to);
-                !limits.contains(knot.to) && !(snaps(on.cue) && is_written(&knot) && limits.contains(nearest))
+                let rounded = snaps(on.cue) && is_written(&knot) && limits.contains(nearest);
+                !limits.contains(knot.to) && !rounded
             };
             if let Some(broken) = limits.iter().find(beyond) {
                 if first {
