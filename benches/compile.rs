@@ -137,8 +137,9 @@ fn large_file(name: &str, eased: usize) {
 
 /// A short scenario whose repeated move makes `steps` steps on one device.
 fn expanding(steps: usize) -> String {
-    let keyframes: String =
-        (0..100).map(|i| format!("{{at: {}ms, to: {}}}, ", i * 10, f64::from((i * 37) % 100) / 10.0)).collect();
+    let keyframes: String = (0..100)
+        .map(|i| format!("{{at: {}ms, to: {}}}, ", i * 10, f64::from((i * 37) % 100) / 10.0))
+        .collect();
     format!(
         "scenario: short\nmoves:\n  shake:\n    tracks:\n      x: [{keyframes}{{at: 1s, to: 0}}]\ncues:\n  - {{at: 0s, robots: r0, move: shake, repeat: {}}}\n",
         steps / 100
@@ -221,7 +222,10 @@ fn many_findings() {
         shown = compiled.findings.len();
         render(&compiled.findings, false)
     });
-    println!("{shown} findings found, placed and rendered in {:.0} ms (bound 1,000)", time.as_secs_f64() * 1e3);
+    println!(
+        "{shown} findings found, placed and rendered in {:.0} ms (bound 1,000)",
+        time.as_secs_f64() * 1e3
+    );
 }
 
 fn main() {

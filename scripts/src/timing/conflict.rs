@@ -9,7 +9,7 @@ use petgraph::graph::{EdgeIndex, NodeIndex};
 /// How many arcs may be looked at in the search for the smallest contradiction.
 const WORK_MAX: usize = 200_000_000;
 /// How many arcs may be looked at in the search for corrections.
-const CORRECTION_WORK_MAX: usize = 400_000_000;
+const CORRECTION_WORK_MAX: usize = 50_000_000;
 
 /// Which bound of a constraint.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

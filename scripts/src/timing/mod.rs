@@ -18,4 +18,6 @@ pub use order::{Effort, Found, Ordering, Task, order};
 pub use solved::Solved;
 
 #[cfg(test)]
+mod real;
+#[cfg(test)]
 mod tests;

@@ -69,19 +69,32 @@ impl Arc {
     }
 }
 
+impl Arc {
+    /// Whether what raises its beginning raises its end.
+    fn leads_on(&self, times: &[i64]) -> bool {
+        let from = times[self.from as usize];
+        from != UNREACHED && from.saturating_add(self.weight) >= times[self.to as usize]
+    }
+}
+
 /// The least times at or above the given ones that satisfy every arc; or the arcs of a positive cycle.
 ///
-/// Goldberg and Radzik's method: a pass sorts the nodes that violated arcs reach, over violated arcs only, and relaxes them
-/// in topological order. A cycle of violated arcs is a positive cycle, and so is a cycle of the arcs that raised their ends
-/// last (Cherkassky and Goldberg, Mathematical Programming 85, 1999), of which one appears if there is any positive cycle.
+/// Goldberg and Radzik's method: a pass sorts the nodes that active ones reach over violated and tight arcs, and relaxes
+/// them in topological order. A cycle of such arcs with a violated one is positive, and so is a cycle of the arcs that
+/// raised their ends last (Cherkassky and Goldberg, Mathematical Programming 85, 1999); one of these appears if there is
+/// any positive cycle.
 pub(super) fn longest(arcs: &Arcs, mut times: Vec<i64>) -> Result<Vec<i64>, Vec<Arc>> {
     let nodes = arcs.nodes();
     let mut search = Search { state: vec![State::New; nodes], stack: Vec::new(), order: Vec::new() };
     let mut raised_by: Vec<Option<Arc>> = vec![None; nodes];
+    let mut raises = 0;
+    let mut queued = vec![true; nodes];
     let mut active: Vec<u32> = (0..u32::try_from(nodes).unwrap_or(u32::MAX)).collect();
     while !active.is_empty() {
         for node in active.drain(..) {
-            if search.state[node as usize] == State::New {
+            queued[node as usize] = false;
+            let works = |arc: &Arc| arc.raises(&times).is_some();
+            if search.state[node as usize] == State::New && arcs.of(node as usize).iter().any(works) {
                 search.visit(arcs, &times, node)?;
             }
         }
@@ -92,20 +105,22 @@ pub(super) fn longest(arcs: &Arcs, mut times: Vec<i64>) -> Result<Vec<i64>, Vec<
                 if let Some(later) = arc.raises(&times) {
                     times[arc.to as usize] = later;
                     raised_by[arc.to as usize] = Some(*arc);
-                    if search.state[arc.to as usize] == State::New {
+                    raises += 1;
+                    if search.state[arc.to as usize] == State::New && !queued[arc.to as usize] {
                         // Not ahead of us in this pass: the next one looks at it again.
+                        queued[arc.to as usize] = true;
                         active.push(arc.to);
                     }
                 }
             }
         }
         search.order.clear();
-        active.sort_unstable();
-        active.dedup();
-        if !active.is_empty()
-            && let Some(cycle) = cycle_of(&raised_by)
-        {
-            return Err(cycle);
+        // A look at all nodes for as many raises costs no more than the raises themselves.
+        if raises >= nodes {
+            raises = 0;
+            if let Some(cycle) = cycle_of(&raised_by) {
+                return Err(cycle);
+            }
         }
     }
     Ok(times)
@@ -169,7 +184,7 @@ impl Search {
                 continue;
             };
             *followed += 1;
-            if arc.raises(times).is_none() {
+            if !arc.leads_on(times) {
                 continue;
             }
             match self.state[arc.to as usize] {
@@ -177,7 +192,12 @@ impl Search {
                     self.state[arc.to as usize] = State::Open;
                     self.stack.push((arc.to, 0));
                 }
-                State::Open => return Err(self.cycle(arcs, arc.to)),
+                State::Open => {
+                    let cycle = self.cycle(arcs, arc.to);
+                    if cycle.iter().any(|arc| arc.raises(times).is_some()) {
+                        return Err(cycle);
+                    }
+                }
                 State::Closed => {}
             }
         }

@@ -151,11 +151,15 @@ impl<'a> Shop<'a> {
 
     /// The longest way from each event to any other, by lower bounds alone.
     fn longest_tails(&self) -> Vec<i64> {
-        let reversed = (0..self.nodes)
-            .flat_map(|to| self.backward[to].iter().map(move |(from, weight)| (to, *from, *weight, 0)))
-            .collect::<Vec<_>>();
-        let arcs = Arcs::new(self.nodes, reversed.into_iter());
+        let arcs = self.backward_arcs();
         longest(&arcs, vec![0; self.nodes]).unwrap_or_else(|_| vec![0; self.nodes])
+    }
+
+    /// Lower bounds from their ends to their beginnings.
+    fn backward_arcs(&self) -> Arcs {
+        let reversed = (0..self.nodes)
+            .flat_map(|to| self.backward[to].iter().map(move |(from, weight)| (to, *from, *weight, 0)));
+        Arcs::new(self.nodes, reversed)
     }
 
     fn zone_tasks(&self, zone: usize) -> Vec<usize> {
@@ -185,20 +189,13 @@ impl<'a> Shop<'a> {
 
     /// The latest time of each event that its deadlines and those of what follows allow.
     fn latest(&self, deadline: &HashMap<usize, i64>) -> Vec<i64> {
-        let mut latest = vec![i64::MAX / 4; self.nodes];
+        let mut negated = vec![UNREACHED; self.nodes];
         for (&event, &bound) in deadline {
-            latest[event] = bound;
+            negated[event] = -bound;
         }
-        let mut order: Vec<usize> = (0..self.nodes).collect();
-        order.sort_by_key(|node| self.tails[*node]);
-        for _ in 0..2 {
-            for &node in &order {
-                for &(to, weight) in &self.forward[node] {
-                    latest[node] = latest[node].min(latest[to] - weight);
-                }
-            }
-        }
-        latest
+        let negated = longest(&self.backward_arcs(), negated).unwrap_or_default();
+        let latest = |time: &i64| if *time == UNREACHED { i64::MAX / 4 } else { -time };
+        negated.iter().map(latest).collect()
     }
 
     /// No order ends earlier.
