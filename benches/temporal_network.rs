@@ -37,7 +37,11 @@ impl Random {
 
 impl Shape {
     /// Cues with start and end; event 0 is the origin, 1 and 2 the first cue's.
-    fn cues(name: &'static str, cues: usize, number: impl Fn(usize) -> usize) -> (Self, impl Fn(usize) -> (usize, usize)) {
+    fn cues(
+        name: &'static str,
+        cues: usize,
+        number: impl Fn(usize) -> usize,
+    ) -> (Self, impl Fn(usize) -> (usize, usize)) {
         let events: Vec<_> = (0..cues).map(|cue| (1 + 2 * number(cue), 2 + 2 * number(cue))).collect();
         let bounds = events.iter().map(|(start, end)| (*start, *end, Some(1_000), Some(1_000))).collect();
         (Self { name, events: 1 + 2 * cues, bounds }, move |cue| events[cue])
@@ -59,7 +63,12 @@ impl Shape {
         let mut random = Random(7);
         for cue in 1..cues {
             for _ in 0..2 {
-                shape.bounds.push((event(random.below(cue)).1, event(cue).0, Some(random.below(100) as i64), None));
+                shape.bounds.push((
+                    event(random.below(cue)).1,
+                    event(cue).0,
+                    Some(random.below(100) as i64),
+                    None,
+                ));
             }
         }
         shape
@@ -134,7 +143,10 @@ fn shapes(cues: usize) -> Vec<Shape> {
 }
 
 fn solve_all() {
-    println!("{:<34} {:>11} {:>11} {:>10} {:>16} {:>8}", "100,000 cues", "constraints", "solve", "cues", "Bellman-Ford", "ratio");
+    println!(
+        "{:<34} {:>11} {:>11} {:>10} {:>16} {:>8}",
+        "100,000 cues", "constraints", "solve", "cues", "Bellman-Ford", "ratio"
+    );
     // Bellman-Ford is quadratic on most of these: it is run on as many cues as take it seconds.
     for (shape, small) in shapes(CUES).iter().zip(shapes(2_000)) {
         let (network, _) = shape.network();
@@ -212,10 +224,15 @@ fn orders() {
     for (name, shop) in all.as_object().unwrap() {
         let mut network = Network::new();
         let mut tasks = Vec::new();
-        let rows = shop["duration_matrix"].as_array().unwrap().iter().zip(shop["machines_matrix"].as_array().unwrap());
+        let rows = shop["duration_matrix"]
+            .as_array()
+            .unwrap()
+            .iter()
+            .zip(shop["machines_matrix"].as_array().unwrap());
         for (durations, machines) in rows {
             let mut last = network.origin();
-            for (duration, machine) in durations.as_array().unwrap().iter().zip(machines.as_array().unwrap()) {
+            for (duration, machine) in durations.as_array().unwrap().iter().zip(machines.as_array().unwrap())
+            {
                 let (start, end) = (network.event(), network.event());
                 let duration = Span::from_millis(duration.as_i64().unwrap());
                 network.constrain(start, end, Some(duration), Some(duration));

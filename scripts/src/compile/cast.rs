@@ -79,8 +79,12 @@ impl<'a> Cast<'a> {
     }
 
     pub(super) fn limits(&self, robot: usize, device: &Device, control_type: ControlType) -> RateLimits {
-        let given = self.fleet.robots[robot].limits.get(device.id.as_str()).copied().unwrap_or_default();
-        given.or_declared(device, control_type)
+        self.given_limits(robot, device).or_declared(device, control_type)
+    }
+
+    /// As the fleet file has them.
+    pub(super) fn given_limits(&self, robot: usize, device: &Device) -> RateLimits {
+        self.fleet.robots[robot].limits.get(device.id.as_str()).copied().unwrap_or_default()
     }
 
     /// `robot `a` has`, `robots `a`, `b` have`.

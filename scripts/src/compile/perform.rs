@@ -9,7 +9,8 @@ use super::cast::{Cast, Member, Members};
 use super::schedule::CueTime;
 use super::{check_motion, check_values};
 use crate::fields::Reader;
-use crate::finding::{Code, Place, did_you_mean, names};
+use crate::finding::{Code, Place, Severity, did_you_mean, names};
+use crate::fleet::RateLimits;
 use crate::motion::{Actuator, Curve, Fits, Value};
 use crate::node::shortened;
 use crate::plan::PlannedReading;
@@ -96,7 +97,14 @@ pub(super) struct Performer<'c, 'a> {
 /// Robots of one kind that do the same.
 struct Alike {
     movement: usize,
-    kind: usize,
+    members: Vec<Member>,
+}
+
+/// Robots whose device of one name is the same.
+struct Class<'a> {
+    index: usize,
+    device: &'a Device,
+    limits: RateLimits,
     members: Vec<Member>,
 }
 
@@ -127,15 +135,19 @@ impl<'c, 'a> Performer<'c, 'a> {
         for member in &members.all {
             let key = (member.movement, self.cast.kind(member.robot));
             let at = *index_of.entry(key).or_insert_with(|| {
-                alike.push(Alike { movement: key.0, kind: key.1, members: Vec::new() });
+                alike.push(Alike { movement: key.0, members: Vec::new() });
                 alike.len() - 1
             });
             alike[at].members.push(*member);
         }
         let name: Arc<str> = cue.name.as_str().into();
         self.missing_devices(cue, &alike);
-        for group in &alike {
-            self.group(cue, &name, group, time);
+        let mut movements: Vec<usize> = alike.iter().map(|group| group.movement).collect();
+        movements.sort_unstable();
+        movements.dedup();
+        for movement in movements {
+            let groups: Vec<&Alike> = alike.iter().filter(|group| group.movement == movement).collect();
+            self.movement(cue, &name, &groups, time);
         }
         self.readings(cue, members, time);
     }
@@ -167,27 +179,46 @@ impl<'c, 'a> Performer<'c, 'a> {
         }
     }
 
-    fn group(&mut self, cue: &Cue, name: &Arc<str>, group: &Alike, time: &CueTime) {
-        let robots: Vec<usize> = group.members.iter().map(|member| member.robot).collect();
-        let _ = (group.movement, group.kind);
-        for track in &cue.movement_of(&group.members[0]).tracks {
-            let devices = self.cast.devices(robots[0]);
+    /// The tracks of one movement, each compiled once for all robots whose device is the same.
+    fn movement(&mut self, cue: &Cue, name: &Arc<str>, groups: &[&Alike], time: &CueTime) {
+        let first = &groups[0].members[0];
+        for track in &cue.movement_of(first).tracks {
+            for class in self.classes(track, groups) {
+                let robots: Vec<usize> = class.members.iter().map(|member| member.robot).collect();
+                let on = OnDevice { cue, track, device: class.device, robots: &robots, cast: self.cast };
+                let Some(part) = self.part(&on, time.factor) else { continue };
+                let part = Arc::new(part);
+                for member in class.members {
+                    let segment = Segment {
+                        begin: time.start + member.delay,
+                        cue: name.clone(),
+                        stop_condition: cue.stop_condition,
+                        part: part.clone(),
+                    };
+                    self.segments.entry((member.robot, class.index)).or_default().push(segment);
+                }
+            }
+        }
+    }
+
+    fn classes(&self, track: &Track, groups: &[&Alike]) -> Vec<Class<'a>> {
+        let mut classes: Vec<Class<'a>> = Vec::new();
+        for group in groups {
+            let robot = group.members[0].robot;
+            let devices = self.cast.devices(robot);
             let Some(index) = devices.iter().position(|device| device.id.as_str() == track.device) else {
                 continue;
             };
-            let on = OnDevice { cue, track, device: &devices[index], robots: &robots, cast: self.cast };
-            let Some(part) = self.part(&on, time.factor) else { continue };
-            let part = Arc::new(part);
-            for member in &group.members {
-                let segment = Segment {
-                    begin: time.start + member.delay,
-                    cue: name.clone(),
-                    stop_condition: cue.stop_condition,
-                    part: part.clone(),
-                };
-                self.segments.entry((member.robot, index)).or_default().push(segment);
+            let (device, limits) = (&devices[index], self.cast.given_limits(robot, &devices[index]));
+            let same = |class: &&mut Class<'a>| {
+                class.index == index && class.limits == limits && *class.device == *device
+            };
+            match classes.iter_mut().find(same) {
+                Some(class) => class.members.extend(&group.members),
+                None => classes.push(Class { index, device, limits, members: group.members.clone() }),
             }
         }
+        classes
     }
 
     fn part(&mut self, on: &OnDevice<'_>, factor: f64) -> Option<Part> {
@@ -209,15 +240,25 @@ impl<'c, 'a> Performer<'c, 'a> {
             curve.stretch(factor);
         }
         let actuator = Actuator::new(on.device, control_type);
+        let before = self.findings.found.len();
         check_values::check(self.findings, on, control_type, &mut curve);
+        let errors = self.findings.found[before..].iter();
+        let sound = !errors.clone().any(|finding| finding.code.severity() == Severity::Error);
         check_motion::check(self.findings, on, control_type, &curve);
         self.check_beginning(on, &actuator, &curve);
         curve.knots.first()?;
-        self.fitted(on, &actuator, &curve)
+        self.fitted(on, &actuator, &curve, sound)
     }
 
     /// The fewest steps within the tolerance; or the least error with so many steps, where the track asks for that.
-    fn fitted(&mut self, on: &OnDevice<'_>, actuator: &Actuator<'_>, curve: &Curve) -> Option<Part> {
+    /// Of values that are wrong by themselves nothing more is said.
+    fn fitted(
+        &mut self,
+        on: &OnDevice<'_>,
+        actuator: &Actuator<'_>,
+        curve: &Curve,
+        sound: bool,
+    ) -> Option<Part> {
         let own = actuator.tolerance();
         let thinned = on.track.tolerance.is_some() || on.track.steps_max.is_some();
         let mut tolerance = on.track.tolerance.unwrap_or(own);
@@ -227,7 +268,8 @@ impl<'c, 'a> Performer<'c, 'a> {
             if fitted.steps.len() > most || (fitted.worst > own && on.track.tolerance.is_none()) {
                 self.too_few_steps(on, most, &fitted, own);
             }
-        } else if let Some(needed) = fitted.needed {
+        } else if let Some(needed) = fitted.needed.filter(|_| sound) {
+            let needed = rounded_up(needed);
             let message = format!(
                 "no steps on the grid of {} keep the movement within {tolerance}",
                 on.who(actuator.control_type)
@@ -249,15 +291,24 @@ impl<'c, 'a> Performer<'c, 'a> {
     }
 
     fn too_few_steps(&mut self, on: &OnDevice<'_>, most: usize, fitted: &crate::motion::Fitted, own: f64) {
-        let message = format!(
-            "with {most} steps the movement is off by {:.4} at {}, {} steps in all",
-            fitted.worst,
-            fitted.worst_at,
-            fitted.steps.len()
-        );
+        let place = on.track.place.clone();
+        if fitted.steps.len() > most {
+            let message = format!("the movement takes {} steps at least", fitted.steps.len());
+            let hint = Some("allow more steps, or take keyframes out".to_owned());
+            self.findings.add(
+                Code::ToleranceTooTight,
+                place,
+                message,
+                format!("at most {most} (max_steps)"),
+                hint,
+            );
+            return;
+        }
+        let worst = rounded_up(fitted.worst);
+        let message = format!("with {most} steps the movement is off by {worst} at {}", fitted.worst_at);
         let expected = format!("at most {own} (max_error of `{}`)", on.device.id);
-        let hint = Some(format!("allow more steps, or add `tolerance: {:.4}` to the track", fitted.worst));
-        self.findings.add(Code::ToleranceTooTight, on.track.place.clone(), message, expected, hint);
+        let hint = Some(format!("allow more steps, or add `tolerance: {worst}` to the track"));
+        self.findings.add(Code::ToleranceTooTight, place, message, expected, hint);
     }
 
     fn check_beginning(&mut self, on: &OnDevice<'_>, actuator: &Actuator<'_>, curve: &Curve) {
@@ -283,6 +334,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         let what = match (device.available_control_types.script(), control_type) {
             (None, _) => "scripts".to_owned(),
             (Some(_), Some(control_type)) => format!("{control_type} in scripts"),
+            (Some(_), None) if several => "several values at once".to_owned(),
             (Some(_), None) => "being moved".to_owned(),
         };
         let available: Vec<_> = available.iter().map(ToString::to_string).collect();
@@ -365,7 +417,18 @@ pub(super) fn unknown_sensor(
         .collect();
     let message = format!("{} no sensor `{}`", cast.have(robots), shortened(sensor));
     let hint = did_you_mean(sensor, sensors.iter().copied());
-    findings.add(Code::UnknownSensor, place.clone(), message, format!("one of {}", names(sensors)), hint);
+    let expected = match sensors.is_empty() {
+        true => "a robot that has sensors".to_owned(),
+        false => format!("one of {}", names(sensors)),
+    };
+    findings.add(Code::UnknownSensor, place.clone(), message, expected, hint);
+}
+
+/// A figure for people that is no smaller than the number: four digits.
+fn rounded_up(value: f64) -> f64 {
+    let scale = 10f64.powf(3.0 - value.abs().log10().floor());
+    let rounded = (value * scale - 1e-6).ceil() / scale;
+    if rounded.is_finite() { rounded } else { value }
 }
 
 /// Whether a policy moves values to the grid.

@@ -58,7 +58,11 @@ pub(super) fn schedule(
 /// Every cue at its earliest by itself: what is known where the times contradict each other.
 fn natural(act: &Act, members: &[Members]) -> Vec<CueTime> {
     let time = |(cue, members): (&Cue, &Members)| {
-        let length = cue.duration.as_ref().map_or(members.length, |bounds| bounds.min);
+        let length = match &cue.duration {
+            Some(bounds) if bounds.max == Some(bounds.min) => bounds.min,
+            Some(bounds) => members.length.max(bounds.min),
+            None => members.length,
+        };
         let factor = factor(length, members.length);
         CueTime { start: Span::ZERO, end: length + members.delay, factor, slack: None }
     };

@@ -155,7 +155,12 @@ impl<'a> Actuator<'a> {
         let finest = self.limits.map_or(0.0, |limits| limits.granularity / 2.0).min(tolerance);
         let values = curve.knots.iter().map(|knot| knot.to);
         let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));
-        let mut wide = (high - low).max(tolerance).max(finest) * 2.0;
+        let swing = |knot: &super::Knot| match knot.shape {
+            Shape::Function { gain, .. } => gain.abs(),
+            _ => 0.0,
+        };
+        let swings = curve.knots.iter().map(swing).fold(0.0, f64::max);
+        let mut wide = (high - low + swings).max(tolerance).max(finest) * 2.0;
         let mut best = fit(wide, fits);
         let mut narrow = finest;
         for _ in 0..32 {

@@ -300,6 +300,27 @@ fn of_move(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, given: Optio
     tracks
 }
 
+/// Reads a move that no cue uses, as far as its parameters have values.
+pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, name: &str) {
+    let Some((file, node)) = library.moves.get(name).copied() else { return };
+    let root = At::document(&Node::Null, file);
+    let moves = root.entry("moves", 0, &Node::Null);
+    let body = moves.entry(name, 0, node);
+    let Node::Map(entries) = node else {
+        reader.wrong_type(&body, "a move: a map with `parameters` and `tracks`");
+        return;
+    };
+    let parameters = entries.iter().find(|(key, _)| key == "parameters").map(|(_, node)| node);
+    let known = |key: &str| matches!(key, "parameters" | "tracks");
+    let complete = matches!(parameters, None | Some(Node::Map(_)))
+        && !matches!(parameters, Some(Node::Map(all)) if all.iter().any(|(_, node)| *node == Node::Null));
+    if complete || !entries.iter().all(|(key, _)| known(key)) {
+        let own = Node::Text(name.to_owned());
+        let at = body.entry("tracks", 0, &own);
+        drop(of_move(reader, library, &at, None));
+    }
+}
+
 /// The value of each parameter: the one that is given, or its default.
 fn arguments(
     reader: &mut Reader,

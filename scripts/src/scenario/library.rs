@@ -1,6 +1,7 @@
 //! What cues share: included files, variables, moves, roles, the tempo.
 
-use std::collections::HashMap;
+use std::cell::RefCell;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use super::Name;
@@ -100,6 +101,7 @@ pub(crate) struct Library<'a> {
     pub(super) moves: HashMap<String, (u16, &'a Node)>,
     pub(super) roles: HashMap<String, Vec<Name>>,
     pub(super) files: &'a dyn Files,
+    used: RefCell<HashSet<String>>,
 }
 
 impl<'a> Library<'a> {
@@ -116,7 +118,7 @@ impl<'a> Library<'a> {
                 moves.entry(name.clone()).or_insert((file, node));
             }
         }
-        Self { moves, roles: HashMap::new(), files }
+        Self { moves, roles: HashMap::new(), files, used: RefCell::default() }
     }
 
     /// Takes an included file.
@@ -165,6 +167,7 @@ impl<'a> Library<'a> {
     /// The move of that name, with the file in which it stands.
     pub(super) fn get(&self, reader: &mut Reader, at: &At<'_>, name: &str) -> Option<(u16, &'a Node)> {
         let found = self.moves.get(name).copied();
+        self.used.borrow_mut().insert(name.to_owned());
         if found.is_none() {
             let mut known: Vec<_> = self.moves.keys().map(String::as_str).collect();
             known.sort_unstable();
@@ -173,6 +176,16 @@ impl<'a> Library<'a> {
             reader.add(Code::UnknownMove, at.place(), message, format!("one of {}", names(known)), hint);
         }
         found
+    }
+}
+
+impl Library<'_> {
+    /// Moves that no cue uses: their faults are found as well.
+    pub(super) fn unused(&self) -> Vec<String> {
+        let used = self.used.borrow();
+        let mut unused: Vec<_> = self.moves.keys().filter(|name| !used.contains(*name)).cloned().collect();
+        unused.sort_unstable();
+        unused
     }
 }
 

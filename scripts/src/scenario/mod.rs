@@ -232,6 +232,9 @@ pub(crate) fn read(reader: &mut Reader, documents: &Documents, files: &dyn Files
         on_failure: on_failure.map(|at| acts::on_failure(reader, &at)).unwrap_or_default(),
     };
     scenario.acts = acts::read(reader, &library, &defaults, &at, [cues, acts]);
+    for name in library.unused() {
+        cue::check_unused(reader, &library, &name);
+    }
     scenario.roles = library.roles;
     Some(scenario)
 }

@@ -14,7 +14,7 @@ fn fixtures() -> PathBuf {
 
 /// A bound as these files write it: a number, or "inf".
 fn bound(value: &Value) -> Option<Span> {
-    value.as_f64().map(|number| Span::from_millis_f64(number))
+    value.as_f64().map(Span::from_millis_f64)
 }
 
 struct Real {

@@ -3,6 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 
+use petgraph::graph::NodeIndex;
 use petgraph::visit::EdgeRef;
 use urrcp::Span;
 
@@ -11,83 +12,81 @@ use super::network::{Bounds, ConstraintId, Network, Schedule};
 
 /// The weight of a bound that is not there.
 const ABSENT: i64 = i64::MIN;
+/// What the origin decides, or nothing.
+const NO_PARENT: u32 = u32::MAX;
 
 /// A network with its earliest schedule.
 #[derive(Clone, Debug)]
 pub struct Solved {
     network: Network,
-    times: Vec<i64>,
-    /// Two a constraint: its lower and its upper bound.
-    arcs: Vec<Arc>,
+    /// In the order of their first times, so that neighbours in time are neighbours in memory; the origin first.
+    nodes: Vec<Node>,
+    /// Where each event stands among the nodes.
+    place_of: Vec<u32>,
     out: Grouped,
     into: Grouped,
-    marks: Marks,
-    /// Nodes with the times that they had before the change under way.
-    undo: Vec<(u32, i64)>,
+    /// The mark of the set that is being built.
+    round: u32,
+    /// Nodes as they were before the change under way.
+    undo: Vec<(u32, Node)>,
 }
 
-/// to >= from + weight
+#[derive(Clone, Copy, Debug)]
+struct Node {
+    time: i64,
+    /// The node whose bound decides this one, in a tree that the origin is the root of.
+    parent: u32,
+    mark: u32,
+}
+
+/// to >= from + weight, seen from one of its ends.
 #[derive(Clone, Copy, Debug)]
 struct Arc {
-    from: u32,
-    to: u32,
+    other: u32,
     weight: i64,
 }
 
-/// Indices of arcs by one of their ends.
+/// Arcs by one of their ends; two for each constraint, its lower and its upper bound.
 #[derive(Clone, Debug)]
 struct Grouped {
     first: Vec<u32>,
-    arcs: Vec<u32>,
+    arcs: Vec<Arc>,
+    /// Where each arc stands.
+    places: Vec<u32>,
 }
 
 impl Grouped {
-    fn new(nodes: usize, arcs: &[Arc], end: impl Fn(&Arc) -> u32) -> Self {
+    /// From (this end, other end, weight).
+    fn new(nodes: usize, all: &[(u32, u32, i64)]) -> Self {
         let mut first = vec![0u32; nodes + 1];
-        for arc in arcs {
-            first[end(arc) as usize + 1] += 1;
+        for (node, ..) in all {
+            first[*node as usize + 1] += 1;
         }
         for node in 0..nodes {
             first[node + 1] += first[node];
         }
         let mut next = first.clone();
-        let mut sorted = vec![0u32; arcs.len()];
-        for (index, arc) in (0u32..).zip(arcs) {
-            let place = &mut next[end(arc) as usize];
-            sorted[*place as usize] = index;
+        let mut arcs = vec![Arc { other: 0, weight: ABSENT }; all.len()];
+        let mut places = Vec::with_capacity(all.len());
+        for (node, other, weight) in all {
+            let place = &mut next[*node as usize];
+            arcs[*place as usize] = Arc { other: *other, weight: *weight };
+            places.push(*place);
             *place += 1;
         }
-        Self { first, arcs: sorted }
+        Self { first, arcs, places }
     }
 
-    fn of(&self, node: u32) -> &[u32] {
-        &self.arcs[self.first[node as usize] as usize..self.first[node as usize + 1] as usize]
-    }
-}
-
-/// Sets of nodes that are emptied at once.
-#[derive(Clone, Debug)]
-struct Marks {
-    round: u32,
-    marked: Vec<u32>,
-}
-
-impl Marks {
-    fn clear(&mut self) {
-        self.round += 1;
-        if self.round == u32::MAX {
-            self.round = 1;
-            self.marked.fill(0);
-        }
+    fn range(&self, node: u32) -> std::ops::Range<usize> {
+        self.first[node as usize] as usize..self.first[node as usize + 1] as usize
     }
 
-    /// Whether the node was not in the set before.
-    fn insert(&mut self, node: u32) -> bool {
-        std::mem::replace(&mut self.marked[node as usize], self.round) != self.round
+    fn of(&self, node: u32) -> &[Arc] {
+        &self.arcs[self.range(node)]
     }
 
-    fn contains(&self, node: u32) -> bool {
-        self.marked[node as usize] == self.round
+    fn set(&mut self, arc: usize, weight: i64) {
+        self.arcs[self.places[arc] as usize].weight = weight;
     }
 }
 
@@ -98,28 +97,70 @@ impl Solved {
     /// The smallest contradiction.
     pub fn new(network: Network) -> Result<Self, Conflict> {
         let Schedule(times) = network.solve()?;
-        let index = |node: petgraph::graph::NodeIndex| u32::try_from(node.index()).unwrap_or(u32::MAX);
-        let arcs: Vec<Arc> = network
+        let mut order: Vec<usize> = (0..times.len()).collect();
+        order.sort_by_key(|event| (times[*event], *event));
+        let mut place_of = vec![0u32; times.len()];
+        for (place, event) in (0u32..).zip(&order) {
+            place_of[*event] = place;
+        }
+        let place = |node: NodeIndex| place_of[node.index()];
+        let arcs: Vec<(u32, u32, i64)> = network
             .graph
             .edge_references()
-            .flat_map(|edge| pair(index(edge.source()), index(edge.target()), *edge.weight()))
+            .flat_map(|edge| pair(place(edge.source()), place(edge.target()), *edge.weight()))
             .collect();
-        let out = Grouped::new(times.len(), &arcs, |arc| arc.from);
-        let into = Grouped::new(times.len(), &arcs, |arc| arc.to);
-        let marks = Marks { round: 0, marked: vec![0; times.len()] };
-        Ok(Self { network, times, arcs, out, into, marks, undo: Vec::new() })
+        let out = Grouped::new(times.len(), &arcs);
+        let reversed: Vec<_> = arcs.iter().map(|(from, to, weight)| (*to, *from, *weight)).collect();
+        let into = Grouped::new(times.len(), &reversed);
+        let node = |event: &usize| Node { time: times[*event], parent: NO_PARENT, mark: 0 };
+        let nodes = order.iter().map(node).collect();
+        let mut solved = Self { network, nodes, place_of, out, into, round: 0, undo: Vec::new() };
+        solved.grow_tree();
+        Ok(solved)
+    }
+
+    /// What is at time zero is decided by the origin; from there every event is reached by bounds that decide.
+    fn grow_tree(&mut self) {
+        self.clear_marks();
+        let mut queue: Vec<u32> =
+            (0u32..).zip(&self.nodes).filter(|(_, n)| n.time == 0).map(|(i, _)| i).collect();
+        for &node in &queue {
+            self.nodes[node as usize].mark = self.round;
+        }
+        let mut next = 0;
+        while let Some(&node) = queue.get(next) {
+            next += 1;
+            for place in self.out.range(node) {
+                let arc = self.out.arcs[place];
+                let time = self.nodes[node as usize].time;
+                let to = &mut self.nodes[arc.other as usize];
+                if arc.weight != ABSENT && to.mark != self.round && to.time == time.saturating_add(arc.weight)
+                {
+                    (to.mark, to.parent) = (self.round, node);
+                    queue.push(arc.other);
+                }
+            }
+        }
+    }
+
+    fn clear_marks(&mut self) {
+        self.round += 1;
+        if self.round == u32::MAX {
+            self.round = 1;
+            self.nodes.iter_mut().for_each(|node| node.mark = 0);
+        }
     }
 
     /// The earliest schedule.
     #[must_use]
     pub fn schedule(&self) -> Schedule {
-        Schedule(self.times.clone())
+        Schedule(self.place_of.iter().map(|place| self.nodes[*place as usize].time).collect())
     }
 
     /// The time of one event.
     #[must_use]
     pub fn time(&self, event: super::Event) -> Span {
-        Span::from_nanos(self.times[event.0.index()])
+        Span::from_nanos(self.nodes[self.place_of[event.0.index()] as usize].time)
     }
 
     /// Changes the bounds of a constraint. Where they contradict the others nothing changes.
@@ -132,28 +173,32 @@ impl Solved {
     /// The smallest contradiction.
     pub fn change(&mut self, id: ConstraintId, min: Option<Span>, max: Option<Span>) -> Result<(), Conflict> {
         let Some((from, to)) = self.network.graph.edge_endpoints(id.0) else { return Ok(()) };
-        let index = |node: petgraph::graph::NodeIndex| u32::try_from(node.index()).unwrap_or(u32::MAX);
         let bounds = std::mem::replace(&mut self.network.graph[id.0], Bounds { min, max });
         let place = 2 * id.0.index();
-        let old = [self.arcs[place], self.arcs[place + 1]];
-        let new = pair(index(from), index(to), Bounds { min, max });
+        let (from, to) = (self.place_of[from.index()], self.place_of[to.index()]);
+        let old = pair(from, to, bounds);
+        let new = pair(from, to, Bounds { min, max });
         self.undo.clear();
-        for which in 0..2 {
-            let arc = old[which];
-            let decided = arc.weight != ABSENT && self.times[arc.to as usize] == self.time_from(arc);
-            if new[which].weight < arc.weight {
-                self.arcs[place + which].weight = new[which].weight;
+        for (which, ((from, to, weight), (.., looser))) in old.into_iter().zip(new).enumerate() {
+            if looser < weight {
+                self.set_weight(place + which, looser);
+                let child = &self.nodes[to as usize];
+                let decided = child.parent == from
+                    && child.time == self.nodes[from as usize].time.saturating_add(weight);
                 if decided {
-                    self.lower(arc.to);
+                    self.lower(to);
                 }
             }
         }
-        for which in 0..2 {
-            self.arcs[place + which].weight = new[which].weight;
-            if !self.raise(new[which]) {
-                self.arcs[place..place + 2].copy_from_slice(&old);
-                for (node, time) in self.undo.drain(..).rev() {
-                    self.times[node as usize] = time;
+        for (which, arc) in new.into_iter().enumerate() {
+            self.set_weight(place + which, arc.2);
+            if !self.raise(arc) {
+                for (which, arc) in old.iter().enumerate() {
+                    self.set_weight(place + which, arc.2);
+                }
+                while let Some((node, before)) = self.undo.pop() {
+                    let mark = self.nodes[node as usize].mark;
+                    self.nodes[node as usize] = Node { mark, ..before };
                 }
                 let conflict = self.network.solve().err();
                 self.network.graph[id.0] = bounds;
@@ -163,109 +208,144 @@ impl Solved {
         Ok(())
     }
 
-    fn time_from(&self, arc: Arc) -> i64 {
-        self.times[arc.from as usize].saturating_add(arc.weight)
+    fn set_weight(&mut self, arc: usize, weight: i64) {
+        self.out.set(arc, weight);
+        self.into.set(arc, weight);
     }
 
-    fn set(&mut self, node: u32, time: i64) {
-        self.undo.push((node, self.times[node as usize]));
-        self.times[node as usize] = time;
+    fn set(&mut self, node: u32, time: i64, parent: u32) {
+        let known = &mut self.nodes[node as usize];
+        self.undo.push((node, *known));
+        (known.time, known.parent) = (time, parent);
     }
 
     /// Raises what an arc raises. `false` if that is its own beginning, or the origin: then it closes a positive cycle.
-    fn raise(&mut self, arc: Arc) -> bool {
-        if arc.weight == ABSENT {
+    fn raise(&mut self, (begin, to, weight): (u32, u32, i64)) -> bool {
+        if weight == ABSENT {
             return true;
         }
-        let mut heap = BinaryHeap::new();
-        let rise = self.time_from(arc) - self.times[arc.to as usize];
-        if rise > 0 {
-            heap.push((rise, arc.to));
+        let rise = self.nodes[begin as usize].time.saturating_add(weight) - self.nodes[to as usize].time;
+        if rise <= 0 {
+            return true;
         }
-        self.marks.clear();
-        while let Some((rise, node)) = heap.pop() {
-            if !self.marks.insert(node) {
+        // Most of what rises rises alike: that needs no heap.
+        let (mut alike, mut heap) = (vec![(to, begin)], BinaryHeap::new());
+        let mut rise = rise;
+        self.clear_marks();
+        loop {
+            let Some((node, parent)) = alike.pop() else {
+                let Some((next, node, parent)) = heap.pop() else { return true };
+                rise = next;
+                alike.push((node, parent));
+                continue;
+            };
+            let known = &mut self.nodes[node as usize];
+            if known.mark == self.round {
                 continue;
             }
-            if node == arc.from || node == 0 {
+            known.mark = self.round;
+            if node == begin || node == 0 {
                 return false;
             }
-            let risen = self.times[node as usize].saturating_add(rise);
-            for &index in self.out.of(node) {
-                let next = self.arcs[index as usize];
-                if next.weight == ABSENT || self.marks.contains(next.to) {
+            let risen = known.time.saturating_add(rise);
+            for arc in &self.out.arcs[self.out.range(node)] {
+                let to = &self.nodes[arc.other as usize];
+                let more = risen.saturating_add(arc.weight).saturating_sub(to.time);
+                if arc.weight == ABSENT || more <= 0 || to.mark == self.round {
                     continue;
                 }
-                let rise = risen.saturating_add(next.weight) - self.times[next.to as usize];
-                if rise > 0 {
-                    heap.push((rise, next.to));
+                match more == rise {
+                    true => alike.push((arc.other, node)),
+                    false => heap.push((more, arc.other, node)),
                 }
             }
-            self.set(node, risen);
+            self.set(node, risen, parent);
         }
-        true
     }
 
-    /// Lowers what has lost the bound that decided it.
+    /// Lowers what has lost the bound that decided it: the tree below `root`.
     fn lower(&mut self, root: u32) {
-        let affected = self.decided_by(root);
-        let cap = self.fall_outside(root);
-        let mut heap = BinaryHeap::new();
-        for &node in &affected {
-            let fall = if node == 0 { 0 } else { self.fall_outside(node) };
-            // Everything affected is tied to the root, and falls no further.
-            if node == root || fall < cap {
-                heap.push(Reverse((fall, node)));
+        let affected = self.tree_below(root);
+        let (cap, parent) = self.fall_outside(root);
+        let (mut alike, mut heap) = (vec![(root, parent)], BinaryHeap::new());
+        for node in affected.iter().filter(|node| **node != root) {
+            let (fall, parent) = self.fall_outside(*node);
+            // Everything below the root is tied to it, and falls no further.
+            if fall < cap {
+                heap.push(Reverse((fall, *node, parent)));
             }
         }
-        // Leaving the set of affected nodes is settling.
-        while let Some(Reverse((fall, node))) = heap.pop() {
-            if !self.marks.contains(node) {
+        let mut fall = cap;
+        if let Some(Reverse((least, ..))) = heap.peek()
+            && *least < fall
+        {
+            heap.push(Reverse((cap, root, parent)));
+            alike.clear();
+        }
+        loop {
+            let Some((node, parent)) = alike.pop() else {
+                let Some(Reverse((next, node, parent))) = heap.pop() else { return };
+                fall = next;
+                alike.push((node, parent));
+                continue;
+            };
+            let known = &mut self.nodes[node as usize];
+            if known.mark != self.round {
                 continue;
             }
-            self.marks.marked[node as usize] = 0;
-            let time = self.times[node as usize];
-            for &index in self.out.of(node) {
-                let next = self.arcs[index as usize];
-                if next.weight != ABSENT && self.marks.contains(next.to) {
-                    let slack = self.times[next.to as usize] - time.saturating_add(next.weight);
-                    heap.push(Reverse((fall.saturating_add(slack), next.to)));
+            // Leaving the set of affected nodes is settling.
+            known.mark = 0;
+            let time = known.time;
+            for arc in &self.out.arcs[self.out.range(node)] {
+                let to = &self.nodes[arc.other as usize];
+                if arc.weight != ABSENT && to.mark == self.round {
+                    let slack = to.time.saturating_sub(time.saturating_add(arc.weight));
+                    match slack == 0 {
+                        true => alike.push((arc.other, node)),
+                        false => heap.push(Reverse((fall.saturating_add(slack), arc.other, node))),
+                    }
                 }
             }
-            self.set(node, time - fall);
+            self.set(node, time - fall, parent);
         }
     }
 
-    /// How far the bounds from outside the marked set, and the origin, let a node fall.
-    fn fall_outside(&self, node: u32) -> i64 {
-        let bounds = self.into.of(node).iter().map(|index| self.arcs[*index as usize]);
-        let outside = bounds.filter(|arc| arc.weight != ABSENT && !self.marks.contains(arc.from));
-        let least = outside.map(|arc| self.time_from(arc)).fold(0, i64::max);
-        self.times[node as usize] - least
+    /// How far the bounds from outside the marked set, and the origin, let a node fall; and which of them decides then.
+    fn fall_outside(&self, node: u32) -> (i64, u32) {
+        let mut least = (0, NO_PARENT);
+        for arc in self.into.of(node) {
+            let from = &self.nodes[arc.other as usize];
+            let asked = from.time.saturating_add(arc.weight);
+            if arc.weight != ABSENT && from.mark != self.round && asked > least.0 {
+                least = (asked, arc.other);
+            }
+        }
+        (self.nodes[node as usize].time - least.0, least.1)
     }
 
-    /// Everything that a chain of decisive bounds ties to a node; it stays marked.
-    fn decided_by(&mut self, root: u32) -> Vec<u32> {
-        self.marks.clear();
-        self.marks.insert(root);
-        let mut affected = vec![root];
+    /// A node and everything that it decides; it stays marked.
+    fn tree_below(&mut self, root: u32) -> Vec<u32> {
+        self.clear_marks();
+        self.nodes[root as usize].mark = self.round;
+        let mut below = vec![root];
         let mut next = 0;
-        while let Some(&node) = affected.get(next) {
+        while let Some(&node) = below.get(next) {
             next += 1;
-            for &index in self.out.of(node) {
-                let arc = self.arcs[index as usize];
-                let decides = arc.weight != ABSENT && self.times[arc.to as usize] == self.time_from(arc);
-                if decides && self.marks.insert(arc.to) {
-                    affected.push(arc.to);
+            for place in self.out.range(node) {
+                let child = &mut self.nodes[self.out.arcs[place].other as usize];
+                if child.parent == node && child.mark != self.round {
+                    child.mark = self.round;
+                    below.push(self.out.arcs[place].other);
                 }
             }
         }
-        affected
+        below
     }
 }
 
-fn pair(from: u32, to: u32, bounds: Bounds) -> [Arc; 2] {
+/// The arcs of a constraint: from, to, weight.
+fn pair(from: u32, to: u32, bounds: Bounds) -> [(u32, u32, i64); 2] {
     let min = bounds.min.map_or(ABSENT, Span::as_nanos);
     let max = bounds.max.map_or(ABSENT, |max| -max.as_nanos());
-    [Arc { from, to, weight: min }, Arc { from: to, to: from, weight: max }]
+    [(from, to, min), (to, from, max)]
 }
