@@ -1,5 +1,6 @@
 //! Whole sets of real files imported and checked, where `DOWNBEAT_DATA` names the folder that holds them.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
 use crate::session::{Session, root};
@@ -87,6 +88,33 @@ fn of_tiagos_motions_only_the_torso_of_reach_max_is_too_fast() {
             );
         }
     }
+}
+
+#[test]
+fn the_table_of_texts_that_are_not_yaml_tells_what_refuses_each() {
+    let Some(data) = data() else { return };
+    let table = std::fs::read_to_string(root().join("docs/yaml.md")).unwrap();
+    let fleet = root().join("tests/diagnostics/fleet.yaml");
+    let mut texts = 0;
+    for entry in std::fs::read_dir(data.join("yaml-invalid")).unwrap() {
+        let path = entry.unwrap().path();
+        if path.extension().is_none_or(|extension| extension != "yaml") {
+            continue;
+        }
+        texts += 1;
+        let session = Session::new();
+        let args = ["check", path.to_str().unwrap(), "--fleet", fleet.to_str().unwrap(), "--format", "json"];
+        let ran = session.run(&args);
+        assert_eq!(ran.code(), 1, "{}", path.display());
+        let json = ran.json();
+        let findings = json["findings"].as_array().unwrap().iter();
+        let codes: BTreeSet<_> = findings.map(|f| f["code"].as_str().unwrap().to_owned()).collect();
+        let codes: Vec<_> = codes.into_iter().collect();
+        let name = path.file_stem().unwrap().to_str().unwrap();
+        let row = table.lines().find(|line| line.starts_with(&format!("| {name} |"))).unwrap();
+        assert!(row.ends_with(&format!("| {} |", codes.join(", "))), "{row}: {codes:?}");
+    }
+    assert_eq!(texts, 94);
 }
 
 #[test]

@@ -10,6 +10,7 @@ use crate::finding::{Code, Finding};
 use crate::locate::locate;
 use crate::node::{self, Node};
 use crate::source::Source;
+use crate::tags::foreign_tags;
 
 pub(crate) const FLEET_KEYS: [&str; 4] = ["ntp", "handshake", "robots", "groups"];
 pub(crate) const ROBOT_KEYS: [&str; 4] = ["init", "address", "simulate", "limits"];
@@ -157,6 +158,10 @@ pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
         Ok(document) => document,
         Err(finding) => return (None, vec![finding]),
     };
+    let tags = foreign_tags(&source);
+    if !tags.is_empty() {
+        return (None, tags);
+    }
     let mut reader = FleetReader {
         folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
         blocks: HashMap::new(),

@@ -23,6 +23,7 @@ mod sarif;
 mod scenario;
 mod scope;
 mod source;
+mod tags;
 pub mod timing;
 
 pub use compile::{Compiled, compile};

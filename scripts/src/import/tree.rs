@@ -1,15 +1,13 @@
 //! Reading YAML and JSON of other programs: keys that are not needed are passed over, tags are refused, since what they
 //! mean is known only to the program that wrote them.
 
-use saphyr_parser::{Event, Parser};
-
 use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::node::{self, Node, shortened};
-use crate::render::line_of;
 use crate::source::Source;
+use crate::tags::foreign_tags;
 
-use super::sink::{FINDINGS_A_FILE_MAX, Sink, Spot};
+use super::sink::{FINDINGS_A_FILE_MAX, Sink};
 
 /// Parses a file, refuses foreign tags, and hands its tree to a reader whose findings get their places.
 pub(super) fn read<T>(
@@ -29,41 +27,15 @@ pub(super) fn read<T>(
         }
     };
     let mut findings = Reader::default();
-    let before = sink.findings.len();
-    refuse_tags(source, sink);
-    if sink.findings.len() > before {
+    let tags = foreign_tags(source);
+    if !tags.is_empty() {
+        sink.findings.extend(tags);
         return None;
     }
     let result = read(&At::document(&document, 0), &mut findings, sink);
     let sound = findings.found.is_empty();
     sink.located(source, findings);
     result.filter(|_| sound)
-}
-
-/// The parser that keeps places sees all tags, those too that the other one drops.
-fn refuse_tags(source: &Source, sink: &mut Sink) {
-    if !source.text.contains('!') {
-        return;
-    }
-    let mut parser = Parser::new_from_str(&source.text);
-    while let Some(Ok((event, span))) = parser.next_event() {
-        let tag = match &event {
-            Event::Scalar(_, _, _, tag) | Event::SequenceStart(_, tag) | Event::MappingStart(_, tag) => tag,
-            _ => continue,
-        };
-        if let Some(tag) = tag.as_ref().filter(|tag| !tag.is_yaml_core_schema() || tag.suffix.contains('/')) {
-            let line = span.start.line();
-            let text = line_of(&source.text, line);
-            let column = text.char_indices().nth(span.start.col()).map_or(text.len(), |(at, _)| at);
-            let spot = Spot { line, text, start: column, width: 0 };
-            let message = format!("the tag `!{}` belongs to another program", shortened(&tag.suffix));
-            let hint = "remove the tag: nothing in an imported file is ever executed or converted by a tag";
-            sink.found(source, spot, Code::ForeignTag, message, "a plain value", Some(hint));
-        }
-        if sink.is_full(source) {
-            return;
-        }
-    }
 }
 
 /// Whether more findings would help nobody.

@@ -12,6 +12,7 @@ use crate::locate::locate;
 use crate::music::{Section, Tempo, position};
 use crate::node::{self, Node, shortened};
 use crate::source::Source;
+use crate::tags::foreign_tags;
 
 /// Most files that a scenario may include, directly or through others.
 const INCLUDES_MAX: usize = 256;
@@ -49,7 +50,7 @@ pub(super) fn documents(source: &Source, files: &dyn Files) -> Result<Documents,
     let root = node::parse(source).map_err(|finding| vec![finding])?;
     let mut documents = Documents { sources: vec![source.clone()], nodes: vec![root] };
     let mut known = vec![String::new()];
-    let mut findings = Vec::new();
+    let mut findings = foreign_tags(source);
     let mut next = 0;
     while next < documents.nodes.len() {
         for (name, place) in includes(&documents.nodes[next], next) {
@@ -58,6 +59,7 @@ pub(super) fn documents(source: &Source, files: &dyn Files) -> Result<Documents,
             }
             match files.read(&name).and_then(|source| node::parse(&source).map(|node| (source, node))) {
                 Ok((source, node)) => {
+                    findings.extend(foreign_tags(&source));
                     known.push(name);
                     documents.sources.push(source);
                     documents.nodes.push(node);
