@@ -26,6 +26,11 @@ fn blocks(text: &str, opening: &str) -> Vec<String> {
     blocks
 }
 
+/// The scenarios that a document shows.
+pub fn scenarios_of(document: &str) -> Vec<String> {
+    blocks(&read(document), "```yaml scenario")
+}
+
 /// Blocks that open with "```yaml file NAME": files that the scenarios of the document use.
 fn files(text: &str) -> Vec<(String, String)> {
     let openings = text.lines().filter(|line| line.starts_with("```yaml file "));

@@ -11,4 +11,5 @@ mod import_real;
 mod ntp;
 mod processes;
 mod real_scenarios;
+mod schema;
 mod session;

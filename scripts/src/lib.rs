@@ -21,6 +21,7 @@ mod plan;
 mod render;
 mod sarif;
 mod scenario;
+mod schema;
 mod scope;
 mod source;
 mod tags;
@@ -40,6 +41,7 @@ pub use plan::{
 pub use render::{counted, render};
 pub use sarif::sarif;
 pub use scenario::fleet_named_by;
+pub use schema::{Schema, schema};
 pub use source::Source;
 
 #[cfg(test)]

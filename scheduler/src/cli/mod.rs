@@ -13,6 +13,7 @@ mod load;
 mod plan;
 mod robot;
 mod run;
+mod schema;
 mod sim;
 
 use std::path::PathBuf;
@@ -76,6 +77,8 @@ enum Command {
     Sim(sim::SimArgs),
     /// Turn other people's choreography files into a scenario and its fleet.
     Import(import::ImportArgs),
+    /// Print the JSON Schema of a scenario or a fleet file, for editors.
+    Schema(schema::SchemaArgs),
     /// Look at the fleet's robots.
     #[command(subcommand)]
     Fleet(fleet::FleetCommand),
@@ -121,6 +124,7 @@ pub fn main() -> ExitCode {
         Command::Robot(args) => robot::robot(&args, format),
         Command::Sim(args) => sim::sim(&args, format),
         Command::Import(args) => import::import(&args, format),
+        Command::Schema(args) => schema::schema(&args),
         Command::Fleet(command) => fleet::fleet(&command, format),
     };
     ExitCode::from(exit as u8)

@@ -8,13 +8,15 @@ use crate::finding::{Code, did_you_mean, names};
 use crate::motion::{Curve, Knot, Shape};
 use crate::node::{Node, shortened};
 
+pub(crate) const SAMPLES_KEYS: [&str; 5] = ["file", "time", "value", "time_unit", "scale"];
+
 /// Most faults of one file that are listed; the last says how many more there are.
 const FAULTS_MAX: usize = 20;
 
 /// `{file: arm.csv, time: t, value: elbow, time_unit: s, scale: 1}`
 pub(super) fn samples(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Curve> {
-    let known = ["file", "time", "value", "time_unit", "scale"];
-    let [file, time, value, unit, scale] = reader.map(at, "`samples`", known, &["file", "time", "value"])?;
+    let [file, time, value, unit, scale] =
+        reader.map(at, "`samples`", SAMPLES_KEYS, &["file", "time", "value"])?;
     let name =
         file.and_then(|at| reader.text(&at, "the path of a CSV file").map(std::borrow::Cow::into_owned));
     let units = [("s", 1_000.0), ("ms", 1.0), ("us", 0.001)];

@@ -25,6 +25,13 @@ pub use acts::{OnFailure, SensorRange, Wait};
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 pub(crate) use library::{Documents, SCENARIO_KEYS};
 pub(crate) use when::{Anchor, Relation};
+#[cfg(test)]
+pub(crate) use {
+    acts::{ACT_KEYS, WAIT_KEYS},
+    cue::{CUE_KEYS, OVERRIDE_KEYS},
+    data::SAMPLES_KEYS,
+    track::{KEYFRAME_KEYS, TRACK_KEYS, TRAVEL_KEYS, WAVE_KEYS},
+};
 
 /// Largest allowed spread of starts where the scenario names none.
 const START_TOLERANCE: Span = Span::from_millis(10);

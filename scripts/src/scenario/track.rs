@@ -11,6 +11,8 @@ use crate::node::{self, Node};
 
 pub(crate) const TRACK_KEYS: [&str; 9] =
     ["control", "tolerance", "max_steps", "keyframes", "spline", "polynomial", "wave", "travel", "samples"];
+pub(crate) const WAVE_KEYS: [&str; 6] = ["amplitude", "frequency", "period", "phase", "center", "for"];
+pub(crate) const TRAVEL_KEYS: [&str; 4] = ["from", "speed", "acceleration", "for"];
 pub(crate) const KEYFRAME_KEYS: [&str; 3] = ["at", "to", "ease"];
 
 /// What the file does not number.
@@ -249,9 +251,8 @@ fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Span> {
 
 /// center + amplitude * sin(2 pi (frequency t + phase / 360))
 fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Curve> {
-    let known = ["amplitude", "frequency", "period", "phase", "center", "for"];
     let [amplitude, frequency, period, phase, center, length] =
-        reader.map(at, "a wave", known, &["amplitude", "for"])?;
+        reader.map(at, "a wave", WAVE_KEYS, &["amplitude", "for"])?;
     let amplitude = amplitude.and_then(|at| reader.number(&at, "a number in the device's unit"));
     let length = length.and_then(|at| positive_time(reader, &at));
     let hertz = match (frequency, period) {
@@ -285,8 +286,7 @@ fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Curve> {
 
 /// from + speed t + acceleration t^2 / 2
 fn travelled(reader: &mut Reader, at: &At<'_>) -> Option<Curve> {
-    let known = ["from", "speed", "acceleration", "for"];
-    let [from, speed, acceleration, length] = reader.map(at, "`travel`", known, &["from", "for"])?;
+    let [from, speed, acceleration, length] = reader.map(at, "`travel`", TRAVEL_KEYS, &["from", "for"])?;
     if speed.is_none() && acceleration.is_none() {
         let expected = "at least one of `speed` and `acceleration`";
         reader.add(
