@@ -8,6 +8,7 @@ mod examples;
 mod findings;
 mod import;
 mod import_real;
+mod language;
 mod ntp;
 mod processes;
 mod real_scenarios;

@@ -94,3 +94,120 @@ proptest! {
         check_laws(&format!("{}{insert}{}", &SCENARIO[..cut], &SCENARIO[end..]));
     }
 }
+
+/// Values that may stand somewhere, right and wrong ones.
+const VALUES: [&str; 40] = [
+    "0s",
+    "1s",
+    "250ms",
+    "1m30s",
+    "1s..2s",
+    "2s..1s",
+    "bar 2 beat 1",
+    "bar 0",
+    "3 beats",
+    "x",
+    "y + 1s",
+    "start of x + 0s..1s",
+    "[x, y]",
+    "arm",
+    "[arm, arm]",
+    "nobody",
+    "m",
+    "{d: [{at: 0s, to: 1}]}",
+    "{p: 2}",
+    "{d: e}",
+    "true",
+    "{about: 45}",
+    "{by: 0.5, about: 1}",
+    "0.5",
+    "-3",
+    "1e308",
+    ".nan",
+    ".inf",
+    "-0",
+    "7",
+    "{for: 8s}",
+    "{until: 20s}",
+    "z",
+    "$v",
+    "-$v",
+    "$w",
+    "snap",
+    "[]",
+    "{}",
+    "~",
+];
+const CUE_KEYS: [&str; 22] = [
+    "cue",
+    "at",
+    "after",
+    "with",
+    "before",
+    "end_by",
+    "duration",
+    "robots",
+    "move",
+    "parameters",
+    "tracks",
+    "devices",
+    "mirror",
+    "scale",
+    "reverse",
+    "repeat",
+    "canon",
+    "uses",
+    "apart",
+    "stop_condition",
+    "off_grid",
+    "tolerance",
+];
+const TRACKS: [&str; 9] = [
+    "[{at: 0s, to: 0}, {at: 1s, to: 45, ease: smooth}]",
+    "[{at: 1s, to: 10}, {at: 2s, to: $v, ease: step}]",
+    "{wave: {amplitude: 10, period: 1s, center: 45, for: 3s}}",
+    "{wave: {amplitude: 1e300, frequency: 1e9, for: 3s}, tolerance: 1e-300}",
+    "{spline: [{at: 0s, to: 0}, {at: 1s, to: 5}, {at: 2s, to: 0}], max_steps: 3}",
+    "{polynomial: {for: 1s, coefficients: [0, 1e200, -1e200]}}",
+    "{travel: {from: 0, speed: 10, acceleration: 5, for: 2s}, tolerance: 3}",
+    "[{at: 0s, to: [1, 2]}]",
+    "{keyframes: [{at: 0s, to: 0}, {at: 27777h, to: 90}]}",
+];
+
+prop_compose! {
+    fn cue()(
+        name in "[xyz]",
+        keys in prop::collection::vec((0..CUE_KEYS.len(), 0..VALUES.len()), 0..5),
+        track in 0..TRACKS.len(),
+    ) -> String {
+        let mut cue = format!("  - cue: {name}\n    robots: arm\n    tracks: {{d: {}}}\n", TRACKS[track]);
+        for (key, value) in keys {
+            let key = CUE_KEYS[key];
+            if !cue.contains(&format!("    {key}:")) && key != "cue" {
+                cue.push_str(&format!("    {key}: {}\n", VALUES[value]));
+            }
+        }
+        cue
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(400))]
+
+    #[test]
+    fn no_scenario_of_the_language_makes_it_panic(
+        cues in prop::collection::vec(cue(), 1..6),
+        auto in any::<bool>(),
+        tempo in prop::option::of(1u32..300),
+    ) {
+        let mut text = "scenario: s\nvariables: {v: 3, w: 2s}\n".to_owned();
+        text.push_str("moves: {m: {parameters: {p: 1}, tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: $p}]}}}\n");
+        text.push_str(if auto { "zones: {z: auto}\n" } else { "zones: [z]\n" });
+        if let Some(tempo) = tempo {
+            text.push_str(&format!("tempo: {tempo}\n"));
+        }
+        text.push_str("cues:\n");
+        text.push_str(&cues.concat());
+        check_laws(&text);
+    }
+}
