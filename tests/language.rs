@@ -287,3 +287,33 @@ fn warnings_are_errors_where_they_are_denied_and_findings_become_sarif() {
     assert_eq!((&result["ruleId"], &result["level"]), (&Value::from("DB0034"), &Value::from("warning")));
     assert_eq!(result["locations"][0]["physicalLocation"]["region"]["startLine"], 3);
 }
+
+/// The job shop ft06 (Muth and Thompson, 1963; proven optimum 55) as cues that need machines, all done by a deadline.
+fn job_shop(deadline: &str) -> String {
+    let text = std::fs::read_to_string(root().join("tests/fixtures/jobshop/instances.json")).unwrap();
+    let shop: Value = serde_json::from_str::<Value>(&text).unwrap()["ft06"].take();
+    let mut yaml = "scenario: ft06\norder: auto\nzones: [m0, m1, m2, m3, m4, m5]\ncues:\n".to_owned();
+    for job in 0..6 {
+        for task in 0..6 {
+            let machine = &shop["machines_matrix"][job][task];
+            let seconds = &shop["duration_matrix"][job][task];
+            let after = if task > 0 { format!(", after: j{job}t{}", task - 1) } else { String::new() };
+            yaml.push_str(&format!(
+                "  - {{cue: j{job}t{task}, uses: m{machine}, duration: {seconds}s, end_by: {deadline}{after}}}\n"
+            ));
+        }
+    }
+    yaml
+}
+
+#[test]
+fn a_job_shop_is_done_by_its_optimum_and_not_before() {
+    let session = Session::new();
+    session.file("in_time.yaml", job_shop("55s")).file("too_early.yaml", job_shop("54s"));
+    let plan = session.run(&["plan", "in_time.yaml", "--format", "json"]).json();
+    let ends = plan["acts"][0]["cues"].as_array().unwrap().iter().map(|cue| cue["end"].as_f64().unwrap());
+    assert_eq!(ends.fold(0.0, f64::max), 55_000.0);
+    session
+        .run(&["check", "too_early.yaml"])
+        .says(1, &["DB0027", "was found that keeps all their times", "the search may have missed one"]);
+}

@@ -3,9 +3,12 @@
 //! At one instant robots go first, in the order of the plan, then what they sent reaches the mission, then the mission's
 //! own timers: the order of the real driver.
 
+use std::collections::HashMap;
+
 use downbeat_robot::simulated::{Outgoing, SimulatedRobot, True};
 use downbeat_robot::{Input, LinkId, LogEntry};
-use urrcp::{Server, Span, Timestamp};
+use downbeat_scripts::Plan;
+use urrcp::{DeviceId, Server, Span, Timestamp};
 
 use crate::mission::{Action, Event, Mission, Progress};
 use crate::report::Report;
@@ -49,19 +52,27 @@ pub fn play(mission: Mission, robots: Vec<SimulatedRobot>) -> Played {
         }
     };
     let logs: Vec<_> = world.robots.iter_mut().map(SimulatedRobot::take_log).collect();
-    report.true_spread = true_spread(&report, &logs);
+    report.true_spread = report.start.and_then(|start| true_spread(world.mission.plan(), start, &logs));
     Played { report, logs, progress: world.progress }
 }
 
-/// Largest minus smallest start error, by true time instead of the robots' own.
-fn true_spread(report: &Report, logs: &[Vec<LogEntry>]) -> Option<Span> {
-    let errors = report.robots.iter().zip(logs).flat_map(|(robot, log)| {
-        robot.devices.iter().filter_map(|device| {
-            let first = log.iter().find(|entry| entry.device == device.device && entry.step == Some(0))?;
-            Some(Span::from_nanos(first.true_ns - device.planned_start?.as_nanos()))
-        })
-    });
-    let errors: Vec<Span> = errors.collect();
+/// Largest minus smallest error of the scripts' first steps, by true time instead of the robots' own.
+fn true_spread(plan: &Plan, start: Timestamp<Server>, logs: &[Vec<LogEntry>]) -> Option<Span> {
+    let mut errors = Vec::new();
+    for (robot, log) in plan.robots.iter().zip(logs) {
+        // A device's scripts begin in the order of the plan.
+        let mut begun: HashMap<&DeviceId, usize> = HashMap::new();
+        for script in &robot.scripts {
+            let nth = begun.entry(&script.device).or_default();
+            let mut firsts = log.iter().filter(|entry| {
+                entry.device == script.device && entry.motion == "set" && entry.step == Some(0)
+            });
+            let (first, offset) = (firsts.nth(*nth)?, script.script.steps().first()?.offset);
+            let planned = start + script.start.span() + offset.span();
+            errors.push(Span::from_nanos(first.true_ns - planned.as_nanos()));
+            *nth += 1;
+        }
+    }
     Some(*errors.iter().max()? - *errors.iter().min()?)
 }
 

@@ -286,6 +286,12 @@ impl Mission {
         }
     }
 
+    /// What it plays.
+    #[must_use]
+    pub const fn plan(&self) -> &Plan {
+        &self.plan
+    }
+
     /// What really happened, once the mission has ended.
     #[must_use]
     pub fn report(&self) -> Option<Report> {
