@@ -6,6 +6,7 @@ use std::collections::HashMap;
 use saphyr_parser::{Event, Parser, Span};
 
 use crate::finding::{Finding, Part, Pending, Place, Related};
+use crate::render::line_starts;
 use crate::source::Source;
 
 /// Gives every finding its line and column, and sorts them by place: the findings of each file together.
@@ -85,8 +86,7 @@ struct LineStarts(Vec<usize>);
 
 impl LineStarts {
     fn of(text: &str) -> Self {
-        let after = text.bytes().enumerate().filter(|(_, byte)| *byte == b'\n').map(|(at, _)| at + 1);
-        Self(std::iter::once(0).chain(after).collect())
+        Self(line_starts(text).collect())
     }
 
     fn line<'a>(&self, text: &'a str, number: usize) -> &'a str {

@@ -11,9 +11,20 @@ const WARNINGS_MAX: usize = 20;
 /// Longest part of a line that is shown, in characters.
 const LINE_CHARS_MAX: usize = 160;
 
-/// The text of line `number`, counted from 1.
+/// The text of line `number`, counted from 1. YAML breaks lines at `\n`, `\r\n` and a lone `\r`.
 pub(crate) fn line_of(text: &str, number: usize) -> &str {
-    text.lines().nth(number.saturating_sub(1)).unwrap_or("")
+    let Some(start) = line_starts(text).nth(number.saturating_sub(1)) else { return "" };
+    text[start..].split(['\n', '\r']).next().unwrap_or("")
+}
+
+/// Where each line begins, in bytes.
+pub(crate) fn line_starts(text: &str) -> impl Iterator<Item = usize> + '_ {
+    let bytes = text.as_bytes();
+    let ends = bytes
+        .iter()
+        .enumerate()
+        .filter(move |(at, byte)| **byte == b'\n' || (**byte == b'\r' && bytes.get(at + 1) != Some(&b'\n')));
+    std::iter::once(0).chain(ends.map(|(at, _)| at + 1))
 }
 
 /// All findings in the style of compilers, with a closing count.

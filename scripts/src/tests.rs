@@ -2,6 +2,7 @@
 
 use proptest::prelude::*;
 
+use crate::scenario::CUE_KEYS;
 use crate::{Address, Code, Fleet, FleetRobot, SimulationSettings, Source, compile};
 
 const BLOCK: &str = r#"{"id": "arm", "api_version": "1", "devices": [
@@ -42,6 +43,16 @@ fn check_laws(text: &str) {
         assert!(finding.line <= text.lines().count() + 1, "{finding:?}");
     }
     let _shown = crate::render(&compiled.findings, true);
+}
+
+#[test]
+fn a_lone_carriage_return_breaks_a_line_as_in_yaml() {
+    let compiled = compile_text(
+        "scenario: s\rcues:\r\n  - at: 0s\r    robots: arm\r    tracks: {d: [{at: 0s, to: 0.3}]}\r",
+    );
+    let finding = &compiled.findings[0];
+    assert_eq!((finding.line, finding.column), (5, 31));
+    assert_eq!(finding.source_line, "    tracks: {d: [{at: 0s, to: 0.3}]}");
 }
 
 #[test]
@@ -137,30 +148,6 @@ const VALUES: [&str; 40] = [
     "[]",
     "{}",
     "~",
-];
-const CUE_KEYS: [&str; 22] = [
-    "cue",
-    "at",
-    "after",
-    "with",
-    "before",
-    "end_by",
-    "duration",
-    "robots",
-    "move",
-    "parameters",
-    "tracks",
-    "devices",
-    "mirror",
-    "scale",
-    "reverse",
-    "repeat",
-    "canon",
-    "uses",
-    "apart",
-    "stop_condition",
-    "off_grid",
-    "tolerance",
 ];
 const TRACKS: [&str; 9] = [
     "[{at: 0s, to: 0}, {at: 1s, to: 45, ease: smooth}]",

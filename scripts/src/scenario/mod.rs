@@ -6,6 +6,7 @@ mod acts;
 mod cue;
 mod data;
 mod library;
+mod movement;
 mod track;
 mod when;
 
@@ -240,7 +241,7 @@ pub(crate) fn read(reader: &mut Reader, documents: &Documents, files: &dyn Files
     };
     scenario.acts = acts::read(reader, &library, &defaults, &at, [cues, acts]);
     for name in library.unused() {
-        cue::check_unused(reader, &library, &name);
+        movement::check_unused(reader, &library, &name);
     }
     scenario.roles = library.roles;
     Some(scenario)

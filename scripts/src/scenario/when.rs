@@ -139,15 +139,18 @@ pub(super) fn range(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Gap>
         None => Some((reader.time(at, text)?, None)),
         Some((least, largest)) => {
             let (least, largest) = (reader.time(at, least), reader.time(at, largest));
-            let (least, largest) = (least?, largest?);
-            if largest < least {
-                let message = format!("{least} lies above {largest}");
-                reader.add(Code::TimeOrder, at.place(), message, "the smaller time first", None);
-                return None;
-            }
-            Some((least, Some(largest)))
+            in_order(reader, at, least?, largest?)
         }
     }
+}
+
+fn in_order(reader: &mut Reader, at: &At<'_>, least: Span, largest: Span) -> Option<Gap> {
+    if least <= largest {
+        return Some((least, Some(largest)));
+    }
+    let message = format!("{least} lies above {largest}");
+    reader.add(Code::TimeOrder, at.place(), message, "the smaller time first", None);
+    None
 }
 
 /// One time, or a range of them; each a length from the act's start or a position in the music.
@@ -161,13 +164,7 @@ fn instants(reader: &mut Reader, at: &At<'_>) -> Option<Gap> {
     match text.split_once("..") {
         Some((least, largest)) => {
             let (least, largest) = (instant(reader, at, least.trim()), instant(reader, at, largest.trim()));
-            let (least, largest) = (least?, largest?);
-            if largest < least {
-                let message = format!("{least} lies above {largest}");
-                reader.add(Code::TimeOrder, at.place(), message, "the smaller time first", None);
-                return None;
-            }
-            Some((least, Some(largest)))
+            in_order(reader, at, least?, largest?)
         }
         None => instant(reader, at, &text).map(|span| (span, Some(span))),
     }

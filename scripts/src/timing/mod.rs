@@ -9,6 +9,7 @@ mod conflict;
 mod network;
 mod order;
 mod paths;
+mod shop;
 mod solved;
 mod tabu;
 

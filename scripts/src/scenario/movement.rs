@@ -1,0 +1,315 @@
+//! What a cue's movement is made of: a move with its parameters, tracks, and what is done with them.
+
+use urrcp::Span;
+
+use super::cue::name_list;
+use super::library::Library;
+use super::track::read_tracks;
+use super::when::instant;
+use super::{Motion, Movement, Name, Track};
+use crate::fields::{At, Reader};
+use crate::finding::{Code, did_you_mean, names};
+use crate::node::{Node, shortened};
+
+/// Most times that a movement is repeated.
+const REPEATS_MAX: u32 = 10_000_000;
+/// Most knots of one repeated movement: no device takes scripts of that length.
+const KNOTS_MAX: usize = 50_000_000;
+
+/// The keys that make a movement.
+#[derive(Clone, Copy, Default)]
+pub(super) struct Shaping<'a> {
+    pub(super) named: Option<At<'a>>,
+    pub(super) parameters: Option<At<'a>>,
+    pub(super) tracks: Option<At<'a>>,
+    pub(super) devices: Option<At<'a>>,
+    pub(super) mirror: Option<At<'a>>,
+    pub(super) scale: Option<At<'a>>,
+    pub(super) reverse: Option<At<'a>>,
+    pub(super) repeat: Option<At<'a>>,
+    pub(super) delay: Option<At<'a>>,
+    pub(super) tolerance: Option<f64>,
+}
+
+/// Reads the tracks of a move and of the cue itself, then maps, scales, mirrors, reverses and repeats them.
+pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> Movement {
+    let mut tracks =
+        shaping.named.map(|at| of_move(reader, library, &at, shaping.parameters)).unwrap_or_default();
+    if let (None, Some(at)) = (shaping.named, shaping.parameters) {
+        let expected = "a `move` that takes them";
+        reader.add(Code::MissingKey, at.key_place(), "parameters without a move", expected, None);
+    }
+    if let Some(at) = shaping.tracks {
+        for track in read_tracks(reader, library, &at) {
+            if let Some(same) = tracks.iter().position(|known| known.device == track.device) {
+                tracks[same] = track;
+            } else {
+                tracks.push(track);
+            }
+        }
+    }
+    for track in &mut tracks {
+        track.tolerance = track.tolerance.or(shaping.tolerance);
+    }
+    if let Some(at) = shaping.devices {
+        rename(reader, &at, &mut tracks);
+    }
+    if let Some(at) = shaping.scale {
+        scale(reader, &at, &mut tracks);
+    }
+    if let Some(at) = shaping.mirror {
+        mirror(reader, &at, &mut tracks);
+    }
+    let length =
+        |tracks: &[Track]| tracks.iter().map(|track| track.motion.length()).max().unwrap_or_default();
+    if let Some(at) = shaping.reverse
+        && reader.truth(&at) == Some(true)
+    {
+        let length = length(&tracks);
+        curves(&mut tracks, &at, reader, |curve| curve.reverse(length));
+    }
+    if let Some(at) = shaping.repeat {
+        let length = length(&tracks);
+        repeat(reader, &at, &mut tracks, length);
+    }
+    let delay = shaping.delay.and_then(|at| reader.duration(&at)).unwrap_or_default();
+    let length = length(&tracks);
+    Movement { tracks, delay, length }
+}
+
+fn of_move(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, given: Option<At<'_>>) -> Vec<Track> {
+    let Some(name) = reader.name(at, "the name of a move") else { return Vec::new() };
+    let Some((file, node)) = library.get(reader, at, &name) else { return Vec::new() };
+    let root = At::document(&Node::Null, file);
+    let moves = root.entry("moves", 0, &Node::Null);
+    let body = moves.entry(&name, 0, node);
+    let what = format!("the move `{}`", shortened(&name));
+    let Some([parameters, tracks]) = reader.map(&body, &what, ["parameters", "tracks"], &["tracks"]) else {
+        return Vec::new();
+    };
+    let mark = reader.scope.mark();
+    let values = arguments(reader, at, &name, parameters, given);
+    for (parameter, value) in values {
+        reader.scope.set(parameter, value);
+    }
+    let tracks = tracks.map(|at| read_tracks(reader, library, &at)).unwrap_or_default();
+    reader.scope.forget(mark);
+    tracks
+}
+
+/// Reads a move that no cue uses, as far as its parameters have values.
+pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, name: &str) {
+    let Some((file, node)) = library.moves.get(name).copied() else { return };
+    let root = At::document(&Node::Null, file);
+    let moves = root.entry("moves", 0, &Node::Null);
+    let body = moves.entry(name, 0, node);
+    let Node::Map(entries) = node else {
+        reader.wrong_type(&body, "a move: a map with `parameters` and `tracks`");
+        return;
+    };
+    let parameters = entries.iter().find(|(key, _)| key == "parameters").map(|(_, node)| node);
+    let known = |key: &str| matches!(key, "parameters" | "tracks");
+    let complete = matches!(parameters, None | Some(Node::Map(_)))
+        && !matches!(parameters, Some(Node::Map(all)) if all.iter().any(|(_, node)| *node == Node::Null));
+    if complete || !entries.iter().all(|(key, _)| known(key)) {
+        let own = Node::Text(name.to_owned());
+        let at = body.entry("tracks", 0, &own);
+        drop(of_move(reader, library, &at, None));
+    }
+}
+
+/// The value of each parameter: the one that is given, or its default.
+fn arguments(
+    reader: &mut Reader,
+    at: &At<'_>,
+    name: &str,
+    parameters: Option<At<'_>>,
+    given: Option<At<'_>>,
+) -> Vec<(String, Node)> {
+    let declared =
+        parameters.as_ref().map(|at| reader.entries(at, "parameter to its default")).unwrap_or_default();
+    let given = given.as_ref().map(|at| reader.entries(at, "parameter to its value")).unwrap_or_default();
+    for (parameter, at) in &given {
+        if !declared.iter().any(|(known, _)| known == parameter) {
+            let known = || declared.iter().map(|(known, _)| *known);
+            let hint = did_you_mean(parameter, known());
+            let message =
+                format!("the move `{}` has no parameter `{}`", shortened(name), shortened(parameter));
+            reader.add(Code::UnknownKey, at.key_place(), message, format!("one of {}", names(known())), hint);
+        }
+    }
+    let mut values = Vec::new();
+    for (parameter, default) in &declared {
+        let value = match given.iter().find(|(known, _)| known == parameter) {
+            Some((_, at)) => super::library::scalar(reader, at),
+            None if *default.node == Node::Null => {
+                let message = format!("the move `{}` needs a value for `{parameter}`", shortened(name));
+                let hint = Some(format!("add `parameters: {{{parameter}: ...}}`"));
+                reader.add(Code::Variable, at.place(), message, "every parameter without default", hint);
+                None
+            }
+            None => super::library::scalar(reader, default),
+        };
+        // One fault, one finding: what uses the parameter shall not find it missing again.
+        values.push(((*parameter).to_owned(), value.unwrap_or(Node::Number(0.0))));
+    }
+    values
+}
+
+fn rename(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
+    let entries = reader.entries(at, "device of the move to the robot's device");
+    let mut renamed = vec![None; tracks.len()];
+    for (from, at) in entries {
+        let Some(to) = reader.name(&at, "the id of a device") else { continue };
+        match tracks.iter().position(|track| track.device == from) {
+            Some(index) => renamed[index] = Some((to, at.place())),
+            None => {
+                let known = || tracks.iter().map(|track| track.device.as_str());
+                let message = format!("no track is called `{}`", shortened(from));
+                let expected = format!("one of {}", names(known()));
+                reader.add(
+                    Code::UnknownDevice,
+                    at.key_place(),
+                    message,
+                    expected,
+                    did_you_mean(from, known()),
+                );
+            }
+        }
+    }
+    for (track, renamed) in tracks.iter_mut().zip(renamed) {
+        if let Some((device, place)) = renamed {
+            (track.device, track.place) = (device, place);
+        }
+    }
+}
+
+/// What a transformation applies to: some devices, about a value.
+struct Aim {
+    about: f64,
+    devices: Option<Vec<Name>>,
+}
+
+fn aim(reader: &mut Reader, about: Option<At<'_>>, devices: Option<At<'_>>) -> Aim {
+    Aim {
+        about: about.and_then(|at| reader.number(&at, "a value in the device's unit")).unwrap_or(0.0),
+        devices: devices.map(|at| name_list(reader, &at, "the ids of devices")),
+    }
+}
+
+fn scale(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
+    let (factor, aim) = match at.node {
+        Node::Map(_) => {
+            let Some([by, about, devices]) = reader.map(at, "`scale`", ["by", "about", "devices"], &["by"])
+            else {
+                return;
+            };
+            let factor = by.and_then(|at| reader.number(&at, "a factor"));
+            (factor, aim(reader, about, devices))
+        }
+        _ => (reader.number(at, "a factor, or {by, about, devices}"), aim(reader, None, None)),
+    };
+    if let Some(factor) = factor {
+        affine(reader, at, tracks, &aim, factor);
+    }
+}
+
+fn mirror(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
+    let aim = match at.node {
+        Node::Map(_) => {
+            let Some([about, devices]) = reader.map(at, "`mirror`", ["about", "devices"], &[]) else {
+                return;
+            };
+            aim(reader, about, devices)
+        }
+        _ if reader.truth(at) == Some(true) => aim(reader, None, None),
+        _ => return,
+    };
+    affine(reader, at, tracks, &aim, -1.0);
+}
+
+fn affine(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track], aim: &Aim, factor: f64) {
+    for device in aim.devices.iter().flatten() {
+        if !tracks.iter().any(|track| track.device == device.text) {
+            let known = || tracks.iter().map(|track| track.device.as_str());
+            let message = format!("the cue has no track `{}`", shortened(&device.text));
+            let expected = format!("one of {}", names(known()));
+            let hint = did_you_mean(&device.text, known());
+            reader.add(Code::UnknownDevice, device.place.clone(), message, expected, hint);
+        }
+    }
+    let chosen = |track: &&mut Track| {
+        aim.devices.as_ref().is_none_or(|devices| devices.iter().any(|device| device.text == track.device))
+    };
+    for track in tracks.iter_mut().filter(chosen) {
+        curves(std::slice::from_mut(track), at, reader, |curve| curve.scale(aim.about, factor));
+    }
+}
+
+/// Applies a transformation to the tracks that it can be applied to.
+fn curves(
+    tracks: &mut [Track],
+    at: &At<'_>,
+    reader: &mut Reader,
+    change: impl Fn(&mut crate::motion::Curve),
+) {
+    for track in tracks {
+        match &mut track.motion {
+            Motion::Curve(curve) => change(curve),
+            Motion::Vectors(_) => {
+                let message = format!("`{}` has several values a keyframe", shortened(&track.device));
+                let expected = "tracks of one value";
+                reader.add(Code::BadMotion, at.key_place(), message, expected, None);
+            }
+        }
+    }
+}
+
+fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track], cycle: Span) {
+    let Some(times) = repeats(reader, at, cycle) else { return };
+    let knots = tracks.iter().map(|track| match &track.motion {
+        Motion::Curve(curve) => curve.knots.len(),
+        Motion::Vectors(_) => 0,
+    });
+    let most = knots.max().unwrap_or(0).saturating_mul(times as usize);
+    if most > KNOTS_MAX {
+        let message = format!("{times} times makes {most} keyframes of one device");
+        let expected = format!("at most {KNOTS_MAX}");
+        reader.add(Code::TooMuch, at.place(), message, expected, Some("repeat it less often".to_owned()));
+        return;
+    }
+    curves(tracks, at, reader, |curve| curve.repeat(times, cycle));
+}
+
+/// A number of times, or as many whole cycles as fit.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
+fn repeats(reader: &mut Reader, at: &At<'_>, cycle: Span) -> Option<u32> {
+    let Node::Map(_) = at.node else { return reader.count(at, 1, REPEATS_MAX) };
+    let [until, during] = reader.map(at, "`repeat`", ["until", "for"], &[])?;
+    let time = match (until, during) {
+        (Some(until), None) => {
+            let text = reader.text(&until, "a time of the act, such as 20s or `bar 9`")?;
+            let end = instant(reader, &until, &text)?;
+            let Some(start) = reader.music.start else {
+                let message = "how often it fits depends on when the cue begins";
+                let hint = Some("give the cue a fixed `at`, or use `for`".to_owned());
+                reader.add(Code::BadMotion, until.place(), message, "a cue with a fixed start", hint);
+                return None;
+            };
+            end - start
+        }
+        (None, Some(during)) => reader.duration(&during)?,
+        _ => {
+            let expected = "a number of times, {until: 20s} or {for: 8s}";
+            reader.add(Code::WrongType, at.place(), "found both or neither of until and for", expected, None);
+            return None;
+        }
+    };
+    let times = (time.as_millis_f64() / cycle.as_millis_f64() + 1e-9).floor();
+    if times >= 1.0 && times <= f64::from(REPEATS_MAX) {
+        return Some(times as u32);
+    }
+    let message = format!("{time} is not enough for a movement of {cycle}, or far too much");
+    reader.add(Code::BadMotion, at.place(), message, "time for at least one whole cycle", None);
+    None
+}

@@ -1,0 +1,274 @@
+//! A job shop in a temporal network, as the search for an order sees it: heads and tails of tasks, the times that an order
+//! gives, and bounds to judge it by.
+
+use std::collections::{BinaryHeap, HashMap, VecDeque};
+
+use urrcp::Span;
+
+use super::network::{Network, Schedule};
+use super::order::Task;
+use super::paths::{Arcs, UNREACHED, longest};
+
+/// For each zone its tasks in order.
+pub(super) type Sequences = Vec<Vec<usize>>;
+
+/// How an order is judged: first by how much it breaks upper bounds, then by its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Cost {
+    pub(super) late: i64,
+    pub(super) makespan: i64,
+}
+
+/// The network as the search sees it: lower bounds as a graph of events, upper bounds apart.
+pub(super) struct Shop<'a> {
+    pub(super) tasks: &'a [Task],
+    pub(super) zones: usize,
+    pub(super) nodes: usize,
+    /// Lower bounds.
+    pub(super) forward: Vec<Vec<(usize, i64)>>,
+    pub(super) backward: Vec<Vec<(usize, i64)>>,
+    /// to <= from + weight
+    pub(super) upper: Vec<(usize, usize, i64)>,
+    /// Without any order.
+    pub(super) heads: Vec<i64>,
+    pub(super) tails: Vec<i64>,
+    pub(super) work: usize,
+    pub(super) random: u64,
+}
+
+/// Times of all events under an order.
+pub(super) struct Timed {
+    pub(super) heads: Vec<i64>,
+    pub(super) order: Vec<usize>,
+    pub(super) cost: Cost,
+    /// The arc that decides each event: the event before.
+    pub(super) decided: Vec<usize>,
+    pub(super) last: usize,
+}
+
+pub(super) const NONE: usize = usize::MAX;
+
+impl<'a> Shop<'a> {
+    pub(super) fn new(network: &Network, tasks: &'a [Task]) -> Result<Self, Option<usize>> {
+        let arcs: Arcs = network.arcs(None);
+        let Ok(times) = longest(&arcs, vec![0; arcs.nodes()]) else { return Err(None) };
+        let nodes = arcs.nodes();
+        let (mut forward, mut backward, mut upper) =
+            (vec![Vec::new(); nodes], vec![Vec::new(); nodes], Vec::new());
+        for arc in arcs.all() {
+            let (from, to) = (arc.from as usize, arc.to as usize);
+            // An arc that points back in time bounds from above; so does one into the origin.
+            if arc.weight < 0 || to == 0 {
+                upper.push((to, from, -arc.weight));
+            } else {
+                forward[from].push((to, arc.weight));
+                backward[to].push((from, arc.weight));
+            }
+        }
+        let zones = tasks.iter().map(|task| task.zone + 1).max().unwrap_or(0);
+        let mut shop = Self {
+            tasks,
+            zones,
+            nodes,
+            forward,
+            backward,
+            upper,
+            heads: times,
+            tails: vec![0; nodes],
+            work: 0,
+            random: 0x9E37_79B9_7F4A_7C15,
+        };
+        shop.tails = shop.longest_tails();
+        Ok(shop)
+    }
+
+    pub(super) fn start(&self, task: usize) -> usize {
+        self.tasks[task].start.0.index()
+    }
+
+    pub(super) fn end(&self, task: usize) -> usize {
+        self.tasks[task].end.0.index()
+    }
+
+    pub(super) fn length(&self, task: usize) -> i64 {
+        let (start, end) = (self.start(task), self.end(task));
+        self.forward[start].iter().filter(|(to, _)| *to == end).map(|(_, weight)| *weight).max().unwrap_or(0)
+    }
+
+    pub(super) fn longest_tails(&self) -> Vec<i64> {
+        let arcs = self.backward_arcs();
+        longest(&arcs, vec![0; self.nodes]).unwrap_or_else(|_| vec![0; self.nodes])
+    }
+
+    pub(super) fn backward_arcs(&self) -> Arcs {
+        let reversed = (0..self.nodes)
+            .flat_map(|to| self.backward[to].iter().map(move |(from, weight)| (to, *from, *weight, 0)));
+        Arcs::new(self.nodes, reversed)
+    }
+
+    pub(super) fn zone_tasks(&self, zone: usize) -> Vec<usize> {
+        (0..self.tasks.len()).filter(|task| self.tasks[*task].zone == zone).collect()
+    }
+
+    pub(super) fn hopeless(&self) -> Option<usize> {
+        let deadline: HashMap<usize, i64> =
+            self.upper.iter().filter(|(from, ..)| *from == 0).map(|(_, to, bound)| (*to, *bound)).collect();
+        let latest = self.latest(&deadline);
+        (0..self.zones).find(|zone| {
+            let jobs: Vec<_> = self
+                .zone_tasks(*zone)
+                .iter()
+                .map(|&task| {
+                    (
+                        self.heads[self.start(task)],
+                        self.length(task),
+                        -latest[self.end(task)].min(i64::MAX / 4),
+                    )
+                })
+                .collect();
+            preemptive(&jobs) > 0
+        })
+    }
+
+    pub(super) fn latest(&self, deadline: &HashMap<usize, i64>) -> Vec<i64> {
+        let mut negated = vec![UNREACHED; self.nodes];
+        for (&event, &bound) in deadline {
+            negated[event] = -bound;
+        }
+        let negated = longest(&self.backward_arcs(), negated).unwrap_or_default();
+        let latest = |time: &i64| if *time == UNREACHED { i64::MAX / 4 } else { -time };
+        negated.iter().map(latest).collect()
+    }
+
+    pub(super) fn at_least(&self) -> i64 {
+        let chain = (0..self.nodes).map(|node| self.heads[node] + self.tails[node]).max().unwrap_or(0);
+        let zone = |zone| {
+            let tasks = self.zone_tasks(zone);
+            let job =
+                |&task: &usize| (self.heads[self.start(task)], self.length(task), self.tails[self.end(task)]);
+            preemptive(&tasks.iter().map(job).collect::<Vec<_>>())
+        };
+        (0..self.zones).map(zone).max().unwrap_or(0).max(chain)
+    }
+
+    pub(super) fn tasks_ahead(&self) -> Vec<Vec<usize>> {
+        let task_at_end: HashMap<usize, usize> =
+            (0..self.tasks.len()).map(|task| (self.end(task), task)).collect();
+        (0..self.tasks.len())
+            .map(|task| {
+                let mut ahead = Vec::new();
+                let mut seen = vec![self.start(task)];
+                let mut stack = vec![self.start(task)];
+                while let Some(node) = stack.pop() {
+                    for &(from, _) in &self.backward[node] {
+                        if from == 0 || seen.contains(&from) {
+                            continue;
+                        }
+                        seen.push(from);
+                        match task_at_end.get(&from) {
+                            Some(&before) if before != task => ahead.push(before),
+                            _ => stack.push(from),
+                        }
+                    }
+                }
+                ahead
+            })
+            .collect()
+    }
+
+    pub(super) fn push_on(&self, heads: &mut [i64], node: usize, time: i64) {
+        let mut queue = VecDeque::from([(node, time)]);
+        while let Some((node, time)) = queue.pop_front() {
+            if time > heads[node] || (queue.is_empty() && time == heads[node]) {
+                heads[node] = heads[node].max(time);
+                for &(to, weight) in &self.forward[node] {
+                    if time + weight > heads[to] {
+                        queue.push_back((to, time + weight));
+                    }
+                }
+            }
+        }
+    }
+
+    pub(super) fn time(&mut self, sequences: &Sequences) -> Option<Timed> {
+        let mut after = vec![NONE; self.nodes];
+        let mut before = vec![NONE; self.nodes];
+        for sequence in sequences {
+            for pair in sequence.windows(2) {
+                after[self.end(pair[0])] = self.start(pair[1]);
+                before[self.start(pair[1])] = self.end(pair[0]);
+            }
+        }
+        let mut open: Vec<usize> = (0..self.nodes)
+            .map(|node| self.backward[node].len() + usize::from(before[node] != NONE))
+            .collect();
+        let mut order: Vec<usize> = (0..self.nodes).filter(|node| open[*node] == 0).collect();
+        let mut heads = vec![0i64; self.nodes];
+        let mut decided = vec![NONE; self.nodes];
+        let mut next = 0;
+        while let Some(&node) = order.get(next) {
+            next += 1;
+            let extra = (after[node] != NONE).then_some((after[node], 0));
+            for (to, weight) in self.forward[node].iter().copied().chain(extra) {
+                self.work += 1;
+                if heads[node] + weight > heads[to]
+                    || (decided[to] == NONE && heads[node] + weight == heads[to])
+                {
+                    heads[to] = heads[node] + weight;
+                    decided[to] = node;
+                }
+                open[to] -= 1;
+                if open[to] == 0 {
+                    order.push(to);
+                }
+            }
+        }
+        if order.len() < self.nodes {
+            return None;
+        }
+        let late = self.upper.iter().map(|&(from, to, bound)| (heads[to] - heads[from] - bound).max(0)).sum();
+        let last = (0..self.nodes).max_by_key(|node| (heads[*node], *node)).unwrap_or(0);
+        let cost = Cost { late, makespan: heads[last] };
+        Some(Timed { heads, order, cost, decided, last })
+    }
+
+    pub(super) fn exact(&self, network: &Network, sequences: &Sequences) -> Option<Schedule> {
+        let mut network = network.clone();
+        for sequence in sequences {
+            for pair in sequence.windows(2) {
+                network.constrain(self.tasks[pair[0]].end, self.tasks[pair[1]].start, Some(Span::ZERO), None);
+            }
+        }
+        network.solve().ok()
+    }
+}
+
+/// The end of Jackson's preemptive schedule: the longest of time and tail over jobs (head, length, tail) on one machine.
+fn preemptive(jobs: &[(i64, i64, i64)]) -> i64 {
+    let mut by_head: Vec<_> = jobs.to_vec();
+    by_head.sort_unstable();
+    let mut next = by_head.iter().peekable();
+    let mut ready: BinaryHeap<(i64, i64)> = BinaryHeap::new();
+    let (mut time, mut end) = (i64::MIN / 2, UNREACHED);
+    loop {
+        if ready.is_empty() {
+            match next.peek() {
+                Some((head, ..)) => time = time.max(*head),
+                None => return end,
+            }
+        }
+        while let Some((head, length, tail)) = next.peek().filter(|(head, ..)| *head <= time) {
+            let _ = head;
+            ready.push((*tail, *length));
+            next.next();
+        }
+        let Some((tail, length)) = ready.pop() else { continue };
+        let until = next.peek().map_or(i64::MAX, |(head, ..)| *head);
+        let done = length.min(until - time);
+        time += done;
+        match done < length {
+            true => ready.push((tail, length - done)),
+            false => end = end.max(time.saturating_add(tail)),
+        }
+    }
+}
