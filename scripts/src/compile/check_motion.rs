@@ -2,7 +2,7 @@
 
 use std::collections::HashSet;
 
-use urrcp::ControlType;
+use urrcp::{ControlType, Interpolation};
 
 use super::check_values::{item_place, tidy};
 use super::perform::OnDevice;
@@ -18,6 +18,7 @@ const DUST: f64 = 1.0 + 1e-6;
 /// A way that the device moves linearly has its mean speed; where two such ways meet, the acceleration is the change of
 /// speed over the mean of their lengths (the second divided difference).
 pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, curve: &Curve) {
+    jumps(findings, on, control_type, curve);
     let limits = on.cast.limits(on.robots[0], on.device, control_type);
     if limits.speed.is_none() && limits.acceleration.is_none() {
         return;
@@ -68,5 +69,30 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
                 Some(hint),
             );
         }
+    }
+}
+
+/// Where a device that moves linearly is told to be at two places at once: a movement that is repeated and does not end as
+/// it begins, or pieces that do not meet. Told once for each track.
+fn jumps(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, curve: &Curve) {
+    if on.device.interpolation != Interpolation::Linear || control_type != ControlType::Position {
+        return;
+    }
+    let own = on.device.available_control_types.limits(control_type);
+    let small = own.map_or(0.0, |limits| limits.max_error.unwrap_or(0.0).max(limits.granularity));
+    let jump = curve
+        .knots
+        .windows(2)
+        .find(|pair| pair[0].at == pair[1].at && (pair[1].to - pair[0].to).abs() > small);
+    if let Some([before, after]) = jump {
+        let message = format!(
+            "the movement jumps from {} to {} at {}, for {}",
+            tidy(before.to),
+            tidy(after.to),
+            after.at,
+            on.who(control_type)
+        );
+        let hint = Some("let what is repeated end where it begins, and pieces meet".to_owned());
+        findings.add(Code::Jump, item_place(on.track, after.item), message, "a movement without jumps", hint);
     }
 }
