@@ -83,6 +83,9 @@ fn cues_take_place_as_early_as_their_relations_allow() {
     assert_eq!(plan.cue("f"), (7_850.0, 8_850.0));
     assert_eq!(plan.cue("m"), (8_850.0, 8_850.0));
     assert_eq!(plan.cue("g"), (12_000.0, 13_000.0));
+    // All but `g` could be later: `f` has to end 2 s before it.
+    let slack = |name: usize| plan.0["acts"][0]["cues"][name]["slack"].as_f64().unwrap();
+    assert_eq!((slack(0), slack(5), slack(7)), (0.0, 1_150.0, 0.0));
 }
 
 #[test]

@@ -71,8 +71,8 @@ pub struct PlannedCue {
     pub start: Span,
     /// When the last of its robots has ended.
     pub end: Span,
-    /// How much later it could start with nothing else changed for the worse; none where it could always.
-    pub slack: Option<Span>,
+    /// How much later it could start, all its relations kept, without the act ending later.
+    pub slack: Span,
 }
 
 /// How the steps of a device came about.

@@ -32,9 +32,10 @@ fn signed(span: Span) -> String {
 /// An act: its cues with their times, and a row a device.
 #[must_use]
 pub fn plan_table(act: &Act) -> String {
-    let mut cues = table(&["cue", "start", "end"], 1);
+    let mut cues = table(&["cue", "start", "end", "slack"], 1);
     for cue in &act.cues {
-        cues.add_row(vec![cue.name.clone(), cue.start.to_string(), cue.end.to_string()]);
+        let times = [cue.start, cue.end, cue.slack].map(|time| time.to_string());
+        cues.add_row([vec![cue.name.clone()], times.to_vec()].concat());
     }
     let header = ["robot", "device", "scripts", "steps", "at least", "budget", "worst error", "at"];
     let mut rows = table(&header, 2);

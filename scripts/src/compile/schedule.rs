@@ -21,7 +21,8 @@ pub(super) struct CueTime {
     pub(super) end: Span,
     /// How much longer its movement is than as it is written.
     pub(super) factor: f64,
-    pub(super) slack: Option<Span>,
+    /// How much later it could start without the act ending later.
+    pub(super) slack: Span,
 }
 
 /// The start and end of each cue, and whether they satisfy everything that is asked.
@@ -64,7 +65,7 @@ fn natural(act: &Act, members: &[Members]) -> Vec<CueTime> {
             None => members.length,
         };
         let factor = factor(length, members.length);
-        CueTime { start: Span::ZERO, end: length + members.delay, factor, slack: None }
+        CueTime { start: Span::ZERO, end: length + members.delay, factor, slack: Span::ZERO }
     };
     act.cues.iter().zip(members).map(time).collect()
 }
@@ -336,10 +337,12 @@ impl<'a> Timetable<'a> {
     }
 
     fn read(&self, schedule: &Schedule, members: &[Members]) -> Vec<CueTime> {
-        let time = |((start, end), members): (&(Event, Event), &Members)| {
-            let (start, end) = (schedule.time(*start), schedule.time(*end));
+        let latest = self.network.latest(schedule.makespan());
+        let time = |((first, last), members): (&(Event, Event), &Members)| {
+            let (start, end) = (schedule.time(*first), schedule.time(*last));
             let factor = factor(end - start - members.delay, members.length);
-            CueTime { start, end, factor, slack: None }
+            let slack = latest.as_ref().map_or(Span::ZERO, |latest| latest.time(*first) - start);
+            CueTime { start, end, factor, slack }
         };
         self.events.iter().zip(members).map(time).collect()
     }

@@ -105,6 +105,19 @@ impl Network {
         }
     }
 
+    /// The latest time of each event for which every bound can still be kept and nothing is after `horizon`: longest paths
+    /// backwards. `None` if the bounds or the horizon cannot be kept at all.
+    #[must_use]
+    pub fn latest(&self, horizon: Span) -> Option<Schedule> {
+        let arcs = self.arcs(None);
+        let backwards =
+            arcs.all().iter().map(|arc| (arc.to as usize, arc.from as usize, arc.weight, arc.label));
+        let mut negated = vec![-horizon.as_nanos(); self.events()];
+        negated[0] = 0;
+        let negated = longest(&Arcs::new(self.events(), backwards), negated).ok()?;
+        (negated[0] == 0).then(|| Schedule(negated.iter().map(|time| -time).collect()))
+    }
+
     /// Every bound as an arc: to >= from + weight. Without the arcs of one constraint's bound, where that is asked.
     pub(super) fn arcs(&self, without: Option<usize>) -> Arcs {
         let bounds = self.graph.edge_references().flat_map(|edge| {

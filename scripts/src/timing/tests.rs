@@ -142,6 +142,22 @@ proptest! {
     }
 
     #[test]
+    fn no_event_can_be_later_than_its_latest_time(small in small(), room in 0i64..6) {
+        let (network, _) = small.network();
+        let Ok(earliest) = network.solve() else { return Ok(()) };
+        let horizon = earliest.makespan() + span(room);
+        let latest = network.latest(horizon).unwrap();
+        for event in 1..=small.events {
+            for (later, possible) in [(0, true), (1, false)] {
+                let mut pushed = small.clone();
+                pushed.constraints.push((0, event, Some(latest.0[event] + later), None));
+                pushed.constraints.extend((1..=small.events).map(|other| (0, other, None, Some(horizon.as_nanos()))));
+                prop_assert_eq!(pushed.ways().is_some(), possible, "{:?} {}", small, event);
+            }
+        }
+    }
+
+    #[test]
     fn a_change_gives_what_solving_anew_gives(
         small in small(),
         changes in prop::collection::vec((0usize..9, prop::option::of(-6i64..12), prop::option::of(-6i64..12)), 1..6),
