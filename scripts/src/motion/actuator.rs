@@ -9,6 +9,8 @@ use urrcp::{ControlType, Device, Interpolation, Limits, Span};
 use super::{Curve, Easing, Function, Shape};
 use crate::fit::{self, Ends, Fit, Grid, Samples};
 
+/// Most samples that are fitted together: longer curves are cut at a knot, and each part is fitted by itself.
+const RUN_SAMPLES_MAX: f64 = 16_384.0;
 /// Most samples of one way between two knots.
 const SAMPLES_MAX: f64 = 65_536.0;
 /// Fewest samples of one way between two knots.
@@ -108,6 +110,7 @@ impl<'a> Actuator<'a> {
             fitted.at_least = 1;
         }
         let mut index = 1;
+        let mut cut = false;
         while index < knots.len() {
             let (before, knot) = (&knots[index - 1], &knots[index]);
             let means = if knot.at == before.at { Means::Own } else { self.means(knot.shape, thinned) };
@@ -127,18 +130,36 @@ impl<'a> Actuator<'a> {
                 }
                 Means::Alone => self.fit(curve, index..end, tolerance, &mut fitted, fits),
                 Means::Joined => {
-                    let joins = |i: usize| {
-                        knots[i].at > knots[i - 1].at && self.means(knots[i].shape, thinned) == means
-                    };
-                    while end < knots.len() && joins(end) {
-                        end += 1;
-                    }
+                    end = self.run_end(curve, index, tolerance, thinned);
                     self.fit(curve, index..end, tolerance, &mut fitted, fits);
+                    // A straight piece may reach across a cut.
+                    fitted.at_least -= usize::from(cut);
                 }
             }
+            cut = means == Means::Joined && end < knots.len() && self.joins(curve, end, thinned);
             index = end;
         }
         fitted
+    }
+
+    /// Whether the way to a knot may be fitted together with the one before.
+    fn joins(&self, curve: &Curve, index: usize, thinned: bool) -> bool {
+        let (before, knot) = (&curve.knots[index - 1], &curve.knots[index]);
+        knot.at > before.at && self.means(knot.shape, thinned) == Means::Joined
+    }
+
+    /// Where the ways that begin with the one to `index` are no longer fitted together.
+    fn run_end(&self, curve: &Curve, index: usize, tolerance: f64, thinned: bool) -> usize {
+        let mut samples = self.parts(curve, index, tolerance);
+        let mut end = index + 1;
+        while end < curve.knots.len() && self.joins(curve, end, thinned) {
+            samples += self.parts(curve, end, tolerance);
+            if samples > RUN_SAMPLES_MAX {
+                break;
+            }
+            end += 1;
+        }
+        end
     }
 
     /// The smallest error with at most `most` steps, no smaller than the tolerance, by bisecting it; and that tolerance.

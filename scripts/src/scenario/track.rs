@@ -15,6 +15,8 @@ pub(crate) const WAVE_KEYS: [&str; 6] = ["amplitude", "frequency", "period", "ph
 pub(crate) const TRAVEL_KEYS: [&str; 4] = ["from", "speed", "acceleration", "for"];
 pub(crate) const KEYFRAME_KEYS: [&str; 3] = ["at", "to", "ease"];
 
+/// After so many cycles a wave gets a knot.
+const WAVE_CYCLES: f64 = 8.0;
 /// What the file does not number.
 const NO_ITEM: u32 = u32::MAX;
 
@@ -274,14 +276,31 @@ fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Curve> {
         reader.add(Code::TooMuch, at.place(), message, "at most 10000 cycles", hint);
         return None;
     }
-    let sine = Function::Sine { cycles, phase: phase / 360.0 };
-    let shape = Shape::Function { index: 0, gain: amplitude, offset: center, reversed: false };
-    let value = |s: f64| center + amplitude * sine.at(s);
-    let knots = vec![
-        Knot { at: Span::ZERO, to: value(0.0), shape: Shape::Sampled, item: NO_ITEM },
-        Knot { at: length, to: value(1.0), shape, item: NO_ITEM },
-    ];
-    Some(Curve::new(knots, vec![sine]))
+    Some(wave(amplitude, center, phase / 360.0, cycles, length))
+}
+
+/// Knots after every so many whole cycles, alike, so that a long wave is fitted once for all of them.
+fn wave(amplitude: f64, center: f64, phase: f64, cycles: f64, length: Span) -> Curve {
+    let shape = |index| Shape::Function { index, gain: amplitude, offset: center, reversed: false };
+    let value = |function: &Function, s: f64| center + amplitude * function.at(s);
+    let together = WAVE_CYCLES.min(cycles);
+    let whole = Function::Sine { cycles: together, phase };
+    let mut knots =
+        vec![Knot { at: Span::ZERO, to: value(&whole, 0.0), shape: Shape::Sampled, item: NO_ITEM }];
+    let mut done = together;
+    while done <= cycles {
+        let at = Span::from_millis_f64(length.as_millis_f64() * done / cycles);
+        knots.push(Knot { at, to: value(&whole, 1.0), shape: shape(0), item: NO_ITEM });
+        done += together;
+    }
+    let rest = cycles - (done - together);
+    let mut functions = vec![whole];
+    if rest > 1e-9 {
+        let last = Function::Sine { cycles: rest, phase };
+        knots.push(Knot { at: length, to: value(&last, 1.0), shape: shape(1), item: NO_ITEM });
+        functions.push(last);
+    }
+    Curve::new(knots, functions)
 }
 
 /// from + speed t + acceleration t^2 / 2
