@@ -6,7 +6,7 @@ use std::fmt;
 use serde::de::{self, Deserialize, Deserializer, EnumAccess, MapAccess, SeqAccess, VariantAccess, Visitor};
 
 use crate::finding::{Code, Finding};
-use crate::render::line_of;
+use crate::render::{line_of, line_starts};
 use crate::source::Source;
 
 /// Any YAML value.
@@ -63,10 +63,9 @@ pub(crate) fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Find
     let message = shortened_to(&whole[..end], 300);
     let mut finding = Finding::about_file(Code::Syntax, &source.name, message, "one YAML document", None);
     if let Some(at) = error.location() {
-        finding.line = at.line();
-        finding.column = at.column();
+        (finding.line, finding.column) = line_and_column(&source.text, at.index());
         finding.width = 1;
-        finding.source_line = line_of(&source.text, at.line()).to_owned();
+        finding.source_line = line_of(&source.text, finding.line).to_owned();
     }
     if whole.contains("repetition limit") {
         finding.hint = Some("the aliases multiply beyond all measure: write less with them".into());
@@ -76,6 +75,14 @@ pub(crate) fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Find
         finding.hint = Some("keep one document a file: remove the `---` between them".into());
     }
     finding
+}
+
+/// Of a byte, both from 1. The parser's own lines also end where those of YAML 1.1 do, which no editor shows so.
+fn line_and_column(text: &str, byte: usize) -> (usize, usize) {
+    let byte = (0..=byte.min(text.len())).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);
+    let (line, start) =
+        line_starts(text).take_while(|start| *start <= byte).enumerate().last().unwrap_or((0, 0));
+    (line + 1, text[start..byte].chars().count() + 1)
 }
 
 fn shortened_to(text: &str, chars: usize) -> String {

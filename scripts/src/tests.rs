@@ -40,9 +40,22 @@ fn check_laws(text: &str) {
     let error = |finding: &crate::Finding| finding.severity == crate::Severity::Error;
     assert_eq!(compiled.choreography.is_none(), compiled.findings.iter().any(error));
     for finding in &compiled.findings {
-        assert!(finding.line <= text.lines().count() + 1, "{finding:?}");
+        assert!(finding.line <= text.matches(['\n', '\r']).count() + 1, "{finding:?}");
     }
     let _shown = crate::render(&compiled.findings, true);
+}
+
+#[test]
+fn a_fault_of_the_yaml_is_placed_by_the_lines_that_editors_show() {
+    let compiled = compile_text("a: \u{2028}x\u{85}y\n- b: [ö, c\n");
+    let finding = &compiled.findings[0];
+    assert!(finding.line <= 3 && compiled.choreography.is_none(), "{finding:?}");
+    let compiled = compile_text("scenario: s\r\ncues: [\u{e9}, {a: b: c}]\r\n");
+    let finding = &compiled.findings[0];
+    assert_eq!(
+        (finding.line, finding.column, finding.source_line.as_str()),
+        (2, 16, "cues: [\u{e9}, {a: b: c}]")
+    );
 }
 
 #[test]
