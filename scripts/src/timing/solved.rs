@@ -1,8 +1,5 @@
 //! A solved network of which one constraint changes: only what depends on it is looked at.
 
-use std::cmp::Reverse;
-use std::collections::BinaryHeap;
-
 use petgraph::graph::NodeIndex;
 use petgraph::visit::EdgeRef;
 use urrcp::Span;
@@ -165,9 +162,8 @@ impl Solved {
 
     /// Changes the bounds of a constraint. Where they contradict the others nothing changes.
     ///
-    /// First the bounds are loosened as far as old and new ones allow, then tightened one by one. Both are shortest paths
-    /// over slacks, which are not negative, from the change on (the idea of Ramalingam, Song, Joskowicz and Miller,
-    /// Algorithmica 23, 1999): what rises, by the largest rise first; what falls, by the least fall.
+    /// First the bounds are loosened as far as old and new ones allow, then tightened one by one. Only what the change
+    /// reaches is looked at (the idea of Ramalingam, Song, Joskowicz and Miller, Algorithmica 23, 1999).
     ///
     /// # Errors
     /// The smallest contradiction.
@@ -221,93 +217,66 @@ impl Solved {
 
     /// Raises what an arc raises. `false` if that is its own beginning, or the origin: then it closes a positive cycle.
     fn raise(&mut self, (begin, to, weight): (u32, u32, i64)) -> bool {
-        if weight == ABSENT {
+        let asked = self.nodes[begin as usize].time.saturating_add(weight);
+        if weight == ABSENT || asked <= self.nodes[to as usize].time {
             return true;
         }
-        let rise = self.nodes[begin as usize].time.saturating_add(weight) - self.nodes[to as usize].time;
-        if rise <= 0 {
-            return true;
+        if to == begin || to == 0 {
+            return false;
         }
-        // Most of what rises rises alike: that needs no heap.
-        let (mut alike, mut heap) = (vec![(to, begin)], BinaryHeap::new());
-        let mut rise = rise;
         self.clear_marks();
-        loop {
-            let Some((node, parent)) = alike.pop() else {
-                let Some((next, node, parent)) = heap.pop() else { return true };
-                rise = next;
-                alike.push((node, parent));
-                continue;
-            };
-            let known = &mut self.nodes[node as usize];
-            if known.mark == self.round {
-                continue;
-            }
-            known.mark = self.round;
-            if node == begin || node == 0 {
-                return false;
-            }
-            let risen = known.time.saturating_add(rise);
-            for arc in &self.out.arcs[self.out.range(node)] {
-                let to = &self.nodes[arc.other as usize];
-                let more = risen.saturating_add(arc.weight).saturating_sub(to.time);
-                if arc.weight == ABSENT || more <= 0 || to.mark == self.round {
-                    continue;
-                }
-                match more == rise {
-                    true => alike.push((arc.other, node)),
-                    false => heap.push((more, arc.other, node)),
-                }
-            }
-            self.set(node, risen, parent);
-        }
+        self.set(to, asked, begin);
+        self.nodes[to as usize].mark = self.round;
+        self.sweep(to, to, Some(begin))
     }
 
-    /// Lowers what has lost the bound that decided it: the tree below `root`.
-    fn lower(&mut self, root: u32) {
-        let affected = self.tree_below(root);
-        let (cap, parent) = self.fall_outside(root);
-        let (mut alike, mut heap) = (vec![(root, parent)], BinaryHeap::new());
-        for node in affected.iter().filter(|node| **node != root) {
-            let (fall, parent) = self.fall_outside(*node);
-            // Everything below the root is tied to it, and falls no further.
-            if fall < cap {
-                heap.push(Reverse((fall, *node, parent)));
-            }
-        }
-        let mut fall = cap;
-        if let Some(Reverse((least, ..))) = heap.peek()
-            && *least < fall
-        {
-            heap.push(Reverse((cap, root, parent)));
-            alike.clear();
-        }
-        loop {
-            let Some((node, parent)) = alike.pop() else {
-                let Some(Reverse((next, node, parent))) = heap.pop() else { return };
-                fall = next;
-                alike.push((node, parent));
-                continue;
-            };
-            let known = &mut self.nodes[node as usize];
-            if known.mark != self.round {
-                continue;
-            }
-            // Leaving the set of affected nodes is settling.
-            known.mark = 0;
-            let time = known.time;
-            for arc in &self.out.arcs[self.out.range(node)] {
-                let to = &self.nodes[arc.other as usize];
-                if arc.weight != ABSENT && to.mark == self.round {
-                    let slack = to.time.saturating_sub(time.saturating_add(arc.weight));
-                    match slack == 0 {
-                        true => alike.push((arc.other, node)),
-                        false => heap.push(Reverse((fall.saturating_add(slack), arc.other, node))),
+    /// Raises what the marked nodes from `first` to `last` raise. Nodes stand in the order of their times, so that most of
+    /// what depends on a node comes after it: one pass in that order, and another for what was raised before its place.
+    fn sweep(&mut self, first: u32, last: u32, begin: Option<u32>) -> bool {
+        let (mut from, mut last) = (Some(first), last);
+        while let Some(mut node) = from.take() {
+            while node <= last {
+                let known = &mut self.nodes[node as usize];
+                if known.mark != self.round {
+                    node += 1;
+                    continue;
+                }
+                known.mark = 0;
+                let time = known.time;
+                for place in self.out.range(node) {
+                    let arc = self.out.arcs[place];
+                    let asked = time.saturating_add(arc.weight);
+                    if arc.weight == ABSENT || asked <= self.nodes[arc.other as usize].time {
+                        continue;
+                    }
+                    if Some(arc.other) == begin || arc.other == 0 {
+                        return false;
+                    }
+                    self.set(arc.other, asked, node);
+                    self.nodes[arc.other as usize].mark = self.round;
+                    last = last.max(arc.other);
+                    if arc.other <= node {
+                        from = Some(from.map_or(arc.other, |known: u32| known.min(arc.other)));
                     }
                 }
+                node += 1;
             }
+        }
+        true
+    }
+
+    /// Lowers what has lost the bound that decided it: the tree below `root` falls to what bounds from outside ask, then
+    /// rises to what its own bounds ask.
+    fn lower(&mut self, root: u32) {
+        let affected = self.tree_below(root);
+        for &node in &affected {
+            let (fall, parent) = self.fall_outside(node);
+            let time = self.nodes[node as usize].time;
             self.set(node, time - fall, parent);
         }
+        let ends =
+            affected.iter().fold((root, root), |(first, last), node| (first.min(*node), last.max(*node)));
+        self.sweep(ends.0, ends.1, None);
     }
 
     /// How far the bounds from outside the marked set, and the origin, let a node fall; and which of them decides then.
