@@ -34,5 +34,5 @@ pub use message::{
     RobotType, Script, ScriptParameters, SensorParameters, Setpoint, Status, StatusValue, Step,
     StopCondition,
 };
-pub use text::{DeviceId, Label, RequestId, RobotId};
+pub use text::{DeviceId, Label, RequestId, RobotId, SessionId};
 pub use time::{Millis, Robot, Server, Span, Timestamp};

@@ -98,6 +98,11 @@ bounded_string!(
     check_length
 );
 bounded_string!(
+    /// One run of a scheduler: whoever names it drives the robot, and nobody else until it ends (our extension).
+    SessionId,
+    check_identifier
+);
+bounded_string!(
     /// A text for people, or a word that only the peer understands.
     Label,
     check_length

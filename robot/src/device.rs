@@ -17,7 +17,7 @@ use urrcp::{
 use crate::held::{Held, Steps};
 use crate::lease::{LastHeard, Lease};
 use crate::robot::LinkId;
-use crate::signal::{Signal, is_rate, resting_value};
+use crate::signal::{Rates, Signal, is_rate, resting_value};
 
 /// What a driver does with a device.
 #[derive(Clone, Debug, PartialEq)]
@@ -31,6 +31,17 @@ pub enum Motion {
         /// Where it begins.
         from: f64,
         /// Where it ends.
+        to: f64,
+        /// When.
+        until: Timestamp<Robot>,
+    },
+    /// Come to rest within the acceleration that the device declares: part of a stop.
+    Slow {
+        /// Which signal.
+        control_type: ControlType,
+        /// Where it begins.
+        from: f64,
+        /// Where it rests.
         to: f64,
         /// When.
         until: Timestamp<Robot>,
@@ -49,9 +60,12 @@ pub enum Motion {
 pub(crate) enum Effect {
     Move { motion: Motion, due: Timestamp<Robot>, request_id: Option<RequestId>, step: Option<u32> },
     Started { link: LinkId, request_id: Option<RequestId>, value: f64 },
-    Ended { link: LinkId, request_id: Option<RequestId>, value: f64, steps_done: u32 },
+    Ended { link: LinkId, request_id: Option<RequestId>, value: f64, steps_done: u32, late_steps: u32 },
     Failed { link: LinkId, request_id: Option<RequestId>, error: ControlError, steps_done: u32 },
 }
+
+/// A step that is done later than this after its deadline counts as late.
+const LATE: Span = Span::from_millis(1);
 
 /// Rates that go on after their command has ended, still under that command's lease.
 #[derive(Clone, Debug)]
@@ -118,15 +132,16 @@ impl DeviceMachine {
             let event = self.queue.front().and_then(Held::next_event).filter(|at| *at <= now);
             match (lease_end, event) {
                 (Some(end), event) if event.is_none_or(|event| end <= event) => self.link_lost(end, effects),
-                (_, Some(at)) => self.step(at, effects),
+                (_, Some(at)) => self.step(at, now, effects),
                 (_, None) => return,
             }
         }
     }
 
     /// Begins the front command or does its next step.
-    fn step(&mut self, at: Timestamp<Robot>, effects: &mut Vec<Effect>) {
+    fn step(&mut self, at: Timestamp<Robot>, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         let Some(mut held) = self.queue.pop_front() else { return };
+        held.late_steps += u32::from(now - at > LATE);
         if !held.began {
             held.began = true;
             let value = held.setpoint(0).map_or(0.0, |setpoint| setpoint.value);
@@ -193,7 +208,8 @@ impl DeviceMachine {
         let last = held.next_step.saturating_sub(1);
         let value = held.setpoint(last).map_or(0.0, |setpoint| setpoint.value);
         let (link, request_id) = (held.link, held.request_id.clone());
-        effects.push(Effect::Ended { link, request_id, value, steps_done: held.steps_done() });
+        let (steps_done, late_steps) = (held.steps_done(), held.late_steps);
+        effects.push(Effect::Ended { link, request_id, value, steps_done, late_steps });
         let lease = held.lease();
         let rates: Vec<_> = self.rates_left_on().filter(|rate| held.drives(*rate)).collect();
         if lease.silence.is_some() && !rates.is_empty() {
@@ -218,13 +234,19 @@ impl DeviceMachine {
             effects.push(Effect::Failed { link: lease.link, request_id, error: error.clone(), steps_done });
         }
         self.drop_all(&error, effects);
-        self.go_to_default_state(at, effects);
+        self.come_to_rest(at, false, effects);
     }
 
-    /// Ends everything that is held or runs, and goes to the default state.
-    pub(crate) fn stop(&mut self, now: Timestamp<Robot>, error: &ControlError, effects: &mut Vec<Effect>) {
+    /// Ends everything that is held or runs, and goes to the default state or stays where it is.
+    pub(crate) fn stop(
+        &mut self,
+        now: Timestamp<Robot>,
+        error: &ControlError,
+        hold: bool,
+        effects: &mut Vec<Effect>,
+    ) {
         self.drop_all(error, effects);
-        self.go_to_default_state(now, effects);
+        self.come_to_rest(now, hold, effects);
     }
 
     fn drop_all(&mut self, error: &ControlError, effects: &mut Vec<Effect>) {
@@ -246,24 +268,39 @@ impl DeviceMachine {
         effects.extend(dropped.into_iter().map(|held| failed(held, error)));
     }
 
-    /// default_value, or hold the last position; every other rate to zero.
-    fn go_to_default_state(&mut self, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
+    /// default_value, or hold the last position; every other rate to zero. What moves slows down as the device can.
+    fn come_to_rest(&mut self, now: Timestamp<Robot>, hold: bool, effects: &mut Vec<Effect>) {
         self.guards.clear();
         let primary = self.spec.primary_control_type();
-        let default = self.spec.default_value;
+        let default = self.spec.default_value.filter(|_| !hold);
+        let linear = self.spec.interpolation == Interpolation::Linear;
         for (control_type, signal) in &mut self.signals {
             let value = match control_type {
                 _ if Some(*control_type) == primary && default.is_some() => default.unwrap_or_default(),
                 ControlType::Position => signal.value(now),
                 _ => 0.0,
             };
-            *signal = Signal::resting(value, now);
-            effects.push(Effect::Move {
-                motion: Motion::Default { control_type: *control_type, value },
-                due: now,
-                request_id: None,
-                step: None,
+            let position = *control_type == ControlType::Position;
+            let slowed = rates(&self.spec, *control_type).filter(|_| linear || !position).and_then(|rates| {
+                if !position {
+                    return signal.slowed_to(now, value, rates.acceleration);
+                }
+                let to = default.is_some().then_some(value);
+                let limits = self.spec.available_control_types.limits(*control_type);
+                signal.brought_to_rest(now, to, rates, limits)
             });
+            let motion = match slowed {
+                Some(slowed) => {
+                    *signal = slowed;
+                    let (from, to) = (signal.value(now), signal.target());
+                    Motion::Slow { control_type: *control_type, from, to, until: signal.rests_at() }
+                }
+                None => {
+                    *signal = Signal::resting(value, now);
+                    Motion::Default { control_type: *control_type, value }
+                }
+            };
+            effects.push(Effect::Move { motion, due: now, request_id: None, step: None });
         }
     }
 
@@ -309,6 +346,7 @@ impl DeviceMachine {
             steps,
             stop_condition: request.stop_condition,
             next_step: 0,
+            late_steps: 0,
             began: false,
         };
         self.queue.insert(place, held);
@@ -346,6 +384,20 @@ impl DeviceMachine {
                 .map_err(|e| ControlError::new(e.code, format!("step {index}: {}", e.message)))?;
         }
         Ok(())
+    }
+}
+
+/// How fast a device changes its position or speed, where it declares an acceleration.
+fn rates(spec: &Device, control_type: ControlType) -> Option<Rates> {
+    let declared = |rate| {
+        let limits = spec.available_control_types.limits(rate)?;
+        Some(limits.min_value.abs().max(limits.max_value.abs())).filter(|rate| *rate > 0.0)
+    };
+    let acceleration = declared(ControlType::Acceleration)?;
+    let speed = declared(ControlType::Speed);
+    match control_type {
+        ControlType::Position | ControlType::Speed => Some(Rates { speed, acceleration }),
+        _ => None,
     }
 }
 

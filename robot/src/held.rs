@@ -16,6 +16,7 @@ pub(crate) struct Held {
     pub(crate) steps: Steps,
     pub(crate) stop_condition: Option<StopCondition>,
     pub(crate) next_step: usize,
+    pub(crate) late_steps: u32,
     pub(crate) began: bool,
 }
 

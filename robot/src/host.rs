@@ -50,6 +50,7 @@ pub enum HostError {
 
 /// What comes back on a link.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "nearly every one is a message")]
 pub enum LinkEvent {
     /// The robot says something.
     Message(Message),

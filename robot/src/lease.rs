@@ -22,6 +22,11 @@ impl LastHeard {
         }
     }
 
+    /// When a party was last heard.
+    pub(crate) fn last(&self, party: LinkId) -> Option<Timestamp<Robot>> {
+        self.0.get(&party).copied()
+    }
+
     /// When a lease of this length runs out; `None` without a lease.
     pub(crate) fn ends(&self, lease: &Lease) -> Option<Timestamp<Robot>> {
         let silence = lease.silence?.span();

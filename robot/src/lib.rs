@@ -10,6 +10,7 @@ mod device;
 mod held;
 mod host;
 mod lease;
+mod parties;
 mod precise_wait;
 mod robot;
 mod serve;

@@ -4,13 +4,14 @@ use std::collections::{BTreeSet, HashMap};
 
 use urrcp::{
     AvailabilityResponse, Command, ContentHash, ControlError, ControlRequest, ControlResponse, ControlType,
-    DecodeError, DeviceId, ErrorCode, InitializationBlock, Message, RequestId, Status, StatusValue,
-    Timestamp,
+    DecodeError, DeviceId, ErrorCode, InitializationBlock, Message, RequestId, SessionId, Status,
+    StatusValue, Timestamp,
 };
 
 use crate::answers::Answers;
 use crate::device::{DeviceMachine, Effect, Motion};
 use crate::lease::LastHeard;
+use crate::parties::Parties;
 
 /// One connection of a server with this robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -63,6 +64,7 @@ pub struct Robot {
     devices: Vec<DeviceMachine>,
     index_of: HashMap<DeviceId, usize>,
     heard: LastHeard,
+    parties: Parties,
     /// Earliest possible wake-up of each device; a renewed lease makes an entry early, never late.
     wakeups: BTreeSet<(Timestamp<urrcp::Robot>, usize)>,
     wakeup_of: Vec<Option<Timestamp<urrcp::Robot>>>,
@@ -87,6 +89,7 @@ impl Robot {
             devices,
             index_of,
             heard: LastHeard::default(),
+            parties: Parties::default(),
             wakeups: BTreeSet::new(),
             wakeup_of,
             answers: Answers::default(),
@@ -148,10 +151,19 @@ impl Robot {
     pub fn handle(&mut self, now: Now, link: LinkId, input: Input, out: &mut Vec<Output>) {
         self.advance(now, out);
         match input {
-            Input::LinkDown => {}
+            Input::LinkDown => self.parties.link_down(link),
             Input::Undecodable(error) => self.answer_undecodable(now, link, &error, out),
             Input::Message(message) => {
-                self.heard.heard(link, now);
+                let session = match &message {
+                    Message::AvailabilityRequest(request) => request.session.as_ref(),
+                    Message::ControlRequest(request) => request.session.as_ref(),
+                    _ => None,
+                };
+                let party = match session {
+                    Some(session) => self.parties.join(link, session),
+                    None => self.parties.party(link),
+                };
+                self.heard.heard(party, now);
                 self.handle_message(now, link, message, out);
             }
         }
@@ -160,12 +172,17 @@ impl Robot {
     fn handle_message(&mut self, now: Now, link: LinkId, message: Message, out: &mut Vec<Output>) {
         match message {
             Message::AvailabilityRequest(request) => {
+                let taken = self.claim(now, link, request.session.as_ref()).err();
                 let response = AvailabilityResponse {
                     originate_timestamp: request.timestamp,
                     receive_timestamp: now,
                     timestamp: now,
-                    status: Status::Ok,
-                    error: None,
+                    status: if taken.is_some() { Status::Failed } else { Status::Ok },
+                    error: taken.filter(|_| request.session.is_some()),
+                };
+                let response = match request.session {
+                    Some(_) => response,
+                    None => AvailabilityResponse { status: Status::Ok, ..response },
                 };
                 out.push(Output::Send { link, message: Message::AvailabilityResponse(response) });
             }
@@ -206,6 +223,13 @@ impl Robot {
             let again = ControlResponse { timestamp: now, ..answer.clone() };
             return out.push(Output::Send { link, message: Message::ControlResponse(again) });
         }
+        if !matches!(request.command, Command::ReadSensor)
+            && let Err(error) = self.claim(now, link, request.session.as_ref())
+        {
+            // Not remembered: the same request may be taken once the robot is free.
+            let answer = refusal(now, &request, error);
+            return out.push(Output::Send { link, message: Message::ControlResponse(answer) });
+        }
         let Some(&index) = self.index_of.get(&request.device_id) else {
             let error = ControlError::new(
                 ErrorCode::UnknownDevice,
@@ -230,11 +254,26 @@ impl Robot {
                 if error.code == ErrorCode::UnsupportedControlType {
                     let why =
                         "the device went to its default state: it was sent a control type that it lacks";
-                    self.stop(now, index, why, out);
+                    self.stop(now, index, why, false, out);
                 }
                 self.refuse(now, link, &request, error, out);
             }
         }
+    }
+
+    /// Takes the robot for a session, if it is free. Without a session nothing is taken, and what another session has
+    /// taken stays out of reach.
+    fn claim(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Result<(), ControlError> {
+        let idle = self.devices.iter().all(DeviceMachine::is_idle);
+        let owner = self.parties.owner(now, idle, &self.heard);
+        if let Some((owner, _)) = owner.filter(|(owner, _)| session != Some(owner)) {
+            let message = format!("`{}` belongs to session `{owner}` until that ends", self.block.id);
+            return Err(ControlError::new(ErrorCode::Busy, message));
+        }
+        if let Some(session) = session {
+            self.parties.claim(session, self.parties.party(link));
+        }
+        Ok(())
     }
 
     fn accept(
@@ -245,7 +284,7 @@ impl Robot {
         request: &ControlRequest,
     ) -> Result<(), ControlError> {
         let start = request.starts_at().map_or(now, Timestamp::assume_clock);
-        self.devices[index].accept(now, start, link, request)
+        self.devices[index].accept(now, start, self.parties.party(link), request)
     }
 
     fn confirm(
@@ -286,7 +325,7 @@ impl Robot {
             let message = format!("`{}` is no sensor", spec.id);
             let error = ControlError::new(ErrorCode::UnsupportedControlType, message);
             let why = "the device went to its default state: it was asked for a reading and is no sensor";
-            self.stop(now, index, why, out);
+            self.stop(now, index, why, false, out);
             return self.refuse(now, link, request, error, out);
         };
         let middle = f64::midpoint(sensor.min_value, sensor.max_value);
@@ -312,7 +351,7 @@ impl Robot {
         let why = "cancelled by an empty script";
         let from: Option<Now> = request.starts_at().map(Timestamp::assume_clock);
         match from.filter(|from| *from > now) {
-            None => self.stop(now, index, why, out),
+            None => self.stop(now, index, why, request.hold, out),
             Some(from) => {
                 let error = ControlError::new(ErrorCode::Cancelled, why);
                 self.devices[index].cancel_from(from, &error, &mut self.effects);
@@ -327,10 +366,10 @@ impl Robot {
         self.answer(link, answer, out);
     }
 
-    /// Ends all that a device holds or does, and sends it to its default state.
-    fn stop(&mut self, now: Now, index: usize, why: &str, out: &mut Vec<Output>) {
+    /// Ends all that a device holds or does, and sends it to its default state, or lets it stay where it is.
+    fn stop(&mut self, now: Now, index: usize, why: &str, hold: bool, out: &mut Vec<Output>) {
         let error = ControlError::new(ErrorCode::Cancelled, why);
-        self.devices[index].stop(now, &error, &mut self.effects);
+        self.devices[index].stop(now, &error, hold, &mut self.effects);
         self.settle(now, index, out);
     }
 
@@ -349,12 +388,7 @@ impl Robot {
         error: ControlError,
         out: &mut Vec<Output>,
     ) {
-        let answer = ControlResponse {
-            request_id: request.request_id.clone(),
-            error: Some(error),
-            ..response(now, request.device_id.clone(), Status::Failed)
-        };
-        self.answer(link, answer, out);
+        self.answer(link, refusal(now, request, error), out);
     }
 
     /// Sends an answer and remembers it for a repetition of its request.
@@ -404,16 +438,18 @@ impl Robot {
                 let status_value = StatusValue::Number(value);
                 (link, ControlResponse { request_id, status_value, ..base(Status::Started) })
             }
-            Effect::Ended { link, request_id, value, steps_done } => {
+            Effect::Ended { link, request_id, value, steps_done, late_steps } => {
                 let status_value = StatusValue::Number(value);
                 let steps_done = Some(steps_done);
-                (link, ControlResponse { request_id, status_value, steps_done, ..base(Status::Ok) })
+                let base = ControlResponse { late_steps: Some(late_steps), ..base(Status::Ok) };
+                (link, ControlResponse { request_id, status_value, steps_done, ..base })
             }
             Effect::Failed { link, request_id, error, steps_done } => {
                 let (error, steps_done) = (Some(error), Some(steps_done));
                 (link, ControlResponse { request_id, error, steps_done, ..base(Status::Failed) })
             }
         };
+        let link = self.parties.route(link);
         self.answers.remember(&report);
         if self.block.reports {
             out.push(Output::Send { link, message: Message::ControlResponse(report) });
@@ -433,6 +469,14 @@ fn check_hash(request: &ControlRequest) -> Result<Option<ContentHash>, ControlEr
     }
 }
 
+fn refusal(now: Now, request: &ControlRequest, error: ControlError) -> ControlResponse {
+    ControlResponse {
+        request_id: request.request_id.clone(),
+        error: Some(error),
+        ..response(now, request.device_id.clone(), Status::Failed)
+    }
+}
+
 fn response(now: Now, device_id: DeviceId, status: Status) -> ControlResponse {
     ControlResponse {
         timestamp: now,
@@ -443,6 +487,7 @@ fn response(now: Now, device_id: DeviceId, status: Status) -> ControlResponse {
         content_hash: None,
         event_timestamp: None,
         steps_done: None,
+        late_steps: None,
         error: None,
     }
 }

@@ -18,7 +18,7 @@ pub struct LogEntry {
     pub due: Timestamp<Robot>,
     /// Which device.
     pub device: DeviceId,
-    /// `set`, `ramp` or `default`.
+    /// `set`, `ramp`, `slow` or `default`.
     pub motion: &'static str,
     /// position, speed, acceleration or custom_N.
     pub control_type: String,
@@ -35,6 +35,7 @@ impl LogEntry {
         let (motion, control_type, value) = match set.motion {
             Motion::Set(setpoint) => ("set", setpoint.control_type, setpoint.value),
             Motion::Ramp { control_type, to, .. } => ("ramp", control_type, to),
+            Motion::Slow { control_type, to, .. } => ("slow", control_type, to),
             Motion::Default { control_type, value } => ("default", control_type, value),
         };
         Self {

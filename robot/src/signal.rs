@@ -1,6 +1,6 @@
 //! One signal of a device: where it rests, or how it moves.
 
-use urrcp::{ControlType, Device, Robot, Timestamp};
+use urrcp::{ControlType, Device, Limits, Robot, Span, Timestamp};
 
 /// A signal under way or at rest.
 #[derive(Clone, Copy, Debug)]
@@ -9,15 +9,38 @@ pub(crate) struct Signal {
     since: Timestamp<Robot>,
     to: f64,
     until: Timestamp<Robot>,
+    slowing: Option<Slowing>,
+}
+
+/// Coming to rest: down to a standstill, and from there to the target by speeding up, going on and slowing down.
+#[derive(Clone, Copy, Debug)]
+struct Slowing([Phase; 4]);
+
+/// A time of constant acceleration; lasts until the next one begins.
+#[derive(Clone, Copy, Debug)]
+struct Phase {
+    since: Timestamp<Robot>,
+    value: f64,
+    rate: f64,
+    acceleration: f64,
+}
+
+/// How fast a device may change one of its signals, in the signal's unit.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rates {
+    /// A second.
+    pub(crate) speed: Option<f64>,
+    /// A second squared.
+    pub(crate) acceleration: f64,
 }
 
 impl Signal {
     pub(crate) const fn resting(value: f64, at: Timestamp<Robot>) -> Self {
-        Self { from: value, since: at, to: value, until: at }
+        Self { from: value, since: at, to: value, until: at, slowing: None }
     }
 
     pub(crate) const fn ramp(from: f64, since: Timestamp<Robot>, to: f64, until: Timestamp<Robot>) -> Self {
-        Self { from, since, to, until }
+        Self { from, since, to, until, slowing: None }
     }
 
     /// Where it rests in the end.
@@ -25,12 +48,90 @@ impl Signal {
         self.to
     }
 
+    /// When it rests there.
+    pub(crate) const fn rests_at(&self) -> Timestamp<Robot> {
+        self.until
+    }
+
     pub(crate) fn value(&self, now: Timestamp<Robot>) -> f64 {
         if now >= self.until {
             return self.to;
         }
+        if let Some(slowing) = &self.slowing {
+            let (phase, seconds) = slowing.at(now);
+            return phase.value + phase.rate * seconds + phase.acceleration * seconds * seconds / 2.0;
+        }
         let part = (now - self.since).as_millis_f64() / (self.until - self.since).as_millis_f64();
         self.from + (self.to - self.from) * part.clamp(0.0, 1.0)
+    }
+
+    /// Its change a second.
+    fn rate(&self, now: Timestamp<Robot>) -> f64 {
+        if now >= self.until || now < self.since {
+            return 0.0;
+        }
+        if let Some(slowing) = &self.slowing {
+            let (phase, seconds) = slowing.at(now);
+            return phase.rate + phase.acceleration * seconds;
+        }
+        (self.to - self.from) / ((self.until - self.since).as_millis_f64() / 1_000.0)
+    }
+
+    /// The way to rest from where it is: with constant deceleration to a standstill, then, where there is a target, to it.
+    /// `None` where it stands there already. A standstill beyond `limits` is avoided by braking harder.
+    pub(crate) fn brought_to_rest(
+        &self,
+        now: Timestamp<Robot>,
+        to: Option<f64>,
+        rates: Rates,
+        limits: Option<&Limits>,
+    ) -> Option<Self> {
+        let (value, rate) = (self.value(now), self.rate(now));
+        let room = limits.map_or(f64::INFINITY, |limits| match rate > 0.0 {
+            true => limits.max_value - value,
+            false => value - limits.min_value,
+        });
+        let brake = rates.acceleration.max(rate * rate / (2.0 * room.max(f64::MIN_POSITIVE)));
+        let standstill = value + (rate * rate.abs() / (2.0 * brake)).clamp(-room.abs(), room.abs());
+        let to = to.unwrap_or(standstill);
+        let way = (to - standstill).abs();
+        if rate == 0.0 && way == 0.0 {
+            return None;
+        }
+        let (direction, a) = ((to - standstill).signum(), rates.acceleration);
+        let peak = (a * way).sqrt().min(rates.speed.unwrap_or(f64::INFINITY));
+        let going_on = if peak > 0.0 { (way - peak * peak / a) / peak } else { 0.0 };
+        let plan = [
+            (rate.abs() / brake, rate, -rate.signum() * brake),
+            (peak / a, 0.0, direction * a),
+            (going_on.max(0.0), direction * peak, 0.0),
+            (peak / a, direction * peak, -direction * a),
+        ];
+        let mut at = (now, value);
+        let phases = plan.map(|(seconds, rate, acceleration)| {
+            let phase = Phase { since: at.0, value: at.1, rate, acceleration };
+            at.0 = at.0 + Span::from_millis_f64(seconds * 1_000.0);
+            at.1 += rate * seconds + acceleration * seconds * seconds / 2.0;
+            phase
+        });
+        Some(Self { from: value, since: now, to, until: at.0, slowing: Some(Slowing(phases)) })
+    }
+}
+
+impl Signal {
+    /// The way of a speed to `to` at constant acceleration. `None` where it stands there already.
+    pub(crate) fn slowed_to(&self, now: Timestamp<Robot>, to: f64, acceleration: f64) -> Option<Self> {
+        let from = self.value(now);
+        let seconds = (to - from).abs() / acceleration;
+        (from != to).then(|| Self::ramp(from, now, to, now + Span::from_millis_f64(seconds * 1_000.0)))
+    }
+}
+
+impl Slowing {
+    /// The phase at an instant, and the seconds since its begin.
+    fn at(&self, now: Timestamp<Robot>) -> (Phase, f64) {
+        let phase = self.0.iter().rev().find(|phase| phase.since <= now).unwrap_or(&self.0[0]);
+        (*phase, (now - phase.since).as_millis_f64().max(0.0) / 1_000.0)
     }
 }
 
@@ -58,5 +159,37 @@ mod tests {
         let ramp = Signal::ramp(10.0, at(1_000_000), 20.0, at(3_000_000));
         let values = [0, 1_000_000, 2_000_000, 3_000_000, 9_000_000].map(|nanos| ramp.value(at(nanos)));
         assert_eq!(values, [10.0, 10.0, 15.0, 20.0, 20.0]);
+    }
+
+    #[test]
+    fn coming_to_rest_keeps_to_the_acceleration_and_the_speed() {
+        let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
+        let rates = Rates { speed: Some(10.0), acceleration: 20.0 };
+        // 8 a second upwards, stopped at 4 s: 1.6 further in 0.4 s, then back to 0.
+        let moving = Signal::ramp(0.0, at(0), 80.0, at(10_000));
+        let stopped = moving.brought_to_rest(at(4_000), Some(0.0), rates, None).unwrap();
+        assert!((stopped.value(at(4_400)) - 33.6).abs() < 1e-9);
+        let dt = 0.001;
+        let values: Vec<f64> = (4_000..9_000).map(|millis| stopped.value(at(millis))).collect();
+        for window in values.windows(3) {
+            let (before, after) = ((window[1] - window[0]) / dt, (window[2] - window[1]) / dt);
+            assert!(
+                before.abs() <= 10.0 + 1e-6 && ((after - before) / dt).abs() <= 20.0 + 1e-3,
+                "{window:?}"
+            );
+        }
+        assert!(stopped.value(stopped.rests_at()).abs() < 1e-9);
+        assert!(stopped.rests_at() < at(9_000));
+    }
+
+    #[test]
+    fn a_standstill_beyond_the_limits_is_avoided_by_braking_harder() {
+        let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
+        let limits = Limits { min_value: 0.0, max_value: 10.0, granularity: 0.1, max_error: None };
+        let moving = Signal::ramp(0.0, at(0), 10.0, at(1_000));
+        let rates = Rates { speed: None, acceleration: 1.0 };
+        let stopped = moving.brought_to_rest(at(900), None, rates, Some(&limits)).unwrap();
+        assert!((stopped.target() - 10.0).abs() < 1e-9);
+        assert!((900..2_000).all(|millis| stopped.value(at(millis)) <= 10.0 + 1e-9));
     }
 }

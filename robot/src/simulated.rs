@@ -60,6 +60,7 @@ pub enum Fault {
 
 /// What leaves a simulated robot.
 #[derive(Clone, Debug)]
+#[expect(clippy::large_enum_variant, reason = "nearly every one is a message")]
 pub enum Outgoing {
     /// A message on a link.
     Message {
@@ -229,6 +230,7 @@ impl SimulatedRobot {
                     content_hash: None,
                     event_timestamp: None,
                     steps_done: None,
+                    late_steps: None,
                     error: Some(ControlError::new(ErrorCode::Busy, "simulated refusal")),
                 };
                 self.send(now, link, Message::ControlResponse(refusal));

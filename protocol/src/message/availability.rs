@@ -4,6 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::Status;
 use crate::error::ControlError;
+use crate::text::SessionId;
 use crate::time::{Robot, Server, Timestamp};
 
 /// Step 1. Also serves to renew the leases of a quiet link.
@@ -12,6 +13,9 @@ pub struct AvailabilityRequest {
     /// When the server sent it, T1 of RFC 5905 (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub timestamp: Option<Timestamp<Server>>,
+    /// Claims the robot for this session; a robot that belongs to another answers `Failed` with `busy` (our extension).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub session: Option<SessionId>,
 }
 
 /// Step 2. With the instant of its arrival the three times in it give offset and delay as in NTP (RFC 5905, section 8).

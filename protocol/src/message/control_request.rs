@@ -12,7 +12,7 @@ use super::{Script, Setpoint, StopCondition};
 use crate::content_hash::ContentHash;
 use crate::control_type::ControlType;
 use crate::number;
-use crate::text::{DeviceId, RequestId};
+use crate::text::{DeviceId, RequestId, SessionId};
 use crate::time::{Millis, Server, Timestamp};
 
 /// Drives, reads or stops one device.
@@ -30,6 +30,10 @@ pub struct ControlRequest {
     pub request_id: Option<RequestId>,
     /// Of `control_value`, checked and echoed by the robot (our extension).
     pub content_hash: Option<ContentHash>,
+    /// On whose behalf; a robot takes commands of one session at a time (our extension).
+    pub session: Option<SessionId>,
+    /// With an empty script: the devices stay where they are instead of going to their default state (our extension).
+    pub hold: bool,
     /// What to do: `control_type` with its values.
     pub command: Command,
 }
@@ -85,6 +89,8 @@ impl ControlRequest {
             stop_condition: None,
             request_id: None,
             content_hash: None,
+            session: None,
+            hold: false,
             command,
         }
     }
@@ -114,6 +120,12 @@ impl Serialize for ControlRequest {
         }
         if let Some(content_hash) = &self.content_hash {
             map.serialize_entry("content_hash", content_hash)?;
+        }
+        if let Some(session) = &self.session {
+            map.serialize_entry("session", session)?;
+        }
+        if self.hold {
+            map.serialize_entry("hold", &true)?;
         }
         map.serialize_entry("control_type", &self.command.control_type())?;
         match &self.command {
@@ -186,6 +198,8 @@ struct Fields {
     stop_condition: Option<Option<StopCondition>>,
     request_id: Option<Option<RequestId>>,
     content_hash: Option<Option<ContentHash>>,
+    session: Option<Option<SessionId>>,
+    hold: Option<Option<bool>>,
     control_type: Option<ControlType>,
     control_value: Option<RawValue>,
     more: FurtherValues,
@@ -218,6 +232,8 @@ fn read_field<'de, A: MapAccess<'de>>(fields: &mut Fields, key: &str, map: &mut 
         "stop_condition" => set_once(&mut fields.stop_condition, "stop_condition", map.next_value()?),
         "request_id" => set_once(&mut fields.request_id, "request_id", map.next_value()?),
         "content_hash" => set_once(&mut fields.content_hash, "content_hash", map.next_value()?),
+        "session" => set_once(&mut fields.session, "session", map.next_value()?),
+        "hold" => set_once(&mut fields.hold, "hold", map.next_value()?),
         "control_type" => set_once(&mut fields.control_type, "control_type", map.next_value()?),
         "control_value" => set_once(&mut fields.control_value, "control_value", map.next_value()?),
         other => match FurtherValues::index(other)? {
@@ -236,6 +252,8 @@ fn finish<E: de::Error>(fields: Fields) -> Result<ControlRequest, E> {
         stop_condition: fields.stop_condition.flatten(),
         request_id: fields.request_id.flatten(),
         content_hash: fields.content_hash.flatten(),
+        session: fields.session.flatten(),
+        hold: fields.hold.flatten().unwrap_or(false),
         command: command(control_type, fields.control_value, fields.more)?,
     })
 }

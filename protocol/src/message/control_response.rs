@@ -37,6 +37,9 @@ pub struct ControlResponse {
     /// How many steps have been executed (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub steps_done: Option<u32>,
+    /// How many of them more than a millisecond late (our extension).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub late_steps: Option<u32>,
     /// Why it failed (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,

@@ -1,6 +1,7 @@
 //! Setpoints, and the script: many of them in one command.
 
 use std::fmt;
+use std::sync::Arc;
 
 use serde::de::{self, IgnoredAny, MapAccess, Visitor};
 use serde::ser::SerializeMap;
@@ -47,9 +48,9 @@ pub struct Step {
     pub stop_condition: Option<StopCondition>,
 }
 
-/// Steps in order of time. Without steps it cancels.
+/// Steps in order of time. Without steps it cancels. Clones share their steps.
 #[derive(Clone, Debug, Default, PartialEq)]
-pub struct Script(Vec<Step>);
+pub struct Script(Arc<[Step]>);
 
 impl Script {
     /// Takes steps whose offsets do not decrease.
@@ -59,7 +60,7 @@ impl Script {
     pub fn new(steps: Vec<Step>) -> Result<Self, LimitError> {
         let fall = steps.windows(2).position(|pair| pair[1].offset < pair[0].offset);
         match fall {
-            None => Ok(Self(steps)),
+            None => Ok(Self(steps.into())),
             Some(i) => Err(LimitError::StepsOutOfOrder {
                 step: i + 1,
                 millis: steps[i + 1].offset.get(),
@@ -70,8 +71,8 @@ impl Script {
 
     /// The empty script, which cancels what is scheduled to start at its own start or later.
     #[must_use]
-    pub const fn cancel() -> Self {
-        Self(Vec::new())
+    pub fn cancel() -> Self {
+        Self::default()
     }
 
     /// The steps in order.
@@ -95,7 +96,7 @@ impl Script {
 
 impl Serialize for Script {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_seq(&self.0)
+        serializer.collect_seq(self.0.iter())
     }
 }
 

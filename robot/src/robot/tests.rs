@@ -1,6 +1,7 @@
 //! The rules of the robot's side, one a test.
 
 mod instants;
+mod sessions;
 
 use proptest::prelude::*;
 use urrcp::{

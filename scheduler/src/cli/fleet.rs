@@ -164,7 +164,10 @@ async fn ask(
 }
 
 fn ping(link: &Link, clock: &ServerClock) {
-    link.send(Message::AvailabilityRequest(AvailabilityRequest { timestamp: Some(clock.now()) }));
+    link.send(Message::AvailabilityRequest(AvailabilityRequest {
+        timestamp: Some(clock.now()),
+        session: None,
+    }));
 }
 
 fn ping_table(fleet: &Fleet, answers: &[Answer]) -> String {

@@ -33,7 +33,11 @@ impl Mission {
     /// Asks for the robot's times; also renews all leases on its link.
     pub(super) fn ask_availability(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].asked_at = Some(now);
-        self.send(now, robot, Message::AvailabilityRequest(AvailabilityRequest { timestamp: Some(now) }));
+        self.send(
+            now,
+            robot,
+            Message::AvailabilityRequest(AvailabilityRequest { timestamp: Some(now), session: None }),
+        );
     }
 
     pub(super) fn availability(

@@ -75,6 +75,8 @@ impl Mission {
             }),
             request_id,
             content_hash: Some(command.content_hash()),
+            session: None,
+            hold: false,
             command,
         }
     }

@@ -288,6 +288,7 @@ fn an_availability_request_is_answered_with_its_own_time_and_the_robots() {
     let mut bench = Bench::new();
     bench.until(40);
     bench.send(Message::AvailabilityRequest(AvailabilityRequest {
+        session: None,
         timestamp: Some(Timestamp::from_nanos(7)),
     }));
     let Some(Output::Send { message: Message::AvailabilityResponse(response), .. }) = bench.out.last() else {

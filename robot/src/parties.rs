@@ -1,0 +1,99 @@
+//! Who talks on which link, and to whom the robot belongs.
+//!
+//! A session is one run of a scheduler. It may use several links, one after another or at once: leases, answers and
+//! stops go with the session. A link that names no session is a party of its own.
+
+use std::collections::HashMap;
+
+use urrcp::{Robot, SessionId, Span, Timestamp};
+
+use crate::lease::LastHeard;
+use crate::robot::LinkId;
+
+/// An idle robot whose session has been silent for so long may be claimed by another.
+const CLAIM_SILENCE: Span = Span::from_millis(5_000);
+/// Sessions that are remembered.
+const SESSIONS_MAX: usize = 256;
+
+/// Parties are named by their first link.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Parties {
+    of_link: HashMap<LinkId, LinkId>,
+    of_session: HashMap<SessionId, LinkId>,
+    /// Where a party was last heard.
+    route: HashMap<LinkId, LinkId>,
+    owner: Option<(SessionId, LinkId)>,
+}
+
+impl Parties {
+    /// Who talks on a link.
+    pub(crate) fn party(&self, link: LinkId) -> LinkId {
+        self.of_link.get(&link).copied().unwrap_or(link)
+    }
+
+    /// The link on which a party is reached.
+    pub(crate) fn route(&self, party: LinkId) -> LinkId {
+        self.route.get(&party).copied().unwrap_or(party)
+    }
+
+    /// A message of this session came on this link.
+    pub(crate) fn join(&mut self, link: LinkId, session: &SessionId) -> LinkId {
+        let party = match self.of_session.get(session) {
+            Some(party) => *party,
+            None => {
+                if self.of_session.len() >= SESSIONS_MAX {
+                    self.forget_oldest();
+                }
+                // A link that spoke for another session before begins anew under a name that no other link has.
+                let taken = self.of_session.values().any(|party| *party == link);
+                let party = if taken { LinkId(u64::MAX - self.of_session.len() as u64) } else { link };
+                self.of_session.insert(session.clone(), party);
+                party
+            }
+        };
+        self.of_link.insert(link, party);
+        self.route.insert(party, link);
+        party
+    }
+
+    pub(crate) fn link_down(&mut self, link: LinkId) {
+        let party = self.party(link);
+        self.of_link.remove(&link);
+        if self.route.get(&party) == Some(&link) {
+            self.route.remove(&party);
+            let other = self.of_link.iter().filter(|(_, p)| **p == party).map(|(link, _)| *link).max();
+            other.map(|link| self.route.insert(party, link));
+        }
+    }
+
+    /// The session to which the robot belongs, as far as that still holds: it holds something, or it was heard lately
+    /// on a link that stands.
+    pub(crate) fn owner(
+        &self,
+        now: Timestamp<Robot>,
+        idle: bool,
+        heard: &LastHeard,
+    ) -> Option<&(SessionId, LinkId)> {
+        self.owner.as_ref().filter(|(_, party)| {
+            let recent = heard.last(*party).is_some_and(|at| now < at + CLAIM_SILENCE);
+            !idle || (recent && self.route.contains_key(party))
+        })
+    }
+
+    /// From now on the robot belongs to this session.
+    pub(crate) fn claim(&mut self, session: &SessionId, party: LinkId) {
+        if self.owner.as_ref().is_none_or(|(owner, _)| owner != session) {
+            self.owner = Some((session.clone(), party));
+        }
+    }
+
+    fn forget_oldest(&mut self) {
+        let silent = self.of_session.iter().filter(|(session, party)| {
+            let owns = self.owner.as_ref().is_some_and(|(owner, _)| owner == *session);
+            !owns && !self.route.contains_key(*party)
+        });
+        let oldest = silent.min_by_key(|(_, party)| **party).map(|(session, _)| session.clone());
+        // All links stand: then the number of links bounds the sessions.
+        oldest.and_then(|session| self.of_session.remove(&session));
+    }
+}
