@@ -191,7 +191,12 @@ fn a_bad_initialization_block_is_found_in_its_own_file() {
 /// Runs `check` with 200 MB of address space in all.
 #[track_caller]
 fn check_in_little_memory(session: &Session, code: i32, parts: &[&str]) {
-    let line = format!("ulimit -v 204800; exec {} check test.yaml", crate::session::PROGRAM);
+    check_in_memory(session, 204_800, code, parts);
+}
+
+#[track_caller]
+fn check_in_memory(session: &Session, kilobytes: u32, code: i32, parts: &[&str]) {
+    let line = format!("ulimit -v {kilobytes}; exec {} check test.yaml", crate::session::PROGRAM);
     let mut shell = std::process::Command::new("sh");
     shell.args(["-c", &line]).current_dir(session.path(""));
     crate::session::Ran(shell.output().unwrap()).says(code, parts);
@@ -225,6 +230,39 @@ fn hostile_files_get_a_clear_message_in_little_memory() {
 
     session.file("test.yaml", "cues: !!python/tuple [1, 2]\nscenario: x\n");
     check_in_little_memory(&session, 1, &["DB00"]);
+}
+
+#[test]
+fn few_words_that_stand_for_very_much_are_refused_in_bounded_memory() {
+    let session = Session::new();
+    let kilobytes = 1_500_000;
+    let repeated = |times: u32, keyframes: &str| {
+        let yaml = scenario(keyframes).replace("robots: arms", &format!("robots: arms\n    repeat: {times}"));
+        session.file("test.yaml", yaml);
+    };
+    repeated(
+        7_000_000,
+        "        - {at: 0s, to: 0}\n        - {at: 1ms, to: 1}\n        - {at: 2ms, to: 0}\n",
+    );
+    check_in_memory(&session, kilobytes, 1, &["DB0045", "7000000 times", "at most 10000000 in all cues"]);
+    repeated(
+        4_900_000,
+        "        - {at: 0s, to: 0}\n        - {at: 1ms, to: 1}\n        - {at: 2ms, to: 0}\n",
+    );
+    check_in_memory(&session, kilobytes, 1, &["DB0013", "more than 1000000 steps", "at most 8 steps"]);
+    let wave =
+        "        tolerance: 0.5\n        wave: {amplitude: 45, center: 45, frequency: 1000, for: 10s}\n";
+    repeated(1_000, wave);
+    check_in_memory(&session, kilobytes, 1, &["DB0013", "at most 8 steps"]);
+
+    let keyframes: Vec<_> = (0..2_000).map(|i| format!("{{at: {i}ms, to: {}}}", i % 3)).collect();
+    let cues = "  - {at: 0s, robots: left, move: m}\n".repeat(10_000);
+    let keyframes = keyframes.join(", ");
+    session.file(
+        "test.yaml",
+        format!("scenario: test\nmoves: {{m: {{tracks: {{shoulder: [{keyframes}]}}}}}}\ncues:\n{cues}"),
+    );
+    check_in_memory(&session, kilobytes, 1, &["DB0045", "with this movement", "test.yaml:5004:"]);
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 use std::borrow::Cow;
 
+use crate::budget::{Budget, KNOTS_MAX};
 use crate::duration;
 use crate::finding::{Code, Part, Pending, Place, did_you_mean, names};
 use crate::music::Music;
@@ -67,11 +68,19 @@ impl<'a> At<'a> {
 }
 
 /// Reads values; keeps what has been found so far, the variables in force, and how long a beat is.
-#[derive(Default)]
 pub(crate) struct Reader {
     pub(crate) found: Vec<Pending>,
     pub(crate) scope: Scope,
     pub(crate) music: Music,
+    /// For the movements of all cues.
+    pub(crate) knots: Budget,
+}
+
+impl Default for Reader {
+    fn default() -> Self {
+        let knots = Budget::new(KNOTS_MAX);
+        Self { found: Vec::new(), scope: Scope::default(), music: Music::default(), knots }
+    }
 }
 
 impl Reader {

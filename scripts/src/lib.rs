@@ -5,6 +5,7 @@
 //! carry a path into the tree; `locate` turns it into line and column only when there is something to report, and
 //! `render` shows it.
 
+mod budget;
 mod compile;
 mod duration;
 mod fields;

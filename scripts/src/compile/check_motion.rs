@@ -25,6 +25,7 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
     }
     let mut seen = HashSet::new();
     let mut before: Option<(f64, f64)> = None;
+    let peaks = curve.peaks();
     for index in 1..curve.knots.len() {
         let (last, knot) = (&curve.knots[index - 1], &curve.knots[index]);
         let seconds = (knot.at - last.at).as_millis_f64() / 1_000.0;
@@ -32,7 +33,7 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
             before = None;
             continue;
         }
-        let (speed, mut acceleration) = curve.peak_rates(index);
+        let (speed, mut acceleration) = curve.peak_rates(index, &peaks);
         let linear = matches!(knot.shape, Shape::Own | Shape::Sampled);
         let own = ((knot.to - last.to) / seconds, seconds);
         if let (true, Some((speed_before, seconds_before))) = (linear, before) {

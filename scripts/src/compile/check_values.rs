@@ -46,7 +46,7 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
         return;
     }
     // Repeated movements come from the same items again and again.
-    let mut seen = HashSet::new();
+    let (mut seen, mut ways) = (HashSet::new(), HashSet::new());
     for index in 0..curve.knots.len() {
         let knot = curve.knots[index];
         let sound = limits.iter().all(|limits| limits.contains(knot.to) && limits.on_grid(knot.to));
@@ -72,7 +72,10 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
                 }
             }
         }
-        if matches!(knot.shape, Shape::Function { .. }) && index > 0 {
+        if let Shape::Function { index: function, gain, offset, .. } = knot.shape
+            && index > 0
+            && ways.insert((function, gain.to_bits(), offset.to_bits()))
+        {
             reaches(findings, on, control_type, curve, index, &limits);
         }
     }

@@ -7,16 +7,14 @@ use urrcp::{
 };
 
 use super::cast::{Cast, Positions, Rest};
-use super::perform::{Segment, Steps};
+use super::perform::{Segment, Steps, capacity};
+use crate::budget::Budget;
 use crate::fields::Reader;
 use crate::finding::Code;
 use crate::motion::Value;
 use crate::plan::{DeviceScript, DeviceUse, RobotPlan, is_rate};
 use crate::render::counted;
 use crate::scenario::Scenario;
-
-/// Most steps of one act: no fleet holds as many.
-const STEPS_MAX: usize = 200_000_000;
 
 /// An act's scripts, how they came about, and where they leave the devices.
 pub(super) struct Joined {
@@ -31,13 +29,10 @@ pub(super) fn join(
     cast: &Cast<'_>,
     segments: BTreeMap<(usize, usize), Vec<Segment>>,
     positions: &Positions<'_>,
+    room: &mut Budget,
 ) -> Joined {
     let mut joined = Joined { robots: Vec::new(), devices: Vec::new(), rest: HashMap::new() };
-    let steps = segments.values().flatten().map(|segment| segment.part.steps.len());
-    let all = steps.fold(0, usize::saturating_add);
-    if let Some(first) = segments.values().flatten().next().filter(|_| all > STEPS_MAX) {
-        let message = format!("{all} steps in one act");
-        findings.add(Code::TooMuch, first.part.place.clone(), message, format!("at most {STEPS_MAX}"), None);
+    if !taken(findings, cast, &segments, room) {
         return joined;
     }
     let mut last_robot = None;
@@ -63,6 +58,30 @@ pub(super) fn join(
         joined.devices.push(used);
     }
     joined
+}
+
+/// Whether there is room for the steps of an act. What its device does not take is never made.
+fn taken(
+    findings: &mut Reader,
+    cast: &Cast<'_>,
+    segments: &BTreeMap<(usize, usize), Vec<Segment>>,
+    room: &mut Budget,
+) -> bool {
+    let size = |(&(robot, index), segments): (&(usize, usize), &Vec<Segment>)| {
+        let steps = segments.iter().map(|segment| segment.part.steps.len()).sum::<usize>();
+        let fits = steps <= capacity(&cast.devices(robot)[index]);
+        let sizes = segments.iter().map(|segment| segment.part.steps.size());
+        if fits { sizes.sum() } else { 0 }
+    };
+    let all = segments.iter().map(size).fold(0, usize::saturating_add);
+    let (told, sound) = (room.is_overdrawn(), room.take(all));
+    if let (false, false, Some(first)) = (sound, told, segments.values().flatten().next()) {
+        let message = format!("with the {all} steps of this act there are too many for one scenario");
+        let hint = Some("cut the scenario into several".to_owned());
+        let expected = format!("at most {}", room.most());
+        findings.add(Code::TooMuch, first.part.place.clone(), message, expected, hint);
+    }
+    sound
 }
 
 /// One device of one robot, with everything that it does in an act.
@@ -197,8 +216,10 @@ impl Lane<'_> {
         let mut steps: Vec<Step> = Vec::with_capacity(count);
         let several = self.segments.len() > 1;
         for segment in self.segments {
-            if let Some(held) = steps.last().and_then(|last| self.held_until(last, segment)) {
-                steps.push(held);
+            let held = steps.last().filter(|last| self.is_held(last.offset.span(), &last.setpoint, segment));
+            if let Some(last) = held {
+                let (offset, setpoint) = (Millis::from_span(segment.start()), last.setpoint.clone());
+                steps.push(Step { offset, setpoint, stop_condition: None });
             }
             let stop_condition = segment.stop_condition.filter(|_| several);
             let step = |at: Span, setpoint: Setpoint| Step {
@@ -219,34 +240,52 @@ impl Lane<'_> {
         steps
     }
 
+    /// Stands for steps that are too many: the act still has its length.
+    fn last_step(&self) -> Vec<Step> {
+        let last = self.segments.iter().max_by_key(|segment| segment.end());
+        let step = last.and_then(|last| {
+            let (offset, setpoint) = (Millis::from_span(last.end()), last.last_setpoint()?);
+            Some(Step { offset, setpoint, stop_condition: None })
+        });
+        step.into_iter().collect()
+    }
+
     /// A device that moves linearly would creep through the gap between two cues; this step makes it wait.
-    fn held_until(&self, last: &Step, next: &Segment) -> Option<Step> {
-        let (control_type, value) = match &next.part.steps {
-            Steps::One(values) => (next.part.control_type, values.first()?.to),
-            Steps::Several(setpoints) => (next.part.control_type, setpoints.first()?.1.value),
+    fn is_held(&self, at: Span, last: &Setpoint, next: &Segment) -> bool {
+        let value = match &next.part.steps {
+            Steps::One(values) => values.first().map(|value| value.to),
+            Steps::Several(setpoints) => setpoints.first().map(|(_, setpoint)| setpoint.value),
         };
-        let until = next.start();
-        let creeps = self.moves()
-            && control_type == last.setpoint.control_type
-            && until > last.offset.span()
-            && (next.part.moves_from_anywhere || value != last.setpoint.value);
-        creeps.then(|| Step {
-            offset: Millis::from_span(until),
-            setpoint: last.setpoint.clone(),
-            stop_condition: None,
-        })
+        self.moves()
+            && next.part.control_type == last.control_type
+            && next.start() > at
+            && value.is_some_and(|value| next.part.moves_from_anywhere || value != last.value)
+    }
+
+    /// As many steps as [`Self::steps`] makes.
+    fn count(&self) -> usize {
+        let own: usize = self.segments.iter().map(|segment| segment.part.steps.len()).sum();
+        let held = self.segments.windows(2).filter(|pair| {
+            let last = pair[0].last_setpoint();
+            last.is_some_and(|last| self.is_held(pair[0].end(), &last, &pair[1]))
+        });
+        own + held.count()
     }
 
     /// As many scripts as needed, each beginning where the one before ends.
     fn scripts(&self, findings: &mut Reader) -> Option<(Vec<DeviceScript>, DeviceUse)> {
         let start = self.segments.first()?.start();
-        let steps = self.steps();
         let script = self.device.available_control_types.script()?;
         let most = script.max_number_of_steps.max(1) as usize;
-        let count = steps.len().div_ceil(most).max(1);
-        if count > self.device.script_queue.max(1) as usize {
-            self.too_many(findings, steps.len(), most, count);
-        }
+        let steps = self.count();
+        let count = steps.div_ceil(most).max(1);
+        let steps = match count > self.device.script_queue.max(1) as usize {
+            true => {
+                self.too_many(findings, steps, most, count);
+                self.last_step()
+            }
+            false => self.steps(),
+        };
         let used = self.used(steps.len(), count, most);
         let scripts = split(&self.device.id, steps, most, start, self.stop_condition())?;
         Some((scripts, used))

@@ -15,6 +15,7 @@ mod schedule;
 
 use std::collections::HashMap;
 
+use crate::budget::{Budget, KNOTS_MAX, STEPS_MAX};
 use crate::fields::Reader;
 use crate::files::Files;
 use crate::finding::{Finding, Severity};
@@ -43,7 +44,7 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
         Ok(documents) => documents,
         Err(findings) => return Compiled { choreography: None, findings },
     };
-    let mut reader = Reader::default();
+    let mut reader = Reader { knots: Budget::new(knots_max(fleet)), ..Reader::default() };
     let scenario = scenario::read(&mut reader, &documents, files);
     let Documents { sources, nodes } = documents;
     drop(nodes);
@@ -53,6 +54,13 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
     let findings = locate(&sources, compiler.findings.found);
     let sound = findings.iter().all(|finding| finding.severity == Severity::Warning);
     Compiled { choreography: choreography.filter(|_| sound), findings }
+}
+
+/// Devices that take very long scripts may be given them.
+fn knots_max(fleet: &Fleet) -> usize {
+    let devices = fleet.robots.iter().flat_map(cast::devices_of);
+    let longest = devices.map(perform::capacity).max().unwrap_or(0);
+    longest.clamp(KNOTS_MAX, 2 * KNOTS_MAX)
 }
 
 struct Compiler {
@@ -68,6 +76,7 @@ impl Compiler {
         let ways = acts::ways(&mut self.findings, &scenario.acts, &cast, readable);
         let mut fits = crate::motion::Fits::default();
         let mut rests = HashMap::new();
+        let mut room = Budget::new(STEPS_MAX);
         let mut acts = Vec::with_capacity(scenario.acts.len());
         for (index, (act, ways)) in scenario.acts.iter().zip(ways).enumerate() {
             let before = cast::leading_to(&acts, index);
@@ -85,7 +94,7 @@ impl Compiler {
                 continue;
             }
             let Joined { robots, devices, rest } =
-                join::join(&mut self.findings, &scenario, &cast, segments, &positions);
+                join::join(&mut self.findings, &scenario, &cast, segments, &positions, &mut room);
             rests.insert(index, rest);
             let title = match act.name.as_str() {
                 "" => scenario.name.clone(),

@@ -8,6 +8,7 @@ use urrcp::{ControlParameters, ControlType, Device, Limits, Setpoint, Span, Stop
 use super::cast::{Cast, Member, Members};
 use super::schedule::CueTime;
 use super::{check_motion, check_values};
+use crate::budget::{Budget, STEPS_MAX, USES_MAX};
 use crate::fields::Reader;
 use crate::finding::{Code, Place, Severity, did_you_mean, names};
 use crate::fleet::RateLimits;
@@ -15,6 +16,9 @@ use crate::motion::{Actuator, Curve, Fits, Value};
 use crate::node::shortened;
 use crate::plan::PlannedReading;
 use crate::scenario::{Cue, Motion, OffGrid, Track};
+
+/// Up to so many steps the exact number of a movement is told, whatever its device takes.
+const TOLD_MAX: usize = 1_000_000;
 
 /// A stretch of one device's time that a cue has taken.
 #[derive(Clone, Debug)]
@@ -56,6 +60,14 @@ impl Steps {
         }
     }
 
+    /// How much memory they take in a script, in steps of one value.
+    pub(super) fn size(&self) -> usize {
+        match self {
+            Self::One(values) => values.len(),
+            Self::Several(setpoints) => setpoints.iter().map(|(_, s)| 1 + s.more.len() / 8).sum(),
+        }
+    }
+
     fn first_at(&self) -> Option<Span> {
         match self {
             Self::One(values) => values.first().map(|value| value.at),
@@ -79,6 +91,13 @@ impl Segment {
         }
     }
 
+    pub(super) fn last_setpoint(&self) -> Option<Setpoint> {
+        match &self.part.steps {
+            Steps::One(values) => values.last().map(|last| Setpoint::new(self.part.control_type, last.to)),
+            Steps::Several(setpoints) => setpoints.last().map(|(_, setpoint)| setpoint.clone()),
+        }
+    }
+
     pub(super) fn end(&self) -> Span {
         self.begin + self.part.steps.last_at().unwrap_or_default()
     }
@@ -92,6 +111,10 @@ pub(super) struct Performer<'c, 'a> {
     /// By robot and device, in the order of both.
     pub(super) segments: std::collections::BTreeMap<(usize, usize), Vec<Segment>>,
     pub(super) readings: Vec<PlannedReading>,
+    /// For all movements of the act, each counted once for all robots that share it.
+    steps: Budget,
+    /// For what `segments` holds.
+    uses: Budget,
 }
 
 /// Robots of one kind that do the same.
@@ -126,7 +149,9 @@ impl OnDevice<'_> {
 
 impl<'c, 'a> Performer<'c, 'a> {
     pub(super) fn new(findings: &'c mut Reader, cast: &'c Cast<'a>, fits: &'c mut Fits) -> Self {
-        Self { findings, cast, fits, segments: std::collections::BTreeMap::new(), readings: Vec::new() }
+        let (segments, readings) = (std::collections::BTreeMap::new(), Vec::new());
+        let (steps, uses) = (Budget::new(STEPS_MAX), Budget::new(USES_MAX));
+        Self { findings, cast, fits, segments, readings, steps, uses }
     }
 
     pub(super) fn cue(&mut self, cue: &Cue, members: &Members, time: &CueTime) {
@@ -187,6 +212,9 @@ impl<'c, 'a> Performer<'c, 'a> {
                 let robots: Vec<usize> = class.members.iter().map(|member| member.robot).collect();
                 let on = OnDevice { cue, track, device: class.device, robots: &robots, cast: self.cast };
                 let Some(part) = self.part(&on, time.factor) else { continue };
+                if !self.used(cue, class.members.len()) {
+                    return;
+                }
                 let part = Arc::new(part);
                 for member in class.members {
                     let segment = Segment {
@@ -199,6 +227,22 @@ impl<'c, 'a> Performer<'c, 'a> {
                 }
             }
         }
+    }
+
+    /// Whether there is room for one more movement of so many robots.
+    fn used(&mut self, cue: &Cue, robots: usize) -> bool {
+        let told = self.uses.is_overdrawn();
+        let sound = self.uses.take(robots);
+        if !sound && !told {
+            let most = self.uses.most();
+            let message = format!(
+                "with the cue `{}` an act moves devices more than {most} times",
+                shortened(&cue.name)
+            );
+            let hint = Some("cut the act into several, or the scenario".to_owned());
+            self.findings.add(Code::TooMuch, cue.place.clone(), message, format!("at most {most}"), hint);
+        }
+        sound
     }
 
     fn classes(&self, track: &Track, groups: &[&Alike]) -> Vec<Class<'a>> {
@@ -222,6 +266,9 @@ impl<'c, 'a> Performer<'c, 'a> {
     }
 
     fn part(&mut self, on: &OnDevice<'_>, factor: f64) -> Option<Part> {
+        if self.steps.is_overdrawn() {
+            return None;
+        }
         let control_type = self.control_type(on)?;
         let curve = match &on.track.motion {
             Motion::Vectors(vectors) => return self.vectors(on, control_type, vectors, factor),
@@ -239,7 +286,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         if factor != 1.0 {
             curve.stretch(factor);
         }
-        let actuator = Actuator::new(on.device, control_type);
+        let actuator = Actuator::new(on.device, control_type, self.room(on.device));
         let before = self.findings.found.len();
         check_values::check(self.findings, on, control_type, &mut curve);
         let errors = self.findings.found[before..].iter();
@@ -263,8 +310,14 @@ impl<'c, 'a> Performer<'c, 'a> {
         let thinned = on.track.tolerance.is_some() || on.track.steps_max.is_some();
         let mut tolerance = on.track.tolerance.unwrap_or(own);
         let mut fitted = actuator.steps(curve, tolerance, thinned, self.fits);
-        if let Some(most) = on.track.steps_max.map(|most| most as usize) {
+        let steps_max = on.track.steps_max.map(|most| most as usize);
+        if let Some(most) = steps_max {
             (tolerance, fitted) = actuator.least_error(curve, tolerance, most, self.fits);
+        }
+        if !self.taken(on, fitted.steps.len(), fitted.steps.len()) {
+            return None;
+        }
+        if let Some(most) = steps_max {
             if fitted.steps.len() > most || (fitted.worst > own && on.track.tolerance.is_none()) {
                 self.too_few_steps(on, most, &fitted, own);
             }
@@ -288,6 +341,36 @@ impl<'c, 'a> Performer<'c, 'a> {
             place: on.track.place.clone(),
             steps: Steps::One(fitted.steps),
         })
+    }
+
+    /// How many steps a movement may have here: some more than the device takes, so that the number can be told.
+    fn room(&self, device: &Device) -> usize {
+        capacity(device).max(TOLD_MAX).min(self.steps.left())
+    }
+
+    /// Whether there is room for a movement of so many steps, which take the memory of so many of one value.
+    fn taken(&mut self, on: &OnDevice<'_>, steps: usize, size: usize) -> bool {
+        let (place, capacity) = (on.track.place.clone(), capacity(on.device));
+        if steps > capacity.max(TOLD_MAX) {
+            let message = format!(
+                "the movement of `{}` on {} takes more than {} steps",
+                on.device.id,
+                on.cast.names(on.robots),
+                steps - 1
+            );
+            let expected = format!("at most {capacity} steps (max_number_of_steps, script_queue)");
+            let hint = Some("repeat it less often, or allow a larger error with `tolerance`".to_owned());
+            self.findings.add(Code::TooManySteps, place, message, expected, hint);
+            return false;
+        }
+        let sound = self.steps.take(size);
+        if !sound {
+            let most = self.steps.most();
+            let message = format!("with this movement an act has more than {most} steps");
+            let hint = Some("cut the scenario into several".to_owned());
+            self.findings.add(Code::TooMuch, place, message, format!("at most {most}"), hint);
+        }
+        sound
     }
 
     fn too_few_steps(&mut self, on: &OnDevice<'_>, most: usize, fitted: &crate::motion::Fitted, own: f64) {
@@ -367,6 +450,10 @@ impl<'c, 'a> Performer<'c, 'a> {
             setpoint.more = vector.values[1..].into();
             (at, setpoint)
         });
+        let size = vectors.iter().map(|vector| 3 + vector.values.len() / 2).sum();
+        if !self.taken(on, vectors.len(), size) {
+            return None;
+        }
         let steps: Vec<_> = steps.collect();
         check_values::check_inherited(self.findings, on, vectors);
         Some(Part {
@@ -422,6 +509,13 @@ pub(super) fn unknown_sensor(
         false => format!("one of {}", names(sensors)),
     };
     findings.add(Code::UnknownSensor, place.clone(), message, expected, hint);
+}
+
+/// The steps that a device can hold: max_number_of_steps for each script of its queue.
+pub(super) fn capacity(device: &Device) -> usize {
+    let script = device.available_control_types.script();
+    let most = script.map_or(0, |script| script.max_number_of_steps.max(1) as usize);
+    most.saturating_mul(device.script_queue.max(1) as usize)
 }
 
 /// A figure for people that is no smaller than the number: four digits.

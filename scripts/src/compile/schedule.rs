@@ -156,8 +156,9 @@ impl<'a> Timetable<'a> {
                 };
                 let limits =
                     cast.limits(member.robot, device, track.control.unwrap_or(ControlType::Position));
+                let peaks = curve.peaks();
                 let worst = |limit: Option<f64>, rate: fn((f64, f64)) -> f64| {
-                    let rates = (1..curve.knots.len()).map(|knot| rate(curve.peak_rates(knot)));
+                    let rates = (1..curve.knots.len()).map(|knot| rate(curve.peak_rates(knot, &peaks)));
                     limit.map_or(0.0, |limit| rates.fold(0.0, f64::max) / limit)
                 };
                 // Stretched by f, speeds fall with f and accelerations with its square.

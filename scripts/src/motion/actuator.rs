@@ -22,6 +22,8 @@ pub(crate) struct Actuator<'a> {
     pub(crate) interpolation: Interpolation,
     pub(crate) control_type: ControlType,
     pub(crate) limits: Option<&'a Limits>,
+    /// With more steps than this a movement is given up.
+    pub(crate) room: usize,
 }
 
 /// A value that a step sets, counted from the cue's start.
@@ -64,9 +66,9 @@ enum Means {
 }
 
 impl<'a> Actuator<'a> {
-    pub(crate) fn new(device: &'a Device, control_type: ControlType) -> Self {
+    pub(crate) fn new(device: &'a Device, control_type: ControlType, room: usize) -> Self {
         let limits = device.available_control_types.limits(control_type);
-        Self { interpolation: device.interpolation, control_type, limits }
+        Self { interpolation: device.interpolation, control_type, limits, room }
     }
 
     fn moves(&self) -> bool {
@@ -103,7 +105,8 @@ impl<'a> Actuator<'a> {
     /// `thinned` allows to leave some out.
     pub(crate) fn steps(&self, curve: &Curve, tolerance: f64, thinned: bool, fits: &mut Fits) -> Fitted {
         let knots = &curve.knots;
-        let mut fitted = Fitted { steps: Vec::with_capacity(knots.len()), ..Fitted::default() };
+        let steps = Vec::with_capacity(knots.len().min(self.room));
+        let mut fitted = Fitted { steps, ..Fitted::default() };
         if let Some(first) = knots.first() {
             let to = if first.shape == Shape::Sampled { self.on_grid(first.to) } else { first.to };
             fitted.steps.push(Value { at: first.at, to });
@@ -111,7 +114,7 @@ impl<'a> Actuator<'a> {
         }
         let mut index = 1;
         let mut cut = false;
-        while index < knots.len() {
+        while index < knots.len() && fitted.steps.len() <= self.room {
             let (before, knot) = (&knots[index - 1], &knots[index]);
             let means = if knot.at == before.at { Means::Own } else { self.means(knot.shape, thinned) };
             let mut end = index + 1;
@@ -172,7 +175,7 @@ impl<'a> Actuator<'a> {
         fits: &mut Fits,
     ) -> (f64, Fitted) {
         let fit = |tolerance: f64, fits: &mut Fits| self.steps(curve, tolerance, true, fits);
-        let enough = |fitted: &Fitted| fitted.steps.len() <= most && fitted.needed.is_none();
+        let enough = |fitted: &Fitted| fitted.steps.len() <= most.min(self.room) && fitted.needed.is_none();
         let finest = self.limits.map_or(0.0, |limits| limits.granularity / 2.0).min(tolerance);
         let values = curve.knots.iter().map(|knot| knot.to);
         let (low, high) = values.fold((f64::INFINITY, f64::NEG_INFINITY), |(l, h), v| (l.min(v), h.max(v)));

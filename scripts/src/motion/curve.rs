@@ -77,6 +77,15 @@ impl Curve {
         Self { knots, functions: functions.into() }
     }
 
+    /// How much memory it takes, in knots.
+    pub(crate) fn size(&self) -> usize {
+        let coefficients = |function: &Function| match function {
+            Function::Polynomial(coefficients) => coefficients.len(),
+            Function::Sine { .. } => 0,
+        };
+        self.knots.len() + self.functions.iter().map(|function| 1 + coefficients(function) / 6).sum::<usize>()
+    }
+
     pub(crate) fn length(&self) -> Span {
         self.knots.last().map_or(Span::ZERO, |knot| knot.at)
     }
@@ -114,11 +123,11 @@ impl Curve {
     pub(crate) fn repeat(&mut self, times: u32, cycle: Span) {
         let once = self.knots.clone();
         let (Some(first), Some(last)) = (once.first().copied(), once.last().copied()) else { return };
-        self.knots.reserve_exact(once.len() * times.saturating_sub(1) as usize);
+        self.knots.reserve_exact(self.added_by_repeating(times, cycle));
+        let (waits, joined) = Self::seam(&first, &last, cycle);
         for turn in 1..times {
             let begin = cycle * i64::from(turn);
-            let joined = first.at == Span::ZERO && first.to == last.to;
-            if last.at < cycle || first.at > Span::ZERO {
+            if waits {
                 self.knots.push(Knot { at: begin, shape: Shape::Eased(Easing::Step), ..last });
             }
             if !joined {
@@ -127,6 +136,20 @@ impl Curve {
             }
             self.knots.extend(once[1..].iter().map(|knot| Knot { at: begin + knot.at, ..*knot }));
         }
+    }
+
+    /// How many knots repeating adds.
+    pub(crate) fn added_by_repeating(&self, times: u32, cycle: Span) -> usize {
+        let (Some(first), Some(last)) = (self.knots.first(), self.knots.last()) else { return 0 };
+        let (waits, joined) = Self::seam(first, last, cycle);
+        let turn = self.knots.len() - 1 + usize::from(waits) + usize::from(!joined);
+        turn.saturating_mul(times.saturating_sub(1) as usize)
+    }
+
+    /// Between two turns: whether there is a wait for the next, and whether the last knot is the first of the next.
+    fn seam(first: &Knot, last: &Knot, cycle: Span) -> (bool, bool) {
+        let waits = last.at < cycle || first.at > Span::ZERO;
+        (waits, first.at == Span::ZERO && first.to == last.to)
     }
 
     /// The largest speed and acceleration on the way to a knot, in units a second and a second squared, as bounds.
@@ -153,19 +176,22 @@ impl Curve {
         (slope / seconds, curvature / (seconds * seconds))
     }
 
+    /// The largest derivatives of each function, which many knots may share.
+    pub(crate) fn peaks(&self) -> Vec<(f64, f64)> {
+        self.functions.iter().map(Function::peak_rates).collect()
+    }
+
     /// The largest speed and acceleration on the way to a knot, in units a second and a second squared: of easings exactly,
-    /// of functions the largest of many samples.
-    pub(crate) fn peak_rates(&self, index: usize) -> (f64, f64) {
+    /// of functions, whose [`Self::peaks`] are given, the largest of many samples.
+    pub(crate) fn peak_rates(&self, index: usize, peaks: &[(f64, f64)]) -> (f64, f64) {
         let Some(knot) = self.knots.get(index) else { return (0.0, 0.0) };
         let Shape::Function { index: function, gain, .. } = knot.shape else { return self.rates(index) };
-        let (Some(before), Some(function)) = (
-            index.checked_sub(1).and_then(|before| self.knots.get(before)),
-            self.functions.get(function as usize),
-        ) else {
+        let (Some(before), Some((slope, curvature))) =
+            (index.checked_sub(1).and_then(|before| self.knots.get(before)), peaks.get(function as usize))
+        else {
             return (0.0, 0.0);
         };
         let seconds = (knot.at - before.at).as_millis_f64() / 1_000.0;
-        let (slope, curvature) = function.peak_rates();
         (gain.abs() * slope / seconds, gain.abs() * curvature / (seconds * seconds))
     }
 

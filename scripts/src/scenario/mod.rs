@@ -170,6 +170,14 @@ pub(crate) struct Reading {
 }
 
 impl Motion {
+    /// How much memory it takes, in knots.
+    pub(crate) fn size(&self) -> usize {
+        match self {
+            Self::Curve(curve) => curve.size(),
+            Self::Vectors(vectors) => vectors.iter().map(|vector| 1 + vector.values.len() / 6).sum(),
+        }
+    }
+
     pub(crate) fn length(&self) -> Span {
         match self {
             Self::Curve(curve) => curve.length(),

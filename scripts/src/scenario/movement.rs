@@ -13,8 +13,6 @@ use crate::node::{Node, shortened};
 
 /// Most times that a movement is repeated.
 const REPEATS_MAX: u32 = 10_000_000;
-/// Most knots of one repeated movement: no device takes scripts of that length.
-const KNOTS_MAX: usize = 50_000_000;
 
 /// The keys that make a movement.
 #[derive(Clone, Copy, Default)]
@@ -33,6 +31,9 @@ pub(super) struct Shaping<'a> {
 
 /// Reads the tracks of a move and of the cue itself, then maps, scales, mirrors, reverses and repeats them.
 pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> Movement {
+    if reader.knots.is_overdrawn() {
+        return Movement::default();
+    }
     let mut tracks =
         shaping.named.map(|at| of_move(reader, library, &at, shaping.parameters)).unwrap_or_default();
     if let (None, Some(at)) = (shaping.named, shaping.parameters) {
@@ -47,6 +48,9 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
                 tracks.push(track);
             }
         }
+    }
+    if !taken(reader, shaping, &tracks) {
+        return Movement::default();
     }
     for track in &mut tracks {
         track.tolerance = track.tolerance.or(shaping.tolerance);
@@ -75,6 +79,19 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
     let delay = shaping.delay.and_then(|at| reader.duration(&at)).unwrap_or_default();
     let length = length(&tracks);
     Movement { tracks, delay, length }
+}
+
+/// Whether there is room for the tracks: every cue has its own copy of a move.
+fn taken(reader: &mut Reader, shaping: &Shaping<'_>, tracks: &[Track]) -> bool {
+    let size = tracks.iter().map(|track| track.motion.size()).fold(0, usize::saturating_add);
+    let sound = reader.knots.take(size);
+    if let (false, Some(at)) = (sound, shaping.named.or(shaping.tracks)) {
+        let most = reader.knots.most();
+        let message = format!("with this movement the scenario has more than {most} keyframes");
+        let hint = Some("let several robots share a cue, or cut the scenario into several".to_owned());
+        reader.add(Code::TooMuch, at.place(), message, format!("at most {most} in all cues"), hint);
+    }
+    sound
 }
 
 fn of_move(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, given: Option<At<'_>>) -> Vec<Track> {
@@ -267,14 +284,14 @@ fn curves(
 
 fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track], cycle: Span) {
     let Some(times) = repeats(reader, at, cycle) else { return };
-    let knots = tracks.iter().map(|track| match &track.motion {
-        Motion::Curve(curve) => curve.knots.len(),
+    let added = tracks.iter().map(|track| match &track.motion {
+        Motion::Curve(curve) => curve.added_by_repeating(times, cycle),
         Motion::Vectors(_) => 0,
     });
-    let most = knots.max().unwrap_or(0).saturating_mul(times as usize);
-    if most > KNOTS_MAX {
-        let message = format!("{times} times makes {most} keyframes of one device");
-        let expected = format!("at most {KNOTS_MAX}");
+    let added = added.fold(0, usize::saturating_add);
+    if !reader.knots.take(added) {
+        let message = format!("{times} times makes {added} keyframes more");
+        let expected = format!("at most {} in all cues", reader.knots.most());
         reader.add(Code::TooMuch, at.place(), message, expected, Some("repeat it less often".to_owned()));
         return;
     }

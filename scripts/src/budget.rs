@@ -1,0 +1,44 @@
+//! Bounds of what one scenario may take, so that a slip of the pen neither fills the memory nor keeps anybody waiting.
+
+/// Most knots of all movements of a scenario together: half a gigabyte.
+pub(crate) const KNOTS_MAX: usize = 10_000_000;
+/// Most steps of a scenario that are made, for all robots together.
+pub(crate) const STEPS_MAX: usize = 25_000_000;
+/// Most times that an act moves a device: robots of its cues, and the devices that they move.
+pub(crate) const USES_MAX: usize = 5_000_000;
+
+/// Something of which there may be only so much.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Budget {
+    most: usize,
+    left: usize,
+    overdrawn: bool,
+}
+
+impl Budget {
+    pub(crate) const fn new(most: usize) -> Self {
+        Self { most, left: most, overdrawn: false }
+    }
+
+    pub(crate) const fn most(&self) -> usize {
+        self.most
+    }
+
+    pub(crate) const fn left(&self) -> usize {
+        self.left
+    }
+
+    /// Whether somebody has wanted more than there was: it has been told then, and what follows is left out.
+    pub(crate) const fn is_overdrawn(&self) -> bool {
+        self.overdrawn
+    }
+
+    /// Takes so many, if there are.
+    pub(crate) const fn take(&mut self, count: usize) -> bool {
+        match self.left.checked_sub(count) {
+            Some(left) => self.left = left,
+            None => self.overdrawn = true,
+        }
+        !self.overdrawn
+    }
+}
