@@ -273,3 +273,65 @@ fn files_that_are_not_there_are_named() {
     session.run(&["check", "test.yaml", "--fleet", "none.yaml"]).says(2, &["DB0001", "none.yaml", "--fleet"]);
     session.run(&["check"]).says(2, &["Usage"]);
 }
+
+#[test]
+fn times_beyond_what_a_message_can_carry_are_found_where_they_come_from() {
+    let track = "tracks: {shoulder: [{at: 0s, to: 0}, {at: 1s, to: 45}]}";
+    let cue = |keys: &str| format!("scenario: test\ncues:\n  - {{cue: a, at: 0s, robots: arms, {keys}}}\n");
+    let found = |keys: &str, parts: &[&str]| {
+        check(cue(&format!("{keys}, {track}")), 1, &[&["DB0045", "1 error,"], parts].concat());
+    };
+    found(
+        "canon: 99999000s",
+        &[
+            "test.yaml:3:43",
+            "the last of 2 robots begins 99999000 s",
+            "at most 99996400 s",
+            "a canon of 99996400 s",
+        ],
+    );
+    found("duration: 99999999s", &["test.yaml:3:5", "ends at 99999999 s", "less `duration`"]);
+    found("overrides: {left: {delay: 99999999s}}", &["test.yaml:3:5", "ends at 100000000 s"]);
+    check(
+        cue("repeat: 4000000, tracks: {shoulder: [{at: 0s, to: 0}, {at: 1m, to: 0}]}"),
+        1,
+        &["DB0045", "4000000 times a movement of 60 s lasts 240000000 s", "at most 100000000 s"],
+    );
+    check(
+        cue(
+            "tracks: {shoulder: {polynomial: [{for: 60000000s, coefficients: [0]}, {for: 60000000s, coefficients: [0]}]}}",
+        ),
+        1,
+        &["DB0045", "the movement lasts 120000000 s", "cut it into several"],
+    );
+    check(
+        format!("{}  - {{at: 99999000s, robots: left, {track}}}\n", cue(track)),
+        1,
+        &["DB0045", "test.yaml:4:5", "the cue `cue 2` begins at 99999000 s", "what it waits for"],
+    );
+    check(
+        format!("{}tempo: 1\nsignature: 255/4\n", cue(track))
+            .replace("at: 0s, robots", "at: bar 1000000, robots"),
+        1,
+        &["DB0007", "`bar 1000000` is too long a time", "at most 100000000 s"],
+    );
+    check(format!("lead: 99999999s\n{}", cue(track)), 1, &["DB0045", "test.yaml:1:7", "at most 10000000 s"]);
+    let many: String = (0..200)
+        .map(|i| {
+            format!("  - {{cue: c{i}, after: c{}, robots: left, duration: 99999999s, {track}}}\n", i - 1)
+        })
+        .collect();
+    check(
+        format!("scenario: test\ncues:\n{}", many.replace("after: c-1", "at: 0s")),
+        1,
+        &["DB0045", "the cue `c0` begins at 0 ms and ends at 99999999 s", "1 error,"],
+    );
+    let shared: String = (0..200)
+        .map(|i| format!("  - {{cue: c{i}, uses: z, robots: left, duration: 90000000s, {track}}}\n"))
+        .collect();
+    check(
+        format!("scenario: test\nzones: {{z: auto}}\ncues:\n{shared}"),
+        1,
+        &["DB0045", "add up to more than a search for an order can count", "1 error,"],
+    );
+}

@@ -1,11 +1,21 @@
 //! Bounds of what one scenario may take, so that a slip of the pen neither fills the memory nor keeps anybody waiting.
 
+use urrcp::Span;
+
 /// Most knots of all movements of a scenario together: half a gigabyte.
 pub(crate) const KNOTS_MAX: usize = 10_000_000;
 /// Most steps of a scenario that are made, for all robots together.
 pub(crate) const STEPS_MAX: usize = 25_000_000;
 /// Most times that an act moves a device: robots of its cues, and the devices that they move.
 pub(crate) const USES_MAX: usize = 5_000_000;
+
+/// Longest time that a message can carry.
+pub(crate) fn longest() -> Span {
+    Span::from_millis_f64(urrcp::OFFSET_MS_MAX)
+}
+
+/// Largest lead that a scenario may prescribe, and the one that is counted with where it prescribes none.
+pub(crate) const LEADS: (Span, Span) = (Span::from_millis(10_000_000_000), Span::from_millis(3_600_000));
 
 /// Something of which there may be only so much.
 #[derive(Clone, Copy, Debug)]

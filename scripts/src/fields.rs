@@ -2,7 +2,7 @@
 
 use std::borrow::Cow;
 
-use crate::budget::{Budget, KNOTS_MAX};
+use crate::budget::{Budget, KNOTS_MAX, longest};
 use crate::duration;
 use crate::finding::{Code, Part, Pending, Place, did_you_mean, names};
 use crate::music::Music;
@@ -299,7 +299,7 @@ impl Reader {
             return Some(span);
         }
         match self.music.span(text) {
-            Some(Ok(span)) => return Some(span),
+            Some(Ok(span)) => return self.no_longer(at, text, span),
             Some(Err(why)) => {
                 let expected = "a `tempo`, and a fixed start where it changes";
                 self.add(Code::Music, at.place(), why.message(text), expected, Some(why.hint().to_owned()));
@@ -309,6 +309,17 @@ impl Reader {
                 self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, None);
             }
         }
+        None
+    }
+
+    /// Beats and bars may be more than a time can hold.
+    pub(crate) fn no_longer(&mut self, at: &At<'_>, text: &str, span: Span) -> Option<Span> {
+        if span <= longest() {
+            return Some(span);
+        }
+        let message = format!("`{}` is too long a time", shortened(text));
+        let hint = Some("write less, or a faster `tempo`".to_owned());
+        self.add(Code::BadDuration, at.place(), message, format!("at most {}", longest()), hint);
         None
     }
 

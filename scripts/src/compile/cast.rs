@@ -9,6 +9,7 @@ use crate::finding::{Code, did_you_mean, names};
 use crate::fleet::{Fleet, FleetRobot, RateLimits};
 use crate::node::shortened;
 use crate::plan::{Act, Way};
+use crate::render::counted;
 use crate::scenario::{Cue, Movement, Name};
 
 /// The fleet with the scenario's roles.
@@ -127,7 +128,7 @@ impl<'a> Cast<'a> {
     }
 
     /// The robots of a cue, each once, with what each of them does.
-    pub(super) fn members(&self, findings: &mut Reader, cue: &Cue) -> Members {
+    pub(super) fn members(&self, findings: &mut Reader, cue: &Cue, horizon: Span) -> Members {
         let mut robots: Vec<usize> = Vec::new();
         let mut seen = HashSet::new();
         let before = findings.found.len();
@@ -148,10 +149,11 @@ impl<'a> Cast<'a> {
             findings.add(Code::NoRobot, cue.robots_place.clone(), message, "at least one robot", None);
         }
         let overridden = self.overridden(findings, cue, &seen);
+        let canon = canon(findings, cue, robots.len(), horizon);
         let mut members = Members::default();
         for (index, &robot) in robots.iter().enumerate() {
             let movement = overridden.get(&robot).copied().unwrap_or(0);
-            let stagger = cue.canon * i64::try_from(index).unwrap_or(i64::MAX);
+            let stagger = canon * i64::try_from(index).unwrap_or(i64::MAX);
             let mut member = Member { robot, movement, delay: stagger };
             let movement = cue.movement_of(&member);
             member.delay += movement.delay;
@@ -185,6 +187,20 @@ impl<'a> Cast<'a> {
         }
         overridden
     }
+}
+
+/// How much later each robot begins, if the last of them begins in time.
+fn canon(findings: &mut Reader, cue: &Cue, robots: usize, horizon: Span) -> Span {
+    let after = i64::try_from(robots).unwrap_or(i64::MAX).saturating_sub(1).max(1);
+    let last = cue.canon * after;
+    if last <= horizon {
+        return cue.canon;
+    }
+    let message = format!("the last of {} begins {last} after the cue", counted(robots, "robot"));
+    let hint = Some(format!("a canon of {} or less", horizon / after));
+    let place = cue.place.of_key("canon");
+    findings.add(Code::TooMuch, place, message, format!("at most {horizon}"), hint);
+    Span::ZERO
 }
 
 pub(super) fn devices_of(robot: &FleetRobot) -> &[Device] {

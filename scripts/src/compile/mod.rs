@@ -77,13 +77,15 @@ impl Compiler {
         let mut fits = crate::motion::Fits::default();
         let mut rests = HashMap::new();
         let mut room = Budget::new(STEPS_MAX);
+        let horizon = scenario.horizon();
         let mut acts = Vec::with_capacity(scenario.acts.len());
         for (index, (act, ways)) in scenario.acts.iter().zip(ways).enumerate() {
             let before = cast::leading_to(&acts, index);
             let positions = cast::Positions::after(fleet, &before, &rests, index == 0);
-            let members: Vec<_> = act.cues.iter().map(|cue| cast.members(&mut self.findings, cue)).collect();
-            let (times, consistent) = schedule::schedule(&mut self.findings, act, &members, &cast);
-            let mut performer = perform::Performer::new(&mut self.findings, &cast, &mut fits);
+            let members: Vec<_> =
+                act.cues.iter().map(|cue| cast.members(&mut self.findings, cue, horizon)).collect();
+            let (times, consistent) = schedule::schedule(&mut self.findings, act, &members, &cast, horizon);
+            let mut performer = perform::Performer::new(&mut self.findings, &cast, &mut fits, horizon);
             for ((cue, members), time) in act.cues.iter().zip(&members).zip(&times) {
                 performer.cue(cue, members, time);
             }

@@ -15,7 +15,7 @@ use crate::fleet::RateLimits;
 use crate::motion::{Actuator, Curve, Fits, Value};
 use crate::node::shortened;
 use crate::plan::PlannedReading;
-use crate::scenario::{Cue, Motion, OffGrid, Track};
+use crate::scenario::{Cue, Motion, OffGrid, Reading, Track};
 
 /// Up to so many steps the exact number of a movement is told, whatever its device takes.
 const TOLD_MAX: usize = 1_000_000;
@@ -108,6 +108,8 @@ pub(super) struct Performer<'c, 'a> {
     findings: &'c mut Reader,
     cast: &'c Cast<'a>,
     fits: &'c mut Fits,
+    /// When everything has to be over.
+    horizon: Span,
     /// By robot and device, in the order of both.
     pub(super) segments: std::collections::BTreeMap<(usize, usize), Vec<Segment>>,
     pub(super) readings: Vec<PlannedReading>,
@@ -148,10 +150,15 @@ impl OnDevice<'_> {
 }
 
 impl<'c, 'a> Performer<'c, 'a> {
-    pub(super) fn new(findings: &'c mut Reader, cast: &'c Cast<'a>, fits: &'c mut Fits) -> Self {
+    pub(super) fn new(
+        findings: &'c mut Reader,
+        cast: &'c Cast<'a>,
+        fits: &'c mut Fits,
+        horizon: Span,
+    ) -> Self {
         let (segments, readings) = (std::collections::BTreeMap::new(), Vec::new());
         let (steps, uses) = (Budget::new(STEPS_MAX), Budget::new(USES_MAX));
-        Self { findings, cast, fits, segments, readings, steps, uses }
+        Self { findings, cast, fits, horizon, segments, readings, steps, uses }
     }
 
     pub(super) fn cue(&mut self, cue: &Cue, members: &Members, time: &CueTime) {
@@ -468,8 +475,21 @@ impl<'c, 'a> Performer<'c, 'a> {
         })
     }
 
+    fn check_late(&mut self, reading: &Reading, last: Span) {
+        if last > self.horizon {
+            let message = format!("`{}` is read at {last}", shortened(&reading.sensor));
+            let expected = format!("at most {}", self.horizon);
+            let hint = Some("read it earlier".to_owned());
+            self.findings.add(Code::TooMuch, reading.place.clone(), message, expected, hint);
+        }
+    }
+
     fn readings(&mut self, cue: &Cue, members: &Members, time: &CueTime) {
         for reading in &cue.readings {
+            if !self.used(cue, members.all.len()) {
+                return;
+            }
+            self.check_late(reading, time.start + members.delay + reading.at);
             let mut without = Vec::new();
             for member in &members.all {
                 let devices = self.cast.devices(member.robot);

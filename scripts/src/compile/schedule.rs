@@ -31,6 +31,7 @@ pub(super) fn schedule(
     act: &Act,
     members: &[Members],
     cast: &Cast<'_>,
+    horizon: Span,
 ) -> (Vec<CueTime>, bool) {
     let before = findings.found.len();
     let mut times = Timetable::new(act);
@@ -44,13 +45,17 @@ pub(super) fn schedule(
     let shared = times.zones(findings);
     times.order_given(&shared);
     let consistent = match times.network.solve() {
-        Ok(schedule) => times.order_auto(findings, &shared, schedule),
+        // Orders are searched for with times that add up.
+        Ok(schedule) if times.in_time(findings, &schedule, horizon) => {
+            times.order_auto(findings, &shared, schedule)
+        }
+        Ok(_) => None,
         Err(conflict) => {
             findings.found.push(conflict::finding(act, &times.origins, &conflict));
             None
         }
     };
-    match consistent {
+    match consistent.filter(|schedule| times.in_time(findings, schedule, horizon)) {
         Some(schedule) => (times.read(&schedule, members), findings.found.len() == before),
         None => (natural(act, members), false),
     }
@@ -283,6 +288,22 @@ impl<'a> Timetable<'a> {
         self.constrain(from, to, (Some(Span::ZERO), None), origin);
     }
 
+    /// Whether all cues have ended by then; the first that has not is told.
+    fn in_time(&self, findings: &mut Reader, schedule: &Schedule, horizon: Span) -> bool {
+        let ends = self.events.iter().map(|(_, end)| schedule.time(*end));
+        let late = ends.enumerate().filter(|(_, end)| *end > horizon).min_by_key(|(_, end)| *end);
+        let Some((index, end)) = late else { return true };
+        let (cue, start) = (&self.act.cues[index], schedule.time(self.events[index].0));
+        let message = format!("the cue `{}` begins at {start} and ends at {end}", shortened(&cue.name));
+        let hint = match start > horizon {
+            true => "let it begin earlier: shorten what it waits for",
+            false => "shorten it: less `duration`, `repeat`, `canon` or `delay`",
+        };
+        let expected = format!("an end at {horizon} or earlier");
+        findings.add(Code::TooMuch, cue.place.clone(), message, expected, Some(hint.to_owned()));
+        false
+    }
+
     /// In an order with a short makespan.
     fn order_auto(
         &mut self,
@@ -294,6 +315,14 @@ impl<'a> Timetable<'a> {
             shared.iter().filter(|zone| zone.order == Order::Auto && zone.cues.len() > 1).collect();
         if auto.is_empty() {
             return Some(schedule);
+        }
+        let limit = Span::from_nanos(i64::MAX / 4);
+        if self.network.total() > limit {
+            let message = "the times of this act add up to more than a search for an order can count";
+            let hint = Some("shorten its cues, or give the order by `order: given`".to_owned());
+            let place = self.act.cues[auto[0].cues[0]].place.clone();
+            findings.add(Code::TooMuch, place, message, format!("at most {limit}"), hint);
+            return None;
         }
         let task = |zone: usize| {
             let events = &self.events;

@@ -15,6 +15,7 @@ use std::path::PathBuf;
 
 use urrcp::{ControlType, Millis, Span, StopCondition};
 
+use crate::budget::{LEADS, longest};
 use crate::fields::{At, Reader};
 use crate::files::Files;
 use crate::finding::{Code, Finding, Place};
@@ -169,6 +170,13 @@ pub(crate) struct Reading {
     pub(crate) place: Place,
 }
 
+impl Scenario {
+    /// Until when its acts have ended: a script is sent with its start and the lead added up.
+    pub(crate) fn horizon(&self) -> Span {
+        longest() - self.lead.unwrap_or_default().max(LEADS.1)
+    }
+}
+
 impl Motion {
     /// How much memory it takes, in knots.
     pub(crate) fn size(&self) -> usize {
@@ -235,7 +243,7 @@ pub(crate) fn read(reader: &mut Reader, documents: &Documents, files: &dyn Files
     let mut scenario = Scenario {
         name: name.and_then(|at| reader.name(&at, "the scenario's name")).unwrap_or_default(),
         start_tolerance: tolerance.and_then(|at| reader.duration(&at)).unwrap_or(START_TOLERANCE),
-        lead: lead.and_then(|at| reader.duration(&at)),
+        lead: lead.and_then(|at| read_lead(reader, &at)),
         stop_condition: stop_condition.and_then(|at| cue::lease(reader, &at, default)).unwrap_or(default),
         lease_place: stop_condition.map(|at| at.place()),
         ..Scenario::default()
@@ -253,6 +261,16 @@ pub(crate) fn read(reader: &mut Reader, documents: &Documents, files: &dyn Files
     }
     scenario.roles = library.roles;
     Some(scenario)
+}
+
+/// Scripts are sent that much ahead: what remains is for the act.
+fn read_lead(reader: &mut Reader, at: &At<'_>) -> Option<Span> {
+    let (lead, (most, _)) = (reader.duration(at)?, LEADS);
+    if lead > most {
+        let hint = Some("wait for a time of day with an act's `wait`".to_owned());
+        reader.add(Code::TooMuch, at.place(), format!("a lead of {lead}"), format!("at most {most}"), hint);
+    }
+    Some(lead.min(most))
 }
 
 /// Reads a scenario's file and everything that it includes.

@@ -7,6 +7,7 @@ use super::library::Library;
 use super::track::read_tracks;
 use super::when::instant;
 use super::{Motion, Movement, Name, Track};
+use crate::budget::longest;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, did_you_mean, names};
 use crate::node::{Node, shortened};
@@ -78,6 +79,12 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
     }
     let delay = shaping.delay.and_then(|at| reader.duration(&at)).unwrap_or_default();
     let length = length(&tracks);
+    if let Some(at) = shaping.named.or(shaping.tracks).filter(|_| length > longest()) {
+        let message = format!("the movement lasts {length}");
+        let hint = Some("cut it into several".to_owned());
+        reader.add(Code::TooMuch, at.place(), message, format!("at most {}", longest()), hint);
+        return Movement::default();
+    }
     Movement { tracks, delay, length }
 }
 
@@ -284,6 +291,12 @@ fn curves(
 
 fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track], cycle: Span) {
     let Some(times) = repeats(reader, at, cycle) else { return };
+    if cycle * i64::from(times) > longest() {
+        let message = format!("{times} times a movement of {cycle} lasts {}", cycle * i64::from(times));
+        let hint = Some("repeat it less often".to_owned());
+        reader.add(Code::TooMuch, at.place(), message, format!("at most {}", longest()), hint);
+        return;
+    }
     let added = tracks.iter().map(|track| match &track.motion {
         Motion::Curve(curve) => curve.added_by_repeating(times, cycle),
         Motion::Vectors(_) => 0,

@@ -172,7 +172,7 @@ fn instants(reader: &mut Reader, at: &At<'_>) -> Option<Gap> {
 
 pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Span> {
     match reader.music.position(text) {
-        Some(Ok(span)) => Some(span),
+        Some(Ok(span)) => reader.no_longer(at, text, span),
         Some(Err(why)) => {
             let hint = Some(why.hint().to_owned());
             reader.add(Code::Music, at.place(), why.message(text), "a `tempo`", hint);

@@ -92,6 +92,13 @@ impl Network {
         self.graph.node_count()
     }
 
+    /// All least times added up: no schedule that waits for nothing is longer.
+    #[must_use]
+    pub fn total(&self) -> Span {
+        let mins = self.graph.edge_weights().filter_map(|bounds| bounds.min);
+        mins.fold(Span::ZERO, |sum, min| sum + min.abs())
+    }
+
     /// The earliest schedule, by the method of Goldberg and Radzik (Applied Mathematics Letters 6, 1993): passes over the
     /// violated bounds in topological order. Linear in the size of acyclic networks, whatever the order of their events.
     ///
