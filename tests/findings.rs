@@ -335,3 +335,39 @@ fn times_beyond_what_a_message_can_carry_are_found_where_they_come_from() {
         &["DB0045", "add up to more than a search for an order can count", "1 error,"],
     );
 }
+
+#[test]
+fn ten_thousand_wrong_names_among_ten_thousand_are_told_in_no_time() {
+    let session = Session::new();
+    let all = |line: &dyn Fn(usize) -> String| (0..10_000).map(line).collect::<String>();
+    let robots = all(&|i| format!("  robot-{i:05}: {{init: arm.yaml, address: sim}}\n"));
+    session.file("fleet.yaml", format!("robots:\n{robots}"));
+    let tracks = "tracks: {shoulder: [{at: 0s, to: 0}]}";
+    let names = [
+        ("DB0008", all(&|i| format!("  - {{at: 0s, robots: robto-{i:05}, {tracks}}}\n")), String::new()),
+        (
+            "DB0022",
+            all(&|i| format!("  - {{cue: c{i:05}, after: d{i:05}, robots: robot-{i:05}, {tracks}}}\n")),
+            String::new(),
+        ),
+        (
+            "DB0023",
+            all(&|i| format!("  - {{at: 0s, robots: robot-{i:05}, move: mvoe{i:05}}}\n")),
+            format!("moves:\n{}", all(&|i| format!("  move{i:05}: {{{tracks}}}\n"))),
+        ),
+        (
+            "DB0024",
+            all(&|i| format!("  - {{at: $vra{i:05}, robots: robot-{i:05}, {tracks}}}\n")),
+            format!("variables:\n{}", all(&|i| format!("  var{i:05}: 1\n"))),
+        ),
+    ];
+    for (code, cues, library) in names {
+        session.file("test.yaml", format!("scenario: test\n{library}cues:\n{cues}"));
+        let begin = std::time::Instant::now();
+        let ran = session.run(&["check", "test.yaml"]);
+        ran.says(1, &[code, "10000 errors,", "did you mean", "and 99"]);
+        // Every name was compared with every other one: that took twenty seconds of an optimized build.
+        let hints = ran.text().matches("did you mean").count();
+        assert!(hints <= 200 && begin.elapsed().as_secs() < 20, "{code}: {hints} hints");
+    }
+}

@@ -9,6 +9,11 @@ pub(crate) const STEPS_MAX: usize = 25_000_000;
 /// Most times that an act moves a device: robots of its cues, and the devices that they move.
 pub(crate) const USES_MAX: usize = 5_000_000;
 
+/// Most names that wrong ones are compared with.
+pub(crate) const COMPARISONS_MAX: usize = 1_000_000;
+/// Most errors that are told, and as many warnings.
+pub(crate) const FINDINGS_MAX: usize = 100_000;
+
 /// Longest time that a message can carry.
 pub(crate) fn longest() -> Span {
     Span::from_millis_f64(urrcp::OFFSET_MS_MAX)

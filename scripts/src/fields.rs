@@ -1,10 +1,11 @@
 //! Reading a tree key by key, collecting every finding on the way. Variables are put in where they are used.
 
 use std::borrow::Cow;
+use std::cell::Cell;
 
-use crate::budget::{Budget, KNOTS_MAX, longest};
+use crate::budget::{Budget, COMPARISONS_MAX, FINDINGS_MAX, KNOTS_MAX, longest};
 use crate::duration;
-use crate::finding::{Code, Part, Pending, Place, did_you_mean, names};
+use crate::finding::{Code, Part, Pending, Place, Severity, names, nearest};
 use crate::music::Music;
 use crate::node::{Node, shortened};
 use crate::scope::Scope;
@@ -74,12 +75,31 @@ pub(crate) struct Reader {
     pub(crate) music: Music,
     /// For the movements of all cues.
     pub(crate) knots: Budget,
+    /// Comparisons of names that are left.
+    comparisons: Cell<usize>,
+    /// By severity.
+    told: [Told; 2],
+}
+
+/// Findings of one severity.
+#[derive(Clone, Copy, Default)]
+struct Told {
+    count: usize,
+    /// The last one that is told.
+    last: usize,
+    more: usize,
 }
 
 impl Default for Reader {
     fn default() -> Self {
-        let knots = Budget::new(KNOTS_MAX);
-        Self { found: Vec::new(), scope: Scope::default(), music: Music::default(), knots }
+        Self {
+            found: Vec::new(),
+            scope: Scope::default(),
+            music: Music::default(),
+            knots: Budget::new(KNOTS_MAX),
+            comparisons: Cell::new(COMPARISONS_MAX),
+            told: [Told::default(); 2],
+        }
     }
 }
 
@@ -92,8 +112,41 @@ impl Reader {
         expected: impl Into<String>,
         hint: Option<String>,
     ) {
+        let told = &mut self.told[usize::from(code.severity() == Severity::Warning)];
+        if told.count == FINDINGS_MAX {
+            told.more += 1;
+            return;
+        }
+        (told.count, told.last) = (told.count + 1, self.found.len());
         let (message, expected) = (message.into(), expected.into());
         self.found.push(Pending { code, place, message, expected, hint, related: Vec::new() });
+    }
+
+    /// Everything that is told; the last of very many says how many more there are.
+    pub(crate) fn finish(mut self) -> Vec<Pending> {
+        for told in self.told.iter().filter(|told| told.more > 0) {
+            if let Some(last) = self.found.get_mut(told.last) {
+                last.message.push_str(&format!(" (and {} findings more, which are not told)", told.more));
+            }
+        }
+        self.found
+    }
+
+    /// Whether there are so many errors already that nothing more is told.
+    pub(crate) const fn is_full(&self) -> bool {
+        self.told[0].count == FINDINGS_MAX
+    }
+
+    /// The name most like a wrong one, as a hint: for as many wrong ones as can be compared in no time.
+    pub(crate) fn did_you_mean<'a>(
+        &self,
+        wrong: &str,
+        known: impl IntoIterator<Item = &'a str>,
+    ) -> Option<String> {
+        let mut left = self.comparisons.get();
+        let hint = nearest(wrong, known, &mut left);
+        self.comparisons.set(left);
+        hint
     }
 
     pub(crate) fn wrong_type(&mut self, at: &At<'_>, expected: &str) {
@@ -122,7 +175,7 @@ impl Reader {
                 None => {
                     let hint = match key.as_str() {
                         "<<" => Some("merge keys are not supported: write the keys out".to_owned()),
-                        _ => did_you_mean(key, known),
+                        _ => self.did_you_mean(key, known),
                     };
                     let message = format!("unknown key `{}` in {what}", shortened(key));
                     let place = at.entry(key, 0, node).key_place();
@@ -196,9 +249,8 @@ impl Reader {
                 self.add(Code::Variable, at.place(), message, "a variable that is a number", None);
             }
             (None, _) => {
-                let known: Vec<_> = self.scope.names().collect();
-                let hint = did_you_mean(name, known.iter().copied());
-                let expected = format!("one of the variables {}", names(known));
+                let hint = self.did_you_mean(name, self.scope.names());
+                let expected = format!("one of the variables {}", names(self.scope.names()));
                 let message = format!("no variable `{}` is known here", shortened(name));
                 self.add(Code::Variable, at.place(), message, expected, hint);
             }
@@ -341,7 +393,8 @@ impl Reader {
         }
         let message = format!("unknown word `{}`", shortened(&text));
         let expected = format!("one of {}", names(known()));
-        self.add(Code::UnknownWord, at.place(), message, expected, did_you_mean(&text, known()));
+        let hint = self.did_you_mean(&text, known());
+        self.add(Code::UnknownWord, at.place(), message, expected, hint);
         None
     }
 }

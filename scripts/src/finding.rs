@@ -2,6 +2,8 @@
 
 use serde::Serialize;
 
+use crate::node::shortened;
+
 /// How bad it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -243,19 +245,35 @@ pub(crate) enum Part {
 
 /// The name most like a wrong one, as a hint.
 pub(crate) fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
+    nearest(wrong, known, &mut 10_000)
+}
+
+/// The same with so many comparisons left.
+pub(crate) fn nearest<'a>(
+    wrong: &str,
+    known: impl IntoIterator<Item = &'a str>,
+    left: &mut usize,
+) -> Option<String> {
     // Long names are compared by their beginning, so that a huge one costs nothing.
     let wrong: String = wrong.chars().take(64).collect();
-    let scored = known.into_iter().take(10_000).map(|name| (strsim::damerau_levenshtein(&wrong, name), name));
+    let length = wrong.chars().count();
+    let near = 2.max(length / 3);
+    let compared = known.into_iter().take(*left).inspect(|_| *left -= 1);
+    // Names differ by no less than their lengths do.
+    let like = compared.filter(|name| name.len() <= 4 * (length + near));
+    let like = like.filter(|name| name.chars().count().abs_diff(length) <= near);
+    let scored = like.map(|name| (strsim::osa_distance(&wrong, name), name));
     let (distance, name) = scored.min_by_key(|(distance, _)| *distance)?;
-    (distance <= 2.max(wrong.chars().count() / 3)).then(|| format!("did you mean `{name}`?"))
+    (distance <= near).then(|| format!("did you mean `{name}`?"))
 }
 
 /// A list of names for a message, shortened.
 pub(crate) fn names<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
-    let all: Vec<_> = all.into_iter().map(|name| format!("`{name}`")).collect();
-    match all.len() {
+    let mut all = all.into_iter();
+    let first: Vec<_> = all.by_ref().take(12).map(|name| format!("`{}`", shortened(name))).collect();
+    match first.len() + all.count() {
         0 => "none".to_owned(),
-        1..=12 => all.join(", "),
-        n => format!("{} and {} more", all[..10].join(", "), n - 10),
+        1..=12 => first.join(", "),
+        n => format!("{} and {} more", first[..10].join(", "), n - 10),
     }
 }

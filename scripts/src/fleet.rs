@@ -169,7 +169,7 @@ pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
         elsewhere: Vec::new(),
     };
     let fleet = reader.fleet(&At::document(&document, 0));
-    let mut findings = locate(std::slice::from_ref(&source), reader.findings.found);
+    let mut findings = locate(std::slice::from_ref(&source), reader.findings.finish());
     findings.append(&mut reader.elsewhere);
     (fleet.filter(|_| findings.is_empty()), findings)
 }
@@ -260,7 +260,7 @@ impl FleetReader {
                 let known = || init.devices.iter().map(|device| device.id.as_str());
                 let message = format!("the robot has no device `{}`", node::shortened(device));
                 let expected = format!("one of {}", crate::finding::names(known()));
-                let hint = crate::finding::did_you_mean(device, known());
+                let hint = self.findings.did_you_mean(device, known());
                 self.findings.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
             }
             let Some([speed, acceleration]) = self.findings.map(&at, "limits", LIMIT_KEYS, &[]) else {
@@ -344,6 +344,8 @@ impl FleetReader {
     fn groups(&mut self, at: &At<'_>, named: &HashSet<&str>, fleet: &mut Fleet) {
         let ids: HashMap<String, RobotId> =
             fleet.robots.iter().map(|r| (r.id.to_string(), r.id.clone())).collect();
+        let mut sorted: Vec<&str> = named.iter().copied().collect();
+        sorted.sort_unstable();
         for (name, at) in self.findings.entries(at, "group to the list of its robots") {
             if named.contains(name) {
                 let message = format!("the group `{name}` bears the name of a robot");
@@ -355,7 +357,7 @@ impl FleetReader {
                 match ids.get(&id) {
                     Some(id) => members.push(id.clone()),
                     None if named.contains(id.as_str()) => {}
-                    None => unknown_robot(&mut self.findings, &item, &id, named.iter().copied()),
+                    None => unknown_robot(&mut self.findings, &item, &id, &sorted),
                 }
             }
             fleet.groups.insert(name.to_owned(), members);
@@ -363,17 +365,10 @@ impl FleetReader {
     }
 }
 
-fn unknown_robot<'a>(
-    findings: &mut Reader,
-    at: &At<'_>,
-    name: &str,
-    known: impl IntoIterator<Item = &'a str> + Clone,
-) {
-    let hint = crate::finding::did_you_mean(name, known.clone());
+fn unknown_robot(findings: &mut Reader, at: &At<'_>, name: &str, known: &[&str]) {
+    let hint = findings.did_you_mean(name, known.iter().copied());
     let message = format!("no robot or group `{}` in the fleet", node::shortened(name));
-    let mut all: Vec<_> = known.into_iter().collect();
-    all.sort_unstable();
-    let expected = format!("one of {}", crate::finding::names(all));
+    let expected = format!("one of {}", crate::finding::names(known.iter().copied()));
     findings.add(Code::UnknownRobot, at.place(), message, expected, hint);
 }
 

@@ -1,12 +1,14 @@
 //! The graph of acts: where each way leads, which acts nobody reaches, which never come to an end.
 
+use std::collections::{HashMap, HashSet};
+
 use petgraph::graph::{DiGraph, NodeIndex};
 use petgraph::visit::{Dfs, Reversed};
 
 use super::cast::Cast;
 use super::perform::unknown_sensor;
 use crate::fields::Reader;
-use crate::finding::{Code, did_you_mean, names};
+use crate::finding::{Code, names};
 use crate::node::shortened;
 use crate::plan::{FailurePolicy, Wait, Way};
 use crate::scenario::{Act, Name};
@@ -23,7 +25,12 @@ pub(super) struct Ways {
 pub(super) fn ways(findings: &mut Reader, acts: &[Act], cast: &Cast<'_>, complete: bool) -> Vec<Ways> {
     let before = findings.found.len();
     same_names(findings, acts);
-    let ways: Vec<Ways> = (0..acts.len()).map(|index| way(findings, acts, index, cast)).collect();
+    let mut index_of = HashMap::new();
+    for (index, act) in acts.iter().enumerate() {
+        index_of.entry(act.name.as_str()).or_insert(index);
+    }
+    let acts_by_name = ByName { acts, index_of };
+    let ways: Vec<Ways> = (0..acts.len()).map(|index| way(findings, &acts_by_name, index, cast)).collect();
     if complete && findings.found.len() == before {
         check_graph(findings, acts, &ways);
     }
@@ -31,7 +38,7 @@ pub(super) fn ways(findings: &mut Reader, acts: &[Act], cast: &Cast<'_>, complet
 }
 
 fn same_names(findings: &mut Reader, acts: &[Act]) {
-    let mut seen = std::collections::HashSet::new();
+    let mut seen = HashSet::new();
     for act in acts {
         if !seen.insert(act.name.as_str()) {
             let message = format!("several acts are called `{}`", shortened(&act.name));
@@ -40,44 +47,50 @@ fn same_names(findings: &mut Reader, acts: &[Act]) {
     }
 }
 
-fn way(findings: &mut Reader, acts: &[Act], index: usize, cast: &Cast<'_>) -> Ways {
-    let act = &acts[index];
-    let following = if index + 1 < acts.len() { Way::Act(index + 1) } else { Way::End };
-    let next = act.next.as_ref().and_then(|name| find(findings, acts, name)).unwrap_or(following);
+fn way(findings: &mut Reader, by_name: &ByName<'_>, index: usize, cast: &Cast<'_>) -> Ways {
+    let act = &by_name.acts[index];
+    let following = if index + 1 < by_name.acts.len() { Way::Act(index + 1) } else { Way::End };
+    let next = act.next.as_ref().and_then(|name| by_name.find(findings, name)).unwrap_or(following);
     let on_timeout =
-        act.wait.otherwise.as_ref().and_then(|name| find(findings, acts, name)).unwrap_or(Way::Fail);
+        act.wait.otherwise.as_ref().and_then(|name| by_name.find(findings, name)).unwrap_or(Way::Fail);
     if let Wait::Sensor { robot, sensor, .. } = &act.wait.wait {
         check_sensor(findings, cast, act, robot, sensor);
     }
+    let mut ruled = HashSet::new();
     let mut policy =
         FailurePolicy { default: act.on_failure.default.unwrap_or_default(), ..FailurePolicy::default() };
     for (name, rule) in &act.on_failure.robots {
-        let robots: Vec<_> =
-            cast.robots(findings, name).into_iter().map(|robot| cast.id(robot).clone()).collect();
         // Of several rules for one robot the first is the act's own.
-        let new = robots.into_iter().filter(|robot| !policy.robots.iter().any(|(known, _)| known == robot));
-        let new: Vec<_> = new.map(|robot| (robot, *rule)).collect();
-        policy.robots.extend(new);
+        let new = cast.robots(findings, name).into_iter().filter(|robot| ruled.insert(*robot));
+        policy.robots.extend(new.map(|robot| (cast.id(robot).clone(), *rule)));
     }
-    if let Some(Way::Act(then)) = act.on_failure.then.as_ref().and_then(|name| find(findings, acts, name)) {
+    if let Some(Way::Act(then)) = act.on_failure.then.as_ref().and_then(|name| by_name.find(findings, name)) {
         policy.then = Some(then);
     }
     Ways { wait: act.wait.wait.clone(), on_timeout, next, on_failure: policy }
 }
 
-fn find(findings: &mut Reader, acts: &[Act], name: &Name) -> Option<Way> {
-    if name.text == "end" {
-        return Some(Way::End);
+/// The acts, of those of one name the first.
+struct ByName<'a> {
+    acts: &'a [Act],
+    index_of: HashMap<&'a str, usize>,
+}
+
+impl ByName<'_> {
+    fn find(&self, findings: &mut Reader, name: &Name) -> Option<Way> {
+        if name.text == "end" {
+            return Some(Way::End);
+        }
+        let found = self.index_of.get(name.text.as_str()).copied();
+        if found.is_none() {
+            let known = || self.acts.iter().map(|act| act.name.as_str());
+            let hint = findings.did_you_mean(&name.text, known());
+            let message = format!("no act `{}`", shortened(&name.text));
+            let expected = format!("`end` or one of {}", names(known()));
+            findings.add(Code::UnknownAct, name.place.clone(), message, expected, hint);
+        }
+        found.map(Way::Act)
     }
-    let found = acts.iter().position(|act| act.name == name.text);
-    if found.is_none() {
-        let known = || acts.iter().map(|act| act.name.as_str());
-        let hint = did_you_mean(&name.text, known());
-        let message = format!("no act `{}`", shortened(&name.text));
-        let expected = format!("`end` or one of {}", names(known()));
-        findings.add(Code::UnknownAct, name.place.clone(), message, expected, hint);
-    }
-    found.map(Way::Act)
 }
 
 fn check_sensor(findings: &mut Reader, cast: &Cast<'_>, act: &Act, robot: &str, sensor: &str) {

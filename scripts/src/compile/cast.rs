@@ -1,11 +1,12 @@
 //! Who plays: names of robots, groups and roles against the fleet, and what each robot's devices are.
 
+use std::cell::OnceCell;
 use std::collections::{HashMap, HashSet};
 
 use urrcp::{ControlType, Device, RobotId, Span};
 
 use crate::fields::Reader;
-use crate::finding::{Code, did_you_mean, names};
+use crate::finding::{Code, names};
 use crate::fleet::{Fleet, FleetRobot, RateLimits};
 use crate::node::shortened;
 use crate::plan::{Act, Way};
@@ -19,6 +20,8 @@ pub(super) struct Cast<'a> {
     index_of: HashMap<&'a str, usize>,
     /// For each robot a number; robots of one number have the same devices and limits.
     kinds: Vec<usize>,
+    /// All names, in order; made for the first finding that lists them.
+    known: OnceCell<Vec<String>>,
 }
 
 /// A robot in a cue.
@@ -64,7 +67,7 @@ impl<'a> Cast<'a> {
             });
             kinds.push(kind);
         }
-        Self { fleet, roles, index_of, kinds }
+        Self { fleet, roles, index_of, kinds, known: OnceCell::new() }
     }
 
     pub(super) fn kind(&self, robot: usize) -> usize {
@@ -115,16 +118,22 @@ impl<'a> Cast<'a> {
         if let Some(members) = self.fleet.groups.get(&name.text) {
             return members.iter().filter_map(|id| self.index_of.get(id.as_str()).copied()).collect();
         }
-        let groups = self.fleet.groups.keys().map(String::as_str);
-        let known = || {
-            self.index_of.keys().copied().chain(groups.clone()).chain(self.roles.keys().map(String::as_str))
-        };
-        let hint = did_you_mean(&name.text, known());
-        let mut all: Vec<_> = known().collect();
-        all.sort_unstable();
+        let known = || self.known().iter().map(String::as_str);
+        let hint = findings.did_you_mean(&name.text, known());
         let message = format!("no robot or group `{}` in the fleet", shortened(&name.text));
-        findings.add(Code::UnknownRobot, name.place.clone(), message, format!("one of {}", names(all)), hint);
+        let expected = format!("one of {}", names(known()));
+        findings.add(Code::UnknownRobot, name.place.clone(), message, expected, hint);
         Vec::new()
+    }
+
+    fn known(&self) -> &[String] {
+        self.known.get_or_init(|| {
+            let (groups, roles) = (self.fleet.groups.keys(), self.roles.keys());
+            let mut known: Vec<String> = groups.chain(roles).cloned().collect();
+            known.extend(self.index_of.keys().map(|id| (*id).to_owned()));
+            known.sort_unstable();
+            known
+        })
     }
 
     /// The robots of a cue, each once, with what each of them does.

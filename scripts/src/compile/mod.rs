@@ -44,14 +44,15 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
         Ok(documents) => documents,
         Err(findings) => return Compiled { choreography: None, findings },
     };
-    let mut reader = Reader { knots: Budget::new(knots_max(fleet)), ..Reader::default() };
+    let mut reader = Reader::default();
+    reader.knots = Budget::new(knots_max(fleet));
     let scenario = scenario::read(&mut reader, &documents, files);
     let Documents { sources, nodes } = documents;
     drop(nodes);
     let readable = reader.found.is_empty();
     let mut compiler = Compiler { scenario: scenario.unwrap_or_default(), findings: reader };
     let choreography = compiler.choreography(fleet, readable);
-    let findings = locate(&sources, compiler.findings.found);
+    let findings = locate(&sources, compiler.findings.finish());
     let sound = findings.iter().all(|finding| finding.severity == Severity::Warning);
     Compiled { choreography: choreography.filter(|_| sound), findings }
 }

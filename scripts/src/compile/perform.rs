@@ -10,7 +10,7 @@ use super::schedule::CueTime;
 use super::{check_motion, check_values};
 use crate::budget::{Budget, STEPS_MAX, USES_MAX};
 use crate::fields::Reader;
-use crate::finding::{Code, Place, Severity, did_you_mean, names};
+use crate::finding::{Code, Place, Severity, names};
 use crate::fleet::RateLimits;
 use crate::motion::{Actuator, Curve, Fits, Value};
 use crate::node::shortened;
@@ -187,6 +187,7 @@ impl<'c, 'a> Performer<'c, 'a> {
     /// A device that several kinds of robots lack is found once.
     fn missing_devices(&mut self, cue: &Cue, alike: &[Alike]) {
         let mut missing: Vec<(&Track, Vec<usize>)> = Vec::new();
+        let mut index_of: HashMap<&Place, usize> = HashMap::new();
         for group in alike {
             let first = group.members[0];
             for track in &cue.movement_of(&first).tracks {
@@ -196,16 +197,17 @@ impl<'c, 'a> Performer<'c, 'a> {
                     continue;
                 }
                 let robots = group.members.iter().map(|member| member.robot);
-                match missing.iter_mut().find(|(other, _)| other.place == track.place) {
-                    Some((_, all)) => all.extend(robots),
-                    None => missing.push((track, robots.collect())),
-                }
+                let at = *index_of.entry(&track.place).or_insert_with(|| {
+                    missing.push((track, Vec::new()));
+                    missing.len() - 1
+                });
+                missing[at].1.extend(robots);
             }
         }
         for (track, robots) in missing {
             let known = || self.cast.devices(robots[0]).iter().map(|device| device.id.as_str());
             let message = format!("{} no device `{}`", self.cast.have(&robots), shortened(&track.device));
-            let hint = did_you_mean(&track.device, known());
+            let hint = self.findings.did_you_mean(&track.device, known());
             let expected = format!("one of {}", names(known()));
             self.findings.add(Code::UnknownDevice, track.place.clone(), message, expected, hint);
         }
@@ -523,7 +525,7 @@ pub(super) fn unknown_sensor(
         .map(|device| device.id.as_str())
         .collect();
     let message = format!("{} no sensor `{}`", cast.have(robots), shortened(sensor));
-    let hint = did_you_mean(sensor, sensors.iter().copied());
+    let hint = findings.did_you_mean(sensor, sensors.iter().copied());
     let expected = match sensors.is_empty() {
         true => "a robot that has sensors".to_owned(),
         false => format!("one of {}", names(sensors)),

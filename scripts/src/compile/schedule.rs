@@ -8,7 +8,7 @@ use urrcp::{ControlType, Span};
 use super::cast::{Cast, Members};
 use super::conflict::{self, Origin};
 use crate::fields::Reader;
-use crate::finding::{Code, did_you_mean, names};
+use crate::finding::{Code, names};
 use crate::node::shortened;
 use crate::plan::PlannedCue;
 use crate::scenario::{Act, Anchor, Cue, Motion, Name, Order, Relation};
@@ -227,7 +227,7 @@ impl<'a> Timetable<'a> {
             }
             None => {
                 let known = || self.act.cues.iter().map(|cue| cue.name.as_str());
-                let hint = did_you_mean(&name.text, known());
+                let hint = findings.did_you_mean(&name.text, known());
                 let message = format!("no cue `{}`", shortened(&name.text));
                 let expected = format!("one of {}", names(known()));
                 findings.add(Code::UnknownCue, name.place.clone(), message, expected, hint);
@@ -240,13 +240,16 @@ impl<'a> Timetable<'a> {
     fn zones(&self, findings: &mut Reader) -> Vec<Shared> {
         let mut shared: Vec<Shared> = Vec::new();
         let mut index_of: HashMap<&str, usize> = HashMap::new();
+        // The act's own stand behind those of the scenario.
+        let orders: HashMap<&str, Order> =
+            self.act.zones.iter().map(|(name, order)| (name.as_str(), *order)).collect();
         for (index, cue) in self.act.cues.iter().enumerate() {
             for zone in &cue.uses {
-                let Some((_, order)) = self.act.zones.iter().rev().find(|(name, _)| *name == zone.text)
-                else {
+                let Some(order) = orders.get(zone.text.as_str()) else {
                     let known = || self.act.zones.iter().map(|(name, _)| name.as_str());
                     let message = format!("no zone `{}`", shortened(&zone.text));
-                    let hint = did_you_mean(&zone.text, known())
+                    let hint = findings
+                        .did_you_mean(&zone.text, known())
                         .or(Some("list it under `zones` at the top of the scenario".to_owned()));
                     let expected = format!("one of {}", names(known()));
                     findings.add(Code::UnknownZone, zone.place.clone(), message, expected, hint);

@@ -4,7 +4,7 @@ use urrcp::Span;
 
 use crate::fields::{At, Reader};
 use crate::files::Files;
-use crate::finding::{Code, did_you_mean, names};
+use crate::finding::{Code, names};
 use crate::motion::{Curve, Knot, Shape};
 use crate::node::{Node, shortened};
 
@@ -78,7 +78,7 @@ impl Table<'_, '_> {
         let found = header.iter().position(|cell| *cell == name);
         if found.is_none() {
             let message = format!("`{}` has no column `{}`", shortened(self.name), shortened(&name));
-            let hint = did_you_mean(&name, header.iter().copied());
+            let hint = self.reader.did_you_mean(&name, header.iter().copied());
             let expected = format!("one of {}", names(header.iter().copied()));
             self.reader.add(Code::BadData, at.place(), message, expected, hint);
         }

@@ -1,13 +1,13 @@
 //! What cues share: included files, variables, moves, roles, the tempo.
 
-use std::cell::RefCell;
+use std::cell::{OnceCell, RefCell};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use super::Name;
 use crate::fields::{At, Reader};
 use crate::files::Files;
-use crate::finding::{Code, Finding, Place, did_you_mean, names};
+use crate::finding::{Code, Finding, Place, names};
 use crate::locate::locate;
 use crate::music::{Section, Tempo, position};
 use crate::node::{self, Node, shortened};
@@ -104,6 +104,8 @@ pub(crate) struct Library<'a> {
     pub(super) roles: HashMap<String, Vec<Name>>,
     pub(super) files: &'a dyn Files,
     used: RefCell<HashSet<String>>,
+    /// Of all moves, in order; made for the first finding that lists them.
+    names: OnceCell<Vec<String>>,
 }
 
 impl<'a> Library<'a> {
@@ -120,7 +122,7 @@ impl<'a> Library<'a> {
                 moves.entry(name.clone()).or_insert((file, node));
             }
         }
-        Self { moves, roles: HashMap::new(), files, used: RefCell::default() }
+        Self { moves, roles: HashMap::new(), files, used: RefCell::default(), names: OnceCell::new() }
     }
 
     /// Takes an included file.
@@ -171,11 +173,15 @@ impl<'a> Library<'a> {
         let found = self.moves.get(name).copied();
         self.used.borrow_mut().insert(name.to_owned());
         if found.is_none() {
-            let mut known: Vec<_> = self.moves.keys().map(String::as_str).collect();
-            known.sort_unstable();
-            let hint = did_you_mean(name, known.iter().copied());
+            let sorted = || {
+                let mut names: Vec<_> = self.moves.keys().cloned().collect();
+                names.sort_unstable();
+                names
+            };
+            let known = || self.names.get_or_init(sorted).iter().map(String::as_str);
+            let hint = reader.did_you_mean(name, known());
             let message = format!("no move `{}`", shortened(name));
-            reader.add(Code::UnknownMove, at.place(), message, format!("one of {}", names(known)), hint);
+            reader.add(Code::UnknownMove, at.place(), message, format!("one of {}", names(known())), hint);
         }
         found
     }

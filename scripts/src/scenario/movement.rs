@@ -9,7 +9,7 @@ use super::when::instant;
 use super::{Motion, Movement, Name, Track};
 use crate::budget::longest;
 use crate::fields::{At, Reader};
-use crate::finding::{Code, did_you_mean, names};
+use crate::finding::{Code, names};
 use crate::node::{Node, shortened};
 
 /// Most times that a movement is repeated.
@@ -32,7 +32,7 @@ pub(super) struct Shaping<'a> {
 
 /// Reads the tracks of a move and of the cue itself, then maps, scales, mirrors, reverses and repeats them.
 pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> Movement {
-    if reader.knots.is_overdrawn() {
+    if reader.knots.is_overdrawn() || reader.is_full() {
         return Movement::default();
     }
     let mut tracks =
@@ -156,7 +156,7 @@ fn arguments(
     for (parameter, at) in &given {
         if !declared.iter().any(|(known, _)| known == parameter) {
             let known = || declared.iter().map(|(known, _)| *known);
-            let hint = did_you_mean(parameter, known());
+            let hint = reader.did_you_mean(parameter, known());
             let message =
                 format!("the move `{}` has no parameter `{}`", shortened(name), shortened(parameter));
             reader.add(Code::UnknownKey, at.key_place(), message, format!("one of {}", names(known())), hint);
@@ -191,13 +191,8 @@ fn rename(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
                 let known = || tracks.iter().map(|track| track.device.as_str());
                 let message = format!("no track is called `{}`", shortened(from));
                 let expected = format!("one of {}", names(known()));
-                reader.add(
-                    Code::UnknownDevice,
-                    at.key_place(),
-                    message,
-                    expected,
-                    did_you_mean(from, known()),
-                );
+                let hint = reader.did_you_mean(from, known());
+                reader.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
             }
         }
     }
@@ -258,7 +253,7 @@ fn affine(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track], aim: &Aim, fac
             let known = || tracks.iter().map(|track| track.device.as_str());
             let message = format!("the cue has no track `{}`", shortened(&device.text));
             let expected = format!("one of {}", names(known()));
-            let hint = did_you_mean(&device.text, known());
+            let hint = reader.did_you_mean(&device.text, known());
             reader.add(Code::UnknownDevice, device.place.clone(), message, expected, hint);
         }
     }
