@@ -371,3 +371,35 @@ fn ten_thousand_wrong_names_among_ten_thousand_are_told_in_no_time() {
         assert!(hints <= 200 && begin.elapsed().as_secs() < 20, "{code}: {hints} hints");
     }
 }
+
+#[test]
+fn many_findings_in_one_long_line_carry_it_in_bounded_memory() {
+    let session = Session::new();
+    let cue = |i: usize| {
+        format!(
+            "{{at: 0s, robots: nobody-{i:05}, tracks: {{shoulder: [{{at: 0s, to: 0}}, {{at: 1s, to: 0}}]}}}}"
+        )
+    };
+    let cues: Vec<_> = (0..10_000).map(cue).collect();
+    session.file("test.yaml", format!("scenario: test\ncues: [{}]\n", cues.join(", ")));
+    check_in_memory(&session, 500_000, 1, &["10000 errors,", "test.yaml:2:8"]);
+}
+
+#[test]
+fn zones_and_rules_are_shared_by_very_many_acts() {
+    let session = Session::new();
+    let zones: Vec<_> = (0..5_000).map(|i| format!("z{i}")).collect();
+    let rules: Vec<_> = (0..5_000).map(|i| format!("r{i}: hold")).collect();
+    let fleet: String = (0..5_000).map(|i| format!("  r{i}: {{init: arm.yaml, address: sim}}\n")).collect();
+    session.file("fleet.yaml", format!("robots:\n{fleet}"));
+    let act = |i: usize| {
+        format!(
+            "  - {{act: a{i}, cues: [{{at: 0s, robots: r{i}, tracks: {{shoulder: [{{at: 0s, to: 0}}, {{at: 1s, to: 0}}]}}}}]}}\n"
+        )
+    };
+    let acts: String = (0..2_000).map(act).collect();
+    let (zones, rules) = (zones.join(", "), rules.join(", "));
+    let yaml = format!("scenario: test\nzones: [{zones}]\non_failure: {{{rules}}}\nacts:\n{acts}");
+    session.file("test.yaml", yaml);
+    check_in_memory(&session, 1_500_000, 1, &["DB0045", "too many rules for robots", "1 error,"]);
+}

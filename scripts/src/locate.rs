@@ -9,6 +9,11 @@ use crate::finding::{Finding, Part, Pending, Place, Related};
 use crate::render::line_starts;
 use crate::source::Source;
 
+/// Longest line that every finding carries whole, in bytes.
+const LINE_BYTES_MAX: usize = 500;
+/// Most bytes of longer lines that all findings of a file carry.
+const LINES_BYTES_MAX: usize = 16 * 1024 * 1024;
+
 /// Gives every finding its line and column, and sorts them by place: the findings of each file together.
 pub(crate) fn locate(sources: &[Source], pending: Vec<Pending>) -> Vec<Finding> {
     let mut by_file: Vec<Vec<Pending>> = sources.iter().map(|_| Vec::new()).collect();
@@ -30,6 +35,7 @@ fn locate_in(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {
         pending.iter().map(|p| p.related.iter().map(|(place, _)| wanted.add(place)).collect()).collect();
     wanted.find(&source.text);
     let lines = LineStarts::of(&source.text);
+    let mut room = LINES_BYTES_MAX;
     let mut findings: Vec<_> = pending
         .into_iter()
         .zip(nodes)
@@ -37,10 +43,10 @@ fn locate_in(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {
         .map(|((pending, node), related)| {
             let place = wanted.spot(node, pending.place.key);
             let others = related.iter().zip(&pending.related).map(|(node, (place, message))| {
-                related_place(source, &lines, wanted.spot(*node, place.key), message)
+                related_place(source, &lines, wanted.spot(*node, place.key), message, &mut room)
             });
             let others = others.collect();
-            finding(source, &lines, pending, place, others)
+            finding(source, &lines, pending, place, others, &mut room)
         })
         .collect();
     findings.sort_by_key(|finding| (finding.line, finding.column, finding.code));
@@ -49,14 +55,30 @@ fn locate_in(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {
     findings
 }
 
-fn related_place(source: &Source, lines: &LineStarts, spot: Spot, message: &str) -> Related {
+fn related_place(
+    source: &Source,
+    lines: &LineStarts,
+    spot: Spot,
+    message: &str,
+    room: &mut usize,
+) -> Related {
     Related {
         line: spot.line,
         column: spot.column,
         width: spot.width.max(1),
         message: message.to_owned(),
-        source_line: lines.line(&source.text, spot.line).to_owned(),
+        source_line: carried(lines.line(&source.text, spot.line), room),
     }
+}
+
+/// A line that a finding carries; of many long lines only the beginning.
+fn carried(line: &str, room: &mut usize) -> String {
+    if line.len() <= LINE_BYTES_MAX || line.len() <= *room {
+        *room = room.saturating_sub(line.len());
+        return line.to_owned();
+    }
+    let end = (0..=LINE_BYTES_MAX).rev().find(|end| line.is_char_boundary(*end)).unwrap_or(0);
+    line[..end].to_owned()
 }
 
 fn finding(
@@ -65,6 +87,7 @@ fn finding(
     pending: Pending,
     spot: Spot,
     related: Vec<Related>,
+    room: &mut usize,
 ) -> Finding {
     Finding {
         code: pending.code,
@@ -76,7 +99,7 @@ fn finding(
         message: pending.message,
         expected: pending.expected,
         hint: pending.hint,
-        source_line: lines.line(&source.text, spot.line).to_owned(),
+        source_line: carried(lines.line(&source.text, spot.line), room),
         related,
     }
 }

@@ -7,6 +7,7 @@ use petgraph::visit::{Dfs, Reversed};
 
 use super::cast::Cast;
 use super::perform::unknown_sensor;
+use crate::budget::{Budget, USES_MAX};
 use crate::fields::Reader;
 use crate::finding::{Code, names};
 use crate::node::shortened;
@@ -30,7 +31,9 @@ pub(super) fn ways(findings: &mut Reader, acts: &[Act], cast: &Cast<'_>, complet
         index_of.entry(act.name.as_str()).or_insert(index);
     }
     let acts_by_name = ByName { acts, index_of };
-    let ways: Vec<Ways> = (0..acts.len()).map(|index| way(findings, &acts_by_name, index, cast)).collect();
+    let mut room = Budget::new(USES_MAX);
+    let way = |index| way(findings, &acts_by_name, index, cast, &mut room);
+    let ways: Vec<Ways> = (0..acts.len()).map(way).collect();
     if complete && findings.found.len() == before {
         check_graph(findings, acts, &ways);
     }
@@ -47,7 +50,13 @@ fn same_names(findings: &mut Reader, acts: &[Act]) {
     }
 }
 
-fn way(findings: &mut Reader, by_name: &ByName<'_>, index: usize, cast: &Cast<'_>) -> Ways {
+fn way(
+    findings: &mut Reader,
+    by_name: &ByName<'_>,
+    index: usize,
+    cast: &Cast<'_>,
+    room: &mut Budget,
+) -> Ways {
     let act = &by_name.acts[index];
     let following = if index + 1 < by_name.acts.len() { Way::Act(index + 1) } else { Way::End };
     let next = act.next.as_ref().and_then(|name| by_name.find(findings, name)).unwrap_or(following);
@@ -59,15 +68,31 @@ fn way(findings: &mut Reader, by_name: &ByName<'_>, index: usize, cast: &Cast<'_
     let mut ruled = HashSet::new();
     let mut policy =
         FailurePolicy { default: act.on_failure.default.unwrap_or_default(), ..FailurePolicy::default() };
-    for (name, rule) in &act.on_failure.robots {
+    for (name, rule) in act.on_failure.robots.iter().chain(act.on_failure.inherited.iter()) {
         // Of several rules for one robot the first is the act's own.
-        let new = cast.robots(findings, name).into_iter().filter(|robot| ruled.insert(*robot));
+        let robots = cast.robots(findings, name);
+        if !taken(findings, act, room, robots.len()) {
+            break;
+        }
+        let new = robots.into_iter().filter(|robot| ruled.insert(*robot));
         policy.robots.extend(new.map(|robot| (cast.id(robot).clone(), *rule)));
     }
     if let Some(Way::Act(then)) = act.on_failure.then.as_ref().and_then(|name| by_name.find(findings, name)) {
         policy.then = Some(then);
     }
     Ways { wait: act.wait.wait.clone(), on_timeout, next, on_failure: policy }
+}
+
+/// Whether there is room for a rule of so many robots: each act has its own for each of them.
+fn taken(findings: &mut Reader, act: &Act, room: &mut Budget, robots: usize) -> bool {
+    let (told, sound) = (room.is_overdrawn(), room.take(robots.max(1)));
+    if !sound && !told {
+        let message = format!("with the act `{}` there are too many rules for robots", shortened(&act.name));
+        let expected = format!("at most {} in all acts", room.most());
+        let hint = Some("let `on_failure` have one word for all, or fewer acts".to_owned());
+        findings.add(Code::TooMuch, act.place.clone(), message, expected, hint);
+    }
+    sound
 }
 
 /// The acts, of those of one name the first.

@@ -186,7 +186,7 @@ impl<'c, 'a> Performer<'c, 'a> {
 
     /// A device that several kinds of robots lack is found once.
     fn missing_devices(&mut self, cue: &Cue, alike: &[Alike]) {
-        let mut missing: Vec<(&Track, Vec<usize>)> = Vec::new();
+        let mut missing: Vec<(&Track, Vec<&Alike>)> = Vec::new();
         let mut index_of: HashMap<&Place, usize> = HashMap::new();
         for group in alike {
             let first = group.members[0];
@@ -196,15 +196,16 @@ impl<'c, 'a> Performer<'c, 'a> {
                 if known {
                     continue;
                 }
-                let robots = group.members.iter().map(|member| member.robot);
                 let at = *index_of.entry(&track.place).or_insert_with(|| {
                     missing.push((track, Vec::new()));
                     missing.len() - 1
                 });
-                missing[at].1.extend(robots);
+                missing[at].1.push(group);
             }
         }
-        for (track, robots) in missing {
+        for (track, groups) in missing {
+            let members = groups.iter().flat_map(|group| &group.members);
+            let robots: Vec<usize> = members.map(|member| member.robot).collect();
             let known = || self.cast.devices(robots[0]).iter().map(|device| device.id.as_str());
             let message = format!("{} no device `{}`", self.cast.have(&robots), shortened(&track.device));
             let hint = self.findings.did_you_mean(&track.device, known());

@@ -1,5 +1,7 @@
 //! Acts: what is synchronised together, what each waits for, what follows, what a failure does.
 
+use std::sync::Arc;
+
 use serde::Serialize;
 use serde::de::IntoDeserializer;
 use urrcp::{Server, Span, StopCondition, Timestamp};
@@ -25,6 +27,12 @@ pub(super) struct Defaults<'a> {
     pub(super) on_failure: OnFailureRule,
 }
 
+/// What acts have in common.
+struct Shared {
+    zones: Arc<[(String, Order)]>,
+    rules: Arc<[(Name, OnFailure)]>,
+}
+
 /// What the fleet does when a robot fails.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -43,6 +51,8 @@ pub enum OnFailure {
 pub(crate) struct OnFailureRule {
     pub(crate) default: Option<OnFailure>,
     pub(crate) robots: Vec<(Name, OnFailure)>,
+    /// What the scenario says of robots, one list for all acts.
+    pub(crate) inherited: Arc<[(Name, OnFailure)]>,
     pub(crate) then: Option<Name>,
 }
 
@@ -117,7 +127,7 @@ pub(super) fn read(
                 name: String::new(),
                 place: cues.place(),
                 cues: read_cues(reader, library, defaults, &cues, "the scenario"),
-                zones,
+                zones: zones.into(),
                 order: defaults.order,
                 wait: WrittenWait::default(),
                 next: None,
@@ -130,9 +140,12 @@ pub(super) fn read(
                 super::nothing(reader, &acts, "the scenario has no acts", "at least one act");
             }
             let tempo = reader.music.clone();
+            let zones = defaults.zones.map(|at| zones(reader, &at, defaults.order)).unwrap_or_default();
+            let rules = defaults.on_failure.robots.as_slice().into();
+            let shared = Shared { zones: zones.into(), rules };
             let act = |(index, item)| {
                 reader.music = tempo.clone();
-                act(reader, library, defaults, item, index)
+                act(reader, library, defaults, &shared, item, index)
             };
             items.iter().enumerate().filter_map(act).collect()
         }
@@ -169,6 +182,7 @@ fn act(
     reader: &mut Reader,
     library: &Library<'_>,
     defaults: &Defaults<'_>,
+    shared: &Shared,
     at: &At<'_>,
     index: usize,
 ) -> Option<Act> {
@@ -178,13 +192,20 @@ fn act(
         .and_then(|at| reader.name(&at, "the act's name"))
         .unwrap_or_else(|| format!("act {}", index + 1));
     library::music(reader, tempo, signature);
-    let order = order.and_then(|at| reader.word(&at, &ORDER)).unwrap_or(defaults.order);
-    let mut all = defaults.zones.map(|at| zones(reader, &at, order)).unwrap_or_default();
-    all.extend(own_zones.map(|at| zones(reader, &at, order)).unwrap_or_default());
+    let own_order = order.and_then(|at| reader.word(&at, &ORDER));
+    let order = own_order.unwrap_or(defaults.order);
+    let all = match (own_order, own_zones) {
+        (None, None) => shared.zones.clone(),
+        (_, own) => {
+            let mut all = defaults.zones.map(|at| zones(reader, &at, order)).unwrap_or_default();
+            all.extend(own.map(|at| zones(reader, &at, order)).unwrap_or_default());
+            all.into()
+        }
+    };
     let whose = format!("the act `{}`", shortened(&name));
     let mut rule = failure.map(|at| on_failure(reader, &at)).unwrap_or_default();
     rule.default = rule.default.or(defaults.on_failure.default);
-    rule.robots.extend(defaults.on_failure.robots.iter().cloned());
+    rule.inherited = shared.rules.clone();
     Some(Act {
         place: at.place(),
         cues: cues.map(|at| read_cues(reader, library, defaults, &at, &whose)).unwrap_or_default(),

@@ -12,6 +12,7 @@ mod when;
 
 use std::collections::HashMap;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use urrcp::{ControlType, Millis, Span, StopCondition};
 
@@ -65,8 +66,8 @@ pub(crate) struct Act {
     pub(crate) name: String,
     pub(crate) place: Place,
     pub(crate) cues: Vec<Cue>,
-    /// Zones with the way their cues are ordered.
-    pub(crate) zones: Vec<(String, Order)>,
+    /// Zones with the way their cues are ordered, the act's own last. Acts without own ones share a list.
+    pub(crate) zones: Arc<[(String, Order)]>,
     /// For cues that are kept apart.
     pub(crate) order: Order,
     pub(crate) wait: WrittenWait,
