@@ -1,7 +1,28 @@
 //! Offsets between clocks, from exchanges of four timestamps as in NTP (RFC 5905, section 8). No clock is read here.
+//! The method and its sources stand in `docs/clocks.md`.
+
+use std::collections::VecDeque;
 
 use serde::Serialize;
 use urrcp::{Robot, Server, Span, Timestamp};
+
+/// Fastest that two clocks drift apart, as a fraction: what IEEE 802.3 allows the oscillator of a network port, hence what
+/// a free-running computer has. It holds until the drift has been measured.
+pub const DRIFT_BOUND: f64 = 100e-6;
+
+/// How far a measured drift wanders while it is followed, as a fraction: PHI, the frequency tolerance of RFC 5905,
+/// section 7.2. The rate of a crystal changes by about 1 ppm a kelvin.
+pub const DRIFT_WANDER: f64 = 15e-6;
+
+/// Drift is told and followed from here on: a worse estimate says little more than the bound.
+const DRIFT_KNOWN: f64 = DRIFT_BOUND / 2.0;
+
+/// What is remembered for the drift: this many bins, which widen until together they span the window.
+const BINS: usize = 64;
+const WINDOW: Span = Span::from_millis(3_600_000);
+/// Doubled at most this often: from 220 ms to 56 s.
+const DOUBLINGS_MAX: u32 = 8;
+const FIRST_BIN_NANOS: i64 = (WINDOW.as_nanos() / 64) >> DOUBLINGS_MAX;
 
 /// One exchange with a robot.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -10,10 +31,19 @@ pub struct ClockSample {
     pub offset: Span,
     /// Round trip without the robot's own time.
     pub delay: Span,
+    /// The offset was at least this at `at`: the way back took no less than no time.
+    pub lower: Span,
+    /// The offset was at most this at `sent`: nor did the way there.
+    pub upper: Span,
+    /// When the server asked.
+    pub sent: Timestamp<Server>,
+    /// When the server had the answer.
+    pub at: Timestamp<Server>,
 }
 
 impl ClockSample {
-    /// Offset ((T2-T1)+(T3-T4))/2 and delay (T4-T1)-(T3-T2), RFC 5905 section 8.
+    /// Offset ((T2-T1)+(T3-T4))/2 and delay (T4-T1)-(T3-T2), RFC 5905 section 8; bounds T3-T4 and T2-T1, widened by the
+    /// step in which the robot's timestamps count.
     #[must_use]
     pub fn from_exchange(
         sent: Timestamp<Server>,
@@ -24,16 +54,130 @@ impl ClockSample {
         let there = robot_received - sent.assume_clock();
         let back = robot_sent - received.assume_clock();
         let delay = (received - sent) - (robot_sent - robot_received);
-        Self { offset: (there + back) / 2, delay: delay.max(Span::ZERO) }
+        let resolution = resolution(robot_received, robot_sent);
+        Self {
+            offset: back + (there - back) / 2,
+            delay: delay.max(Span::ZERO),
+            lower: back - resolution,
+            upper: there + resolution,
+            sent,
+            at: received,
+        }
     }
 }
 
-/// What the exchanges so far say of a robot's clock and link.
+/// Many robots write milliseconds or microseconds. On a fast link that is longer than the way.
+fn resolution(one: Timestamp<Robot>, other: Timestamp<Robot>) -> Span {
+    let counts_in = |step: &i64| one.as_nanos() % step == 0 && other.as_nanos() % step == 0;
+    Span::from_nanos([1_000_000, 1_000].into_iter().find(counts_in).unwrap_or(1))
+}
+
+/// The offset was at least, or at most, `value` at an instant.
+#[derive(Clone, Copy, Debug)]
+struct Bound {
+    at: Timestamp<Server>,
+    value: Span,
+}
+
+impl Bound {
+    fn drifted(self, now: Timestamp<Server>, rate: f64) -> Span {
+        self.value + Span::from_millis_f64((now - self.at).as_millis_f64() * rate)
+    }
+
+    /// What a lower bound still says at another instant.
+    fn least(self, now: Timestamp<Server>, rates: Rates) -> Span {
+        self.drifted(now, rates.least).min(self.drifted(now, rates.most))
+    }
+
+    /// What an upper bound still says at another instant.
+    fn most(self, now: Timestamp<Server>, rates: Rates) -> Span {
+        self.drifted(now, rates.least).max(self.drifted(now, rates.most))
+    }
+
+    /// Mean rate since `earlier`, if both were the offset itself.
+    fn rate_since(self, earlier: Self) -> Option<f64> {
+        let time = (self.at - earlier.at).as_millis_f64();
+        (time > 0.0).then(|| (self.value - earlier.value).as_millis_f64() / time)
+    }
+}
+
+/// Between which rates the offset drifts.
+#[derive(Clone, Copy, Debug)]
+struct Rates {
+    least: f64,
+    most: f64,
+}
+
+impl Rates {
+    const ANY: Self = Self { least: -DRIFT_BOUND, most: DRIFT_BOUND };
+    const UNKNOWN: Self = Self { least: f64::NEG_INFINITY, most: f64::INFINITY };
+
+    const fn exactly(rate: f64) -> Self {
+        Self { least: rate, most: rate }
+    }
+
+    fn and(self, other: Self) -> Self {
+        Self { least: self.least.max(other.least), most: self.most.min(other.most) }
+    }
+}
+
+/// The tightest lower and upper bound of some exchanges, which need not be of the same one.
+#[derive(Clone, Copy, Debug)]
+struct Bounds {
+    lower: Bound,
+    upper: Bound,
+}
+
+impl Bounds {
+    fn of(sample: &ClockSample) -> Self {
+        // A robot that claims to have taken longer than the whole exchange lies: nothing inside those bounds is better.
+        let (lower, upper) = (sample.lower.min(sample.upper), sample.lower.max(sample.upper));
+        Self { lower: Bound { at: sample.at, value: lower }, upper: Bound { at: sample.sent, value: upper } }
+    }
+
+    /// Keeps of each kind what says more at `now`.
+    fn tighten(&mut self, other: Self, now: Timestamp<Server>, rates: Rates) {
+        if other.lower.least(now, rates) >= self.lower.least(now, rates) {
+            self.lower = other.lower;
+        }
+        if other.upper.most(now, rates) <= self.upper.most(now, rates) {
+            self.upper = other.upper;
+        }
+    }
+
+    fn interval(self, now: Timestamp<Server>, rates: Rates) -> Interval {
+        Interval { lower: self.lower.least(now, rates), upper: self.upper.most(now, rates) }
+    }
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Interval {
+    lower: Span,
+    upper: Span,
+}
+
+impl Interval {
+    fn and(self, other: Self) -> Self {
+        Self { lower: self.lower.max(other.lower), upper: self.upper.min(other.upper) }
+    }
+
+    fn is_empty(self) -> bool {
+        self.lower > self.upper
+    }
+}
+
+/// What the exchanges so far say of a robot's clock and link: where all their bounds agree.
 #[derive(Clone, Debug, Default)]
 pub struct ClockEstimate {
-    best: Option<ClockSample>,
+    /// Of all exchanges since the last step. Any drift within the bound keeps the order in which two bounds tighten, so
+    /// that one of each kind is enough.
+    bounds: Option<Bounds>,
+    history: History,
+    latest: Option<Timestamp<Server>>,
+    delay_min: Span,
     delay_max: Span,
     samples: u32,
+    steps: u32,
 }
 
 /// A robot's clock as reported.
@@ -42,7 +186,7 @@ pub struct ClockReading {
     /// The robot's clock minus the server's, in milliseconds.
     #[serde(rename = "offset_ms")]
     pub offset: Span,
-    /// The true offset lies within this of `offset`: half the least delay, whatever the asymmetry of the path.
+    /// The true offset lies within this of `offset`, whatever the asymmetry of the path.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Span,
     /// Least round trip.
@@ -53,16 +197,50 @@ pub struct ClockReading {
     pub delay_max: Span,
     /// How many exchanges stand behind it.
     pub samples: u32,
+    /// How often exchanges contradicted earlier ones: a clock was set, or lies.
+    pub steps: u32,
+    /// How fast the robot's clock gains on the server's, once the exchanges span enough time.
+    #[serde(flatten)]
+    pub drift: Option<Drift>,
+}
+
+/// How fast one clock gains on another, in parts per million.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Drift {
+    /// The rate.
+    #[serde(rename = "drift_ppm")]
+    pub ppm: f64,
+    /// The true rate lies within this of `ppm`.
+    #[serde(rename = "drift_uncertainty_ppm")]
+    pub uncertainty_ppm: f64,
 }
 
 impl ClockEstimate {
-    /// Takes one more exchange; the one of least delay decides.
+    /// Takes one more exchange. If it contradicts the earlier ones, they are forgotten: it alone is surely of the clock as
+    /// it is now.
     pub fn add(&mut self, sample: ClockSample) {
-        self.samples += 1;
+        self.delay_min = if self.samples == 0 { sample.delay } else { self.delay_min.min(sample.delay) };
         self.delay_max = self.delay_max.max(sample.delay);
-        if self.best.is_none_or(|best| sample.delay < best.delay) {
-            self.best = Some(sample);
+        self.samples = self.samples.saturating_add(1);
+        self.latest = self.latest.max(Some(sample.at));
+        let (new, now) = (Bounds::of(&sample), sample.at);
+        let told = new.interval(now, Rates::ANY);
+        match &mut self.bounds {
+            Some(bounds) if !bounds.interval(now, Rates::ANY).and(told).is_empty() => {
+                let all = bounds.interval(now, Rates::ANY);
+                bounds.tighten(new, now, Rates::ANY);
+                if self.history.narrow(all, now).and(told).is_empty() {
+                    // Within the bound, but not at the rate that was measured: NTP may have begun to mend the clock.
+                    self.history = History::default();
+                }
+            }
+            bounds => {
+                self.steps += u32::from(bounds.is_some());
+                *bounds = Some(new);
+                self.history = History::default();
+            }
         }
+        self.history.add(new, now);
     }
 
     /// Number of exchanges so far.
@@ -71,16 +249,132 @@ impl ClockEstimate {
         self.samples
     }
 
-    /// The estimate, or `None` before the first exchange.
+    /// How often exchanges contradicted earlier ones.
+    #[must_use]
+    pub const fn steps(&self) -> u32 {
+        self.steps
+    }
+
+    /// The estimate as of the latest exchange, or `None` before the first.
     #[must_use]
     pub fn reading(&self) -> Option<ClockReading> {
-        self.best.map(|best| ClockReading {
-            offset: best.offset,
-            uncertainty: best.delay / 2 + Span::from_nanos(1),
-            delay_min: best.delay,
+        self.latest.and_then(|at| self.reading_at(at))
+    }
+
+    /// The estimate carried on to `now`: by the drift if it is known, and ever less certain.
+    #[must_use]
+    pub fn reading_at(&self, now: Timestamp<Server>) -> Option<ClockReading> {
+        let all = self.bounds?.interval(now, Rates::ANY);
+        let narrow = self.history.narrow(all, now);
+        let interval = if narrow.is_empty() { all } else { narrow };
+        let half = (interval.upper - interval.lower) / 2;
+        Some(ClockReading {
+            offset: interval.lower + half,
+            uncertainty: half + Span::from_nanos(1),
+            delay_min: self.delay_min,
             delay_max: self.delay_max,
             samples: self.samples,
+            steps: self.steps,
+            drift: self.history.drift(),
         })
+    }
+}
+
+/// Bounds over the window, from which the drift follows. At most [`BINS`] bins, whatever the number of exchanges.
+#[derive(Clone, Debug)]
+struct History {
+    bins: VecDeque<Bin>,
+    doublings: u32,
+    /// The mean rate over any stretch from one bin to another is at least, and at most, one of these.
+    means: Rates,
+}
+
+/// The tightest bounds of a stretch of time, which the index numbers.
+#[derive(Clone, Copy, Debug)]
+struct Bin {
+    index: i64,
+    bounds: Bounds,
+}
+
+impl Default for History {
+    fn default() -> Self {
+        Self { bins: VecDeque::new(), doublings: 0, means: Rates::UNKNOWN }
+    }
+}
+
+impl History {
+    fn add(&mut self, new: Bounds, now: Timestamp<Server>) {
+        let index = now.as_nanos().div_euclid(FIRST_BIN_NANOS << self.doublings);
+        // Which bound of a bin says most is a matter of the rate at which they drift together.
+        let together =
+            Rates::exactly(self.rates().map_or(0.0, |rates| f64::midpoint(rates.least, rates.most)));
+        match self.bins.back_mut() {
+            Some(bin) if index <= bin.index => bin.bounds.tighten(new, now, together),
+            _ => {
+                // The bin that ends here has its say now; the new one will when it ends.
+                let ended = self.bins.len().saturating_sub(1);
+                self.means = (0..ended).fold(self.means, |means, bin| means.and(self.mean(bin, ended)));
+                self.bins.push_back(Bin { index, bounds: new });
+                self.make_room(now, together);
+            }
+        }
+    }
+
+    fn make_room(&mut self, now: Timestamp<Server>, together: Rates) {
+        while self.bins.len() > BINS && self.doublings < DOUBLINGS_MAX {
+            self.doublings += 1;
+            let mut wider: VecDeque<Bin> = VecDeque::with_capacity(BINS + 1);
+            for bin in self.bins.drain(..) {
+                let index = bin.index.div_euclid(2);
+                match wider.back_mut() {
+                    Some(last) if last.index == index => last.bounds.tighten(bin.bounds, now, together),
+                    _ => wider.push_back(Bin { index, ..bin }),
+                }
+            }
+            self.bins = wider;
+        }
+        let before = self.bins.len();
+        let is_old = |bin: &Bin| now - bin.bounds.lower.at > WINDOW;
+        while self.bins.len() > BINS || self.bins.front().is_some_and(is_old) {
+            self.bins.pop_front();
+        }
+        if self.bins.len() < before {
+            // What was known by the forgotten bins alone is forgotten, so that the drift may change over the hours.
+            let ended = self.bins.len().saturating_sub(1);
+            let pairs = (0..ended).flat_map(|later| (0..later).map(move |earlier| (earlier, later)));
+            self.means = pairs.fold(Rates::UNKNOWN, |means, (a, b)| means.and(self.mean(a, b)));
+        }
+    }
+
+    /// Between which the mean rate from one bin to a later one lies.
+    fn mean(&self, earlier: usize, later: usize) -> Rates {
+        let (earlier, later) = (self.bins[earlier].bounds, self.bins[later].bounds);
+        Rates {
+            least: later.lower.rate_since(earlier.upper).unwrap_or(f64::NEG_INFINITY),
+            most: later.upper.rate_since(earlier.lower).unwrap_or(f64::INFINITY),
+        }
+    }
+
+    /// Between which the rate lies now, once that is known well: wherever in the window a mean was measured, no rate in it
+    /// is further from that than [`DRIFT_WANDER`].
+    fn rates(&self) -> Option<Rates> {
+        let Rates { least, most } = self.means;
+        let rates = Rates { least: least - DRIFT_WANDER, most: most + DRIFT_WANDER }.and(Rates::ANY);
+        let half = (rates.most - rates.least) / 2.0;
+        (0.0..DRIFT_KNOWN).contains(&half).then_some(rates)
+    }
+
+    fn drift(&self) -> Option<Drift> {
+        self.rates().map(|rates| Drift {
+            ppm: f64::midpoint(rates.least, rates.most) * 1e6,
+            uncertainty_ppm: (rates.most - rates.least) / 2.0 * 1e6,
+        })
+    }
+
+    /// What remains of an interval when the bounds of the window are carried on to `now` by the drift.
+    fn narrow(&self, interval: Interval, now: Timestamp<Server>) -> Interval {
+        let Some(rates) = self.rates() else { return interval };
+        self.bins.iter().fold(interval, |interval, bin| interval.and(bin.bounds.interval(now, rates)))
     }
 }
 
@@ -88,22 +382,163 @@ impl ClockEstimate {
 mod tests {
     use super::*;
 
+    /// Exchanges with a robot whose clock is off by `offset(t)`, `t` in seconds.
+    struct Path<F> {
+        offset: F,
+        rng: fastrand::Rng,
+        /// Longest delay there and back, in nanoseconds.
+        delays: (i64, i64),
+    }
+
+    impl<F: Fn(f64) -> f64> Path<F> {
+        fn new(seed: u64, delays: (i64, i64), offset: F) -> Self {
+            Self { offset, rng: fastrand::Rng::with_seed(seed), delays }
+        }
+
+        fn offset_at(&self, now: Timestamp<Server>) -> Span {
+            Span::from_millis_f64((self.offset)(now.as_nanos() as f64 / 1e9) * 1e3)
+        }
+
+        fn robot(&self, now: Timestamp<Server>) -> Timestamp<Robot> {
+            now.assume_clock() + self.offset_at(now)
+        }
+
+        fn exchange(&mut self, sent: Timestamp<Server>) -> ClockSample {
+            let mut way = |longest| Span::from_nanos(self.rng.i64(0..=longest));
+            let (there, takes, back) = (way(self.delays.0), way(5_000_000), way(self.delays.1));
+            let (arrives, leaves) = (sent + there, sent + there + takes);
+            ClockSample::from_exchange(sent, self.robot(arrives), self.robot(leaves), leaves + back)
+        }
+
+        #[track_caller]
+        fn assert_covered(&self, estimate: &ClockEstimate, now: Timestamp<Server>) {
+            let reading = estimate.reading_at(now).unwrap();
+            let error = (reading.offset - self.offset_at(now)).abs();
+            assert!(error <= reading.uncertainty, "off by {error} at {now}: {reading:?}");
+        }
+    }
+
+    fn at(seconds: f64) -> Timestamp<Server> {
+        Timestamp::from_nanos(0) + Span::from_millis_f64(seconds * 1e3)
+    }
+
     #[test]
-    fn the_true_offset_lies_within_the_uncertainty_whatever_the_asymmetry() {
-        let offset = Span::from_millis(250);
+    fn the_true_offset_lies_within_the_uncertainty_whatever_the_delays_and_the_drift() {
         let mut rng = fastrand::Rng::with_seed(7);
-        for _ in 0..1_000 {
+        for seed in 0..2_000 {
+            let (offset, rate) = (rng.f64() - 0.5, (rng.f64() * 2.0 - 1.0) * DRIFT_BOUND);
+            let delays = (rng.i64(0..80_000_000) >> rng.u32(0..20), rng.i64(0..80_000_000) >> rng.u32(0..20));
+            let mut path = Path::new(seed, delays, |t| offset + rate * t);
             let mut estimate = ClockEstimate::default();
-            for k in 0..8 {
-                let sent = Timestamp::<Server>::from_nanos(k * 1_000_000_000);
-                let there = Span::from_nanos(rng.i64(0..80_000_000));
-                let back = Span::from_nanos(rng.i64(0..80_000_000));
-                let arrived = sent.assume_clock::<Robot>() + there + offset;
-                let received = sent + there + back;
-                estimate.add(ClockSample::from_exchange(sent, arrived, arrived, received));
+            let pause = rng.f64() * 10.0;
+            let mut now = at(rng.f64());
+            for _ in 0..rng.u32(1..200) {
+                let sample = path.exchange(now);
+                estimate.add(sample);
+                path.assert_covered(&estimate, sample.at);
+                now = sample.at + Span::from_millis_f64(rng.f64() * pause * 1e3);
             }
-            let reading = estimate.reading().unwrap();
-            assert!((reading.offset - offset).abs() <= reading.uncertainty, "{reading:?}");
+            assert_eq!(estimate.steps(), 0);
+            // Also before and long after the exchanges.
+            path.assert_covered(&estimate, at(0.0));
+            path.assert_covered(&estimate, now + Span::from_millis(600_000));
+        }
+    }
+
+    #[test]
+    fn a_drift_that_wanders_is_followed_for_hours() {
+        for seed in 0..20 {
+            let mean = (seed as f64 - 10.0) * 8e-6;
+            // The rate swings by half the wander either way in a quarter of an hour.
+            let omega = std::f64::consts::TAU / 900.0;
+            let offset = move |t: f64| 0.1 + mean * t + DRIFT_WANDER / 2.0 / omega * (omega * t).sin();
+            let mut path = Path::new(seed, (20_000_000, 60_000_000), offset);
+            let mut estimate = ClockEstimate::default();
+            for second in 0..3 * 3_600 {
+                let sample = path.exchange(at(f64::from(second)));
+                estimate.add(sample);
+                path.assert_covered(&estimate, sample.at);
+                path.assert_covered(&estimate, sample.at + Span::from_millis(30_000));
+            }
+            assert_eq!(estimate.steps(), 0);
+            assert!(estimate.history.bins.len() <= BINS && estimate.history.bins.capacity() <= 2 * BINS + 2);
+            let drift = estimate.reading().unwrap().drift.unwrap();
+            assert!((drift.ppm - mean * 1e6).abs() <= drift.uncertainty_ppm, "{drift:?}");
+            assert!(drift.uncertainty_ppm < 25.0, "{drift:?}");
+        }
+    }
+
+    #[test]
+    fn least_delays_each_way_need_not_meet_in_one_exchange() {
+        let mut estimate = ClockEstimate::default();
+        let millis = |m: i64| Timestamp::<Server>::from_nanos(m * 1_000_000 + 1);
+        let robot = |m: i64| Timestamp::<Robot>::from_nanos((m + 250) * 1_000_000 + 1);
+        // There in 1 ms and back in 40, then there in 40 and back in 1.
+        estimate.add(ClockSample::from_exchange(millis(0), robot(1), robot(1), millis(41)));
+        estimate.add(ClockSample::from_exchange(millis(100), robot(140), robot(140), millis(141)));
+        let reading = estimate.reading().unwrap();
+        assert!((reading.offset - Span::from_millis(250)).abs() < Span::from_micros(20), "{reading:?}");
+        assert!(reading.uncertainty < Span::from_micros(1_020), "{reading:?}");
+        assert_eq!(reading.delay_min, Span::from_millis(41));
+    }
+
+    #[test]
+    fn a_step_is_recognised_once_and_the_new_offset_found() {
+        for (seed, step) in [0.05, -0.05, 5.0, -3_600.0].into_iter().enumerate() {
+            let offset = move |t: f64| if t < 30.0 { 0.2 } else { 0.2 + step };
+            let mut path = Path::new(seed as u64, (10_000_000, 30_000_000), offset);
+            let mut estimate = ClockEstimate::default();
+            for k in 0..600 {
+                estimate.add(path.exchange(at(f64::from(k) * 0.1)));
+                assert_eq!(estimate.steps(), u32::from(k >= 300), "{k}");
+            }
+            path.assert_covered(&estimate, at(60.0));
+            assert_eq!(estimate.samples(), 600);
+        }
+    }
+
+    #[test]
+    fn a_rate_that_changes_within_the_bound_is_no_step() {
+        let offset = |t: f64| if t < 300.0 { 80e-6 * t } else { 80e-6 * 300.0 - 80e-6 * (t - 300.0) };
+        let mut path = Path::new(3, (500_000, 900_000), offset);
+        let mut estimate = ClockEstimate::default();
+        for second in 0..600 {
+            estimate.add(path.exchange(at(f64::from(second))));
+        }
+        assert_eq!(estimate.steps(), 0);
+        path.assert_covered(&estimate, at(600.0));
+        let drift = estimate.reading().unwrap().drift.unwrap();
+        assert!((drift.ppm + 80.0).abs() <= drift.uncertainty_ppm, "{drift:?}");
+    }
+
+    #[test]
+    fn a_robot_that_writes_milliseconds_does_not_contradict_itself() {
+        let mut path = Path::new(5, (100_000, 100_000), |_| 0.0123);
+        let mut estimate = ClockEstimate::default();
+        let whole = |t: Timestamp<Robot>| Timestamp::from_nanos(t.as_nanos() / 1_000_000 * 1_000_000);
+        for k in 0..1_000 {
+            let sent = at(f64::from(k) * 0.0101);
+            let (there, back) = (path.rng.i64(0..100_000), path.rng.i64(0..100_000));
+            let robot = whole(path.robot(sent + Span::from_nanos(there)));
+            estimate.add(ClockSample::from_exchange(
+                sent,
+                robot,
+                robot,
+                sent + Span::from_nanos(there + back),
+            ));
+        }
+        assert_eq!(estimate.steps(), 0);
+        path.assert_covered(&estimate, at(10.1));
+    }
+
+    #[test]
+    fn timestamps_from_the_ends_of_time_are_read_without_overflow() {
+        let mut estimate = ClockEstimate::default();
+        for (a, b) in [(i64::MAX, i64::MIN), (i64::MIN, i64::MAX), (i64::MIN, i64::MIN), (0, 0), (1, -1)] {
+            let (sent, received) = (Timestamp::from_nanos(b), Timestamp::from_nanos(a));
+            let robot = Timestamp::from_nanos;
+            estimate.add(ClockSample::from_exchange(sent, robot(a), robot(b), received));
+            assert!(estimate.reading().is_some());
         }
     }
 }
