@@ -1,18 +1,30 @@
 //! The server's clock: the system's, corrected by NTP, and from then on carried by the monotonic clock, so that a step of
-//! the system's clock does not move what is scheduled.
+//! the system's clock does not move what is scheduled. [`NtpWatch`] tells how far it has drifted since.
 
+use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
 use downbeat_robot::clock::HostClock;
 use rsntp::{AsyncSntpClient, Config};
 use serde::Serialize;
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
+use tokio::time::MissedTickBehavior;
 use urrcp::{Server, Span, Timestamp};
 
-/// NTP exchanges asked for; the one of least delay decides.
+use crate::clock::{ClockEstimate, ClockSample, Drift};
+
+/// NTP exchanges asked for; all their bounds count.
 const NTP_SAMPLES: usize = 5;
 /// Between two NTP exchanges.
 const NTP_INTERVAL: Duration = Duration::from_millis(50);
 const NTP_TIMEOUT: Duration = Duration::from_secs(2);
+/// Rounding: rsntp computes in floating point, and the system's clock and the monotonic one are not read at once.
+const NTP_ROUNDING: Span = Span::from_micros(1);
+/// A datagram may be lost: so many questions in a row must go unanswered for the server to be.
+const NTP_LOST_AFTER: u32 = 3;
+/// Between two questions of a watch: the shortest that RFC 5905 lets a client poll steadily (MINPOLL, 2^4 s).
+pub const NTP_WATCH_INTERVAL: Duration = Duration::from_secs(16);
 
 /// Reads the server's time. Copies agree for ever.
 #[derive(Clone, Copy, Debug)]
@@ -40,6 +52,17 @@ impl ServerClock {
     pub fn instant_of(&self, timestamp: Timestamp<Server>) -> Instant {
         self.host.instant_of((timestamp - self.offset).assume_clock())
     }
+
+    /// How far the system's clock, as it is now, is ahead of this one.
+    fn system_ahead(&self) -> Span {
+        let system = Self::anchored(Span::ZERO);
+        // The instants at which both show the same are compared, not two readings: nothing can come between. Later than
+        // both anchors, where instants are exact.
+        let shown = system.now().max(self.now()) + Span::from_millis(1_000);
+        let (by_system, by_this) = (system.instant_of(shown), self.instant_of(shown));
+        Span::from(by_this.saturating_duration_since(by_system))
+            - Span::from(by_system.saturating_duration_since(by_this))
+    }
 }
 
 /// What an NTP server says of the system's clock.
@@ -48,7 +71,7 @@ pub struct NtpReading {
     /// NTP time minus system time.
     #[serde(rename = "offset_ms")]
     pub offset: Span,
-    /// Half the round trip of the best exchange.
+    /// The true offset lies within this of `offset`, if the NTP server is right.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Span,
     /// Of the NTP server: 1 is attached to a reference clock (RFC 5905, figure 11).
@@ -67,33 +90,302 @@ pub struct NtpError {
     pub reason: String,
 }
 
-/// Asks an NTP server (`host` or `host:port`) a few times; the exchange of least delay decides.
+/// Asks an NTP server (`host` or `host:port`) a few times; the offset is where all exchanges agree.
 ///
 /// # Errors
 /// [`NtpError`] when no exchange came through.
 pub async fn ask_ntp(server: &str) -> Result<NtpReading, NtpError> {
-    let client = AsyncSntpClient::with_config(Config::default().timeout(NTP_TIMEOUT));
-    let mut best: Option<(Span, NtpReading)> = None;
+    let clock = ServerClock::anchored(Span::ZERO);
+    let failed = |reason| NtpError { server: server.to_owned(), reason };
+    // Behind one name there may be many servers, whose clocks differ: one is asked throughout.
+    let address = resolve(server).await.map_err(failed)?;
+    let mut estimate = ClockEstimate::default();
+    let mut stratum = None;
     let mut reason = String::new();
-    for exchange in 0..NTP_SAMPLES {
-        if exchange > 0 {
+    for question in 0..NTP_SAMPLES {
+        if question > 0 {
             tokio::time::sleep(NTP_INTERVAL).await;
         }
-        match client.synchronize(server).await {
-            Ok(result) => {
-                let delay = Span::from_millis_f64(result.round_trip_delay().as_secs_f64() * 1e3);
-                let offset = Span::from_millis_f64(result.clock_offset().as_secs_f64() * 1e3);
-                let reading = NtpReading { offset, uncertainty: delay.abs() / 2, stratum: result.stratum() };
-                if best.is_none_or(|(least, _)| delay < least) {
-                    best = Some((delay, reading));
-                }
+        match exchange(address, &clock, NTP_TIMEOUT).await {
+            Ok((sample, told)) => {
+                estimate.add(sample);
+                stratum = Some(told);
             }
             // A server that is off stays off: the first exchange decides.
-            Err(error) if exchange == 0 => {
-                return Err(NtpError { server: server.to_owned(), reason: error.to_string() });
-            }
-            Err(error) => reason = error.to_string(),
+            Err(error) if question == 0 => return Err(failed(error)),
+            Err(error) => reason = error,
         }
     }
-    best.map(|(_, reading)| reading).ok_or_else(|| NtpError { server: server.to_owned(), reason })
+    match (estimate.reading(), stratum) {
+        (Some(reading), Some(stratum)) => {
+            Ok(NtpReading { offset: reading.offset, uncertainty: reading.uncertainty, stratum })
+        }
+        _ => Err(failed(reason)),
+    }
+}
+
+async fn resolve(server: &str) -> Result<SocketAddr, String> {
+    const NTP_PORT: u16 = 123;
+    let has_port = server.parse::<std::net::Ipv6Addr>().is_err() && server.contains(':');
+    let addresses: Vec<_> = match has_port {
+        true => tokio::net::lookup_host(server).await.map(Iterator::collect),
+        false => tokio::net::lookup_host((server, NTP_PORT)).await.map(Iterator::collect),
+    }
+    .map_err(|error| error.to_string())?;
+    // As many hosts still have no way out by IPv6.
+    let preferred = addresses.iter().find(|address| address.is_ipv4()).or(addresses.first());
+    preferred.copied().ok_or_else(|| "the name has no address".to_owned())
+}
+
+/// One exchange: NTP time minus `clock`, and the stratum.
+async fn exchange(
+    server: SocketAddr,
+    clock: &ServerClock,
+    timeout: Duration,
+) -> Result<(ClockSample, u8), String> {
+    let any_port: SocketAddr = match server {
+        SocketAddr::V4(_) => (std::net::Ipv4Addr::UNSPECIFIED, 0).into(),
+        SocketAddr::V6(_) => (std::net::Ipv6Addr::UNSPECIFIED, 0).into(),
+    };
+    let client = AsyncSntpClient::with_config(Config::default().timeout(timeout).bind_address(any_port));
+    // The client reads the system's clock, which may be set between its two readings.
+    let (ahead_before, sent) = (clock.system_ahead(), clock.now());
+    let result = client.synchronize(server).await.map_err(|error| error.to_string())?;
+    let (at, ahead_after) = (clock.now(), clock.system_ahead());
+    let delay = Span::from_millis_f64(result.round_trip_delay().as_secs_f64() * 1e3);
+    let offset = Span::from_millis_f64(result.clock_offset().as_secs_f64() * 1e3);
+    let upper = offset + delay / 2 + ahead_before;
+    let lower = offset - delay / 2 + ahead_after;
+    let sample = ClockSample {
+        offset: lower + (upper - lower) / 2,
+        delay: (upper - lower).max(Span::ZERO),
+        lower: lower - NTP_ROUNDING,
+        upper: upper + NTP_ROUNDING,
+        sent,
+        at,
+    };
+    Ok((sample, result.stratum()))
+}
+
+/// How the server's clock stands to NTP during a mission.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct NtpState {
+    /// NTP time minus the server's clock, which was set to NTP time when it was anchored: what has come between since.
+    #[serde(rename = "offset_change_ms")]
+    pub offset_change: Span,
+    /// The true change lies within this of `offset_change`, if the NTP server is right; `None` before the first answer.
+    #[serde(rename = "uncertainty_ms", skip_serializing_if = "Option::is_none")]
+    pub uncertainty: Option<Span>,
+    /// How fast NTP time gains on the server's clock, once it is known.
+    #[serde(flatten)]
+    pub drift: Option<Drift>,
+    /// How often NTP time contradicted itself: the NTP server was set, or lies.
+    pub steps: u32,
+    /// Since when the NTP server has not answered, if it has not for several questions.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lost_since: Option<Timestamp<Server>>,
+}
+
+/// Asks an NTP server again and again, until it is dropped.
+#[derive(Debug)]
+pub struct NtpWatch {
+    states: watch::Receiver<NtpState>,
+    task: JoinHandle<()>,
+}
+
+impl NtpWatch {
+    /// Asks at once and then every `interval`; an answer must come before the next question. Needs a runtime.
+    #[must_use]
+    pub fn start(server: String, clock: ServerClock, interval: Duration) -> Self {
+        let (tell, states) = watch::channel(NtpState::default());
+        let task = tokio::spawn(async move { watch_ntp(&server, &clock, interval, &tell).await });
+        Self { states, task }
+    }
+
+    /// The state now.
+    #[must_use]
+    pub fn state(&self) -> NtpState {
+        *self.states.borrow()
+    }
+
+    /// The state after the next question, answered or not.
+    pub async fn next(&mut self) -> NtpState {
+        if self.states.changed().await.is_err() {
+            // The task lives as long as this does.
+            std::future::pending::<()>().await;
+        }
+        *self.states.borrow_and_update()
+    }
+}
+
+impl Drop for NtpWatch {
+    fn drop(&mut self) {
+        self.task.abort();
+    }
+}
+
+async fn watch_ntp(server: &str, clock: &ServerClock, interval: Duration, tell: &watch::Sender<NtpState>) {
+    let timeout = interval.min(NTP_TIMEOUT);
+    let mut estimate = ClockEstimate::default();
+    let mut address = None;
+    let (mut answered, mut unanswered) = (clock.now(), 0);
+    let mut ticks = tokio::time::interval(interval);
+    ticks.set_missed_tick_behavior(MissedTickBehavior::Delay);
+    loop {
+        ticks.tick().await;
+        let outcome = match address {
+            Some(address) => Ok(address),
+            None => resolve(server).await,
+        };
+        let outcome = match outcome {
+            Ok(found) => {
+                address = Some(found);
+                exchange(found, clock, timeout).await
+            }
+            Err(reason) => Err(reason),
+        };
+        match outcome {
+            Ok((sample, _)) => {
+                estimate.add(sample);
+                (answered, unanswered) = (sample.at, 0);
+            }
+            Err(reason) => {
+                unanswered += 1;
+                tracing::debug!(server, reason, unanswered, "no NTP time");
+            }
+        }
+        let lost = unanswered >= NTP_LOST_AFTER;
+        if lost {
+            // Its name may lead to another by now. Their clocks need not agree, which then counts as a step.
+            address = None;
+        }
+        let reading = estimate.reading_at(clock.now());
+        tell.send_replace(NtpState {
+            offset_change: reading.map_or(Span::ZERO, |reading| reading.offset),
+            uncertainty: reading.map(|reading| reading.uncertainty),
+            drift: reading.and_then(|reading| reading.drift),
+            steps: estimate.steps(),
+            lost_since: lost.then_some(answered),
+        });
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "an NTP server tells the real time")]
+mod tests {
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicBool, AtomicI64, Ordering};
+    use std::time::SystemTime;
+
+    use tokio::net::UdpSocket;
+
+    use super::*;
+
+    /// An SNTP server (RFC 5905, figure 8) that is off by a known offset and falls silent when told.
+    #[derive(Clone, Default)]
+    struct Responder {
+        offset_nanos: Arc<AtomicI64>,
+        is_silent: Arc<AtomicBool>,
+    }
+
+    impl Responder {
+        async fn start(&self) -> String {
+            let socket = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+            let address = socket.local_addr().unwrap().to_string();
+            let responder = self.clone();
+            tokio::spawn(async move {
+                let mut question = [0; 48];
+                loop {
+                    let (_, peer) = socket.recv_from(&mut question).await.unwrap();
+                    let mut answer = [0; 48];
+                    answer[..4].copy_from_slice(&[0b00_100_100, 1, 0, 0xe9]);
+                    answer[12..16].copy_from_slice(b"LOCL");
+                    answer[24..32].copy_from_slice(&question[40..48]);
+                    answer[32..40].copy_from_slice(&responder.now());
+                    answer[40..48].copy_from_slice(&responder.now());
+                    if !responder.is_silent.load(Ordering::Relaxed) {
+                        socket.send_to(&answer, peer).await.unwrap();
+                    }
+                }
+            });
+            address
+        }
+
+        fn now(&self) -> [u8; 8] {
+            let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_nanos();
+            let offset = i128::from(self.offset_nanos.load(Ordering::Relaxed));
+            let nanos = i128::try_from(now).unwrap() + offset;
+            let seconds = nanos / 1_000_000_000 + 2_208_988_800;
+            let fraction = ((nanos % 1_000_000_000) << 32) / 1_000_000_000;
+            u64::try_from((seconds << 32) | fraction).unwrap().to_be_bytes()
+        }
+
+        fn set_offset(&self, offset: Span) {
+            self.offset_nanos.store(offset.as_nanos(), Ordering::Relaxed);
+        }
+    }
+
+    #[track_caller]
+    fn assert_is(state: NtpState, change: Span) {
+        // Anchoring reads two clocks, one after the other.
+        let error = (state.offset_change - change).abs();
+        assert!(error <= state.uncertainty.unwrap() + Span::from_micros(5), "{state:?}");
+    }
+
+    const INTERVAL: Duration = Duration::from_millis(100);
+
+    #[tokio::test]
+    async fn a_watch_follows_ntp_time_notices_steps_and_its_loss_and_return() {
+        let responder = Responder::default();
+        responder.set_offset(Span::from_millis(250));
+        let server = responder.start().await;
+        let clock = ServerClock::anchored(Span::from_millis(250));
+        let mut watch = NtpWatch::start(server, clock, INTERVAL);
+        while watch.next().await.uncertainty.is_none() {}
+        assert_is(watch.next().await, Span::ZERO);
+        assert_eq!(watch.state().steps, 0);
+
+        responder.set_offset(Span::from_millis(1_250));
+        while watch.next().await.steps == 0 {}
+        assert_is(watch.next().await, Span::from_millis(1_000));
+
+        responder.is_silent.store(true, Ordering::Relaxed);
+        let silent_since = clock.now();
+        let mut lost = watch.next().await;
+        let known = lost.uncertainty.unwrap();
+        while lost.lost_since.is_none() {
+            lost = watch.next().await;
+        }
+        assert!(lost.lost_since.unwrap() <= silent_since + INTERVAL.into(), "{lost:?}");
+        assert_is(lost, Span::from_millis(1_000));
+        assert!(lost.uncertainty.unwrap() > known, "it must grow: {lost:?}");
+
+        responder.is_silent.store(false, Ordering::Relaxed);
+        while watch.next().await.lost_since.is_some() {}
+        assert_is(watch.state(), Span::from_millis(1_000));
+    }
+
+    #[tokio::test]
+    async fn a_watch_whose_server_never_answered_says_so_since_it_began() {
+        let silent = UdpSocket::bind("127.0.0.1:0").await.unwrap();
+        let clock = ServerClock::anchored(Span::ZERO);
+        let began = clock.now();
+        let address = silent.local_addr().unwrap().to_string();
+        let mut watch = NtpWatch::start(address, clock, Duration::from_millis(20));
+        let mut state = watch.next().await;
+        while state.lost_since.is_none() {
+            assert_eq!(state.uncertainty, None);
+            state = watch.next().await;
+        }
+        assert!(state.lost_since.unwrap() - began < Span::from_millis(20), "{state:?}");
+    }
+
+    #[test]
+    fn how_far_the_system_is_ahead_is_found_however_the_clock_was_set() {
+        for millis in [0, 250, -250, 3_600_000, -3_600_000] {
+            let offset = Span::from_millis(millis);
+            let ahead = ServerClock::anchored(offset).system_ahead();
+            assert!((ahead + offset).abs() < Span::from_micros(50), "{millis}: {ahead}");
+        }
+    }
 }
