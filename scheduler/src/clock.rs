@@ -11,7 +11,7 @@ use urrcp::{Robot, Server, Span, Timestamp};
 pub const DRIFT_BOUND: f64 = 100e-6;
 
 /// How far a measured drift wanders while it is followed, as a fraction: PHI, the frequency tolerance of RFC 5905,
-/// section 7.2. The rate of a crystal changes by about 1 ppm a kelvin.
+/// section 7.2.
 pub const DRIFT_WANDER: f64 = 15e-6;
 
 /// Drift is told and followed from here on: a worse estimate says little more than the bound.
@@ -466,6 +466,22 @@ mod tests {
             assert!((drift.ppm - mean * 1e6).abs() <= drift.uncertainty_ppm, "{drift:?}");
             assert!(drift.uncertainty_ppm < 25.0, "{drift:?}");
         }
+    }
+
+    #[test]
+    fn a_drift_that_changes_over_the_hours_is_of_the_last_hour() {
+        // As of a machine that warms up: 10 ppm an hour.
+        let offset = |t: f64| -20e-6 * t + 10e-6 / 3_600.0 * t * t / 2.0;
+        let mut path = Path::new(11, (2_000_000, 6_000_000), offset);
+        let mut estimate = ClockEstimate::default();
+        for k in 0..4 * 720 {
+            let sample = path.exchange(at(f64::from(k) * 5.0));
+            estimate.add(sample);
+            path.assert_covered(&estimate, sample.at + Span::from_millis(30_000));
+        }
+        assert_eq!(estimate.steps(), 0);
+        let drift = estimate.reading().unwrap().drift.unwrap();
+        assert!((drift.ppm - 20.0).abs() <= drift.uncertainty_ppm, "{drift:?}");
     }
 
     #[test]
