@@ -60,6 +60,9 @@ fn fleet(robots: usize, steps: u32, queue: u32) -> Fleet {
             init: Some(init),
             simulation: SimulationSettings::default(),
             limits: BTreeMap::new(),
+            clock: Default::default(),
+            wake_up: Default::default(),
+            require: Vec::new(),
         }
     };
     let robots: Vec<_> = (0..robots).map(robot).collect();

@@ -119,11 +119,10 @@ fn plan() -> Plan {
 /// One mission by Downbeat.
 async fn deferred(fleet: &Fleet) {
     let block: InitializationBlock = serde_json::from_str(ROBOT).unwrap();
-    let participant =
-        |id| Participant { id: RobotId::new(format!("r{id}")).unwrap(), block: Some(block.clone()) };
+    let participant = |id| Participant::new(RobotId::new(format!("r{id}")).unwrap(), Some(block.clone()));
     let clock = ServerClock::anchored(Span::ZERO);
     let participants = (0..ROBOTS).map(participant).collect();
-    let mission = Mission::new(plan(), participants, MissionOptions::default(), clock.now()).unwrap();
+    let mission = Mission::of_plan(plan(), participants, MissionOptions::default(), clock.now()).unwrap();
     let endpoints = (0..ROBOTS).map(|id| fleet.endpoint(id)).collect();
     let (_operator, said) = mpsc::channel(1);
     let report = downbeat::run::run(mission, endpoints, clock, said, |_, _| {}).await;
@@ -134,8 +133,9 @@ async fn deferred(fleet: &Fleet) {
 async fn on_receipt(fleet: &Fleet) {
     let (events, mut happened) = mpsc::channel(1_024);
     let clock = ServerClock::anchored(Span::ZERO);
-    let links: Vec<_> =
-        (0..ROBOTS).map(|id| Link::open(id, fleet.endpoint(id), clock, events.clone())).collect();
+    let links: Vec<_> = (0..ROBOTS)
+        .map(|id| Link::open(id, fleet.endpoint(id), clock, events.clone(), std::time::Duration::ZERO))
+        .collect();
     let (mut up, mut ended) = (0, 0);
     while ended < ROBOTS {
         match happened.recv().await.unwrap().1 {
@@ -156,7 +156,8 @@ async fn on_receipt(fleet: &Fleet) {
 
 fn send_at_once(link: &Link) {
     let command = Control::Script(script());
-    link.send(Message::ControlRequest(ControlRequest::immediate(DeviceId::new("d").unwrap(), command)));
+    let request = ControlRequest::immediate(DeviceId::new("d").unwrap(), command);
+    link.send(Message::ControlRequest(request), false);
 }
 
 fn row(name: &str, spreads: &[f64]) {

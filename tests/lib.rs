@@ -9,6 +9,7 @@ mod findings;
 mod import;
 mod import_real;
 mod language;
+mod missions;
 mod ntp;
 mod processes;
 mod real_scenarios;

@@ -54,7 +54,7 @@ impl Session {
 
     pub fn command(&self, args: &[&str]) -> Command {
         let mut command = Command::new(PROGRAM);
-        command.args(args).current_dir(self.folder.path());
+        command.args(args).current_dir(self.folder.path()).env("DOWNBEAT_STATE", self.path("state"));
         command
     }
 

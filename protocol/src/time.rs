@@ -159,6 +159,13 @@ impl Serialize for Span {
     }
 }
 
+impl<'de> Deserialize<'de> for Span {
+    /// From milliseconds.
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        Ok(Self::from_millis_f64(number::finite(f64::deserialize(deserializer)?)?))
+    }
+}
+
 /// An instant by the clock `C`: nanoseconds since 1970-01-01T00:00:00Z without leap seconds.
 pub struct Timestamp<C> {
     nanos: i64,

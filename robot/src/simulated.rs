@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap};
 
 use urrcp::{
-    Command, ControlError, ControlResponse, DEVICES_MAX, ErrorCode, InitializationBlock, Message,
+    Command, ControlError, ControlResponse, DEVICES_MAX, DeviceId, ErrorCode, InitializationBlock, Message,
     Robot as RobotClock, Span, Status, StatusValue, Timestamp,
 };
 
@@ -54,7 +54,7 @@ pub enum Fault {
     Refuse,
     /// Never answers a control request, and does not execute it.
     Silent,
-    /// Closes the link right after it has accepted a script.
+    /// Closes the link right after it has accepted a script, and is not to be reached any more.
     Disconnect,
 }
 
@@ -112,6 +112,8 @@ pub struct SimulatedRobot {
     lanes: HashMap<LaneId, Lane>,
     log: Vec<LogEntry>,
     outputs: Vec<Output>,
+    /// It has hung up for good.
+    gone: bool,
 }
 
 impl SimulatedRobot {
@@ -131,6 +133,7 @@ impl SimulatedRobot {
             lanes: HashMap::new(),
             log: Vec::new(),
             outputs: Vec::new(),
+            gone: false,
         }
     }
 
@@ -138,6 +141,11 @@ impl SimulatedRobot {
     #[must_use]
     pub const fn robot(&self) -> &Robot {
         &self.robot
+    }
+
+    /// What a sensor reads from now on.
+    pub fn set_reading(&mut self, sensor: DeviceId, reading: f64) {
+        self.robot.set_reading(sensor, reading);
     }
 
     /// Whether nothing is held, runs or travels.
@@ -153,6 +161,9 @@ impl SimulatedRobot {
 
     /// Something was sent to the robot at `now`; it arrives after the link's delay.
     pub fn receive(&mut self, now: Timestamp<True>, link: LinkId, input: Input) {
+        if self.gone {
+            return self.dispatch(now, (link, Way::Out), InFlight::Out(Outgoing::Close { link }));
+        }
         self.dispatch(now, (link, Way::In), InFlight::In(link, input));
     }
 
@@ -252,6 +263,7 @@ impl SimulatedRobot {
                     let hangs_up = self.settings.fault == Some(Fault::Disconnect) && is_acceptance(&message);
                     self.send(now, link, message);
                     if hangs_up {
+                        self.gone = true;
                         self.dispatch(now, (link, Way::Out), InFlight::Out(Outgoing::Close { link }));
                     }
                 }

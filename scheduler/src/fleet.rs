@@ -2,11 +2,11 @@
 
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostError, HostOptions};
-use downbeat_scripts::{Address, Fleet, FleetRobot, Handshake, Plan};
+use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Handshake, Plan, RobotClock, Wait};
 use urrcp::RobotId;
 
 use crate::link::Endpoint;
-use crate::mission::{Greeting, Participant};
+use crate::mission::{ClockMode, Greeting, Participant, Requirement};
 
 /// A robot cannot be simulated.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -35,10 +35,37 @@ pub fn robots_of<'a>(fleet: &'a Fleet, plan: &Plan) -> Vec<&'a FleetRobot> {
     plan.robots.iter().filter_map(|planned| by_id.get(&planned.robot).copied()).collect()
 }
 
+/// The fleet's robots that a choreography moves or reads, in the fleet's order.
+#[must_use]
+pub fn robots_in<'a>(fleet: &'a Fleet, choreography: &Choreography) -> Vec<&'a FleetRobot> {
+    let moved = choreography.acts.iter().flat_map(|act| &act.plan.robots).map(|robot| robot.robot.as_str());
+    let read = choreography.acts.iter().flat_map(|act| &act.readings).map(|reading| reading.robot.as_str());
+    let awaited = choreography.acts.iter().filter_map(|act| match &act.wait {
+        Wait::Sensor { robot, .. } => Some(robot.as_str()),
+        _ => None,
+    });
+    let all: std::collections::HashSet<&str> = moved.chain(read).chain(awaited).collect();
+    fleet.robots.iter().filter(|robot| all.contains(robot.id.as_str())).collect()
+}
+
 /// As the mission sees them.
 #[must_use]
 pub fn participants(robots: &[&FleetRobot]) -> Vec<Participant> {
-    robots.iter().map(|robot| Participant { id: robot.id.clone(), block: robot.init.clone() }).collect()
+    let participant = |robot: &&FleetRobot| Participant {
+        id: robot.id.clone(),
+        block: robot.init.clone(),
+        clock: match robot.clock {
+            RobotClock::Ntp => ClockMode::Ntp,
+            RobotClock::Measured => ClockMode::Measured,
+        },
+        wake_up: robot.wake_up,
+        requires: robot
+            .require
+            .iter()
+            .map(|(sensor, range)| Requirement { sensor: sensor.clone(), range: *range })
+            .collect(),
+    };
+    robots.iter().map(participant).collect()
 }
 
 /// Whether steps 1 to 4 are played.

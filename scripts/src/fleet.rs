@@ -3,17 +3,20 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use urrcp::{ControlType, Device, InitializationBlock, RobotId, Span};
+use urrcp::{ControlType, Device, DeviceId, InitializationBlock, RobotId, Span};
 
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding};
 use crate::locate::locate;
 use crate::node::{self, Node};
+use crate::scenario::{SensorRange, acts};
 use crate::source::Source;
 use crate::tags::foreign_tags;
 
 pub(crate) const FLEET_KEYS: [&str; 4] = ["ntp", "handshake", "robots", "groups"];
-pub(crate) const ROBOT_KEYS: [&str; 4] = ["init", "address", "simulate", "limits"];
+pub(crate) const ROBOT_KEYS: [&str; 7] =
+    ["init", "address", "simulate", "limits", "clock", "wake_up", "require"];
+pub(crate) const RANGE_KEYS: [&str; 3] = ["above", "below", "within"];
 pub(crate) const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
 pub(crate) const SIMULATE_KEYS: [&str; 6] =
     ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault"];
@@ -54,7 +57,26 @@ pub struct FleetRobot {
     pub simulation: SimulationSettings,
     /// How fast its devices may move, by device id, where that is less than their speed control type says.
     pub limits: BTreeMap<String, RateLimits>,
+    /// How its time is brought to agree with the server's.
+    pub clock: RobotClock,
+    /// How late it may wake up for a start.
+    pub wake_up: Span,
+    /// What its sensors have to read before a mission.
+    pub require: Vec<(DeviceId, SensorRange)>,
 }
+
+/// How a robot's time is brought to agree with the server's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RobotClock {
+    /// `ntp`: it follows NTP, which is only verified.
+    #[default]
+    Ntp,
+    /// `measured`: it has none; what it is sent is translated into its own time.
+    Measured,
+}
+
+/// How late a robot may wake up where the fleet file does not say: a millisecond, as of a timer of an ordinary system.
+pub const WAKE_UP: Span = Span::from_millis(1);
 
 /// How fast a device may move: bounds of the derivatives of its value, in its unit a second and a second squared.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -243,14 +265,19 @@ impl FleetReader {
             }
         };
         let what = format!("robot `{name}`");
-        let [init, address, simulate, limits] =
+        let [init, address, simulate, limits, clock, wake_up, require] =
             self.findings.map(at, &what, ROBOT_KEYS, &["init", "address"])?;
         let address = address.and_then(|at| self.address(&at));
         let simulation = simulate.map(|at| self.simulation(&at)).unwrap_or_default();
         let mut init = init.and_then(|at| self.init(&at))?;
         init.id = id.clone();
         let limits = limits.map(|at| self.limits(&at, &init)).unwrap_or_default();
-        Some(FleetRobot { id, address: address?, init: Some(init), simulation, limits })
+        let words = [("ntp", RobotClock::Ntp), ("measured", RobotClock::Measured)];
+        let clock = clock.and_then(|at| self.findings.word(&at, &words)).unwrap_or_default();
+        let wake_up = wake_up.and_then(|at| self.findings.duration(&at)).unwrap_or(WAKE_UP);
+        let require = require.map(|at| self.require(&at, &init)).unwrap_or_default();
+        let (address, init) = (address?, Some(init));
+        Some(FleetRobot { id, address, init, simulation, limits, clock, wake_up, require })
     }
 
     fn limits(&mut self, at: &At<'_>, init: &InitializationBlock) -> BTreeMap<String, RateLimits> {
@@ -272,6 +299,46 @@ impl FleetReader {
             limits.insert(device.to_owned(), rates);
         }
         limits
+    }
+
+    /// `{battery: above 30}`, or `{battery: {within: [20, 80]}}`.
+    fn require(&mut self, at: &At<'_>, init: &InitializationBlock) -> Vec<(DeviceId, SensorRange)> {
+        let mut required = Vec::new();
+        for (name, at) in self.findings.entries(at, "sensor to what it has to read") {
+            let is_sensor = |device: &&Device| device.available_control_types.sensor().is_some();
+            let sensors = || init.devices.iter().filter(is_sensor).map(|device| device.id.as_str());
+            let range = self.range(&at);
+            match init.device(name).filter(is_sensor) {
+                Some(device) => required.extend(range.map(|range| (device.id.clone(), range))),
+                None => {
+                    let message = format!("the robot has no sensor `{}`", node::shortened(name));
+                    let expected = format!("one of {}", crate::finding::names(sensors()));
+                    let hint = crate::finding::did_you_mean(name, sensors());
+                    self.findings.add(Code::UnknownSensor, at.key_place(), message, expected, hint);
+                }
+            }
+        }
+        required
+    }
+
+    fn range(&mut self, at: &At<'_>) -> Option<SensorRange> {
+        let expected = "`above` or `below` with a number, or {within: [least, largest]}";
+        if let Node::Map(_) = at.node {
+            let [above, below, within] = self.findings.map(at, "the readings", RANGE_KEYS, &[])?;
+            return acts::sensor_range(&mut self.findings, at, [above, below, within]);
+        }
+        let text = self.findings.text(at, expected)?;
+        let words: Vec<&str> = text.split_whitespace().collect();
+        let range = match words.as_slice() {
+            ["above", bound] => bound.parse().ok().map(SensorRange::Above),
+            ["below", bound] => bound.parse().ok().map(SensorRange::Below),
+            _ => None,
+        };
+        if range.is_none() {
+            let message = format!("`{}` is no range of readings", node::shortened(&text));
+            self.findings.add(Code::UnknownWord, at.place(), message, expected, None);
+        }
+        range
     }
 
     fn address(&mut self, at: &At<'_>) -> Option<Address> {

@@ -19,6 +19,7 @@ mod motion;
 mod music;
 mod node;
 mod plan;
+mod rehearse;
 mod render;
 mod sarif;
 mod scenario;
@@ -33,7 +34,8 @@ pub use duration::parse_duration;
 pub use files::{Files, Folder, NoFiles};
 pub use finding::{Code, Finding, Related, Severity};
 pub use fleet::{
-    Address, Fault, Fleet, FleetRobot, Handshake, RateLimits, SimulationSettings, read_fleet, read_init,
+    Address, Fault, Fleet, FleetRobot, Handshake, RateLimits, RobotClock, SimulationSettings, read_fleet,
+    read_init,
 };
 pub use plan::{
     Act, Choreography, DeviceScript, DeviceUse, FailurePolicy, OnFailure, Plan, PlannedCue, PlannedReading,
@@ -41,7 +43,7 @@ pub use plan::{
 };
 pub use render::{counted, render};
 pub use sarif::sarif;
-pub use scenario::fleet_named_by;
+pub use scenario::{fleet_named_by, parse_time};
 pub use schema::{Schema, schema};
 pub use source::Source;
 

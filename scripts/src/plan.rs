@@ -144,6 +144,14 @@ pub struct DeviceScript {
     pub script: Script,
 }
 
+impl Act {
+    /// Whether people know it by this name; a scenario without acts of its own is known by the scenario's.
+    #[must_use]
+    pub fn is_named(&self, name: &str) -> bool {
+        if self.name.is_empty() { self.plan.scenario == name } else { self.name == name }
+    }
+}
+
 impl Plan {
     /// From the start of the act to its last step.
     #[must_use]
@@ -154,6 +162,24 @@ impl Plan {
 }
 
 impl Choreography {
+    /// One act, which begins at once and after which the mission ends.
+    #[must_use]
+    pub fn of_plan(plan: Plan) -> Self {
+        let act = Act {
+            name: String::new(),
+            cues: Vec::new(),
+            devices: Vec::new(),
+            readings: Vec::new(),
+            wait: Wait::Done,
+            timeout: None,
+            on_timeout: Way::Fail,
+            next: Way::End,
+            on_failure: FailurePolicy::default(),
+            plan,
+        };
+        Self { scenario: act.plan.scenario.clone(), acts: vec![act] }
+    }
+
     /// The acts one after another from the first, each followed by its `next`; ends before an act that was there already.
     #[must_use]
     pub fn main_line(&self) -> Vec<usize> {

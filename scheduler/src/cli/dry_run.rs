@@ -2,32 +2,38 @@
 
 use std::path::{Path, PathBuf};
 
-use downbeat_scripts::{Fleet, Plan};
+use downbeat_scripts::{Choreography, Fleet};
+use urrcp::{DeviceId, RobotId};
 
+use super::choice::{self, ChoiceArgs};
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console};
-use crate::dry_run::Played;
+use crate::dry_run::{Played, Rehearsal};
 use crate::fleet;
-use crate::mission::{Mission, MissionOptions};
+use crate::mission::MissionOptions;
 use crate::report::{picture, report_text};
 
 /// Play a scenario in virtual time, with simulated robots and the real mission machine.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "No sockets and no waiting: an hour of show takes moments. The robots are simulated as the fleet file
-describes them, with their clocks, delays and faults, whatever their address.
+describes them, with their clocks, delays and faults, whatever their address. The operator says go at
+once; a sensor that an act waits for reads what it waits for, unless --reading says otherwise.
 
 Examples:
   downbeat dry-run scripts/examples/swap.yaml
   downbeat dry-run scripts/examples/dance.yaml --picture dance.svg
-  downbeat dry-run scripts/examples/meeting.yaml --act finale"
+  downbeat dry-run scripts/examples/meeting.yaml --act finale
+  downbeat dry-run scripts/examples/meeting.yaml --reading rover-1/range=2.5"
 )]
 pub(super) struct DryRunArgs {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// Play this act alone, instead of all along the main line.
-    #[arg(long, value_name = "NAME")]
-    act: Option<String>,
+    #[command(flatten)]
+    choice: ChoiceArgs,
+    /// What a sensor reads, as rover-1/range=0.4.
+    #[arg(long, value_name = "ROBOT/SENSOR=VALUE", value_parser = reading)]
+    reading: Vec<(RobotId, DeviceId, f64)>,
     /// Draw what every device did over time, as SVG; of several acts one file each, numbered.
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
@@ -36,49 +42,53 @@ pub(super) struct DryRunArgs {
     seed: u64,
 }
 
+fn reading(text: &str) -> Result<(RobotId, DeviceId, f64), String> {
+    let parsed = text.split_once('=').and_then(|(whose, value)| {
+        let (robot, sensor) = whose.split_once('/')?;
+        let value = value.parse::<f64>().ok().filter(|value| value.is_finite())?;
+        Some((robot.parse().ok()?, sensor.parse().ok()?, value))
+    });
+    parsed.ok_or_else(|| format!("`{text}`, expected a robot, a sensor and a number, as rover-1/range=0.4"))
+}
+
 pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
-    let (choreography, fleet) = match load::load_choreography(&args.scenario, format) {
+    let (choreography, fleet, _) = match load::load_choreography(&args.scenario, format) {
         Ok(loaded) => loaded,
         Err(exit) => return exit,
     };
-    let acts = match load::acts(&choreography, args.act.as_deref()) {
-        Ok(acts) => acts,
+    let (choreography, first_act) = match choice::choose(choreography, &fleet, &args.choice.asked()) {
+        Ok(chosen) => chosen,
         Err(exit) => return exit,
     };
-    let mut reports = Vec::with_capacity(acts.len());
-    let mut ended = Exit::Done;
-    for (index, act) in acts.iter().enumerate() {
-        let played = match play(&act.plan, &fleet, args.seed) {
-            Ok(played) => played,
-            Err(error) => {
-                console::error(&error);
-                return Exit::Failed;
-            }
-        };
-        if let Some(path) = &args.picture {
-            let path = if acts.len() > 1 { numbered(path, index + 1) } else { path.clone() };
-            if let Err(error) =
-                std::fs::write(&path, picture::draw(act, &fleet::robots_of(&fleet, &act.plan), &played))
-            {
-                console::error(&format!("cannot write {}: {error}", path.display()));
-                return Exit::Usage;
-            }
+    let played = match play(args, &choreography, first_act, &fleet) {
+        Ok(played) => played,
+        Err(error) => {
+            console::error(&error);
+            return Exit::Failed;
         }
-        ended = super::run::exit_of(&played.report);
-        if format == Format::Text {
-            console::print(&report_text(&played.report));
-        }
-        reports.push(played.report);
-        if ended != Exit::Done {
-            break;
-        }
+    };
+    if let Some(path) = &args.picture
+        && let Err(error) = draw(path, &choreography, &fleet, &played)
+    {
+        console::error(&format!("cannot write {}: {error}", path.display()));
+        return Exit::Usage;
     }
-    match (format, reports.as_slice()) {
-        (Format::Json, [only]) => console::print_json(only),
-        (Format::Json, several) => console::print_json(&several),
-        (Format::Text, _) => {}
+    match format {
+        Format::Text => console::print(&report_text(&played.report)),
+        Format::Json => console::print_json(&played.report),
     }
-    ended
+    super::run::exit_of(&played.report)
+}
+
+fn draw(path: &Path, choreography: &Choreography, fleet: &Fleet, played: &Played) -> std::io::Result<()> {
+    let several = played.report.acts.len() > 1;
+    for (index, reported) in played.report.acts.iter().enumerate() {
+        let path = if several { numbered(path, index + 1) } else { path.to_path_buf() };
+        let Some(act) = choreography.acts.iter().find(|act| act.is_named(&reported.act)) else { continue };
+        let robots = fleet::robots_of(fleet, &act.plan);
+        std::fs::write(&path, picture::draw(act, reported, &robots, played))?;
+    }
+    Ok(())
 }
 
 /// `swap.svg` as `swap-2.svg`.
@@ -88,16 +98,26 @@ fn numbered(path: &Path, number: usize) -> PathBuf {
     path.with_file_name(format!("{stem}-{number}{extension}"))
 }
 
-/// One act as a mission of its own.
-fn play(plan: &Plan, fleet: &Fleet, seed: u64) -> Result<Played, String> {
-    let robots = fleet::robots_of(fleet, plan);
+fn play(
+    args: &DryRunArgs,
+    choreography: &Choreography,
+    first_act: usize,
+    fleet: &Fleet,
+) -> Result<Played, String> {
+    let robots = fleet::robots_in(fleet, choreography);
     let machines: Result<Vec<_>, _> = robots
         .iter()
         .enumerate()
-        .map(|(index, robot)| fleet::simulated(robot, seed.wrapping_add(index as u64)))
+        .map(|(index, robot)| fleet::simulated(robot, args.seed.wrapping_add(index as u64)))
         .collect();
     let machines = machines.map_err(|error| error.to_string())?;
-    let options = MissionOptions { greeting: fleet::greeting(fleet), ..MissionOptions::default() };
-    let mission = Mission::new(plan.clone(), fleet::participants(&robots), options, crate::dry_run::BEGIN);
-    Ok(crate::dry_run::play(mission.map_err(|error| error.to_string())?, machines))
+    let options = MissionOptions { greeting: fleet::greeting(fleet), first_act, ..MissionOptions::default() };
+    let mut rehearsal = Rehearsal::new(choreography.clone(), fleet::participants(&robots), options, machines)
+        .map_err(|error| error.to_string())?;
+    for (robot, sensor, value) in &args.reading {
+        if !rehearsal.set_reading(robot, sensor, *value) {
+            return Err(format!("--reading: no robot `{robot}` plays or is read"));
+        }
+    }
+    Ok(rehearsal.play())
 }

@@ -90,7 +90,7 @@ async fn ask_all(fleet: &Fleet, patience: Span) -> Result<Vec<Answer>, String> {
         fleet::endpoints(&robots, HostOptions::default()).map_err(|error| error.to_string())?;
     let asked = robots.iter().zip(endpoints).map(|(robot, endpoint)| {
         let (events, happened) = mpsc::channel(64);
-        let link = Link::open(0, endpoint, clock, events);
+        let link = Link::open(0, endpoint, clock, events, std::time::Duration::ZERO);
         let id = robot.id.clone();
         // One task a robot, so that a silent one keeps no other waiting; ends after `patience`.
         tokio::spawn(ask(id, link, happened, clock, patience))
@@ -119,9 +119,8 @@ async fn ask(
             match event {
                 Event::LinkUp { .. } => {
                     answer.reachable = true;
-                    link.send(Message::InitializationRequest(InitializationRequest {
-                        timestamp: Some(clock.now()),
-                    }));
+                    let request = InitializationRequest { timestamp: Some(clock.now()) };
+                    link.send(Message::InitializationRequest(request), false);
                     ping(&link, &clock);
                 }
                 Event::Received { message: Message::AvailabilityResponse(response), .. } => {
@@ -152,7 +151,7 @@ async fn ask(
                     }
                 }
                 Event::LinkDown { reason, .. } | Event::Garbled { reason, .. } => return Some(reason),
-                Event::Received { .. } | Event::StopRequested => {}
+                Event::Received { .. } | Event::StopRequested | Event::Go => {}
             }
         }
         Some("the link ended".to_owned())
@@ -164,10 +163,8 @@ async fn ask(
 }
 
 fn ping(link: &Link, clock: &ServerClock) {
-    link.send(Message::AvailabilityRequest(AvailabilityRequest {
-        timestamp: Some(clock.now()),
-        session: None,
-    }));
+    let request = AvailabilityRequest { timestamp: Some(clock.now()), session: None };
+    link.send(Message::AvailabilityRequest(request), false);
 }
 
 fn ping_table(fleet: &Fleet, answers: &[Answer]) -> String {

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use downbeat_scripts::{Act, Choreography, Finding, Fleet, Folder, Source};
+use downbeat_scripts::{Choreography, Finding, Fleet, Folder, Source};
 
 use super::{Exit, Format, ScenarioArgs, console};
 
@@ -10,6 +10,7 @@ use super::{Exit, Format, ScenarioArgs, console};
 pub(super) struct Loaded {
     pub(super) scenario: String,
     pub(super) fleet: Option<Fleet>,
+    pub(super) fleet_path: PathBuf,
     pub(super) choreography: Option<Choreography>,
     pub(super) findings: Vec<Finding>,
     /// A file could not be read at all.
@@ -21,6 +22,7 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
     let mut loaded = Loaded {
         scenario: args.scenario.display().to_string(),
         fleet: None,
+        fleet_path: PathBuf::new(),
         choreography: None,
         findings: Vec::new(),
         unreadable: false,
@@ -44,6 +46,7 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
         loaded.choreography = compiled.choreography;
     }
     loaded.fleet = fleet;
+    loaded.fleet_path = fleet_path;
     loaded
 }
 
@@ -58,8 +61,12 @@ fn fleet_path(args: &ScenarioArgs, source: &Source) -> PathBuf {
     }
 }
 
-/// The same for commands that need what the scenario compiles to: errors end the command, warnings are shown.
-pub(super) fn load_choreography(args: &ScenarioArgs, format: Format) -> Result<(Choreography, Fleet), Exit> {
+/// The same for commands that need what the scenario compiles to, with the fleet and its file: errors end the command,
+/// warnings are shown.
+pub(super) fn load_choreography(
+    args: &ScenarioArgs,
+    format: Format,
+) -> Result<(Choreography, Fleet, PathBuf), Exit> {
     let loaded = load(args);
     match format {
         Format::Text => show_findings(&loaded.findings),
@@ -69,24 +76,9 @@ pub(super) fn load_choreography(args: &ScenarioArgs, format: Format) -> Result<(
         Format::Json => {}
     }
     match (loaded.choreography, loaded.fleet) {
-        (Some(choreography), Some(fleet)) => Ok((choreography, fleet)),
+        (Some(choreography), Some(fleet)) => Ok((choreography, fleet, loaded.fleet_path)),
         _ if loaded.unreadable => Err(Exit::Usage),
         _ => Err(Exit::Failed),
-    }
-}
-
-/// The acts that a command is about: the one that is named, or all along the main line.
-pub(super) fn acts<'a>(choreography: &'a Choreography, named: Option<&str>) -> Result<Vec<&'a Act>, Exit> {
-    let Some(name) = named else {
-        return Ok(choreography.main_line().into_iter().map(|index| &choreography.acts[index]).collect());
-    };
-    match choreography.acts.iter().find(|act| act.name == name) {
-        Some(act) => Ok(vec![act]),
-        None => {
-            let known: Vec<_> = choreography.acts.iter().map(|act| format!("`{}`", act.name)).collect();
-            console::error(&format!("no act `{name}`, the scenario has {}", known.join(", ")));
-            Err(Exit::Usage)
-        }
     }
 }
 

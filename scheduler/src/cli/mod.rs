@@ -1,15 +1,18 @@
 //! The command line: one file a subcommand. The only room that prints.
 //!
 //! Exit codes: 0 done; 1 findings, or the mission failed or did not start; 2 usage or unreadable input; 3 stopped by the
-//! operator, every robot confirmed; 4 ended with robots whose stop nobody confirmed.
+//! operator, every robot confirmed; 4 ended with robots whose stop nobody confirmed; 5 done without robots that failed.
 
 mod check;
+mod choice;
 mod console;
 mod dry_run;
 mod explain;
 mod fleet;
 mod import;
+mod live;
 mod load;
+mod missions;
 mod plan;
 mod robot;
 mod run;
@@ -37,7 +40,8 @@ Exit codes:
   1  findings, or the mission failed or did not start
   2  usage, or input that cannot be read
   3  stopped by the operator, every robot confirmed it
-  4  ended with robots whose stop nobody confirmed"
+  4  ended with robots whose stop nobody confirmed
+  5  done, without robots that failed on the way"
 )]
 pub struct Cli {
     #[command(subcommand)]
@@ -69,8 +73,18 @@ enum Command {
     Plan(plan::PlanArgs),
     /// Play a scenario in virtual time, with simulated robots and the real mission machine.
     DryRun(dry_run::DryRunArgs),
+    /// Check the fleet without moving anything.
+    Preflight(run::PreflightArgs),
     /// Play a scenario on the fleet: all robots start together, or none does.
     Run(run::RunArgs),
+    /// Let the act begin that waits for the operator.
+    Go(missions::GoArgs),
+    /// Stop a mission: every robot that can be reached comes to rest.
+    Stop(missions::StopArgs),
+    /// Take up a mission whose scheduler was killed.
+    Resume(missions::ResumeArgs),
+    /// List the missions of this machine.
+    Missions(missions::MissionsArgs),
     /// Run one simulated robot as a process of its own.
     Robot(robot::RobotArgs),
     /// Run all TCP robots of a fleet as simulated ones in this process.
@@ -107,6 +121,8 @@ pub enum Exit {
     Stopped = 3,
     /// Somebody's stop is not confirmed.
     Unconfirmed = 4,
+    /// Done, without robots that failed on the way.
+    DoneWithout = 5,
 }
 
 /// Reads the arguments, does what they say and tells the shell how it went.
@@ -120,7 +136,12 @@ pub fn main() -> ExitCode {
         Command::Explain(args) => explain::explain(&args, format),
         Command::Plan(args) => plan::plan(&args, format),
         Command::DryRun(args) => dry_run::dry_run(&args, format),
+        Command::Preflight(args) => run::preflight(&args, format),
         Command::Run(args) => run::run(&args, format),
+        Command::Go(args) => missions::go(&args),
+        Command::Stop(args) => missions::stop(&args, format),
+        Command::Resume(args) => missions::resume(&args, format),
+        Command::Missions(args) => missions::missions(&args, format),
         Command::Robot(args) => robot::robot(&args, format),
         Command::Sim(args) => sim::sim(&args, format),
         Command::Import(args) => import::import(&args, format),

@@ -25,7 +25,7 @@ pub(super) struct PlanArgs {
 
 pub(super) fn plan(args: &PlanArgs, format: Format) -> Exit {
     let choreography = match load::load_choreography(&args.scenario, format) {
-        Ok((choreography, _)) => choreography,
+        Ok((choreography, _, _)) => choreography,
         Err(exit) => return exit,
     };
     match format {

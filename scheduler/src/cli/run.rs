@@ -1,46 +1,106 @@
 //! `downbeat run`: a mission on the fleet.
 
-use std::time::Duration;
+use std::io::{BufRead, IsTerminal};
+use std::path::PathBuf;
 
 use downbeat_robot::HostOptions;
-use downbeat_scripts::{Fleet, Plan, counted};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
-use tokio::sync::mpsc;
-use urrcp::{Server, Span, Timestamp};
+use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Wait};
+use tokio::sync::{mpsc, watch};
+use urrcp::{Server, SessionId, Span, Timestamp};
 
+use super::choice::{self, ChoiceArgs};
+use super::live::Live;
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console};
 use crate::fleet;
-use crate::mission::{Mission, MissionOptions, Progress};
+use crate::journal::{self, Asked, Journal, Opened};
+use crate::mission::{Join, Mission, MissionOptions};
+use crate::recording::Recording;
 use crate::report::{Outcome, Report, StopState, report_text};
-use crate::run::Operator;
+use crate::run::{Keep, Operator, control};
 use crate::server_clock::{self, ServerClock};
 
 /// Play a scenario on the fleet: all robots start together, or none does.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Ctrl-C stops: every robot returns to its default state and confirms it. A second Ctrl-C leaves at
-once and says what was left running.
+once and says what was left running. From another terminal `downbeat stop` does the same, and
+`downbeat go` (or Enter here) lets an act begin that waits for the operator.
 
 Examples:
   downbeat run scripts/examples/swap.yaml
-  downbeat run show.yaml --fleet stage.yaml --lead 3s --format json"
+  downbeat run show.yaml --fleet stage.yaml --at 19:30 --record show.mcap
+  downbeat run show.yaml --speed 0.25 --only arm-1,arm-2    a rehearsal
+  downbeat run show.yaml --from finale --format json"
 )]
 pub(super) struct RunArgs {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// Play this act; needed where the scenario has several.
-    #[arg(long, value_name = "NAME")]
-    act: Option<String>,
+    #[command(flatten)]
+    choice: ChoiceArgs,
+    #[command(flatten)]
+    how: HowArgs,
+    /// Start at this time of day, as 19:30 or 19:30:00.5, or at this instant in RFC 3339.
+    #[arg(long, value_parser = parse_start, value_name = "TIME")]
+    at: Option<StartAt>,
     /// Time from sending to the start, instead of the computed one, as 1500ms or 3s.
-    #[arg(long, value_parser = parse_span, value_name = "TIME")]
+    #[arg(long, value_parser = parse_span, value_name = "TIME", conflicts_with = "at")]
     lead: Option<Span>,
+    /// What becomes of robots that are not there at first.
+    #[arg(long, value_enum, default_value_t = JoinArg::Refuse)]
+    join: JoinArg,
+    /// Record everything that is said as an MCAP file, for Foxglove and others.
+    #[arg(long, value_name = "FILE")]
+    record: Option<PathBuf>,
+    /// Keep no journal: after a crash nobody knows what was promised to whom.
+    #[arg(long)]
+    no_journal: bool,
+}
+
+/// Check the fleet without moving anything.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Asks every robot of the scenario who it is, what its clock shows, where its devices stand and what its
+sensors read, and shows a table: a row a robot, a column a check.
+
+Examples:
+  downbeat preflight scripts/examples/swap.yaml
+  downbeat preflight show.yaml --fleet stage.yaml --format json"
+)]
+pub(super) struct PreflightArgs {
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    #[command(flatten)]
+    choice: ChoiceArgs,
+    #[command(flatten)]
+    how: HowArgs,
+}
+
+/// How the fleet is talked to.
+#[derive(Clone, Debug, clap::Args)]
+pub(super) struct HowArgs {
     /// How long to wait for connections, greetings and stop confirmations.
     #[arg(long, value_parser = parse_span, default_value = "5s", value_name = "TIME")]
-    patience: Span,
+    pub(super) patience: Span,
     /// Run robots with `address: sim` under real-time scheduling (needs the right to).
     #[arg(long)]
     realtime: bool,
+}
+
+#[derive(Clone, Copy, Debug, clap::ValueEnum)]
+#[value(rename_all = "snake_case")]
+enum JoinArg {
+    /// Nothing starts without them.
+    Refuse,
+    /// They join at the first act that begins after they have come.
+    NextAct,
+}
+
+/// When to start.
+#[derive(Clone, Copy, Debug)]
+enum StartAt {
+    TimeOfDay(Span),
+    Instant(Timestamp<Server>),
 }
 
 pub(super) fn parse_span(text: &str) -> Result<Span, String> {
@@ -48,62 +108,239 @@ pub(super) fn parse_span(text: &str) -> Result<Span, String> {
         .ok_or_else(|| format!("`{text}`, expected a time such as 250ms, 3s or 1m30s"))
 }
 
-pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
-    let (choreography, fleet) = match load::load_choreography(&args.scenario, format) {
-        Ok(loaded) => loaded,
-        Err(exit) => return exit,
-    };
-    let plan = match load::acts(&choreography, args.act.as_deref()).as_deref() {
-        Ok([act]) if choreography.acts.len() == 1 || args.act.is_some() => act.plan.clone(),
-        Ok(_) => {
-            let names: Vec<_> = choreography.acts.iter().map(|act| format!("`{}`", act.name)).collect();
-            console::error(&format!(
-                "this scenario has {} acts, a run plays one: name it by --act, one of {}",
-                names.len(),
-                names.join(", ")
-            ));
-            return Exit::Usage;
-        }
-        Err(exit) => return *exit,
-    };
-    super::with_runtime(async {
-        match play(args, format, plan, &fleet).await {
-            Ok(report) => finish(&report, format),
-            Err(message) => {
-                console::error(&message);
-                Exit::Failed
-            }
-        }
-    })
+fn parse_start(text: &str) -> Result<StartAt, String> {
+    match downbeat_scripts::parse_time(text) {
+        Some(Wait::TimeOfDay(time)) => Ok(StartAt::TimeOfDay(time)),
+        Some(Wait::Instant(at)) => Ok(StartAt::Instant(at)),
+        _ => Err(format!("`{text}`, expected a time of day such as 19:30, or an instant in RFC 3339")),
+    }
 }
 
-async fn play(args: &RunArgs, format: Format, plan: Plan, fleet: &Fleet) -> Result<Report, String> {
-    let (clock, server_uncertainty) = server_clock(fleet, format).await?;
-    let robots = fleet::robots_of(fleet, &plan);
-    let options = MissionOptions {
-        greeting: fleet::greeting(fleet),
+pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
+    let work = Work {
+        scenario: &args.scenario,
+        asked: args.choice.asked(),
+        how: &args.how,
+        at: args.at,
         lead: args.lead,
-        patience: args.patience,
-        server_uncertainty,
+        join: match args.join {
+            JoinArg::Refuse => Join::Refuse,
+            JoinArg::NextAct => Join::NextAct,
+        },
+        record: args.record.as_deref(),
+        journal: !args.no_journal,
+        preflight_only: false,
+        format,
     };
-    let host_options = HostOptions { realtime: args.realtime, ..HostOptions::default() };
-    let (host, endpoints) = fleet::endpoints(&robots, host_options).map_err(|e| e.to_string())?;
-    let duration = plan.duration();
-    let mission = Mission::new(plan, fleet::participants(&robots), options, clock.now())
-        .map_err(|error| error.to_string())?;
-    let console = Console::new(format, clock, duration, robots.len());
-    let report =
-        crate::run::run(mission, endpoints, clock, operator(), |at, progress| console.tell(at, progress))
-            .await;
-    console.clear();
-    if let Some(host) = host {
-        host.stop();
+    work.run()
+}
+
+pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
+    let work = Work {
+        scenario: &args.scenario,
+        asked: args.choice.asked(),
+        how: &args.how,
+        at: None,
+        lead: None,
+        join: Join::Refuse,
+        record: None,
+        journal: false,
+        preflight_only: true,
+        format,
+    };
+    work.run()
+}
+
+/// One mission as it was asked for.
+struct Work<'a> {
+    scenario: &'a ScenarioArgs,
+    asked: Asked,
+    how: &'a HowArgs,
+    at: Option<StartAt>,
+    lead: Option<Span>,
+    join: Join,
+    record: Option<&'a std::path::Path>,
+    journal: bool,
+    preflight_only: bool,
+    format: Format,
+}
+
+impl Work<'_> {
+    fn run(&self) -> Exit {
+        let (choreography, fleet, fleet_path) = match load::load_choreography(self.scenario, self.format) {
+            Ok(loaded) => loaded,
+            Err(exit) => return exit,
+        };
+        let (choreography, first_act) = match choice::choose(choreography, &fleet, &self.asked) {
+            Ok(chosen) => chosen,
+            Err(exit) => return exit,
+        };
+        super::with_runtime(async {
+            match self.play(choreography, first_act, &fleet, &fleet_path).await {
+                Ok(report) => finish(&report, self.format),
+                Err((message, exit)) => {
+                    console::error(&message);
+                    exit
+                }
+            }
+        })
     }
-    Ok(report)
+
+    async fn play(
+        &self,
+        choreography: Choreography,
+        first_act: usize,
+        fleet: &Fleet,
+        fleet_path: &std::path::Path,
+    ) -> Result<Report, (String, Exit)> {
+        let failed = |message: String| (message, Exit::Failed);
+        let (clock, server_uncertainty) = server_clock(fleet, self.format).await.map_err(failed)?;
+        let robots = fleet::robots_in(fleet, &choreography);
+        let session = session_name(&choreography.scenario, &clock);
+        let state = journal::state_folder();
+        if !self.preflight_only {
+            taken_here(&state, &robots).map_err(failed)?;
+        }
+        let utc_offset = utc_offset();
+        let options = MissionOptions {
+            greeting: fleet::greeting(fleet),
+            lead: self.lead,
+            patience: self.how.patience,
+            server_uncertainty,
+            session: Some(session.clone()),
+            start_at: self.at.map(|at| at.instant(clock.now(), utc_offset)),
+            first_act,
+            join: self.join,
+            preflight_only: self.preflight_only,
+            utc_offset,
+        };
+        let mut keep = Keep::default();
+        let usage = |message: String| (message, Exit::Usage);
+        if let Some(path) = self.record {
+            keep.recording = Some(Recording::create(path).map_err(|error| usage(error.to_string()))?);
+        }
+        let folder = state.join(session.as_str());
+        let (said, operator) = operator();
+        let (tell_report, report_told) = watch::channel(None);
+        if self.journal {
+            let absolute =
+                |path: &std::path::Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+            let opened = Opened {
+                session,
+                pid: std::process::id(),
+                scenario: absolute(&self.scenario.scenario),
+                fleet: absolute(fleet_path),
+                asked: self.asked.clone(),
+                robots: robots.iter().map(|robot| (robot.id.clone(), address_text(robot))).collect(),
+            };
+            journal::forget_old(&state);
+            keep.journal = Some(open_journal(&folder, &opened, &clock).map_err(usage)?);
+            if let Err(error) = control::listen(&folder, said.clone(), report_told) {
+                console::warn(&format!(
+                    "`downbeat stop` and `downbeat go` will not reach this mission: {error}"
+                ));
+            }
+        }
+        if choreography.acts.iter().any(|act| act.wait == Wait::Operator) {
+            go_by_enter(said);
+        }
+        let host_options = HostOptions { realtime: self.how.realtime, ..HostOptions::default() };
+        let (host, endpoints) = fleet::endpoints(&robots, host_options).map_err(|e| failed(e.to_string()))?;
+        let participants = fleet::participants(&robots);
+        let mission = Mission::new(choreography, participants, options, clock.now())
+            .map_err(|error| failed(error.to_string()))?;
+        let live = Live::new(self.format, clock, robots.len());
+        let report = crate::run::run_and_keep(
+            mission,
+            endpoints,
+            clock,
+            operator,
+            |at, progress| live.tell(at, progress),
+            &mut keep,
+        )
+        .await;
+        live.clear();
+        if let Some(recording) = keep.recording.take() {
+            recording.finish().map_err(|error| failed(error.to_string()))?;
+        }
+        let _nobody_waits = tell_report.send(serde_json::to_string(&report).ok());
+        // Whoever said stop hears the report before the process ends.
+        tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+        if let Some(host) = host {
+            host.stop();
+        }
+        Ok(report)
+    }
+}
+
+impl StartAt {
+    fn instant(self, now: Timestamp<Server>, utc_offset: Span) -> Timestamp<Server> {
+        match self {
+            Self::Instant(at) => at,
+            Self::TimeOfDay(time) => crate::mission::next_time_of_day(now, time, utc_offset),
+        }
+    }
+}
+
+fn open_journal(folder: &std::path::Path, opened: &Opened, clock: &ServerClock) -> Result<Journal, String> {
+    let hint = |error: journal::JournalError| {
+        format!("{error}; set DOWNBEAT_STATE to a folder that can be written, or run with --no-journal")
+    };
+    let mut journal = Journal::open(folder).map_err(hint)?;
+    journal.begin(clock.now(), opened).map_err(hint)?;
+    Ok(journal)
+}
+
+/// A name that no other run bears: the scenario, this machine, this process, this moment.
+fn session_name(scenario: &str, clock: &ServerClock) -> SessionId {
+    let plain: String =
+        scenario.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).take(40).collect();
+    let uname = rustix::system::uname();
+    let host: String = uname.nodename().to_string_lossy().chars().take(40).collect();
+    let now = chrono::DateTime::from_timestamp_nanos(clock.now().as_nanos()).format("%Y%m%dT%H%M%S%3f");
+    let name = format!("{plain}@{host}-{}-{now}", std::process::id());
+    // At most 40 + 40 characters and the numbers: below the limit, and never empty.
+    name.parse().unwrap_or_else(|_| unnamed())
+}
+
+#[expect(clippy::expect_used, reason = "a constant below every limit")]
+fn unnamed() -> SessionId {
+    "downbeat".parse().expect("a constant below every limit")
+}
+
+/// Local time minus UTC, now.
+pub(super) fn utc_offset() -> Span {
+    Span::from_millis(i64::from(chrono::Local::now().offset().local_minus_utc()) * 1_000)
+}
+
+fn address_text(robot: &FleetRobot) -> String {
+    match &robot.address {
+        Address::Simulated => "sim".to_owned(),
+        Address::Tcp { host, port } => format!("tcp://{host}:{port}"),
+    }
+}
+
+/// Robots that a mission of this machine drives already, each by its name. Robots tell so themselves, too, also to
+/// schedulers on other machines.
+fn taken_here(state: &std::path::Path, robots: &[&FleetRobot]) -> Result<(), String> {
+    let mut taken = Vec::new();
+    for mission in journal::missions(state).into_iter().filter(|mission| mission.alive) {
+        let opened = &mission.kept.opened;
+        for robot in robots.iter().filter(|robot| robot.address != Address::Simulated) {
+            if opened.robots.iter().any(|(_, address)| *address == address_text(robot)) {
+                let text = format!(
+                    "robot `{}` is in mission `{}` (process {})",
+                    robot.id, opened.session, opened.pid
+                );
+                taken.push(text);
+            }
+        }
+    }
+    if taken.is_empty() { Ok(()) } else { Err(taken.join("\n")) }
 }
 
 /// The server's time: by NTP when the fleet file names a server, else the system's.
-async fn server_clock(fleet: &Fleet, format: Format) -> Result<(ServerClock, Span), String> {
+pub(super) async fn server_clock(fleet: &Fleet, format: Format) -> Result<(ServerClock, Span), String> {
     let Some(server) = &fleet.ntp else { return Ok((ServerClock::anchored(Span::ZERO), Span::ZERO)) };
     let reading = server_clock::ask_ntp(server).await.map_err(|error| error.to_string())?;
     if format == Format::Text {
@@ -115,20 +352,36 @@ async fn server_clock(fleet: &Fleet, format: Format) -> Result<(ServerClock, Spa
     Ok((ServerClock::anchored(reading.offset), reading.uncertainty))
 }
 
-/// Ctrl-C as the operator's word: the first stops, the second leaves. The task ends with the process.
-fn operator() -> mpsc::Receiver<Operator> {
-    let (said, heard) = mpsc::channel(2);
+/// The operator's words: the first Ctrl-C stops, the second leaves; others speak by the sender. The task ends with the
+/// process.
+pub(super) fn operator() -> (mpsc::Sender<Operator>, mpsc::Receiver<Operator>) {
+    let (said, heard) = mpsc::channel(16);
+    let speaker = said.clone();
     tokio::spawn(async move {
         for word in [Operator::Stop, Operator::Leave] {
             // Without a handler the system's own Ctrl-C ends the process; the sender must live on either way.
             if interrupted().await.is_err() {
                 std::future::pending::<()>().await;
             }
-            let _ended = said.send(word).await;
+            let _ended = speaker.send(word).await;
         }
         std::future::pending::<()>().await;
     });
-    heard
+    (said, heard)
+}
+
+/// Enter at the terminal is the operator's go. The thread ends with the process.
+fn go_by_enter(said: mpsc::Sender<Operator>) {
+    if !std::io::stdin().is_terminal() {
+        return;
+    }
+    std::thread::spawn(move || {
+        for line in std::io::stdin().lock().lines() {
+            if line.is_err() || said.blocking_send(Operator::Go).is_err() {
+                return;
+            }
+        }
+    });
 }
 
 /// Ctrl-C, or a supervisor's SIGTERM.
@@ -152,90 +405,10 @@ pub(super) fn finish(report: &Report, format: Format) -> Exit {
 pub(super) fn exit_of(report: &Report) -> Exit {
     let unconfirmed = report.robots.iter().any(|robot| matches!(robot.stop, StopState::Unconfirmed { .. }));
     match &report.outcome {
-        Outcome::Done => Exit::Done,
+        Outcome::Done | Outcome::Ready => Exit::Done,
         _ if unconfirmed => Exit::Unconfirmed,
+        Outcome::DoneWithout => Exit::DoneWithout,
         Outcome::Stopped => Exit::Stopped,
         _ => Exit::Failed,
-    }
-}
-
-/// Live progress: a bar on a terminal, lines elsewhere, nothing with JSON.
-struct Console {
-    format: Format,
-    clock: ServerClock,
-    duration: Span,
-    robots: usize,
-    bar: ProgressBar,
-    counts: std::cell::Cell<(usize, usize)>,
-}
-
-impl Console {
-    fn new(format: Format, clock: ServerClock, duration: Span, robots: usize) -> Self {
-        let target = match format {
-            Format::Text => ProgressDrawTarget::stderr(),
-            Format::Json => ProgressDrawTarget::hidden(),
-        };
-        let bar = ProgressBar::with_draw_target(None, target);
-        bar.set_style(ProgressStyle::default_spinner());
-        Self { format, clock, duration, robots, bar, counts: std::cell::Cell::new((0, 0)) }
-    }
-
-    fn clear(&self) {
-        self.bar.finish_and_clear();
-    }
-
-    fn line(&self, text: &str) {
-        if self.format == Format::Text {
-            self.bar.suspend(|| console::note(text));
-        }
-    }
-
-    fn tell(&self, at: Timestamp<Server>, progress: &Progress) {
-        let (accepted, finished) = self.counts.get();
-        match progress {
-            Progress::Connected { robots } => self.line(&format!("{} connected", counted(*robots, "robot"))),
-            Progress::Greeted { clock_offset_max: Some(offset) } => {
-                self.line(&format!("clocks agree to {offset}"));
-            }
-            Progress::Greeted { clock_offset_max: None } => {}
-            Progress::Preparing { start, lead, .. } => {
-                self.line(&format!("preparing, start at {start} (lead {})", lead.total()));
-            }
-            Progress::Accepted { .. } => {
-                self.counts.set((accepted + 1, finished));
-                self.bar.set_message(format!("{}/{} robots have accepted", accepted + 1, self.robots));
-                self.bar.tick();
-            }
-            Progress::Decided { start } => self.decided(at, *start),
-            Progress::Started { .. } => self.bar.tick(),
-            Progress::Finished { .. } => {
-                self.counts.set((accepted, finished + 1));
-                self.bar.set_message(format!("{}/{} robots have finished", finished + 1, self.robots));
-            }
-            Progress::Failed(failure) => self.line(&format!("{}: {}", failure.robot, failure.kind)),
-            Progress::Stopping { reason } => self.line(&format!("stopping all robots: {reason}")),
-        }
-    }
-
-    fn decided(&self, at: Timestamp<Server>, start: Timestamp<Server>) {
-        self.line(&format!(
-            "all {} have accepted: starting in {}",
-            counted(self.robots, "robot"),
-            start - at
-        ));
-        let total = self.duration.to_duration();
-        self.bar.set_length(u64::try_from(total.as_millis()).unwrap_or(u64::MAX));
-        if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos:>6}/{len} ms  {msg}") {
-            self.bar.set_style(style);
-        }
-        let (bar, clock) = (self.bar.clone(), self.clock);
-        // Moves the bar with the show; ends when the bar is cleared.
-        tokio::spawn(async move {
-            while !bar.is_finished() {
-                let played = (clock.now() - start).to_duration().min(total);
-                bar.set_position(u64::try_from(played.as_millis()).unwrap_or(u64::MAX));
-                tokio::time::sleep(Duration::from_millis(100)).await;
-            }
-        });
     }
 }

@@ -51,8 +51,8 @@ fn play_with(settings: Vec<Settings>, options: MissionOptions) -> Played {
     let machines: Vec<_> =
         settings.into_iter().enumerate().map(|(id, s)| SimulatedRobot::new(block(id), s)).collect();
     let participants: Vec<_> =
-        (0..robots).map(|id| Participant { id: block(id).id, block: Some(block(id)) }).collect();
-    play(Mission::new(plan(robots), participants, options, BEGIN).unwrap(), machines)
+        (0..robots).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
+    play(Mission::of_plan(plan(robots), participants, options, BEGIN).unwrap(), machines)
 }
 
 fn six(change: impl Fn(usize, &mut Settings)) -> Vec<Settings> {

@@ -4,6 +4,8 @@
 mod in_process;
 mod tcp;
 
+use std::time::Duration;
+
 use downbeat_robot::HostHandle;
 use tokio::sync::mpsc;
 use urrcp::{Message, Server, Timestamp};
@@ -40,35 +42,75 @@ pub type LinkEvent = (Timestamp<Server>, Event);
 #[derive(Debug)]
 pub struct Link {
     outgoing: mpsc::Sender<Message>,
+    urgent: mpsc::UnboundedSender<Message>,
+}
+
+/// The other ends of a link's channels.
+struct Queue {
+    outgoing: mpsc::Receiver<Message>,
+    /// Stops: at most one a device, and a repetition now and then.
+    urgent: mpsc::UnboundedReceiver<Message>,
 }
 
 impl Link {
-    /// Opens a link; what happens on it comes as events of `robot`.
+    /// Opens a link after a while; what happens on it comes as events of `robot`.
     pub fn open(
         robot: usize,
         endpoint: Endpoint,
         clock: ServerClock,
         events: mpsc::Sender<LinkEvent>,
+        after: Duration,
     ) -> Self {
         let (outgoing, queue) = mpsc::channel(OUTGOING_MAX);
+        let (urgent, first) = mpsc::unbounded_channel();
+        let queue = Queue { outgoing: queue, urgent: first };
         let sink = EventSink { robot, clock, events };
-        // Each task ends when its link breaks or when `outgoing` is dropped, whichever comes first.
-        match endpoint {
-            Endpoint::InProcess { host, index } => tokio::spawn(in_process::carry(sink, host, index, queue)),
-            Endpoint::Tcp { host, port } => tokio::spawn(tcp::carry(sink, host, port, queue)),
-        };
-        Self { outgoing }
+        // The task ends when its link breaks or when `outgoing` is dropped, whichever comes first.
+        tokio::spawn(async move {
+            if !after.is_zero() {
+                tokio::time::sleep(after).await;
+            }
+            if queue.outgoing.is_closed() {
+                return;
+            }
+            match endpoint {
+                Endpoint::InProcess { host, index } => in_process::carry(sink, host, index, queue).await,
+                Endpoint::Tcp { host, port } => tcp::carry(sink, host, port, queue).await,
+            }
+        });
+        Self { outgoing, urgent }
     }
 
-    /// Queues a message. A link that is down or full drops it: the mission hears of that by its own event.
-    pub fn send(&self, message: Message) {
-        if let Err(error) = self.outgoing.try_send(message) {
+    /// Queues a message, an urgent one ahead of all others. A link that is down or full drops it: the mission hears of that
+    /// by its own event.
+    pub fn send(&self, message: Message, urgent: bool) {
+        let sent = match urgent {
+            true => self.urgent.send(message).map_err(|error| error.to_string()),
+            false => self.outgoing.try_send(message).map_err(|error| error.to_string()),
+        };
+        if let Err(error) = sent {
             tracing::debug!("message dropped: {error}");
         }
     }
 }
 
+impl Queue {
+    /// The next message, urgent ones first, and whether it is one; `None` once the mission has let go of the link.
+    async fn next(&mut self) -> Option<(Message, bool)> {
+        tokio::select! {
+            biased;
+            Some(message) = self.urgent.recv() => Some((message, true)),
+            message = self.outgoing.recv() => message.map(|message| (message, false)),
+        }
+    }
+
+    fn try_next(&mut self) -> Option<Message> {
+        self.urgent.try_recv().ok().or_else(|| self.outgoing.try_recv().ok())
+    }
+}
+
 /// Stamps what happens on a link and hands it to the mission's driver.
+#[derive(Clone)]
 struct EventSink {
     robot: usize,
     clock: ServerClock,

@@ -6,17 +6,22 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::sync::mpsc;
-use urrcp::{LineDecoder, Message, encode};
+use urrcp::{LineDecoder, Message, Server, Span, Timestamp, encode};
 
-use super::EventSink;
+use super::{EventSink, Queue};
 use crate::mission::Event;
+use crate::server_clock::ServerClock;
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
+/// After so many bytes as one batch has the robot may be busy reading for so long.
+const LONG_UPLOAD: Span = Span::from_millis(2_000);
+/// For how long answers to an overtaking stop are awaited.
+const OVERTAKING_LISTENS: Duration = Duration::from_secs(10);
 /// Bytes gathered before one write, so that a burst of requests is one system call.
 const WRITE_BATCH: usize = 64 * 1024;
 
 /// Connects and carries messages both ways until either side closes.
-pub(super) async fn carry(sink: EventSink, host: String, port: u16, queue: mpsc::Receiver<Message>) {
+pub(super) async fn carry(sink: EventSink, host: String, port: u16, queue: Queue) {
     let stream = match tokio::time::timeout(CONNECT_TIMEOUT, TcpStream::connect((host.as_str(), port))).await
     {
         Ok(Ok(stream)) => stream,
@@ -27,10 +32,11 @@ pub(super) async fn carry(sink: EventSink, host: String, port: u16, queue: mpsc:
         tracing::debug!("TCP_NODELAY: {error}");
     }
     let (reader, writer) = stream.into_split();
+    let overtaking = Overtaking { sink: sink.clone(), host, port };
     sink.up().await;
     let reason = tokio::select! {
         reason = read(&sink, reader) => Some(reason),
-        reason = write(writer, queue) => reason,
+        reason = write(writer, queue, &overtaking) => reason,
     };
     if let Some(reason) = reason {
         sink.down(reason).await;
@@ -59,18 +65,66 @@ async fn read(sink: &EventSink, mut reader: OwnedReadHalf) -> String {
 }
 
 /// Ends with a reason when writing fails, without one when the mission has let go of the link.
-async fn write(mut writer: OwnedWriteHalf, mut queue: mpsc::Receiver<Message>) -> Option<String> {
+async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, overtaking: &Overtaking) -> Option<String> {
     let mut bytes = Vec::new();
-    while let Some(message) = queue.recv().await {
+    let clock: &ServerClock = &overtaking.sink.clock;
+    let mut long_until: Option<Timestamp<Server>> = None;
+    while let Some((message, urgent)) = queue.next().await {
+        // Behind a long upload the robot may still be reading when a stop comes: that goes by a connection of its own.
+        if urgent && long_until.is_some_and(|until| clock.now() < until) {
+            overtaking.go(&message, &mut queue.urgent);
+            continue;
+        }
         encode(&message, &mut bytes);
         while bytes.len() < WRITE_BATCH {
-            let Ok(message) = queue.try_recv() else { break };
+            let Some(message) = queue.try_next() else { break };
             encode(&message, &mut bytes);
         }
-        if let Err(error) = writer.write_all(&bytes).await {
-            return Some(error.to_string());
+        if bytes.len() >= WRITE_BATCH {
+            long_until = Some(clock.now() + LONG_UPLOAD);
+        }
+        let mut write = std::pin::pin!(writer.write_all(&bytes));
+        loop {
+            tokio::select! {
+                written = &mut write => match written {
+                    Ok(()) => break,
+                    Err(error) => return Some(error.to_string()),
+                },
+                Some(first) = queue.urgent.recv() => overtaking.go(&first, &mut queue.urgent),
+            }
         }
         bytes.clear();
     }
     None
+}
+
+/// A second connection for what must not wait behind an upload.
+struct Overtaking {
+    sink: EventSink,
+    host: String,
+    port: u16,
+}
+
+impl Overtaking {
+    /// Sends all that is urgent by a connection of its own, and hands on what is answered there. What it carries may be
+    /// carried twice: the robot knows it by its id.
+    fn go(&self, first: &Message, more: &mut mpsc::UnboundedReceiver<Message>) {
+        let mut bytes = Vec::new();
+        encode(first, &mut bytes);
+        while let Ok(message) = more.try_recv() {
+            encode(&message, &mut bytes);
+        }
+        let (sink, host, port) = (self.sink.clone(), self.host.clone(), self.port);
+        // Ends when the robot closes, or when nobody can be waiting for its answers any more.
+        tokio::spawn(async move {
+            let stream = TcpStream::connect((host.as_str(), port));
+            let Ok(Ok(stream)) = tokio::time::timeout(CONNECT_TIMEOUT, stream).await else { return };
+            let _slower_then = stream.set_nodelay(true);
+            let (reader, mut writer) = stream.into_split();
+            if let Err(error) = writer.write_all(&bytes).await {
+                return tracing::debug!("the stop that overtakes: {error}");
+            }
+            let _robot_closed = tokio::time::timeout(OVERTAKING_LISTENS, read(&sink, reader)).await;
+        });
+    }
 }

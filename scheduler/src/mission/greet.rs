@@ -1,43 +1,61 @@
-//! Steps 1 to 4 of the protocol with all robots at once: links, availability and clocks, initialization blocks.
+//! Steps 1 to 4 of the protocol with all robots at once: links, availability and clocks, initialization blocks; then what
+//! the fleet file requires of sensors, and where devices stand.
 
 use urrcp::{
-    AvailabilityRequest, AvailabilityResponse, ControlError, ErrorCode, InitializationBlock,
-    InitializationRequest, Message, Server, Status, Timestamp,
+    AvailabilityRequest, AvailabilityResponse, Command, ControlError, ControlRequest, ControlResponse,
+    ControlType, DeviceId, ErrorCode, InitializationBlock, InitializationRequest, Message, RequestId, Server,
+    Span, Status, StatusValue, Timestamp,
 };
 
-use super::robot_state::{FailureKind, Link, RobotState};
-use super::{Greeting, Mission, Phase, Progress};
+use super::preflight;
+use super::robot_state::{FailureKind, Link, Reading, RobotState, Standing};
+use super::skew::SkewBudget;
+use super::{Action, ClockMode, Greeting, Join, Mission, Phase, Progress, TakenReading, act};
 use crate::clock::ClockSample;
 use crate::report::Outcome;
 
-/// Exchanges of timestamps with each robot before the decision.
+/// Exchanges of timestamps with each robot before anything is decided.
 const CLOCK_SAMPLES: u32 = 8;
+/// For how long clocks are sampled further while the fleet's possible spread is beyond the tolerance.
+const SAMPLING: Span = Span::from_millis(4_000);
+/// How often it is looked whether a robot may be asked again. One question at a time: on a link that keeps the order of
+/// messages several would wait for each other.
+const SAMPLING_INTERVAL: Span = Span::from_millis(20);
 
 impl Mission {
     pub(super) fn link_up(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].link = Link::Up;
-        if !matches!(self.phase, Phase::Greeting { .. }) {
-            return;
+        match self.phase {
+            Phase::Greeting { .. } => {}
+            Phase::Performing => return self.reattach(now, robot),
+            Phase::Stopping { .. } => return self.stop_anew(now, robot),
+            Phase::Ended => return,
         }
         if self.options.greeting == Greeting::Full {
-            self.ask_availability(now, robot);
-            let request = InitializationRequest { timestamp: Some(now) };
-            self.send(now, robot, Message::InitializationRequest(request));
+            self.greet(now, robot);
         }
-        if self.robots.iter().all(|r| r.link == Link::Up) {
+        if self.robots.iter().all(RobotState::is_up) {
             self.tell(Progress::Connected { robots: self.robots.len() });
         }
         self.greeting_progress(now);
     }
 
-    /// Asks for the robot's times; also renews all leases on its link.
+    pub(super) fn greet(&mut self, now: Timestamp<Server>, robot: usize) {
+        self.ask_availability(now, robot);
+        let request = InitializationRequest { timestamp: Some(now) };
+        self.send(now, robot, Message::InitializationRequest(request));
+        for index in 0..self.robots[robot].requires.len() {
+            let sensor = self.robots[robot].requires[index].sensor.clone();
+            self.read(now, robot, sensor, Reading::Requirement(index));
+        }
+    }
+
+    /// Asks for the robot's times; also claims it for the session and renews all leases.
     pub(super) fn ask_availability(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].asked_at = Some(now);
-        self.send(
-            now,
-            robot,
-            Message::AvailabilityRequest(AvailabilityRequest { timestamp: Some(now), session: None }),
-        );
+        let session = self.options.session.clone();
+        let request = AvailabilityRequest { timestamp: Some(now), session };
+        self.send(now, robot, Message::AvailabilityRequest(request));
     }
 
     pub(super) fn availability(
@@ -51,66 +69,279 @@ impl Mission {
             let error = response.error.clone().unwrap_or_else(without);
             return self.fail(now, robot, FailureKind::NotAvailable { error });
         }
-        if let Some(sent) = response.originate_timestamp {
+        if let Some(sent) = response.originate_timestamp.filter(|sent| *sent <= now) {
             let sample =
                 ClockSample::from_exchange(sent, response.receive_timestamp, response.timestamp, now);
-            self.robots[robot].clock.add(sample);
+            let state = &mut self.robots[robot];
+            state.clock.add(sample);
+            state.asked_at = state.asked_at.filter(|asked| *asked != sent);
+            state.renewed_at = state.renewed_at.max(Some(sent));
+            self.note_round(now, sent);
         }
-        self.robots[robot].asked_at = None;
-        if matches!(self.phase, Phase::Greeting { .. }) {
-            match self.robots[robot].clock.samples() < CLOCK_SAMPLES {
-                true => self.ask_availability(now, robot),
-                false => self.greeting_progress(now),
+        match self.phase {
+            Phase::Greeting { .. } if self.robots[robot].clock.samples() < CLOCK_SAMPLES => {
+                self.ask_availability(now, robot);
             }
+            Phase::Greeting { .. } => self.greeting_progress(now),
+            _ if self.robots[robot].standing == Standing::Absent => self.join_if_greeted(now, robot),
+            _ => {}
         }
     }
 
     pub(super) fn introduced(&mut self, now: Timestamp<Server>, robot: usize, block: InitializationBlock) {
-        if !matches!(self.phase, Phase::Greeting { .. }) || self.robots[robot].introduced {
+        if self.robots[robot].introduced {
             return;
         }
         self.robots[robot].introduced = true;
-        let unfit = unfit(&self.robots[robot], &block);
+        let unfit = self.unfit(robot, &block);
         self.robots[robot].block = Some(block);
         for reason in unfit {
             self.fail(now, robot, FailureKind::Unfit { reason });
         }
-        self.greeting_progress(now);
+        match self.phase {
+            Phase::Greeting { .. } => {
+                self.read_positions(now, robot);
+                self.greeting_progress(now);
+            }
+            _ if self.robots[robot].standing == Standing::Absent => self.join_if_greeted(now, robot),
+            _ => {}
+        }
     }
 
-    /// Goes on to prepare once every robot has been heard or has failed.
-    pub(super) fn greeting_progress(&mut self, now: Timestamp<Server>) {
-        let full = self.options.greeting == Greeting::Full;
-        let heard = |robot: &RobotState| {
-            let greeted = robot.introduced && robot.clock.samples() >= CLOCK_SAMPLES;
-            robot.has_failed() || (robot.link == Link::Up && (!full || greeted))
+    /// Where a robot's own description does not allow what any act asks of it.
+    fn unfit(&self, robot: usize, block: &InitializationBlock) -> Vec<String> {
+        let state = &self.robots[robot];
+        let mut reasons = Vec::new();
+        if block.api_version.as_str().split('.').next() != Some("1") {
+            reasons.push(format!("it speaks URRCP `{}`, expected version 1", block.api_version));
+        }
+        if let Some(listed) = state.block.as_ref().filter(|listed| listed.id != block.id) {
+            tracing::warn!(robot = %state.id, "calls itself `{}`, the fleet file `{}`", block.id, listed.id);
+        }
+        let plans = self.choreography.acts.iter().flat_map(|act| &act.plan.robots);
+        let scripts = plans.filter(|plan| plan.robot == state.id).flat_map(|plan| &plan.scripts);
+        reasons.extend(scripts.flat_map(|script| unfit(script, block)));
+        reasons.truncate(UNFIT_SHOWN);
+        reasons
+    }
+
+    /// Asks the devices that can tell where they stand before the first act.
+    fn read_positions(&mut self, now: Timestamp<Server>, robot: usize) {
+        let state = &self.robots[robot];
+        let Some(block) = &state.block else { return };
+        let plan = &self.choreography.acts[self.options.first_act].plan;
+        let scripts = plan.robots.iter().filter(|plan| plan.robot == state.id).flat_map(|plan| &plan.scripts);
+        let mut devices: Vec<DeviceId> = scripts
+            .map(|script| &script.device)
+            .filter(|id| {
+                let device = block.device(id.as_str());
+                device.is_some_and(|device| device.available_control_types.sensor().is_some())
+            })
+            .cloned()
+            .collect();
+        devices.dedup();
+        for device in devices {
+            self.read(now, robot, device.clone(), Reading::Position(device));
+        }
+    }
+
+    pub(super) fn read(&mut self, now: Timestamp<Server>, robot: usize, sensor: DeviceId, what: Reading) {
+        let session = self.options.session.as_ref().map_or("", |session| session.as_str());
+        let count = self.robots[robot].reads.len();
+        let id = RequestId::new(format!("read/{session}/{}/{robot}/{count}", now.as_nanos() / 1_000)).ok();
+        let mut request = ControlRequest::immediate(sensor, Command::ReadSensor);
+        request.request_id.clone_from(&id);
+        request.session.clone_from(&self.options.session);
+        id.map(|id| self.robots[robot].reads.insert(id, what));
+        self.send(now, robot, Message::ControlRequest(request));
+    }
+
+    /// Takes the answer to a reading, if it is one.
+    pub(super) fn reading_taken(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: usize,
+        response: &ControlResponse,
+    ) -> bool {
+        let Some(id) = &response.request_id else { return false };
+        let Some(what) = self.robots[robot].reads.remove(id) else { return false };
+        let value = match response.status_value {
+            StatusValue::Number(value) if response.status == Status::Provide => Some(value),
+            _ => None,
         };
-        if !matches!(self.phase, Phase::Greeting { .. }) || !self.robots.iter().all(heard) {
+        match what {
+            Reading::Requirement(index) => self.robots[robot].readings[index] = value,
+            Reading::Position(device) => {
+                self.robots[robot].positions.extend(value.map(|value| (device, value)));
+            }
+            Reading::Wait(number) => self.wait_reading(now, number, value),
+            Reading::Planned(number, index) => {
+                let state = &self.robots[robot];
+                let Some(run) = self.runs.iter_mut().find(|run| run.number == number) else { return true };
+                if let Some(planned) = self.choreography.acts[run.act].readings.get(index) {
+                    let (robot, sensor) = (state.id.clone(), planned.sensor.clone());
+                    run.readings.push(TakenReading { robot, sensor, at: planned.at, value });
+                }
+            }
+        }
+        if matches!(self.phase, Phase::Greeting { .. }) {
+            self.greeting_progress(now);
+        }
+        true
+    }
+
+    /// Goes on once every robot has been heard or has failed.
+    pub(super) fn greeting_progress(&mut self, now: Timestamp<Server>) {
+        if !matches!(self.phase, Phase::Greeting { .. }) {
             return;
         }
-        self.check_clocks();
-        match self.robots.iter().any(RobotState::has_failed) {
+        let full = self.options.greeting == Greeting::Full;
+        let heard = |robot: &RobotState| {
+            let greeted =
+                robot.introduced && robot.clock.samples() >= CLOCK_SAMPLES && robot.reads.is_empty();
+            let absent = robot.standing != Standing::In;
+            robot.has_failed() || absent || (robot.is_up() && (!full || greeted))
+        };
+        if !self.robots.iter().all(heard) || self.still_sampling(now) {
+            return;
+        }
+        self.check_clocks(now);
+        self.check_sensors();
+        let preflight = preflight::table(self, now);
+        self.preflight = Some(preflight.clone());
+        let offsets = self.robots.iter().filter_map(|robot| robot.clock.reading());
+        let clock_offset_max = offsets.map(|reading| reading.offset.abs()).max();
+        self.tell(Progress::Greeted { clock_offset_max, preflight });
+        let failed = self.robots.iter().any(RobotState::has_failed);
+        let nobody = self.robots.iter().all(|robot| robot.standing != Standing::In);
+        match failed || nobody {
             true => self.refuse(Outcome::NotStarted),
+            false if self.options.preflight_only => self.refuse(Outcome::Ready),
             false => {
-                let offsets = self.robots.iter().filter_map(|r| r.clock.reading());
-                let clock_offset_max = offsets.map(|reading| reading.offset.abs()).max();
-                self.tell(Progress::Greeted { clock_offset_max });
-                self.prepare(now);
+                self.phase = Phase::Performing;
+                self.line_up_act(now, self.options.first_act);
+                self.perform(now);
             }
         }
     }
 
-    /// Refuses robots whose clock is surely further off than the scenario tolerates.
-    fn check_clocks(&mut self) {
-        let tolerance = self.plan.start_tolerance;
+    /// Samples clocks further as long as that may bring the fleet's possible spread within the tolerance.
+    fn still_sampling(&mut self, now: Timestamp<Server>) -> bool {
+        if self.robots.iter().any(RobotState::has_failed) {
+            return false;
+        }
+        let fits = self.skew_of_first_act(now).is_none_or(|skew| skew.fits());
+        let Phase::Greeting { deadline } = self.phase else { return false };
+        let until = deadline.min(now + SAMPLING);
+        let (until, next) = *self.sampling.get_or_insert((until, now + SAMPLING_INTERVAL));
+        let goes_on = !fits && next < until;
+        if !goes_on {
+            self.sampling = None;
+        }
+        goes_on
+    }
+
+    pub(super) fn sample_clocks(&mut self, now: Timestamp<Server>) {
+        let Some((until, next)) = self.sampling.filter(|(_, next)| now >= *next) else { return };
+        self.sampling = Some((until, next + SAMPLING_INTERVAL));
+        let enough = self.choreography.acts[self.options.first_act].plan.start_tolerance / 8;
+        for robot in 0..self.robots.len() {
+            let state = &self.robots[robot];
+            let reading = state.clock.reading();
+            let unsure = reading.is_none_or(|reading| reading.uncertainty > enough);
+            let delay_max = reading.map_or(Span::ZERO, |reading| reading.delay_max);
+            let awaited = state.asked_at.is_some_and(|at| now < at + delay_max * 3 + SAMPLING_INTERVAL);
+            if unsure && !awaited && state.is_up() {
+                self.ask_availability(now, robot);
+            }
+        }
+        if now >= until {
+            self.greeting_progress(now);
+        }
+    }
+
+    fn skew_of_first_act(&self, now: Timestamp<Server>) -> Option<SkewBudget> {
+        let plan = &self.choreography.acts[self.options.first_act].plan;
+        let members = act::members(plan, &self.robots);
+        SkewBudget::of(members.iter(), &self.robots, plan.start_tolerance, now)
+    }
+
+    /// Refuses robots whose clock is surely further off than the scenario tolerates, and those that spread the fleet.
+    fn check_clocks(&mut self, now: Timestamp<Server>) {
+        let tolerance = self.choreography.acts[self.options.first_act].plan.start_tolerance;
         for index in 0..self.robots.len() {
-            let Some(reading) = self.robots[index].clock.reading() else { continue };
+            let robot = &self.robots[index];
+            let Some(reading) = robot.clock_at(now).filter(|_| robot.clock_mode == ClockMode::Ntp) else {
+                continue;
+            };
             let uncertainty = reading.uncertainty + self.options.server_uncertainty;
             if reading.offset.abs() - uncertainty > tolerance {
                 let kind = FailureKind::Clock { offset: reading.offset, uncertainty, tolerance };
                 self.note_failure(index, kind);
             }
         }
+        if self.robots.iter().any(RobotState::has_failed) {
+            return;
+        }
+        let offenders = self.skew_of_first_act(now).map(|skew| skew.offenders()).unwrap_or_default();
+        for (id, kind) in offenders {
+            if let Some(index) = self.robots.iter().position(|robot| robot.id == id) {
+                self.note_failure(index, kind);
+            }
+        }
+    }
+
+    fn check_sensors(&mut self) {
+        for index in 0..self.robots.len() {
+            let robot = &self.robots[index];
+            if robot.standing != Standing::In || self.options.greeting == Greeting::Skip {
+                continue;
+            }
+            let short = robot.requires.iter().zip(&robot.readings).filter(|(required, reading)| {
+                !reading.is_some_and(|reading| required.range.contains(reading))
+            });
+            let short: Vec<_> = short
+                .map(|(required, reading)| FailureKind::Requirement {
+                    sensor: required.sensor.clone(),
+                    reading: *reading,
+                    range: required.range,
+                })
+                .chain(self.misplaced(index))
+                .collect();
+            short.into_iter().for_each(|kind| self.note_failure(index, kind));
+        }
+    }
+
+    /// Devices that would have to jump at the first keyframe.
+    fn misplaced(&self, index: usize) -> Vec<FailureKind> {
+        let expected = |device: &DeviceId| self.expected_position(index, device);
+        let robot = &self.robots[index];
+        let mut kinds = Vec::new();
+        for (device, reading) in &robot.positions {
+            let Some((expected, tolerance)) = expected(device) else { continue };
+            if (reading - expected).abs() > tolerance {
+                let (device, reading) = (device.clone(), *reading);
+                kinds.push(FailureKind::Position { device, reading, expected });
+            }
+        }
+        kinds
+    }
+
+    /// The position at which the first keyframe expects a device, and how far off it may be: what the device itself
+    /// declares as its error, at least one step of its granularity, doubled. `None` where the first keyframe leaves time to
+    /// get there.
+    pub(super) fn expected_position(&self, index: usize, device: &DeviceId) -> Option<(f64, f64)> {
+        let robot = &self.robots[index];
+        let plan = &self.choreography.acts[self.options.first_act].plan;
+        let planned = plan.robots.iter().find(|plan| plan.robot == robot.id)?;
+        let script = planned.scripts.iter().find(|script| script.device == *device)?;
+        let step = script.script.steps().first()?;
+        let at_once = step.offset.span() == Span::ZERO && step.setpoint.control_type == ControlType::Position;
+        let block = robot.block.as_ref()?.device(device.as_str())?;
+        let limits = block.available_control_types.limits(ControlType::Position)?;
+        let linear = block.interpolation == urrcp::Interpolation::Linear;
+        let tolerance = 2.0 * limits.granularity.max(limits.max_error.unwrap_or(0.0));
+        (at_once && linear).then_some((step.setpoint.value, tolerance))
     }
 
     pub(super) fn greeting_overdue(&mut self, now: Timestamp<Server>) {
@@ -119,14 +350,35 @@ impl Mission {
         for index in 0..self.robots.len() {
             let robot = &self.robots[index];
             let awaited = match robot.link {
-                _ if robot.has_failed() => continue,
-                Link::Connecting | Link::Down => "connection",
+                _ if robot.has_failed() || robot.standing != Standing::In => continue,
+                Link::Connecting | Link::Down(_) => "connection",
                 Link::Up if full && robot.clock.samples() == 0 => "availability response",
                 Link::Up if full && !robot.introduced => "initialization block",
                 Link::Up if full && robot.clock.samples() < CLOCK_SAMPLES => "further availability responses",
+                Link::Up if full && !robot.reads.is_empty() => "readings of its sensors",
                 Link::Up => continue,
             };
+            if self.options.join == Join::NextAct && !robot.is_up() {
+                self.robots[index].standing = Standing::Absent;
+                self.actions.push(Action::Reconnect { robot: index });
+                continue;
+            }
             self.fail(now, index, FailureKind::Silent { awaited: awaited.to_owned(), within });
+        }
+        self.sampling = None;
+        self.greeting_progress(now);
+    }
+
+    /// A robot that was not there at first, and may join, has been heard.
+    fn join_if_greeted(&mut self, now: Timestamp<Server>, robot: usize) {
+        let state = &self.robots[robot];
+        if state.clock.samples() < CLOCK_SAMPLES {
+            return self.ask_availability(now, robot);
+        }
+        if state.introduced && !state.has_failed() && self.options.join == Join::NextAct {
+            self.robots[robot].standing = Standing::In;
+            let robot = self.robots[robot].id.clone();
+            self.tell(Progress::Reattached { robot });
         }
     }
 
@@ -137,32 +389,25 @@ impl Mission {
     }
 }
 
-/// Where a robot's own description does not allow what the plan asks of it.
-fn unfit(robot: &RobotState, block: &InitializationBlock) -> Vec<String> {
+/// Faults of one robot that are listed; one with another unit would bury the others.
+const UNFIT_SHOWN: usize = 12;
+
+/// Where a robot's own description does not allow what a script asks of it.
+fn unfit(script: &downbeat_scripts::DeviceScript, block: &InitializationBlock) -> Vec<String> {
+    let id = &script.device;
+    let Some(device) = block.device(id.as_str()) else {
+        return vec![format!("it has no device `{id}`")];
+    };
     let mut reasons = Vec::new();
-    if block.api_version.as_str().split('.').next() != Some("1") {
-        reasons.push(format!("it speaks URRCP `{}`, expected version 1", block.api_version));
+    let steps = script.script.steps();
+    let room = device.available_control_types.script().map_or(0, |s| s.max_number_of_steps as usize);
+    if steps.len() > room {
+        reasons.push(format!("device `{id}` takes {room} steps a script, the plan has {}", steps.len()));
     }
-    if let Some(listed) = robot.block.as_ref().filter(|listed| listed.id != block.id) {
-        tracing::warn!(robot = %robot.id, "calls itself `{}`, the fleet file `{}`", block.id, listed.id);
-    }
-    for script in &robot.scripts {
-        let id = &script.plan.device;
-        let Some(device) = block.device(id.as_str()) else {
-            reasons.push(format!("it has no device `{id}`"));
-            continue;
-        };
-        let steps = script.plan.script.steps();
-        let room = device.available_control_types.script().map_or(0, |s| s.max_number_of_steps as usize);
-        if steps.len() > room {
-            reasons.push(format!("device `{id}` takes {room} steps a script, the plan has {}", steps.len()));
-        }
-        let faults = steps.iter().enumerate().filter_map(|(i, step)| {
-            let error = device.check_in_script(&step.setpoint).err()?;
-            Some(format!("device `{id}` step {i}: {}", error.message))
-        });
-        // One robot with another unit would bury the others under its steps.
-        reasons.extend(faults.take(3));
-    }
+    let faults = steps.iter().enumerate().filter_map(|(i, step)| {
+        let error = device.check_in_script(&step.setpoint).err()?;
+        Some(format!("device `{id}` step {i}: {}", error.message))
+    });
+    reasons.extend(faults.take(3));
     reasons
 }

@@ -8,8 +8,6 @@ use urrcp::Span;
 pub const LEAD_MARGIN_MIN: Span = Span::from_millis(50);
 /// Least pending lease: a few renewals must fit into it on the scheduler's millisecond timer.
 const LEASE_MIN: Span = Span::from_millis(240);
-/// A renewal may take up to this part of a lease to arrive without anyone noticing.
-const RENEWALS_A_LEASE: i64 = 3;
 /// Bytes a second that any link and robot is trusted to take in.
 const BYTES_A_SECOND: i64 = 20_000_000;
 /// Time to encode, send, check and answer one request, besides its bytes.
@@ -31,6 +29,9 @@ pub struct LeadTime {
 }
 
 impl LeadTime {
+    /// A renewal may take up to this part of a lease to arrive without anyone noticing.
+    pub(crate) const RENEWALS_A_LEASE: i64 = 3;
+
     /// What this fleet needs.
     ///
     /// `delay_max` is the longest measured round trip, `requests` and `bytes` what has to be sent in all, `lease` the
@@ -51,7 +52,7 @@ impl LeadTime {
     /// The shortest pending lease that survives the delays of this fleet.
     #[must_use]
     pub fn lease_needed(delay_max: Span) -> Span {
-        LEASE_MIN.max(delay_max * (2 * RENEWALS_A_LEASE))
+        LEASE_MIN.max(delay_max * (2 * Self::RENEWALS_A_LEASE))
     }
 
     /// From the sending timestamp to the start.
@@ -64,12 +65,6 @@ impl LeadTime {
     #[must_use]
     pub fn stretched_to(self, total: Span) -> Self {
         Self { prepare: self.prepare + (total - self.total()).max(Span::ZERO), ..self }
-    }
-
-    /// Between two renewals of the pending leases.
-    #[must_use]
-    pub fn renewal_interval(&self) -> Span {
-        self.lease / RENEWALS_A_LEASE
     }
 }
 

@@ -1,28 +1,66 @@
-//! The mission machine: connect, greet, check clocks, prepare all, decide once, watch, stop, report.
+//! The mission machine: greet, check, prepare an act, decide once, commit, watch, go on to the next act, stop, report.
 //!
 //! It takes events with their time and returns actions; it reads no clock and does no I/O, so the same machine runs a
-//! real fleet (`run/`) and a dry run (`dry_run/`). One file a phase: `greet`, `prepare`, `watch`, `stop`; the state
+//! real fleet (`run/`), a dry run (`dry_run/`) and the fault simulation (`simulation/`). One file a concern; the state
 //! machine is drawn in `docs/mission.md`.
 //!
 //! Events of one instant are handled in the order in which the driver hands them over; timers of that instant come last,
 //! so that an answer that arrives just in time counts.
 
+pub(crate) mod act;
+mod failure;
 mod greet;
 mod lead;
+pub(crate) mod preflight;
 mod prepare;
+pub(crate) mod record;
+mod resume;
 pub(crate) mod robot_state;
+mod skew;
 mod stop;
+mod wait;
 mod watch;
 
-use downbeat_scripts::Plan;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use downbeat_scripts::{Choreography, Plan, SensorRange, Way};
 use serde::Serialize;
-use urrcp::{ControlResponse, InitializationBlock, Message, RobotId, Server, Span, Timestamp};
+use urrcp::{
+    ControlResponse, DeviceId, InitializationBlock, Message, RobotId, Server, SessionId, Span, Timestamp,
+};
 
 pub use lead::{LEAD_MARGIN_MIN, LeadTime};
+pub use preflight::{Check, Preflight, PreflightRow, Verdict};
+pub use record::{Promise, PromisedScript, Record};
+pub use resume::Changed;
 pub use robot_state::{Failure, FailureKind};
+pub use skew::{RobotSkew, SkewBudget};
+pub(crate) use wait::next_time_of_day;
 
-use crate::report::{Outcome, Report};
-use robot_state::RobotState;
+use crate::report::{ActReport, Outcome, Report};
+use act::{ActRun, Stage};
+use robot_state::{Link, RobotState};
+
+/// How a robot's time is brought to agree with the server's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ClockMode {
+    /// Both follow NTP; measurements only verify that.
+    #[default]
+    Ntp,
+    /// The robot has no NTP: what it is sent is translated into its own time.
+    Measured,
+}
+
+/// What a sensor has to read before a mission.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Requirement {
+    /// Which sensor.
+    pub sensor: DeviceId,
+    /// Which readings will do.
+    pub range: SensorRange,
+}
 
 /// A robot that takes part, by its index in the mission from here on.
 #[derive(Clone, Debug)]
@@ -31,6 +69,20 @@ pub struct Participant {
     pub id: RobotId,
     /// Its static description, if the fleet file gives one.
     pub block: Option<InitializationBlock>,
+    /// How its time is brought to agree with the server's.
+    pub clock: ClockMode,
+    /// How late it may wake up for a start.
+    pub wake_up: Span,
+    /// What its sensors have to read before the mission.
+    pub requires: Vec<Requirement>,
+}
+
+impl Participant {
+    /// A robot of which nothing but this is known.
+    #[must_use]
+    pub const fn new(id: RobotId, block: Option<InitializationBlock>) -> Self {
+        Self { id, block, clock: ClockMode::Ntp, wake_up: Span::ZERO, requires: Vec::new() }
+    }
 }
 
 /// Whether steps 1 to 4 of the protocol are played.
@@ -43,6 +95,17 @@ pub enum Greeting {
     Skip,
 }
 
+/// What becomes of a robot that is not there when the mission begins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Join {
+    /// Nothing starts without it.
+    #[default]
+    Refuse,
+    /// The others begin, and it joins at the first act that begins after it has come.
+    NextAct,
+}
+
 /// What the operator chose.
 #[derive(Clone, Debug)]
 pub struct MissionOptions {
@@ -52,8 +115,20 @@ pub struct MissionOptions {
     pub lead: Option<Span>,
     /// How long to wait for links, greetings and stop confirmations.
     pub patience: Span,
-    /// Uncertainty of the server's own clock against NTP, added to that of every robot.
+    /// Uncertainty of the server's own clock against NTP.
     pub server_uncertainty: Span,
+    /// On whose behalf robots are driven. Without one a robot cannot tell this scheduler from another.
+    pub session: Option<SessionId>,
+    /// When the first act starts, instead of as soon as possible.
+    pub start_at: Option<Timestamp<Server>>,
+    /// With which act to begin, by its index.
+    pub first_act: usize,
+    /// What becomes of robots that are not there at first.
+    pub join: Join,
+    /// Ends once the fleet is checked.
+    pub preflight_only: bool,
+    /// The server's local time minus UTC, for acts that wait for a time of day.
+    pub utc_offset: Span,
 }
 
 impl Default for MissionOptions {
@@ -63,6 +138,12 @@ impl Default for MissionOptions {
             lead: None,
             patience: Span::from_millis(5_000),
             server_uncertainty: Span::ZERO,
+            session: None,
+            start_at: None,
+            first_act: 0,
+            join: Join::Refuse,
+            preflight_only: false,
+            utc_offset: Span::ZERO,
         }
     }
 }
@@ -98,6 +179,8 @@ pub enum Event {
     },
     /// The operator wants everything to stop.
     StopRequested,
+    /// The operator lets the act begin that waits for it.
+    Go,
 }
 
 /// What the driver has to do.
@@ -109,7 +192,16 @@ pub enum Action {
         robot: usize,
         /// What.
         message: Message,
+        /// Ahead of everything that waits to be sent.
+        urgent: bool,
     },
+    /// Make the robot's link anew.
+    Reconnect {
+        /// Whose.
+        robot: usize,
+    },
+    /// Write this down before anything that follows is done.
+    Record(Record),
     /// Tell the operator.
     Tell(Progress),
 }
@@ -123,30 +215,58 @@ pub enum Progress {
         /// How many robots.
         robots: usize,
     },
-    /// All robots are greeted and their clocks known.
+    /// All robots are greeted and checked.
     Greeted {
         /// Largest measured offset of a robot's clock.
         #[serde(rename = "clock_offset_max_ms")]
         clock_offset_max: Option<Span>,
+        /// What was checked, a row a robot.
+        preflight: Preflight,
     },
-    /// All requests are on their way.
+    /// An act waits for its condition.
+    Waiting {
+        /// Which.
+        act: String,
+        /// For what, for people.
+        awaits: String,
+    },
+    /// All requests of an act are on their way.
     Preparing {
+        /// Which act.
+        act: String,
         /// The sending timestamp that all share.
         timestamp: Timestamp<Server>,
         /// When the first cue starts.
         start: Timestamp<Server>,
         /// Why the start is that far ahead.
         lead: LeadTime,
+        /// How far apart the robots may start.
+        skew: Option<SkewBudget>,
     },
     /// A robot has accepted all its scripts.
     Accepted {
         /// Which.
         robot: RobotId,
     },
-    /// All have accepted: the mission starts. From here only stopping is possible.
+    /// All have accepted: the act starts, unless a lease cannot be carried over the start.
     Decided {
+        /// Which act.
+        act: String,
         /// When the first cue starts.
         start: Timestamp<Server>,
+        /// How long it plays.
+        #[serde(rename = "duration_ms")]
+        duration: Span,
+        /// Until then a failure still withdraws everything before anything has moved; after it only stopping is possible.
+        no_return: Timestamp<Server>,
+    },
+    /// All robots have confirmed the renewal that carries them over the start.
+    Committed {
+        /// Which act.
+        act: String,
+        /// Between the first renewal sent and the last confirmed: had this machine died in it, some would have started.
+        #[serde(rename = "window_ms")]
+        window: Option<Span>,
     },
     /// A device's script has started.
     Started {
@@ -156,13 +276,42 @@ pub enum Progress {
         #[serde(rename = "error_ms")]
         error: Option<Span>,
     },
-    /// A robot has ended all its scripts.
+    /// A robot has ended all its scripts of an act.
     Finished {
         /// Which.
         robot: RobotId,
     },
+    /// An act has ended.
+    ActEnded {
+        /// Which.
+        act: String,
+    },
     /// Something failed.
     Failed(Failure),
+    /// The link to a robot broke in mid-mission; it goes on by its script.
+    LinkLost {
+        /// Which.
+        robot: RobotId,
+        /// Why.
+        reason: String,
+        /// When it is given up.
+        until: Timestamp<Server>,
+    },
+    /// A robot is back.
+    Reattached {
+        /// Which.
+        robot: RobotId,
+    },
+    /// A robot is left out from here on.
+    Dropped {
+        /// Which.
+        robot: RobotId,
+    },
+    /// The journal cannot be written: everything is stopped.
+    JournalLost {
+        /// Why.
+        reason: String,
+    },
     /// Stop requests are on their way.
     Stopping {
         /// Why.
@@ -170,74 +319,126 @@ pub enum Progress {
     },
 }
 
+/// A reading that the scenario asked for.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TakenReading {
+    /// Whose.
+    pub robot: RobotId,
+    /// Which.
+    pub sensor: DeviceId,
+    /// When it was asked for, from the act's start.
+    #[serde(rename = "at_ms")]
+    pub at: Span,
+    /// What it read.
+    pub value: Option<f64>,
+}
+
 /// Where the mission stands. Timers of each phase are in its file.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
-    /// Links, availability, initialization blocks, clocks.
+    /// Links, availability, initialization blocks, clocks, sensors.
     Greeting { deadline: Timestamp<Server> },
-    /// Requests are out; the decision is due.
-    Preparing { decision: Timestamp<Server> },
-    /// The mission starts or runs.
-    Decided,
+    /// Acts wait, are prepared, start and play.
+    Performing,
     /// Cancels are out; confirmations are awaited.
-    Stopping { deadline: Timestamp<Server> },
+    Stopping { deadline: Timestamp<Server>, resend: Timestamp<Server> },
     /// The report is ready.
     Ended,
 }
 
-/// The act's instants, once requests are on their way.
-#[derive(Clone, Copy, Debug)]
-struct Timing {
-    timestamp: Timestamp<Server>,
-    start: Timestamp<Server>,
-    lead: LeadTime,
-    next_renewal: Timestamp<Server>,
-    /// When the last step is planned.
-    end: Timestamp<Server>,
-}
+/// Reports of acts are kept as long as they have no more rows than this in all.
+const ROWS_KEPT: usize = 20_000;
 
 /// One mission, from connecting to its report.
 #[derive(Debug)]
 pub struct Mission {
-    plan: Plan,
+    choreography: Arc<Choreography>,
     options: MissionOptions,
     robots: Vec<RobotState>,
     phase: Phase,
-    timing: Option<Timing>,
+    /// In order; the last one may still wait.
+    runs: Vec<ActRun>,
+    acts_begun: u32,
+    /// The act that a failure policy wants next.
+    detour: Option<usize>,
+    /// After a stop the mission goes on with this act.
+    then: Option<usize>,
+    next_renewal: Option<Timestamp<Server>>,
+    /// The earliest instant at which a lost robot is given up.
+    give_up: Option<Timestamp<Server>>,
+    /// Acts in a row that nobody was left to play.
+    skipped: usize,
+    /// Until when clocks are sampled further, and when next.
+    sampling: Option<(Timestamp<Server>, Timestamp<Server>)>,
+    preflight: Option<Preflight>,
     outcome: Option<Outcome>,
+    /// Something failed on the way, whatever follows.
+    flawed: Option<Outcome>,
+    acts: VecDeque<ActReport>,
+    acts_omitted: usize,
     actions: Vec<Action>,
 }
 
 impl Mission {
-    /// A mission of this plan, beginning now. Participants stand in the order of the plan's robots.
+    /// A mission of this choreography, beginning now.
     ///
     /// # Errors
-    /// The robots of the plan that have no participant.
+    /// A robot of the choreography that has no participant.
     pub fn new(
+        choreography: impl Into<Arc<Choreography>>,
+        participants: Vec<Participant>,
+        options: MissionOptions,
+        now: Timestamp<Server>,
+    ) -> Result<Self, MissingParticipant> {
+        let choreography = choreography.into();
+        let known: std::collections::HashSet<_> = participants.iter().map(|p| &p.id).collect();
+        let planned = choreography.acts.iter().flat_map(|act| &act.plan.robots);
+        if let Some(missing) = planned.map(|planned| &planned.robot).find(|id| !known.contains(id)) {
+            return Err(MissingParticipant { robot: missing.clone() });
+        }
+        Ok(Self::with_robots(choreography, participants, options, now))
+    }
+
+    fn with_robots(
+        choreography: Arc<Choreography>,
+        participants: Vec<Participant>,
+        options: MissionOptions,
+        now: Timestamp<Server>,
+    ) -> Self {
+        let deadline = now + options.patience;
+        Self {
+            choreography,
+            options,
+            robots: participants.into_iter().map(RobotState::new).collect(),
+            phase: Phase::Greeting { deadline },
+            runs: Vec::new(),
+            acts_begun: 0,
+            detour: None,
+            then: None,
+            next_renewal: None,
+            give_up: None,
+            skipped: 0,
+            sampling: None,
+            preflight: None,
+            outcome: None,
+            flawed: None,
+            acts: VecDeque::new(),
+            acts_omitted: 0,
+            actions: Vec::new(),
+        }
+    }
+
+    /// A mission of one act.
+    ///
+    /// # Errors
+    /// As [`Mission::new`].
+    pub fn of_plan(
         plan: Plan,
         participants: Vec<Participant>,
         options: MissionOptions,
         now: Timestamp<Server>,
     ) -> Result<Self, MissingParticipant> {
-        let mut robots = Vec::with_capacity(plan.robots.len());
-        let mut by_id: std::collections::HashMap<_, _> =
-            participants.into_iter().map(|p| (p.id.clone(), p)).collect();
-        for robot_plan in &plan.robots {
-            let participant = by_id
-                .remove(&robot_plan.robot)
-                .ok_or_else(|| MissingParticipant { robot: robot_plan.robot.clone() })?;
-            robots.push(RobotState::new(participant, robot_plan));
-        }
-        let deadline = now + options.patience;
-        Ok(Self {
-            plan,
-            options,
-            robots,
-            phase: Phase::Greeting { deadline },
-            timing: None,
-            outcome: None,
-            actions: Vec::new(),
-        })
+        Self::new(Choreography::of_plan(plan), participants, options, now)
     }
 
     /// Takes an event that happened at `now`.
@@ -249,6 +450,7 @@ impl Mission {
             Event::Received { robot, message } => self.receive(now, robot, message),
             Event::Garbled { robot, reason } => self.fail(now, robot, FailureKind::Garbled { reason }),
             Event::StopRequested => self.request_stop(now),
+            Event::Go => self.go(),
         }
         std::mem::take(&mut self.actions)
     }
@@ -257,19 +459,21 @@ impl Mission {
     #[must_use]
     pub fn advance(&mut self, now: Timestamp<Server>) -> Vec<Action> {
         match self.phase {
-            Phase::Greeting { deadline } if now >= deadline => self.greeting_overdue(now),
-            Phase::Preparing { decision } => {
-                self.renew_if_due(now);
-                if now >= decision {
-                    self.decide(now);
+            Phase::Greeting { deadline } => {
+                self.sample_clocks(now);
+                if now >= deadline {
+                    self.greeting_overdue(now);
                 }
             }
-            Phase::Decided => {
-                self.renew_if_due(now);
-                self.watch(now);
+            Phase::Performing => self.perform(now),
+            Phase::Stopping { deadline, resend } => {
+                if now >= deadline {
+                    self.stopped(now);
+                } else if now >= resend {
+                    self.stop_again(now);
+                }
             }
-            Phase::Stopping { deadline } if now >= deadline => self.end(),
-            _ => {}
+            Phase::Ended => {}
         }
         std::mem::take(&mut self.actions)
     }
@@ -277,36 +481,237 @@ impl Mission {
     /// When [`Mission::advance`] is next due; `None` once the mission has ended.
     #[must_use]
     pub fn next_wakeup(&self) -> Option<Timestamp<Server>> {
-        match (self.phase, &self.timing) {
-            (Phase::Greeting { deadline } | Phase::Stopping { deadline }, _) => Some(deadline),
-            (Phase::Preparing { decision }, Some(timing)) => Some(decision.min(timing.next_renewal)),
-            (Phase::Preparing { decision }, None) => Some(decision),
-            (Phase::Decided, Some(timing)) => Some(self.next_watch(timing).min(timing.next_renewal)),
-            (Phase::Decided, None) | (Phase::Ended, _) => None,
+        match self.phase {
+            Phase::Greeting { deadline } => {
+                let sample = self.sampling.map(|(_, next)| next);
+                Some(sample.map_or(deadline, |next| next.min(deadline)))
+            }
+            Phase::Performing => {
+                let runs = self.runs.iter().filter_map(|run| self.run_wakeup(run));
+                runs.chain(self.give_up).chain(self.next_renewal).min()
+            }
+            Phase::Stopping { deadline, resend } => Some(deadline.min(resend)),
+            Phase::Ended => None,
         }
+    }
+
+    /// The id of a robot by its index.
+    #[must_use]
+    pub fn robot_id(&self, robot: usize) -> &RobotId {
+        &self.robots[robot].id
     }
 
     /// What it plays.
     #[must_use]
-    pub const fn plan(&self) -> &Plan {
-        &self.plan
+    pub fn choreography(&self) -> &Choreography {
+        &self.choreography
     }
 
     /// What really happened, once the mission has ended.
     #[must_use]
     pub fn report(&self) -> Option<Report> {
         let outcome = self.outcome.clone().filter(|_| self.phase == Phase::Ended)?;
-        Some(Report::new(&self.plan, &self.robots, self.timing.as_ref().map(|t| (t.start, t.lead)), outcome))
+        Some(Report::new(self, outcome))
     }
 
     /// What is known if the operator leaves now, without waiting for anything.
     #[must_use]
-    pub fn report_as_left(&self) -> Report {
-        let timing = self.timing.as_ref().map(|t| (t.start, t.lead));
-        Report::new(&self.plan, &self.robots, timing, Outcome::Abandoned)
+    pub fn report_as_left(&mut self, now: Timestamp<Server>) -> Report {
+        while !self.runs.is_empty() {
+            self.close_run(now, 0);
+        }
+        Report::new(self, Outcome::Abandoned)
+    }
+
+    pub(crate) fn robots(&self) -> &[RobotState] {
+        &self.robots
+    }
+
+    pub(crate) const fn act_reports(&self) -> (&VecDeque<ActReport>, usize) {
+        (&self.acts, self.acts_omitted)
+    }
+
+    pub(crate) const fn preflight(&self) -> Option<&Preflight> {
+        self.preflight.as_ref()
+    }
+
+    pub(crate) const fn options(&self) -> &MissionOptions {
+        &self.options
+    }
+
+    /// One round of everything that is due while acts wait, start and play.
+    fn perform(&mut self, now: Timestamp<Server>) {
+        self.renew_if_due(now);
+        self.give_up_lost(now);
+        let mut index = 0;
+        while self.phase == Phase::Performing && index < self.runs.len() {
+            self.advance_run(now, index);
+            match self.runs.get(index).map(|run| run.stage) {
+                Some(Stage::Over) => self.close_run(now, index),
+                _ => index += 1,
+            }
+        }
+        if self.phase == Phase::Performing {
+            self.line_up(now);
+        }
+    }
+
+    fn advance_run(&mut self, now: Timestamp<Server>, index: usize) {
+        // A stage may be passed through at once: each is looked at in turn.
+        for _ in 0..4 {
+            let before = self.runs[index].stage;
+            match before {
+                Stage::Waiting => self.check_wait(now, index),
+                Stage::Ready => self.prepare_if_it_fits(now, index),
+                Stage::Preparing => self.decide_if_due(now, index),
+                Stage::Decided => self.commit_if_due(now, index),
+                Stage::Committed => self.begin_if_due(now, index),
+                Stage::Playing => self.watch(now, index),
+                Stage::Over => return,
+            }
+            let gone_on = self.runs.get(index).is_some_and(|run| run.stage != before);
+            if self.phase != Phase::Performing || !gone_on {
+                return;
+            }
+        }
+    }
+
+    fn run_wakeup(&self, run: &ActRun) -> Option<Timestamp<Server>> {
+        let timing = run.timing.as_ref();
+        match run.stage {
+            Stage::Waiting => self.wait_wakeup(run),
+            Stage::Ready => run.poll,
+            Stage::Preparing => timing.map(|timing| match timing.asked_again {
+                true => timing.decision,
+                false => timing.ask_again(),
+            }),
+            Stage::Decided => timing.map(|timing| timing.commit),
+            Stage::Committed => timing.map(|timing| timing.start),
+            Stage::Playing => run.watch.into_iter().chain(self.reading_due(run)).min(),
+            Stage::Over => None,
+        }
+    }
+
+    /// Sees to it that the act that follows is there in time, and ends the mission after the last one.
+    fn line_up(&mut self, now: Timestamp<Server>) {
+        let Some(last) = self.runs.last() else { return };
+        let surely = matches!(last.stage, Stage::Committed | Stage::Playing);
+        if !surely || self.runs.len() > 1 {
+            return;
+        }
+        let way = self.detour.map_or(self.choreography.acts[last.act].next, Way::Act);
+        if let Way::Act(act) = way {
+            self.detour = None;
+            self.line_up_act(now, act);
+        }
+    }
+
+    /// After an act has ended with none behind it.
+    fn go_on_from(&mut self, now: Timestamp<Server>, act: usize) {
+        let way = self.detour.take().map_or(self.choreography.acts[act].next, Way::Act);
+        self.go_way(now, way);
+    }
+
+    fn go_way(&mut self, now: Timestamp<Server>, way: Way) {
+        match way {
+            Way::Act(act) => self.line_up_act(now, act),
+            Way::End => {
+                let failed = self.robots.iter().any(|robot| robot.standing == robot_state::Standing::Out);
+                let well = if failed { Outcome::DoneWithout } else { Outcome::Done };
+                self.outcome = Some(self.flawed.clone().unwrap_or(well));
+                self.end();
+            }
+            Way::Fail => self.abort(now, Outcome::Failed, false, None),
+        }
+    }
+
+    fn line_up_act(&mut self, now: Timestamp<Server>, act: usize) {
+        let run = ActRun {
+            number: self.acts_begun,
+            act,
+            stage: Stage::Waiting,
+            since: now,
+            alone_since: self.runs.is_empty().then_some(now),
+            gone: false,
+            poll: None,
+            target: None,
+            timing: None,
+            members: act::members(&self.choreography.acts[act].plan, &self.robots),
+            watch: None,
+            recheck: false,
+            readings_asked: 0,
+            readings: Vec::new(),
+        };
+        self.acts_begun += 1;
+        self.runs.push(run);
+        let index = self.runs.len() - 1;
+        self.announce_wait(index);
+        self.advance_run(now, index);
+    }
+
+    /// The name of an act as people know it.
+    fn act_name(&self, act: usize) -> String {
+        let act = &self.choreography.acts[act];
+        if act.name.is_empty() { act.plan.scenario.clone() } else { act.name.clone() }
+    }
+
+    /// Puts an act's story into its report and forgets the rest.
+    fn close_run(&mut self, now: Timestamp<Server>, index: usize) {
+        let run = self.runs.remove(index);
+        self.account(&run);
+        if run.is_sent() {
+            self.skipped = 0;
+            let name = self.act_name(run.act);
+            if let Some(report) = ActReport::new(name.clone(), &run, &self.robots) {
+                self.record(Record::ActEnded { report: Box::new(report.clone()) });
+                self.acts.push_back(report);
+            }
+            let rows = |acts: &VecDeque<ActReport>| acts.iter().map(|act| act.robots.len()).sum::<usize>();
+            while self.acts.len() > 1 && rows(&self.acts) > ROWS_KEPT {
+                self.acts.pop_front();
+                self.acts_omitted += 1;
+            }
+            self.tell(Progress::ActEnded { act: name });
+        }
+        if let Some(next) = self.runs.get_mut(index) {
+            next.alone_since = Some(now);
+        }
+        if self.runs.is_empty() && self.phase == Phase::Performing {
+            self.skipped += usize::from(!run.is_sent());
+            // A round of acts that nobody is left to play would go on for ever.
+            if self.skipped > self.choreography.acts.len() {
+                return self.go_way(now, Way::End);
+            }
+            self.go_on_from(now, run.act);
+        }
+    }
+
+    fn account(&mut self, run: &ActRun) {
+        for member in &run.members {
+            let robot = &mut self.robots[member.robot];
+            for script in &member.scripts {
+                let totals = &mut robot.totals;
+                totals.scripts += 1;
+                totals.accepted += usize::from(script.accepted);
+                totals.started += usize::from(script.has_begun());
+                totals.steps_done += u64::from(script.steps_done);
+                totals.steps_planned += script.plan.script.steps().len() as u64;
+                totals.late_steps += u64::from(script.late_steps);
+                let error = act::start_error(run, member, script);
+                totals.start_error = totals.start_error.into_iter().chain(error).max_by_key(|e| e.abs());
+                if robot.stop_sent || script.is_out() {
+                    let ends = act::lease_end(run, script, robot.last_sent, robot.clock.reading());
+                    robot.left.extend(ends);
+                }
+                if let Some(id) = &script.request_id {
+                    robot.open.close(&script.plan.device, id);
+                }
+            }
+        }
     }
 
     fn receive(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+        self.robots[robot].broken = None;
         match message {
             Message::AvailabilityResponse(response) => self.availability(now, robot, &response),
             Message::InitializationBlock(block) => self.introduced(now, robot, block),
@@ -322,51 +727,25 @@ impl Mission {
 
     fn control_response(&mut self, now: Timestamp<Server>, robot: usize, response: ControlResponse) {
         if self.robots[robot].stop_answered(&response) {
-            return self.stop_progress();
+            return self.stop_progress(now);
         }
-        match self.phase {
-            Phase::Preparing { .. } | Phase::Decided => self.script_response(now, robot, response),
-            Phase::Greeting { .. } | Phase::Stopping { .. } | Phase::Ended => {
-                self.robots[robot].note_late_response(&response);
-            }
-        }
-    }
-
-    fn link_down(&mut self, now: Timestamp<Server>, robot: usize, reason: String) {
-        if self.phase == Phase::Ended {
+        if self.reading_taken(now, robot, &response) {
             return;
         }
-        self.robots[robot].link = robot_state::Link::Down;
-        match self.phase {
-            Phase::Stopping { .. } => self.stop_progress(),
-            _ if self.robots[robot].is_done() => {}
-            _ => self.fail(now, robot, FailureKind::LinkDown { reason }),
+        self.script_response(now, robot, &response);
+        if matches!(self.phase, Phase::Stopping { .. }) {
+            self.stop_progress(now);
         }
-    }
-
-    /// Notes the failure of a robot and does what the policy says: abort all.
-    fn fail(&mut self, now: Timestamp<Server>, robot: usize, kind: FailureKind) {
-        self.note_failure(robot, kind);
-        match self.phase {
-            // All robots get their chance to speak first, so that all findings come at once.
-            Phase::Greeting { .. } => self.greeting_progress(now),
-            Phase::Preparing { .. } => self.abort(now, Outcome::NotStarted),
-            Phase::Decided => self.abort_decided(now),
-            Phase::Stopping { .. } | Phase::Ended => {}
-        }
-    }
-
-    fn note_failure(&mut self, robot: usize, kind: FailureKind) {
-        let failure = Failure { robot: self.robots[robot].id.clone(), kind };
-        tracing::warn!(robot = %failure.robot, "{}", failure.kind);
-        self.robots[robot].failures.push(failure.clone());
-        self.tell(Progress::Failed(failure));
     }
 
     fn send(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
-        if self.robots[robot].link == robot_state::Link::Up {
+        self.send_by(now, robot, message, false);
+    }
+
+    fn send_by(&mut self, now: Timestamp<Server>, robot: usize, message: Message, urgent: bool) {
+        if self.robots[robot].link == Link::Up {
             self.robots[robot].last_sent = Some(now);
-            self.actions.push(Action::Send { robot, message });
+            self.actions.push(Action::Send { robot, message, urgent });
         }
     }
 
@@ -374,12 +753,18 @@ impl Mission {
         self.actions.push(Action::Tell(progress));
     }
 
+    fn record(&mut self, record: Record) {
+        self.actions.push(Action::Record(record));
+    }
+
     fn end(&mut self) {
         self.phase = Phase::Ended;
+        let outcome = self.outcome.clone().unwrap_or(Outcome::Failed);
+        self.record(Record::Ended { outcome });
     }
 }
 
-/// A robot of the plan has no participant.
+/// A robot of the choreography has no participant.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("robot `{robot}` of the plan takes no part in the mission")]
 pub struct MissingParticipant {

@@ -1,191 +1,490 @@
-//! All requests of the act with one timestamp; then one decision: all have accepted, or none starts.
+//! All requests of an act with one timestamp; one decision: all have accepted, or none starts; then one round of renewals
+//! that carries every lease over the start.
 //!
 //! The start lies a lease and a margin beyond the decision, so that robots that no message can reach any more drop their
 //! scripts before it. Renewals are placed so that the instant one lease before the start falls into the middle between
 //! two of them: a scheduler that dies between renewals leaves either all leases short of the start or all beyond it.
-//! What remains is the time that one round of renewals takes to reach everyone.
+//! What remains is the time that one round of renewals takes to reach everyone. Whoever has not answered that round half
+//! a lease before the start may not start, so the others are withdrawn while there still is time.
 
 use urrcp::{
-    Command, ControlError, ControlRequest, ControlResponse, ErrorCode, Message, Millis, RequestId, Server,
-    Span, Status, StopCondition, Timestamp, encode,
+    Command, ContentHash, ControlError, ControlRequest, ControlResponse, ErrorCode, Message, Millis,
+    RequestId, Server, Span, Status, StopCondition, Timestamp, encode,
 };
 
+use super::act::{ActRun, Member, Stage, Timing};
 use super::lead::LeadTime;
-use super::robot_state::{FailureKind, RobotState, ScriptPhase, error_of};
-use super::{Mission, Phase, Progress, Timing};
+use super::record::{Promise, PromisedScript, Record};
+use super::robot_state::{FailureKind, RobotState, ScriptPhase, ScriptState};
+use super::skew::SkewBudget;
+use super::{ClockMode, Mission, Phase, Progress};
 use crate::report::Outcome;
 
+/// An act that follows another is sent so long before it has to be, at most.
+const AHEAD: Span = Span::from_millis(2_000);
+/// Between two renewals where no lease asks for more.
+const KEEP_ALIVE: Span = Span::from_millis(1_000);
+
+/// What an act needs before it can start.
+struct Need {
+    lead: LeadTime,
+    delay_max: Span,
+}
+
 impl Mission {
-    pub(super) fn prepare(&mut self, now: Timestamp<Server>) {
-        let delays = self.robots.iter().filter_map(|robot| robot.clock.reading());
-        let delay_max = delays.map(|reading| reading.delay_max).max().unwrap_or(Span::ZERO);
-        let prescribed = self.plan.stop_condition.pending.map(Millis::span);
-        if let Some(lease) = prescribed.filter(|lease| *lease < LeadTime::lease_needed(delay_max)) {
-            let needed = LeadTime::lease_needed(delay_max);
-            return self.refuse(Outcome::LeaseTooShort { lease, needed });
+    /// Sends the act once its time has come and the devices have room for it.
+    pub(super) fn prepare_if_it_fits(&mut self, now: Timestamp<Server>, index: usize) {
+        let run = &self.runs[index];
+        if run.present().next().is_none() {
+            // All its robots have been left out: there is nothing to play.
+            self.runs[index].stage = Stage::Over;
+            return;
         }
-        let needed = LeadTime::needed(delay_max, self.request_count(), self.request_bytes(now), prescribed);
-        let wanted = self.options.lead.or(self.plan.lead);
-        if let Some(lead) = wanted.filter(|lead| *lead < needed.total()) {
-            return self.refuse(Outcome::LeadTooShort { lead, needed });
+        if run.poll.is_some_and(|at| now < at) || !self.has_room(run) {
+            return;
         }
-        let lead = needed.stretched_to(wanted.unwrap_or(needed.total()));
-        self.send_act(now, lead);
+        let need = match self.need(now, run) {
+            Ok(need) => need,
+            Err(outcome) => return self.cannot_prepare(now, outcome),
+        };
+        let from = self.runs[index].target.map(|target| target - need.lead.total() - AHEAD);
+        self.runs[index].poll = from.filter(|from| now < *from);
+        if self.runs[index].poll.is_some() {
+            return;
+        }
+        let run = &self.runs[index];
+        let tolerance = self.choreography.acts[run.act].plan.start_tolerance;
+        let skew = SkewBudget::of(run.present(), &self.robots, tolerance, now);
+        let offenders = skew.as_ref().map(SkewBudget::offenders).unwrap_or_default();
+        if !offenders.is_empty() {
+            let at = |id| self.robots.iter().position(|robot| robot.id == id);
+            let failing = offenders.into_iter().filter_map(|(id, kind)| Some((at(id)?, kind))).collect();
+            return self.fail_all(now, failing);
+        }
+        self.send_act(now, index, &need, skew);
     }
 
-    fn send_act(&mut self, timestamp: Timestamp<Server>, lead: LeadTime) {
-        let start = timestamp + lead.total();
-        let interval = lead.renewal_interval();
+    /// Every device has room for its first script beside what it holds of other acts. After those have ended there is room.
+    fn has_room(&self, run: &ActRun) -> bool {
+        let others = || self.runs.iter().filter(|other| other.number != run.number && other.is_sent());
+        run.alone_since.is_some()
+            || run.present().all(|member| {
+                let robot = &self.robots[member.robot];
+                let held = |device: &urrcp::DeviceId| others().map(|o| o.held(member.robot, device)).sum();
+                let sendable = member.sendable(robot, held);
+                let scripts = &member.scripts;
+                let first = |i: &usize| *i == 0 || scripts[i - 1].plan.device != scripts[*i].plan.device;
+                (0..scripts.len()).filter(first).all(|i| sendable.contains(&i))
+            })
+    }
+
+    /// Refused for a lead or a lease that is too short. Before anything has moved nothing is sent at all.
+    fn cannot_prepare(&mut self, now: Timestamp<Server>, outcome: Outcome) {
+        match self.robots.iter().all(|robot| robot.touched.is_empty()) {
+            true => self.refuse(outcome),
+            false => self.abort(now, outcome, false, None),
+        }
+    }
+
+    fn need(&self, now: Timestamp<Server>, run: &ActRun) -> Result<Need, Outcome> {
+        let plan = &self.choreography.acts[run.act].plan;
+        let delays = run.present().filter_map(|member| self.robots[member.robot].clock.reading());
+        let delay_max = delays.map(|reading| reading.delay_max).max().unwrap_or(Span::ZERO);
+        let prescribed = plan.stop_condition.pending.map(Millis::span);
+        if let Some(lease) = prescribed.filter(|lease| *lease < LeadTime::lease_needed(delay_max)) {
+            return Err(Outcome::LeaseTooShort { lease, needed: LeadTime::lease_needed(delay_max) });
+        }
+        let requests = run.present().map(|member| member.scripts.len()).sum();
+        let needed = LeadTime::needed(delay_max, requests, request_bytes(run, now), prescribed);
+        let wanted = self.options.lead.or(plan.lead).filter(|_| run.target.is_none());
+        if let Some(lead) = wanted.filter(|lead| *lead < needed.total()) {
+            let safe_start = now + needed.total();
+            return Err(Outcome::LeadTooShort { lead, needed, safe_start });
+        }
+        let lead = needed.stretched_to(wanted.unwrap_or(needed.total()));
+        Ok(Need { lead, delay_max })
+    }
+
+    fn send_act(&mut self, now: Timestamp<Server>, index: usize, need: &Need, skew: Option<SkewBudget>) {
+        let run = &self.runs[index];
+        let target = run.target.unwrap_or(now);
+        let lead = need.lead.stretched_to(target - now);
+        let start = now + lead.total();
+        let plan = &self.choreography.acts[run.act].plan;
+        let follows_at_once = run.number > 0 && run.target.is_some();
         let timing = Timing {
-            timestamp,
+            timestamp: now,
             start,
             lead,
-            next_renewal: first_renewal(timestamp, start - lead.lease, interval),
-            end: start + self.plan.duration(),
+            decision: now + lead.prepare,
+            commit: start - lead.lease / 2,
+            no_return: start - need.delay_max,
+            end: start + plan.duration(),
+            skew: skew.clone(),
+            accepted_at: None,
+            round: None,
+            gap: follows_at_once.then(|| start - target),
+            asked_again: false,
         };
-        self.timing = Some(timing);
-        self.phase = Phase::Preparing { decision: timestamp + lead.prepare };
-        self.tell(Progress::Preparing { timestamp, start, lead });
-        for robot in 0..self.robots.len() {
-            for script in 0..self.robots[robot].scripts.len() {
-                let request = self.request(&timing, robot, script);
-                self.send(timestamp, robot, Message::ControlRequest(request));
+        let act = self.act_name(run.act);
+        let run = &mut self.runs[index];
+        run.stage = Stage::Preparing;
+        run.timing = Some(timing);
+        for member in &mut run.members {
+            let robot = &self.robots[member.robot];
+            let measured = robot.clock_at(start).filter(|_| robot.clock_mode == ClockMode::Measured);
+            member.shift = measured.map_or(Span::ZERO, |reading| reading.offset);
+        }
+        self.name_requests(index);
+        self.record(Record::Prepared(self.promise(index)));
+        self.tell(Progress::Preparing { act, timestamp: now, start, lead, skew });
+        // Robots of an act that plays must not wait longer for their next renewal because its rhythm changes now.
+        if self.runs.len() > 1 {
+            self.renew_all(now);
+        }
+        self.next_renewal = Some(self.renewal_after(now));
+        for member in 0..self.runs[index].members.len() {
+            if !self.runs[index].members[member].out {
+                self.send_scripts(now, index, member);
             }
         }
     }
 
-    fn request(&mut self, timing: &Timing, robot: usize, index: usize) -> ControlRequest {
-        let state = &mut self.robots[robot];
-        let script = &mut state.scripts[index];
-        script.phase = ScriptPhase::Sent;
-        let id = format!("{}/{robot}/{index}", timing.timestamp.as_nanos() / 1_000);
-        // Digits and slashes, far below the limit.
-        let request_id = RequestId::new(id).ok();
-        let command = Command::Script(script.plan.script.clone());
-        if let Some(id) = &request_id {
-            state.open.open(script.plan.device.clone(), id.clone(), index);
+    /// Every request gets the name under which it is known for ever, also after a crash of this machine.
+    fn name_requests(&mut self, index: usize) {
+        let run = &mut self.runs[index];
+        let timestamp = run.timing.as_ref().map_or(0, |timing| timing.timestamp.as_nanos() / 1_000);
+        let session = self.options.session.as_ref().map(|session| format!("{session}/")).unwrap_or_default();
+        for (m, member) in run.members.iter_mut().enumerate() {
+            for (s, script) in member.scripts.iter_mut().enumerate() {
+                let id = format!("{session}{timestamp}/{}/{}/{s}", run.number, member.robot);
+                // Sessions are named by this program, far below the limit.
+                script.request_id = RequestId::new(id).ok();
+                if let Some(id) = &script.request_id {
+                    let open = &mut self.robots[member.robot].open;
+                    open.open(script.plan.device.clone(), id.clone(), (run.number, m, s));
+                }
+            }
         }
-        ControlRequest {
-            timestamp: Some(timing.timestamp),
-            time_offset_to_start: Some(Millis::from_span(timing.lead.total() + script.plan.start.span())),
+    }
+
+    fn promise(&self, index: usize) -> Promise {
+        let run = &self.runs[index];
+        let script = |member: &Member, script: &ScriptState| {
+            Some(PromisedScript {
+                robot: self.robots[member.robot].id.clone(),
+                device: script.plan.device.clone(),
+                request_id: script.request_id.clone()?,
+                content_hash: content_hash(script),
+                shift: member.shift,
+                start: script.plan.start,
+                duration: script.plan.script.duration(),
+                running: script.plan.stop_condition.running,
+            })
+        };
+        let of_member =
+            |member: &&Member| member.scripts.iter().filter_map(|s| script(member, s)).collect::<Vec<_>>();
+        let timing = run.timing.as_ref();
+        Promise {
+            number: run.number,
+            act: run.act,
+            timestamp: timing.map_or(run.since, |timing| timing.timestamp),
+            start: timing.map_or(run.since, |timing| timing.start),
+            lease: timing.map_or(Span::ZERO, |timing| timing.lead.lease),
+            scripts: run.present().collect::<Vec<_>>().iter().flat_map(of_member).collect(),
+        }
+    }
+
+    /// Sends a member as many of its scripts as its devices have room for.
+    pub(super) fn send_scripts(&mut self, now: Timestamp<Server>, index: usize, member: usize) {
+        let run = &self.runs[index];
+        let state = &run.members[member];
+        let others = self.runs.iter().filter(|other| other.number != run.number);
+        let held = |device: &urrcp::DeviceId| {
+            others.clone().map(|other| other.held(state.robot, device)).sum::<usize>()
+        };
+        let sendable = state.sendable(&self.robots[state.robot], held);
+        for script in sendable {
+            let robot = self.runs[index].members[member].robot;
+            let Some(request) = self.request(index, member, script) else { continue };
+            self.runs[index].members[member].scripts[script].phase = ScriptPhase::Sent;
+            self.robots[robot].touched.insert(request.device_id.clone());
+            self.send(now, robot, Message::ControlRequest(request));
+        }
+    }
+
+    /// The request of a script: the same bytes however often it is sent.
+    pub(super) fn request(&self, index: usize, member: usize, script: usize) -> Option<ControlRequest> {
+        let run = &self.runs[index];
+        let timing = run.timing.as_ref()?;
+        let member = &run.members[member];
+        let script = &member.scripts[script];
+        let command = Command::Script(script.plan.script.clone());
+        let offset = timing.start - timing.timestamp + script.plan.start.span();
+        Some(ControlRequest {
+            timestamp: Some(timing.timestamp + member.shift),
+            time_offset_to_start: Some(Millis::from_span(offset)),
             device_id: script.plan.device.clone(),
             stop_condition: Some(StopCondition {
                 pending: Some(Millis::from_span(timing.lead.lease)),
                 running: script.plan.stop_condition.running,
             }),
-            request_id,
+            request_id: script.request_id.clone(),
             content_hash: Some(command.content_hash()),
-            session: None,
+            session: self.options.session.clone(),
             hold: false,
             command,
-        }
-    }
-
-    fn request_count(&self) -> usize {
-        self.robots.iter().map(|robot| robot.scripts.len()).sum()
-    }
-
-    /// How much has to travel, measured on the real encoding of the largest script.
-    fn request_bytes(&self, now: Timestamp<Server>) -> usize {
-        let scripts = || self.robots.iter().flat_map(|robot| &robot.scripts);
-        let Some(largest) = scripts().max_by_key(|script| script.plan.script.steps().len()) else { return 0 };
-        let mut line = Vec::new();
-        let command = Command::Script(largest.plan.script.clone());
-        let mut request = ControlRequest::immediate(largest.plan.device.clone(), command);
-        request.timestamp = Some(now);
-        encode(&Message::ControlRequest(request), &mut line);
-        let steps: usize = scripts().map(|script| script.plan.script.steps().len()).sum();
-        let step_bytes = line.len() / largest.plan.script.steps().len().max(1);
-        steps * step_bytes + self.request_count() * 256
+        })
     }
 
     pub(super) fn script_response(
         &mut self,
         now: Timestamp<Server>,
         robot: usize,
-        response: ControlResponse,
+        response: &ControlResponse,
     ) {
-        let Some((_, &index)) = self.robots[robot].open.find(&response) else {
+        let Some((_, &(number, member, script))) = self.robots[robot].open.find(response) else {
             tracing::debug!(robot = %self.robots[robot].id, "answer to no open request: {response:?}");
             return;
         };
+        let Some(index) = self.runs.iter().position(|run| run.number == number) else { return };
+        let state = &mut self.runs[index].members[member].scripts[script];
+        if let Some(error) = foreign_content(state, response) {
+            let device = response.device_id.clone();
+            return self.fail(now, robot, FailureKind::Script { device, error });
+        }
+        if !state.note(response) {
+            return;
+        }
+        if matches!(self.phase, Phase::Stopping { .. } | Phase::Ended) {
+            return;
+        }
         match response.status {
-            Status::Accepted => self.accepted(now, robot, index, &response),
-            Status::Started => self.started(robot, index, &response),
-            Status::Ok => self.ended(now, robot, index, &response),
+            Status::Accepted => self.accepted(now, robot, index, member),
+            Status::Started => self.started(robot, index, member, script),
+            Status::Ok => self.ended(now, robot, index, member),
             Status::Failed => {
-                let error = error_of(&response);
-                let script = &mut self.robots[robot].scripts[index];
-                script.phase = ScriptPhase::Failed(error.clone());
-                script.steps_done = response.steps_done.unwrap_or(script.steps_done);
-                let device = response.device_id;
+                let (device, error) = (response.device_id.clone(), super::robot_state::error_of(response));
                 self.fail(now, robot, FailureKind::Script { device, error });
             }
             Status::Provide | Status::Other(_) => {}
         }
     }
 
-    fn accepted(&mut self, now: Timestamp<Server>, robot: usize, index: usize, response: &ControlResponse) {
-        let state = &mut self.robots[robot];
-        let script = &mut state.scripts[index];
-        let expected = Command::Script(script.plan.script.clone()).content_hash();
-        if response.content_hash.is_some_and(|hash| hash != expected) {
-            let message = "the robot accepted another script than the one sent (content_hash differs)";
-            let error = ControlError::new(ErrorCode::Malformed, message);
-            let device = response.device_id.clone();
-            return self.fail(now, robot, FailureKind::Script { device, error });
-        }
-        script.accepted = true;
-        if script.phase == ScriptPhase::Sent {
-            script.phase = ScriptPhase::Accepted;
-        }
-        if state.has_accepted() {
-            let robot = state.id.clone();
+    fn accepted(&mut self, now: Timestamp<Server>, robot: usize, index: usize, member: usize) {
+        let run = &mut self.runs[index];
+        if run.stage == Stage::Preparing && run.members[member].has_accepted() {
+            if let Some(timing) = &mut run.timing {
+                timing.accepted_at = Some(now);
+            }
+            let robot = self.robots[robot].id.clone();
             self.tell(Progress::Accepted { robot });
         }
     }
 
     /// Renews all leases when the next round is due.
     pub(super) fn renew_if_due(&mut self, now: Timestamp<Server>) {
-        let Some(timing) = self.timing.as_mut() else { return };
-        if now < timing.next_renewal {
+        if now < *self.next_renewal.get_or_insert(now + KEEP_ALIVE) {
             return;
         }
-        // Rounds keep their places relative to the start, also after one that came late.
-        let interval = timing.lead.renewal_interval().max(Span::from_millis(1));
-        let missed = (now - timing.next_renewal).as_nanos() / interval.as_nanos();
-        timing.next_renewal = timing.next_renewal + interval * (missed + 1);
+        self.renew_all(now);
+        self.next_renewal = Some(self.renewal_after(now));
+    }
+
+    fn renew_all(&mut self, now: Timestamp<Server>) {
         for robot in 0..self.robots.len() {
-            self.ask_availability(now, robot);
+            match (self.robots[robot].stop_sent, self.robots[robot].stops.is_empty()) {
+                (false, _) => self.ask_availability(now, robot),
+                // A robot that was left out has not confirmed yet.
+                (true, false) => self.stop_anew(now, robot),
+                (true, true) => {}
+            }
         }
     }
 
-    /// The one decision: the mission starts if every robot has accepted everything, else none starts.
-    pub(super) fn decide(&mut self, now: Timestamp<Server>) {
-        let Some(timing) = self.timing else { return };
+    /// When the round after this one is due: a third of the shortest lease, and so that the instant one lease before a
+    /// start that lies ahead falls into the middle between two rounds.
+    fn renewal_after(&self, now: Timestamp<Server>) -> Timestamp<Server> {
+        let leases = self.runs.iter().filter(|run| run.is_sent()).flat_map(|run| {
+            let scripts = || run.present().flat_map(|member| &member.scripts).filter(|s| s.is_out());
+            let waits = |script: &ScriptState| script.phase != ScriptPhase::Started;
+            let pending = run.timing.as_ref().map(|timing| timing.lead.lease);
+            let pending = pending.filter(|_| run.stage < Stage::Playing || scripts().any(waits));
+            pending.into_iter().chain(scripts().filter_map(running_lease)).collect::<Vec<_>>()
+        });
+        let shortest = leases.min().map(|lease| lease / LeadTime::RENEWALS_A_LEASE);
+        let interval = shortest.unwrap_or(KEEP_ALIVE).min(KEEP_ALIVE).max(Span::from_millis(1));
+        let ahead = self.runs.iter().filter_map(|run| run.timing.as_ref()).map(Timing::critical);
+        match ahead.filter(|critical| *critical > now).min() {
+            Some(critical) => first_renewal(now, critical, interval),
+            None => now + interval,
+        }
+    }
+
+    /// The robot has answered what was sent at `sent`: a part of the round that carries leases over a start.
+    pub(super) fn note_round(&mut self, now: Timestamp<Server>, sent: Timestamp<Server>) {
+        for timing in
+            self.runs.iter_mut().filter(|run| run.stage == Stage::Decided).filter_map(|r| r.timing.as_mut())
+        {
+            if sent >= timing.critical() {
+                let (first, _) = timing.round.unwrap_or((sent, now));
+                timing.round = Some((first.min(sent), now));
+            }
+        }
+    }
+
+    /// The one decision: the act starts if every robot has accepted everything, else none starts.
+    pub(super) fn decide_if_due(&mut self, now: Timestamp<Server>, index: usize) {
+        let Some(timing) = &self.runs[index].timing else { return };
+        let (decision, ask_again, asked) = (timing.decision, timing.ask_again(), timing.asked_again);
+        let (start, lease, no_return) = (timing.start, timing.lead.lease, timing.no_return);
         let within = timing.lead.prepare;
-        let slow: Vec<_> =
-            (0..self.robots.len()).filter(|robot| !self.robots[*robot].has_accepted()).collect();
-        for robot in &slow {
-            let awaited = awaited_acceptance(&self.robots[*robot]);
-            self.fail(now, *robot, FailureKind::Silent { awaited, within });
+        if now >= ask_again && !asked {
+            self.ask_again(now, index);
+        }
+        if now < decision {
+            return;
+        }
+        let slow: Vec<_> = self.runs[index]
+            .present()
+            .filter(|member| !member.has_accepted())
+            .map(|member| (member.robot, self.unaccepted(member, within)))
+            .collect();
+        if !slow.is_empty() {
+            self.fail_all(now, slow);
+        }
+        let Some(run) = self.runs.get(index).filter(|_| self.phase == Phase::Performing) else { return };
+        if run.present().next().is_none() {
+            self.runs[index].stage = Stage::Over;
+            return;
         }
         // A decision that comes late would shorten what the leases need to run out before the start.
-        let too_late = now > timing.start - timing.lead.lease;
-        if slow.is_empty() && too_late {
-            return self.abort(now, Outcome::DecisionLate { by: now - (timing.timestamp + within) });
+        if now > start - lease {
+            return self.abort(now, Outcome::DecisionLate { by: now - decision }, false, None);
         }
-        if slow.is_empty() {
-            tracing::info!(start = %timing.start, "decided");
-            self.phase = Phase::Decided;
-            self.tell(Progress::Decided { start: timing.start });
+        tracing::info!(%start, "decided");
+        let run = &mut self.runs[index];
+        run.stage = Stage::Decided;
+        let (number, act) = (run.number, run.act);
+        let duration = self.choreography.acts[act].plan.duration();
+        let act = self.act_name(act);
+        self.record(Record::Decided { number });
+        self.tell(Progress::Decided { act, start, duration, no_return });
+    }
+
+    /// Sends what has not been answered once more, in case it was lost.
+    fn ask_again(&mut self, now: Timestamp<Server>, index: usize) {
+        if let Some(timing) = &mut self.runs[index].timing {
+            timing.asked_again = true;
         }
+        for member in 0..self.runs[index].members.len() {
+            let state = &self.runs[index].members[member];
+            let robot = state.robot;
+            if state.out || state.has_accepted() || !self.robots[robot].is_up() {
+                continue;
+            }
+            for script in 0..state.scripts.len() {
+                if self.runs[index].members[member].scripts[script].phase == ScriptPhase::Sent
+                    && let Some(request) = self.request(index, member, script)
+                {
+                    self.robots[robot].totals.retries += 1;
+                    self.send(now, robot, Message::ControlRequest(request));
+                }
+            }
+        }
+    }
+
+    fn unaccepted(&self, member: &Member, within: Span) -> FailureKind {
+        match &self.robots[member.robot].broken {
+            Some(reason) => FailureKind::LinkDown { reason: reason.clone() },
+            None => FailureKind::Silent { awaited: awaited_acceptance(member), within },
+        }
+    }
+
+    /// Half a lease before the start every robot must have answered a renewal that carries its lease over the start.
+    pub(super) fn commit_if_due(&mut self, now: Timestamp<Server>, index: usize) {
+        let run = &self.runs[index];
+        let Some(timing) = run.timing.as_ref().filter(|timing| now >= timing.commit) else { return };
+        let (critical, window, no_return) = (timing.critical(), timing.round, timing.no_return);
+        let within = timing.lead.lease / 3;
+        let held = |robot: &RobotState| {
+            // A robot that has never answered such a question cannot be held to it.
+            robot.renewed_at.is_none_or(|at| at >= critical)
+        };
+        let short: Vec<_> = run
+            .present()
+            .filter(|member| !held(&self.robots[member.robot]))
+            .map(|member| {
+                let kind = match &self.robots[member.robot].broken {
+                    Some(reason) => FailureKind::LinkDown { reason: reason.clone() },
+                    None => {
+                        let awaited = "answer to the last renewal before the start".to_owned();
+                        FailureKind::Silent { awaited, within }
+                    }
+                };
+                (member.robot, kind)
+            })
+            .collect();
+        if !short.is_empty() {
+            self.fail_all(now, short);
+        }
+        let Some(run) = self.runs.get_mut(index).filter(|_| self.phase == Phase::Performing) else { return };
+        if now >= no_return && run.stage == Stage::Decided && window.is_none() {
+            tracing::warn!("this machine was held up over the commitment");
+        }
+        run.stage = Stage::Committed;
+        let (number, act) = (run.number, run.act);
+        let act = self.act_name(act);
+        let window = window.map(|(sent, answered)| answered - sent);
+        self.record(Record::Committed { number });
+        self.tell(Progress::Committed { act, window });
+    }
+
+    pub(super) fn begin_if_due(&mut self, now: Timestamp<Server>, index: usize) {
+        let run = &mut self.runs[index];
+        let Some(timing) = run.timing.as_ref().filter(|timing| now >= timing.start) else { return };
+        run.watch = Some(timing.start);
+        run.stage = Stage::Playing;
     }
 }
 
-fn awaited_acceptance(robot: &RobotState) -> String {
+fn content_hash(script: &ScriptState) -> ContentHash {
+    Command::Script(script.plan.script.clone()).content_hash()
+}
+
+/// What starts is what was checked: the robot's own hash of what it accepted has to be ours.
+fn foreign_content(script: &ScriptState, response: &ControlResponse) -> Option<ControlError> {
+    let echoed = response.content_hash.filter(|_| response.status == Status::Accepted)?;
+    (echoed != content_hash(script)).then(|| {
+        let message = "the robot accepted another script than the one sent (content_hash differs)";
+        ControlError::new(ErrorCode::Malformed, message)
+    })
+}
+
+/// The shortest of the leases under which a script plays.
+pub(super) fn running_lease(script: &ScriptState) -> Option<Span> {
+    let whole = script.plan.stop_condition.running;
+    let steps = script.plan.script.steps().iter().filter_map(|step| step.stop_condition?.running);
+    whole.into_iter().chain(steps).map(Millis::span).min()
+}
+
+/// How much has to travel, measured on the real encoding of the largest script.
+fn request_bytes(run: &ActRun, now: Timestamp<Server>) -> usize {
+    let scripts = || run.present().flat_map(|member| &member.scripts);
+    let Some(largest) = scripts().max_by_key(|script| script.plan.script.steps().len()) else { return 0 };
+    let mut line = Vec::new();
+    let command = Command::Script(largest.plan.script.clone());
+    let mut request = ControlRequest::immediate(largest.plan.device.clone(), command);
+    request.timestamp = Some(now);
+    encode(&Message::ControlRequest(request), &mut line);
+    let steps: usize = scripts().map(|script| script.plan.script.steps().len()).sum();
+    let step_bytes = line.len() / largest.plan.script.steps().len().max(1);
+    steps * step_bytes + scripts().count() * 256
+}
+
+fn awaited_acceptance(member: &Member) -> String {
     let open: Vec<_> =
-        robot.scripts.iter().filter(|s| !s.accepted).map(|s| format!("`{}`", s.plan.device)).collect();
+        member.scripts.iter().filter(|s| !s.accepted).map(|s| format!("`{}`", s.plan.device)).collect();
     match open.len() {
         0..=4 => format!("acceptance by {}", open.join(", ")),
         n => format!("acceptance by {} and {} more devices", open[..3].join(", "), n - 3),

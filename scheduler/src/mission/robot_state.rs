@@ -1,26 +1,37 @@
 //! What the mission knows of one robot.
 
-use std::collections::HashMap;
+use std::collections::{BTreeSet, HashMap};
 
-use downbeat_scripts::{DeviceScript, RobotPlan};
+use downbeat_scripts::{DeviceScript, SensorRange};
 use serde::Serialize;
 use urrcp::{
     ControlError, ControlResponse, DeviceId, ErrorCode, InitializationBlock, OpenRequests, RequestId, Robot,
     RobotId, Server, Span, Status, Timestamp,
 };
 
-use super::Participant;
-use crate::clock::ClockEstimate;
+use super::{ClockMode, Participant, Requirement};
+use crate::clock::{ClockEstimate, ClockReading};
 
 /// The state of a robot's link.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Link {
     Connecting,
     Up,
-    Down,
+    /// Broken, and why.
+    Down(String),
 }
 
-/// What became of one device's script.
+/// Whether a robot takes part.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Standing {
+    In,
+    /// Not there when the mission began; may join at the next act.
+    Absent,
+    /// It failed, and the others went on or were stopped.
+    Out,
+}
+
+/// What became of one script.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum ScriptPhase {
     Planned,
@@ -31,7 +42,7 @@ pub(crate) enum ScriptPhase {
     Failed(ControlError),
 }
 
-/// One device's script and its fate.
+/// One script and its fate.
 #[derive(Clone, Debug)]
 pub(crate) struct ScriptState {
     pub(crate) plan: DeviceScript,
@@ -39,6 +50,101 @@ pub(crate) struct ScriptState {
     pub(crate) accepted: bool,
     pub(crate) started_at: Option<Timestamp<Robot>>,
     pub(crate) steps_done: u32,
+    pub(crate) late_steps: u32,
+    pub(crate) request_id: Option<RequestId>,
+    /// Asked again for a report that is overdue.
+    pub(crate) probed: bool,
+}
+
+impl ScriptState {
+    pub(crate) fn new(plan: &DeviceScript) -> Self {
+        Self {
+            plan: plan.clone(),
+            phase: ScriptPhase::Planned,
+            accepted: false,
+            started_at: None,
+            steps_done: 0,
+            late_steps: 0,
+            request_id: None,
+            probed: false,
+        }
+    }
+
+    pub(crate) const fn is_final(&self) -> bool {
+        matches!(self.phase, ScriptPhase::Ended | ScriptPhase::Failed(_))
+    }
+
+    /// The robot holds it, or may hold it.
+    pub(crate) const fn is_out(&self) -> bool {
+        matches!(self.phase, ScriptPhase::Sent | ScriptPhase::Accepted | ScriptPhase::Started)
+    }
+
+    /// The robot said that it began.
+    pub(crate) const fn has_begun(&self) -> bool {
+        self.started_at.is_some()
+            || self.steps_done > 0
+            || matches!(self.phase, ScriptPhase::Started | ScriptPhase::Ended)
+    }
+
+    /// Takes an answer, in whatever order answers come. `true` where it is news.
+    pub(crate) fn note(&mut self, response: &ControlResponse) -> bool {
+        let before = self.phase.clone();
+        self.steps_done = self.steps_done.max(response.steps_done.unwrap_or(0));
+        self.late_steps = self.late_steps.max(response.late_steps.unwrap_or(0));
+        match &response.status {
+            Status::Accepted => {
+                self.accepted = true;
+                if self.phase == ScriptPhase::Sent {
+                    self.phase = ScriptPhase::Accepted;
+                }
+            }
+            Status::Started => {
+                self.accepted = true;
+                let first = self.started_at.is_none();
+                self.started_at = self.started_at.or(response.event_timestamp).or(Some(response.timestamp));
+                if !self.is_final() {
+                    self.phase = ScriptPhase::Started;
+                }
+                return first;
+            }
+            Status::Ok if !self.is_final() => {
+                self.accepted = true;
+                self.phase = ScriptPhase::Ended;
+                let all = u32::try_from(self.plan.script.steps().len()).unwrap_or(u32::MAX);
+                self.steps_done = response.steps_done.unwrap_or(all);
+            }
+            Status::Failed if !self.is_final() => self.phase = ScriptPhase::Failed(error_of(response)),
+            _ => {}
+        }
+        self.phase != before
+    }
+}
+
+/// What a reading is for.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Reading {
+    /// A requirement of the fleet file, by its index.
+    Requirement(usize),
+    /// Where a device stands before the first act.
+    Position(DeviceId),
+    /// An act waits for it: the act's number.
+    Wait(u32),
+    /// The scenario reads it: the act's number, and which of its readings.
+    Planned(u32, usize),
+}
+
+/// Sums over the acts that have ended.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Totals {
+    pub(crate) scripts: usize,
+    pub(crate) accepted: usize,
+    pub(crate) started: usize,
+    pub(crate) steps_done: u64,
+    pub(crate) steps_planned: u64,
+    pub(crate) late_steps: u64,
+    pub(crate) start_error: Option<Span>,
+    pub(crate) retries: u32,
+    pub(crate) reconnects: u32,
 }
 
 /// One robot of the mission.
@@ -46,20 +152,41 @@ pub(crate) struct ScriptState {
 pub(crate) struct RobotState {
     pub(crate) id: RobotId,
     pub(crate) link: Link,
+    /// Why its link broke, until it is heard again.
+    pub(crate) broken: Option<String>,
+    pub(crate) standing: Standing,
     pub(crate) block: Option<InitializationBlock>,
     /// The robot has given its own block in this mission.
     pub(crate) introduced: bool,
+    pub(crate) clock_mode: ClockMode,
+    pub(crate) wake_up: Span,
     pub(crate) clock: ClockEstimate,
-    /// The availability request that awaits its response.
+    /// The question for its times that has not been answered.
     pub(crate) asked_at: Option<Timestamp<Server>>,
-    pub(crate) scripts: Vec<ScriptState>,
-    /// From request to index in `scripts`.
-    pub(crate) open: OpenRequests<usize>,
+    pub(crate) requires: Vec<Requirement>,
+    /// Of `requires`, in its order.
+    pub(crate) readings: Vec<Option<f64>>,
+    /// Where devices stood before the first act.
+    pub(crate) positions: Vec<(DeviceId, f64)>,
+    pub(crate) reads: HashMap<RequestId, Reading>,
+    /// When the newest message was sent that it has surely received.
+    pub(crate) renewed_at: Option<Timestamp<Server>>,
+    /// From request to (number of the act, member, script).
+    pub(crate) open: OpenRequests<(u32, usize, usize)>,
+    /// Devices that this mission has sent anything that moves.
+    pub(crate) touched: BTreeSet<DeviceId>,
     /// Stop requests that await their confirmation.
     pub(crate) stops: HashMap<RequestId, DeviceId>,
     pub(crate) stop_sent: bool,
+    pub(crate) stop_recorded: bool,
+    pub(crate) hold: bool,
+    /// When what it still held at the end of an act ends by its own leases; `None` where it has none.
+    pub(crate) left: Vec<Option<Timestamp<Server>>>,
     pub(crate) last_sent: Option<Timestamp<Server>>,
+    /// When its link broke in mid-mission, and when it is given up.
+    pub(crate) give_up: Option<Timestamp<Server>>,
     pub(crate) failures: Vec<Failure>,
+    pub(crate) totals: Totals,
 }
 
 /// A robot failed the mission.
@@ -124,6 +251,28 @@ pub enum FailureKind {
         #[serde(rename = "tolerance_ms")]
         tolerance: Span,
     },
+    /// A sensor does not read what the fleet file requires.
+    #[error("`{sensor}` reads {reading}, the fleet file requires {range}", reading = reading.map_or_else(|| "nothing".to_owned(), |r| r.to_string()))]
+    Requirement {
+        /// Which sensor.
+        sensor: DeviceId,
+        /// What it read.
+        reading: Option<f64>,
+        /// What is required.
+        range: SensorRange,
+    },
+    /// A device stands where its first keyframe does not expect it.
+    #[error(
+        "device `{device}` stands at {reading}, its first keyframe expects {expected}: bring it there, or give the first keyframe a time"
+    )]
+    Position {
+        /// Which device.
+        device: DeviceId,
+        /// Where it stands.
+        reading: f64,
+        /// Where it should.
+        expected: f64,
+    },
     /// It refused or ended a script.
     #[error("device `{device}`: {error}")]
     Script {
@@ -135,47 +284,59 @@ pub enum FailureKind {
 }
 
 impl RobotState {
-    pub(crate) fn new(participant: Participant, plan: &RobotPlan) -> Self {
-        let script = |plan: &DeviceScript| ScriptState {
-            plan: plan.clone(),
-            phase: ScriptPhase::Planned,
-            accepted: false,
-            started_at: None,
-            steps_done: 0,
-        };
+    pub(crate) fn new(participant: Participant) -> Self {
         Self {
             id: participant.id,
             link: Link::Connecting,
+            broken: None,
+            standing: Standing::In,
             block: participant.block,
             introduced: false,
+            clock_mode: participant.clock,
+            wake_up: participant.wake_up,
             clock: ClockEstimate::default(),
             asked_at: None,
-            scripts: plan.scripts.iter().map(script).collect(),
+            readings: vec![None; participant.requires.len()],
+            requires: participant.requires,
+            positions: Vec::new(),
+            reads: HashMap::new(),
+            renewed_at: None,
             open: OpenRequests::default(),
+            touched: BTreeSet::new(),
             stops: HashMap::new(),
             stop_sent: false,
+            stop_recorded: false,
+            hold: false,
+            left: Vec::new(),
             last_sent: None,
+            give_up: None,
             failures: Vec::new(),
+            totals: Totals::default(),
         }
+    }
+
+    pub(crate) fn is_up(&self) -> bool {
+        self.link == Link::Up
     }
 
     pub(crate) fn has_failed(&self) -> bool {
         !self.failures.is_empty()
     }
 
-    /// All its scripts are accepted, or beyond.
-    pub(crate) fn has_accepted(&self) -> bool {
-        self.scripts.iter().all(|script| script.accepted)
-    }
-
-    /// All its scripts have ended as planned.
-    pub(crate) fn is_done(&self) -> bool {
-        self.scripts.iter().all(|script| script.phase == ScriptPhase::Ended)
+    /// Its clock at an instant.
+    pub(crate) fn clock_at(&self, at: Timestamp<Server>) -> Option<ClockReading> {
+        self.clock.reading_at(at)
     }
 
     /// Whether it says when scripts start and end.
     pub(crate) fn reports(&self) -> bool {
         self.block.as_ref().is_some_and(|block| block.reports)
+    }
+
+    /// How many scripts one of its devices holds.
+    pub(crate) fn queue_of(&self, device: &DeviceId) -> usize {
+        let device = self.block.as_ref().and_then(|block| block.device(device.as_str()));
+        device.map_or(1, |device| device.script_queue as usize)
     }
 
     /// Takes the answer to a stop request, if it is one.
@@ -198,21 +359,9 @@ impl RobotState {
         }
     }
 
-    /// Keeps the books true when a script's report comes after the mission has turned to stopping.
-    pub(crate) fn note_late_response(&mut self, response: &ControlResponse) {
-        let Some((_, &index)) = self.open.find(response) else { return };
-        let script = &mut self.scripts[index];
-        script.steps_done = script.steps_done.max(response.steps_done.unwrap_or(0));
-        match &response.status {
-            Status::Accepted => script.accepted = true,
-            Status::Started => {
-                script.phase = ScriptPhase::Started;
-                script.started_at = response.event_timestamp.or(Some(response.timestamp));
-            }
-            Status::Ok => script.phase = ScriptPhase::Ended,
-            Status::Failed => script.phase = ScriptPhase::Failed(error_of(response)),
-            Status::Provide | Status::Other(_) => {}
-        }
+    /// Every device that was sent anything is known to be at rest.
+    pub(crate) fn stop_confirmed(&self) -> bool {
+        self.stop_sent && self.stops.is_empty()
     }
 }
 

@@ -5,15 +5,15 @@ mod text;
 
 use std::fmt;
 
-use downbeat_scripts::Plan;
 use serde::Serialize;
-use urrcp::{DeviceId, Robot, RobotId, Server, Span, Timestamp};
+use urrcp::{DeviceId, Robot, RobotId, Server, SessionId, Span, Timestamp};
 
 use crate::clock::ClockReading;
-use crate::mission::{Failure, LeadTime};
-pub use text::{choreography_figures, main_duration, plan_figures, plan_table, report_text};
+use crate::mission::act::{ActRun, Member, start_error};
+use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight, SkewBudget, TakenReading};
+pub use text::{choreography_figures, main_duration, plan_figures, plan_table, preflight_table, report_text};
 
-use crate::mission::robot_state::{Link, RobotState, ScriptPhase, ScriptState};
+use crate::mission::robot_state::{RobotState, ScriptPhase, ScriptState, Standing};
 
 /// How a mission ended.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -21,6 +21,10 @@ use crate::mission::robot_state::{Link, RobotState, ScriptPhase, ScriptState};
 pub enum Outcome {
     /// All robots started together and came to their end.
     Done,
+    /// The others came to their end; robots that failed were left out, as `on_failure` says.
+    DoneWithout,
+    /// The fleet is checked and nothing was sent.
+    Ready,
     /// None started.
     NotStarted,
     /// It started, then a robot failed, and all were stopped.
@@ -36,6 +40,8 @@ pub enum Outcome {
         lead: Span,
         /// What this fleet needs.
         needed: LeadTime,
+        /// The earliest start that would have been safe.
+        safe_start: Timestamp<Server>,
     },
     /// The pending lease asked for is too short; nothing was sent.
     LeaseTooShort {
@@ -58,13 +64,15 @@ impl fmt::Display for Outcome {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Done => f.write_str("done"),
+            Self::DoneWithout => f.write_str("done, without the robots that failed"),
+            Self::Ready => f.write_str("ready, nothing was sent"),
             Self::NotStarted => f.write_str("not started"),
             Self::Failed => f.write_str("failed and stopped"),
             Self::Stopped => f.write_str("stopped by the operator"),
             Self::Abandoned => f.write_str("left by the operator before the stop was confirmed"),
-            Self::LeadTooShort { lead, needed } => write!(
+            Self::LeadTooShort { lead, needed, safe_start } => write!(
                 f,
-                "not sent: a lead of {lead} is too short, this fleet needs {} ({} to prepare, {} of lease, {} of margin)",
+                "not sent: a lead of {lead} is too short, this fleet needs {} ({} to prepare, {} of lease, {} of margin); the earliest safe start was {safe_start}",
                 needed.total(),
                 needed.prepare,
                 needed.lease,
@@ -86,46 +94,112 @@ impl fmt::Display for Outcome {
 pub struct Report {
     /// The scenario's name.
     pub scenario: String,
+    /// The session on whose behalf robots were driven.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub session: Option<SessionId>,
     /// How it ended.
     pub outcome: Outcome,
-    /// Planned start of the first cue, by the server's clock.
+    /// Planned start of the first cue of the first act reported, by the server's clock.
     pub start: Option<Timestamp<Server>>,
     /// Why the start was that far ahead.
     pub lead: Option<LeadTime>,
-    /// Largest minus smallest start error over all robots, by their own clocks.
+    /// Largest spread of starts of any act, by the robots' own clocks.
     #[serde(rename = "spread_ms")]
     pub spread: Option<Span>,
     /// The same by the one true clock, which only a dry run has.
     #[serde(rename = "true_spread_ms", skip_serializing_if = "Option::is_none")]
     pub true_spread: Option<Span>,
-    /// Robots in the order of the plan.
+    /// The acts that were sent, in order.
+    pub acts: Vec<ActReport>,
+    /// Earlier acts that are no longer listed; the journal has them.
+    pub acts_omitted: usize,
+    /// Robots in the order of the fleet, over all acts.
     pub robots: Vec<RobotReport>,
     /// All failures, in order.
     pub failures: Vec<Failure>,
+    /// What was checked before.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub preflight: Option<Preflight>,
 }
 
-/// What one robot did.
+/// What became of one act.
+#[derive(Clone, Debug, Serialize)]
+pub struct ActReport {
+    /// Its name.
+    pub act: String,
+    /// Which of the mission's acts, counted from zero.
+    pub number: u32,
+    /// The sending timestamp that all its requests shared.
+    pub timestamp: Timestamp<Server>,
+    /// Planned start.
+    pub start: Timestamp<Server>,
+    /// Why the start was that far ahead.
+    pub lead: LeadTime,
+    /// How much later it started than the act before it ended, where it should have followed at once.
+    #[serde(rename = "gap_ms")]
+    pub gap: Option<Span>,
+    /// How far apart the clocks allowed the starts to be, before the decision.
+    pub skew: Option<SkewBudget>,
+    /// Largest minus smallest start error, by the robots' own clocks.
+    #[serde(rename = "spread_ms")]
+    pub spread: Option<Span>,
+    /// Time left at the decision after the last acceptance.
+    #[serde(rename = "margin_left_ms")]
+    pub margin_left: Option<Span>,
+    /// Between the first renewal that carried a lease over the start and the last confirmed: had the scheduler died in it,
+    /// some robots would have started and others not.
+    #[serde(rename = "window_ms")]
+    pub window: Option<Span>,
+    /// Readings that the scenario asked for.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub readings: Vec<TakenReading>,
+    /// Robots in the order of the plan.
+    pub robots: Vec<ActRobot>,
+}
+
+/// What one robot did in one act.
+#[derive(Clone, Debug, Serialize)]
+pub struct ActRobot {
+    /// Which.
+    pub robot: RobotId,
+    /// It was left out.
+    pub left_out: bool,
+    /// Each device.
+    pub devices: Vec<DeviceReport>,
+}
+
+/// What one robot did over all acts.
 #[derive(Clone, Debug, Serialize)]
 pub struct RobotReport {
     /// Which.
     pub robot: RobotId,
+    /// `in`, `absent` or `out`.
+    pub standing: &'static str,
     /// It accepted all its scripts.
     pub accepted: bool,
     /// Scripts that it said it had started.
     pub started: usize,
+    /// Scripts planned.
+    pub scripts: usize,
     /// Its start error of largest size: actual (by its clock) minus planned.
     #[serde(rename = "start_error_ms")]
     pub start_error: Option<Span>,
     /// Steps executed, by its own account.
-    pub steps_done: u32,
+    pub steps_done: u64,
     /// Steps planned.
-    pub steps_planned: usize,
+    pub steps_planned: u64,
+    /// Steps that came more than a millisecond late, by its own account.
+    pub late_steps: u64,
+    /// Requests sent again.
+    pub retries: u32,
+    /// Times its link was made anew.
+    pub reconnects: u32,
+    /// How its time was brought to agree with the server's.
+    pub clock_mode: ClockMode,
     /// Its clock against the server's.
     pub clock: Option<ClockReading>,
     /// After a stop: whether it is known to be in its default state.
     pub stop: StopState,
-    /// Each device.
-    pub devices: Vec<DeviceReport>,
 }
 
 /// What became of the stop of a robot.
@@ -134,7 +208,7 @@ pub struct RobotReport {
 pub enum StopState {
     /// None was sent.
     NotSent,
-    /// The robot confirmed its default state on every device.
+    /// The robot confirmed on every device that it is at rest.
     Confirmed,
     /// No confirmation; it stops by itself when its longest lease ends.
     Unconfirmed {
@@ -143,15 +217,18 @@ pub enum StopState {
     },
 }
 
-/// What one device did.
+/// What one script of a device did.
 #[derive(Clone, Debug, Serialize)]
 pub struct DeviceReport {
-    /// Which.
+    /// Which device.
     pub device: DeviceId,
     /// `planned`, `sent`, `accepted`, `started`, `ended` or `failed`.
     pub state: &'static str,
     /// Planned start of its script.
     pub planned_start: Option<Timestamp<Server>>,
+    /// From there to its first step.
+    #[serde(skip)]
+    pub first_step: Span,
     /// Actual start by the robot's clock.
     pub started_at: Option<Timestamp<Robot>>,
     /// Actual minus planned.
@@ -161,30 +238,27 @@ pub struct DeviceReport {
     pub steps_done: u32,
     /// Steps planned.
     pub steps_planned: usize,
+    /// Steps that came more than a millisecond late.
+    pub late_steps: u32,
 }
 
 impl Report {
-    pub(crate) fn new(
-        plan: &Plan,
-        robots: &[RobotState],
-        timing: Option<(Timestamp<Server>, LeadTime)>,
-        outcome: Outcome,
-    ) -> Self {
-        let start = timing.map(|(start, _)| start);
-        let errors = || {
-            let devices = robots.iter().flat_map(|robot| &robot.scripts);
-            devices.filter_map(|script| start_error(script, start))
-        };
-        let spread = errors().max().zip(errors().min()).map(|(max, min)| max - min);
+    pub(crate) fn new(mission: &Mission, outcome: Outcome) -> Self {
+        let (acts, acts_omitted) = mission.act_reports();
+        let robots = mission.robots();
         Self {
-            scenario: plan.scenario.clone(),
+            scenario: mission.choreography().scenario.clone(),
+            session: mission.options().session.clone(),
             outcome,
-            start,
-            lead: timing.map(|(_, lead)| lead),
-            spread,
+            start: acts.front().map(|act| act.start),
+            lead: acts.front().map(|act| act.lead),
+            spread: acts.iter().filter_map(|act| act.spread).max(),
             true_spread: None,
-            robots: robots.iter().map(|robot| robot_report(robot, start, timing.map(|t| t.1))).collect(),
+            acts: acts.iter().cloned().collect(),
+            acts_omitted,
+            robots: robots.iter().map(robot_report).collect(),
             failures: robots.iter().flat_map(|robot| robot.failures.iter().cloned()).collect(),
+            preflight: mission.preflight().cloned(),
         }
     }
 
@@ -195,56 +269,75 @@ impl Report {
     }
 }
 
-fn start_error(script: &ScriptState, start: Option<Timestamp<Server>>) -> Option<Span> {
-    let planned = start? + script.plan.start.span();
-    Some(script.started_at? - planned.assume_clock())
+impl ActReport {
+    /// `None` for an act that was not sent.
+    pub(crate) fn new(act: String, run: &ActRun, robots: &[RobotState]) -> Option<Self> {
+        let timing = run.timing.as_ref()?;
+        let errors = || {
+            let members = run.members.iter();
+            members.flat_map(|member| {
+                member.scripts.iter().filter_map(move |script| start_error(run, member, script))
+            })
+        };
+        let spread = errors().max().zip(errors().min()).map(|(max, min)| max - min);
+        let robot = |member: &Member| ActRobot {
+            robot: robots[member.robot].id.clone(),
+            left_out: member.out,
+            devices: member.scripts.iter().map(|script| device_report(run, member, script)).collect(),
+        };
+        Some(Self {
+            act,
+            number: run.number,
+            timestamp: timing.timestamp,
+            start: timing.start,
+            lead: timing.lead,
+            gap: timing.gap,
+            skew: timing.skew.clone(),
+            spread,
+            margin_left: timing.accepted_at.map(|at| timing.decision - at),
+            window: timing.round.map(|(sent, answered)| answered - sent),
+            readings: run.readings.clone(),
+            robots: run.members.iter().map(robot).collect(),
+        })
+    }
 }
 
-fn robot_report(robot: &RobotState, start: Option<Timestamp<Server>>, lead: Option<LeadTime>) -> RobotReport {
-    let errors = robot.scripts.iter().filter_map(|script| start_error(script, start));
+fn robot_report(robot: &RobotState) -> RobotReport {
+    let totals = &robot.totals;
     RobotReport {
         robot: robot.id.clone(),
-        accepted: robot.has_accepted(),
-        started: robot.scripts.iter().filter(|script| script.started_at.is_some()).count(),
-        start_error: errors.max_by_key(|error| error.abs()),
-        steps_done: robot.scripts.iter().map(|script| script.steps_done).sum(),
-        steps_planned: robot.scripts.iter().map(|script| script.plan.script.steps().len()).sum(),
+        standing: match robot.standing {
+            Standing::In => "in",
+            Standing::Absent => "absent",
+            Standing::Out => "out",
+        },
+        accepted: totals.scripts > 0 && totals.accepted == totals.scripts,
+        started: totals.started,
+        scripts: totals.scripts,
+        start_error: totals.start_error,
+        steps_done: totals.steps_done,
+        steps_planned: totals.steps_planned,
+        late_steps: totals.late_steps,
+        retries: totals.retries,
+        reconnects: totals.reconnects,
+        clock_mode: robot.clock_mode,
         clock: robot.clock.reading(),
-        stop: stop_state(robot, start, lead),
-        devices: robot.scripts.iter().map(|script| device_report(script, start)).collect(),
+        stop: stop_state(robot),
     }
 }
 
-fn stop_state(robot: &RobotState, start: Option<Timestamp<Server>>, lead: Option<LeadTime>) -> StopState {
-    let sent = robot.scripts.iter().any(|script| script.phase != ScriptPhase::Planned);
-    if !sent || (!robot.stop_sent && robot.is_done()) {
-        return StopState::NotSent;
-    }
-    if robot.stop_sent && robot.stops.is_empty() && robot.link == Link::Up {
-        return StopState::Confirmed;
-    }
-    let ends = robot.scripts.iter().map(|script| lease_end(robot, script, start, lead));
-    let all: Option<Vec<_>> = ends.collect();
-    StopState::Unconfirmed { lease_ends: all.and_then(|ends| ends.into_iter().max()) }
-}
-
-/// When a script ends by its own lease: while it waits by the pending one, else by the running one.
-fn lease_end(
-    robot: &RobotState,
-    script: &ScriptState,
-    start: Option<Timestamp<Server>>,
-    lead: Option<LeadTime>,
-) -> Option<Timestamp<Server>> {
-    let silent_since = robot.last_sent?;
-    let pending_ends = silent_since + lead?.lease;
-    let begins = start? + script.plan.start.span();
-    match script.phase {
-        ScriptPhase::Sent | ScriptPhase::Accepted if pending_ends < begins => Some(pending_ends),
-        _ => Some((silent_since + script.plan.stop_condition.running?.span()).max(pending_ends)),
+fn stop_state(robot: &RobotState) -> StopState {
+    match (robot.stop_sent, robot.stop_confirmed(), robot.left.is_empty()) {
+        (true, true, _) => StopState::Confirmed,
+        (false, _, true) => StopState::NotSent,
+        _ => {
+            let ends: Option<Vec<_>> = robot.left.iter().copied().collect();
+            StopState::Unconfirmed { lease_ends: ends.and_then(|ends| ends.into_iter().max()) }
+        }
     }
 }
 
-fn device_report(script: &ScriptState, start: Option<Timestamp<Server>>) -> DeviceReport {
+fn device_report(run: &ActRun, member: &Member, script: &ScriptState) -> DeviceReport {
     DeviceReport {
         device: script.plan.device.clone(),
         state: match script.phase {
@@ -255,10 +348,12 @@ fn device_report(script: &ScriptState, start: Option<Timestamp<Server>>) -> Devi
             ScriptPhase::Ended => "ended",
             ScriptPhase::Failed(_) => "failed",
         },
-        planned_start: start.map(|start| start + script.plan.start.span()),
+        planned_start: run.timing.as_ref().map(|timing| timing.start + script.plan.start.span()),
+        first_step: script.plan.script.steps().first().map_or(Span::ZERO, |step| step.offset.span()),
         started_at: script.started_at,
-        start_error: start_error(script, start),
+        start_error: start_error(run, member, script),
         steps_done: script.steps_done,
         steps_planned: script.plan.script.steps().len(),
+        late_steps: script.late_steps,
     }
 }

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use downbeat_scripts::{Act, DeviceScript, FleetRobot};
 use urrcp::{DeviceId, Interpolation, RobotId};
 
+use super::ActReport;
 use crate::dry_run::Played;
 
 const LANE_HEIGHT: f64 = 34.0;
@@ -29,9 +30,9 @@ struct Track<'a> {
 }
 
 /// Draws the cues of an act, and for each device the plan with what was set in virtual time. `robots` are those of the
-/// plan, in its order.
+/// plan, in its order; `reported` is what became of the act.
 #[must_use]
-pub fn draw(act: &Act, robots: &[&FleetRobot], played: &Played) -> String {
+pub fn draw(act: &Act, reported: &ActReport, robots: &[&FleetRobot], played: &Played) -> String {
     let tracks = tracks(act, robots);
     let shown = tracks.len().min(LANES_MAX);
     let cues = act.cues.len().min(CUES_MAX);
@@ -45,7 +46,7 @@ pub fn draw(act: &Act, robots: &[&FleetRobot], played: &Played) -> String {
     for (row, track) in tracks.iter().take(LANES_MAX).enumerate() {
         let lane = Lane { top: top + LANE_HEIGHT * row as f64, total, range: range(track) };
         lane.draw(&mut svg, track);
-        lane.dots(&mut svg, track, played);
+        lane.dots(&mut svg, track, reported, played);
     }
     if tracks.len() > shown {
         let _infallible = write!(
@@ -186,11 +187,13 @@ impl Lane {
     }
 
     /// What the robot set, at its true time.
-    fn dots(&self, svg: &mut String, track: &Track<'_>, played: &Played) {
-        let Some(start) = played.report.start else { return };
-        let set = played.logs[track.index]
-            .iter()
-            .filter(|entry| entry.motion == "set" && entry.device == *track.device);
+    fn dots(&self, svg: &mut String, track: &Track<'_>, reported: &ActReport, played: &Played) {
+        let (start, number) = (reported.start, format!("/{}/", reported.number));
+        let Some(log) = played.log_of(track.robot) else { return };
+        let set = log.iter().filter(|entry| {
+            let of_act = entry.request_id.as_ref().is_some_and(|id| id.contains(&number));
+            of_act && entry.motion == "set" && entry.device == *track.device
+        });
         for entry in set {
             let millis = (entry.true_ns - start.as_nanos()) as f64 / 1e6;
             let (x, y) = (self.x(millis), self.y(entry.value));

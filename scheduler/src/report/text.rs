@@ -6,7 +6,8 @@ use comfy_table::{CellAlignment, Table, presets};
 use downbeat_scripts::{Act, Choreography, Plan, RobotPlan, counted};
 use urrcp::Span;
 
-use super::{Report, RobotReport, StopState};
+use super::{ActReport, Outcome, Report, RobotReport, StopState};
+use crate::mission::{Check, Preflight, Verdict};
 
 fn table(header: &[&str], numbers_from: usize) -> Table {
     let mut table = Table::new();
@@ -102,16 +103,91 @@ pub fn plan_figures(plan: &Plan) -> String {
     )
 }
 
+/// What was checked before a mission: a row a robot, a column a check; what is wrong stands below.
+#[must_use]
+pub fn preflight_table(preflight: &Preflight) -> String {
+    let titles = Check::ALL.map(Check::title);
+    let mut rows = table(&[&["robot"], titles.as_slice()].concat(), 1);
+    let mut wrong = String::new();
+    for row in &preflight.rows {
+        let mut cells = vec![row.robot.to_string()];
+        for (check, verdict) in &row.checks {
+            let (cell, told) = match verdict {
+                Verdict::Pass(seen) => (seen.clone(), None),
+                Verdict::Warning(why) => ("warning".to_owned(), Some(why)),
+                Verdict::Failure(why) => ("FAILURE".to_owned(), Some(why)),
+                Verdict::NotChecked => ("not checked".to_owned(), None),
+            };
+            if let Some(why) = told {
+                let _infallible = writeln!(wrong, "{} {}: {why}", row.robot, check.title());
+            }
+            cells.push(cell);
+        }
+        rows.add_row(cells);
+    }
+    format!("{rows}\n{wrong}")
+}
+
 /// The report: a row a robot, failures with their reasons, and the figures that matter.
 #[must_use]
 pub fn report_text(report: &Report) -> String {
     let mut text = format!("{}: {}\n", report.scenario, report.outcome);
+    if let Some(preflight) = report.preflight.as_ref().filter(|_| report.outcome == Outcome::Ready) {
+        return text + &preflight_table(preflight);
+    }
     for failure in &report.failures {
         let _infallible = writeln!(text, "  {}: {}", failure.robot, failure.kind);
     }
-    if report.lead.is_some() {
+    if report.acts.len() > 1 {
+        text.push_str(&acts_table(report));
+    }
+    if !report.acts.is_empty() {
         text.push_str(&robots_table(report));
-        text.push_str(&closing_lines(report));
+    }
+    if let [act] = report.acts.as_slice() {
+        text.push_str(&act_lines(act));
+    }
+    text.push_str(&closing_lines(report));
+    text
+}
+
+fn acts_table(report: &Report) -> String {
+    let mut rows =
+        table(&["act", "start", "gap", "lead", "predicted spread", "spread", "margin left", "window"], 2);
+    for act in &report.acts {
+        rows.add_row(vec![
+            act.act.clone(),
+            act.start.to_string(),
+            or_dash(act.gap),
+            act.lead.total().to_string(),
+            or_dash(act.skew.as_ref().map(|skew| skew.predicted)),
+            or_dash(act.spread),
+            or_dash(act.margin_left),
+            or_dash(act.window),
+        ]);
+    }
+    format!("{rows}\n")
+}
+
+fn act_lines(act: &ActReport) -> String {
+    let lead = act.lead;
+    let mut text = format!(
+        "planned start {}, {} after sending ({} to prepare, {} of lease, {} of margin)\n",
+        act.start,
+        lead.total(),
+        lead.prepare,
+        lead.lease,
+        lead.margin
+    );
+    if let Some(skew) = &act.skew {
+        let _infallible =
+            writeln!(text, "predicted start spread {} at most, {} allowed", skew.predicted, skew.tolerance);
+    }
+    if let (Some(margin), Some(window)) = (act.margin_left, act.window) {
+        let _infallible = writeln!(
+            text,
+            "the last acceptance came {margin} before the decision; the leases were carried over the start within {window}"
+        );
     }
     text
 }
@@ -123,7 +199,7 @@ fn robots_table(report: &Report) -> String {
         rows.add_row(vec![
             robot.robot.to_string(),
             if robot.accepted { "yes" } else { "no" }.to_owned(),
-            format!("{}/{}", robot.started, robot.devices.len()),
+            format!("{}/{}", robot.started, robot.scripts),
             or_dash(robot.start_error.map(signed)),
             format!("{}/{}", robot.steps_done, robot.steps_planned),
             or_dash(robot.clock.map(|clock| signed(clock.offset))),
@@ -135,16 +211,6 @@ fn robots_table(report: &Report) -> String {
 
 fn closing_lines(report: &Report) -> String {
     let mut text = String::new();
-    if let (Some(start), Some(lead)) = (report.start, report.lead) {
-        let _infallible = writeln!(
-            text,
-            "planned start {start}, {} after sending ({} to prepare, {} of lease, {} of margin)",
-            lead.total(),
-            lead.prepare,
-            lead.lease,
-            lead.margin
-        );
-    }
     let started = report.robots.iter().filter(|robot| robot.started > 0).count();
     match report.spread {
         Some(spread) => {
@@ -154,6 +220,7 @@ fn closing_lines(report: &Report) -> String {
                 counted(started, "robot")
             );
         }
+        None if report.acts.is_empty() => {}
         None => text.push_str("no robot reported a start\n"),
     }
     if let Some(spread) = report.true_spread {

@@ -1,41 +1,84 @@
 //! The real driver of a mission: takes events from links, performs actions, sleeps until the next wake-up.
 
+pub mod control;
+
 use std::time::Duration;
 
 use tokio::sync::mpsc;
 use urrcp::{Server, Timestamp};
 
+use crate::journal::Journal;
 use crate::link::{Endpoint, Link, LinkEvent};
 use crate::mission::{Action, Event, Mission, Progress};
+use crate::recording::Recording;
 use crate::report::Report;
 use crate::server_clock::ServerClock;
 
 /// Events that may wait for the mission; links wait beyond that.
 const EVENTS_MAX: usize = 65_536;
+/// Before a link is tried again; doubled with every failure.
+const RETRY_AFTER: Duration = Duration::from_millis(50);
+const RETRY_AFTER_MAX: Duration = Duration::from_millis(1_000);
 
 /// What the operator asks for while a mission runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Operator {
+    /// Let the act begin that waits for it.
+    Go,
     /// Stop all robots and wait for their confirmation.
     Stop,
     /// Leave at once.
     Leave,
 }
 
+/// What is kept of a mission on disk.
+#[derive(Debug, Default)]
+pub struct Keep {
+    /// What was promised to whom.
+    pub journal: Option<Journal>,
+    /// Everything that was said.
+    pub recording: Option<Recording>,
+}
+
 /// Runs a mission to its end. `endpoints` stand in the order of the mission's robots.
 pub async fn run(
+    mission: Mission,
+    endpoints: Vec<Endpoint>,
+    clock: ServerClock,
+    operator: mpsc::Receiver<Operator>,
+    tell: impl FnMut(Timestamp<Server>, &Progress),
+) -> Report {
+    let mut keep = Keep::default();
+    run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await
+}
+
+/// As [`run`], with a journal or a recording.
+pub async fn run_and_keep(
     mut mission: Mission,
     endpoints: Vec<Endpoint>,
     clock: ServerClock,
     mut operator: mpsc::Receiver<Operator>,
-    mut tell: impl FnMut(Timestamp<Server>, &Progress),
+    tell: impl FnMut(Timestamp<Server>, &Progress),
+    keep: &mut Keep,
 ) -> Report {
     let (events, mut happened) = mpsc::channel::<LinkEvent>(EVENTS_MAX);
-    let open = |(robot, endpoint)| Link::open(robot, endpoint, clock, events.clone());
-    let links: Vec<Link> = endpoints.into_iter().enumerate().map(open).collect();
+    let mut driver = Driver {
+        links: Vec::with_capacity(endpoints.len()),
+        retries: vec![0; endpoints.len()],
+        endpoints,
+        clock,
+        events,
+        tell,
+        keep,
+        broken: false,
+    };
+    for robot in 0..driver.endpoints.len() {
+        let link = driver.open(robot, Duration::ZERO);
+        driver.links.push(link);
+    }
     loop {
         if let Some(report) = mission.report() {
-            flush(links).await;
+            flush(driver.links).await;
             return report;
         }
         let wakeup = mission.next_wakeup().map(|at| tokio::time::Instant::from_std(clock.instant_of(at)));
@@ -43,18 +86,22 @@ pub async fn run(
             biased;
             asked = operator.recv() => match asked {
                 Some(Operator::Stop) => mission.handle(clock.now(), Event::StopRequested),
+                Some(Operator::Go) => mission.handle(clock.now(), Event::Go),
                 Some(Operator::Leave) | None => {
-                    flush(links).await;
-                    return mission.report_as_left();
+                    flush(driver.links).await;
+                    return mission.report_as_left(clock.now());
                 }
             },
-            Some((at, event)) = happened.recv() => mission.handle(at, event),
+            Some((at, event)) = happened.recv() => {
+                driver.note(at, &mission, &event);
+                mission.handle(at, event)
+            },
             () = sleep_until(wakeup) => Vec::new(),
         };
-        perform(actions, &links, &clock, &mut tell);
+        driver.perform(&mut mission, actions);
         // Timers come after the events of the same instant, and an event may have made one due.
         let due = mission.advance(clock.now());
-        perform(due, &links, &clock, &mut tell);
+        driver.perform(&mut mission, due);
     }
 }
 
@@ -65,16 +112,75 @@ async fn sleep_until(wakeup: Option<tokio::time::Instant>) {
     }
 }
 
-fn perform(
-    actions: Vec<Action>,
-    links: &[Link],
-    clock: &ServerClock,
-    tell: &mut impl FnMut(Timestamp<Server>, &Progress),
-) {
-    for action in actions {
-        match action {
-            Action::Send { robot, message } => links[robot].send(message),
-            Action::Tell(progress) => tell(clock.now(), &progress),
+struct Driver<'a, T> {
+    links: Vec<Link>,
+    /// Attempts to reach each robot since it was last there.
+    retries: Vec<u32>,
+    endpoints: Vec<Endpoint>,
+    clock: ServerClock,
+    events: mpsc::Sender<LinkEvent>,
+    tell: T,
+    keep: &'a mut Keep,
+    /// The journal takes nothing any more.
+    broken: bool,
+}
+
+impl<T: FnMut(Timestamp<Server>, &Progress)> Driver<'_, T> {
+    fn open(&self, robot: usize, after: Duration) -> Link {
+        Link::open(robot, self.endpoints[robot].clone(), self.clock, self.events.clone(), after)
+    }
+
+    fn note(&mut self, at: Timestamp<Server>, mission: &Mission, event: &Event) {
+        match event {
+            Event::LinkUp { robot } => self.retries[*robot] = 0,
+            Event::Received { robot, message } => {
+                if let Some(recording) = &mut self.keep.recording {
+                    recording.received(at, mission.robot_id(*robot), message);
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn perform(&mut self, mission: &mut Mission, actions: Vec<Action>) {
+        let mut unwritten = None;
+        for action in actions {
+            let now = self.clock.now();
+            match action {
+                // What is not written down is not promised.
+                Action::Send { urgent: false, .. } if unwritten.is_some() => {}
+                Action::Send { robot, message, urgent } => {
+                    if let Some(recording) = &mut self.keep.recording {
+                        recording.sent(now, mission.robot_id(robot), &message);
+                    }
+                    self.links[robot].send(message, urgent);
+                }
+                Action::Reconnect { robot } => {
+                    let after = RETRY_AFTER * 2_u32.saturating_pow(self.retries[robot].min(8));
+                    self.retries[robot] += 1;
+                    self.links[robot] = self.open(robot, after.min(RETRY_AFTER_MAX));
+                }
+                Action::Record(record) => {
+                    if let Some(recording) = &mut self.keep.recording {
+                        recording.record(now, &record);
+                    }
+                    let written = self.keep.journal.as_mut().map_or(Ok(()), |j| j.write(now, &record));
+                    unwritten = written.err().or(unwritten);
+                }
+                Action::Tell(progress) => {
+                    if let Some(recording) = &mut self.keep.recording {
+                        recording.progress(now, &progress);
+                    }
+                    (self.tell)(now, &progress);
+                }
+            }
+        }
+        if let Some(reason) = unwritten.filter(|_| !self.broken) {
+            self.broken = true;
+            tracing::error!("{reason}");
+            (self.tell)(self.clock.now(), &Progress::JournalLost { reason });
+            let stopping = mission.handle(self.clock.now(), Event::StopRequested);
+            self.perform(mission, stopping);
         }
     }
 }

@@ -92,6 +92,16 @@ pub enum SensorRange {
     Within(f64, f64),
 }
 
+impl std::fmt::Display for SensorRange {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::Above(bound) => write!(f, "above {bound}"),
+            Self::Below(bound) => write!(f, "below {bound}"),
+            Self::Within(least, largest) => write!(f, "within {least} and {largest}"),
+        }
+    }
+}
+
 impl SensorRange {
     /// Whether a reading will do.
     #[must_use]
@@ -311,10 +321,20 @@ fn sensor_wait(
         let message = format!("`{}` names no robot and sensor", shortened(&text));
         reader.add(Code::UnknownSensor, sensor.place(), message, expected, None);
     }
+    let range = sensor_range(reader, at, [above, below, within])?;
+    named.map(|(robot, sensor)| Wait::Sensor { robot, sensor, range })
+}
+
+/// Exactly one of `above`, `below` and `within`.
+pub(crate) fn sensor_range(
+    reader: &mut Reader,
+    at: &At<'_>,
+    [above, below, within]: [Option<At<'_>>; 3],
+) -> Option<SensorRange> {
     let mut bound = |at: &At<'_>| reader.number(at, "a number in the sensor's unit");
-    let range = match (above, below, within) {
-        (Some(at), None, None) => SensorRange::Above(bound(&at)?),
-        (None, Some(at), None) => SensorRange::Below(bound(&at)?),
+    match (above, below, within) {
+        (Some(at), None, None) => bound(&at).map(SensorRange::Above),
+        (None, Some(at), None) => bound(&at).map(SensorRange::Below),
         (None, None, Some(at)) => {
             let bounds = reader.list(&at, "the least and the largest reading, as [0.2, 0.5]");
             let [least, largest] = bounds.as_slice() else {
@@ -329,42 +349,44 @@ fn sensor_wait(
                 return None;
             };
             let (least, largest) = (reader.number(least, "a number")?, reader.number(largest, "a number")?);
-            SensorRange::Within(least, largest)
+            Some(SensorRange::Within(least, largest))
         }
         _ => {
             let expected = names(["above", "below", "within"]);
             let message = "a sensor to wait for without a range, or with several";
             reader.add(Code::MissingKey, at.place(), message, format!("exactly one of {expected}"), None);
-            return None;
+            None
         }
-    };
-    named.map(|(robot, sensor)| Wait::Sensor { robot, sensor, range })
+    }
 }
 
-/// `19:30`, `19:30:00.5`, or a date and time as in RFC 3339.
 fn time_of_day(reader: &mut Reader, at: &At<'_>) -> Option<Wait> {
     let expected = "a time of day such as \"19:30:00\", or a date and time as in RFC 3339";
     let text = reader.text(at, expected)?;
-    let deserializer = IntoDeserializer::<serde::de::value::Error>::into_deserializer(text.as_ref());
-    if let Ok(instant) = <Timestamp<Server> as serde::Deserialize>::deserialize(deserializer) {
-        return Some(Wait::Instant(instant));
-    }
-    let parts: Vec<_> = text.split(':').collect();
-    let clock = match parts.as_slice() {
-        [hour, minute] => Some((*hour, *minute, "0")),
-        [hour, minute, second] => Some((*hour, *minute, *second)),
-        _ => None,
-    };
-    let parsed = clock.and_then(|(hour, minute, second)| {
-        let hour = hour.parse::<u8>().ok().filter(|hour| *hour < 24)?;
-        let minute = minute.parse::<u8>().ok().filter(|minute| *minute < 60)?;
-        let second = second.parse::<f64>().ok().filter(|second| *second >= 0.0 && *second < 60.0)?;
-        let minutes = i64::from(hour) * 60 + i64::from(minute);
-        Some(Span::from_millis(minutes * 60_000) + Span::from_millis_f64(second * 1_000.0))
-    });
+    let parsed = parse_time(&text);
     if parsed.is_none() {
         let message = format!("`{}` is no time of day", shortened(&text));
         reader.add(Code::BadDuration, at.place(), message, expected, None);
     }
-    parsed.map(Wait::TimeOfDay)
+    parsed
+}
+
+/// A time of day, `19:30` or `19:30:00.5`, or an instant as in RFC 3339: what an act may wait for.
+#[must_use]
+pub fn parse_time(text: &str) -> Option<Wait> {
+    let deserializer = IntoDeserializer::<serde::de::value::Error>::into_deserializer(text);
+    if let Ok(instant) = <Timestamp<Server> as serde::Deserialize>::deserialize(deserializer) {
+        return Some(Wait::Instant(instant));
+    }
+    let parts: Vec<_> = text.split(':').collect();
+    let (hour, minute, second) = match parts.as_slice() {
+        [hour, minute] => (*hour, *minute, "0"),
+        [hour, minute, second] => (*hour, *minute, *second),
+        _ => return None,
+    };
+    let hour = hour.parse::<u8>().ok().filter(|hour| *hour < 24)?;
+    let minute = minute.parse::<u8>().ok().filter(|minute| *minute < 60)?;
+    let second = second.parse::<f64>().ok().filter(|second| *second >= 0.0 && *second < 60.0)?;
+    let minutes = i64::from(hour) * 60 + i64::from(minute);
+    Some(Wait::TimeOfDay(Span::from_millis(minutes * 60_000) + Span::from_millis_f64(second * 1_000.0)))
 }

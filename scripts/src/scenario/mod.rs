@@ -2,7 +2,7 @@
 //!
 //! `library` reads what cues share, `cue` a cue, `when` its times, `track` the movement of one device, `acts` the graph.
 
-mod acts;
+pub(crate) mod acts;
 mod cue;
 mod data;
 mod library;
@@ -24,7 +24,7 @@ use crate::motion::Curve;
 use crate::node::{self, Node};
 use crate::source::Source;
 
-pub use acts::{OnFailure, SensorRange, Wait};
+pub use acts::{OnFailure, SensorRange, Wait, parse_time};
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 pub(crate) use library::{Documents, SCENARIO_KEYS};
 pub(crate) use when::{Anchor, Relation};

@@ -1,0 +1,128 @@
+//! Reading a journal back, as far as it is whole.
+
+use std::io;
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use serde_json::Value;
+use urrcp::{RobotId, Server, Timestamp};
+
+use super::Opened;
+use crate::mission::Promise;
+
+/// What a journal says.
+#[derive(Clone, Debug)]
+pub struct Kept {
+    /// Its first line.
+    pub opened: Opened,
+    /// When that was.
+    pub opened_at: Timestamp<Server>,
+    /// Acts that were promised and have not ended, in order: with whether they were decided.
+    pub promises: Vec<(Promise, bool)>,
+    /// Acts that have ended.
+    pub ended_acts: u32,
+    /// Robots that were left out.
+    pub dropped: Vec<RobotId>,
+    /// Stops were being sent.
+    pub stopping: bool,
+    /// Robots that have confirmed their stop.
+    pub stopped: Vec<RobotId>,
+    /// How it ended, as it stands in the report; `None` for a mission that was cut off.
+    pub outcome: Option<Value>,
+    /// The last line was cut off, or its checksum is wrong: what follows it is lost.
+    pub torn_at_line: Option<usize>,
+    /// Every robot that was ever sent anything, with its devices.
+    pub touched: std::collections::BTreeMap<RobotId, std::collections::BTreeSet<urrcp::DeviceId>>,
+}
+
+/// A journal that does not even say whose it is.
+#[derive(Debug, thiserror::Error)]
+pub enum Unreadable {
+    /// The file cannot be read.
+    #[error("cannot read {}: {error}", path.display())]
+    Io {
+        /// Which file.
+        path: PathBuf,
+        /// Why.
+        error: io::Error,
+    },
+    /// Its first line is not whole.
+    #[error("{} does not begin with a whole line of a journal", path.display())]
+    NoBegin {
+        /// Which file.
+        path: PathBuf,
+    },
+}
+
+/// Reads a journal up to the first line that is not whole.
+///
+/// # Errors
+/// [`Unreadable`] where not even the first line is whole.
+pub fn read(path: &Path) -> Result<Kept, Unreadable> {
+    let bytes = std::fs::read(path).map_err(|error| Unreadable::Io { path: path.to_path_buf(), error })?;
+    let no_begin = || Unreadable::NoBegin { path: path.to_path_buf() };
+    let mut lines = bytes.split_inclusive(|byte| *byte == b'\n').enumerate();
+    let first = lines.next().and_then(|(_, line)| whole(line)).ok_or_else(no_begin)?;
+    let opened = Opened::deserialize(&first).map_err(|_| no_begin())?;
+    let mut kept = Kept {
+        opened,
+        opened_at: Timestamp::deserialize(&first["at"]).map_err(|_| no_begin())?,
+        promises: Vec::new(),
+        ended_acts: 0,
+        dropped: Vec::new(),
+        stopping: false,
+        stopped: Vec::new(),
+        outcome: None,
+        torn_at_line: None,
+        touched: std::collections::BTreeMap::new(),
+    };
+    for (index, line) in lines {
+        match whole(line) {
+            Some(record) => kept.take(&record),
+            None => {
+                kept.torn_at_line = Some(index + 1);
+                break;
+            }
+        }
+    }
+    Ok(kept)
+}
+
+fn whole(line: &[u8]) -> Option<Value> {
+    let line = line.strip_suffix(b"\n")?;
+    let (sum, json) = line.split_at_checked(9)?;
+    let sum = u32::from_str_radix(std::str::from_utf8(sum.strip_suffix(b" ")?).ok()?, 16).ok()?;
+    (crc32fast::hash(json) == sum).then(|| serde_json::from_slice(json).ok())?
+}
+
+impl Kept {
+    fn take(&mut self, record: &Value) {
+        let robot = || RobotId::deserialize(&record["robot"]).ok();
+        let number = record["number"].as_u64();
+        match record["record"].as_str().unwrap_or_default() {
+            "prepared" => {
+                let Ok(promise) = Promise::deserialize(record) else { return };
+                for script in &promise.scripts {
+                    self.touched.entry(script.robot.clone()).or_default().insert(script.device.clone());
+                }
+                self.promises.push((promise, false));
+            }
+            "decided" => {
+                let of_number = self.promises.iter_mut().find(|(p, _)| Some(u64::from(p.number)) == number);
+                if let Some((_, decided)) = of_number {
+                    *decided = true;
+                }
+            }
+            "act_ended" => {
+                let number = record["report"]["number"].as_u64();
+                self.promises.retain(|(promise, _)| Some(u64::from(promise.number)) != number);
+                self.ended_acts += 1;
+            }
+            "dropped" => self.dropped.extend(robot()),
+            "stopping" => self.stopping = true,
+            "stop_confirmed" => self.stopped.extend(robot()),
+            "ended" => self.outcome = Some(record["outcome"].clone()),
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,167 @@
+//! The checks before a mission as one table: a row a robot, a column a check.
+
+use serde::Serialize;
+use urrcp::{RobotId, Server, Timestamp};
+
+use super::robot_state::{FailureKind, Link, RobotState};
+use super::{ClockMode, Greeting, Mission};
+
+/// What is checked.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Check {
+    /// It is reached.
+    Link,
+    /// It speaks this version of URRCP.
+    Version,
+    /// It describes itself as the fleet file does, and the plan fits it.
+    Description,
+    /// Its clock agrees with the fleet's.
+    Clock,
+    /// Its devices stand where the first keyframes expect them.
+    Position,
+    /// It belongs to nobody else and its queues are free.
+    Free,
+    /// Its sensors read what the fleet file requires.
+    Sensors,
+}
+
+impl Check {
+    /// All, in the order of the columns.
+    pub const ALL: [Self; 7] = [
+        Self::Link,
+        Self::Version,
+        Self::Description,
+        Self::Clock,
+        Self::Position,
+        Self::Free,
+        Self::Sensors,
+    ];
+
+    /// The head of its column.
+    #[must_use]
+    pub const fn title(self) -> &'static str {
+        match self {
+            Self::Link => "link",
+            Self::Version => "version",
+            Self::Description => "description",
+            Self::Clock => "clock",
+            Self::Position => "position",
+            Self::Free => "free",
+            Self::Sensors => "sensors",
+        }
+    }
+}
+
+/// What a check said.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[serde(tag = "verdict", content = "detail", rename_all = "snake_case")]
+pub enum Verdict {
+    /// Well, and what was seen.
+    Pass(String),
+    /// Not as one would expect, and no reason to stay.
+    Warning(String),
+    /// A reason to stay.
+    Failure(String),
+    /// Nothing to check it by.
+    NotChecked,
+}
+
+/// A robot's row.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct PreflightRow {
+    /// Which robot.
+    pub robot: RobotId,
+    /// In the order of [`Check::ALL`].
+    pub checks: Vec<(Check, Verdict)>,
+}
+
+/// The whole table.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Preflight {
+    /// A row a robot.
+    pub rows: Vec<PreflightRow>,
+}
+
+pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
+    let row = |index: usize| {
+        let robot = mission.robots[index].id.clone();
+        let checks = Check::ALL.map(|check| (check, verdict(mission, index, check, now)));
+        PreflightRow { robot, checks: checks.to_vec() }
+    };
+    Preflight { rows: (0..mission.robots.len()).map(row).collect() }
+}
+
+fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>) -> Verdict {
+    let robot = &mission.robots[index];
+    let failures: Vec<String> = robot
+        .failures
+        .iter()
+        .filter(|failure| column(&failure.kind) == check)
+        .map(|failure| failure.kind.to_string())
+        .collect();
+    if !failures.is_empty() {
+        return Verdict::Failure(failures.join("; "));
+    }
+    let greeted = mission.options.greeting == Greeting::Full;
+    match check {
+        Check::Link => match &robot.link {
+            Link::Up => Verdict::Pass(match robot.clock.reading() {
+                Some(reading) => format!("{} to {}", reading.delay_min, reading.delay_max),
+                None => "up".to_owned(),
+            }),
+            Link::Down(reason) => Verdict::Warning(reason.clone()),
+            Link::Connecting => Verdict::Warning("not there".to_owned()),
+        },
+        Check::Version | Check::Description if !robot.introduced => Verdict::NotChecked,
+        Check::Version => {
+            Verdict::Pass(robot.block.as_ref().map(|block| block.api_version.to_string()).unwrap_or_default())
+        }
+        Check::Description => Verdict::Pass("fits".to_owned()),
+        Check::Clock => clock(robot, now),
+        Check::Position => match robot.positions.len() {
+            0 => Verdict::NotChecked,
+            devices => Verdict::Pass(format!("{devices} read")),
+        },
+        Check::Free => match greeted && mission.options.session.is_some() && robot.is_up() {
+            true => Verdict::Pass("ours".to_owned()),
+            false => Verdict::NotChecked,
+        },
+        Check::Sensors => match robot.requires.len() {
+            0 => Verdict::NotChecked,
+            _ if !greeted || robot.readings.iter().any(Option::is_none) => Verdict::NotChecked,
+            _ => {
+                let readings =
+                    robot.requires.iter().zip(&robot.readings).filter_map(|(required, reading)| {
+                        Some(format!("{} {}", required.sensor, (*reading)?))
+                    });
+                Verdict::Pass(readings.collect::<Vec<_>>().join(", "))
+            }
+        },
+    }
+}
+
+fn clock(robot: &RobotState, now: Timestamp<Server>) -> Verdict {
+    match robot.clock_at(now) {
+        None => Verdict::NotChecked,
+        Some(reading) => {
+            let measured = if robot.clock_mode == ClockMode::Measured { ", measured" } else { "" };
+            Verdict::Pass(format!("{} +-{}{measured}", reading.offset, reading.uncertainty))
+        }
+    }
+}
+
+/// Where a failure stands in the table.
+fn column(kind: &FailureKind) -> Check {
+    match kind {
+        FailureKind::LinkDown { .. } | FailureKind::Garbled { .. } | FailureKind::Silent { .. } => {
+            Check::Link
+        }
+        FailureKind::Unfit { reason } if reason.starts_with("it speaks URRCP") => Check::Version,
+        FailureKind::Unfit { .. } => Check::Description,
+        FailureKind::Clock { .. } => Check::Clock,
+        FailureKind::Requirement { .. } => Check::Sensors,
+        FailureKind::Position { .. } => Check::Position,
+        FailureKind::NotAvailable { .. } | FailureKind::Script { .. } => Check::Free,
+    }
+}

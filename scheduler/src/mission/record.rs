@@ -1,0 +1,98 @@
+//! What a mission writes down: enough to know after a crash what was promised to whom.
+
+use serde::{Deserialize, Serialize};
+use urrcp::{ContentHash, DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
+
+use crate::report::{ActReport, Outcome};
+
+/// A line of the journal.
+#[derive(Clone, Debug, Serialize)]
+#[serde(tag = "record", rename_all = "snake_case")]
+pub enum Record {
+    /// Requests of an act are about to be sent.
+    Prepared(Promise),
+    /// All have accepted.
+    Decided {
+        /// The number of the act.
+        number: u32,
+    },
+    /// All leases reach over the start.
+    Committed {
+        /// The number of the act.
+        number: u32,
+    },
+    /// A robot is left out.
+    Dropped {
+        /// Which.
+        robot: RobotId,
+    },
+    /// Stops are about to be sent.
+    Stopping {
+        /// Why.
+        outcome: Outcome,
+    },
+    /// A robot has confirmed its default state.
+    StopConfirmed {
+        /// Which.
+        robot: RobotId,
+    },
+    /// An act is over.
+    ActEnded {
+        /// What became of it.
+        report: Box<ActReport>,
+    },
+    /// The mission is over.
+    Ended {
+        /// How.
+        outcome: Outcome,
+    },
+}
+
+impl Record {
+    /// Whether it has to be on the disk before anything that follows is done.
+    #[must_use]
+    pub const fn is_durable(&self) -> bool {
+        !matches!(self, Self::Committed { .. } | Self::StopConfirmed { .. } | Self::ActEnded { .. })
+    }
+}
+
+/// What is promised to the robots of an act.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Promise {
+    /// The number of the act in the mission.
+    pub number: u32,
+    /// Its index in the choreography.
+    pub act: usize,
+    /// The sending timestamp.
+    pub timestamp: Timestamp<Server>,
+    /// When the first cue starts.
+    pub start: Timestamp<Server>,
+    /// The pending lease.
+    #[serde(rename = "lease_ms")]
+    pub lease: Span,
+    /// To whom what.
+    pub scripts: Vec<PromisedScript>,
+}
+
+/// One script that a robot was or will be sent.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct PromisedScript {
+    /// Which robot.
+    pub robot: RobotId,
+    /// Which of its devices.
+    pub device: DeviceId,
+    /// The request's id.
+    pub request_id: RequestId,
+    /// What it was bound to.
+    pub content_hash: ContentHash,
+    /// What was added to the timestamp for this robot's clock.
+    #[serde(rename = "shift_ms")]
+    pub shift: Span,
+    /// From the act's start.
+    pub start: Millis,
+    /// How long it plays.
+    #[serde(rename = "duration_ms")]
+    pub duration: Span,
+    /// The running lease; `None`: it goes on without a link.
+    pub running: Option<Millis>,
+}

@@ -1,0 +1,101 @@
+//! How far apart the robots of an act may start, as far as their clocks are known.
+
+use serde::Serialize;
+use urrcp::{RobotId, Span, Timestamp};
+
+use super::act::Member;
+use super::robot_state::RobotState;
+use super::{ClockMode, FailureKind};
+
+/// The predicted spread of starts with its parts.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SkewBudget {
+    /// Latest possible start minus earliest possible.
+    #[serde(rename = "predicted_ms")]
+    pub predicted: Span,
+    /// The scenario's start_tolerance.
+    #[serde(rename = "tolerance_ms")]
+    pub tolerance: Span,
+    /// The parts that each robot has in it.
+    pub robots: Vec<RobotSkew>,
+}
+
+/// When a robot may start, relative to the plan: from `offset` - `uncertainty` to `offset` + `uncertainty` + `wake_up`.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RobotSkew {
+    /// Which.
+    pub robot: RobotId,
+    /// How early it starts, as measured: what its clock is ahead of the server's. Zero where requests are translated into
+    /// the robot's time.
+    #[serde(rename = "offset_ms")]
+    pub offset: Span,
+    /// Of the offset.
+    #[serde(rename = "uncertainty_ms")]
+    pub uncertainty: Span,
+    /// How late it may wake up.
+    #[serde(rename = "wake_up_ms")]
+    pub wake_up: Span,
+}
+
+impl RobotSkew {
+    /// Earliest and latest start relative to the plan. A clock that is ahead starts early.
+    fn range(&self) -> (Span, Span) {
+        (
+            Span::ZERO - self.offset - self.uncertainty,
+            Span::ZERO - self.offset + self.uncertainty + self.wake_up,
+        )
+    }
+}
+
+impl SkewBudget {
+    /// Of these members; `None` as long as the clock of one is unknown.
+    pub(crate) fn of<'a>(
+        members: impl Iterator<Item = &'a Member>,
+        robots: &[RobotState],
+        tolerance: Span,
+        at: Timestamp<urrcp::Server>,
+    ) -> Option<Self> {
+        let skew = |member: &Member| {
+            let robot = &robots[member.robot];
+            let reading = robot.clock_at(at)?;
+            let offset = match robot.clock_mode {
+                ClockMode::Ntp => reading.offset,
+                ClockMode::Measured => Span::ZERO,
+            };
+            let (robot, wake_up) = (robot.id.clone(), robot.wake_up);
+            Some(RobotSkew { robot, offset, uncertainty: reading.uncertainty, wake_up })
+        };
+        let robots: Option<Vec<_>> = members.map(skew).collect();
+        let robots = robots.filter(|robots| !robots.is_empty())?;
+        let latest = robots.iter().map(|robot| robot.range().1).max().unwrap_or_default();
+        let earliest = robots.iter().map(|robot| robot.range().0).min().unwrap_or_default();
+        // One robot alone has nobody to differ from.
+        let predicted = if robots.len() > 1 { latest - earliest } else { Span::ZERO };
+        Some(Self { predicted, tolerance, robots })
+    }
+
+    pub(crate) fn fits(&self) -> bool {
+        self.predicted <= self.tolerance
+    }
+
+    /// The robots that keep it from fitting: those that may start further than half the tolerance from the middle of the
+    /// fleet.
+    pub(crate) fn offenders(&self) -> Vec<(RobotId, FailureKind)> {
+        if self.fits() {
+            return Vec::new();
+        }
+        let mut offsets: Vec<Span> = self.robots.iter().map(|robot| robot.offset).collect();
+        offsets.sort_unstable();
+        let middle = offsets.get(offsets.len() / 2).copied().unwrap_or_default();
+        let half = self.tolerance / 2;
+        let far = |robot: &&RobotSkew| {
+            let (earliest, latest) = robot.range();
+            (Span::ZERO - middle) - earliest > half || latest - (Span::ZERO - middle) > half
+        };
+        let failure = |robot: &RobotSkew| {
+            let (offset, uncertainty) = (robot.offset, robot.uncertainty);
+            (robot.robot.clone(), FailureKind::Clock { offset, uncertainty, tolerance: self.tolerance })
+        };
+        self.robots.iter().filter(far).map(failure).collect()
+    }
+}
