@@ -277,3 +277,29 @@ fn a_recording_is_an_mcap_file_with_everything_that_was_said() {
         assert!(of_topic.get(topic).copied().unwrap_or(0) >= at_least, "{topic}: {of_topic:?}");
     }
 }
+
+#[test]
+fn every_kind_of_report_keeps_to_its_schema() {
+    let session = evening("wait: operator");
+    let schema = session.run(&["schema", "report"]).json();
+    let validator = jsonschema::validator_for(&schema).unwrap();
+    let faulty = "robots:\n  left: {init: arm.yaml, address: sim}\n  right: {init: arm.yaml, address: sim, simulate: {fault: FAULT, delay: [0ms, 5ms]}}\ngroups:\n  arms: [left, right]\n";
+    for fault in ["refuse", "silent", "disconnect"] {
+        session.file(&format!("{fault}.yaml"), faulty.replace("FAULT", fault));
+    }
+    let runs: [&[&str]; 7] = [
+        &["dry-run", "evening.yaml"],
+        &["dry-run", "evening.yaml", "--fleet", "refuse.yaml"],
+        &["dry-run", "evening.yaml", "--fleet", "silent.yaml"],
+        &["dry-run", "evening.yaml", "--fleet", "disconnect.yaml"],
+        &["preflight", "evening.yaml"],
+        &["run", "evening.yaml", "--act", "opening"],
+        &["run", "evening.yaml", "--act", "opening", "--lead", "1ms"],
+    ];
+    for args in runs {
+        let report = session.run(&[args, &["--format", "json"]].concat()).json();
+        let faults: Vec<_> =
+            validator.iter_errors(&report).map(|e| format!("{}: {e}", e.instance_path)).collect();
+        assert!(faults.is_empty(), "{args:?}: {faults:#?}\n{report:#}");
+    }
+}

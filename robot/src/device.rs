@@ -10,8 +10,8 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use urrcp::{
-    Command, ControlError, ControlType, Device, ErrorCode, Interpolation, RequestId, Robot, Script, Setpoint,
-    Span, Timestamp,
+    Command, ControlError, ControlType, Device, ErrorCode, Interpolation, RequestId, Robot, Script, Server,
+    Setpoint, Span, Timestamp,
 };
 
 use crate::held::{Held, Steps};
@@ -64,6 +64,8 @@ pub(crate) enum Effect {
     Failed { link: LinkId, request_id: Option<RequestId>, error: ControlError, steps_done: u32 },
 }
 
+/// A robot that was held up so long over a start, as by a stopped process, lets it be: late is out of sync.
+const START_LATE_MAX: Span = Span::from_millis(50);
 /// A step that is done later than this after its deadline counts as late.
 const LATE: Span = Span::from_millis(1);
 
@@ -84,6 +86,8 @@ pub(crate) struct DeviceMachine {
     queue: VecDeque<Held>,
     /// At most one for each control type: a command that drives the rate takes it over.
     guards: Vec<Guard>,
+    /// Everything that was sent up to then has been taken back, also what arrives later.
+    taken_back: Option<Timestamp<Server>>,
 }
 
 impl DeviceMachine {
@@ -97,7 +101,7 @@ impl DeviceMachine {
                 (control_type, Signal::resting(resting_value(&spec, control_type), begin))
             })
             .collect();
-        Self { spec, signals, queue: VecDeque::new(), guards: Vec::new() }
+        Self { spec, signals, queue: VecDeque::new(), guards: Vec::new(), taken_back: None }
     }
 
     pub(crate) fn value(&self, control_type: ControlType, now: Timestamp<Robot>) -> Option<f64> {
@@ -141,6 +145,10 @@ impl DeviceMachine {
     /// Begins the front command or does its next step.
     fn step(&mut self, at: Timestamp<Robot>, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         let Some(mut held) = self.queue.pop_front() else { return };
+        if !held.began && now - at > START_LATE_MAX {
+            let message = format!("woke up {} after the start; a late command is never started", now - at);
+            return effects.push(failed(held, &ControlError::new(ErrorCode::Late, message)));
+        }
         held.late_steps += u32::from(now - at > LATE);
         if !held.began {
             held.began = true;
@@ -304,6 +312,11 @@ impl DeviceMachine {
         }
     }
 
+    /// A stop that was sent then has arrived: what was sent before it and comes behind it must not begin.
+    pub(crate) fn take_back(&mut self, sent: Timestamp<Server>) {
+        self.taken_back = self.taken_back.max(Some(sent));
+    }
+
     /// Takes a command that starts at `start`, after every check.
     pub(crate) fn accept(
         &mut self,
@@ -316,6 +329,10 @@ impl DeviceMachine {
         if start < now {
             let message = format!("the start passed {} ago; a late command is never started", now - start);
             return Err(ControlError::new(ErrorCode::Late, message));
+        }
+        if self.taken_back.is_some() && request.timestamp <= self.taken_back && request.timestamp.is_some() {
+            let message = "it was taken back by a stop that came ahead of it";
+            return Err(ControlError::new(ErrorCode::Cancelled, message));
         }
         let end = start + duration;
         // At one instant a command of no length comes before one that has yet to begin, and never into a running one.

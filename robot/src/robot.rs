@@ -351,7 +351,12 @@ impl Robot {
         let why = "cancelled by an empty script";
         let from: Option<Now> = request.starts_at().map(Timestamp::assume_clock);
         match from.filter(|from| *from > now) {
-            None => self.stop(now, index, why, request.hold, out),
+            None => {
+                if let Some(sent) = request.timestamp {
+                    self.devices[index].take_back(sent);
+                }
+                self.stop(now, index, why, request.hold, out);
+            }
             Some(from) => {
                 let error = ControlError::new(ErrorCode::Cancelled, why);
                 self.devices[index].cancel_from(from, &error, &mut self.effects);

@@ -154,6 +154,12 @@ impl SimulatedRobot {
         self.in_flight.is_empty() && self.robot.is_idle()
     }
 
+    /// Its clock is set forward or back while it runs.
+    pub fn step_clock(&mut self, by: Span) {
+        self.settings.clock_offset += by;
+        self.ntp_residue += by;
+    }
+
     /// What was set since the last call.
     pub fn take_log(&mut self) -> Vec<LogEntry> {
         std::mem::take(&mut self.log)

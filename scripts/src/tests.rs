@@ -26,6 +26,9 @@ fn fleet() -> Fleet {
         init: Some(init),
         simulation: SimulationSettings::default(),
         limits: std::collections::BTreeMap::new(),
+        clock: crate::fleet::RobotClock::Ntp,
+        wake_up: crate::fleet::WAKE_UP,
+        require: Vec::new(),
     };
     Fleet { robots: vec![robot], ..Fleet::default() }
 }

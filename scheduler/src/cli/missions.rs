@@ -12,8 +12,8 @@ use urrcp::{RobotId, SessionId, Span};
 use super::run::{HowArgs, exit_of, finish, operator, server_clock, utc_offset};
 use super::{Exit, Format, ScenarioArgs, choice, console, load};
 use crate::fleet;
-use crate::journal::{self, Found, Journal};
-use crate::mission::{Mission, MissionOptions, Promise};
+use crate::journal::{self, Fate, Found, Journal};
+use crate::mission::{Mission, MissionOptions};
 use crate::report::{Report, StopState};
 use crate::run::{Keep, control};
 
@@ -299,20 +299,7 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
     if let Some(line) = found.kept.torn_at_line {
         console::warn(&format!("the journal is whole up to line {}; what followed was never sent", line - 1));
     }
-    let undecided = found.kept.promises.iter().any(|(_, decided)| !decided);
-    let decided: Vec<Promise> = found
-        .kept
-        .promises
-        .iter()
-        .filter(|(_, decided)| *decided)
-        .map(|(promise, _)| promise.clone())
-        .collect();
-    if undecided || found.kept.stopping || decided.is_empty() {
-        let why = match (found.kept.stopping, undecided) {
-            (true, _) => "it was being stopped",
-            (_, true) => "an act was sent and not decided",
-            _ => "no act was under way",
-        };
+    if let Fate::Withdraw(why) = found.kept.fate() {
         console::note(&format!("{why}: withdrawing what was promised"));
         return super::with_runtime(withdraw(&found, &args.how, format));
     }
@@ -336,8 +323,7 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
         let robots = fleet::robots_in(&fleet, &choreography);
         let options = options(&found, &args.how, fleet::greeting(&fleet));
         let participants = fleet::participants(&robots);
-        let dropped = &found.kept.dropped;
-        let mission = Mission::resume(choreography, participants, options, &decided, dropped, clock.now());
+        let mission = Mission::resume(choreography, participants, options, &found.kept, clock.now());
         let mission = match mission {
             Ok(mission) => mission,
             Err(changed) => return failed(&changed.to_string()),

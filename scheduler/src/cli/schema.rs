@@ -4,13 +4,14 @@ use clap::ValueEnum;
 
 use super::{Exit, console};
 
-/// Print the JSON Schema of a scenario or a fleet file, for editors.
+/// Print the JSON Schema of a scenario, a fleet file or a report.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "How to set up an editor: docs/editors.md.
 
 Examples:
   downbeat schema scenario > scenario.schema.json
-  downbeat schema fleet > fleet.schema.json")]
+  downbeat schema fleet > fleet.schema.json
+  downbeat schema report > report.schema.json")]
 pub(super) struct SchemaArgs {
     /// Of which file.
     #[arg(value_enum)]
@@ -23,13 +24,15 @@ enum Of {
     Scenario,
     /// The robots.
     Fleet,
+    /// What `run`, `dry-run` and `preflight` print with `--format json`.
+    Report,
 }
 
 pub(super) fn schema(args: &SchemaArgs) -> Exit {
-    let of = match args.of {
-        Of::Scenario => downbeat_scripts::Schema::Scenario,
-        Of::Fleet => downbeat_scripts::Schema::Fleet,
-    };
-    console::print(downbeat_scripts::schema(of));
+    console::print(match args.of {
+        Of::Scenario => downbeat_scripts::schema(downbeat_scripts::Schema::Scenario),
+        Of::Fleet => downbeat_scripts::schema(downbeat_scripts::Schema::Fleet),
+        Of::Report => crate::report::SCHEMA,
+    });
     Exit::Done
 }

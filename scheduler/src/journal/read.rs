@@ -8,7 +8,7 @@ use serde_json::Value;
 use urrcp::{RobotId, Server, Timestamp};
 
 use super::Opened;
-use crate::mission::Promise;
+use crate::mission::{Promise, Record};
 
 /// What a journal says.
 #[derive(Clone, Debug)]
@@ -23,6 +23,8 @@ pub struct Kept {
     pub ended_acts: u32,
     /// Robots that were left out.
     pub dropped: Vec<RobotId>,
+    /// Robots that do not know requests by their names.
+    pub unnamed: Vec<RobotId>,
     /// Stops were being sent.
     pub stopping: bool,
     /// Robots that have confirmed their stop.
@@ -64,18 +66,8 @@ pub fn read(path: &Path) -> Result<Kept, Unreadable> {
     let mut lines = bytes.split_inclusive(|byte| *byte == b'\n').enumerate();
     let first = lines.next().and_then(|(_, line)| whole(line)).ok_or_else(no_begin)?;
     let opened = Opened::deserialize(&first).map_err(|_| no_begin())?;
-    let mut kept = Kept {
-        opened,
-        opened_at: Timestamp::deserialize(&first["at"]).map_err(|_| no_begin())?,
-        promises: Vec::new(),
-        ended_acts: 0,
-        dropped: Vec::new(),
-        stopping: false,
-        stopped: Vec::new(),
-        outcome: None,
-        torn_at_line: None,
-        touched: std::collections::BTreeMap::new(),
-    };
+    let opened_at = Timestamp::deserialize(&first["at"]).map_err(|_| no_begin())?;
+    let mut kept = Kept::new(opened, opened_at);
     for (index, line) in lines {
         match whole(line) {
             Some(record) => kept.take(&record),
@@ -95,7 +87,56 @@ fn whole(line: &[u8]) -> Option<Value> {
     (crc32fast::hash(json) == sum).then(|| serde_json::from_slice(json).ok())?
 }
 
+/// What becomes of a mission that was cut off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fate {
+    /// Its acts were decided: it can be played to its end.
+    Resume,
+    /// What was promised has to be taken back, and why.
+    Withdraw(&'static str),
+}
+
 impl Kept {
+    /// Of a mission of which nothing but its begin is known.
+    #[must_use]
+    pub fn new(opened: Opened, opened_at: Timestamp<Server>) -> Self {
+        Self {
+            opened,
+            opened_at,
+            promises: Vec::new(),
+            ended_acts: 0,
+            dropped: Vec::new(),
+            unnamed: Vec::new(),
+            stopping: false,
+            stopped: Vec::new(),
+            outcome: None,
+            torn_at_line: None,
+            touched: std::collections::BTreeMap::new(),
+        }
+    }
+
+    /// Takes one more record.
+    pub fn note(&mut self, record: &Record) {
+        if let Ok(record) = serde_json::to_value(record) {
+            self.take(&record);
+        }
+    }
+
+    /// What becomes of it, if it was cut off here.
+    #[must_use]
+    pub fn fate(&self) -> Fate {
+        if self.stopping {
+            return Fate::Withdraw("it was being stopped");
+        }
+        if self.promises.iter().any(|(_, decided)| !decided) {
+            return Fate::Withdraw("an act was sent and not decided");
+        }
+        match self.promises.is_empty() {
+            true => Fate::Withdraw("no act was under way"),
+            false => Fate::Resume,
+        }
+    }
+
     fn take(&mut self, record: &Value) {
         let robot = || RobotId::deserialize(&record["robot"]).ok();
         let number = record["number"].as_u64();
@@ -112,6 +153,7 @@ impl Kept {
                 if let Some((_, decided)) = of_number {
                     *decided = true;
                 }
+                self.unnamed.extend(Vec::deserialize(&record["unnamed"]).unwrap_or_default());
             }
             "act_ended" => {
                 let number = record["report"]["number"].as_u64();

@@ -33,7 +33,7 @@ fn prepared(number: u32) -> Record {
 fn written(folder: &Path) -> PathBuf {
     let mut journal = Journal::open(folder).unwrap();
     journal.begin(at(1), &opened()).unwrap();
-    for record in [prepared(0), Record::Decided { number: 0 }, prepared(1)] {
+    for record in [prepared(0), Record::Decided { number: 0, unnamed: vec![] }, prepared(1)] {
         journal.write(at(2), &record).unwrap();
     }
     folder.join("journal")

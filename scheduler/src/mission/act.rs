@@ -1,5 +1,6 @@
 //! One act under way: who plays in it, how far it is, and its instants.
 
+use downbeat_scripts::Way;
 use urrcp::{Server, Span, Timestamp};
 
 use super::lead::LeadTime;
@@ -111,6 +112,8 @@ pub(crate) struct ActRun {
     /// Its index in the choreography.
     pub(crate) act: usize,
     pub(crate) stage: Stage,
+    /// Where the mission goes after it.
+    pub(crate) follow: Way,
     /// Since when it is the next one.
     pub(crate) since: Timestamp<Server>,
     /// When nothing before it plays any more.

@@ -16,21 +16,22 @@ impl Mission {
             return;
         }
         self.robots[robot].link = Link::Down(reason.clone());
+        self.robots[robot].reconnecting = false;
         self.robots[robot].broken = Some(reason.clone());
         match self.phase {
             Phase::Greeting { .. } if self.options.join == Join::NextAct => {
                 self.robots[robot].standing = Standing::Absent;
-                self.actions.push(Action::Reconnect { robot });
+                self.reconnect(robot);
                 self.greeting_progress(now);
             }
             Phase::Greeting { .. } => self.fail(now, robot, FailureKind::LinkDown { reason }),
             Phase::Performing if self.robots[robot].standing == Standing::Absent => {
-                self.actions.push(Action::Reconnect { robot });
+                self.reconnect(robot);
             }
             Phase::Performing => self.link_lost(now, robot, reason),
             Phase::Stopping { .. } => {
                 if !self.robots[robot].stops.is_empty() {
-                    self.actions.push(Action::Reconnect { robot });
+                    self.reconnect(robot);
                 }
                 self.stop_progress(now);
             }
@@ -38,9 +39,16 @@ impl Mission {
         }
     }
 
+    /// Makes a link anew, one attempt at a time.
+    pub(super) fn reconnect(&mut self, robot: usize) {
+        if !std::mem::replace(&mut self.robots[robot].reconnecting, true) {
+            self.actions.push(Action::Reconnect { robot });
+        }
+    }
+
     /// The robot goes on by its script, as far as its lease lets it. Until that is surely over it may come back.
     fn link_lost(&mut self, now: Timestamp<Server>, robot: usize, reason: String) {
-        self.actions.push(Action::Reconnect { robot });
+        self.reconnect(robot);
         let state = &self.robots[robot];
         if state.give_up.is_some() || state.standing == Standing::Out {
             return;
@@ -110,13 +118,13 @@ impl Mission {
         }
         for index in 0..self.runs.len() {
             let Some(timing) = &self.runs[index].timing else { continue };
-            let start = timing.start;
+            // From here on nobody may join: an act starts on all or on none, and who has lost it must say so.
+            let passed = now >= timing.commit;
             let Some(m) = self.runs[index].members.iter().position(|m| m.robot == robot && !m.out) else {
                 continue;
             };
             for s in 0..self.runs[index].members[m].scripts.len() {
                 let script = &self.runs[index].members[m].scripts[s];
-                let passed = now >= start + script.plan.start.span();
                 match script.phase {
                     ScriptPhase::Planned | ScriptPhase::Ended | ScriptPhase::Failed(_) => {}
                     _ if passed => self.probe(now, index, m, s),

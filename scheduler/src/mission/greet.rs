@@ -10,7 +10,7 @@ use urrcp::{
 use super::preflight;
 use super::robot_state::{FailureKind, Link, Reading, RobotState, Standing};
 use super::skew::SkewBudget;
-use super::{Action, ClockMode, Greeting, Join, Mission, Phase, Progress, TakenReading, act};
+use super::{ClockMode, Greeting, Join, Mission, Phase, Progress, TakenReading, act};
 use crate::clock::ClockSample;
 use crate::report::Outcome;
 
@@ -18,6 +18,8 @@ use crate::report::Outcome;
 const CLOCK_SAMPLES: u32 = 8;
 /// For how long clocks are sampled further while the fleet's possible spread is beyond the tolerance.
 const SAMPLING: Span = Span::from_millis(4_000);
+/// After so long a clock is looked at again.
+const STALE: Span = Span::from_millis(500);
 /// How often it is looked whether a robot may be asked again. One question at a time: on a link that keeps the order of
 /// messages several would wait for each other.
 const SAMPLING_INTERVAL: Span = Span::from_millis(20);
@@ -25,6 +27,7 @@ const SAMPLING_INTERVAL: Span = Span::from_millis(20);
 impl Mission {
     pub(super) fn link_up(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].link = Link::Up;
+        self.robots[robot].reconnecting = false;
         match self.phase {
             Phase::Greeting { .. } => {}
             Phase::Performing => return self.reattach(now, robot),
@@ -84,6 +87,8 @@ impl Mission {
             }
             Phase::Greeting { .. } => self.greeting_progress(now),
             _ if self.robots[robot].standing == Standing::Absent => self.join_if_greeted(now, robot),
+            // An act may have waited for this.
+            Phase::Performing if self.robots[robot].clock.samples() == 1 => self.perform(now),
             _ => {}
         }
     }
@@ -248,7 +253,9 @@ impl Mission {
         for robot in 0..self.robots.len() {
             let state = &self.robots[robot];
             let reading = state.clock.reading();
-            let unsure = reading.is_none_or(|reading| reading.uncertainty > enough);
+            // Also those that are known well enough are looked at now and then: a clock may be set meanwhile.
+            let stale = state.renewed_at.is_none_or(|at| now - at > STALE);
+            let unsure = stale || reading.is_none_or(|reading| reading.uncertainty > enough);
             let delay_max = reading.map_or(Span::ZERO, |reading| reading.delay_max);
             let awaited = state.asked_at.is_some_and(|at| now < at + delay_max * 3 + SAMPLING_INTERVAL);
             if unsure && !awaited && state.is_up() {
@@ -360,7 +367,7 @@ impl Mission {
             };
             if self.options.join == Join::NextAct && !robot.is_up() {
                 self.robots[index].standing = Standing::Absent;
-                self.actions.push(Action::Reconnect { robot: index });
+                self.reconnect(index);
                 continue;
             }
             self.fail(now, index, FailureKind::Silent { awaited: awaited.to_owned(), within });

@@ -364,6 +364,8 @@ pub struct Mission {
     /// After a stop the mission goes on with this act.
     then: Option<usize>,
     next_renewal: Option<Timestamp<Server>>,
+    /// When stops were last sent.
+    stopped_at: Option<Timestamp<Server>>,
     /// The earliest instant at which a lost robot is given up.
     give_up: Option<Timestamp<Server>>,
     /// Acts in a row that nobody was left to play.
@@ -416,6 +418,7 @@ impl Mission {
             detour: None,
             then: None,
             next_renewal: None,
+            stopped_at: None,
             give_up: None,
             skipped: 0,
             sampling: None,
@@ -493,6 +496,16 @@ impl Mission {
             Phase::Stopping { deadline, resend } => Some(deadline.min(resend)),
             Phase::Ended => None,
         }
+    }
+
+    /// What it is due for, for a trace.
+    pub(crate) fn due(&self) -> String {
+        let runs: Vec<_> =
+            self.runs.iter().map(|run| (run.number, run.stage, self.run_wakeup(run))).collect();
+        format!(
+            "{:?}, acts {runs:?}, renewal {:?}, give up {:?}",
+            self.phase, self.next_renewal, self.give_up
+        )
     }
 
     /// The id of a robot by its index.
@@ -599,7 +612,7 @@ impl Mission {
         if !surely || self.runs.len() > 1 {
             return;
         }
-        let way = self.detour.map_or(self.choreography.acts[last.act].next, Way::Act);
+        let way = self.detour.map_or(last.follow, Way::Act);
         if let Way::Act(act) = way {
             self.detour = None;
             self.line_up_act(now, act);
@@ -607,8 +620,8 @@ impl Mission {
     }
 
     /// After an act has ended with none behind it.
-    fn go_on_from(&mut self, now: Timestamp<Server>, act: usize) {
-        let way = self.detour.take().map_or(self.choreography.acts[act].next, Way::Act);
+    fn go_on_from(&mut self, now: Timestamp<Server>, follow: Way) {
+        let way = self.detour.take().map_or(follow, Way::Act);
         self.go_way(now, way);
     }
 
@@ -630,6 +643,7 @@ impl Mission {
             number: self.acts_begun,
             act,
             stage: Stage::Waiting,
+            follow: self.choreography.acts[act].next,
             since: now,
             alone_since: self.runs.is_empty().then_some(now),
             gone: false,
@@ -658,7 +672,7 @@ impl Mission {
     /// Puts an act's story into its report and forgets the rest.
     fn close_run(&mut self, now: Timestamp<Server>, index: usize) {
         let run = self.runs.remove(index);
-        self.account(&run);
+        self.account(now, &run);
         if run.is_sent() {
             self.skipped = 0;
             let name = self.act_name(run.act);
@@ -676,17 +690,24 @@ impl Mission {
         if let Some(next) = self.runs.get_mut(index) {
             next.alone_since = Some(now);
         }
-        if self.runs.is_empty() && self.phase == Phase::Performing {
-            self.skipped += usize::from(!run.is_sent());
+        let mut follow = run.follow;
+        if !run.is_sent() {
             // A round of acts that nobody is left to play would go on for ever.
+            self.skipped += 1;
             if self.skipped > self.choreography.acts.len() {
-                return self.go_way(now, Way::End);
+                follow = Way::End;
             }
-            self.go_on_from(now, run.act);
+            if let Some(before) = index.checked_sub(1).and_then(|before| self.runs.get_mut(before)) {
+                before.follow = follow;
+            }
+        }
+        if self.runs.is_empty() && self.phase == Phase::Performing {
+            self.go_on_from(now, follow);
         }
     }
 
-    fn account(&mut self, run: &ActRun) {
+    fn account(&mut self, now: Timestamp<Server>, run: &ActRun) {
+        let start = run.timing.as_ref().map(|timing| timing.start);
         for member in &run.members {
             let robot = &mut self.robots[member.robot];
             for script in &member.scripts {
@@ -699,9 +720,13 @@ impl Mission {
                 totals.late_steps += u64::from(script.late_steps);
                 let error = act::start_error(run, member, script);
                 totals.start_error = totals.start_error.into_iter().chain(error).max_by_key(|e| e.abs());
-                if robot.stop_sent || script.is_out() {
+                totals.unaccounted += usize::from(script.is_out());
+                let ends =
+                    start.map(|start| start + script.plan.start.span() + script.plan.script.duration());
+                if robot.stop_sent || (script.is_out() && ends.is_some_and(|ends| now < ends)) {
                     let ends = act::lease_end(run, script, robot.last_sent, robot.clock.reading());
-                    robot.left.extend(ends);
+                    // One that has run out already has run out by now.
+                    robot.left.extend(ends.map(|ends| ends.map(|at| at.max(now))));
                 }
                 if let Some(id) = &script.request_id {
                     robot.open.close(&script.plan.device, id);

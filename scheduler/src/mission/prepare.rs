@@ -15,9 +15,9 @@ use urrcp::{
 use super::act::{ActRun, Member, Stage, Timing};
 use super::lead::LeadTime;
 use super::record::{Promise, PromisedScript, Record};
-use super::robot_state::{FailureKind, RobotState, ScriptPhase, ScriptState};
+use super::robot_state::{FailureKind, ScriptPhase, ScriptState};
 use super::skew::SkewBudget;
-use super::{ClockMode, Mission, Phase, Progress};
+use super::{ClockMode, Greeting, Mission, Phase, Progress};
 use crate::report::Outcome;
 
 /// An act that follows another is sent so long before it has to be, at most.
@@ -40,7 +40,24 @@ impl Mission {
             self.runs[index].stage = Stage::Over;
             return;
         }
-        if run.poll.is_some_and(|at| now < at) || !self.has_room(run) {
+        let waits = run.poll.is_some_and(|at| now < at) && self.unknown_clocks(run).is_empty();
+        if waits && run.target.is_some() {
+            return;
+        }
+        if !self.has_room(run) {
+            // Looked at again whenever something ends.
+            self.runs[index].poll = None;
+            return;
+        }
+        let unknown = self.unknown_clocks(run);
+        if !unknown.is_empty() {
+            let (within, since) = (self.options.patience, run.since);
+            self.runs[index].poll = Some(since + within).filter(|until| now < *until);
+            if self.runs[index].poll.is_none() {
+                let awaited = "availability response".to_owned();
+                let silent = |robot| (robot, FailureKind::Silent { awaited: awaited.clone(), within });
+                self.fail_all(now, unknown.into_iter().map(silent).collect());
+            }
             return;
         }
         let need = match self.need(now, run) {
@@ -62,6 +79,16 @@ impl Mission {
             return self.fail_all(now, failing);
         }
         self.send_act(now, index, &need, skew);
+    }
+
+    /// Members whose clock has not been measured, as after a resumption, where it has to be.
+    fn unknown_clocks(&self, run: &ActRun) -> Vec<usize> {
+        let full = self.options.greeting == Greeting::Full;
+        let unknown = |robot: &usize| {
+            let robot = &self.robots[*robot];
+            robot.clock.samples() == 0 && (full || robot.clock_mode == ClockMode::Measured)
+        };
+        run.present().map(|member| member.robot).filter(unknown).collect()
     }
 
     /// Every device has room for its first script beside what it holds of other acts. After those have ended there is room.
@@ -106,9 +133,11 @@ impl Mission {
     }
 
     fn send_act(&mut self, now: Timestamp<Server>, index: usize, need: &Need, skew: Option<SkewBudget>) {
+        // Later than any stop: those take back what was sent before them.
+        let now = self.stopped_at.map_or(now, |stopped| now.max(stopped + Span::from_nanos(1)));
         let run = &self.runs[index];
         let target = run.target.unwrap_or(now);
-        let lead = need.lead.stretched_to(target - now);
+        let lead = need.lead.stretched_to(target + self.slip(run, now) - now);
         let start = now + lead.total();
         let plan = &self.choreography.acts[run.act].plan;
         let follows_at_once = run.number > 0 && run.target.is_some();
@@ -131,9 +160,10 @@ impl Mission {
         run.stage = Stage::Preparing;
         run.timing = Some(timing);
         for member in &mut run.members {
-            let robot = &self.robots[member.robot];
-            let measured = robot.clock_at(start).filter(|_| robot.clock_mode == ClockMode::Measured);
+            let robot = &mut self.robots[member.robot];
+            let measured = robot.clock_at(now).filter(|_| robot.clock_mode == ClockMode::Measured);
             member.shift = measured.map_or(Span::ZERO, |reading| reading.offset);
+            robot.shift = member.shift;
         }
         self.name_requests(index);
         self.record(Record::Prepared(self.promise(index)));
@@ -148,6 +178,22 @@ impl Mission {
                 self.send_scripts(now, index, member);
             }
         }
+    }
+
+    /// A robot whose time is measured has the scripts of an act that plays by an older measurement: what follows at once
+    /// must not overlap them by the difference.
+    fn slip(&self, run: &ActRun, now: Timestamp<Server>) -> Span {
+        let earlier = |member: &Member| {
+            let robot = &self.robots[member.robot];
+            let playing = self
+                .runs
+                .iter()
+                .any(|other| other.number != run.number && other.member(member.robot).is_some());
+            let offset =
+                robot.clock_at(now).filter(|_| playing && robot.clock_mode == ClockMode::Measured)?.offset;
+            Some(robot.shift - offset)
+        };
+        run.present().filter_map(earlier).max().unwrap_or(Span::ZERO).max(Span::ZERO)
     }
 
     /// Every request gets the name under which it is known for ever, also after a crash of this machine.
@@ -248,7 +294,14 @@ impl Mission {
             return;
         };
         let Some(index) = self.runs.iter().position(|run| run.number == number) else { return };
+        // By the robot's own time of sending: an answer that was overtaken says nothing of now.
+        let offset = self.robots[robot].clock_at(now).map_or(Span::ZERO, |reading| reading.offset);
+        let said_at = (response.timestamp - offset).assume_clock::<Server>().min(now);
+        self.robots[robot].echoes |= response.request_id.is_some();
         let state = &mut self.runs[index].members[member].scripts[script];
+        if matches!(response.status, Status::Accepted | Status::Started) {
+            state.held_at = state.held_at.max(Some(said_at));
+        }
         if let Some(error) = foreign_content(state, response) {
             let device = response.device_id.clone();
             return self.fail(now, robot, FailureKind::Script { device, error });
@@ -262,9 +315,15 @@ impl Mission {
         match response.status {
             Status::Accepted => self.accepted(now, robot, index, member),
             Status::Started => self.started(robot, index, member, script),
-            Status::Ok => self.ended(now, robot, index, member),
-            Status::Failed => {
-                let (device, error) = (response.device_id.clone(), super::robot_state::error_of(response));
+            Status::Ok if self.runs[index].members[member].scripts[script].phase == ScriptPhase::Ended => {
+                self.ended(now, robot, index, member);
+            }
+            Status::Failed | Status::Ok => {
+                let error = match &self.runs[index].members[member].scripts[script].phase {
+                    ScriptPhase::Failed(error) => error.clone(),
+                    _ => super::robot_state::error_of(response),
+                };
+                let device = response.device_id.clone();
                 self.fail(now, robot, FailureKind::Script { device, error });
             }
             Status::Provide | Status::Other(_) => {}
@@ -288,7 +347,54 @@ impl Mission {
             return;
         }
         self.renew_all(now);
+        self.send_again(now);
+        self.ask_whether_held(now);
         self.next_renewal = Some(self.renewal_after(now));
+    }
+
+    /// Scripts that were sent while others play and have not been answered: one that was lost would come too late.
+    fn send_again(&mut self, now: Timestamp<Server>) {
+        for index in 0..self.runs.len() {
+            if self.runs[index].stage != Stage::Playing {
+                continue;
+            }
+            for member in 0..self.runs[index].members.len() {
+                let state = &self.runs[index].members[member];
+                let unanswered = |script: &ScriptState| script.phase == ScriptPhase::Sent && !script.accepted;
+                let which: Vec<_> =
+                    (0..state.scripts.len()).filter(|s| unanswered(&state.scripts[*s])).collect();
+                let (robot, out) = (state.robot, state.out);
+                for script in which.into_iter().filter(|_| !out) {
+                    if let Some(request) = self.request(index, member, script)
+                        && request.starts_at().is_some_and(|start| start > now)
+                    {
+                        self.robots[robot].totals.retries += 1;
+                        self.send(now, robot, Message::ControlRequest(request));
+                    }
+                }
+            }
+        }
+    }
+
+    /// With the renewals that carry the leases over a start every robot is asked whether it still holds what it accepted:
+    /// it may have begun anew, or a lease may have run out unnoticed.
+    fn ask_whether_held(&mut self, now: Timestamp<Server>) {
+        let due = |run: &ActRun| {
+            let timing = run.timing.as_ref();
+            run.stage == Stage::Decided && timing.is_some_and(|timing| now >= timing.critical())
+        };
+        for index in (0..self.runs.len()).filter(|index| due(&self.runs[*index])).collect::<Vec<_>>() {
+            for member in 0..self.runs[index].members.len() {
+                if self.runs[index].members[member].out {
+                    continue;
+                }
+                for script in 0..self.runs[index].members[member].scripts.len() {
+                    if self.runs[index].members[member].scripts[script].is_out() {
+                        self.probe(now, index, member, script);
+                    }
+                }
+            }
+        }
     }
 
     fn renew_all(&mut self, now: Timestamp<Server>) {
@@ -368,7 +474,9 @@ impl Mission {
         let (number, act) = (run.number, run.act);
         let duration = self.choreography.acts[act].plan.duration();
         let act = self.act_name(act);
-        self.record(Record::Decided { number });
+        let unnamed = self.runs[index].present().map(|member| &self.robots[member.robot]);
+        let unnamed = unnamed.filter(|robot| !robot.echoes).map(|robot| robot.id.clone()).collect();
+        self.record(Record::Decided { number, unnamed });
         self.tell(Progress::Decided { act, start, duration, no_return });
     }
 
@@ -407,26 +515,36 @@ impl Mission {
         let Some(timing) = run.timing.as_ref().filter(|timing| now >= timing.commit) else { return };
         let (critical, window, no_return) = (timing.critical(), timing.round, timing.no_return);
         let within = timing.lead.lease / 3;
-        let held = |robot: &RobotState| {
-            // A robot that has never answered such a question cannot be held to it.
-            robot.renewed_at.is_none_or(|at| at >= critical)
+        let held = |member: &Member| {
+            let robot = &self.robots[member.robot];
+            let mut out = member.scripts.iter().filter(|script| script.is_out());
+            // A robot that never answers such questions cannot be held to them.
+            let renewed = robot.renewed_at.is_none_or(|at| at >= critical);
+            renewed && (!robot.echoes || out.all(|script| script.held_at.is_some_and(|at| at >= critical)))
         };
         let short: Vec<_> = run
             .present()
-            .filter(|member| !held(&self.robots[member.robot]))
+            .filter(|member| !held(member))
             .map(|member| {
                 let kind = match &self.robots[member.robot].broken {
                     Some(reason) => FailureKind::LinkDown { reason: reason.clone() },
                     None => {
-                        let awaited = "answer to the last renewal before the start".to_owned();
+                        let awaited = "word that it holds its scripts over the start".to_owned();
                         FailureKind::Silent { awaited, within }
                     }
                 };
                 (member.robot, kind)
             })
             .collect();
-        if !short.is_empty() {
-            self.fail_all(now, short);
+        let tolerance = self.choreography.acts[run.act].plan.start_tolerance;
+        let skew = SkewBudget::of_sent(run.present(), &self.robots, tolerance, now);
+        // A clock that was set since the gate shows in the answers to the renewals.
+        let strayed = skew.map(|skew| skew.offenders()).unwrap_or_default();
+        let index_of = |id| self.robots.iter().position(|robot| robot.id == id);
+        let strayed = strayed.into_iter().filter_map(|(id, kind)| Some((index_of(id)?, kind)));
+        let failing: Vec<_> = short.into_iter().chain(strayed).collect();
+        if !failing.is_empty() {
+            self.fail_all(now, failing);
         }
         let Some(run) = self.runs.get_mut(index).filter(|_| self.phase == Phase::Performing) else { return };
         if now >= no_return && run.stage == Stage::Decided && window.is_none() {

@@ -15,6 +15,9 @@ pub enum Record {
     Decided {
         /// The number of the act.
         number: u32,
+        /// Robots that do not know requests by their names.
+        #[serde(skip_serializing_if = "Vec::is_empty")]
+        unnamed: Vec<RobotId>,
     },
     /// All leases reach over the start.
     Committed {

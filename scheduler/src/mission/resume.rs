@@ -11,6 +11,7 @@ use super::lead::LeadTime;
 use super::record::Promise;
 use super::robot_state::{ScriptPhase, Standing};
 use super::{Mission, MissionOptions, Participant, Phase, act};
+use crate::journal::Kept;
 use crate::report::Outcome;
 
 /// A promise does not fit the choreography as it is now.
@@ -22,7 +23,7 @@ pub struct Changed {
 }
 
 impl Mission {
-    /// A mission that goes on with acts that were decided. `ended_acts` have been played before.
+    /// A mission that goes on with the acts that another process has decided and left.
     ///
     /// # Errors
     /// [`Changed`] where what was promised is not what the choreography says.
@@ -30,18 +31,18 @@ impl Mission {
         choreography: impl Into<Arc<Choreography>>,
         participants: Vec<Participant>,
         options: MissionOptions,
-        promises: &[Promise],
-        dropped: &[RobotId],
+        left: &Kept,
         now: Timestamp<Server>,
     ) -> Result<Self, Changed> {
         let lost = |error: super::MissingParticipant| Changed { what: error.to_string() };
         let mut mission = Self::new(choreography, participants, options, now).map_err(lost)?;
         for robot in &mut mission.robots {
-            if dropped.contains(&robot.id) {
+            if left.dropped.contains(&robot.id) {
                 robot.standing = Standing::Out;
             }
+            robot.echoes = !left.unnamed.contains(&robot.id);
         }
-        for promise in promises {
+        for (promise, _) in left.promises.iter().filter(|(_, decided)| *decided) {
             mission.take_up(promise, now)?;
         }
         if mission.runs.is_empty() {
@@ -92,9 +93,15 @@ impl Mission {
                     )));
                 };
                 member.shift = promised.shift;
+                robot.shift = promised.shift;
                 script.request_id = Some(promised.request_id.clone());
-                script.phase = ScriptPhase::Sent;
                 robot.touched.insert(script.plan.device.clone());
+            }
+        }
+        // What was beyond a device's queue is sent once there is room; if it was sent already, its name tells.
+        for member in &mut members {
+            for script in member.sendable(&self.robots[member.robot], |_| 0) {
+                member.scripts[script].phase = ScriptPhase::Sent;
             }
         }
         let number = promise.number;
@@ -131,6 +138,7 @@ impl Mission {
             number,
             act: promise.act,
             stage,
+            follow: act.next,
             since: now,
             alone_since: self.runs.is_empty().then_some(now),
             gone: false,

@@ -54,6 +54,10 @@ pub(crate) struct ScriptState {
     pub(crate) request_id: Option<RequestId>,
     /// Asked again for a report that is overdue.
     pub(crate) probed: bool,
+    /// Asked for by its name alone: who does not know the name answers for an empty script.
+    pub(crate) asked_by_name: bool,
+    /// When, by the server's clock and at the latest, the robot last said that it holds it.
+    pub(crate) held_at: Option<Timestamp<Server>>,
 }
 
 impl ScriptState {
@@ -67,6 +71,8 @@ impl ScriptState {
             late_steps: 0,
             request_id: None,
             probed: false,
+            asked_by_name: false,
+            held_at: None,
         }
     }
 
@@ -107,6 +113,11 @@ impl ScriptState {
                 }
                 return first;
             }
+            // The answer to an empty script under its name, from a robot that does not know the name any more.
+            Status::Ok if self.asked_by_name && response.steps_done.is_none() && !self.is_final() => {
+                let message = "the robot has lost the script, as after a restart";
+                self.phase = ScriptPhase::Failed(ControlError::new(ErrorCode::Internal, message));
+            }
             Status::Ok if !self.is_final() => {
                 self.accepted = true;
                 self.phase = ScriptPhase::Ended;
@@ -143,6 +154,8 @@ pub(crate) struct Totals {
     pub(crate) steps_planned: u64,
     pub(crate) late_steps: u64,
     pub(crate) start_error: Option<Span>,
+    /// Scripts that were sent and of which nobody knows what became of them.
+    pub(crate) unaccounted: usize,
     pub(crate) retries: u32,
     pub(crate) reconnects: u32,
 }
@@ -160,6 +173,8 @@ pub(crate) struct RobotState {
     pub(crate) introduced: bool,
     pub(crate) clock_mode: ClockMode,
     pub(crate) wake_up: Span,
+    /// What was last added to a timestamp so that it is right by its own clock.
+    pub(crate) shift: Span,
     pub(crate) clock: ClockEstimate,
     /// The question for its times that has not been answered.
     pub(crate) asked_at: Option<Timestamp<Server>>,
@@ -179,10 +194,14 @@ pub(crate) struct RobotState {
     pub(crate) stops: HashMap<RequestId, DeviceId>,
     pub(crate) stop_sent: bool,
     pub(crate) stop_recorded: bool,
+    /// It names the requests that it answers, so it knows them by their names.
+    pub(crate) echoes: bool,
     pub(crate) hold: bool,
     /// When what it still held at the end of an act ends by its own leases; `None` where it has none.
     pub(crate) left: Vec<Option<Timestamp<Server>>>,
     pub(crate) last_sent: Option<Timestamp<Server>>,
+    /// Its link is being made anew.
+    pub(crate) reconnecting: bool,
     /// When its link broke in mid-mission, and when it is given up.
     pub(crate) give_up: Option<Timestamp<Server>>,
     pub(crate) failures: Vec<Failure>,
@@ -294,6 +313,7 @@ impl RobotState {
             introduced: false,
             clock_mode: participant.clock,
             wake_up: participant.wake_up,
+            shift: Span::ZERO,
             clock: ClockEstimate::default(),
             asked_at: None,
             readings: vec![None; participant.requires.len()],
@@ -306,9 +326,11 @@ impl RobotState {
             stops: HashMap::new(),
             stop_sent: false,
             stop_recorded: false,
+            echoes: false,
             hold: false,
             left: Vec::new(),
             last_sent: None,
+            reconnecting: false,
             give_up: None,
             failures: Vec::new(),
             totals: Totals::default(),

@@ -55,12 +55,33 @@ impl SkewBudget {
         tolerance: Span,
         at: Timestamp<urrcp::Server>,
     ) -> Option<Self> {
+        Self::with(members, robots, tolerance, at, |_, _| Span::ZERO)
+    }
+
+    /// Of members that have been sent an act: what was translated into a robot's time is off by what that time has strayed
+    /// since.
+    pub(crate) fn of_sent<'a>(
+        members: impl Iterator<Item = &'a Member>,
+        robots: &[RobotState],
+        tolerance: Span,
+        at: Timestamp<urrcp::Server>,
+    ) -> Option<Self> {
+        Self::with(members, robots, tolerance, at, |member, offset| offset - member.shift)
+    }
+
+    fn with<'a>(
+        members: impl Iterator<Item = &'a Member>,
+        robots: &[RobotState],
+        tolerance: Span,
+        at: Timestamp<urrcp::Server>,
+        strayed: impl Fn(&Member, Span) -> Span,
+    ) -> Option<Self> {
         let skew = |member: &Member| {
             let robot = &robots[member.robot];
             let reading = robot.clock_at(at)?;
             let offset = match robot.clock_mode {
                 ClockMode::Ntp => reading.offset,
-                ClockMode::Measured => Span::ZERO,
+                ClockMode::Measured => strayed(member, reading.offset),
             };
             let (robot, wake_up) = (robot.id.clone(), robot.wake_up);
             Some(RobotSkew { robot, offset, uncertainty: reading.uncertainty, wake_up })

@@ -4,7 +4,7 @@ use urrcp::{Command, ControlRequest, Message, RequestId, Script, Server, Span, T
 
 use super::record::Record;
 use super::robot_state::RobotState;
-use super::{Action, Mission, Phase, Progress};
+use super::{Mission, Phase, Progress};
 use crate::report::Outcome;
 
 /// Stops that are not confirmed are sent again after this or after three of the longest delays.
@@ -44,7 +44,7 @@ impl Mission {
             if matches!(self.robots[robot].link, super::robot_state::Link::Down(_))
                 && !self.robots[robot].stops.is_empty()
             {
-                self.actions.push(Action::Reconnect { robot });
+                self.reconnect(robot);
             }
         }
         self.stop_progress(now);
@@ -57,6 +57,7 @@ impl Mission {
             return;
         }
         state.stop_sent = true;
+        self.stopped_at = self.stopped_at.max(Some(now));
         state.hold = hold;
         let session = self.options.session.as_ref().map(|session| format!("{session}/")).unwrap_or_default();
         for (index, device) in state.touched.iter().enumerate() {
@@ -71,9 +72,12 @@ impl Mission {
 
     fn send_stops(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
+        let stopped_at = self.stopped_at.unwrap_or(now);
         let request = |(id, device): (&RequestId, &urrcp::DeviceId)| {
             let mut request = ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()));
             request.request_id = Some(id.clone());
+            // What was sent before it and arrives after it is taken back as well.
+            request.timestamp = Some(stopped_at + state.shift);
             request.session.clone_from(&self.options.session);
             request.hold = state.hold;
             Message::ControlRequest(request)
@@ -165,7 +169,8 @@ impl Mission {
         let confirmed = self.robots.iter().all(|robot| robot.touched.is_empty() || robot.stop_confirmed());
         match self.then.take().filter(|_| confirmed) {
             Some(act) => {
-                self.flawed = self.outcome.take();
+                let stopped = self.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
+                self.flawed = Some(stopped.unwrap_or(Outcome::Failed));
                 for robot in &mut self.robots {
                     robot.stop_sent = false;
                     robot.stop_recorded = false;
@@ -174,6 +179,7 @@ impl Mission {
                 }
                 self.phase = Phase::Performing;
                 self.line_up_act(now, act);
+                self.perform(now);
             }
             None => self.end(),
         }

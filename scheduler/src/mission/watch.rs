@@ -61,7 +61,11 @@ impl Mission {
         let mut failing: Vec<(usize, FailureKind)> = Vec::new();
         for (m, s, probed) in late {
             match probed {
-                false => self.probe(now, index, m, s),
+                false => {
+                    self.runs[index].members[m].scripts[s].probed = true;
+                    self.robots[self.runs[index].members[m].robot].totals.retries += 1;
+                    self.probe(now, index, m, s);
+                }
                 true => {
                     let member = &self.runs[index].members[m];
                     if failing.iter().any(|(robot, _)| *robot == member.robot) {
@@ -107,13 +111,16 @@ impl Mission {
     pub(super) fn probe(&mut self, now: Timestamp<Server>, index: usize, member: usize, script: usize) {
         let robot = self.runs[index].members[member].robot;
         let state = &mut self.runs[index].members[member].scripts[script];
-        state.probed = true;
+        // A robot that knows no names would take it for what it looks like.
+        if !self.robots[robot].echoes {
+            return;
+        }
+        state.asked_by_name = true;
         let command = Command::Script(Script::cancel());
         let mut request = ControlRequest::immediate(state.plan.device.clone(), command);
         request.request_id.clone_from(&state.request_id);
         request.session.clone_from(&self.options.session);
         request.content_hash = Some(request.command.content_hash());
-        self.robots[robot].totals.retries += 1;
         self.send(now, robot, Message::ControlRequest(request));
     }
 

@@ -15,6 +15,9 @@ pub use text::{choreography_figures, main_duration, plan_figures, plan_table, pr
 
 use crate::mission::robot_state::{RobotState, ScriptPhase, ScriptState, Standing};
 
+/// The JSON Schema of a report.
+pub const SCHEMA: &str = include_str!("schema.json");
+
 /// How a mission ended.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
@@ -190,6 +193,8 @@ pub struct RobotReport {
     pub steps_planned: u64,
     /// Steps that came more than a millisecond late, by its own account.
     pub late_steps: u64,
+    /// Scripts that it was sent and of which it has not said what became of them.
+    pub unaccounted: usize,
     /// Requests sent again.
     pub retries: u32,
     /// Times its link was made anew.
@@ -318,6 +323,7 @@ fn robot_report(robot: &RobotState) -> RobotReport {
         steps_done: totals.steps_done,
         steps_planned: totals.steps_planned,
         late_steps: totals.late_steps,
+        unaccounted: totals.unaccounted,
         retries: totals.retries,
         reconnects: totals.reconnects,
         clock_mode: robot.clock_mode,

@@ -226,8 +226,14 @@ fn closing_lines(report: &Report) -> String {
     if let Some(spread) = report.true_spread {
         let _infallible = writeln!(text, "true start spread {spread}, by the one clock of the virtual world");
     }
+    text.extend(report.robots.iter().filter_map(unaccounted_line));
     text.extend(report.robots.iter().filter_map(stop_line));
     text
+}
+
+fn unaccounted_line(robot: &RobotReport) -> Option<String> {
+    let scripts = counted(robot.unaccounted, "script");
+    (robot.unaccounted > 0).then(|| format!("{}: it has not said what became of {scripts}\n", robot.robot))
 }
 
 fn stop_line(robot: &RobotReport) -> Option<String> {

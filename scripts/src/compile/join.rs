@@ -279,16 +279,19 @@ impl Lane<'_> {
         let most = script.max_number_of_steps.max(1) as usize;
         let steps = self.count();
         let count = steps.div_ceil(most).max(1);
-        let steps = match count > self.device.script_queue.max(1) as usize {
-            true => {
-                self.too_many(findings, steps, most, count);
-                self.last_step()
+        let queue = self.device.script_queue.max(1) as usize;
+        if count <= queue || queue > 1 {
+            let all = self.steps();
+            let used = self.used(all.len(), count, most);
+            let scripts = split(&self.device.id, all, most, start, self.stop_condition())?;
+            if can_be_refilled(&scripts, queue) {
+                return Some((scripts, used));
             }
-            false => self.steps(),
-        };
-        let used = self.used(steps.len(), count, most);
-        let scripts = split(&self.device.id, steps, most, start, self.stop_condition())?;
-        Some((scripts, used))
+        }
+        self.too_many(findings, steps, most, count);
+        let last = self.last_step();
+        let used = self.used(last.len(), count, most);
+        Some((split(&self.device.id, last, most, start, self.stop_condition())?, used))
     }
 
     fn used(&self, steps: usize, scripts: usize, most: usize) -> DeviceUse {
@@ -326,11 +329,24 @@ impl Lane<'_> {
             _ => (
                 Code::QueueTooShort,
                 format!("`{device}` of `{robot}` needs {count} scripts for its {steps} steps"),
-                format!("at most {queue} scripts (script_queue) of {most} steps (max_number_of_steps)"),
+                format!(
+                    "at most {queue} scripts (script_queue) of {most} steps (max_number_of_steps), or scripts that leave {REFILL} to send the next"
+                ),
             ),
         };
         findings.add(code, place, message, expected, Some(hint));
     }
+}
+
+/// While a script plays the one behind those that the device holds is sent; that long it may take.
+const REFILL: Span = Span::from_millis(1_000);
+
+/// Whether every script that the device cannot hold from the start can be sent in time: when one has ended there is room,
+/// and those that it still holds play long enough.
+fn can_be_refilled(scripts: &[DeviceScript], queue: usize) -> bool {
+    let end = |script: &DeviceScript| script.start.span() + script.script.duration();
+    scripts.len() <= queue
+        || scripts.windows(queue + 1).all(|held| held[queue].start.span() - end(&held[0]) >= REFILL)
 }
 
 /// Cuts steps into scripts without a gap: each begins when the one before ends.

@@ -1,0 +1,409 @@
+//! From the first request to the decision for thousands of robots on loopback, beside a raw exchange of messages of the
+//! same size over tokio's TCP, and beside MQTT through mosquitto where that is installed. Robots are simulated in a process
+//! of their own.
+//!
+//! `cargo bench --bench fan_out`; with numbers behind it those fleets: `cargo bench --bench fan_out -- 1000 4000`.
+#![expect(
+    clippy::unwrap_used,
+    clippy::print_stdout,
+    clippy::panic,
+    reason = "a program that measures, and stops if it cannot"
+)]
+#![expect(clippy::disallowed_methods, reason = "real sockets take real time")]
+#![expect(clippy::cast_precision_loss, reason = "figures for people")]
+
+use std::io::{BufRead, BufReader, Read, Write};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use downbeat::link::Endpoint;
+use downbeat::mission::{Mission, MissionOptions, Participant, Progress};
+use downbeat::server_clock::ServerClock;
+use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
+use tokio::io::{AsyncBufReadExt, AsyncWriteExt, BufReader as AsyncBufReader};
+use tokio::net::{TcpListener, TcpStream};
+use urrcp::{
+    Command as Control, ControlRequest, ControlType, DeviceId, InitializationBlock, Message, Millis, RobotId,
+    Script, Setpoint, Span, Step, StopCondition, encode,
+};
+
+const STEPS: u32 = 20;
+const ROUNDS: usize = 3;
+
+fn block(id: usize) -> InitializationBlock {
+    let json = format!(
+        r#"{{"id": "r{id}", "api_version": "1", "reports": true, "devices": [{{"id": "d", "name": "d", "available_control_types": {{
+        "position": {{"min_value": 0, "max_value": 90, "granularity": 1}},
+        "script": {{"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 20}}}}}}]}}"#
+    );
+    serde_json::from_str(&json).unwrap()
+}
+
+fn script() -> Script {
+    let step = |i: u32| Step {
+        offset: Millis::new(f64::from(i) * 5.0).unwrap(),
+        setpoint: Setpoint::new(ControlType::Position, f64::from(i)),
+        stop_condition: None,
+    };
+    Script::new((0..STEPS).map(step).collect()).unwrap()
+}
+
+fn plan(robots: usize) -> Plan {
+    let stop_condition = StopCondition { pending: None, running: Millis::new(20_000.0).ok() };
+    let script = DeviceScript {
+        device: DeviceId::new("d").unwrap(),
+        start: Millis::ZERO,
+        stop_condition,
+        script: script(),
+    };
+    let robot =
+        |id| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script.clone()] };
+    Plan {
+        scenario: "crowd".into(),
+        start_tolerance: Span::from_millis(60_000),
+        lead: None,
+        stop_condition,
+        robots: (0..robots).map(robot).collect(),
+    }
+}
+
+/// Robots, echoes or MQTT clients in another process.
+struct Peers {
+    child: Child,
+    ports: Vec<u16>,
+}
+
+impl Drop for Peers {
+    fn drop(&mut self) {
+        let _gone = self.child.kill();
+        let _reaped = self.child.wait();
+    }
+}
+
+/// This program again, as the other side.
+fn peers(role: &str, count: usize) -> Peers {
+    let mut command = Command::new(std::env::current_exe().unwrap());
+    command.env("FAN_OUT_ROLE", role).env("FAN_OUT_COUNT", count.to_string());
+    let mut child = command.stdout(Stdio::piped()).stdin(Stdio::piped()).spawn().unwrap();
+    let lines = BufReader::new(child.stdout.take().unwrap()).lines();
+    let ports = lines.take(count).map(|line| line.unwrap().parse().unwrap()).collect();
+    Peers { child, ports }
+}
+
+fn runtime() -> tokio::runtime::Runtime {
+    tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap()
+}
+
+async fn be_robots(count: usize) {
+    let machines = (0..count)
+        .map(|id| {
+            downbeat_robot::simulated::SimulatedRobot::new(
+                block(id),
+                downbeat_robot::simulated::Settings::default(),
+            )
+        })
+        .collect();
+    let host = downbeat_robot::Host::start(machines, downbeat_robot::HostOptions::default()).unwrap();
+    for index in 0..count {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        println!("{}", listener.local_addr().unwrap().port());
+        tokio::spawn(downbeat_robot::serve(listener, host.handle(), index));
+    }
+    std::io::stdout().flush().unwrap();
+    std::future::pending::<()>().await;
+}
+
+/// Answers every line with one of the size of an acceptance.
+async fn be_echoes(count: usize) {
+    for _ in 0..count {
+        let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        println!("{}", listener.local_addr().unwrap().port());
+        tokio::spawn(async move {
+            while let Ok((stream, _)) = listener.accept().await {
+                tokio::spawn(async move {
+                    let (reader, mut writer) = stream.into_split();
+                    let mut lines = AsyncBufReader::new(reader).lines();
+                    while let Ok(Some(line)) = lines.next_line().await {
+                        let mut answer = line.into_bytes();
+                        answer.push(b'\n');
+                        if writer.write_all(&answer).await.is_err() {
+                            return;
+                        }
+                    }
+                });
+            }
+        });
+    }
+    std::io::stdout().flush().unwrap();
+    std::future::pending::<()>().await;
+}
+
+/// Sending timestamp to the last acceptance, and to the decision; resident memory of this process a robot.
+fn downbeat(count: usize) -> (Duration, Duration, f64) {
+    let peers = peers("robots", count);
+    let before = resident();
+    runtime().block_on(async {
+        let clock = ServerClock::anchored(Span::ZERO);
+        let participants = (0..count).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
+        let options = MissionOptions { patience: Span::from_millis(60_000), ..MissionOptions::default() };
+        let mission = Mission::of_plan(plan(count), participants, options, clock.now()).unwrap();
+        let endpoints =
+            peers.ports.iter().map(|port| Endpoint::Tcp { host: "127.0.0.1".into(), port: *port }).collect();
+        let (_operator, said) = tokio::sync::mpsc::channel(1);
+        let (mut sent, mut accepted, mut decided) = (None, None, None);
+        let mut most = 0.0_f64;
+        let report = downbeat::run::run(mission, endpoints, clock, said, |at, progress| match progress {
+            Progress::Preparing { .. } => sent = Some(at),
+            Progress::Accepted { .. } => accepted = Some(at),
+            Progress::Decided { .. } => {
+                decided = Some(at);
+                most = most.max(resident());
+            }
+            _ => {}
+        })
+        .await;
+        assert!(report.is_done(), "{}: {:?}", report.outcome, report.failures.first());
+        let since = |at: Option<urrcp::Timestamp<urrcp::Server>>| (at.unwrap() - sent.unwrap()).to_duration();
+        (since(accepted), since(decided), (most - before) / count as f64)
+    })
+}
+
+/// Resident memory of this process in kilobytes.
+fn resident() -> f64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap();
+    let line = status.lines().find(|line| line.starts_with("VmRSS:")).unwrap();
+    line.split_whitespace().nth(1).unwrap().parse().unwrap()
+}
+
+fn request_line() -> Vec<u8> {
+    let clock = ServerClock::anchored(Span::ZERO);
+    let command = Control::Script(script());
+    let mut request = ControlRequest::immediate(DeviceId::new("d").unwrap(), command.clone());
+    request.timestamp = Some(clock.now());
+    request.time_offset_to_start = Some(Millis::new(1_000.0).unwrap());
+    request.content_hash = Some(command.content_hash());
+    let mut line = Vec::new();
+    encode(&Message::ControlRequest(request), &mut line);
+    line
+}
+
+/// One message of the same size to every echo and back, all at once, on connections that stand.
+fn raw(count: usize) -> Duration {
+    let peers = peers("echoes", count);
+    runtime().block_on(async {
+        let line = request_line();
+        let mut streams = Vec::with_capacity(count);
+        for port in &peers.ports {
+            let stream = TcpStream::connect(("127.0.0.1", *port)).await.unwrap();
+            stream.set_nodelay(true).unwrap();
+            streams.push(stream);
+        }
+        let began = Instant::now();
+        let mut exchanges = tokio::task::JoinSet::new();
+        for stream in streams {
+            let line = line.clone();
+            exchanges.spawn(async move {
+                let (reader, mut writer) = stream.into_split();
+                writer.write_all(&line).await.unwrap();
+                AsyncBufReader::new(reader).lines().next_line().await.unwrap().unwrap();
+            });
+        }
+        while exchanges.join_next().await.is_some() {}
+        began.elapsed()
+    })
+}
+
+/// MQTT 3.1.1, as much of it as this needs: every robot a client that listens to a topic of its own and answers on one.
+mod mqtt {
+    use super::*;
+
+    fn packet(kind: u8, body: &[u8]) -> Vec<u8> {
+        let mut bytes = vec![kind];
+        let mut left = body.len();
+        loop {
+            let more = left > 127;
+            bytes.push((left % 128) as u8 | if more { 0x80 } else { 0 });
+            left /= 128;
+            if !more {
+                break;
+            }
+        }
+        bytes.extend_from_slice(body);
+        bytes
+    }
+
+    fn text(text: &str) -> Vec<u8> {
+        [&(text.len() as u16).to_be_bytes(), text.as_bytes()].concat()
+    }
+
+    async fn read_packet(stream: &mut AsyncBufReader<TcpStream>) -> Option<(u8, Vec<u8>)> {
+        use tokio::io::AsyncReadExt;
+        let kind = stream.read_u8().await.ok()?;
+        let (mut length, mut shift) = (0_usize, 0);
+        loop {
+            let byte = stream.read_u8().await.ok()?;
+            length |= usize::from(byte & 0x7f) << shift;
+            shift += 7;
+            if byte & 0x80 == 0 {
+                break;
+            }
+        }
+        let mut body = vec![0; length];
+        stream.read_exact(&mut body).await.ok()?;
+        Some((kind, body))
+    }
+
+    async fn connect(name: &str, topic: &str) -> AsyncBufReader<TcpStream> {
+        let stream = TcpStream::connect(("127.0.0.1", PORT)).await.unwrap();
+        stream.set_nodelay(true).unwrap();
+        let mut stream = AsyncBufReader::new(stream);
+        let hello = [text("MQTT"), vec![4, 2, 0, 60], text(name)].concat();
+        stream.get_mut().write_all(&packet(0x10, &hello)).await.unwrap();
+        assert_eq!(read_packet(&mut stream).await.unwrap().0, 0x20);
+        let subscribe = [vec![0, 1], text(topic), vec![0]].concat();
+        stream.get_mut().write_all(&packet(0x82, &subscribe)).await.unwrap();
+        assert_eq!(read_packet(&mut stream).await.unwrap().0, 0x90);
+        stream
+    }
+
+    pub(super) const PORT: u16 = 18_883;
+
+    pub(super) async fn be_clients(count: usize) {
+        for id in 0..count {
+            let mut stream = connect(&format!("r{id}"), &format!("r/{id}/request")).await;
+            tokio::spawn(async move {
+                while let Some((_, body)) = read_packet(&mut stream).await {
+                    let topic = usize::from(u16::from_be_bytes([body[0], body[1]]));
+                    let answer = [text(&format!("a/{id}")), body[2 + topic..].to_vec()].concat();
+                    stream.get_mut().write_all(&packet(0x30, &answer)).await.unwrap();
+                }
+            });
+            println!("0");
+        }
+        std::io::stdout().flush().unwrap();
+        std::future::pending::<()>().await;
+    }
+
+    /// As a user would build it: publish to every robot's topic, count the answers on a wildcard.
+    pub(super) fn exchange(count: usize) -> Option<Duration> {
+        let folder = std::env::temp_dir().join("downbeat-fan-out-mosquitto.conf");
+        let config = format!(
+            "listener {PORT} 127.0.0.1\nallow_anonymous true\nmax_queued_messages 0\nset_tcp_nodelay true\n"
+        );
+        std::fs::write(&folder, config).unwrap();
+        let names = ["mosquitto", "/usr/sbin/mosquitto"];
+        let start =
+            |name: &&str| Command::new(name).arg("-c").arg(&folder).stderr(Stdio::null()).spawn().ok();
+        let child = names.iter().find_map(start)?;
+        let _broker = Peers { child, ports: Vec::new() };
+        std::thread::sleep(Duration::from_millis(500));
+        let _clients = peers("mqtt", count);
+        runtime().block_on(async {
+            let stream = connect("scheduler", "a/#").await;
+            let line = request_line();
+            let began = Instant::now();
+            let (mut reader, mut writer) = tokio::io::split(stream.into_inner());
+            let sending = tokio::spawn(async move {
+                for id in 0..count {
+                    let body = [text(&format!("r/{id}/request")), line.clone()].concat();
+                    writer.write_all(&packet(0x30, &body)).await.unwrap();
+                }
+                writer
+            });
+            let mut answers = 0;
+            let mut bytes = Vec::new();
+            let mut buffer = vec![0; 64 * 1024];
+            while answers < count {
+                use tokio::io::AsyncReadExt;
+                let read = tokio::time::timeout(Duration::from_secs(30), reader.read(&mut buffer)).await;
+                let read = read.ok()?.unwrap();
+                if read == 0 {
+                    return None;
+                }
+                bytes.extend_from_slice(&buffer[..read]);
+                answers += take_packets(&mut bytes);
+            }
+            let _writer = sending.await.unwrap();
+            Some(began.elapsed())
+        })
+    }
+
+    fn take_packets(bytes: &mut Vec<u8>) -> usize {
+        let (mut at, mut packets) = (0, 0);
+        loop {
+            let (mut length, mut shift, mut next) = (0_usize, 0, at + 1);
+            let whole = loop {
+                let Some(byte) = bytes.get(next) else { break false };
+                length |= usize::from(byte & 0x7f) << shift;
+                shift += 7;
+                next += 1;
+                if byte & 0x80 == 0 {
+                    break bytes.len() >= next + length;
+                }
+            };
+            if !whole {
+                bytes.drain(..at);
+                return packets;
+            }
+            at = next + length;
+            packets += 1;
+        }
+    }
+}
+
+fn median(mut values: Vec<f64>) -> f64 {
+    values.sort_by(f64::total_cmp);
+    values[values.len() / 2]
+}
+
+fn main() {
+    downbeat::open_files::raise_limit();
+    if let Ok(role) = std::env::var("FAN_OUT_ROLE") {
+        let count = std::env::var("FAN_OUT_COUNT").unwrap().parse().unwrap();
+        // Ends with the process that started it.
+        std::thread::spawn(|| {
+            let _closed = std::io::stdin().read(&mut [0]);
+            std::process::exit(0);
+        });
+        return runtime().block_on(async {
+            match role.as_str() {
+                "robots" => be_robots(count).await,
+                "echoes" => be_echoes(count).await,
+                "mqtt" => mqtt::be_clients(count).await,
+                other => panic!("role {other}"),
+            }
+        });
+    }
+    let asked: Vec<usize> = std::env::args().filter_map(|arg| arg.parse().ok()).collect();
+    let fleets = if asked.is_empty() { vec![1_000, 4_000, 8_000] } else { asked };
+    println!("medians of {ROUNDS} rounds; requests of {} bytes, {STEPS} steps", request_line().len());
+    println!(
+        "{:>7} {:>14} {:>14} {:>10} {:>7} {:>12} {:>14}",
+        "robots", "last accepted", "decision", "raw tokio", "ratio", "mosquitto", "KB a robot"
+    );
+    let millis = |duration: Duration| duration.as_secs_f64() * 1e3;
+    let mut times: Vec<(f64, f64)> = Vec::new();
+    for count in fleets {
+        let mut rows = Vec::new();
+        for _ in 0..ROUNDS {
+            // Both in turn, so that both meet the same machine.
+            rows.push((downbeat(count), millis(raw(count))));
+        }
+        let accepted = median(rows.iter().map(|(ours, _)| millis(ours.0)).collect());
+        let decision = median(rows.iter().map(|(ours, _)| millis(ours.1)).collect());
+        let raw = median(rows.iter().map(|(_, raw)| *raw).collect());
+        let memory = median(rows.iter().map(|(ours, _)| ours.2).collect());
+        let mqtt = mqtt::exchange(count).map_or_else(|| "-".to_owned(), |t| format!("{:.1} ms", millis(t)));
+        println!(
+            "{count:>7} {accepted:>11.1} ms {decision:>11.1} ms {raw:>7.1} ms {:>7.2} {mqtt:>12} {memory:>14.1}",
+            accepted / raw
+        );
+        times.push(((count as f64).ln(), accepted.ln()));
+    }
+    if let [first, .., last] = times.as_slice() {
+        println!(
+            "growth of the last acceptance with the fleet: N^{:.2}",
+            (last.1 - first.1) / (last.0 - first.0)
+        );
+    }
+}

@@ -1,0 +1,88 @@
+//! What people do without a decision: the same fleets, networks and faults, with a word "go" that starts on receipt.
+
+use fastrand::Rng;
+use urrcp::Span;
+
+use super::check::Starts;
+use super::draw::{Drawn, Fault, Network};
+
+/// How the word is passed on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Go {
+    /// To all at once, nobody is asked whether it came.
+    Broadcast,
+    /// To one after another, each after the one before has answered; after 500 ms without an answer the rest is not sent.
+    Sequential,
+}
+
+/// Between sending to two robots.
+const EACH: Span = Span::from_micros(50);
+/// How long an answer is awaited.
+const ANSWER: Span = Span::from_millis(500);
+
+/// Whether all, none or some robots start when the word is given at `at`, counted from the begin, and every script has
+/// arrived long before. Robots that lie count as those that do not.
+#[must_use]
+pub fn starts(drawn: &Drawn, go: Go, at: Span) -> Starts {
+    let mut rng = Rng::with_seed(drawn.seed ^ 0xba5e);
+    let mut now = at;
+    let mut started = 0;
+    let mut asked = 0;
+    for robot in 0..drawn.robots.len() {
+        if scheduler_is_gone(drawn, now) {
+            break;
+        }
+        asked += 1;
+        let heard = heard_at(drawn, &mut rng, robot, now);
+        started += usize::from(heard.is_some());
+        match go {
+            Go::Broadcast => now += EACH,
+            Go::Sequential => {
+                let answered = heard.and_then(|at| heard_at(drawn, &mut rng, robot, at));
+                match answered.filter(|answered| *answered - now <= ANSWER) {
+                    Some(answered) => now = answered,
+                    None => break,
+                }
+            }
+        }
+    }
+    match started {
+        0 => Starts::None,
+        all if all == drawn.robots.len() && asked == all => Starts::All,
+        _ => Starts::Mixed,
+    }
+}
+
+fn scheduler_is_gone(drawn: &Drawn, now: Span) -> bool {
+    drawn.faults.iter().any(|(at, fault)| matches!(fault, Fault::SchedulerCrash { .. }) && *at <= now)
+}
+
+/// When a message that is sent now arrives; `None` where it is lost or nobody is there.
+fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Span> {
+    let (least, largest) = drawn.delay;
+    let mut arrival = now + Span::from_nanos(rng.i64(least.as_nanos()..=largest.as_nanos()));
+    for (at, fault) in &drawn.faults {
+        match fault {
+            Fault::Partition { robot: r, lasts, breaks }
+                if *r == robot && *at <= now && now < *at + *lasts =>
+            {
+                match drawn.network {
+                    Network::Stream if !breaks => arrival = arrival.max(*at + *lasts),
+                    _ => return None,
+                }
+            }
+            _ => {}
+        }
+    }
+    if let Network::Datagram { loss, .. } = drawn.network
+        && rng.f64() < loss
+    {
+        return None;
+    }
+    let gone = drawn.faults.iter().any(|(at, fault)| match fault {
+        // What a crashed robot had been sent before it is gone, too, when it comes back.
+        Fault::RobotCrash { robot: r, .. } => *r == robot && *at <= arrival,
+        _ => false,
+    });
+    (!gone).then_some(arrival)
+}

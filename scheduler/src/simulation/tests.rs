@@ -1,0 +1,40 @@
+use super::*;
+
+#[test]
+fn thousands_of_seeds_of_faults_violate_nothing() {
+    let seeds = std::env::var("DOWNBEAT_SEEDS").ok().and_then(|seeds| seeds.parse().ok()).unwrap_or(3_000);
+    let mut violated = Vec::new();
+    let mut mixed = 0;
+    for seed in 0..seeds {
+        let verdict = run(seed).verdict();
+        mixed += verdict.starts.iter().filter(|starts| **starts == Starts::Mixed).count();
+        violated.extend(verdict.violations.into_iter().map(|violation| (seed, violation)));
+    }
+    let first: Vec<_> =
+        violated.iter().take(10).map(|(seed, violation)| format!("seed {seed}: {violation}")).collect();
+    assert!(violated.is_empty(), "{} violations, {mixed} mixed in the window: {first:#?}", violated.len());
+}
+
+#[test]
+fn a_seed_replays_exactly() {
+    for seed in [3, 77, 1_234] {
+        assert_eq!(trace(&run_verbosely(seed)), trace(&run_verbosely(seed)));
+    }
+}
+
+#[test]
+fn most_seeds_without_faults_come_to_their_end() {
+    let clean = |drawn: &Drawn| {
+        let honest = drawn.robots.iter().all(|robot| robot.lie.is_none());
+        drawn.faults.is_empty() && honest && drawn.network == Network::Stream && drawn.tail == 0.0
+    };
+    let mut done = 0;
+    let mut all = 0;
+    for seed in (0..2_000).filter(|seed| clean(&draw(*seed))) {
+        let ran = run(seed);
+        all += 1;
+        let outcome = ran.report.map(|report| report.outcome);
+        done += usize::from(outcome == Some(crate::report::Outcome::Done));
+    }
+    assert!(all > 30 && done * 10 >= all * 9, "{done} of {all} done");
+}

@@ -1,0 +1,123 @@
+//! A run as people read it: a line an event, in the order of time.
+
+use std::fmt::Write;
+
+use urrcp::{Command, Message, Server, Timestamp};
+
+use super::{Happened, Ran};
+use crate::dry_run::BEGIN;
+
+/// The whole story of a run: what was drawn, what happened, what the robots set, and what is wrong with it.
+#[must_use]
+pub fn trace(ran: &Ran) -> String {
+    let mut text = String::new();
+    let drawn = &ran.drawn;
+    let _infallible = writeln!(
+        text,
+        "seed {}: {} robots, {} acts, {:?}, delay {} to {}, tail {:.3}",
+        drawn.seed,
+        drawn.robots.len(),
+        drawn.choreography.acts.len(),
+        drawn.network,
+        drawn.delay.0,
+        drawn.delay.1,
+        drawn.tail
+    );
+    for (index, robot) in drawn.robots.iter().enumerate() {
+        let _infallible = writeln!(
+            text,
+            "  r{index}: {} devices, clock {:?} offset {} drift {:.1} ppm, answers after {}, reports {}{}",
+            robot.block.devices.len(),
+            robot.clock,
+            robot.settings.clock_offset,
+            robot.settings.drift_ppm,
+            robot.slow,
+            robot.block.reports,
+            robot.lie.map(|lie| format!(", lies: {lie:?}")).unwrap_or_default()
+        );
+    }
+    for act in &drawn.choreography.acts {
+        let _infallible = writeln!(
+            text,
+            "  {}: {} robots, {}, on_failure {:?}, then {:?}, running lease {:?}",
+            act.name,
+            act.plan.robots.len(),
+            act.plan.duration(),
+            act.on_failure.default,
+            act.on_failure.then,
+            act.plan.stop_condition.running
+        );
+    }
+    let mut lines: Vec<(Timestamp<Server>, String)> = Vec::new();
+    lines.extend(ran.history.iter().filter_map(|(at, happened)| Some((*at, line(happened)?))));
+    lines.extend(ran.records.iter().map(|(at, record)| {
+        let json = serde_json::to_string(record).unwrap_or_default();
+        (*at, format!("record   {}", json.chars().take(160).collect::<String>()))
+    }));
+    for (robot, log) in ran.logs.iter().enumerate() {
+        lines.extend(log.iter().map(|entry| {
+            let id = entry.request_id.as_deref().unwrap_or("-");
+            let line = format!(
+                "r{robot} {:<8} {} = {} step {:?} of {id}",
+                entry.motion, entry.device, entry.value, entry.step
+            );
+            (Timestamp::from_nanos(entry.true_ns), line)
+        }));
+    }
+    lines.sort_by_key(|(at, _)| *at);
+    for (at, line) in lines {
+        let _infallible = writeln!(text, "{:>12.3} ms  {line}", (at - BEGIN).as_millis_f64());
+    }
+    if let Some(report) = &ran.report {
+        let _infallible = writeln!(text, "{}", crate::report::report_text(report));
+    }
+    for violation in ran.verdict().violations {
+        let _infallible = writeln!(text, "VIOLATED {violation}");
+    }
+    text
+}
+
+fn line(happened: &Happened) -> Option<String> {
+    Some(match happened {
+        Happened::ToRobot(robot, message) => format!("  -> r{robot}  {}", told(message)),
+        Happened::AtRobot(robot, message) => format!("  => r{robot}  {}", told(message)),
+        Happened::FromRobot(robot, message) => format!("  <= r{robot}  {}", told(message)),
+        Happened::Lost(robot) => format!("lost     a message to or from r{robot}"),
+        Happened::Slow(robot, lasts) => format!("slow     a message to or from r{robot} travels for {lasts}"),
+        Happened::Fault(fault) => format!("FAULT    {fault:?}"),
+        Happened::Back(robot) => format!("back     r{robot}"),
+        Happened::LinkUp(robot) => format!("link up  r{robot}"),
+        Happened::LinkDown(robot) => format!("link down r{robot}"),
+        Happened::TakenUp(how) => format!("taken up {how}"),
+        Happened::Told(text) => format!("told     {}", text.chars().take(200).collect::<String>()),
+    })
+}
+
+fn told(message: &Message) -> String {
+    match message {
+        Message::AvailabilityRequest(_) => "availability?".to_owned(),
+        Message::AvailabilityResponse(response) => format!("available: {}", response.status),
+        Message::InitializationRequest(_) => "who are you?".to_owned(),
+        Message::InitializationBlock(block) => format!("I am {}", block.id),
+        Message::ControlRequest(request) => {
+            let what = match &request.command {
+                Command::Script(script) if script.is_empty() => "cancel".to_owned(),
+                Command::Script(script) => format!("script of {} steps", script.steps().len()),
+                Command::Set(_) => "set".to_owned(),
+                Command::ReadSensor => "request".to_owned(),
+            };
+            format!(
+                "{what} {} {:?}",
+                request.device_id,
+                request.request_id.as_ref().map(urrcp::RequestId::as_str)
+            )
+        }
+        Message::ControlResponse(response) => format!(
+            "{} {} {:?} {}",
+            response.status,
+            response.device_id,
+            response.request_id.as_ref().map(urrcp::RequestId::as_str),
+            response.error.as_ref().map(ToString::to_string).unwrap_or_default()
+        ),
+    }
+}
