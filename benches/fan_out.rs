@@ -50,14 +50,15 @@ fn script() -> Script {
 
 fn plan(robots: usize) -> Plan {
     let stop_condition = StopCondition { pending: None, running: Millis::new(20_000.0).ok() };
-    let script = DeviceScript {
+    // One after another: a process that moves eight thousand robots at one instant does the last one late.
+    let script = |id: usize| DeviceScript {
         device: DeviceId::new("d").unwrap(),
-        start: Millis::ZERO,
+        start: Millis::new(id as f64 * 0.25).unwrap(),
         stop_condition,
         script: script(),
     };
     let robot =
-        |id| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script.clone()] };
+        |id: usize| RobotPlan { robot: RobotId::new(format!("r{id}")).unwrap(), scripts: vec![script(id)] };
     Plan {
         scenario: "crowd".into(),
         start_tolerance: Span::from_millis(60_000),

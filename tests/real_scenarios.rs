@@ -138,7 +138,9 @@ fn nineteen_scenes_of_seven_drones_fit_as_nineteen_acts_and_are_refilled_as_one(
         .run(&["check", "one/scenario.yaml", "--fleet", "one/fleet.yaml"])
         .says(0, &["no errors, 7 robots, 28 devices, 5572 steps, 198 s"]);
     // As one act every device needs 7 scripts and holds 2: the others are sent while they play.
-    session.run(&["dry-run", "one/scenario.yaml", "--fleet", "one/fleet.yaml"]).says(0, &["done", "28/28", "796/796"]);
+    session
+        .run(&["dry-run", "one/scenario.yaml", "--fleet", "one/fleet.yaml"])
+        .says(0, &["done", "28/28", "796/796"]);
 }
 
 /// The folder that holds seven folders of nineteen scenes.

@@ -4,18 +4,26 @@ use std::collections::{HashMap, VecDeque};
 
 use urrcp::{ControlResponse, RequestId, Status};
 
-/// Requests that have ended and whose last answer is kept; the oldest go first. Of those that have not ended every
-/// answer is kept: the devices' queues bound their number.
-pub(crate) const ENDED_KEPT: usize = 1_024;
+/// Requests that have ended and whose last answer is kept, at least; the oldest go first. Of those that have not ended
+/// every answer is kept: the devices' queues bound their number.
+pub(crate) const ENDED_KEPT: usize = 256;
+/// As many for each device: whoever asks what became of the last ones is told.
+const ENDED_KEPT_A_DEVICE: usize = 4;
 
 /// The last answer to each request that carried a `request_id`.
-#[derive(Clone, Debug, Default)]
+#[derive(Clone, Debug)]
 pub(crate) struct Answers {
+    kept: usize,
     last: HashMap<RequestId, ControlResponse>,
     ended: VecDeque<RequestId>,
 }
 
 impl Answers {
+    pub(crate) fn of(devices: usize) -> Self {
+        let kept = ENDED_KEPT.max(devices * ENDED_KEPT_A_DEVICE);
+        Self { kept, last: HashMap::new(), ended: VecDeque::new() }
+    }
+
     pub(crate) fn find(&self, id: &RequestId) -> Option<&ControlResponse> {
         self.last.get(id)
     }
@@ -28,7 +36,7 @@ impl Answers {
             return;
         }
         self.ended.push_back(id.clone());
-        if self.ended.len() > ENDED_KEPT {
+        if self.ended.len() > self.kept {
             let oldest = self.ended.pop_front();
             oldest.and_then(|id| self.last.remove(&id));
         }

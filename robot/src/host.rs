@@ -302,6 +302,8 @@ impl Executor {
             let now = self.clock.now();
             self.robots[*robot].advance_movements(now);
         }
+        // Another process may wait for this core to move its robots at the same instant.
+        std::thread::yield_now();
         for robot in due.drain(..) {
             self.advance(robot);
         }

@@ -85,14 +85,14 @@ impl Robot {
         let index_of = block.devices.iter().enumerate().map(|(i, device)| (device.id.clone(), i)).collect();
         let wakeup_of = vec![None; devices.len()];
         Self {
-            block,
             devices,
             index_of,
             heard: LastHeard::default(),
             parties: Parties::default(),
             wakeups: BTreeSet::new(),
             wakeup_of,
-            answers: Answers::default(),
+            answers: Answers::of(block.devices.len()),
+            block,
             readings: HashMap::new(),
             effects: Vec::new(),
             reports: Vec::new(),

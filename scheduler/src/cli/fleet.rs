@@ -151,7 +151,7 @@ async fn ask(
                     }
                 }
                 Event::LinkDown { reason, .. } | Event::Garbled { reason, .. } => return Some(reason),
-                Event::Received { .. } | Event::StopRequested | Event::Go => {}
+                Event::Received { .. } | Event::StopRequested | Event::Go | Event::ServerTime(_) => {}
             }
         }
         Some("the link ended".to_owned())

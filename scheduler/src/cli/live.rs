@@ -94,6 +94,16 @@ impl Live {
             }
             Progress::Reattached { robot } => self.line(&format!("{robot}: back")),
             Progress::Dropped { robot } => self.line(&format!("going on without {robot}")),
+            Progress::NtpLost { since } => {
+                self.line(&format!(
+                    "no answer from the NTP server since {since}; this machine's clock goes on by itself"
+                ));
+            }
+            Progress::NtpBack { offset_change } => {
+                self.line(&format!(
+                    "the NTP server answers again; this machine's clock has strayed by {offset_change}"
+                ));
+            }
             Progress::JournalLost { reason } => self.line(&format!("{reason}; stopping")),
             Progress::Stopping { reason } => self.line(&format!("stopping all robots: {reason}")),
         }

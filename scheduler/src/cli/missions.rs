@@ -272,7 +272,7 @@ async fn go_on(
     let (host, endpoints) =
         fleet::endpoints(robots, HostOptions::default()).map_err(|error| failed(&error.to_string()))?;
     let journal = Journal::open(&found.folder).map_err(|error| failed(&error.to_string()))?;
-    let mut keep = Keep { journal: Some(journal), recording: None };
+    let mut keep = Keep { journal: Some(journal), ..Keep::default() };
     let (said, operator) = operator();
     let (tell_report, report_told) = tokio::sync::watch::channel(None);
     if let Err(error) = control::listen(&found.folder, said, report_told) {

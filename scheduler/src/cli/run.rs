@@ -18,7 +18,7 @@ use crate::mission::{Join, Mission, MissionOptions};
 use crate::recording::Recording;
 use crate::report::{Outcome, Report, StopState, report_text};
 use crate::run::{Keep, Operator, control};
-use crate::server_clock::{self, ServerClock};
+use crate::server_clock::{self, NTP_WATCH_INTERVAL, NtpWatch, ServerClock};
 
 /// Play a scenario on the fleet: all robots start together, or none does.
 #[derive(Debug, clap::Args)]
@@ -214,7 +214,8 @@ impl Work<'_> {
             preflight_only: self.preflight_only,
             utc_offset,
         };
-        let mut keep = Keep::default();
+        let ntp = fleet.ntp.clone().map(|server| NtpWatch::start(server, clock, NTP_WATCH_INTERVAL));
+        let mut keep = Keep { ntp, ..Keep::default() };
         let usage = |message: String| (message, Exit::Usage);
         if let Some(path) = self.record {
             keep.recording = Some(Recording::create(path).map_err(|error| usage(error.to_string()))?);

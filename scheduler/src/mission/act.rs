@@ -126,6 +126,8 @@ pub(crate) struct ActRun {
     pub(crate) target: Option<Timestamp<Server>>,
     pub(crate) timing: Option<Timing>,
     pub(crate) members: Vec<Member>,
+    /// Members that have not accepted everything.
+    pub(crate) awaited: usize,
     /// When reports are next looked for.
     pub(crate) watch: Option<Timestamp<Server>>,
     /// Something has ended: it may be over.

@@ -39,6 +39,7 @@ pub use skew::{RobotSkew, SkewBudget};
 pub(crate) use wait::next_time_of_day;
 
 use crate::report::{ActReport, Outcome, Report};
+use crate::server_clock::NtpState;
 use act::{ActRun, Stage};
 use robot_state::{Link, RobotState};
 
@@ -181,6 +182,8 @@ pub enum Event {
     StopRequested,
     /// The operator lets the act begin that waits for it.
     Go,
+    /// What NTP says of this machine's clock by now.
+    ServerTime(NtpState),
 }
 
 /// What the driver has to do.
@@ -307,6 +310,17 @@ pub enum Progress {
         /// Which.
         robot: RobotId,
     },
+    /// The NTP server answers no more: this machine's clock goes on by itself.
+    NtpLost {
+        /// Since when.
+        since: Timestamp<Server>,
+    },
+    /// The NTP server answers again.
+    NtpBack {
+        /// What has come between NTP time and this machine's clock since the mission began.
+        #[serde(rename = "offset_change_ms")]
+        offset_change: Span,
+    },
     /// The journal cannot be written: everything is stopped.
     JournalLost {
         /// Why.
@@ -373,6 +387,7 @@ pub struct Mission {
     /// Until when clocks are sampled further, and when next.
     sampling: Option<(Timestamp<Server>, Timestamp<Server>)>,
     preflight: Option<Preflight>,
+    ntp: Option<NtpState>,
     outcome: Option<Outcome>,
     /// Something failed on the way, whatever follows.
     flawed: Option<Outcome>,
@@ -423,6 +438,7 @@ impl Mission {
             skipped: 0,
             sampling: None,
             preflight: None,
+            ntp: None,
             outcome: None,
             flawed: None,
             acts: VecDeque::new(),
@@ -454,6 +470,7 @@ impl Mission {
             Event::Garbled { robot, reason } => self.fail(now, robot, FailureKind::Garbled { reason }),
             Event::StopRequested => self.request_stop(now),
             Event::Go => self.go(),
+            Event::ServerTime(state) => self.server_time(state),
         }
         std::mem::take(&mut self.actions)
     }
@@ -651,6 +668,7 @@ impl Mission {
             target: None,
             timing: None,
             members: act::members(&self.choreography.acts[act].plan, &self.robots),
+            awaited: 0,
             watch: None,
             recheck: false,
             readings_asked: 0,
@@ -761,6 +779,20 @@ impl Mission {
         if matches!(self.phase, Phase::Stopping { .. }) {
             self.stop_progress(now);
         }
+    }
+
+    /// Robots that follow NTP go on agreeing with each other whatever this machine's clock does; people are told.
+    fn server_time(&mut self, state: NtpState) {
+        let before = self.ntp.replace(state).and_then(|before| before.lost_since);
+        match (before, state.lost_since) {
+            (None, Some(since)) => self.tell(Progress::NtpLost { since }),
+            (Some(_), None) => self.tell(Progress::NtpBack { offset_change: state.offset_change }),
+            _ => {}
+        }
+    }
+
+    pub(crate) const fn ntp(&self) -> Option<NtpState> {
+        self.ntp
     }
 
     fn send(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {

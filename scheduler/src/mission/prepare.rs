@@ -158,6 +158,7 @@ impl Mission {
         let act = self.act_name(run.act);
         let run = &mut self.runs[index];
         run.stage = Stage::Preparing;
+        run.awaited = run.present().count();
         run.timing = Some(timing);
         for member in &mut run.members {
             let robot = &mut self.robots[member.robot];
@@ -336,8 +337,13 @@ impl Mission {
             if let Some(timing) = &mut run.timing {
                 timing.accepted_at = Some(now);
             }
+            run.awaited = run.awaited.saturating_sub(1);
+            let all = run.awaited == 0;
             let robot = self.robots[robot].id.clone();
             self.tell(Progress::Accepted { robot });
+            if all {
+                self.decide_if_due(now, index);
+            }
         }
     }
 
@@ -439,16 +445,18 @@ impl Mission {
         }
     }
 
-    /// The one decision: the act starts if every robot has accepted everything, else none starts.
+    /// The one decision, as soon as all have accepted or when it is due: the act starts if every robot has accepted
+    /// everything, else none starts.
     pub(super) fn decide_if_due(&mut self, now: Timestamp<Server>, index: usize) {
         let Some(timing) = &self.runs[index].timing else { return };
         let (decision, ask_again, asked) = (timing.decision, timing.ask_again(), timing.asked_again);
         let (start, lease, no_return) = (timing.start, timing.lead.lease, timing.no_return);
         let within = timing.lead.prepare;
-        if now >= ask_again && !asked {
+        if now >= ask_again && !asked && self.runs[index].awaited > 0 {
             self.ask_again(now, index);
         }
-        if now < decision {
+        let all = self.runs[index].awaited == 0;
+        if now < decision && !all {
             return;
         }
         let slow: Vec<_> = self.runs[index]

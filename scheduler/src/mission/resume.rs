@@ -49,6 +49,8 @@ impl Mission {
             return Err(Changed { what: "no act was decided and has not ended".to_owned() });
         }
         mission.phase = Phase::Performing;
+        // The leases have been running out since the other process died.
+        mission.next_renewal = Some(now);
         Ok(mission)
     }
 
@@ -146,6 +148,7 @@ impl Mission {
             target: None,
             timing: Some(timing),
             members,
+            awaited: 0,
             watch: None,
             recheck: false,
             readings_asked: 0,

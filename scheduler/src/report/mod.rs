@@ -11,6 +11,7 @@ use urrcp::{DeviceId, Robot, RobotId, Server, SessionId, Span, Timestamp};
 use crate::clock::ClockReading;
 use crate::mission::act::{ActRun, Member, start_error};
 use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight, SkewBudget, TakenReading};
+use crate::server_clock::NtpState;
 pub use text::{choreography_figures, main_duration, plan_figures, plan_table, preflight_table, report_text};
 
 use crate::mission::robot_state::{RobotState, ScriptPhase, ScriptState, Standing};
@@ -120,6 +121,9 @@ pub struct Report {
     pub robots: Vec<RobotReport>,
     /// All failures, in order.
     pub failures: Vec<Failure>,
+    /// What NTP said of this machine's clock at last, where the fleet file names an NTP server.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub ntp: Option<NtpState>,
     /// What was checked before.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preflight: Option<Preflight>,
@@ -263,6 +267,7 @@ impl Report {
             acts_omitted,
             robots: robots.iter().map(robot_report).collect(),
             failures: robots.iter().flat_map(|robot| robot.failures.iter().cloned()).collect(),
+            ntp: mission.ntp(),
             preflight: mission.preflight().cloned(),
         }
     }

@@ -12,7 +12,7 @@ use crate::link::{Endpoint, Link, LinkEvent};
 use crate::mission::{Action, Event, Mission, Progress};
 use crate::recording::Recording;
 use crate::report::Report;
-use crate::server_clock::ServerClock;
+use crate::server_clock::{NtpState, NtpWatch, ServerClock};
 
 /// Events that may wait for the mission; links wait beyond that.
 const EVENTS_MAX: usize = 65_536;
@@ -38,6 +38,8 @@ pub struct Keep {
     pub journal: Option<Journal>,
     /// Everything that was said.
     pub recording: Option<Recording>,
+    /// Follows NTP while the mission goes on.
+    pub ntp: Option<NtpWatch>,
 }
 
 /// Runs a mission to its end. `endpoints` stand in the order of the mission's robots.
@@ -61,6 +63,7 @@ pub async fn run_and_keep(
     tell: impl FnMut(Timestamp<Server>, &Progress),
     keep: &mut Keep,
 ) -> Report {
+    let mut ntp = keep.ntp.take();
     let (events, mut happened) = mpsc::channel::<LinkEvent>(EVENTS_MAX);
     let mut driver = Driver {
         links: Vec::with_capacity(endpoints.len()),
@@ -96,12 +99,20 @@ pub async fn run_and_keep(
                 driver.note(at, &mission, &event);
                 mission.handle(at, event)
             },
+            state = next_state(&mut ntp) => mission.handle(clock.now(), Event::ServerTime(state)),
             () = sleep_until(wakeup) => Vec::new(),
         };
         driver.perform(&mut mission, actions);
         // Timers come after the events of the same instant, and an event may have made one due.
         let due = mission.advance(clock.now());
         driver.perform(&mut mission, due);
+    }
+}
+
+async fn next_state(ntp: &mut Option<NtpWatch>) -> NtpState {
+    match ntp {
+        Some(watch) => watch.next().await,
+        None => std::future::pending().await,
     }
 }
 

@@ -67,10 +67,37 @@ fn a_set_at_the_end_of_a_script_follows_it() {
 fn at_one_instant_a_step_comes_before_the_message_that_would_cancel_it() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
+    bench.until(1_500);
     bench.now = at(2_000);
     bench.request(at_once("arm", "b", Command::Script(Script::cancel())));
     assert_eq!(bench.values(), [(1_000, 45.0), (2_000, 0.0)]);
     assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed cancelled", "OK"]);
+}
+
+#[test]
+fn a_robot_that_was_held_up_over_a_start_lets_it_be() {
+    for (woke, said) in [(1_050, "Started"), (1_051, "Failed late")] {
+        let mut bench = Bench::new();
+        bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
+        bench.now = at(woke);
+        bench.robot.advance(bench.now, &mut bench.out);
+        assert_eq!(bench.statuses(), ["Accepted", said]);
+        assert_eq!(bench.values().len(), usize::from(said == "Started"));
+    }
+}
+
+#[test]
+fn what_a_stop_has_overtaken_is_taken_back_when_it_arrives() {
+    let mut bench = Bench::new();
+    let mut stop = at_once("arm", "stop", Command::Script(Script::cancel()));
+    stop.timestamp = Some(Timestamp::from_nanos(BEGIN + 5_000_000));
+    bench.request(stop);
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
+    assert_eq!(bench.statuses(), ["OK", "Failed cancelled"]);
+    let mut later = timed("arm", "b", 1_000.0, script(ControlType::Position, &PAPER));
+    later.timestamp = Some(Timestamp::from_nanos(BEGIN + 5_000_001));
+    bench.request(later);
+    assert_eq!(bench.statuses()[2], "Accepted");
 }
 
 #[test]
