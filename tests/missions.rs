@@ -179,15 +179,7 @@ fn preflight_shows_every_robot_and_what_is_wrong() {
 #[test]
 fn a_robot_that_belongs_to_a_mission_is_refused_to_a_second_by_name() {
     let session = evening("wait: operator");
-    session.file(
-        "fleet.yaml",
-        "robots:\n  left: {init: arm.yaml, address: tcp://127.0.0.1:PORT1}\n  right: {init: arm.yaml, address: tcp://127.0.0.1:PORT2}\ngroups:\n  arms: [left, right]\n"
-            .replace("PORT1", &free_port().to_string())
-            .replace("PORT2", &free_port().to_string()),
-    );
-    let mut sim = session.command(&["sim", "fleet.yaml"]);
-    let _sim = Killed(sim.stdout(Stdio::null()).spawn().unwrap());
-    std::thread::sleep(Duration::from_millis(300));
+    let _sim = on_tcp(&session);
     let first = start(&session, &["run", "evening.yaml"], "waits for the operator's go");
     session.run(&["run", "evening.yaml"]).says(1, &["robot `left` is in mission `evening@", "robot `right`"]);
     // A scheduler on another machine, which has no journal of the first, is told by the robots.
@@ -204,12 +196,7 @@ fn free_port() -> u16 {
 }
 
 fn on_tcp(session: &Session) -> Killed {
-    session.file(
-        "fleet.yaml",
-        "robots:\n  left: {init: arm.yaml, address: tcp://127.0.0.1:PORT1}\n  right: {init: arm.yaml, address: tcp://127.0.0.1:PORT2}\ngroups:\n  arms: [left, right]\n"
-            .replace("PORT1", &free_port().to_string())
-            .replace("PORT2", &free_port().to_string()),
-    );
+    let _both = ports(session);
     let mut sim = session.command(&["sim", "fleet.yaml"]);
     let sim = Killed(sim.stdout(Stdio::null()).spawn().unwrap());
     std::thread::sleep(Duration::from_millis(300));
@@ -302,4 +289,102 @@ fn every_kind_of_report_keeps_to_its_schema() {
             validator.iter_errors(&report).map(|e| format!("{}: {e}", e.instance_path)).collect();
         assert!(faults.is_empty(), "{args:?}: {faults:#?}\n{report:#}");
     }
+}
+
+fn ports(session: &Session) -> (u16, u16) {
+    let ports = (free_port(), free_port());
+    session.file(
+        "fleet.yaml",
+        format!(
+            "robots:\n  left: {{init: arm.yaml, address: \"tcp://127.0.0.1:{}\"}}\n  right: {{init: arm.yaml, address: \"tcp://127.0.0.1:{}\"}}\ngroups:\n  arms: [left, right]\n",
+            ports.0, ports.1
+        ),
+    );
+    ports
+}
+
+fn robot(session: &Session, id: &str, port: u16) -> Killed {
+    let mut command = session.command(&["robot", "--init", "arm.yaml", "--id", id, "--listen"]);
+    command.arg(format!("127.0.0.1:{port}"));
+    let mut child = Killed(command.stdout(Stdio::piped()).spawn().unwrap());
+    let mut line = String::new();
+    BufReader::new(child.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    child
+}
+
+#[test]
+fn a_late_joiner_is_refused_or_joins_at_the_next_act() {
+    let session = evening("wait: operator");
+    let (left, right) = ports(&session);
+    let _left = robot(&session, "left", left);
+    session.run(&["run", "evening.yaml"]).says(1, &["not started", "right: link down"]);
+    let args = ["run", "evening.yaml", "--join", "next_act", "--format", "text"];
+    let child = start(&session, &args, "waits for the operator's go");
+    let _right = robot(&session, "right", right);
+    // It is reached within a second of its coming.
+    std::thread::sleep(Duration::from_millis(2_500));
+    session.run(&["go"]).says(0, &[]);
+    let ran = finished(child);
+    ran.says(0, &["evening: done"]);
+    let row =
+        |robot: &str| ran.out().lines().find(|line| line.trim_start().starts_with(robot)).unwrap().to_owned();
+    assert!(row("left").contains("2/2") && row("right").contains("1/1"), "{}", ran.out());
+}
+
+#[test]
+fn a_link_that_breaks_in_mid_mission_is_made_anew_and_the_mission_goes_on() {
+    let session = Session::new();
+    session.file("long.yaml", LONG);
+    let (left, right) = ports(&session);
+    let _robots = [robot(&session, "left", left), robot(&session, "right", right)];
+    // Between the scheduler and `right` stands a proxy that is closed once and opened again.
+    let proxied = free_port();
+    let fleet = std::fs::read_to_string(session.path("fleet.yaml")).unwrap();
+    session.file("fleet.yaml", fleet.replace(&right.to_string(), &proxied.to_string()));
+    let cut = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
+    proxy(proxied, right, std::sync::Arc::clone(&cut));
+    let child = start(&session, &["run", "long.yaml", "--format", "json"], "");
+    std::thread::sleep(Duration::from_millis(1_600));
+    cut.store(true, std::sync::atomic::Ordering::Relaxed);
+    let ran = finished(child);
+    let report = ran.json();
+    assert_eq!(report["outcome"], "done", "{report:#}");
+    assert_eq!(report["robots"][1]["reconnects"], 1, "{report:#}");
+    assert_eq!(report["robots"][1]["steps_done"], 2);
+}
+
+/// Carries connections from one port to another; those that stand when `cut` is set are closed, later ones are not.
+fn proxy(from: u16, to: u16, cut: std::sync::Arc<std::sync::atomic::AtomicBool>) {
+    let listener = std::net::TcpListener::bind(("127.0.0.1", from)).unwrap();
+    std::thread::spawn(move || {
+        for client in listener.incoming().flatten() {
+            let robot = std::net::TcpStream::connect(("127.0.0.1", to)).unwrap();
+            let cut = std::sync::Arc::clone(&cut);
+            for (mut reader, mut writer) in [
+                (client.try_clone().unwrap(), robot.try_clone().unwrap()),
+                (robot.try_clone().unwrap(), client.try_clone().unwrap()),
+            ] {
+                std::thread::spawn(move || std::io::copy(&mut reader, &mut writer));
+            }
+            std::thread::spawn(move || {
+                while !cut.swap(false, std::sync::atomic::Ordering::Relaxed) {
+                    std::thread::sleep(Duration::from_millis(5));
+                }
+                for end in [&client, &robot] {
+                    let _closed = end.shutdown(std::net::Shutdown::Both);
+                }
+            });
+        }
+    });
+}
+
+#[test]
+fn two_missions_play_at_once_on_robots_of_their_own() {
+    let session = evening("wait: operator");
+    let _sim = on_tcp(&session);
+    let first = start(&session, &["run", "evening.yaml", "--only", "left"], "waits for the operator's go");
+    session.run(&["run", "evening.yaml", "--only", "right", "--act", "opening"]).says(0, &["done"]);
+    session.run(&["run", "evening.yaml"]).says(1, &["robot `left` is in mission"]);
+    session.run(&["stop"]).says(0, &["left: default state confirmed"]);
+    finished(first).says(3, &["stopped by the operator"]);
 }

@@ -154,3 +154,54 @@ fn the_same_seed_plays_the_same_mission() {
     let once = json(play_with(six(|_, _| {}), MissionOptions::default()));
     assert_eq!(once, json(play_with(six(|_, _| {}), MissionOptions::default())));
 }
+
+fn with_policy(policy: downbeat_scripts::OnFailure, settings: Vec<Settings>) -> Played {
+    let robots = settings.len();
+    let machines: Vec<_> =
+        settings.into_iter().enumerate().map(|(id, s)| SimulatedRobot::new(block(id), s)).collect();
+    let participants: Vec<_> =
+        (0..robots).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
+    let mut choreography = downbeat_scripts::Choreography::of_plan(plan(robots));
+    choreography.acts[0].on_failure.default = policy;
+    let mission = Mission::new(choreography, participants, MissionOptions::default(), BEGIN).unwrap();
+    play(mission, machines)
+}
+
+#[test]
+fn without_a_robot_that_refuses_the_others_go_on() {
+    let settings = six(|id, settings| {
+        settings.delay = None;
+        settings.fault = (id == 3).then_some(Fault::Refuse);
+    });
+    let played = with_policy(downbeat_scripts::OnFailure::Without, settings);
+    assert_eq!(played.report.outcome, Outcome::DoneWithout);
+    assert_eq!(moved(&played.logs), 5);
+    let standings: Vec<_> = played.report.robots.iter().map(|robot| robot.standing).collect();
+    assert_eq!(standings, ["in", "in", "in", "out", "in", "in"]);
+}
+
+#[test]
+fn a_robot_without_ntp_starts_with_the_others_when_its_clock_is_measured() {
+    let machines: Vec<_> = (0..2)
+        .map(|id| {
+            let ntp_error = (id == 0).then_some(Span::ZERO);
+            let clock_offset = Span::from_millis(2_345);
+            let delay = Some((Span::from_millis(1), Span::from_millis(3)));
+            let settings =
+                Settings { clock_offset, drift_ppm: 30.0, ntp_error, delay, ..Settings::default() };
+            SimulatedRobot::new(block(id), settings)
+        })
+        .collect();
+    let participant = |id| {
+        let clock =
+            if id == 1 { crate::mission::ClockMode::Measured } else { crate::mission::ClockMode::Ntp };
+        Participant { clock, ..Participant::new(block(id).id, Some(block(id))) }
+    };
+    let participants = (0..2).map(participant).collect();
+    let mission = Mission::of_plan(plan(2), participants, MissionOptions::default(), BEGIN).unwrap();
+    let played = play(mission, machines);
+    assert_eq!(played.report.outcome, Outcome::Done, "{:?}", played.report.failures);
+    let skew = played.report.acts[0].skew.clone().unwrap();
+    assert!(played.report.true_spread.unwrap() <= skew.predicted, "{:?} {skew:?}", played.report.true_spread);
+    assert!(played.report.robots[1].clock.unwrap().offset > Span::from_millis(2_300));
+}

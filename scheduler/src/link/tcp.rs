@@ -128,3 +128,38 @@ impl Overtaking {
         });
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use tokio::io::AsyncBufReadExt;
+    use urrcp::{Command, ControlRequest, Script};
+
+    use super::*;
+    use crate::link::{Endpoint, Link};
+
+    #[tokio::test]
+    async fn a_stop_never_waits_behind_an_upload_that_the_robot_does_not_read() {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let (events, _happened) = mpsc::channel(64);
+        let clock = ServerClock::anchored(Span::ZERO);
+        let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port };
+        let link = Link::open(0, endpoint, clock, events, Duration::ZERO);
+        let (_unread, _) = listener.accept().await.unwrap();
+        let stop = |device: String| {
+            let request =
+                ControlRequest::immediate(device.parse().unwrap(), Command::Script(Script::cancel()));
+            Message::ControlRequest(request)
+        };
+        // Far more than any socket buffers.
+        for _ in 0..39_000 {
+            link.send(stop("x".repeat(250)), false);
+        }
+        tokio::time::sleep(Duration::from_millis(100)).await;
+        link.send(stop("arm".to_owned()), true);
+        let (second, _) =
+            tokio::time::timeout(Duration::from_secs(5), listener.accept()).await.unwrap().unwrap();
+        let line = tokio::io::BufReader::new(second).lines().next_line().await.unwrap().unwrap();
+        assert!(line.contains(r#""device_id":"arm""#), "{line}");
+    }
+}

@@ -103,7 +103,7 @@ impl Mission {
         if self.robots[robot].standing == Standing::Absent {
             return match self.options.greeting {
                 Greeting::Full => self.greet(now, robot),
-                Greeting::Skip => self.robots[robot].standing = Standing::In,
+                Greeting::Skip => self.joins(robot),
             };
         }
         self.robots[robot].totals.reconnects += 1;

@@ -383,9 +383,17 @@ impl Mission {
             return self.ask_availability(now, robot);
         }
         if state.introduced && !state.has_failed() && self.options.join == Join::NextAct {
-            self.robots[robot].standing = Standing::In;
+            self.joins(robot);
             let robot = self.robots[robot].id.clone();
             self.tell(Progress::Reattached { robot });
+        }
+    }
+
+    /// From the next act on that has not been sent.
+    pub(super) fn joins(&mut self, robot: usize) {
+        self.robots[robot].standing = Standing::In;
+        for run in self.runs.iter_mut().filter(|run| !run.is_sent()) {
+            run.members = act::members(&self.choreography.acts[run.act].plan, &self.robots);
         }
     }
 
