@@ -13,7 +13,11 @@ fn every_example_is_sound_and_plays_in_virtual_time() {
     for name in ["swap", "dance", "tank", "wave", "meeting"] {
         let scenario = format!("scripts/examples/{name}.yaml");
         downbeat(&["check", &scenario]).says(0, &["no errors"]);
-        downbeat(&["dry-run", &scenario]).says(0, &["done"]);
+        let ran = downbeat(&["dry-run", &scenario, "--format", "json"]);
+        let report = ran.json();
+        assert_eq!((ran.code(), report["outcome"].as_str()), (0, Some("done")));
+        // By the one true clock, over all acts.
+        assert!(report["true_spread_ms"].as_f64().unwrap() < 5.0, "{name}: {}", report["true_spread_ms"]);
     }
 }
 

@@ -148,8 +148,6 @@ fn play_from(mission: Mission, robots: Vec<SimulatedRobot>, begin: Timestamp<Ser
 fn true_spread(mission: &Mission, act: &ActReport, logs: &[Vec<LogEntry>]) -> Option<Span> {
     let index_of: HashMap<_, _> =
         mission.robots().iter().enumerate().map(|(index, robot)| (&robot.id, index)).collect();
-    // The requests of an act bear its number between slashes.
-    let number = format!("/{}/", act.number);
     let mut errors = Vec::new();
     for robot in act.robots.iter().filter(|robot| !robot.left_out) {
         let log = logs.get(*index_of.get(&robot.robot)?)?;
@@ -158,7 +156,7 @@ fn true_spread(mission: &Mission, act: &ActReport, logs: &[Vec<LogEntry>]) -> Op
         for device in &robot.devices {
             let nth = begun.entry(&device.device).or_default();
             let mut firsts = log.iter().filter(|entry| {
-                let of_act = entry.request_id.as_ref().is_some_and(|id| id.contains(&number));
+                let of_act = entry.request_id.as_deref().and_then(act_of) == Some(act.number);
                 of_act && entry.device == device.device && entry.motion == "set" && entry.step == Some(0)
             });
             let (first, planned) = (firsts.nth(*nth)?, device.planned_start? + device.first_step);
@@ -167,6 +165,12 @@ fn true_spread(mission: &Mission, act: &ActReport, logs: &[Vec<LogEntry>]) -> Op
         }
     }
     Some(*errors.iter().max()? - *errors.iter().min()?)
+}
+
+/// The number of the act to which a request belongs: ids end with act, robot and script.
+#[must_use]
+pub fn act_of(request_id: &str) -> Option<u32> {
+    request_id.rsplit('/').nth(2)?.parse().ok()
 }
 
 struct World {

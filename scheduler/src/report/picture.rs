@@ -6,7 +6,7 @@ use downbeat_scripts::{Act, DeviceScript, FleetRobot};
 use urrcp::{DeviceId, Interpolation, RobotId};
 
 use super::ActReport;
-use crate::dry_run::Played;
+use crate::dry_run::{Played, act_of};
 
 const LANE_HEIGHT: f64 = 34.0;
 const CUE_HEIGHT: f64 = 18.0;
@@ -188,10 +188,10 @@ impl Lane {
 
     /// What the robot set, at its true time.
     fn dots(&self, svg: &mut String, track: &Track<'_>, reported: &ActReport, played: &Played) {
-        let (start, number) = (reported.start, format!("/{}/", reported.number));
+        let start = reported.start;
         let Some(log) = played.log_of(track.robot) else { return };
         let set = log.iter().filter(|entry| {
-            let of_act = entry.request_id.as_ref().is_some_and(|id| id.contains(&number));
+            let of_act = entry.request_id.as_deref().and_then(act_of) == Some(reported.number);
             of_act && entry.motion == "set" && entry.device == *track.device
         });
         for entry in set {
