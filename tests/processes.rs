@@ -7,6 +7,7 @@ use std::time::Duration;
 use crate::session::{ARM, PROGRAM, Session};
 
 const SCENARIO: &str = "scenario: test
+start_tolerance: 60ms
 cues:
   - at: 0s
     robots: all

@@ -4,7 +4,7 @@ use downbeat_scripts::OnFailure;
 use urrcp::{InitializationRequest, Message, Server, Timestamp};
 
 use super::act::{ActRun, Stage};
-use super::prepare::running_lease;
+use super::commit::running_lease;
 use super::record::Record;
 use super::robot_state::{Failure, FailureKind, Link, ScriptPhase, Standing};
 use super::{Action, Greeting, Join, Mission, Phase, Progress};

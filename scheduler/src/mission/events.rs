@@ -1,0 +1,205 @@
+//! What goes into a mission and what comes out of it.
+
+use serde::Serialize;
+use urrcp::{DeviceId, Message, RobotId, Server, Span, Timestamp};
+
+use super::{Failure, LeadTime, Preflight, Record, SkewBudget};
+use crate::server_clock::NtpState;
+
+/// What happened outside.
+#[derive(Clone, Debug)]
+pub enum Event {
+    /// A link stands.
+    LinkUp {
+        /// Whose.
+        robot: usize,
+    },
+    /// A link broke or could not be made.
+    LinkDown {
+        /// Whose.
+        robot: usize,
+        /// Why, for people.
+        reason: String,
+    },
+    /// A message arrived.
+    Received {
+        /// From whom.
+        robot: usize,
+        /// What.
+        message: Message,
+    },
+    /// Bytes arrived that are no message.
+    Garbled {
+        /// From whom.
+        robot: usize,
+        /// What is wrong with them.
+        reason: String,
+    },
+    /// The operator wants everything to stop.
+    StopRequested,
+    /// The operator lets the act begin that waits for it.
+    Go,
+    /// What NTP says of this machine's clock by now.
+    ServerTime(NtpState),
+}
+
+/// What the driver has to do.
+#[derive(Clone, Debug)]
+pub enum Action {
+    /// Send a message on the robot's link.
+    Send {
+        /// To whom.
+        robot: usize,
+        /// What.
+        message: Message,
+        /// Ahead of everything that waits to be sent.
+        urgent: bool,
+    },
+    /// Make the robot's link anew.
+    Reconnect {
+        /// Whose.
+        robot: usize,
+    },
+    /// Write this down before anything that follows is done.
+    Record(Record),
+    /// Tell the operator.
+    Tell(Progress),
+}
+
+/// What an operator wants to know while the mission goes on.
+#[derive(Clone, Debug, Serialize)]
+#[serde(tag = "progress", rename_all = "snake_case")]
+pub enum Progress {
+    /// All links stand.
+    Connected {
+        /// How many robots.
+        robots: usize,
+    },
+    /// All robots are greeted and checked.
+    Greeted {
+        /// Largest measured offset of a robot's clock.
+        #[serde(rename = "clock_offset_max_ms")]
+        clock_offset_max: Option<Span>,
+        /// What was checked, a row a robot.
+        preflight: Preflight,
+    },
+    /// An act waits for its condition.
+    Waiting {
+        /// Which.
+        act: String,
+        /// For what, for people.
+        awaits: String,
+    },
+    /// All requests of an act are on their way.
+    Preparing {
+        /// Which act.
+        act: String,
+        /// The sending timestamp that all share.
+        timestamp: Timestamp<Server>,
+        /// When the first cue starts.
+        start: Timestamp<Server>,
+        /// Why the start is that far ahead.
+        lead: LeadTime,
+        /// How far apart the robots may start.
+        skew: Option<SkewBudget>,
+    },
+    /// A robot has accepted all its scripts.
+    Accepted {
+        /// Which.
+        robot: RobotId,
+    },
+    /// All have accepted: the act starts, unless a lease cannot be carried over the start.
+    Decided {
+        /// Which act.
+        act: String,
+        /// When the first cue starts.
+        start: Timestamp<Server>,
+        /// How long it plays.
+        #[serde(rename = "duration_ms")]
+        duration: Span,
+        /// Until then a failure still withdraws everything before anything has moved; after it only stopping is possible.
+        no_return: Timestamp<Server>,
+    },
+    /// All robots have confirmed the renewal that carries them over the start.
+    Committed {
+        /// Which act.
+        act: String,
+        /// Between the first renewal sent and the last confirmed: had this machine died in it, some would have started.
+        #[serde(rename = "window_ms")]
+        window: Option<Span>,
+    },
+    /// A device's script has started.
+    Started {
+        /// On which robot.
+        robot: RobotId,
+        /// Actual minus planned start.
+        #[serde(rename = "error_ms")]
+        error: Option<Span>,
+    },
+    /// A robot has ended all its scripts of an act.
+    Finished {
+        /// Which.
+        robot: RobotId,
+    },
+    /// An act has ended.
+    ActEnded {
+        /// Which.
+        act: String,
+    },
+    /// Something failed.
+    Failed(Failure),
+    /// The link to a robot broke in mid-mission; it goes on by its script.
+    LinkLost {
+        /// Which.
+        robot: RobotId,
+        /// Why.
+        reason: String,
+        /// When it is given up.
+        until: Timestamp<Server>,
+    },
+    /// A robot is back.
+    Reattached {
+        /// Which.
+        robot: RobotId,
+    },
+    /// A robot is left out from here on.
+    Dropped {
+        /// Which.
+        robot: RobotId,
+    },
+    /// The NTP server answers no more: this machine's clock goes on by itself.
+    NtpLost {
+        /// Since when.
+        since: Timestamp<Server>,
+    },
+    /// The NTP server answers again.
+    NtpBack {
+        /// What has come between NTP time and this machine's clock since the mission began.
+        #[serde(rename = "offset_change_ms")]
+        offset_change: Span,
+    },
+    /// The journal cannot be written: everything is stopped.
+    JournalLost {
+        /// Why.
+        reason: String,
+    },
+    /// Stop requests are on their way.
+    Stopping {
+        /// Why.
+        reason: String,
+    },
+}
+
+/// A reading that the scenario asked for.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct TakenReading {
+    /// Whose.
+    pub robot: RobotId,
+    /// Which.
+    pub sensor: DeviceId,
+    /// When it was asked for, from the act's start.
+    #[serde(rename = "at_ms")]
+    pub at: Span,
+    /// What it read.
+    pub value: Option<f64>,
+}

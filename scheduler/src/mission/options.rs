@@ -1,0 +1,111 @@
+//! Who takes part in a mission, and what the operator chose.
+
+use downbeat_scripts::SensorRange;
+use serde::Serialize;
+use urrcp::{DeviceId, InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
+
+/// How a robot's time is brought to agree with the server's.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ClockMode {
+    /// Both follow NTP; measurements only verify that.
+    #[default]
+    Ntp,
+    /// The robot has no NTP: what it is sent is translated into its own time.
+    Measured,
+}
+
+/// What a sensor has to read before a mission.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Requirement {
+    /// Which sensor.
+    pub sensor: DeviceId,
+    /// Which readings will do.
+    pub range: SensorRange,
+}
+
+/// A robot that takes part, by its index in the mission from here on.
+#[derive(Clone, Debug)]
+pub struct Participant {
+    /// Its id in the fleet file.
+    pub id: RobotId,
+    /// Its static description, if the fleet file gives one.
+    pub block: Option<InitializationBlock>,
+    /// How its time is brought to agree with the server's.
+    pub clock: ClockMode,
+    /// How late it may wake up for a start.
+    pub wake_up: Span,
+    /// What its sensors have to read before the mission.
+    pub requires: Vec<Requirement>,
+}
+
+impl Participant {
+    /// A robot of which nothing but this is known.
+    #[must_use]
+    pub const fn new(id: RobotId, block: Option<InitializationBlock>) -> Self {
+        Self { id, block, clock: ClockMode::Ntp, wake_up: Span::ZERO, requires: Vec::new() }
+    }
+}
+
+/// Whether steps 1 to 4 of the protocol are played.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Greeting {
+    /// Ask every robot for its availability, clock and initialization block.
+    Full,
+    /// Trust the static blocks (a static system in a closed network).
+    Skip,
+}
+
+/// What becomes of a robot that is not there when the mission begins.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Join {
+    /// Nothing starts without it.
+    #[default]
+    Refuse,
+    /// The others begin, and it joins at the first act that begins after it has come.
+    NextAct,
+}
+
+/// What the operator chose.
+#[derive(Clone, Debug)]
+pub struct MissionOptions {
+    /// Steps 1 to 4, or not.
+    pub greeting: Greeting,
+    /// Overrides the scenario's lead time.
+    pub lead: Option<Span>,
+    /// How long to wait for links, greetings and stop confirmations.
+    pub patience: Span,
+    /// Uncertainty of the server's own clock against NTP.
+    pub server_uncertainty: Span,
+    /// On whose behalf robots are driven. Without one a robot cannot tell this scheduler from another.
+    pub session: Option<SessionId>,
+    /// When the first act starts, instead of as soon as possible.
+    pub start_at: Option<Timestamp<Server>>,
+    /// With which act to begin, by its index.
+    pub first_act: usize,
+    /// What becomes of robots that are not there at first.
+    pub join: Join,
+    /// Ends once the fleet is checked.
+    pub preflight_only: bool,
+    /// The server's local time minus UTC, for acts that wait for a time of day.
+    pub utc_offset: Span,
+}
+
+impl Default for MissionOptions {
+    fn default() -> Self {
+        Self {
+            greeting: Greeting::Full,
+            lead: None,
+            patience: Span::from_millis(5_000),
+            server_uncertainty: Span::ZERO,
+            session: None,
+            start_at: None,
+            first_act: 0,
+            join: Join::Refuse,
+            preflight_only: false,
+            utc_offset: Span::ZERO,
+        }
+    }
+}
