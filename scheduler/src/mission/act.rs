@@ -155,10 +155,14 @@ impl ActRun {
         self.members.iter().flat_map(|member| &member.scripts).any(ScriptState::has_begun)
     }
 
-    /// How many scripts a device still holds for this act.
-    pub(crate) fn held(&self, robot: usize, device: &urrcp::DeviceId) -> usize {
+    /// How much of a device's queue this act takes from another one: what is held, and where this act comes first also what
+    /// is still to be sent.
+    pub(crate) fn held(&self, robot: usize, device: &urrcp::DeviceId, other: u32) -> usize {
+        let comes_first = self.number < other;
+        let takes =
+            |script: &&ScriptState| script.is_out() || (comes_first && script.phase == ScriptPhase::Planned);
         let scripts = self.member(robot).into_iter().flat_map(|member| &member.scripts);
-        scripts.filter(|script| script.plan.device == *device && script.is_out()).count()
+        scripts.filter(|script| script.plan.device == *device).filter(takes).count()
     }
 }
 

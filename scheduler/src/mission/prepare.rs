@@ -91,7 +91,9 @@ impl Mission {
         run.alone_since.is_some()
             || run.present().all(|member| {
                 let robot = &self.robots[member.robot];
-                let held = |device: &urrcp::DeviceId| others().map(|o| o.held(member.robot, device)).sum();
+                let held = |device: &urrcp::DeviceId| {
+                    others().map(|o| o.held(member.robot, device, run.number)).sum()
+                };
                 let sendable = member.sendable(robot, held);
                 let scripts = &member.scripts;
                 let first = |i: &usize| *i == 0 || scripts[i - 1].plan.device != scripts[*i].plan.device;
@@ -242,7 +244,7 @@ impl Mission {
         let state = &run.members[member];
         let others = self.runs.iter().filter(|other| other.number != run.number);
         let held = |device: &urrcp::DeviceId| {
-            others.clone().map(|other| other.held(state.robot, device)).sum::<usize>()
+            others.clone().map(|other| other.held(state.robot, device, run.number)).sum::<usize>()
         };
         let sendable = state.sendable(&self.robots[state.robot], held);
         for script in sendable {

@@ -38,3 +38,10 @@ fn most_seeds_without_faults_come_to_their_end() {
     }
     assert!(all > 30 && done * 10 >= all * 9, "{done} of {all} done");
 }
+
+#[test]
+fn seeds_that_found_something_once_find_nothing_any_more() {
+    for seed in [300, 876, 1_440, 2_117, 3_695, 9_687, 14_909, 51_973, 81_677, 229_698, 1_295_971] {
+        assert_eq!(run(seed).verdict().violations, [], "seed {seed}");
+    }
+}
