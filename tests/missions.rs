@@ -165,7 +165,11 @@ fn preflight_shows_every_robot_and_what_is_wrong() {
     let ran = session.run(&["preflight", "evening.yaml"]);
     ran.says(
         1,
-        &["not started", "right: `battery` reads 50, the fleet file requires within 60 and 100", "FAILURE"],
+        &[
+            "not ready",
+            "right sensors: `battery` reads 50, the fleet file requires within 60 and 100",
+            "FAILURE",
+        ],
     );
     session.file(
         "fleet.yaml",
@@ -387,4 +391,15 @@ fn two_missions_play_at_once_on_robots_of_their_own() {
     session.run(&["run", "evening.yaml"]).says(1, &["robot `left` is in mission"]);
     session.run(&["stop"]).says(0, &["left: default state confirmed"]);
     finished(first).says(3, &["stopped by the operator"]);
+}
+
+#[test]
+fn a_start_that_has_passed_or_is_too_soon_is_refused_with_the_earliest_safe_one() {
+    let session = evening("wait: done");
+    let refused =
+        ["not sent: a start at 2020-01-01T00:00:00.000000000Z has passed", "the earliest safe start was"];
+    session.run(&["run", "evening.yaml", "--at", "2020-01-01T00:00:00Z"]).says(1, &refused);
+    session.run(&["run", "evening.yaml", "--record", "no/such.mcap"]).says(2, &["No such file or directory"]);
+    let no_sensor = ["no robot that takes part is called `left` and has a sensor `lid`"];
+    session.run(&["dry-run", "evening.yaml", "--reading", "left/lid=1"]).says(1, &no_sensor);
 }

@@ -2,7 +2,7 @@
 //! how a broadcast or a sequential "go" fares under the same faults.
 //!
 //! `cargo run --release --bin soak -- --seeds 1000000`; `--trace SEED` prints the story of one.
-#![allow(clippy::print_stdout, reason = "a program that reports to a terminal")]
+#![expect(clippy::print_stdout, reason = "a program that reports to a terminal")]
 
 use std::process::ExitCode;
 use std::sync::Mutex;

@@ -116,7 +116,9 @@ fn play(
         .map_err(|error| error.to_string())?;
     for (robot, sensor, value) in &args.reading {
         if !rehearsal.set_reading(robot, sensor, *value) {
-            return Err(format!("--reading: no robot `{robot}` plays or is read"));
+            return Err(format!(
+                "--reading: no robot that takes part is called `{robot}` and has a sensor `{sensor}`"
+            ));
         }
     }
     Ok(rehearsal.play())

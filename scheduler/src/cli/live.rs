@@ -52,7 +52,8 @@ impl Live {
                 }
                 let plain = |verdict: &Verdict| matches!(verdict, Verdict::Pass(_) | Verdict::NotChecked);
                 if preflight.rows.iter().any(|row| !row.checks.iter().all(|(_, verdict)| plain(verdict))) {
-                    self.line(preflight_table(preflight).trim_end());
+                    // What is wrong with whom is told as it is found, and in the report.
+                    self.line(preflight_table(preflight, false).trim_end());
                 }
             }
             Progress::Waiting { act, awaits } => self.line(&format!("`{act}` waits for {awaits}")),

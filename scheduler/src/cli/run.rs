@@ -250,7 +250,9 @@ impl Work<'_> {
         let participants = fleet::participants(&robots);
         let mission = Mission::new(choreography, participants, options, clock.now())
             .map_err(|error| failed(error.to_string()))?;
-        let live = Live::new(self.format, clock, robots.len());
+        // A preflight alone is told once, by its table.
+        let told = if self.preflight_only { Format::Json } else { self.format };
+        let live = Live::new(told, clock, robots.len());
         let report = crate::run::run_and_keep(
             mission,
             endpoints,

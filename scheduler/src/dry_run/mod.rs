@@ -78,9 +78,14 @@ impl Rehearsal {
         Ok(Self { mission, robots, begin })
     }
 
-    /// Lets a sensor read this. `false` where the robot takes no part.
+    /// Lets a sensor read this. `false` where the robot takes no part, or has no such sensor.
     pub fn set_reading(&mut self, robot: &RobotId, sensor: &DeviceId, value: f64) -> bool {
         let index = self.mission.robots().iter().position(|state| state.id == *robot);
+        let has = |index: &usize| {
+            let device = self.robots[*index].robot().block().device(sensor.as_str());
+            device.is_some_and(|device| device.available_control_types.sensor().is_some())
+        };
+        let index = index.filter(has);
         index.map(|index| self.robots[index].set_reading(sensor.clone(), value)).is_some()
     }
 

@@ -46,7 +46,7 @@ pub(crate) struct Timing {
     pub(crate) accepted_at: Option<Timestamp<Server>>,
     /// The round of renewals that carries the leases over the start: when it was sent, and when its last answer came.
     pub(crate) round: Option<(Timestamp<Server>, Timestamp<Server>)>,
-    /// How much later it starts than the act before it ends, where it should follow at once.
+    /// How much later it starts than it should: at the end of the act before, or at the time that it waits for.
     pub(crate) gap: Option<Span>,
     pub(crate) asked_again: bool,
 }

@@ -220,6 +220,7 @@ impl Mission {
         let failed = self.robots.iter().any(RobotState::has_failed);
         let nobody = self.robots.iter().all(|robot| robot.standing != Standing::In);
         match failed || nobody {
+            true if self.options.preflight_only => self.refuse(Outcome::NotReady),
             true => self.refuse(Outcome::NotStarted),
             false if self.options.preflight_only => self.refuse(Outcome::Ready),
             false => {

@@ -124,6 +124,11 @@ impl Mission {
             let safe_start = now + needed.total();
             return Err(Outcome::LeadTooShort { lead, needed, safe_start });
         }
+        // What the operator asked for is kept or refused, never silently played later.
+        let asked = self.options.start_at.filter(|_| run.number == 0);
+        if let Some(start) = asked.filter(|start| *start < now + needed.total()) {
+            return Err(Outcome::StartTooSoon { start, safe_start: now + needed.total() });
+        }
         let lead = needed.stretched_to(wanted.unwrap_or(needed.total()));
         Ok(Need { lead, delay_max })
     }
@@ -136,7 +141,6 @@ impl Mission {
         let lead = need.lead.stretched_to(target + self.slip(run, now) - now);
         let start = now + lead.total();
         let plan = &self.choreography.acts[run.act].plan;
-        let follows_at_once = run.number > 0 && run.target.is_some();
         let timing = Timing {
             timestamp: now,
             start,
@@ -148,7 +152,7 @@ impl Mission {
             skew: skew.clone(),
             accepted_at: None,
             round: None,
-            gap: follows_at_once.then(|| start - target),
+            gap: run.target.map(|target| start - target),
             asked_again: false,
         };
         let act = self.act_name(run.act);

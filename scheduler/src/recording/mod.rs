@@ -20,12 +20,20 @@ use crate::mission::{Progress, Record};
 
 /// A recording could not be written.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot write the recording {}: {error}", path.display())]
+#[error("cannot write the recording {}: {}", path.display(), reason(error))]
 pub struct RecordingError {
     /// Which file.
     pub path: PathBuf,
     /// Why.
     pub error: McapError,
+}
+
+/// What the system said, where it was the system.
+fn reason(error: &McapError) -> String {
+    match error {
+        McapError::Io(error) => error.to_string(),
+        other => other.to_string(),
+    }
 }
 
 /// A file that is being written.

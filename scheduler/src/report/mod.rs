@@ -29,6 +29,8 @@ pub enum Outcome {
     DoneWithout,
     /// The fleet is checked and nothing was sent.
     Ready,
+    /// The fleet is checked, and would not start.
+    NotReady,
     /// None started.
     NotStarted,
     /// It started, then a robot failed, and all were stopped.
@@ -44,6 +46,13 @@ pub enum Outcome {
         lead: Span,
         /// What this fleet needs.
         needed: LeadTime,
+        /// The earliest start that would have been safe.
+        safe_start: Timestamp<Server>,
+    },
+    /// The start asked for has passed, or is too soon; nothing was sent.
+    StartTooSoon {
+        /// What was asked for.
+        start: Timestamp<Server>,
         /// The earliest start that would have been safe.
         safe_start: Timestamp<Server>,
     },
@@ -70,6 +79,7 @@ impl fmt::Display for Outcome {
             Self::Done => f.write_str("done"),
             Self::DoneWithout => f.write_str("done, without the robots that failed"),
             Self::Ready => f.write_str("ready, nothing was sent"),
+            Self::NotReady => f.write_str("not ready, nothing was sent"),
             Self::NotStarted => f.write_str("not started"),
             Self::Failed => f.write_str("failed and stopped"),
             Self::Stopped => f.write_str("stopped by the operator"),
@@ -81,6 +91,10 @@ impl fmt::Display for Outcome {
                 needed.prepare,
                 needed.lease,
                 needed.margin
+            ),
+            Self::StartTooSoon { start, safe_start } => write!(
+                f,
+                "not sent: a start at {start} has passed or is too soon, the earliest safe start was {safe_start}"
             ),
             Self::LeaseTooShort { lease, needed } => write!(
                 f,
@@ -142,7 +156,7 @@ pub struct ActReport {
     pub start: Timestamp<Server>,
     /// Why the start was that far ahead.
     pub lead: LeadTime,
-    /// How much later it started than the act before it ended, where it should have followed at once.
+    /// How much later it started than it should have: at the end of the act before, or at the time that it waited for.
     #[serde(rename = "gap_ms")]
     pub gap: Option<Span>,
     /// How far apart the clocks allowed the starts to be, before the decision.

@@ -103,22 +103,22 @@ pub fn plan_figures(plan: &Plan) -> String {
     )
 }
 
-/// What was checked before a mission: a row a robot, a column a check; what is wrong stands below.
+/// What was checked before a mission: a row a robot, a column a check; below it, if wanted, what is wrong.
 #[must_use]
-pub fn preflight_table(preflight: &Preflight) -> String {
+pub fn preflight_table(preflight: &Preflight, told: bool) -> String {
     let titles = Check::ALL.map(Check::title);
     let mut rows = table(&[&["robot"], titles.as_slice()].concat(), 1);
     let mut wrong = String::new();
     for row in &preflight.rows {
         let mut cells = vec![row.robot.to_string()];
         for (check, verdict) in &row.checks {
-            let (cell, told) = match verdict {
+            let (cell, why) = match verdict {
                 Verdict::Pass(seen) => (seen.clone(), None),
                 Verdict::Warning(why) => ("warning".to_owned(), Some(why)),
                 Verdict::Failure(why) => ("FAILURE".to_owned(), Some(why)),
                 Verdict::NotChecked => ("not checked".to_owned(), None),
             };
-            if let Some(why) = told {
+            if let Some(why) = why.filter(|_| told) {
                 let _infallible = writeln!(wrong, "{} {}: {why}", row.robot, check.title());
             }
             cells.push(cell);
@@ -132,8 +132,9 @@ pub fn preflight_table(preflight: &Preflight) -> String {
 #[must_use]
 pub fn report_text(report: &Report) -> String {
     let mut text = format!("{}: {}\n", report.scenario, report.outcome);
-    if let Some(preflight) = report.preflight.as_ref().filter(|_| report.outcome == Outcome::Ready) {
-        return text + &preflight_table(preflight);
+    let alone = matches!(report.outcome, Outcome::Ready | Outcome::NotReady);
+    if let Some(preflight) = report.preflight.as_ref().filter(|_| alone) {
+        return text + &preflight_table(preflight, true);
     }
     for failure in &report.failures {
         let _infallible = writeln!(text, "  {}: {}", failure.robot, failure.kind);
