@@ -2,6 +2,9 @@
 
 use std::process::Command;
 
+use downbeat_robot::{Input, LinkId, Output, Robot};
+use urrcp::Timestamp;
+
 use crate::session::{PROGRAM, Ran, Session, root};
 
 fn read(name: &str) -> String {
@@ -80,6 +83,71 @@ fn the_messages_in_the_protocol_document_are_messages() {
         urrcp::encode(&message, &mut line);
         assert_eq!(String::from_utf8(line).unwrap(), text, "shown as it travels");
     }
+}
+
+/// The time of day of a line in an exchange, on the day of the examples.
+fn instant(time: &str) -> Timestamp<urrcp::Robot> {
+    serde_json::from_str(&format!("\"2026-11-20T{time}Z\"")).unwrap_or_else(|e| panic!("{time}: {e}"))
+}
+
+/// Lets a robot do what is due until then, each at its own time, and notes what it says.
+fn advance(robot: &mut Robot, until: Timestamp<urrcp::Robot>, said: &mut Vec<String>) {
+    while let Some(at) = robot.next_wakeup().filter(|at| *at <= until) {
+        let mut out = Vec::new();
+        robot.advance(at, &mut out);
+        note(at, out, said);
+    }
+}
+
+fn note(at: Timestamp<urrcp::Robot>, out: Vec<Output>, said: &mut Vec<String>) {
+    for output in out {
+        let Output::Send { message, .. } = output else { continue };
+        let mut line = Vec::new();
+        urrcp::encode(&message, &mut line);
+        let text = String::from_utf8(line).unwrap();
+        said.push(format!("{} <- {}", &at.to_string()[11..26], text.trim_end()));
+    }
+}
+
+#[test]
+fn the_exchanges_in_the_protocol_document_are_what_the_robot_says() {
+    let document = read("docs/protocol.md");
+    let block = blocks(&document, "```json").into_iter().find_map(|text| match serde_json::from_str(&text) {
+        Ok(urrcp::Message::InitializationBlock(block)) => Some(block),
+        _ => None,
+    });
+    let exchanges = blocks(&document, "```exchange");
+    assert!(exchanges.len() >= 6, "found {}", exchanges.len());
+    for exchange in exchanges {
+        let mut robot = Robot::new(block.clone().unwrap());
+        let (mut said, mut told) = (Vec::new(), Vec::new());
+        for line in exchange.lines() {
+            let at = instant(&line[..15]);
+            advance(&mut robot, at, &mut said);
+            if line[16..].starts_with("<-") {
+                told.push(line.to_owned());
+                continue;
+            }
+            let message = serde_json::from_str(&line[19..]).unwrap_or_else(|e| panic!("{e}: {line}"));
+            let mut out = Vec::new();
+            robot.handle(at, LinkId(1), Input::Message(message), &mut out);
+            note(at, out, &mut said);
+        }
+        assert_eq!(told.join("\n"), said.join("\n"));
+    }
+}
+
+#[test]
+fn the_hashes_in_the_protocol_document_are_those_of_their_values() {
+    let document = read("docs/protocol.md");
+    let mut hashes = 0;
+    for text in blocks(&document, "```json") {
+        let Ok(urrcp::Message::ControlRequest(request)) = serde_json::from_str(&text) else { continue };
+        let Some(stated) = request.content_hash else { continue };
+        assert_eq!(stated, request.command.content_hash());
+        hashes += 1;
+    }
+    assert_eq!(hashes, 2);
 }
 
 #[test]

@@ -131,7 +131,8 @@ pub struct Device {
     /// Unique among the robot's devices.
     pub id: DeviceId,
     /// For people.
-    pub name: Label,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<Label>,
     /// Of all values of this device (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<Label>,
