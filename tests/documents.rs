@@ -5,6 +5,7 @@ use std::process::Command;
 use downbeat_robot::{Input, LinkId, Output, Robot};
 use urrcp::Timestamp;
 
+use crate::schema::validator;
 use crate::session::{PROGRAM, Ran, Session, root};
 
 fn read(name: &str) -> String {
@@ -75,14 +76,22 @@ fn the_table_of_findings_lists_every_code_with_its_title() {
 #[test]
 fn the_messages_in_the_protocol_document_are_messages() {
     let document = read("docs/protocol.md");
-    let messages: Vec<_> = blocks(&document, "```json");
-    assert!(messages.len() >= 6, "all six messages are shown");
+    let mut messages: Vec<_> = blocks(&document, "```json");
+    for exchange in blocks(&document, "```exchange") {
+        messages.extend(exchange.lines().map(|line| format!("{}\n", &line[19..])));
+    }
+    let validator = validator("protocol");
+    let mut kinds = std::collections::BTreeSet::new();
     for text in messages {
+        let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+        kinds.extend(json.as_object().unwrap().keys().cloned());
+        assert!(validator.is_valid(&json), "{text}");
         let message: urrcp::Message = serde_json::from_str(&text).unwrap_or_else(|e| panic!("{e}:\n{text}"));
         let mut line = Vec::new();
         urrcp::encode(&message, &mut line);
         assert_eq!(String::from_utf8(line).unwrap(), text, "shown as it travels");
     }
+    assert_eq!(kinds.len(), 6, "all six messages are shown");
 }
 
 /// The time of day of a line in an exchange, on the day of the examples.

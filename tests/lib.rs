@@ -15,3 +15,4 @@ mod processes;
 mod real_scenarios;
 mod schema;
 mod session;
+mod vectors;

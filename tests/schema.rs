@@ -7,7 +7,7 @@ use serde_json::Value;
 use crate::documents::scenarios_of;
 use crate::session::{PROGRAM, root};
 
-fn validator(of: &str) -> jsonschema::Validator {
+pub fn validator(of: &str) -> jsonschema::Validator {
     let printed = Command::new(PROGRAM).args(["schema", of]).output().unwrap().stdout;
     let schema: Value = serde_json::from_slice(&printed).unwrap();
     jsonschema::draft202012::meta::validate(&schema).unwrap();

@@ -15,6 +15,9 @@ mod exchange;
 mod limits;
 mod message;
 mod number;
+mod object;
+#[cfg(feature = "schema")]
+mod schema;
 mod text;
 mod time;
 #[cfg(test)]
@@ -34,5 +37,7 @@ pub use message::{
     RobotType, Script, ScriptParameters, SensorParameters, Setpoint, Status, StatusValue, Step,
     StopCondition,
 };
+#[cfg(feature = "schema")]
+pub use schema::message_schema;
 pub use text::{DeviceId, Label, RequestId, RobotId, SessionId};
 pub use time::{Millis, Robot, Server, Span, Timestamp};

@@ -4,10 +4,12 @@ use serde::{Deserialize, Serialize};
 
 use super::Status;
 use crate::error::ControlError;
+use crate::object;
 use crate::text::SessionId;
 use crate::time::{Robot, Server, Timestamp};
 
 /// Step 1. Also serves to renew the leases of a quiet link.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct AvailabilityRequest {
     /// When the server sent it, T1 of RFC 5905 (our extension).
@@ -19,6 +21,7 @@ pub struct AvailabilityRequest {
 }
 
 /// Step 2. With the instant of its arrival the three times in it give offset and delay as in NTP (RFC 5905, section 8).
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct AvailabilityResponse {
     /// The request's own timestamp, echoed: T1.
@@ -31,6 +34,6 @@ pub struct AvailabilityResponse {
     /// `OK`, or `Failed` with an error: then the mission stops.
     pub status: Status,
     /// Why the check failed.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
 }

@@ -10,10 +10,12 @@ use super::script::Number;
 use crate::content_hash::ContentHash;
 use crate::error::ControlError;
 use crate::number;
+use crate::object;
 use crate::text::{DeviceId, Label, RequestId};
 use crate::time::{Robot, Timestamp};
 
 /// Confirms acceptance, reports progress, or provides a reading.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ControlResponse {
     /// When the robot sent this. Not for synchronising.
@@ -41,7 +43,7 @@ pub struct ControlResponse {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub late_steps: Option<u32>,
     /// Why it failed (our extension).
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
 }
 

@@ -12,10 +12,12 @@ use crate::control_type::ControlType;
 use crate::error::{ControlError, ErrorCode};
 use crate::limits::{DEVICES_MAX, LimitError};
 use crate::number;
+use crate::object::Object;
 use crate::text::{DeviceId, Label, RobotId};
 use crate::time::{Server, Timestamp};
 
 /// Step 3: describe yourself.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct InitializationRequest {
     /// When the server sent it (our extension).
@@ -24,8 +26,9 @@ pub struct InitializationRequest {
 }
 
 /// Step 4: the robot's own description (paper, figure 2).
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(!try_from))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "RawBlock")]
+#[serde(try_from = "Object<RawBlock>")]
 pub struct InitializationBlock {
     /// Identifies the robot uniquely.
     pub id: RobotId,
@@ -45,8 +48,10 @@ pub struct InitializationBlock {
     pub api_version: Label,
     /// Whether it sends `Started`, `OK` and `Failed` after `Accepted` (our extension).
     #[serde(skip_serializing_if = "std::ops::Not::not")]
+    #[cfg_attr(feature = "schema", schemars(default))]
     pub reports: bool,
     /// 1 to 32,000 devices, ids unique.
+    #[cfg_attr(feature = "schema", schemars(length(min = 1, max = DEVICES_MAX)))]
     pub devices: Vec<Device>,
 }
 
@@ -64,19 +69,19 @@ struct RawBlock {
     api_version: Label,
     #[serde(default)]
     reports: bool,
-    devices: Vec<Device>,
+    devices: Vec<Object<Device>>,
 }
 
-impl TryFrom<RawBlock> for InitializationBlock {
+impl TryFrom<Object<RawBlock>> for InitializationBlock {
     type Error = LimitError;
 
-    fn try_from(raw: RawBlock) -> Result<Self, LimitError> {
+    fn try_from(Object(raw): Object<RawBlock>) -> Result<Self, LimitError> {
         if raw.devices.is_empty() || raw.devices.len() > DEVICES_MAX {
             return Err(LimitError::DeviceCount { count: raw.devices.len() });
         }
         let mut seen = HashSet::with_capacity(raw.devices.len());
-        if let Some(twice) = raw.devices.iter().find(|device| !seen.insert(&device.id)) {
-            return Err(LimitError::DuplicateDevice { id: twice.id.to_string() });
+        if let Some(twice) = raw.devices.iter().find(|Object(device)| !seen.insert(&device.id)) {
+            return Err(LimitError::DuplicateDevice { id: twice.0.id.to_string() });
         }
         Ok(Self {
             id: raw.id,
@@ -86,7 +91,7 @@ impl TryFrom<RawBlock> for InitializationBlock {
             version: raw.version,
             api_version: raw.api_version,
             reports: raw.reports,
-            devices: raw.devices,
+            devices: raw.devices.into_iter().map(|Object(device)| device).collect(),
         })
     }
 }
@@ -100,6 +105,7 @@ impl InitializationBlock {
 }
 
 /// What a robot is built for (paper, table 1; the list is fixed per protocol version).
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum RobotType {
     /// For production, as a rule a manipulator.
@@ -115,6 +121,7 @@ pub enum RobotType {
 }
 
 /// How a device gets from one script step's value to the next (our extension).
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Interpolation {
@@ -126,6 +133,7 @@ pub enum Interpolation {
 }
 
 /// One device of a robot.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Device {
     /// Unique among the robot's devices.
@@ -138,6 +146,7 @@ pub struct Device {
     pub unit: Option<Label>,
     /// The default state; without one: hold the last position, zero speed and acceleration (our extension).
     #[serde(default, with = "number::optional", skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>"))]
     pub default_value: Option<f64>,
     /// Between script steps (our extension).
     #[serde(default)]
@@ -171,20 +180,25 @@ pub enum ControlParameters {
 }
 
 /// Bounds of a control signal, in the device's unit (paper, table 3).
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(!try_from))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "RawLimits")]
+#[serde(try_from = "Object<RawLimits>")]
 pub struct Limits {
     /// Smallest value that the device can take.
     #[serde(with = "number")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
     pub min_value: f64,
     /// Largest value that the device can take.
     #[serde(with = "number")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
     pub max_value: f64,
     /// Smallest step; above 0. Values are multiples of it, counted from zero.
     #[serde(with = "number")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64", extend("exclusiveMinimum" = 0)))]
     pub granularity: f64,
     /// Largest error by construction or conditions of use.
     #[serde(with = "number::optional", skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0)))]
     pub max_error: Option<f64>,
 }
 
@@ -200,10 +214,10 @@ struct RawLimits {
     max_error: Option<f64>,
 }
 
-impl TryFrom<RawLimits> for Limits {
+impl TryFrom<Object<RawLimits>> for Limits {
     type Error = LimitError;
 
-    fn try_from(raw: RawLimits) -> Result<Self, LimitError> {
+    fn try_from(Object(raw): Object<RawLimits>) -> Result<Self, LimitError> {
         check_range(raw.min_value, raw.max_value)?;
         check_not_negative("max_error", raw.max_error)?;
         // Finite already, so the comparison decides.
@@ -267,6 +281,7 @@ impl Limits {
 }
 
 /// What a script adds to the parameters that it inherits.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct ScriptParameters {
     /// Inherited from the control type that the script supports.
@@ -280,20 +295,25 @@ pub struct ScriptParameters {
 }
 
 /// Properties of a sensor (paper, table 4).
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(!try_from))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
-#[serde(try_from = "RawSensor")]
+#[serde(try_from = "Object<RawSensor>")]
 pub struct SensorParameters {
     /// Smallest reading.
     #[serde(with = "number")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
     pub min_value: f64,
     /// Largest reading.
     #[serde(with = "number")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
     pub max_value: f64,
     /// Largest error of a reading.
     #[serde(with = "number::optional", skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0)))]
     pub max_error: Option<f64>,
     /// Largest latency in milliseconds.
     #[serde(with = "number::optional", skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0)))]
     pub max_delay: Option<f64>,
 }
 
@@ -309,10 +329,10 @@ struct RawSensor {
     max_delay: Option<f64>,
 }
 
-impl TryFrom<RawSensor> for SensorParameters {
+impl TryFrom<Object<RawSensor>> for SensorParameters {
     type Error = LimitError;
 
-    fn try_from(raw: RawSensor) -> Result<Self, LimitError> {
+    fn try_from(Object(raw): Object<RawSensor>) -> Result<Self, LimitError> {
         check_range(raw.min_value, raw.max_value)?;
         check_not_negative("max_error", raw.max_error)?;
         check_not_negative("max_delay", raw.max_delay)?;

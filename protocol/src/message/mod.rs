@@ -9,6 +9,8 @@ mod stop_condition;
 
 use serde::{Deserialize, Serialize};
 
+use crate::object;
+
 pub use availability::{AvailabilityRequest, AvailabilityResponse};
 pub use control_request::{Command, ControlRequest};
 pub use control_response::{ControlResponse, Status, StatusValue};
@@ -20,19 +22,24 @@ pub use script::{Script, Setpoint, Step};
 pub use stop_condition::StopCondition;
 
 /// Any message of the protocol.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Message {
     /// Step 1, server to robot: is the equipment there?
+    #[serde(deserialize_with = "object::deserialize")]
     AvailabilityRequest(AvailabilityRequest),
     /// Step 2, robot to server.
+    #[serde(deserialize_with = "object::deserialize")]
     AvailabilityResponse(AvailabilityResponse),
     /// Step 3, server to robot: describe yourself.
+    #[serde(deserialize_with = "object::deserialize")]
     InitializationRequest(InitializationRequest),
     /// Step 4, robot to server.
     InitializationBlock(InitializationBlock),
     /// Step 5, server to robot: drive one device.
     ControlRequest(ControlRequest),
     /// Step 6, robot to server.
+    #[serde(deserialize_with = "object::deserialize")]
     ControlResponse(ControlResponse),
 }

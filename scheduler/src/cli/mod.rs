@@ -91,7 +91,7 @@ enum Command {
     Sim(sim::SimArgs),
     /// Turn other people's choreography files into a scenario and its fleet.
     Import(import::ImportArgs),
-    /// Print the JSON Schema of a scenario or a fleet file, for editors.
+    /// Print the JSON Schema of a scenario, a fleet file, a report or the messages.
     Schema(schema::SchemaArgs),
     /// Look at the fleet's robots.
     #[command(subcommand)]

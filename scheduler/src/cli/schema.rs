@@ -4,14 +4,15 @@ use clap::ValueEnum;
 
 use super::{Exit, console};
 
-/// Print the JSON Schema of a scenario, a fleet file or a report.
+/// Print the JSON Schema of a scenario, a fleet file, a report or the protocol's messages.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "How to set up an editor: docs/editors.md.
 
 Examples:
   downbeat schema scenario > scenario.schema.json
   downbeat schema fleet > fleet.schema.json
-  downbeat schema report > report.schema.json")]
+  downbeat schema report > report.schema.json
+  downbeat schema protocol > urrcp.schema.json")]
 pub(super) struct SchemaArgs {
     /// Of which file.
     #[arg(value_enum)]
@@ -26,13 +27,16 @@ enum Of {
     Fleet,
     /// What `run`, `dry-run` and `preflight` print with `--format json`.
     Report,
+    /// What goes to a robot and comes from it, a message a line.
+    Protocol,
 }
 
 pub(super) fn schema(args: &SchemaArgs) -> Exit {
-    console::print(match args.of {
-        Of::Scenario => downbeat_scripts::schema(downbeat_scripts::Schema::Scenario),
-        Of::Fleet => downbeat_scripts::schema(downbeat_scripts::Schema::Fleet),
-        Of::Report => crate::report::SCHEMA,
-    });
+    match args.of {
+        Of::Scenario => console::print(downbeat_scripts::schema(downbeat_scripts::Schema::Scenario)),
+        Of::Fleet => console::print(downbeat_scripts::schema(downbeat_scripts::Schema::Fleet)),
+        Of::Report => console::print(crate::report::SCHEMA),
+        Of::Protocol => console::print_json(&urrcp::message_schema()),
+    }
     Exit::Done
 }

@@ -1,0 +1,223 @@
+//! The JSON Schema (2020-12) of the messages, made from their types. Here stand the types that read and write themselves;
+//! the others derive theirs. What a schema cannot say, as that ids are unique and steps in order, `docs/protocol.md` says.
+
+use std::borrow::Cow;
+
+use schemars::generate::SchemaSettings;
+use schemars::{JsonSchema, Schema, SchemaGenerator, json_schema};
+use serde_json::Value;
+
+use crate::content_hash::ContentHash;
+use crate::control_type::ControlType;
+use crate::error::ErrorCode;
+use crate::limits::{OFFSET_MS_MAX, STRING_CHARS_MAX};
+use crate::message::{
+    ControlRequest, ControlTypes, Limits, Message, Script, ScriptParameters, SensorParameters, Status,
+    StatusValue, Step, StopCondition,
+};
+use crate::text::{DeviceId, Label, RequestId, RobotId, SessionId};
+use crate::time::{Millis, Timestamp};
+
+/// The schema of any message, each of the six under `$defs`.
+///
+/// ```
+/// let schema = urrcp::message_schema();
+/// assert_eq!(schema["$schema"], "https://json-schema.org/draft/2020-12/schema");
+/// assert!(schema["$defs"]["ControlRequest"].is_object());
+/// ```
+#[must_use]
+pub fn message_schema() -> Value {
+    SchemaSettings::draft2020_12()
+        .for_deserialize()
+        .into_generator()
+        .into_root_schema_for::<Message>()
+        .to_value()
+}
+
+/// The keys `control_value_2` to `control_value_256`.
+const FURTHER_VALUES: &str = "^control_value_([2-9]|[1-9][0-9]|1[0-9][0-9]|2[0-4][0-9]|25[0-6])$";
+
+macro_rules! schema_of {
+    ($type:ty, $name:literal, |$generator:ident| $schema:expr) => {
+        impl JsonSchema for $type {
+            fn schema_name() -> Cow<'static, str> {
+                $name.into()
+            }
+
+            fn json_schema($generator: &mut SchemaGenerator) -> Schema {
+                $schema
+            }
+        }
+    };
+}
+
+macro_rules! string_schemas {
+    ($($type:ty, $name:literal, $least:literal, $description:literal;)*) => {
+        $(schema_of!($type, $name, |_generator| json_schema!({
+            "description": $description,
+            "type": "string",
+            "minLength": $least,
+            "maxLength": STRING_CHARS_MAX,
+        }));)*
+    };
+}
+
+string_schemas! {
+    RobotId, "RobotId", 1, "Identifies a robot uniquely.";
+    DeviceId, "DeviceId", 1, "Identifies a device among the devices of its robot.";
+    RequestId, "RequestId", 0, "Ties responses to the request that they answer.";
+    SessionId, "SessionId", 1, "One run of a scheduler.";
+    Label, "Label", 0, "A text for people.";
+    Status, "Status", 0, "Accepted, Started, OK, Failed, Provide, or a word that a later version knows.";
+    ErrorCode, "ErrorCode", 0, "What kind of failure, for machines.";
+}
+
+impl<C> JsonSchema for Timestamp<C> {
+    fn schema_name() -> Cow<'static, str> {
+        "Timestamp".into()
+    }
+
+    fn json_schema(_generator: &mut SchemaGenerator) -> Schema {
+        json_schema!({
+            "description": "RFC 3339 with up to nine fractional digits.",
+            "type": "string",
+            "format": "date-time",
+            "pattern": "^[0-9]{4}-[0-9]{2}-[0-9]{2}[Tt ][0-9]{2}:[0-9]{2}:[0-9]{2}(\\.[0-9]+)?([Zz]|[+-][0-9]{2}:[0-9]{2})$",
+        })
+    }
+}
+
+schema_of!(Millis, "Millis", |_generator| json_schema!({
+    "description": "Milliseconds, fractions allowed.",
+    "type": "number",
+    "minimum": 0,
+    "maximum": OFFSET_MS_MAX,
+}));
+
+schema_of!(ContentHash, "ContentHash", |_generator| json_schema!({
+    "description": "SHA-256 over the canonical JSON of control_value.",
+    "type": "string",
+    "pattern": "^[0-9A-Fa-f]{64}$",
+}));
+
+schema_of!(ControlType, "ControlType", |_generator| json_schema!({
+    "description": "How a device is controlled.",
+    "type": "string",
+    "pattern": "^(position|speed|acceleration|script|sensor|custom_(0|[1-9][0-9]{0,9}))$",
+}));
+
+schema_of!(StopCondition, "StopCondition", |generator| {
+    let millis = generator.subschema_for::<Millis>();
+    let limit = generator.subschema_for::<Option<Millis>>();
+    json_schema!({
+        "description": "Milliseconds of silence of the server until the device stops; null means no limit.",
+        "anyOf": [
+            millis,
+            {"type": "object", "properties": {"pending": limit, "running": limit}},
+        ],
+    })
+});
+
+schema_of!(Step, "Step", |generator| {
+    let offset = generator.subschema_for::<Millis>();
+    let stop_condition = generator.subschema_for::<Option<StopCondition>>();
+    json_schema!({
+        "description": "One step of a script; its offset counts from the script's own start and does not decrease.",
+        "type": "object",
+        "properties": {
+            "time_offset_to_start": offset,
+            "control_type": {
+                "type": "string",
+                "pattern": "^(position|speed|acceleration|custom_(0|[1-9][0-9]{0,9}))$",
+            },
+            "control_value": {"type": "number"},
+            "stop_condition": stop_condition,
+        },
+        "patternProperties": {(FURTHER_VALUES): {"type": "number"}},
+        "required": ["time_offset_to_start", "control_type", "control_value"],
+        "propertyNames": {"anyOf": [
+            {"pattern": FURTHER_VALUES},
+            {"not": {"pattern": "^control_value_"}},
+        ]},
+    })
+});
+
+schema_of!(Script, "Script", |generator| {
+    let step = generator.subschema_for::<Step>();
+    json_schema!({"description": "Steps in order of time. Without steps it cancels.", "type": "array", "items": step})
+});
+
+schema_of!(StatusValue, "StatusValue", |generator| {
+    let script = generator.subschema_for::<Script>();
+    json_schema!({
+        "description": "The accepted value or script, or the reading; null on failure.",
+        "anyOf": [{"type": ["number", "null"]}, script],
+    })
+});
+
+schema_of!(ControlRequest, "ControlRequest", |generator| {
+    let script = generator.subschema_for::<Script>();
+    let mut keys = ControlRequestKeys::json_schema(generator);
+    keys.insert("description".into(), "Drives, reads or stops one device.".into());
+    keys.insert("patternProperties".into(), serde_json::json!({(FURTHER_VALUES): {"type": "number"}}));
+    let of_script = serde_json::json!({"properties": {"control_type": {"const": "script"}}});
+    let of_sensor = serde_json::json!({"properties": {"control_type": {"const": "sensor"}}});
+    keys.insert(
+        "allOf".into(),
+        serde_json::json!([
+            {"propertyNames": {"anyOf": [{"pattern": FURTHER_VALUES}, {"not": {"pattern": "^control_value_"}}]}},
+            {
+                "if": of_script,
+                "then": {
+                    "properties": {"control_value": script},
+                    "required": ["control_value"],
+                    "propertyNames": {"not": {"pattern": "^control_value_"}},
+                },
+                "else": {
+                    "if": of_sensor,
+                    "else": {"properties": {"control_value": {"type": "number"}}, "required": ["control_value"]},
+                },
+            },
+        ]),
+    );
+    keys
+});
+
+/// The keys of a control request that do not depend on its control type.
+#[derive(JsonSchema)]
+#[expect(dead_code, reason = "only its schema is used")]
+struct ControlRequestKeys {
+    /// When the server sent it; all requests of one act carry the same.
+    timestamp: Option<Timestamp<crate::time::Server>>,
+    /// From `timestamp` to the start. Left out: at once on receipt.
+    time_offset_to_start: Option<Millis>,
+    /// The device that the signal is for.
+    device_id: DeviceId,
+    /// The lease. Left out: none.
+    stop_condition: Option<StopCondition>,
+    /// Echoed in every response.
+    request_id: Option<RequestId>,
+    /// Of `control_value`, checked and echoed by the robot.
+    content_hash: Option<ContentHash>,
+    /// On whose behalf.
+    session: Option<SessionId>,
+    /// With an empty script: the device stays where it is instead of going to its default state.
+    hold: Option<bool>,
+    /// One of the device's available control types.
+    control_type: ControlType,
+}
+
+schema_of!(ControlTypes, "ControlTypes", |generator| {
+    let motion = generator.subschema_for::<Limits>();
+    let script = generator.subschema_for::<ScriptParameters>();
+    let sensor = generator.subschema_for::<SensorParameters>();
+    json_schema!({
+        "description": "Control type to its parameters.",
+        "type": "object",
+        "properties": {
+            "position": motion, "speed": motion, "acceleration": motion, "script": script, "sensor": sensor,
+        },
+        "patternProperties": {"^custom_(0|[1-9][0-9]{0,9})$": {"type": "object"}},
+        "additionalProperties": false,
+    })
+});
