@@ -5,7 +5,8 @@ use std::fmt;
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 use sha2::{Digest, Sha256};
 
-/// SHA-256 over the canonical JSON of a `control_value` (our extension), 64 hexadecimal digits on the wire.
+/// SHA-256 over the canonical JSON of a `control_value` (our extension): 64 hexadecimal digits in JSON, 32 bytes in a
+/// binary encoding.
 #[derive(Clone, Copy, PartialEq, Eq, Hash)]
 pub struct ContentHash([u8; 32]);
 
@@ -31,14 +32,38 @@ impl fmt::Debug for ContentHash {
 
 impl Serialize for ContentHash {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
+        match serializer.is_human_readable() {
+            true => serializer.collect_str(self),
+            false => serializer.serialize_bytes(&self.0),
+        }
     }
 }
 
 impl<'de> Deserialize<'de> for ContentHash {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let text = String::deserialize(deserializer)?;
-        parse(&text).ok_or_else(|| de::Error::custom("content_hash is not 64 hexadecimal digits"))
+        match deserializer.is_human_readable() {
+            true => deserializer.deserialize_str(Digits),
+            false => deserializer.deserialize_any(Digits),
+        }
+    }
+}
+
+/// Digits, or the bytes that they stand for.
+struct Digits;
+
+impl de::Visitor<'_> for Digits {
+    type Value = ContentHash;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a SHA-256 as 64 hexadecimal digits")
+    }
+
+    fn visit_str<E: de::Error>(self, text: &str) -> Result<ContentHash, E> {
+        parse(text).ok_or_else(|| E::custom("content_hash is not 64 hexadecimal digits"))
+    }
+
+    fn visit_bytes<E: de::Error>(self, bytes: &[u8]) -> Result<ContentHash, E> {
+        bytes.try_into().map(ContentHash).map_err(|_| E::custom("content_hash is not 32 bytes"))
     }
 }
 

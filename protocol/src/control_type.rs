@@ -84,3 +84,43 @@ impl<'de> Deserialize<'de> for ControlType {
         deserializer.deserialize_str(Name)
     }
 }
+
+/// A control type in the short form of a script step: its number where it has one, else its name.
+pub(crate) struct Short(pub(crate) ControlType);
+
+/// By their numbers.
+const NUMBERED: [ControlType; 3] = [ControlType::Position, ControlType::Speed, ControlType::Acceleration];
+
+impl Serialize for Short {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match NUMBERED.iter().zip(0u8..).find(|(numbered, _)| **numbered == self.0) {
+            Some((_, number)) => serializer.serialize_u8(number),
+            None => self.0.serialize(serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Short {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct NumberOrName;
+        impl de::Visitor<'_> for NumberOrName {
+            type Value = Short;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("the name of a control type, or 0 for position, 1 for speed, 2 for acceleration")
+            }
+
+            fn visit_u64<E: de::Error>(self, number: u64) -> Result<Short, E> {
+                let numbered = usize::try_from(number).ok().and_then(|number| NUMBERED.get(number));
+                numbered
+                    .map(|control_type| Short(*control_type))
+                    .ok_or_else(|| E::invalid_value(de::Unexpected::Unsigned(number), &self))
+            }
+
+            fn visit_str<E: de::Error>(self, name: &str) -> Result<Short, E> {
+                name.parse().map(Short).map_err(E::custom)
+            }
+        }
+        deserializer.deserialize_any(NumberOrName)
+    }
+}

@@ -1,22 +1,74 @@
 //! Numbers on the wire: finite, and written without a fraction where they have none.
 
-use serde::{Deserialize, Deserializer, Serializer, de};
+use std::fmt;
+
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 /// Largest integer that a double holds exactly, 2^53.
 const EXACT_INTEGER_MAX: f64 = 9_007_199_254_740_992.0;
 
-/// Writes `45` for 45.0 and `0` for -0.0, so that one value has one text.
+/// Writes `45` for 45.0 and `0` for -0.0, so that one value has one text. A binary encoding gets four bytes where they
+/// hold the value exactly.
 pub(crate) fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
     if value.fract() == 0.0 && value.abs() <= EXACT_INTEGER_MAX {
         #[expect(clippy::cast_possible_truncation, reason = "an integer within 2^53")]
         return serializer.serialize_i64(*value as i64);
     }
+    #[expect(clippy::cast_possible_truncation, reason = "compared with what was meant")]
+    let short = *value as f32;
+    if !serializer.is_human_readable() && f64::from(short) == *value {
+        return serializer.serialize_f32(short);
+    }
     serializer.serialize_f64(*value)
 }
 
-/// Reads any JSON or YAML number that a double can hold.
+/// Reads any number that a double can hold.
 pub(crate) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-    finite(f64::deserialize(deserializer)?)
+    Number::deserialize(deserializer).map(|number| number.0)
+}
+
+/// A finite number in its one canonical text.
+#[derive(Clone, Copy)]
+pub(crate) struct Number(pub(crate) f64);
+
+impl Serialize for Number {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serialize(&self.0, serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for Number {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        match deserializer.is_human_readable() {
+            true => deserializer.deserialize_f64(AnyNumber),
+            // A binary encoding has kinds of numbers; any will do.
+            false => deserializer.deserialize_any(AnyNumber),
+        }
+    }
+}
+
+struct AnyNumber;
+
+impl de::Visitor<'_> for AnyNumber {
+    type Value = Number;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a number")
+    }
+
+    fn visit_f64<E: de::Error>(self, value: f64) -> Result<Number, E> {
+        finite(value).map(Number)
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "the protocol's numbers are doubles")]
+    fn visit_u64<E: de::Error>(self, value: u64) -> Result<Number, E> {
+        Ok(Number(value as f64))
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "the protocol's numbers are doubles")]
+    fn visit_i64<E: de::Error>(self, value: i64) -> Result<Number, E> {
+        Ok(Number(value as f64))
+    }
 }
 
 pub(crate) fn finite<E: de::Error>(value: f64) -> Result<f64, E> {
@@ -28,7 +80,7 @@ pub(crate) fn finite<E: de::Error>(value: f64) -> Result<f64, E> {
 
 /// The same for a number that may be left out or null.
 pub(crate) mod optional {
-    use super::{Deserialize, Deserializer, Serializer, finite};
+    use super::{Deserialize, Deserializer, Number, Serializer};
 
     pub(crate) fn serialize<S: Serializer>(value: &Option<f64>, s: S) -> Result<S::Ok, S::Error> {
         match value {
@@ -38,6 +90,6 @@ pub(crate) mod optional {
     }
 
     pub(crate) fn deserialize<'de, D: Deserializer<'de>>(d: D) -> Result<Option<f64>, D::Error> {
-        Option::<f64>::deserialize(d)?.map(finite).transpose()
+        Ok(Option::<Number>::deserialize(d)?.map(|number| number.0))
     }
 }

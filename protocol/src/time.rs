@@ -162,7 +162,7 @@ impl Serialize for Span {
 impl<'de> Deserialize<'de> for Span {
     /// From milliseconds.
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        Ok(Self::from_millis_f64(number::finite(f64::deserialize(deserializer)?)?))
+        number::deserialize(deserializer).map(Self::from_millis_f64)
     }
 }
 
@@ -263,20 +263,46 @@ impl<C> Sub for Timestamp<C> {
 }
 
 impl<C> Serialize for Timestamp<C> {
+    /// As RFC 3339, in a binary encoding as nanoseconds since the Unix epoch.
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_str(self)
+        match serializer.is_human_readable() {
+            true => serializer.collect_str(self),
+            false => serializer.serialize_i64(self.nanos),
+        }
     }
 }
 
 impl<'de, C> Deserialize<'de> for Timestamp<C> {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        let text = std::borrow::Cow::<str>::deserialize(deserializer)?;
-        let parsed = DateTime::parse_from_rfc3339(&text)
-            .map_err(|e| de::Error::custom(format!("timestamp is not RFC 3339: {e}")))?;
-        let nanos = parsed
-            .timestamp_nanos_opt()
-            .ok_or_else(|| de::Error::custom("timestamp lies outside the years 1678 to 2262"))?;
-        Ok(Self::from_nanos(nanos))
+        struct Instant;
+        impl de::Visitor<'_> for Instant {
+            type Value = i64;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a timestamp of RFC 3339")
+            }
+
+            fn visit_str<E: de::Error>(self, text: &str) -> Result<i64, E> {
+                let parsed = DateTime::parse_from_rfc3339(text)
+                    .map_err(|e| E::custom(format!("timestamp is not RFC 3339: {e}")))?;
+                parsed
+                    .timestamp_nanos_opt()
+                    .ok_or_else(|| E::custom("timestamp lies outside the years 1678 to 2262"))
+            }
+
+            fn visit_i64<E: de::Error>(self, nanos: i64) -> Result<i64, E> {
+                Ok(nanos)
+            }
+
+            fn visit_u64<E: de::Error>(self, nanos: u64) -> Result<i64, E> {
+                i64::try_from(nanos).map_err(|_| E::custom("timestamp lies outside the years 1678 to 2262"))
+            }
+        }
+        let nanos = match deserializer.is_human_readable() {
+            true => deserializer.deserialize_str(Instant),
+            false => deserializer.deserialize_any(Instant),
+        };
+        nanos.map(Self::from_nanos)
     }
 }
 
@@ -332,7 +358,7 @@ impl Serialize for Millis {
 
 impl<'de> Deserialize<'de> for Millis {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        Self::new(f64::deserialize(deserializer)?).map_err(de::Error::custom)
+        Self::new(number::deserialize(deserializer)?).map_err(de::Error::custom)
     }
 }
 

@@ -1,8 +1,10 @@
 //! What the wire carries, byte for byte, and what it refuses.
 
+mod arbitrary;
+
 use crate::{
-    Command, ControlRequest, ControlType, DecodeErrorKind, DeviceId, ErrorCode, LineDecoder, Message, Millis,
-    RequestId, Script, Setpoint, Step, StopCondition, encode,
+    Command, ControlRequest, ControlType, DecodeErrorKind, DeviceId, Encoding, ErrorCode, LineDecoder,
+    Message, Millis, RequestId, Script, Setpoint, Step, StopCondition, encode, encode_as,
 };
 
 /// The paper's own script, 45, 0, 45, as `docs/protocol.md` shows it.
@@ -231,7 +233,29 @@ fn a_content_hash_depends_on_the_steps_alone() {
     assert_ne!(script(1.0).content_hash(), script(2.0).content_hash());
 }
 
+/// The message that comes of writing this one.
+fn through(encoding: Encoding, message: &Message) -> Message {
+    let mut bytes = Vec::new();
+    encode_as(encoding, message, &mut bytes);
+    let mut decoder = LineDecoder::default();
+    decoder.push(&bytes);
+    let decoded = decoder.next_message().unwrap().unwrap();
+    assert_eq!(decoder.encoding(), encoding);
+    assert!(decoder.next_message().is_none());
+    decoded
+}
+
 proptest::proptest! {
+    #[test]
+    fn every_message_comes_through_both_encodings_as_it_was(message in arbitrary::message()) {
+        let framed = through(Encoding::MessagePack, &message);
+        proptest::prop_assert_eq!(&framed, &message);
+        proptest::prop_assert_eq!(&through(Encoding::Json, &message), &message);
+        if let (Message::ControlRequest(framed), Message::ControlRequest(message)) = (&framed, &message) {
+            proptest::prop_assert_eq!(framed.command.content_hash(), message.command.content_hash());
+        }
+    }
+
     #[test]
     fn no_bytes_make_the_decoder_panic(bytes: Vec<u8>, cut in 0usize..64) {
         let mut decoder = LineDecoder::new(256);

@@ -1,13 +1,12 @@
 //! Step 5: the control signal, with all that is needed to drive one device.
 
-use std::borrow::Cow;
 use std::fmt;
 
 use serde::de::{self, IgnoredAny, MapAccess, Visitor};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::script::{FurtherValues, serialize_values, set_once};
+use super::script::{FurtherValues, Key, Keys, serialize_values, set_once};
 use super::{Script, Setpoint, StopCondition};
 use crate::content_hash::ContentHash;
 use crate::control_type::ControlType;
@@ -65,7 +64,7 @@ impl Command {
     pub fn content_hash(&self) -> ContentHash {
         let json = match self {
             Self::Set(setpoint) => {
-                let all: Vec<_> = setpoint.values().map(super::script::Number).collect();
+                let all: Vec<_> = setpoint.values().map(number::Number).collect();
                 match all.as_slice() {
                     [one] => serde_json::to_vec(one),
                     many => serde_json::to_vec(many),
@@ -214,32 +213,69 @@ impl<'de> Visitor<'de> for RequestVisitor {
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ControlRequest, A::Error> {
         let mut fields = Fields::default();
-        while let Some(key) = map.next_key::<Cow<'_, str>>()? {
-            read_field(&mut fields, &key, &mut map)?;
+        while let Some(key) = map.next_key::<Key<RequestKey>>()? {
+            read_field(&mut fields, key.0, &mut map)?;
         }
         finish(fields)
     }
 }
 
-fn read_field<'de, A: MapAccess<'de>>(fields: &mut Fields, key: &str, map: &mut A) -> Result<(), A::Error> {
+enum RequestKey {
+    Timestamp,
+    Offset,
+    DeviceId,
+    StopCondition,
+    RequestId,
+    ContentHash,
+    Session,
+    Hold,
+    ControlType,
+    Value,
+    /// `control_value_N`, counted from 2.
+    Further(usize),
+    Unknown,
+}
+
+impl Keys for RequestKey {
+    fn named<E: de::Error>(key: &str) -> Result<Self, E> {
+        Ok(match key {
+            "timestamp" => Self::Timestamp,
+            "time_offset_to_start" => Self::Offset,
+            "device_id" => Self::DeviceId,
+            "stop_condition" => Self::StopCondition,
+            "request_id" => Self::RequestId,
+            "content_hash" => Self::ContentHash,
+            "session" => Self::Session,
+            "hold" => Self::Hold,
+            "control_type" => Self::ControlType,
+            "control_value" => Self::Value,
+            other => FurtherValues::index(other)?.map_or(Self::Unknown, Self::Further),
+        })
+    }
+}
+
+fn read_field<'de, A: MapAccess<'de>>(
+    fields: &mut Fields,
+    key: RequestKey,
+    map: &mut A,
+) -> Result<(), A::Error> {
     match key {
-        "timestamp" => set_once(&mut fields.timestamp, "timestamp", map.next_value()?),
-        "time_offset_to_start" => {
-            let offset = map.next_value()?;
-            set_once(&mut fields.time_offset_to_start, "time_offset_to_start", offset)
+        RequestKey::Timestamp => set_once(&mut fields.timestamp, "timestamp", map.next_value()?),
+        RequestKey::Offset => {
+            set_once(&mut fields.time_offset_to_start, "time_offset_to_start", map.next_value()?)
         }
-        "device_id" => set_once(&mut fields.device_id, "device_id", map.next_value()?),
-        "stop_condition" => set_once(&mut fields.stop_condition, "stop_condition", map.next_value()?),
-        "request_id" => set_once(&mut fields.request_id, "request_id", map.next_value()?),
-        "content_hash" => set_once(&mut fields.content_hash, "content_hash", map.next_value()?),
-        "session" => set_once(&mut fields.session, "session", map.next_value()?),
-        "hold" => set_once(&mut fields.hold, "hold", map.next_value()?),
-        "control_type" => set_once(&mut fields.control_type, "control_type", map.next_value()?),
-        "control_value" => set_once(&mut fields.control_value, "control_value", map.next_value()?),
-        other => match FurtherValues::index(other)? {
-            Some(index) => fields.more.put(index, map.next_value()?),
-            None => map.next_value::<IgnoredAny>().map(drop),
-        },
+        RequestKey::DeviceId => set_once(&mut fields.device_id, "device_id", map.next_value()?),
+        RequestKey::StopCondition => {
+            set_once(&mut fields.stop_condition, "stop_condition", map.next_value()?)
+        }
+        RequestKey::RequestId => set_once(&mut fields.request_id, "request_id", map.next_value()?),
+        RequestKey::ContentHash => set_once(&mut fields.content_hash, "content_hash", map.next_value()?),
+        RequestKey::Session => set_once(&mut fields.session, "session", map.next_value()?),
+        RequestKey::Hold => set_once(&mut fields.hold, "hold", map.next_value()?),
+        RequestKey::ControlType => set_once(&mut fields.control_type, "control_type", map.next_value()?),
+        RequestKey::Value => set_once(&mut fields.control_value, "control_value", map.next_value()?),
+        RequestKey::Further(index) => fields.more.put(index, map.next_value()?),
+        RequestKey::Unknown => map.next_value::<IgnoredAny>().map(drop),
     }
 }
 

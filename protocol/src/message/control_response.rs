@@ -6,10 +6,9 @@ use serde::de::{self, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Script;
-use super::script::Number;
 use crate::content_hash::ContentHash;
 use crate::error::ControlError;
-use crate::number;
+use crate::number::{self, Number};
 use crate::object;
 use crate::text::{DeviceId, Label, RequestId};
 use crate::time::{Robot, Timestamp};

@@ -8,6 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 
 use super::Setpoint;
+use crate::codec::Encoding;
 use crate::control_type::ControlType;
 use crate::error::{ControlError, ErrorCode};
 use crate::limits::{DEVICES_MAX, LimitError};
@@ -50,6 +51,10 @@ pub struct InitializationBlock {
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     #[cfg_attr(feature = "schema", schemars(default))]
     pub reports: bool,
+    /// What it understands beside JSON, as `msgpack` (our extension).
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(feature = "schema", schemars(default))]
+    pub encodings: Vec<Label>,
     /// 1 to 32,000 devices, ids unique.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = DEVICES_MAX)))]
     pub devices: Vec<Device>,
@@ -69,6 +74,8 @@ struct RawBlock {
     api_version: Label,
     #[serde(default)]
     reports: bool,
+    #[serde(default)]
+    encodings: Vec<Label>,
     devices: Vec<Object<Device>>,
 }
 
@@ -91,6 +98,7 @@ impl TryFrom<Object<RawBlock>> for InitializationBlock {
             version: raw.version,
             api_version: raw.api_version,
             reports: raw.reports,
+            encodings: raw.encodings,
             devices: raw.devices.into_iter().map(|Object(device)| device).collect(),
         })
     }
@@ -101,6 +109,21 @@ impl InitializationBlock {
     #[must_use]
     pub fn device(&self, id: &str) -> Option<&Device> {
         self.devices.iter().find(|device| device.id.as_str() == id)
+    }
+
+    /// The same robot, which says that it understands this encoding too.
+    #[must_use]
+    pub fn and_understands(mut self, encoding: Encoding) -> Self {
+        if !self.understands(encoding) {
+            self.encodings.extend(Label::new(encoding.as_str()));
+        }
+        self
+    }
+
+    /// Whether the robot says that it understands this encoding. JSON it always does.
+    #[must_use]
+    pub fn understands(&self, encoding: Encoding) -> bool {
+        encoding == Encoding::Json || self.encodings.iter().any(|listed| listed.as_str() == encoding.as_str())
     }
 }
 

@@ -5,6 +5,7 @@ mod control_request;
 mod control_response;
 mod initialization_block;
 mod script;
+mod step;
 mod stop_condition;
 
 use serde::{Deserialize, Serialize};
@@ -18,7 +19,8 @@ pub use initialization_block::{
     ControlParameters, ControlTypes, Device, InitializationBlock, InitializationRequest, Interpolation,
     Limits, RobotType, ScriptParameters, SensorParameters,
 };
-pub use script::{Script, Setpoint, Step};
+pub use script::{Script, Setpoint};
+pub use step::Step;
 pub use stop_condition::StopCondition;
 
 /// Any message of the protocol.

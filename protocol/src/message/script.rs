@@ -1,17 +1,18 @@
 //! Setpoints, and the script: many of them in one command.
 
 use std::fmt;
+use std::marker::PhantomData;
 use std::sync::Arc;
 
-use serde::de::{self, IgnoredAny, MapAccess, Visitor};
+use serde::de::{self, Visitor};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::StopCondition;
+use super::Step;
 use crate::control_type::ControlType;
 use crate::limits::{CONTROL_VALUES_MAX, LimitError};
-use crate::number;
-use crate::time::{Millis, Span};
+use crate::number::Number;
+use crate::time::Span;
 
 /// One control type with its values, in the device's unit.
 #[derive(Clone, Debug, PartialEq)]
@@ -35,17 +36,6 @@ impl Setpoint {
     pub fn values(&self) -> impl Iterator<Item = f64> + '_ {
         std::iter::once(self.value).chain(self.more.iter().copied())
     }
-}
-
-/// One step of a script.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Step {
-    /// When, from the script's own start.
-    pub offset: Millis,
-    /// What to set.
-    pub setpoint: Setpoint,
-    /// Overrides the script's lease while this step is the current one.
-    pub stop_condition: Option<StopCondition>,
 }
 
 /// Steps in order of time. Without steps it cancels. Clones share their steps.
@@ -106,15 +96,6 @@ impl<'de> Deserialize<'de> for Script {
     }
 }
 
-/// Writes a number in its one canonical text.
-pub(super) struct Number(pub(super) f64);
-
-impl Serialize for Number {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        number::serialize(&self.0, serializer)
-    }
-}
-
 /// Writes `control_value` and the further values of a setpoint.
 pub(super) fn serialize_values<M: SerializeMap>(setpoint: &Setpoint, map: &mut M) -> Result<(), M::Error> {
     map.serialize_entry("control_value", &Number(setpoint.value))?;
@@ -140,11 +121,11 @@ impl FurtherValues {
         }
     }
 
-    pub(super) fn put<E: de::Error>(&mut self, index: usize, value: f64) -> Result<(), E> {
+    pub(super) fn put<E: de::Error>(&mut self, index: usize, value: Number) -> Result<(), E> {
         if self.0.len() <= index {
             self.0.resize(index + 1, None);
         }
-        match self.0[index].replace(number::finite(value)?) {
+        match self.0[index].replace(value.0) {
             None => Ok(()),
             Some(_) => Err(E::custom(format!("duplicate field `control_value_{}`", index + 2))),
         }
@@ -163,76 +144,36 @@ impl FurtherValues {
     }
 }
 
+/// A key of an object, told apart in place: millions of steps have their keys read, and none needs a string of its own.
+pub(super) struct Key<K>(pub(super) K);
+
+/// The keys of one kind of object.
+pub(super) trait Keys: Sized {
+    fn named<E: de::Error>(key: &str) -> Result<Self, E>;
+}
+
+impl<'de, K: Keys> Deserialize<'de> for Key<K> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        struct Named<K>(PhantomData<K>);
+        impl<K: Keys> Visitor<'_> for Named<K> {
+            type Value = Key<K>;
+
+            fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+                f.write_str("a key")
+            }
+
+            fn visit_str<E: de::Error>(self, key: &str) -> Result<Key<K>, E> {
+                K::named(key).map(Key)
+            }
+        }
+        deserializer.deserialize_identifier(Named(PhantomData))
+    }
+}
+
 /// Sets a field once.
 pub(super) fn set_once<T, E: de::Error>(slot: &mut Option<T>, key: &'static str, value: T) -> Result<(), E> {
     match slot.replace(value) {
         None => Ok(()),
         Some(_) => Err(E::duplicate_field(key)),
-    }
-}
-
-impl Serialize for Step {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut map = serializer.serialize_map(None)?;
-        map.serialize_entry("time_offset_to_start", &self.offset)?;
-        map.serialize_entry("control_type", &self.setpoint.control_type)?;
-        serialize_values(&self.setpoint, &mut map)?;
-        if let Some(stop_condition) = &self.stop_condition {
-            map.serialize_entry("stop_condition", stop_condition)?;
-        }
-        map.end()
-    }
-}
-
-impl<'de> Deserialize<'de> for Step {
-    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_map(StepVisitor)
-    }
-}
-
-struct StepVisitor;
-
-impl<'de> Visitor<'de> for StepVisitor {
-    type Value = Step;
-
-    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("a script step")
-    }
-
-    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Step, A::Error> {
-        let (mut offset, mut control_type, mut value, mut stop_condition) = (None, None, None, None);
-        let mut more = FurtherValues::default();
-        while let Some(key) = map.next_key::<std::borrow::Cow<'_, str>>()? {
-            match key.as_ref() {
-                "time_offset_to_start" => {
-                    set_once(&mut offset, "time_offset_to_start", map.next_value()?)?;
-                }
-                "control_type" => set_once(&mut control_type, "control_type", map.next_value()?)?,
-                "control_value" => {
-                    let number = number::finite(map.next_value::<f64>()?)?;
-                    set_once(&mut value, "control_value", number)?;
-                }
-                "stop_condition" => {
-                    set_once(&mut stop_condition, "stop_condition", map.next_value()?)?;
-                }
-                other => match FurtherValues::index(other)? {
-                    Some(index) => more.put(index, map.next_value()?)?,
-                    None => drop(map.next_value::<IgnoredAny>()?),
-                },
-            }
-        }
-        let control_type = control_type.ok_or_else(|| de::Error::missing_field("control_type"))?;
-        if matches!(control_type, ControlType::Script | ControlType::Sensor) {
-            return Err(de::Error::custom(format!(
-                "control type `{control_type}` in a script step, expected position, speed, acceleration or custom_N"
-            )));
-        }
-        let setpoint = Setpoint {
-            control_type,
-            value: value.ok_or_else(|| de::Error::missing_field("control_value"))?,
-            more: more.finish()?,
-        };
-        let offset = offset.ok_or_else(|| de::Error::missing_field("time_offset_to_start"))?;
-        Ok(Step { offset, setpoint, stop_condition: stop_condition.flatten() })
     }
 }

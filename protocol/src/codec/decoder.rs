@@ -1,0 +1,177 @@
+//! Cuts a stream into lines and frames. Memory is bounded by the limit of one message.
+
+use super::error::{DecodeError, DecodeErrorKind};
+use super::{Encoding, frame, line};
+use crate::limits::LINE_BYTES_MAX;
+use crate::message::Message;
+
+/// What a decoder keeps allocated between messages.
+const IDLE_BYTES: usize = 1024 * 1024;
+
+/// Cuts a stream of bytes into lines of JSON and frames of MessagePack, and reads each as a message.
+///
+/// ```
+/// let mut decoder = urrcp::LineDecoder::default();
+/// decoder.push(b"{\"availability_request\": {}}\n{\"avail");
+/// assert!(matches!(decoder.next_message(), Some(Ok(urrcp::Message::AvailabilityRequest(_)))));
+/// assert!(decoder.next_message().is_none());
+/// ```
+#[derive(Debug)]
+pub struct LineDecoder {
+    buffer: Vec<u8>,
+    /// Start of what has not been read yet.
+    read: usize,
+    /// Up to where no newline is known to stand.
+    searched: usize,
+    limit: usize,
+    skipping: Skipping,
+    encoding: Encoding,
+}
+
+/// What stood at the front: nothing, where it was an empty line or the rest of an overlong one.
+type Found = Option<Result<Message, DecodeError>>;
+
+/// What of an overlong message is still to be dropped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Skipping {
+    Nothing,
+    /// Up to its newline.
+    Line,
+    /// So many bytes.
+    Frame(usize),
+}
+
+impl Default for LineDecoder {
+    fn default() -> Self {
+        Self::new(LINE_BYTES_MAX)
+    }
+}
+
+impl LineDecoder {
+    /// A decoder for lines and payloads of at most `limit` bytes.
+    #[must_use]
+    pub const fn new(limit: usize) -> Self {
+        Self {
+            buffer: Vec::new(),
+            read: 0,
+            searched: 0,
+            limit,
+            skipping: Skipping::Nothing,
+            encoding: Encoding::Json,
+        }
+    }
+
+    /// How the message, or the error in its place, that was read last had been written; JSON before the first. An answer
+    /// is written likewise.
+    #[must_use]
+    pub const fn encoding(&self) -> Encoding {
+        self.encoding
+    }
+
+    /// Takes bytes as they came. Read the messages out before pushing again: what is buffered is then never more than
+    /// one message and one push.
+    pub fn push(&mut self, bytes: &[u8]) {
+        if self.read == self.buffer.len() && self.buffer.capacity() > IDLE_BYTES {
+            self.buffer = Vec::new();
+        } else if self.read > 0 {
+            self.buffer.drain(..self.read);
+        }
+        self.searched -= self.read;
+        self.read = 0;
+        let needed = self.buffer.len() + bytes.len();
+        let capacity = self.buffer.capacity();
+        if needed > capacity {
+            // Doubled, so that a long message is copied only now and then, but not beyond what may be buffered.
+            let most = self.limit.saturating_add(frame::HEAD_BYTES).saturating_add(bytes.len());
+            let grown = capacity.saturating_mul(2).min(most).max(needed);
+            self.buffer.reserve_exact(grown - self.buffer.len());
+        }
+        self.buffer.extend_from_slice(bytes);
+    }
+
+    /// The next message or the error that stands in its place; `None` until more bytes come. Empty lines are skipped.
+    pub fn next_message(&mut self) -> Option<Result<Message, DecodeError>> {
+        loop {
+            let found = match (self.skipping, self.buffer.get(self.read)?) {
+                (Skipping::Frame(left), _) => {
+                    self.skip(left);
+                    continue;
+                }
+                (Skipping::Nothing, &frame::MARK) => self.next_frame()?,
+                (Skipping::Nothing | Skipping::Line, _) => self.next_line()?,
+            };
+            if found.is_some() {
+                return found;
+            }
+        }
+    }
+
+    fn skip(&mut self, left: usize) {
+        let skipped = left.min(self.buffer.len() - self.read);
+        self.take(skipped);
+        self.skipping = match left - skipped {
+            0 => Skipping::Nothing,
+            left => Skipping::Frame(left),
+        };
+    }
+
+    /// Counts bytes as read.
+    fn take(&mut self, bytes: usize) {
+        self.read += bytes;
+        self.searched = self.read;
+    }
+
+    fn next_frame(&mut self) -> Option<Found> {
+        let unread = &self.buffer[self.read..];
+        let length = frame::length(unread)?;
+        if length > self.limit {
+            self.take(frame::HEAD_BYTES);
+            self.skipping = Skipping::Frame(length);
+            self.encoding = Encoding::MessagePack;
+            let kind = DecodeErrorKind::FrameTooLong { length, limit: self.limit };
+            return Some(Some(Err(DecodeError::bare(kind))));
+        }
+        let payload = unread[frame::HEAD_BYTES..].get(..length)?;
+        let decoded = frame::read(payload);
+        self.take(frame::HEAD_BYTES + length);
+        self.encoding = Encoding::MessagePack;
+        Some(Some(decoded))
+    }
+
+    fn next_line(&mut self) -> Option<Found> {
+        let newline = memchr::memchr(line::END, &self.buffer[self.searched..]);
+        let Some(newline) = newline.map(|at| self.searched + at) else {
+            self.searched = self.buffer.len();
+            return self.overflow();
+        };
+        let text = self.read..newline;
+        self.take(newline + 1 - self.read);
+        if std::mem::replace(&mut self.skipping, Skipping::Nothing) == Skipping::Line {
+            return Some(None);
+        }
+        if text.len() > self.limit {
+            return Some(Some(Err(self.too_long())));
+        }
+        let text = self.buffer[text].trim_ascii();
+        if text.is_empty() {
+            return Some(None);
+        }
+        self.encoding = Encoding::Json;
+        Some(Some(line::read(text)))
+    }
+
+    /// Drops the beginning of a line that has grown beyond the limit, and says so once.
+    fn overflow(&mut self) -> Option<Found> {
+        if self.skipping != Skipping::Line && self.buffer.len() - self.read <= self.limit {
+            return None;
+        }
+        self.take(self.buffer.len() - self.read);
+        let first = std::mem::replace(&mut self.skipping, Skipping::Line) != Skipping::Line;
+        first.then(|| Some(Err(self.too_long())))
+    }
+
+    fn too_long(&mut self) -> DecodeError {
+        self.encoding = Encoding::Json;
+        DecodeError::bare(DecodeErrorKind::LineTooLong { limit: self.limit })
+    }
+}

@@ -1,0 +1,91 @@
+//! The compact encoding: a byte that no line contains, the length of the payload, and the payload as MessagePack.
+
+use rmp_serde::decode::Error;
+use serde::de::IgnoredAny;
+use serde::{Deserialize, Serialize};
+
+use super::error::{DecodeError, DecodeErrorKind, Envelope};
+use super::line;
+use crate::message::Message;
+
+/// What begins a frame: never valid in UTF-8, never used by MessagePack.
+pub(super) const MARK: u8 = 0xC1;
+/// The mark and the payload's length, big-endian.
+pub(super) const HEAD_BYTES: usize = 5;
+/// Lists and dictionaries within each other, as many as serde_json takes.
+const DEPTH_MAX: usize = 128;
+
+/// Appends a message as a frame.
+pub(super) fn write(message: &Message, bytes: &mut Vec<u8>) {
+    let begin = bytes.len();
+    bytes.extend_from_slice(&[MARK, 0, 0, 0, 0]);
+    let mut serializer = rmp_serde::Serializer::new(&mut *bytes).with_struct_map();
+    // Writing a message into memory cannot fail: lengths are known, numbers finite.
+    let written = message.serialize(&mut serializer);
+    debug_assert!(written.is_ok(), "{written:?}");
+    match u32::try_from(bytes.len() - begin - HEAD_BYTES) {
+        Ok(length) => bytes[begin + 1..begin + HEAD_BYTES].copy_from_slice(&length.to_be_bytes()),
+        // Longer than a frame can say. A line is understood by everybody.
+        Err(_) => {
+            bytes.truncate(begin);
+            line::write(message, bytes);
+        }
+    }
+}
+
+/// The payload's length, once the whole head is there.
+pub(super) fn length(head: &[u8]) -> Option<usize> {
+    let length = head.get(1..HEAD_BYTES)?.try_into().map(u32::from_be_bytes).ok()?;
+    // Where an address has fewer bits than a length, this is beyond any limit.
+    Some(usize::try_from(length).unwrap_or(usize::MAX))
+}
+
+/// Reads the payload of one frame.
+pub(super) fn read(payload: &[u8]) -> Result<Message, DecodeError> {
+    match read_whole::<Message>(payload) {
+        Ok(message) => Ok(message),
+        Err(error) => Err(explain(payload, &error)),
+    }
+}
+
+type Deserializer<'a> = rmp_serde::Deserializer<rmp_serde::decode::ReadRefReader<'a, [u8]>>;
+
+fn deserializer(payload: &[u8]) -> Deserializer<'_> {
+    let mut deserializer = rmp_serde::Deserializer::from_read_ref(payload);
+    deserializer.set_max_depth(DEPTH_MAX);
+    deserializer
+}
+
+fn read_whole<'a, T: Deserialize<'a>>(payload: &'a [u8]) -> Result<T, Error> {
+    let mut deserializer = deserializer(payload);
+    let value = T::deserialize(&mut deserializer)?;
+    match IgnoredAny::deserialize(&mut deserializer) {
+        Err(Error::InvalidMarkerRead(_)) => Ok(value),
+        _ => Err(Error::Uncategorized("bytes behind the message".to_owned())),
+    }
+}
+
+/// Reads a bad payload once more, slower, for the path of the fault and the ids that an answer needs.
+fn explain(payload: &[u8], error: &Error) -> DecodeError {
+    let well_formed = read_whole::<IgnoredAny>(payload);
+    if let Err(fault) = well_formed {
+        return DecodeError::bare(DecodeErrorKind::NotMessagePack { message: told(&fault) });
+    }
+    let addressee = read_whole::<Envelope>(payload).map(|envelope| envelope.control_request);
+    DecodeError::invalid(path_of_fault(payload), told(error), addressee.unwrap_or_default())
+}
+
+fn told(error: &Error) -> String {
+    match error {
+        Error::InvalidMarkerRead(_) | Error::InvalidDataRead(_) => "it ends too early".to_owned(),
+        Error::DepthLimitExceeded => format!("more than {DEPTH_MAX} levels within each other"),
+        other => other.to_string(),
+    }
+}
+
+fn path_of_fault(payload: &[u8]) -> String {
+    match serde_path_to_error::deserialize::<_, Message>(&mut deserializer(payload)) {
+        Ok(_) => "end of frame".to_owned(),
+        Err(error) => error.path().to_string(),
+    }
+}

@@ -1,0 +1,218 @@
+//! How messages of both encodings follow each other on one stream, whole, cut, overlong and broken.
+
+use super::*;
+use crate::{AvailabilityRequest, Command, ControlRequest, Script};
+
+/// A frame round a payload of these bytes.
+fn frame(payload: &[u8]) -> Vec<u8> {
+    let length = u32::try_from(payload.len()).unwrap();
+    [&[frame::MARK], length.to_be_bytes().as_slice(), payload].concat()
+}
+
+fn ping() -> Message {
+    Message::AvailabilityRequest(AvailabilityRequest::default())
+}
+
+fn cancel(device: &str) -> Message {
+    let command = Command::Script(Script::cancel());
+    Message::ControlRequest(ControlRequest::immediate(device.parse().unwrap(), command))
+}
+
+fn written(encoding: Encoding, message: &Message) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    encode_as(encoding, message, &mut bytes);
+    bytes
+}
+
+/// What a payload is refused for. What follows it is still read.
+#[track_caller]
+fn refused(payload: &[u8]) -> DecodeError {
+    let mut decoder = LineDecoder::default();
+    decoder.push(&frame(payload));
+    decoder.push(&written(Encoding::Json, &ping()));
+    let error = decoder.next_message().unwrap().unwrap_err();
+    assert_eq!(decoder.encoding(), Encoding::MessagePack);
+    assert_eq!(decoder.next_message(), Some(Ok(ping())), "what follows");
+    error
+}
+
+#[track_caller]
+fn check_not_message_pack(payload: &[u8], says: &str) {
+    let error = refused(payload);
+    let DecodeErrorKind::NotMessagePack { message } = &error.kind else { panic!("{error:?}") };
+    assert!(message.contains(says), "{message}");
+}
+
+/// A control request of MessagePack whose keys are followed by these bytes.
+fn request(fields: &[(&str, &[u8])]) -> Vec<u8> {
+    let text = |text: &str| [&[0xD9, u8::try_from(text.len()).unwrap()], text.as_bytes()].concat();
+    let mut payload = [&[0x81], text("control_request").as_slice()].concat();
+    payload.push(0x80 | u8::try_from(fields.len() + 2).unwrap());
+    payload.extend([text("device_id"), text("d"), text("request_id"), text("r")].concat());
+    for (key, value) in fields {
+        payload.extend(text(key));
+        payload.extend_from_slice(value);
+    }
+    payload
+}
+
+#[track_caller]
+fn check_invalid(payload: &[u8], path: &str, says: &str) {
+    let error = refused(payload);
+    let DecodeErrorKind::Invalid { path: found, message } = &error.kind else { panic!("{error:?}") };
+    assert!(message.contains(says), "{message}");
+    assert_eq!(found, path);
+    assert_eq!(error.device_id.unwrap().as_str(), "d");
+    assert_eq!(error.request_id.unwrap().as_str(), "r");
+}
+
+const POSITION: &[u8] = b"\xA8position";
+const SCRIPT: &[u8] = b"\xA6script";
+
+#[test]
+fn lines_and_frames_follow_each_other_wherever_the_stream_is_cut() {
+    let expected = [
+        (Encoding::Json, ping()),
+        (Encoding::MessagePack, cancel("a")),
+        (Encoding::MessagePack, ping()),
+        (Encoding::Json, cancel("b")),
+        (Encoding::MessagePack, cancel("c")),
+    ];
+    let mut stream: Vec<u8> = expected.iter().flat_map(|(encoding, m)| written(*encoding, m)).collect();
+    stream.extend_from_slice(b"\r\n \n");
+    for cut in 0..=stream.len() {
+        let mut decoder = LineDecoder::default();
+        let mut found = Vec::new();
+        for part in [&stream[..cut], &stream[cut..]] {
+            decoder.push(part);
+            while let Some(decoded) = decoder.next_message() {
+                found.push((decoder.encoding(), decoded.unwrap()));
+            }
+        }
+        assert_eq!(found, expected, "cut at {cut}");
+    }
+}
+
+#[test]
+fn a_frame_that_comes_byte_by_byte_is_read_with_its_last() {
+    let bytes = written(Encoding::MessagePack, &cancel("a"));
+    let mut decoder = LineDecoder::default();
+    for byte in &bytes[..bytes.len() - 1] {
+        decoder.push(&[*byte]);
+        assert_eq!(decoder.next_message(), None);
+    }
+    decoder.push(&bytes[bytes.len() - 1..]);
+    assert_eq!(decoder.next_message(), Some(Ok(cancel("a"))));
+}
+
+#[test]
+fn an_overlong_frame_is_refused_by_its_head_and_skipped_by_its_length() {
+    for chunk in [1, 7, 64, 10_000] {
+        let mut stream = frame(&vec![b'\n'; 5_000]);
+        stream.extend(written(Encoding::MessagePack, &ping()));
+        let mut decoder = LineDecoder::new(4_999);
+        let mut found = Vec::new();
+        for part in stream.chunks(chunk) {
+            decoder.push(part);
+            found.extend(std::iter::from_fn(|| decoder.next_message()));
+        }
+        let kind = DecodeErrorKind::FrameTooLong { length: 5_000, limit: 4_999 };
+        assert_eq!(found, [Err(DecodeError::bare(kind)), Ok(ping())], "by {chunk}");
+    }
+}
+
+#[test]
+fn garbage_between_messages_is_answered_once_each_and_costs_no_message() {
+    let mut decoder = LineDecoder::new(100);
+    let stream = [
+        written(Encoding::MessagePack, &ping()),
+        b"\xff\xC1 garbage\n".to_vec(),
+        written(Encoding::MessagePack, &cancel("a")),
+        frame(b"\xC1\xC1\xC1"),
+        [&[b'x'; 101], b"\n".as_slice()].concat(),
+        written(Encoding::Json, &ping()),
+    ];
+    decoder.push(&stream.concat());
+    let found: Vec<_> = std::iter::from_fn(|| decoder.next_message()).map(|m| m.ok()).collect();
+    assert_eq!(found, [Some(ping()), None, Some(cancel("a")), None, None, Some(ping())]);
+}
+
+#[test]
+fn payloads_that_are_no_message_pack_say_why() {
+    check_not_message_pack(b"", "too early");
+    check_not_message_pack(b"\x81", "too early");
+    check_not_message_pack(b"\xC1", "Reserved");
+    let whole = written(Encoding::MessagePack, &ping());
+    check_not_message_pack(&[&whole[5..], b"\xC0"].concat(), "bytes behind the message");
+}
+
+#[test]
+fn depth_is_bounded() {
+    check_not_message_pack(&b"\x91".repeat(1_000_000), "more than 128 levels");
+    check_not_message_pack(&request(&[("colour", &b"\x91".repeat(200))]), "more than 128 levels");
+    check_not_message_pack(&b"\x81\xA1a".repeat(1_000_000), "more than 128 levels");
+}
+
+#[test]
+fn lengths_that_lie_take_no_memory() {
+    // A text, a list of steps and a dictionary of four billion entries, of which none comes.
+    for lie in [b"\xDB\xFF\xFF\xFF\xFF", b"\xDD\xFF\xFF\xFF\xFF", b"\xDF\xFF\xFF\xFF\xFF"] {
+        check_not_message_pack(&request(&[("control_type", SCRIPT), ("control_value", lie)]), "too early");
+        check_not_message_pack(lie, "too early");
+    }
+}
+
+#[test]
+fn a_request_beyond_the_limits_is_refused_with_its_place() {
+    let nan = [&[0xCB], f64::NAN.to_be_bytes().as_slice()].concat();
+    let infinite = [&[0xCA], f32::INFINITY.to_be_bytes().as_slice()].concat();
+    for bad in [nan.as_slice(), &infinite] {
+        check_invalid(
+            &request(&[("control_type", POSITION), ("control_value", bad)]),
+            "control_request.control_value",
+            "not finite",
+        );
+        let step = [b"\x91\x93\x00\x00", bad].concat();
+        check_invalid(
+            &request(&[("control_type", SCRIPT), ("control_value", &step)]),
+            "control_request.control_value[0][2]",
+            "not finite",
+        );
+        check_invalid(
+            &request(&[("time_offset_to_start", bad), ("control_type", POSITION)]),
+            "control_request.time_offset_to_start",
+            "not finite",
+        );
+    }
+    let short = [
+        (b"\x91\x92\x00\x00".as_slice(), "control_request.control_value[0]", "invalid length 2"),
+        (b"\x91\x93\x00\x03\x00", "control_request.control_value[0][1]", "0 for position"),
+        (b"\x91\x93\x00\xA6sensor\x00", "control_request.control_value[0]", "control type `sensor`"),
+        (b"\x92\x93\x01\x00\x00\x93\x00\x00\x00", "control_request.control_value", "before the step ahead"),
+    ];
+    for (steps, path, says) in short {
+        check_invalid(&request(&[("control_type", SCRIPT), ("control_value", steps)]), path, says);
+    }
+}
+
+#[test]
+fn a_value_of_minus_zero_is_zero() {
+    let minus = [&[0xCB], (-0.0f64).to_be_bytes().as_slice()].concat();
+    let mut decoder = LineDecoder::default();
+    decoder.push(&frame(&request(&[("control_type", POSITION), ("control_value", &minus)])));
+    let Some(Ok(Message::ControlRequest(read))) = decoder.next_message() else { panic!() };
+    let Command::Set(setpoint) = &read.command else { panic!() };
+    assert_eq!(setpoint.value, 0.0);
+    let zero = Command::Set(crate::Setpoint::new(crate::ControlType::Position, 0.0));
+    assert_eq!(read.command.content_hash(), zero.content_hash());
+}
+
+#[test]
+fn steps_by_name_are_read_too() {
+    let step = b"\x91\x83\xB4time_offset_to_start\x07\xACcontrol_type\xA5speed\xADcontrol_value\x01";
+    let mut decoder = LineDecoder::default();
+    decoder.push(&frame(&request(&[("control_type", SCRIPT), ("control_value", step)])));
+    let Some(Ok(Message::ControlRequest(read))) = decoder.next_message() else { panic!() };
+    let Command::Script(script) = &read.command else { panic!() };
+    assert_eq!(script.steps()[0].offset.get(), 7.0);
+}
