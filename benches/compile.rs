@@ -63,6 +63,7 @@ fn fleet(robots: usize, steps: u32, queue: u32) -> Fleet {
             clock: Default::default(),
             wake_up: Default::default(),
             require: Vec::new(),
+            encoding: Default::default(),
         }
     };
     let robots: Vec<_> = (0..robots).map(robot).collect();

@@ -16,7 +16,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use downbeat::link::Endpoint;
+use downbeat::link::{Endpoint, Speech};
 use downbeat::mission::{Mission, MissionOptions, Participant, Progress};
 use downbeat::server_clock::ServerClock;
 use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
@@ -148,8 +148,11 @@ fn downbeat(count: usize) -> (Duration, Duration, f64) {
         let participants = (0..count).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
         let options = MissionOptions { patience: Span::from_millis(60_000), ..MissionOptions::default() };
         let mission = Mission::of_plan(plan(count), participants, options, clock.now()).unwrap();
-        let endpoints =
-            peers.ports.iter().map(|port| Endpoint::Tcp { host: "127.0.0.1".into(), port: *port }).collect();
+        let endpoints = peers
+            .ports
+            .iter()
+            .map(|port| Endpoint::Tcp { host: "127.0.0.1".into(), port: *port, speech: Speech::default() })
+            .collect();
         let (_operator, said) = tokio::sync::mpsc::channel(1);
         let (mut sent, mut accepted, mut decided) = (None, None, None);
         let mut most = 0.0_f64;

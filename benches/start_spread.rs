@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use downbeat::link::{Endpoint, Link};
+use downbeat::link::{Endpoint, Link, Speech};
 use downbeat::mission::{Event, Mission, MissionOptions, Participant};
 use downbeat::server_clock::ServerClock;
 use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
@@ -73,7 +73,7 @@ impl Fleet {
     }
 
     fn endpoint(&self, id: usize) -> Endpoint {
-        Endpoint::Tcp { host: "127.0.0.1".into(), port: self.ports[id] }
+        Endpoint::Tcp { host: "127.0.0.1".into(), port: self.ports[id], speech: Speech::default() }
     }
 
     /// True instants at which a robot began a script, in nanoseconds.

@@ -4,6 +4,7 @@
 
 mod diagnostics;
 mod documents;
+mod encodings;
 mod examples;
 mod findings;
 mod import;

@@ -1,4 +1,4 @@
-//! JSON lines over TCP round a robot of a host.
+//! Messages over TCP round a robot of a host: lines of JSON, or frames of MessagePack to whoever writes them.
 
 use std::io;
 use std::net::SocketAddr;
@@ -8,8 +8,8 @@ use std::time::Duration;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::tcp::OwnedReadHalf;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::Semaphore;
-use urrcp::{LINE_BYTES_MAX, LineDecoder, encode};
+use tokio::sync::{Semaphore, watch};
+use urrcp::{Encoding, LINE_BYTES_MAX, LineDecoder, encode_as};
 
 use crate::host::{HostHandle, LinkEvent, LinkSender, RobotLink};
 use crate::robot::Input;
@@ -66,8 +66,9 @@ fn is_passing(error: &io::Error) -> bool {
 async fn carry(stream: TcpStream, mut link: RobotLink) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let (reader, mut writer) = stream.into_split();
-    let sender = link.sender();
-    let reading = read(reader, sender);
+    // How the peer wrote last is how it is answered.
+    let (heard, encoding) = watch::channel(Encoding::Json);
+    let reading = read(reader, link.sender(), heard);
     tokio::pin!(reading);
     let mut bytes = Vec::new();
     loop {
@@ -75,8 +76,9 @@ async fn carry(stream: TcpStream, mut link: RobotLink) -> io::Result<()> {
             ended = &mut reading => return ended,
             event = link.recv() => {
                 let Some(LinkEvent::Message(message)) = event else { return Ok(()) };
-                encode(&message, &mut bytes);
-                let open = encode_waiting(&mut link, &mut bytes);
+                let encoding = *encoding.borrow();
+                encode_as(encoding, &message, &mut bytes);
+                let open = encode_waiting(&mut link, encoding, &mut bytes);
                 tokio::time::timeout(WRITE_WAIT_MAX, writer.write_all(&bytes)).await??;
                 bytes.clear();
                 if !open {
@@ -88,10 +90,10 @@ async fn carry(stream: TcpStream, mut link: RobotLink) -> io::Result<()> {
 }
 
 /// Adds what else the robot has said already; false once the robot has closed the link.
-fn encode_waiting(link: &mut RobotLink, bytes: &mut Vec<u8>) -> bool {
+fn encode_waiting(link: &mut RobotLink, encoding: Encoding, bytes: &mut Vec<u8>) -> bool {
     while bytes.len() < 64 * 1024 {
         match link.try_recv() {
-            Some(LinkEvent::Message(message)) => encode(&message, bytes),
+            Some(LinkEvent::Message(message)) => encode_as(encoding, &message, bytes),
             Some(LinkEvent::Closed) => return false,
             None => return true,
         }
@@ -99,7 +101,11 @@ fn encode_waiting(link: &mut RobotLink, bytes: &mut Vec<u8>) -> bool {
     true
 }
 
-async fn read(mut reader: OwnedReadHalf, robot: LinkSender) -> io::Result<()> {
+async fn read(
+    mut reader: OwnedReadHalf,
+    robot: LinkSender,
+    heard: watch::Sender<Encoding>,
+) -> io::Result<()> {
     let mut decoder = LineDecoder::new(LINE_BYTES_MAX);
     let mut bytes = vec![0; 8 * 1024];
     loop {
@@ -109,6 +115,7 @@ async fn read(mut reader: OwnedReadHalf, robot: LinkSender) -> io::Result<()> {
         }
         decoder.push(&bytes[..n]);
         while let Some(decoded) = decoder.next_message() {
+            heard.send_replace(decoder.encoding());
             robot.send(decoded.map_or_else(Input::Undecodable, Input::Message)).await;
         }
     }

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, HashMap};
 
 use urrcp::{
-    Command, ControlError, ControlResponse, DEVICES_MAX, DeviceId, ErrorCode, InitializationBlock, Message,
-    Robot as RobotClock, Span, Status, StatusValue, Timestamp,
+    Command, ControlError, ControlResponse, DEVICES_MAX, DeviceId, Encoding, ErrorCode, InitializationBlock,
+    Message, Robot as RobotClock, Span, Status, StatusValue, Timestamp,
 };
 
 use crate::robot::{Input, LinkId, Output, Robot};
@@ -117,13 +117,13 @@ pub struct SimulatedRobot {
 }
 
 impl SimulatedRobot {
-    /// A robot at rest.
+    /// A robot at rest, which says that it understands what this crate reads.
     #[must_use]
     pub fn new(block: InitializationBlock, settings: Settings) -> Self {
         let mut rng = fastrand::Rng::with_seed(settings.seed);
         let ntp_residue = draw_symmetric(&mut rng, settings.ntp_error.unwrap_or_default());
         Self {
-            robot: Robot::new(block),
+            robot: Robot::new(block.and_understands(Encoding::MessagePack)),
             settings,
             ntp_residue,
             rng,

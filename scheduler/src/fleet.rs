@@ -3,9 +3,9 @@
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostError, HostOptions};
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Handshake, Plan, RobotClock, Wait};
-use urrcp::RobotId;
+use urrcp::{Encoding, RobotId};
 
-use crate::link::Endpoint;
+use crate::link::{Endpoint, Speech};
 use crate::mission::{ClockMode, Greeting, Participant, Requirement};
 
 /// A robot cannot be simulated.
@@ -59,6 +59,11 @@ pub fn participants(robots: &[&FleetRobot]) -> Vec<Participant> {
             RobotClock::Measured => ClockMode::Measured,
         },
         wake_up: robot.wake_up,
+        encoding: match &robot.address {
+            Address::Tcp { .. } => robot.encoding,
+            // What stays in this process is not encoded.
+            Address::Simulated => Encoding::Json,
+        },
         requires: robot
             .require
             .iter()
@@ -106,6 +111,7 @@ pub fn simulated(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit
 /// [`EndpointError`] for a robot that cannot be simulated, or when the host cannot start.
 pub fn endpoints(
     robots: &[&FleetRobot],
+    handshake: Handshake,
     options: HostOptions,
 ) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
     let in_process: Vec<_> = robots.iter().filter(|robot| robot.address == Address::Simulated).collect();
@@ -115,7 +121,10 @@ pub fn endpoints(
     let host = if machines.is_empty() { None } else { Some(Host::start(machines, options)?) };
     let mut index = 0;
     let endpoint = |robot: &&FleetRobot| match (&robot.address, &host) {
-        (Address::Tcp { host, port }, _) => Some(Endpoint::Tcp { host: host.clone(), port: *port }),
+        (Address::Tcp { host, port }, _) => {
+            let speech = speech(robot, handshake);
+            Some(Endpoint::Tcp { host: host.clone(), port: *port, speech })
+        }
         (Address::Simulated, Some(host)) => {
             index += 1;
             Some(Endpoint::InProcess { host: host.handle(), index: index - 1 })
@@ -124,4 +133,13 @@ pub fn endpoints(
     };
     let endpoints = robots.iter().filter_map(endpoint).collect();
     Ok((host, endpoints))
+}
+
+/// Where nobody is asked, the files are trusted.
+fn speech(robot: &FleetRobot, handshake: Handshake) -> Speech {
+    let listed = robot.init.as_ref().is_some_and(|block| block.understands(robot.encoding));
+    match handshake {
+        Handshake::Skip if listed => Speech::at_once(robot.encoding),
+        Handshake::Skip | Handshake::Full => Speech::once_listed(robot.encoding),
+    }
 }

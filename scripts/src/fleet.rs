@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use urrcp::{ControlType, Device, DeviceId, InitializationBlock, RobotId, Span};
+use urrcp::{ControlType, Device, DeviceId, Encoding, InitializationBlock, RobotId, Span};
 
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding};
@@ -14,8 +14,8 @@ use crate::source::Source;
 use crate::tags::foreign_tags;
 
 pub(crate) const FLEET_KEYS: [&str; 4] = ["ntp", "handshake", "robots", "groups"];
-pub(crate) const ROBOT_KEYS: [&str; 7] =
-    ["init", "address", "simulate", "limits", "clock", "wake_up", "require"];
+pub(crate) const ROBOT_KEYS: [&str; 8] =
+    ["init", "address", "simulate", "limits", "clock", "wake_up", "require", "encoding"];
 pub(crate) const RANGE_KEYS: [&str; 3] = ["above", "below", "within"];
 pub(crate) const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
 pub(crate) const SIMULATE_KEYS: [&str; 6] =
@@ -63,6 +63,8 @@ pub struct FleetRobot {
     pub wake_up: Span,
     /// What its sensors have to read before a mission.
     pub require: Vec<(DeviceId, SensorRange)>,
+    /// What it is written to in over TCP.
+    pub encoding: Encoding,
 }
 
 /// How a robot's time is brought to agree with the server's.
@@ -234,7 +236,7 @@ impl FleetReader {
         }
         let robots = robots?;
         for (name, at) in self.findings.entries(&robots, "robot id to its address and init file") {
-            let robot = self.robot(name, &at);
+            let robot = self.robot(name, &at, fleet.handshake);
             fleet.robots.extend(robot);
         }
         if fleet.robots.is_empty() && matches!(robots.node, Node::Map(entries) if entries.is_empty()) {
@@ -255,7 +257,7 @@ impl FleetReader {
         Some(fleet)
     }
 
-    fn robot(&mut self, name: &str, at: &At<'_>) -> Option<FleetRobot> {
+    fn robot(&mut self, name: &str, at: &At<'_>, handshake: Handshake) -> Option<FleetRobot> {
         let id = match RobotId::new(name) {
             Ok(id) => id,
             Err(error) => {
@@ -265,7 +267,7 @@ impl FleetReader {
             }
         };
         let what = format!("robot `{name}`");
-        let [init, address, simulate, limits, clock, wake_up, require] =
+        let [init, address, simulate, limits, clock, wake_up, require, encoding] =
             self.findings.map(at, &what, ROBOT_KEYS, &["init", "address"])?;
         let address = address.and_then(|at| self.address(&at));
         let simulation = simulate.map(|at| self.simulation(&at)).unwrap_or_default();
@@ -276,8 +278,30 @@ impl FleetReader {
         let clock = clock.and_then(|at| self.findings.word(&at, &words)).unwrap_or_default();
         let wake_up = wake_up.and_then(|at| self.findings.duration(&at)).unwrap_or(WAKE_UP);
         let require = require.map(|at| self.require(&at, &init)).unwrap_or_default();
+        let encoding = encoding.and_then(|at| self.encoding(&at, &init, handshake)).unwrap_or_default();
         let (address, init) = (address?, Some(init));
-        Some(FleetRobot { id, address, init, simulation, limits, clock, wake_up, require })
+        Some(FleetRobot { id, address, init, simulation, limits, clock, wake_up, require, encoding })
+    }
+
+    /// Where robots are asked, they say for themselves what they understand.
+    fn encoding(
+        &mut self,
+        at: &At<'_>,
+        init: &InitializationBlock,
+        handshake: Handshake,
+    ) -> Option<Encoding> {
+        let words = [Encoding::Json, Encoding::MessagePack].map(|encoding| (encoding.as_str(), encoding));
+        let encoding = self.findings.word(at, &words)?;
+        if handshake == Handshake::Skip && !init.understands(encoding) {
+            self.findings.add(
+                Code::InitializationBlock,
+                at.place(),
+                format!("the robot does not list the encoding `{encoding}`"),
+                format!("`json`, or `encodings: [{encoding}]` in its initialization block"),
+                Some("with `handshake: skip` the file alone says what it understands".to_owned()),
+            );
+        }
+        Some(encoding)
     }
 
     fn limits(&mut self, at: &At<'_>, init: &InitializationBlock) -> BTreeMap<String, RateLimits> {

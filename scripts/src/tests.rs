@@ -29,6 +29,7 @@ fn fleet() -> Fleet {
         clock: crate::fleet::RobotClock::Ntp,
         wake_up: crate::fleet::WAKE_UP,
         require: Vec::new(),
+        encoding: Default::default(),
     };
     Fleet { robots: vec![robot], ..Fleet::default() }
 }

@@ -1,7 +1,7 @@
 //! A robot behind a real socket on the loopback interface.
 
 use tokio::io::{AsyncBufReadExt, BufReader};
-use urrcp::{Message, Status};
+use urrcp::{Message, Status, encode};
 
 use super::*;
 use crate::host::tests::{LogFile, arms, paper};
@@ -75,6 +75,57 @@ async fn garbage_is_answered_and_the_link_goes_on() {
     peer.write(b"{\"availability_request\": {}}\n").await;
     let Message::AvailabilityResponse(response) = peer.read().await else { panic!() };
     assert_eq!(response.status, Status::Ok);
+}
+
+/// A server's end of the connection that reads what comes in whichever encoding.
+struct Listener {
+    stream: TcpStream,
+    decoder: LineDecoder,
+}
+
+impl Listener {
+    async fn send(&mut self, encoding: Encoding, message: &Message) {
+        let mut bytes = Vec::new();
+        encode_as(encoding, message, &mut bytes);
+        self.stream.write_all(&bytes).await.unwrap();
+    }
+
+    async fn read(&mut self) -> (Encoding, Message) {
+        loop {
+            if let Some(decoded) = self.decoder.next_message() {
+                return (self.decoder.encoding(), decoded.unwrap());
+            }
+            let mut bytes = [0; 1024];
+            let n = self.stream.read(&mut bytes).await.unwrap();
+            self.decoder.push(&bytes[..n]);
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_robot_answers_in_the_encoding_of_what_it_heard_last() {
+    let log = LogFile::new("encodings");
+    let (_host, address) = served(&log).await;
+    let stream = TcpStream::connect(address).await.unwrap();
+    let mut peer = Listener { stream, decoder: LineDecoder::default() };
+    let describe = Message::InitializationRequest(urrcp::InitializationRequest::default());
+    for encoding in [Encoding::Json, Encoding::MessagePack, Encoding::MessagePack, Encoding::Json] {
+        peer.send(encoding, &describe).await;
+        let (answered, Message::InitializationBlock(block)) = peer.read().await else { panic!() };
+        assert_eq!(answered, encoding);
+        assert!(block.understands(Encoding::MessagePack));
+    }
+    peer.send(Encoding::MessagePack, &paper(200.0)).await;
+    for expected in [Status::Accepted, Status::Started, Status::Ok] {
+        let (answered, Message::ControlResponse(response)) = peer.read().await else { panic!() };
+        assert_eq!((answered, response.status), (Encoding::MessagePack, expected));
+    }
+    // A frame that is no message is answered by a frame, and what follows it is read.
+    peer.stream.write_all(b"\xC1\x00\x00\x00\x02\x91\x00").await.unwrap();
+    let (answered, Message::AvailabilityResponse(response)) = peer.read().await else { panic!() };
+    assert_eq!((answered, response.status), (Encoding::MessagePack, Status::Failed));
+    peer.send(Encoding::Json, &describe).await;
+    assert!(matches!(peer.read().await, (Encoding::Json, Message::InitializationBlock(_))));
 }
 
 #[tokio::test]

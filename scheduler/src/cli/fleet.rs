@@ -86,8 +86,8 @@ pub(super) fn fleet(command: &FleetCommand, format: Format) -> Exit {
 async fn ask_all(fleet: &Fleet, patience: Span) -> Result<Vec<Answer>, String> {
     let clock = ServerClock::anchored(Span::ZERO);
     let robots: Vec<&FleetRobot> = fleet.robots.iter().collect();
-    let (host, endpoints) =
-        fleet::endpoints(&robots, HostOptions::default()).map_err(|error| error.to_string())?;
+    let (host, endpoints) = fleet::endpoints(&robots, fleet.handshake, HostOptions::default())
+        .map_err(|error| error.to_string())?;
     let asked = robots.iter().zip(endpoints).map(|(robot, endpoint)| {
         let (events, happened) = mpsc::channel(64);
         let link = Link::open(0, endpoint, clock, events, std::time::Duration::ZERO);

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use comfy_table::{Table, presets};
 use downbeat_robot::HostOptions;
-use downbeat_scripts::{FleetRobot, counted};
+use downbeat_scripts::{FleetRobot, Handshake, counted};
 use serde::Serialize;
 use urrcp::{RobotId, SessionId, Span};
 
@@ -253,7 +253,7 @@ async fn withdraw(found: &Found, how: &HowArgs, format: Format) -> Exit {
     let options = options(found, how, fleet::greeting(&fleet));
     let touched: BTreeMap<_, _> = found.kept.touched.clone();
     let mission = Mission::withdraw(fleet::participants(&robots), options, &touched, clock.now());
-    let report = match go_on(found, mission, &robots, clock, format).await {
+    let report = match go_on(found, mission, &robots, fleet.handshake, clock, format).await {
         Ok(report) => report,
         Err(exit) => return exit,
     };
@@ -266,11 +266,12 @@ async fn go_on(
     found: &Found,
     mission: Mission,
     robots: &[&FleetRobot],
+    handshake: Handshake,
     clock: crate::server_clock::ServerClock,
     format: Format,
 ) -> Result<Report, Exit> {
-    let (host, endpoints) =
-        fleet::endpoints(robots, HostOptions::default()).map_err(|error| failed(&error.to_string()))?;
+    let (host, endpoints) = fleet::endpoints(robots, handshake, HostOptions::default())
+        .map_err(|error| failed(&error.to_string()))?;
     let journal = Journal::open(&found.folder).map_err(|error| failed(&error.to_string()))?;
     let mut keep = Keep { journal: Some(journal), ..Keep::default() };
     let (said, operator) = operator();
@@ -328,7 +329,7 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
             Ok(mission) => mission,
             Err(changed) => return failed(&changed.to_string()),
         };
-        match go_on(&found, mission, &robots, clock, format).await {
+        match go_on(&found, mission, &robots, fleet.handshake, clock, format).await {
             Ok(report) => {
                 finish(&report, format);
                 exit_of(&report)

@@ -246,7 +246,8 @@ impl Work<'_> {
             go_by_enter(said);
         }
         let host_options = HostOptions { realtime: self.how.realtime, ..HostOptions::default() };
-        let (host, endpoints) = fleet::endpoints(&robots, host_options).map_err(|e| failed(e.to_string()))?;
+        let (host, endpoints) =
+            fleet::endpoints(&robots, fleet.handshake, host_options).map_err(|e| failed(e.to_string()))?;
         let participants = fleet::participants(&robots);
         let mission = Mission::new(choreography, participants, options, clock.now())
             .map_err(|error| failed(error.to_string()))?;

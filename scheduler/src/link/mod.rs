@@ -1,10 +1,13 @@
 //! Links to robots. A link is a pair of channels with tasks behind it; which transport carries the messages, the mission
 //! never knows.
 
+mod encoding;
 mod in_process;
 mod tcp;
 
 use std::time::Duration;
+
+pub use encoding::Speech;
 
 use downbeat_robot::HostHandle;
 use tokio::sync::mpsc;
@@ -32,6 +35,8 @@ pub enum Endpoint {
         host: String,
         /// Port.
         port: u16,
+        /// How it is written to.
+        speech: Speech,
     },
 }
 
@@ -43,6 +48,15 @@ pub type LinkEvent = (Timestamp<Server>, Event);
 pub struct Link {
     outgoing: mpsc::Sender<Message>,
     urgent: mpsc::UnboundedSender<Message>,
+}
+
+/// A robot on TCP.
+#[derive(Clone)]
+struct Peer {
+    sink: EventSink,
+    host: String,
+    port: u16,
+    speech: Speech,
 }
 
 /// The other ends of a link's channels.
@@ -75,7 +89,9 @@ impl Link {
             }
             match endpoint {
                 Endpoint::InProcess { host, index } => in_process::carry(sink, host, index, queue).await,
-                Endpoint::Tcp { host, port } => tcp::carry(sink, host, port, queue).await,
+                Endpoint::Tcp { host, port, speech } => {
+                    tcp::carry(Peer { sink, host, port, speech }, queue).await;
+                }
             }
         });
         Self { outgoing, urgent }

@@ -1,4 +1,4 @@
-//! JSON lines over TCP: the robot listens, the scheduler connects.
+//! Messages over TCP: the robot listens, the scheduler connects.
 
 use std::time::Duration;
 
@@ -6,9 +6,9 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::sync::mpsc;
-use urrcp::{LineDecoder, Message, Server, Span, Timestamp, encode};
+use urrcp::{LineDecoder, Message, Server, Span, Timestamp, encode_as};
 
-use super::{EventSink, Queue};
+use super::{Peer, Queue};
 use crate::mission::Event;
 use crate::server_clock::ServerClock;
 
@@ -21,9 +21,10 @@ const OVERTAKING_LISTENS: Duration = Duration::from_secs(10);
 const WRITE_BATCH: usize = 64 * 1024;
 
 /// Connects and carries messages both ways until either side closes.
-pub(super) async fn carry(sink: EventSink, host: String, port: u16, queue: Queue) {
-    let stream = match tokio::time::timeout(CONNECT_TIMEOUT, TcpStream::connect((host.as_str(), port))).await
-    {
+pub(super) async fn carry(peer: Peer, queue: Queue) {
+    let Peer { sink, host, port, .. } = &peer;
+    let (host, port) = (host.as_str(), *port);
+    let stream = match tokio::time::timeout(CONNECT_TIMEOUT, TcpStream::connect((host, port))).await {
         Ok(Ok(stream)) => stream,
         Ok(Err(error)) => return sink.down(format!("no connection to {host}:{port}: {error}")).await,
         Err(_) => return sink.down(format!("no connection to {host}:{port} within 3 s")).await,
@@ -32,11 +33,10 @@ pub(super) async fn carry(sink: EventSink, host: String, port: u16, queue: Queue
         tracing::debug!("TCP_NODELAY: {error}");
     }
     let (reader, writer) = stream.into_split();
-    let overtaking = Overtaking { sink: sink.clone(), host, port };
     sink.up().await;
     let reason = tokio::select! {
-        reason = read(&sink, reader) => Some(reason),
-        reason = write(writer, queue, &overtaking) => reason,
+        reason = read(&peer, reader) => Some(reason),
+        reason = write(writer, queue, &peer) => reason,
     };
     if let Some(reason) = reason {
         sink.down(reason).await;
@@ -44,7 +44,8 @@ pub(super) async fn carry(sink: EventSink, host: String, port: u16, queue: Queue
 }
 
 /// Ends with the reason for which no more can be read.
-async fn read(sink: &EventSink, mut reader: OwnedReadHalf) -> String {
+async fn read(peer: &Peer, mut reader: OwnedReadHalf) -> String {
+    let sink = &peer.sink;
     let mut decoder = LineDecoder::default();
     let mut bytes = vec![0; 8 * 1024];
     loop {
@@ -55,7 +56,10 @@ async fn read(sink: &EventSink, mut reader: OwnedReadHalf) -> String {
         }
         while let Some(decoded) = decoder.next_message() {
             match decoded {
-                Ok(message) => sink.received(message).await,
+                Ok(message) => {
+                    peer.speech.hear(&message);
+                    sink.received(message).await;
+                }
                 Err(error) => {
                     sink.put(Event::Garbled { robot: sink.robot, reason: error.to_string() }).await;
                 }
@@ -65,20 +69,21 @@ async fn read(sink: &EventSink, mut reader: OwnedReadHalf) -> String {
 }
 
 /// Ends with a reason when writing fails, without one when the mission has let go of the link.
-async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, overtaking: &Overtaking) -> Option<String> {
+async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, peer: &Peer) -> Option<String> {
     let mut bytes = Vec::new();
-    let clock: &ServerClock = &overtaking.sink.clock;
+    let clock: &ServerClock = &peer.sink.clock;
     let mut long_until: Option<Timestamp<Server>> = None;
     while let Some((message, urgent)) = queue.next().await {
         // Behind a long upload the robot may still be reading when a stop comes: that goes by a connection of its own.
         if urgent && long_until.is_some_and(|until| clock.now() < until) {
-            overtaking.go(&message, &mut queue.urgent);
+            peer.overtake(&message, &mut queue.urgent);
             continue;
         }
-        encode(&message, &mut bytes);
+        let encoding = peer.speech.encoding();
+        encode_as(encoding, &message, &mut bytes);
         while bytes.len() < WRITE_BATCH {
             let Some(message) = queue.try_next() else { break };
-            encode(&message, &mut bytes);
+            encode_as(encoding, &message, &mut bytes);
         }
         if bytes.len() >= WRITE_BATCH {
             long_until = Some(clock.now() + LONG_UPLOAD);
@@ -90,7 +95,7 @@ async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, overtaking: &Overta
                     Ok(()) => break,
                     Err(error) => return Some(error.to_string()),
                 },
-                Some(first) = queue.urgent.recv() => overtaking.go(&first, &mut queue.urgent),
+                Some(first) = queue.urgent.recv() => peer.overtake(&first, &mut queue.urgent),
             }
         }
         bytes.clear();
@@ -98,33 +103,27 @@ async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, overtaking: &Overta
     None
 }
 
-/// A second connection for what must not wait behind an upload.
-struct Overtaking {
-    sink: EventSink,
-    host: String,
-    port: u16,
-}
-
-impl Overtaking {
+impl Peer {
     /// Sends all that is urgent by a connection of its own, and hands on what is answered there. What it carries may be
     /// carried twice: the robot knows it by its id.
-    fn go(&self, first: &Message, more: &mut mpsc::UnboundedReceiver<Message>) {
+    fn overtake(&self, first: &Message, more: &mut mpsc::UnboundedReceiver<Message>) {
         let mut bytes = Vec::new();
-        encode(first, &mut bytes);
+        let encoding = self.speech.encoding();
+        encode_as(encoding, first, &mut bytes);
         while let Ok(message) = more.try_recv() {
-            encode(&message, &mut bytes);
+            encode_as(encoding, &message, &mut bytes);
         }
-        let (sink, host, port) = (self.sink.clone(), self.host.clone(), self.port);
+        let peer = self.clone();
         // Ends when the robot closes, or when nobody can be waiting for its answers any more.
         tokio::spawn(async move {
-            let stream = TcpStream::connect((host.as_str(), port));
+            let stream = TcpStream::connect((peer.host.as_str(), peer.port));
             let Ok(Ok(stream)) = tokio::time::timeout(CONNECT_TIMEOUT, stream).await else { return };
             let _slower_then = stream.set_nodelay(true);
             let (reader, mut writer) = stream.into_split();
             if let Err(error) = writer.write_all(&bytes).await {
                 return tracing::debug!("the stop that overtakes: {error}");
             }
-            let _robot_closed = tokio::time::timeout(OVERTAKING_LISTENS, read(&sink, reader)).await;
+            let _robot_closed = tokio::time::timeout(OVERTAKING_LISTENS, read(&peer, reader)).await;
         });
     }
 }
@@ -135,7 +134,7 @@ mod tests {
     use urrcp::{Command, ControlRequest, Script};
 
     use super::*;
-    use crate::link::{Endpoint, Link};
+    use crate::link::{Endpoint, Link, Speech};
 
     #[tokio::test]
     async fn a_stop_never_waits_behind_an_upload_that_the_robot_does_not_read() {
@@ -143,7 +142,7 @@ mod tests {
         let port = listener.local_addr().unwrap().port();
         let (events, _happened) = mpsc::channel(64);
         let clock = ServerClock::anchored(Span::ZERO);
-        let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port };
+        let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, speech: Speech::default() };
         let link = Link::open(0, endpoint, clock, events, Duration::ZERO);
         let (_unread, _) = listener.accept().await.unwrap();
         let stop = |device: String| {

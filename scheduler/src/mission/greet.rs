@@ -120,6 +120,15 @@ impl Mission {
         if block.api_version.as_str().split('.').next() != Some("1") {
             reasons.push(format!("it speaks URRCP `{}`, expected version 1", block.api_version));
         }
+        if !block.understands(state.encoding) {
+            let listed: Vec<_> = block.encodings.iter().map(|listed| format!("`{listed}`")).collect();
+            let listed = if listed.is_empty() { "none".to_owned() } else { listed.join(", ") };
+            reasons.push(format!(
+                "it lists no encoding `{}` (beside JSON: {listed}), expected as the fleet file says; \
+                 there, `encoding: json` is understood by every robot",
+                state.encoding
+            ));
+        }
         if let Some(listed) = state.block.as_ref().filter(|listed| listed.id != block.id) {
             tracing::warn!(robot = %state.id, "calls itself `{}`, the fleet file `{}`", block.id, listed.id);
         }

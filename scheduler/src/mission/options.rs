@@ -2,7 +2,7 @@
 
 use downbeat_scripts::SensorRange;
 use serde::Serialize;
-use urrcp::{DeviceId, InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
+use urrcp::{DeviceId, Encoding, InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
 /// How a robot's time is brought to agree with the server's.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
@@ -35,6 +35,8 @@ pub struct Participant {
     pub clock: ClockMode,
     /// How late it may wake up for a start.
     pub wake_up: Span,
+    /// What it has to understand.
+    pub encoding: Encoding,
     /// What its sensors have to read before the mission.
     pub requires: Vec<Requirement>,
 }
@@ -43,7 +45,8 @@ impl Participant {
     /// A robot of which nothing but this is known.
     #[must_use]
     pub const fn new(id: RobotId, block: Option<InitializationBlock>) -> Self {
-        Self { id, block, clock: ClockMode::Ntp, wake_up: Span::ZERO, requires: Vec::new() }
+        let (clock, encoding) = (ClockMode::Ntp, Encoding::Json);
+        Self { id, block, clock, wake_up: Span::ZERO, encoding, requires: Vec::new() }
     }
 }
 

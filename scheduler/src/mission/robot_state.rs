@@ -5,8 +5,8 @@ use std::collections::{BTreeSet, HashMap};
 use downbeat_scripts::{DeviceScript, SensorRange};
 use serde::Serialize;
 use urrcp::{
-    ControlError, ControlResponse, DeviceId, ErrorCode, InitializationBlock, OpenRequests, RequestId, Robot,
-    RobotId, Server, Span, Status, Timestamp,
+    ControlError, ControlResponse, DeviceId, Encoding, ErrorCode, InitializationBlock, OpenRequests,
+    RequestId, Robot, RobotId, Server, Span, Status, Timestamp,
 };
 
 use super::{ClockMode, Participant, Requirement};
@@ -173,6 +173,7 @@ pub(crate) struct RobotState {
     pub(crate) introduced: bool,
     pub(crate) clock_mode: ClockMode,
     pub(crate) wake_up: Span,
+    pub(crate) encoding: Encoding,
     /// What was last added to a timestamp so that it is right by its own clock.
     pub(crate) shift: Span,
     pub(crate) clock: ClockEstimate,
@@ -313,6 +314,7 @@ impl RobotState {
             introduced: false,
             clock_mode: participant.clock,
             wake_up: participant.wake_up,
+            encoding: participant.encoding,
             shift: Span::ZERO,
             clock: ClockEstimate::default(),
             asked_at: None,

@@ -1,0 +1,49 @@
+//! In which encoding a robot is written to.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+use urrcp::{Encoding, Message};
+
+/// The encoding that the fleet file asks for, from when on the robot is known to understand it; JSON until then. Clones
+/// are of one robot and learn together, so that a link that is made anew need not ask again.
+#[derive(Clone, Debug)]
+pub struct Speech {
+    wanted: Encoding,
+    understood: Arc<AtomicBool>,
+}
+
+impl Speech {
+    /// To a robot that is asked for its initialization block before it is trusted with anything but JSON.
+    #[must_use]
+    pub fn once_listed(wanted: Encoding) -> Self {
+        Self { wanted, understood: Arc::new(AtomicBool::new(false)) }
+    }
+
+    /// To a robot of which the files say what it understands.
+    #[must_use]
+    pub fn at_once(wanted: Encoding) -> Self {
+        Self { wanted, understood: Arc::new(AtomicBool::new(true)) }
+    }
+
+    /// What the next message is written in.
+    pub(super) fn encoding(&self) -> Encoding {
+        match self.understood.load(Ordering::Relaxed) {
+            true => self.wanted,
+            false => Encoding::Json,
+        }
+    }
+
+    /// Takes note of what the robot says of itself.
+    pub(super) fn hear(&self, message: &Message) {
+        if let Message::InitializationBlock(block) = message {
+            self.understood.store(block.understands(self.wanted), Ordering::Relaxed);
+        }
+    }
+}
+
+impl Default for Speech {
+    fn default() -> Self {
+        Self::at_once(Encoding::Json)
+    }
+}
