@@ -160,6 +160,26 @@ fn the_hashes_in_the_protocol_document_are_those_of_their_values() {
 }
 
 #[test]
+fn the_frame_in_the_document_is_the_frame_of_its_message() {
+    let document = read("docs/encoding.md");
+    let [json, dump] = ["```json", "```hex"].map(|opening| blocks(&document, opening).concat());
+    let digits = dump.lines().flat_map(|line| {
+        let words = line.split_whitespace();
+        words.take_while(|word| word.bytes().all(|byte| byte.is_ascii_hexdigit())).flat_map(str::bytes)
+    });
+    let digits: Vec<u8> = digits.collect();
+    let byte = |pair: &[u8]| u8::from_str_radix(std::str::from_utf8(pair).unwrap(), 16).unwrap();
+    let frame: Vec<u8> = digits.chunks(2).map(byte).collect();
+    let message: urrcp::Message = serde_json::from_str(&json).unwrap();
+    let mut written = Vec::new();
+    urrcp::encode_as(urrcp::Encoding::MessagePack, &message, &mut written);
+    assert_eq!(written, frame);
+    let mut decoder = urrcp::LineDecoder::default();
+    decoder.push(&frame);
+    assert_eq!(decoder.next_message(), Some(Ok(message)));
+}
+
+#[test]
 fn every_command_of_the_readme_exists() {
     for line in read("README.md").lines().filter(|line| line.starts_with("downbeat ")) {
         let words: Vec<_> = line

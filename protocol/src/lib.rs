@@ -29,7 +29,8 @@ pub use control_type::ControlType;
 pub use error::{ControlError, ErrorCode};
 pub use exchange::OpenRequests;
 pub use limits::{
-    CONTROL_VALUES_MAX, DEVICES_MAX, LINE_BYTES_MAX, LimitError, OFFSET_MS_MAX, STRING_CHARS_MAX,
+    CONTROL_VALUES_MAX, DEVICES_MAX, LINE_BYTES_MAX, LimitError, OFFSET_MS_MAX, PARAMETERS_MAX,
+    SCRIPT_STEPS_MAX, STRING_CHARS_MAX,
 };
 pub use message::{
     AvailabilityRequest, AvailabilityResponse, Command, ControlParameters, ControlRequest, ControlResponse,

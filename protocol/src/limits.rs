@@ -8,6 +8,11 @@ pub const STRING_CHARS_MAX: usize = 256;
 pub const DEVICES_MAX: usize = 32_000;
 /// Largest number of input parameters `control_value`, `control_value_2` ... of one command (ours).
 pub const CONTROL_VALUES_MAX: usize = 256;
+/// Largest number of values in the parameters of one custom control type (ours).
+pub const PARAMETERS_MAX: usize = 4_096;
+/// Largest number of steps of one script on the wire (ours): as many as a line of [`LINE_BYTES_MAX`] may hold. A frame,
+/// whose steps are shorter, holds no more, so that a message takes no more memory for coming in one.
+pub const SCRIPT_STEPS_MAX: usize = 262_144;
 /// Largest line that a decoder accepts unless told otherwise, in bytes (ours): 16 MiB.
 pub const LINE_BYTES_MAX: usize = 16 * 1024 * 1024;
 /// Largest offset or period in milliseconds (ours): 1e11 ms, a little over three years.
@@ -47,6 +52,12 @@ pub enum LimitError {
         /// The repeated id.
         id: String,
     },
+    /// A custom control type has more than [`PARAMETERS_MAX`] values.
+    #[error("more than {PARAMETERS_MAX} values in the parameters of one control type")]
+    ParameterCount,
+    /// A script has more than [`SCRIPT_STEPS_MAX`] steps.
+    #[error("more than {SCRIPT_STEPS_MAX} steps in one script")]
+    StepCount,
     /// The lower bound lies above the upper one.
     #[error("min_value {min} lies above max_value {max}")]
     EmptyRange {

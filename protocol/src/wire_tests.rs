@@ -162,6 +162,18 @@ fn a_message_beyond_the_limits_is_refused_with_its_place() {
 }
 
 #[test]
+fn parameters_of_a_custom_control_type_are_bounded_with_all_that_is_in_them() {
+    let block = |list: String| {
+        decode_one(&format!(
+            r#"{{"initialization_block":{{"id":"r","api_version":"1","devices":[{{"id":"d","name":"d","available_control_types":{{"custom_1":{{"deep":{list}}}}}}}]}}}}"#
+        ))
+    };
+    // The list itself is one of them.
+    assert!(block(format!("[{}0]", "0,".repeat(4_094))).is_ok());
+    assert!(block(format!("[{}[0]]", "0,".repeat(4_094))).unwrap_err().to_string().contains("4096 values"));
+}
+
+#[test]
 fn thirty_two_thousand_devices_are_taken_and_one_more_is_not() {
     let block = |count: usize| {
         let devices: Vec<_> = (0..count)

@@ -175,3 +175,60 @@ impl LineDecoder {
         DecodeError::bare(DecodeErrorKind::LineTooLong { limit: self.limit })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const LIMIT: usize = 4 * IDLE_BYTES;
+    const CHUNK: usize = 8 * 1024;
+
+    /// Pushes the stream in chunks as a socket gives them; the most that was ever allocated.
+    #[track_caller]
+    fn largest_buffer(stream: impl Iterator<Item = u8>) -> usize {
+        let mut decoder = LineDecoder::new(LIMIT);
+        let mut largest = 0;
+        let mut stream = stream.peekable();
+        while stream.peek().is_some() {
+            decoder.push(&stream.by_ref().take(CHUNK).collect::<Vec<_>>());
+            largest = largest.max(decoder.buffer.capacity());
+            while decoder.next_message().is_some() {}
+        }
+        largest
+    }
+
+    fn repeated(byte: u8, count: usize) -> impl Iterator<Item = u8> + Clone {
+        std::iter::repeat_n(byte, count)
+    }
+
+    fn head(length: usize) -> [u8; frame::HEAD_BYTES] {
+        let [a, b, c, d] = u32::try_from(length).unwrap().to_be_bytes();
+        [frame::MARK, a, b, c, d]
+    }
+
+    #[test]
+    fn the_buffer_never_grows_beyond_one_message_and_one_push() {
+        let most = LIMIT + frame::HEAD_BYTES + CHUNK;
+        assert!(largest_buffer(repeated(b'x', 5 * LIMIT)) <= most, "an endless line");
+        assert!(largest_buffer(repeated(b' ', LIMIT - 1).chain([b'\n'])) <= most, "the longest line");
+        assert!(
+            largest_buffer(head(LIMIT).into_iter().chain(repeated(0, LIMIT))) <= most,
+            "the longest frame"
+        );
+        let skipped = head(5 * LIMIT).into_iter().chain(repeated(0, 5 * LIMIT));
+        assert!(largest_buffer(skipped) <= 2 * CHUNK, "a frame that is too long");
+        assert!(largest_buffer(head(LIMIT).into_iter()) <= 2 * CHUNK, "a head alone");
+        let lines = repeated(b'x', 99).chain([b'\n']).cycle().take(LIMIT);
+        assert!(largest_buffer(lines) <= 2 * CHUNK, "short lines");
+    }
+
+    #[test]
+    fn a_long_message_leaves_no_large_buffer_behind() {
+        let mut decoder = LineDecoder::new(LIMIT);
+        decoder.push(&vec![b' '; LIMIT - 1]);
+        decoder.push(b"\n");
+        assert!(decoder.next_message().is_none());
+        decoder.push(b"{");
+        assert!(decoder.buffer.capacity() <= IDLE_BYTES);
+    }
+}

@@ -216,3 +216,35 @@ fn steps_by_name_are_read_too() {
     let Command::Script(script) = &read.command else { panic!() };
     assert_eq!(script.steps()[0].offset.get(), 7.0);
 }
+
+#[test]
+fn a_script_in_a_frame_has_no_more_steps_than_one_in_a_line() {
+    let script = |count: usize| {
+        let mut steps = vec![0xDD];
+        steps.extend(u32::try_from(count).unwrap().to_be_bytes());
+        steps.extend(b"\x93\x00\x00\x00".repeat(count));
+        request(&[("control_type", SCRIPT), ("control_value", &steps)])
+    };
+    let mut decoder = LineDecoder::default();
+    decoder.push(&frame(&script(crate::SCRIPT_STEPS_MAX)));
+    assert!(decoder.next_message().unwrap().is_ok());
+    check_invalid(
+        &script(crate::SCRIPT_STEPS_MAX + 1),
+        "control_request.control_value",
+        "more than 262144 steps",
+    );
+    let shortest = br#"{"time_offset_to_start":0,"control_type":"speed","control_value":0},"#.len();
+    assert!(crate::LINE_BYTES_MAX / shortest <= crate::SCRIPT_STEPS_MAX);
+}
+
+#[test]
+fn a_custom_parameter_that_is_not_finite_is_refused() {
+    let block = serde_json::json!({"initialization_block": {"id": "r", "api_version": "1", "devices": [
+        {"id": "d", "name": "d", "available_control_types": {"custom_1": {"gain": 0.1}}}]}});
+    let mut payload = rmp_serde::to_vec_named(&block).unwrap();
+    let gain = payload.windows(8).position(|bytes| *bytes == 0.1f64.to_be_bytes()).unwrap();
+    payload[gain..gain + 8].copy_from_slice(&f64::NAN.to_be_bytes());
+    let DecodeErrorKind::Invalid { path, message } = refused(&payload).kind else { panic!() };
+    assert!(message.contains("not finite"), "{message}");
+    assert!(path.ends_with("custom_1.gain"), "{path}");
+}

@@ -8,6 +8,7 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 use serde_json::{Map, Value};
 
 use super::Setpoint;
+use super::parameters::Parameters;
 use crate::codec::Encoding;
 use crate::control_type::ControlType;
 use crate::error::{ControlError, ErrorCode};
@@ -506,7 +507,7 @@ impl<'de> Visitor<'de> for ControlTypesVisitor {
             let parameters = match control_type {
                 ControlType::Script => ControlParameters::Script(map.next_value()?),
                 ControlType::Sensor => ControlParameters::Sensor(map.next_value()?),
-                ControlType::Custom(_) => ControlParameters::Custom(map.next_value()?),
+                ControlType::Custom(_) => ControlParameters::Custom(map.next_value::<Parameters>()?.0),
                 _ => ControlParameters::Motion(map.next_value()?),
             };
             if types.insert(control_type, parameters).is_some() {

@@ -4,6 +4,7 @@ mod availability;
 mod control_request;
 mod control_response;
 mod initialization_block;
+mod parameters;
 mod script;
 mod step;
 mod stop_condition;

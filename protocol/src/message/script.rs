@@ -4,13 +4,13 @@ use std::fmt;
 use std::marker::PhantomData;
 use std::sync::Arc;
 
-use serde::de::{self, Visitor};
+use serde::de::{self, SeqAccess, Visitor};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Step;
 use crate::control_type::ControlType;
-use crate::limits::{CONTROL_VALUES_MAX, LimitError};
+use crate::limits::{CONTROL_VALUES_MAX, LimitError, SCRIPT_STEPS_MAX};
 use crate::number::Number;
 use crate::time::Span;
 
@@ -92,9 +92,34 @@ impl Serialize for Script {
 
 impl<'de> Deserialize<'de> for Script {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        Self::new(Vec::deserialize(deserializer)?).map_err(de::Error::custom)
+        deserializer.deserialize_seq(Steps)
     }
 }
+
+struct Steps;
+
+impl<'de> Visitor<'de> for Steps {
+    type Value = Script;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("the list of a script's steps")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Script, A::Error> {
+        // What a list says of its length is believed up to a point.
+        let mut steps = Vec::with_capacity(list.size_hint().unwrap_or(0).min(STEPS_BELIEVED));
+        while let Some(step) = list.next_element()? {
+            if steps.len() == SCRIPT_STEPS_MAX {
+                return Err(de::Error::custom(LimitError::StepCount));
+            }
+            steps.push(step);
+        }
+        Script::new(steps).map_err(de::Error::custom)
+    }
+}
+
+/// Steps for which room is made before they come.
+const STEPS_BELIEVED: usize = 1_024;
 
 /// Writes `control_value` and the further values of a setpoint.
 pub(super) fn serialize_values<M: SerializeMap>(setpoint: &Setpoint, map: &mut M) -> Result<(), M::Error> {
