@@ -5,7 +5,7 @@ use std::fs;
 use downbeat_robot::{Input, LinkId, Output, Robot};
 use serde::Deserialize;
 use serde_json::Value;
-use urrcp::{ControlResponse, DecodeError, LineDecoder, Message, Timestamp};
+use urrcp::{ControlResponse, DecodeError, Encoding, LineDecoder, Message, Timestamp};
 
 use crate::schema::validator;
 use crate::session::root;
@@ -77,6 +77,17 @@ fn valid_messages_are_read_and_written_again() {
             None => vector.bytes(),
         };
         assert_eq!(text, String::from_utf8(expected).unwrap(), "{}: {}", vector.file, vector.why);
+    }
+}
+
+#[test]
+fn valid_messages_are_the_same_in_the_compact_encoding() {
+    for vector in vectors().into_iter().filter(|vector| vector.code.is_none()) {
+        let message = vector.message();
+        let mut frame = Vec::new();
+        urrcp::encode_as(Encoding::MessagePack, &message, &mut frame);
+        assert_eq!(frame[0], 0xC1, "{}", vector.file);
+        assert_eq!(decode(&frame), Ok(message), "{}: {}", vector.file, vector.why);
     }
 }
 
