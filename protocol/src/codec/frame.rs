@@ -42,10 +42,17 @@ pub(super) fn length(head: &[u8]) -> Option<usize> {
 
 /// Reads the payload of one frame.
 pub(super) fn read(payload: &[u8]) -> Result<Message, DecodeError> {
-    match read_whole::<Message>(payload) {
-        Ok(message) => Ok(message),
-        Err(error) => Err(explain(payload, &error)),
-    }
+    let message = match names_one_message(payload) {
+        true => read_whole(payload),
+        false => Err(Error::Syntax("expected a dictionary of one key, which names the message".to_owned())),
+    };
+    message.map_err(|error| explain(payload, &error))
+}
+
+/// Whether it begins as a dictionary of one entry, in any of MessagePack's ways to say so. The parser itself would take
+/// a list as well.
+const fn names_one_message(payload: &[u8]) -> bool {
+    matches!(payload, [0x81, ..] | [0xDE, 0, 1, ..] | [0xDF, 0, 0, 0, 1, ..])
 }
 
 type Deserializer<'a> = rmp_serde::Deserializer<rmp_serde::decode::ReadRefReader<'a, [u8]>>;
@@ -61,7 +68,7 @@ fn read_whole<'a, T: Deserialize<'a>>(payload: &'a [u8]) -> Result<T, Error> {
     let value = T::deserialize(&mut deserializer)?;
     match IgnoredAny::deserialize(&mut deserializer) {
         Err(Error::InvalidMarkerRead(_)) => Ok(value),
-        _ => Err(Error::Uncategorized("bytes behind the message".to_owned())),
+        _ => Err(Error::Syntax("bytes behind the message".to_owned())),
     }
 }
 

@@ -147,6 +147,21 @@ fn payloads_that_are_no_message_pack_say_why() {
 }
 
 #[test]
+fn a_payload_is_a_dictionary_of_one_key() {
+    let ping = &written(Encoding::MessagePack, &ping())[6..];
+    let two = [b"\x82".as_slice(), ping, ping].concat();
+    let list = [b"\x92".as_slice(), ping].concat();
+    for payload in [&two, &list, b"\xC0".as_slice(), b"\x05", b"\x80"] {
+        let DecodeErrorKind::Invalid { message, .. } = refused(payload).kind else { panic!("{payload:?}") };
+        assert!(message.contains("a dictionary of one key"), "{message}");
+    }
+    let long_form = [b"\xDE\x00\x01".as_slice(), ping].concat();
+    let mut decoder = LineDecoder::default();
+    decoder.push(&frame(&long_form));
+    assert!(decoder.next_message().unwrap().is_ok());
+}
+
+#[test]
 fn depth_is_bounded() {
     check_not_message_pack(&b"\x91".repeat(1_000_000), "more than 128 levels");
     check_not_message_pack(&request(&[("colour", &b"\x91".repeat(200))]), "more than 128 levels");
