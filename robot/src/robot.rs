@@ -223,7 +223,7 @@ impl Robot {
             let again = ControlResponse { timestamp: now, ..answer.clone() };
             return out.push(Output::Send { link, message: Message::ControlResponse(again) });
         }
-        if !matches!(request.command, Command::ReadSensor)
+        if !self.only_reads(&request)
             && let Err(error) = self.claim(now, link, request.session.as_ref())
         {
             // Not remembered: the same request may be taken once the robot is free.
@@ -259,6 +259,13 @@ impl Robot {
                 self.refuse(now, link, &request, error, out);
             }
         }
+    }
+
+    /// Whether a request leaves the robot as it is. A reading that a device cannot give sends it to its default state.
+    fn only_reads(&self, request: &ControlRequest) -> bool {
+        let device = self.index_of.get(&request.device_id).map(|index| &self.devices[*index].spec);
+        matches!(request.command, Command::ReadSensor)
+            && device.is_some_and(|spec| spec.available_control_types.sensor().is_some())
     }
 
     /// Takes the robot for a session, if it is free. Without a session nothing is taken, and what another session has

@@ -62,6 +62,19 @@ fn a_second_session_is_told_to_whom_the_robot_belongs() {
 }
 
 #[test]
+fn a_stranger_who_asks_for_a_reading_that_there_is_not_stops_nothing() {
+    let mut bench = Bench::new();
+    bench.send_on(LINK, of("first", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
+    let read = |device: &str| ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::ReadSensor);
+    bench.send_on(OTHER, Message::ControlRequest(read("arm")));
+    assert_eq!(bench.last_said(), "2 Failed `r` belongs to session `first` until that ends");
+    bench.send_on(OTHER, Message::ControlRequest(read("thermometer")));
+    assert_eq!(bench.last_said(), "2 Provide ", "to read is free to all");
+    bench.until(5_000);
+    assert_eq!(bench.values(), [(900, 45.0), (1_900, 0.0), (2_900, 45.0)]);
+}
+
+#[test]
 fn a_robot_is_free_once_its_session_has_gone_and_nothing_is_held() {
     let mut bench = Bench::new();
     bench.send_on(LINK, of("first", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
