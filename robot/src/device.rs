@@ -65,7 +65,7 @@ pub(crate) enum Effect {
 }
 
 /// A robot that was held up so long over a start, as by a stopped process, lets it be: late is out of sync.
-const START_LATE_MAX: Span = Span::from_millis(50);
+pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
 /// A step that is done later than this after its deadline counts as late.
 const LATE: Span = Span::from_millis(1);
 

@@ -9,6 +9,8 @@ pub mod clock;
 mod device;
 mod held;
 mod host;
+#[cfg(any(test, feature = "invariants"))]
+pub mod invariants;
 mod lease;
 mod parties;
 mod precise_wait;

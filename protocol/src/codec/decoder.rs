@@ -89,6 +89,12 @@ impl LineDecoder {
         self.buffer.extend_from_slice(bytes);
     }
 
+    /// How many bytes are held that have not been read out.
+    #[must_use]
+    pub fn buffered(&self) -> usize {
+        self.buffer.len() - self.read
+    }
+
     /// The next message or the error that stands in its place; `None` until more bytes come. Empty lines are skipped.
     pub fn next_message(&mut self) -> Option<Result<Message, DecodeError>> {
         loop {

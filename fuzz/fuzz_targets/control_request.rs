@@ -1,0 +1,19 @@
+//! Any text as a control request. One that is taken is written and read again the same, in one text and with one hash,
+//! and a robot that gets it keeps its invariants.
+#![no_main]
+
+use downbeat_robot::invariants::ask;
+use libfuzzer_sys::fuzz_target;
+use urrcp::ControlRequest;
+
+fuzz_target!(|text: &str| {
+    let Ok(request) = serde_json::from_str::<ControlRequest>(text) else { return };
+    let written = serde_json::to_string(&request).unwrap();
+    let again: ControlRequest = serde_json::from_str(&written).unwrap();
+    assert_eq!(again, request);
+    assert_eq!(serde_json::to_string(&again).unwrap(), written, "one text");
+    assert_eq!(again.command.content_hash(), request.command.content_hash(), "one hash");
+    if let Err(violation) = ask(&request) {
+        panic!("{violation}\n{written}");
+    }
+});

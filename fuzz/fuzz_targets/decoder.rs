@@ -1,0 +1,59 @@
+//! Any bytes, cut anywhere, through the decoder: what is read does not depend on the cuts, no more is held than a line
+//! and a push, and what was read is written and read again the same.
+#![no_main]
+
+use libfuzzer_sys::fuzz_target;
+use urrcp::{DecodeError, LineDecoder, Message, encode};
+
+/// Short, so that lines beyond it are common.
+const LIMIT: usize = 1_024;
+
+fn drain(decoder: &mut LineDecoder, read: &mut Vec<Result<Message, DecodeError>>) {
+    while let Some(decoded) = decoder.next_message() {
+        read.push(decoded);
+    }
+}
+
+fn read_again(message: &Message) {
+    let mut line = Vec::new();
+    encode(message, &mut line);
+    assert_eq!(line.iter().position(|byte| *byte == b'\n'), Some(line.len() - 1), "one line: {message:?}");
+    let mut decoder = LineDecoder::default();
+    decoder.push(&line);
+    let again = decoder.next_message();
+    assert_eq!(again.as_ref(), Some(&Ok(message.clone())));
+    let mut once_more = Vec::new();
+    encode(message, &mut once_more);
+    assert_eq!(line, once_more);
+}
+
+fuzz_target!(|bytes: &[u8]| {
+    let mut whole = LineDecoder::new(LIMIT);
+    let mut at_once = Vec::new();
+    whole.push(bytes);
+    drain(&mut whole, &mut at_once);
+
+    let mut cut = LineDecoder::new(LIMIT);
+    let mut piecemeal = Vec::new();
+    let mut rest = bytes;
+    // The bytes themselves say where they are cut.
+    let mut random = bytes.iter().fold(0xcbf2_9ce4_8422_2325_u64, |hash, byte| {
+        (hash ^ u64::from(*byte)).wrapping_mul(0x0100_0000_01b3)
+    });
+    while !rest.is_empty() {
+        random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1);
+        let size = (1 + (random >> 33) as usize % 200).min(rest.len());
+        let (chunk, behind) = rest.split_at(size);
+        cut.push(chunk);
+        assert!(cut.buffered() <= LIMIT + chunk.len(), "{} bytes held", cut.buffered());
+        drain(&mut cut, &mut piecemeal);
+        rest = behind;
+    }
+    assert_eq!(at_once, piecemeal);
+    for decoded in at_once {
+        match decoded {
+            Ok(message) => read_again(&message),
+            Err(error) => assert!(error.to_string().chars().count() <= 1_000, "{error}"),
+        }
+    }
+});

@@ -1,0 +1,236 @@
+//! What must hold of a robot whatever happens to it: an independent, simpler account of what it owes, compared with what
+//! it does. For the tests of this crate and for the fuzzer, which feed it lists of operations.
+//!
+//! After every operation: no value outside the limits or off the granularity is set; nothing starts before its time or
+//! late; no lease is outlived, and none ends early; no device holds more than its queue; every accepted request ends
+//! once, and sets nothing afterwards; every answer names its request; nobody touches what belongs to another session.
+
+mod answers;
+mod described;
+mod judge;
+mod model;
+mod operation;
+#[cfg(test)]
+mod tests;
+
+use urrcp::{
+    AvailabilityRequest, AvailabilityResponse, ControlRequest, DecodeError, DecodeErrorKind, DeviceId,
+    InitializationBlock, InitializationRequest, Message, Status, Timestamp,
+};
+
+use crate::robot::{Input, LinkId, Output, Robot};
+pub use described::drive_all;
+use judge::Judge;
+pub use operation::{Operation, Pause, Request, operations};
+
+/// An invariant does not hold.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{0}")]
+pub struct Violation(String);
+
+/// Wake-ups in a row after which a robot that has yet to come to rest counts as never resting.
+const WAKEUPS_MAX: usize = 100_000;
+/// Links at a time.
+const LINKS: usize = 4;
+/// Begin of time, in nanoseconds.
+const BEGIN: i64 = 1_000_000_000_000;
+
+/// A device of each kind: held and linear positions, rates, a deceleration, a sensor, custom control.
+const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
+  {"id": "arm", "name": "arm", "default_value": 10, "script_queue": 2, "available_control_types": {
+     "position": {"min_value": 0, "max_value": 90, "granularity": 0.5},
+     "speed": {"min_value": -10, "max_value": 10, "granularity": 1},
+     "script": {"min_value": -10, "max_value": 90, "granularity": 0.5, "max_number_of_steps": 4}}},
+  {"id": "ramp", "name": "ramp", "interpolation": "linear", "script_queue": 3, "available_control_types": {
+     "position": {"min_value": 0, "max_value": 90, "granularity": 0.5},
+     "script": {"min_value": 0, "max_value": 60, "granularity": 1, "max_number_of_steps": 4}}},
+  {"id": "wheel", "name": "wheel", "available_control_types": {
+     "speed": {"min_value": -10, "max_value": 10, "granularity": 1},
+     "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 4}}},
+  {"id": "crane", "name": "crane", "default_value": 0, "interpolation": "linear", "script_queue": 2, "available_control_types": {
+     "position": {"min_value": -20, "max_value": 90, "granularity": 0.25},
+     "speed": {"min_value": -10, "max_value": 10, "granularity": 1},
+     "acceleration": {"min_value": -40, "max_value": 40, "granularity": 1},
+     "script": {"min_value": -20, "max_value": 90, "granularity": 0.25, "max_number_of_steps": 5, "control_types": ["position", "speed"]}}},
+  {"id": "lamp", "name": "lamp", "script_queue": 2, "available_control_types": {"custom_1": {"colours": 3},
+     "script": {"min_value": 0, "max_value": 1, "granularity": 1, "max_number_of_steps": 4}}},
+  {"id": "shut", "name": "takes nothing", "script_queue": 0, "available_control_types": {
+     "position": {"min_value": 0, "max_value": 90, "granularity": 0.5}}},
+  {"id": "thermometer", "name": "t", "available_control_types": {"sensor": {"min_value": -20, "max_value": 60}}}]}"#;
+
+/// Plays operations to a robot at rest, then lets time pass until nothing is left to do.
+///
+/// # Errors
+/// The first [`Violation`].
+pub fn play(operations: &[Operation]) -> Result<(), Violation> {
+    let mut bench = Bench::new()?;
+    operations.iter().try_for_each(|operation| bench.play(operation))?;
+    bench.wait_until(Timestamp::from_nanos(i64::MAX))?;
+    bench.judge.check_rest(&bench.robot)
+}
+
+/// Sends a request to a robot at rest, twice, and lets time pass until nothing is left to do.
+///
+/// # Errors
+/// The first [`Violation`].
+pub fn ask(request: &ControlRequest) -> Result<(), Violation> {
+    let mut bench = Bench::new()?;
+    bench.request(0, request.clone())?;
+    bench.request(1, request.clone())?;
+    bench.wait_until(Timestamp::from_nanos(i64::MAX))?;
+    bench.judge.check_rest(&bench.robot)
+}
+
+/// Holds the robot to a rule.
+fn hold(holds: bool, otherwise: impl FnOnce() -> String) -> Result<(), Violation> {
+    match holds {
+        true => Ok(()),
+        false => Err(Violation(otherwise())),
+    }
+}
+
+/// A robot, its judge, and the links and requests of those who talk to it.
+struct Bench {
+    robot: Robot,
+    judge: Judge,
+    now: Timestamp<urrcp::Robot>,
+    links: [LinkId; LINKS],
+    links_opened: u64,
+    devices: Vec<DeviceId>,
+    sent: Vec<ControlRequest>,
+}
+
+impl Bench {
+    fn new() -> Result<Self, Violation> {
+        let block: InitializationBlock = serde_json::from_str(BLOCK).map_err(|e| Violation(e.to_string()))?;
+        Ok(Self {
+            judge: Judge::new(&block),
+            now: Timestamp::from_nanos(BEGIN),
+            links: std::array::from_fn(|i| LinkId(i as u64)),
+            links_opened: LINKS as u64,
+            devices: block.devices.iter().map(|device| device.id.clone()).collect(),
+            sent: Vec::new(),
+            robot: Robot::new(block),
+        })
+    }
+
+    fn play(&mut self, operation: &Operation) -> Result<(), Violation> {
+        match operation {
+            Operation::Wait(pause) => self.wait_until(pause.until(self.now)),
+            Operation::HeldUp(pause) => {
+                self.now = pause.until(self.now);
+                self.advance()
+            }
+            Operation::Request(request) => {
+                let Some(written) = request.written(self.now, &self.devices, self.sent.len()) else {
+                    return Ok(());
+                };
+                self.sent.push(written.clone());
+                self.request(request.link, written)
+            }
+            Operation::Repeat { which, link } => match self.sent.len() {
+                0 => Ok(()),
+                sent => self.request(*link, self.sent[usize::from(*which) % sent].clone()),
+            },
+            Operation::Ask { link, session } => self.ask(*link, *session),
+            Operation::Describe { link } => self.describe(*link),
+            Operation::Stray { link } => self.stray(*link),
+            Operation::Noise { link, device } => self.noise(*link, *device),
+            Operation::Break { link } => {
+                let broken = self.link(*link);
+                let out = self.handle(broken, Input::LinkDown)?;
+                hold(out.is_empty(), || format!("a broken link brought {out:?}"))?;
+                self.links[usize::from(*link) % LINKS] = LinkId(self.links_opened);
+                self.links_opened += 1;
+                Ok(())
+            }
+        }
+    }
+
+    const fn link(&self, link: u8) -> LinkId {
+        self.links[link as usize % LINKS]
+    }
+
+    /// From wake-up to wake-up.
+    fn wait_until(&mut self, end: Timestamp<urrcp::Robot>) -> Result<(), Violation> {
+        for _ in 0..WAKEUPS_MAX {
+            let Some(wakeup) = self.robot.next_wakeup().filter(|wakeup| *wakeup <= end) else {
+                self.now = end;
+                return self.advance();
+            };
+            self.now = self.now.max(wakeup);
+            self.advance()?;
+        }
+        Err(Violation(format!("more than {WAKEUPS_MAX} wake-ups")))
+    }
+
+    fn advance(&mut self) -> Result<(), Violation> {
+        let mut out = Vec::new();
+        self.robot.advance(self.now, &mut out);
+        self.judge.passed(self.now, &out)?;
+        self.judge.check_settled(self.now, &self.robot)
+    }
+
+    /// First lets happen what is due, so that what then comes out is due to the input alone.
+    fn handle(&mut self, link: LinkId, input: Input) -> Result<Vec<Output>, Violation> {
+        self.advance()?;
+        let mut out = Vec::new();
+        self.robot.handle(self.now, link, input, &mut out);
+        Ok(out)
+    }
+
+    fn request(&mut self, link: u8, request: ControlRequest) -> Result<(), Violation> {
+        let link = self.link(link);
+        let out = self.handle(link, Input::Message(Message::ControlRequest(request.clone())))?;
+        self.judge.asked(self.now, link, &request, &out)?;
+        self.judge.check_settled(self.now, &self.robot)
+    }
+
+    fn ask(&mut self, link: u8, session: Option<u8>) -> Result<(), Violation> {
+        let (link, session) = (self.link(link), session.and_then(operation::session));
+        let timestamp = Some(Timestamp::from_nanos(BEGIN));
+        let request = AvailabilityRequest { timestamp, session: session.clone() };
+        let out = self.handle(link, Input::Message(Message::AvailabilityRequest(request)))?;
+        self.judge.heard(self.now, link, session.as_ref());
+        let answered = matches!(&out[..], [Output::Send { link: to, message: Message::AvailabilityResponse(r) }]
+            if *to == link && r.originate_timestamp == timestamp && r.timestamp == self.now);
+        hold(answered, || format!("an availability request was answered by {out:?}"))
+    }
+
+    fn describe(&mut self, link: u8) -> Result<(), Violation> {
+        let link = self.link(link);
+        let out = self
+            .handle(link, Input::Message(Message::InitializationRequest(InitializationRequest::default())))?;
+        self.judge.heard(self.now, link, None);
+        let answered = matches!(&out[..], [Output::Send { link: to, message: Message::InitializationBlock(block) }]
+            if *to == link && block == self.robot.block());
+        hold(answered, || format!("an initialization request was answered by {out:?}"))
+    }
+
+    fn stray(&mut self, link: u8) -> Result<(), Violation> {
+        let link = self.link(link);
+        let block = Message::InitializationBlock(self.robot.block().clone());
+        let out = self.handle(link, Input::Message(block))?;
+        self.judge.heard(self.now, link, None);
+        hold(out.is_empty(), || format!("a robot's own message was answered by {out:?}"))
+    }
+
+    fn noise(&mut self, link: u8, device: Option<u8>) -> Result<(), Violation> {
+        let link = self.link(link);
+        let device_id = device.map(|device| self.devices[usize::from(device) % self.devices.len()].clone());
+        let kind = DecodeErrorKind::NotUtf8 { valid_up_to: 0 };
+        let error = DecodeError { kind, device_id: device_id.clone(), request_id: None };
+        let out = self.handle(link, Input::Undecodable(error))?;
+        let answered = match (&out[..], device_id) {
+            ([Output::Send { link: to, message: Message::ControlResponse(r) }], Some(device)) => {
+                *to == link && r.device_id == device && r.status == Status::Failed
+            }
+            ([Output::Send { link: to, message: Message::AvailabilityResponse(r) }], None) => {
+                let AvailabilityResponse { status, .. } = r;
+                *to == link && *status == Status::Failed
+            }
+            _ => false,
+        };
+        hold(answered, || format!("noise was answered by {out:?}"))
+    }
+}

@@ -1,0 +1,211 @@
+//! What a robot may answer to a request, and what its devices owe afterwards.
+
+use std::collections::HashSet;
+
+use urrcp::{
+    Command, ContentHash, ControlRequest, ControlResponse, ControlType, ErrorCode, RequestId, SessionId,
+    Status, StatusValue, Timestamp,
+};
+
+use super::judge::{Asked, Judge, is_refused};
+use super::model::{DeviceModel, Order, start_of};
+use super::{Violation, hold};
+use crate::robot::Robot;
+
+type Now = Timestamp<urrcp::Robot>;
+
+impl Judge {
+    /// The robot answers a request that it has not answered before.
+    pub(super) fn answered(
+        &mut self,
+        now: Now,
+        asked: &Asked<'_>,
+        answer: &ControlResponse,
+    ) -> Result<(), Violation> {
+        let request = asked.request;
+        let echoes = answer.request_id == request.request_id && answer.device_id == request.device_id;
+        hold(echoes && answer.timestamp == now, || format!("{answer:?} to {request:?}"))?;
+        if let Some(id) = &request.request_id {
+            self.remember(id, answer);
+        }
+        let owed = match answer.status {
+            Status::Accepted => self.accepted(now, asked, answer)?,
+            Status::Ok => {
+                // A report of a movement's end says when it took place; this one answers an empty script.
+                let cancels = is_cancel(request) && self.devices.contains_key(&request.device_id);
+                hold(cancels, || format!("done already: {request:?}"))?;
+                self.hold_session(request)?;
+                self.cancelled_by(now, request)
+            }
+            Status::Provide => self.provided(request, answer)?,
+            Status::Failed => self.refused(now, asked, answer)?,
+            Status::Started | Status::Other(_) => return Err(Violation(format!("no answer: {answer:?}"))),
+        };
+        let cancelled = std::mem::take(&mut self.cancelled);
+        hold(cancelled == owed, || format!("cancelled {cancelled:?}, not {owed:?}, by {request:?}"))
+    }
+
+    fn remember(&mut self, id: &RequestId, answer: &ControlResponse) {
+        self.answers.insert(id.clone(), answer.clone());
+    }
+
+    /// The robot belongs to the session for which it holds something.
+    fn hold_session(&self, request: &ControlRequest) -> Result<(), Violation> {
+        let of_others = |order: &&Order| order.session.is_some() && order.session != request.session;
+        let others = self.devices.values().flat_map(|device| &device.queue).find(of_others);
+        hold(others.is_none(), || format!("{request:?} while the robot is held by {others:?}"))
+    }
+
+    fn accepted(
+        &mut self,
+        now: Now,
+        asked: &Asked<'_>,
+        answer: &ControlResponse,
+    ) -> Result<HashSet<usize>, Violation> {
+        let request = asked.request;
+        self.hold_session(request)?;
+        let value = match &request.command {
+            Command::Set(setpoint) => StatusValue::Number(setpoint.value),
+            Command::Script(script) => StatusValue::Script(script.clone()),
+            Command::ReadSensor => StatusValue::Null,
+        };
+        let right_hash = request.content_hash.is_none_or(|hash| hash == hash_of(request));
+        let echoed = answer.content_hash == request.content_hash && answer.status_value == value;
+        hold(right_hash && echoed && value != StatusValue::Null, || format!("{answer:?} to {request:?}"))?;
+        let order = Order::new(self.serials, now, asked.party, request);
+        self.serials += 1;
+        let Some(device) = self.devices.get_mut(&request.device_id) else {
+            return Err(Violation(format!("no such device: {request:?}")));
+        };
+        hold(order.start >= now, || format!("a start {} ago was accepted: {request:?}", now - order.start))?;
+        let taken_back = request.timestamp.is_some() && request.timestamp <= device.taken_back;
+        hold(!taken_back && !is_cancel(request), || format!("a stop had taken it back: {request:?}"))?;
+        let taken = device.queue.iter().find(|held| overlap(held, &order));
+        hold(taken.is_none(), || format!("{request:?} overlaps {taken:?}"))?;
+        device.insert(order);
+        hold(device.queue.len() <= device.spec.script_queue as usize, || {
+            format!("more than the queue: {device:?}")
+        })?;
+        Ok(HashSet::new())
+    }
+
+    /// What an empty script is to end.
+    fn cancelled_by(&mut self, now: Now, request: &ControlRequest) -> HashSet<usize> {
+        let from = request.starts_at().map(Timestamp::assume_clock).filter(|from: &Now| *from > now);
+        let Some(device) = self.devices.get_mut(&request.device_id) else { return HashSet::new() };
+        if from.is_none() {
+            device.taken_back = device.taken_back.max(request.timestamp);
+        }
+        let falls = |order: &&Order| from.is_none_or(|from| !order.began && order.start >= from);
+        // What has fallen already is gone from the queue: what still stands there must not fall.
+        let standing: HashSet<_> = device.queue.iter().filter(falls).map(|order| order.serial).collect();
+        &self.cancelled | &standing
+    }
+
+    fn provided(
+        &self,
+        request: &ControlRequest,
+        answer: &ControlResponse,
+    ) -> Result<HashSet<usize>, Violation> {
+        let device = self.devices.get(&request.device_id);
+        let sensor = device.is_some_and(|device| device.spec.available_control_types.sensor().is_some());
+        let read = matches!(answer.status_value, StatusValue::Number(reading) if reading.is_finite());
+        let asked = request.command == Command::ReadSensor;
+        hold(sensor && read && asked, || format!("{answer:?} to {request:?}"))?;
+        Ok(HashSet::new())
+    }
+
+    /// A refusal says why, and the reason is the case.
+    fn refused(
+        &mut self,
+        now: Now,
+        asked: &Asked<'_>,
+        answer: &ControlResponse,
+    ) -> Result<HashSet<usize>, Violation> {
+        let request = asked.request;
+        let order = Order::new(self.serials, now, asked.party, request);
+        let sessions: HashSet<&SessionId> = self.heard.sessions().collect();
+        let others = sessions.iter().any(|session| request.session.as_ref() != Some(*session));
+        let right_hash = request.content_hash.is_none_or(|hash| hash == hash_of(request));
+        let Some(device) = self.devices.get(&request.device_id) else {
+            let unknown =
+                is_refused(answer, &ErrorCode::UnknownDevice) || is_refused(answer, &ErrorCode::Busy);
+            hold(unknown, || format!("{answer:?} to {request:?}"))?;
+            return Ok(HashSet::new());
+        };
+        let full = device.queue.len() >= device.spec.script_queue as usize;
+        let several = order.steps.iter().any(|step| !step.setpoint.more.is_empty());
+        let is_case = match answer.error.as_ref().map(|error| &error.code) {
+            Some(ErrorCode::Late) => start_of(now, request) < now,
+            Some(ErrorCode::Overlap) => device.queue.iter().any(|held| overlap(held, &order)),
+            Some(ErrorCode::Busy) => full || others,
+            Some(ErrorCode::Cancelled) => {
+                request.timestamp.is_some() && request.timestamp <= device.taken_back
+            }
+            Some(ErrorCode::Malformed) => !right_hash || several,
+            Some(ErrorCode::TooManySteps | ErrorCode::OutOfRange | ErrorCode::OffGranularity) => {
+                !order.steps.is_empty()
+            }
+            Some(ErrorCode::UnsupportedControlType) => {
+                self.hold_session(request)?;
+                let left = device.queue.iter().map(|order| order.serial).collect();
+                return Ok(&self.cancelled | &left);
+            }
+            _ => false,
+        };
+        hold(is_case && answer.status_value == StatusValue::Null, || {
+            format!("{answer:?} to {request:?}: {device:?}")
+        })?;
+        Ok(HashSet::new())
+    }
+
+    /// Between two operations nothing that was due is still to be done, and the robot asks to be woken in time.
+    pub(super) fn check_settled(&self, now: Now, robot: &Robot) -> Result<(), Violation> {
+        let wakeup = robot.next_wakeup();
+        hold(wakeup.is_none_or(|at| at > now || now == Timestamp::from_nanos(i64::MAX)), || {
+            format!("at {now} it asks to be woken at {wakeup:?}")
+        })?;
+        for device in self.devices.values() {
+            self.check_device(now, wakeup, device)?;
+            for control_type in [ControlType::Position, ControlType::Speed] {
+                let value = robot.value(device.spec.id.as_str(), control_type, now);
+                let limits = device.spec.available_control_types.limits(control_type);
+                let within = value.zip(limits).is_none_or(|(value, limits)| {
+                    (limits.min_value - 1e-9..=limits.max_value + 1e-9).contains(&value)
+                });
+                hold(within, || format!("`{}` stands at {value:?} in {control_type}", device.spec.id))?;
+            }
+        }
+        Ok(())
+    }
+
+    fn check_device(&self, now: Now, wakeup: Option<Now>, device: &DeviceModel) -> Result<(), Violation> {
+        let earliest = device.earliest(&self.heard);
+        hold(earliest.is_none_or(|at| at > now), || format!("at {now} not done: {device:?}"))?;
+        let asks = earliest.is_none_or(|at| wakeup.is_some_and(|wakeup| wakeup <= at));
+        hold(asks, || format!("it is to be woken at {wakeup:?}, too late for {device:?}"))?;
+        let began = device.queue.iter().filter(|order| order.began).count();
+        let done = device.queue.iter().any(Order::is_done);
+        hold(began <= 1 && !done, || format!("{began} under way, or one never reported as done: {device:?}"))
+    }
+
+    /// In the end nothing is held any more.
+    pub(super) fn check_rest(&self, robot: &Robot) -> Result<(), Violation> {
+        let held = self.devices.values().find(|device| !device.queue.is_empty() || !device.guards.is_empty());
+        hold(held.is_none() && robot.is_idle(), || format!("in the end there is still {held:?}"))
+    }
+}
+
+fn is_cancel(request: &ControlRequest) -> bool {
+    matches!(&request.command, Command::Script(script) if script.is_empty())
+}
+
+fn hash_of(request: &ControlRequest) -> ContentHash {
+    request.command.content_hash()
+}
+
+/// Whether both would drive the device at one time. Two that touch do not, nor does one of no length before another begins.
+fn overlap(held: &Order, new: &Order) -> bool {
+    let into_running = held.began && (new.start, new.end()) < (held.start, held.end());
+    into_running || new.start < held.end() && held.start < new.end()
+}

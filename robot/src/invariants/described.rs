@@ -1,0 +1,100 @@
+//! A robot of any description that the protocol takes: it says what it is, and each device can be driven to its bounds
+//! and stopped on the way.
+
+use urrcp::{
+    Command, ControlRequest, ControlType, Device, DeviceId, InitializationBlock, InitializationRequest,
+    Limits, Message, Millis, Robot as RobotClock, Script, Setpoint, Span, Step, Timestamp,
+};
+
+use super::{BEGIN, Violation, hold};
+use crate::robot::{Input, LinkId, Output, Robot};
+
+const LINK: LinkId = LinkId(1);
+/// From one bound to the other.
+const WAY: Span = Span::from_millis(1_000);
+
+/// Asks a robot of this description for it and drives each device from bound to bound: it answers each request for the
+/// device that was asked, and wherever a device stands on its way is a number.
+///
+/// # Errors
+/// The first [`Violation`].
+pub fn drive_all(block: &InitializationBlock) -> Result<(), Violation> {
+    let mut robot = Robot::new(block.clone());
+    let mut now = Timestamp::from_nanos(BEGIN);
+    let mut out = Vec::new();
+    let describe = Message::InitializationRequest(InitializationRequest::default());
+    robot.handle(now, LINK, Input::Message(describe), &mut out);
+    let described =
+        matches!(&out[..], [Output::Send { message: Message::InitializationBlock(b), .. }] if b == block);
+    hold(described, || format!("an initialization request was answered by {out:?}"))?;
+    for device in &block.devices {
+        for command in commands(device) {
+            send(&mut robot, now, device, command)?;
+            for _ in 0..4 {
+                now = now + WAY / 4;
+                robot.advance(now, &mut Vec::new());
+                check_values(&robot, now, &device.id)?;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// From bound to bound in every control type and half of the way back, a stop, a reading.
+fn commands(device: &Device) -> Vec<Command> {
+    let mut commands = Vec::new();
+    for (control_type, _) in device.available_control_types.iter() {
+        let bounds = match device.available_control_types.limits(control_type) {
+            Some(limits) => [limits.min_value, limits.max_value].map(|bound| inside(limits, bound)),
+            None => [-1.0, 1.0],
+        };
+        let step = |(i, value): (usize, &f64)| Step {
+            offset: Millis::from_span(WAY * i64::try_from(i).unwrap_or(0)),
+            setpoint: Setpoint::new(control_type, *value),
+            stop_condition: None,
+        };
+        let there_and_back = [bounds[0], bounds[1], bounds[0]];
+        let script = Script::new(there_and_back.iter().enumerate().map(step).collect()).unwrap_or_default();
+        let stop = Command::Script(Script::cancel());
+        commands.extend([Command::Script(script), stop.clone()]);
+        commands.extend(bounds.map(|bound| Command::Set(Setpoint::new(control_type, bound))));
+        commands.extend([stop, Command::ReadSensor]);
+    }
+    commands
+}
+
+/// The multiple of the granularity at a bound.
+fn inside(limits: &Limits, bound: f64) -> f64 {
+    Some(limits.nearest(bound)).filter(|value| limits.contains(*value)).unwrap_or(bound)
+}
+
+fn send(
+    robot: &mut Robot,
+    now: Timestamp<RobotClock>,
+    device: &Device,
+    command: Command,
+) -> Result<(), Violation> {
+    let mut out = Vec::new();
+    let request = ControlRequest::immediate(device.id.clone(), command);
+    robot.handle(now, LINK, Input::Message(Message::ControlRequest(request)), &mut out);
+    let answered = out.iter().any(|output| is_said_of(output, &device.id));
+    hold(answered, || format!("no answer of `{}`: {out:?}", device.id))?;
+    let concerns = |output| {
+        is_said_of(output, &device.id) || matches!(output, Output::Set(set) if set.device == device.id)
+    };
+    hold(out.iter().all(concerns), || format!("of another than `{}`: {out:?}", device.id))
+}
+
+fn is_said_of(output: &Output, device: &DeviceId) -> bool {
+    matches!(output, Output::Send { message: Message::ControlResponse(r), .. } if r.device_id == *device)
+}
+
+fn check_values(robot: &Robot, now: Timestamp<RobotClock>, device: &DeviceId) -> Result<(), Violation> {
+    for control_type in [ControlType::Position, ControlType::Speed, ControlType::Acceleration] {
+        let value = robot.value(device.as_str(), control_type, now);
+        hold(value.is_none_or(f64::is_finite), || {
+            format!("`{device}` stands at {value:?} in {control_type}")
+        })?;
+    }
+    Ok(())
+}

@@ -1,0 +1,274 @@
+//! Compares what a robot does and says with what its accepted orders allow.
+
+use std::collections::{HashMap, HashSet};
+
+use urrcp::{
+    ControlRequest, ControlResponse, ControlType, DeviceId, ErrorCode, InitializationBlock, Message,
+    RequestId, SessionId, Status, StatusValue, Timestamp,
+};
+
+use super::model::{DeviceModel, Heard, Order, Party};
+use super::{Violation, hold};
+use crate::device::{Motion, START_LATE_MAX};
+use crate::robot::{LinkId, Output, SetValue};
+
+type Now = Timestamp<urrcp::Robot>;
+
+/// What the robot owes, and what it has said.
+#[derive(Debug)]
+pub(super) struct Judge {
+    pub(super) heard: Heard,
+    pub(super) devices: HashMap<DeviceId, DeviceModel>,
+    pub(super) answers: HashMap<RequestId, ControlResponse>,
+    pub(super) serials: usize,
+    /// Orders that were cancelled by what is being judged.
+    pub(super) cancelled: HashSet<usize>,
+    /// Devices of which a lease has ended by what is being judged.
+    lost: HashSet<DeviceId>,
+}
+
+/// A request and who sent it.
+pub(super) struct Asked<'a> {
+    link: LinkId,
+    pub(super) party: Party,
+    pub(super) request: &'a ControlRequest,
+}
+
+impl Judge {
+    pub(super) fn new(block: &InitializationBlock) -> Self {
+        let devices =
+            block.devices.iter().map(|spec| (spec.id.clone(), DeviceModel::new(spec.clone()))).collect();
+        Self {
+            heard: Heard::default(),
+            devices,
+            answers: HashMap::new(),
+            serials: 0,
+            cancelled: HashSet::new(),
+            lost: HashSet::new(),
+        }
+    }
+
+    /// A message came on a link.
+    pub(super) fn heard(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
+        self.heard.message(now, link, session)
+    }
+
+    /// Time has passed, and nothing else has happened.
+    pub(super) fn passed(&mut self, now: Now, out: &[Output]) -> Result<(), Violation> {
+        self.judge(now, out, None)?;
+        hold(self.cancelled.is_empty(), || "a command was cancelled by nobody".to_owned())
+    }
+
+    /// A request came, after everything that was due.
+    pub(super) fn asked(
+        &mut self,
+        now: Now,
+        link: LinkId,
+        request: &ControlRequest,
+        out: &[Output],
+    ) -> Result<(), Violation> {
+        let party = self.heard.message(now, link, request.session.as_ref());
+        if let Some(answer) = request.request_id.as_ref().and_then(|id| self.answers.get(id)) {
+            let again = ControlResponse { timestamp: now, ..answer.clone() };
+            let repeated = matches!(out, [Output::Send { link: to, message: Message::ControlResponse(r) }]
+                if *to == link && *r == again);
+            let refused_as_busy = is_refused(answer, &ErrorCode::Busy);
+            if repeated || !refused_as_busy {
+                return hold(repeated, || format!("{again:?} was to be repeated, found {out:?}"));
+            }
+        }
+        self.judge(now, out, Some(&Asked { link, party, request }))
+    }
+
+    fn judge(&mut self, now: Now, out: &[Output], asked: Option<&Asked<'_>>) -> Result<(), Violation> {
+        self.cancelled.clear();
+        self.lost.clear();
+        let mut answers = 0;
+        for output in out {
+            match (output, asked) {
+                (Output::Set(set), _) => self.moved(now, set)?,
+                (Output::Send { message: Message::ControlResponse(report), .. }, _)
+                    if report.event_timestamp.is_some() =>
+                {
+                    self.reported(now, report)?;
+                }
+                (Output::Send { link, message: Message::ControlResponse(answer) }, Some(asked)) => {
+                    answers += 1;
+                    hold(*link == asked.link, || {
+                        format!("an answer on {link:?} to what came on {:?}", asked.link)
+                    })?;
+                    self.answered(now, asked, answer)?;
+                }
+                _ => return Err(Violation(format!("nobody asked for {output:?}"))),
+            }
+        }
+        hold(answers == usize::from(asked.is_some()), || {
+            format!("{answers} answers to one request: {out:?}")
+        })?;
+        self.devices.values_mut().for_each(|device| device.released.clear());
+        Ok(())
+    }
+
+    fn moved(&mut self, now: Now, set: &SetValue) -> Result<(), Violation> {
+        let Self { devices, heard, .. } = self;
+        let Some(device) = devices.get_mut(&set.device) else {
+            return Err(Violation(format!("no such device: {set:?}")));
+        };
+        hold(set.due <= now, || format!("early by {}: {set:?}", set.due - now))?;
+        let Some(step) = set.step else { return rested(device, set) };
+        let step = step as usize;
+        let found = device.queue.iter().position(|order| {
+            order.id == set.request_id
+                && order.done == step
+                && step < order.steps.len()
+                && is_due(order, step, set)
+        });
+        let Some(at) = found else {
+            return Err(Violation(format!("{set:?} belongs to none of {:?}", device.queue)));
+        };
+        let order = &device.queue[at];
+        let setpoint = &order.steps[step].setpoint;
+        hold(device.can_take(setpoint), || format!("`{}` cannot take {set:?}", set.device))?;
+        let fits = device.spec.available_control_types.script().is_none_or(|script| {
+            let custom = matches!(setpoint.control_type, ControlType::Custom(_));
+            let limits = script.limits.min_value..=script.limits.max_value;
+            !order.is_script || custom || limits.contains(&setpoint.value)
+        });
+        hold(fits, || format!("a script of `{}` cannot take {set:?}", set.device))?;
+        let in_time = order.began || now - order.start <= START_LATE_MAX || set.due > order.start;
+        hold(in_time, || format!("{} late: {set:?}", now - order.start))?;
+        hold_lease(order, heard, set, step)?;
+        device.drive(setpoint.control_type, setpoint.value);
+        if matches!(set.motion, Motion::Set(_)) {
+            device.queue[at].done += 1;
+            if device.queue[at].is_done() {
+                device.guard_what_goes_on(at);
+            }
+        }
+        Ok(())
+    }
+
+    fn reported(&mut self, now: Now, report: &ControlResponse) -> Result<(), Violation> {
+        let Self { devices, heard, .. } = self;
+        let Some(device) = devices.get_mut(&report.device_id) else {
+            return Err(Violation(format!("a report of no device: {report:?}")));
+        };
+        if let Some(id) = &report.request_id {
+            self.answers.insert(id.clone(), report.clone());
+        }
+        hold(report.event_timestamp == Some(now), || format!("it is {now}: {report:?}"))?;
+        let owed = match report.status {
+            Status::Started => started(device, heard, now, report),
+            Status::Ok => ended(device, report),
+            Status::Failed => self.failed(now, report)?,
+            _ => false,
+        };
+        hold(owed, || format!("a report of nothing that the robot held: {report:?}"))
+    }
+
+    fn failed(&mut self, now: Now, report: &ControlResponse) -> Result<bool, Violation> {
+        let Some(device) = self.devices.get_mut(&report.device_id) else { return Ok(false) };
+        let code = report.error.as_ref().map(|error| &error.code);
+        let of = |order: &Order| order.id == report.request_id && !order.is_done();
+        match code {
+            Some(ErrorCode::LinkLost) => {
+                if self.lost.insert(report.device_id.clone()) {
+                    let over = device.lease_is_over(now, &self.heard);
+                    hold(over, || format!("a lease ended early: {report:?}, {:?}", device.queue))?;
+                }
+                if let Some(at) = device.released.iter().position(|guard| guard.id == report.request_id) {
+                    device.released.remove(at);
+                    return Ok(true);
+                }
+                Ok(take(device, of).is_some())
+            }
+            Some(ErrorCode::Late) => {
+                Ok(take(device, |order| of(order) && !order.began && now - order.start > START_LATE_MAX)
+                    .is_some())
+            }
+            Some(ErrorCode::Cancelled) => {
+                let cancelled = take(device, of);
+                self.cancelled.extend(cancelled.as_ref().map(|order| order.serial));
+                Ok(cancelled.is_some())
+            }
+            _ => Ok(false),
+        }
+    }
+}
+
+/// The order that a report ends.
+fn take(device: &mut DeviceModel, of: impl Fn(&Order) -> bool) -> Option<Order> {
+    let at = device.queue.iter().position(of)?;
+    Some(device.queue.remove(at))
+}
+
+/// The device goes to its default state, which ends the leases of the rates that went on.
+fn rested(device: &mut DeviceModel, set: &SetValue) -> Result<(), Violation> {
+    let (control_type, to) = match set.motion {
+        Motion::Default { control_type, value } => (control_type, value),
+        Motion::Slow { control_type, to, .. } => (control_type, to),
+        Motion::Set(_) | Motion::Ramp { .. } => {
+            return Err(Violation(format!("a movement of no step: {set:?}")));
+        }
+    };
+    let limits = device.spec.available_control_types.limits(control_type);
+    let within = limits.is_none_or(|limits| (limits.min_value..=limits.max_value).contains(&to));
+    hold(set.request_id.is_none() && within, || format!("the default state of `{}`: {set:?}", set.device))?;
+    device.targets.insert(control_type, to);
+    device.released.append(&mut device.guards);
+    Ok(())
+}
+
+/// Whether this is the order's step at its time, or the way to it.
+fn is_due(order: &Order, step: usize, set: &SetValue) -> bool {
+    let setpoint = &order.steps[step].setpoint;
+    let before = step.checked_sub(1).map_or(Some(order.start), |before| order.time_of(before));
+    match &set.motion {
+        Motion::Set(found) => found == setpoint && order.time_of(step) == Some(set.due),
+        Motion::Ramp { control_type, to, until, .. } => {
+            *control_type == setpoint.control_type
+                && *to == setpoint.value
+                && order.time_of(step) == Some(*until)
+                && before == Some(set.due)
+        }
+        Motion::Slow { .. } | Motion::Default { .. } => false,
+    }
+}
+
+/// At the instant of a movement both the lease until then and the lease from then on are in force.
+fn hold_lease(order: &Order, heard: &Heard, set: &SetValue, step: usize) -> Result<(), Violation> {
+    let arrives = usize::from(matches!(set.motion, Motion::Set(_)));
+    let until_then = match step {
+        0 if set.due == order.start => order.pending_ends(heard),
+        _ => order.running_ends(heard, (step + arrives).saturating_sub(1)),
+    };
+    let from_then = order.running_ends(heard, step + arrives);
+    let in_force = until_then.into_iter().chain(from_then).all(|end| end > set.due);
+    hold(in_force, || format!("the lease ended at {until_then:?} or {from_then:?}: {set:?}"))
+}
+
+/// Begins an order, if the report is of its start.
+fn started(device: &mut DeviceModel, heard: &Heard, now: Now, report: &ControlResponse) -> bool {
+    let of = |order: &&mut Order| order.id == report.request_id && !order.began && order.start <= now;
+    let Some(order) = device.queue.iter_mut().find(of) else { return false };
+    let in_force = order.pending_ends(heard).is_none_or(|end| end > order.start);
+    let value = order.steps.first().map(|step| StatusValue::Number(step.setpoint.value));
+    order.began = true;
+    in_force && now - order.start <= START_LATE_MAX && value.as_ref() == Some(&report.status_value)
+}
+
+/// Ends an order, if the report is of its end.
+fn ended(device: &mut DeviceModel, report: &ControlResponse) -> bool {
+    let Some(order) = take(device, |order| order.id == report.request_id && order.began && order.is_done())
+    else {
+        return false;
+    };
+    let value = order.steps.last().map(|step| StatusValue::Number(step.setpoint.value));
+    let all = u32::try_from(order.steps.len()).ok();
+    report.steps_done == all && value.as_ref() == Some(&report.status_value)
+}
+
+/// Whether the answer refuses for this reason.
+pub(super) fn is_refused(answer: &ControlResponse, code: &ErrorCode) -> bool {
+    answer.error.as_ref().is_some_and(|error| error.code == *code)
+}

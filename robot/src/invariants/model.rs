@@ -1,0 +1,250 @@
+//! What a device owes at any time, kept without the device machine: its accepted orders, how far each has come, and
+//! under which lease.
+
+use std::collections::{BTreeMap, HashMap};
+
+use urrcp::{
+    Command, ControlParameters, ControlRequest, ControlType, Device, Millis, RequestId, Robot, Server,
+    SessionId, Setpoint, Span, Step, StopCondition, Timestamp,
+};
+
+use crate::robot::LinkId;
+
+type Now = Timestamp<Robot>;
+
+/// Whoever a lease counts for: a link of its own, or a session on whatever links.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(super) enum Party {
+    Link(LinkId),
+    Session(usize),
+}
+
+/// Who spoke on which link, and when last.
+#[derive(Debug, Default)]
+pub(super) struct Heard {
+    of_link: HashMap<LinkId, Party>,
+    of_session: HashMap<SessionId, Party>,
+    last: HashMap<Party, Now>,
+}
+
+impl Heard {
+    /// A message came; who sent it.
+    pub(super) fn message(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
+        let party = match session {
+            None => self.of_link.get(&link).copied().unwrap_or(Party::Link(link)),
+            Some(session) => self.session(link, session),
+        };
+        self.last.insert(party, now);
+        party
+    }
+
+    /// A link becomes the party of the first session that it names; later ones are parties of their own.
+    fn session(&mut self, link: LinkId, session: &SessionId) -> Party {
+        let fresh = match self.of_session.values().any(|party| *party == Party::Link(link)) {
+            true => Party::Session(self.of_session.len()),
+            false => Party::Link(link),
+        };
+        let party = *self.of_session.entry(session.clone()).or_insert(fresh);
+        self.of_link.insert(link, party);
+        party
+    }
+
+    /// All sessions that ever named themselves.
+    pub(super) fn sessions(&self) -> impl Iterator<Item = &SessionId> {
+        self.of_session.keys()
+    }
+
+    fn ends(&self, party: Party, accepted: Now, silence: Option<Millis>) -> Option<Now> {
+        let heard = self.last.get(&party).copied().unwrap_or(accepted);
+        Some(heard.max(accepted) + silence?.span())
+    }
+}
+
+/// A command that was accepted and of which no end was reported.
+#[derive(Debug)]
+pub(super) struct Order {
+    pub(super) serial: usize,
+    pub(super) id: Option<RequestId>,
+    pub(super) session: Option<SessionId>,
+    pub(super) party: Party,
+    accepted: Now,
+    pub(super) start: Now,
+    pub(super) steps: Vec<Step>,
+    pub(super) is_script: bool,
+    condition: Option<StopCondition>,
+    /// Steps that were set.
+    pub(super) done: usize,
+    pub(super) began: bool,
+}
+
+impl Order {
+    pub(super) fn new(serial: usize, now: Now, party: Party, request: &ControlRequest) -> Self {
+        let steps = match &request.command {
+            Command::Set(setpoint) => {
+                vec![Step { offset: Millis::ZERO, setpoint: setpoint.clone(), stop_condition: None }]
+            }
+            Command::Script(script) => script.steps().to_vec(),
+            Command::ReadSensor => Vec::new(),
+        };
+        Self {
+            serial,
+            id: request.request_id.clone(),
+            session: request.session.clone(),
+            party,
+            accepted: now,
+            start: start_of(now, request),
+            steps,
+            is_script: matches!(request.command, Command::Script(_)),
+            condition: request.stop_condition,
+            done: 0,
+            began: false,
+        }
+    }
+
+    pub(super) fn end(&self) -> Now {
+        self.start + self.steps.last().map_or(Span::ZERO, |step| step.offset.span())
+    }
+
+    pub(super) fn time_of(&self, step: usize) -> Option<Now> {
+        Some(self.start + self.steps.get(step)?.offset.span())
+    }
+
+    pub(super) fn is_done(&self) -> bool {
+        self.done == self.steps.len()
+    }
+
+    pub(super) fn next_event(&self) -> Option<Now> {
+        if self.began { self.time_of(self.done) } else { Some(self.start) }
+    }
+
+    /// When the lease before the start ends.
+    pub(super) fn pending_ends(&self, heard: &Heard) -> Option<Now> {
+        heard.ends(self.party, self.accepted, self.condition.and_then(|lease| lease.pending))
+    }
+
+    /// When the lease ends that holds once so many steps are done.
+    pub(super) fn running_ends(&self, heard: &Heard, done: usize) -> Option<Now> {
+        let own = done.checked_sub(1).and_then(|step| self.steps.get(step)?.stop_condition);
+        heard.ends(self.party, self.accepted, own.or(self.condition).and_then(|lease| lease.running))
+    }
+
+    /// When it must be given up: its lease has ended, or would have ended once the next event has taken place.
+    pub(super) fn must_end(&self, heard: &Heard) -> Option<Now> {
+        let current = match self.began {
+            false => self.pending_ends(heard),
+            true => self.running_ends(heard, self.done),
+        };
+        let sets_a_step = self.began || self.time_of(0) == Some(self.start);
+        let after = self.running_ends(heard, self.done + usize::from(sets_a_step));
+        let next = self.next_event().filter(|at| after.is_some_and(|end| end <= *at));
+        current.into_iter().chain(next).min()
+    }
+}
+
+/// The start of a request that comes now.
+pub(super) fn start_of(now: Now, request: &ControlRequest) -> Now {
+    request.starts_at().map_or(now, Timestamp::assume_clock)
+}
+
+/// Rates left on by a command that has ended, still under its lease.
+#[derive(Debug)]
+pub(super) struct Guard {
+    pub(super) id: Option<RequestId>,
+    pub(super) party: Party,
+    accepted: Now,
+    silence: Option<Millis>,
+    rates: Vec<ControlType>,
+}
+
+impl Guard {
+    pub(super) fn must_end(&self, heard: &Heard) -> Option<Now> {
+        heard.ends(self.party, self.accepted, self.silence)
+    }
+}
+
+/// One device, as its orders and movements tell.
+#[derive(Debug)]
+pub(super) struct DeviceModel {
+    pub(super) spec: Device,
+    /// In the order in which they are to be done.
+    pub(super) queue: Vec<Order>,
+    pub(super) guards: Vec<Guard>,
+    /// Guards that a default state of this very moment released; their reports follow.
+    pub(super) released: Vec<Guard>,
+    /// Where each signal rests in the end.
+    pub(super) targets: BTreeMap<ControlType, f64>,
+    pub(super) taken_back: Option<Timestamp<Server>>,
+}
+
+impl DeviceModel {
+    pub(super) fn new(spec: Device) -> Self {
+        let (queue, guards, released) = (Vec::new(), Vec::new(), Vec::new());
+        Self { spec, queue, guards, released, targets: BTreeMap::new(), taken_back: None }
+    }
+
+    pub(super) fn insert(&mut self, order: Order) {
+        let key = (order.start, order.end());
+        let place = self.queue.partition_point(|held| (held.start, held.end()) <= key);
+        self.queue.insert(place, order);
+    }
+
+    /// A signal is driven: it is no longer under the lease of whoever drove it before.
+    pub(super) fn drive(&mut self, control_type: ControlType, to: f64) {
+        self.targets.insert(control_type, to);
+        for guard in &mut self.guards {
+            guard.rates.retain(|rate| *rate != control_type);
+        }
+        self.guards.retain(|guard| !guard.rates.is_empty());
+    }
+
+    /// The last step of an order is set: the rates that it leaves on stay under its lease.
+    pub(super) fn guard_what_goes_on(&mut self, at: usize) {
+        let order = &self.queue[at];
+        let last = order.steps.last().and_then(|step| step.stop_condition);
+        let silence = last.or(order.condition).and_then(|lease| lease.running);
+        let mut rates: Vec<_> = order.steps.iter().map(|step| step.setpoint.control_type).collect();
+        rates.sort_unstable();
+        rates.dedup();
+        rates.retain(|rate| {
+            let target = self.targets.get(rate).copied();
+            *rate != ControlType::Position && target.is_some_and(|target| target != self.rest(*rate))
+        });
+        if silence.is_some() && !rates.is_empty() {
+            let (id, party, accepted) = (order.id.clone(), order.party, order.accepted);
+            self.guards.push(Guard { id, party, accepted, silence, rates });
+        }
+    }
+
+    /// Where a rate rests in the default state.
+    fn rest(&self, rate: ControlType) -> f64 {
+        let primary = self.spec.primary_control_type() == Some(rate);
+        self.spec.default_value.filter(|_| primary).unwrap_or(0.0)
+    }
+
+    /// The earliest instant at which the device has something to do.
+    pub(super) fn earliest(&self, heard: &Heard) -> Option<Now> {
+        let orders = self.queue.iter().flat_map(|order| [order.next_event(), order.must_end(heard)]);
+        orders.chain(self.guards.iter().map(|guard| guard.must_end(heard))).flatten().min()
+    }
+
+    /// Whether some lease of the device is over.
+    pub(super) fn lease_is_over(&self, now: Now, heard: &Heard) -> bool {
+        let guards = self.guards.iter().chain(&self.released).map(|guard| guard.must_end(heard));
+        let orders = self.queue.iter().filter(|order| !order.is_done()).map(|order| order.must_end(heard));
+        orders.chain(guards).flatten().any(|end| end <= now)
+    }
+
+    /// Whether a request may set this: of a type that the device has, within its limits, on its grid.
+    pub(super) fn can_take(&self, setpoint: &Setpoint) -> bool {
+        match self.spec.available_control_types.get(setpoint.control_type) {
+            Some(ControlParameters::Motion(limits)) => {
+                let steps = setpoint.value / limits.granularity;
+                setpoint.more.is_empty()
+                    && (limits.min_value..=limits.max_value).contains(&setpoint.value)
+                    && (steps - steps.round()).abs() <= 1e-6
+            }
+            Some(ControlParameters::Custom(_)) => setpoint.values().all(f64::is_finite),
+            _ => false,
+        }
+    }
+}
