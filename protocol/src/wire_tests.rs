@@ -233,6 +233,39 @@ fn bytes_that_are_no_message_give_typed_errors() {
 }
 
 #[test]
+fn a_message_of_two_keys_is_json_and_no_message() {
+    for line in [
+        r#"{"availability_request":{},"x":1}"#,
+        r#"{"availability_request":{},"availability_request":{}}"#,
+        r#"{"availability_request":{},"initialization_request":{}}"#,
+    ] {
+        check_invalid(line, ".", "exactly one key");
+    }
+    assert!(matches!(
+        decode_one("{\"availability_request\":{}}]").unwrap_err().kind,
+        DecodeErrorKind::NotJson { .. }
+    ));
+}
+
+#[test]
+fn an_error_quotes_no_more_of_a_line_than_a_string_of_the_protocol_holds() {
+    let long = "ж".repeat(100_000);
+    for line in [
+        format!(r#"{{"{long}":{{}}}}"#),
+        format!(r#"{{"control_request":"{long}"}}"#),
+        format!(r#"{{"initialization_block":{{"id":"r","api_version":"1","type":"{long}","devices":[]}}}}"#),
+        format!(r#"{{"control_request":{{"control_value_{long}":1}}}}"#),
+        format!(
+            r#"{{"initialization_block":{{"id":"r","api_version":"1","devices":[{{"{long}":1e999}}]}}}}"#
+        ),
+        "[".repeat(100_000),
+    ] {
+        let text = decode_one(&line).unwrap_err().to_string();
+        assert!(text.chars().count() < 600, "{} characters", text.chars().count());
+    }
+}
+
+#[test]
 fn numbers_that_are_not_finite_are_refused() {
     let line = r#"{"control_request":{"device_id":"d","control_type":"speed","control_value":1e999}}"#;
     assert!(decode_one(line).is_err());

@@ -112,6 +112,11 @@ impl DeviceMachine {
         self.queue.is_empty() && self.guards.is_empty()
     }
 
+    /// Whose leases it is under.
+    pub(crate) fn parties(&self) -> impl Iterator<Item = LinkId> + '_ {
+        self.queue.iter().map(|held| held.link).chain(self.guards.iter().map(|guard| guard.lease.link))
+    }
+
     /// How many commands it holds.
     #[cfg(test)]
     pub(crate) fn held(&self) -> usize {

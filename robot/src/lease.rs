@@ -1,37 +1,51 @@
 //! The `stop_condition` as a lease: how long a link may stay silent.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 
 use urrcp::{Millis, Robot, StopCondition, Timestamp};
 
 use crate::robot::LinkId;
 
-/// When each link was last heard. Links that are down stay silent, so their leases run out.
-#[derive(Clone, Debug, Default)]
-pub(crate) struct LastHeard(HashMap<LinkId, Timestamp<Robot>>);
+/// When each party was last heard. Links that are down stay silent, so their leases run out.
+#[derive(Clone, Debug)]
+pub(crate) struct LastHeard {
+    at: HashMap<LinkId, Timestamp<Robot>>,
+    /// Beyond it those are forgotten who hold nothing.
+    room: usize,
+}
 
-/// Links whose silence is remembered; the longest silent go first.
-const LINKS_MAX: usize = 1_024;
+/// Parties of which at least the silence is remembered.
+const PARTIES_MIN: usize = 1_024;
+
+impl Default for LastHeard {
+    fn default() -> Self {
+        Self { at: HashMap::new(), room: PARTIES_MIN }
+    }
+}
 
 impl LastHeard {
-    pub(crate) fn heard(&mut self, link: LinkId, now: Timestamp<Robot>) {
-        self.0.insert(link, now);
-        if self.0.len() > LINKS_MAX {
-            let oldest = self.0.iter().min_by_key(|(_, at)| **at).map(|(link, _)| *link);
-            oldest.and_then(|link| self.0.remove(&link));
-        }
+    /// A message came. True when it is time to [`LastHeard::keep`] only those who hold something.
+    #[must_use]
+    pub(crate) fn heard(&mut self, party: LinkId, now: Timestamp<Robot>) -> bool {
+        self.at.insert(party, now);
+        self.at.len() > self.room
+    }
+
+    /// Forgets all others. Nothing is lost by it: a lease counts from its own begin where nothing was heard since.
+    pub(crate) fn keep(&mut self, holding: &HashSet<LinkId>) {
+        self.at.retain(|party, _| holding.contains(party));
+        self.room = PARTIES_MIN.max(2 * self.at.len());
     }
 
     /// When a party was last heard.
     pub(crate) fn last(&self, party: LinkId) -> Option<Timestamp<Robot>> {
-        self.0.get(&party).copied()
+        self.at.get(&party).copied()
     }
 
     /// When a lease of this length runs out; `None` without a lease.
     pub(crate) fn ends(&self, lease: &Lease) -> Option<Timestamp<Robot>> {
         let silence = lease.silence?.span();
-        // A forgotten link has been silent for longer than 1,024 others.
-        let heard = self.0.get(&lease.link).copied().unwrap_or(lease.granted);
+        let heard = self.at.get(&lease.link).copied().unwrap_or(lease.granted);
         Some(heard.max(lease.granted) + silence)
     }
 }

@@ -13,9 +13,9 @@ use crate::robot::LinkId;
 /// An idle robot whose session has been silent for so long may be claimed by another.
 const CLAIM_SILENCE: Span = Span::from_millis(5_000);
 /// Sessions that are remembered.
-const SESSIONS_MAX: usize = 256;
+pub(crate) const SESSIONS_MAX: usize = 256;
 
-/// Parties are named by their first link.
+/// Parties are named by their first link, as long as that has no other.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Parties {
     of_link: HashMap<LinkId, LinkId>,
@@ -23,6 +23,8 @@ pub(crate) struct Parties {
     /// Where a party was last heard.
     route: HashMap<LinkId, LinkId>,
     owner: Option<(SessionId, LinkId)>,
+    /// Parties that were given a name of their own, counted down from the largest so that no link has it.
+    named: u64,
 }
 
 impl Parties {
@@ -44,14 +46,17 @@ impl Parties {
                 if self.of_session.len() >= SESSIONS_MAX {
                     self.forget_oldest();
                 }
-                // A link that spoke for another session before begins anew under a name that no other link has.
+                // A link that spoke for another session before begins anew under a name that nobody else has or had.
                 let taken = self.of_session.values().any(|party| *party == link);
-                let party = if taken { LinkId(u64::MAX - self.of_session.len() as u64) } else { link };
+                self.named += u64::from(taken);
+                let party = if taken { LinkId(u64::MAX - self.named) } else { link };
                 self.of_session.insert(session.clone(), party);
                 party
             }
         };
-        self.of_link.insert(link, party);
+        if let Some(before) = self.of_link.insert(link, party).filter(|before| *before != party) {
+            self.leave(before, link);
+        }
         self.route.insert(party, link);
         party
     }
@@ -59,6 +64,11 @@ impl Parties {
     pub(crate) fn link_down(&mut self, link: LinkId) {
         let party = self.party(link);
         self.of_link.remove(&link);
+        self.leave(party, link);
+    }
+
+    /// A link no longer speaks for a party, which is reached on another one from now on, if it has one.
+    fn leave(&mut self, party: LinkId, link: LinkId) {
         if self.route.get(&party) == Some(&link) {
             self.route.remove(&party);
             let other = self.of_link.iter().filter(|(_, p)| **p == party).map(|(link, _)| *link).max();
@@ -85,6 +95,17 @@ impl Parties {
         if self.owner.as_ref().is_none_or(|(owner, _)| owner != session) {
             self.owner = Some((session.clone(), party));
         }
+    }
+
+    /// The party to which the robot belongs, or belonged last.
+    pub(crate) fn last_owner(&self) -> Option<LinkId> {
+        self.owner.as_ref().map(|(_, party)| *party)
+    }
+
+    /// How much it remembers of those who talk.
+    #[cfg(test)]
+    pub(crate) fn remembered(&self) -> usize {
+        self.of_link.len() + self.of_session.len() + self.route.len()
     }
 
     fn forget_oldest(&mut self) {

@@ -163,10 +163,19 @@ impl Robot {
                     Some(session) => self.parties.join(link, session),
                     None => self.parties.party(link),
                 };
-                self.heard.heard(party, now);
+                if self.heard.heard(party, now) {
+                    self.forget_who_holds_nothing();
+                }
                 self.handle_message(now, link, message, out);
             }
         }
+    }
+
+    /// However many strangers speak, only their silence is forgotten, and never that of those whose commands are held.
+    fn forget_who_holds_nothing(&mut self) {
+        let holding = self.devices.iter().flat_map(DeviceMachine::parties);
+        let holding = holding.chain(self.parties.last_owner()).collect();
+        self.heard.keep(&holding);
     }
 
     fn handle_message(&mut self, now: Now, link: LinkId, message: Message, out: &mut Vec<Output>) {

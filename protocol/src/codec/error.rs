@@ -4,6 +4,7 @@ use std::fmt;
 
 use serde::Deserialize;
 
+use crate::limits::STRING_CHARS_MAX;
 use crate::text::{DeviceId, RequestId};
 
 /// Why a line or frame is no message, and whom an answer would concern.
@@ -67,7 +68,7 @@ impl DecodeError {
     /// Of something well formed that is no message.
     pub(super) fn invalid(path: String, message: String, of: Addressee) -> Self {
         Self {
-            kind: DecodeErrorKind::Invalid { path, message },
+            kind: DecodeErrorKind::Invalid { path: shortened(&path), message: shortened(&message) },
             device_id: of.device_id.and_then(|id| DeviceId::new(id).ok()),
             request_id: of.request_id.and_then(|id| RequestId::new(id).ok()),
         }
@@ -92,6 +93,14 @@ impl fmt::Display for DecodeError {
             }
             DecodeErrorKind::Invalid { path, message } => write!(f, "{message} (at `{path}`)"),
         }
+    }
+}
+
+/// What is wrong may be quoted from the line, so it may be as long as that: an answer is short.
+pub(super) fn shortened(text: &str) -> String {
+    match text.char_indices().nth(STRING_CHARS_MAX - 1) {
+        Some((end, last)) if end + last.len_utf8() < text.len() => format!("{}…", &text[..end]),
+        _ => text.to_owned(),
     }
 }
 

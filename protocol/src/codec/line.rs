@@ -1,6 +1,11 @@
 //! The canonical encoding: JSON, UTF-8, one message a line.
 
-use super::error::{DecodeError, DecodeErrorKind, Envelope};
+use std::fmt;
+
+use serde::de::{IgnoredAny, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer};
+
+use super::error::{DecodeError, DecodeErrorKind, Envelope, shortened};
 use crate::message::Message;
 
 /// What ends a line.
@@ -23,12 +28,44 @@ pub(super) fn read(line: &[u8]) -> Result<Message, DecodeError> {
 
 /// Reads a bad line once more, slower, for the path of the fault and the ids that an answer needs.
 fn explain(text: &str, error: &serde_json::Error) -> DecodeError {
-    if !error.is_data() {
-        let kind = DecodeErrorKind::NotJson { column: error.column(), message: without_place(error) };
-        return DecodeError::bare(kind);
+    // A number beyond a double, say, is JSON all the same.
+    if !error.is_data() && serde_json::from_str::<IgnoredAny>(text).is_err() {
+        let message = shortened(&without_place(error));
+        return DecodeError::bare(DecodeErrorKind::NotJson { column: error.column(), message });
     }
+    let (path, message) = match serde_json::from_str::<KeyCount>(text) {
+        Ok(KeyCount(count)) if count != 1 => {
+            (".".to_owned(), format!("{count} keys, expected exactly one, which names the message"))
+        }
+        _ => (path_of_fault(text), without_place(error)),
+    };
     let addressee = serde_json::from_str::<Envelope>(text).map(|envelope| envelope.control_request);
-    DecodeError::invalid(path_of_fault(text), without_place(error), addressee.unwrap_or_default())
+    DecodeError::invalid(path, message, addressee.unwrap_or_default())
+}
+
+/// How many keys an object has.
+struct KeyCount(usize);
+
+impl<'de> Deserialize<'de> for KeyCount {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(KeyCount(0))
+    }
+}
+
+impl<'de> Visitor<'de> for KeyCount {
+    type Value = Self;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("an object")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Self, A::Error> {
+        let mut count = 0;
+        while map.next_entry::<IgnoredAny, IgnoredAny>()?.is_some() {
+            count += 1;
+        }
+        Ok(Self(count))
+    }
 }
 
 fn without_place(error: &serde_json::Error) -> String {

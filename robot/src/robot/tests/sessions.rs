@@ -164,3 +164,56 @@ fn where_an_acceleration_is_declared_a_stop_decelerates() {
     }
     assert_eq!(position(9_000), 0.0);
 }
+
+#[test]
+fn a_link_that_names_many_sessions_is_remembered_for_the_last_of_them() {
+    let mut bench = Bench::new();
+    for i in 0..2_000 {
+        bench.send_on(OTHER, hello(&format!("s{i}")));
+    }
+    assert!(bench.robot.parties.remembered() < 2 * crate::parties::SESSIONS_MAX);
+    bench.robot.handle(bench.now, OTHER, Input::LinkDown, &mut bench.out);
+    bench.until(6_000);
+    bench.send_on(LINK, hello("another"));
+    assert_eq!(bench.last_said(), "1 OK ");
+}
+
+#[test]
+fn strangers_however_many_end_no_lease_of_a_link_that_stands() {
+    let mut bench = Bench::new();
+    let mut request = timed("arm", "a", 900.0, script(ControlType::Position, &PAPER));
+    request.stop_condition = lease(500.0, 500.0);
+    bench.send_on(LINK, of("first", request));
+    for millis in (400..4_000).step_by(400) {
+        bench.until(millis);
+        bench.send_on(LINK, hello("first"));
+        bench.until(millis + 1);
+        for i in 0..1_200 {
+            bench.send_on(LinkId(1_000 + i), hello(&format!("{millis}-{i}")));
+            bench.robot.handle(bench.now, LinkId(1_000 + i), Input::LinkDown, &mut bench.out);
+        }
+    }
+    assert_eq!(bench.values(), [(900, 45.0), (1_900, 0.0), (2_900, 45.0)]);
+}
+
+#[test]
+fn no_session_renews_the_lease_of_another_however_many_have_been() {
+    let mut bench = Bench::new();
+    // The first goes on by a link of its own, so that it is not forgotten.
+    for link in [OTHER, LINK] {
+        bench.send_on(link, hello("s0"));
+    }
+    for i in 1..600 {
+        bench.send_on(OTHER, hello(&format!("s{i}")));
+    }
+    bench.until(9_000);
+    let mut request = timed("arm", "a", 12_000.0, script(ControlType::Position, &PAPER));
+    request.stop_condition = lease(1_000.0, 1_000.0);
+    bench.send_on(OTHER, of("owner", request));
+    for millis in (9_500..12_000).step_by(500) {
+        bench.until(millis);
+        bench.send_on(OTHER, hello("stranger"));
+    }
+    bench.until(20_000);
+    assert_eq!(bench.values(), [], "the owner was silent from 9 s on");
+}
