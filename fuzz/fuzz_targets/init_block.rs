@@ -29,7 +29,9 @@ fn check_limits(block: &InitializationBlock) {
                 ControlParameters::Custom(_) => continue,
             };
             assert!(limits.min_value <= limits.max_value && limits.min_value.is_finite());
-            assert!(limits.granularity > 0.0 && limits.granularity.is_finite() && limits.max_value.is_finite());
+            assert!(
+                limits.granularity > 0.0 && limits.granularity.is_finite() && limits.max_value.is_finite()
+            );
             assert!(limits.max_error.is_none_or(|error| error >= 0.0 && error.is_finite()));
         }
     }

@@ -6,7 +6,8 @@ use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 use downbeat_scripts::{
-    Address, Fleet, FleetRobot, NoFiles, RateLimits, Severity, SimulationSettings, Source, compile, render, sarif,
+    Address, Fleet, FleetRobot, NoFiles, RateLimits, RobotClock, Severity, SimulationSettings, Source,
+    compile, render, sarif,
 };
 use libfuzzer_sys::fuzz_target;
 
@@ -27,13 +28,17 @@ static FLEET: LazyLock<Fleet> = LazyLock::new(|| {
     let robot = |name: &str, block: &str| {
         let mut init: urrcp::InitializationBlock = serde_json::from_str(block).unwrap();
         init.id = urrcp::RobotId::new(name).unwrap();
-        let limits = BTreeMap::from([("d".to_owned(), RateLimits { speed: None, acceleration: Some(500.0) })]);
+        let limits =
+            BTreeMap::from([("d".to_owned(), RateLimits { speed: None, acceleration: Some(500.0) })]);
         FleetRobot {
             id: init.id.clone(),
             address: Address::Simulated,
             init: Some(init),
             simulation: SimulationSettings::default(),
             limits,
+            clock: RobotClock::default(),
+            wake_up: urrcp::Span::from_millis(1),
+            require: Vec::new(),
         }
     };
     let robots = vec![robot("a", ARM), robot("b", ARM), robot("r", ROVER)];
