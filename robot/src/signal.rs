@@ -62,7 +62,12 @@ impl Signal {
             return phase.value + phase.rate * seconds + phase.acceleration * seconds * seconds / 2.0;
         }
         let part = (now - self.since).as_millis_f64() / (self.until - self.since).as_millis_f64();
-        self.from + (self.to - self.from) * part.clamp(0.0, 1.0)
+        let part = part.clamp(0.0, 1.0);
+        match self.to - self.from {
+            way if way.is_finite() => self.from + way * part,
+            // Both ends are numbers, the way between them is beyond any.
+            _ => self.from * (1.0 - part) + self.to * part,
+        }
     }
 
     /// Its change a second.
@@ -78,7 +83,8 @@ impl Signal {
     }
 
     /// The way to rest from where it is: with constant deceleration to a standstill, then, where there is a target, to it.
-    /// `None` where it stands there already. A standstill beyond `limits` is avoided by braking harder.
+    /// `None` where it stands there already, or where the way is beyond all numbers. A standstill beyond `limits` is
+    /// avoided by braking harder.
     pub(crate) fn brought_to_rest(
         &self,
         now: Timestamp<Robot>,
@@ -114,6 +120,10 @@ impl Signal {
             at.1 += rate * seconds + acceleration * seconds * seconds / 2.0;
             phase
         });
+        let numbers = phases.iter().flat_map(|phase| [phase.value, phase.rate, phase.acceleration]);
+        if !numbers.chain([to, at.1]).all(f64::is_finite) {
+            return None;
+        }
         Some(Self { from: value, since: now, to, until: at.0, slowing: Some(Slowing(phases)) })
     }
 }

@@ -14,3 +14,27 @@ proptest! {
         play(&operations).map_err(|violation| TestCaseError::fail(violation.to_string()))?;
     }
 }
+
+#[track_caller]
+fn check_driven(position: &str, acceleration: &str, more: &str) {
+    let block = format!(
+        r#"{{"id": "r", "api_version": "1", "devices": [{{"id": "d", "name": "d", "interpolation": "linear"{more},
+           "available_control_types": {{"position": {position}, "acceleration": {acceleration},
+             "script": {{"min_value": -1.7e308, "max_value": 1.7e308, "granularity": 5e-324, "max_number_of_steps": 9}}}}}}]}}"#
+    );
+    let block = serde_json::from_str(&block).unwrap();
+    assert_eq!(drive_all(&block), Ok(()));
+}
+
+#[test]
+fn a_device_is_somewhere_however_wide_its_range_and_however_weak_or_strong_its_brake() {
+    let widest = r#"{"min_value": -1.7e308, "max_value": 1.7e308, "granularity": 1e292}"#;
+    let ordinary = r#"{"min_value": -90, "max_value": 90, "granularity": 1}"#;
+    let weakest = r#"{"min_value": 0, "max_value": 5e-324, "granularity": 5e-324}"#;
+    for position in [widest, ordinary, weakest] {
+        for acceleration in [widest, ordinary, weakest] {
+            check_driven(position, acceleration, "");
+            check_driven(position, acceleration, r#", "default_value": 1"#);
+        }
+    }
+}
