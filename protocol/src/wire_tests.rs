@@ -239,7 +239,7 @@ fn a_message_of_two_keys_is_json_and_no_message() {
         r#"{"availability_request":{},"availability_request":{}}"#,
         r#"{"availability_request":{},"initialization_request":{}}"#,
     ] {
-        check_invalid(line, ".", "exactly one key");
+        check_invalid(line, ".", "2 keys, expected exactly one");
     }
     assert!(matches!(
         decode_one("{\"availability_request\":{}}]").unwrap_err().kind,
@@ -266,9 +266,93 @@ fn an_error_quotes_no_more_of_a_line_than_a_string_of_the_protocol_holds() {
 }
 
 #[test]
-fn numbers_that_are_not_finite_are_refused() {
-    let line = r#"{"control_request":{"device_id":"d","control_type":"speed","control_value":1e999}}"#;
+fn numbers_that_are_not_finite_are_refused_for_the_device_that_they_were_for() {
+    for number in ["1e999", "-1e999"] {
+        let line = format!(
+            r#"{{"control_request":{{"device_id":"d","control_type":"speed","control_value":{number}}}}}"#
+        );
+        check_invalid(&line, "control_request.control_value", "number out of range");
+        assert_eq!(decode_one(&line).unwrap_err().device_id.unwrap().as_str(), "d");
+    }
+    let line = r#"{"control_request":{"device_id":"d","control_type":"speed","control_value":NaN}}"#;
+    assert!(matches!(decode_one(line).unwrap_err().kind, DecodeErrorKind::NotJson { .. }));
+}
+
+#[test]
+fn the_smallest_numbers_and_the_negative_zero_are_zero() {
+    for number in ["1e-400", "-1e-400", "-0", "-0.0", "0e999"] {
+        let line = format!(
+            r#"{{"control_request":{{"device_id":"d","control_type":"speed","control_value":{number}}}}}"#
+        );
+        let message = decode_one(&line).unwrap();
+        assert!(line_of(&message).contains(r#""control_value":0}"#), "{}", line_of(&message));
+    }
+}
+
+#[test]
+fn however_deep_a_line_goes_it_is_read_or_refused() {
+    let nested = |open: &str, close: &str| format!("{}1{}", open.repeat(100_000), close.repeat(100_000));
+    for deep in [nested("[", "]"), nested("{\"a\":", "}")] {
+        let request =
+            format!(r#"{{"control_request":{{"device_id":"d","x":{deep},"control_type":"sensor"}}}}"#);
+        assert!(decode_one(&request).is_ok(), "unknown keys are ignored");
+        let value = format!(
+            r#"{{"control_request":{{"device_id":"d","control_type":"speed","control_value":{deep}}}}}"#
+        );
+        assert_eq!(decode_one(&value).unwrap_err().device_id.unwrap().as_str(), "d");
+        let custom = format!(
+            r#"{{"initialization_block":{{"id":"r","api_version":"1","devices":[{{"id":"d","name":"d","available_control_types":{{"custom_1":{{"x":{deep}}}}}}}]}}}}"#
+        );
+        let path = "initialization_block.devices[0].available_control_types.custom_1";
+        let error = decode_one(&custom).unwrap_err();
+        assert!(
+            error.to_string().contains("recursion limit exceeded") && error.to_string().contains(path),
+            "{error}"
+        );
+        assert!(decode_one(&deep).is_err());
+    }
+    let unclosed = r#"{"control_request":"#.repeat(100_000);
+    assert!(matches!(decode_one(&unclosed).unwrap_err().kind, DecodeErrorKind::NotJson { .. }));
+}
+
+#[test]
+fn a_key_that_stands_twice_is_refused_wherever_it_stands() {
+    let device = |types: &str| {
+        format!(
+            r#"{{"initialization_block":{{"id":"r","api_version":"1","devices":[{{"id":"d","name":"d","available_control_types":{types}}}]}}}}"#
+        )
+    };
+    let limits = r#""min_value":0,"max_value":1,"granularity":1"#;
+    let request =
+        |inner: &str| format!(r#"{{"control_request":{{"device_id":"d","control_type":"script",{inner}}}}}"#);
+    let step = r#""time_offset_to_start":0,"control_type":"speed","control_value":1"#;
+    for line in [
+        request(r#""control_value":[],"control_value":[]"#),
+        request(&format!(r#""control_value":[{{{step},"control_value":2}}]"#)),
+        request(&format!(r#""control_value":[{{{step},"control_value_2":2,"control_value_2":2}}]"#)),
+        request(r#""control_value":[],"stop_condition":{"pending":1,"pending":2}"#),
+        request(r#""control_value":[],"timestamp":null,"timestamp":null"#),
+        device(&format!(r#"{{"speed":{{{limits},"max_value":2}}}}"#)),
+        device(&format!(r#"{{"speed":{{{limits}}},"speed":{{{limits}}}}}"#)),
+        device(&format!(r#"{{"script":{{{limits},"max_number_of_steps":1,"max_number_of_steps":2}}}}"#)),
+        device(&format!(r#"{{"script":{{{limits},"max_value":2,"max_number_of_steps":1}}}}"#)),
+        device(r#"{"sensor":{"min_value":0,"max_value":1,"max_value":1}}"#),
+        device("{}").replace(r#""id":"r""#, r#""id":"r","id":"s""#),
+        device("{}").replace(r#""id":"d""#, r#""id":"d","id":"e""#),
+        r#"{"availability_request":{"timestamp":null,"timestamp":null}}"#.to_owned(),
+    ] {
+        let error = decode_one(&line).expect_err(&line);
+        assert!(error.to_string().contains("duplicate"), "{error}: {line}");
+    }
+}
+
+#[test]
+fn a_lone_surrogate_is_refused_as_a_string_and_ignored_with_its_key() {
+    let line = r#"{"control_request":{"device_id":"\ud800","control_type":"sensor"}}"#;
     assert!(decode_one(line).is_err());
+    let control = r#"{"control_request":{"device_id":"d\u0000\n","control_type":"sensor"}}"#;
+    let message = decode_one(control).unwrap();
+    assert_eq!(line_of(&message).trim_end(), control);
 }
 
 #[test]
