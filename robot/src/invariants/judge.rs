@@ -237,12 +237,13 @@ fn is_due(order: &Order, step: usize, set: &SetValue) -> bool {
 
 /// At the instant of a movement both the lease until then and the lease from then on are in force.
 fn hold_lease(order: &Order, heard: &Heard, set: &SetValue, step: usize) -> Result<(), Violation> {
-    let arrives = usize::from(matches!(set.motion, Motion::Set(_)));
+    let done = step + usize::from(matches!(set.motion, Motion::Set(_)));
+    // The way to a step begins with the step before it, which has been judged.
     let until_then = match step {
         0 if set.due == order.start => order.pending_ends(heard),
-        _ => order.running_ends(heard, (step + arrives).saturating_sub(1)),
+        _ => order.running_ends(heard, step),
     };
-    let from_then = order.running_ends(heard, step + arrives);
+    let from_then = order.running_ends(heard, done);
     let in_force = until_then.into_iter().chain(from_then).all(|end| end > set.due);
     hold(in_force, || format!("the lease ended at {until_then:?} or {from_then:?}: {set:?}"))
 }
