@@ -7,6 +7,7 @@ mod documents;
 mod encodings;
 mod examples;
 mod findings;
+mod hostile;
 mod import;
 mod import_real;
 mod language;
