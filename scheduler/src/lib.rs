@@ -6,6 +6,7 @@
 
 pub mod cli;
 pub mod clock;
+pub mod conformance;
 pub mod dry_run;
 pub mod fleet;
 pub mod journal;

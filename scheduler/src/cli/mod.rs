@@ -5,6 +5,7 @@
 
 mod check;
 mod choice;
+mod conformance;
 mod console;
 mod dry_run;
 mod explain;
@@ -85,6 +86,8 @@ enum Command {
     Resume(missions::ResumeArgs),
     /// List the missions of this machine.
     Missions(missions::MissionsArgs),
+    /// Check whether a robot does what the protocol demands.
+    Conformance(conformance::ConformanceArgs),
     /// Run one simulated robot as a process of its own.
     Robot(robot::RobotArgs),
     /// Run all TCP robots of a fleet as simulated ones in this process.
@@ -142,6 +145,7 @@ pub fn main() -> ExitCode {
         Command::Stop(args) => missions::stop(&args, format),
         Command::Resume(args) => missions::resume(&args, format),
         Command::Missions(args) => missions::missions(&args, format),
+        Command::Conformance(args) => conformance::conformance(&args, format),
         Command::Robot(args) => robot::robot(&args, format),
         Command::Sim(args) => sim::sim(&args, format),
         Command::Import(args) => import::import(&args, format),

@@ -1,0 +1,223 @@
+//! `downbeat conformance`: does a robot do what the protocol demands?
+
+use std::fmt::Write as _;
+use std::net::{SocketAddr, ToSocketAddrs};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use anstyle::{AnsiColor, Style};
+use clap::ValueEnum;
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use serde_json::json;
+use urrcp::Span;
+
+use super::run::parse_span;
+use super::{Exit, Format, console};
+use crate::conformance::{Examined, Judged, Options, Requirement, Verdict, examine, requirements};
+
+/// Check whether a robot does what the protocol demands.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Plays the server against one robot and prints each requirement with pass, fail or n/a (the robot does
+not declare what the check needs), and why. What is sent, what came and what was expected stand in the reason.
+
+The robot moves. The checks keep within what its device declares: its default value (or zero, or the middle of its
+range) and a five-hundredth of its range beside it; the ends of the range are only asked for with a start that is
+cancelled before it comes. Every command carries a lease. At the end, and on Ctrl-C, the device is brought to rest.
+No other server should talk to the robot meanwhile.
+
+Examples:
+  downbeat conformance tcp://127.0.0.1:7401
+  downbeat conformance tcp://robot.local:7401 --device elbow --tolerance 5ms
+  downbeat conformance tcp://127.0.0.1:7401 --only late,queue --format json
+  downbeat conformance --list
+
+Exit codes: 0 nothing failed; 1 something failed; 2 usage, or no robot there; 3 ended by the operator, the robot at
+rest; 4 ended by the operator, and the robot did not confirm that it is at rest."
+)]
+pub(super) struct ConformanceArgs {
+    /// Where the robot listens.
+    #[arg(value_name = "tcp://HOST:PORT", required_unless_present = "list")]
+    address: Option<String>,
+    /// Print the requirements with what they demand, and check nothing.
+    #[arg(long)]
+    list: bool,
+    /// Only these requirements.
+    #[arg(long, value_name = "NAME,...", value_delimiter = ',', value_parser = parse_name)]
+    only: Vec<String>,
+    /// Which device to move; otherwise the first that takes scripts, or else the first that can be moved.
+    #[arg(long, value_name = "ID")]
+    device: Option<String>,
+    /// How long the robot may take for an answer.
+    #[arg(long, value_parser = parse_span, default_value = "2s", value_name = "TIME")]
+    patience: Span,
+    /// How far a start, a step or the end of a lease may lie from its time.
+    #[arg(long, value_parser = parse_span, default_value = "20ms", value_name = "TIME")]
+    tolerance: Span,
+    /// `ntp`: the robot's clock has to agree with this machine's; `measured`: it is judged by its own.
+    #[arg(long, value_enum, default_value_t = Clock::Ntp)]
+    clock: Clock,
+}
+
+/// By which clock a robot is judged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Clock {
+    /// This machine's.
+    Ntp,
+    /// The robot's own.
+    Measured,
+}
+
+fn parse_name(name: &str) -> Result<String, String> {
+    match requirements().any(|requirement| requirement.name == name) {
+        true => Ok(name.to_owned()),
+        false => Err(format!("no requirement `{name}`; `downbeat conformance --list` shows them all")),
+    }
+}
+
+pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
+    let Some(address) = args.address.as_ref().filter(|_| !args.list) else {
+        list(format);
+        return Exit::Done;
+    };
+    let address = match resolve(address) {
+        Ok(address) => address,
+        Err(message) => return failed(&message),
+    };
+    let options = Options {
+        patience: args.patience,
+        tolerance: args.tolerance,
+        device: args.device.clone(),
+        clock_measured: args.clock == Clock::Measured,
+        only: args.only.clone(),
+    };
+    let interrupted = Arc::new(AtomicBool::new(false));
+    super::with_runtime(async {
+        let told = Arc::clone(&interrupted);
+        // Ends with the process: tells the checks to stop and bring the robot to rest.
+        tokio::spawn(async move {
+            if super::run::interrupted().await.is_ok() {
+                told.store(true, Ordering::Relaxed);
+            }
+        });
+        let checking = tokio::task::spawn_blocking(move || {
+            let live = Live::new(format);
+            examine(address, options, interrupted, &mut |requirement, judged| live.tell(requirement, judged))
+        });
+        match checking.await {
+            Ok(Ok(examined)) => finish(&examined, format),
+            Ok(Err(message)) => failed(&message),
+            Err(error) => failed(&error.to_string()),
+        }
+    })
+}
+
+fn failed(message: &str) -> Exit {
+    console::error(message);
+    Exit::Usage
+}
+
+fn resolve(text: &str) -> Result<SocketAddr, String> {
+    let expected = format!("`{text}`, expected tcp://host:port");
+    let place = text.strip_prefix("tcp://").ok_or_else(|| expected.clone())?;
+    if !place.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok()) {
+        return Err(expected);
+    }
+    let mut found = place.to_socket_addrs().map_err(|error| format!("no address of `{place}`: {error}"))?;
+    found.next().ok_or_else(|| format!("no address of `{place}`"))
+}
+
+fn list(format: Format) {
+    match format {
+        Format::Json => {
+            let all: Vec<_> = requirements()
+                .map(|r| json!({"requirement": r.name, "demands": r.demands, "section": r.section}))
+                .collect();
+            console::print_json(&all);
+        }
+        Format::Text => {
+            let width = width();
+            let lines = requirements().map(|r| format!("{:width$}  {} ({})\n", r.name, r.demands, r.section));
+            console::print(&lines.collect::<String>());
+        }
+    }
+}
+
+fn width() -> usize {
+    requirements().map(|requirement| requirement.name.len()).max().unwrap_or(0)
+}
+
+/// A spinner with the requirement that is being checked on a terminal; nothing elsewhere.
+struct Live(ProgressBar);
+
+impl Live {
+    fn new(format: Format) -> Self {
+        let target = match format {
+            Format::Text => ProgressDrawTarget::stderr(),
+            Format::Json => ProgressDrawTarget::hidden(),
+        };
+        let bar = ProgressBar::with_draw_target(None, target);
+        bar.set_style(ProgressStyle::default_spinner());
+        bar.enable_steady_tick(Duration::from_millis(100));
+        Self(bar)
+    }
+
+    fn tell(&self, requirement: &Requirement, judged: Option<&Judged>) {
+        match judged {
+            None => self.0.set_message(requirement.name),
+            Some(judged) if judged.verdict == Verdict::Fail && !self.0.is_hidden() => {
+                self.0.suspend(|| console::note(&format!("{}: fail", judged.requirement)));
+            }
+            Some(_) => {}
+        }
+    }
+}
+
+impl Drop for Live {
+    fn drop(&mut self) {
+        self.0.finish_and_clear();
+    }
+}
+
+fn finish(examined: &Examined, format: Format) -> Exit {
+    match format {
+        Format::Json => console::print_json(&examined.judged),
+        Format::Text => console::print(&text(examined)),
+    }
+    if !examined.at_rest {
+        console::warn("the robot did not confirm that it is at rest; its lease ends what it holds");
+    }
+    let failed = examined.judged.iter().any(|judged| judged.verdict == Verdict::Fail);
+    match (examined.interrupted, examined.at_rest) {
+        (true, true) => Exit::Stopped,
+        (true, false) => Exit::Unconfirmed,
+        (false, _) if failed => Exit::Failed,
+        (false, _) => Exit::Done,
+    }
+}
+
+fn text(examined: &Examined) -> String {
+    let (names, mut text) = (width(), String::new());
+    for judged in &examined.judged {
+        let style = match judged.verdict {
+            Verdict::Pass => AnsiColor::Green.on_default(),
+            Verdict::Fail => AnsiColor::Red.on_default().bold(),
+            Verdict::NotApplicable => Style::new().dimmed(),
+        };
+        let Judged { requirement, verdict, why, millis } = judged;
+        let verdict = verdict.as_str();
+        let line = format!("{requirement:names$}  {style}{verdict:4}{style:#}  {millis:>5} ms  {why}");
+        let _written = writeln!(text, "{}", line.trim_end());
+    }
+    let count = |verdict| examined.judged.iter().filter(|judged| judged.verdict == verdict).count();
+    let _written = writeln!(
+        text,
+        "\n{} pass, {} fail, {} not applicable{}",
+        count(Verdict::Pass),
+        count(Verdict::Fail),
+        count(Verdict::NotApplicable),
+        if examined.interrupted { "; ended by the operator" } else { "" }
+    );
+    text
+}

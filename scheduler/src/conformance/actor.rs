@@ -1,0 +1,126 @@
+//! Which device is moved, and to which values: within everything it declares, and no further than needed.
+
+use urrcp::{ControlType, Device, InitializationBlock, Limits, Setpoint};
+
+/// The device that the checks move, with values that it must take.
+#[derive(Clone, Debug)]
+pub(super) struct Actor {
+    pub(super) device: Device,
+    /// position, speed or acceleration.
+    pub(super) control_type: ControlType,
+    pub(super) limits: Limits,
+    /// Where it goes when nothing else is asked: its default value, or zero, or the middle.
+    pub(super) rest: f64,
+    /// A fiftieth of its range away from there at most, unless its granularity is coarser.
+    pub(super) near: f64,
+    /// Whether its scripts may use the control type.
+    pub(super) in_script: bool,
+}
+
+/// Part of the range that a movement takes.
+const SMALL: f64 = 0.002;
+
+impl Actor {
+    /// The first device that can be moved by scripts, or else the first that can be moved.
+    pub(super) fn choose(block: &InitializationBlock, wanted: Option<&str>) -> Option<Self> {
+        let devices = || block.devices.iter().filter(|d| wanted.is_none_or(|id| d.id.as_str() == id));
+        let mut actors: Vec<Self> = devices().filter_map(Self::of).collect();
+        let by_script = actors.iter().position(|actor| actor.in_script);
+        (!actors.is_empty()).then(|| actors.swap_remove(by_script.unwrap_or(0)))
+    }
+
+    fn of(device: &Device) -> Option<Self> {
+        let motion = |t: &ControlType| device.available_control_types.limits(*t).is_some();
+        let scripted = device.script_control_types().into_iter().find(motion);
+        let any = device.available_control_types.iter().map(|(t, _)| t).find(motion);
+        let control_type = scripted.or(any)?;
+        let in_script = scripted.is_some();
+        let limits = device.available_control_types.limits(control_type)?.clone();
+        let fits = |value: &f64| {
+            let setpoint = Setpoint::new(control_type, *value);
+            device.check(&setpoint).is_ok() && (!in_script || device.check_in_script(&setpoint).is_ok())
+        };
+        let primary = device.primary_control_type() == Some(control_type);
+        let default = device.default_value.filter(|_| primary);
+        let middle = limits.nearest(f64::midpoint(limits.min_value, limits.max_value));
+        let inner = device.available_control_types.script().map(|script| &script.limits);
+        let common = inner.map_or(middle, |inner| {
+            let (low, high) = (limits.min_value.max(inner.min_value), limits.max_value.min(inner.max_value));
+            limits.nearest(f64::midpoint(low, high))
+        });
+        let rest = [default, Some(0.0), Some(common), Some(middle)].into_iter().flatten().find(fits)?;
+        let range = limits.max_value - limits.min_value;
+        let steps = (SMALL * range / limits.granularity).round().max(1.0);
+        let away = |steps: f64| limits.nearest(rest + steps * limits.granularity);
+        let near = [steps, -steps, 1.0, -1.0].map(away).into_iter().find(fits).unwrap_or(rest);
+        Some(Self { device: device.clone(), control_type, limits, rest, near, in_script })
+    }
+
+    /// The smallest and the largest value that the device must take.
+    pub(super) fn edges(&self) -> (f64, f64) {
+        let Limits { min_value, max_value, granularity, .. } = self.limits;
+        let low = match self.limits.on_grid(min_value) {
+            true => min_value,
+            false => (min_value / granularity).ceil() * granularity,
+        };
+        let high = match self.limits.on_grid(max_value) {
+            true => max_value,
+            false => (max_value / granularity).floor() * granularity,
+        };
+        (low, high)
+    }
+
+    /// A multiple of the granularity just below the smallest value, and one just above the largest.
+    pub(super) fn beyond(&self) -> (f64, f64) {
+        let (low, high) = self.edges();
+        let granularity = self.limits.granularity;
+        (self.limits.nearest(low - granularity), self.limits.nearest(high + granularity))
+    }
+
+    /// A control type that this device lacks.
+    pub(super) fn lacks(&self) -> ControlType {
+        let candidates =
+            [ControlType::Acceleration, ControlType::Speed, ControlType::Position, ControlType::Custom(77)];
+        let lacking = candidates.into_iter().find(|t| self.device.available_control_types.get(*t).is_none());
+        lacking.unwrap_or(ControlType::Custom(78))
+    }
+
+    pub(super) fn is_rate(&self) -> bool {
+        self.control_type != ControlType::Position
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn block(device: &str) -> InitializationBlock {
+        let text = format!(r#"{{"id":"r","api_version":"1","devices":[{device}]}}"#);
+        serde_json::from_str(&text).unwrap()
+    }
+
+    fn actor(types: &str) -> Actor {
+        let device =
+            format!(r#"{{"id":"d","name":"d","default_value":0,"available_control_types":{{{types}}}}}"#);
+        Actor::choose(&block(&device), None).unwrap()
+    }
+
+    #[test]
+    fn values_lie_on_the_grid_and_within_the_limits_also_where_these_are_off_the_grid() {
+        let actor = actor(r#""position":{"min_value":-0.07,"max_value":0.3,"granularity":0.05}"#);
+        let (low, high) = actor.edges();
+        assert!((low + 0.05).abs() < 1e-12 && (high - 0.3).abs() < 1e-12, "{low} {high}");
+        let (below, above) = actor.beyond();
+        assert!((below + 0.1).abs() < 1e-12 && (above - 0.35).abs() < 1e-12, "{below} {above}");
+        assert!((actor.rest, actor.near) == (0.0, 0.05));
+    }
+
+    #[test]
+    fn a_default_outside_of_what_scripts_may_use_is_not_where_it_rests() {
+        let actor = actor(
+            r#""position":{"min_value":0,"max_value":90,"granularity":1},
+               "script":{"min_value":40,"max_value":60,"granularity":1,"max_number_of_steps":8}"#,
+        );
+        assert!((actor.rest - 50.0).abs() < 1e-12 && (actor.near - 51.0).abs() < 1e-12, "{actor:?}");
+    }
+}

@@ -1,0 +1,145 @@
+//! The first four steps of the protocol: is it there, what is it, and what does its clock show?
+
+use urrcp::{ControlType, Span};
+
+use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
+use super::trial::Trial;
+use crate::clock::{ClockEstimate, ClockReading, ClockSample};
+
+pub(super) const ALL: [Requirement; 4] = [
+    Requirement {
+        name: "availability",
+        demands: "An availability request is answered `OK`, with its own timestamp as originate_timestamp and receive_timestamp not after timestamp.",
+        section: "Availability",
+        check: availability,
+    },
+    Requirement {
+        name: "initialization",
+        demands: "An initialization request is answered with a block within all limits, the same one whenever it is asked for.",
+        section: "Initialization",
+        check: initialization,
+    },
+    Requirement {
+        name: "skip-handshake",
+        demands: "A control request as the very first message of a connection is served.",
+        section: "The six steps",
+        check: skip_handshake,
+    },
+    Requirement {
+        name: "clock",
+        demands: "The robot's clock agrees with this machine's to 50 ms and what the exchange leaves uncertain.",
+        section: "Availability",
+        check: clock,
+    },
+];
+
+/// Exchanges that a reading of the clock is made of.
+const SAMPLES: u32 = 8;
+/// Clocks that agree to this are good enough to judge starts by.
+const CLOCK_OFFSET_MAX: Span = Span::from_millis(50);
+
+fn availability(trial: &Trial) -> Checked {
+    let mut line = trial.connect()?;
+    for _ in 0..2 {
+        let (sent, _, heard) = line.availability()?;
+        let response = &heard.message;
+        let request = urrcp_timestamp(&sent);
+        if response.originate_timestamp.map(|at| at.to_string()) != request {
+            let expected = "originate_timestamp exactly as the request's timestamp, to the last digit";
+            return Err(differs(&sent, &heard.text, expected));
+        }
+        if response.receive_timestamp > response.timestamp {
+            return Err(differs(&sent, &heard.text, "receive_timestamp not after timestamp"));
+        }
+    }
+    pass()
+}
+
+/// The timestamp that stands in an availability request.
+fn urrcp_timestamp(sent: &str) -> Option<String> {
+    let json: serde_json::Value = serde_json::from_str(sent).ok()?;
+    json["availability_request"]["timestamp"].as_str().map(str::to_owned)
+}
+
+fn initialization(trial: &Trial) -> Checked {
+    let mut line = trial.connect()?;
+    let (sent, first) = line.initialization()?;
+    let block = &first.message;
+    let wrong = |what: String| Err(differs(&sent, &first.text, &what));
+    for device in &block.devices {
+        let id = &device.id;
+        if device.script_queue == 0 {
+            return wrong(format!("script_queue of `{id}` of at least 1"));
+        }
+        let primary = device.primary_control_type();
+        let limits = primary.and_then(|primary| device.available_control_types.limits(primary));
+        if let (Some(value), Some(limits)) = (device.default_value, limits)
+            && !limits.contains(value)
+        {
+            return wrong(format!(
+                "default_value of `{id}` within {} to {}",
+                limits.min_value, limits.max_value
+            ));
+        }
+        let Some(script) = device.available_control_types.script() else { continue };
+        if script.max_number_of_steps == 0 {
+            return wrong(format!("max_number_of_steps of `{id}` of at least 1"));
+        }
+        let lists = script.control_types.iter().flatten();
+        let mut stray = lists.filter(|t| {
+            matches!(t, ControlType::Script | ControlType::Sensor)
+                || device.available_control_types.get(**t).is_none()
+        });
+        if let Some(stray) = stray.next() {
+            return wrong(format!(
+                "control_types of the script of `{id}` among its own but script and sensor, not {stray}"
+            ));
+        }
+    }
+    let (_, second) = line.initialization()?;
+    match second.message == first.message {
+        true => Ok(format!("{} with {}", block.id, downbeat_scripts::counted(block.devices.len(), "device"))),
+        false => Err(differs(&sent, &second.text, "the same block as a moment before")),
+    }
+}
+
+fn skip_handshake(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    line.held(&trial.pending(actor))?;
+    pass()
+}
+
+/// Compares clocks by several exchanges, each with the four times of NTP.
+pub(super) fn compare_clocks(trial: &Trial) -> Result<ClockReading, Unmet> {
+    let mut line = trial.connect()?;
+    let mut estimate = ClockEstimate::default();
+    for _ in 0..SAMPLES {
+        let (_, sent, heard) = line.availability()?;
+        let response = heard.message;
+        estimate.add(ClockSample::from_exchange(
+            sent,
+            response.receive_timestamp,
+            response.timestamp,
+            heard.at,
+        ));
+    }
+    estimate.reading().ok_or_else(|| not_applicable("no exchange gave a reading"))
+}
+
+/// Whether starts can be judged by the robot's clock as it is.
+pub(super) fn agrees(reading: &ClockReading) -> bool {
+    reading.offset.abs() <= reading.uncertainty + CLOCK_OFFSET_MAX
+}
+
+fn clock(trial: &Trial) -> Checked {
+    let reading = compare_clocks(trial)?;
+    let measured = format!("{} ahead, +-{}", reading.offset, reading.uncertainty);
+    match agrees(&reading) || trial.options().clock_measured {
+        true => Ok(measured),
+        false => Err(Unmet::Failed(format!(
+            "{SAMPLES} exchanges show the robot's clock {measured}; expected at most {CLOCK_OFFSET_MAX} beyond that: \
+             discipline it by NTP, or check with `--clock measured`; all other requirements were judged by its own clock"
+        ))),
+    }
+}

@@ -1,0 +1,126 @@
+//! What came back, and which request it belongs to.
+
+use urrcp::{ControlResponse, Message, Server, Status, Timestamp};
+
+/// A message of the robot, as it came.
+#[derive(Clone, Debug)]
+pub(super) struct Heard<T> {
+    /// By the server's clock.
+    pub(super) at: Timestamp<Server>,
+    /// The line itself.
+    pub(super) text: String,
+    /// The same as a message.
+    pub(super) message: T,
+}
+
+/// A request on a line; names it for questions about its answers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Ticket(usize);
+
+/// A request with everything that was said to it.
+#[derive(Debug)]
+pub(super) struct Asked {
+    pub(super) id: Option<String>,
+    pub(super) device: String,
+    pub(super) text: String,
+    /// When it was last sent: before the first byte was written.
+    pub(super) sent: Timestamp<Server>,
+    /// How often it was sent and not answered.
+    unanswered: u32,
+    pub(super) heard: Vec<Heard<ControlResponse>>,
+}
+
+impl Asked {
+    fn has(&self, status: &Status) -> bool {
+        self.heard.iter().any(|heard| heard.message.status == *status)
+    }
+
+    /// Accepted, and nothing says that it has ended.
+    pub(super) fn is_held(&self) -> bool {
+        self.has(&Status::Accepted) && !self.has(&Status::Ok) && !self.has(&Status::Failed)
+    }
+}
+
+/// The requests of one line in the order in which they were sent.
+#[derive(Debug, Default)]
+pub(super) struct Exchanges(Vec<Asked>);
+
+impl Exchanges {
+    pub(super) fn ask(
+        &mut self,
+        id: Option<String>,
+        device: String,
+        text: String,
+        sent: Timestamp<Server>,
+    ) -> Ticket {
+        self.0.push(Asked { id, device, text, sent, unanswered: 1, heard: Vec::new() });
+        Ticket(self.0.len() - 1)
+    }
+
+    pub(super) fn ask_again(&mut self, ticket: Ticket, sent: Timestamp<Server>) {
+        let asked = &mut self.0[ticket.0];
+        asked.unanswered += 1;
+        asked.sent = sent;
+    }
+
+    pub(super) fn of(&self, ticket: Ticket) -> &Asked {
+        &self.0[ticket.0]
+    }
+
+    pub(super) fn any_held(&self) -> bool {
+        self.0.iter().any(Asked::is_held)
+    }
+
+    /// Notes a response with its request. Without a `request_id` an answer belongs to the oldest request that awaits one,
+    /// a report to the oldest that is held. Gives it back where no request fits.
+    pub(super) fn note(&mut self, heard: Heard<ControlResponse>) -> Option<Heard<ControlResponse>> {
+        let Some(index) = self.find(&heard.message) else { return Some(heard) };
+        let asked = &mut self.0[index];
+        if !is_report(&heard.message, asked.is_held()) {
+            asked.unanswered = asked.unanswered.saturating_sub(1);
+        }
+        asked.heard.push(heard);
+        None
+    }
+
+    fn find(&self, response: &ControlResponse) -> Option<usize> {
+        if let Some(id) = &response.request_id {
+            return self.0.iter().rposition(|asked| asked.id.as_deref() == Some(id.as_str()));
+        }
+        let of_device = |asked: &&Asked| asked.device == response.device_id.as_str();
+        let place = |wanted: &dyn Fn(&Asked) -> bool| {
+            self.0.iter().position(|asked| of_device(&asked) && wanted(asked))
+        };
+        let held = place(&|asked| {
+            asked.is_held() && !(response.status == Status::Started && asked.has(&Status::Started))
+        });
+        let open = place(&|asked| asked.unanswered > 0);
+        match is_report(response, held.is_some()) {
+            true => held,
+            false => open,
+        }
+    }
+}
+
+/// Whether a response reports on what was accepted before, rather than answering.
+fn is_report(response: &ControlResponse, held: bool) -> bool {
+    match response.status {
+        Status::Started => true,
+        Status::Ok => response.steps_done.is_some() && held,
+        Status::Failed => {
+            let code = response.error.as_ref().map(|error| error.code.as_str());
+            held && matches!(code, Some("cancelled" | "link_lost"))
+        }
+        _ => false,
+    }
+}
+
+/// Whether the robot says of a line that it cannot be understood.
+pub(super) fn says_malformed(message: &Message) -> bool {
+    let (status, error) = match message {
+        Message::AvailabilityResponse(response) => (&response.status, &response.error),
+        Message::ControlResponse(response) => (&response.status, &response.error),
+        _ => return false,
+    };
+    *status == Status::Failed && error.as_ref().is_some_and(|error| error.code == urrcp::ErrorCode::Malformed)
+}

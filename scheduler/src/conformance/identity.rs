@@ -1,0 +1,206 @@
+//! Who asked what: request ids, hashes, sessions.
+
+use urrcp::{
+    AvailabilityRequest, AvailabilityResponse, ContentHash, ControlRequest, ErrorCode, Message, RequestId,
+    SessionId, Status,
+};
+
+use super::heard::Heard;
+use super::line::Line;
+use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
+use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
+
+pub(super) const ALL: [Requirement; 5] = [
+    Requirement {
+        name: "request-id",
+        demands: "Every response carries the request_id of its request: acceptances, reports, refusals.",
+        section: "Control",
+        check: request_id,
+    },
+    Requirement {
+        name: "repeated-request",
+        demands: "A request that is repeated with its request_id is answered again and not executed again.",
+        section: "Control",
+        check: repeated_request,
+    },
+    Requirement {
+        name: "no-request-id",
+        demands: "A request without request_id is served.",
+        section: "Control",
+        check: no_request_id,
+    },
+    Requirement {
+        name: "content-hash",
+        demands: "A content_hash is checked: the right one is echoed, a wrong one refused with `malformed`.",
+        section: "Control",
+        check: content_hash,
+    },
+    Requirement {
+        name: "session",
+        demands: "A robot that belongs to a session refuses others with `busy` and names its session; once that has gone, the next one gets it.",
+        section: "Sessions",
+        check: session,
+    },
+];
+
+fn request_id(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    // As long as a string may be, and not of ASCII alone.
+    let mut set = trial.set(actor, actor.rest).leased(LEASE_MS);
+    let id = format!("{}/", trial.fresh_id());
+    let long = format!("{id}{}", "\u{44f}".repeat(urrcp::STRING_CHARS_MAX - id.chars().count()));
+    set.request_id = RequestId::new(long).ok();
+    let beyond = trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(LEASE_MS);
+    let mut tickets = vec![line.held(&set)?];
+    if trial.reports() {
+        line.report(tickets[0], &Status::Ok, trial.patience())?;
+    }
+    for request in [beyond, trial.cancel(actor)] {
+        let ticket = line.ask(&request)?;
+        line.answer(ticket)?;
+        tickets.push(ticket);
+    }
+    for ticket in tickets {
+        let asked = line.asked(ticket);
+        let without = asked.heard.iter().find(|heard| heard.message.request_id.is_none());
+        if let Some(heard) = without {
+            return Err(differs(
+                &asked.text,
+                &heard.text,
+                "the request's request_id in every response to it",
+            ));
+        }
+    }
+    pass()
+}
+
+fn repeated_request(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let request = trial.set(actor, actor.rest).starting_in(300.0).leased(LEASE_MS);
+    let ticket = line.held(&request)?;
+    line.ask_again(ticket)?;
+    let again = line.nth_answer(ticket, 1)?;
+    if !matches!(again.message.status, Status::Accepted | Status::Started | Status::Ok) {
+        let expected = "the answer that it was given before: it is not executed again";
+        return Err(differs(
+            &format!("the same once more: {}", line.asked(ticket).text),
+            &again.text,
+            expected,
+        ));
+    }
+    if !trial.reports() {
+        return Ok("answered twice; without `reports` nothing tells how often it was executed".to_owned());
+    }
+    line.report(ticket, &Status::Ok, trial.patience())?;
+    line.listen(trial.soon(150), |_| false)?;
+    let asked = line.asked(ticket);
+    let started = asked.heard.iter().filter(|heard| heard.message.status == Status::Started).count();
+    match started {
+        1 => pass(),
+        n => Err(differs(
+            &format!("twice: {}", asked.text),
+            &format!("{n} reports `Started`"),
+            "one: it is executed once",
+        )),
+    }
+}
+
+fn no_request_id(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    line.held(&ControlRequest { request_id: None, ..trial.pending(actor) })?;
+    pass()
+}
+
+fn content_hash(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let mut requests = vec![trial.set(actor, actor.near).starting_in(LATER_MS).leased(LEASE_MS)];
+    if actor.in_script {
+        requests.push(trial.pending(actor));
+    }
+    for mut request in requests {
+        request.content_hash = Some(request.command.content_hash());
+        let ticket = line.held(&request)?;
+        let accepted = line.answer(ticket)?;
+        if accepted.message.content_hash != request.content_hash {
+            let expected = "the content_hash that the robot computed: the same";
+            return Err(differs(&line.asked(ticket).text, &accepted.text, expected));
+        }
+        let cancel = line.ask(&trial.cancel(actor))?;
+        line.answer(cancel)?;
+        request.content_hash = Some(ContentHash::of(b"something else"));
+        request.request_id = RequestId::new(trial.fresh_id()).ok();
+        line.refuses(&request, ErrorCode::Malformed)?;
+    }
+    pass()
+}
+
+/// Asks for availability in the name of a session.
+fn claim(
+    trial: &Trial,
+    line: &mut Line,
+    name: &SessionId,
+) -> Result<(String, Heard<AvailabilityResponse>), Unmet> {
+    let request = AvailabilityRequest { timestamp: Some(trial.stamp()), session: Some(name.clone()) };
+    let sent = line.say(&Message::AvailabilityRequest(request))?;
+    match line.other(trial.patience())? {
+        Some(Heard { at, text, message: Message::AvailabilityResponse(message) }) => {
+            Ok((sent, Heard { at, text, message }))
+        }
+        other => {
+            let came = other
+                .map_or_else(|| format!("nothing within {}", trial.options().patience), |other| other.text);
+            Err(differs(&sent, &came, "an availability_response"))
+        }
+    }
+}
+
+fn session(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let name = |n: u32| {
+        SessionId::new(format!("{}/session-{n}", trial.fresh_id())).map_err(|e| not_applicable(e.to_string()))
+    };
+    let (ours, theirs) = (name(1)?, name(2)?);
+    let mut second = trial.connect()?;
+    let mut first = trial.connect_beside()?;
+    let (sent, taken) = claim(trial, &mut first, &ours)?;
+    if taken.message.status != Status::Ok {
+        return Err(differs(&sent, &taken.text, "status `OK`: the robot is free"));
+    }
+    let holder = format!(
+        "status `Failed` with error code `busy` and the name `{ours}` in its message: the robot belongs to that session"
+    );
+    let told = |error: Option<&urrcp::ControlError>| {
+        error.is_some_and(|e| e.code == ErrorCode::Busy && e.message.contains(ours.as_str()))
+    };
+    let (sent, refused) = claim(trial, &mut second, &theirs)?;
+    if refused.message.status != Status::Failed || !told(refused.message.error.as_ref()) {
+        return Err(differs(&sent, &refused.text, &holder));
+    }
+    for session in [Some(theirs.clone()), None] {
+        let ticket = second.ask(&ControlRequest { session, ..trial.pending(actor) })?;
+        let answer = second.answer(ticket)?;
+        if answer.message.status != Status::Failed || !told(answer.message.error.as_ref()) {
+            return Err(differs(&second.asked(ticket).text, &answer.text, &holder));
+        }
+    }
+    first.held(&ControlRequest { session: Some(ours.clone()), ..trial.pending(actor) })?;
+    let stop = first.ask(&ControlRequest { session: Some(ours.clone()), ..trial.cancel(actor) })?;
+    first.answer(stop)?;
+    drop(first);
+    let until = trial.patience();
+    loop {
+        let (sent, answer) = claim(trial, &mut second, &theirs)?;
+        if answer.message.status == Status::Ok {
+            return pass();
+        }
+        if trial.now() >= until {
+            let expected = format!("status `OK`: the connection of `{ours}` is closed and nothing is held");
+            return Err(differs(&sent, &answer.text, &expected));
+        }
+        trial.pause(urrcp::Span::from_millis(50))?;
+    }
+}

@@ -1,0 +1,250 @@
+//! The lease: what a device does when the server falls silent.
+
+use urrcp::{
+    AvailabilityRequest, Command, ControlRequest, ErrorCode, Message, Millis, Script, Span, Status, Step,
+    StopCondition,
+};
+
+use super::heard::Ticket;
+use super::line::Line;
+use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
+use super::trial::{Shaped, Trial};
+
+pub(super) const ALL: [Requirement; 9] = [
+    Requirement {
+        name: "lease-pending",
+        demands: "What is pending ends `Failed`, `link_lost` once the server has been silent for stop_condition, not before and not much later.",
+        section: "The lease",
+        check: lease_pending,
+    },
+    Requirement {
+        name: "lease-running",
+        demands: "What runs ends `Failed`, `link_lost` once the server has been silent for stop_condition.",
+        section: "The lease",
+        check: lease_running,
+    },
+    Requirement {
+        name: "lease-pair",
+        demands: "A stop_condition of `pending` and `running: null` no longer holds once the command has started.",
+        section: "The lease",
+        check: lease_pair,
+    },
+    Requirement {
+        name: "lease-step",
+        demands: "A step's own stop_condition replaces the script's while this step is the current one.",
+        section: "The lease",
+        check: lease_step,
+    },
+    Requirement {
+        name: "lease-left-on",
+        demands: "A speed that goes on after its command has ended stays under the lease.",
+        section: "The lease",
+        check: lease_left_on,
+    },
+    Requirement {
+        name: "lease-renewal",
+        demands: "Every message of the server renews the lease, availability requests among them.",
+        section: "The lease",
+        check: lease_renewal,
+    },
+    Requirement {
+        name: "lease-noise",
+        demands: "A line that is no message renews nothing.",
+        section: "The lease",
+        check: lease_noise,
+    },
+    Requirement {
+        name: "lease-link-down",
+        demands: "A broken connection is silent: the lease runs out, and a server that comes back and repeats its request_id is told `Failed`, `link_lost`.",
+        section: "The lease",
+        check: lease_link_down,
+    },
+    Requirement {
+        name: "lease-two-links",
+        demands: "What another party says on its own connection does not renew the lease.",
+        section: "Sessions",
+        check: lease_two_links,
+    },
+];
+
+/// The lease that is waited for.
+const PERIOD: Span = Span::from_millis(300);
+/// Clocks of two machines run this much apart over the period, at most.
+const EARLY_MAX: Span = Span::from_millis(3);
+
+fn short(request: ControlRequest) -> ControlRequest {
+    request.leased(PERIOD.as_millis_f64())
+}
+
+/// A script that starts soon and runs for so long that only a lease ends it.
+fn long(trial: &Trial) -> Result<ControlRequest, Unmet> {
+    Ok(trial.there_and_back(trial.scripted()?, 4_000.0).starting_in(100.0))
+}
+
+/// Waits in silence for the report that the lease ran out, and judges when it came.
+fn runs_out(trial: &Trial, line: &mut Line, ticket: Ticket) -> Checked {
+    let accepted = line.answer(ticket)?;
+    let limit = trial.options().tolerance;
+    let until = trial.patience() + PERIOD;
+    let lost = line.failure(ticket, ErrorCode::LinkLost, until)?;
+    let asked = line.asked(ticket);
+    let silent = lost.at - asked.sent;
+    let (earliest, latest) =
+        (PERIOD - EARLY_MAX, PERIOD + (accepted.at - asked.sent) + (accepted.at - asked.sent) + limit);
+    match silent >= earliest && silent <= latest {
+        true => Ok(format!("link_lost after {silent} of silence, {PERIOD} allowed")),
+        false => {
+            let came = format!("{} after {silent} of silence", lost.text);
+            let expected = format!(
+                "it after {PERIOD}, at most {latest}: stop_condition, the way both ways and the tolerance"
+            );
+            Err(differs(&asked.text, &came, &expected))
+        }
+    }
+}
+
+fn lease_pending(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let mut line = trial.connect()?;
+    let ticket = line.held(&short(trial.pending(trial.actor()?)))?;
+    runs_out(trial, &mut line, ticket)
+}
+
+fn lease_running(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let request = long(trial)?;
+    let mut line = trial.connect()?;
+    let lease = StopCondition { pending: Some(millis(20_000)), running: Some(millis(300)) };
+    let ticket = line.held(&ControlRequest { stop_condition: Some(lease), ..request })?;
+    line.report(ticket, &Status::Started, trial.patience())?;
+    runs_out(trial, &mut line, ticket)
+}
+
+fn millis(millis: i64) -> Millis {
+    Millis::from_span(Span::from_millis(millis))
+}
+
+fn lease_pair(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let actor = trial.scripted()?;
+    let mut line = trial.connect()?;
+    let lease = StopCondition { pending: Some(millis(300)), running: None };
+    let request = trial.there_and_back(actor, 700.0).starting_in(100.0);
+    let ticket = line.held(&ControlRequest { stop_condition: Some(lease), ..request })?;
+    line.report(ticket, &Status::Ok, trial.patience() + Span::from_millis(800))?;
+    pass()
+}
+
+fn lease_step(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let request = long(trial)?;
+    let Command::Script(script) = &request.command else { return pass() };
+    let mut steps: Vec<Step> = script.steps().to_vec();
+    steps[0].stop_condition = Some(StopCondition::both(millis(300)));
+    let script = Script::new(steps).unwrap_or_default();
+    let request = ControlRequest { command: Command::Script(script), ..request }.leased(20_000.0);
+    let mut line = trial.connect()?;
+    let ticket = line.held(&request)?;
+    line.report(ticket, &Status::Started, trial.patience())?;
+    runs_out(trial, &mut line, ticket)
+}
+
+fn lease_left_on(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let actor = trial.actor()?;
+    if !actor.is_rate() || actor.near == actor.rest || actor.near == 0.0 {
+        return Err(not_applicable(format!(
+            "`{}` is driven by {}: it stops by itself",
+            actor.device.id, actor.control_type
+        )));
+    }
+    let mut line = trial.connect()?;
+    let ticket = line.held(&short(trial.set(actor, actor.near)))?;
+    line.report(ticket, &Status::Ok, trial.patience())?;
+    runs_out(trial, &mut line, ticket)
+}
+
+/// Sends this again and again for so long.
+fn chatter(trial: &Trial, line: &mut Line, bytes: &dyn Fn() -> Vec<u8>, span: Span) -> Result<(), Unmet> {
+    let until = trial.now() + span;
+    while trial.now() < until && !line.has_ended() {
+        line.send(&bytes())?;
+        line.listen(trial.soon(PERIOD.as_nanos() / 3_000_000), |_| false)?;
+    }
+    Ok(())
+}
+
+fn presence(trial: &Trial) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    let request = AvailabilityRequest { timestamp: Some(trial.stamp()), session: None };
+    urrcp::encode(&Message::AvailabilityRequest(request), &mut bytes);
+    bytes
+}
+
+fn lease_renewal(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let mut line = trial.connect()?;
+    let ticket = line.held(&short(trial.pending(trial.actor()?)))?;
+    chatter(trial, &mut line, &|| presence(trial), Span::from_millis(900))?;
+    let asked = line.asked(ticket);
+    match asked.heard.get(1) {
+        None => Ok(format!("held for 900 ms by availability requests, with a lease of {PERIOD}")),
+        Some(more) => Err(differs(
+            &format!("{}, then an availability request every 100 ms", asked.text.trim_end()),
+            &more.text,
+            "nothing: each of them renews the lease",
+        )),
+    }
+}
+
+fn lease_noise(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let mut line = trial.connect()?;
+    let ticket = line.held(&short(trial.pending(trial.actor()?)))?;
+    chatter(trial, &mut line, &|| b"noise on the line\n".to_vec(), Span::from_millis(900))?;
+    if line.has_ended() {
+        return Err(not_applicable(
+            "the robot hung up over a line that is no message (see `malformed-line`)",
+        ));
+    }
+    line.failure(ticket, ErrorCode::LinkLost, trial.now()).map_err(|unmet| match unmet {
+        Unmet::Failed(why) => Unmet::Failed(format!(
+            "after 900 ms with nothing but lines that are no message, every 100 ms: {why}"
+        )),
+        other => other,
+    })?;
+    pass()
+}
+
+fn lease_link_down(trial: &Trial) -> Checked {
+    let request = short(trial.pending(trial.actor()?));
+    let mut line = trial.connect()?;
+    line.held(&request)?;
+    drop(line);
+    trial.pause(PERIOD + PERIOD + trial.options().tolerance)?;
+    let mut line = trial.connect()?;
+    let ticket = line.ask(&request)?;
+    line.refused(ticket, &[ErrorCode::LinkLost]).map_err(|unmet| match unmet {
+        Unmet::Failed(why) => Unmet::Failed(format!(
+            "it was accepted with a lease of {PERIOD}, the connection was closed and the same request repeated on a new one {} later: {why}",
+            PERIOD + PERIOD
+        )),
+        other => other,
+    })?;
+    pass()
+}
+
+fn lease_two_links(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let mut line = trial.connect()?;
+    let mut other = trial.connect_beside()?;
+    let ticket = line.held(&short(trial.pending(trial.actor()?)))?;
+    chatter(trial, &mut other, &|| presence(trial), Span::from_millis(900))?;
+    line.failure(ticket, ErrorCode::LinkLost, trial.soon(20)).map_err(|unmet| match unmet {
+        Unmet::Failed(why) => Unmet::Failed(format!(
+            "silent for 900 ms, while another connection sent availability requests: {why}"
+        )),
+        other => other,
+    })?;
+    pass()
+}

@@ -1,0 +1,371 @@
+//! One connection of the test client: bytes on the wire, a limit on every wait, and each answer with its request.
+
+use std::collections::VecDeque;
+use std::io::{ErrorKind, Read, Write};
+use std::net::TcpStream;
+use std::time::Duration;
+
+use urrcp::{
+    AvailabilityRequest, AvailabilityResponse, ControlRequest, ControlResponse, ErrorCode,
+    InitializationBlock, LineDecoder, Message, Server, Span, Status, Timestamp, encode,
+};
+
+use super::heard::{Asked, Exchanges, Heard, Ticket, says_malformed};
+use super::requirement::{Unmet, differs, shown};
+use super::trial::Trial;
+
+/// Longest line that a robot may send: the block of one with 32,000 devices is shorter.
+const LINE_BYTES_MAX: usize = 64 * 1024 * 1024;
+/// How long a read waits before it looks whether the operator has had enough.
+const SLICE: Duration = Duration::from_millis(50);
+
+/// A connection with what came on it. Dropping it breaks the connection.
+pub(super) struct Line<'a> {
+    trial: &'a Trial,
+    stream: TcpStream,
+    buffer: Vec<u8>,
+    /// Up to where no newline is known to stand.
+    searched: usize,
+    exchanges: Exchanges,
+    others: VecDeque<Heard<Message>>,
+    /// Set when the peer has hung up: why.
+    ended: Option<String>,
+}
+
+impl<'a> Line<'a> {
+    pub(super) fn over(trial: &'a Trial, stream: TcpStream) -> Self {
+        Self {
+            trial,
+            stream,
+            buffer: Vec::new(),
+            searched: 0,
+            exchanges: Exchanges::default(),
+            others: VecDeque::new(),
+            ended: None,
+        }
+    }
+
+    /// Sends a request and gives it a name.
+    pub(super) fn ask(&mut self, request: &ControlRequest) -> Result<Ticket, Unmet> {
+        let mut line = Vec::new();
+        encode(&Message::ControlRequest(request.clone()), &mut line);
+        let text = String::from_utf8_lossy(&line).into_owned();
+        let id = request.request_id.as_ref().map(ToString::to_string);
+        self.ask_text(id, request.device_id.as_str(), &text)
+    }
+
+    /// Sends a control request as it stands, so that it may be wrong. The text ends with its newline.
+    pub(super) fn ask_text(&mut self, id: Option<String>, device: &str, text: &str) -> Result<Ticket, Unmet> {
+        let sent = self.send(text.as_bytes())?;
+        Ok(self.exchanges.ask(id, device.to_owned(), text.to_owned(), sent))
+    }
+
+    /// Sends a request once more, byte for byte.
+    pub(super) fn ask_again(&mut self, ticket: Ticket) -> Result<(), Unmet> {
+        let text = self.asked(ticket).text.clone();
+        let sent = self.send(text.as_bytes())?;
+        self.exchanges.ask_again(ticket, sent);
+        Ok(())
+    }
+
+    /// Writes bytes; gives the instant before the first of them.
+    pub(super) fn send(&mut self, bytes: &[u8]) -> Result<Timestamp<Server>, Unmet> {
+        let sent = self.trial.now();
+        self.stream.write_all(bytes).map_err(|error| {
+            let text = String::from_utf8_lossy(&bytes[..bytes.len().min(2_000)]);
+            Unmet::Failed(format!(
+                "the connection broke while {} bytes were sent ({error}): {}; expected the robot to read on",
+                bytes.len(),
+                shown(&text)
+            ))
+        })?;
+        Ok(sent)
+    }
+
+    /// Sends a message.
+    pub(super) fn say(&mut self, message: &Message) -> Result<String, Unmet> {
+        let mut line = Vec::new();
+        encode(message, &mut line);
+        self.send(&line)?;
+        Ok(String::from_utf8_lossy(&line).into_owned())
+    }
+
+    pub(super) fn asked(&self, ticket: Ticket) -> &Asked {
+        self.exchanges.of(ticket)
+    }
+
+    /// Takes what comes until `until`, or until `done` holds; whether it does.
+    pub(super) fn listen(
+        &mut self,
+        until: Timestamp<Server>,
+        mut done: impl FnMut(&Self) -> bool,
+    ) -> Result<bool, Unmet> {
+        loop {
+            if done(self) {
+                return Ok(true);
+            }
+            let left = until - self.trial.now();
+            if left <= Span::ZERO || self.ended.is_some() {
+                return Ok(false);
+            }
+            self.trial.go_on()?;
+            self.read(left.to_duration().min(SLICE))?;
+        }
+    }
+
+    fn read(&mut self, limit: Duration) -> Result<(), Unmet> {
+        let mut bytes = [0; 64 * 1024];
+        // A limit of zero would mean none.
+        let _unlimited_never = self.stream.set_read_timeout(Some(limit.max(Duration::from_micros(100))));
+        let read = match self.stream.read(&mut bytes) {
+            Ok(0) => return self.end("the robot hung up"),
+            Ok(read) => read,
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
+                return Ok(());
+            }
+            Err(error) if error.kind() == ErrorKind::Interrupted => return Ok(()),
+            Err(error) => return self.end(&format!("the connection broke ({error})")),
+        };
+        let at = self.trial.now();
+        self.buffer.extend_from_slice(&bytes[..read]);
+        while let Some(newline) = self.buffer[self.searched..].iter().position(|byte| *byte == b'\n') {
+            let rest = self.buffer.split_off(self.searched + newline + 1);
+            let line = std::mem::replace(&mut self.buffer, rest);
+            self.searched = 0;
+            self.take(at, &line)?;
+        }
+        self.searched = self.buffer.len();
+        match self.buffer.len() <= LINE_BYTES_MAX {
+            true => Ok(()),
+            false => Err(Unmet::Failed(format!("the robot sent {LINE_BYTES_MAX} bytes without a newline"))),
+        }
+    }
+
+    fn end(&mut self, why: &str) -> Result<(), Unmet> {
+        self.ended = Some(why.to_owned());
+        Ok(())
+    }
+
+    fn take(&mut self, at: Timestamp<Server>, line: &[u8]) -> Result<(), Unmet> {
+        let text = String::from_utf8_lossy(line).trim_end().to_owned();
+        let mut decoder = LineDecoder::new(LINE_BYTES_MAX);
+        decoder.push(line);
+        match decoder.next_message() {
+            None => {}
+            Some(Ok(Message::ControlResponse(response))) => {
+                let stray = self.exchanges.note(Heard { at, text, message: response });
+                self.others.extend(stray.map(|stray| Heard {
+                    at,
+                    text: stray.text,
+                    message: Message::ControlResponse(stray.message),
+                }));
+            }
+            Some(Ok(message)) => self.others.push_back(Heard { at, text, message }),
+            Some(Err(error)) => {
+                return Err(Unmet::Failed(format!(
+                    "the robot sent a line that is no message: {error}: {}",
+                    shown(&text)
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    pub(super) fn has_ended(&self) -> bool {
+        self.ended.is_some()
+    }
+
+    /// Why nothing came: hung up, or silent for the patience.
+    fn nothing(&self) -> String {
+        self.ended.clone().unwrap_or_else(|| format!("nothing within {}", self.trial.options().patience))
+    }
+
+    /// The first answer to a request.
+    pub(super) fn answer(&mut self, ticket: Ticket) -> Result<Heard<ControlResponse>, Unmet> {
+        self.nth_answer(ticket, 0)
+    }
+
+    /// The n-th response to a request, from 0.
+    pub(super) fn nth_answer(&mut self, ticket: Ticket, n: usize) -> Result<Heard<ControlResponse>, Unmet> {
+        let until = self.trial.patience();
+        self.listen(until, |line| line.asked(ticket).heard.len() > n)?;
+        let found = self.asked(ticket).heard.get(n).cloned();
+        found.ok_or_else(|| {
+            let came = self.others.back().map_or_else(|| self.nothing(), |other| other.text.clone());
+            differs(&self.asked(ticket).text, &came, "a control_response to it, with its request_id")
+        })
+    }
+
+    pub(super) fn accepted(&mut self, ticket: Ticket) -> Result<Heard<ControlResponse>, Unmet> {
+        let answer = self.answer(ticket)?;
+        match answer.message.status {
+            Status::Accepted => Ok(answer),
+            _ => Err(differs(&self.asked(ticket).text, &answer.text, "status `Accepted`")),
+        }
+    }
+
+    /// Sends a request and waits for its acceptance.
+    pub(super) fn held(&mut self, request: &ControlRequest) -> Result<Ticket, Unmet> {
+        let ticket = self.ask(request)?;
+        self.accepted(ticket)?;
+        Ok(ticket)
+    }
+
+    pub(super) fn refused(
+        &mut self,
+        ticket: Ticket,
+        codes: &[ErrorCode],
+    ) -> Result<Heard<ControlResponse>, Unmet> {
+        let answer = self.answer(ticket)?;
+        match is_failure(&answer.message, codes) {
+            true => Ok(answer),
+            false => {
+                let codes: Vec<_> = codes.iter().map(|code| format!("`{code}`")).collect();
+                let expected = format!("status `Failed` with error code {}", codes.join(" or "));
+                Err(differs(&self.asked(ticket).text, &answer.text, &expected))
+            }
+        }
+    }
+
+    /// Sends a request that must be refused.
+    pub(super) fn refuses(&mut self, request: &ControlRequest, code: ErrorCode) -> Result<(), Unmet> {
+        let ticket = self.ask(request)?;
+        self.refused(ticket, &[code]).map(drop)
+    }
+
+    /// Waits for a report of this status.
+    pub(super) fn report(
+        &mut self,
+        ticket: Ticket,
+        status: &Status,
+        until: Timestamp<Server>,
+    ) -> Result<Heard<ControlResponse>, Unmet> {
+        let ended = |asked: &Asked| {
+            asked.heard.iter().any(|h| h.message.status == *status || h.message.status == Status::Failed)
+        };
+        self.listen(until, |line| ended(line.asked(ticket)))?;
+        let asked = self.asked(ticket);
+        let found = asked.heard.iter().find(|heard| heard.message.status == *status).cloned();
+        found.ok_or_else(|| {
+            let last = asked
+                .heard
+                .last()
+                .map_or_else(|| self.nothing(), |last| format!("{} as the last", last.text));
+            differs(&asked.text, &last, &format!("a report with status `{status}`"))
+        })
+    }
+
+    /// Waits for the report that a held request failed for this reason.
+    pub(super) fn failure(
+        &mut self,
+        ticket: Ticket,
+        code: ErrorCode,
+        until: Timestamp<Server>,
+    ) -> Result<Heard<ControlResponse>, Unmet> {
+        let failed = |asked: &Asked| asked.heard.iter().any(|heard| heard.message.status == Status::Failed);
+        self.listen(until, |line| failed(line.asked(ticket)))?;
+        let asked = self.asked(ticket);
+        let last = asked.heard.last();
+        match last.filter(|last| is_failure(&last.message, std::slice::from_ref(&code))) {
+            Some(last) => Ok(last.clone()),
+            None => {
+                let came = last.map_or_else(|| self.nothing(), |last| format!("{} as the last", last.text));
+                Err(differs(&asked.text, &came, &format!("a report `Failed` with error code `{code}`")))
+            }
+        }
+    }
+
+    /// The next message that belongs to no control request.
+    pub(super) fn other(&mut self, until: Timestamp<Server>) -> Result<Option<Heard<Message>>, Unmet> {
+        self.listen(until, |line| !line.others.is_empty())?;
+        Ok(self.others.pop_front())
+    }
+
+    /// Asks for availability and waits for the answer to that: `Failed` ones belong to something else.
+    pub(super) fn availability(
+        &mut self,
+    ) -> Result<(String, Timestamp<Server>, Heard<AvailabilityResponse>), Unmet> {
+        let request = AvailabilityRequest { timestamp: Some(self.trial.stamp()), session: None };
+        let sent_at = self.trial.now();
+        let sent = self.say(&Message::AvailabilityRequest(request))?;
+        let until = self.trial.patience();
+        while let Some(heard) = self.other(until)? {
+            if let Message::AvailabilityResponse(message) = heard.message
+                && message.status == Status::Ok
+            {
+                return Ok((sent, sent_at, Heard { at: heard.at, text: heard.text, message }));
+            }
+        }
+        Err(differs(&sent, &self.nothing(), "an availability_response with status `OK`"))
+    }
+
+    /// Whether the robot goes on answering after `before` was sent.
+    pub(super) fn goes_on_after(&mut self, before: &str) -> Result<(), Unmet> {
+        match self.availability() {
+            Ok(_) => Ok(()),
+            Err(Unmet::Failed(why)) => {
+                Err(Unmet::Failed(format!("after {} the connection must go on, but: {why}", shown(before))))
+            }
+            Err(other) => Err(other),
+        }
+    }
+
+    /// Asks for the block.
+    pub(super) fn initialization(&mut self) -> Result<(String, Heard<InitializationBlock>), Unmet> {
+        let sent = self.say(&Message::InitializationRequest(urrcp::InitializationRequest::default()))?;
+        let until = self.trial.patience();
+        while let Some(heard) = self.other(until)? {
+            if let Message::InitializationBlock(message) = heard.message {
+                return Ok((sent, Heard { at: heard.at, text: heard.text, message }));
+            }
+        }
+        Err(differs(&sent, &self.nothing(), "an initialization_block"))
+    }
+
+    /// Asks for the block again and again without reading, until the peer takes no more for a while, or hangs up, or
+    /// enough has been asked for. How often it was.
+    pub(super) fn overfill(&self) -> Result<usize, Unmet> {
+        const ANSWERS_BYTES_MAX: usize = 32 * 1024 * 1024;
+        const REQUESTS_MAX: usize = 20_000;
+        let mut request = Vec::new();
+        encode(&Message::InitializationRequest(urrcp::InitializationRequest::default()), &mut request);
+        let block = serde_json::to_vec(self.trial.block()?).map_or(1, |block| block.len().max(1));
+        let wanted = (ANSWERS_BYTES_MAX / block).clamp(1, REQUESTS_MAX);
+        let limited = self.stream.set_write_timeout(Some(Duration::from_millis(200)));
+        if limited.is_err() {
+            return Ok(0);
+        }
+        for asked in 0..wanted {
+            self.trial.go_on()?;
+            if (&self.stream).write_all(&request).is_err() {
+                return Ok(asked);
+            }
+        }
+        Ok(wanted)
+    }
+
+    /// Sends a line that cannot be understood and waits until the robot says so.
+    pub(super) fn is_malformed(&mut self, line: &[u8]) -> Result<(), Unmet> {
+        self.send(line)?;
+        let until = self.trial.patience();
+        let text = String::from_utf8_lossy(line).into_owned();
+        match self.other(until)? {
+            Some(heard) if says_malformed(&heard.message) => Ok(()),
+            Some(heard) => Err(differs(&text, &heard.text, "status `Failed` with error code `malformed`")),
+            None => Err(differs(&text, &self.nothing(), "an answer `Failed` with error code `malformed`")),
+        }
+    }
+}
+
+impl Drop for Line<'_> {
+    fn drop(&mut self) {
+        if self.exchanges.any_held() {
+            self.trial.leaves_held();
+        }
+    }
+}
+
+fn is_failure(response: &ControlResponse, codes: &[ErrorCode]) -> bool {
+    let code = response.error.as_ref().map(|error| &error.code);
+    response.status == Status::Failed && code.is_some_and(|code| codes.contains(code))
+}

@@ -1,0 +1,141 @@
+//! Plays the server against any robot and judges what the protocol demands, one requirement at a time.
+//!
+//! A test client of its own, with blocking sockets and bytes on the wire, since it must also send what no server sends.
+//! One file a theme; each lists its requirements with their checks. `trial` is what the checks have at hand, `line` one
+//! connection.
+
+mod actor;
+mod greeting;
+mod heard;
+mod identity;
+mod leases;
+mod line;
+mod links;
+mod requirement;
+mod scripts;
+mod starting;
+mod stopping;
+mod trial;
+mod values;
+mod wire;
+
+use std::net::SocketAddr;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use urrcp::Span;
+
+pub use requirement::{Judged, Requirement, Verdict};
+
+use crate::server_clock::ServerClock;
+use requirement::Unmet;
+use trial::Trial;
+
+/// How a robot is examined.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// How long the robot may take for any answer.
+    pub patience: Span,
+    /// How far a start or an end may lie from its time.
+    pub tolerance: Span,
+    /// Which device to move; otherwise the first that fits.
+    pub device: Option<String>,
+    /// Judge by the robot's own clock, however far it is off.
+    pub clock_measured: bool,
+    /// Only these requirements, by name; all when empty.
+    pub only: Vec<String>,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self {
+            patience: Span::from_millis(2_000),
+            tolerance: Span::from_millis(20),
+            device: None,
+            clock_measured: false,
+            only: Vec::new(),
+        }
+    }
+}
+
+/// What an examination came to.
+#[derive(Clone, Debug)]
+pub struct Examined {
+    /// One for each requirement that was checked.
+    pub judged: Vec<Judged>,
+    /// The operator had enough before the end.
+    pub interrupted: bool,
+    /// The robot confirmed at the end that it is at rest.
+    pub at_rest: bool,
+}
+
+/// All requirements, in the order in which they are checked.
+pub fn requirements() -> impl Iterator<Item = &'static Requirement> {
+    let of_robot = greeting::ALL.iter().chain(&values::ALL).chain(&starting::ALL).chain(&scripts::ALL);
+    let of_server = leases::ALL.iter().chain(&stopping::ALL).chain(&identity::ALL);
+    of_robot.chain(of_server).chain(&wire::ALL).chain(&links::ALL)
+}
+
+/// Judges a robot. `tell` hears of each requirement before it is checked, and the verdict after.
+///
+/// # Errors
+/// Why there is no robot at the address.
+pub fn examine(
+    address: SocketAddr,
+    options: Options,
+    interrupted: Arc<AtomicBool>,
+    tell: &mut dyn FnMut(&Requirement, Option<&Judged>),
+) -> Result<Examined, String> {
+    let clock = ServerClock::anchored(Span::ZERO);
+    let mut trial = Trial::new(address, options, clock, interrupted);
+    if let Err(unmet) = trial.connect() {
+        return Err(why(unmet));
+    }
+    let block = trial.connect().and_then(|mut line| line.initialization()).ok();
+    trial.learn(block.map(|(_, block)| block.message));
+    let off = greeting::compare_clocks(&trial).ok();
+    let off = off.filter(|reading| trial.options().clock_measured || !greeting::agrees(reading));
+    trial.shift = off.map_or(Span::ZERO, |reading| reading.offset);
+    let mut examined = Examined { judged: Vec::new(), interrupted: false, at_rest: true };
+    let chosen = |r: &&Requirement| {
+        let only = &trial.options().only;
+        only.is_empty() || only.iter().any(|name| name == r.name)
+    };
+    for requirement in requirements().filter(chosen) {
+        tell(requirement, None);
+        let Some(judged) = judge(&trial, requirement) else {
+            examined.interrupted = true;
+            break;
+        };
+        tell(requirement, Some(&judged));
+        examined.judged.push(judged);
+    }
+    examined.at_rest = trial.settle_at_the_end();
+    Ok(examined)
+}
+
+/// `None` when the operator has had enough.
+fn judge(trial: &Trial, requirement: &'static Requirement) -> Option<Judged> {
+    let began = trial.now();
+    let (verdict, why) = match (requirement.check)(trial) {
+        Ok(note) => (Verdict::Pass, note),
+        Err(Unmet::Failed(why)) => (Verdict::Fail, why),
+        Err(Unmet::NotApplicable(why)) => (Verdict::NotApplicable, why),
+        Err(Unmet::Interrupted) => return None,
+    };
+    let took = (trial.now() - began).to_duration().as_millis();
+    let _at_rest = trial.settle();
+    Some(Judged {
+        requirement: requirement.name,
+        verdict,
+        why,
+        millis: u64::try_from(took).unwrap_or(u64::MAX),
+    })
+}
+
+fn why(unmet: Unmet) -> String {
+    match unmet {
+        Unmet::Failed(why) | Unmet::NotApplicable(why) => why,
+        Unmet::Interrupted => "interrupted".to_owned(),
+    }
+}

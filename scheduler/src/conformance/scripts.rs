@@ -1,0 +1,176 @@
+//! Scripts: their order, their timing, how many steps and how many of them.
+
+use urrcp::{ControlRequest, ErrorCode, Span, Status};
+
+use super::actor::Actor;
+use super::requirement::{Checked, Requirement, differs, not_applicable, pass};
+use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
+
+pub(super) const ALL: [Requirement; 6] = [
+    Requirement {
+        name: "script-order",
+        demands: "A script whose steps go back in time is refused with `malformed`.",
+        section: "Control",
+        check: script_order,
+    },
+    Requirement {
+        name: "script-timing",
+        demands: "A script reports `Accepted`, `Started` and `OK` in this order, with all its steps done and its end at the last step's time.",
+        section: "Time",
+        check: script_timing,
+    },
+    Requirement {
+        name: "max-steps",
+        demands: "A script of exactly max_number_of_steps is accepted.",
+        section: "Initialization",
+        check: max_steps,
+    },
+    Requirement {
+        name: "one-step-too-many",
+        demands: "A script of one step more than max_number_of_steps is refused with `too_many_steps`.",
+        section: "Initialization",
+        check: one_step_too_many,
+    },
+    Requirement {
+        name: "queue",
+        demands: "script_queue scripts one right behind the other are held, one more is refused with `busy`.",
+        section: "Initialization",
+        check: queue,
+    },
+    Requirement {
+        name: "overlap",
+        demands: "A script that overlaps one that is held is refused with `overlap`, or `busy` where only one is held.",
+        section: "Time",
+        check: overlap,
+    },
+];
+
+/// Steps that are tried; a robot may declare more than one cares to send.
+const STEPS_TRIED_MAX: u32 = 10_000;
+/// Scripts that are tried in a queue.
+const QUEUE_TRIED_MAX: u32 = 256;
+
+fn script_order(trial: &Trial) -> Checked {
+    let actor = trial.scripted()?;
+    let mut line = trial.connect()?;
+    let (id, device) = (trial.fresh_id(), actor.device.id.as_str());
+    let step = |millis: u32| serde_json::json!({"time_offset_to_start": millis, "control_type": actor.control_type, "control_value": actor.rest});
+    let request = serde_json::json!({"control_request": {
+        "timestamp": trial.stamp(), "time_offset_to_start": LATER_MS, "device_id": device, "stop_condition": LEASE_MS,
+        "request_id": id, "control_type": "script", "control_value": [step(0), step(100), step(50)],
+    }});
+    line.is_malformed(format!("{request}\n").as_bytes())?;
+    pass()
+}
+
+fn script_timing(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let actor = trial.scripted()?;
+    let mut line = trial.connect()?;
+    let length = Span::from_millis(300);
+    let request = trial.there_and_back(actor, length.as_millis_f64()).starting_in(200.0).leased(LEASE_MS);
+    let ticket = line.held(&request)?;
+    let started = line.report(ticket, &Status::Started, trial.patience())?;
+    let ended = line.report(ticket, &Status::Ok, trial.patience())?;
+    let asked = line.asked(ticket);
+    let order: Vec<_> = asked.heard.iter().map(|heard| heard.message.status.as_str()).collect();
+    if order != ["Accepted", "Started", "OK"] {
+        return Err(differs(
+            &asked.text,
+            &order.join(", "),
+            "`Accepted`, `Started`, `OK`, in this order, each once",
+        ));
+    }
+    if ended.message.steps_done != Some(3) {
+        return Err(differs(&asked.text, &ended.text, "steps_done 3"));
+    }
+    let (Some(from), Some(to)) = (started.message.event_timestamp, ended.message.event_timestamp) else {
+        return Err(differs(&asked.text, &ended.text, "an event_timestamp in `Started` and in `OK`"));
+    };
+    let error = to - from - length;
+    match error.abs() <= trial.options().tolerance {
+        true => Ok(format!("a script of {length} ended {error} after its time")),
+        false => {
+            let expected = format!(
+                "event_timestamp {length} after that of `Started`, {from}: the last step's time; it is off by {error}"
+            );
+            Err(differs(&asked.text, &ended.text, &expected))
+        }
+    }
+}
+
+/// A script of so many steps, a millisecond apart, that never starts.
+fn of_steps(trial: &Trial, actor: &Actor, count: u32) -> ControlRequest {
+    let steps: Vec<_> = (0..count).map(|i| (f64::from(i), actor.rest)).collect();
+    trial.script(actor, &steps).starting_in(LATER_MS).leased(LEASE_MS)
+}
+
+fn steps_declared(actor: &Actor) -> u32 {
+    actor.device.available_control_types.script().map_or(0, |script| script.max_number_of_steps)
+}
+
+fn max_steps(trial: &Trial) -> Checked {
+    let actor = trial.scripted()?;
+    let declared = steps_declared(actor);
+    let tried = declared.min(STEPS_TRIED_MAX);
+    let mut line = trial.connect()?;
+    line.held(&of_steps(trial, actor, tried))?;
+    match tried == declared {
+        true => Ok(format!("{tried} steps")),
+        false => {
+            Ok(format!("{tried} steps; {declared} are declared, more than {STEPS_TRIED_MAX} are not tried"))
+        }
+    }
+}
+
+fn one_step_too_many(trial: &Trial) -> Checked {
+    let actor = trial.scripted()?;
+    let declared = steps_declared(actor);
+    if declared >= STEPS_TRIED_MAX {
+        return Err(not_applicable(format!(
+            "{declared} steps are declared, more than {STEPS_TRIED_MAX} are not tried"
+        )));
+    }
+    let mut line = trial.connect()?;
+    line.refuses(&of_steps(trial, actor, declared + 1), ErrorCode::TooManySteps)?;
+    pass()
+}
+
+/// The n-th of scripts that follow one another without a gap.
+fn nth(trial: &Trial, actor: &Actor, timestamp: &ControlRequest, n: u32) -> ControlRequest {
+    let request = trial.there_and_back(actor, 500.0).leased(LEASE_MS);
+    let request = ControlRequest { timestamp: timestamp.timestamp, ..request };
+    request.starting_in(LATER_MS + 500.0 * f64::from(n))
+}
+
+fn queue(trial: &Trial) -> Checked {
+    let actor = trial.scripted()?;
+    let declared = actor.device.script_queue;
+    if declared > QUEUE_TRIED_MAX {
+        return Err(not_applicable(format!(
+            "a queue of {declared} scripts is declared, more than {QUEUE_TRIED_MAX} are not tried"
+        )));
+    }
+    let mut line = trial.connect()?;
+    let first = trial.pending(actor);
+    for n in 0..declared {
+        line.held(&nth(trial, actor, &first, n))?;
+    }
+    line.refuses(&nth(trial, actor, &first, declared), ErrorCode::Busy)?;
+    Ok(format!("{} held", downbeat_scripts::counted(declared as usize, "script")))
+}
+
+fn overlap(trial: &Trial) -> Checked {
+    let actor = trial.scripted()?;
+    let mut line = trial.connect()?;
+    let first = trial.pending(actor);
+    line.held(&first)?;
+    let second = ControlRequest { timestamp: first.timestamp, ..trial.there_and_back(actor, 500.0) };
+    let ticket = line.ask(&second.starting_in(LATER_MS + 250.0).leased(LEASE_MS))?;
+    let codes: &[ErrorCode] = match actor.device.script_queue {
+        1 => &[ErrorCode::Overlap, ErrorCode::Busy],
+        _ => &[ErrorCode::Overlap],
+    };
+    line.refused(ticket, codes)?;
+    pass()
+}

@@ -1,0 +1,152 @@
+//! When a command starts, and what is told of it.
+
+use urrcp::{ErrorCode, Span, Status, StatusValue};
+
+use super::requirement::{Checked, Requirement, Unmet, differs, pass};
+use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
+
+pub(super) const ALL: [Requirement; 4] = [
+    Requirement {
+        name: "deferred-start",
+        demands: "A command starts at timestamp + time_offset_to_start by the robot's clock, within the tolerance and never before.",
+        section: "Time",
+        check: deferred_start,
+    },
+    Requirement {
+        name: "immediate-start",
+        demands: "A command without time_offset_to_start is accepted and starts at once on receipt.",
+        section: "Control",
+        check: immediate_start,
+    },
+    Requirement {
+        name: "late",
+        demands: "A command whose start has passed when it arrives is refused with `late` and not executed.",
+        section: "Time",
+        check: late,
+    },
+    Requirement {
+        name: "status-value",
+        demands: "`Accepted` carries the accepted value, `Started` the first value set, `OK` the last, and a refusal null.",
+        section: "Control",
+        check: status_value,
+    },
+];
+
+/// A robot's clock may show an instant a little before its own: rounding.
+pub(super) const EARLY_MAX: Span = Span::from_millis(1);
+/// From sending to a start that is to be judged.
+const SOON_MS: f64 = 400.0;
+
+fn deferred_start(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let request = trial.set(actor, actor.rest).starting_in(SOON_MS).leased(LEASE_MS);
+    let planned = request.starts_at().map(urrcp::Timestamp::assume_clock::<urrcp::Robot>);
+    let ticket = line.held(&request)?;
+    let sent = line.asked(ticket).text.clone();
+    let started = line.report(ticket, &Status::Started, trial.patience())?;
+    let (Some(planned), Some(at)) = (planned, started.message.event_timestamp) else {
+        return Err(differs(&sent, &started.text, "an event_timestamp: when the command really started"));
+    };
+    let error = at - planned;
+    let tolerance = trial.options().tolerance;
+    if error < -EARLY_MAX || error > tolerance {
+        let expected = format!("event_timestamp from {planned} to {tolerance} later; it is off by {error}");
+        return Err(differs(&sent, &started.text, &expected));
+    }
+    // A report of a start that has not been yet cannot be true, whatever it states.
+    let arrived = started.at + trial.shift - planned.assume_clock();
+    let clocks = Span::from_millis(50);
+    if arrived < -clocks {
+        let expected = format!("no report before the start; it came {} ahead", arrived.abs());
+        return Err(differs(&sent, &started.text, &expected));
+    }
+    Ok(format!("started {error} after its time"))
+}
+
+fn immediate_start(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let ticket = line.held(&trial.set(actor, actor.rest).leased(LEASE_MS))?;
+    if !trial.reports() {
+        return Ok("accepted; without `reports` nothing tells whether it started".to_owned());
+    }
+    let accepted = line.answer(ticket)?;
+    let started = line.report(ticket, &Status::Started, trial.patience())?;
+    let took = started.at - accepted.at;
+    if took > trial.options().tolerance {
+        let came = format!("{} {took} after `Accepted`", started.text);
+        return Err(differs(&line.asked(ticket).text, &came, "`Started` at once after `Accepted`"));
+    }
+    line.report(ticket, &Status::Ok, trial.patience())?;
+    pass()
+}
+
+fn late(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let mut request = trial.set(actor, actor.rest).starting_in(1_000.0).leased(LEASE_MS);
+    request.timestamp = Some(trial.stamp() - Span::from_millis(5_000));
+    let ticket = line.ask(&request)?;
+    line.refused(ticket, &[ErrorCode::Late])?;
+    line.listen(trial.soon(150), |line| line.asked(ticket).heard.len() > 1)?;
+    match line.asked(ticket).heard.get(1) {
+        None => pass(),
+        Some(more) => Err(differs(&line.asked(ticket).text, &more.text, "nothing more after the refusal")),
+    }
+}
+
+fn status_value(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let request = trial.set(actor, actor.near).leased(LEASE_MS);
+    let ticket = line.held(&request)?;
+    let sent = line.asked(ticket).text.clone();
+    let is = |value: &StatusValue, wanted: f64| match value {
+        StatusValue::Number(value) => (value - wanted).abs() <= 1e-9 * wanted.abs().max(1.0),
+        _ => false,
+    };
+    let accepted = line.answer(ticket)?;
+    if !is(&accepted.message.status_value, actor.near) {
+        return Err(differs(&sent, &accepted.text, &format!("status_value {}", actor.near)));
+    }
+    if trial.reports() {
+        for status in [Status::Started, Status::Ok] {
+            let report = line.report(ticket, &status, trial.patience())?;
+            if !is(&report.message.status_value, actor.near) {
+                return Err(differs(&sent, &report.text, &format!("status_value {}", actor.near)));
+            }
+        }
+    }
+    let beyond = trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(LEASE_MS);
+    let ticket = line.ask(&beyond)?;
+    let refusal = line.answer(ticket)?;
+    match (&refusal.message.status, &refusal.message.status_value) {
+        (Status::Failed, StatusValue::Null) => {}
+        (Status::Failed, _) => {
+            return Err(differs(&line.asked(ticket).text, &refusal.text, "status_value null on failure"));
+        }
+        // What may be refused is another requirement's concern.
+        _ => {}
+    }
+    script_value(trial)
+}
+
+fn script_value(trial: &Trial) -> Checked {
+    let Ok(actor) = trial.scripted() else { return pass() };
+    let mut line = trial.connect()?;
+    let cancel = line.ask(&trial.cancel(actor))?;
+    line.answer(cancel)?;
+    let request = trial.pending(actor);
+    let ticket = line.held(&request)?;
+    let accepted = line.answer(ticket)?;
+    match (&accepted.message.status_value, &request.command) {
+        (StatusValue::Script(accepted), urrcp::Command::Script(script)) if accepted == script => pass(),
+        _ => Err::<String, Unmet>(differs(
+            &line.asked(ticket).text,
+            &accepted.text,
+            "the whole script as status_value of `Accepted`",
+        )),
+    }
+}

@@ -1,0 +1,133 @@
+//! Cancelling, holding, and stops that overtake.
+
+use urrcp::{ControlRequest, ErrorCode, Span, Status};
+
+use super::heard::Ticket;
+use super::line::Line;
+use super::requirement::{Checked, Requirement, Unmet, differs, pass};
+use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
+
+pub(super) const ALL: [Requirement; 5] = [
+    Requirement {
+        name: "cancel-pending",
+        demands: "An empty script without a start is answered `OK`, and what is pending ends `Failed`, `cancelled`.",
+        section: "The lease",
+        check: cancel_pending,
+    },
+    Requirement {
+        name: "cancel-from",
+        demands: "An empty script at S drops what starts at S or later, and nothing that starts before.",
+        section: "The lease",
+        check: cancel_from,
+    },
+    Requirement {
+        name: "cancel-running",
+        demands: "An empty script without a start ends what runs, which reports `Failed`, `cancelled`.",
+        section: "The lease",
+        check: cancel_running,
+    },
+    Requirement {
+        name: "hold",
+        demands: "An empty script with `hold: true` is answered `OK` and ends what is pending as well.",
+        section: "The lease",
+        check: hold,
+    },
+    Requirement {
+        name: "take-back",
+        demands: "A stop with a timestamp also refuses with `cancelled` what was sent up to then and arrives after it, and nothing that was sent later.",
+        section: "The lease",
+        check: take_back,
+    },
+];
+
+/// Sends an empty script and waits for its `OK`.
+fn cancels(line: &mut Line, cancel: &ControlRequest) -> Result<(), Unmet> {
+    let ticket = line.ask(cancel)?;
+    let answer = line.answer(ticket)?;
+    match answer.message.status {
+        Status::Ok => Ok(()),
+        _ => Err(differs(&line.asked(ticket).text, &answer.text, "status `OK` to an empty script")),
+    }
+}
+
+/// What an empty script has ended reports so, where the robot reports.
+fn is_cancelled(trial: &Trial, line: &mut Line, ticket: Ticket) -> Result<(), Unmet> {
+    if trial.reports() {
+        line.failure(ticket, ErrorCode::Cancelled, trial.patience())?;
+    }
+    Ok(())
+}
+
+fn cancel_pending(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let pending = line.held(&trial.pending(actor))?;
+    cancels(&mut line, &trial.cancel(actor))?;
+    is_cancelled(trial, &mut line, pending)?;
+    // Nothing is held any more, so the same time is free again.
+    line.held(&trial.pending(actor))?;
+    pass()
+}
+
+fn cancel_from(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let actor = trial.scripted()?;
+    let mut line = trial.connect()?;
+    let first = trial.pending(actor);
+    let ticket = line.held(&first)?;
+    let from = |millis: f64| {
+        let cancel = ControlRequest { timestamp: first.timestamp, ..trial.cancel(actor) };
+        cancel.starting_in(millis)
+    };
+    cancels(&mut line, &from(LATER_MS + 1.0))?;
+    line.listen(trial.soon(100), |line| line.asked(ticket).heard.len() > 1)?;
+    if let Some(more) = line.asked(ticket).heard.get(1) {
+        let expected = "nothing: the empty script starts 1 ms after it and leaves it alone";
+        return Err(differs(&line.asked(ticket).text, &more.text, expected));
+    }
+    cancels(&mut line, &from(LATER_MS))?;
+    line.failure(ticket, ErrorCode::Cancelled, trial.patience())?;
+    pass()
+}
+
+fn cancel_running(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let actor = trial.scripted()?;
+    let mut line = trial.connect()?;
+    let request = trial.there_and_back(actor, 4_000.0).starting_in(100.0).leased(LEASE_MS);
+    let ticket = line.held(&request)?;
+    line.report(ticket, &Status::Started, trial.patience())?;
+    cancels(&mut line, &trial.cancel(actor))?;
+    line.failure(ticket, ErrorCode::Cancelled, trial.patience())?;
+    pass()
+}
+
+fn hold(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let pending = line.held(&trial.pending(actor))?;
+    cancels(&mut line, &ControlRequest { hold: true, ..trial.cancel(actor) })?;
+    is_cancelled(trial, &mut line, pending)?;
+    pass()
+}
+
+fn take_back(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut upload = trial.connect()?;
+    let mut stop = trial.connect_beside()?;
+    let overtaken = trial.pending(actor);
+    let stopping = trial.cancel(actor);
+    cancels(
+        &mut stop,
+        &ControlRequest { timestamp: Some(trial.stamp() + Span::from_micros(1)), ..stopping },
+    )?;
+    let ticket = upload.ask(&overtaken)?;
+    upload.refused(ticket, &[ErrorCode::Cancelled]).map_err(|unmet| match unmet {
+        Unmet::Failed(why) => Unmet::Failed(format!(
+            "a stop with a later timestamp came ahead of it on another connection: {why}"
+        )),
+        other => other,
+    })?;
+    upload.held(&trial.pending(actor))?;
+    pass()
+}

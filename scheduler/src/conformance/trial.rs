@@ -1,0 +1,286 @@
+//! What every check has at hand: the robot's address and block, clocks, connections, requests.
+
+use std::cell::Cell;
+use std::net::{SocketAddr, TcpStream};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use urrcp::{
+    Command, ControlRequest, DeviceId, ErrorCode, InitializationBlock, Millis, RequestId, Script, Server,
+    Setpoint, Span, Status, Step, StopCondition, Timestamp,
+};
+
+use super::Options;
+use super::actor::Actor;
+use super::line::Line;
+use super::requirement::{Unmet, not_applicable};
+use crate::server_clock::ServerClock;
+
+/// A start that never comes, because the check is over before.
+pub(super) const LATER_MS: f64 = 20_000.0;
+/// The lease of commands that are held only for a moment: what a check cannot cancel ends soon by itself.
+pub(super) const LEASE_MS: f64 = 1_500.0;
+/// Between two looks at whether the operator has had enough.
+const SLICE: Duration = Duration::from_millis(50);
+
+/// What the checks work on.
+#[derive(Debug)]
+pub(super) struct Trial {
+    address: SocketAddr,
+    options: Options,
+    clock: ServerClock,
+    interrupted: Arc<AtomicBool>,
+    /// Added to the server's time in every request.
+    pub(super) shift: Span,
+    /// As far as the robot has told it.
+    pub(super) block: Option<InitializationBlock>,
+    actor: Option<Actor>,
+    /// Tells requests of this run from those of an earlier one.
+    run: u64,
+    next_id: Cell<u64>,
+    left_held: Cell<bool>,
+}
+
+impl Trial {
+    pub(super) fn new(
+        address: SocketAddr,
+        options: Options,
+        clock: ServerClock,
+        interrupted: Arc<AtomicBool>,
+    ) -> Self {
+        Self {
+            address,
+            options,
+            clock,
+            interrupted,
+            shift: Span::ZERO,
+            block: None,
+            actor: None,
+            run: fastrand::u64(..),
+            next_id: Cell::new(0),
+            left_held: Cell::new(false),
+        }
+    }
+
+    pub(super) fn learn(&mut self, block: Option<InitializationBlock>) {
+        self.actor = block.as_ref().and_then(|block| Actor::choose(block, self.options.device.as_deref()));
+        self.block = block;
+    }
+
+    pub(super) const fn options(&self) -> &Options {
+        &self.options
+    }
+
+    /// By the monotonic clock.
+    pub(super) fn now(&self) -> Timestamp<Server> {
+        self.clock.now()
+    }
+
+    /// What requests state as the present.
+    pub(super) fn stamp(&self) -> Timestamp<Server> {
+        self.now() + self.shift
+    }
+
+    /// Until when an answer to something sent now may take.
+    pub(super) fn patience(&self) -> Timestamp<Server> {
+        self.now() + self.options.patience
+    }
+
+    pub(super) fn soon(&self, millis: i64) -> Timestamp<Server> {
+        self.now() + Span::from_millis(millis)
+    }
+
+    pub(super) fn go_on(&self) -> Result<(), Unmet> {
+        match self.interrupted.load(Ordering::Relaxed) {
+            true => Err(Unmet::Interrupted),
+            false => Ok(()),
+        }
+    }
+
+    #[expect(clippy::disallowed_methods, reason = "a test client waits in real time")]
+    pub(super) fn pause(&self, span: Span) -> Result<(), Unmet> {
+        let until = self.now() + span;
+        loop {
+            self.go_on()?;
+            let left = until - self.now();
+            if left <= Span::ZERO {
+                return Ok(());
+            }
+            std::thread::sleep(left.to_duration().min(SLICE));
+        }
+    }
+
+    /// A new connection.
+    pub(super) fn connect(&self) -> Result<Line<'_>, Unmet> {
+        let patience = self.options.patience.to_duration();
+        let connected = TcpStream::connect_timeout(&self.address, patience).and_then(|stream| {
+            stream.set_nodelay(true)?;
+            stream.set_write_timeout(Some(patience))?;
+            Ok(stream)
+        });
+        connected.map(|stream| Line::over(self, stream)).map_err(|error| {
+            Unmet::Failed(format!(
+                "no connection to {} within {} ({error}); expected the robot to take new connections",
+                self.address, self.options.patience
+            ))
+        })
+    }
+
+    /// A connection beside one that stands, where the robot serves several.
+    pub(super) fn connect_beside(&self) -> Result<Line<'_>, Unmet> {
+        let second = self.connect().and_then(|mut line| line.availability().map(|_| line));
+        second.map_err(|unmet| match unmet {
+            Unmet::Failed(why) => not_applicable(format!(
+                "the robot does not serve a second connection (see `two-links`): {why}"
+            )),
+            other => other,
+        })
+    }
+
+    pub(super) fn block(&self) -> Result<&InitializationBlock, Unmet> {
+        self.block.as_ref().ok_or_else(|| {
+            not_applicable("without a readable initialization block nothing is known of the robot (see `initialization`)")
+        })
+    }
+
+    /// The device that is moved.
+    pub(super) fn actor(&self) -> Result<&Actor, Unmet> {
+        self.block()?;
+        self.actor.as_ref().ok_or_else(|| match &self.options.device {
+            Some(id) => not_applicable(format!("`{id}` has no position, speed or acceleration with a value on its grid")),
+            None => not_applicable(
+                "no device has position, speed or acceleration; which values of custom types are safe only their maker knows",
+            ),
+        })
+    }
+
+    /// The same, where it takes scripts.
+    pub(super) fn scripted(&self) -> Result<&Actor, Unmet> {
+        let actor = self.actor()?;
+        match actor.in_script {
+            true => Ok(actor),
+            false => Err(not_applicable(format!("`{}` takes no scripts", actor.device.id))),
+        }
+    }
+
+    /// Whether the robot says what becomes of what it has accepted.
+    pub(super) fn reporting(&self) -> Result<(), Unmet> {
+        match self.block()?.reports {
+            true => Ok(()),
+            false => Err(not_applicable("the robot declares no `reports`, so nothing tells what it does")),
+        }
+    }
+
+    pub(super) fn reports(&self) -> bool {
+        self.block.as_ref().is_some_and(|block| block.reports)
+    }
+
+    pub(super) fn fresh_id(&self) -> String {
+        self.next_id.set(self.next_id.get() + 1);
+        format!("conformance/{:x}/{}", self.run, self.next_id.get())
+    }
+
+    /// A request of this device that states the present as its timestamp and starts on receipt.
+    pub(super) fn request(&self, device: &DeviceId, command: Command) -> ControlRequest {
+        ControlRequest {
+            timestamp: Some(self.stamp()),
+            request_id: RequestId::new(self.fresh_id()).ok(),
+            ..ControlRequest::immediate(device.clone(), command)
+        }
+    }
+
+    pub(super) fn set(&self, actor: &Actor, value: f64) -> ControlRequest {
+        self.request(&actor.device.id, Command::Set(Setpoint::new(actor.control_type, value)))
+    }
+
+    /// A script of steps, each with its milliseconds from the start and its value.
+    pub(super) fn script(&self, actor: &Actor, steps: &[(f64, f64)]) -> ControlRequest {
+        let step = |(millis, value): &(f64, f64)| Step {
+            offset: millis_of(*millis),
+            setpoint: Setpoint::new(actor.control_type, *value),
+            stop_condition: None,
+        };
+        let script = Script::new(steps.iter().map(step).collect()).unwrap_or_default();
+        self.request(&actor.device.id, Command::Script(script))
+    }
+
+    /// Moves a little and back, in this time.
+    pub(super) fn there_and_back(&self, actor: &Actor, millis: f64) -> ControlRequest {
+        self.script(actor, &[(0.0, actor.rest), (millis / 2.0, actor.near), (millis, actor.rest)])
+    }
+
+    /// Something that is accepted and held until the check is over: a script where the device takes them.
+    pub(super) fn pending(&self, actor: &Actor) -> ControlRequest {
+        let request = match actor.in_script {
+            true => self.there_and_back(actor, 500.0),
+            false => self.set(actor, actor.rest),
+        };
+        request.starting_in(LATER_MS).leased(LEASE_MS)
+    }
+
+    /// The empty script.
+    pub(super) fn cancel(&self, actor: &Actor) -> ControlRequest {
+        let cancel = self.request(&actor.device.id, Command::Script(Script::cancel()));
+        ControlRequest { timestamp: None, ..cancel }
+    }
+
+    /// A held command has been left behind by a connection that is gone.
+    pub(super) fn leaves_held(&self) {
+        self.left_held.set(true);
+    }
+
+    /// Brings the robot to rest, so that the next check begins as the first one did. Whether it confirmed that.
+    pub(super) fn settle(&self) -> bool {
+        let Some(actor) = &self.actor else { return true };
+        let until = self.patience();
+        let confirmed = loop {
+            let answer = self.connect().and_then(|mut line| {
+                let ticket = line.ask(&self.cancel(actor))?;
+                line.answer(ticket)
+            });
+            match answer {
+                Ok(answer) if answer.message.status == Status::Ok => break true,
+                // A session whose connection has just gone may hold the robot for a moment.
+                Ok(answer)
+                    if answer.message.error.as_ref().is_some_and(|error| error.code == ErrorCode::Busy) => {}
+                _ => break false,
+            }
+            if self.now() >= until || self.pause(Span::from_millis(50)).is_err() {
+                break false;
+            }
+        };
+        if self.left_held.replace(false) && !confirmed {
+            let _had_enough = self.pause(Span::from_millis_f64(LEASE_MS));
+        }
+        confirmed
+    }
+
+    /// For the way out: an operator who has had enough still wants the robot to rest.
+    pub(super) fn settle_at_the_end(&self) -> bool {
+        self.interrupted.store(false, Ordering::Relaxed);
+        self.settle()
+    }
+}
+
+fn millis_of(millis: f64) -> Millis {
+    Millis::from_span(Span::from_millis_f64(millis))
+}
+
+/// A request's start and lease.
+pub(super) trait Shaped {
+    /// Starts so many milliseconds after its timestamp.
+    fn starting_in(self, millis: f64) -> Self;
+    /// Ends after so many milliseconds of silence.
+    fn leased(self, millis: f64) -> Self;
+}
+
+impl Shaped for ControlRequest {
+    fn starting_in(self, millis: f64) -> Self {
+        Self { time_offset_to_start: Some(millis_of(millis)), ..self }
+    }
+
+    fn leased(self, millis: f64) -> Self {
+        Self { stop_condition: Some(StopCondition::both(millis_of(millis))), ..self }
+    }
+}

@@ -1,0 +1,223 @@
+//! What a robot declares of its devices and what it then takes.
+
+use urrcp::{Command, ControlType, DeviceId, ErrorCode, Script, Setpoint, Status, Step};
+
+use super::line::Line;
+use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
+use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
+
+pub(super) const ALL: [Requirement; 8] = [
+    Requirement {
+        name: "range",
+        demands: "min_value and max_value are accepted, values beyond them are refused with `out_of_range`.",
+        section: "Control",
+        check: range,
+    },
+    Requirement {
+        name: "granularity",
+        demands: "A value that is no multiple of the granularity is refused with `off_granularity`.",
+        section: "Initialization",
+        check: granularity,
+    },
+    Requirement {
+        name: "script-range",
+        demands: "A script with one step out of range or off the grid is refused as a whole.",
+        section: "Initialization",
+        check: script_range,
+    },
+    Requirement {
+        name: "unknown-device",
+        demands: "A request to a device that the robot lacks is refused with `unknown_device`.",
+        section: "Control",
+        check: unknown_device,
+    },
+    Requirement {
+        name: "unsupported-control-type",
+        demands: "A control type that the device lacks is refused with `unsupported_control_type`, and what was pending there ends `Failed`, `cancelled`.",
+        section: "The lease",
+        check: unsupported_control_type,
+    },
+    Requirement {
+        name: "script-control-types",
+        demands: "A script with a step of a control type that scripts may not use is refused with `unsupported_control_type`.",
+        section: "Initialization",
+        check: script_control_types,
+    },
+    Requirement {
+        name: "sensor",
+        demands: "A sensor request is answered `Provide` with a reading from min_value to max_value, within max_delay.",
+        section: "Control",
+        check: sensor,
+    },
+    Requirement {
+        name: "sensor-not-a-sensor",
+        demands: "A sensor request to a device that is no sensor is refused with `unsupported_control_type`.",
+        section: "Control",
+        check: sensor_not_a_sensor,
+    },
+];
+
+/// Has a value accepted for later and cancels it at once, so that nothing moves there.
+fn takes(trial: &Trial, line: &mut Line, value: f64) -> Result<(), Unmet> {
+    let actor = trial.actor()?;
+    line.held(&trial.set(actor, value).starting_in(LATER_MS).leased(LEASE_MS))?;
+    let cancel = line.ask(&trial.cancel(actor))?;
+    line.answer(cancel).map(drop)
+}
+
+fn range(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let (low, high) = actor.edges();
+    takes(trial, &mut line, low)?;
+    takes(trial, &mut line, high)?;
+    let (below, above) = actor.beyond();
+    for value in [below, above] {
+        let request = trial.set(actor, value).starting_in(LATER_MS).leased(LEASE_MS);
+        line.refuses(&request, ErrorCode::OutOfRange)?;
+    }
+    Ok(format!("`{}` took {low} and {high}, refused {below} and {above}", actor.device.id))
+}
+
+/// A value between two multiples of the granularity.
+fn off_grid(trial: &Trial) -> Result<f64, Unmet> {
+    let actor = trial.actor()?;
+    let half = actor.limits.granularity / 2.0;
+    let between = [actor.rest + half, actor.rest - half].into_iter();
+    between.into_iter().find(|v| actor.limits.contains(*v) && !actor.limits.on_grid(*v)).ok_or_else(|| {
+        not_applicable(format!(
+            "no value of `{}` lies between two multiples of its granularity",
+            actor.device.id
+        ))
+    })
+}
+
+fn granularity(trial: &Trial) -> Checked {
+    let (actor, value) = (trial.actor()?, off_grid(trial)?);
+    let mut line = trial.connect()?;
+    let request = trial.set(actor, value).starting_in(LATER_MS).leased(LEASE_MS);
+    line.refuses(&request, ErrorCode::OffGranularity)?;
+    pass()
+}
+
+fn script_range(trial: &Trial) -> Checked {
+    let (actor, between) = (trial.scripted()?, off_grid(trial));
+    let mut line = trial.connect()?;
+    let later = |value: f64| {
+        let steps = [(0.0, actor.rest), (100.0, value), (200.0, actor.rest)];
+        trial.script(actor, &steps).starting_in(LATER_MS).leased(LEASE_MS)
+    };
+    line.refuses(&later(actor.beyond().1), ErrorCode::OutOfRange)?;
+    if let Ok(between) = between {
+        line.refuses(&later(between), ErrorCode::OffGranularity)?;
+    }
+    pass()
+}
+
+fn unknown_device(trial: &Trial) -> Checked {
+    let block = trial.block()?;
+    let names = (0..).map(|n| format!("no-such-device-{n}"));
+    let name = names.into_iter().find(|name| block.device(name).is_none()).unwrap_or_default();
+    let device = DeviceId::new(&name).map_err(|error| not_applicable(error.to_string()))?;
+    let mut line = trial.connect()?;
+    let command = Command::Set(Setpoint::new(ControlType::Position, 0.0));
+    let ticket = line.ask(&trial.request(&device, command).starting_in(LATER_MS).leased(LEASE_MS))?;
+    let answer = line.refused(ticket, &[ErrorCode::UnknownDevice])?;
+    match answer.message.device_id == device {
+        true => pass(),
+        false => Err(differs(&line.asked(ticket).text, &answer.text, "the request's own device_id")),
+    }
+}
+
+fn unsupported_control_type(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let pending = line.held(&trial.pending(actor))?;
+    let command = Command::Set(Setpoint::new(actor.lacks(), 0.0));
+    let request = trial.request(&actor.device.id, command).starting_in(LATER_MS).leased(LEASE_MS);
+    line.refuses(&request, ErrorCode::UnsupportedControlType)?;
+    if !trial.reports() {
+        return Ok("refused; without `reports` nothing tells whether the device went to its default state"
+            .to_owned());
+    }
+    line.failure(pending, ErrorCode::Cancelled, trial.patience()).map_err(|unmet| match unmet {
+        Unmet::Failed(why) => Unmet::Failed(format!(
+            "the control type `{}` was refused, but the device must also go to its default state, which ends what it held: {why}",
+            actor.lacks()
+        )),
+        other => other,
+    })?;
+    pass()
+}
+
+fn script_control_types(trial: &Trial) -> Checked {
+    let actor = trial.scripted()?;
+    let usable = actor.device.script_control_types();
+    let own = actor.device.available_control_types.iter().map(|(t, _)| t);
+    let unlisted =
+        own.filter(|t| !matches!(t, ControlType::Script | ControlType::Sensor)).find(|t| !usable.contains(t));
+    let setpoint = match unlisted {
+        Some(t) => Setpoint::new(
+            t,
+            actor
+                .device
+                .available_control_types
+                .limits(t)
+                .map_or(0.0, |l| l.nearest(0.0).clamp(l.min_value, l.max_value)),
+        ),
+        None => Setpoint::new(actor.lacks(), 0.0),
+    };
+    let step = Step { offset: urrcp::Millis::ZERO, setpoint, stop_condition: None };
+    let script = Script::new(vec![step]).unwrap_or_default();
+    let request = trial.request(&actor.device.id, Command::Script(script));
+    let mut line = trial.connect()?;
+    line.refuses(&request.starting_in(LATER_MS).leased(LEASE_MS), ErrorCode::UnsupportedControlType)?;
+    pass()
+}
+
+fn sensor(trial: &Trial) -> Checked {
+    let wanted = trial.options().device.as_deref();
+    let mut sensors =
+        trial.block()?.devices.iter().filter_map(|d| Some((d, d.available_control_types.sensor()?)));
+    let preferred = sensors.clone().find(|(device, _)| Some(device.id.as_str()) == wanted);
+    let Some((device, parameters)) = preferred.or_else(|| sensors.next()) else {
+        return Err(not_applicable("the robot declares no sensor"));
+    };
+    let mut line = trial.connect()?;
+    // The first exchange on a connection may take longer than those that follow.
+    let (_, asked, answered) = line.availability()?;
+    let ticket = line.ask(&trial.request(&device.id, Command::ReadSensor))?;
+    let answer = line.answer(ticket)?;
+    let sent = line.asked(ticket).text.clone();
+    let reading = match (&answer.message.status, &answer.message.status_value) {
+        (Status::Provide, urrcp::StatusValue::Number(reading)) => *reading,
+        _ => return Err(differs(&sent, &answer.text, "status `Provide` with a number as status_value")),
+    };
+    if !(reading >= parameters.min_value && reading <= parameters.max_value) {
+        let expected = format!("a reading from {} to {}", parameters.min_value, parameters.max_value);
+        return Err(differs(&sent, &answer.text, &expected));
+    }
+    let took = answer.at - line.asked(ticket).sent;
+    let limit = parameters.max_delay.map(urrcp::Span::from_millis_f64);
+    let allowed = limit.map(|limit| limit + (answered.at - asked) + trial.options().tolerance);
+    if let Some(allowed) = allowed.filter(|allowed| took > *allowed) {
+        return Err(differs(
+            &sent,
+            &format!("{} after {took}", answer.text),
+            &format!("an answer within {allowed}: max_delay, a round trip and the tolerance"),
+        ));
+    }
+    Ok(format!("`{}` reads {reading}", device.id))
+}
+
+fn sensor_not_a_sensor(trial: &Trial) -> Checked {
+    let block = trial.block()?;
+    let chosen = trial.actor().ok().map(|actor| &actor.device);
+    let mut devices = chosen.into_iter().chain(&block.devices);
+    let Some(device) = devices.find(|d| d.available_control_types.sensor().is_none()) else {
+        return Err(not_applicable("every device is a sensor"));
+    };
+    let mut line = trial.connect()?;
+    line.refuses(&trial.request(&device.id, Command::ReadSensor), ErrorCode::UnsupportedControlType)?;
+    pass()
+}

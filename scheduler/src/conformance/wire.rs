@@ -1,0 +1,303 @@
+//! Lines that no server sends: the robot answers or ignores them, and lives.
+
+use serde_json::{Value, json};
+use urrcp::{Message, STRING_CHARS_MAX};
+
+use super::heard::says_malformed;
+use super::line::Line;
+use super::requirement::{Checked, Requirement, Unmet, differs, pass};
+use super::trial::{LATER_MS, LEASE_MS, Trial};
+
+pub(super) const ALL: [Requirement; 12] = [
+    Requirement {
+        name: "unknown-keys",
+        demands: "Unknown keys in a message are ignored.",
+        section: "Framing",
+        check: unknown_keys,
+    },
+    Requirement {
+        name: "unknown-message",
+        demands: "A message of another name is answered `malformed` or ignored, and the connection goes on.",
+        section: "Framing",
+        check: unknown_message,
+    },
+    Requirement {
+        name: "malformed-line",
+        demands: "A line that is not JSON is answered `malformed`, and the connection goes on.",
+        section: "Framing",
+        check: malformed_line,
+    },
+    Requirement {
+        name: "wrong-type",
+        demands: "A value of the wrong type or a missing key is answered `malformed`, and the connection goes on.",
+        section: "Framing",
+        check: wrong_type,
+    },
+    Requirement {
+        name: "not-utf8",
+        demands: "A line that is not UTF-8 is answered `malformed`, and the connection goes on.",
+        section: "Framing",
+        check: not_utf8,
+    },
+    Requirement {
+        name: "deep-nesting",
+        demands: "A line nested 100,000 deep is answered, and the connection goes on.",
+        section: "Framing",
+        check: deep_nesting,
+    },
+    Requirement {
+        name: "bad-numbers",
+        demands: "Numbers that are not finite, NaN, Infinity and 1e999, are answered `malformed`.",
+        section: "Framing",
+        check: bad_numbers,
+    },
+    Requirement {
+        name: "long-strings",
+        demands: "A string of 256 characters is taken, one of 257 answered `malformed`.",
+        section: "Framing",
+        check: long_strings,
+    },
+    Requirement {
+        name: "duplicate-keys",
+        demands: "A key that stands twice is answered `malformed`.",
+        section: "Framing",
+        check: duplicate_keys,
+    },
+    Requirement {
+        name: "huge-line",
+        demands: "A line of 17 MB is answered `malformed` or hung up on, and the robot takes new connections.",
+        section: "Framing",
+        check: huge_line,
+    },
+    Requirement {
+        name: "half-line",
+        demands: "A message that comes in two halves is read as one; half a message and a broken connection do no harm.",
+        section: "Framing",
+        check: half_line,
+    },
+    Requirement {
+        name: "empty-lines",
+        demands: "Empty lines are skipped.",
+        section: "Framing",
+        check: empty_lines,
+    },
+];
+
+/// A control request that would be accepted and held, to be spoilt.
+fn sound(trial: &Trial) -> Result<Value, Unmet> {
+    let actor = trial.actor()?;
+    Ok(json!({
+        "timestamp": trial.stamp(), "time_offset_to_start": LATER_MS, "device_id": actor.device.id,
+        "stop_condition": LEASE_MS, "request_id": trial.fresh_id(), "control_type": actor.control_type,
+        "control_value": actor.rest,
+    }))
+}
+
+fn line_of(request: &Value) -> Vec<u8> {
+    format!("{}\n", json!({"control_request": request})).into_bytes()
+}
+
+/// Each of the lines is answered `malformed`, and behind them the connection goes on.
+fn all_malformed(line: &mut Line, lines: &[Vec<u8>]) -> Checked {
+    for bytes in lines {
+        line.is_malformed(bytes)?;
+    }
+    let last = lines.last().map(|bytes| String::from_utf8_lossy(bytes).into_owned()).unwrap_or_default();
+    line.goes_on_after(&last)?;
+    pass()
+}
+
+fn unknown_keys(trial: &Trial) -> Checked {
+    let mut line = trial.connect()?;
+    let more = json!({"nested": [1, {"deep": null}], "text": "x"});
+    let hello = json!({"availability_request": {"timestamp": trial.stamp(), "x_unknown": more}});
+    let hello = format!("{hello}\n");
+    line.send(hello.as_bytes())?;
+    match line.other(trial.patience())? {
+        Some(heard)
+            if matches!(heard.message, Message::AvailabilityResponse(_))
+                && !says_malformed(&heard.message) => {}
+        other => {
+            let came = other.map_or_else(|| "nothing".to_owned(), |other| other.text);
+            return Err(differs(&hello, &came, "an availability_response with status `OK`"));
+        }
+    }
+    let mut request = sound(trial)?;
+    request["x_unknown"] = more;
+    let text = String::from_utf8_lossy(&line_of(&request)).into_owned();
+    let id = request["request_id"].as_str().map(str::to_owned);
+    let device = trial.actor()?.device.id.clone();
+    let ticket = line.ask_text(id, device.as_str(), &text)?;
+    line.accepted(ticket)?;
+    pass()
+}
+
+fn unknown_message(trial: &Trial) -> Checked {
+    let mut line = trial.connect()?;
+    let sent = "{\"x_greeting\":{\"text\":\"hello\"}}\n";
+    line.send(sent.as_bytes())?;
+    line.goes_on_after(sent)?;
+    pass()
+}
+
+fn malformed_line(trial: &Trial) -> Checked {
+    let mut line = trial.connect()?;
+    let lines = [
+        "this is not JSON\n",
+        "{\"availability_request\":{}\n",
+        "{\"availability_request\":{}} {}\n",
+        "17\n",
+    ];
+    all_malformed(&mut line, &lines.map(|line| line.as_bytes().to_vec()))
+}
+
+fn wrong_type(trial: &Trial) -> Checked {
+    let mut line = trial.connect()?;
+    let spoilt = |key: &str, value: Option<Value>| -> Result<Vec<u8>, Unmet> {
+        let mut request = sound(trial)?;
+        if let Some(map) = request.as_object_mut() {
+            match value {
+                Some(value) => map.insert(key.to_owned(), value),
+                None => map.remove(key),
+            };
+        }
+        Ok(line_of(&request))
+    };
+    let lines = [
+        spoilt("time_offset_to_start", Some(json!("soon")))?,
+        spoilt("time_offset_to_start", Some(json!(-1)))?,
+        spoilt("device_id", Some(json!(7)))?,
+        spoilt("control_value", Some(json!("much")))?,
+        spoilt("timestamp", Some(json!("yesterday")))?,
+        spoilt("control_type", Some(json!("telepathy")))?,
+        spoilt("device_id", None)?,
+        spoilt("control_type", None)?,
+        spoilt("control_value", None)?,
+        b"{\"control_request\":[]}\n".to_vec(),
+    ];
+    all_malformed(&mut line, &lines)
+}
+
+fn not_utf8(trial: &Trial) -> Checked {
+    let mut line = trial.connect()?;
+    all_malformed(&mut line, &[b"{\"availability_request\":{\"session\":\"\xff\xfe\"}}\n".to_vec()])
+}
+
+fn deep_nesting(trial: &Trial) -> Checked {
+    const DEPTH: usize = 100_000;
+    let mut line = trial.connect()?;
+    let sent = format!(
+        "{{\"availability_request\":{{\"x_unknown\":{}{}}}}}\n",
+        "[".repeat(DEPTH),
+        "]".repeat(DEPTH)
+    );
+    line.send(sent.as_bytes())?;
+    if line.other(trial.patience())?.is_none() {
+        let expected = "an answer: `OK`, since unknown keys are ignored, or `malformed`";
+        return Err(differs(&sent, "nothing", expected));
+    }
+    line.goes_on_after(&sent)?;
+    pass()
+}
+
+fn bad_numbers(trial: &Trial) -> Checked {
+    let mut line = trial.connect()?;
+    let mut lines = Vec::new();
+    for number in ["1e999", "-1e999", "NaN", "Infinity"] {
+        let mut request = sound(trial)?;
+        request["control_value"] = json!("NUMBER");
+        let text = String::from_utf8_lossy(&line_of(&request)).replace("\"NUMBER\"", number);
+        lines.push(text.into_bytes());
+    }
+    all_malformed(&mut line, &lines)
+}
+
+fn long_strings(trial: &Trial) -> Checked {
+    let mut line = trial.connect()?;
+    let mut request = sound(trial)?;
+    // Characters count, not bytes.
+    let id = "\u{44f}".repeat(STRING_CHARS_MAX - 16) + &format!("{:016x}", fastrand::u64(..));
+    request["request_id"] = json!(id);
+    let text = String::from_utf8_lossy(&line_of(&request)).into_owned();
+    let device = trial.actor()?.device.id.clone();
+    let ticket = line.ask_text(Some(id), device.as_str(), &text)?;
+    line.accepted(ticket)?;
+    let long = "x".repeat(STRING_CHARS_MAX + 1);
+    let mut lines = Vec::new();
+    for key in ["request_id", "device_id", "session"] {
+        let mut request = sound(trial)?;
+        request[key] = json!(long);
+        lines.push(line_of(&request));
+    }
+    all_malformed(&mut line, &lines)
+}
+
+fn duplicate_keys(trial: &Trial) -> Checked {
+    let mut line = trial.connect()?;
+    let request = sound(trial)?;
+    let text = String::from_utf8_lossy(&line_of(&request)).into_owned();
+    let twice = text.replacen('{', "{\"control_request\":{", 1);
+    let twice = twice.replacen(
+        "{\"control_request\":{\"control_request\":{",
+        "{\"control_request\":{\"control_value\":0,",
+        1,
+    );
+    all_malformed(&mut line, &[twice.into_bytes()])
+}
+
+fn huge_line(trial: &Trial) -> Checked {
+    const BYTES: usize = 17 * 1024 * 1024;
+    let mut line = trial.connect()?;
+    let mut bytes = vec![b'x'; BYTES];
+    bytes.push(b'\n');
+    // A robot may hang up while it is being sent.
+    let sent = line.send(&bytes);
+    let heard = match sent {
+        Ok(_) => line.other(trial.patience())?,
+        Err(_) => None,
+    };
+    let what = format!("a line of {BYTES} times `x`");
+    match heard {
+        Some(heard) if says_malformed(&heard.message) => line.goes_on_after(&what)?,
+        Some(heard) => return Err(differs(&what, &heard.text, "`malformed`, or that the robot hangs up")),
+        None if line.has_ended() || sent.is_err() => {}
+        None => return Err(differs(&what, "nothing", "`malformed`, or that the robot hangs up")),
+    }
+    trial.connect()?.goes_on_after(&what)?;
+    pass()
+}
+
+fn half_line(trial: &Trial) -> Checked {
+    let mut line = trial.connect()?;
+    let hello = format!("{}\n", json!({"availability_request": {"timestamp": trial.stamp()}}));
+    let (half, rest) = hello.as_bytes().split_at(hello.len() / 2);
+    line.send(half)?;
+    line.listen(trial.soon(150), |_| false)?;
+    line.send(rest)?;
+    let heard = line.other(trial.patience())?;
+    match heard {
+        Some(heard)
+            if matches!(heard.message, Message::AvailabilityResponse(_))
+                && !says_malformed(&heard.message) => {}
+        other => {
+            let came = other.map_or_else(|| "nothing".to_owned(), |other| other.text);
+            let sent = format!("{} in two halves, 150 ms apart", hello.trim_end());
+            return Err(differs(&sent, &came, "an availability_response with status `OK`"));
+        }
+    }
+    line.send(half)?;
+    drop(line);
+    trial.connect()?.goes_on_after("half a message and a closed connection")?;
+    pass()
+}
+
+fn empty_lines(trial: &Trial) -> Checked {
+    let mut line = trial.connect()?;
+    line.send(b"\n\n\n")?;
+    let (_, _, _) = line.availability()?;
+    line.send(b"\n\n\n")?;
+    match line.other(trial.soon(150))? {
+        None => pass(),
+        Some(heard) => Err(differs("three empty lines", &heard.text, "nothing: empty lines are skipped")),
+    }
+}
