@@ -97,6 +97,11 @@ impl Parties {
         }
     }
 
+    /// It belongs to nobody any more.
+    pub(crate) fn release(&mut self) {
+        self.owner = None;
+    }
+
     /// The party to which the robot belongs, or belonged last.
     pub(crate) fn last_owner(&self) -> Option<LinkId> {
         self.owner.as_ref().map(|(_, party)| *party)

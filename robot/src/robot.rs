@@ -282,9 +282,14 @@ impl Robot {
     fn claim(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Result<(), ControlError> {
         let idle = self.devices.iter().all(DeviceMachine::is_idle);
         let owner = self.parties.owner(now, idle, &self.heard);
-        if let Some((owner, _)) = owner.filter(|(owner, _)| session != Some(owner)) {
-            let message = format!("`{}` belongs to session `{owner}` until that ends", self.block.id);
-            return Err(ControlError::new(ErrorCode::Busy, message));
+        match owner {
+            Some((owner, _)) if session != Some(owner) => {
+                let message = format!("`{}` belongs to session `{owner}` until that ends", self.block.id);
+                return Err(ControlError::new(ErrorCode::Busy, message));
+            }
+            Some(_) => {}
+            // Once over it stays so, whatever others hold from now on.
+            None => self.parties.release(),
         }
         if let Some(session) = session {
             self.parties.claim(session, self.parties.party(link));

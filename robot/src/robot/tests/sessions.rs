@@ -75,6 +75,19 @@ fn a_stranger_who_asks_for_a_reading_that_there_is_not_stops_nothing() {
 }
 
 #[test]
+fn a_session_that_has_gone_does_not_come_back_with_what_others_hold() {
+    let mut bench = Bench::new();
+    bench.send_on(LINK, hello("first"));
+    bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
+    let plain = |id| Message::ControlRequest(timed("arm", id, 900.0, script(ControlType::Position, &PAPER)));
+    bench.send_on(OTHER, plain("a"));
+    assert_eq!(bench.last_said(), "2 Accepted ");
+    let cancel = ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()));
+    bench.send_on(OTHER, Message::ControlRequest(cancel));
+    assert_eq!(bench.last_said(), "2 OK ");
+}
+
+#[test]
 fn a_robot_is_free_once_its_session_has_gone_and_nothing_is_held() {
     let mut bench = Bench::new();
     bench.send_on(LINK, of("first", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
