@@ -124,3 +124,52 @@ pub(super) fn says_malformed(message: &Message) -> bool {
     };
     *status == Status::Failed && error.as_ref().is_some_and(|error| error.code == urrcp::ErrorCode::Malformed)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Says these one after the other, without request ids, and tells how many each request was given.
+    #[track_caller]
+    fn check(asked: &[&str], said: &[&str], expected: &[usize]) {
+        let mut exchanges = Exchanges::default();
+        let at = Timestamp::from_nanos(0);
+        let ask = |id: &&str| exchanges.ask(Some((*id).to_owned()), "d".to_owned(), String::new(), at);
+        let tickets: Vec<_> = asked.iter().map(ask).collect();
+        for fields in said {
+            let line = format!(r#"{{"timestamp":"2026-11-20T19:00:00Z","device_id":"d",{fields}}}"#);
+            let message = serde_json::from_str(&line).unwrap();
+            exchanges.note(Heard { at, text: String::new(), message });
+        }
+        let given: Vec<_> = tickets.iter().map(|ticket| exchanges.of(*ticket).heard.len()).collect();
+        assert_eq!(given, expected);
+    }
+
+    const ACCEPTED: &str = r#""status":"Accepted""#;
+    const STARTED: &str = r#""status":"Started""#;
+    const DONE: &str = r#""status":"OK","steps_done":1"#;
+    const CANCELLED: &str = r#""status":"Failed","error":{"code":"cancelled"}"#;
+    const OK: &str = r#""status":"OK""#;
+
+    #[test]
+    fn without_ids_answers_go_to_the_oldest_open_request_and_reports_to_the_oldest_held_one() {
+        check(&["a", "b"], &[ACCEPTED, ACCEPTED, STARTED, DONE, STARTED, DONE], &[3, 3]);
+        check(&["a", "b"], &[ACCEPTED, STARTED, ACCEPTED, STARTED, DONE], &[3, 2]);
+    }
+
+    #[test]
+    fn a_stop_is_answered_after_the_reports_of_what_it_ended() {
+        check(&["a", "b", "stop"], &[ACCEPTED, ACCEPTED, CANCELLED, CANCELLED, OK], &[2, 2, 1]);
+    }
+
+    #[test]
+    fn what_was_taken_back_before_it_was_held_is_refused() {
+        check(&["a"], &[CANCELLED], &[1]);
+    }
+
+    #[test]
+    fn an_id_names_its_request_whatever_else_is_open() {
+        check(&["a", "b"], &[r#""status":"Accepted","request_id":"b""#, ACCEPTED], &[1, 1]);
+        check(&["a"], &[r#""status":"Accepted","request_id":"strange""#], &[0]);
+    }
+}

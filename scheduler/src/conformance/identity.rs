@@ -78,21 +78,24 @@ fn request_id(trial: &Trial) -> Checked {
 fn repeated_request(trial: &Trial) -> Checked {
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
-    let request = trial.set(actor, actor.rest).starting_in(300.0).leased(LEASE_MS);
-    let ticket = line.held(&request)?;
-    line.ask_again(ticket)?;
-    let again = line.nth_answer(ticket, 1)?;
-    if !matches!(again.message.status, Status::Accepted | Status::Started | Status::Ok) {
-        let expected = "the answer that it was given before: it is not executed again";
+    let pending = line.held(&trial.pending(actor))?;
+    line.ask_again(pending)?;
+    let again = line.nth_answer(pending, 1)?;
+    if again.message.status != Status::Accepted {
+        let sent = format!("the same once more: {}", line.asked(pending).text);
         return Err(differs(
-            &format!("the same once more: {}", line.asked(ticket).text),
+            &sent,
             &again.text,
-            expected,
+            "`Accepted`, as before: it is answered again and not executed again",
         ));
     }
+    let cancel = line.ask(&trial.cancel(actor))?;
+    line.answer(cancel)?;
     if !trial.reports() {
         return Ok("answered twice; without `reports` nothing tells how often it was executed".to_owned());
     }
+    let ticket = line.held(&trial.set(actor, actor.rest).starting_in(300.0).leased(LEASE_MS))?;
+    line.ask_again(ticket)?;
     line.report(ticket, &Status::Ok, trial.patience())?;
     line.listen(trial.soon(150), |_| false)?;
     let asked = line.asked(ticket);

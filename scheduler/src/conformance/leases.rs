@@ -220,7 +220,7 @@ fn lease_link_down(trial: &Trial) -> Checked {
     let request = short(trial.pending(trial.actor()?));
     let mut line = trial.connect()?;
     line.held(&request)?;
-    drop(line);
+    line.cut();
     trial.pause(PERIOD + PERIOD + trial.options().tolerance)?;
     let mut line = trial.connect()?;
     let ticket = line.ask(&request)?;

@@ -326,18 +326,19 @@ impl<'a> Line<'a> {
     /// enough has been asked for. How often it was.
     pub(super) fn overfill(&self) -> Result<usize, Unmet> {
         const ANSWERS_BYTES_MAX: usize = 32 * 1024 * 1024;
-        const REQUESTS_MAX: usize = 20_000;
+        const REQUESTS_MAX: usize = 100_000;
+        const IN_ONE_WRITE: usize = 100;
         let mut request = Vec::new();
         encode(&Message::InitializationRequest(urrcp::InitializationRequest::default()), &mut request);
+        let requests = request.repeat(IN_ONE_WRITE);
         let block = serde_json::to_vec(self.trial.block()?).map_or(1, |block| block.len().max(1));
-        let wanted = (ANSWERS_BYTES_MAX / block).clamp(1, REQUESTS_MAX);
-        let limited = self.stream.set_write_timeout(Some(Duration::from_millis(200)));
-        if limited.is_err() {
+        let wanted = (ANSWERS_BYTES_MAX / block).clamp(IN_ONE_WRITE, REQUESTS_MAX);
+        if self.stream.set_write_timeout(Some(Duration::from_millis(200))).is_err() {
             return Ok(0);
         }
-        for asked in 0..wanted {
+        for asked in (0..wanted).step_by(IN_ONE_WRITE) {
             self.trial.go_on()?;
-            if (&self.stream).write_all(&request).is_err() {
+            if (&self.stream).write_all(&requests).is_err() {
                 return Ok(asked);
             }
         }
@@ -357,9 +358,28 @@ impl<'a> Line<'a> {
     }
 }
 
+impl Line<'_> {
+    /// Breaks the connection with what is held on it.
+    pub(super) fn cut(mut self) {
+        self.exchanges = Exchanges::default();
+    }
+
+    /// Ends what is still held; whether that is certain.
+    fn wind_up(&mut self) -> Result<bool, Unmet> {
+        let ticket = self.ask(&self.trial.cancel(self.trial.actor()?))?;
+        let answer = self.answer(ticket)?;
+        if !self.trial.reports() {
+            return Ok(answer.message.status == Status::Ok);
+        }
+        self.listen(self.trial.soon(300), |line| !line.exchanges.any_held())
+    }
+}
+
+/// A check that is over leaves nothing behind, however it ended.
 impl Drop for Line<'_> {
     fn drop(&mut self) {
-        if self.exchanges.any_held() {
+        let certain = !self.exchanges.any_held() || matches!(self.wind_up(), Ok(true));
+        if !certain {
             self.trial.leaves_held();
         }
     }

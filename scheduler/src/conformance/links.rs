@@ -69,7 +69,12 @@ fn slow_reader(trial: &Trial) -> Checked {
     let deaf = trial.connect()?;
     let asked = deaf.overfill()?;
     let what = format!("{asked} initialization requests on another connection, whose answers nobody reads,");
-    other.goes_on_after(&what)?;
+    // It takes a while until all that lies between the two is full.
+    let until = trial.soon(1_000);
+    while trial.now() < until {
+        other.goes_on_after(&what)?;
+        trial.pause(Span::from_millis(50))?;
+    }
     drop(deaf);
     trial.connect()?.goes_on_after(&what)?;
     Ok(format!("{asked} answers were left unread"))

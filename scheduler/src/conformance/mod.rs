@@ -96,22 +96,41 @@ pub fn examine(
     let off = greeting::compare_clocks(&trial).ok();
     let off = off.filter(|reading| trial.options().clock_measured || !greeting::agrees(reading));
     trial.shift = off.map_or(Span::ZERO, |reading| reading.offset);
+    trial.greets = matches!(greeting::skip_handshake(&trial), Err(Unmet::Failed(_)));
     let mut examined = Examined { judged: Vec::new(), interrupted: false, at_rest: true };
     let chosen = |r: &&Requirement| {
         let only = &trial.options().only;
         only.is_empty() || only.iter().any(|name| name == r.name)
     };
+    let answered = trial.is_alive();
+    // Since which requirement the robot answers nothing any more.
+    let mut dead: Option<&'static str> = None;
     for requirement in requirements().filter(chosen) {
         tell(requirement, None);
-        let Some(judged) = judge(&trial, requirement) else {
+        let judged = match dead {
+            Some(since) => Some(not_judged(requirement, since)),
+            None => judge(&trial, requirement),
+        };
+        let Some(judged) = judged else {
             examined.interrupted = true;
             break;
         };
+        if judged.verdict == Verdict::Fail && dead.is_none() && answered && !trial.is_alive() {
+            dead = Some(requirement.name);
+        }
         tell(requirement, Some(&judged));
         examined.judged.push(judged);
     }
     examined.at_rest = trial.settle_at_the_end();
     Ok(examined)
+}
+
+/// Asking a robot that is gone takes the patience each time.
+fn not_judged(requirement: &Requirement, since: &str) -> Judged {
+    let why = format!(
+        "not judged: since `{since}` the robot takes no connection or answers nothing; expected it to live"
+    );
+    Judged { requirement: requirement.name, verdict: Verdict::Fail, why, millis: 0 }
 }
 
 /// `None` when the operator has had enough.

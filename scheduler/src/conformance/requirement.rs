@@ -92,3 +92,31 @@ pub(super) fn shown(line: &str) -> String {
         Some((end, _)) => format!("{}... ({} bytes)", &line[..end], line.len()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_are_unique_and_every_demand_is_one_sentence() {
+        let mut names: Vec<_> = super::super::requirements().map(|requirement| requirement.name).collect();
+        let count = names.len();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), count);
+        for requirement in super::super::requirements() {
+            assert!(
+                requirement.demands.ends_with('.') && !requirement.demands.contains(". "),
+                "{requirement:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_long_line_is_cut_between_characters_and_its_length_told() {
+        let line = "\u{44f}".repeat(500);
+        let text = shown(&line);
+        assert!(text.ends_with("... (1000 bytes)"), "{text}");
+        assert_eq!(text.chars().filter(|c| *c == '\u{44f}').count(), SHOWN_CHARS_MAX);
+    }
+}

@@ -130,6 +130,7 @@ fn status_value(trial: &Trial) -> Checked {
         // What may be refused is another requirement's concern.
         _ => {}
     }
+    drop(line);
     script_value(trial)
 }
 

@@ -33,6 +33,8 @@ pub(super) struct Trial {
     interrupted: Arc<AtomicBool>,
     /// Added to the server's time in every request.
     pub(super) shift: Span,
+    /// The robot wants to be greeted on every connection.
+    pub(super) greets: bool,
     /// As far as the robot has told it.
     pub(super) block: Option<InitializationBlock>,
     actor: Option<Actor>,
@@ -55,6 +57,7 @@ impl Trial {
             clock,
             interrupted,
             shift: Span::ZERO,
+            greets: false,
             block: None,
             actor: None,
             run: fastrand::u64(..),
@@ -111,8 +114,18 @@ impl Trial {
         }
     }
 
-    /// A new connection.
+    /// A new connection. A robot that serves nobody who has not greeted it is greeted, so that this alone fails.
     pub(super) fn connect(&self) -> Result<Line<'_>, Unmet> {
+        let mut line = self.connect_silently()?;
+        if self.greets {
+            line.availability()?;
+            line.initialization()?;
+        }
+        Ok(line)
+    }
+
+    /// A new connection on which nothing has been said.
+    pub(super) fn connect_silently(&self) -> Result<Line<'_>, Unmet> {
         let patience = self.options.patience.to_duration();
         let connected = TcpStream::connect_timeout(&self.address, patience).and_then(|stream| {
             stream.set_nodelay(true)?;
@@ -125,6 +138,19 @@ impl Trial {
                 self.address, self.options.patience
             ))
         })
+    }
+
+    /// Whether it takes a connection and answers on it; one that is being started again is given the patience.
+    pub(super) fn is_alive(&self) -> bool {
+        let until = self.patience();
+        loop {
+            if self.connect_silently().and_then(|mut line| line.availability().map(drop)).is_ok() {
+                return true;
+            }
+            if self.now() >= until || self.pause(Span::from_millis(100)).is_err() {
+                return false;
+            }
+        }
     }
 
     /// A connection beside one that stands, where the robot serves several.
@@ -250,7 +276,7 @@ impl Trial {
                 break false;
             }
         };
-        if self.left_held.replace(false) && !confirmed {
+        if self.left_held.replace(false) {
             let _had_enough = self.pause(Span::from_millis_f64(LEASE_MS));
         }
         confirmed

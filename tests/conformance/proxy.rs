@@ -1,0 +1,212 @@
+//! A simulated robot behind a proxy that plants one fault.
+
+use std::collections::{HashMap, HashSet};
+use std::io::{Read, Write};
+use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::{Arc, Mutex, OnceLock};
+use std::time::Duration;
+
+use downbeat_robot::simulated::{Settings, SimulatedRobot};
+use downbeat_robot::{Host, HostOptions, serve};
+use serde_json::Value;
+
+/// Where a line goes.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Way {
+    ToRobot,
+    ToServer,
+}
+
+/// A line on its way through the proxy.
+pub struct Passing {
+    pub way: Way,
+    /// Counts connections from 1.
+    pub link: u64,
+    pub raw: Vec<u8>,
+    /// Null where it is no JSON. What a fault changes here is sent instead of the line.
+    pub json: Value,
+}
+
+impl Passing {
+    /// The inside of a control request on its way to the robot.
+    pub fn request(&mut self) -> Option<&mut Value> {
+        let request = (self.way == Way::ToRobot).then(|| self.json.get_mut("control_request")).flatten();
+        request.filter(|request| request.is_object())
+    }
+
+    /// The inside of a control response.
+    pub fn response(&mut self) -> Option<&mut Value> {
+        self.json.get_mut("control_response")
+    }
+
+    pub fn is_from_server(&self, text: &str) -> bool {
+        self.way == Way::ToRobot && String::from_utf8_lossy(&self.raw).contains(text)
+    }
+}
+
+/// What becomes of it.
+pub enum Then {
+    Pass,
+    Drop,
+    /// Sent back to where the line came from, instead of passing it.
+    Answer(Value),
+    /// Passed in place of it.
+    Instead(Vec<u8>),
+    After(Duration),
+    HangUp,
+}
+
+/// What a fault remembers.
+#[derive(Default)]
+pub struct Memory {
+    pub seen: HashSet<(u64, String)>,
+    pub count: HashMap<u64, usize>,
+    pub running: bool,
+}
+
+pub type Fault = fn(&mut Memory, &mut Passing) -> Then;
+
+/// How the proxy itself serves.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub enum Serving {
+    All,
+    /// One connection at a time.
+    OneByOne,
+    /// So many connections, then none.
+    AtMost(u64),
+    /// What comes in one piece is taken for a line.
+    WithoutBuffer,
+    /// While one peer does not read, nobody is served.
+    UnderOneLock,
+}
+
+/// A simulated robot on a socket of its own; it lives as long as the process.
+pub fn robot(yaml: &str, settings: Settings) -> SocketAddr {
+    static RUNTIME: OnceLock<tokio::runtime::Runtime> = OnceLock::new();
+    let runtime = RUNTIME.get_or_init(|| {
+        tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap()
+    });
+    let block = serde_yaml::from_str(yaml).unwrap();
+    let host = Host::start(vec![SimulatedRobot::new(block, settings)], HostOptions::default()).unwrap();
+    runtime.block_on(async {
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let address = listener.local_addr().unwrap();
+        tokio::spawn(async move {
+            let _ended = serve(listener, host.handle(), 0).await;
+            host.stop();
+        });
+        address
+    })
+}
+
+/// The same behind a fault.
+pub fn faulty(robot: SocketAddr, serving: Serving, fault: Fault) -> SocketAddr {
+    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    let memory = Arc::new(Mutex::new(Memory::default()));
+    let one_lock = Arc::new(Mutex::new(()));
+    std::thread::spawn(move || {
+        for (link, server) in (1..).zip(listener.incoming()) {
+            if matches!(serving, Serving::AtMost(most) if link > most) {
+                return;
+            }
+            let Ok(server) = server else { continue };
+            let lock = (serving == Serving::UnderOneLock).then(|| Arc::clone(&one_lock));
+            let carrier = Carrier { serving, fault, link, memory: Arc::clone(&memory), lock };
+            let carrying = carrier.start(server, robot);
+            if serving == Serving::OneByOne {
+                carrying.join().unwrap();
+            }
+        }
+    });
+    address
+}
+
+#[derive(Clone)]
+struct Carrier {
+    serving: Serving,
+    fault: Fault,
+    link: u64,
+    memory: Arc<Mutex<Memory>>,
+    lock: Option<Arc<Mutex<()>>>,
+}
+
+/// What stands in the line in which a key stands twice.
+pub const TWICE: &str = "{\"control_request\":{\"control_value\":0,";
+
+type Writer = Arc<Mutex<TcpStream>>;
+
+impl Carrier {
+    /// Ends when both ways have ended.
+    fn start(self, server: TcpStream, robot: SocketAddr) -> std::thread::JoinHandle<()> {
+        let robot = TcpStream::connect(robot).unwrap();
+        server.set_nodelay(true).unwrap();
+        robot.set_nodelay(true).unwrap();
+        let to_robot = Arc::new(Mutex::new(robot.try_clone().unwrap()));
+        let to_server = Arc::new(Mutex::new(server.try_clone().unwrap()));
+        let (inward, writers) = (self.clone(), (Arc::clone(&to_robot), Arc::clone(&to_server)));
+        let reading = std::thread::spawn(move || inward.carry(Way::ToRobot, server, &writers.0, &writers.1));
+        std::thread::spawn(move || {
+            self.carry(Way::ToServer, robot, &to_server, &to_robot);
+            reading.join().unwrap();
+        })
+    }
+
+    fn carry(&self, way: Way, mut from: TcpStream, to: &Writer, back: &Writer) {
+        let cut_anywhere = self.serving == Serving::WithoutBuffer && way == Way::ToRobot;
+        if cut_anywhere {
+            from.set_read_timeout(Some(Duration::from_millis(50))).unwrap();
+        }
+        let (mut buffer, mut bytes) = (Vec::new(), vec![0; 64 * 1024]);
+        'reading: loop {
+            match from.read(&mut bytes) {
+                Ok(0) => break,
+                Ok(read) => buffer.extend_from_slice(&bytes[..read]),
+                Err(error) if error.kind() == std::io::ErrorKind::WouldBlock && cut_anywhere => {
+                    if !buffer.is_empty() {
+                        buffer.push(b'\n');
+                    }
+                }
+                Err(_) => break,
+            }
+            let mut rest = buffer.as_slice();
+            while let Some(newline) = rest.iter().position(|byte| *byte == b'\n') {
+                let (line, behind) = rest.split_at(newline + 1);
+                rest = behind;
+                if !self.pass(way, line, to, back) {
+                    break 'reading;
+                }
+            }
+            buffer = rest.to_vec();
+        }
+        for stream in [to, back] {
+            let _closed = stream.lock().unwrap().shutdown(Shutdown::Both);
+        }
+    }
+
+    fn pass(&self, way: Way, line: &[u8], to: &Writer, back: &Writer) -> bool {
+        // Neither a huge line nor one with a key twice would be the same behind a tree of values.
+        let huge = line.len() > 1_000_000;
+        let twice = String::from_utf8_lossy(line).contains(TWICE);
+        let json = if huge || twice { Value::Null } else { serde_json::from_slice(line).unwrap_or_default() };
+        let mut passing = Passing { way, link: self.link, raw: line.to_vec(), json: json.clone() };
+        let then = (self.fault)(&mut self.memory.lock().unwrap(), &mut passing);
+        let edited = || match passing.json == json {
+            true => line.to_vec(),
+            false => format!("{}\n", passing.json).into_bytes(),
+        };
+        let _serving_nobody_else = self.lock.as_ref().map(|lock| lock.lock().unwrap());
+        let write = |writer: &Writer, bytes: &[u8]| writer.lock().unwrap().write_all(bytes).is_ok();
+        match then {
+            Then::Pass => write(to, &edited()),
+            Then::Drop => true,
+            Then::Answer(answer) => write(back, format!("{answer}\n").as_bytes()),
+            Then::Instead(bytes) => write(to, &bytes),
+            Then::After(delay) => {
+                std::thread::sleep(delay);
+                write(to, &edited())
+            }
+            Then::HangUp => false,
+        }
+    }
+}
