@@ -262,6 +262,30 @@ impl DeviceMachine {
         self.come_to_rest(now, hold, effects);
     }
 
+    /// The hardware is gone: ends everything that is held or runs. Nothing can be set.
+    pub(crate) fn fail(&mut self, now: Timestamp<Robot>, error: &ControlError, effects: &mut Vec<Effect>) {
+        self.drop_all(error, effects);
+        self.guards.clear();
+        for (control_type, signal) in &mut self.signals {
+            let value = default_state(&self.spec, *control_type).unwrap_or_else(|| signal.value(now));
+            *signal = Signal::resting(value, now);
+        }
+    }
+
+    /// The hardware is back, from wherever it is to its default state at once. A position without a default value stays.
+    pub(crate) fn restore(&mut self, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
+        for control_type in self.signals.keys() {
+            let Some(value) = default_state(&self.spec, *control_type) else { continue };
+            let motion = Motion::Default { control_type: *control_type, value };
+            effects.push(Effect::Move { motion, due: now, request_id: None, step: None });
+        }
+    }
+
+    /// A signal under way or at rest.
+    pub(crate) fn signal(&self, control_type: ControlType) -> Option<Signal> {
+        self.signals.get(&control_type).copied()
+    }
+
     fn drop_all(&mut self, error: &ControlError, effects: &mut Vec<Effect>) {
         for held in self.queue.drain(..) {
             effects.push(failed(held, error));
@@ -407,6 +431,12 @@ impl DeviceMachine {
         }
         Ok(())
     }
+}
+
+/// The value of a signal in the default state; `None` for a position that is held.
+fn default_state(spec: &Device, control_type: ControlType) -> Option<f64> {
+    let default = spec.default_value.filter(|_| spec.primary_control_type() == Some(control_type));
+    default.or_else(|| is_rate(control_type).then_some(0.0))
 }
 
 /// How fast a device changes its position or speed, where it declares an acceleration.

@@ -1,5 +1,7 @@
 //! Runs robots in real time: one thread of its own that wakes precisely, however many robots live on it.
 
+mod hosted;
+
 use std::collections::{BTreeSet, HashMap};
 use std::fs::File;
 use std::io::{self, Write};
@@ -7,12 +9,16 @@ use std::path::PathBuf;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::sync::{Arc, mpsc as std_mpsc};
 use std::thread::JoinHandle;
+use std::time::Duration;
 
 use serde::Serialize;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use urrcp::{Message, RobotId, Timestamp};
 
+use self::hosted::Attached;
+pub use self::hosted::Hosted;
 use crate::clock::HostClock;
+use crate::driver::{Mailbox, News};
 use crate::precise_wait::{self, Woken};
 use crate::robot::{Input, LinkId};
 use crate::set_log::LogEntry;
@@ -72,6 +78,11 @@ enum Order {
         input: Input,
         permit: Option<OwnedSemaphorePermit>,
     },
+    /// A driver's thread has something to say.
+    Hardware {
+        robot: usize,
+        news: News,
+    },
     Stop,
 }
 
@@ -81,6 +92,8 @@ pub struct Host {
     handle: HostHandle,
     thread: Option<JoinHandle<()>>,
     writer: Option<JoinHandle<()>>,
+    drivers: Vec<JoinHandle<()>>,
+    mailboxes: Vec<Arc<Mailbox>>,
 }
 
 /// Opens links to the robots of a host.
@@ -114,8 +127,10 @@ impl Host {
     ///
     /// # Errors
     /// [`HostError`] when the log cannot be written or the system gives no thread.
-    pub fn start(robots: Vec<SimulatedRobot>, options: HostOptions) -> Result<Self, HostError> {
-        let ids: Arc<[RobotId]> = robots.iter().map(|robot| robot.robot().block().id.clone()).collect();
+    pub fn start<R: Into<Hosted>>(robots: Vec<R>, options: HostOptions) -> Result<Self, HostError> {
+        let hosted: Vec<Hosted> = robots.into_iter().map(Into::into).collect();
+        let ids: Arc<[RobotId]> =
+            hosted.iter().map(|hosted| hosted.robot.robot().block().id.clone()).collect();
         let (log, writer) = match options.log {
             None => (None, None),
             Some(path) => {
@@ -131,15 +146,30 @@ impl Host {
         };
         let (orders, inbox) = std_mpsc::channel();
         let handle = HostHandle { orders, robots: ids, next_link: Arc::new(AtomicU64::new(0)) };
+        let (mut robots, mut attached, mut drivers) = (Vec::new(), Vec::new(), Vec::new());
+        for (index, hosted) in hosted.into_iter().enumerate() {
+            let (robot, driver, thread) = hosted.attach(index, &handle.orders).map_err(HostError::Thread)?;
+            robots.push(robot);
+            attached.push(driver);
+            drivers.extend(thread);
+        }
+        let mailboxes: Vec<_> = attached.iter().flatten().map(|driver| Arc::clone(&driver.mailbox)).collect();
         let thread = std::thread::Builder::new().name("robots".into());
         // Ends by `Order::Stop`, or when every handle is gone.
         let thread = thread
             .spawn(move || {
                 precise_wait::prepare_thread(options.realtime);
-                Executor::new(robots, log).run(&inbox);
+                Executor::new(robots, attached, log).run(&inbox);
             })
             .map_err(HostError::Thread)?;
-        Ok(Self { handle, thread: Some(thread), writer })
+        Ok(Self { handle, thread: Some(thread), writer, drivers, mailboxes })
+    }
+
+    /// Waits until every driver has tried to connect once, so that whoever asks next hears how it went.
+    #[expect(clippy::disallowed_methods, reason = "drivers connect in real time")]
+    pub fn await_hardware(&self, patience: Duration) {
+        let until = std::time::Instant::now() + patience;
+        self.mailboxes.iter().for_each(|mailbox| mailbox.await_tried(until));
     }
 
     /// Opens links to these robots.
@@ -148,14 +178,15 @@ impl Host {
         self.handle.clone()
     }
 
-    /// Stops the robots where they are and completes the log.
+    /// Stops the robots where they are and completes the log. Hardware goes to its default state, if it was moved.
     pub fn stop(mut self) {
         self.shut_down();
     }
 
     fn shut_down(&mut self) {
         let _already_gone = self.handle.orders.send(Order::Stop);
-        for thread in [self.thread.take(), self.writer.take()].into_iter().flatten() {
+        let drivers = self.drivers.drain(..);
+        for thread in [self.thread.take(), self.writer.take()].into_iter().flatten().chain(drivers) {
             if thread.join().is_err() {
                 tracing::error!("a thread of the robots' host panicked");
             }
@@ -236,6 +267,8 @@ type LoggedBatch = (usize, Vec<LogEntry>);
 /// The precise thread's state.
 struct Executor {
     robots: Vec<SimulatedRobot>,
+    /// One for each robot that drives something.
+    drivers: Vec<Option<Attached>>,
     wakeups: BTreeSet<(Timestamp<True>, usize)>,
     wakeup_of: Vec<Option<Timestamp<True>>>,
     peers: HashMap<LinkId, mpsc::Sender<LinkEvent>>,
@@ -246,10 +279,15 @@ struct Executor {
 }
 
 impl Executor {
-    fn new(robots: Vec<SimulatedRobot>, log: Option<std_mpsc::Sender<LoggedBatch>>) -> Self {
+    fn new(
+        robots: Vec<SimulatedRobot>,
+        drivers: Vec<Option<Attached>>,
+        log: Option<std_mpsc::Sender<LoggedBatch>>,
+    ) -> Self {
         Self {
             wakeup_of: vec![None; robots.len()],
             robots,
+            drivers,
             wakeups: BTreeSet::new(),
             peers: HashMap::new(),
             clock: HostClock::anchored(),
@@ -264,7 +302,7 @@ impl Executor {
             let deadline = self.wakeups.first().map(|(at, _)| self.clock.instant_of(*at));
             match precise_wait::wait(inbox, deadline) {
                 Woken::Deadline => self.advance_due(),
-                Woken::Message(Order::Stop) | Woken::Closed => return,
+                Woken::Message(Order::Stop) | Woken::Closed => return self.shut_down(),
                 Woken::Message(order) => self.obey(order),
             }
         }
@@ -289,7 +327,33 @@ impl Executor {
                 self.advance(robot);
                 drop(permit);
             }
+            Order::Hardware { robot, news } => {
+                if let Some(driver) = &mut self.drivers[robot] {
+                    driver.hear(&mut self.robots[robot], &self.clock, news);
+                }
+                self.advance(robot);
+            }
             Order::Stop => {}
+        }
+    }
+
+    /// Hardware goes to its default state; the threads of the drivers end when they have seen to that.
+    fn shut_down(mut self) {
+        for robot in 0..self.robots.len() {
+            if self.drivers[robot].is_none() {
+                continue;
+            }
+            let now = self.clock.now();
+            self.robots[robot].drive(now, |machine, now, out| machine.shut_down(now, out));
+            self.advance(robot);
+        }
+        self.drivers.iter().flatten().for_each(|driver| driver.mailbox.close());
+    }
+
+    /// Passes on what a robot wants of its hardware.
+    fn post(&mut self, robot: usize) {
+        if let Some(driver) = &self.drivers[robot] {
+            driver.post(&mut self.robots[robot], &self.clock);
         }
     }
 
@@ -301,6 +365,7 @@ impl Executor {
         for robot in &due {
             let now = self.clock.now();
             self.robots[*robot].advance_movements(now);
+            self.post(*robot);
         }
         // Another process may wait for this core to move its robots at the same instant.
         std::thread::yield_now();
@@ -314,6 +379,7 @@ impl Executor {
     fn advance(&mut self, robot: usize) {
         let now = self.clock.now();
         self.robots[robot].advance(now, &mut self.out);
+        self.post(robot);
         let log = self.robots[robot].take_log();
         if let (Some(sink), false) = (&self.log, log.is_empty()) {
             let _writer_gone = sink.send((robot, log));

@@ -2,11 +2,14 @@
 //!
 //! `device` and `robot` are machines without I/O and without a clock: messages and the time in, answers and values out.
 //! `simulated` wraps a robot with a clock, delays and faults of its own, still without touching the world. `host` runs
-//! simulated robots in real time on one precise thread (`precise_wait`, `clock`), `serve` puts TCP round it.
+//! robots in real time on one precise thread (`precise_wait`, `clock`), with hardware behind drivers (`driver`), and
+//! `serve` puts TCP round it.
 
 mod answers;
 pub mod clock;
 mod device;
+pub mod driver;
+mod hardware;
 mod held;
 mod host;
 #[cfg(any(test, feature = "invariants"))]
@@ -21,7 +24,8 @@ mod signal;
 pub mod simulated;
 
 pub use device::Motion;
-pub use host::{Host, HostError, HostHandle, HostOptions, LinkEvent, RobotLink};
+pub use hardware::ReadingId;
+pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, RobotLink};
 pub use robot::{Input, LinkId, Output, Robot, SetValue};
 pub use serve::serve;
 pub use set_log::LogEntry;

@@ -1,5 +1,7 @@
 //! A robot as a machine: messages and the time in, answers and values out.
 
+mod driven;
+
 use std::collections::{BTreeSet, HashMap};
 
 use urrcp::{
@@ -10,6 +12,7 @@ use urrcp::{
 
 use crate::answers::Answers;
 use crate::device::{DeviceMachine, Effect, Motion};
+use crate::hardware::{Hardware, ReadingId};
 use crate::lease::LastHeard;
 use crate::parties::Parties;
 
@@ -40,6 +43,13 @@ pub enum Output {
     },
     /// Drive a device.
     Set(SetValue),
+    /// Read a sensor of the hardware; [`Robot::reading_came`] takes what it reads.
+    Read {
+        /// Names the reading.
+        reading: ReadingId,
+        /// Which sensor.
+        sensor: DeviceId,
+    },
 }
 
 /// One movement of one device.
@@ -70,6 +80,9 @@ pub struct Robot {
     wakeup_of: Vec<Option<Timestamp<urrcp::Robot>>>,
     answers: Answers,
     readings: HashMap<DeviceId, f64>,
+    hardware: Hardware,
+    /// Something has been set since the start.
+    moved: bool,
     effects: Vec<Effect>,
     /// What is to be told, of which device, and when it happened.
     reports: Vec<(usize, Now, Effect)>,
@@ -94,6 +107,8 @@ impl Robot {
             answers: Answers::of(block.devices.len()),
             block,
             readings: HashMap::new(),
+            hardware: Hardware::simulated(),
+            moved: false,
             effects: Vec::new(),
             reports: Vec::new(),
         }
@@ -125,13 +140,15 @@ impl Robot {
     /// When [`Robot::advance`] is next due, or a little earlier.
     #[must_use]
     pub fn next_wakeup(&self) -> Option<Now> {
-        self.wakeups.first().map(|(at, _)| *at)
+        let device = self.wakeups.first().map(|(at, _)| *at);
+        device.into_iter().chain(self.hardware.next_wakeup()).min()
     }
 
     /// Does everything due at or before `now`: all movements stand ahead of all reports.
     pub fn advance(&mut self, now: Now, out: &mut Vec<Output>) {
         self.advance_movements(now, out);
         self.send_reports(now, out);
+        self.give_up_readings(now, out);
     }
 
     /// The movements due at or before `now`, without their reports: for a driver that moves many robots at one instant
@@ -189,9 +206,12 @@ impl Robot {
                     status: if taken.is_some() { Status::Failed } else { Status::Ok },
                     error: taken.filter(|_| request.session.is_some()),
                 };
-                let response = match request.session {
-                    Some(_) => response,
-                    None => AvailabilityResponse { status: Status::Ok, ..response },
+                let response = match (self.hardware.missing(), request.session) {
+                    (Some(missing), _) => {
+                        AvailabilityResponse { status: Status::Failed, error: Some(missing), ..response }
+                    }
+                    (None, Some(_)) => response,
+                    (None, None) => AvailabilityResponse { status: Status::Ok, ..response },
                 };
                 out.push(Output::Send { link, message: Message::AvailabilityResponse(response) });
             }
@@ -250,6 +270,11 @@ impl Robot {
             Ok(content_hash) => content_hash,
             Err(error) => return self.refuse(now, link, &request, error, out),
         };
+        if let Some(missing) = self.hardware.missing() {
+            // Not remembered either: once the hardware is back the same request may be taken.
+            let answer = refusal(now, &request, missing);
+            return out.push(Output::Send { link, message: Message::ControlResponse(answer) });
+        }
         match &request.command {
             Command::ReadSensor => return self.provide(now, link, index, &request, out),
             Command::Script(script) if script.is_empty() => {
@@ -349,6 +374,10 @@ impl Robot {
             self.stop(now, index, why, false, out);
             return self.refuse(now, link, request, error, out);
         };
+        if !self.hardware.is_simulated() {
+            let max_delay = sensor.max_delay;
+            return self.ask_hardware(now, link, request, max_delay, out);
+        }
         let middle = f64::midpoint(sensor.min_value, sensor.max_value);
         let position = self.devices[index].value(ControlType::Position, now);
         let reading = self.readings.get(&request.device_id).copied().or(position).unwrap_or(middle);
@@ -438,6 +467,7 @@ impl Robot {
         for effect in self.effects.drain(..) {
             match effect {
                 Effect::Move { motion, due, request_id, step } => {
+                    self.moved = true;
                     out.push(Output::Set(SetValue { device: device.clone(), motion, due, request_id, step }));
                 }
                 report => self.reports.push((index, now, report)),

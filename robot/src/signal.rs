@@ -70,6 +70,11 @@ impl Signal {
         }
     }
 
+    /// Whether it goes to its target at one speed.
+    pub(crate) const fn is_linear(&self) -> bool {
+        self.slowing.is_none()
+    }
+
     /// Its change a second.
     fn rate(&self, now: Timestamp<Robot>) -> f64 {
         if now >= self.until || now < self.since {

@@ -4,10 +4,12 @@ use std::collections::{BTreeMap, HashMap};
 
 use urrcp::{
     Command, ControlError, ControlResponse, DEVICES_MAX, DeviceId, Encoding, ErrorCode, InitializationBlock,
-    Message, Robot as RobotClock, Span, Status, StatusValue, Timestamp,
+    Message, Robot as RobotClock, Setpoint, Span, Status, StatusValue, Timestamp,
 };
 
-use crate::robot::{Input, LinkId, Output, Robot};
+use crate::device::Motion;
+use crate::driver::Wanted;
+use crate::robot::{Input, LinkId, Output, Robot, SetValue};
 use crate::set_log::LogEntry;
 
 /// The one true clock of a host or of a virtual world.
@@ -111,6 +113,7 @@ pub struct SimulatedRobot {
     sequence: u64,
     lanes: HashMap<LaneId, Lane>,
     log: Vec<LogEntry>,
+    wanted: Vec<Wanted>,
     outputs: Vec<Output>,
     /// It has hung up for good.
     gone: bool,
@@ -132,9 +135,17 @@ impl SimulatedRobot {
             sequence: 0,
             lanes: HashMap::new(),
             log: Vec::new(),
+            wanted: Vec::new(),
             outputs: Vec::new(),
             gone: false,
         }
+    }
+
+    /// A robot that drives hardware: no clock of its own, no delays, no faults but the hardware's.
+    #[must_use]
+    pub fn driven(block: InitializationBlock) -> Self {
+        let robot = Robot::driven(block.clone());
+        Self { robot, ..Self::new(block, Settings::default()) }
     }
 
     /// The machine inside.
@@ -163,6 +174,22 @@ impl SimulatedRobot {
     /// What was set since the last call.
     pub fn take_log(&mut self) -> Vec<LogEntry> {
         std::mem::take(&mut self.log)
+    }
+
+    /// What is wanted of the hardware since the last call.
+    pub(crate) fn take_wanted(&mut self) -> Vec<Wanted> {
+        std::mem::take(&mut self.wanted)
+    }
+
+    /// Tells the machine something that comes on no link.
+    pub(crate) fn drive(
+        &mut self,
+        now: Timestamp<True>,
+        tell: impl FnOnce(&mut Robot, Timestamp<RobotClock>, &mut Vec<Output>),
+    ) {
+        let at = self.robot_from_true(now);
+        tell(&mut self.robot, at, &mut self.outputs);
+        self.perform(now);
     }
 
     /// Something was sent to the robot at `now`; it arrives after the link's delay.
@@ -261,7 +288,11 @@ impl SimulatedRobot {
         let mut outputs = std::mem::take(&mut self.outputs);
         for output in outputs.drain(..) {
             match output {
+                Output::Read { reading, sensor } => self.wanted.push(Wanted::Read(reading, sensor)),
                 Output::Set(set) => {
+                    if self.robot.is_driven() {
+                        self.wanted.extend(wanted(&self.robot, &set));
+                    }
                     let at = self.robot_from_true(now);
                     self.log.push(LogEntry::new(now, at, set));
                 }
@@ -360,6 +391,20 @@ impl SimulatedRobot {
         }
         guess
     }
+}
+
+/// What the hardware does for a movement.
+fn wanted(robot: &Robot, set: &SetValue) -> Option<Wanted> {
+    let key = |control_type| (set.device.clone(), control_type);
+    Some(match &set.motion {
+        Motion::Set(setpoint) => Wanted::Set(key(setpoint.control_type), setpoint.clone()),
+        Motion::Default { control_type, value } => {
+            Wanted::Set(key(*control_type), Setpoint::new(*control_type, *value))
+        }
+        Motion::Ramp { control_type, .. } | Motion::Slow { control_type, .. } => {
+            Wanted::Follow(key(*control_type), robot.signal(set.device.as_str(), *control_type)?)
+        }
+    })
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

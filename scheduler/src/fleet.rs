@@ -1,7 +1,8 @@
 //! From the fleet file to robots that can be talked to.
 
+use downbeat_robot::driver::{DriverError, DriverOptions, DriverSpec};
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
-use downbeat_robot::{Host, HostError, HostOptions};
+use downbeat_robot::{Host, HostError, HostOptions, Hosted};
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Handshake, Plan, RobotClock, Wait};
 use urrcp::{Encoding, RobotId};
 
@@ -16,12 +17,20 @@ pub struct NoInit {
     pub robot: RobotId,
 }
 
-/// Robots with `address: sim` cannot be started.
+/// Robots that run in this process cannot be started.
 #[derive(Debug, thiserror::Error)]
 pub enum EndpointError {
     /// One of them is not described.
     #[error(transparent)]
     NoInit(#[from] NoInit),
+    /// One of them cannot be driven so.
+    #[error("robot `{robot}`: {error}")]
+    Driver {
+        /// Which.
+        robot: RobotId,
+        /// Why not.
+        error: DriverError,
+    },
     /// The host of all of them cannot start.
     #[error(transparent)]
     Host(#[from] HostError),
@@ -105,33 +114,53 @@ pub fn simulated(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit
     Ok(SimulatedRobot::new(block, settings))
 }
 
-/// Where each robot is reached; those with `address: sim` are started in this process.
+/// How long the hardware of all robots in this process may take to be found before the mission begins without it.
+const HARDWARE_WAIT: std::time::Duration = std::time::Duration::from_secs(10);
+
+/// What runs in this process for a robot: a simulated one, or an edge with a driver; nothing for one that listens itself.
+fn hosted(robot: &FleetRobot, seed: u64) -> Result<Option<Hosted>, EndpointError> {
+    let spec = match &robot.address {
+        Address::Tcp { .. } => return Ok(None),
+        Address::Simulated => return Ok(Some(simulated(robot, seed)?.into())),
+        Address::Thrift { host, port } => DriverSpec::Thrift { host: host.clone(), port: *port },
+        Address::Program { command } => DriverSpec::Program { command: command.clone() },
+    };
+    let block = robot.init.clone().ok_or_else(|| NoInit { robot: robot.id.clone() })?;
+    let refused = |error| EndpointError::Driver { robot: robot.id.clone(), error };
+    let driver = spec.driver(&block).map_err(refused)?;
+    Ok(Some(Hosted::driven(block, driver, DriverOptions::default())))
+}
+
+/// Where each robot is reached; all but those with `address: tcp://` are started in this process.
 ///
 /// # Errors
-/// [`EndpointError`] for a robot that cannot be simulated, or when the host cannot start.
+/// [`EndpointError`] for a robot that cannot be simulated or driven, or when the host cannot start.
 pub fn endpoints(
     robots: &[&FleetRobot],
     handshake: Handshake,
     options: HostOptions,
 ) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
-    let in_process: Vec<_> = robots.iter().filter(|robot| robot.address == Address::Simulated).collect();
-    let machines: Result<Vec<_>, _> =
-        in_process.iter().enumerate().map(|(seed, robot)| simulated(robot, seed as u64)).collect();
-    let machines = machines?;
+    let mut machines: Vec<Hosted> = Vec::new();
+    // The index in the host of those that run there.
+    let mut places = Vec::new();
+    for robot in robots {
+        let hosted = hosted(robot, machines.len() as u64)?;
+        places.push(hosted.is_some().then_some(machines.len()));
+        machines.extend(hosted);
+    }
     let host = if machines.is_empty() { None } else { Some(Host::start(machines, options)?) };
-    let mut index = 0;
-    let endpoint = |robot: &&FleetRobot| match (&robot.address, &host) {
-        (Address::Tcp { host, port }, _) => {
+    if let Some(host) = &host {
+        host.await_hardware(HARDWARE_WAIT);
+    }
+    let endpoint = |(robot, place): (&&FleetRobot, Option<usize>)| match (&robot.address, place, &host) {
+        (Address::Tcp { host, port }, ..) => {
             let speech = speech(robot, handshake);
             Some(Endpoint::Tcp { host: host.clone(), port: *port, speech })
         }
-        (Address::Simulated, Some(host)) => {
-            index += 1;
-            Some(Endpoint::InProcess { host: host.handle(), index: index - 1 })
-        }
-        (Address::Simulated, None) => None,
+        (_, Some(index), Some(host)) => Some(Endpoint::InProcess { host: host.handle(), index }),
+        _ => None,
     };
-    let endpoints = robots.iter().filter_map(endpoint).collect();
+    let endpoints = robots.iter().zip(places).filter_map(endpoint).collect();
     Ok((host, endpoints))
 }
 

@@ -1,12 +1,14 @@
 //! The fleet file: which robots there are, where they are reached, how they describe themselves.
 
 use std::collections::{BTreeMap, HashMap, HashSet};
+use std::fmt;
 use std::path::{Path, PathBuf};
 
 use urrcp::{ControlType, Device, DeviceId, Encoding, InitializationBlock, RobotId, Span};
 
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding};
+use crate::init::{Init, read_supplements};
 use crate::locate::locate;
 use crate::node::{self, Node};
 use crate::scenario::{SensorRange, acts};
@@ -14,8 +16,8 @@ use crate::source::Source;
 use crate::tags::foreign_tags;
 
 pub(crate) const FLEET_KEYS: [&str; 4] = ["ntp", "handshake", "robots", "groups"];
-pub(crate) const ROBOT_KEYS: [&str; 8] =
-    ["init", "address", "simulate", "limits", "clock", "wake_up", "require", "encoding"];
+pub(crate) const ROBOT_KEYS: [&str; 9] =
+    ["init", "devices", "address", "simulate", "limits", "clock", "wake_up", "require", "encoding"];
 pub(crate) const RANGE_KEYS: [&str; 3] = ["above", "below", "within"];
 pub(crate) const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
 pub(crate) const SIMULATE_KEYS: [&str; 6] =
@@ -122,6 +124,52 @@ pub enum Address {
         /// Port.
         port: u16,
     },
+    /// `thrift://host:port`: a robot that speaks the early Thrift form, driven from this process.
+    Thrift {
+        /// Host name or address.
+        host: String,
+        /// Port.
+        port: u16,
+    },
+    /// `program:COMMAND`: a robot driven from this process by a program.
+    Program {
+        /// A command line of the shell.
+        command: String,
+    },
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Simulated => f.write_str("sim"),
+            Self::Tcp { host, port } => write!(f, "tcp://{host}:{port}"),
+            Self::Thrift { host, port } => write!(f, "thrift://{host}:{port}"),
+            Self::Program { command } => write!(f, "program:{command}"),
+        }
+    }
+}
+
+impl Address {
+    /// Reads an address as the fleet file writes it.
+    fn parse(text: &str) -> Option<Self> {
+        if text == "sim" {
+            return Some(Self::Simulated);
+        }
+        let (scheme, rest) = text.split_once(':')?;
+        if scheme == "program" {
+            let command = rest.trim().to_owned();
+            return (!command.is_empty()).then_some(Self::Program { command });
+        }
+        let (host, port) = rest.strip_prefix("//")?.rsplit_once(':')?;
+        let port = port.parse::<u16>().ok().filter(|port| *port > 0)?;
+        let host = host.trim_start_matches('[').trim_end_matches(']').to_owned();
+        match scheme {
+            _ if host.is_empty() => None,
+            "tcp" => Some(Self::Tcp { host, port }),
+            "thrift" => Some(Self::Thrift { host, port }),
+            _ => None,
+        }
+    }
 }
 
 /// How a simulated robot differs from a perfect one.
@@ -188,7 +236,7 @@ pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
     }
     let mut reader = FleetReader {
         folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
-        blocks: HashMap::new(),
+        inits: HashMap::new(),
         findings: Reader::default(),
         elsewhere: Vec::new(),
     };
@@ -198,25 +246,10 @@ pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
     (fleet.filter(|_| findings.is_empty()), findings)
 }
 
-/// Reads a robot's initialization block from a YAML or JSON file.
-///
-/// # Errors
-/// A finding when the file cannot be read or describes no robot.
-pub fn read_init(path: &Path) -> Result<InitializationBlock, Finding> {
-    let source = Source::read(path)?;
-    serde_yaml::from_str(&source.text).map_err(|error| {
-        let mut finding = node::syntax_finding(&source, &error);
-        finding.code = Code::InitializationBlock;
-        finding.expected =
-            "an initialization block: id, api_version, devices with their available_control_types".into();
-        finding
-    })
-}
-
 struct FleetReader {
     folder: PathBuf,
-    /// Blocks read so far, by path: many robots share one.
-    blocks: HashMap<PathBuf, Option<InitializationBlock>>,
+    /// Descriptions read so far, by path: many robots share one.
+    inits: HashMap<PathBuf, Option<Init>>,
     findings: Reader,
     /// Findings in other files.
     elsewhere: Vec<Finding>,
@@ -267,11 +300,11 @@ impl FleetReader {
             }
         };
         let what = format!("robot `{name}`");
-        let [init, address, simulate, limits, clock, wake_up, require, encoding] =
+        let [init, devices, address, simulate, limits, clock, wake_up, require, encoding] =
             self.findings.map(at, &what, ROBOT_KEYS, &["init", "address"])?;
         let address = address.and_then(|at| self.address(&at));
         let simulation = simulate.map(|at| self.simulation(&at)).unwrap_or_default();
-        let mut init = init.and_then(|at| self.init(&at))?;
+        let mut init = init.and_then(|at| self.init(&at, devices.as_ref()))?;
         init.id = id.clone();
         let limits = limits.map(|at| self.limits(&at, &init)).unwrap_or_default();
         let words = [("ntp", RobotClock::Ntp), ("measured", RobotClock::Measured)];
@@ -366,47 +399,56 @@ impl FleetReader {
     }
 
     fn address(&mut self, at: &At<'_>) -> Option<Address> {
-        let expected = "`sim`, or tcp://host:port";
+        let expected = "`sim`, tcp://host:port, thrift://host:port or program:COMMAND";
         let text = self.findings.text(at, expected)?;
-        if text == "sim" {
-            return Some(Address::Simulated);
+        let address = Address::parse(&text);
+        if address.is_none() {
+            let message = format!("`{}` is no address", node::shortened(&text));
+            self.findings.add(Code::UnknownWord, at.place(), message, expected, None);
         }
-        let parsed = text.strip_prefix("tcp://").and_then(|rest| rest.rsplit_once(':'));
-        let parsed =
-            parsed.and_then(|(host, port)| Some((host, port.parse::<u16>().ok().filter(|port| *port > 0)?)));
-        match parsed.filter(|(host, _)| !host.is_empty()) {
-            Some((host, port)) => {
-                let host = host.trim_start_matches('[').trim_end_matches(']').to_owned();
-                Some(Address::Tcp { host, port })
+        address
+    }
+
+    fn init(&mut self, at: &At<'_>, devices: Option<&At<'_>>) -> Option<InitializationBlock> {
+        let path = self.folder.join(self.findings.text(at, "the path of an initialization block")?.as_ref());
+        if !self.inits.contains_key(&path) {
+            let init = self.read_init(at, &path);
+            self.inits.insert(path.clone(), init);
+        }
+        let init = self.inits.get(&path)?.as_ref()?;
+        let supplements = match (devices, init) {
+            (Some(at), Init::Dictionary(..)) => read_supplements(&mut self.findings, at, &init.devices()),
+            (Some(at), Init::Block(_)) => {
+                let message = format!("`{}` describes its devices whole", path.display());
+                let expected = "`devices` only beside the description of a Thrift robot";
+                let hint = Some("change the init file instead".to_owned());
+                self.findings.add(Code::UnknownKey, at.key_place(), message, expected, hint);
+                return None;
             }
-            None => {
-                let message = format!("`{}` is no address", node::shortened(&text));
-                self.findings.add(Code::UnknownWord, at.place(), message, expected, None);
+            (None, _) => Vec::new(),
+        };
+        match init.block(&supplements) {
+            Ok(block) => Some(block),
+            Err(findings) => {
+                // Robots that share a file share its faults.
+                let new = findings.into_iter().filter(|finding| !self.elsewhere.contains(finding));
+                let new: Vec<_> = new.collect();
+                self.elsewhere.extend(new);
                 None
             }
         }
     }
 
-    fn init(&mut self, at: &At<'_>) -> Option<InitializationBlock> {
-        let path = self.folder.join(self.findings.text(at, "the path of an initialization block")?.as_ref());
-        if let Some(known) = self.blocks.get(&path) {
-            return known.clone();
-        }
-        let block = match read_init(&path) {
-            Ok(block) => Some(block),
-            Err(finding) if finding.code == Code::Unreadable => {
+    fn read_init(&mut self, at: &At<'_>, path: &Path) -> Option<Init> {
+        match Source::read(path) {
+            Ok(source) => Init::read(source).map_err(|finding| self.elsewhere.push(finding)).ok(),
+            Err(finding) => {
                 let message = format!("cannot read the init file `{}`: {}", path.display(), finding.message);
                 let hint = Some("the path counts from the folder of the fleet file".to_owned());
                 self.findings.add(Code::InitializationBlock, at.place(), message, "a readable file", hint);
                 None
             }
-            Err(finding) => {
-                self.elsewhere.push(finding);
-                None
-            }
-        };
-        self.blocks.insert(path, block.clone());
-        block
+        }
     }
 
     fn simulation(&mut self, at: &At<'_>) -> SimulationSettings {

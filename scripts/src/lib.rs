@@ -14,6 +14,7 @@ mod finding;
 pub mod fit;
 mod fleet;
 pub mod import;
+mod init;
 mod locate;
 mod motion;
 mod music;
@@ -35,8 +36,8 @@ pub use files::{Files, Folder, NoFiles};
 pub use finding::{Code, Finding, Related, Severity};
 pub use fleet::{
     Address, Fault, Fleet, FleetRobot, Handshake, RateLimits, RobotClock, SimulationSettings, read_fleet,
-    read_init,
 };
+pub use init::{init_of, read_init};
 pub use plan::{
     Act, Choreography, DeviceScript, DeviceUse, FailurePolicy, OnFailure, Plan, PlannedCue, PlannedReading,
     RobotPlan, SensorRange, Wait, Way,

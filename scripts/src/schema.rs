@@ -60,6 +60,7 @@ mod tests {
         check(&track["samples"], &scenario::SAMPLES_KEYS);
         let of = parsed(Schema::Fleet);
         check(&of, &fleet::FLEET_KEYS);
+        check(&of["$defs"]["device"], &crate::init::DEVICE_KEYS);
         check(&of["$defs"]["robot"], &fleet::ROBOT_KEYS);
         check(&of["$defs"]["simulate"], &fleet::SIMULATE_KEYS);
         check(&of["$defs"]["robot"]["properties"]["limits"]["additionalProperties"], &fleet::LIMIT_KEYS);

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use comfy_table::{Table, presets};
 use downbeat_robot::HostOptions;
-use downbeat_scripts::{Address, Fleet, FleetRobot};
+use downbeat_scripts::{Fleet, FleetRobot};
 use serde::Serialize;
 use tokio::sync::mpsc;
 use urrcp::{
@@ -172,17 +172,13 @@ fn ping_table(fleet: &Fleet, answers: &[Answer]) -> String {
     table.load_style(presets::NOTHING);
     table.set_header(["robot", "address", "answers", "least delay", "clock offset", "uncertainty"]);
     for (answer, robot) in answers.iter().zip(&fleet.robots) {
-        let address = match &robot.address {
-            Address::Simulated => "sim".to_owned(),
-            Address::Tcp { host, port } => format!("tcp://{host}:{port}"),
-        };
         let state = answer.problem.clone().unwrap_or_else(|| "yes".to_owned());
         let clock = |value: fn(&ClockReading) -> Span| {
             answer.clock.as_ref().map_or_else(|| "-".to_owned(), |reading| value(reading).to_string())
         };
         table.add_row([
             answer.robot.to_string(),
-            address,
+            robot.address.to_string(),
             state,
             clock(|reading| reading.delay_min),
             clock(|reading| reading.offset),

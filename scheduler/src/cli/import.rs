@@ -185,11 +185,13 @@ struct Init {
 
 fn read(args: &ImportArgs) -> (Option<Init>, ImportOutcome) {
     let init = args.init.as_deref().map(|path| {
-        Ok::<_, Finding>(Init { text: Source::read(path)?.text, block: downbeat_scripts::read_init(path)? })
+        let source = Source::read(path).map_err(|finding| vec![finding])?;
+        let block = downbeat_scripts::init_of(&source)?;
+        Ok::<_, Vec<Finding>>(Init { text: source.text, block })
     });
     let (init, broken) = match init.transpose() {
-        Ok(init) => (init, None),
-        Err(finding) => (None, Some(finding)),
+        Ok(init) => (init, Vec::new()),
+        Err(findings) => (None, findings),
     };
     let options = ImportOptions {
         rate_hz: args.rate,

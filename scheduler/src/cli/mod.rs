@@ -8,6 +8,7 @@ mod choice;
 mod conformance;
 mod console;
 mod dry_run;
+mod edge;
 mod explain;
 mod fleet;
 mod import;
@@ -90,6 +91,8 @@ enum Command {
     Conformance(conformance::ConformanceArgs),
     /// Run one simulated robot as a process of its own.
     Robot(robot::RobotArgs),
+    /// Run a real robot behind a driver as a process of its own.
+    Edge(edge::EdgeArgs),
     /// Run all TCP robots of a fleet as simulated ones in this process.
     Sim(sim::SimArgs),
     /// Turn other people's choreography files into a scenario and its fleet.
@@ -147,6 +150,7 @@ pub fn main() -> ExitCode {
         Command::Missions(args) => missions::missions(&args, format),
         Command::Conformance(args) => conformance::conformance(&args, format),
         Command::Robot(args) => robot::robot(&args, format),
+        Command::Edge(args) => edge::edge(&args, format),
         Command::Sim(args) => sim::sim(&args, format),
         Command::Import(args) => import::import(&args, format),
         Command::Schema(args) => schema::schema(&args),

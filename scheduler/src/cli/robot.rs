@@ -68,8 +68,8 @@ enum FaultArg {
 pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
     let mut block = match downbeat_scripts::read_init(&args.init) {
         Ok(block) => block,
-        Err(finding) => {
-            super::load::show_findings(&[finding]);
+        Err(findings) => {
+            super::load::show_findings(&findings);
             return Exit::Usage;
         }
     };

@@ -232,7 +232,7 @@ impl Work<'_> {
                 scenario: absolute(&self.scenario.scenario),
                 fleet: absolute(fleet_path),
                 asked: self.asked.clone(),
-                robots: robots.iter().map(|robot| (robot.id.clone(), address_text(robot))).collect(),
+                robots: robots.iter().map(|robot| (robot.id.clone(), robot.address.to_string())).collect(),
             };
             journal::forget_old(&state);
             keep.journal = Some(open_journal(&folder, &opened, &clock).map_err(usage)?);
@@ -317,13 +317,6 @@ pub(super) fn utc_offset() -> Span {
     Span::from_millis(i64::from(chrono::Local::now().offset().local_minus_utc()) * 1_000)
 }
 
-fn address_text(robot: &FleetRobot) -> String {
-    match &robot.address {
-        Address::Simulated => "sim".to_owned(),
-        Address::Tcp { host, port } => format!("tcp://{host}:{port}"),
-    }
-}
-
 /// Robots that a mission of this machine drives already, each by its name. Robots tell so themselves, too, also to
 /// schedulers on other machines.
 fn taken_here(state: &std::path::Path, robots: &[&FleetRobot]) -> Result<(), String> {
@@ -331,7 +324,7 @@ fn taken_here(state: &std::path::Path, robots: &[&FleetRobot]) -> Result<(), Str
     for mission in journal::missions(state).into_iter().filter(|mission| mission.alive) {
         let opened = &mission.kept.opened;
         for robot in robots.iter().filter(|robot| robot.address != Address::Simulated) {
-            if opened.robots.iter().any(|(_, address)| *address == address_text(robot)) {
+            if opened.robots.iter().any(|(_, address)| *address == robot.address.to_string()) {
                 let text = format!(
                     "robot `{}` is in mission `{}` (process {})",
                     robot.id, opened.session, opened.pid

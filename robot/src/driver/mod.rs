@@ -1,0 +1,168 @@
+//! How an edge drives hardware: the trait of a driver, the drivers that come with Downbeat, and the thread round each.
+//!
+//! The robot's machine decides what is set and when, on the precise thread; a driver is slow. So each has a thread of
+//! its own (`worker`) behind a short list of what is still to be set (`mailbox`), where the newest value of a signal
+//! takes the place of an older one: what a slow device cannot follow it skips, and no other robot waits for it.
+
+mod mailbox;
+mod program;
+mod simulated;
+mod spec;
+mod thrift;
+mod worker;
+
+use std::time::Duration;
+
+use urrcp::{ControlType, DeviceId, Setpoint, Span};
+
+pub(crate) use self::mailbox::{Key, Mailbox};
+pub use self::program::Program;
+pub use self::simulated::SimulatedDriver;
+pub use self::spec::{DriverSpec, DriverSpecError};
+pub use self::thrift::{ThriftRobot, describe as describe_thrift};
+pub(crate) use self::worker::{News, Worker};
+
+use crate::clock::HostClock;
+use crate::hardware::ReadingId;
+use crate::signal::Signal;
+
+/// Hardware did not do what it should.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum DriverError {
+    /// It is not there, or no longer: it is connected anew before anything else is asked of it.
+    #[error("{0}")]
+    Away(String),
+    /// It is there and says no. A reading fails alone; a refused value counts as [`DriverError::Away`], since the device
+    /// is not where the robot said that it would be.
+    #[error("{0}")]
+    Refused(String),
+}
+
+/// A linear movement, for drivers that move by themselves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Ramp {
+    /// position, speed or acceleration.
+    pub control_type: ControlType,
+    /// Where it ends, in the device's unit.
+    pub to: f64,
+    /// How long it still takes.
+    pub duration: Duration,
+}
+
+/// Drives the hardware of one robot.
+///
+/// All calls come from one thread and may block, for a second or so: a call that may hang needs a time limit of its own.
+/// After an error nothing but [`Driver::connect`] is called, with growing pauses, until it succeeds. A driver is dropped
+/// when its edge ends, after its devices were sent to their default state.
+///
+/// ```
+/// use downbeat_robot::driver::{Driver, DriverError};
+/// use urrcp::{DeviceId, Setpoint};
+///
+/// /// A lamp behind a file, as Linux shows LEDs.
+/// struct Lamp(std::path::PathBuf);
+///
+/// impl Driver for Lamp {
+///     fn connect(&mut self) -> Result<(), DriverError> {
+///         self.ping()
+///     }
+///     fn set(&mut self, _device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError> {
+///         std::fs::write(&self.0, setpoint.value.to_string()).map_err(|e| DriverError::Away(e.to_string()))
+///     }
+///     fn read(&mut self, _sensor: &DeviceId) -> Result<f64, DriverError> {
+///         let text = std::fs::read_to_string(&self.0).map_err(|e| DriverError::Away(e.to_string()))?;
+///         text.trim().parse().map_err(|_| DriverError::Refused(format!("`{text}` is no number")))
+///     }
+///     fn ping(&mut self) -> Result<(), DriverError> {
+///         self.0.try_exists().map_err(|e| DriverError::Away(e.to_string())).map(|_| ())
+///     }
+/// }
+/// ```
+pub trait Driver: Send {
+    /// Connects, or starts what is to be driven, and makes sure that it answers.
+    ///
+    /// # Errors
+    /// Why it is not there.
+    fn connect(&mut self) -> Result<(), DriverError>;
+
+    /// Sets one signal of one device now. Returns once the hardware has it, or at least the system under it.
+    ///
+    /// # Errors
+    /// Why it was not set.
+    fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError>;
+
+    /// What a sensor reads now, in its unit.
+    ///
+    /// # Errors
+    /// Why there is no reading.
+    fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError>;
+
+    /// Whether the hardware is there; asked a few times a second while nothing else shows it.
+    ///
+    /// # Errors
+    /// Why it is not.
+    fn ping(&mut self) -> Result<(), DriverError>;
+
+    /// Begins a linear movement and returns at once. A value or a further ramp takes its place.
+    /// Only called where [`Driver::takes_ramps`]; others are sent samples.
+    ///
+    /// # Errors
+    /// Why it did not begin.
+    fn ramp(&mut self, device: &DeviceId, ramp: Ramp) -> Result<(), DriverError> {
+        let _ = (device, ramp);
+        Err(DriverError::Refused("this driver takes no ramps".to_owned()))
+    }
+
+    /// Whether the hardware moves linearly by itself; asked after each [`Driver::connect`].
+    fn takes_ramps(&self) -> bool {
+        false
+    }
+}
+
+/// What the devices do when their edge starts and finds them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AtStart {
+    /// They go to their default state: what ran before this process is unknown.
+    Default,
+    /// They are left as they are until they are told something: for a process that may be here only to look.
+    Untouched,
+}
+
+/// How a driver is used.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DriverOptions {
+    /// Samples of a movement a second, for a driver that takes no ramps.
+    pub samples_per_second: f64,
+    /// What the devices do at the start.
+    pub at_start: AtStart,
+}
+
+/// Samples a second where nothing else is said: as often as hobby servos take a value.
+pub const SAMPLES_PER_SECOND: f64 = 50.0;
+
+impl Default for DriverOptions {
+    fn default() -> Self {
+        Self { samples_per_second: SAMPLES_PER_SECOND, at_start: AtStart::Untouched }
+    }
+}
+
+/// What a machine wants of its hardware, in the robot's own time.
+#[derive(Clone, Debug)]
+pub(crate) enum Wanted {
+    Set(Key, Setpoint),
+    Follow(Key, Signal),
+    Read(ReadingId, DeviceId),
+}
+
+impl Wanted {
+    /// With the clock to follow it by; `ahead` is the robot's clock minus that one.
+    pub(crate) fn on_clock(self, clock: HostClock, ahead: Span) -> mailbox::Order {
+        match self {
+            Self::Set(key, setpoint) => mailbox::Order::Set(key, setpoint),
+            Self::Follow(key, signal) => {
+                mailbox::Order::Follow(key, mailbox::Movement { signal, clock, ahead })
+            }
+            Self::Read(reading, sensor) => mailbox::Order::Read(reading, sensor),
+        }
+    }
+}

@@ -1,0 +1,46 @@
+//! A driver without hardware: takes everything, says it to the log.
+
+use std::collections::HashMap;
+
+use urrcp::{DeviceId, InitializationBlock, Setpoint};
+
+use super::{Driver, DriverError};
+
+/// Hardware that is only imagined. A device reads what was last set, a sensor alone the middle of its range.
+#[derive(Clone, Debug)]
+pub struct SimulatedDriver {
+    readings: HashMap<DeviceId, f64>,
+}
+
+impl SimulatedDriver {
+    /// For the devices of this robot.
+    #[must_use]
+    pub fn new(block: &InitializationBlock) -> Self {
+        let middle = |device: &urrcp::Device| {
+            let sensor = device.available_control_types.sensor()?;
+            Some((device.id.clone(), f64::midpoint(sensor.min_value, sensor.max_value)))
+        };
+        Self { readings: block.devices.iter().filter_map(middle).collect() }
+    }
+}
+
+impl Driver for SimulatedDriver {
+    fn connect(&mut self) -> Result<(), DriverError> {
+        Ok(())
+    }
+
+    fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError> {
+        tracing::info!(%device, control_type = %setpoint.control_type, value = setpoint.value, "set");
+        self.readings.insert(device.clone(), setpoint.value);
+        Ok(())
+    }
+
+    fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError> {
+        let reading = self.readings.get(sensor).copied();
+        reading.ok_or_else(|| DriverError::Refused(format!("`{sensor}` is no sensor")))
+    }
+
+    fn ping(&mut self) -> Result<(), DriverError> {
+        Ok(())
+    }
+}

@@ -1,0 +1,91 @@
+//! Which driver: as the command line and the fleet file name it.
+
+use std::str::FromStr;
+
+use urrcp::InitializationBlock;
+
+use super::{Driver, DriverError, Program, SimulatedDriver, ThriftRobot};
+
+/// Names a driver and what it drives.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum DriverSpec {
+    /// `sim`: nothing.
+    Simulated,
+    /// `thrift://host:port`: a robot that speaks the early Thrift form.
+    Thrift {
+        /// Host name or address.
+        host: String,
+        /// Port.
+        port: u16,
+    },
+    /// `program:COMMAND`: a program that is told on its standard input.
+    Program {
+        /// A command line of the shell.
+        command: String,
+    },
+}
+
+/// A text names no driver.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is no driver, expected sim, thrift://host:port or program:COMMAND")]
+pub struct DriverSpecError(String);
+
+impl FromStr for DriverSpec {
+    type Err = DriverSpecError;
+
+    fn from_str(text: &str) -> Result<Self, DriverSpecError> {
+        let unknown = || DriverSpecError(text.to_owned());
+        if text == "sim" {
+            return Ok(Self::Simulated);
+        }
+        if let Some(command) = text.strip_prefix("program:") {
+            let command = command.trim().to_owned();
+            return if command.is_empty() { Err(unknown()) } else { Ok(Self::Program { command }) };
+        }
+        let (host, port) =
+            text.strip_prefix("thrift://").and_then(|rest| rest.rsplit_once(':')).ok_or_else(unknown)?;
+        let port = port.parse().ok().filter(|port| *port > 0).ok_or_else(unknown)?;
+        let host = host.trim_start_matches('[').trim_end_matches(']');
+        if host.is_empty() {
+            return Err(unknown());
+        }
+        Ok(Self::Thrift { host: host.to_owned(), port })
+    }
+}
+
+impl DriverSpec {
+    /// The driver for a robot. Connects to nothing yet.
+    ///
+    /// # Errors
+    /// [`DriverError::Refused`] when this driver cannot drive such a robot.
+    pub fn driver(&self, block: &InitializationBlock) -> Result<Box<dyn Driver>, DriverError> {
+        Ok(match self {
+            Self::Simulated => Box::new(SimulatedDriver::new(block)),
+            Self::Thrift { host, port } => Box::new(ThriftRobot::new(host, *port, block)?),
+            Self::Program { command } => Box::new(Program::new(command, block)?),
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_driver_is_named_in_three_ways() {
+        let thrift = |host: &str| DriverSpec::Thrift { host: host.into(), port: 9090 };
+        assert_eq!("sim".parse(), Ok(DriverSpec::Simulated));
+        assert_eq!("thrift://tank.local:9090".parse(), Ok(thrift("tank.local")));
+        assert_eq!("thrift://[::1]:9090".parse(), Ok(thrift("::1")));
+        let command = "python3 drive.py".to_owned();
+        assert_eq!("program: python3 drive.py".parse(), Ok(DriverSpec::Program { command }));
+    }
+
+    #[test]
+    fn what_names_no_driver_is_refused_with_what_would() {
+        for text in ["", "Sim", "tcp://a:1", "thrift://a", "thrift://:9090", "thrift://a:0", "program: "] {
+            let error = text.parse::<DriverSpec>().unwrap_err().to_string();
+            assert!(error.contains("expected sim, thrift://host:port or program:COMMAND"), "{text}: {error}");
+        }
+    }
+}

@@ -1,0 +1,221 @@
+//! The thread round a driver: connects it, hands it what is to be set, samples movements, and says when it fails.
+#![expect(clippy::disallowed_methods, reason = "samples and pings on the monotonic clock")]
+
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use urrcp::{ControlType, InitializationBlock, Setpoint};
+
+use super::mailbox::{Movement, QUIET, Work};
+use super::{Driver, DriverError, Key, Mailbox, Ramp};
+use crate::hardware::ReadingId;
+
+/// Between two tries to connect, at first and at most; it doubles.
+const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
+/// Without another sign of life the hardware is asked for one.
+const PING_EVERY: Duration = Duration::from_millis(500);
+/// Then it is asked even though movements follow one another closely.
+const PING_WAIT_MAX: Duration = Duration::from_secs(2);
+/// How long the devices may take to come to rest when the edge ends.
+const REST_WAIT_MAX: Duration = Duration::from_secs(3);
+
+/// What a driver's thread tells the machine.
+#[derive(Debug)]
+pub(crate) enum News {
+    /// The hardware is there, by its so-many-th connection.
+    There { connection: u64 },
+    /// It is not, or no longer.
+    Away { reason: String },
+    /// A sensor was read.
+    Reading { id: ReadingId, reading: Result<f64, String> },
+}
+
+/// A driver with what it needs to know of its robot.
+pub(crate) struct Worker {
+    driver: Box<dyn Driver>,
+    block: InitializationBlock,
+    mailbox: Arc<Mailbox>,
+    tell: Box<dyn Fn(News) + Send>,
+    period: Duration,
+    moving: BTreeMap<Key, Moving>,
+    next_sample: Instant,
+    seen_alive: Instant,
+}
+
+struct Moving {
+    movement: Movement,
+    sent: Option<f64>,
+}
+
+impl Worker {
+    pub(crate) fn new(
+        driver: Box<dyn Driver>,
+        block: InitializationBlock,
+        mailbox: Arc<Mailbox>,
+        samples_per_second: f64,
+        tell: Box<dyn Fn(News) + Send>,
+    ) -> Self {
+        let now = Instant::now();
+        let period = Duration::from_secs_f64(1.0 / samples_per_second.clamp(0.1, 1_000.0));
+        let moving = BTreeMap::new();
+        Self { driver, block, mailbox, tell, period, moving, next_sample: now, seen_alive: now }
+    }
+
+    /// Runs until the mailbox is closed and empty, or closed while there is no hardware.
+    pub(crate) fn run(mut self) {
+        let mut pause = PAUSE.0;
+        let mut connection = 0;
+        while !self.mailbox.is_closed() {
+            let reason = match self.driver.connect() {
+                Ok(()) => {
+                    connection += 1;
+                    self.mailbox.connected(connection);
+                    (self.tell)(News::There { connection });
+                    self.mailbox.tried();
+                    let since = Instant::now();
+                    let Err(error) = self.serve() else { return };
+                    if since.elapsed() > PAUSE.1 {
+                        pause = PAUSE.0;
+                    }
+                    error
+                }
+                Err(error) => error,
+            };
+            self.moving.clear();
+            // First nothing more is taken, then it is told: no order of before reaches the next connection.
+            self.mailbox.disconnected();
+            tracing::warn!(robot = %self.block.id, "hardware away: {reason}");
+            (self.tell)(News::Away { reason: reason.to_string() });
+            self.mailbox.tried();
+            self.mailbox.pause(pause);
+            pause = (pause * 2).min(PAUSE.1);
+        }
+    }
+
+    /// Does what comes until the hardware fails or nothing more will come.
+    fn serve(&mut self) -> Result<(), DriverError> {
+        self.seen_alive = Instant::now();
+        let mut closing: Option<Instant> = None;
+        loop {
+            let sample = (!self.moving.is_empty()).then_some(self.next_sample);
+            let ping = self.seen_alive + PING_EVERY;
+            let until = ping.max(Instant::now() + QUIET / 2);
+            match self.mailbox.next(sample.map_or(until, |sample| sample.min(until))) {
+                Work::Set(key, setpoint) => self.set(&key, &setpoint)?,
+                Work::Follow(key, movement) => self.follow(key, movement)?,
+                Work::Read(id, sensor) => self.read(id, &sensor)?,
+                Work::Nothing => self.stay_in_touch()?,
+                Work::Closed if self.moving.is_empty() => return Ok(()),
+                Work::Closed => {
+                    let end = *closing.get_or_insert_with(|| Instant::now() + REST_WAIT_MAX);
+                    if Instant::now() >= end {
+                        return self.finish_movements();
+                    }
+                    std::thread::sleep(self.next_sample.saturating_duration_since(Instant::now()));
+                }
+            }
+            if !self.moving.is_empty() && Instant::now() >= self.next_sample {
+                self.sample()?;
+            }
+        }
+    }
+
+    fn set(&mut self, key: &Key, setpoint: &Setpoint) -> Result<(), DriverError> {
+        self.moving.remove(key);
+        let value = self.on_grid(key, setpoint.value);
+        self.driver.set(&key.0, &Setpoint { value, ..setpoint.clone() })
+    }
+
+    fn follow(&mut self, key: Key, movement: Movement) -> Result<(), DriverError> {
+        if self.driver.takes_ramps() && movement.signal.is_linear() {
+            self.moving.remove(&key);
+            let duration = (movement.signal.rests_at() - movement.now()).to_duration();
+            let to = self.on_grid(&key, movement.signal.target());
+            return self.driver.ramp(&key.0, Ramp { control_type: key.1, to, duration });
+        }
+        if self.moving.is_empty() {
+            self.next_sample = Instant::now() + self.period;
+        }
+        self.moving.insert(key, Moving { movement, sent: None });
+        Ok(())
+    }
+
+    /// Sends where each movement is now, as far as that differs from what was sent, and ends it on its target.
+    fn sample(&mut self) -> Result<(), DriverError> {
+        let keys: Vec<Key> = self.moving.keys().cloned().collect();
+        for key in keys {
+            let Some(moving) = self.moving.get(&key) else { continue };
+            let now = moving.movement.now();
+            let value = self.on_grid(&key, moving.movement.signal.value(now));
+            let rests = now >= moving.movement.signal.rests_at();
+            if moving.sent != Some(value) {
+                self.driver.set(&key.0, &Setpoint::new(key.1, value))?;
+            }
+            match self.moving.get_mut(&key) {
+                Some(moving) if !rests => moving.sent = Some(value),
+                _ => {
+                    self.moving.remove(&key);
+                }
+            }
+        }
+        // On a fixed beat; beats that a slow device missed are left out.
+        self.next_sample = (self.next_sample + self.period).max(Instant::now());
+        Ok(())
+    }
+
+    fn finish_movements(&mut self) -> Result<(), DriverError> {
+        for (key, moving) in std::mem::take(&mut self.moving) {
+            let value = self.on_grid(&key, moving.movement.signal.target());
+            self.driver.set(&key.0, &Setpoint::new(key.1, value))?;
+        }
+        Ok(())
+    }
+
+    fn read(&mut self, id: ReadingId, sensor: &urrcp::DeviceId) -> Result<(), DriverError> {
+        let reading = match self.driver.read(sensor) {
+            Err(DriverError::Away(reason)) => {
+                (self.tell)(News::Reading { id, reading: Err(reason.clone()) });
+                return Err(DriverError::Away(reason));
+            }
+            Err(DriverError::Refused(reason)) => Err(reason),
+            Ok(reading) => Ok(reading),
+        };
+        self.seen_alive = Instant::now();
+        (self.tell)(News::Reading { id, reading });
+        Ok(())
+    }
+
+    fn stay_in_touch(&mut self) -> Result<(), DriverError> {
+        let silent = self.seen_alive.elapsed();
+        if silent < PING_EVERY || (silent < PING_WAIT_MAX && !self.mailbox.is_quiet()) {
+            return Ok(());
+        }
+        self.driver.ping()?;
+        self.seen_alive = Instant::now();
+        Ok(())
+    }
+
+    /// A value as the device can take it: values between those of scripts come from movements and stops.
+    fn on_grid(&self, (device, control_type): &Key, value: f64) -> f64 {
+        let device = self.block.device(device.as_str());
+        let limits = device.and_then(|device| device.available_control_types.limits(*control_type));
+        match limits {
+            Some(limits) if !limits.on_grid(value) && device.and_then(|d| d.default_value) != Some(value) => {
+                limits.nearest(value).clamp(limits.min_value, limits.max_value)
+            }
+            _ => value,
+        }
+    }
+}
+
+impl Movement {
+    fn now(&self) -> urrcp::Timestamp<urrcp::Robot> {
+        self.clock.now().assume_clock() + self.ahead
+    }
+}
+
+/// A control type whose values a plain driver sets by a number alone.
+pub(crate) fn is_driven(control_type: ControlType) -> bool {
+    !matches!(control_type, ControlType::Script | ControlType::Sensor)
+}

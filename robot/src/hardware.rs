@@ -1,0 +1,127 @@
+//! What a robot's machine knows of its hardware: whether it is there, and which readings are still to come.
+
+use std::collections::BTreeMap;
+
+use urrcp::{ControlError, ControlRequest, ErrorCode, Robot, Span, Timestamp};
+
+use crate::robot::LinkId;
+
+/// Readings that may be open at a time; more are refused.
+pub(crate) const READINGS_MAX: usize = 64;
+/// How long a reading may take where the sensor declares no `max_delay`, in milliseconds.
+const READING_WAIT_MS: f64 = 1_000.0;
+/// And at most, whatever the sensor declares.
+const READING_WAIT_MS_MAX: f64 = 60_000.0;
+
+/// Names a reading that the hardware was asked for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct ReadingId(pub u64);
+
+/// Whether the machine drives something.
+#[derive(Clone, Debug)]
+enum Presence {
+    /// Nothing: it answers readings by itself.
+    Simulated,
+    There,
+    Away(String),
+}
+
+/// A reading that has not come yet.
+#[derive(Clone, Debug)]
+pub(crate) struct OpenReading {
+    pub(crate) link: LinkId,
+    pub(crate) request: ControlRequest,
+    until: Timestamp<Robot>,
+    wait: Span,
+}
+
+/// The hardware, as far as the machine knows it.
+#[derive(Clone, Debug)]
+pub(crate) struct Hardware {
+    presence: Presence,
+    readings: BTreeMap<ReadingId, OpenReading>,
+    last: u64,
+}
+
+impl Hardware {
+    pub(crate) const fn simulated() -> Self {
+        Self { presence: Presence::Simulated, readings: BTreeMap::new(), last: 0 }
+    }
+
+    /// It is yet to say that it is there.
+    pub(crate) fn awaited() -> Self {
+        let presence = Presence::Away("the hardware has not answered yet".to_owned());
+        Self { presence, ..Self::simulated() }
+    }
+
+    pub(crate) const fn is_simulated(&self) -> bool {
+        matches!(self.presence, Presence::Simulated)
+    }
+
+    pub(crate) fn found(&mut self) {
+        self.presence = Presence::There;
+    }
+
+    pub(crate) fn lost(&mut self, reason: &str) {
+        self.presence = Presence::Away(reason.to_owned());
+    }
+
+    /// Why nothing can be driven now.
+    pub(crate) fn missing(&self) -> Option<ControlError> {
+        match &self.presence {
+            Presence::Away(reason) => {
+                Some(ControlError::new(ErrorCode::Internal, format!("the hardware is away: {reason}")))
+            }
+            Presence::Simulated | Presence::There => None,
+        }
+    }
+
+    /// Opens a reading.
+    ///
+    /// # Errors
+    /// `busy` when too many are open.
+    pub(crate) fn ask(
+        &mut self,
+        now: Timestamp<Robot>,
+        link: LinkId,
+        request: &ControlRequest,
+        max_delay: Option<f64>,
+    ) -> Result<ReadingId, ControlError> {
+        if self.readings.len() >= READINGS_MAX {
+            let message = format!("{READINGS_MAX} readings are open already");
+            return Err(ControlError::new(ErrorCode::Busy, message));
+        }
+        let wait = Span::from_millis_f64(max_delay.unwrap_or(READING_WAIT_MS).min(READING_WAIT_MS_MAX));
+        self.last += 1;
+        let id = ReadingId(self.last);
+        let open = OpenReading { link, request: request.clone(), until: now + wait, wait };
+        self.readings.insert(id, open);
+        Ok(id)
+    }
+
+    /// Closes a reading; `None` where it has been given up.
+    pub(crate) fn close(&mut self, id: ReadingId) -> Option<OpenReading> {
+        self.readings.remove(&id)
+    }
+
+    /// When the first of the open readings is given up.
+    pub(crate) fn next_wakeup(&self) -> Option<Timestamp<Robot>> {
+        self.readings.values().map(|open| open.until).min()
+    }
+
+    /// Readings that have not come in time, with why they fail.
+    pub(crate) fn overdue(&mut self, now: Timestamp<Robot>) -> Vec<(OpenReading, ControlError)> {
+        let overdue = self.readings.iter().filter(|(_, open)| open.until <= now).map(|(id, _)| *id);
+        let overdue: Vec<ReadingId> = overdue.collect();
+        let failed = |open: OpenReading| {
+            let message = format!("no reading within {}", open.wait);
+            (open, ControlError::new(ErrorCode::Internal, message))
+        };
+        overdue.into_iter().filter_map(|id| self.readings.remove(&id)).map(failed).collect()
+    }
+
+    /// All open readings: none will come any more.
+    pub(crate) fn abandon(&mut self) -> Vec<OpenReading> {
+        std::mem::take(&mut self.readings).into_values().collect()
+    }
+}

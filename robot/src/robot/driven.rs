@@ -1,0 +1,121 @@
+//! A robot with hardware: what changes when that comes and goes, and readings that are answered later.
+
+use urrcp::{
+    ControlError, ControlRequest, ControlResponse, ErrorCode, InitializationBlock, Status, StatusValue,
+};
+
+use super::{LinkId, Now, Output, Robot, response};
+use crate::hardware::{Hardware, OpenReading, ReadingId};
+use crate::signal::Signal;
+
+impl Robot {
+    /// A robot whose values drive hardware. Until [`Robot::hardware_found`] it refuses everything.
+    #[must_use]
+    pub fn driven(block: InitializationBlock) -> Self {
+        Self { hardware: Hardware::awaited(), ..Self::new(block) }
+    }
+
+    /// Whether its values drive hardware.
+    #[must_use]
+    pub const fn is_driven(&self) -> bool {
+        !self.hardware.is_simulated()
+    }
+
+    /// The hardware is there. If something has been set before, its devices go to their default state: what they did
+    /// in between is unknown.
+    pub fn hardware_found(&mut self, now: Now, out: &mut Vec<Output>) {
+        self.hardware.found();
+        if self.moved {
+            self.restore(now, out);
+        }
+    }
+
+    /// Sends every device to its default state at once, from wherever it is.
+    pub fn restore(&mut self, now: Now, out: &mut Vec<Output>) {
+        for index in 0..self.devices.len() {
+            self.devices[index].restore(now, &mut self.effects);
+            self.move_device(now, index, out);
+        }
+    }
+
+    /// The hardware is gone: everything that is held or runs ends as `Failed`, code `internal`, and so do open readings.
+    pub fn hardware_lost(&mut self, now: Now, reason: &str, out: &mut Vec<Output>) {
+        self.hardware.lost(reason);
+        let error = ControlError::new(ErrorCode::Internal, format!("the hardware is away: {reason}"));
+        for index in 0..self.devices.len() {
+            self.devices[index].fail(now, &error, &mut self.effects);
+            self.settle(now, index, out);
+        }
+        for open in self.hardware.abandon() {
+            self.refuse(now, open.link, &open.request, error.clone(), out);
+        }
+    }
+
+    /// The hardware has answered a reading. One that has been given up already is nothing.
+    pub fn reading_came(
+        &mut self,
+        now: Now,
+        id: ReadingId,
+        reading: Result<f64, String>,
+        out: &mut Vec<Output>,
+    ) {
+        let Some(OpenReading { link, request, .. }) = self.hardware.close(id) else { return };
+        let reading = reading.and_then(|value| match value.is_finite() {
+            true => Ok(value),
+            false => Err(format!("the hardware reads {value}, which is no number")),
+        });
+        match reading {
+            Ok(value) => {
+                let answer = ControlResponse {
+                    status_value: StatusValue::Number(value),
+                    request_id: request.request_id.clone(),
+                    ..response(now, request.device_id, Status::Provide)
+                };
+                self.answer(link, answer, out);
+            }
+            Err(reason) => {
+                let error = ControlError::new(ErrorCode::Internal, reason);
+                self.refuse(now, link, &request, error, out);
+            }
+        }
+    }
+
+    /// Ends everything and sends every device to its default state, as it can, because the edge ends. Nothing, if
+    /// nothing was ever set.
+    pub fn shut_down(&mut self, now: Now, out: &mut Vec<Output>) {
+        if !self.moved || self.hardware.missing().is_some() {
+            return;
+        }
+        for index in 0..self.devices.len() {
+            self.stop(now, index, "the edge was ended", false, out);
+        }
+    }
+
+    pub(super) fn ask_hardware(
+        &mut self,
+        now: Now,
+        link: LinkId,
+        request: &ControlRequest,
+        max_delay: Option<f64>,
+        out: &mut Vec<Output>,
+    ) {
+        match self.hardware.ask(now, link, request, max_delay) {
+            Ok(reading) => out.push(Output::Read { reading, sensor: request.device_id.clone() }),
+            Err(error) => self.refuse(now, link, request, error, out),
+        }
+    }
+
+    pub(super) fn give_up_readings(&mut self, now: Now, out: &mut Vec<Output>) {
+        if self.hardware.next_wakeup().is_none_or(|at| at > now) {
+            return;
+        }
+        for (open, error) in self.hardware.overdue(now) {
+            self.refuse(now, open.link, &open.request, error, out);
+        }
+    }
+
+    /// A signal as it moves now.
+    pub(crate) fn signal(&self, device: &str, control_type: urrcp::ControlType) -> Option<Signal> {
+        self.devices[*self.index_of.get(device)?].signal(control_type)
+    }
+}

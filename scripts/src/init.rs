@@ -1,0 +1,92 @@
+//! A robot's description: an initialization block, or the dictionary of devices that Thrift robots tell of themselves.
+
+mod dictionary;
+mod supplement;
+
+use std::path::Path;
+
+use urrcp::InitializationBlock;
+
+use crate::fields::{At, Reader};
+use crate::finding::{Code, Finding};
+use crate::locate::locate;
+use crate::node::{self, Node};
+use crate::source::Source;
+
+#[cfg(test)]
+pub(crate) use self::supplement::DEVICE_KEYS;
+pub(crate) use self::supplement::{Supplement, read as read_supplements};
+
+/// Reads a robot's description from a YAML or JSON file.
+///
+/// # Errors
+/// Findings when the file cannot be read or describes no robot.
+pub fn read_init(path: &Path) -> Result<InitializationBlock, Vec<Finding>> {
+    init_of(&Source::read(path).map_err(|finding| vec![finding])?)
+}
+
+/// Reads a robot's description, as YAML or JSON.
+///
+/// # Errors
+/// Findings when it describes no robot.
+pub fn init_of(source: &Source) -> Result<InitializationBlock, Vec<Finding>> {
+    Init::read(source.clone()).map_err(|finding| vec![finding])?.block(&Supplement::none())
+}
+
+/// A description as it was read.
+#[derive(Clone, Debug)]
+pub(crate) enum Init {
+    /// It is complete.
+    Block(Box<InitializationBlock>),
+    /// Of a Thrift robot: devices as a dictionary, which may want completing.
+    Dictionary(Source, Node),
+}
+
+impl Init {
+    pub(crate) fn read(source: Source) -> Result<Self, Finding> {
+        let wrong = match block_of(&source) {
+            Ok(block) => return Ok(Self::Block(Box::new(block))),
+            Err(finding) => finding,
+        };
+        match node::parse(&source) {
+            Ok(document) if dictionary::is_one(&document) => Ok(Self::Dictionary(source, document)),
+            _ => Err(wrong),
+        }
+    }
+
+    pub(crate) fn block(
+        &self,
+        supplements: &[(String, Supplement)],
+    ) -> Result<InitializationBlock, Vec<Finding>> {
+        match self {
+            Self::Block(block) => Ok(block.as_ref().clone()),
+            Self::Dictionary(source, document) => {
+                let mut findings = Reader::default();
+                let block = dictionary::block(&mut findings, &At::document(document, 0), supplements);
+                let findings = locate(std::slice::from_ref(source), findings.finish());
+                block.filter(|_| findings.is_empty()).ok_or(findings)
+            }
+        }
+    }
+
+    /// The ids of its devices.
+    pub(crate) fn devices(&self) -> Vec<&str> {
+        match self {
+            Self::Block(block) => block.devices.iter().map(|device| device.id.as_str()).collect(),
+            Self::Dictionary(_, document) => dictionary::device_ids(document),
+        }
+    }
+}
+
+fn block_of(source: &Source) -> Result<InitializationBlock, Finding> {
+    serde_yaml::from_str(&source.text).map_err(|error| {
+        let mut finding = node::syntax_finding(source, &error);
+        finding.code = Code::InitializationBlock;
+        finding.expected =
+            "an initialization block: id, api_version, devices with their available_control_types".into();
+        finding
+    })
+}
+
+#[cfg(test)]
+mod tests;

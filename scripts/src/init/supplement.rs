@@ -1,0 +1,85 @@
+//! What a fleet file adds to the description of a robot that says too little of itself: `devices:` of a robot.
+
+use urrcp::{ControlType, Interpolation};
+
+use crate::fields::{At, Reader};
+use crate::finding::{Code, did_you_mean, names};
+use crate::node::shortened;
+
+pub(crate) const DEVICE_KEYS: [&str; 10] = [
+    "control_type",
+    "granularity",
+    "unit",
+    "max_number_of_steps",
+    "interpolation",
+    "min_value",
+    "max_value",
+    "default_value",
+    "max_error",
+    "script_queue",
+];
+
+/// What is added to one device.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Supplement {
+    pub(super) control_type: Option<ControlType>,
+    pub(super) granularity: Option<f64>,
+    pub(super) unit: Option<String>,
+    pub(super) max_number_of_steps: Option<u32>,
+    pub(super) interpolation: Option<Interpolation>,
+    pub(super) min_value: Option<f64>,
+    pub(super) max_value: Option<f64>,
+    pub(super) default_value: Option<f64>,
+    pub(super) max_error: Option<f64>,
+    pub(super) script_queue: Option<u32>,
+}
+
+impl Supplement {
+    pub(crate) const fn none() -> [(String, Self); 0] {
+        []
+    }
+}
+
+/// Reads `devices:` of a robot, for the devices that its description has.
+pub(crate) fn read(findings: &mut Reader, at: &At<'_>, known: &[&str]) -> Vec<(String, Supplement)> {
+    let mut read = Vec::new();
+    for (device, at) in findings.entries(at, "device to what its description lacks") {
+        if !known.contains(&device) {
+            let message = format!("the robot has no device `{}`", shortened(device));
+            let expected = format!("one of {}", names(known.iter().copied()));
+            let hint = did_you_mean(device, known.iter().copied());
+            findings.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
+            continue;
+        }
+        read.extend(one(findings, &at).map(|supplement| (device.to_owned(), supplement)));
+    }
+    read
+}
+
+fn one(findings: &mut Reader, at: &At<'_>) -> Option<Supplement> {
+    let [control_type, granularity, unit, steps, interpolation, min, max, default, error, queue] =
+        findings.map(at, "the device", DEVICE_KEYS, &[])?;
+    let types = [
+        ("position", ControlType::Position),
+        ("speed", ControlType::Speed),
+        ("acceleration", ControlType::Acceleration),
+    ];
+    let ways = [("hold", Interpolation::Hold), ("linear", Interpolation::Linear)];
+    let mut number =
+        |at: Option<At<'_>>| at.and_then(|at| findings.number(&at, "a number in the device's unit"));
+    let (min_value, max_value, default_value, max_error) =
+        (number(min), number(max), number(default), number(error));
+    Some(Supplement {
+        control_type: control_type.and_then(|at| findings.word(&at, &types)),
+        granularity: granularity
+            .and_then(|at| findings.positive(&at, "a number above 0, in the device's unit")),
+        unit: unit.and_then(|at| findings.text(&at, "a unit such as deg").map(Into::into)),
+        max_number_of_steps: steps.and_then(|at| findings.count(&at, 1, u32::MAX)),
+        interpolation: interpolation.and_then(|at| findings.word(&at, &ways)),
+        min_value,
+        max_value,
+        default_value,
+        max_error,
+        script_queue: queue.and_then(|at| findings.count(&at, 1, u32::MAX)),
+    })
+}

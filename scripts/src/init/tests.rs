@@ -1,0 +1,71 @@
+use urrcp::{ControlType, Interpolation, RobotType};
+
+use super::*;
+
+const TANK: &str = include_str!("../../../tests/thrift/tank.json");
+
+fn source(text: &str) -> Source {
+    Source { name: "tank.json".into(), text: text.into() }
+}
+
+#[track_caller]
+fn check_finding(text: &str, says: &str, line: usize) {
+    let findings = init_of(&source(text)).unwrap_err();
+    let found = findings.iter().any(|finding| finding.message.contains(says) && finding.line == line);
+    assert!(found, "`{says}` at line {line} is missing in {findings:#?}");
+}
+
+#[test]
+fn a_thrift_robots_description_becomes_a_block_that_takes_scripts() {
+    let block = init_of(&source(TANK)).unwrap();
+    assert_eq!((block.id.as_str(), block.robot_type), ("tank-1", Some(RobotType::Transport)));
+    let left = block.device("left").unwrap();
+    assert_eq!((left.default_value, left.interpolation), (Some(0.0), Interpolation::Hold));
+    let limits = left.available_control_types.limits(ControlType::Position).unwrap();
+    assert_eq!((limits.min_value, limits.max_value, limits.granularity), (-100.0, 100.0, 0.1));
+    assert_eq!(left.available_control_types.script().unwrap().max_number_of_steps, 1_000);
+    let battery = block.device("battery").unwrap().available_control_types.sensor().unwrap();
+    assert_eq!((battery.min_value, battery.max_value), (0.0, 14.0));
+}
+
+#[test]
+fn faults_of_a_description_are_found_with_their_lines() {
+    check_finding(&TANK.replace("\"id\": \"tank-1\",", ""), "has no `id`", 1);
+    check_finding(
+        &TANK.replace(
+            "set_device_double_value\", \"default_value\": 0, \"min_value\": -100",
+            "spin\", \"min_value\": -100",
+        ),
+        "unknown call `spin`",
+        11,
+    );
+    check_finding(
+        &TANK.replace("\"min_value\": 0, \"max_value\": 14", "\"min_value\": 0"),
+        "`battery` has no `max_value`",
+        17,
+    );
+    check_finding(
+        &TANK.replace("\"default_value\": 0", "\"default_value\": 400"),
+        "default_value of `left` lies outside -100 to 100",
+        9,
+    );
+    check_finding(&TANK.replace("\"max_value\": 100", "\"max_value\": \"much\""), "`much`", 11);
+    check_finding("{\"id\": \"a\", \"api_version\": \"1\", \"devices\": {}}", "device", 1);
+}
+
+#[test]
+fn the_default_granularity_is_a_power_of_ten_of_which_a_thousand_fit() {
+    let block = |range: &str| {
+        init_of(&source(&format!("{{id: a, api_version: 1, devices: {{d: {{{range}}}}}}}"))).unwrap()
+    };
+    for (range, expected) in [
+        ("min_value: 0, max_value: 1", 0.001),
+        ("min_value: 0, max_value: 180", 0.1),
+        ("min_value: -32768, max_value: 32767", 10.0),
+        ("min_value: 5, max_value: 5", 0.001),
+    ] {
+        let block = block(range);
+        let limits = block.devices[0].available_control_types.limits(ControlType::Position).unwrap();
+        assert!((limits.granularity - expected).abs() < 1e-12, "{range}: {}", limits.granularity);
+    }
+}
