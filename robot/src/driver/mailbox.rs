@@ -1,9 +1,10 @@
 //! What is still to be set, between the precise thread and a driver's own.
 //!
-//! At most one value for each signal of each device waits: a newer one takes its place. Whoever puts something in never
-//! waits for the driver.
+//! For each signal of each device at most one value waits, and one movement that begins behind it: newer ones take their
+//! place. Whoever puts something in never waits for the driver.
 #![expect(clippy::disallowed_methods, reason = "waits until the next sample or ping is due")]
 
+use std::collections::hash_map::Entry;
 use std::collections::{HashMap, VecDeque};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
@@ -37,8 +38,8 @@ pub(crate) enum Order {
 /// What a driver's thread does next.
 #[derive(Debug)]
 pub(crate) enum Work {
-    Set(Key, Setpoint),
-    Follow(Key, Movement),
+    /// Set this, then follow that.
+    Drive(Key, Option<Setpoint>, Option<Movement>),
     Read(ReadingId, DeviceId),
     /// Nothing until the time that was asked for.
     Nothing,
@@ -55,7 +56,7 @@ const READ_WAIT_MAX: Duration = Duration::from_millis(200);
 struct State {
     /// Counts connections; 0 while there is none.
     connection: u64,
-    values: HashMap<Key, Value>,
+    values: HashMap<Key, Waiting>,
     /// The keys of `values`, the longest waiting first.
     order: VecDeque<Key>,
     readings: VecDeque<(ReadingId, DeviceId, Instant)>,
@@ -65,10 +66,11 @@ struct State {
     closed: bool,
 }
 
-#[derive(Debug)]
-enum Value {
-    Set(Setpoint),
-    Follow(Movement),
+/// What waits for one signal.
+#[derive(Debug, Default)]
+struct Waiting {
+    set: Option<Setpoint>,
+    follow: Option<Movement>,
 }
 
 /// Orders that wait for a driver.
@@ -166,8 +168,7 @@ impl Mailbox {
         let mut state = self.lock();
         loop {
             match state.take() {
-                Some((key, Value::Set(setpoint))) => return Work::Set(key, setpoint),
-                Some((key, Value::Follow(movement))) => return Work::Follow(key, movement),
+                Some((key, Waiting { set, follow })) => return Work::Drive(key, set, follow),
                 None if state.closed => return Work::Closed,
                 None => {}
             }
@@ -194,23 +195,31 @@ impl State {
     }
 
     fn put(&mut self, order: Order) {
-        let (key, value) = match order {
-            Order::Set(key, setpoint) => (key, Value::Set(setpoint)),
-            Order::Follow(key, movement) => (key, Value::Follow(movement)),
-            Order::Read(id, sensor) => {
-                // One that finds no room is not answered, which its time limit tells.
-                if self.readings.len() < READINGS_MAX {
-                    self.readings.push_back((id, sensor, Instant::now()));
-                }
-                return;
+        match order {
+            Order::Set(key, setpoint) => {
+                *self.waiting(key) = Waiting { set: Some(setpoint), follow: None };
             }
-        };
-        if self.values.insert(key.clone(), value).is_none() {
-            self.order.push_back(key);
+            // A value that is due at the same instant is still set first.
+            Order::Follow(key, movement) => self.waiting(key).follow = Some(movement),
+            // One that finds no room is not answered, which its time limit tells.
+            Order::Read(id, sensor) if self.readings.len() < READINGS_MAX => {
+                self.readings.push_back((id, sensor, Instant::now()));
+            }
+            Order::Read(..) => {}
         }
     }
 
-    fn take(&mut self) -> Option<(Key, Value)> {
+    fn waiting(&mut self, key: Key) -> &mut Waiting {
+        match self.values.entry(key) {
+            Entry::Occupied(waiting) => waiting.into_mut(),
+            Entry::Vacant(place) => {
+                self.order.push_back(place.key().clone());
+                place.insert(Waiting::default())
+            }
+        }
+    }
+
+    fn take(&mut self) -> Option<(Key, Waiting)> {
         let key = self.order.pop_front()?;
         let value = self.values.remove(&key)?;
         Some((key, value))

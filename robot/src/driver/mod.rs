@@ -166,3 +166,6 @@ impl Wanted {
         }
     }
 }
+
+#[cfg(test)]
+mod tests;

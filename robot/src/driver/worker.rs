@@ -102,8 +102,10 @@ impl Worker {
             let ping = self.seen_alive + PING_EVERY;
             let until = ping.max(Instant::now() + QUIET / 2);
             match self.mailbox.next(sample.map_or(until, |sample| sample.min(until))) {
-                Work::Set(key, setpoint) => self.set(&key, &setpoint)?,
-                Work::Follow(key, movement) => self.follow(key, movement)?,
+                Work::Drive(key, setpoint, movement) => {
+                    setpoint.map_or(Ok(()), |setpoint| self.set(&key, &setpoint))?;
+                    movement.map_or(Ok(()), |movement| self.follow(key, movement))?;
+                }
                 Work::Read(id, sensor) => self.read(id, &sensor)?,
                 Work::Nothing => self.stay_in_touch()?,
                 Work::Closed if self.moving.is_empty() => return Ok(()),

@@ -1,5 +1,6 @@
 //! The rules of the robot's side, one a test.
 
+mod hardware;
 mod instants;
 mod sessions;
 

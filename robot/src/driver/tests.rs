@@ -1,0 +1,252 @@
+//! Drivers under their thread: what reaches the hardware, in which order, and what does when it fails.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
+
+use urrcp::{
+    Command, ControlRequest, ControlResponse, ErrorCode, InitializationBlock, Message, Millis, RequestId,
+    Script, Server, Status, StatusValue, Step, Timestamp,
+};
+
+use super::*;
+use crate::{Host, HostOptions, Hosted, LinkEvent, RobotLink};
+
+const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
+  {"id": "arm", "name": "arm", "default_value": 3, "interpolation": "linear", "script_queue": 2,
+   "available_control_types": {
+     "position": {"min_value": 0, "max_value": 90, "granularity": 0.5},
+     "script": {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_number_of_steps": 8}}},
+  {"id": "wheel", "name": "wheel", "available_control_types": {
+     "speed": {"min_value": -10, "max_value": 10, "granularity": 1},
+     "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 8}}},
+  {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
+
+/// Hardware of a test: tells what is done with it, and does what the test says.
+#[derive(Default)]
+struct Bench {
+    broken: AtomicBool,
+    takes_ramps: bool,
+    /// While a test holds it, a `set` does not return.
+    busy: Mutex<()>,
+}
+
+struct Fake {
+    bench: Arc<Bench>,
+    done: Sender<String>,
+}
+
+impl Fake {
+    fn act(&self, what: String) -> Result<(), DriverError> {
+        if self.bench.broken.load(Ordering::SeqCst) {
+            return Err(DriverError::Away("pulled out".to_owned()));
+        }
+        let _test_is_over = self.done.send(what);
+        Ok(())
+    }
+}
+
+impl Driver for Fake {
+    fn connect(&mut self) -> Result<(), DriverError> {
+        self.act("connect".to_owned())
+    }
+
+    fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError> {
+        self.act(format!("{device} {}", setpoint.value))?;
+        drop(self.bench.busy.lock());
+        Ok(())
+    }
+
+    fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError> {
+        self.act(format!("read {sensor}")).map(|()| 7.0)
+    }
+
+    fn ping(&mut self) -> Result<(), DriverError> {
+        self.act("ping".to_owned())
+    }
+
+    fn ramp(&mut self, device: &DeviceId, ramp: Ramp) -> Result<(), DriverError> {
+        self.act(format!("{device} ramp to {}", ramp.to))
+    }
+
+    fn takes_ramps(&self) -> bool {
+        self.bench.takes_ramps
+    }
+}
+
+/// A robot on a host, with its hardware and a link.
+struct Rig {
+    bench: Arc<Bench>,
+    done: Receiver<String>,
+    host: Host,
+    link: RobotLink,
+}
+
+impl Rig {
+    fn new(bench: Bench, options: DriverOptions) -> Self {
+        let bench = Arc::new(bench);
+        let (done, seen) = channel();
+        let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+        let fake = Fake { bench: Arc::clone(&bench), done };
+        let hosted = Hosted::driven(block, Box::new(fake), options);
+        let host = Host::start(vec![hosted], HostOptions::default()).unwrap();
+        host.await_hardware(Duration::from_secs(60));
+        let link = host.handle().connect(0).unwrap();
+        Self { bench, done: seen, host, link }
+    }
+
+    fn script(&self, device: &str, id: &str, steps: &[(f64, f64)], control_type: ControlType) {
+        let step = |(millis, value): &(f64, f64)| Step {
+            offset: Millis::new(*millis).unwrap(),
+            setpoint: Setpoint::new(control_type, *value),
+            stop_condition: None,
+        };
+        let script = Script::new(steps.iter().map(step).collect()).unwrap();
+        let now: Timestamp<Server> = HostClock::anchored().now().assume_clock();
+        self.link.send(Message::ControlRequest(ControlRequest {
+            timestamp: Some(now),
+            time_offset_to_start: Some(Millis::new(200.0).unwrap()),
+            request_id: Some(RequestId::new(id).unwrap()),
+            ..ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::Script(script))
+        }));
+    }
+
+    async fn response(&mut self) -> ControlResponse {
+        match self.link.recv().await {
+            Some(LinkEvent::Message(Message::ControlResponse(response))) => response,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    async fn responses(&mut self, expected: &[Status]) {
+        for status in expected {
+            assert_eq!(self.response().await.status, *status);
+        }
+    }
+
+    /// What was done with the hardware up to its end, pings aside.
+    fn stop(self) -> Vec<String> {
+        let Self { host, done, link, .. } = self;
+        drop(link);
+        host.stop();
+        done.try_iter().filter(|what| what != "ping").collect()
+    }
+}
+
+const PLAYED: [Status; 3] = [Status::Accepted, Status::Started, Status::Ok];
+
+#[tokio::test]
+async fn values_reach_the_hardware_in_order_and_in_the_end_the_default_state() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 4.0), (50.0, -4.0), (100.0, 2.0)], ControlType::Speed);
+    rig.responses(&PLAYED).await;
+    assert_eq!(rig.stop(), ["connect", "wheel 4", "wheel -4", "wheel 2", "arm 3", "wheel 0"]);
+}
+
+#[tokio::test]
+async fn hardware_that_was_only_looked_at_is_not_moved() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.link.send(Message::ControlRequest(ControlRequest::immediate(
+        DeviceId::new("eye").unwrap(),
+        Command::ReadSensor,
+    )));
+    assert_eq!(rig.response().await.status_value, StatusValue::Number(7.0));
+    assert_eq!(rig.stop(), ["connect", "read eye"]);
+}
+
+#[tokio::test]
+async fn an_edge_of_its_own_brings_its_devices_to_rest_when_it_finds_them() {
+    let options = DriverOptions { at_start: AtStart::Default, ..DriverOptions::default() };
+    let rig = Rig::new(Bench::default(), options);
+    let begun: Vec<_> = rig.done.iter().filter(|what| what != "ping").take(3).collect();
+    assert_eq!(begun, ["connect", "arm 3", "wheel 0"]);
+}
+
+#[tokio::test]
+async fn a_linear_movement_is_sampled_on_the_grid_and_ends_on_its_target() {
+    let options = DriverOptions { samples_per_second: 200.0, ..DriverOptions::default() };
+    let mut rig = Rig::new(Bench::default(), options);
+    rig.script("arm", "a", &[(300.0, 30.0)], ControlType::Position);
+    rig.responses(&PLAYED).await;
+    let done = rig.stop();
+    let end = done.iter().rposition(|what| what == "arm 30").unwrap();
+    let values: Vec<f64> =
+        done[1..=end].iter().map(|what| what.strip_prefix("arm ").unwrap().parse().unwrap()).collect();
+    assert!(values.len() > 3, "no samples: {values:?}");
+    assert!(values.is_sorted(), "{values:?}");
+    assert!(values.iter().all(|value| (value * 2.0).fract() == 0.0), "off the grid: {values:?}");
+    assert_eq!(&done[end + 1..], ["arm 3", "wheel 0"]);
+}
+
+#[tokio::test]
+async fn a_driver_that_moves_linearly_by_itself_is_told_the_whole_way() {
+    let bench = Bench { takes_ramps: true, ..Bench::default() };
+    let mut rig = Rig::new(bench, DriverOptions::default());
+    rig.script("arm", "a", &[(0.0, 3.0), (60.0, 30.0)], ControlType::Position);
+    rig.responses(&PLAYED).await;
+    let done = rig.stop();
+    assert_eq!(done, ["connect", "arm 3", "arm ramp to 30", "arm 30", "arm 3", "wheel 0"]);
+}
+
+#[tokio::test]
+async fn a_slow_device_skips_what_is_out_of_date_and_the_machine_does_not_wait() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    let bench = Arc::clone(&rig.bench);
+    let busy = bench.busy.lock().unwrap();
+    let steps: Vec<_> = (0..8_u32).map(|i| (f64::from(i) * 10.0, f64::from(i))).collect();
+    rig.script("wheel", "a", &steps, ControlType::Speed);
+    // All is reported while the first value still hangs in the driver.
+    rig.responses(&PLAYED).await;
+    drop(busy);
+    let done: Vec<_> = rig.done.iter().filter(|what| what.starts_with("wheel")).take(2).collect();
+    assert_eq!(done, ["wheel 0", "wheel 7"]);
+}
+
+#[tokio::test]
+async fn hardware_that_fails_under_a_script_fails_it_and_starts_anew_from_its_default_state() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.bench.broken.store(true, Ordering::SeqCst);
+    // Found out by a ping, since nothing more is due.
+    let failed = rig.response().await;
+    assert_eq!(failed.status, Status::Failed);
+    let error = failed.error.unwrap();
+    assert_eq!(error.code, ErrorCode::Internal);
+    assert!(error.message.contains("pulled out"), "{error}");
+    rig.script("wheel", "b", &[(0.0, 5.0)], ControlType::Speed);
+    assert_eq!(rig.response().await.error.unwrap().code, ErrorCode::Internal);
+    rig.bench.broken.store(false, Ordering::SeqCst);
+    let done: Vec<_> = rig.done.iter().filter(|what| what != "ping").take(5).collect();
+    assert_eq!(done, ["connect", "wheel 4", "connect", "arm 3", "wheel 0"]);
+    rig.script("wheel", "c", &[(0.0, 5.0)], ControlType::Speed);
+    rig.responses(&PLAYED).await;
+}
+
+#[test]
+fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_older_ones() {
+    let mailbox = Mailbox::default();
+    let key = |device: &str| (DeviceId::new(device).unwrap(), ControlType::Speed);
+    let set = |device, value| mailbox::Order::Set(key(device), Setpoint::new(ControlType::Speed, value));
+    mailbox.post(0, [set("a", 1.0)].into_iter(), None);
+    mailbox.connected(1);
+    mailbox.post(0, [set("a", 2.0)].into_iter(), None);
+    mailbox.post(1, [set("a", 3.0), set("b", 4.0), set("a", 5.0)].into_iter(), None);
+    mailbox.close();
+    let values: Vec<_> = std::iter::from_fn(|| {
+        match mailbox.next(HostClock::anchored().instant_of(Timestamp::from_nanos(0))) {
+            mailbox::Work::Drive(key, Some(setpoint), None) => Some((key.0.to_string(), setpoint.value)),
+            _ => None,
+        }
+    })
+    .collect();
+    assert_eq!(values, [("a".to_owned(), 5.0), ("b".to_owned(), 4.0)]);
+    mailbox.connected(1);
+    mailbox.post(1, [set("a", 6.0)].into_iter(), None);
+    mailbox.disconnected();
+    mailbox.connected(2);
+    assert!(matches!(
+        mailbox.next(HostClock::anchored().instant_of(Timestamp::from_nanos(0))),
+        mailbox::Work::Closed
+    ));
+}

@@ -1,0 +1,190 @@
+//! Robots that drive hardware which may be away, fail and come back, and whose sensors take their time.
+
+use super::*;
+use crate::hardware::READINGS_MAX;
+
+fn driven() -> Bench {
+    let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+    Bench { robot: Robot::driven(block), ..Bench::new() }
+}
+
+fn ready() -> Bench {
+    let mut bench = driven();
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    bench
+}
+
+fn available(bench: &mut Bench) -> (Status, Option<String>) {
+    bench.send(Message::AvailabilityRequest(AvailabilityRequest::default()));
+    match bench.out.last() {
+        Some(Output::Send { message: Message::AvailabilityResponse(response), .. }) => {
+            (response.status.clone(), response.error.as_ref().map(|error| error.message.to_string()))
+        }
+        other => panic!("{other:?}"),
+    }
+}
+
+fn read(bench: &mut Bench, id: &str) {
+    bench.request(ControlRequest {
+        request_id: Some(RequestId::new(id).unwrap()),
+        ..ControlRequest::immediate(DeviceId::new("thermometer").unwrap(), Command::ReadSensor)
+    });
+}
+
+fn open_reading(bench: &Bench) -> crate::hardware::ReadingId {
+    match bench.out.last() {
+        Some(Output::Read { reading, sensor }) if sensor.as_str() == "thermometer" => *reading,
+        other => panic!("{other:?}"),
+    }
+}
+
+/// Devices with the values of their default state.
+fn defaults(bench: &Bench) -> Vec<(String, f64)> {
+    let value = |set: &&SetValue| match &set.motion {
+        Motion::Default { control_type, value } => Some((format!("{} {control_type}", set.device), *value)),
+        _ => None,
+    };
+    bench.sets().iter().filter_map(value).collect()
+}
+
+#[test]
+fn without_hardware_a_robot_is_not_available_and_takes_nothing() {
+    let mut bench = driven();
+    let (status, why) = available(&mut bench);
+    assert_eq!(status, Status::Failed);
+    assert!(why.unwrap().contains("the hardware has not answered yet"));
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
+    read(&mut bench, "b");
+    assert_eq!(bench.statuses(), ["Failed internal", "Failed internal"]);
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    assert_eq!(available(&mut bench), (Status::Ok, None));
+    // The refusal was not for ever, and nothing was set on the way.
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
+    assert_eq!(bench.statuses().last().unwrap(), "Accepted");
+    assert!(bench.sets().is_empty());
+}
+
+#[test]
+fn hardware_that_fails_ends_what_runs_and_waits_and_comes_back_to_its_default_state() {
+    let mut bench = ready();
+    bench.request(timed("arm", "runs", 100.0, script(ControlType::Position, &PAPER)));
+    bench.request(timed("arm", "waits", 5_000.0, script(ControlType::Position, &PAPER)));
+    bench.until(1_500);
+    bench.out.clear();
+    bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
+    assert_eq!(bench.statuses(), ["Failed internal", "Failed internal"]);
+    let [runs, waits] = bench.responses()[..] else { panic!() };
+    assert_eq!((runs.steps_done, waits.steps_done), (Some(2), Some(0)));
+    assert!(runs.error.as_ref().unwrap().message.contains("unplugged"));
+    assert!(bench.sets().is_empty(), "nothing can be set");
+    bench.until(3_000);
+    assert!(bench.sets().is_empty(), "the script is over");
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    let expected = [("arm position", 10.0), ("arm speed", 0.0), ("wheel speed", 0.0)];
+    assert_eq!(defaults(&bench), expected.map(|(device, value)| (device.to_owned(), value)));
+    bench.until(10_000);
+    assert_eq!(bench.values(), []);
+}
+
+#[test]
+fn hardware_that_nothing_was_set_on_is_left_as_it_is() {
+    let mut bench = ready();
+    bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    bench.robot.shut_down(bench.now, &mut bench.out);
+    assert!(bench.sets().is_empty());
+}
+
+#[test]
+fn when_the_edge_ends_what_runs_is_told_and_devices_go_to_their_default_state() {
+    let mut bench = ready();
+    bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
+    bench.until(10);
+    bench.robot.shut_down(bench.now, &mut bench.out);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed cancelled"]);
+    assert!(defaults(&bench).contains(&("arm position".to_owned(), 10.0)));
+}
+
+#[test]
+fn a_stop_is_not_confirmed_while_nobody_knows_where_the_devices_are() {
+    let mut bench = ready();
+    bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
+    bench.until(10);
+    bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
+    let cancel = || ControlRequest {
+        request_id: Some(RequestId::new("stop").unwrap()),
+        ..ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()))
+    };
+    bench.request(cancel());
+    assert_eq!(bench.statuses().last().unwrap(), "Failed internal");
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    bench.request(cancel());
+    assert_eq!(bench.statuses().last().unwrap(), "OK");
+}
+
+#[test]
+fn a_reading_is_provided_when_it_comes() {
+    let mut bench = ready();
+    read(&mut bench, "a");
+    let reading = open_reading(&bench);
+    bench.until(400);
+    assert_eq!(bench.statuses(), Vec::<String>::new());
+    bench.robot.reading_came(bench.now, reading, Ok(21.5), &mut bench.out);
+    let [answer] = bench.responses()[..] else { panic!() };
+    assert_eq!((&answer.status, &answer.status_value), (&Status::Provide, &StatusValue::Number(21.5)));
+    assert_eq!(answer.request_id.as_ref().unwrap().as_str(), "a");
+    bench.until(5_000);
+    assert_eq!(bench.responses().len(), 1, "it is answered once");
+}
+
+#[test]
+fn a_reading_that_does_not_come_fails_and_comes_too_late_afterwards() {
+    let mut bench = ready();
+    read(&mut bench, "a");
+    let reading = open_reading(&bench);
+    assert_eq!(bench.robot.next_wakeup(), Some(at(1_000)));
+    bench.until(1_000);
+    assert_eq!(bench.statuses(), ["Failed internal"]);
+    bench.robot.reading_came(bench.now, reading, Ok(21.5), &mut bench.out);
+    assert_eq!(bench.responses().len(), 1);
+    assert!(bench.robot.is_idle());
+}
+
+#[test]
+fn a_sensor_says_how_long_its_readings_may_take() {
+    let block = BLOCK.replace("\"max_value\": 60", "\"max_value\": 60, \"max_delay\": 250");
+    let mut bench = driven();
+    bench.robot = Robot::driven(serde_json::from_str(&block).unwrap());
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    read(&mut bench, "a");
+    assert_eq!(bench.robot.next_wakeup(), Some(at(250)));
+}
+
+#[test]
+fn readings_that_are_refused_or_no_numbers_or_cut_off_fail_with_the_reason() {
+    let mut bench = ready();
+    for (reading, says) in [(Err("no such pin".to_owned()), "no such pin"), (Ok(f64::NAN), "no number")] {
+        read(&mut bench, says);
+        let id = open_reading(&bench);
+        bench.robot.reading_came(bench.now, id, reading, &mut bench.out);
+        let answers = bench.responses();
+        let error = answers.last().unwrap().error.as_ref().unwrap();
+        assert_eq!(error.code, ErrorCode::Internal);
+        assert!(error.message.contains(says), "{error}");
+    }
+    read(&mut bench, "c");
+    bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
+    assert_eq!(bench.statuses().len(), 3);
+    assert!(bench.robot.is_idle());
+}
+
+#[test]
+fn readings_are_open_up_to_a_limit() {
+    let mut bench = ready();
+    for i in 0..=READINGS_MAX {
+        read(&mut bench, &format!("r{i}"));
+    }
+    assert_eq!(bench.statuses(), ["Failed busy"]);
+    bench.until(1_000);
+    assert_eq!(bench.statuses().len(), READINGS_MAX + 1);
+}

@@ -1,0 +1,302 @@
+//! Edges with real hardware behind them: Thrift robots and programs, driven, broken and restarted.
+//!
+//! The Thrift robot is `tests/thrift/server.py` where `DOWNBEAT_PYTHON` names a Python with the package thriftpy2,
+//! else the one of `thrift_robot`.
+
+use std::io::{BufRead, BufReader};
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use downbeat_robot::driver::{Driver, DriverError, ThriftRobot};
+use urrcp::{ControlType, DeviceId, Setpoint};
+
+use crate::session::{PROGRAM, Session, root};
+use crate::thrift_robot;
+
+const TANK: &str = include_str!("thrift/tank.json");
+
+/// A Thrift robot of either kind; gone with the value.
+enum Tank {
+    Python(Child),
+    Rust(thrift_robot::ThriftRobot),
+}
+
+impl Tank {
+    /// Logs to a file of the session. Port 0 takes any free one.
+    fn start(session: &Session, log: &str, port: u16) -> (Self, u16) {
+        let log = session.path(log);
+        let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
+            let robot = thrift_robot::ThriftRobot::start(port, TANK, &log);
+            let port = robot.port();
+            return (Self::Rust(robot), port);
+        };
+        let schema = session.path("tank.json");
+        std::fs::write(&schema, TANK).unwrap();
+        let mut command = Command::new(python);
+        command.arg(root().join("tests/thrift/server.py")).arg(port.to_string()).arg(schema).arg(log);
+        let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
+        let port = first_line(&mut child).trim().parse().unwrap();
+        (Self::Python(child), port)
+    }
+}
+
+impl Drop for Tank {
+    fn drop(&mut self) {
+        match self {
+            Self::Python(child) => end(child),
+            Self::Rust(robot) => robot.stop(),
+        }
+    }
+}
+
+fn first_line(child: &mut Child) -> String {
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
+    line
+}
+
+fn end(child: &mut Child) {
+    let _gone = child.kill();
+    let _reaped = child.wait();
+}
+
+/// An edge as a process, ended with the value.
+struct Edge(Child, u16);
+
+impl Edge {
+    fn start(session: &Session, init: &str, driver: &str) -> Self {
+        let mut command = Command::new(PROGRAM);
+        command.args(["edge", "--listen", "127.0.0.1:0", "--init", init, "--driver", driver]);
+        let mut child = command.current_dir(session.path(".")).stdout(Stdio::piped()).spawn().unwrap();
+        let line = first_line(&mut child);
+        let port = line.trim().rsplit(':').next().unwrap().parse();
+        let port = port.unwrap_or_else(|_| panic!("no port in `{line}`"));
+        Self(child, port)
+    }
+
+    /// As Ctrl-C in its terminal, or the service manager.
+    fn terminate(mut self) {
+        assert!(Command::new("kill").args(["-TERM", &self.0.id().to_string()]).status().unwrap().success());
+        assert!(self.0.wait().unwrap().success());
+    }
+}
+
+impl Drop for Edge {
+    fn drop(&mut self) {
+        end(&mut self.0);
+    }
+}
+
+/// What was set, as `device value`, without the times in front.
+fn sets(session: &Session, log: &str) -> Vec<String> {
+    let text = std::fs::read_to_string(session.path(log)).unwrap_or_default();
+    text.lines().map(|line| line.split_once(' ').unwrap().1.to_owned()).collect()
+}
+
+fn of(device: &str, sets: &[String]) -> Vec<f64> {
+    let values = sets.iter().filter_map(|set| set.strip_prefix(device));
+    values.map(|value| value.trim().parse().unwrap()).collect()
+}
+
+/// Waits for what other processes do in their own time; a minute is for machines that do much else.
+#[track_caller]
+fn await_that(what: &str, holds: impl Fn() -> bool) {
+    let begin = Instant::now();
+    while !holds() {
+        assert!(begin.elapsed() < Duration::from_secs(60), "{what}: not within a minute");
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+const SCENARIO: &str = "scenario: tanks
+start_tolerance: 60ms
+cues:
+  - at: 0s
+    robots: tanks
+    tracks:
+      left: [{at: 0s, to: 40}, {at: 300ms, to: -20}, {at: 600ms, to: 0}]
+      right: [{at: 0s, to: 0}, {at: 500ms, to: 10}]
+";
+
+fn fleet(addresses: &[String], require: &str) -> String {
+    let mut yaml = "robots:\n".to_owned();
+    for (i, address) in addresses.iter().enumerate() {
+        yaml.push_str(&format!(
+            "  tank-{}:
+    init: tank.json
+    address: {address}
+    require: {{battery: {require}}}
+    devices:
+      left: {{control_type: speed, granularity: 1, unit: \"%\"}}
+      right: {{granularity: 1, interpolation: linear}}
+",
+            i + 1
+        ));
+    }
+    let names: Vec<_> = (1..=addresses.len()).map(|i| format!("tank-{i}")).collect();
+    format!("{yaml}groups: {{tanks: [{}]}}\n", names.join(", "))
+}
+
+fn session() -> Session {
+    let session = Session::new();
+    session.file("tank.json", TANK).file("tanks.yaml", SCENARIO);
+    session
+}
+
+#[test]
+fn two_thrift_robots_start_together_and_are_sent_every_value_in_order() {
+    let session = session();
+    let tanks = ["1.log", "2.log"].map(|log| Tank::start(&session, log, 0));
+    let addresses = tanks.each_ref().map(|(_, port)| format!("thrift://127.0.0.1:{port}"));
+    session.file("fleet.yaml", fleet(&addresses, "above 12"));
+    let ran = session.run(&["run", "tanks.yaml", "--format", "json"]);
+    assert_eq!(ran.code(), 0, "{}", ran.text());
+    let report = ran.json();
+    assert_eq!(report["outcome"], "done", "{report:#}");
+    for log in ["1.log", "2.log"] {
+        let sets = sets(&session, log);
+        // Played, then at the end of the process the default state.
+        assert_eq!(of("left", &sets), [40.0, -20.0, 0.0, 0.0], "{sets:?}");
+        let right = of("right", &sets);
+        let (way, rest) = right.split_at(right.len() - 1);
+        assert_eq!((way.first(), way.last(), rest), (Some(&0.0), Some(&10.0), [0.0].as_slice()), "{sets:?}");
+        assert!(way.is_sorted() && way.len() > 3, "{sets:?}");
+    }
+}
+
+#[test]
+fn a_sensor_of_a_thrift_robot_is_read_before_the_mission() {
+    let session = session();
+    let (_tank, port) = Tank::start(&session, "1.log", 0);
+    session.file("fleet.yaml", fleet(&[format!("thrift://127.0.0.1:{port}")], "above 13"));
+    session.run(&["preflight", "tanks.yaml"]).says(1, &["battery", "12.5"]);
+    session.run(&["fleet", "ping"]).says(0, &["thrift://127.0.0.1:"]);
+    assert_eq!(sets(&session, "1.log"), Vec::<String>::new(), "whoever looks moves nothing");
+}
+
+#[test]
+fn a_thrift_robot_that_is_not_there_keeps_all_from_starting_and_is_named() {
+    let session = session();
+    let (tank, port) = Tank::start(&session, "1.log", 0);
+    let (gone, gone_port) = Tank::start(&session, "2.log", 0);
+    drop(gone);
+    let addresses = [port, gone_port].map(|port| format!("thrift://127.0.0.1:{port}"));
+    session.file("fleet.yaml", fleet(&addresses, "above 12"));
+    session
+        .run(&["run", "tanks.yaml"])
+        .says(1, &["not started", "tank-2", "the hardware is away: no connection to"]);
+    assert_eq!(sets(&session, "1.log"), Vec::<String>::new());
+    drop(tank);
+}
+
+#[test]
+fn an_edge_outlives_the_restart_of_its_robot_and_does_not_go_on_in_the_middle() {
+    let session = session();
+    session.file("tanks.yaml", SCENARIO.replace("600ms, to: 0", "60s, to: 0"));
+    let (tank, port) = Tank::start(&session, "1.log", 0);
+    let edge = Edge::start(&session, "tank.json", &format!("thrift://127.0.0.1:{port}"));
+    let plain = format!(
+        "robots: {{tank-1: {{init: tank.json, address: 'tcp://127.0.0.1:{}'}}}}\ngroups: {{tanks: [tank-1]}}\n",
+        edge.1
+    );
+    session.file("fleet.yaml", plain);
+    await_that("the default state at the start", || sets(&session, "1.log").len() == 2);
+    let running =
+        session.command(&["run", "tanks.yaml"]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+    let running = running.unwrap();
+    await_that("the second step", || of("left", &sets(&session, "1.log")).contains(&-20.0));
+    drop(tank);
+    let ran = crate::session::Ran(running.wait_with_output().unwrap());
+    assert!([1, 4].contains(&ran.code()), "{}", ran.text());
+    assert!(ran.text().contains("the hardware is away"), "{}", ran.text());
+    let (_tank, _) = Tank::start(&session, "2.log", port);
+    await_that("the default state of the restarted robot", || sets(&session, "2.log").len() >= 2);
+    assert_eq!(sets(&session, "2.log"), ["left 0", "right 0"]);
+    session.file("tanks.yaml", SCENARIO);
+    let ran = session.run(&["run", "tanks.yaml"]);
+    assert_eq!(ran.code(), 0, "{}", ran.text());
+    edge.terminate();
+    let sets = sets(&session, "2.log");
+    assert_eq!(of("left", &sets), [0.0, 40.0, -20.0, 0.0, 0.0], "{sets:?}");
+    assert_eq!(of("right", &sets), [0.0, 0.0, 10.0, 0.0], "{sets:?}");
+}
+
+const DRIVE: &str = include_str!("drivers/drive.sh");
+
+#[test]
+fn a_shell_script_drives_a_robot_and_is_restarted_when_it_dies() {
+    let session = session();
+    session.file("drive.sh", DRIVE).file(
+        "tanks.yaml",
+        SCENARIO.replace("right", "left").replace("      left: [{at: 0s, to: 0}, {at: 500ms, to: 10}]\n", ""),
+    );
+    let edge = Edge::start(&session, "tank.json", "program:sh drive.sh driven.txt");
+    let plain = format!(
+        "robots: {{tank-1: {{init: tank.json, address: 'tcp://127.0.0.1:{}', require: {{battery: below 13}}}}}}\ngroups: {{tanks: [tank-1]}}\n",
+        edge.1
+    );
+    session.file("fleet.yaml", plain);
+    let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
+    await_that("the default state", || driven().lines().count() >= 3);
+    session.run(&["run", "tanks.yaml"]).says(0, &["done"]);
+    session.file("tanks.yaml", "scenario: fatal\ncues: [{at: 0s, robots: tanks, tracks: {left: [{at: 0s, to: 66}, {at: 60s, to: 0}]}}]\n");
+    let ran = session.run(&["run", "tanks.yaml"]);
+    assert!([1, 4].contains(&ran.code()), "{}", ran.text());
+    assert!(ran.text().contains("the program `sh drive.sh driven.txt` has ended"), "{}", ran.text());
+    let anew = "set left position 66\nhello\nset left position 0\nset right position 0\n";
+    await_that("the restart", || driven().contains(anew));
+    edge.terminate();
+    let expected = "hello\nset left position 0\nset right position 0\nread battery\nset left position 40\nset left position -20\nset left position 0\n";
+    assert!(driven().starts_with(expected), "{}", driven());
+    assert!(driven().ends_with("set left position 0\nset right position 0\n"), "{}", driven());
+}
+
+#[test]
+fn the_python_program_of_the_documents_drives_too() {
+    let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    if Command::new(&python).arg("--version").output().is_err() {
+        return eprintln!("not tested: there is no {python} here");
+    }
+    let session = session();
+    session.file("drive.py", include_str!("drivers/drive.py"));
+    let edge = Edge::start(&session, "tank.json", &format!("program:{python} drive.py driven.txt"));
+    let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
+    await_that("the default state", || driven() == "left position 0\nright position 0\n");
+    edge.terminate();
+}
+
+#[test]
+fn a_thrift_robot_is_asked_and_says_no() {
+    let session = session();
+    let (tank, port) = Tank::start(&session, "1.log", 0);
+    let block = downbeat_scripts::read_init(&session.path("tank.json")).unwrap();
+    let mut driver = ThriftRobot::new("127.0.0.1", port, &block).unwrap();
+    let device = |id: &str| DeviceId::new(id).unwrap();
+    assert!(matches!(driver.ping(), Err(DriverError::Away(_))), "nothing before it is connected");
+    driver.connect().unwrap();
+    driver.set(&device("left"), &Setpoint::new(ControlType::Position, 4.5)).unwrap();
+    assert_eq!(driver.read(&device("battery")), Ok(12.5));
+    assert_eq!(sets(&session, "1.log"), ["left 4.5"]);
+    let schema = downbeat_robot::driver::describe_thrift;
+    drop(driver);
+    assert_eq!(schema("127.0.0.1", port).unwrap(), TANK);
+    let mut driver = ThriftRobot::new("127.0.0.1", port, &block).unwrap();
+    driver.connect().unwrap();
+    drop(tank);
+    // A one-way call may still fit into the socket; a question cannot be answered.
+    assert!(matches!(driver.ping(), Err(DriverError::Away(_))));
+    assert!(matches!(driver.connect(), Err(DriverError::Away(reason)) if reason.contains("no connection")));
+}
+
+#[test]
+fn a_device_with_two_control_types_or_a_space_is_refused_by_drivers_that_cannot_say_it() {
+    let session = Session::new();
+    session.file(
+        "two.yaml",
+        "id: a\napi_version: '1'\ndevices: [{id: two wheels, name: w, available_control_types: {position: {min_value: 0, max_value: 1, granularity: 1}, speed: {min_value: 0, max_value: 1, granularity: 1}}}]\n",
+    );
+    let refused = |driver: &str| session.run(&["edge", "--init", "two.yaml", "--driver", driver]);
+    refused("thrift://localhost:1").says(2, &["`two wheels` has several control types"]);
+    refused("program:true").says(2, &["`two wheels` has a space in its id"]);
+    refused("serial:x").says(2, &["expected sim, thrift://host:port or program:COMMAND"]);
+}
