@@ -300,3 +300,18 @@ fn a_device_with_two_control_types_or_a_space_is_refused_by_drivers_that_cannot_
     refused("program:true").says(2, &["`two wheels` has a space in its id"]);
     refused("serial:x").says(2, &["expected sim, thrift://host:port or program:COMMAND"]);
 }
+
+#[test]
+fn a_robot_describes_itself_as_an_init_file_by_either_protocol() {
+    let session = session();
+    let (_tank, port) = Tank::start(&session, "1.log", 0);
+    let told = session.run(&["fleet", "describe", &format!("thrift://127.0.0.1:{port}")]);
+    assert_eq!(told.code(), 0, "{}", told.text());
+    session.file("told.yaml", told.out());
+    let edge = Edge::start(&session, "told.yaml", "sim");
+    let again = session.run(&["fleet", "describe", &format!("tcp://127.0.0.1:{}", edge.1)]);
+    assert_eq!(again.out(), told.out());
+    assert!(told.out().contains("id: tank-1\n"), "{}", told.out());
+    session.run(&["fleet", "describe", "sim"]).says(2, &["describes itself to nobody"]);
+    session.run(&["fleet", "describe", "thrift://127.0.0.1:1"]).says(1, &["127.0.0.1:1"]);
+}

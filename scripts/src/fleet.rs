@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::fmt;
 use std::path::{Path, PathBuf};
+use std::str::FromStr;
 
 use urrcp::{ControlType, Device, DeviceId, Encoding, InitializationBlock, RobotId, Span};
 
@@ -149,8 +150,31 @@ impl fmt::Display for Address {
     }
 }
 
-impl Address {
+/// A text is no address.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NoAddress;
+
+/// What an address looks like.
+const ADDRESS: &str = "`sim`, tcp://host:port, thrift://host:port or program:COMMAND";
+
+impl fmt::Display for NoAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "expected {ADDRESS}")
+    }
+}
+
+impl std::error::Error for NoAddress {}
+
+impl FromStr for Address {
+    type Err = NoAddress;
+
     /// Reads an address as the fleet file writes it.
+    fn from_str(text: &str) -> Result<Self, NoAddress> {
+        Self::parse(text).ok_or(NoAddress)
+    }
+}
+
+impl Address {
     fn parse(text: &str) -> Option<Self> {
         if text == "sim" {
             return Some(Self::Simulated);
@@ -399,12 +423,11 @@ impl FleetReader {
     }
 
     fn address(&mut self, at: &At<'_>) -> Option<Address> {
-        let expected = "`sim`, tcp://host:port, thrift://host:port or program:COMMAND";
-        let text = self.findings.text(at, expected)?;
+        let text = self.findings.text(at, ADDRESS)?;
         let address = Address::parse(&text);
         if address.is_none() {
             let message = format!("`{}` is no address", node::shortened(&text));
-            self.findings.add(Code::UnknownWord, at.place(), message, expected, None);
+            self.findings.add(Code::UnknownWord, at.place(), message, ADDRESS, None);
         }
         address
     }

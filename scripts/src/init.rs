@@ -33,6 +33,13 @@ pub fn init_of(source: &Source) -> Result<InitializationBlock, Vec<Finding>> {
     Init::read(source.clone()).map_err(|finding| vec![finding])?.block(&Supplement::none())
 }
 
+/// A description as the text of an init file, YAML. [`init_of`] reads it back.
+#[must_use]
+pub fn init_text(block: &InitializationBlock) -> String {
+    // Maps with texts as keys, numbers and lists: there is nothing that YAML could not say.
+    serde_yaml::to_string(block).unwrap_or_default()
+}
+
 /// A description as it was read.
 #[derive(Clone, Debug)]
 pub(crate) enum Init {

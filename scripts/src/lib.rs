@@ -37,7 +37,7 @@ pub use finding::{Code, Finding, Related, Severity};
 pub use fleet::{
     Address, Fault, Fleet, FleetRobot, Handshake, RateLimits, RobotClock, SimulationSettings, read_fleet,
 };
-pub use init::{init_of, read_init};
+pub use init::{init_of, init_text, read_init};
 pub use plan::{
     Act, Choreography, DeviceScript, DeviceUse, FailurePolicy, OnFailure, Plan, PlannedCue, PlannedReading,
     RobotPlan, SensorRange, Wait, Way,

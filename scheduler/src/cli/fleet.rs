@@ -5,7 +5,8 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use comfy_table::{Table, presets};
 use downbeat_robot::HostOptions;
-use downbeat_scripts::{Fleet, FleetRobot};
+use downbeat_robot::driver::describe_thrift;
+use downbeat_scripts::{Address, Fleet, FleetRobot, Source, init_of, init_text};
 use serde::Serialize;
 use tokio::sync::mpsc;
 use urrcp::{
@@ -16,7 +17,7 @@ use super::run::parse_span;
 use super::{Exit, Format, console, load};
 use crate::clock::{ClockEstimate, ClockReading, ClockSample};
 use crate::fleet;
-use crate::link::Link;
+use crate::link::{Endpoint, Link};
 use crate::mission::Event;
 use crate::server_clock::ServerClock;
 
@@ -33,6 +34,22 @@ pub(super) enum FleetCommand {
         after_help = "Examples:\n  downbeat fleet show\n  downbeat fleet show stage.yaml --format json"
     )]
     Show(FleetArgs),
+    /// Ask one robot what it is, and write an init file to start from.
+    #[command(after_help = "Prints the file; lines to be thought about are in docs/edge.md.
+
+Examples:
+  downbeat fleet describe thrift://tank.local:9090 > tank.yaml
+  downbeat fleet describe tcp://192.0.2.7:7401 > arm.yaml")]
+    Describe(DescribeArgs),
+}
+
+#[derive(Debug, Args)]
+pub(super) struct DescribeArgs {
+    /// Its address, tcp://host:port or thrift://host:port.
+    address: Address,
+    /// How long to wait for an answer.
+    #[arg(long, value_parser = parse_span, default_value = "5s", value_name = "TIME")]
+    patience: Span,
 }
 
 #[derive(Debug, Args)]
@@ -60,7 +77,10 @@ struct Answer {
 }
 
 pub(super) fn fleet(command: &FleetCommand, format: Format) -> Exit {
-    let (FleetCommand::Ping(args) | FleetCommand::Show(args)) = command;
+    let args = match command {
+        FleetCommand::Describe(args) => return describe(args, format),
+        FleetCommand::Ping(args) | FleetCommand::Show(args) => args,
+    };
     let fleet = match load::load_fleet(&args.fleet, format) {
         Ok(fleet) => fleet,
         Err(exit) => return exit,
@@ -77,10 +97,58 @@ pub(super) fn fleet(command: &FleetCommand, format: Format) -> Exit {
         match (format, command) {
             (Format::Json, _) => console::print_json(&answers),
             (Format::Text, FleetCommand::Ping(_)) => console::print(&ping_table(&fleet, &answers)),
-            (Format::Text, FleetCommand::Show(_)) => console::print(&show_table(&answers)),
+            (Format::Text, _) => console::print(&show_table(&answers)),
         }
         if all_well { Exit::Done } else { Exit::Failed }
     })
+}
+
+fn describe(args: &DescribeArgs, format: Format) -> Exit {
+    let told = match &args.address {
+        Address::Tcp { host, port } => ask_block(host.clone(), *port, args.patience),
+        Address::Thrift { host, port } => match describe_thrift(host, *port) {
+            Ok(text) => match init_of(&Source { name: args.address.to_string(), text }) {
+                Ok(block) => Ok(block),
+                Err(findings) => {
+                    load::show_findings(&findings);
+                    return Exit::Failed;
+                }
+            },
+            Err(error) => Err(error.to_string()),
+        },
+        Address::Simulated | Address::Program { .. } => {
+            console::error(&format!("`{}` describes itself to nobody", args.address));
+            return Exit::Usage;
+        }
+    };
+    match (told, format) {
+        (Ok(block), Format::Text) => console::print(&init_text(&block)),
+        (Ok(block), Format::Json) => console::print_json(&block),
+        (Err(message), _) => {
+            console::error(&message);
+            return Exit::Failed;
+        }
+    }
+    Exit::Done
+}
+
+fn ask_block(host: String, port: u16, patience: Span) -> Result<InitializationBlock, String> {
+    let mut told = Err("no answer".to_owned());
+    super::with_runtime(async {
+        let clock = ServerClock::anchored(Span::ZERO);
+        let (events, happened) = mpsc::channel(64);
+        let link = Link::open(0, Endpoint::Tcp { host, port }, clock, events, std::time::Duration::ZERO);
+        let answer = ask(unnamed(), link, happened, clock, patience).await;
+        let problem = answer.problem.unwrap_or_else(|| "the robot did not describe itself".to_owned());
+        told = answer.block.ok_or(problem);
+        Exit::Done
+    });
+    told
+}
+
+#[expect(clippy::expect_used, reason = "a constant, read by every test of this command")]
+fn unnamed() -> RobotId {
+    "robot".parse().expect("a constant below every limit")
 }
 
 async fn ask_all(fleet: &Fleet, patience: Span) -> Result<Vec<Answer>, String> {

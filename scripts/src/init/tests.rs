@@ -29,6 +29,12 @@ fn a_thrift_robots_description_becomes_a_block_that_takes_scripts() {
 }
 
 #[test]
+fn a_block_written_as_an_init_file_is_read_back_as_it_was() {
+    let block = init_of(&source(TANK)).unwrap();
+    assert_eq!(init_of(&source(&init_text(&block))).unwrap(), block);
+}
+
+#[test]
 fn faults_of_a_description_are_found_with_their_lines() {
     check_finding(&TANK.replace("\"id\": \"tank-1\",", ""), "has no `id`", 1);
     check_finding(
