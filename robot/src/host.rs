@@ -64,7 +64,6 @@ pub enum LinkEvent {
     Closed,
 }
 
-#[expect(clippy::large_enum_variant, reason = "nearly every order is an input")]
 enum Order {
     Open {
         robot: usize,

@@ -37,6 +37,7 @@ pub(crate) enum Order {
 
 /// What a driver's thread does next.
 #[derive(Debug)]
+#[expect(clippy::large_enum_variant, reason = "nearly every one is to drive something")]
 pub(crate) enum Work {
     /// Set this, then follow that.
     Drive(Key, Option<Setpoint>, Option<Movement>),

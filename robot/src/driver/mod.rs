@@ -4,6 +4,7 @@
 //! its own (`worker`) behind a short list of what is still to be set (`mailbox`), where the newest value of a signal
 //! takes the place of an older one: what a slow device cannot follow it skips, and no other robot waits for it.
 
+mod described;
 mod mailbox;
 mod program;
 mod simulated;

@@ -1,8 +1,8 @@
 //! Drivers under their thread: what reaches the hardware, in which order, and what does when it fails.
 
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
-use std::sync::{Arc, Mutex};
 
 use urrcp::{
     Command, ControlRequest, ControlResponse, ErrorCode, InitializationBlock, Message, Millis, RequestId,
@@ -22,13 +22,21 @@ const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
      "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 8}}},
   {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
 
+/// Slows down as it can.
+const LIFT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
+  {"id": "lift", "name": "lift", "interpolation": "linear", "default_value": 0, "available_control_types": {
+     "position": {"min_value": 0, "max_value": 100, "granularity": 1},
+     "acceleration": {"min_value": -400, "max_value": 400, "granularity": 1},
+     "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 8,
+                "control_types": ["position"]}}}]}"#;
+
 /// Hardware of a test: tells what is done with it, and does what the test says.
 #[derive(Default)]
 struct Bench {
     broken: AtomicBool,
     takes_ramps: bool,
-    /// While a test holds it, a `set` does not return.
-    busy: Mutex<()>,
+    /// Until a test lets it, a `set` does not return.
+    busy: AtomicBool,
 }
 
 struct Fake {
@@ -53,7 +61,9 @@ impl Driver for Fake {
 
     fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError> {
         self.act(format!("{device} {}", setpoint.value))?;
-        drop(self.bench.busy.lock());
+        while self.bench.busy.load(Ordering::SeqCst) {
+            std::thread::yield_now();
+        }
         Ok(())
     }
 
@@ -84,9 +94,13 @@ struct Rig {
 
 impl Rig {
     fn new(bench: Bench, options: DriverOptions) -> Self {
+        Self::of(BLOCK, bench, options)
+    }
+
+    fn of(block: &str, bench: Bench, options: DriverOptions) -> Self {
         let bench = Arc::new(bench);
         let (done, seen) = channel();
-        let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+        let block: InitializationBlock = serde_json::from_str(block).unwrap();
         let fake = Fake { bench: Arc::clone(&bench), done };
         let hosted = Hosted::driven(block, Box::new(fake), options);
         let host = Host::start(vec![hosted], HostOptions::default()).unwrap();
@@ -179,6 +193,25 @@ async fn a_linear_movement_is_sampled_on_the_grid_and_ends_on_its_target() {
 }
 
 #[tokio::test]
+async fn an_edge_that_ends_lets_its_devices_slow_down_to_their_default_state() {
+    // It would take ramps, but this way is none.
+    let bench = Bench { takes_ramps: true, ..Bench::default() };
+    let mut rig = Rig::of(LIFT, bench, DriverOptions::default());
+    rig.script("lift", "a", &[(1_000.0, 90.0), (60_000.0, 90.0)], ControlType::Position);
+    rig.responses(&PLAYED[..2]).await;
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    let values: Vec<f64> =
+        rig.stop().iter().filter_map(|what| what.strip_prefix("lift ")?.parse().ok()).collect();
+    // On for a little, then down, the acceleration (always 0) among them.
+    let top = values.iter().copied().fold(0.0, f64::max);
+    let down: Vec<f64> =
+        values.iter().copied().skip_while(|value| *value < top).filter(|v| *v > 0.0).collect();
+    assert!(top > 5.0 && down.len() > 3, "no way down: {values:?}");
+    assert!(down.is_sorted_by(|a, b| a >= b), "{values:?}");
+    assert_eq!(values.last(), Some(&0.0), "{values:?}");
+}
+
+#[tokio::test]
 async fn a_driver_that_moves_linearly_by_itself_is_told_the_whole_way() {
     let bench = Bench { takes_ramps: true, ..Bench::default() };
     let mut rig = Rig::new(bench, DriverOptions::default());
@@ -191,13 +224,12 @@ async fn a_driver_that_moves_linearly_by_itself_is_told_the_whole_way() {
 #[tokio::test]
 async fn a_slow_device_skips_what_is_out_of_date_and_the_machine_does_not_wait() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
-    let bench = Arc::clone(&rig.bench);
-    let busy = bench.busy.lock().unwrap();
+    rig.bench.busy.store(true, Ordering::SeqCst);
     let steps: Vec<_> = (0..8_u32).map(|i| (f64::from(i) * 10.0, f64::from(i))).collect();
     rig.script("wheel", "a", &steps, ControlType::Speed);
     // All is reported while the first value still hangs in the driver.
     rig.responses(&PLAYED).await;
-    drop(busy);
+    rig.bench.busy.store(false, Ordering::SeqCst);
     let done: Vec<_> = rig.done.iter().filter(|what| what.starts_with("wheel")).take(2).collect();
     assert_eq!(done, ["wheel 0", "wheel 7"]);
 }

@@ -17,7 +17,7 @@ use thrift::{ApplicationErrorKind, TConfiguration};
 use urrcp::{DeviceId, InitializationBlock, Setpoint};
 
 use super::worker::is_driven;
-use super::{Driver, DriverError};
+use super::{Driver, DriverError, described};
 
 /// How long the robot may take to let itself be connected to, to take a call, to answer one.
 const WAIT_MAX: Duration = Duration::from_secs(1);
@@ -28,6 +28,7 @@ const TEXT_BYTES_MAX: usize = urrcp::LINE_BYTES_MAX;
 pub struct ThriftRobot {
     host: String,
     port: u16,
+    block: InitializationBlock,
     connection: Option<Connection>,
 }
 
@@ -48,7 +49,7 @@ impl ThriftRobot {
             );
             return Err(DriverError::Refused(message));
         }
-        Ok(Self { host: host.to_owned(), port, connection: None })
+        Ok(Self { host: host.to_owned(), port, block: block.clone(), connection: None })
     }
 
     fn call<T>(&mut self, call: impl FnOnce(&mut Connection) -> thrift::Result<T>) -> Result<T, DriverError> {
@@ -79,7 +80,11 @@ impl Driver for ThriftRobot {
         self.connection = Some(connected.map_err(|error| {
             DriverError::Away(format!("no connection to {}:{}: {error}", self.host, self.port))
         })?);
-        self.ping()
+        self.ping()?;
+        // It may be another one than before, or another than its init file says.
+        let schema = self.call(Connection::schema)?;
+        described::fits(&schema, &self.block)
+            .map_err(|why| DriverError::Away(format!("{}:{} is another robot: {why}", self.host, self.port)))
     }
 
     fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError> {

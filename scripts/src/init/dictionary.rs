@@ -168,7 +168,7 @@ fn device(
         missing_range(findings, id, at_device, &call);
         return None;
     };
-    if default.is_some_and(|default| !is_sensor && !(default >= min && default <= max)) {
+    if !is_sensor && default.is_some_and(|default| !(min..=max).contains(&default)) {
         invalid(findings, at_device, &format!("default_value of `{id}` lies outside {min} to {max}"));
         return None;
     }

@@ -1,0 +1,72 @@
+//! Whether a Thrift robot is the one that the edge was told of: by its own description.
+
+use serde_json::Value;
+use urrcp::{ControlParameters, Device, InitializationBlock};
+
+use super::worker::is_driven;
+
+/// Compares the devices that are driven with those that the robot names, and their ranges.
+///
+/// # Errors
+/// What does not fit. A description that cannot be read says nothing against the robot.
+pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), String> {
+    let Ok(schema) = serde_json::from_str::<Value>(schema) else {
+        tracing::warn!(robot = %block.id, "it describes itself in no JSON: its devices are not compared");
+        return Ok(());
+    };
+    let Some(devices) = schema.get("devices").and_then(Value::as_object) else { return Ok(()) };
+    for device in block.devices.iter().filter(|device| range(device).is_some()) {
+        let Some(told) = devices.get(device.id.as_str()) else {
+            let names: Vec<&str> = devices.keys().map(String::as_str).take(20).collect();
+            return Err(format!("it has no device `{}`, it has {}", device.id, names.join(", ")));
+        };
+        let Some((min, max)) = range(device) else { continue };
+        let bound = |key| told.get(key).and_then(Value::as_f64);
+        let (least, most) =
+            (bound("min_value").unwrap_or(f64::NEG_INFINITY), bound("max_value").unwrap_or(f64::INFINITY));
+        if min < least || max > most {
+            return Err(format!(
+                "its device `{}` takes {least} to {most}, expected {min} to {max}",
+                device.id
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// The range of a device that is driven.
+fn range(device: &Device) -> Option<(f64, f64)> {
+    let mut driven =
+        device.available_control_types.iter().filter(|(control_type, _)| is_driven(*control_type));
+    driven.find_map(|(_, parameters)| match parameters {
+        ControlParameters::Motion(limits) => Some((limits.min_value, limits.max_value)),
+        _ => None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SCHEMA: &str = r#"{"devices": {"left": {"min_value": -100, "max_value": 100}, "lamp": {}}}"#;
+
+    fn block(device: &str, min: f64, max: f64) -> InitializationBlock {
+        serde_json::from_value(serde_json::json!({"id": "r", "api_version": "1", "devices": [
+            {"id": device, "name": device, "available_control_types":
+                {"position": {"min_value": min, "max_value": max, "granularity": 1}}},
+            {"id": "eye", "name": "eye", "available_control_types":
+                {"sensor": {"min_value": 0, "max_value": 1}}}]}))
+        .unwrap()
+    }
+
+    #[test]
+    fn a_robot_with_other_devices_or_ranges_is_not_the_one_expected() {
+        let says = |schema: &str, device: &str, min, max| fits(schema, &block(device, min, max));
+        assert_eq!(says(SCHEMA, "left", -50.0, 100.0), Ok(()));
+        assert_eq!(says(SCHEMA, "lamp", 0.0, 1e9), Ok(()), "no range is told");
+        assert_eq!(says("no JSON", "arm", 0.0, 1.0), Ok(()));
+        assert_eq!(says(SCHEMA, "arm", 0.0, 1.0), Err("it has no device `arm`, it has lamp, left".into()));
+        let narrow = says(SCHEMA, "left", -150.0, 100.0);
+        assert_eq!(narrow, Err("its device `left` takes -100 to 100, expected -150 to 100".into()));
+    }
+}
