@@ -1,0 +1,1418 @@
+/* A URRCP robot to copy: put your own description into BLOCK and your own hardware into arm_set and arm_read.
+
+   cc -std=c99 -D_POSIX_C_SOURCE=200809L -O2 -o robot robot.c json.c -lm
+   ./robot --listen 127.0.0.1:7000
+
+   Nothing is allocated: everything has its place in the pools below, whose sizes are the limits. */
+#include <arpa/inet.h>
+#include <errno.h>
+#include <fcntl.h>
+#include <inttypes.h>
+#include <math.h>
+#include <netdb.h>
+#include <netinet/in.h>
+#include <netinet/tcp.h>
+#include <poll.h>
+#include <signal.h>
+#include <stdarg.h>
+#include <stdint.h>
+#include <stdio.h>
+#include <stdlib.h>
+#include <string.h>
+#include <sys/socket.h>
+#include <time.h>
+#include <unistd.h>
+
+#include "json.h"
+
+/* Limits. A line must have room for the largest script. */
+
+#define MAX_DEVICES 8
+#define MAX_QUEUE 2       /* script_queue of a device */
+#define MAX_STEPS 256     /* max_number_of_steps of a script */
+#define MAX_LINKS 8
+#define MAX_LINE (96 * 1024)
+#define MAX_OUT (160 * 1024) /* bytes left unread at which a peer is cut off; from MAX_UNREAD on it is not listened to */
+#define MAX_UNREAD (48 * 1024)
+#define KEPT 300          /* last answers of requests that have ended; the protocol asks for 256 */
+#define MAX_ID 256        /* characters of a string */
+
+/* Your robot. The macro makes a string of it. */
+
+#define JSON(...) #__VA_ARGS__
+
+static const char BLOCK[] = JSON(
+{"id": "arm-2", "name": "right arm", "type": "Industrial", "api_version": "1", "reports": true, "devices": [
+    {"id": "shoulder", "unit": "deg", "default_value": 0, "interpolation": "linear", "script_queue": 2,
+     "available_control_types": {
+        "position": {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25},
+        "script": {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25,
+                   "max_number_of_steps": 256, "control_types": ["position"]}}},
+    {"id": "wheel", "unit": "m/s", "interpolation": "hold",
+     "available_control_types": {
+        "speed": {"min_value": -10, "max_value": 10, "granularity": 0.1},
+        "script": {"min_value": -10, "max_value": 10, "granularity": 0.1,
+                   "max_number_of_steps": 256, "control_types": ["speed"]}}},
+    {"id": "camera", "unit": "degC",
+     "available_control_types": {"sensor": {"min_value": -40, "max_value": 125, "max_delay": 20}}}]}
+);
+
+/* Control types that set something. This robot knows no custom_N: each of them is unsupported. */
+enum kind { POSITION, SPEED, ACCELERATION, KINDS, OTHER = KINDS };
+
+static const char *const KIND_NAMES[] = {"position", "speed", "acceleration"};
+
+/* Your hardware: `device` counts from 0 in the order of BLOCK. Both must return at once; false is answered or reported
+   as `internal`. */
+static bool arm_set(int device, enum kind kind, double value)
+{
+    (void)device, (void)kind, (void)value;
+    return true;
+}
+
+static bool arm_read(int device, double *value)
+{
+    (void)device;
+    *value = 42.5;
+    return true;
+}
+
+/* Times are nanoseconds: by the clock that NTP disciplines, or of silence by one that nobody sets. Timestamps beyond the
+   years 1685 to 2255 stand for these. */
+
+#define MS INT64_C(1000000)
+#define SECOND INT64_C(1000000000)
+#define FAR INT64_C(9000000000000000000)
+#define NEVER INT64_MAX
+#define SAMPLE (20 * MS)      /* how often a linear device is told where it should be */
+#define LATE_STEP MS
+#define LATE_START (50 * MS)
+#define SILENCE (5 * SECOND)  /* after which a session without commands ends */
+#define SPIN MS               /* so long before it is due, a step is waited for without sleeping */
+
+struct text {
+    size_t length;
+    char bytes[4 * MAX_ID];
+};
+
+struct limits {
+    bool there;
+    double min, max, granularity;
+};
+
+/* A stop_condition; a phase without limit is NaN. */
+struct lease {
+    enum { NO_LEASE, ONE_LEASE, TWO_LEASES } form;
+    double pending, running;
+};
+
+struct step {
+    double ms, value;
+    int64_t offset;
+    enum kind kind;
+    struct lease lease;
+};
+
+enum status { ACCEPTED, STARTED, OK, FAILED, PROVIDE };
+
+static const char *const STATUS_NAMES[] = {"Accepted", "Started", "OK", "Failed", "Provide"};
+
+/* The last answer to a request, for whoever asks again. */
+struct answer {
+    bool used, ended, named, has_value, is_report;
+    uint64_t number;
+    struct text request_id, device_id;
+    enum status status;
+    double value;
+    int64_t event;
+    int steps_done, late_steps;
+    const char *code, *message;
+    const struct command *command; /* that is accepted and has not started */
+};
+
+struct command {
+    bool held, script, begun, started;
+    bool of_owner;                 /* of the session, else of the connection `link` */
+    uint64_t link, number;
+    struct answer *answer;
+    char content_hash[65];
+    struct lease lease;
+    int64_t start, end, heard, sampled;
+    int64_t from_offset;           /* where a linear device comes from */
+    double from_value;
+    enum kind from_kind;
+    int done, late, size;
+    struct step steps[MAX_STEPS];
+};
+
+struct device {
+    struct text id;
+    struct limits kinds[KINDS], script;
+    bool sensor, linear, has_default;
+    bool usable[KINDS];            /* in its scripts */
+    double default_value, where[KINDS];
+    int queue, max_steps;
+    int64_t taken_back;
+    struct command commands[MAX_QUEUE];
+    struct {                       /* the lease of a speed that goes on after its command */
+        bool there, of_owner;
+        uint64_t link;
+        int64_t limit, heard;
+    } tail;
+};
+
+struct link {
+    int socket;                    /* -1: free */
+    uint64_t number;
+    bool of_owner, skipping, dead, more;
+    int64_t heard;
+    size_t in_length, out_length;
+    char in[MAX_LINE + 2], out[MAX_OUT];
+};
+
+static struct device devices[MAX_DEVICES];
+static int device_count;
+static struct answer answers[KEPT + MAX_DEVICES * MAX_QUEUE];
+static struct link links[MAX_LINKS];
+static struct json json;
+static struct text robot_id, owner;
+static bool owned, reports;
+static int64_t owner_heard;
+static uint64_t numbers;
+
+static int64_t clock_ns(clockid_t clock)
+{
+    struct timespec at;
+    clock_gettime(clock, &at);
+    return at.tv_sec * SECOND + at.tv_nsec;
+}
+
+static int64_t now_ns(void)
+{
+    return clock_ns(CLOCK_REALTIME);
+}
+
+static int64_t silence_ns(void)
+{
+    return clock_ns(CLOCK_MONOTONIC);
+}
+
+static int64_t ms_to_ns(double ms)
+{
+    return (int64_t)floor(ms * 1e6 + 0.5);
+}
+
+static bool same(const struct text *a, const struct text *b)
+{
+    return a->length == b->length && !memcmp(a->bytes, b->bytes, a->length);
+}
+
+/* SHA-256, FIPS 180-4. */
+
+struct sha256 {
+    uint32_t state[8];
+    uint64_t length;
+    unsigned char block[64];
+};
+
+static uint32_t turn(uint32_t x, int by)
+{
+    return x >> by | x << (32 - by);
+}
+
+static void sha256_block(struct sha256 *sha)
+{
+    static const uint32_t k[64] = {
+        0x428a2f98, 0x71374491, 0xb5c0fbcf, 0xe9b5dba5, 0x3956c25b, 0x59f111f1, 0x923f82a4, 0xab1c5ed5,
+        0xd807aa98, 0x12835b01, 0x243185be, 0x550c7dc3, 0x72be5d74, 0x80deb1fe, 0x9bdc06a7, 0xc19bf174,
+        0xe49b69c1, 0xefbe4786, 0x0fc19dc6, 0x240ca1cc, 0x2de92c6f, 0x4a7484aa, 0x5cb0a9dc, 0x76f988da,
+        0x983e5152, 0xa831c66d, 0xb00327c8, 0xbf597fc7, 0xc6e00bf3, 0xd5a79147, 0x06ca6351, 0x14292967,
+        0x27b70a85, 0x2e1b2138, 0x4d2c6dfc, 0x53380d13, 0x650a7354, 0x766a0abb, 0x81c2c92e, 0x92722c85,
+        0xa2bfe8a1, 0xa81a664b, 0xc24b8b70, 0xc76c51a3, 0xd192e819, 0xd6990624, 0xf40e3585, 0x106aa070,
+        0x19a4c116, 0x1e376c08, 0x2748774c, 0x34b0bcb5, 0x391c0cb3, 0x4ed8aa4a, 0x5b9cca4f, 0x682e6ff3,
+        0x748f82ee, 0x78a5636f, 0x84c87814, 0x8cc70208, 0x90befffa, 0xa4506ceb, 0xbef9a3f7, 0xc67178f2};
+    uint32_t w[64], s[8];
+    int i;
+    for (i = 0; i < 16; i++)
+        w[i] = (uint32_t)sha->block[4 * i] << 24 | (uint32_t)sha->block[4 * i + 1] << 16
+             | (uint32_t)sha->block[4 * i + 2] << 8 | sha->block[4 * i + 3];
+    for (; i < 64; i++)
+        w[i] = w[i - 16] + (turn(w[i - 15], 7) ^ turn(w[i - 15], 18) ^ w[i - 15] >> 3) + w[i - 7]
+             + (turn(w[i - 2], 17) ^ turn(w[i - 2], 19) ^ w[i - 2] >> 10);
+    memcpy(s, sha->state, sizeof s);
+    for (i = 0; i < 64; i++) {
+        uint32_t one = s[7] + (turn(s[4], 6) ^ turn(s[4], 11) ^ turn(s[4], 25)) + ((s[4] & s[5]) ^ (~s[4] & s[6])) + k[i] + w[i];
+        uint32_t two = (turn(s[0], 2) ^ turn(s[0], 13) ^ turn(s[0], 22)) + ((s[0] & s[1]) ^ (s[0] & s[2]) ^ (s[1] & s[2]));
+        memmove(s + 1, s, 7 * sizeof *s);
+        s[4] += one;
+        s[0] = one + two;
+    }
+    for (i = 0; i < 8; i++)
+        sha->state[i] += s[i];
+}
+
+static void sha256_start(struct sha256 *sha)
+{
+    static const uint32_t state[8] = {0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a, 0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
+    memcpy(sha->state, state, sizeof state);
+    sha->length = 0;
+}
+
+static void sha256_add(struct sha256 *sha, const char *bytes, size_t length)
+{
+    for (; length; length--) {
+        sha->block[sha->length++ % 64] = (unsigned char)*bytes++;
+        if (sha->length % 64 == 0)
+            sha256_block(sha);
+    }
+}
+
+static void sha256_end(struct sha256 *sha, char *hex)
+{
+    uint64_t bits = sha->length * 8;
+    char end[8];
+    int i;
+    sha256_add(sha, "\x80", 1);
+    while (sha->length % 64 != 56)
+        sha256_add(sha, "", 1);
+    for (i = 0; i < 8; i++)
+        end[i] = (char)(bits >> (56 - 8 * i));
+    sha256_add(sha, end, 8);
+    for (i = 0; i < 8; i++)
+        sprintf(hex + 8 * i, "%08" PRIx32, sha->state[i]);
+}
+
+/* Writing. A link that is NULL or dead takes everything and sends nothing. */
+
+static void link_flush(struct link *link)
+{
+    while (link->out_length && !link->dead) {
+        ssize_t sent = send(link->socket, link->out, link->out_length, MSG_NOSIGNAL);
+        if (sent < 0) {
+            if (errno == EINTR)
+                continue;
+            if (errno != EAGAIN && errno != EWOULDBLOCK)
+                link->dead = true;
+            return;
+        }
+        link->out_length -= (size_t)sent;
+        memmove(link->out, link->out + sent, link->out_length);
+    }
+}
+
+static void put_bytes(struct link *link, const char *bytes, size_t length)
+{
+    if (!link || link->dead)
+        return;
+    if (length > MAX_OUT - link->out_length) {
+        link->dead = true; /* a peer that does not read */
+        return;
+    }
+    memcpy(link->out + link->out_length, bytes, length);
+    link->out_length += length;
+}
+
+static void put(struct link *link, const char *format, ...)
+{
+    char bytes[256];
+    va_list list;
+    int length;
+    va_start(list, format);
+    length = vsnprintf(bytes, sizeof bytes, format, list);
+    va_end(list);
+    if (length > 0)
+        put_bytes(link, bytes, (size_t)length < sizeof bytes ? (size_t)length : sizeof bytes - 1);
+}
+
+static void put_text(struct link *link, const char *bytes, size_t length)
+{
+    put_bytes(link, "\"", 1);
+    for (; length; length--, bytes++) {
+        if (*bytes == '"' || *bytes == '\\')
+            put_bytes(link, "\\", 1);
+        if ((unsigned char)*bytes < 0x20)
+            put(link, "\\u%04x", (unsigned)*bytes);
+        else
+            put_bytes(link, bytes, 1);
+    }
+    put_bytes(link, "\"", 1);
+}
+
+/* With the fewest digits that read back as the same double. */
+static void put_number(struct link *link, double value)
+{
+    char digits[40];
+    int precision = 0, exponent;
+    if (value == floor(value) && fabs(value) < 1e16) {
+        put(link, "%.0f", value);
+        return;
+    }
+    do
+        snprintf(digits, sizeof digits, "%.*e", precision, value);
+    while (strtod(digits, NULL) != value && precision++ < 17);
+    exponent = atoi(strchr(digits, 'e') + 1);
+    if (exponent >= -5 && exponent < 16)
+        put(link, "%.*f", precision > exponent ? precision - exponent : 0, value);
+    else
+        put(link, "%.*se%+d", (int)(strchr(digits, 'e') - digits), digits, exponent);
+}
+
+static void put_stamp(struct link *link, int64_t at)
+{
+    time_t seconds = (time_t)(at / SECOND);
+    struct tm utc;
+    gmtime_r(&seconds, &utc);
+    put(link, "\"%04d-%02d-%02dT%02d:%02d:%02d.%09dZ\"", utc.tm_year + 1900, utc.tm_mon + 1, utc.tm_mday, utc.tm_hour,
+        utc.tm_min, utc.tm_sec, (int)(at % SECOND));
+}
+
+static void put_steps(struct link *link, const struct command *c)
+{
+    int i;
+    put(link, "[");
+    for (i = 0; i < c->size; i++) {
+        const struct step *step = &c->steps[i];
+        put(link, "%s{\"time_offset_to_start\":", i ? "," : "");
+        put_number(link, step->ms);
+        put(link, ",\"control_type\":\"%s\",\"control_value\":", KIND_NAMES[step->kind]);
+        put_number(link, step->value);
+        if (step->lease.form == ONE_LEASE) {
+            put(link, ",\"stop_condition\":");
+            put_number(link, step->lease.running);
+        } else if (step->lease.form == TWO_LEASES) {
+            put(link, ",\"stop_condition\":{");
+            if (!isnan(step->lease.pending)) {
+                put(link, "\"pending\":");
+                put_number(link, step->lease.pending);
+            }
+            if (!isnan(step->lease.running)) {
+                put(link, isnan(step->lease.pending) ? "\"running\":" : ",\"running\":");
+                put_number(link, step->lease.running);
+            }
+            put(link, "}");
+        }
+        put(link, "}");
+    }
+    put(link, "]");
+}
+
+static void put_error(struct link *link, const char *code, const char *message)
+{
+    put(link, ",\"error\":{\"code\":\"%s\",\"message\":", code);
+    put_text(link, message, strlen(message));
+    put(link, "}");
+}
+
+static void send_end(struct link *link)
+{
+    put(link, "}}\n");
+    if (link)
+        link_flush(link);
+}
+
+static void send_answer(struct link *link, const struct answer *a)
+{
+    put(link, "{\"control_response\":{\"timestamp\":");
+    put_stamp(link, now_ns());
+    put(link, ",\"device_id\":");
+    put_text(link, a->device_id.bytes, a->device_id.length);
+    put(link, ",\"status\":\"%s\",\"status_value\":", STATUS_NAMES[a->status]);
+    if (a->status == ACCEPTED && a->command->script)
+        put_steps(link, a->command);
+    else if (a->has_value)
+        put_number(link, a->value);
+    else
+        put(link, "null");
+    if (a->named) {
+        put(link, ",\"request_id\":");
+        put_text(link, a->request_id.bytes, a->request_id.length);
+    }
+    if (a->status == ACCEPTED && a->command->content_hash[0])
+        put(link, ",\"content_hash\":\"%s\"", a->command->content_hash);
+    if (a->is_report) {
+        put(link, ",\"event_timestamp\":");
+        put_stamp(link, a->event);
+        if (a->status != STARTED)
+            put(link, ",\"steps_done\":%d", a->steps_done);
+        if (a->status == OK)
+            put(link, ",\"late_steps\":%d", a->late_steps);
+    }
+    if (a->status == FAILED)
+        put_error(link, a->code, a->message);
+    send_end(link);
+}
+
+/* Doing. */
+
+static void report(struct command *c, enum status status, const double *value, const char *code, const char *message, int64_t now)
+{
+    struct answer *a = c->answer;
+    struct link *to = NULL;
+    int i;
+    a->status = status;
+    a->is_report = true;
+    a->has_value = value != NULL;
+    a->value = value ? *value : 0;
+    a->event = now;
+    a->steps_done = c->done;
+    a->late_steps = c->late;
+    a->code = code;
+    a->message = message;
+    for (i = 0; i < MAX_LINKS; i++)
+        if (links[i].socket >= 0 && !links[i].dead && (c->of_owner ? links[i].of_owner : links[i].number == c->link)
+            && (!to || links[i].heard > to->heard))
+            to = &links[i];
+    if (reports && to)
+        send_answer(to, a);
+    if (status != STARTED) {
+        c->held = false;
+        a->ended = true;
+        a->number = ++numbers;
+        a->used = a->named;
+    }
+}
+
+static bool goes_before(const struct command *a, const struct command *b)
+{
+    return a->start != b->start ? a->start < b->start : a->end != b->end ? a->end < b->end : a->number < b->number;
+}
+
+/* Ends the commands that start at `from` or later, in the order of their starts. */
+static void drop(struct device *device, int64_t from, const char *code, const char *message, int64_t now)
+{
+    for (;;) {
+        struct command *first = NULL;
+        int i;
+        for (i = 0; i < MAX_QUEUE; i++) {
+            struct command *c = &device->commands[i];
+            if (c->held && c->start >= from && (!first || goes_before(c, first)))
+                first = c;
+        }
+        if (!first)
+            return;
+        report(first, FAILED, NULL, code, message, now);
+    }
+}
+
+static bool set(struct device *device, enum kind kind, double value)
+{
+    device->where[kind] = value;
+    return arm_set((int)(device - devices), kind, value);
+}
+
+static bool moves(const struct device *device, const struct command *c)
+{
+    return device->linear && c->script;
+}
+
+static void sample(struct device *device, struct command *c, int64_t now)
+{
+    const struct step *step = &c->steps[c->done];
+    c->sampled = now;
+    if (step->kind == c->from_kind && step->offset > c->from_offset) {
+        double part = (double)(now - c->start - c->from_offset) / (double)(step->offset - c->from_offset);
+        part = part < 0 ? 0 : part > 1 ? 1 : part;
+        if (!set(device, step->kind, c->from_value + (step->value - c->from_value) * part))
+            report(c, FAILED, NULL, "internal", "the hardware failed", now);
+    }
+}
+
+/* Ends all commands, then the default state or a stop in place. A device with an `acceleration` should slow down by it. */
+static void rest(struct device *device, bool hold, const char *code, const char *message, int64_t now)
+{
+    int i;
+    for (i = 0; i < MAX_QUEUE; i++)
+        if (device->commands[i].held && device->commands[i].begun && moves(device, &device->commands[i]))
+            sample(device, &device->commands[i], now);
+    for (i = SPEED; i <= ACCELERATION; i++)
+        if (device->kinds[i].there)
+            set(device, (enum kind)i, 0);
+    if (device->has_default && !hold)
+        set(device, POSITION, device->default_value);
+    device->tail.there = false;
+    drop(device, -NEVER, code, message, now);
+}
+
+static void tell_started(struct device *device, struct command *c, int64_t now)
+{
+    if (!c->started) {
+        c->started = true;
+        device->tail.there = false;
+        report(c, STARTED, &c->steps[0].value, NULL, NULL, now);
+    }
+}
+
+static int64_t lease_limit(double ms)
+{
+    return isnan(ms) ? NEVER : ms_to_ns(ms);
+}
+
+static int64_t after(int64_t from, int64_t limit)
+{
+    return limit == NEVER ? NEVER : from + limit;
+}
+
+static const struct lease *lease_of(const struct command *c)
+{
+    return c->done && c->steps[c->done - 1].lease.form != NO_LEASE ? &c->steps[c->done - 1].lease : &c->lease;
+}
+
+static int64_t lease_ends(const struct command *c, int64_t shift)
+{
+    const struct lease *lease = lease_of(c);
+    int64_t running = after(c->heard + shift, lease_limit(lease->running));
+    int64_t pending = after(c->heard + shift, lease_limit(lease->pending));
+    if (c->begun)
+        return running;
+    running = running > c->start ? running : c->start;
+    return pending < running ? pending : running;
+}
+
+static void go_on(struct device *device, struct command *c, int64_t now)
+{
+    const struct step *step = &c->steps[c->done];
+    if (!c->begun && now > c->start + LATE_START) {
+        report(c, FAILED, NULL, "late", "the robot was held up over the start", now);
+    } else if (!c->begun) {
+        c->begun = true;
+        c->sampled = now;
+        c->from_offset = 0;
+        c->from_kind = step->kind;
+        c->from_value = device->where[step->kind];
+        if (moves(device, c) && step->offset > 0)
+            tell_started(device, c, now);
+    } else if (!set(device, step->kind, step->value)) {
+        report(c, FAILED, NULL, "internal", "the hardware failed", now);
+    } else {
+        tell_started(device, c, now);
+        c->late += now > c->start + step->offset + LATE_STEP;
+        c->from_offset = step->offset;
+        c->from_kind = step->kind;
+        c->from_value = step->value;
+        if (++c->done == c->size) {
+            device->tail.there = step->kind != POSITION && step->value != 0;
+            device->tail.of_owner = c->of_owner;
+            device->tail.link = c->link;
+            device->tail.heard = c->heard;
+            device->tail.limit = lease_limit(lease_of(c)->running);
+            report(c, OK, &step->value, NULL, NULL, now);
+        }
+    }
+}
+
+/* Does what is due in the order of time, at one instant leases before steps; returns when the next thing is due. */
+static int64_t run(void)
+{
+    for (;;) {
+        enum { LEASE, STEP, MOVE } what = LEASE;
+        int64_t now = now_ns(), shift = now - silence_ns(), due = NEVER, at;
+        struct device *device, *of = NULL;
+        struct command *c, *with = NULL;
+        for (device = devices; device < devices + device_count; device++) {
+            at = device->tail.there ? after(device->tail.heard + shift, device->tail.limit) : NEVER;
+            if (at < due || (at == due && at < NEVER && what != LEASE))
+                due = at, what = LEASE, of = device;
+            for (c = device->commands; c < device->commands + MAX_QUEUE; c++) {
+                if (!c->held)
+                    continue;
+                at = lease_ends(c, shift);
+                if (at < due || (at == due && what != LEASE))
+                    due = at, what = LEASE, of = device, with = c;
+                at = c->begun ? c->start + c->steps[c->done].offset : c->start;
+                if (at < due || (at == due && (what == MOVE || (what == STEP && goes_before(c, with)))))
+                    due = at, what = STEP, of = device, with = c;
+                if (c->begun && moves(device, c) && c->sampled + SAMPLE < due)
+                    due = c->sampled + SAMPLE, what = MOVE, of = device, with = c;
+            }
+        }
+        if (due > now)
+            return due;
+        if (what == LEASE)
+            rest(of, false, "link_lost", "the server was silent for longer than stop_condition", now);
+        else if (what == STEP)
+            go_on(of, with, now);
+        else
+            sample(of, with, now);
+    }
+}
+
+/* Reading messages. What is wrong with one is told in `fault`. */
+
+static const char *fault;
+
+static bool text_at(int object, const char *key, size_t least, struct text *to)
+{
+    int node = json_get(&json, object, key);
+    size_t i, characters = 0;
+    to->length = 0;
+    if (node == JSON_NONE)
+        return false;
+    if (json.nodes[node].type == JSON_STRING)
+        for (i = 0; i < json.nodes[node].length; i++)
+            characters += (json.nodes[node].text[i] & 0xc0) != 0x80;
+    if (json.nodes[node].type != JSON_STRING || characters < least || characters > MAX_ID) {
+        fault = "a value is no string, or of a wrong length";
+        return false;
+    }
+    to->length = json.nodes[node].length;
+    memcpy(to->bytes, json.nodes[node].text, to->length);
+    return true;
+}
+
+static bool number_at(int object, const char *key, double *to)
+{
+    int node = json_get(&json, object, key);
+    if (node == JSON_NONE)
+        return false;
+    *to = json.nodes[node].number;
+    if (json.nodes[node].type == JSON_NUMBER)
+        return true;
+    fault = "a value is no number";
+    return false;
+}
+
+static bool period_at(int object, const char *key, double *to)
+{
+    if (!number_at(object, key, to))
+        return false;
+    if (!(*to >= 0 && *to <= 1e11))
+        fault = "a number of milliseconds is not within 0 to 1e11";
+    return !fault;
+}
+
+static bool boolean_at(int object, const char *key)
+{
+    int node = json_get(&json, object, key);
+    if (node != JSON_NONE && json.nodes[node].type != JSON_TRUE && json.nodes[node].type != JSON_FALSE)
+        fault = "a value is no boolean";
+    return node != JSON_NONE && json.nodes[node].type == JSON_TRUE;
+}
+
+/* As many digits as the pattern has 0, and its other characters; returns what follows. */
+static const char *digits(const char *at, const char *end, const char *pattern, int *values)
+{
+    for (*values = 0; *pattern; pattern++, at++) {
+        if (at == end)
+            return NULL;
+        if (*pattern == '0' && *at >= '0' && *at <= '9') {
+            *values = *values * 10 + (*at - '0');
+        } else if (*pattern != '0' && (*at == *pattern || (*pattern == 'T' && *at == 't'))) {
+            if (pattern[1])
+                *++values = 0;
+        } else {
+            return NULL;
+        }
+    }
+    return at;
+}
+
+static bool timestamp_at(int object, const char *key, struct text *echo, int64_t *to)
+{
+    static const int days[] = {31, 28, 31, 30, 31, 30, 31, 31, 30, 31, 30, 31};
+    int v[8] = {0}, offset[3] = {0}, fraction = 0, scale = 100000000, sign = 1, y, leap;
+    const char *at, *end;
+    int64_t seconds;
+    if (!text_at(object, key, 0, echo))
+        return false;
+    end = echo->bytes + echo->length;
+    at = digits(echo->bytes, end, "0000-00-00T00:00:00", v);
+    if (at && at < end && *at == '.') {
+        for (at++; at < end && *at >= '0' && *at <= '9' && scale; at++, scale /= 10)
+            fraction += (*at - '0') * scale;
+        if (at[-1] == '.')
+            at = NULL;
+    }
+    if (at && at < end && (*at == 'Z' || *at == 'z')) {
+        at++;
+    } else if (at && at < end && (*at == '+' || *at == '-')) {
+        sign = *at == '-' ? -1 : 1;
+        at = digits(at + 1, end, "00:00", offset);
+    } else {
+        at = NULL;
+    }
+    leap = (v[0] % 4 == 0 && v[0] % 100 != 0) || v[0] % 400 == 0;
+    if (at != end || v[1] < 1 || v[1] > 12 || v[2] < 1 || v[2] > days[v[1] - 1] + (v[1] == 2 && leap) || v[3] > 23
+        || v[4] > 59 || v[5] > 59 || offset[0] > 23 || offset[1] > 59) {
+        fault = "a timestamp is not RFC 3339";
+        return false;
+    }
+    y = v[0] - (v[1] < 3); /* years begin in March, so that a leap day is the last one */
+    seconds = (int64_t)365 * y + y / 4 - y / 100 + y / 400 + (153 * (v[1] + (v[1] < 3 ? 9 : -3)) + 2) / 5 + v[2] - 1 - 719468;
+    if (v[0] == 0)
+        seconds = -719528; /* 1 January of the year 0: far enough */
+    seconds = seconds * 86400 + v[3] * 3600 + v[4] * 60 + v[5] - sign * (offset[0] * 3600 + offset[1] * 60);
+    *to = seconds >= FAR / SECOND ? FAR : seconds <= -FAR / SECOND ? -FAR : seconds * SECOND + fraction;
+    return true;
+}
+
+static void lease_at(int object, struct lease *to)
+{
+    int node = json_get(&json, object, "stop_condition");
+    to->form = NO_LEASE;
+    to->pending = to->running = (double)NAN;
+    if (node == JSON_NONE)
+        return;
+    if (json.nodes[node].type == JSON_OBJECT) {
+        to->form = TWO_LEASES;
+        period_at(node, "pending", &to->pending);
+        period_at(node, "running", &to->running);
+    } else {
+        to->form = ONE_LEASE;
+        period_at(object, "stop_condition", &to->pending);
+        to->running = to->pending;
+    }
+}
+
+/* How many of control_value, control_value_2 ... there are, and the first of them. */
+static int values_at(int object, double *first)
+{
+    int at, most = number_at(object, "control_value", first), count = most;
+    for (at = json.nodes[object].first; at != JSON_NONE; at = json.nodes[at].next) {
+        const char *key = json.nodes[at].text;
+        size_t length = json.nodes[at].length, i;
+        int n = 0;
+        if (length < 15 || length > 17 || memcmp(key, "control_value_", 14) != 0 || key[14] == '0'
+            || json.nodes[json.nodes[at].first].type == JSON_NULL)
+            continue;
+        for (i = 14; i < length && key[i] >= '0' && key[i] <= '9'; i++)
+            n = n * 10 + (key[i] - '0');
+        if (i < length || n < 2 || n > 256)
+            continue;
+        if (json.nodes[json.nodes[at].first].type != JSON_NUMBER)
+            fault = "a value is no number";
+        most = n > most ? n : most;
+        count++;
+    }
+    if (!count || count != most)
+        fault = "control_value is missing or has gaps";
+    return count;
+}
+
+static enum kind kind_of(const char *name, size_t length)
+{
+    int i;
+    for (i = 0; i < KINDS; i++)
+        if (strlen(KIND_NAMES[i]) == length && !memcmp(KIND_NAMES[i], name, length))
+            return (enum kind)i;
+    return OTHER;
+}
+
+/* A control request that is a message. */
+struct request {
+    struct text device_id, request_id, session, timestamp, control_type;
+    bool named, has_session, has_sent, has_start, hold, script, sensor;
+    int64_t sent, start;
+    char content_hash[65];
+    struct lease lease;
+    int size;                  /* of a script, also beyond MAX_STEPS */
+    int values;                /* of the step with the most, up to MAX_STEPS */
+    struct step steps[MAX_STEPS];
+    int step_values[MAX_STEPS];
+};
+
+static struct request request;
+
+static void read_request(int body)
+{
+    struct request *r = &request;
+    struct text hash, type;
+    int value = json_get(&json, body, "control_value"), i, item;
+    double offset = 0;
+    if (!text_at(body, "device_id", 1, &r->device_id) || !text_at(body, "control_type", 0, &r->control_type))
+        fault = "device_id or control_type is missing or no string of 1 to 256 characters";
+    r->named = text_at(body, "request_id", 0, &r->request_id);
+    r->has_session = text_at(body, "session", 1, &r->session);
+    r->has_sent = timestamp_at(body, "timestamp", &r->timestamp, &r->sent);
+    r->has_start = period_at(body, "time_offset_to_start", &offset) && r->has_sent;
+    r->start = r->has_start ? r->sent + ms_to_ns(offset) : 0;
+    r->hold = boolean_at(body, "hold");
+    lease_at(body, &r->lease);
+    r->content_hash[0] = '\0';
+    if (text_at(body, "content_hash", 0, &hash)) {
+        for (i = 0; i < 64 && hash.length == 64 && strchr("0123456789abcdefABCDEF", hash.bytes[i]) && hash.bytes[i]; i++)
+            r->content_hash[i] = (char)(hash.bytes[i] | 0x20); /* digits have this bit already */
+        r->content_hash[i] = '\0';
+        if (i < 64)
+            fault = "content_hash is not 64 hexadecimal digits";
+    }
+    r->script = r->control_type.length == 6 && !memcmp(r->control_type.bytes, "script", 6);
+    r->sensor = r->control_type.length == 6 && !memcmp(r->control_type.bytes, "sensor", 6);
+    r->size = 1;
+    if (r->sensor || r->script) {
+        r->size = 0;
+        if (json_get(&json, body, "control_value_2") != JSON_NONE)
+            fault = "only custom types take several values";
+        if (r->sensor ? value != JSON_NONE : value == JSON_NONE || json.nodes[value].type != JSON_LIST)
+            fault = "control_value is of the wrong type";
+    } else {
+        r->steps[0].ms = 0;
+        r->steps[0].offset = 0;
+        r->steps[0].kind = kind_of(r->control_type.bytes, r->control_type.length);
+        r->steps[0].lease.form = NO_LEASE;
+        r->step_values[0] = values_at(body, &r->steps[0].value);
+    }
+    if (!r->script || fault)
+        return;
+    for (item = json.nodes[value].first; item != JSON_NONE && !fault; item = json.nodes[item].next) {
+        struct step step;
+        int count;
+        if (json.nodes[item].type != JSON_OBJECT) {
+            fault = "a step is no object";
+            return;
+        }
+        if (!period_at(item, "time_offset_to_start", &step.ms) || !text_at(item, "control_type", 0, &type)) {
+            fault = "a step lacks its time or its control type";
+            return;
+        }
+        if (item != json.nodes[value].first && step.ms < offset)
+            fault = "a step lies before the one ahead of it";
+        offset = step.ms;
+        step.offset = ms_to_ns(step.ms);
+        step.kind = kind_of(type.bytes, type.length);
+        lease_at(item, &step.lease);
+        count = values_at(item, &step.value);
+        if (r->size < MAX_STEPS) {
+            r->steps[r->size] = step;
+            r->step_values[r->size] = count;
+        }
+        r->size++;
+    }
+}
+
+/* Over the bytes as they came: a server that sends content_hash writes them in the canonical form. */
+static void hash_request(int body, char *hex)
+{
+    struct sha256 sha;
+    int n;
+    sha256_start(&sha);
+    for (n = 1; n <= 256; n++) {
+        char key[20];
+        int node;
+        sprintf(key, n == 1 ? "control_value" : "control_value_%d", n);
+        node = json_get(&json, body, key);
+        if (node == JSON_NONE)
+            break;
+        if (n == 1 && json_get(&json, body, "control_value_2") != JSON_NONE)
+            sha256_add(&sha, "[", 1);
+        if (n > 1)
+            sha256_add(&sha, ",", 1);
+        sha256_add(&sha, json.nodes[node].text, json.nodes[node].length);
+    }
+    if (n > 2)
+        sha256_add(&sha, "]", 1);
+    sha256_end(&sha, hex);
+}
+
+/* Checking. */
+
+static bool within(const struct limits *limits, double value)
+{
+    return !limits->there || (value >= limits->min && value <= limits->max);
+}
+
+static bool multiple(const struct limits *limits, double value)
+{
+    double steps = value / limits->granularity;
+    return !limits->there || fabs(steps - floor(steps + 0.5)) <= 1e-6;
+}
+
+static bool refuse(struct answer *a, const char *code, const char *message)
+{
+    a->code = code;
+    a->message = message;
+    return true;
+}
+
+/* The first check that fails from the fourth on, in the order of the protocol. `lacks`: a control type the device has not. */
+static bool refused(const struct request *r, struct device *device, int body, int64_t now, struct answer *a, bool *lacks)
+{
+    enum kind kind = kind_of(r->control_type.bytes, r->control_type.length);
+    char hex[65];
+    int64_t start = r->has_start ? r->start : now, end;
+    const struct limits *own;
+    int i, held = 0;
+    *lacks = false;
+    if (!device)
+        return refuse(a, "unknown_device", "the robot has no such device");
+    if (r->content_hash[0] && !r->sensor) {
+        hash_request(body, hex);
+        if (strcmp(hex, r->content_hash) != 0)
+            return refuse(a, "malformed", "content_hash is not that of control_value");
+    }
+    if (r->script && !r->size)
+        return false;
+    *lacks = r->script ? !device->script.there : r->sensor ? !device->sensor : kind == OTHER || !device->kinds[kind].there;
+    if (*lacks)
+        return refuse(a, "unsupported_control_type", "the device has no such control type");
+    if (r->sensor)
+        return false;
+    if (r->script && r->size > device->max_steps)
+        return refuse(a, "too_many_steps", "the script has more steps than max_number_of_steps");
+    own = r->script ? &device->script : &device->kinds[kind];
+    for (i = 0; i < r->size; i++) {
+        const struct step *step = &r->steps[i];
+        if (r->script && (step->kind == OTHER || !device->usable[step->kind])) {
+            *lacks = step->kind == OTHER || !device->kinds[step->kind].there;
+            return refuse(a, "unsupported_control_type", "a step is of a control type that the device's scripts cannot use");
+        }
+        if (r->step_values[i] > 1)
+            return refuse(a, "malformed", "only custom types take several values");
+        if (!within(&device->kinds[step->kind], step->value) || !within(own, step->value))
+            return refuse(a, "out_of_range", "the value lies outside min_value to max_value");
+        if (!multiple(&device->kinds[step->kind], step->value) || !multiple(own, step->value))
+            return refuse(a, "off_granularity", "the value is no multiple of granularity");
+    }
+    if (start < now)
+        return refuse(a, "late", "the start has passed");
+    if (r->has_sent && r->sent <= device->taken_back)
+        return refuse(a, "cancelled", "it was taken back by an empty script");
+    end = start + r->steps[r->size - 1].offset;
+    for (i = 0; i < MAX_QUEUE; i++) {
+        const struct command *other = &device->commands[i];
+        held += other->held;
+        if (other->held && start < other->end && other->start < end)
+            return refuse(a, "overlap", "the device is not free all that time");
+    }
+    if (held >= device->queue)
+        return refuse(a, "busy", "the device holds as many commands as script_queue says");
+    return false;
+}
+
+/* Whose the robot is. */
+
+/* Renews leases and settles whose the robot is; false if it is another session's. */
+static bool hear(struct link *link, const struct text *session, bool claims)
+{
+    int64_t now = silence_ns();
+    bool busy = false, open = false, renews;
+    struct device *device;
+    int i;
+    for (device = devices; device < devices + device_count; device++) {
+        busy = busy || (device->tail.there && device->tail.limit != NEVER);
+        for (i = 0; i < MAX_QUEUE; i++)
+            busy = busy || device->commands[i].held;
+    }
+    for (i = 0; i < MAX_LINKS; i++)
+        open = open || (links[i].socket >= 0 && links[i].of_owner);
+    if (owned && !busy && (!open || now - owner_heard > SILENCE)) {
+        owned = false;
+        for (i = 0; i < MAX_LINKS; i++)
+            links[i].of_owner = false;
+    }
+    if (session && claims && !owned) {
+        owned = true;
+        owner = *session;
+    }
+    if (session && owned && same(session, &owner))
+        link->of_owner = true;
+    link->heard = now;
+    renews = link->of_owner && (!session || same(session, &owner));
+    if (renews)
+        owner_heard = now;
+    for (device = devices; device < devices + device_count; device++) {
+        if (device->tail.of_owner ? renews : device->tail.link == link->number)
+            device->tail.heard = now;
+        for (i = 0; i < MAX_QUEUE; i++)
+            if (device->commands[i].of_owner ? renews : device->commands[i].link == link->number)
+                device->commands[i].heard = now;
+    }
+    return !owned || (session && same(session, &owner));
+}
+
+static const char *busy_message(void)
+{
+    static char message[2 * sizeof owner.bytes + 64];
+    snprintf(message, sizeof message, "`%.*s` belongs to session `%.*s` until that ends", (int)robot_id.length, robot_id.bytes,
+        (int)owner.length, owner.bytes);
+    return message;
+}
+
+static struct answer *new_answer(void)
+{
+    struct answer *oldest = NULL, *a;
+    for (a = answers; a < answers + sizeof answers / sizeof *answers; a++) {
+        if (!a->used)
+            return a;
+        if (a->ended && (!oldest || a->number < oldest->number))
+            oldest = a;
+    }
+    return oldest; /* never NULL: there are KEPT more places than commands */
+}
+
+static void control(struct link *link, int body, int64_t now)
+{
+    struct request *r = &request;
+    struct answer *a, *place = NULL, passing;
+    struct device *device = NULL;
+    struct command *c = NULL;
+    bool lacks, mine = hear(link, r->has_session ? &r->session : NULL, !r->sensor);
+    int i;
+    for (a = answers; r->named && a < answers + sizeof answers / sizeof *answers; a++)
+        if (a->used && same(&a->request_id, &r->request_id) && a->named) {
+            send_answer(link, a);
+            return;
+        }
+    memset(&passing, 0, sizeof passing);
+    passing.used = passing.ended = true;
+    passing.named = r->named;
+    passing.request_id = r->request_id;
+    passing.device_id = r->device_id;
+    passing.status = FAILED;
+    if (!mine && !r->sensor) {
+        refuse(&passing, "busy", busy_message());
+        send_answer(link, &passing);
+        return;
+    }
+    for (i = 0; i < device_count; i++)
+        if (same(&devices[i].id, &r->device_id))
+            device = &devices[i];
+    if (refused(r, device, body, now, &passing, &lacks)) {
+        if (lacks)
+            rest(device, false, "cancelled", "default state after an unsupported control type", now);
+    } else if (r->sensor) {
+        if (arm_read((int)(device - devices), &passing.value) && isfinite(passing.value)) {
+            passing.status = PROVIDE;
+            passing.has_value = true;
+        } else {
+            refuse(&passing, "internal", "no reading");
+        }
+    } else if (!r->size) {
+        if (r->has_start && r->start > now) {
+            drop(device, r->start, "cancelled", "cancelled by an empty script", now);
+        } else {
+            if (r->has_sent && r->sent > device->taken_back)
+                device->taken_back = r->sent;
+            rest(device, r->hold, "cancelled", "cancelled by an empty script", now);
+        }
+        passing.status = OK;
+    } else {
+        for (c = device->commands; c->held; c++)
+            ;
+        memset(c, 0, offsetof(struct command, steps));
+        c->held = true;
+        c->script = r->script;
+        c->of_owner = r->has_session;
+        c->link = link->number;
+        c->number = ++numbers;
+        memcpy(c->content_hash, r->content_hash, sizeof c->content_hash);
+        c->lease = r->lease;
+        c->start = r->has_start ? r->start : now;
+        c->end = c->start + r->steps[r->size - 1].offset;
+        c->heard = silence_ns();
+        c->size = r->size;
+        memcpy(c->steps, r->steps, (size_t)r->size * sizeof *r->steps);
+        passing.status = ACCEPTED;
+        passing.ended = false;
+        passing.command = c;
+        passing.has_value = !r->script;
+        passing.value = r->steps[0].value;
+    }
+    passing.number = ++numbers;
+    if (r->named || c) {
+        place = new_answer();
+        *place = passing;
+        if (c)
+            c->answer = place;
+    }
+    send_answer(link, &passing);
+}
+
+static void availability(struct link *link, int64_t received, const struct text *sent, const char *code, const char *message)
+{
+    int64_t now = now_ns();
+    put(link, "{\"availability_response\":{");
+    if (sent) {
+        put(link, "\"originate_timestamp\":");
+        put_text(link, sent->bytes, sent->length);
+        put(link, ",");
+    }
+    put(link, "\"receive_timestamp\":");
+    put_stamp(link, received);
+    put(link, ",\"timestamp\":");
+    put_stamp(link, now > received ? now : received);
+    put(link, ",\"status\":\"%s\"", code ? "Failed" : "OK");
+    if (code)
+        put_error(link, code, message);
+    send_end(link);
+}
+
+static void malformed(struct link *link, int64_t received, int body, const char *message)
+{
+    static struct answer a;
+    fault = NULL;
+    memset(&a, 0, sizeof a);
+    a.status = FAILED;
+    refuse(&a, "malformed", message);
+    if (body != JSON_NONE && text_at(body, "device_id", 1, &a.device_id)) {
+        a.named = text_at(body, "request_id", 0, &a.request_id);
+        send_answer(link, &a);
+    } else {
+        availability(link, received, NULL, a.code, message);
+    }
+}
+
+static void take(struct link *link, char *line, size_t length, int64_t received)
+{
+    int name, body;
+    bool control_request, ping, has_sent, has_session;
+    static struct text sent, session;
+    int64_t at;
+    if (!json_read(&json, line, length)) {
+        malformed(link, received, JSON_NONE, json.error);
+        return;
+    }
+    if (json.nodes[0].type != JSON_OBJECT || json.nodes[0].size != 1) {
+        malformed(link, received, JSON_NONE, "a message is an object with one key");
+        return;
+    }
+    name = json.nodes[0].first;
+    body = json.nodes[name].first;
+    control_request = json_is(&json, name, "control_request");
+    ping = json_is(&json, name, "availability_request");
+    fault = json.fault;
+    if (!fault && (json_is(&json, name, "availability_response") || json_is(&json, name, "initialization_block")
+        || json_is(&json, name, "control_response")))
+        return;
+    if (!control_request && !ping && !json_is(&json, name, "initialization_request"))
+        fault = "no such message";
+    else if (json.nodes[body].type != JSON_OBJECT)
+        fault = "a message's content is an object";
+    else if (!fault && control_request)
+        read_request(body);
+    if (fault) {
+        malformed(link, received, control_request ? body : JSON_NONE, fault);
+        return;
+    }
+    if (control_request) {
+        control(link, body, now_ns());
+        return;
+    }
+    has_sent = timestamp_at(body, "timestamp", &sent, &at);
+    has_session = ping && text_at(body, "session", 1, &session);
+    if (fault) {
+        malformed(link, received, JSON_NONE, fault);
+        return;
+    }
+    if (hear(link, has_session ? &session : NULL, true) || !has_session) {
+        if (ping) {
+            availability(link, received, has_sent ? &sent : NULL, NULL, NULL);
+        } else {
+            put(link, "{\"initialization_block\":");
+            put_bytes(link, BLOCK, sizeof BLOCK - 1);
+            put(link, "}\n");
+            link_flush(link);
+        }
+    } else {
+        availability(link, received, has_sent ? &sent : NULL, "busy", busy_message());
+    }
+}
+
+/* Connections. */
+
+static void link_lines(struct link *link)
+{
+    int64_t received = now_ns();
+    size_t from = 0;
+    int turn;
+    for (turn = 0; turn < 50 && !link->dead && link->out_length < MAX_UNREAD; turn++) {
+        char *line = link->in + from, *end = memchr(line, '\n', link->in_length - from);
+        size_t length;
+        if (!end)
+            break;
+        length = (size_t)(end - line);
+        from += length + 1;
+        if (length && line[length - 1] == '\r')
+            length--;
+        run(); /* what was due before the message comes first */
+        if (link->skipping)
+            link->skipping = false;
+        else if (length > MAX_LINE)
+            malformed(link, received, JSON_NONE, "the line is too long");
+        else if (length)
+            take(link, line, length, received);
+    }
+    link->in_length -= from;
+    memmove(link->in, link->in + from, link->in_length);
+    link->more = link->in_length && memchr(link->in, '\n', link->in_length);
+    if (link->in_length > MAX_LINE && !link->more) {
+        if (!link->skipping)
+            malformed(link, received, JSON_NONE, "the line is too long");
+        link->skipping = true;
+        link->in_length = 0;
+    }
+}
+
+static void link_read(struct link *link)
+{
+    size_t room = sizeof link->in - 1 - link->in_length;
+    ssize_t got = recv(link->socket, link->in + link->in_length, room < 16384 ? room : 16384, 0);
+    if (got == 0 || (got < 0 && errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR))
+        link->dead = true;
+    else if (got > 0)
+        link->in_length += (size_t)got;
+}
+
+static void link_accept(int listener)
+{
+    int socket = accept(listener, NULL, NULL), one = 1, i;
+    if (socket < 0)
+        return;
+    for (i = 0; i < MAX_LINKS && links[i].socket >= 0; i++)
+        ;
+    if (i == MAX_LINKS || fcntl(socket, F_SETFL, O_NONBLOCK) < 0) {
+        close(socket);
+        return;
+    }
+    setsockopt(socket, IPPROTO_TCP, TCP_NODELAY, &one, sizeof one);
+    setsockopt(socket, SOL_SOCKET, SO_KEEPALIVE, &one, sizeof one);
+    memset(&links[i], 0, offsetof(struct link, in));
+    links[i].socket = socket;
+    links[i].number = ++numbers;
+}
+
+static int listen_at(const char *address)
+{
+    char host[256], bound[64], service[16];
+    const char *colon = strrchr(address, ':');
+    struct addrinfo hints, *found;
+    struct sockaddr_storage at;
+    socklen_t size = sizeof at;
+    int listener, one = 1;
+    if (!colon || (size_t)(colon - address) >= sizeof host)
+        return -1;
+    memcpy(host, address, (size_t)(colon - address));
+    host[colon - address] = '\0';
+    memset(&hints, 0, sizeof hints);
+    hints.ai_socktype = SOCK_STREAM;
+    hints.ai_flags = AI_PASSIVE;
+    if (getaddrinfo(host[0] ? host : NULL, colon + 1, &hints, &found) != 0)
+        return -1;
+    listener = socket(found->ai_family, found->ai_socktype, found->ai_protocol);
+    if (listener >= 0) {
+        setsockopt(listener, SOL_SOCKET, SO_REUSEADDR, &one, sizeof one);
+        if (bind(listener, found->ai_addr, found->ai_addrlen) < 0 || listen(listener, MAX_LINKS) < 0
+            || fcntl(listener, F_SETFL, O_NONBLOCK) < 0 || getsockname(listener, (struct sockaddr *)&at, &size) < 0
+            || getnameinfo((struct sockaddr *)&at, size, bound, sizeof bound, service, sizeof service,
+                NI_NUMERICHOST | NI_NUMERICSERV) != 0) {
+            close(listener);
+            listener = -1;
+        }
+    }
+    freeaddrinfo(found);
+    if (listener >= 0) {
+        printf("listening on %s:%s\n", bound, service);
+        fflush(stdout);
+    }
+    return listener;
+}
+
+/* Starting: the devices are read from BLOCK, so that what is told and what is done are one. */
+
+static struct limits limits_at(int types, const char *name)
+{
+    struct limits limits = {false, 0, 0, 0};
+    int node = json_get(&json, types, name);
+    limits.there = number_at(node, "min_value", &limits.min) && number_at(node, "max_value", &limits.max)
+        && number_at(node, "granularity", &limits.granularity);
+    return limits;
+}
+
+static bool read_block(void)
+{
+    static char block[sizeof BLOCK];
+    int item, type, i;
+    memcpy(block, BLOCK, sizeof BLOCK);
+    if (!json_read(&json, block, sizeof BLOCK - 1) || !text_at(0, "id", 1, &robot_id))
+        return false;
+    reports = boolean_at(0, "reports");
+    item = json_get(&json, 0, "devices");
+    for (item = item == JSON_NONE ? item : json.nodes[item].first; item != JSON_NONE; item = json.nodes[item].next) {
+        struct device *device = &devices[device_count];
+        int types = json_get(&json, item, "available_control_types"), script = json_get(&json, types, "script");
+        int usable = json_get(&json, script, "control_types");
+        double queue = 1, steps = 0;
+        if (device_count++ == MAX_DEVICES || !text_at(item, "id", 1, &device->id))
+            return false;
+        device->taken_back = -NEVER;
+        device->linear = json_is(&json, json_get(&json, item, "interpolation"), "linear");
+        device->has_default = number_at(item, "default_value", &device->default_value);
+        device->where[POSITION] = device->has_default ? device->default_value : 0;
+        device->sensor = json_get(&json, types, "sensor") != JSON_NONE;
+        device->script = limits_at(types, "script");
+        number_at(item, "script_queue", &queue);
+        number_at(script, "max_number_of_steps", &steps);
+        if (queue > MAX_QUEUE || steps > MAX_STEPS)
+            return false;
+        device->queue = (int)queue;
+        device->max_steps = (int)steps;
+        for (i = 0; i < KINDS; i++) {
+            device->kinds[i] = limits_at(types, KIND_NAMES[i]);
+            device->usable[i] = usable == JSON_NONE && device->kinds[i].there;
+        }
+        for (type = usable == JSON_NONE ? usable : json.nodes[usable].first; type != JSON_NONE; type = json.nodes[type].next)
+            for (i = 0; i < KINDS; i++)
+                if (json_is(&json, type, KIND_NAMES[i]))
+                    device->usable[i] = true;
+    }
+    return device_count > 0 && !fault;
+}
+
+int main(int argc, char **argv)
+{
+    const char *address = argc == 3 && !strcmp(argv[1], "--listen") ? argv[2] : argc == 1 ? "127.0.0.1:0" : NULL;
+    int listener, i;
+    if (!address) {
+        fprintf(stderr, "robot [--listen HOST:PORT]; port 0 is any that is free\n");
+        return 2;
+    }
+    if (!read_block()) {
+        fprintf(stderr, "BLOCK cannot be read, or does not keep to the limits\n");
+        return 1;
+    }
+    for (i = 0; i < MAX_LINKS; i++)
+        links[i].socket = -1;
+    listener = listen_at(address);
+    if (listener < 0) {
+        fprintf(stderr, "cannot listen on %s: %s\n", address, strerror(errno));
+        return 1;
+    }
+    for (;;) {
+        struct pollfd polls[MAX_LINKS + 1];
+        int64_t wait = run() - now_ns() - SPIN;
+        int timeout = wait <= 0 ? 0 : wait > 250 * MS ? 250 : (int)(wait / MS);
+        for (i = 0; i < MAX_LINKS; i++) {
+            struct link *link = &links[i];
+            bool listens = link->socket >= 0 && link->out_length < MAX_UNREAD;
+            if (listens && link->more)
+                timeout = 0;
+            polls[i].fd = link->socket;
+            polls[i].events = (short)((listens && !link->more ? POLLIN : 0) | (link->out_length ? POLLOUT : 0));
+            polls[i].revents = 0;
+        }
+        polls[MAX_LINKS].fd = listener;
+        polls[MAX_LINKS].events = POLLIN;
+        polls[MAX_LINKS].revents = 0;
+        if (poll(polls, MAX_LINKS + 1, timeout) < 0 && errno != EINTR)
+            return 1;
+        for (i = 0; i < MAX_LINKS; i++) {
+            struct link *link = &links[i];
+            if (link->socket < 0)
+                continue;
+            if (polls[i].revents & POLLOUT)
+                link_flush(link);
+            if (polls[i].revents & POLLIN)
+                link_read(link);
+            else if (polls[i].revents & (POLLERR | POLLHUP | POLLNVAL))
+                link->dead = true;
+            if (!link->dead && link->in_length)
+                link_lines(link);
+            if (link->dead) {
+                close(link->socket);
+                link->socket = -1;
+                link->of_owner = false;
+            }
+        }
+        if (polls[MAX_LINKS].revents & POLLIN)
+            link_accept(listener);
+    }
+}
