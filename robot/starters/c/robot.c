@@ -43,17 +43,17 @@
 
 static const char BLOCK[] = JSON(
 {"id": "arm-2", "name": "right arm", "type": "Industrial", "api_version": "1", "reports": true, "devices": [
-    {"id": "shoulder", "unit": "deg", "default_value": 0, "interpolation": "linear", "script_queue": 2,
+    {"id": "shoulder", "name": "shoulder servo", "unit": "deg", "default_value": 0, "interpolation": "linear", "script_queue": 2,
      "available_control_types": {
         "position": {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25},
         "script": {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25,
                    "max_number_of_steps": 256, "control_types": ["position"]}}},
-    {"id": "wheel", "unit": "m/s", "interpolation": "hold",
+    {"id": "wheel", "name": "wheel motor", "unit": "m/s", "interpolation": "hold",
      "available_control_types": {
         "speed": {"min_value": -10, "max_value": 10, "granularity": 0.1},
         "script": {"min_value": -10, "max_value": 10, "granularity": 0.1,
                    "max_number_of_steps": 256, "control_types": ["speed"]}}},
-    {"id": "camera", "unit": "degC",
+    {"id": "camera", "name": "camera temperature", "unit": "degC",
      "available_control_types": {"sensor": {"min_value": -40, "max_value": 125, "max_delay": 20}}}]}
 );
 
@@ -78,7 +78,7 @@ static bool arm_read(int device, double *value)
 }
 
 /* Times are nanoseconds: by the clock that NTP disciplines, or of silence by one that nobody sets. Timestamps beyond the
-   years 1685 to 2255 stand for these. */
+   years 1685 to 2255 are malformed, so that nothing overflows. */
 
 #define MS INT64_C(1000000)
 #define SECOND INT64_C(1000000000)
@@ -154,11 +154,13 @@ struct device {
     int queue, max_steps;
     int64_t taken_back;
     struct command commands[MAX_QUEUE];
-    struct {                       /* the lease of a speed that goes on after its command */
-        bool there, of_owner;
-        uint64_t link;
+    struct tail {                  /* the lease of a speed that goes on after its command */
+        bool there, of_owner, named;
+        uint64_t link, command;
         int64_t limit, heard;
-    } tail;
+        int steps_done;
+        struct text request_id;
+    } tails[KINDS];
 };
 
 struct link {
@@ -444,11 +446,21 @@ static void send_answer(struct link *link, const struct answer *a)
 
 /* Doing. */
 
+/* A report goes where the session was heard last, or to the connection of a command that belongs to none. */
+static struct link *link_of(bool of_owner, uint64_t number)
+{
+    struct link *to = NULL, *link;
+    for (link = links; link < links + MAX_LINKS; link++)
+        if (link->socket >= 0 && !link->dead && (of_owner ? link->of_owner : link->number == number)
+            && (!to || link->heard > to->heard))
+            to = link;
+    return reports ? to : NULL;
+}
+
 static void report(struct command *c, enum status status, const double *value, const char *code, const char *message, int64_t now)
 {
     struct answer *a = c->answer;
-    struct link *to = NULL;
-    int i;
+    struct link *to = link_of(c->of_owner, c->link);
     a->status = status;
     a->is_report = true;
     a->has_value = value != NULL;
@@ -458,11 +470,7 @@ static void report(struct command *c, enum status status, const double *value, c
     a->late_steps = c->late;
     a->code = code;
     a->message = message;
-    for (i = 0; i < MAX_LINKS; i++)
-        if (links[i].socket >= 0 && !links[i].dead && (c->of_owner ? links[i].of_owner : links[i].number == c->link)
-            && (!to || links[i].heard > to->heard))
-            to = &links[i];
-    if (reports && to)
+    if (to)
         send_answer(to, a);
     if (status != STARTED) {
         c->held = false;
@@ -470,6 +478,38 @@ static void report(struct command *c, enum status status, const double *value, c
         a->number = ++numbers;
         a->used = a->named;
     }
+}
+
+static struct answer *find_answer(const struct text *request_id)
+{
+    struct answer *a;
+    for (a = answers; a < answers + sizeof answers / sizeof *answers; a++)
+        if (a->used && a->named && same(&a->request_id, request_id))
+            return a;
+    return NULL;
+}
+
+/* The lease of what a command left on has run out. */
+static void report_tail(const struct device *device, const struct tail *tail, const char *code, const char *message, int64_t now)
+{
+    struct answer *kept = tail->named ? find_answer(&tail->request_id) : NULL, a;
+    struct link *to = link_of(tail->of_owner, tail->link);
+    memset(&a, 0, sizeof a);
+    a.used = a.ended = a.is_report = true;
+    a.named = tail->named;
+    a.request_id = tail->request_id;
+    a.device_id = device->id;
+    a.status = FAILED;
+    a.event = now;
+    a.steps_done = tail->steps_done;
+    a.code = code;
+    a.message = message;
+    if (kept) {
+        a.number = kept->number;
+        *kept = a;
+    }
+    if (to)
+        send_answer(to, &a);
 }
 
 static bool goes_before(const struct command *a, const struct command *b)
@@ -529,15 +569,30 @@ static void rest(struct device *device, bool hold, const char *code, const char 
             set(device, (enum kind)i, 0);
     if (device->has_default && !hold)
         set(device, POSITION, device->default_value);
-    device->tail.there = false;
+    for (i = 0; i < KINDS; i++)
+        device->tails[i].there = false;
     drop(device, -NEVER, code, message, now);
+}
+
+static void run_out(struct device *device, int64_t now)
+{
+    static const char message[] = "the server was silent for longer than stop_condition";
+    int i, j;
+    for (i = 0; i < KINDS; i++) {
+        const struct tail *tail = &device->tails[i];
+        for (j = 0; j < i && !(device->tails[j].there && device->tails[j].command == tail->command); j++)
+            ;
+        if (tail->there && j == i)
+            report_tail(device, tail, "link_lost", message, now);
+    }
+    rest(device, false, "link_lost", message, now);
 }
 
 static void tell_started(struct device *device, struct command *c, int64_t now)
 {
     if (!c->started) {
         c->started = true;
-        device->tail.there = false;
+        device->tails[c->steps[0].kind].there = false;
         report(c, STARTED, &c->steps[0].value, NULL, NULL, now);
     }
 }
@@ -552,20 +607,37 @@ static int64_t after(int64_t from, int64_t limit)
     return limit == NEVER ? NEVER : from + limit;
 }
 
-static const struct lease *lease_of(const struct command *c)
+static int64_t ends(const struct command *c, int64_t shift, int done, bool begun)
 {
-    return c->done && c->steps[c->done - 1].lease.form != NO_LEASE ? &c->steps[c->done - 1].lease : &c->lease;
+    const struct lease *lease = done && c->steps[done - 1].lease.form != NO_LEASE ? &c->steps[done - 1].lease : &c->lease;
+    return after(c->heard + shift, lease_limit(begun ? lease->running : lease->pending));
 }
 
+/* Where the lease that follows the next step would be over by then, that step is not done. */
 static int64_t lease_ends(const struct command *c, int64_t shift)
 {
-    const struct lease *lease = lease_of(c);
-    int64_t running = after(c->heard + shift, lease_limit(lease->running));
-    int64_t pending = after(c->heard + shift, lease_limit(lease->pending));
-    if (c->begun)
-        return running;
-    running = running > c->start ? running : c->start;
-    return pending < running ? pending : running;
+    int64_t at = c->start + (c->begun ? c->steps[c->done].offset : 0), now = ends(c, shift, c->done, c->begun);
+    int64_t then = ends(c, shift, c->done + (c->begun || !c->steps[0].offset), true);
+    then = then > at ? then : at;
+    return now < then ? now : then;
+}
+
+static void leave_on(struct device *device, const struct command *c)
+{
+    int i;
+    for (i = 0; i < c->size; i++) {
+        struct tail *tail = &device->tails[c->steps[i].kind];
+        tail->there = c->steps[i].kind != POSITION && device->where[c->steps[i].kind] != 0;
+        tail->limit = ends(c, -c->heard, c->done, true);
+        tail->there = tail->there && tail->limit != NEVER;
+        tail->of_owner = c->of_owner;
+        tail->link = c->link;
+        tail->command = c->number;
+        tail->heard = c->heard;
+        tail->steps_done = c->done;
+        tail->named = c->answer->named;
+        tail->request_id = c->answer->request_id;
+    }
 }
 
 static void go_on(struct device *device, struct command *c, int64_t now)
@@ -585,16 +657,13 @@ static void go_on(struct device *device, struct command *c, int64_t now)
         report(c, FAILED, NULL, "internal", "the hardware failed", now);
     } else {
         tell_started(device, c, now);
+        device->tails[step->kind].there = false;
         c->late += now > c->start + step->offset + LATE_STEP;
         c->from_offset = step->offset;
         c->from_kind = step->kind;
         c->from_value = step->value;
         if (++c->done == c->size) {
-            device->tail.there = step->kind != POSITION && step->value != 0;
-            device->tail.of_owner = c->of_owner;
-            device->tail.link = c->link;
-            device->tail.heard = c->heard;
-            device->tail.limit = lease_limit(lease_of(c)->running);
+            leave_on(device, c);
             report(c, OK, &step->value, NULL, NULL, now);
         }
     }
@@ -608,10 +677,13 @@ static int64_t run(void)
         int64_t now = now_ns(), shift = now - silence_ns(), due = NEVER, at;
         struct device *device, *of = NULL;
         struct command *c, *with = NULL;
+        int i;
         for (device = devices; device < devices + device_count; device++) {
-            at = device->tail.there ? after(device->tail.heard + shift, device->tail.limit) : NEVER;
-            if (at < due || (at == due && at < NEVER && what != LEASE))
-                due = at, what = LEASE, of = device;
+            for (i = 0; i < KINDS; i++) {
+                at = device->tails[i].there ? device->tails[i].heard + shift + device->tails[i].limit : NEVER;
+                if (at < due || (at == due && at < NEVER && what != LEASE))
+                    due = at, what = LEASE, of = device;
+            }
             for (c = device->commands; c < device->commands + MAX_QUEUE; c++) {
                 if (!c->held)
                     continue;
@@ -628,7 +700,7 @@ static int64_t run(void)
         if (due > now)
             return due;
         if (what == LEASE)
-            rest(of, false, "link_lost", "the server was silent for longer than stop_condition", now);
+            run_out(of, now);
         else if (what == STEP)
             go_on(of, with, now);
         else
@@ -741,7 +813,11 @@ static bool timestamp_at(int object, const char *key, struct text *echo, int64_t
     if (v[0] == 0)
         seconds = -719528; /* 1 January of the year 0: far enough */
     seconds = seconds * 86400 + v[3] * 3600 + v[4] * 60 + v[5] - sign * (offset[0] * 3600 + offset[1] * 60);
-    *to = seconds >= FAR / SECOND ? FAR : seconds <= -FAR / SECOND ? -FAR : seconds * SECOND + fraction;
+    if (seconds >= FAR / SECOND || seconds <= -FAR / SECOND) {
+        fault = "a timestamp lies too far away";
+        return false;
+    }
+    *to = seconds * SECOND + fraction;
     return true;
 }
 
@@ -771,12 +847,13 @@ static int values_at(int object, double *first)
         const char *key = json.nodes[at].text;
         size_t length = json.nodes[at].length, i;
         int n = 0;
-        if (length < 15 || length > 17 || memcmp(key, "control_value_", 14) != 0 || key[14] == '0'
-            || json.nodes[json.nodes[at].first].type == JSON_NULL)
+        if (length < 14 || memcmp(key, "control_value_", 14) != 0)
             continue;
-        for (i = 14; i < length && key[i] >= '0' && key[i] <= '9'; i++)
+        for (i = 14; i < length && i < 17 && key[i] >= '0' && key[i] <= '9'; i++)
             n = n * 10 + (key[i] - '0');
-        if (i < length || n < 2 || n > 256)
+        if (i < length || n < 2 || n > 256 || key[14] == '0')
+            fault = "control_value_N is of a wrong N";
+        if (json.nodes[json.nodes[at].first].type == JSON_NULL)
             continue;
         if (json.nodes[json.nodes[at].first].type != JSON_NUMBER)
             fault = "a value is no number";
@@ -788,12 +865,19 @@ static int values_at(int object, double *first)
     return count;
 }
 
-static enum kind kind_of(const char *name, size_t length)
+/* OTHER for custom_N; what is no control type at all is malformed. */
+static enum kind kind_of(const struct text *name)
 {
-    int i;
+    double n = 0;
+    size_t i;
     for (i = 0; i < KINDS; i++)
-        if (strlen(KIND_NAMES[i]) == length && !memcmp(KIND_NAMES[i], name, length))
+        if (strlen(KIND_NAMES[i]) == name->length && !memcmp(KIND_NAMES[i], name->bytes, name->length))
             return (enum kind)i;
+    for (i = 7; i < name->length && name->bytes[i] >= '0' && name->bytes[i] <= '9'; i++)
+        n = n * 10 + (name->bytes[i] - '0');
+    if (name->length < 8 || i < name->length || n > UINT32_MAX || memcmp(name->bytes, "custom_", 7) != 0
+        || (name->bytes[7] == '0' && name->length > 8))
+        fault = "no control type";
     return OTHER;
 }
 
@@ -801,6 +885,7 @@ static enum kind kind_of(const char *name, size_t length)
 struct request {
     struct text device_id, request_id, session, timestamp, control_type;
     bool named, has_session, has_sent, has_start, hold, script, sensor;
+    enum kind kind;            /* of neither */
     int64_t sent, start;
     char content_hash[65];
     struct lease lease;
@@ -840,14 +925,15 @@ static void read_request(int body)
     r->size = 1;
     if (r->sensor || r->script) {
         r->size = 0;
-        if (json_get(&json, body, "control_value_2") != JSON_NONE)
-            fault = "only custom types take several values";
-        if (r->sensor ? value != JSON_NONE : value == JSON_NONE || json.nodes[value].type != JSON_LIST)
-            fault = "control_value is of the wrong type";
+        if (r->script && (value == JSON_NONE || json.nodes[value].type != JSON_LIST))
+            fault = "control_value is no list of steps";
+        for (item = json.nodes[body].first; item != JSON_NONE; item = json.nodes[item].next)
+            if (json.nodes[item].length >= 14 && !memcmp(json.nodes[item].text, "control_value_", 14))
+                fault = "only custom types take several values";
     } else {
         r->steps[0].ms = 0;
         r->steps[0].offset = 0;
-        r->steps[0].kind = kind_of(r->control_type.bytes, r->control_type.length);
+        r->steps[0].kind = r->kind = kind_of(&r->control_type);
         r->steps[0].lease.form = NO_LEASE;
         r->step_values[0] = values_at(body, &r->steps[0].value);
     }
@@ -868,7 +954,7 @@ static void read_request(int body)
             fault = "a step lies before the one ahead of it";
         offset = step.ms;
         step.offset = ms_to_ns(step.ms);
-        step.kind = kind_of(type.bytes, type.length);
+        step.kind = kind_of(&type);
         lease_at(item, &step.lease);
         count = values_at(item, &step.value);
         if (r->size < MAX_STEPS) {
@@ -923,15 +1009,13 @@ static bool refuse(struct answer *a, const char *code, const char *message)
     return true;
 }
 
-/* The first check that fails from the fourth on, in the order of the protocol. `lacks`: a control type the device has not. */
-static bool refused(const struct request *r, struct device *device, int body, int64_t now, struct answer *a, bool *lacks)
+/* The first check that fails from the fourth on, in the order of the protocol. */
+static bool refused(const struct request *r, struct device *device, int body, int64_t now, struct answer *a)
 {
-    enum kind kind = kind_of(r->control_type.bytes, r->control_type.length);
     char hex[65];
     int64_t start = r->has_start ? r->start : now, end;
     const struct limits *own;
     int i, held = 0;
-    *lacks = false;
     if (!device)
         return refuse(a, "unknown_device", "the robot has no such device");
     if (r->content_hash[0] && !r->sensor) {
@@ -941,20 +1025,17 @@ static bool refused(const struct request *r, struct device *device, int body, in
     }
     if (r->script && !r->size)
         return false;
-    *lacks = r->script ? !device->script.there : r->sensor ? !device->sensor : kind == OTHER || !device->kinds[kind].there;
-    if (*lacks)
+    if (r->script ? !device->script.there : r->sensor ? !device->sensor : r->kind == OTHER || !device->kinds[r->kind].there)
         return refuse(a, "unsupported_control_type", "the device has no such control type");
     if (r->sensor)
         return false;
     if (r->script && r->size > device->max_steps)
         return refuse(a, "too_many_steps", "the script has more steps than max_number_of_steps");
-    own = r->script ? &device->script : &device->kinds[kind];
+    own = r->script ? &device->script : &device->kinds[r->kind];
     for (i = 0; i < r->size; i++) {
         const struct step *step = &r->steps[i];
-        if (r->script && (step->kind == OTHER || !device->usable[step->kind])) {
-            *lacks = step->kind == OTHER || !device->kinds[step->kind].there;
+        if (r->script && (step->kind == OTHER || !device->usable[step->kind]))
             return refuse(a, "unsupported_control_type", "a step is of a control type that the device's scripts cannot use");
-        }
         if (r->step_values[i] > 1)
             return refuse(a, "malformed", "only custom types take several values");
         if (!within(&device->kinds[step->kind], step->value) || !within(own, step->value))
@@ -988,13 +1069,14 @@ static bool hear(struct link *link, const struct text *session, bool claims)
     struct device *device;
     int i;
     for (device = devices; device < devices + device_count; device++) {
-        busy = busy || (device->tail.there && device->tail.limit != NEVER);
+        for (i = 0; i < KINDS; i++)
+            busy = busy || device->tails[i].there;
         for (i = 0; i < MAX_QUEUE; i++)
             busy = busy || device->commands[i].held;
     }
     for (i = 0; i < MAX_LINKS; i++)
         open = open || (links[i].socket >= 0 && links[i].of_owner);
-    if (owned && !busy && (!open || now - owner_heard > SILENCE)) {
+    if (owned && !busy && (!open || now - owner_heard >= SILENCE)) {
         owned = false;
         for (i = 0; i < MAX_LINKS; i++)
             links[i].of_owner = false;
@@ -1010,8 +1092,9 @@ static bool hear(struct link *link, const struct text *session, bool claims)
     if (renews)
         owner_heard = now;
     for (device = devices; device < devices + device_count; device++) {
-        if (device->tail.of_owner ? renews : device->tail.link == link->number)
-            device->tail.heard = now;
+        for (i = 0; i < KINDS; i++)
+            if (device->tails[i].of_owner ? renews : device->tails[i].link == link->number)
+                device->tails[i].heard = now;
         for (i = 0; i < MAX_QUEUE; i++)
             if (device->commands[i].of_owner ? renews : device->commands[i].link == link->number)
                 device->commands[i].heard = now;
@@ -1042,16 +1125,15 @@ static struct answer *new_answer(void)
 static void control(struct link *link, int body, int64_t now)
 {
     struct request *r = &request;
-    struct answer *a, *place = NULL, passing;
+    struct answer *place = NULL, passing;
     struct device *device = NULL;
     struct command *c = NULL;
-    bool lacks, mine = hear(link, r->has_session ? &r->session : NULL, !r->sensor);
+    bool mine = hear(link, r->has_session ? &r->session : NULL, !r->sensor);
     int i;
-    for (a = answers; r->named && a < answers + sizeof answers / sizeof *answers; a++)
-        if (a->used && same(&a->request_id, &r->request_id) && a->named) {
-            send_answer(link, a);
-            return;
-        }
+    if (r->named && (place = find_answer(&r->request_id)) != NULL) {
+        send_answer(link, place);
+        return;
+    }
     memset(&passing, 0, sizeof passing);
     passing.used = passing.ended = true;
     passing.named = r->named;
@@ -1066,8 +1148,8 @@ static void control(struct link *link, int body, int64_t now)
     for (i = 0; i < device_count; i++)
         if (same(&devices[i].id, &r->device_id))
             device = &devices[i];
-    if (refused(r, device, body, now, &passing, &lacks)) {
-        if (lacks)
+    if (refused(r, device, body, now, &passing)) {
+        if (!strcmp(passing.code, "unsupported_control_type"))
             rest(device, false, "cancelled", "default state after an unsupported control type", now);
     } else if (r->sensor) {
         if (arm_read((int)(device - devices), &passing.value) && isfinite(passing.value)) {

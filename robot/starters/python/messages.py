@@ -69,6 +69,14 @@ def boolean(value):
     need(isinstance(value, bool), "not a boolean")
     return value
 
+def driving(value):
+    match = re.fullmatch("position|speed|acceleration|custom_(0|[1-9][0-9]{0,9})", string(value))
+    need(match and int(match[1] or 0) < 1 << 32, "not a control type")
+    return value
+
+def control_type(value):
+    return value if value in ("script", "sensor") else driving(value)
+
 def sha256(value):
     need(re.fullmatch("[0-9a-fA-F]{64}", string(value)), "not 64 hexadecimal digits")
     return value.lower()
@@ -77,7 +85,9 @@ def instant(value):
     match = re.fullmatch(r"([0-9-]{10}T[0-9:]{8})(?:\.([0-9]{1,9}))?(Z|[+-][0-9]{2}:[0-9]{2})", string(value).upper())
     need(match, "not an RFC 3339 timestamp")
     since = datetime.datetime.fromisoformat(match[1] + match[3].replace("Z", "+00:00")) - EPOCH
-    return (since.days * 86400 + since.seconds) * 10**9 + int((match[2] or "").ljust(9, "0"))
+    found = (since.days * 86400 + since.seconds) * 10**9 + int((match[2] or "").ljust(9, "0"))
+    need(-1 << 63 <= found < 1 << 63, "a timestamp outside the years 1678 to 2261")
+    return found
 
 def lease(value):
     if isinstance(value, dict):
@@ -89,8 +99,8 @@ def limit(condition, phase):
     ms = condition.get(phase) if isinstance(condition, dict) else condition
     return NEVER if ms is None else ns(ms)
 
-STEP = {"time_offset_to_start": period, "control_type": string, "stop_condition": lease}
-REQUEST = {**STEP, "timestamp": instant, "session": name, "device_id": name,
+STEP = {"time_offset_to_start": period, "control_type": driving, "stop_condition": lease}
+REQUEST = {**STEP, "control_type": control_type, "timestamp": instant, "session": name, "device_id": name,
            "request_id": string, "content_hash": sha256, "hold": boolean}
 VALUES = {"control_value" + (f"_{n}" if n > 1 else ""): n for n in range(1, 257)}
 
@@ -103,6 +113,7 @@ def members(body, kinds, *required):
 def values(body):
     given = {VALUES[key]: number(value) for key, value in body.items() if key in VALUES and value is not None}
     need(given and max(given) == len(given), "control_value is missing or has gaps")
+    need(all(key in VALUES for key in body if key.startswith("control_value_")), "control_value_N is of a wrong N")
     return [given[n] for n in sorted(given)]
 
 class Step:
@@ -122,9 +133,9 @@ class Command:
         if self.sent is not None and self.time_offset_to_start is not None:
             self.start = self.sent + ns(self.time_offset_to_start)
         if self.kind in ("script", "sensor"):
-            need(isinstance(value, list) if self.kind == "script" else value is None, "control_value of the wrong type")
-            need(body.get("control_value_2") is None, "only custom types take several values")
-            self.steps = [Step(item) for item in value or []]
+            need(self.kind == "sensor" or isinstance(value, list), "control_value is no list of steps")
+            need(not any(key.startswith("control_value_") for key in body), "only custom types take several values")
+            self.steps = [Step(item) for item in value] if self.kind == "script" else []
             need(all(a.offset <= b.offset for a, b in zip(self.steps, self.steps[1:])), "a step before the one ahead")
             self.value = self.hashed = [step.json for step in self.steps]
         else:
@@ -135,10 +146,15 @@ class Command:
         self.begun = self.started = False
 
     def lease_ends(self, shift):
-        own = self.steps[self.done - 1].lease if self.done else None
-        condition = self.stop_condition if own is None else own
-        pending, running = (self.heard + shift + limit(condition, phase) for phase in ("pending", "running"))
-        return running if self.begun else min(pending, max(running, self.start))
+        """Where the lease that follows the next step would be over by then, that step is not done."""
+        def ends(done, phase):
+            own = self.steps[done - 1].lease if done else None
+            return self.heard + shift + limit(self.stop_condition if own is None else own, phase)
+        if self.done == len(self.steps):
+            return ends(self.done, "running")
+        following = self.start + (self.steps[self.done].offset if self.begun else 0)
+        steps = self.done + (self.begun or self.steps[0].offset == 0)
+        return min(ends(self.done, "running" if self.begun else "pending"), max(following, ends(steps, "running")))
 
 def refusal(c, device, now):
     """The first check that fails, in the order of the protocol, as code and message."""

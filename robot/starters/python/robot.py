@@ -3,19 +3,18 @@
 
 Python 3.9 and its standard library; messages.py goes with it: python3 robot.py --listen 127.0.0.1:7000
 """
-import argparse, asyncio, math, time
+import argparse, asyncio, contextlib, itertools, math, time
 from messages import IGNORED, NEVER, REQUESTS, Meant, need, parse, refusal, stamp, write
 
 LIMITS = {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25}
 SPEEDS = {"min_value": -10, "max_value": 10, "granularity": 0.1}
 BLOCK = {"id": "arm-1", "name": "left arm", "type": "Industrial", "api_version": "1", "reports": True, "devices": [
-    {"id": "shoulder", "unit": "deg", "default_value": 0, "interpolation": "linear", "script_queue": 2,
-     "available_control_types": {"position": LIMITS, "script": {**LIMITS, "max_number_of_steps": 1000,
-                                                                "control_types": ["position"]}}},
-    {"id": "wheel", "unit": "m/s", "interpolation": "hold",
-     "available_control_types": {"speed": SPEEDS, "script": {**SPEEDS, "max_number_of_steps": 1000,
-                                                             "control_types": ["speed"]}}},
-    {"id": "camera", "unit": "degC",
+    {"id": "shoulder", "name": "shoulder servo", "unit": "deg", "default_value": 0, "interpolation": "linear",
+     "script_queue": 2, "available_control_types": {
+         "position": LIMITS, "script": {**LIMITS, "max_number_of_steps": 1000, "control_types": ["position"]}}},
+    {"id": "wheel", "name": "wheel motor", "unit": "m/s", "interpolation": "hold", "available_control_types": {
+        "speed": SPEEDS, "script": {**SPEEDS, "max_number_of_steps": 1000, "control_types": ["speed"]}}},
+    {"id": "camera", "name": "camera temperature", "unit": "degC",
      "available_control_types": {"sensor": {"min_value": -40, "max_value": 125, "max_delay": 20}}}]}
 
 class Arm:
@@ -27,8 +26,7 @@ class Arm:
 
 MAX_LINE = 1 << 18              # bytes: room for 1000 steps, yet read in so little time that no step waits for it
 MAX_UNREAD = 1 << 16            # bytes: a peer that leaves more is not listened to; at 16 times that it is cut off
-MAX_LINKS = 32
-KEPT = 1024                     # last answers of requests that have ended; the protocol asks for 256
+MAX_LINKS, KEPT = 32, 1024      # KEPT: last answers of requests that have ended; the protocol asks for 256
 SAMPLE, LATE_STEP, LATE_START, SILENCE = 20_000_000, 1_000_000, 50_000_000, 5_000_000_000    # ns, as all times here
 SPIN = 0.0015                   # s: so long before it is due, a step is waited for without sleeping
 
@@ -36,13 +34,13 @@ class Device:
     def __init__(self, spec):
         self.id, self.types, self.default = spec["id"], spec["available_control_types"], spec.get("default_value")
         self.queue, self.linear = spec.get("script_queue", 1), spec.get("interpolation") == "linear"
-        self.held, self.tail = [], None          # tail: a command that has ended, but whose speed goes on
+        self.held, self.tails = [], {}           # tails: by control type, ended commands whose lease goes on
         self.taken_back, self.where = -NEVER, {"position": self.default or 0}
 
 class Robot:
     def __init__(self, arm):
         self.arm, self.devices, self.links = arm, {spec["id"]: Device(spec) for spec in BLOCK["devices"]}, set()
-        self.owner, self.owner_heard, self.open, self.ended, self.accepted, self.timer = None, 0, {}, {}, 0, None
+        self.owner, self.owner_heard, self.open, self.ended, self.count, self.timer = None, 0, {}, {}, itertools.count(), None
 
     def run(self):
         """Does what is due, by time, at one instant leases before steps; returns when the next thing is due."""
@@ -50,7 +48,7 @@ class Robot:
             now, due = time.time_ns(), (NEVER,)
             shift = now - time.monotonic_ns()    # leases count silence, which setting the clock does not end
             for device in self.devices.values():
-                for c in device.held + [device.tail] * bool(device.tail):
+                for c in device.held + list(device.tails.values()):
                     due = min(due, (c.lease_ends(shift), 0, c.start, c.end, c.number, self.run_out, device, c))
                 for c in device.held:
                     at = c.start + (c.steps[c.done].offset if c.begun else 0)
@@ -68,7 +66,7 @@ class Robot:
         self.timer = asyncio.get_running_loop().call_later(min(max(wait, 0), 0.25), self.tick)
 
     def run_out(self, device, _, now):
-        self.rest(device, device.held, "link_lost", "the server was silent for longer than stop_condition", now)
+        self.rest(device, "link_lost", "the server was silent for longer than stop_condition", now)
 
     def go_on(self, device, c, now):
         step = c.steps[c.done]
@@ -83,12 +81,14 @@ class Robot:
             c.done, c.origin = c.done + 1, (step.offset, step.kind, step.values[0])
             if c.done == len(c.steps):
                 device.held.remove(c)
-                device.tail = c if step.kind != "position" and any(step.values) else None
+                left_on = {kind for kind in {each.kind for each in c.steps} - {"position"} if device.where[kind]}
+                device.tails.update({kind: c for kind in left_on if c.lease_ends(0) < NEVER})
                 self.report(c, "OK", step.values[0], now, steps_done=c.done, late_steps=c.late)
 
     def tell_started(self, device, c, now, moves):
         if moves and not c.started:
-            c.started, device.tail = True, None
+            c.started = True
+            device.tails.pop(c.steps[0].kind, None)
             self.report(c, "Started", c.steps[0].values[0], now)
 
     def sample(self, device, c, now):
@@ -100,27 +100,30 @@ class Robot:
 
     def set(self, device, c, kind, found, now):
         try:
-            self.arm.set(device.id, kind, found[0] if len(found) == 1 else found)
-            device.where[kind] = found[0]
+            device.where[kind] = found[0] if len(found) == 1 else found
+            self.arm.set(device.id, kind, device.where[kind])
+            if c:
+                device.tails.pop(kind, None)
             return True
         except Exception as error:
             self.drop(device, [c] if c else [], "internal", str(error), now)
 
     def drop(self, device, commands, code, message, now):
-        for c in sorted((c for c in commands if c in device.held), key=lambda c: (c.start, c.number)):
-            device.held.remove(c)
+        for c in sorted(commands, key=lambda c: (c.start, c.number)):
+            if c in device.held:
+                device.held.remove(c)
             self.report(c, "Failed", None, now, steps_done=c.done, error={"code": code, "message": message})
 
-    def rest(self, device, commands, code, message, now, hold=False):
-        """Ends commands; then the default state, or a stop in place. With an `acceleration`, slow down by it here."""
-        for c in [c for c in commands if c.begun and c.moves]:
+    def rest(self, device, code, message, now, hold=False):
+        """Ends everything; then the default state, or a stop in place. With an `acceleration`, slow down by it here."""
+        for c in [c for c in device.held if c.begun and c.moves]:
             self.sample(device, c, now)
+        ended, device.tails = device.held + list(set(device.tails.values()) if code == "link_lost" else []), {}
         for kind in {"speed", "acceleration"} & set(device.types):
             self.set(device, None, kind, [0], now)
         if device.default is not None and not hold:
             self.set(device, None, "position", [device.default], now)
-        device.tail = None
-        self.drop(device, commands, code, message, now)
+        self.drop(device, ended, code, message, now)
 
     def response(self, c, status, value, keep=None, **more):
         """`keep` is the dictionary in which the answer stays for whoever asks again."""
@@ -173,8 +176,8 @@ class Robot:
     def hear(self, link, session, claims):
         """Renews leases and settles whose the robot is; returns why it is not this session's."""
         now, devices = time.monotonic_ns(), self.devices.values()
-        if not any(device.held or device.tail and device.tail.lease_ends(0) < NEVER for device in devices) and (
-                now - self.owner_heard > SILENCE or all(other.session != self.owner for other in self.links)):
+        if not any(device.held or device.tails for device in devices) and (
+                now - self.owner_heard >= SILENCE or all(other.session != self.owner for other in self.links)):
             self.owner = None
         if claims and not self.owner:
             self.owner = session
@@ -183,7 +186,7 @@ class Robot:
         link.heard, parties = now, (link, session or link.session)
         if self.owner in parties:
             self.owner_heard = now
-        for c in [c for device in devices for c in device.held + [device.tail] if c and c.party in parties]:
+        for c in [c for device in devices for c in device.held + list(device.tails.values()) if c.party in parties]:
             c.heard = now
         if self.owner not in (None, session):
             return f"`{BLOCK['id']}` belongs to session `{self.owner}` until that ends"
@@ -198,8 +201,8 @@ class Robot:
         c.start = now if c.start is None else c.start
         c.end, c.heard = c.start + (c.steps[-1].offset if c.steps else 0), time.monotonic_ns()
         code, message = refusal(c, device, now) or (None, None)
-        if code == "unsupported_control_type" and {c.kind, *(step.kind for step in c.steps)} - set(device.types):
-            self.rest(device, device.held, "cancelled", "default state after an unsupported control type", now)
+        if code == "unsupported_control_type":
+            self.rest(device, "cancelled", "default state after an unsupported control type", now)
         if code:
             link.send(self.response(c, "Failed", None, self.ended, error={"code": code, "message": message}))
         elif c.kind == "sensor":
@@ -210,8 +213,7 @@ class Robot:
                 value, status, error = None, "Failed", {"error": {"code": "internal", "message": str(fault)}}
             link.send(self.response(c, status, value, self.ended, **error))
         elif c.steps:
-            self.accepted += 1
-            c.number, c.moves = self.accepted, device.linear and c.kind == "script"
+            c.number, c.moves = next(self.count), device.linear and c.kind == "script"
             hashed = {"content_hash": c.content_hash} if c.content_hash else {}
             link.send(self.response(c, "Accepted", c.value, self.open, **hashed))
             device.held.append(c)
@@ -222,7 +224,7 @@ class Robot:
                 self.drop(device, [other for other in device.held if other.start >= c.start], *why)
             else:
                 device.taken_back = max(device.taken_back, -NEVER if c.sent is None else c.sent)
-                self.rest(device, device.held, *why, hold=c.hold)
+                self.rest(device, *why, hold=c.hold)
             link.send(self.response(c, "OK", None, self.ended))
 
 class Link(asyncio.Protocol):
@@ -293,7 +295,5 @@ if __name__ == "__main__":
     parser = argparse.ArgumentParser(description="a URRCP robot")
     parser.add_argument("--listen", default="127.0.0.1:0", metavar="HOST:PORT", help="port 0: any that is free")
     host, _, port = parser.parse_args().listen.rpartition(":")
-    try:
+    with contextlib.suppress(KeyboardInterrupt):
         asyncio.run(serve(host.strip("[]"), int(port)))
-    except KeyboardInterrupt:
-        pass
