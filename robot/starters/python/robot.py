@@ -39,8 +39,9 @@ class Device:
 
 class Robot:
     def __init__(self, arm):
-        self.arm, self.devices, self.links = arm, {spec["id"]: Device(spec) for spec in BLOCK["devices"]}, set()
-        self.owner, self.owner_heard, self.open, self.ended, self.count, self.timer = None, 0, {}, {}, itertools.count(), None
+        self.arm, self.links, self.open, self.ended = arm, set(), {}, {}
+        self.devices = {spec["id"]: Device(spec) for spec in BLOCK["devices"]}
+        self.owner, self.owner_heard, self.timer, self.count = None, 0, None, itertools.count()
 
     def run(self):
         """Does what is due, by time, at one instant leases before steps; returns when the next thing is due."""
@@ -137,8 +138,8 @@ class Robot:
         return {"control_response": body}
 
     def report(self, c, status, value, now, **more):
-        keep = self.open if status == "Started" else self.ended
-        message = self.response(c, status, value, keep, event_timestamp=stamp(now), **more)
+        more["event_timestamp"], keep = stamp(now), self.open if status == "Started" else self.ended
+        message = self.response(c, status, value, keep, **more)
         links = [link for link in self.links if c.party in (link, link.session)]
         if links and BLOCK["reports"]:
             max(links, key=lambda link: link.heard).send(message)
@@ -267,8 +268,7 @@ class Link(asyncio.Protocol):
         if len(self.buffer) > MAX_LINE:
             if not self.skipping:
                 self.robot.take(self, self.buffer, received)
-            self.skipping = True
-            self.buffer.clear()
+            self.skipping, self.buffer = True, bytearray()
         self.searched = len(self.buffer)
         self.transport.resume_reading()
 
@@ -285,8 +285,8 @@ class Link(asyncio.Protocol):
             self.transport.abort()
 
 async def serve(host, port):
-    robot, loop = Robot(Arm()), asyncio.get_running_loop()
-    server = await loop.create_server(lambda: Link(robot), host, port)
+    robot = Robot(Arm())
+    server = await asyncio.get_running_loop().create_server(lambda: Link(robot), host, port)
     print("listening on %s:%d" % server.sockets[0].getsockname()[:2], flush=True)
     robot.tick()
     await server.serve_forever()

@@ -1,0 +1,27 @@
+#!/usr/bin/env bash
+# check.sh 'PROGRAM ARGUMENTS' [OPTIONS]: starts a robot on a free port and runs `downbeat conformance OPTIONS` against it.
+# The program takes --listen HOST:PORT and says `listening on HOST:PORT`. DOWNBEAT names another downbeat than the built one.
+set -euo pipefail
+downbeat=${DOWNBEAT:-$(cd "$(dirname "$0")/../.." && pwd)/target/release/downbeat}
+read -ra program <<<"$1"
+said=$(mktemp)
+PYTHONDONTWRITEBYTECODE=1 "${program[@]}" --listen 127.0.0.1:0 >"$said" &
+robot=$!
+trap 'kill "$robot" 2>/dev/null || true; rm -f "$said"' EXIT
+
+address=
+for _ in $(seq 100); do
+  address=$(sed -n 's/^listening on //p' "$said")
+  if [ -n "$address" ] || ! kill -0 "$robot" 2>/dev/null; then break; fi
+  sleep 0.1
+done
+if [ -z "$address" ]; then
+  echo "$1 does not listen" >&2
+  exit 1
+fi
+
+timeout 300 "$downbeat" conformance "tcp://$address" "${@:2}"
+if ! kill -0 "$robot" 2>/dev/null; then
+  echo "$1 ended meanwhile" >&2
+  exit 1
+fi
