@@ -5,8 +5,8 @@
 mod conformance;
 mod diagnostics;
 mod documents;
-mod encodings;
 mod edges;
+mod encodings;
 mod examples;
 mod findings;
 mod hostile;
@@ -19,5 +19,5 @@ mod processes;
 mod real_scenarios;
 mod schema;
 mod session;
-mod vectors;
 mod thrift_robot;
+mod vectors;

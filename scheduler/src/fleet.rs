@@ -71,7 +71,7 @@ pub fn participants(robots: &[&FleetRobot]) -> Vec<Participant> {
         encoding: match &robot.address {
             Address::Tcp { .. } => robot.encoding,
             // What stays in this process is not encoded.
-            Address::Simulated => Encoding::Json,
+            Address::Simulated | Address::Thrift { .. } | Address::Program { .. } => Encoding::Json,
         },
         requires: robot
             .require

@@ -17,7 +17,7 @@ use super::run::parse_span;
 use super::{Exit, Format, console, load};
 use crate::clock::{ClockEstimate, ClockReading, ClockSample};
 use crate::fleet;
-use crate::link::{Endpoint, Link};
+use crate::link::{Endpoint, Link, Speech};
 use crate::mission::Event;
 use crate::server_clock::ServerClock;
 
@@ -137,7 +137,8 @@ fn ask_block(host: String, port: u16, patience: Span) -> Result<InitializationBl
     super::with_runtime(async {
         let clock = ServerClock::anchored(Span::ZERO);
         let (events, happened) = mpsc::channel(64);
-        let link = Link::open(0, Endpoint::Tcp { host, port }, clock, events, std::time::Duration::ZERO);
+        let endpoint = Endpoint::Tcp { host, port, speech: Speech::default() };
+        let link = Link::open(0, endpoint, clock, events, std::time::Duration::ZERO);
         let answer = ask(unnamed(), link, happened, clock, patience).await;
         let problem = answer.problem.unwrap_or_else(|| "the robot did not describe itself".to_owned());
         told = answer.block.ok_or(problem);

@@ -170,7 +170,7 @@ mod tests {
         for (robot, bytes) in [bytes, b"{\"initialization_request\":{}}\n".to_vec()].into_iter().enumerate() {
             let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
             let port = listener.local_addr().unwrap().port();
-            let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port };
+            let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, speech: Speech::default() };
             links.push(Link::open(robot, endpoint, clock.clone(), events.clone(), Duration::ZERO));
             // Ends when the link is dropped, at the end of the test.
             tokio::spawn(async move {

@@ -80,6 +80,7 @@ pub(super) fn block(
         version,
         api_version,
         reports: true,
+        encodings: Vec::new(),
         devices,
     };
     // Once through the wire's own checks, which count the devices and know ids that are there twice.
