@@ -84,19 +84,18 @@ fn long(trial: &Trial) -> Result<ControlRequest, Unmet> {
 /// Waits in silence for the report that the lease ran out, and judges when it came.
 fn runs_out(trial: &Trial, line: &mut Line, ticket: Ticket) -> Checked {
     let accepted = line.answer(ticket)?;
-    let limit = trial.options().tolerance;
+    trial.saw_round_trip(accepted.at - line.asked(ticket).sent);
     let until = trial.patience() + PERIOD;
     let lost = line.failure(ticket, ErrorCode::LinkLost, until)?;
     let asked = line.asked(ticket);
     let silent = lost.at - asked.sent;
-    let (earliest, latest) =
-        (PERIOD - EARLY_MAX, PERIOD + (accepted.at - asked.sent) + (accepted.at - asked.sent) + limit);
+    let (earliest, latest) = (PERIOD - EARLY_MAX, PERIOD + trial.slack());
     match silent >= earliest && silent <= latest {
         true => Ok(format!("link_lost after {silent} of silence, {PERIOD} allowed")),
         false => {
             let came = format!("{} after {silent} of silence", lost.text);
             let expected = format!(
-                "it after {PERIOD}, at most {latest}: stop_condition, the way both ways and the tolerance"
+                "it after {PERIOD}, at most {latest}: stop_condition, the way both ways as it was seen, and the tolerance"
             );
             Err(differs(&asked.text, &came, &expected))
         }
@@ -240,7 +239,7 @@ fn lease_two_links(trial: &Trial) -> Checked {
     let mut other = trial.connect_beside()?;
     let ticket = line.held(&short(trial.pending(trial.actor()?)))?;
     chatter(trial, &mut other, &|| presence(trial), Span::from_millis(900))?;
-    line.failure(ticket, ErrorCode::LinkLost, trial.soon(20)).map_err(|unmet| match unmet {
+    line.failure(ticket, ErrorCode::LinkLost, trial.now() + trial.slack()).map_err(|unmet| match unmet {
         Unmet::Failed(why) => Unmet::Failed(format!(
             "silent for 900 ms, while another connection sent availability requests: {why}"
         )),

@@ -177,7 +177,8 @@ impl<'a> Line<'a> {
 
     /// Why nothing came: hung up, or silent for the patience.
     fn nothing(&self) -> String {
-        self.ended.clone().unwrap_or_else(|| format!("nothing within {}", self.trial.options().patience))
+        let silent = || format!("nothing within {}", self.trial.options().patience);
+        self.ended.as_ref().map_or_else(silent, |why| format!("nothing: {why}"))
     }
 
     /// The first answer to a request.
@@ -289,14 +290,18 @@ impl<'a> Line<'a> {
         let sent_at = self.trial.now();
         let sent = self.say(&Message::AvailabilityRequest(request))?;
         let until = self.trial.patience();
+        let mut last = None;
         while let Some(heard) = self.other(until)? {
-            if let Message::AvailabilityResponse(message) = heard.message
-                && message.status == Status::Ok
-            {
-                return Ok((sent, sent_at, Heard { at: heard.at, text: heard.text, message }));
+            match heard.message {
+                Message::AvailabilityResponse(message) if message.status == Status::Ok => {
+                    self.trial.saw_round_trip(heard.at - sent_at);
+                    return Ok((sent, sent_at, Heard { at: heard.at, text: heard.text, message }));
+                }
+                _ => last = Some(heard.text),
             }
         }
-        Err(differs(&sent, &self.nothing(), "an availability_response with status `OK`"))
+        let came = last.map_or_else(|| self.nothing(), |last| format!("{last} and nothing more"));
+        Err(differs(&sent, &came, "an availability_response with status `OK`"))
     }
 
     /// Whether the robot goes on answering after `before` was sent.

@@ -75,7 +75,7 @@ fn immediate_start(trial: &Trial) -> Checked {
     let accepted = line.answer(ticket)?;
     let started = line.report(ticket, &Status::Started, trial.patience())?;
     let took = started.at - accepted.at;
-    if took > trial.options().tolerance {
+    if took > trial.slack() {
         let came = format!("{} {took} after `Accepted`", started.text);
         return Err(differs(&line.asked(ticket).text, &came, "`Started` at once after `Accepted`"));
     }

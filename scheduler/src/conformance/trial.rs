@@ -42,6 +42,8 @@ pub(super) struct Trial {
     run: u64,
     next_id: Cell<u64>,
     left_held: Cell<bool>,
+    /// The longest that was seen.
+    round_trip: Cell<Span>,
 }
 
 impl Trial {
@@ -63,6 +65,7 @@ impl Trial {
             run: fastrand::u64(..),
             next_id: Cell::new(0),
             left_held: Cell::new(false),
+            round_trip: Cell::new(Span::ZERO),
         }
     }
 
@@ -249,6 +252,15 @@ impl Trial {
     pub(super) fn cancel(&self, actor: &Actor) -> ControlRequest {
         let cancel = self.request(&actor.device.id, Command::Script(Script::cancel()));
         ControlRequest { timestamp: None, ..cancel }
+    }
+
+    pub(super) fn saw_round_trip(&self, span: Span) {
+        self.round_trip.set(self.round_trip.get().max(span));
+    }
+
+    /// How much later than it happened something may be heard of: the longest way that was seen, and the tolerance.
+    pub(super) fn slack(&self) -> Span {
+        self.round_trip.get() + self.options.tolerance
     }
 
     /// A held command has been left behind by a connection that is gone.

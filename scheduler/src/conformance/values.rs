@@ -184,8 +184,8 @@ fn sensor(trial: &Trial) -> Checked {
         return Err(not_applicable("the robot declares no sensor"));
     };
     let mut line = trial.connect()?;
-    // The first exchange on a connection may take longer than those that follow.
-    let (_, asked, answered) = line.availability()?;
+    // So that the way there and back has been seen.
+    line.availability()?;
     let ticket = line.ask(&trial.request(&device.id, Command::ReadSensor))?;
     let answer = line.answer(ticket)?;
     let sent = line.asked(ticket).text.clone();
@@ -199,7 +199,7 @@ fn sensor(trial: &Trial) -> Checked {
     }
     let took = answer.at - line.asked(ticket).sent;
     let limit = parameters.max_delay.map(urrcp::Span::from_millis_f64);
-    let allowed = limit.map(|limit| limit + (answered.at - asked) + trial.options().tolerance);
+    let allowed = limit.map(|limit| limit + trial.slack());
     if let Some(allowed) = allowed.filter(|allowed| took > *allowed) {
         return Err(differs(
             &sent,

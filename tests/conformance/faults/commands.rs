@@ -1,0 +1,209 @@
+//! Faults of a robot that greets, takes values and starts.
+
+use std::time::Duration;
+
+use serde_json::{Value, json};
+
+use super::super::proxy::{Fault, Passing, Then, Way};
+use super::*;
+
+pub fn of_greeting() -> Vec<Mutant> {
+    vec![
+        mutant("the request's time is not echoed", &["availability"], |_, passing| {
+            if let Some(response) = passing.json.get_mut("availability_response") {
+                remove(response, "originate_timestamp");
+            }
+            Then::Pass
+        }),
+        mutant("the default value lies out of range", &["initialization"], |_, passing| {
+            declare(passing, |device| device["default_value"] = json!(5_000))
+        }),
+        mutant(
+            "no readable block, so nothing else is known of the robot",
+            &["initialization"],
+            |_, passing| declare(passing, |device| device["id"] = json!("x".repeat(300))),
+        ),
+        mutant("whoever does not greet is hung up on", &["skip-handshake"], |memory, passing| {
+            if passing.way == Way::ToRobot && passing.json.get("initialization_request").is_some() {
+                memory.seen.insert((passing.link, String::new()));
+            }
+            let greeted = memory.seen.contains(&(passing.link, String::new()));
+            match passing.request().is_some() && !greeted {
+                true => Then::HangUp,
+                false => Then::Pass,
+            }
+        }),
+        Mutant { robot: Robot::ClockAhead, ..mutant("the clock is two seconds ahead", &["clock"], pass) },
+    ]
+}
+
+pub fn of_values() -> Vec<Mutant> {
+    let mut all = vec![
+        // What lies beyond for a plain value lies beyond for a step.
+        mutant("less is declared than it takes", &["range", "script-range"], |_, passing| {
+            declare(passing, |device| device["available_control_types"]["position"]["max_value"] = json!(80))
+        }),
+        mutant("more is declared than it takes", &["range"], |_, passing| {
+            declare(passing, |device| device["available_control_types"]["position"]["max_value"] = json!(120))
+        }),
+        // So it is with what lies between.
+        mutant("a coarser grid is declared", &["granularity", "script-range"], |_, passing| {
+            declare(passing, |device| device["available_control_types"]["position"]["granularity"] = json!(1))
+        }),
+        mutant("steps out of range are cut to it", &["script-range"], |_, passing| {
+            edit(passing, |request| {
+                for step in request["control_value"].as_array_mut().into_iter().flatten() {
+                    step["control_value"] = json!(step["control_value"].as_f64().unwrap_or(0.0).min(90.0));
+                }
+            })
+        }),
+        mutant("unknown devices are taken for the first", &["unknown-device"], |_, passing| {
+            edit(passing, |request| {
+                if request["device_id"].as_str().is_some_and(|id| id.starts_with("no-such")) {
+                    request["device_id"] = json!("shoulder");
+                }
+            })
+        }),
+        mutant(
+            "an unsupported control type leaves what is pending",
+            &["unsupported-control-type"],
+            |_, passing| match passing.request() {
+                Some(request) if request["control_type"] == "acceleration" => {
+                    Then::Answer(answer(request, "Failed", "unsupported_control_type"))
+                }
+                _ => Then::Pass,
+            },
+        ),
+        mutant("every step is taken for a position", &["script-control-types"], |_, passing| {
+            edit(passing, |request| {
+                for step in request["control_value"].as_array_mut().into_iter().flatten() {
+                    step["control_type"] = json!("position");
+                }
+            })
+        }),
+        mutant("everything reads something", &["sensor-not-a-sensor"], |_, passing| {
+            match passing.request() {
+                Some(request) if request["control_type"] == "sensor" => {
+                    Then::Answer(answer(request, "Provide", ""))
+                }
+                _ => Then::Pass,
+            }
+        }),
+        // Its code is what three of them are told by.
+        mutant(
+            "unsupported control types have a code of their own",
+            &["unsupported-control-type", "script-control-types", "sensor-not-a-sensor"],
+            |_, passing| recode(passing, "unsupported_control_type"),
+        ),
+    ];
+    let sensors: [(&'static str, Fault); 3] = [
+        ("readings lie out of range", |_, passing| {
+            edit_response(passing, |response| {
+                if response["status"] == "Provide" {
+                    response["status_value"] = json!(1_000);
+                }
+            })
+        }),
+        ("readings are answered with OK", |_, passing| {
+            edit_response(passing, |response| {
+                if response["status"] == "Provide" {
+                    response["status"] = json!("OK");
+                }
+            })
+        }),
+        ("readings come late", |_, passing| match passing.response() {
+            Some(response) if response["status"] == "Provide" => Then::After(Duration::from_millis(600)),
+            _ => Then::Pass,
+        }),
+    ];
+    for (name, fault) in sensors {
+        let only: &[&str] = &["availability", "sensor", "sensor-not-a-sensor", "range"];
+        all.push(Mutant { robot: Robot::Rover, only, ..mutant(name, &["sensor"], fault) });
+    }
+    all
+}
+
+pub fn of_times() -> Vec<Mutant> {
+    fn shifted(passing: &mut Passing, by: f64) -> Then {
+        edit(passing, |request| {
+            if !is_script(request) && (0.0..5_000.0).contains(&offset(request)) && !is_cancel(request) {
+                request["time_offset_to_start"] = json!(offset(request) + by);
+            }
+        })
+    }
+    vec![
+        mutant("starts come 400 ms late", &["deferred-start"], |_, passing| shifted(passing, 400.0)),
+        mutant("starts come 200 ms early", &["deferred-start"], |_, passing| shifted(passing, -200.0)),
+        // Without the time of the start neither it nor the script's length can be judged.
+        mutant("starts are told without their time", &["deferred-start", "script-timing"], |_, passing| {
+            edit_response(passing, |response| {
+                if response["status"] == "Started" {
+                    remove(response, "event_timestamp");
+                }
+            })
+        }),
+        mutant("at once means in half a second", &["immediate-start"], |_, passing| {
+            edit(passing, |request| {
+                if request.get("time_offset_to_start").is_none() && !is_cancel(request) {
+                    request["time_offset_to_start"] = json!(500);
+                }
+            })
+        }),
+        mutant("late commands are played at once", &["late"], |_, passing| {
+            edit(passing, |request| {
+                if offset(request) == 1_000.0 {
+                    remove(request, "time_offset_to_start");
+                }
+            })
+        }),
+        mutant("acceptances carry no value", &["status-value"], |_, passing| {
+            edit_response(passing, |response| {
+                if response["status"] == "Accepted" {
+                    response["status_value"] = Value::Null;
+                }
+            })
+        }),
+        mutant("steps are put in order", &["script-order"], |_, passing| {
+            edit(passing, |request| {
+                if let Some(steps) = request["control_value"].as_array_mut() {
+                    steps.sort_by(|a, b| offset(a).total_cmp(&offset(b)));
+                }
+            })
+        }),
+        mutant("the last step comes 400 ms late", &["script-timing"], |_, passing| {
+            edit(passing, |request| {
+                if let Some(step) = request["control_value"].as_array_mut().and_then(|steps| steps.last_mut())
+                    && offset(step) == 300.0
+                {
+                    step["time_offset_to_start"] = json!(700);
+                }
+            })
+        }),
+        mutant("one step too few is told", &["script-timing"], |_, passing| {
+            edit_response(passing, |response| {
+                if response["status"] == "OK" && response["steps_done"] == 3 {
+                    response["steps_done"] = json!(2);
+                }
+            })
+        }),
+        mutant("more steps are declared than it takes", &["max-steps"], |_, passing| {
+            declare(passing, |d| d["available_control_types"]["script"]["max_number_of_steps"] = json!(9))
+        }),
+        mutant("fewer steps are declared than it takes", &["one-step-too-many"], |_, passing| {
+            declare(passing, |d| d["available_control_types"]["script"]["max_number_of_steps"] = json!(7))
+        }),
+        mutant("a longer queue is declared than there is", &["queue"], |_, passing| {
+            declare(passing, |device| device["script_queue"] = json!(3))
+        }),
+        mutant("a shorter queue is declared than there is", &["queue"], |_, passing| {
+            declare(passing, |device| device["script_queue"] = json!(1))
+        }),
+        mutant("what overlaps is put off", &["overlap"], |_, passing| {
+            edit(passing, |request| {
+                if offset(request) == 20_250.0 {
+                    request["time_offset_to_start"] = json!(25_000);
+                }
+            })
+        }),
+    ]
+}

@@ -1,0 +1,191 @@
+//! Faults of names, lines and connections.
+
+use serde_json::{Value, json};
+
+use super::super::proxy::{Memory, Passing, Serving, TWICE, Then, Way};
+use super::*;
+
+pub fn of_identity() -> Vec<Mutant> {
+    fn repeated(memory: &mut Memory, passing: &mut Passing) -> bool {
+        let link = passing.link;
+        let id = passing.request().and_then(|request| request["request_id"].as_str().map(str::to_owned));
+        id.is_some_and(|id| !memory.seen.insert((link, id)))
+    }
+    vec![
+        mutant("answers name no request", &["request-id"], |_, passing| {
+            edit_response(passing, |response| remove(response, "request_id"))
+        }),
+        mutant("reports name no request", &["request-id"], |_, passing| {
+            edit_response(passing, |response| {
+                if response["status"] == "Started" {
+                    remove(response, "request_id");
+                }
+            })
+        }),
+        mutant(
+            "repeated requests are not answered",
+            &["repeated-request"],
+            |memory, passing| match repeated(memory, passing) {
+                true => Then::Drop,
+                false => Then::Pass,
+            },
+        ),
+        mutant("repeated requests are executed again", &["repeated-request"], |memory, passing| {
+            if repeated(memory, passing) {
+                return edit(passing, |request| {
+                    request["request_id"] =
+                        json!(format!("{}#2", request["request_id"].as_str().unwrap_or_default()));
+                });
+            }
+            edit_response(passing, |response| {
+                if let Some(id) = response["request_id"].as_str().and_then(|id| id.strip_suffix("#2")) {
+                    response["request_id"] = json!(id);
+                }
+            })
+        }),
+        mutant("a request must have an id", &["no-request-id"], |_, passing| match passing.request() {
+            Some(request) if request.is_object() && request.get("request_id").is_none() => {
+                Then::Answer(answer(request, "Failed", "malformed"))
+            }
+            _ => Then::Pass,
+        }),
+        mutant("hashes are not echoed", &["content-hash"], |_, passing| {
+            edit_response(passing, |response| remove(response, "content_hash"))
+        }),
+        mutant("hashes are echoed unread", &["content-hash"], |memory, passing| {
+            if let Some(request) = passing.request() {
+                let hash = request.get("content_hash").cloned();
+                remove(request, "content_hash");
+                let id = request["request_id"].as_str().unwrap_or_default();
+                if let Some(Value::String(hash)) = hash {
+                    memory.seen.insert((0, format!("{id} {hash}")));
+                }
+                return Then::Pass;
+            }
+            edit_response(passing, |response| {
+                let id = format!("{} ", response["request_id"].as_str().unwrap_or_default());
+                let hash = memory.seen.iter().find_map(|(_, known)| known.strip_prefix(&id));
+                if let (Some(hash), "Accepted") = (hash, response["status"].as_str().unwrap_or_default()) {
+                    response["content_hash"] = json!(hash);
+                }
+            })
+        }),
+        mutant("sessions are not known", &["session"], |_, passing| {
+            for message in ["availability_request", "control_request"] {
+                if let Some(inside) = passing.json.get_mut(message)
+                    // A session that is too long is still a string that is too long.
+                    && inside["session"].as_str().is_some_and(|session| session.len() <= 256)
+                {
+                    remove(inside, "session");
+                }
+            }
+            Then::Pass
+        }),
+        mutant("who has the robot is a secret", &["session"], |_, passing| {
+            for message in ["availability_response", "control_response"] {
+                if let Some(error) = passing.json.pointer_mut(&format!("/{message}/error"))
+                    && error["code"] == "busy"
+                {
+                    error["message"] = json!("not now");
+                }
+            }
+            Then::Pass
+        }),
+    ]
+}
+
+pub fn of_lines() -> Vec<Mutant> {
+    vec![
+        mutant("unknown keys are refused", &["unknown-keys"], |_, passing| {
+            match passing.is_from_server("x_unknown") && passing.raw.len() < 10_000 {
+                true => Then::Answer(malformed()),
+                false => Then::Pass,
+            }
+        }),
+        mutant("unknown messages are hung up on", &["unknown-message"], |_, passing| {
+            match passing.is_from_server("x_greeting") {
+                true => Then::HangUp,
+                false => Then::Pass,
+            }
+        }),
+        mutant("what is not JSON is hung up on", &["malformed-line"], |_, passing| {
+            match passing.is_from_server("this is not JSON") || passing.is_from_server("noise on the line") {
+                true => Then::HangUp,
+                false => Then::Pass,
+            }
+        }),
+        mutant("what is not JSON is not answered", &["malformed-line"], |_, passing| {
+            match passing.is_from_server("this is not JSON") {
+                true => Then::Drop,
+                false => Then::Pass,
+            }
+        }),
+        mutant("a word for a number is zero", &["wrong-type"], |_, passing| {
+            replace(passing, "\"much\"", "0")
+        }),
+        mutant("what is not UTF-8 is mended", &["not-utf8"], |_, passing| {
+            replace(passing, "\u{fffd}\u{fffd}", "x")
+        }),
+        mutant("deep nesting is the end", &["deep-nesting"], |_, passing| {
+            match passing.is_from_server("[[[[[[[[") {
+                true => Then::HangUp,
+                false => Then::Pass,
+            }
+        }),
+        mutant("1e999 is a number", &["bad-numbers"], |_, passing| replace(passing, ":1e999", ":0")),
+        mutant("NaN is a number", &["bad-numbers"], |_, passing| replace(passing, ":NaN", ":0")),
+        mutant("long ids are cut", &["long-strings"], |_, passing| {
+            replace(passing, &"x".repeat(257), &"x".repeat(256))
+        }),
+        mutant("of two keys the last counts", &["duplicate-keys"], |_, passing| {
+            replace(passing, TWICE, "{\"control_request\":{")
+        }),
+        Mutant {
+            only: &["malformed-line", "huge-line", "half-line"],
+            ..mutant("huge lines are swallowed", &["huge-line"], |_, passing| {
+                match passing.way == Way::ToRobot && passing.raw.len() > 17_000_000 {
+                    true => Then::Drop,
+                    false => Then::Pass,
+                }
+            })
+        },
+        Mutant {
+            serving: Serving::WithoutBuffer,
+            only: &["availability", "range", "malformed-line", "half-line", "reconnect"],
+            ..mutant("half a line is taken for one", &["half-line"], pass)
+        },
+        mutant("empty lines are malformed", &["empty-lines"], |_, passing| {
+            match passing.way == Way::ToRobot && passing.raw.trim_ascii().is_empty() {
+                true => Then::Answer(malformed()),
+                false => Then::Pass,
+            }
+        }),
+    ]
+}
+
+pub fn of_links() -> Vec<Mutant> {
+    vec![
+        mutant("five hundred messages are enough", &["many-messages"], |memory, passing| {
+            if passing.way == Way::ToRobot && passing.json.get("availability_request").is_some() {
+                let count = memory.count.entry(passing.link).or_default();
+                *count += 1;
+                if *count > 500 {
+                    return Then::Drop;
+                }
+            }
+            Then::Pass
+        }),
+        Mutant {
+            serving: Serving::UnderOneLock,
+            only: &["availability", "two-links", "slow-reader"],
+            ..mutant("who does not read holds up all", &["slow-reader"], pass)
+        },
+        Mutant {
+            serving: Serving::AtMost(15),
+            only: &["availability", "reconnect"],
+            ..mutant("it is tired after fifteen connections", &["reconnect"], pass)
+        },
+        // What needs a second connection is not applicable then.
+        Mutant { serving: Serving::OneByOne, ..mutant("one connection at a time", &["two-links"], pass) },
+    ]
+}
