@@ -55,10 +55,13 @@ fn available(request: &str) -> String {
 #[track_caller]
 fn check_refused(line: String, says: &str) {
     let session = beside(line);
-    let log = session.path("set.jsonl");
-    session.run(&["run", "both.yaml", "--log-file", log.to_str().unwrap()]).says(1, &["right", says]);
-    let set = std::fs::read_to_string(log).unwrap_or_default();
-    assert!(!set.contains(r#""motion":"set""#) && !set.contains(r#""motion":"ramp""#), "{set}");
+    let ran = session.run(&["run", "both.yaml", "--format", "json"]);
+    ran.says(1, &[says]);
+    let report = ran.json();
+    assert_eq!(report["outcome"], "not_started");
+    let failures = report["failures"].as_array().unwrap();
+    assert_eq!(failures.len(), 1, "{report}");
+    assert_eq!((&failures[0]["failure"], &failures[0]["robot"]), (&"garbled".into(), &"right".into()));
 }
 
 #[test]

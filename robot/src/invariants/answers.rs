@@ -8,7 +8,7 @@ use urrcp::{
 };
 
 use super::judge::{Asked, Judge, is_refused};
-use super::model::{DeviceModel, Order, start_of};
+use super::model::{DeviceModel, Order, cancels_from, start_of};
 use super::{Violation, hold};
 use crate::robot::Robot;
 
@@ -91,14 +91,14 @@ impl Judge {
 
     /// What an empty script is to end.
     fn cancelled_by(&mut self, now: Now, request: &ControlRequest) -> HashSet<usize> {
-        let from = request.starts_at().map(Timestamp::assume_clock).filter(|from: &Now| *from > now);
+        let from = cancels_from(now, request);
         let Some(device) = self.devices.get_mut(&request.device_id) else { return HashSet::new() };
         if from.is_none() {
             device.taken_back = device.taken_back.max(request.timestamp);
         }
-        let falls = |order: &&Order| from.is_none_or(|from| !order.began && order.start >= from);
         // What has fallen already is gone from the queue: what still stands there must not fall.
-        let standing: HashSet<_> = device.queue.iter().filter(falls).map(|order| order.serial).collect();
+        let standing: HashSet<_> =
+            device.queue.iter().filter(|order| order.falls(from)).map(|order| order.serial).collect();
         &self.cancelled | &standing
     }
 

@@ -7,7 +7,7 @@ use urrcp::{
     RequestId, SessionId, Status, StatusValue, Timestamp,
 };
 
-use super::model::{DeviceModel, Heard, Order, Party};
+use super::model::{DeviceModel, Heard, Order, Party, cancels_from};
 use super::{Violation, hold};
 use crate::device::{Motion, START_LATE_MAX};
 use crate::robot::{LinkId, Output, SetValue};
@@ -23,6 +23,8 @@ pub(super) struct Judge {
     pub(super) serials: usize,
     /// Orders that were cancelled by what is being judged.
     pub(super) cancelled: HashSet<usize>,
+    /// From where on what is being judged cancels; `None`: all.
+    cancels_from: Option<Now>,
     /// Devices of which a lease has ended by what is being judged.
     lost: HashSet<DeviceId>,
 }
@@ -44,6 +46,7 @@ impl Judge {
             answers: HashMap::new(),
             serials: 0,
             cancelled: HashSet::new(),
+            cancels_from: None,
             lost: HashSet::new(),
         }
     }
@@ -83,6 +86,7 @@ impl Judge {
     fn judge(&mut self, now: Now, out: &[Output], asked: Option<&Asked<'_>>) -> Result<(), Violation> {
         self.cancelled.clear();
         self.lost.clear();
+        self.cancels_from = asked.and_then(|asked| cancels_from(now, asked.request));
         let mut answers = 0;
         for output in out {
             match (output, asked) {
@@ -187,7 +191,9 @@ impl Judge {
                     .is_some())
             }
             Some(ErrorCode::Cancelled) => {
-                let cancelled = take(device, of);
+                // Of commands without an id those are meant that fall.
+                let from = self.cancels_from;
+                let cancelled = take(device, |order| of(order) && order.falls(from));
                 self.cancelled.extend(cancelled.as_ref().map(|order| order.serial));
                 Ok(cancelled.is_some())
             }

@@ -113,6 +113,11 @@ impl Order {
         self.done == self.steps.len()
     }
 
+    /// Whether an empty script ends it: whatever has yet to begin from then on, or all.
+    pub(super) fn falls(&self, from: Option<Now>) -> bool {
+        from.is_none_or(|from| !self.began && self.start >= from)
+    }
+
     pub(super) fn next_event(&self) -> Option<Now> {
         if self.began { self.time_of(self.done) } else { Some(self.start) }
     }
@@ -144,6 +149,12 @@ impl Order {
 /// The start of a request that comes now.
 pub(super) fn start_of(now: Now, request: &ControlRequest) -> Now {
     request.starts_at().map_or(now, Timestamp::assume_clock)
+}
+
+/// From where on a request cancels, if it is an empty script of a later start.
+pub(super) fn cancels_from(now: Now, request: &ControlRequest) -> Option<Now> {
+    let empty = matches!(&request.command, Command::Script(script) if script.is_empty());
+    Some(start_of(now, request)).filter(|from| empty && *from > now)
 }
 
 /// Rates left on by a command that has ended, still under its lease.
