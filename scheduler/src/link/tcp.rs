@@ -171,7 +171,7 @@ mod tests {
             let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
             let port = listener.local_addr().unwrap().port();
             let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, speech: Speech::default() };
-            links.push(Link::open(robot, endpoint, clock.clone(), events.clone(), Duration::ZERO));
+            links.push(Link::open(robot, endpoint, clock, events.clone(), Duration::ZERO));
             // Ends when the link is dropped, at the end of the test.
             tokio::spawn(async move {
                 let (mut stream, _) = listener.accept().await.unwrap();
