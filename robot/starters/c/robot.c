@@ -927,7 +927,7 @@ static void read_request(int body)
         r->size = 0;
         if (r->script && (value == JSON_NONE || json.nodes[value].type != JSON_LIST))
             fault = "control_value is no list of steps";
-        for (item = json.nodes[body].first; item != JSON_NONE; item = json.nodes[item].next)
+        for (item = json.nodes[body].first; r->script && item != JSON_NONE; item = json.nodes[item].next)
             if (json.nodes[item].length >= 14 && !memcmp(json.nodes[item].text, "control_value_", 14))
                 fault = "only custom types take several values";
     } else {
@@ -1122,7 +1122,7 @@ static struct answer *new_answer(void)
     return oldest; /* never NULL: there are KEPT more places than commands */
 }
 
-static void control(struct link *link, int body, int64_t now)
+static void control(struct link *link, int body, int64_t heard, int64_t now)
 {
     struct request *r = &request;
     struct answer *place = NULL, passing;
@@ -1180,7 +1180,7 @@ static void control(struct link *link, int body, int64_t now)
         c->lease = r->lease;
         c->start = r->has_start ? r->start : now;
         c->end = c->start + r->steps[r->size - 1].offset;
-        c->heard = silence_ns();
+        c->heard = heard;
         c->size = r->size;
         memcpy(c->steps, r->steps, (size_t)r->size * sizeof *r->steps);
         passing.status = ACCEPTED;
@@ -1266,7 +1266,8 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
         return;
     }
     if (control_request) {
-        control(link, body, now_ns());
+        at = silence_ns(); /* ahead of the other clock, so that a lease of 0 ends before what begins at once */
+        control(link, body, at, now_ns());
         return;
     }
     has_sent = timestamp_at(body, "timestamp", &sent, &at);
@@ -1303,7 +1304,7 @@ static void link_lines(struct link *link)
             break;
         length = (size_t)(end - line);
         from += length + 1;
-        if (length && line[length - 1] == '\r')
+        while (length && strchr(" \t\r", line[length - 1]) && line[length - 1])
             length--;
         run(); /* what was due before the message comes first */
         if (link->skipping)

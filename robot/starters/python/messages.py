@@ -90,9 +90,10 @@ def instant(value):
     return found
 
 def lease(value):
-    if isinstance(value, dict):
-        return {key: period(value[key]) for key in ("pending", "running") if value.get(key) is not None}
-    return period(value)
+    if not isinstance(value, dict):
+        return period(value)
+    both = {key: None if value.get(key) is None else period(value[key]) for key in ("pending", "running")}
+    return both["pending"] if both["pending"] == both["running"] is not None else both      # the canonical form
 
 def limit(condition, phase):
     """How long a stop_condition lets the server be silent."""
@@ -134,7 +135,7 @@ class Command:
             self.start = self.sent + ns(self.time_offset_to_start)
         if self.kind in ("script", "sensor"):
             need(self.kind == "sensor" or isinstance(value, list), "control_value is no list of steps")
-            need(not any(key.startswith("control_value_") for key in body), "only custom types take several values")
+            need(self.kind == "sensor" or not any(key.startswith("control_value_") for key in body), "one value only")
             self.steps = [Step(item) for item in value] if self.kind == "script" else []
             need(all(a.offset <= b.offset for a, b in zip(self.steps, self.steps[1:])), "a step before the one ahead")
             self.value = self.hashed = [step.json for step in self.steps]

@@ -47,7 +47,7 @@ class Robot:
         """Does what is due, by time, at one instant leases before steps; returns when the next thing is due."""
         while True:
             now, due = time.time_ns(), (NEVER,)
-            shift = now - time.monotonic_ns()    # leases count silence, which setting the clock does not end
+            shift = now - time.monotonic_ns()    # leases count silence, whatever the clock is set to; never too late
             for device in self.devices.values():
                 for c in device.held + list(device.tails.values()):
                     due = min(due, (c.lease_ends(shift), 0, c.start, c.end, c.number, self.run_out, device, c))
@@ -164,7 +164,7 @@ class Robot:
                 found = {}      # no device can be made out
         else:
             if kind == "control_request":
-                return self.control(link, found, time.time_ns())
+                return self.control(link, found, time.monotonic_ns(), time.time_ns())   # in this order, see run
             busy = self.hear(link, found.get("session"), True)
             if kind == "initialization_request":
                 return link.send({"initialization_block": BLOCK})
@@ -192,7 +192,7 @@ class Robot:
         if self.owner not in (None, session):
             return f"`{BLOCK['id']}` belongs to session `{self.owner}` until that ends"
 
-    def control(self, link, c, now):
+    def control(self, link, c, heard, now):
         device, last = self.devices.get(c.device_id), self.open.get(c.request_id) or self.ended.get(c.request_id)
         busy = self.hear(link, c.session, c.kind != "sensor")
         if last:
@@ -200,7 +200,7 @@ class Robot:
         if busy and c.kind != "sensor":
             return link.send(self.response(c, "Failed", None, error={"code": "busy", "message": busy}))
         c.start = now if c.start is None else c.start
-        c.end, c.heard = c.start + (c.steps[-1].offset if c.steps else 0), time.monotonic_ns()
+        c.end, c.heard = c.start + (c.steps[-1].offset if c.steps else 0), heard
         code, message = refusal(c, device, now) or (None, None)
         if code == "unsupported_control_type":
             self.rest(device, "cancelled", "default state after an unsupported control type", now)
@@ -261,7 +261,7 @@ class Link(asyncio.Protocol):
             self.robot.run()                     # what was due before the message comes first
             if self.skipping:
                 self.skipping = False
-            elif line.rstrip(b"\r"):
+            elif line.strip():
                 self.robot.take(self, line, received)
         else:
             return asyncio.get_running_loop().call_soon(self.pump, received)
