@@ -2,7 +2,7 @@
 
 Whatever is wrong with a line is a ValueError. All times are nanoseconds.
 """
-import collections, datetime, hashlib, json, math, re, time
+import collections, datetime, hashlib, json, re, sys, time
 
 NEVER = 1 << 100
 EPOCH = datetime.datetime(1970, 1, 1, tzinfo=datetime.timezone.utc)
@@ -15,20 +15,16 @@ def parse(line):
     """The JSON of a line, and those faults in it that still let one see which device was meant."""
     faults = []
 
-    def read_number(text):
-        value = float(text)
-        if not math.isfinite(value):
-            faults.append("a number is out of range")
-        return int(value) if value.is_integer() and abs(value) < 1e16 else value    # so it is written; -0 is 0
-
     def read_object(pairs):
-        counts = collections.Counter(key for key, _ in pairs)
-        if len(counts) < len(pairs):
+        found = dict(pairs)
+        if len(found) < len(pairs):
             faults.append("a key stands twice in one object")
-        return {key: value for key, value in pairs if counts[key] == 1}
+            counts = collections.Counter(key for key, _ in pairs)
+            found = {key: value for key, value in pairs if counts[key] == 1}
+        return found
 
     try:
-        return json.loads(line.decode(), parse_int=read_number, parse_float=read_number, object_pairs_hook=read_object,
+        return json.loads(line.decode(), object_pairs_hook=read_object,
                           parse_constant=lambda text: need(False, f"{text} is not JSON")), faults
     except RecursionError:
         raise ValueError("nested too deeply") from None
@@ -58,11 +54,13 @@ def name(value):
     return string(value, 1)
 
 def number(value):
-    need(type(value) in (int, float), "not a number")
-    return value
+    need(type(value) in (int, float) and abs(value) <= sys.float_info.max, "not a number, or beyond the doubles")
+    value = float(value)
+    return int(value) if value.is_integer() and abs(value) < 1e16 else value    # so it is written; -0 is 0
 
 def period(value):
-    need(0 <= number(value) <= 1e11, "not a number of milliseconds from 0 to 1e11")
+    value = number(value)
+    need(0 <= value <= 1e11, "not a number of milliseconds from 0 to 1e11")
     return value
 
 def boolean(value):
@@ -140,8 +138,9 @@ class Command:
             need(all(a.offset <= b.offset for a, b in zip(self.steps, self.steps[1:])), "a step before the one ahead")
             self.value = self.hashed = [step.json for step in self.steps]
         else:
-            self.steps, self.value = [Step({**body, "time_offset_to_start": 0, "stop_condition": None})], value
-            self.hashed = value if len(self.steps[0].values) == 1 else self.steps[0].values
+            self.steps = [Step({**body, "time_offset_to_start": 0, "stop_condition": None})]
+            self.value = self.steps[0].values[0]
+            self.hashed = self.value if len(self.steps[0].values) == 1 else self.steps[0].values
         self.party = self.session or link        # whose messages renew the lease, and who gets the reports
         self.done = self.late = 0
         self.begun = self.started = False

@@ -24,7 +24,7 @@ class Arm:
     def read(self, device):
         return 42.5
 
-MAX_LINE = 1 << 18              # bytes: room for 1000 steps, yet read in so little time that no step waits for it
+MAX_LINE = 1 << 17              # bytes: room for 1000 steps; a step that falls due meanwhile waits until it is read
 MAX_UNREAD = 1 << 16            # bytes: a peer that leaves more is not listened to; at 16 times that it is cut off
 MAX_LINKS, KEPT = 32, 1024      # KEPT: last answers of requests that have ended; the protocol asks for 256
 SAMPLE, LATE_STEP, LATE_START, SILENCE = 20_000_000, 1_000_000, 50_000_000, 5_000_000_000    # ns, as all times here
