@@ -151,6 +151,7 @@ struct device {
     bool sensor, linear, has_default;
     bool usable[KINDS];            /* in its scripts */
     double default_value, where[KINDS];
+    enum kind primary;             /* what default_value is of */
     int queue, max_steps;
     int64_t taken_back;
     struct command commands[MAX_QUEUE];
@@ -568,7 +569,7 @@ static void rest(struct device *device, bool hold, const char *code, const char 
         if (device->kinds[i].there)
             set(device, (enum kind)i, 0);
     if (device->has_default && !hold)
-        set(device, POSITION, device->default_value);
+        set(device, device->primary, device->default_value);
     for (i = 0; i < KINDS; i++)
         device->tails[i].there = false;
     drop(device, -NEVER, code, message, now);
@@ -1419,7 +1420,6 @@ static bool read_block(void)
         device->taken_back = -NEVER;
         device->linear = json_is(&json, json_get(&json, item, "interpolation"), "linear");
         device->has_default = number_at(item, "default_value", &device->default_value);
-        device->where[POSITION] = device->has_default ? device->default_value : 0;
         device->sensor = json_get(&json, types, "sensor") != JSON_NONE;
         device->script = limits_at(types, "script");
         number_at(item, "script_queue", &queue);
@@ -1432,6 +1432,10 @@ static bool read_block(void)
             device->kinds[i] = limits_at(types, KIND_NAMES[i]);
             device->usable[i] = usable == JSON_NONE && device->kinds[i].there;
         }
+        for (i = 0; i < KINDS && !device->kinds[i].there; i++)
+            ;
+        device->primary = i < KINDS ? (enum kind)i : POSITION;
+        device->where[device->primary] = device->has_default ? device->default_value : 0;
         for (type = usable == JSON_NONE ? usable : json.nodes[usable].first; type != JSON_NONE; type = json.nodes[type].next)
             for (i = 0; i < KINDS; i++)
                 if (json_is(&json, type, KIND_NAMES[i]))
@@ -1456,7 +1460,7 @@ int main(int argc, char **argv)
         links[i].socket = -1;
     listener = listen_at(address);
     if (listener < 0) {
-        fprintf(stderr, "cannot listen on %s: %s\n", address, strerror(errno));
+        fprintf(stderr, "cannot listen on %s\n", address);
         return 1;
     }
     for (;;) {

@@ -35,7 +35,8 @@ class Device:
         self.id, self.types, self.default = spec["id"], spec["available_control_types"], spec.get("default_value")
         self.queue, self.linear = spec.get("script_queue", 1), spec.get("interpolation") == "linear"
         self.held, self.tails = [], {}           # tails: by control type, ended commands whose lease goes on
-        self.taken_back, self.where = -NEVER, {"position": self.default or 0}
+        self.primary = next((kind for kind in ("position", "speed", "acceleration") if kind in self.types), "position")
+        self.taken_back, self.where = -NEVER, {self.primary: self.default or 0}
 
 class Robot:
     def __init__(self, arm):
@@ -123,7 +124,7 @@ class Robot:
         for kind in {"speed", "acceleration"} & set(device.types):
             self.set(device, None, kind, [0], now)
         if device.default is not None and not hold:
-            self.set(device, None, "position", [device.default], now)
+            self.set(device, None, device.primary, [device.default], now)
         self.drop(device, ended, code, message, now)
 
     def response(self, c, status, value, keep=None, **more):
@@ -180,8 +181,7 @@ class Robot:
         if not any(device.held or device.tails for device in devices) and (
                 now - self.owner_heard >= SILENCE or all(other.session != self.owner for other in self.links)):
             self.owner = None
-        if claims and not self.owner:
-            self.owner = session
+        self.owner = self.owner or (session if claims else None)
         if session and session == self.owner:
             link.session = session
         link.heard, parties = now, (link, session or link.session)
