@@ -1,5 +1,6 @@
 //! Robots with one planted fault each, and the requirements that this must break: these and no others.
 
+mod codes;
 mod commands;
 mod holding;
 mod talking;
@@ -82,10 +83,12 @@ fn malformed() -> Value {
 
 /// Another code in place of one.
 fn recode(passing: &mut Passing, code: &str) -> Then {
-    if let Some(response) = passing.response()
-        && response["error"]["code"] == code
-    {
-        response["error"]["code"] = json!("internal");
+    for message in ["availability_response", "control_response"] {
+        if let Some(said) = passing.json.pointer_mut(&format!("/{message}/error/code"))
+            && said == code
+        {
+            *said = json!("internal");
+        }
     }
     Then::Pass
 }
@@ -124,12 +127,13 @@ fn replace(passing: &mut Passing, text: &str, to: &str) -> Then {
 
 /// All of them.
 pub fn all() -> Vec<Mutant> {
-    let waiting = [commands::of_times(), holding::of_leases()]
+    let waiting = [commands::of_times(), holding::of_leases(), codes::lease()]
         .into_iter()
         .flatten()
         .map(|mutant| Mutant { waits: true, ..mutant });
     let quick = [
         commands::of_greeting(),
+        codes::all(),
         commands::of_values(),
         holding::of_stops(),
         talking::of_identity(),

@@ -374,7 +374,7 @@ impl Line<'_> {
         let ticket = self.ask(&self.trial.cancel(self.trial.actor()?))?;
         let answer = self.answer(ticket)?;
         if !self.trial.reports() {
-            return Ok(answer.message.status == Status::Ok);
+            return Ok(self.trial.confirms_rest(&answer.message));
         }
         self.listen(self.trial.soon(300), |line| !line.exchanges.any_held())
     }

@@ -40,13 +40,13 @@ pub(super) const ALL: [Requirement; 5] = [
     },
 ];
 
-/// Sends an empty script and waits for its `OK`.
-fn cancels(line: &mut Line, cancel: &ControlRequest) -> Result<(), Unmet> {
+/// Sends an empty script and waits until it is confirmed.
+fn cancels(trial: &Trial, line: &mut Line, cancel: &ControlRequest) -> Result<(), Unmet> {
     let ticket = line.ask(cancel)?;
     let answer = line.answer(ticket)?;
-    match answer.message.status {
-        Status::Ok => Ok(()),
-        _ => Err(differs(&line.asked(ticket).text, &answer.text, "status `OK` to an empty script")),
+    match trial.confirms_rest(&answer.message) {
+        true => Ok(()),
+        false => Err(differs(&line.asked(ticket).text, &answer.text, "status `OK` to an empty script")),
     }
 }
 
@@ -62,7 +62,7 @@ fn cancel_pending(trial: &Trial) -> Checked {
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
     let pending = line.held(&trial.pending(actor))?;
-    cancels(&mut line, &trial.cancel(actor))?;
+    cancels(trial, &mut line, &trial.cancel(actor))?;
     is_cancelled(trial, &mut line, pending)?;
     // Nothing is held any more, so the same time is free again.
     line.held(&trial.pending(actor))?;
@@ -79,13 +79,13 @@ fn cancel_from(trial: &Trial) -> Checked {
         let cancel = ControlRequest { timestamp: first.timestamp, ..trial.cancel(actor) };
         cancel.starting_in(millis)
     };
-    cancels(&mut line, &from(LATER_MS + 1.0))?;
+    cancels(trial, &mut line, &from(LATER_MS + 1.0))?;
     line.listen(trial.soon(100), |line| line.asked(ticket).heard.len() > 1)?;
     if let Some(more) = line.asked(ticket).heard.get(1) {
         let expected = "nothing: the empty script starts 1 ms after it and leaves it alone";
         return Err(differs(&line.asked(ticket).text, &more.text, expected));
     }
-    cancels(&mut line, &from(LATER_MS))?;
+    cancels(trial, &mut line, &from(LATER_MS))?;
     line.failure(ticket, ErrorCode::Cancelled, trial.patience())?;
     pass()
 }
@@ -97,27 +97,28 @@ fn cancel_running(trial: &Trial) -> Checked {
     let request = trial.there_and_back(actor, 4_000.0).starting_in(100.0).leased(LEASE_MS);
     let ticket = line.held(&request)?;
     line.report(ticket, &Status::Started, trial.patience())?;
-    cancels(&mut line, &trial.cancel(actor))?;
+    cancels(trial, &mut line, &trial.cancel(actor))?;
     line.failure(ticket, ErrorCode::Cancelled, trial.patience())?;
     pass()
 }
 
 fn hold(trial: &Trial) -> Checked {
-    let actor = trial.actor()?;
+    let actor = trial.scripted()?;
     let mut line = trial.connect()?;
     let pending = line.held(&trial.pending(actor))?;
-    cancels(&mut line, &ControlRequest { hold: true, ..trial.cancel(actor) })?;
+    cancels(trial, &mut line, &ControlRequest { hold: true, ..trial.cancel(actor) })?;
     is_cancelled(trial, &mut line, pending)?;
     pass()
 }
 
 fn take_back(trial: &Trial) -> Checked {
-    let actor = trial.actor()?;
+    let actor = trial.scripted()?;
     let mut upload = trial.connect()?;
     let mut stop = trial.connect_beside()?;
     let overtaken = trial.pending(actor);
     let stopping = trial.cancel(actor);
     cancels(
+        trial,
         &mut stop,
         &ControlRequest { timestamp: Some(trial.stamp() + Span::from_micros(1)), ..stopping },
     )?;

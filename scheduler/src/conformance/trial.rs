@@ -7,8 +7,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use urrcp::{
-    Command, ControlRequest, DeviceId, ErrorCode, InitializationBlock, Millis, RequestId, Script, Server,
-    Setpoint, Span, Status, Step, StopCondition, Timestamp,
+    Command, ControlRequest, ControlResponse, DeviceId, ErrorCode, InitializationBlock, Millis, RequestId,
+    Script, Server, Setpoint, Span, Status, Step, StopCondition, Timestamp,
 };
 
 use super::Options;
@@ -268,6 +268,16 @@ impl Trial {
         self.left_held.set(true);
     }
 
+    /// Whether this answer to an empty script says that the device rests: `OK`, or where it takes no scripts that it
+    /// lacks this control type, which sends it to its default state as well.
+    pub(super) fn confirms_rest(&self, answer: &ControlResponse) -> bool {
+        let scripts =
+            self.actor.as_ref().is_some_and(|actor| actor.device.available_control_types.script().is_some());
+        let lacking =
+            answer.error.as_ref().is_some_and(|error| error.code == ErrorCode::UnsupportedControlType);
+        answer.status == Status::Ok || !scripts && lacking
+    }
+
     /// Brings the robot to rest, so that the next check begins as the first one did. Whether it confirmed that.
     pub(super) fn settle(&self) -> bool {
         let Some(actor) = &self.actor else { return true };
@@ -278,7 +288,7 @@ impl Trial {
                 line.answer(ticket)
             });
             match answer {
-                Ok(answer) if answer.message.status == Status::Ok => break true,
+                Ok(answer) if self.confirms_rest(&answer.message) => break true,
                 // A session whose connection has just gone may hold the robot for a moment.
                 Ok(answer)
                     if answer.message.error.as_ref().is_some_and(|error| error.code == ErrorCode::Busy) => {}

@@ -169,7 +169,6 @@ fn wrong_type(trial: &Trial) -> Checked {
         spoilt("device_id", Some(json!(7)))?,
         spoilt("control_value", Some(json!("much")))?,
         spoilt("timestamp", Some(json!("yesterday")))?,
-        spoilt("control_type", Some(json!("telepathy")))?,
         spoilt("device_id", None)?,
         spoilt("control_type", None)?,
         spoilt("control_value", None)?,

@@ -1,0 +1,68 @@
+//! Faults of robots that refuse what they must, with another code. A code is what all the checks that wait for it are told
+//! by, so one may break several.
+
+use super::{Mutant, mutant, recode};
+
+/// Those that are found out at once.
+pub fn all() -> Vec<Mutant> {
+    vec![
+        mutant("`late` has another code", &["late"], |_, passing| recode(passing, "late")),
+        mutant("`out_of_range` has another code", &["range", "script-range"], |_, passing| {
+            recode(passing, "out_of_range")
+        }),
+        mutant("`off_granularity` has another code", &["granularity", "script-range"], |_, passing| {
+            recode(passing, "off_granularity")
+        }),
+        mutant("`too_many_steps` has another code", &["one-step-too-many"], |_, passing| {
+            recode(passing, "too_many_steps")
+        }),
+        mutant("`overlap` has another code", &["overlap"], |_, passing| recode(passing, "overlap")),
+        mutant("`unknown_device` has another code", &["unknown-device"], |_, passing| {
+            recode(passing, "unknown_device")
+        }),
+        mutant("`busy` has another code", &["queue", "session"], |_, passing| recode(passing, "busy")),
+        mutant(
+            "`cancelled` has another code",
+            &[
+                "unsupported-control-type",
+                "cancel-pending",
+                "cancel-from",
+                "cancel-running",
+                "hold",
+                "take-back",
+            ],
+            |_, passing| recode(passing, "cancelled"),
+        ),
+        mutant(
+            "`malformed` has another code",
+            &[
+                "script-order",
+                "content-hash",
+                "malformed-line",
+                "wrong-type",
+                "not-utf8",
+                "bad-numbers",
+                "long-strings",
+                "duplicate-keys",
+                "huge-line",
+            ],
+            |_, passing| recode(passing, "malformed"),
+        ),
+    ]
+}
+
+/// The one that is waited for.
+pub fn lease() -> Vec<Mutant> {
+    vec![mutant(
+        "`link_lost` has another code",
+        &[
+            "lease-pending",
+            "lease-running",
+            "lease-step",
+            "lease-noise",
+            "lease-link-down",
+            "lease-two-links",
+        ],
+        |_, passing| recode(passing, "link_lost"),
+    )]
+}
