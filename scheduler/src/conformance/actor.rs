@@ -107,7 +107,7 @@ mod tests {
 
     #[test]
     fn values_lie_on_the_grid_and_within_the_limits_also_where_these_are_off_the_grid() {
-        let actor = actor(r#""position":{"min_value":-0.07,"max_value":0.3,"granularity":0.05}"#);
+        let actor = actor(r#""position":{"min_value":-0.07,"max_value":0.32,"granularity":0.05}"#);
         let (low, high) = actor.edges();
         assert!((low + 0.05).abs() < 1e-12 && (high - 0.3).abs() < 1e-12, "{low} {high}");
         let (below, above) = actor.beyond();
