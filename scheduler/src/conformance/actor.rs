@@ -11,7 +11,7 @@ pub(super) struct Actor {
     pub(super) limits: Limits,
     /// Where it goes when nothing else is asked: its default value, or zero, or the middle.
     pub(super) rest: f64,
-    /// A fiftieth of its range away from there at most, unless its granularity is coarser.
+    /// A five-hundredth of its range away from there, or a multiple of its granularity where that is more.
     pub(super) near: f64,
     /// Whether its scripts may use the control type.
     pub(super) in_script: bool,
