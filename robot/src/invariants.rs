@@ -122,7 +122,8 @@ impl Bench {
                 self.advance()
             }
             Operation::Request(request) => {
-                let Some(written) = request.written(self.now, &self.devices, self.sent.len()) else {
+                let Some(written) = request.written(self.now, &self.robot.block().devices, self.sent.len())
+                else {
                     return Ok(());
                 };
                 self.sent.push(written.clone());
@@ -186,8 +187,8 @@ impl Bench {
         self.judge.check_settled(self.now, &self.robot)
     }
 
-    fn ask(&mut self, link: u8, session: Option<u8>) -> Result<(), Violation> {
-        let (link, session) = (self.link(link), session.and_then(operation::session));
+    fn ask(&mut self, link: u8, session: u8) -> Result<(), Violation> {
+        let (link, session) = (self.link(link), operation::session(session));
         let timestamp = Some(Timestamp::from_nanos(BEGIN));
         let request = AvailabilityRequest { timestamp, session: session.clone() };
         let out = self.handle(link, Input::Message(Message::AvailabilityRequest(request)))?;

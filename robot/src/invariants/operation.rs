@@ -4,8 +4,8 @@
 
 use arbitrary::{Arbitrary, Unstructured};
 use urrcp::{
-    Command, ControlRequest, ControlType, DeviceId, Millis, RequestId, Robot, Script, SessionId, Setpoint,
-    Span, Step, StopCondition, Timestamp,
+    Command, ControlRequest, ControlType, Device, DeviceId, Millis, RequestId, Robot, Script, SessionId,
+    Setpoint, Span, Step, StopCondition, Timestamp,
 };
 
 /// Operations that are played at most: fewer than the robot remembers requests.
@@ -18,9 +18,11 @@ const TICK: Span = Span::from_millis(50);
 const NO_DEVICE: &str = "leg";
 const IDS: u8 = 8;
 const SESSIONS: u8 = 3;
+/// Below it a number stands for no session.
+const SESSIONLESS: u8 = 240;
 
 /// One thing that happens to a robot.
-#[derive(Clone, Debug, Arbitrary)]
+#[derive(Clone, Debug)]
 pub enum Operation {
     /// A control request comes.
     Request(Request),
@@ -36,7 +38,7 @@ pub enum Operation {
         /// On which link.
         link: u8,
         /// On whose behalf.
-        session: Option<u8>,
+        session: u8,
     },
     /// An initialization request comes.
     Describe {
@@ -77,7 +79,7 @@ pub struct Pause {
 #[derive(Clone, Debug, Arbitrary)]
 pub struct Request {
     pub(super) link: u8,
-    session: Option<u8>,
+    session: u8,
     device: u8,
     id: Id,
     start: Start,
@@ -87,14 +89,14 @@ pub struct Request {
     what: What,
 }
 
-#[derive(Clone, Debug, Arbitrary)]
+#[derive(Clone, Debug)]
 enum Id {
     None,
     Fresh,
     Used(u8),
 }
 
-#[derive(Clone, Debug, Arbitrary)]
+#[derive(Clone, Debug)]
 enum Start {
     AtOnce,
     /// A timestamp and no offset: a stop takes back what was sent before it.
@@ -118,14 +120,14 @@ struct Lease {
     running: Option<u8>,
 }
 
-#[derive(Clone, Debug, Arbitrary)]
+#[derive(Clone, Debug)]
 enum Hash {
     None,
     Right,
     Wrong,
 }
 
-#[derive(Clone, Debug, Arbitrary)]
+#[derive(Clone, Debug)]
 enum What {
     Set(Target),
     Script(Vec<PlannedStep>),
@@ -144,15 +146,60 @@ struct PlannedStep {
 struct Target {
     kind: u8,
     value: Value,
-    more: Option<i8>,
+    more: u8,
 }
 
-#[derive(Clone, Debug, Arbitrary)]
+#[derive(Clone, Debug)]
 enum Value {
-    Whole(i8),
+    Small(i8),
+    Wide(u8),
     Fine(i16),
     Any(f64),
 }
+
+/// Chooses by one byte: each choice with the bound below which it is taken, the last one in all other cases.
+macro_rules! chosen {
+    ($kind:ty, $bytes:ident, $($below:literal => $choice:expr,)* else $last:expr) => {
+        impl<'a> Arbitrary<'a> for $kind {
+            fn arbitrary($bytes: &mut Unstructured<'a>) -> arbitrary::Result<Self> {
+                let byte = u8::arbitrary($bytes)?;
+                $(if byte < $below {
+                    return Ok($choice);
+                })*
+                Ok($last)
+            }
+        }
+    };
+}
+
+// What goes through is chosen more often than what is refused.
+chosen!(Operation, bytes,
+    110 => Self::Request(bytes.arbitrary()?),
+    190 => Self::Wait(bytes.arbitrary()?),
+    220 => Self::Ask { link: bytes.arbitrary()?, session: bytes.arbitrary()? },
+    228 => Self::Repeat { which: bytes.arbitrary()?, link: bytes.arbitrary()? },
+    236 => Self::HeldUp(bytes.arbitrary()?),
+    242 => Self::Noise { link: bytes.arbitrary()?, device: bytes.arbitrary()? },
+    247 => Self::Break { link: bytes.arbitrary()? },
+    252 => Self::Describe { link: bytes.arbitrary()? },
+    else Self::Stray { link: bytes.arbitrary()? });
+chosen!(Id, bytes, 150 => Self::Fresh, 210 => Self::None, else Self::Used(bytes.arbitrary()?));
+chosen!(Start, bytes,
+    160 => Self::At { sent_ticks_ago: bytes.arbitrary()?, ticks: bytes.arbitrary()?, nudge: bytes.arbitrary()? },
+    220 => Self::AtOnce,
+    246 => Self::Sent { ticks_ago: bytes.arbitrary()? },
+    else Self::Anywhere { timestamp: bytes.arbitrary()?, offset: bytes.arbitrary()? });
+chosen!(Hash, bytes, 200 => Self::None, 245 => Self::Right, else Self::Wrong);
+chosen!(What, bytes,
+    120 => Self::Script(bytes.arbitrary()?),
+    200 => Self::Set(bytes.arbitrary()?),
+    246 => Self::Cancel,
+    else Self::Read);
+chosen!(Value, bytes,
+    190 => Self::Small(bytes.arbitrary()?),
+    230 => Self::Wide(bytes.arbitrary()?),
+    250 => Self::Fine(bytes.arbitrary()?),
+    else Self::Any(bytes.arbitrary()?));
 
 /// Reads bytes as operations; any bytes give some.
 #[must_use]
@@ -169,7 +216,9 @@ pub fn operations(bytes: &[u8]) -> Vec<Operation> {
 impl Pause {
     /// The instant at which it is over.
     pub(super) fn until(&self, now: Timestamp<Robot>) -> Timestamp<Robot> {
-        now.max(on_grid(now, i64::from(self.ticks)) + nudged(self.nudge))
+        // Mostly shorter than a script, now and then longer than all leases.
+        let ticks = if self.ticks < 240 { self.ticks % 12 } else { self.ticks };
+        now.max(on_grid(now, i64::from(ticks)) + nudged(self.nudge))
     }
 }
 
@@ -178,12 +227,13 @@ impl Request {
     pub(super) fn written(
         &self,
         now: Timestamp<Robot>,
-        devices: &[DeviceId],
+        devices: &[Device],
         fresh: usize,
     ) -> Option<ControlRequest> {
-        let device = usize::from(self.device) % (devices.len() + 1);
-        let device_id = devices.get(device).cloned().or_else(|| DeviceId::new(NO_DEVICE).ok())?;
-        let command = self.what.command()?;
+        let device = devices.get(usize::from(self.device % 64) % (devices.len() + 1));
+        let device_id = device.map(|device| device.id.clone()).or_else(|| DeviceId::new(NO_DEVICE).ok())?;
+        let primary = device.and_then(Device::primary_control_type).unwrap_or(ControlType::Position);
+        let command = self.what.command(primary)?;
         let id = match self.id {
             Id::None => None,
             Id::Fresh => Some(format!("fresh-{fresh}")),
@@ -200,26 +250,27 @@ impl Request {
                 Hash::Right => Some(command.content_hash()),
                 Hash::Wrong => Some(urrcp::ContentHash::of(b"another")),
             },
-            session: self.session.and_then(session),
+            session: session(self.session),
             hold: self.hold,
             ..ControlRequest::immediate(device_id, command)
         })
     }
 }
 
-/// The session of a number.
+/// The session of a number, mostly none.
 pub(super) fn session(number: u8) -> Option<SessionId> {
-    SessionId::new(format!("session-{}", number % SESSIONS)).ok()
+    let named = number.checked_sub(SESSIONLESS)?;
+    SessionId::new(format!("session-{}", named % SESSIONS)).ok()
 }
 
 impl Start {
     fn written(&self, now: Timestamp<Robot>) -> (Option<Timestamp<Robot>>, Option<Millis>) {
         match *self {
             Self::AtOnce => (None, None),
-            Self::Sent { ticks_ago } => (Some(on_grid(now, -i64::from(ticks_ago))), None),
+            Self::Sent { ticks_ago } => (Some(on_grid(now, -i64::from(ticks_ago % 8))), None),
             Self::At { sent_ticks_ago, ticks, nudge } => {
-                let sent = on_grid(now, -i64::from(sent_ticks_ago));
-                let start = on_grid(now, i64::from(ticks)) + nudged(nudge);
+                let sent = on_grid(now, -i64::from(sent_ticks_ago % 8));
+                let start = on_grid(now, i64::from(ticks.rem_euclid(16)) - 2) + nudged(nudge);
                 (Some(sent), Some(Millis::from_span(start - sent)))
             }
             Self::Anywhere { timestamp, offset } => {
@@ -231,17 +282,18 @@ impl Start {
 
 impl Lease {
     fn written(&self) -> StopCondition {
-        let millis = |ticks: u8| Millis::from_span(TICK * i64::from(ticks));
+        let millis = |ticks: u8| Millis::from_span(TICK * i64::from(ticks % 24));
         StopCondition { pending: self.pending.map(millis), running: self.running.map(millis) }
     }
 }
 
 impl What {
-    fn command(&self) -> Option<Command> {
+    fn command(&self, primary: ControlType) -> Option<Command> {
         Some(match self {
-            Self::Set(target) => Command::Set(target.setpoint()),
+            Self::Set(target) => Command::Set(target.setpoint(primary)),
             Self::Script(planned) => {
-                let mut steps: Vec<_> = planned.iter().take(STEPS_MAX).map(PlannedStep::step).collect();
+                let mut steps: Vec<_> =
+                    planned.iter().take(STEPS_MAX).map(|step| step.written(primary)).collect();
                 steps.sort_by(|a, b| a.offset.get().total_cmp(&b.offset.get()));
                 Command::Script(Script::new(steps).ok()?)
             }
@@ -252,31 +304,33 @@ impl What {
 }
 
 impl PlannedStep {
-    fn step(&self) -> Step {
-        let offset = Millis::from_span(TICK * i64::from(self.ticks % 16));
+    fn written(&self, primary: ControlType) -> Step {
+        let offset = Millis::from_span(TICK * i64::from(self.ticks % 8));
         Step {
             offset,
-            setpoint: self.target.setpoint(),
+            setpoint: self.target.setpoint(primary),
             stop_condition: self.lease.as_ref().map(Lease::written),
         }
     }
 }
 
 impl Target {
-    fn setpoint(&self) -> Setpoint {
-        let control_type = match self.kind % 8 {
-            0..=2 => ControlType::Position,
-            3 | 4 => ControlType::Speed,
-            5 => ControlType::Acceleration,
-            6 => ControlType::Custom(1),
+    fn setpoint(&self, primary: ControlType) -> Setpoint {
+        let control_type = match self.kind % 32 {
+            0..=23 => primary,
+            24 | 25 => ControlType::Position,
+            26..=28 => ControlType::Speed,
+            29 => ControlType::Acceleration,
+            30 => ControlType::Custom(1),
             _ => ControlType::Custom(2),
         };
         let value = match self.value {
-            Value::Whole(whole) => f64::from(whole),
+            Value::Small(small) => f64::from(small.rem_euclid(12) - 1),
+            Value::Wide(wide) => f64::from(wide) / 2.0,
             Value::Fine(fine) => f64::from(fine) / 64.0,
             Value::Any(any) => Some(any).filter(|any| any.is_finite()).unwrap_or_default(),
         };
-        Setpoint { control_type, value, more: self.more.map(f64::from).into_iter().collect() }
+        Setpoint { control_type, value, more: (self.more > 240).then_some(0.5).into_iter().collect() }
     }
 }
 
