@@ -336,7 +336,7 @@ impl Executor {
         }
     }
 
-    /// Hardware goes to its default state; the threads of the drivers end when they have seen to that.
+    /// Hardware goes to its default state; the drivers' threads end when they have seen to that, as their ends here are gone.
     fn shut_down(mut self) {
         for robot in 0..self.robots.len() {
             if self.drivers[robot].is_none() {
@@ -346,7 +346,6 @@ impl Executor {
             self.robots[robot].drive(now, |machine, now, out| machine.shut_down(now, out));
             self.advance(robot);
         }
-        self.drivers.iter().flatten().for_each(|driver| driver.mailbox.close());
     }
 
     /// Passes on what a robot wants of its hardware.

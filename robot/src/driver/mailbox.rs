@@ -96,13 +96,17 @@ impl Mailbox {
     ) {
         let mut state = self.lock();
         state.next_due = next_due;
-        for order in orders {
-            if state.connection == connection && connection > 0 {
+        let mut any = false;
+        for order in orders.filter(|_| connection > 0) {
+            if state.connection == connection {
                 state.put(order);
+                any = true;
             }
         }
         drop(state);
-        self.changed.notify_all();
+        if any {
+            self.changed.notify_all();
+        }
     }
 
     /// No more will come: what is in is still to be done.

@@ -34,6 +34,7 @@ const LIFT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices"
 #[derive(Default)]
 struct Bench {
     broken: AtomicBool,
+    panics: AtomicBool,
     takes_ramps: bool,
     /// Until a test lets it, a `set` does not return.
     busy: AtomicBool,
@@ -49,6 +50,7 @@ impl Fake {
         if self.bench.broken.load(Ordering::SeqCst) {
             return Err(DriverError::Away("pulled out".to_owned()));
         }
+        assert!(!self.bench.panics.load(Ordering::SeqCst), "a fault of the driver itself");
         let _test_is_over = self.done.send(what);
         Ok(())
     }
@@ -138,6 +140,16 @@ impl Rig {
         }
     }
 
+    /// What is done with the hardware next, pings aside.
+    #[track_caller]
+    fn next_done(&self, expected: &[&str]) {
+        for expected in expected {
+            let next = || self.done.recv_timeout(Duration::from_secs(60)).unwrap();
+            let done = std::iter::repeat_with(next).find(|what| what != "ping");
+            assert_eq!(done.as_deref(), Some(*expected));
+        }
+    }
+
     /// What was done with the hardware up to its end, pings aside.
     fn stop(self) -> Vec<String> {
         let Self { host, done, link, .. } = self;
@@ -152,7 +164,7 @@ const PLAYED: [Status; 3] = [Status::Accepted, Status::Started, Status::Ok];
 #[tokio::test]
 async fn values_reach_the_hardware_in_order_and_in_the_end_the_default_state() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
-    rig.script("wheel", "a", &[(0.0, 4.0), (50.0, -4.0), (100.0, 2.0)], ControlType::Speed);
+    rig.script("wheel", "a", &[(0.0, 4.0), (300.0, -4.0), (600.0, 2.0)], ControlType::Speed);
     rig.responses(&PLAYED).await;
     assert_eq!(rig.stop(), ["connect", "wheel 4", "wheel -4", "wheel 2", "arm 3", "wheel 0"]);
 }
@@ -172,15 +184,14 @@ async fn hardware_that_was_only_looked_at_is_not_moved() {
 async fn an_edge_of_its_own_brings_its_devices_to_rest_when_it_finds_them() {
     let options = DriverOptions { at_start: AtStart::Default, ..DriverOptions::default() };
     let rig = Rig::new(Bench::default(), options);
-    let begun: Vec<_> = rig.done.iter().filter(|what| what != "ping").take(3).collect();
-    assert_eq!(begun, ["connect", "arm 3", "wheel 0"]);
+    rig.next_done(&["connect", "arm 3", "wheel 0"]);
 }
 
 #[tokio::test]
 async fn a_linear_movement_is_sampled_on_the_grid_and_ends_on_its_target() {
     let options = DriverOptions { samples_per_second: 200.0, ..DriverOptions::default() };
     let mut rig = Rig::new(Bench::default(), options);
-    rig.script("arm", "a", &[(300.0, 30.0)], ControlType::Position);
+    rig.script("arm", "a", &[(600.0, 30.0)], ControlType::Position);
     rig.responses(&PLAYED).await;
     let done = rig.stop();
     let end = done.iter().rposition(|what| what == "arm 30").unwrap();
@@ -215,7 +226,7 @@ async fn an_edge_that_ends_lets_its_devices_slow_down_to_their_default_state() {
 async fn a_driver_that_moves_linearly_by_itself_is_told_the_whole_way() {
     let bench = Bench { takes_ramps: true, ..Bench::default() };
     let mut rig = Rig::new(bench, DriverOptions::default());
-    rig.script("arm", "a", &[(0.0, 3.0), (60.0, 30.0)], ControlType::Position);
+    rig.script("arm", "a", &[(0.0, 3.0), (400.0, 30.0)], ControlType::Position);
     rig.responses(&PLAYED).await;
     let done = rig.stop();
     assert_eq!(done, ["connect", "arm 3", "arm ramp to 30", "arm 30", "arm 3", "wheel 0"]);
@@ -230,8 +241,7 @@ async fn a_slow_device_skips_what_is_out_of_date_and_the_machine_does_not_wait()
     // All is reported while the first value still hangs in the driver.
     rig.responses(&PLAYED).await;
     rig.bench.busy.store(false, Ordering::SeqCst);
-    let done: Vec<_> = rig.done.iter().filter(|what| what.starts_with("wheel")).take(2).collect();
-    assert_eq!(done, ["wheel 0", "wheel 7"]);
+    rig.next_done(&["connect", "wheel 0", "wheel 7"]);
 }
 
 #[tokio::test]
@@ -239,6 +249,7 @@ async fn hardware_that_fails_under_a_script_fails_it_and_starts_anew_from_its_de
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
     rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 4"]);
     rig.bench.broken.store(true, Ordering::SeqCst);
     // Found out by a ping, since nothing more is due.
     let failed = rig.response().await;
@@ -249,10 +260,20 @@ async fn hardware_that_fails_under_a_script_fails_it_and_starts_anew_from_its_de
     rig.script("wheel", "b", &[(0.0, 5.0)], ControlType::Speed);
     assert_eq!(rig.response().await.error.unwrap().code, ErrorCode::Internal);
     rig.bench.broken.store(false, Ordering::SeqCst);
-    let done: Vec<_> = rig.done.iter().filter(|what| what != "ping").take(5).collect();
-    assert_eq!(done, ["connect", "wheel 4", "connect", "arm 3", "wheel 0"]);
+    rig.next_done(&["connect", "arm 3", "wheel 0"]);
     rig.script("wheel", "c", &[(0.0, 5.0)], ControlType::Speed);
     rig.responses(&PLAYED).await;
+}
+
+#[tokio::test]
+async fn a_driver_that_panics_fails_what_runs_and_leaves_the_host_alone() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.bench.panics.store(true, Ordering::SeqCst);
+    rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    let failed = rig.response().await;
+    assert!(failed.error.unwrap().message.contains("its driver panicked"));
+    assert_eq!(rig.stop(), ["connect"]);
 }
 
 #[test]

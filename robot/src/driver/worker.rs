@@ -211,6 +211,17 @@ impl Worker {
     }
 }
 
+impl Drop for Worker {
+    /// A driver that panics is hardware that is away, for good.
+    fn drop(&mut self) {
+        if std::thread::panicking() {
+            self.mailbox.disconnected();
+            (self.tell)(News::Away { reason: "its driver panicked".to_owned() });
+            self.mailbox.tried();
+        }
+    }
+}
+
 impl Movement {
     fn now(&self) -> urrcp::Timestamp<urrcp::Robot> {
         self.clock.now().assume_clock() + self.ahead

@@ -59,6 +59,12 @@ pub(super) struct Attached {
     at_start: AtStart,
 }
 
+impl Drop for Attached {
+    fn drop(&mut self) {
+        self.mailbox.close();
+    }
+}
+
 impl Attached {
     /// Passes on what is wanted of the hardware.
     pub(super) fn post(&self, robot: &mut SimulatedRobot, clock: &crate::clock::HostClock) {
