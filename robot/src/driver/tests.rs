@@ -298,6 +298,7 @@ fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_o
     mailbox.post(1, [set("a", 6.0)].into_iter(), None);
     mailbox.disconnected();
     mailbox.connected(2);
+    mailbox.post(1, [set("a", 7.0)].into_iter(), None);
     assert!(matches!(
         mailbox.next(HostClock::anchored().instant_of(Timestamp::from_nanos(0))),
         mailbox::Work::Closed
