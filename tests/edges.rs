@@ -108,6 +108,9 @@ fn await_that(what: &str, holds: impl Fn() -> bool) {
     }
 }
 
+/// Enough for a machine that does much else.
+const LEAD: &str = "3s";
+
 const SCENARIO: &str = "scenario: tanks
 start_tolerance: 60ms
 cues:
@@ -149,7 +152,7 @@ fn two_thrift_robots_start_together_and_are_sent_every_value_in_order() {
     let tanks = ["1.log", "2.log"].map(|log| Tank::start(&session, log, 0));
     let addresses = tanks.each_ref().map(|(_, port)| format!("thrift://127.0.0.1:{port}"));
     session.file("fleet.yaml", fleet(&addresses, "above 12"));
-    let ran = session.run(&["run", "tanks.yaml", "--format", "json"]);
+    let ran = session.run(&["run", "tanks.yaml", "--lead", LEAD, "--format", "json"]);
     assert_eq!(ran.code(), 0, "{}", ran.text());
     let report = ran.json();
     assert_eq!(report["outcome"], "done", "{report:#}");
@@ -183,7 +186,7 @@ fn a_thrift_robot_that_is_not_there_keeps_all_from_starting_and_is_named() {
     let addresses = [port, gone_port].map(|port| format!("thrift://127.0.0.1:{port}"));
     session.file("fleet.yaml", fleet(&addresses, "above 12"));
     session
-        .run(&["run", "tanks.yaml"])
+        .run(&["run", "tanks.yaml", "--lead", LEAD])
         .says(1, &["not started", "tank-2", "the hardware is away: no connection to"]);
     assert_eq!(sets(&session, "1.log"), Vec::<String>::new());
     drop(tank);
@@ -201,8 +204,11 @@ fn an_edge_outlives_the_restart_of_its_robot_and_does_not_go_on_in_the_middle() 
     );
     session.file("fleet.yaml", plain);
     await_that("the default state at the start", || sets(&session, "1.log").len() == 2);
-    let running =
-        session.command(&["run", "tanks.yaml"]).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn();
+    let running = session
+        .command(&["run", "tanks.yaml", "--lead", LEAD])
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped())
+        .spawn();
     let running = running.unwrap();
     await_that("the second step", || of("left", &sets(&session, "1.log")).contains(&-20.0));
     drop(tank);
@@ -213,7 +219,7 @@ fn an_edge_outlives_the_restart_of_its_robot_and_does_not_go_on_in_the_middle() 
     await_that("the default state of the restarted robot", || sets(&session, "2.log").len() >= 2);
     assert_eq!(sets(&session, "2.log"), ["left 0", "right 0"]);
     session.file("tanks.yaml", SCENARIO);
-    let ran = session.run(&["run", "tanks.yaml"]);
+    let ran = session.run(&["run", "tanks.yaml", "--lead", LEAD]);
     assert_eq!(ran.code(), 0, "{}", ran.text());
     edge.terminate();
     let sets = sets(&session, "2.log");
@@ -238,9 +244,9 @@ fn a_shell_script_drives_a_robot_and_is_restarted_when_it_dies() {
     session.file("fleet.yaml", plain);
     let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
     await_that("the default state", || driven().lines().count() >= 3);
-    session.run(&["run", "tanks.yaml"]).says(0, &["done"]);
+    session.run(&["run", "tanks.yaml", "--lead", LEAD]).says(0, &["done"]);
     session.file("tanks.yaml", "scenario: fatal\ncues: [{at: 0s, robots: tanks, tracks: {left: [{at: 0s, to: 66}, {at: 60s, to: 0}]}}]\n");
-    let ran = session.run(&["run", "tanks.yaml"]);
+    let ran = session.run(&["run", "tanks.yaml", "--lead", LEAD]);
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
     assert!(ran.text().contains("the program `sh drive.sh driven.txt` has ended"), "{}", ran.text());
     let anew = "set left position 66\nhello\nset left position 0\nset right position 0\n";
