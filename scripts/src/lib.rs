@@ -5,6 +5,7 @@
 //! carry a path into the tree; `locate` turns it into line and column only when there is something to report, and
 //! `render` shows it.
 
+mod address;
 mod budget;
 mod compile;
 mod duration;
@@ -30,12 +31,13 @@ mod source;
 mod tags;
 pub mod timing;
 
+pub use address::{Address, NoAddress};
 pub use compile::{Compiled, compile};
 pub use duration::parse_duration;
 pub use files::{Files, Folder, NoFiles};
 pub use finding::{Code, Finding, Related, Severity};
 pub use fleet::{
-    Address, Fault, Fleet, FleetRobot, Handshake, RateLimits, RobotClock, SimulationSettings, read_fleet,
+    Fault, Fleet, FleetRobot, Handshake, RateLimits, RobotClock, SimulationSettings, read_fleet,
 };
 pub use init::{init_of, init_text, read_init};
 pub use plan::{

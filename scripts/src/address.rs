@@ -1,0 +1,87 @@
+//! Where robots are reached, as the fleet file and the command line write it.
+
+use std::fmt;
+use std::str::FromStr;
+
+/// Where a robot is reached.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Address {
+    /// `sim`: simulated in the same process.
+    Simulated,
+    /// `tcp://host:port`.
+    Tcp {
+        /// Host name or address.
+        host: String,
+        /// Port.
+        port: u16,
+    },
+    /// `thrift://host:port`: a robot that speaks the early Thrift form, driven from this process.
+    Thrift {
+        /// Host name or address.
+        host: String,
+        /// Port.
+        port: u16,
+    },
+    /// `program:COMMAND`: a robot driven from this process by a program.
+    Program {
+        /// A command line of the shell.
+        command: String,
+    },
+}
+
+impl fmt::Display for Address {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Simulated => f.write_str("sim"),
+            Self::Tcp { host, port } => write!(f, "tcp://{host}:{port}"),
+            Self::Thrift { host, port } => write!(f, "thrift://{host}:{port}"),
+            Self::Program { command } => write!(f, "program:{command}"),
+        }
+    }
+}
+
+/// A text is no address.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct NoAddress;
+
+/// What an address looks like.
+pub(crate) const ADDRESS: &str = "`sim`, tcp://host:port, thrift://host:port or program:COMMAND";
+
+impl fmt::Display for NoAddress {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "expected {ADDRESS}")
+    }
+}
+
+impl std::error::Error for NoAddress {}
+
+impl FromStr for Address {
+    type Err = NoAddress;
+
+    /// Reads an address as the fleet file writes it.
+    fn from_str(text: &str) -> Result<Self, NoAddress> {
+        Self::parse(text).ok_or(NoAddress)
+    }
+}
+
+impl Address {
+    fn parse(text: &str) -> Option<Self> {
+        if text == "sim" {
+            return Some(Self::Simulated);
+        }
+        let (scheme, rest) = text.split_once(':')?;
+        if scheme == "program" {
+            let command = rest.trim().to_owned();
+            return (!command.is_empty()).then_some(Self::Program { command });
+        }
+        let (host, port) = rest.strip_prefix("//")?.rsplit_once(':')?;
+        let port = port.parse::<u16>().ok().filter(|port| *port > 0)?;
+        let host = host.trim_start_matches('[').trim_end_matches(']').to_owned();
+        match scheme {
+            _ if host.is_empty() => None,
+            "tcp" => Some(Self::Tcp { host, port }),
+            "thrift" => Some(Self::Thrift { host, port }),
+            _ => None,
+        }
+    }
+}
