@@ -8,8 +8,8 @@ use std::hint::black_box;
 use rustix::time::{ClockId, clock_gettime};
 use serde::{Deserialize, Serialize};
 use urrcp::{
-    Command, ControlRequest, ControlType, DeviceId, Encoding, LineDecoder, Message, Millis, RequestId,
-    Script, Setpoint, Step, StopCondition, Timestamp, encode, encode_as,
+    Command, ControlRequest, ControlType, Decoder, DeviceId, Encoding, Message, Millis, RequestId, Script,
+    Setpoint, Step, StopCondition, Timestamp, encode, encode_as,
 };
 
 /// Every measurement is the median of so many, taken in turn with its baseline.
@@ -77,7 +77,7 @@ fn decoding(steps: u32) {
     encode(&message, &mut line);
     let mut frame = Vec::new();
     encode_as(Encoding::MessagePack, &message, &mut frame);
-    let (mut lines, mut frames) = (LineDecoder::default(), LineDecoder::default());
+    let (mut lines, mut frames) = (Decoder::default(), Decoder::default());
     let mut works: Vec<(&str, Work<'_>)> = vec![
         (
             "serde_json::Value",

@@ -110,11 +110,12 @@ fn advance(robot: &mut Robot, until: Timestamp<urrcp::Robot>, said: &mut Vec<Str
 
 fn note(at: Timestamp<urrcp::Robot>, out: Vec<Output>, said: &mut Vec<String>) {
     for output in out {
-        let Output::Send { message, .. } = output else { continue };
+        let Output::Send { link, message } = output else { continue };
+        let arrow = if link == LinkId(1) { "<-" } else { "<=" };
         let mut line = Vec::new();
         urrcp::encode(&message, &mut line);
         let text = String::from_utf8(line).unwrap();
-        said.push(format!("{} <- {}", &at.to_string()[11..26], text.trim_end()));
+        said.push(format!("{} {arrow} {}", &at.to_string()[11..26], text.trim_end()));
     }
 }
 
@@ -133,13 +134,17 @@ fn the_exchanges_in_the_protocol_document_are_what_the_robot_says() {
         for line in exchange.lines() {
             let at = instant(&line[..15]);
             advance(&mut robot, at, &mut said);
-            if line[16..].starts_with("<-") {
-                told.push(line.to_owned());
-                continue;
-            }
+            let link = match &line[16..18] {
+                "->" => LinkId(1),
+                "=>" => LinkId(2),
+                _ => {
+                    told.push(line.to_owned());
+                    continue;
+                }
+            };
             let message = serde_json::from_str(&line[19..]).unwrap_or_else(|e| panic!("{e}: {line}"));
             let mut out = Vec::new();
-            robot.handle(at, LinkId(1), Input::Message(message), &mut out);
+            robot.handle(at, link, Input::Message(message), &mut out);
             note(at, out, &mut said);
         }
         assert_eq!(told.join("\n"), said.join("\n"));
@@ -174,7 +179,7 @@ fn the_frame_in_the_document_is_the_frame_of_its_message() {
     let mut written = Vec::new();
     urrcp::encode_as(urrcp::Encoding::MessagePack, &message, &mut written);
     assert_eq!(written, frame);
-    let mut decoder = urrcp::LineDecoder::default();
+    let mut decoder = urrcp::Decoder::default();
     decoder.push(&frame);
     assert_eq!(decoder.next_message(), Some(Ok(message)));
 }

@@ -5,7 +5,7 @@ use std::net::{TcpListener, TcpStream};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex};
 
-use urrcp::{Encoding, LineDecoder, Message};
+use urrcp::{Decoder, Encoding, Message};
 
 use crate::session::{ARM, PROGRAM, Session};
 
@@ -53,7 +53,7 @@ struct Overheard {
 
 impl Overheard {
     fn messages(bytes: &Mutex<Vec<u8>>) -> Vec<(Encoding, Message)> {
-        let mut decoder = LineDecoder::default();
+        let mut decoder = Decoder::default();
         decoder.push(&bytes.lock().unwrap());
         let next = || decoder.next_message().map(|decoded| (decoder.encoding(), decoded.unwrap()));
         std::iter::from_fn(next).collect()

@@ -5,7 +5,7 @@ use std::fs;
 use downbeat_robot::{Input, LinkId, Output, Robot};
 use serde::Deserialize;
 use serde_json::Value;
-use urrcp::{ControlResponse, DecodeError, Encoding, LineDecoder, Message, Timestamp};
+use urrcp::{ControlResponse, DecodeError, Decoder, Encoding, Message, Timestamp};
 
 use crate::schema::validator;
 use crate::session::root;
@@ -41,7 +41,7 @@ fn vectors() -> Vec<Vector> {
 }
 
 fn decode(bytes: &[u8]) -> Result<Message, DecodeError> {
-    let mut decoder = LineDecoder::default();
+    let mut decoder = Decoder::default();
     decoder.push(bytes);
     let decoded = decoder.next_message().unwrap();
     assert!(decoder.next_message().is_none(), "one line");

@@ -23,7 +23,7 @@ mod time;
 #[cfg(test)]
 mod wire_tests;
 
-pub use codec::{DecodeError, DecodeErrorKind, Encoding, LineDecoder, encode, encode_as};
+pub use codec::{DecodeError, DecodeErrorKind, Decoder, Encoding, encode, encode_as};
 pub use content_hash::ContentHash;
 pub use control_type::ControlType;
 pub use error::{ControlError, ErrorCode};

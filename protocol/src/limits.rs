@@ -58,6 +58,18 @@ pub enum LimitError {
     /// A script has more than [`SCRIPT_STEPS_MAX`] steps.
     #[error("more than {SCRIPT_STEPS_MAX} steps in one script")]
     StepCount,
+    /// A device's default state lies outside what it can take.
+    #[error("default_value {value} of device `{id}`, expected {min} to {max}")]
+    DefaultValue {
+        /// Which device.
+        id: String,
+        /// Its default value.
+        value: f64,
+        /// Lower bound of its first control type.
+        min: f64,
+        /// Upper bound.
+        max: f64,
+    },
     /// The lower bound lies above the upper one.
     #[error("min_value {min} lies above max_value {max}")]
     EmptyRange {

@@ -34,6 +34,9 @@ pub fn message_schema() -> Value {
         .to_value()
 }
 
+/// The control types of a step.
+const MOTION: &str = "^(position|speed|acceleration|custom_(0|[1-9][0-9]{0,9}))$";
+
 /// The keys `control_value_2` to `control_value_256`.
 const FURTHER_VALUES: &str = "^control_value_([2-9]|[1-9][0-9]|1[0-9][0-9]|2[0-4][0-9]|25[0-6])$";
 
@@ -128,12 +131,12 @@ schema_of!(Step, "Step", |generator| {
             "time_offset_to_start": offset,
             "control_type": {
                 "type": "string",
-                "pattern": "^(position|speed|acceleration|custom_(0|[1-9][0-9]{0,9}))$",
+                "pattern": MOTION,
             },
             "control_value": {"type": "number"},
             "stop_condition": stop_condition,
         },
-        "patternProperties": {(FURTHER_VALUES): {"type": "number"}},
+        "patternProperties": {(FURTHER_VALUES): {"type": ["number", "null"]}},
         "required": ["time_offset_to_start", "control_type", "control_value"],
         "propertyNames": {"anyOf": [
             {"pattern": FURTHER_VALUES},
@@ -159,9 +162,12 @@ schema_of!(ControlRequest, "ControlRequest", |generator| {
     let script = generator.subschema_for::<Script>();
     let mut keys = ControlRequestKeys::json_schema(generator);
     keys.insert("description".into(), "Drives, reads or stops one device.".into());
-    keys.insert("patternProperties".into(), serde_json::json!({(FURTHER_VALUES): {"type": "number"}}));
+    keys.insert(
+        "patternProperties".into(),
+        serde_json::json!({(FURTHER_VALUES): {"type": ["number", "null"]}}),
+    );
     let of_script = serde_json::json!({"properties": {"control_type": {"const": "script"}}});
-    let of_sensor = serde_json::json!({"properties": {"control_type": {"const": "sensor"}}});
+    let of_motion = serde_json::json!({"properties": {"control_type": {"pattern": MOTION}}});
     keys.insert(
         "allOf".into(),
         serde_json::json!([
@@ -174,8 +180,9 @@ schema_of!(ControlRequest, "ControlRequest", |generator| {
                     "propertyNames": {"not": {"pattern": "^control_value_"}},
                 },
                 "else": {
-                    "if": of_sensor,
-                    "else": {"properties": {"control_value": {"type": "number"}}, "required": ["control_value"]},
+                    "if": of_motion,
+                    "then": {"properties": {"control_value": {"type": "number"}}, "required": ["control_value"]},
+                    "else": {"properties": {"control_value": {"type": ["number", "array", "null"]}}},
                 },
             },
         ]),
@@ -203,8 +210,8 @@ struct ControlRequestKeys {
     session: Option<SessionId>,
     /// With an empty script: the device stays where it is instead of going to its default state.
     hold: Option<bool>,
-    /// One of the device's available control types.
-    control_type: ControlType,
+    /// One of the device's available control types; a name that is none is one that the device lacks.
+    control_type: Label,
 }
 
 schema_of!(ControlTypes, "ControlTypes", |generator| {

@@ -3,8 +3,8 @@
 mod arbitrary;
 
 use crate::{
-    Command, ControlRequest, ControlType, DecodeErrorKind, DeviceId, Encoding, ErrorCode, LineDecoder,
-    Message, Millis, RequestId, Script, Setpoint, Step, StopCondition, encode, encode_as,
+    Command, ControlRequest, ControlType, DecodeErrorKind, Decoder, DeviceId, Encoding, ErrorCode, Message,
+    Millis, RequestId, Script, Setpoint, Step, StopCondition, encode, encode_as,
 };
 
 /// The paper's own script, 45, 0, 45, as `docs/protocol.md` shows it.
@@ -18,7 +18,7 @@ const SERVO_ARM: &str = r#"{"initialization_block": {"id": "arm-1", "name": "lef
      "script":   {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25, "max_number_of_steps": 64, "control_types": ["position"]}}}]}}"#;
 
 fn decode_one(line: &str) -> Result<Message, crate::DecodeError> {
-    let mut decoder = LineDecoder::default();
+    let mut decoder = Decoder::default();
     decoder.push(line.replace('\n', " ").as_bytes());
     decoder.push(b"\n");
     decoder.next_message().expect("a whole line gives a message or an error")
@@ -206,7 +206,7 @@ fn unknown_keys_are_ignored_so_that_versions_can_differ() {
 
 #[test]
 fn a_line_over_the_limit_is_dropped_once_and_the_next_is_read() {
-    let mut decoder = LineDecoder::new(64);
+    let mut decoder = Decoder::new(64);
     for _ in 0..1000 {
         decoder.push(&[b'x'; 50]);
         if let Some(error) = decoder.next_message() {
@@ -220,7 +220,7 @@ fn a_line_over_the_limit_is_dropped_once_and_the_next_is_read() {
 
 #[test]
 fn bytes_that_are_no_message_give_typed_errors() {
-    let mut decoder = LineDecoder::default();
+    let mut decoder = Decoder::default();
     decoder.push(b"\xff\xfe\nnot json\n");
     decoder.push("[".repeat(100_000).as_bytes());
     decoder.push(b"\n{\"availability_request\":{},\"x\":1}\n");
@@ -366,7 +366,7 @@ fn a_content_hash_depends_on_the_steps_alone() {
 fn through(encoding: Encoding, message: &Message) -> Message {
     let mut bytes = Vec::new();
     encode_as(encoding, message, &mut bytes);
-    let mut decoder = LineDecoder::default();
+    let mut decoder = Decoder::default();
     decoder.push(&bytes);
     let decoded = decoder.next_message().unwrap().unwrap();
     assert_eq!(decoder.encoding(), encoding);
@@ -387,7 +387,7 @@ proptest::proptest! {
 
     #[test]
     fn no_bytes_make_the_decoder_panic(bytes: Vec<u8>, cut in 0usize..64) {
-        let mut decoder = LineDecoder::new(256);
+        let mut decoder = Decoder::new(256);
         let (a, b) = bytes.split_at(cut.min(bytes.len()));
         decoder.push(a);
         while decoder.next_message().is_some() {}
@@ -397,7 +397,7 @@ proptest::proptest! {
 
     #[test]
     fn a_stream_cut_anywhere_gives_the_same_messages(cut in 0usize..PAPER_SCRIPT.len()) {
-        let mut decoder = LineDecoder::default();
+        let mut decoder = Decoder::default();
         decoder.push(&PAPER_SCRIPT.as_bytes()[..cut]);
         proptest::prop_assert!(decoder.next_message().is_none());
         decoder.push(&PAPER_SCRIPT.as_bytes()[cut..]);

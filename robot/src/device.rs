@@ -66,6 +66,8 @@ pub(crate) enum Effect {
 
 /// A robot that was held up so long over a start, as by a stopped process, lets it be: late is out of sync.
 pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
+/// A stop takes back what is sent up to so long after its receipt, whatever its own timestamp.
+pub(crate) const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
 /// A step that is done later than this after its deadline counts as late.
 const LATE: Span = Span::from_millis(1);
 
@@ -341,9 +343,11 @@ impl DeviceMachine {
         }
     }
 
-    /// A stop that was sent then has arrived: what was sent before it and comes behind it must not begin.
-    pub(crate) fn take_back(&mut self, sent: Timestamp<Server>) {
-        self.taken_back = self.taken_back.max(Some(sent));
+    /// A stop that was sent then has arrived: what was sent before it and comes behind it must not begin. A clock that
+    /// is far ahead does not block the device for good.
+    pub(crate) fn take_back(&mut self, now: Timestamp<Robot>, sent: Timestamp<Server>) {
+        let latest = (now + TAKEN_BACK_AHEAD_MAX).assume_clock();
+        self.taken_back = self.taken_back.max(Some(sent.min(latest)));
     }
 
     /// Takes a command that starts at `start`, after every check.
@@ -408,6 +412,13 @@ impl DeviceMachine {
             Command::Script(script) => {
                 self.check_script(script)?;
                 Ok((Steps::Script(script.clone()), script.duration()))
+            }
+            Command::Unknown(name) => {
+                let message = format!(
+                    "`{}` does not support `{name}`, which is no control type known here",
+                    self.spec.id
+                );
+                Err(ControlError::new(ErrorCode::UnsupportedControlType, message))
             }
             Command::ReadSensor => Err(ControlError::new(ErrorCode::Internal, "a reading is not held")),
         }

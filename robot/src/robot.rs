@@ -249,15 +249,13 @@ impl Robot {
 
     fn control(&mut self, now: Now, link: LinkId, request: ControlRequest, out: &mut Vec<Output>) {
         if let Some(answer) = request.request_id.as_ref().and_then(|id| self.answers.find(id)) {
-            let again = ControlResponse { timestamp: now, ..answer.clone() };
-            return out.push(Output::Send { link, message: Message::ControlResponse(again) });
+            return tell(link, ControlResponse { timestamp: now, ..answer.clone() }, out);
         }
         if !self.only_reads(&request)
             && let Err(error) = self.claim(now, link, request.session.as_ref())
         {
             // Not remembered: the same request may be taken once the robot is free.
-            let answer = refusal(now, &request, error);
-            return out.push(Output::Send { link, message: Message::ControlResponse(answer) });
+            return tell(link, refusal(now, &request, error), out);
         }
         let Some(&index) = self.index_of.get(&request.device_id) else {
             let error = ControlError::new(
@@ -272,15 +270,14 @@ impl Robot {
         };
         if let Some(missing) = self.hardware.missing() {
             // Not remembered either: once the hardware is back the same request may be taken.
-            let answer = refusal(now, &request, missing);
-            return out.push(Output::Send { link, message: Message::ControlResponse(answer) });
+            return tell(link, refusal(now, &request, missing), out);
         }
         match &request.command {
             Command::ReadSensor => return self.provide(now, link, index, &request, out),
             Command::Script(script) if script.is_empty() => {
                 return self.cancel(now, link, index, &request, content_hash, out);
             }
-            Command::Set(_) | Command::Script(_) => {}
+            Command::Set(_) | Command::Script(_) | Command::Unknown(_) => {}
         }
         match self.accept(now, link, index, &request) {
             Ok(()) => self.confirm(now, link, index, &request, content_hash, out),
@@ -345,7 +342,7 @@ impl Robot {
         let status_value = match &request.command {
             Command::Set(setpoint) => StatusValue::Number(setpoint.value),
             Command::Script(script) => StatusValue::Script(script.clone()),
-            Command::ReadSensor => StatusValue::Null,
+            Command::ReadSensor | Command::Unknown(_) => StatusValue::Null,
         };
         let answer = ControlResponse {
             status_value,
@@ -386,7 +383,8 @@ impl Robot {
             request_id: request.request_id.clone(),
             ..response(now, request.device_id.clone(), Status::Provide)
         };
-        self.answer(link, answer, out);
+        // Not remembered: anybody may read, and whoever asks again reads again.
+        tell(link, answer, out);
     }
 
     fn cancel(
@@ -403,7 +401,7 @@ impl Robot {
         match from.filter(|from| *from > now) {
             None => {
                 if let Some(sent) = request.timestamp {
-                    self.devices[index].take_back(sent);
+                    self.devices[index].take_back(now, sent);
                 }
                 self.stop(now, index, why, request.hold, out);
             }
@@ -449,7 +447,7 @@ impl Robot {
     /// Sends an answer and remembers it for a repetition of its request.
     fn answer(&mut self, link: LinkId, answer: ControlResponse, out: &mut Vec<Output>) {
         self.answers.remember(&answer);
-        out.push(Output::Send { link, message: Message::ControlResponse(answer) });
+        tell(link, answer, out);
     }
 
     fn refresh_wakeup(&mut self, index: usize) {
@@ -516,6 +514,10 @@ impl Robot {
 /// The robot's own hash of what it takes, where the request carries one to compare.
 fn check_hash(request: &ControlRequest) -> Result<Option<ContentHash>, ControlError> {
     let Some(expected) = request.content_hash else { return Ok(None) };
+    // Of these two the value does not matter.
+    if matches!(request.command, Command::ReadSensor | Command::Unknown(_)) {
+        return Ok(None);
+    }
     match request.command.content_hash() {
         computed if computed == expected => Ok(Some(computed)),
         computed => {
@@ -523,6 +525,11 @@ fn check_hash(request: &ControlRequest) -> Result<Option<ContentHash>, ControlEr
             Err(ControlError::new(ErrorCode::Malformed, message))
         }
     }
+}
+
+/// Sends an answer that a repetition of its request need not have again.
+fn tell(link: LinkId, answer: ControlResponse, out: &mut Vec<Output>) {
+    out.push(Output::Send { link, message: Message::ControlResponse(answer) });
 }
 
 fn refusal(now: Now, request: &ControlRequest, error: ControlError) -> ControlResponse {

@@ -9,7 +9,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::tcp::OwnedReadHalf;
 use tokio::net::{TcpListener, TcpStream};
 use tokio::sync::{Semaphore, watch};
-use urrcp::{Encoding, LINE_BYTES_MAX, LineDecoder, encode_as};
+use urrcp::{Decoder, Encoding, LINE_BYTES_MAX, encode_as};
 
 use crate::host::{HostHandle, LinkEvent, LinkSender, RobotLink};
 use crate::robot::Input;
@@ -106,7 +106,7 @@ async fn read(
     robot: LinkSender,
     heard: watch::Sender<Encoding>,
 ) -> io::Result<()> {
-    let mut decoder = LineDecoder::new(LINE_BYTES_MAX);
+    let mut decoder = Decoder::new(LINE_BYTES_MAX);
     let mut bytes = vec![0; 8 * 1024];
     loop {
         let n = reader.read(&mut bytes).await?;

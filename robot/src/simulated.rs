@@ -422,7 +422,7 @@ fn is_movement(command: &Command) -> bool {
     match command {
         Command::Script(script) => !script.is_empty(),
         Command::Set(_) => true,
-        Command::ReadSensor => false,
+        Command::ReadSensor | Command::Unknown(_) => false,
     }
 }
 

@@ -11,13 +11,13 @@ const IDLE_BYTES: usize = 1024 * 1024;
 /// Cuts a stream of bytes into lines of JSON and frames of MessagePack, and reads each as a message.
 ///
 /// ```
-/// let mut decoder = urrcp::LineDecoder::default();
+/// let mut decoder = urrcp::Decoder::default();
 /// decoder.push(b"{\"availability_request\": {}}\n{\"avail");
 /// assert!(matches!(decoder.next_message(), Some(Ok(urrcp::Message::AvailabilityRequest(_)))));
 /// assert!(decoder.next_message().is_none());
 /// ```
 #[derive(Debug)]
-pub struct LineDecoder {
+pub struct Decoder {
     buffer: Vec<u8>,
     /// Start of what has not been read yet.
     read: usize,
@@ -41,13 +41,13 @@ enum Skipping {
     Frame(usize),
 }
 
-impl Default for LineDecoder {
+impl Default for Decoder {
     fn default() -> Self {
         Self::new(LINE_BYTES_MAX)
     }
 }
 
-impl LineDecoder {
+impl Decoder {
     /// A decoder for lines and payloads of at most `limit` bytes.
     #[must_use]
     pub const fn new(limit: usize) -> Self {
@@ -192,7 +192,7 @@ mod tests {
     /// Pushes the stream in chunks as a socket gives them; the most that was ever allocated.
     #[track_caller]
     fn largest_buffer(stream: impl Iterator<Item = u8>) -> usize {
-        let mut decoder = LineDecoder::new(LIMIT);
+        let mut decoder = Decoder::new(LIMIT);
         let mut largest = 0;
         let mut stream = stream.peekable();
         while stream.peek().is_some() {
@@ -230,7 +230,7 @@ mod tests {
 
     #[test]
     fn a_long_message_leaves_no_large_buffer_behind() {
-        let mut decoder = LineDecoder::new(LIMIT);
+        let mut decoder = Decoder::new(LIMIT);
         decoder.push(&vec![b' '; LIMIT - 1]);
         decoder.push(b"\n");
         assert!(decoder.next_message().is_none());

@@ -9,7 +9,7 @@ mod line;
 
 use std::fmt;
 
-pub use decoder::LineDecoder;
+pub use decoder::Decoder;
 pub use error::{DecodeError, DecodeErrorKind};
 
 use crate::message::Message;
@@ -49,12 +49,12 @@ pub fn encode(message: &Message, bytes: &mut Vec<u8>) {
 /// Appends a message in this encoding.
 ///
 /// ```
-/// use urrcp::{Encoding, LineDecoder, Message, encode_as};
+/// use urrcp::{Encoding, Decoder, Message, encode_as};
 /// let message = Message::AvailabilityRequest(urrcp::AvailabilityRequest::default());
 /// let mut bytes = Vec::new();
 /// encode_as(Encoding::MessagePack, &message, &mut bytes);
 /// encode_as(Encoding::Json, &message, &mut bytes);
-/// let mut decoder = LineDecoder::default();
+/// let mut decoder = Decoder::default();
 /// decoder.push(&bytes);
 /// assert_eq!(decoder.next_message(), Some(Ok(message.clone())));
 /// assert_eq!(decoder.encoding(), Encoding::MessagePack);

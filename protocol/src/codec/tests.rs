@@ -27,7 +27,7 @@ fn written(encoding: Encoding, message: &Message) -> Vec<u8> {
 /// What a payload is refused for. What follows it is still read.
 #[track_caller]
 fn refused(payload: &[u8]) -> DecodeError {
-    let mut decoder = LineDecoder::default();
+    let mut decoder = Decoder::default();
     decoder.push(&frame(payload));
     decoder.push(&written(Encoding::Json, &ping()));
     let error = decoder.next_message().unwrap().unwrap_err();
@@ -81,7 +81,7 @@ fn lines_and_frames_follow_each_other_wherever_the_stream_is_cut() {
     let mut stream: Vec<u8> = expected.iter().flat_map(|(encoding, m)| written(*encoding, m)).collect();
     stream.extend_from_slice(b"\r\n \n");
     for cut in 0..=stream.len() {
-        let mut decoder = LineDecoder::default();
+        let mut decoder = Decoder::default();
         let mut found = Vec::new();
         for part in [&stream[..cut], &stream[cut..]] {
             decoder.push(part);
@@ -96,7 +96,7 @@ fn lines_and_frames_follow_each_other_wherever_the_stream_is_cut() {
 #[test]
 fn a_frame_that_comes_byte_by_byte_is_read_with_its_last() {
     let bytes = written(Encoding::MessagePack, &cancel("a"));
-    let mut decoder = LineDecoder::default();
+    let mut decoder = Decoder::default();
     for byte in &bytes[..bytes.len() - 1] {
         decoder.push(&[*byte]);
         assert_eq!(decoder.next_message(), None);
@@ -110,7 +110,7 @@ fn an_overlong_frame_is_refused_by_its_head_and_skipped_by_its_length() {
     for chunk in [1, 7, 64, 10_000] {
         let mut stream = frame(&vec![b'x'; 5_000]);
         stream.extend(written(Encoding::MessagePack, &ping()));
-        let mut decoder = LineDecoder::new(4_999);
+        let mut decoder = Decoder::new(4_999);
         let mut found = Vec::new();
         for part in stream.chunks(chunk) {
             decoder.push(part);
@@ -123,7 +123,7 @@ fn an_overlong_frame_is_refused_by_its_head_and_skipped_by_its_length() {
 
 #[test]
 fn garbage_between_messages_is_answered_once_each_and_costs_no_message() {
-    let mut decoder = LineDecoder::new(100);
+    let mut decoder = Decoder::new(100);
     let stream = [
         written(Encoding::MessagePack, &ping()),
         b"\xff\xC1 garbage\n".to_vec(),
@@ -156,7 +156,7 @@ fn a_payload_is_a_dictionary_of_one_key() {
         assert!(message.contains("a dictionary of one key"), "{message}");
     }
     let long_form = [b"\xDE\x00\x01".as_slice(), ping].concat();
-    let mut decoder = LineDecoder::default();
+    let mut decoder = Decoder::default();
     decoder.push(&frame(&long_form));
     assert!(decoder.next_message().unwrap().is_ok());
 }
@@ -213,7 +213,7 @@ fn a_request_beyond_the_limits_is_refused_with_its_place() {
 #[test]
 fn a_value_of_minus_zero_is_zero() {
     let minus = [&[0xCB], (-0.0f64).to_be_bytes().as_slice()].concat();
-    let mut decoder = LineDecoder::default();
+    let mut decoder = Decoder::default();
     decoder.push(&frame(&request(&[("control_type", POSITION), ("control_value", &minus)])));
     let Some(Ok(Message::ControlRequest(read))) = decoder.next_message() else { panic!() };
     let Command::Set(setpoint) = &read.command else { panic!() };
@@ -225,7 +225,7 @@ fn a_value_of_minus_zero_is_zero() {
 #[test]
 fn steps_by_name_are_read_too() {
     let step = b"\x91\x83\xB4time_offset_to_start\x07\xACcontrol_type\xA5speed\xADcontrol_value\x01";
-    let mut decoder = LineDecoder::default();
+    let mut decoder = Decoder::default();
     decoder.push(&frame(&request(&[("control_type", SCRIPT), ("control_value", step)])));
     let Some(Ok(Message::ControlRequest(read))) = decoder.next_message() else { panic!() };
     let Command::Script(script) = &read.command else { panic!() };
@@ -240,7 +240,7 @@ fn a_script_in_a_frame_has_no_more_steps_than_one_in_a_line() {
         steps.extend(b"\x93\x00\x00\x00".repeat(count));
         request(&[("control_type", SCRIPT), ("control_value", &steps)])
     };
-    let mut decoder = LineDecoder::default();
+    let mut decoder = Decoder::default();
     decoder.push(&frame(&script(crate::SCRIPT_STEPS_MAX)));
     assert!(decoder.next_message().unwrap().is_ok());
     check_invalid(

@@ -11,7 +11,7 @@ use super::{Script, Setpoint, StopCondition};
 use crate::content_hash::ContentHash;
 use crate::control_type::ControlType;
 use crate::number;
-use crate::text::{DeviceId, RequestId, SessionId};
+use crate::text::{DeviceId, Label, RequestId, SessionId};
 use crate::time::{Millis, Server, Timestamp};
 
 /// Drives, reads or stops one device.
@@ -46,16 +46,19 @@ pub enum Command {
     Script(Script),
     /// sensor.
     ReadSensor,
+    /// A control type that this version does not know: one that no device has. Its values are not read.
+    Unknown(Label),
 }
 
 impl Command {
-    /// The `control_type` on the wire.
+    /// The `control_type` on the wire, where this version knows it.
     #[must_use]
-    pub const fn control_type(&self) -> ControlType {
+    pub const fn control_type(&self) -> Option<ControlType> {
         match self {
-            Self::Set(setpoint) => setpoint.control_type,
-            Self::Script(_) => ControlType::Script,
-            Self::ReadSensor => ControlType::Sensor,
+            Self::Set(setpoint) => Some(setpoint.control_type),
+            Self::Script(_) => Some(ControlType::Script),
+            Self::ReadSensor => Some(ControlType::Sensor),
+            Self::Unknown(_) => None,
         }
     }
 
@@ -71,7 +74,7 @@ impl Command {
                 }
             }
             Self::Script(script) => serde_json::to_vec(script),
-            Self::ReadSensor => Ok(b"null".to_vec()),
+            Self::ReadSensor | Self::Unknown(_) => Ok(b"null".to_vec()),
         };
         ContentHash::of(&json.unwrap_or_default())
     }
@@ -126,11 +129,14 @@ impl Serialize for ControlRequest {
         if self.hold {
             map.serialize_entry("hold", &true)?;
         }
-        map.serialize_entry("control_type", &self.command.control_type())?;
+        match &self.command {
+            Command::Unknown(name) => map.serialize_entry("control_type", name)?,
+            command => map.serialize_entry("control_type", &command.control_type())?,
+        }
         match &self.command {
             Command::Set(setpoint) => serialize_values(setpoint, &mut map)?,
             Command::Script(script) => map.serialize_entry("control_value", script)?,
-            Command::ReadSensor => {}
+            Command::ReadSensor | Command::Unknown(_) => {}
         }
         map.end()
     }
@@ -199,7 +205,7 @@ struct Fields {
     content_hash: Option<Option<ContentHash>>,
     session: Option<Option<SessionId>>,
     hold: Option<Option<bool>>,
-    control_type: Option<ControlType>,
+    control_type: Option<Named>,
     control_value: Option<RawValue>,
     more: FurtherValues,
 }
@@ -294,11 +300,24 @@ fn finish<E: de::Error>(fields: Fields) -> Result<ControlRequest, E> {
     })
 }
 
-fn command<E: de::Error>(
-    control_type: ControlType,
-    value: Option<RawValue>,
-    more: FurtherValues,
-) -> Result<Command, E> {
+/// The name of a control type, whether it is known or not.
+enum Named {
+    Known(ControlType),
+    Unknown(Label),
+}
+
+impl<'de> Deserialize<'de> for Named {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        let name = Label::deserialize(deserializer)?;
+        Ok(name.as_str().parse().map_or(Self::Unknown(name), Self::Known))
+    }
+}
+
+fn command<E: de::Error>(named: Named, value: Option<RawValue>, more: FurtherValues) -> Result<Command, E> {
+    let control_type = match named {
+        Named::Known(control_type) => control_type,
+        Named::Unknown(name) => return Ok(Command::Unknown(name)),
+    };
     match (control_type, value) {
         (ControlType::Sensor, _) => Ok(Command::ReadSensor),
         (ControlType::Script, Some(RawValue::Script(script))) if more.is_empty() => {

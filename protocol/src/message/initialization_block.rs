@@ -91,6 +91,7 @@ impl TryFrom<Object<RawBlock>> for InitializationBlock {
         if let Some(twice) = raw.devices.iter().find(|Object(device)| !seen.insert(&device.id)) {
             return Err(LimitError::DuplicateDevice { id: twice.0.id.to_string() });
         }
+        raw.devices.iter().try_for_each(|Object(device)| device.check_default())?;
         Ok(Self {
             id: raw.id,
             name: raw.name,
@@ -411,6 +412,21 @@ impl Device {
     pub fn primary_control_type(&self) -> Option<ControlType> {
         let mut types = self.available_control_types.iter().map(|(control_type, _)| control_type);
         types.find(|t| !matches!(t, ControlType::Script | ControlType::Sensor))
+    }
+
+    /// A stop must not lead where no command may.
+    fn check_default(&self) -> Result<(), LimitError> {
+        let limits =
+            self.primary_control_type().and_then(|primary| self.available_control_types.limits(primary));
+        match (self.default_value, limits) {
+            (Some(value), Some(limits)) if !limits.contains(value) => Err(LimitError::DefaultValue {
+                id: self.id.to_string(),
+                value,
+                min: limits.min_value,
+                max: limits.max_value,
+            }),
+            _ => Ok(()),
+        }
     }
 
     /// The control types that a script of this device may use; empty without scripts.

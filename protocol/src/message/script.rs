@@ -146,7 +146,9 @@ impl FurtherValues {
         }
     }
 
-    pub(super) fn put<E: de::Error>(&mut self, index: usize, value: Number) -> Result<(), E> {
+    /// Takes a value, or null for one that is left out.
+    pub(super) fn put<E: de::Error>(&mut self, index: usize, value: Option<Number>) -> Result<(), E> {
+        let Some(value) = value else { return Ok(()) };
         if self.0.len() <= index {
             self.0.resize(index + 1, None);
         }

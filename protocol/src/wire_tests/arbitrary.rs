@@ -81,6 +81,7 @@ fn control_request() -> impl Strategy<Value = ControlRequest> {
         setpoint().prop_map(Command::Set),
         script().prop_map(Command::Script),
         Just(Command::ReadSensor),
+        Just(Command::Unknown(Label::new("torque").unwrap())),
     ];
     let extras = (option::of(text()), any::<bool>(), option::of(text()), any::<bool>());
     let times = (option::of(timestamp()), option::of(millis()), option::of(stop_condition()));
@@ -190,8 +191,10 @@ fn initialization_block() -> impl Strategy<Value = InitializationBlock> {
             }
             limits
         });
-    let device = (text(), limits, parameters(), option::of(number()), any::<u32>()).prop_map(
-        |(name, limits, custom, default_value, steps)| {
+    let device = (text(), limits, parameters(), option::of(any::<bool>()), any::<u32>()).prop_map(
+        |(name, limits, custom, default, steps)| {
+            let default_value =
+                default.map(|upper| limits[if upper { "max_value" } else { "min_value" }].clone());
             let mut script = limits.clone();
             script["max_number_of_steps"] = steps.into();
             let sensor = json!({"min_value": 0, "max_value": 0.1, "max_delay": 2.5});

@@ -3,13 +3,14 @@
 use std::collections::HashSet;
 
 use urrcp::{
-    Command, ContentHash, ControlRequest, ControlResponse, ControlType, ErrorCode, RequestId, SessionId,
-    Status, StatusValue, Timestamp,
+    Command, ContentHash, ControlRequest, ControlResponse, ControlType, ErrorCode, RequestId, Server,
+    SessionId, Status, StatusValue, Timestamp,
 };
 
 use super::judge::{Asked, Judge, is_refused};
 use super::model::{DeviceModel, Order, cancels_from, start_of};
 use super::{Violation, hold};
+use crate::device::TAKEN_BACK_AHEAD_MAX;
 use crate::robot::Robot;
 
 type Now = Timestamp<urrcp::Robot>;
@@ -25,7 +26,8 @@ impl Judge {
         let request = asked.request;
         let echoes = answer.request_id == request.request_id && answer.device_id == request.device_id;
         hold(echoes && answer.timestamp == now, || format!("{answer:?} to {request:?}"))?;
-        if let Some(id) = &request.request_id {
+        // A reading is not kept: whoever asks again reads again.
+        if let Some(id) = request.request_id.as_ref().filter(|_| answer.status != Status::Provide) {
             self.remember(id, answer);
         }
         let owed = match answer.status {
@@ -67,7 +69,7 @@ impl Judge {
         let value = match &request.command {
             Command::Set(setpoint) => StatusValue::Number(setpoint.value),
             Command::Script(script) => StatusValue::Script(script.clone()),
-            Command::ReadSensor => StatusValue::Null,
+            Command::ReadSensor | Command::Unknown(_) => StatusValue::Null,
         };
         let right_hash = request.content_hash.is_none_or(|hash| hash == hash_of(request));
         let echoed = answer.content_hash == request.content_hash && answer.status_value == value;
@@ -94,7 +96,8 @@ impl Judge {
         let from = cancels_from(now, request);
         let Some(device) = self.devices.get_mut(&request.device_id) else { return HashSet::new() };
         if from.is_none() {
-            device.taken_back = device.taken_back.max(request.timestamp);
+            let latest: Timestamp<Server> = (now + TAKEN_BACK_AHEAD_MAX).assume_clock();
+            device.taken_back = device.taken_back.max(request.timestamp.map(|sent| sent.min(latest)));
         }
         // What has fallen already is gone from the queue: what still stands there must not fall.
         let standing: HashSet<_> =

@@ -84,7 +84,7 @@ impl Order {
                 vec![Step { offset: Millis::ZERO, setpoint: setpoint.clone(), stop_condition: None }]
             }
             Command::Script(script) => script.steps().to_vec(),
-            Command::ReadSensor => Vec::new(),
+            Command::ReadSensor | Command::Unknown(_) => Vec::new(),
         };
         Self {
             serial,

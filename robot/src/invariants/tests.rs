@@ -34,7 +34,7 @@ fn a_device_is_somewhere_however_wide_its_range_and_however_weak_or_strong_its_b
     for position in [widest, ordinary, weakest] {
         for acceleration in [widest, ordinary, weakest] {
             check_driven(position, acceleration, "");
-            check_driven(position, acceleration, r#", "default_value": 1"#);
+            check_driven(position, acceleration, r#", "default_value": 0"#);
         }
     }
 }

@@ -4,7 +4,7 @@ use urrcp::{
     ControlError, ControlRequest, ControlResponse, ErrorCode, InitializationBlock, Status, StatusValue,
 };
 
-use super::{LinkId, Now, Output, Robot, response};
+use super::{LinkId, Now, Output, Robot, refusal, response, tell};
 use crate::hardware::{Hardware, OpenReading, ReadingId};
 use crate::signal::Signal;
 
@@ -47,7 +47,7 @@ impl Robot {
             self.settle(now, index, out);
         }
         for open in self.hardware.abandon() {
-            self.refuse(now, open.link, &open.request, error.clone(), out);
+            tell(open.link, refusal(now, &open.request, error.clone()), out);
         }
     }
 
@@ -71,11 +71,11 @@ impl Robot {
                     request_id: request.request_id.clone(),
                     ..response(now, request.device_id, Status::Provide)
                 };
-                self.answer(link, answer, out);
+                tell(link, answer, out);
             }
             Err(reason) => {
                 let error = ControlError::new(ErrorCode::Internal, reason);
-                self.refuse(now, link, &request, error, out);
+                tell(link, refusal(now, &request, error), out);
             }
         }
     }
@@ -101,7 +101,7 @@ impl Robot {
     ) {
         match self.hardware.ask(now, link, request, max_delay) {
             Ok(reading) => out.push(Output::Read { reading, sensor: request.device_id.clone() }),
-            Err(error) => self.refuse(now, link, request, error, out),
+            Err(error) => tell(link, refusal(now, request, error), out),
         }
     }
 
@@ -110,7 +110,7 @@ impl Robot {
             return;
         }
         for (open, error) in self.hardware.overdue(now) {
-            self.refuse(now, open.link, &open.request, error, out);
+            tell(open.link, refusal(now, &open.request, error), out);
         }
     }
 

@@ -6,8 +6,8 @@ mod sessions;
 
 use proptest::prelude::*;
 use urrcp::{
-    AvailabilityRequest, Command, ControlRequest, ControlResponse, ControlType, DeviceId, ErrorCode,
-    InitializationBlock, LineDecoder, Message, Millis, RequestId, Script, Server, Setpoint, Span, Status,
+    AvailabilityRequest, Command, ControlRequest, ControlResponse, ControlType, Decoder, DeviceId, ErrorCode,
+    InitializationBlock, Label, Message, Millis, RequestId, Script, Server, Setpoint, Span, Status,
     StatusValue, Step, StopCondition, Timestamp,
 };
 
@@ -181,14 +181,34 @@ fn what_the_device_does_not_declare_is_refused() {
 
 #[test]
 fn an_unsupported_control_type_sends_the_device_to_its_default_state() {
+    let unknown = Command::Unknown(Label::new("torque").unwrap());
+    for unsupported in [script(ControlType::Acceleration, &PAPER), unknown] {
+        let mut bench = Bench::new();
+        bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
+        bench.until(150);
+        bench.request(timed("arm", "b", 900.0, unsupported));
+        bench.until(9_000);
+        assert_eq!(bench.statuses().last().unwrap(), "Failed unsupported_control_type");
+        assert_eq!(bench.values(), [(100, 45.0)]);
+        let position = bench.robot.value("arm", ControlType::Position, bench.now);
+        assert_eq!(position, Some(10.0), "the default value");
+    }
+}
+
+#[test]
+fn a_stop_by_a_clock_that_is_far_ahead_takes_back_five_seconds_and_no_more() {
     let mut bench = Bench::new();
-    bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
-    bench.until(150);
-    bench.request(timed("arm", "b", 900.0, script(ControlType::Acceleration, &PAPER)));
-    bench.until(9_000);
-    assert_eq!(bench.values(), [(100, 45.0)]);
-    let position = bench.robot.value("arm", ControlType::Position, bench.now);
-    assert_eq!(position, Some(10.0), "the default value");
+    let mut stop =
+        ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()));
+    stop.timestamp = Some(at(1_000_000).assume_clock());
+    bench.request(stop);
+    let sent = |sent: i64| ControlRequest {
+        timestamp: Some(at(sent).assume_clock()),
+        ..timed("arm", &sent.to_string(), 20_000.0, script(ControlType::Position, &PAPER))
+    };
+    bench.request(sent(5_000));
+    bench.request(sent(5_001));
+    assert_eq!(bench.statuses(), ["OK", "Failed cancelled", "Accepted"]);
 }
 
 #[test]
@@ -353,9 +373,23 @@ fn a_sensor_provides_its_reading_and_nothing_else_does() {
 }
 
 #[test]
+fn a_reading_asked_for_twice_is_read_twice_and_takes_no_request_id_from_anybody() {
+    let mut bench = Bench::new();
+    let mut read = timed("thermometer", "a", 0.0, Command::ReadSensor);
+    read.content_hash = Some(Command::ReadSensor.content_hash());
+    for reading in [21.5, 22.0] {
+        bench.robot.set_reading(DeviceId::new("thermometer").unwrap(), reading);
+        bench.request(read.clone());
+        assert_eq!(bench.responses().last().unwrap().status_value, StatusValue::Number(reading));
+    }
+    bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
+    assert_eq!(bench.statuses().last().unwrap(), "Accepted");
+}
+
+#[test]
 fn a_line_that_is_no_message_is_answered_where_an_answer_is_possible() {
     let mut bench = Bench::new();
-    let mut decoder = LineDecoder::default();
+    let mut decoder = Decoder::default();
     decoder.push(b"{\"control_request\":{\"device_id\":\"arm\",\"request_id\":\"x\"}}\nnonsense\n");
     for _ in 0..2 {
         let error = decoder.next_message().unwrap().unwrap_err();

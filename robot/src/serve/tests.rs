@@ -80,7 +80,7 @@ async fn garbage_is_answered_and_the_link_goes_on() {
 /// A server's end of the connection that reads what comes in whichever encoding.
 struct Listener {
     stream: TcpStream,
-    decoder: LineDecoder,
+    decoder: Decoder,
 }
 
 impl Listener {
@@ -107,7 +107,7 @@ async fn a_robot_answers_in_the_encoding_of_what_it_heard_last() {
     let log = LogFile::new("encodings");
     let (_host, address) = served(&log).await;
     let stream = TcpStream::connect(address).await.unwrap();
-    let mut peer = Listener { stream, decoder: LineDecoder::default() };
+    let mut peer = Listener { stream, decoder: Decoder::default() };
     let describe = Message::InitializationRequest(urrcp::InitializationRequest::default());
     for encoding in [Encoding::Json, Encoding::MessagePack, Encoding::MessagePack, Encoding::Json] {
         peer.send(encoding, &describe).await;

@@ -6,8 +6,8 @@ use std::net::TcpStream;
 use std::time::Duration;
 
 use urrcp::{
-    AvailabilityRequest, AvailabilityResponse, ControlRequest, ControlResponse, ErrorCode,
-    InitializationBlock, LineDecoder, Message, Server, Span, Status, Timestamp, encode,
+    AvailabilityRequest, AvailabilityResponse, ControlRequest, ControlResponse, Decoder, ErrorCode,
+    InitializationBlock, Message, Server, Span, Status, Timestamp, encode,
 };
 
 use super::heard::{Asked, Exchanges, Heard, Ticket, says_malformed};
@@ -148,7 +148,7 @@ impl<'a> Line<'a> {
 
     fn take(&mut self, at: Timestamp<Server>, line: &[u8]) -> Result<(), Unmet> {
         let text = String::from_utf8_lossy(line).trim_end().to_owned();
-        let mut decoder = LineDecoder::new(LINE_BYTES_MAX);
+        let mut decoder = Decoder::new(LINE_BYTES_MAX);
         decoder.push(line);
         match decoder.next_message() {
             None => {}

@@ -6,7 +6,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::sync::mpsc;
-use urrcp::{LineDecoder, Message, Server, Span, Timestamp, encode_as};
+use urrcp::{Decoder, Message, Server, Span, Timestamp, encode_as};
 
 use super::{Peer, Queue};
 use crate::mission::Event;
@@ -46,7 +46,7 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
 /// Ends with the reason for which no more can be read.
 async fn read(peer: &Peer, mut reader: OwnedReadHalf) -> String {
     let sink = &peer.sink;
-    let mut decoder = LineDecoder::default();
+    let mut decoder = Decoder::default();
     let mut bytes = vec![0; 8 * 1024];
     loop {
         match reader.read(&mut bytes).await {

@@ -104,7 +104,7 @@ fn told(message: &Message) -> String {
                 Command::Script(script) if script.is_empty() => "cancel".to_owned(),
                 Command::Script(script) => format!("script of {} steps", script.steps().len()),
                 Command::Set(_) => "set".to_owned(),
-                Command::ReadSensor => "request".to_owned(),
+                Command::ReadSensor | Command::Unknown(_) => "request".to_owned(),
             };
             format!(
                 "{what} {} {:?}",

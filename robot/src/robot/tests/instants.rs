@@ -118,7 +118,7 @@ fn a_line_that_is_no_message_renews_no_lease() {
     request.stop_condition = lease(300.0, 300.0);
     bench.request(request);
     bench.until(200);
-    let mut decoder = LineDecoder::default();
+    let mut decoder = Decoder::default();
     decoder.push(b"noise\n");
     let error = decoder.next_message().unwrap().unwrap_err();
     bench.robot.handle(bench.now, LINK, Input::Undecodable(error), &mut bench.out);
