@@ -1,39 +1,41 @@
-//! Any bytes, cut anywhere, through the decoder: what is read does not depend on the cuts, no more is held than a line
-//! and a push, and what was read is written and read again the same.
+//! Any bytes, cut anywhere, through the decoder: what is read does not depend on the cuts, no more is held than one
+//! message and a push, and what was read is written in either encoding and read again the same.
 #![no_main]
 
 use libfuzzer_sys::fuzz_target;
-use urrcp::{DecodeError, LineDecoder, Message, encode};
+use urrcp::{DecodeError, Decoder, Encoding, Message, encode_as};
 
 /// Short, so that lines beyond it are common.
 const LIMIT: usize = 1_024;
+/// What stands ahead of a frame's payload.
+const HEAD: usize = 5;
 
-fn drain(decoder: &mut LineDecoder, read: &mut Vec<Result<Message, DecodeError>>) {
+fn drain(decoder: &mut Decoder, read: &mut Vec<Result<Message, DecodeError>>) {
     while let Some(decoded) = decoder.next_message() {
         read.push(decoded);
     }
 }
 
-fn read_again(message: &Message) {
-    let mut line = Vec::new();
-    encode(message, &mut line);
-    assert_eq!(line.iter().position(|byte| *byte == b'\n'), Some(line.len() - 1), "one line: {message:?}");
-    let mut decoder = LineDecoder::default();
-    decoder.push(&line);
-    let again = decoder.next_message();
-    assert_eq!(again.as_ref(), Some(&Ok(message.clone())));
+fn read_again(message: &Message, encoding: Encoding) {
+    let mut written = Vec::new();
+    encode_as(encoding, message, &mut written);
+    let mut decoder = Decoder::default();
+    decoder.push(&written);
+    let Some(Ok(again)) = decoder.next_message() else { panic!("not read again as {encoding:?}: {message:?}") };
+    assert_eq!((&again, decoder.encoding()), (message, encoding));
+    assert!(decoder.next_message().is_none(), "one message");
     let mut once_more = Vec::new();
-    encode(message, &mut once_more);
-    assert_eq!(line, once_more);
+    encode_as(encoding, &again, &mut once_more);
+    assert_eq!(written, once_more);
 }
 
 fuzz_target!(|bytes: &[u8]| {
-    let mut whole = LineDecoder::new(LIMIT);
+    let mut whole = Decoder::new(LIMIT);
     let mut at_once = Vec::new();
     whole.push(bytes);
     drain(&mut whole, &mut at_once);
 
-    let mut cut = LineDecoder::new(LIMIT);
+    let mut cut = Decoder::new(LIMIT);
     let mut piecemeal = Vec::new();
     let mut rest = bytes;
     // The bytes themselves say where they are cut.
@@ -45,14 +47,17 @@ fuzz_target!(|bytes: &[u8]| {
         let size = (1 + (random >> 33) as usize % 200).min(rest.len());
         let (chunk, behind) = rest.split_at(size);
         cut.push(chunk);
-        assert!(cut.buffered() <= LIMIT + chunk.len(), "{} bytes held", cut.buffered());
+        assert!(cut.buffered() <= HEAD + LIMIT + chunk.len(), "{} bytes held", cut.buffered());
         drain(&mut cut, &mut piecemeal);
         rest = behind;
     }
     assert_eq!(at_once, piecemeal);
     for decoded in at_once {
         match decoded {
-            Ok(message) => read_again(&message),
+            Ok(message) => {
+                read_again(&message, Encoding::Json);
+                read_again(&message, Encoding::MessagePack);
+            }
             Err(error) => assert!(error.to_string().chars().count() <= 1_000, "{error}"),
         }
     }

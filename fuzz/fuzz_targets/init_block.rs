@@ -16,7 +16,7 @@ fn check_limits(block: &InitializationBlock) {
     assert!((1..=STRING_CHARS_MAX).contains(&chars(block.id.as_str())));
     for device in &block.devices {
         assert!((1..=STRING_CHARS_MAX).contains(&chars(device.id.as_str())));
-        assert!(chars(device.name.as_str()) <= STRING_CHARS_MAX);
+        assert!(device.name.as_ref().is_none_or(|name| chars(name.as_str()) <= STRING_CHARS_MAX));
         assert!(device.default_value.is_none_or(f64::is_finite));
         for (_, parameters) in device.available_control_types.iter() {
             let limits = match parameters {

@@ -39,6 +39,7 @@ static FLEET: LazyLock<Fleet> = LazyLock::new(|| {
             clock: RobotClock::default(),
             wake_up: urrcp::Span::from_millis(1),
             require: Vec::new(),
+            encoding: urrcp::Encoding::default(),
         }
     };
     let robots = vec![robot("a", ARM), robot("b", ARM), robot("r", ROVER)];
