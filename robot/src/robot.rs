@@ -1,13 +1,13 @@
 //! A robot as a machine: messages and the time in, answers and values out.
 
+mod control;
 mod driven;
 
 use std::collections::{BTreeSet, HashMap};
 
 use urrcp::{
-    AvailabilityResponse, Command, ContentHash, ControlError, ControlRequest, ControlResponse, ControlType,
-    DecodeError, DeviceId, ErrorCode, InitializationBlock, Message, RequestId, SessionId, Status,
-    StatusValue, Timestamp,
+    AvailabilityResponse, ControlError, ControlRequest, ControlResponse, ControlType, DecodeError, DeviceId,
+    ErrorCode, InitializationBlock, Message, RequestId, Status, StatusValue, Timestamp,
 };
 
 use crate::answers::Answers;
@@ -247,178 +247,6 @@ impl Robot {
         out.push(Output::Send { link, message });
     }
 
-    fn control(&mut self, now: Now, link: LinkId, request: ControlRequest, out: &mut Vec<Output>) {
-        if let Some(answer) = request.request_id.as_ref().and_then(|id| self.answers.find(id)) {
-            return tell(link, ControlResponse { timestamp: now, ..answer.clone() }, out);
-        }
-        if !self.only_reads(&request)
-            && let Err(error) = self.claim(now, link, request.session.as_ref())
-        {
-            // Not remembered: the same request may be taken once the robot is free.
-            return tell(link, refusal(now, &request, error), out);
-        }
-        let Some(&index) = self.index_of.get(&request.device_id) else {
-            let error = ControlError::new(
-                ErrorCode::UnknownDevice,
-                format!("`{}` has no device `{}`", self.block.id, request.device_id),
-            );
-            return self.refuse(now, link, &request, error, out);
-        };
-        let content_hash = match check_hash(&request) {
-            Ok(content_hash) => content_hash,
-            Err(error) => return self.refuse(now, link, &request, error, out),
-        };
-        if let Some(missing) = self.hardware.missing() {
-            // Not remembered either: once the hardware is back the same request may be taken.
-            return tell(link, refusal(now, &request, missing), out);
-        }
-        match &request.command {
-            Command::ReadSensor => return self.provide(now, link, index, &request, out),
-            Command::Script(script) if script.is_empty() => {
-                return self.cancel(now, link, index, &request, content_hash, out);
-            }
-            Command::Set(_) | Command::Script(_) | Command::Unknown(_) => {}
-        }
-        match self.accept(now, link, index, &request) {
-            Ok(()) => self.confirm(now, link, index, &request, content_hash, out),
-            Err(error) => {
-                if error.code == ErrorCode::UnsupportedControlType {
-                    let why =
-                        "the device went to its default state: it was sent a control type that it lacks";
-                    self.stop(now, index, why, false, out);
-                }
-                self.refuse(now, link, &request, error, out);
-            }
-        }
-    }
-
-    /// Whether a request leaves the robot as it is. A reading that a device cannot give sends it to its default state.
-    fn only_reads(&self, request: &ControlRequest) -> bool {
-        let device = self.index_of.get(&request.device_id).map(|index| &self.devices[*index].spec);
-        matches!(request.command, Command::ReadSensor)
-            && device.is_some_and(|spec| spec.available_control_types.sensor().is_some())
-    }
-
-    /// Takes the robot for a session, if it is free. Without a session nothing is taken, and what another session has
-    /// taken stays out of reach.
-    fn claim(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Result<(), ControlError> {
-        let idle = self.devices.iter().all(DeviceMachine::is_idle);
-        let owner = self.parties.owner(now, idle, &self.heard);
-        match owner {
-            Some((owner, _)) if session != Some(owner) => {
-                let message = format!("`{}` belongs to session `{owner}` until that ends", self.block.id);
-                return Err(ControlError::new(ErrorCode::Busy, message));
-            }
-            Some(_) => {}
-            // Once over it stays so, whatever others hold from now on.
-            None => self.parties.release(),
-        }
-        if let Some(session) = session {
-            self.parties.claim(session, self.parties.party(link));
-        }
-        Ok(())
-    }
-
-    fn accept(
-        &mut self,
-        now: Now,
-        link: LinkId,
-        index: usize,
-        request: &ControlRequest,
-    ) -> Result<(), ControlError> {
-        let start = request.starts_at().map_or(now, Timestamp::assume_clock);
-        self.devices[index].accept(now, start, self.parties.party(link), request)
-    }
-
-    fn confirm(
-        &mut self,
-        now: Now,
-        link: LinkId,
-        index: usize,
-        request: &ControlRequest,
-        content_hash: Option<ContentHash>,
-        out: &mut Vec<Output>,
-    ) {
-        let status_value = match &request.command {
-            Command::Set(setpoint) => StatusValue::Number(setpoint.value),
-            Command::Script(script) => StatusValue::Script(script.clone()),
-            Command::ReadSensor | Command::Unknown(_) => StatusValue::Null,
-        };
-        let answer = ControlResponse {
-            status_value,
-            content_hash,
-            request_id: request.request_id.clone(),
-            ..response(now, request.device_id.clone(), Status::Accepted)
-        };
-        self.answer(link, answer, out);
-        self.refresh_wakeup(index);
-        self.advance(now, out);
-    }
-
-    fn provide(
-        &mut self,
-        now: Now,
-        link: LinkId,
-        index: usize,
-        request: &ControlRequest,
-        out: &mut Vec<Output>,
-    ) {
-        let spec = &self.devices[index].spec;
-        let Some(sensor) = spec.available_control_types.sensor() else {
-            let message = format!("`{}` is no sensor", spec.id);
-            let error = ControlError::new(ErrorCode::UnsupportedControlType, message);
-            let why = "the device went to its default state: it was asked for a reading and is no sensor";
-            self.stop(now, index, why, false, out);
-            return self.refuse(now, link, request, error, out);
-        };
-        if !self.hardware.is_simulated() {
-            let max_delay = sensor.max_delay;
-            return self.ask_hardware(now, link, request, max_delay, out);
-        }
-        let middle = f64::midpoint(sensor.min_value, sensor.max_value);
-        let position = self.devices[index].value(ControlType::Position, now);
-        let reading = self.readings.get(&request.device_id).copied().or(position).unwrap_or(middle);
-        let answer = ControlResponse {
-            status_value: StatusValue::Number(reading),
-            request_id: request.request_id.clone(),
-            ..response(now, request.device_id.clone(), Status::Provide)
-        };
-        // Not remembered: anybody may read, and whoever asks again reads again.
-        tell(link, answer, out);
-    }
-
-    fn cancel(
-        &mut self,
-        now: Now,
-        link: LinkId,
-        index: usize,
-        request: &ControlRequest,
-        content_hash: Option<ContentHash>,
-        out: &mut Vec<Output>,
-    ) {
-        let why = "cancelled by an empty script";
-        let from: Option<Now> = request.starts_at().map(Timestamp::assume_clock);
-        match from.filter(|from| *from > now) {
-            None => {
-                if let Some(sent) = request.timestamp {
-                    self.devices[index].take_back(now, sent);
-                }
-                self.stop(now, index, why, request.hold, out);
-            }
-            Some(from) => {
-                let error = ControlError::new(ErrorCode::Cancelled, why);
-                self.devices[index].cancel_from(from, &error, &mut self.effects);
-                self.settle(now, index, out);
-            }
-        }
-        let answer = ControlResponse {
-            request_id: request.request_id.clone(),
-            content_hash,
-            ..response(now, request.device_id.clone(), Status::Ok)
-        };
-        self.answer(link, answer, out);
-    }
-
     /// Ends all that a device holds or does, and sends it to its default state, or lets it stay where it is.
     fn stop(&mut self, now: Now, index: usize, why: &str, hold: bool, out: &mut Vec<Output>) {
         let error = ControlError::new(ErrorCode::Cancelled, why);
@@ -507,22 +335,6 @@ impl Robot {
         self.answers.remember(&report);
         if self.block.reports {
             out.push(Output::Send { link, message: Message::ControlResponse(report) });
-        }
-    }
-}
-
-/// The robot's own hash of what it takes, where the request carries one to compare.
-fn check_hash(request: &ControlRequest) -> Result<Option<ContentHash>, ControlError> {
-    let Some(expected) = request.content_hash else { return Ok(None) };
-    // Of these two the value does not matter.
-    if matches!(request.command, Command::ReadSensor | Command::Unknown(_)) {
-        return Ok(None);
-    }
-    match request.command.content_hash() {
-        computed if computed == expected => Ok(Some(computed)),
-        computed => {
-            let message = format!("content_hash is {expected}, the control_value hashes to {computed}");
-            Err(ControlError::new(ErrorCode::Malformed, message))
         }
     }
 }

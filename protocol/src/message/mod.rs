@@ -3,6 +3,8 @@
 mod availability;
 mod control_request;
 mod control_response;
+mod control_types;
+mod device;
 mod initialization_block;
 mod parameters;
 mod script;
@@ -16,10 +18,9 @@ use crate::object;
 pub use availability::{AvailabilityRequest, AvailabilityResponse};
 pub use control_request::{Command, ControlRequest};
 pub use control_response::{ControlResponse, Status, StatusValue};
-pub use initialization_block::{
-    ControlParameters, ControlTypes, Device, InitializationBlock, InitializationRequest, Interpolation,
-    Limits, RobotType, ScriptParameters, SensorParameters,
-};
+pub use control_types::{ControlParameters, ControlTypes, Limits, ScriptParameters, SensorParameters};
+pub use device::{Device, Interpolation};
+pub use initialization_block::{InitializationBlock, InitializationRequest, RobotType};
 pub use script::{Script, Setpoint};
 pub use step::Step;
 pub use stop_condition::StopCondition;

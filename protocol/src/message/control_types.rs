@@ -1,0 +1,283 @@
+//! The control types of a device with their parameters: what it takes, how finely, how many steps.
+
+use std::collections::BTreeMap;
+use std::fmt;
+
+use serde::de::{self, MapAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+use serde_json::{Map, Value};
+
+use super::parameters::Parameters;
+use crate::control_type::ControlType;
+use crate::error::{ControlError, ErrorCode};
+use crate::limits::LimitError;
+use crate::number;
+use crate::object::Object;
+
+/// Control types with their parameters, each at most once.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ControlTypes(BTreeMap<ControlType, ControlParameters>);
+
+/// The parameters of one control type.
+#[derive(Clone, Debug, PartialEq)]
+pub enum ControlParameters {
+    /// Of position, speed and acceleration.
+    Motion(Limits),
+    /// Of script.
+    Script(ScriptParameters),
+    /// Of sensor.
+    Sensor(SensorParameters),
+    /// Of custom_N: its own.
+    Custom(Map<String, Value>),
+}
+
+/// Bounds of a control signal, in the device's unit (paper, table 3).
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(!try_from))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Object<RawLimits>")]
+pub struct Limits {
+    /// Smallest value that the device can take.
+    #[serde(with = "number")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
+    pub min_value: f64,
+    /// Largest value that the device can take.
+    #[serde(with = "number")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
+    pub max_value: f64,
+    /// Smallest step; above 0. Values are multiples of it, counted from zero.
+    #[serde(with = "number")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64", extend("exclusiveMinimum" = 0)))]
+    pub granularity: f64,
+    /// Largest error by construction or conditions of use.
+    #[serde(with = "number::optional", skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0)))]
+    pub max_error: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct RawLimits {
+    #[serde(with = "number")]
+    min_value: f64,
+    #[serde(with = "number")]
+    max_value: f64,
+    #[serde(with = "number")]
+    granularity: f64,
+    #[serde(default, with = "number::optional")]
+    max_error: Option<f64>,
+}
+
+impl TryFrom<Object<RawLimits>> for Limits {
+    type Error = LimitError;
+
+    fn try_from(Object(raw): Object<RawLimits>) -> Result<Self, LimitError> {
+        check_range(raw.min_value, raw.max_value)?;
+        check_not_negative("max_error", raw.max_error)?;
+        // Finite already, so the comparison decides.
+        if raw.granularity <= 0.0 {
+            return Err(LimitError::Granularity { granularity: raw.granularity });
+        }
+        let RawLimits { min_value, max_value, granularity, max_error } = raw;
+        Ok(Self { min_value, max_value, granularity, max_error })
+    }
+}
+
+fn check_range(min: f64, max: f64) -> Result<(), LimitError> {
+    match min <= max {
+        true => Ok(()),
+        false => Err(LimitError::EmptyRange { min, max }),
+    }
+}
+
+fn check_not_negative(key: &'static str, value: Option<f64>) -> Result<(), LimitError> {
+    match value {
+        Some(value) if value < 0.0 => Err(LimitError::Negative { key, value }),
+        _ => Ok(()),
+    }
+}
+
+/// How far, in steps, a value may lie off the grid through rounding of decimal text.
+const GRID_TOLERANCE: f64 = 1e-6;
+
+impl Limits {
+    /// Whether the value lies within min_value to max_value.
+    #[must_use]
+    pub fn contains(&self, value: f64) -> bool {
+        value >= self.min_value && value <= self.max_value
+    }
+
+    /// Whether the value is a multiple of the granularity, but for the rounding of decimal text.
+    #[must_use]
+    pub fn on_grid(&self, value: f64) -> bool {
+        let steps = value / self.granularity;
+        (steps - steps.round()).abs() <= GRID_TOLERANCE
+    }
+
+    /// The multiple of the granularity nearest to the value.
+    #[must_use]
+    pub fn nearest(&self, value: f64) -> f64 {
+        (value / self.granularity).round() * self.granularity
+    }
+
+    pub(super) fn check(&self, control_type: ControlType, value: f64) -> Result<(), ControlError> {
+        if !self.contains(value) {
+            let message =
+                format!("{control_type} {value}, expected {} to {}", self.min_value, self.max_value);
+            return Err(ControlError::new(ErrorCode::OutOfRange, message));
+        }
+        if !self.on_grid(value) {
+            let message = format!("{control_type} {value}, expected a multiple of {}", self.granularity);
+            return Err(ControlError::new(ErrorCode::OffGranularity, message));
+        }
+        Ok(())
+    }
+}
+
+/// What a script adds to the parameters that it inherits.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ScriptParameters {
+    /// Inherited from the control type that the script supports.
+    #[serde(flatten)]
+    pub limits: Limits,
+    /// Largest number of steps in one script.
+    pub max_number_of_steps: u32,
+    /// Control types that steps may use; without it all of the device but script and sensor (our extension).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub control_types: Option<Vec<ControlType>>,
+}
+
+/// Properties of a sensor (paper, table 4).
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(!try_from))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "Object<RawSensor>")]
+pub struct SensorParameters {
+    /// Smallest reading.
+    #[serde(with = "number")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
+    pub min_value: f64,
+    /// Largest reading.
+    #[serde(with = "number")]
+    #[cfg_attr(feature = "schema", schemars(with = "f64"))]
+    pub max_value: f64,
+    /// Largest error of a reading.
+    #[serde(with = "number::optional", skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0)))]
+    pub max_error: Option<f64>,
+    /// Largest latency in milliseconds.
+    #[serde(with = "number::optional", skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0)))]
+    pub max_delay: Option<f64>,
+}
+
+#[derive(Deserialize)]
+struct RawSensor {
+    #[serde(with = "number")]
+    min_value: f64,
+    #[serde(with = "number")]
+    max_value: f64,
+    #[serde(default, with = "number::optional")]
+    max_error: Option<f64>,
+    #[serde(default, with = "number::optional")]
+    max_delay: Option<f64>,
+}
+
+impl TryFrom<Object<RawSensor>> for SensorParameters {
+    type Error = LimitError;
+
+    fn try_from(Object(raw): Object<RawSensor>) -> Result<Self, LimitError> {
+        check_range(raw.min_value, raw.max_value)?;
+        check_not_negative("max_error", raw.max_error)?;
+        check_not_negative("max_delay", raw.max_delay)?;
+        let RawSensor { min_value, max_value, max_error, max_delay } = raw;
+        Ok(Self { min_value, max_value, max_error, max_delay })
+    }
+}
+
+impl ControlTypes {
+    /// The parameters of a control type, if the device has it.
+    #[must_use]
+    pub fn get(&self, control_type: ControlType) -> Option<&ControlParameters> {
+        self.0.get(&control_type)
+    }
+
+    /// The bounds of position, speed or acceleration.
+    #[must_use]
+    pub fn limits(&self, control_type: ControlType) -> Option<&Limits> {
+        match self.get(control_type)? {
+            ControlParameters::Motion(limits) => Some(limits),
+            _ => None,
+        }
+    }
+
+    /// The parameters of script, if the device takes scripts.
+    #[must_use]
+    pub fn script(&self) -> Option<&ScriptParameters> {
+        match self.get(ControlType::Script)? {
+            ControlParameters::Script(script) => Some(script),
+            _ => None,
+        }
+    }
+
+    /// The parameters of sensor, if the device is one.
+    #[must_use]
+    pub fn sensor(&self) -> Option<&SensorParameters> {
+        match self.get(ControlType::Sensor)? {
+            ControlParameters::Sensor(sensor) => Some(sensor),
+            _ => None,
+        }
+    }
+
+    /// All of them, in the order of [`ControlType`].
+    pub fn iter(&self) -> impl Iterator<Item = (ControlType, &ControlParameters)> {
+        self.0.iter().map(|(control_type, parameters)| (*control_type, parameters))
+    }
+}
+
+impl Serialize for ControlTypes {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        serializer.collect_map(&self.0)
+    }
+}
+
+impl Serialize for ControlParameters {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        match self {
+            Self::Motion(limits) => limits.serialize(serializer),
+            Self::Script(script) => script.serialize(serializer),
+            Self::Sensor(sensor) => sensor.serialize(serializer),
+            Self::Custom(parameters) => parameters.serialize(serializer),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for ControlTypes {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(ControlTypesVisitor)
+    }
+}
+
+struct ControlTypesVisitor;
+
+impl<'de> Visitor<'de> for ControlTypesVisitor {
+    type Value = ControlTypes;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a dictionary from control type to its parameters")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ControlTypes, A::Error> {
+        let mut types = BTreeMap::new();
+        while let Some(control_type) = map.next_key::<ControlType>()? {
+            let parameters = match control_type {
+                ControlType::Script => ControlParameters::Script(map.next_value()?),
+                ControlType::Sensor => ControlParameters::Sensor(map.next_value()?),
+                ControlType::Custom(_) => ControlParameters::Custom(map.next_value::<Parameters>()?.0),
+                _ => ControlParameters::Motion(map.next_value()?),
+            };
+            if types.insert(control_type, parameters).is_some() {
+                return Err(de::Error::custom(format!("duplicate control type `{control_type}`")));
+            }
+        }
+        Ok(ControlTypes(types))
+    }
+}

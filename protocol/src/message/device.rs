@@ -1,0 +1,132 @@
+//! A device of a robot, and what it can be told.
+
+use serde::{Deserialize, Serialize};
+
+use super::Setpoint;
+use super::control_types::{ControlParameters, ControlTypes};
+use crate::control_type::ControlType;
+use crate::error::{ControlError, ErrorCode};
+use crate::limits::LimitError;
+use crate::number;
+use crate::text::{DeviceId, Label};
+
+/// How a device gets from one script step's value to the next (our extension).
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Interpolation {
+    /// The value is set at the step's time and held.
+    #[default]
+    Hold,
+    /// The value moves linearly and arrives at the step's time.
+    Linear,
+}
+
+/// One device of a robot.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Device {
+    /// Unique among the robot's devices.
+    pub id: DeviceId,
+    /// For people.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<Label>,
+    /// Of all values of this device (our extension).
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<Label>,
+    /// The default state; without one: hold the last position, zero speed and acceleration (our extension).
+    #[serde(default, with = "number::optional", skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>"))]
+    pub default_value: Option<f64>,
+    /// Between script steps (our extension).
+    #[serde(default)]
+    pub interpolation: Interpolation,
+    /// How many scripts that have not ended the device holds (our extension).
+    #[serde(default = "one_script")]
+    pub script_queue: u32,
+    /// How it can be driven.
+    pub available_control_types: ControlTypes,
+}
+
+const fn one_script() -> u32 {
+    1
+}
+
+impl Device {
+    /// The control type that plain values mean: the first of position, speed, acceleration, custom_N.
+    #[must_use]
+    pub fn primary_control_type(&self) -> Option<ControlType> {
+        let mut types = self.available_control_types.iter().map(|(control_type, _)| control_type);
+        types.find(|t| !matches!(t, ControlType::Script | ControlType::Sensor))
+    }
+
+    /// A stop must not lead where no command may.
+    pub(super) fn check_default(&self) -> Result<(), LimitError> {
+        let limits =
+            self.primary_control_type().and_then(|primary| self.available_control_types.limits(primary));
+        match (self.default_value, limits) {
+            (Some(value), Some(limits)) if !limits.contains(value) => Err(LimitError::DefaultValue {
+                id: self.id.to_string(),
+                value,
+                min: limits.min_value,
+                max: limits.max_value,
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// The control types that a script of this device may use; empty without scripts.
+    #[must_use]
+    pub fn script_control_types(&self) -> Vec<ControlType> {
+        let Some(script) = self.available_control_types.script() else { return Vec::new() };
+        let all = self.available_control_types.iter().map(|(control_type, _)| control_type);
+        all.filter(|t| !matches!(t, ControlType::Script | ControlType::Sensor))
+            .filter(|t| script.control_types.as_ref().is_none_or(|listed| listed.contains(t)))
+            .collect()
+    }
+
+    /// Checks a setpoint against the parameters of its control type.
+    ///
+    /// # Errors
+    /// `unsupported_control_type`, `out_of_range` or `off_granularity`.
+    pub fn check(&self, setpoint: &Setpoint) -> Result<(), ControlError> {
+        match self.available_control_types.get(setpoint.control_type) {
+            Some(ControlParameters::Motion(limits)) if setpoint.more.is_empty() => {
+                limits.check(setpoint.control_type, setpoint.value)
+            }
+            Some(ControlParameters::Motion(_)) => Err(ControlError::new(
+                ErrorCode::Malformed,
+                format!("{} takes one value, found {}", setpoint.control_type, setpoint.more.len() + 1),
+            )),
+            Some(ControlParameters::Custom(_)) => Ok(()),
+            _ => Err(self.unsupported(setpoint.control_type)),
+        }
+    }
+
+    /// Checks a setpoint as a script step: against its control type and what the script inherits.
+    ///
+    /// # Errors
+    /// As [`Device::check`].
+    pub fn check_in_script(&self, setpoint: &Setpoint) -> Result<(), ControlError> {
+        let Some(script) = self.available_control_types.script() else {
+            return Err(self.unsupported(ControlType::Script));
+        };
+        let listed = script.control_types.as_ref();
+        if listed.is_some_and(|types| !types.contains(&setpoint.control_type)) {
+            return Err(self.unsupported(setpoint.control_type));
+        }
+        self.check(setpoint)?;
+        match setpoint.control_type {
+            ControlType::Custom(_) => Ok(()),
+            control_type => script.limits.check(control_type, setpoint.value),
+        }
+    }
+
+    fn unsupported(&self, control_type: ControlType) -> ControlError {
+        let known: Vec<_> = self.available_control_types.iter().map(|(t, _)| t.to_string()).collect();
+        ControlError::new(
+            ErrorCode::UnsupportedControlType,
+            format!("`{}` does not support {control_type}, it has {}", self.id, known.join(", ")),
+        )
+    }
+}
