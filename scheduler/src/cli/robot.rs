@@ -4,9 +4,9 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
-use downbeat_robot::{Host, HostOptions, serve};
+use downbeat_robot::{Host, HostOptions, Hosted, serve};
 use tokio::net::TcpListener;
-use urrcp::{RobotId, Span};
+use urrcp::{InitializationBlock, RobotId, Span};
 
 use super::run::parse_span;
 use super::{Exit, Format, console};
@@ -17,17 +17,10 @@ use super::{Exit, Format, console};
 
 Examples:
   downbeat robot --init scripts/examples/robots/ur5e.yaml --listen 127.0.0.1:7401
-  downbeat robot --init robot.yaml --id arm-2 --listen 127.0.0.1:0 --clock-offset 120ms --delay-max 80ms --log set.jsonl")]
+  downbeat robot --init robot.yaml --id arm-2 --listen 127.0.0.1:0 --clock-offset 120ms --delay-max 80ms --log-file set.jsonl")]
 pub(super) struct RobotArgs {
-    /// Its initialization block, YAML or JSON.
-    #[arg(long, value_name = "FILE")]
-    init: PathBuf,
-    /// Its id, instead of the file's.
-    #[arg(long)]
-    id: Option<RobotId>,
-    /// Where to listen; port 0 takes any free one.
-    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7401")]
-    listen: String,
+    #[command(flatten)]
+    process: ProcessArgs,
     /// How far its raw clock is ahead of the true time.
     #[arg(long, value_parser = parse_span, default_value = "0s", value_name = "TIME")]
     clock_offset: Span,
@@ -46,12 +39,59 @@ pub(super) struct RobotArgs {
     /// Of its random draws.
     #[arg(long, default_value_t = 0)]
     seed: u64,
+}
+
+/// A robot as a process of its own, whatever it drives.
+#[derive(Debug, clap::Args)]
+pub(super) struct ProcessArgs {
+    /// Its initialization block, YAML or JSON.
+    #[arg(long, value_name = "FILE")]
+    init: PathBuf,
+    /// Its id, instead of the file's.
+    #[arg(long)]
+    id: Option<RobotId>,
+    /// Where to listen; port 0 takes any free one.
+    #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7401")]
+    listen: String,
     /// Write everything that it sets to this file, a JSON line each.
     #[arg(long, value_name = "FILE")]
     log_file: Option<PathBuf>,
     /// Ask for real-time scheduling (needs the right to).
     #[arg(long)]
     realtime: bool,
+}
+
+impl ProcessArgs {
+    /// What the robot says of itself.
+    pub(super) fn block(&self) -> Result<InitializationBlock, Exit> {
+        let mut block = downbeat_scripts::read_init(&self.init).map_err(|findings| {
+            super::load::show_findings(&findings);
+            Exit::Usage
+        })?;
+        if let Some(id) = &self.id {
+            block.id = id.clone();
+        }
+        Ok(block)
+    }
+
+    /// Runs the robot until it is interrupted.
+    pub(super) fn run(&self, robot: Hosted, format: Format) -> Exit {
+        let options = HostOptions { realtime: self.realtime, log: self.log_file.clone() };
+        let host = match Host::start(vec![robot], options) {
+            Ok(host) => host,
+            Err(error) => return failed(&error.to_string()),
+        };
+        super::with_runtime(async {
+            let listener = match TcpListener::bind(&self.listen).await {
+                Ok(listener) => listener,
+                Err(error) => return failed(&format!("cannot listen on {}: {error}", self.listen)),
+            };
+            announce(&host, 0, &listener, format);
+            let exit = serve_until_interrupted(vec![(listener, 0)], &host).await;
+            host.stop();
+            exit
+        })
+    }
 }
 
 /// What a simulated robot does wrong.
@@ -66,16 +106,10 @@ enum FaultArg {
 }
 
 pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
-    let mut block = match downbeat_scripts::read_init(&args.init) {
+    let block = match args.process.block() {
         Ok(block) => block,
-        Err(findings) => {
-            super::load::show_findings(&findings);
-            return Exit::Usage;
-        }
+        Err(exit) => return exit,
     };
-    if let Some(id) = &args.id {
-        block.id = id.clone();
-    }
     let settings = Settings {
         clock_offset: args.clock_offset,
         ntp_error: (!args.no_ntp).then_some(args.ntp_error),
@@ -88,24 +122,10 @@ pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
         seed: args.seed,
         ..Settings::default()
     };
-    let options = HostOptions { realtime: args.realtime, log: args.log_file.clone() };
-    let host = match Host::start(vec![SimulatedRobot::new(block, settings)], options) {
-        Ok(host) => host,
-        Err(error) => return failed(&error.to_string()),
-    };
-    super::with_runtime(async {
-        let listener = match TcpListener::bind(&args.listen).await {
-            Ok(listener) => listener,
-            Err(error) => return failed(&format!("cannot listen on {}: {error}", args.listen)),
-        };
-        announce(&host, 0, &listener, format);
-        let exit = serve_until_interrupted(vec![(listener, 0)], &host).await;
-        host.stop();
-        exit
-    })
+    args.process.run(SimulatedRobot::new(block, settings).into(), format)
 }
 
-fn failed(message: &str) -> Exit {
+pub(super) fn failed(message: &str) -> Exit {
     console::error(message);
     Exit::Usage
 }
