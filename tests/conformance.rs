@@ -199,6 +199,12 @@ fn the_document_lists_every_requirement_as_the_program_does() {
     let rows: String =
         requirements().map(|r| format!("| `{}` | {} | {} |\n", r.name, r.demands, r.section)).collect();
     assert!(document.contains(&rows), "docs/conformance.md should have these rows:\n{rows}");
+    let protocol = std::fs::read_to_string(root().join("docs/protocol.md")).unwrap();
+    for requirement in requirements() {
+        let heading =
+            |line: &str| line.trim_start_matches('#').trim() == requirement.section && line.starts_with('#');
+        assert!(protocol.lines().any(heading), "`{}`: no section {}", requirement.name, requirement.section);
+    }
 }
 
 #[test]
@@ -216,6 +222,9 @@ fn a_session_at_a_terminal_shows_the_table_and_ends_with_the_right_code() {
             "2 pass, 0 fail, 1 not applicable",
         ],
     );
+    session
+        .run(&["conformance", &right, "--device", "elbow"])
+        .says(2, &["no device `elbow`", "one of `shoulder`"]);
     let late: proxy::Fault = faults::all().into_iter().find(|mutant| mutant.fails == ["late"]).unwrap().fault;
     let wrong = format!("tcp://{}", proxy::faulty(robot, proxy::Serving::All, late));
     session.run(&["conformance", &wrong, "--only", "late"]).says(

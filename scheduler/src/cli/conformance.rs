@@ -24,7 +24,7 @@ not declare what the check needs), and why. What is sent, what came and what was
 
 The robot moves. The checks keep within what its device declares: its default value (or zero, or the middle of its
 range) and a five-hundredth of its range beside it; the ends of the range are only asked for with a start that is
-cancelled before it comes. Every command carries a lease. At the end, and on Ctrl-C, the device is brought to rest.
+cancelled before it comes. Nearly every command carries a lease. At the end, and on Ctrl-C, the device is brought to rest.
 No other server should talk to the robot meanwhile.
 
 Examples:

@@ -22,7 +22,7 @@ pub(super) const ALL: [Requirement; 4] = [
     Requirement {
         name: "skip-handshake",
         demands: "A control request as the very first message of a connection is served.",
-        section: "The six steps",
+        section: "Framing (D)",
         check: skip_handshake,
     },
     Requirement {

@@ -1,8 +1,8 @@
 //! Who asked what: request ids, hashes, sessions.
 
 use urrcp::{
-    AvailabilityRequest, AvailabilityResponse, ContentHash, ControlRequest, ErrorCode, Message, RequestId,
-    SessionId, Status,
+    AvailabilityRequest, AvailabilityResponse, Command, ContentHash, ControlRequest, ErrorCode, Message,
+    RequestId, SessionId, Status,
 };
 
 use super::heard::Heard;
@@ -10,36 +10,42 @@ use super::line::Line;
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
 use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 
-pub(super) const ALL: [Requirement; 5] = [
+pub(super) const ALL: [Requirement; 6] = [
     Requirement {
         name: "request-id",
         demands: "Every response carries the request_id of its request: acceptances, reports, refusals.",
-        section: "Control",
+        section: "Control response",
         check: request_id,
     },
     Requirement {
         name: "repeated-request",
         demands: "A request that is repeated with its request_id is answered again and not executed again.",
-        section: "Control",
+        section: "Asked twice (D)",
         check: repeated_request,
     },
     Requirement {
         name: "no-request-id",
         demands: "A request without request_id is served.",
-        section: "Control",
+        section: "Control response",
         check: no_request_id,
     },
     Requirement {
         name: "content-hash",
         demands: "A content_hash is checked: the right one is echoed, a wrong one refused with `malformed`.",
-        section: "Control",
+        section: "Content hash (D)",
         check: content_hash,
     },
     Requirement {
         name: "session",
         demands: "A robot that belongs to a session refuses others with `busy` and names its session; once that has gone, the next one gets it.",
-        section: "Sessions",
+        section: "Sessions and connections (D)",
         check: session,
+    },
+    Requirement {
+        name: "session-reading",
+        demands: "Somebody to whom the robot does not belong, and who asks a device that is no sensor for a reading, is refused with `busy` and ends nothing.",
+        section: "Sensors",
+        check: session_reading,
     },
 ];
 
@@ -159,6 +165,32 @@ fn claim(
             Err(differs(&sent, &came, "an availability_response"))
         }
     }
+}
+
+fn session_reading(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    if actor.device.available_control_types.sensor().is_some() {
+        return Err(not_applicable(format!("`{}` can be read", actor.device.id)));
+    }
+    let name = format!("{}/owner", trial.fresh_id());
+    let owner = SessionId::new(name).map_err(|error| not_applicable(error.to_string()))?;
+    let mut stranger = trial.connect()?;
+    let mut line = trial.connect_beside()?;
+    let ticket = line.held(&ControlRequest { session: Some(owner.clone()), ..trial.pending(actor) })?;
+    let refused = stranger.refuses(&trial.request(&actor.device.id, Command::ReadSensor), ErrorCode::Busy);
+    line.listen(trial.soon(100), |line| line.asked(ticket).heard.len() > 1)?;
+    let ended = line.asked(ticket).heard.get(1).map(|more| {
+        differs(
+            &line.asked(ticket).text,
+            &more.text,
+            "nothing: what others ask for ends nothing of its owner's",
+        )
+    });
+    // What is held belongs to the session: only that can take it back.
+    let stop = line.ask(&ControlRequest { session: Some(owner), ..trial.cancel(actor) })?;
+    line.answer(stop)?;
+    refused?;
+    ended.map_or_else(pass, Err)
 }
 
 fn session(trial: &Trial) -> Checked {

@@ -62,7 +62,7 @@ pub(super) const ALL: [Requirement; 9] = [
     Requirement {
         name: "lease-two-links",
         demands: "What another party says on its own connection does not renew the lease.",
-        section: "Sessions",
+        section: "Sessions and connections (D)",
         check: lease_two_links,
     },
 ];
@@ -206,11 +206,10 @@ fn lease_noise(trial: &Trial) -> Checked {
             "the robot hung up over a line that is no message (see `malformed-line`)",
         ));
     }
-    line.failure(ticket, ErrorCode::LinkLost, trial.now()).map_err(|unmet| match unmet {
-        Unmet::Failed(why) => Unmet::Failed(format!(
-            "after 900 ms with nothing but lines that are no message, every 100 ms: {why}"
-        )),
-        other => other,
+    line.failure(ticket, ErrorCode::LinkLost, trial.now()).map_err(|unmet| {
+        unmet.within(|why| {
+            format!("after 900 ms with nothing but lines that are no message, every 100 ms: {why}")
+        })
     })?;
     pass()
 }
@@ -223,13 +222,10 @@ fn lease_link_down(trial: &Trial) -> Checked {
     trial.pause(PERIOD + PERIOD + trial.options().tolerance)?;
     let mut line = trial.connect()?;
     let ticket = line.ask(&request)?;
-    line.refused(ticket, &[ErrorCode::LinkLost]).map_err(|unmet| match unmet {
-        Unmet::Failed(why) => Unmet::Failed(format!(
+    line.refused(ticket, &[ErrorCode::LinkLost]).map_err(|unmet| unmet.within(|why| format!(
             "it was accepted with a lease of {PERIOD}, the connection was closed and the same request repeated on a new one {} later: {why}",
             PERIOD + PERIOD
-        )),
-        other => other,
-    })?;
+        )))?;
     pass()
 }
 
@@ -239,11 +235,10 @@ fn lease_two_links(trial: &Trial) -> Checked {
     let mut other = trial.connect_beside()?;
     let ticket = line.held(&short(trial.pending(trial.actor()?)))?;
     chatter(trial, &mut other, &|| presence(trial), Span::from_millis(900))?;
-    line.failure(ticket, ErrorCode::LinkLost, trial.now() + trial.slack()).map_err(|unmet| match unmet {
-        Unmet::Failed(why) => Unmet::Failed(format!(
-            "silent for 900 ms, while another connection sent availability requests: {why}"
-        )),
-        other => other,
+    line.failure(ticket, ErrorCode::LinkLost, trial.now() + trial.slack()).map_err(|unmet| {
+        unmet.within(|why| {
+            format!("silent for 900 ms, while another connection sent availability requests: {why}")
+        })
     })?;
     pass()
 }

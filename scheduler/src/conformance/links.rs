@@ -2,32 +2,32 @@
 
 use urrcp::{Message, Span};
 
-use super::requirement::{Checked, Requirement, Unmet, differs, pass};
+use super::requirement::{Checked, Requirement, differs, pass};
 use super::trial::Trial;
 
 pub(super) const ALL: [Requirement; 4] = [
     Requirement {
         name: "many-messages",
         demands: "A thousand messages in one write are all answered, in their order.",
-        section: "Framing",
+        section: "Sessions and connections (D)",
         check: many_messages,
     },
     Requirement {
         name: "slow-reader",
         demands: "A server that sends and does not read holds up no other.",
-        section: "Framing",
+        section: "Sessions and connections (D)",
         check: slow_reader,
     },
     Requirement {
         name: "reconnect",
         demands: "Twenty connections, one after the other, are all served.",
-        section: "Framing",
+        section: "Sessions and connections (D)",
         check: reconnect,
     },
     Requirement {
         name: "two-links",
         demands: "A second connection is served while the first one stands.",
-        section: "Sessions",
+        section: "Sessions and connections (D)",
         check: two_links,
     },
 ];
@@ -83,11 +83,8 @@ fn slow_reader(trial: &Trial) -> Checked {
 fn reconnect(trial: &Trial) -> Checked {
     for n in 1..=20 {
         let served = trial.connect().and_then(|mut line| line.availability().map(drop));
-        served.map_err(|unmet| match unmet {
-            Unmet::Failed(why) => {
-                Unmet::Failed(format!("connection {n} of 20, each closed before the next: {why}"))
-            }
-            other => other,
+        served.map_err(|unmet| {
+            unmet.within(|why| format!("connection {n} of 20, each closed before the next: {why}"))
         })?;
     }
     pass()

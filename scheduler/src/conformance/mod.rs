@@ -23,7 +23,7 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-use urrcp::Span;
+use urrcp::{InitializationBlock, Span};
 
 pub use requirement::{Judged, Requirement, Verdict};
 
@@ -92,7 +92,9 @@ pub fn examine(
         return Err(why(unmet));
     }
     let block = trial.connect().and_then(|mut line| line.initialization()).ok();
-    trial.learn(block.map(|(_, block)| block.message));
+    let block = block.map(|(_, block)| block.message);
+    has_device(block.as_ref(), trial.options().device.as_deref())?;
+    trial.learn(block);
     let off = greeting::compare_clocks(&trial).ok();
     let off = off.filter(|reading| trial.options().clock_measured || !greeting::agrees(reading));
     trial.shift = off.map_or(Span::ZERO, |reading| reading.offset);
@@ -123,6 +125,17 @@ pub fn examine(
     }
     examined.at_rest = trial.settle_at_the_end();
     Ok(examined)
+}
+
+/// A robot that is known and lacks the device that was named would have nearly everything not applicable.
+fn has_device(block: Option<&InitializationBlock>, named: Option<&str>) -> Result<(), String> {
+    let (Some(block), Some(named)) = (block, named) else { return Ok(()) };
+    if block.device(named).is_some() {
+        return Ok(());
+    }
+    let known: Vec<_> = block.devices.iter().take(20).map(|device| format!("`{}`", device.id)).collect();
+    let more = if block.devices.len() > known.len() { ", ..." } else { "" };
+    Err(format!("`{}` has no device `{named}`, expected one of {}{more}", block.id, known.join(", ")))
 }
 
 /// Asking a robot that is gone takes the patience each time.

@@ -30,6 +30,16 @@ pub(super) enum Unmet {
     Interrupted,
 }
 
+impl Unmet {
+    /// A failure as one of something larger.
+    pub(super) fn within(self, tell: impl FnOnce(String) -> String) -> Self {
+        match self {
+            Self::Failed(why) => Self::Failed(tell(why)),
+            other => other,
+        }
+    }
+}
+
 /// How a requirement was judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]

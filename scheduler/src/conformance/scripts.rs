@@ -10,37 +10,37 @@ pub(super) const ALL: [Requirement; 6] = [
     Requirement {
         name: "script-order",
         demands: "A script whose steps go back in time is refused with `malformed`.",
-        section: "Control",
+        section: "Control request",
         check: script_order,
     },
     Requirement {
         name: "script-timing",
         demands: "A script reports `Accepted`, `Started` and `OK` in this order, with all its steps done and its end at the last step's time.",
-        section: "Time",
+        section: "Reports (D)",
         check: script_timing,
     },
     Requirement {
         name: "max-steps",
         demands: "A script of exactly max_number_of_steps is accepted.",
-        section: "Initialization",
+        section: "Refusing",
         check: max_steps,
     },
     Requirement {
         name: "one-step-too-many",
         demands: "A script of one step more than max_number_of_steps is refused with `too_many_steps`.",
-        section: "Initialization",
+        section: "Refusing",
         check: one_step_too_many,
     },
     Requirement {
         name: "queue",
         demands: "script_queue scripts one right behind the other are held, one more is refused with `busy`.",
-        section: "Initialization",
+        section: "Refusing",
         check: queue,
     },
     Requirement {
         name: "overlap",
         demands: "A script that overlaps one that is held is refused with `overlap`, or `busy` where only one is held.",
-        section: "Time",
+        section: "Refusing",
         check: overlap,
     },
 ];

@@ -9,25 +9,25 @@ pub(super) const ALL: [Requirement; 4] = [
     Requirement {
         name: "deferred-start",
         demands: "A command starts at timestamp + time_offset_to_start by the robot's clock, within the tolerance and never before.",
-        section: "Time",
+        section: "Time (D)",
         check: deferred_start,
     },
     Requirement {
         name: "immediate-start",
         demands: "A command without time_offset_to_start is accepted and starts at once on receipt.",
-        section: "Control",
+        section: "Control request",
         check: immediate_start,
     },
     Requirement {
         name: "late",
         demands: "A command whose start has passed when it arrives is refused with `late` and not executed.",
-        section: "Time",
+        section: "Time (D)",
         check: late,
     },
     Requirement {
         name: "status-value",
         demands: "`Accepted` carries the accepted value, `Started` the first value set, `OK` the last, and a refusal null.",
-        section: "Control",
+        section: "Control response",
         check: status_value,
     },
 ];

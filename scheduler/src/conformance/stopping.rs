@@ -11,31 +11,31 @@ pub(super) const ALL: [Requirement; 5] = [
     Requirement {
         name: "cancel-pending",
         demands: "An empty script without a start is answered `OK`, and what is pending ends `Failed`, `cancelled`.",
-        section: "The lease",
+        section: "Cancelling (D)",
         check: cancel_pending,
     },
     Requirement {
         name: "cancel-from",
         demands: "An empty script at S drops what starts at S or later, and nothing that starts before.",
-        section: "The lease",
+        section: "Cancelling (D)",
         check: cancel_from,
     },
     Requirement {
         name: "cancel-running",
         demands: "An empty script without a start ends what runs, which reports `Failed`, `cancelled`.",
-        section: "The lease",
+        section: "Cancelling (D)",
         check: cancel_running,
     },
     Requirement {
         name: "hold",
         demands: "An empty script with `hold: true` is answered `OK` and ends what is pending as well.",
-        section: "The lease",
+        section: "Cancelling (D)",
         check: hold,
     },
     Requirement {
         name: "take-back",
         demands: "A stop with a timestamp also refuses with `cancelled` what was sent up to then and arrives after it, and nothing that was sent later.",
-        section: "The lease",
+        section: "Cancelling (D)",
         check: take_back,
     },
 ];
@@ -123,11 +123,10 @@ fn take_back(trial: &Trial) -> Checked {
         &ControlRequest { timestamp: Some(trial.stamp() + Span::from_micros(1)), ..stopping },
     )?;
     let ticket = upload.ask(&overtaken)?;
-    upload.refused(ticket, &[ErrorCode::Cancelled]).map_err(|unmet| match unmet {
-        Unmet::Failed(why) => Unmet::Failed(format!(
-            "a stop with a later timestamp came ahead of it on another connection: {why}"
-        )),
-        other => other,
+    upload.refused(ticket, &[ErrorCode::Cancelled]).map_err(|unmet| {
+        unmet.within(|why| {
+            format!("a stop with a later timestamp came ahead of it on another connection: {why}")
+        })
     })?;
     upload.held(&trial.pending(actor))?;
     pass()

@@ -1,58 +1,64 @@
 //! What a robot declares of its devices and what it then takes.
 
-use urrcp::{Command, ControlType, DeviceId, ErrorCode, Script, Setpoint, Status, Step};
+use urrcp::{Command, ControlType, DeviceId, ErrorCode, Label, Script, Setpoint, Status, Step};
 
 use super::line::Line;
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
 use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 
-pub(super) const ALL: [Requirement; 8] = [
+pub(super) const ALL: [Requirement; 9] = [
     Requirement {
         name: "range",
         demands: "min_value and max_value are accepted, values beyond them are refused with `out_of_range`.",
-        section: "Control",
+        section: "Refusing",
         check: range,
     },
     Requirement {
         name: "granularity",
         demands: "A value that is no multiple of the granularity is refused with `off_granularity`.",
-        section: "Initialization",
+        section: "Refusing",
         check: granularity,
     },
     Requirement {
         name: "script-range",
         demands: "A script with one step out of range or off the grid is refused as a whole.",
-        section: "Initialization",
+        section: "Refusing",
         check: script_range,
     },
     Requirement {
         name: "unknown-device",
         demands: "A request to a device that the robot lacks is refused with `unknown_device`.",
-        section: "Control",
+        section: "Refusing",
         check: unknown_device,
     },
     Requirement {
         name: "unsupported-control-type",
         demands: "A control type that the device lacks is refused with `unsupported_control_type`, and what was pending there ends `Failed`, `cancelled`.",
-        section: "The lease",
+        section: "Refusing",
         check: unsupported_control_type,
+    },
+    Requirement {
+        name: "unknown-control-type",
+        demands: "A control type that the protocol does not know is one that the device lacks, with the same consequences.",
+        section: "Refusing",
+        check: unknown_control_type,
     },
     Requirement {
         name: "script-control-types",
         demands: "A script with a step of a control type that scripts may not use is refused with `unsupported_control_type`.",
-        section: "Initialization",
+        section: "Refusing",
         check: script_control_types,
     },
     Requirement {
         name: "sensor",
         demands: "A sensor request is answered `Provide` with a reading from min_value to max_value, within max_delay.",
-        section: "Control",
+        section: "Sensors",
         check: sensor,
     },
     Requirement {
         name: "sensor-not-a-sensor",
         demands: "A sensor request to a device that is no sensor is refused with `unsupported_control_type`.",
-        section: "Control",
+        section: "Sensors",
         check: sensor_not_a_sensor,
     },
 ];
@@ -130,23 +136,30 @@ fn unknown_device(trial: &Trial) -> Checked {
 }
 
 fn unsupported_control_type(trial: &Trial) -> Checked {
+    let lacks = trial.actor()?.lacks();
+    lacking(trial, Command::Set(Setpoint::new(lacks, 0.0)), lacks)
+}
+
+fn unknown_control_type(trial: &Trial) -> Checked {
+    let name = Label::new("no_such_control").map_err(|error| not_applicable(error.to_string()))?;
+    lacking(trial, Command::Unknown(name.clone()), name)
+}
+
+/// A command of a control type that the device lacks is refused, and ends what the device held.
+fn lacking(trial: &Trial, command: Command, control_type: impl std::fmt::Display) -> Checked {
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
     let pending = line.held(&trial.pending(actor))?;
-    let command = Command::Set(Setpoint::new(actor.lacks(), 0.0));
     let request = trial.request(&actor.device.id, command).starting_in(LATER_MS).leased(LEASE_MS);
     line.refuses(&request, ErrorCode::UnsupportedControlType)?;
     if !trial.reports() {
         return Ok("refused; without `reports` nothing tells whether the device went to its default state"
             .to_owned());
     }
-    line.failure(pending, ErrorCode::Cancelled, trial.patience()).map_err(|unmet| match unmet {
-        Unmet::Failed(why) => Unmet::Failed(format!(
+    line.failure(pending, ErrorCode::Cancelled, trial.patience()).map_err(|unmet| unmet.within(|why| format!(
             "the control type `{}` was refused, but the device must also go to its default state, which ends what it held: {why}",
-            actor.lacks()
-        )),
-        other => other,
-    })?;
+            control_type
+        )))?;
     pass()
 }
 

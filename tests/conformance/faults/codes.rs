@@ -20,11 +20,14 @@ pub fn all() -> Vec<Mutant> {
         mutant("`unknown_device` has another code", &["unknown-device"], |_, passing| {
             recode(passing, "unknown_device")
         }),
-        mutant("`busy` has another code", &["queue", "session"], |_, passing| recode(passing, "busy")),
+        mutant("`busy` has another code", &["queue", "session", "session-reading"], |_, passing| {
+            recode(passing, "busy")
+        }),
         mutant(
             "`cancelled` has another code",
             &[
                 "unsupported-control-type",
+                "unknown-control-type",
                 "cancel-pending",
                 "cancel-from",
                 "cancel-running",

@@ -74,6 +74,14 @@ pub fn of_values() -> Vec<Mutant> {
                 _ => Then::Pass,
             },
         ),
+        mutant("an unknown control type is malformed", &["unknown-control-type"], |_, passing| match passing
+            .request()
+        {
+            Some(request) if request["control_type"] == "no_such_control" => {
+                Then::Answer(answer(request, "Failed", "malformed"))
+            }
+            _ => Then::Pass,
+        }),
         mutant("every step is taken for a position", &["script-control-types"], |_, passing| {
             edit(passing, |request| {
                 for step in request["control_value"].as_array_mut().into_iter().flatten() {
@@ -81,7 +89,16 @@ pub fn of_values() -> Vec<Mutant> {
                 }
             })
         }),
-        mutant("everything reads something", &["sensor-not-a-sensor"], |_, passing| {
+        mutant("readings are refused without regard to the owner", &["session-reading"], |_, passing| {
+            match passing.request() {
+                Some(request) if request["control_type"] == "sensor" => {
+                    Then::Answer(answer(request, "Failed", "unsupported_control_type"))
+                }
+                _ => Then::Pass,
+            }
+        }),
+        // Its owner's device is one of everything.
+        mutant("everything reads something", &["sensor-not-a-sensor", "session-reading"], |_, passing| {
             match passing.request() {
                 Some(request) if request["control_type"] == "sensor" => {
                     Then::Answer(answer(request, "Provide", ""))
@@ -92,7 +109,12 @@ pub fn of_values() -> Vec<Mutant> {
         // Its code is what three of them are told by.
         mutant(
             "unsupported control types have a code of their own",
-            &["unsupported-control-type", "script-control-types", "sensor-not-a-sensor"],
+            &[
+                "unsupported-control-type",
+                "unknown-control-type",
+                "script-control-types",
+                "sensor-not-a-sensor",
+            ],
             |_, passing| recode(passing, "unsupported_control_type"),
         ),
     ];

@@ -70,7 +70,7 @@ pub fn of_identity() -> Vec<Mutant> {
                 }
             })
         }),
-        mutant("sessions are not known", &["session"], |_, passing| {
+        mutant("sessions are not known", &["session", "session-reading"], |_, passing| {
             for message in ["availability_request", "control_request"] {
                 if let Some(inside) = passing.json.get_mut(message)
                     // A session that is too long is still a string that is too long.
