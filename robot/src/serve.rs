@@ -2,13 +2,14 @@
 
 use std::io;
 use std::net::SocketAddr;
-use std::sync::Arc;
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::tcp::OwnedReadHalf;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{Semaphore, watch};
+use tokio::sync::watch;
+use tokio::task::JoinHandle;
 use urrcp::{Decoder, Encoding, LINE_BYTES_MAX, encode_as};
 
 use crate::host::{HostHandle, LinkEvent, LinkSender, RobotLink};
@@ -16,6 +17,10 @@ use crate::robot::Input;
 
 /// Servers that may be connected to one robot at a time; more have to wait.
 const CONNECTIONS_MAX: usize = 16;
+/// Where somebody waits, a connection that has been silent for so long makes room: its peer may be long gone.
+const SILENCE_MAX: Duration = Duration::from_secs(30);
+/// How often it is looked for one.
+const ROOM_RETRY: Duration = Duration::from_millis(50);
 /// How long a peer may refuse to read before it is hung up on.
 const WRITE_WAIT_MAX: Duration = Duration::from_secs(10);
 /// Before the next try when the system has no file descriptor left: others must close first.
@@ -26,18 +31,62 @@ const ACCEPT_RETRY: Duration = Duration::from_millis(50);
 /// # Errors
 /// When the listening socket fails.
 pub async fn serve(listener: TcpListener, host: HostHandle, robot: usize) -> io::Result<()> {
-    let room = Arc::new(Semaphore::new(CONNECTIONS_MAX));
+    serve_with(listener, host, robot, SILENCE_MAX).await
+}
+
+async fn serve_with(
+    listener: TcpListener,
+    host: HostHandle,
+    robot: usize,
+    silence_max: Duration,
+) -> io::Result<()> {
+    let mut connections = Vec::new();
     loop {
-        let Ok(permit) = Arc::clone(&room).acquire_owned().await else { return Ok(()) };
         let (stream, peer) = accept(&listener).await?;
+        make_room(&mut connections, silence_max).await;
         let Some(link) = host.connect(robot) else { return Ok(()) };
-        // One task a connection, so that a slow or broken peer harms only itself; ends when either side closes.
-        tokio::spawn(async move {
-            if let Err(error) = carry(stream, link).await {
+        let heard = Arc::new(Mutex::new(now()));
+        let last = Arc::clone(&heard);
+        // One task a connection, so that a slow or broken peer harms only itself; ends when either side closes, or when
+        // its place is needed.
+        let task = tokio::spawn(async move {
+            if let Err(error) = carry(stream, link, &last).await {
                 tracing::debug!(%peer, "connection ended: {error}");
             }
-            drop(permit);
         });
+        connections.push(Connection { task, heard });
+    }
+}
+
+/// A connection that stands, and when its peer was last heard.
+struct Connection {
+    task: JoinHandle<()>,
+    heard: Arc<Mutex<Instant>>,
+}
+
+impl Connection {
+    fn silence(&self) -> Duration {
+        now().saturating_duration_since(*self.heard.lock().unwrap_or_else(PoisonError::into_inner))
+    }
+}
+
+#[expect(clippy::disallowed_methods, reason = "real sockets are silent in real time")]
+fn now() -> Instant {
+    Instant::now()
+}
+
+/// Waits until another connection may be served.
+async fn make_room(connections: &mut Vec<Connection>, silence_max: Duration) {
+    loop {
+        connections.retain(|connection| !connection.task.is_finished());
+        if connections.len() < CONNECTIONS_MAX {
+            return;
+        }
+        let silent = connections.iter().max_by_key(|connection| connection.silence());
+        if let Some(silent) = silent.filter(|connection| connection.silence() >= silence_max) {
+            silent.task.abort();
+        }
+        tokio::time::sleep(ROOM_RETRY).await;
     }
 }
 
@@ -63,12 +112,12 @@ fn is_passing(error: &io::Error) -> bool {
 }
 
 /// Carries both ways. While the peer does not read, nothing more is read from it either.
-async fn carry(stream: TcpStream, mut link: RobotLink) -> io::Result<()> {
+async fn carry(stream: TcpStream, mut link: RobotLink, last: &Mutex<Instant>) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let (reader, mut writer) = stream.into_split();
     // How the peer wrote last is how it is answered.
     let (heard, encoding) = watch::channel(Encoding::Json);
-    let reading = read(reader, link.sender(), heard);
+    let reading = read(reader, link.sender(), heard, last);
     tokio::pin!(reading);
     let mut bytes = Vec::new();
     loop {
@@ -105,6 +154,7 @@ async fn read(
     mut reader: OwnedReadHalf,
     robot: LinkSender,
     heard: watch::Sender<Encoding>,
+    last: &Mutex<Instant>,
 ) -> io::Result<()> {
     let mut decoder = Decoder::new(LINE_BYTES_MAX);
     let mut bytes = vec![0; 8 * 1024];
@@ -113,6 +163,7 @@ async fn read(
         if n == 0 {
             return Ok(());
         }
+        *last.lock().unwrap_or_else(PoisonError::into_inner) = now();
         decoder.push(&bytes[..n]);
         while let Some(decoded) = decoder.next_message() {
             heard.send_replace(decoder.encoding());

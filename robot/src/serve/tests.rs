@@ -164,3 +164,35 @@ async fn no_more_than_the_limit_of_connections_is_served_at_a_time() {
     peers.pop();
     assert!(matches!(waiting.read().await, Message::AvailabilityResponse(_)), "served once one has gone");
 }
+
+#[tokio::test]
+async fn who_has_long_been_silent_makes_room_for_somebody_who_waits() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let address = listener.local_addr().unwrap();
+    tokio::spawn(serve_with(listener, host.handle(), 0, Duration::from_secs(1)));
+    let hello = Message::AvailabilityRequest(urrcp::AvailabilityRequest::default());
+    let mut talking = Peer::connected(address).await;
+    let mut silent = Vec::new();
+    for _ in 1..CONNECTIONS_MAX {
+        let mut peer = Peer::connected(address).await;
+        peer.send(&hello).await;
+        peer.read().await;
+        silent.push(peer);
+    }
+    let mut waiting = Peer::connected(address).await;
+    waiting.send(&hello).await;
+    let served = async {
+        loop {
+            talking.send(&hello).await;
+            talking.read().await;
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+    };
+    let answered = tokio::select! {
+        () = served => None,
+        answer = tokio::time::timeout(Duration::from_secs(20), waiting.read()) => answer.ok(),
+    };
+    assert!(matches!(answered, Some(Message::AvailabilityResponse(_))), "{answered:?}");
+    host.stop();
+}
