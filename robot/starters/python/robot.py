@@ -1,299 +1,299 @@
 #!/usr/bin/env python3
-"""A URRCP robot to copy: put your own description into BLOCK and your own hardware into Arm.
+"""A URRCP robot to copy: describe your own in BLOCK and put its hardware into Arm; the rest is the protocol.
 
-Python 3.9 and its standard library; messages.py goes with it: python3 robot.py --listen 127.0.0.1:7000
+Needs Python 3.9 and its standard library: python3 robot.py --listen 127.0.0.1:7000
+Each device is a sensor, or is driven by one control type and scripts of it, and holds a value until the next is set.
 """
-import argparse, asyncio, contextlib, itertools, math, time
-from messages import IGNORED, NEVER, REQUESTS, Meant, need, parse, refusal, stamp, write
+import asyncio, contextlib, datetime, hashlib, json, math, re, sys, time, types
 
-LIMITS = {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25}
+ANGLES = {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25}
 SPEEDS = {"min_value": -10, "max_value": 10, "granularity": 0.1}
 BLOCK = {"id": "arm-1", "name": "left arm", "type": "Industrial", "api_version": "1", "reports": True, "devices": [
-    {"id": "shoulder", "name": "shoulder servo", "unit": "deg", "default_value": 0, "interpolation": "linear",
-     "script_queue": 2, "available_control_types": {
-         "position": LIMITS, "script": {**LIMITS, "max_number_of_steps": 1000, "control_types": ["position"]}}},
-    {"id": "wheel", "name": "wheel motor", "unit": "m/s", "interpolation": "hold", "available_control_types": {
-        "speed": SPEEDS, "script": {**SPEEDS, "max_number_of_steps": 1000, "control_types": ["speed"]}}},
+    {"id": "shoulder", "name": "shoulder servo", "unit": "deg", "default_value": 0, "script_queue": 2,
+     "available_control_types": {"position": ANGLES, "script": {**ANGLES, "max_number_of_steps": 1000}}},
+    {"id": "wheel", "name": "wheel motor", "unit": "m/s", "script_queue": 1,
+     "available_control_types": {"speed": SPEEDS, "script": {**SPEEDS, "max_number_of_steps": 1000}}},
     {"id": "camera", "name": "camera temperature", "unit": "degC",
      "available_control_types": {"sensor": {"min_value": -40, "max_value": 125, "max_delay": 20}}}]}
 
 class Arm:
-    """Your hardware. Both must return at once; an exception is answered or reported as `internal`."""
-    def set(self, device, control_type, value):
-        pass                    # value is a number; for a custom_N of several values, their list
-    def read(self, device):
-        return 42.5
+    """Your hardware. All of these must return at once; an exception is told to the server as `internal`."""
+    def set(self, device, value): pass
+    def rest(self, device, value): pass         # the default state: go to the value; None: no speed, stay where you are
+    def read(self, device): return 42.5
 
-MAX_LINE = 1 << 17              # bytes: room for 1000 steps; a step that falls due meanwhile waits until it is read
-MAX_UNREAD = 1 << 16            # bytes: a peer that leaves more is not listened to; at 16 times that it is cut off
-MAX_LINKS, KEPT = 32, 1024      # KEPT: last answers of requests that have ended; the protocol asks for 256
-SAMPLE, LATE_STEP, LATE_START, SILENCE = 20_000_000, 1_000_000, 50_000_000, 5_000_000_000    # ns, as all times here
-SPIN = 0.0015                   # s: so long before it is due, a step is waited for without sleeping
+MAX_LINE, MAX_UNREAD = 1 << 18, 1 << 20         # bytes, room for 1000 steps; a peer beyond either is hung up on
+MAX_LINKS, KEPT = 32, 512                       # KEPT: last answers; the protocol asks for 256
+MS, NEVER = 1_000_000, 1 << 100                 # all times are nanoseconds
+LATE_STEP, LATE_START, SILENCE, FUTURE = 1 * MS, 50 * MS, 5000 * MS, 5000 * MS
+SPIN = 1.5 * MS                                 # so long before it is due, a step is waited for without sleeping
+
+class Refused(ValueError):
+    """Its arguments are the message and the code of the answer."""
+def need(condition, message, code="malformed"):
+    if not condition:
+        raise Refused(message, code)
+
+# What the keys of messages may hold. Keys that stand in no table are ignored.
+def string(value): return isinstance(value, str) and len(value) <= 256 and not re.search("[\ud800-\udfff]", value)
+def ident(value): return string(value) and value != ""
+def digest(value): return string(value) and re.fullmatch("[0-9a-fA-F]{64}", value)
+def timestamp(value): return string(value) and instant(value) is not None
+def boolean(value): return isinstance(value, bool)
+def number(value): return type(value) in (int, float)
+def period(value): return number(value) and 0 <= value <= 1e11
+def lease(value): return all(each is None or period(each) for each in phases(value))
+def ns(milliseconds): return NEVER if milliseconds is None else round(milliseconds * MS)
+def stamp(at): return time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(at // 10**9)) + f".{at % 10**9:09d}Z"
+def phases(value): return [value.get("pending"), value.get("running")] if isinstance(value, dict) else [value, value]
+
+STEP = {"time_offset_to_start": period, "control_type": string, "control_value": number, "stop_condition": lease}
+CONTROL = {"time_offset_to_start": period, "control_type": string, "stop_condition": lease, "timestamp": timestamp,
+           "device_id": ident, "request_id": string, "content_hash": digest, "session": ident, "hold": boolean}
+REQUESTS = {"availability_request": {"timestamp": timestamp, "session": ident}, "control_request": CONTROL,
+            "initialization_request": {"timestamp": timestamp}}
+OF_ROBOTS = ["availability_response", "initialization_block", "control_response"]       # not for us
+
+def instant(value):
+    match = re.fullmatch(r"([0-9-]{10}T[0-9:]{8})(?:\.([0-9]{1,9}))?(Z|[+-][0-9]{2}:[0-9]{2})", value.upper())
+    need(match, "a timestamp is not RFC 3339")
+    at = datetime.datetime.fromisoformat(match[1] + match[3].replace("Z", "+00:00")).timestamp()
+    need(abs(at) < 9.2e9, "a timestamp lies too far away")
+    return int(at) * 10**9 + int((match[2] or "").ljust(9, "0"))
+
+def finite(digits):
+    value = float(digits)
+    need(math.isfinite(value), "a number is not finite")
+    return int(value) if value.is_integer() and abs(value) < 1e16 else value
+def unique(pairs):
+    need(len(dict(pairs)) == len(pairs), "a key stands twice in one object")
+    return dict(pairs)
+JSON = json.JSONDecoder(parse_int=finite, parse_float=finite, parse_constant=finite, object_pairs_hook=unique)
+
+class Fields:
+    """The known keys of an object as attributes, None for those left out."""
+    def __init__(self, body, checks, *required):
+        need(isinstance(body, dict), "not an object")
+        for key, check in checks.items():
+            setattr(self, key, body.get(key))
+            need(key not in required if body.get(key) is None else check(body[key]), f"{key} is missing or wrong")
+        self.further = any(key.startswith("control_value_") and body[key] is not None for key in body)
+
+class Command(Fields):
+    """A control request; once accepted, a command that is held until it ends."""
+    def __init__(self, body, line, link):
+        super().__init__(body, CONTROL, "device_id", "control_type")
+        self.link, self.sensor, self.script = link, self.control_type == "sensor", self.control_type == "script"
+        self.value, self.passed, self.done, self.late = body.get("control_value"), 0, 0, 0
+        need(not self.script or isinstance(self.value, list) and not self.further, "a script's value is one list")
+        steps = self.value if self.script else [] if self.sensor else [{**body, "time_offset_to_start": 0}]
+        self.steps = [Fields(step, STEP, "time_offset_to_start", "control_type", "control_value") for step in steps]
+        need(all(step.control_type not in ("script", "sensor") for step in self.steps), "no control type for a step")
+        self.offsets = [ns(step.time_offset_to_start) for step in self.steps]
+        need(self.offsets == sorted(self.offsets), "a step lies before the one ahead of it")
+        leases = [self.stop_condition if step.stop_condition is None else step.stop_condition for step in self.steps]
+        self.leases = phases(self.stop_condition) + [phases(each)[1] for each in leases]    # ahead, begun, by steps
+        self.hash = None if self.sensor or not self.content_hash else self.content_hash.lower()
+        if self.hash:                           # over control_value as it came, which then is in the canonical form
+            key = re.search(r'"control_value"\s*:\s*', line)
+            found, end = JSON.raw_decode(line, key.end()) if key else (None, 0)
+            self.right = found == self.value and self.hash == hashlib.sha256(line[key.end():end].encode()).hexdigest()
+    def lease_ends(self, heard):
+        """Also where the lease that follows the next step would be over by then: that is not done."""
+        if self.passed == len(self.times):
+            return heard + ns(self.leases[-1])
+        following = 2 if self.passed == 0 == self.offsets[0] else self.passed + 1
+        now, then = heard + ns(self.leases[self.passed]), heard + ns(self.leases[following])
+        return min(now, max(self.times[self.passed], then))
 
 class Device:
     def __init__(self, spec):
         self.id, self.types, self.default = spec["id"], spec["available_control_types"], spec.get("default_value")
-        self.queue, self.linear = spec.get("script_queue", 1), spec.get("interpolation") == "linear"
-        self.held, self.tails = [], {}           # tails: by control type, ended commands whose lease goes on
-        self.primary = next((kind for kind in ("position", "speed", "acceleration") if kind in self.types), "position")
-        self.taken_back, self.where = -NEVER, {self.primary: self.default or 0}
+        self.drive = next((kind for kind in self.types if kind not in ("script", "sensor")), None)
+        self.queue, self.held, self.taken_back = spec.get("script_queue", 1), [], -NEVER
+        self.left_on = []                       # the ended command whose speed goes on under its lease
+
+def check(c, device, now):
+    """All that a request may be refused for, in the order of the protocol."""
+    need(device, "the robot has no such device", "unknown_device")
+    need(not c.hash or c.right, "content_hash is not that of control_value")
+    need(c.control_type in device.types or c.script and not c.steps, "not one of its types", "unsupported_control_type")
+    if not c.steps:
+        return
+    kinds = device.types[c.control_type], device.types[device.drive]
+    need(len(c.steps) <= kinds[0].get("max_number_of_steps", 1), "the script is too long", "too_many_steps")
+    for step in c.steps:
+        need(step.control_type == device.drive, "not in scripts of this device", "unsupported_control_type")
+        need(not step.further, "one value is enough")
+        value = step.control_value
+        need(all(its["min_value"] <= value <= its["max_value"] for its in kinds), "beyond its limits", "out_of_range")
+        for n in [value / its["granularity"] for its in kinds]:
+            need(abs(n - round(n)) < 1e-6, "no multiple of its granularity", "off_granularity")
+    need(c.times[0] >= now, "the start has passed", "late")
+    need(c.timestamp is None or c.sent > device.taken_back, "taken back by an empty script", "cancelled")
+    for other in device.held:
+        need(c.times[0] >= other.times[-1] or other.times[0] >= c.times[-1], "it is not free all that time", "overlap")
+    need(len(device.held) < device.queue, "the device holds as many commands as it can", "busy")
 
 class Robot:
     def __init__(self, arm):
-        self.arm, self.links, self.open, self.ended = arm, set(), {}, {}
+        self.arm, self.links, self.answers, self.owner, self.owner_heard = arm, [], {}, None, 0
         self.devices = {spec["id"]: Device(spec) for spec in BLOCK["devices"]}
-        self.owner, self.owner_heard, self.timer, self.count = None, 0, None, itertools.count()
-
+        self.timer = asyncio.get_running_loop().call_soon(self.run)
     def run(self):
-        """Does what is due, by time, at one instant leases before steps; returns when the next thing is due."""
+        """Does what is due, by time, at one instant leases before steps; comes back when the next thing is due."""
         while True:
-            now, due = time.time_ns(), (NEVER,)
-            shift = now - time.monotonic_ns()    # leases count silence, whatever the clock is set to; never too late
+            now, due = time.time_ns(), [(NEVER, 0, [], None)]
+            shift = now - time.monotonic_ns()   # leases count silence, whatever the clock is set to
             for device in self.devices.values():
-                for c in device.held + list(device.tails.values()):
-                    due = min(due, (c.lease_ends(shift), 0, c.start, c.end, c.number, self.run_out, device, c))
-                for c in device.held:
-                    at = c.start + (c.steps[c.done].offset if c.begun else 0)
-                    due = min(due, (at, 1, c.start, c.end, c.number, self.go_on, device, c))
-                    if c.begun and c.moves:
-                        due = min(due, (c.sampled + SAMPLE, 2, c.start, c.end, c.number, self.sample, device, c))
-            if due[0] > now:
-                return due[0]
-            due[5](*due[6:], now)
-
-    def tick(self):
-        wait = (self.run() - time.time_ns()) / 1e9 - SPIN
-        if self.timer:
-            self.timer.cancel()
-        self.timer = asyncio.get_running_loop().call_later(min(max(wait, 0), 0.25), self.tick)
-
-    def run_out(self, device, _, now):
-        self.rest(device, "link_lost", "the server was silent for longer than stop_condition", now)
-
+                for c in device.held + device.left_on:
+                    ends = c.lease_ends(shift + (self.owner_heard if c.session else c.link.heard))
+                    due.append((ends, 0, c.times, self.rest, device, "link_lost", "silence beyond stop_condition"))
+                due += [(c.times[c.passed], 1, c.times, self.go_on, device, c) for c in device.held]
+            at, _, _, act, *what = min(due, key=lambda each: each[:3])
+            if at > now:
+                break
+            act(*what, now)
+        self.timer.cancel()
+        self.timer = asyncio.get_running_loop().call_later(min(max(at - now - SPIN, 0), 250 * MS) / 1e9, self.run)
     def go_on(self, device, c, now):
-        step = c.steps[c.done]
-        if not c.begun and now > c.start + LATE_START:
-            self.drop(device, [c], "late", "the robot was held up over the start", now)
-        elif not c.begun:
-            c.begun, c.sampled, c.origin = True, now, (0, step.kind, device.where.get(step.kind, 0))
-            self.tell_started(device, c, now, c.moves and step.offset > 0)
-        elif self.set(device, c, step.kind, step.values, now):
-            self.tell_started(device, c, now, True)
-            c.late += now > c.start + step.offset + LATE_STEP
-            c.done, c.origin = c.done + 1, (step.offset, step.kind, step.values[0])
-            if c.done == len(c.steps):
-                device.held.remove(c)
-                left_on = {kind for kind in {each.kind for each in c.steps} - {"position"} if device.where[kind]}
-                device.tails.update({kind: c for kind in left_on if c.lease_ends(0) < NEVER})
-                self.report(c, "OK", step.values[0], now, steps_done=c.done, late_steps=c.late)
-
-    def tell_started(self, device, c, now, moves):
-        if moves and not c.started:
-            c.started = True
-            device.tails.pop(c.steps[0].kind, None)
-            self.report(c, "Started", c.steps[0].values[0], now)
-
-    def sample(self, device, c, now):
-        """Where a linear device is between two steps."""
-        c.sampled, (since, was, origin), step = now, c.origin, c.steps[c.done]
-        if step.kind == was and not was.startswith("custom_") and step.offset > since:
-            part = min(max((now - c.start - since) / (step.offset - since), 0), 1)
-            self.set(device, c, was, [origin + (step.values[0] - origin) * part], now)
-
-    def set(self, device, c, kind, found, now):
+        """Starts a command, or does its next step."""
+        late, c.passed = now - c.times[c.passed], c.passed + 1
+        if c.passed == 1:
+            return late > LATE_START and self.drop(device, [c], "late", "the robot was held up over the start", now)
+        value = c.steps[c.done].control_value
         try:
-            device.where[kind] = found[0] if len(found) == 1 else found
-            self.arm.set(device.id, kind, device.where[kind])
-            if c:
-                device.tails.pop(kind, None)
-            return True
-        except Exception as error:
-            self.drop(device, [c] if c else [], "internal", str(error), now)
-
-    def drop(self, device, commands, code, message, now):
-        for c in sorted(commands, key=lambda c: (c.start, c.number)):
-            if c in device.held:
-                device.held.remove(c)
-            self.report(c, "Failed", None, now, steps_done=c.done, error={"code": code, "message": message})
-
+            self.arm.set(device.id, value)
+        except Exception as fault:
+            return self.drop(device, [c], "internal", str(fault), now)
+        c.done, c.late, device.left_on = c.done + 1, c.late + (late > LATE_STEP), []
+        if c.done == 1:
+            self.respond(c, "Started", value, now)
+        if c.done == len(c.steps):
+            device.held.remove(c)
+            device.left_on = [c] if device.drive != "position" and value != 0 and c.leases[-1] is not None else []
+            self.respond(c, "OK", value, now, steps_done=c.done, late_steps=c.late)
     def rest(self, device, code, message, now, hold=False):
         """Ends everything; then the default state, or a stop in place. With an `acceleration`, slow down by it here."""
-        for c in [c for c in device.held if c.begun and c.moves]:
-            self.sample(device, c, now)
-        ended, device.tails = device.held + list(set(device.tails.values()) if code == "link_lost" else []), {}
-        for kind in {"speed", "acceleration"} & set(device.types):
-            self.set(device, None, kind, [0], now)
-        if device.default is not None and not hold:
-            self.set(device, None, device.primary, [device.default], now)
+        ended, device.left_on = device.held + (device.left_on if code == "link_lost" else []), []
+        with contextlib.suppress(Exception):
+            self.arm.rest(device.id, None if hold else device.default)
         self.drop(device, ended, code, message, now)
-
-    def response(self, c, status, value, keep=None, **more):
-        """`keep` is the dictionary in which the answer stays for whoever asks again."""
+    def drop(self, device, commands, code, message, now):
+        device.held = [c for c in device.held if c not in commands]
+        for c in sorted(commands, key=lambda c: c.times):
+            self.respond(c, "Failed", None, now, steps_done=c.done, error={"code": code, "message": message})
+    def respond(self, c, status, value=None, event=None, **more):
+        """Sends a report of an event, or returns an answer; both are kept for whoever asks again."""
         body = {"timestamp": stamp(time.time_ns()), "device_id": c.device_id, "status": status, "status_value": value,
-                **({} if c.request_id is None else {"request_id": c.request_id}), **more}
-        if c.request_id is not None and keep is not None:
-            self.open.pop(c.request_id, None)
-            keep[c.request_id] = body
-            if len(self.ended) > KEPT:
-                del self.ended[next(iter(self.ended))]
+                **more, **({"event_timestamp": stamp(event)} if event else {})}
+        if c.request_id is not None:
+            body["request_id"] = c.request_id
+            self.answers.pop(c.request_id, None)
+            self.answers[c.request_id] = body
+            ended = [key for key, old in self.answers.items() if old["status"] not in ("Accepted", "Started")]
+            for key in ended[:-KEPT]:
+                del self.answers[key]
+        links = [link for link in self.links if (link.session == c.session if c.session else link is c.link)]
+        if event and links:
+            send(max(links, key=lambda link: link.heard), {"control_response": body})
         return {"control_response": body}
-
-    def report(self, c, status, value, now, **more):
-        more["event_timestamp"], keep = stamp(now), self.open if status == "Started" else self.ended
-        message = self.response(c, status, value, keep, **more)
-        links = [link for link in self.links if c.party in (link, link.session)]
-        if links and BLOCK["reports"]:
-            max(links, key=lambda link: link.heard).send(message)
-
-    def take(self, link, line, received):
-        kind = body = None
-        try:
-            need(len(line) <= MAX_LINE, "the line is too long")
-            message, faults = parse(line)
-            need(isinstance(message, dict) and len(message) == 1, "a message is an object with one key")
-            (kind, body), = message.items()
-            need(not faults, "; ".join(faults[:2]))
-            if kind in IGNORED:
-                return
-            need(kind in REQUESTS, "no such message")
-            found = REQUESTS[kind](body, link)
-        except ValueError as fault:
-            error = {"code": "malformed", "message": str(fault)[:200]}
-            try:
-                return link.send(self.response(Meant(kind, body), "Failed", None, error=error))
-            except ValueError:
-                found = {}      # no device can be made out
-        else:
-            if kind == "control_request":
-                return self.control(link, found, time.monotonic_ns(), time.time_ns())   # in this order, see run
-            busy = self.hear(link, found.get("session"), True)
-            if kind == "initialization_request":
-                return link.send({"initialization_block": BLOCK})
-            error = {"code": "busy", "message": busy} if busy and found["session"] else None
-        answer = {"receive_timestamp": stamp(received), "timestamp": stamp(max(received, time.time_ns()))}
-        answer.update({"status": "Failed", "error": error} if error else {"status": "OK"})
-        answer.update({"originate_timestamp": body["timestamp"]} if found.get("timestamp") is not None else {})
-        link.send({"availability_response": answer})
-
-    def hear(self, link, session, claims):
+    def hear(self, link, session, claims=True):
         """Renews leases and settles whose the robot is; returns why it is not this session's."""
         now, devices = time.monotonic_ns(), self.devices.values()
-        if not any(device.held or device.tails for device in devices) and (
-                now - self.owner_heard >= SILENCE or all(other.session != self.owner for other in self.links)):
+        gone = now - self.owner_heard >= SILENCE or all(other.session != self.owner for other in self.links)
+        if gone and not any(device.held or device.left_on for device in devices):
             self.owner = None
         self.owner = self.owner or (session if claims else None)
-        if session and session == self.owner:
-            link.session = session
-        link.heard, parties = now, (link, session or link.session)
-        if self.owner in parties:
+        link.heard, link.session = now, session or link.session
+        if link.session == self.owner:
             self.owner_heard = now
-        for c in [c for device in devices for c in device.held + list(device.tails.values()) if c.party in parties]:
-            c.heard = now
         if self.owner not in (None, session):
             return f"`{BLOCK['id']}` belongs to session `{self.owner}` until that ends"
-
-    def control(self, link, c, heard, now):
-        device, last = self.devices.get(c.device_id), self.open.get(c.request_id) or self.ended.get(c.request_id)
-        busy = self.hear(link, c.session, c.kind != "sensor")
-        if last:
-            return link.send({"control_response": {**last, "timestamp": stamp(now)}})
-        if busy and c.kind != "sensor":
-            return link.send(self.response(c, "Failed", None, error={"code": "busy", "message": busy}))
-        c.start = now if c.start is None else c.start
-        c.end, c.heard = c.start + (c.steps[-1].offset if c.steps else 0), heard
-        code, message = refusal(c, device, now) or (None, None)
-        if code == "unsupported_control_type":
-            self.rest(device, "cancelled", "default state after an unsupported control type", now)
-        if code:
-            link.send(self.response(c, "Failed", None, self.ended, error={"code": code, "message": message}))
-        elif c.kind == "sensor":
-            try:
-                value, status, error = self.arm.read(device.id), "Provide", {}
-                need(math.isfinite(value), "no reading")
-            except Exception as fault:
-                value, status, error = None, "Failed", {"error": {"code": "internal", "message": str(fault)}}
-            link.send(self.response(c, status, value, self.ended, **error))
-        elif c.steps:
-            c.number, c.moves = next(self.count), device.linear and c.kind == "script"
-            hashed = {"content_hash": c.content_hash} if c.content_hash else {}
-            link.send(self.response(c, "Accepted", c.value, self.open, **hashed))
+    def take(self, link, line, received):
+        """The answer to a line."""
+        name, body, result = None, None, {"status": "OK"}
+        try:
+            message = JSON.decode(line := line.decode())
+            need(isinstance(message, dict) and len(message) == 1, "a message is an object with one key")
+            (name, body), = message.items()
+            if name in OF_ROBOTS:
+                return None
+            need(name in REQUESTS, "no such message")
+            if name == "control_request":
+                return self.control(link, Command(body, line, link))
+            request = Fields(body, REQUESTS[name])
+            result.update({"originate_timestamp": request.timestamp} if request.timestamp else {})
+            busy = self.hear(link, getattr(request, "session", None))
+            if name == "initialization_request":
+                return {"initialization_block": BLOCK}
+            need(not busy or request.session is None, busy, "busy")
+        except (ValueError, RecursionError) as fault:
+            message, code = fault.args if isinstance(fault, Refused) else (str(fault), "malformed")
+            result.update({"status": "Failed", "error": {"code": code, "message": message}})
+            meant = body if name == "control_request" and isinstance(body, dict) else {}
+            if ident(meant.get("device_id")):
+                ids = {key: meant[key] for key in ("device_id", "request_id") if string(meant.get(key))}
+                return {"control_response": {"timestamp": stamp(time.time_ns()), "status_value": None, **ids, **result}}
+        times = {"receive_timestamp": stamp(received), "timestamp": stamp(max(received, time.time_ns()))}
+        return {"availability_response": {**times, **result}}
+    def control(self, link, c):
+        busy, now = self.hear(link, c.session, not c.sensor), time.time_ns()    # so that a lease of 0 ends in time
+        device = self.devices.get(c.device_id)
+        if c.request_id in self.answers:
+            return {"control_response": {**self.answers[c.request_id], "timestamp": stamp(now)}}
+        need(not busy or c.sensor and (not device or "sensor" in device.types), busy, "busy")
+        c.sent = instant(c.timestamp) if c.timestamp else -NEVER
+        start = c.sent + ns(c.time_offset_to_start) if c.timestamp and c.time_offset_to_start is not None else now
+        c.times = [start] + [start + offset for offset in c.offsets]
+        try:
+            check(c, device, now)
+            if c.sensor:
+                return self.respond(c, "Provide", finite(self.arm.read(device.id)))
+        except Exception as fault:              # what is no refusal is the hardware's
+            message, code = fault.args if isinstance(fault, Refused) else (str(fault), "internal")
+            if code == "unsupported_control_type":
+                self.rest(device, "cancelled", "default state after an unsupported control type", now)
+            return self.respond(c, "Failed", error={"code": code, "message": message})
+        why = "cancelled", "cancelled by an empty script", now
+        if c.steps:
             device.held.append(c)
-            self.tick()
+            value = [{key: step[key] for key in STEP if key in step} for step in c.value] if c.script else c.value
+            return self.respond(c, "Accepted", value, **({"content_hash": c.hash} if c.hash else {}))
+        if c.times[0] > now:
+            self.drop(device, [other for other in device.held if other.times[0] >= c.times[0]], *why)
         else:
-            why = "cancelled", "cancelled by an empty script", now
-            if c.start > now:
-                self.drop(device, [other for other in device.held if other.start >= c.start], *why)
-            else:
-                device.taken_back = max(device.taken_back, -NEVER if c.sent is None else c.sent)
-                self.rest(device, *why, hold=c.hold)
-            link.send(self.response(c, "OK", None, self.ended))
+            device.taken_back = max(device.taken_back, min(c.sent, now + FUTURE))
+            self.rest(device, *why, hold=c.hold)
+        return self.respond(c, "OK")
+    async def converse(self, reader, writer):
+        link = types.SimpleNamespace(writer=writer, session=None, heard=0)
+        if len(self.links) >= MAX_LINKS:
+            return writer.transport.abort()
+        self.links.append(link)
+        with contextlib.ExitStack() as at_end, contextlib.suppress(OSError, EOFError, asyncio.LimitOverrunError):
+            at_end.callback(self.links.remove, link)
+            at_end.callback(writer.close)
+            while not writer.is_closing():
+                line = await reader.readuntil(b"\n")
+                self.run()                      # what was due before the message comes first
+                if line.strip():
+                    send(link, self.take(link, line, time.time_ns()))
+                self.run()                      # and what it brings
+                await asyncio.sleep(0)          # the turn of the others
 
-class Link(asyncio.Protocol):
-    """A connection. While lines are left over from one reading, or answers are left unread, no more is read."""
-    def __init__(self, robot):
-        self.robot, self.session, self.heard = robot, None, 0
-        self.buffer, self.searched, self.skipping, self.full = bytearray(), 0, False, False
+def send(link, message):
+    if message and not link.writer.is_closing():
+        link.writer.write(json.dumps(message, separators=(",", ":")).encode() + b"\n")
+        if link.writer.transport.get_write_buffer_size() > MAX_UNREAD:
+            link.writer.transport.abort()
 
-    def connection_made(self, transport):
-        self.transport = transport
-        transport.set_write_buffer_limits(MAX_UNREAD)
-        if len(self.robot.links) >= MAX_LINKS:
-            return transport.abort()
-        self.robot.links.add(self)
-
-    def connection_lost(self, _):
-        self.robot.links.discard(self)
-
-    def data_received(self, data):
-        self.buffer += data
-        self.transport.pause_reading()
-        self.pump(time.time_ns())
-
-    def pump(self, received):
-        for _ in range(50):                      # then it is the turn of the others
-            if self.full or self.transport.is_closing():
-                return
-            end = self.buffer.find(b"\n", self.searched)
-            if end < 0:
-                break
-            line, self.searched = bytes(self.buffer[:end]), 0
-            del self.buffer[:end + 1]
-            self.robot.run()                     # what was due before the message comes first
-            if self.skipping:
-                self.skipping = False
-            elif line.strip():
-                self.robot.take(self, line, received)
-        else:
-            return asyncio.get_running_loop().call_soon(self.pump, received)
-        if len(self.buffer) > MAX_LINE:
-            if not self.skipping:
-                self.robot.take(self, self.buffer, received)
-            self.skipping, self.buffer = True, bytearray()
-        self.searched = len(self.buffer)
-        self.transport.resume_reading()
-
-    def pause_writing(self):
-        self.full = True
-
-    def resume_writing(self):
-        self.full = False
-        asyncio.get_running_loop().call_soon(self.pump, time.time_ns())
-
-    def send(self, message):
-        self.transport.write(write(message).encode() + b"\n")
-        if self.transport.get_write_buffer_size() > 16 * MAX_UNREAD:
-            self.transport.abort()
-
-async def serve(host, port):
-    robot = Robot(Arm())
-    server = await asyncio.get_running_loop().create_server(lambda: Link(robot), host, port)
+async def main():
+    host, _, port = (["127.0.0.1:0"] + sys.argv[1:])[-1].rpartition(":")        # port 0 is any that is free
+    server = await asyncio.start_server(Robot(Arm()).converse, host.strip("[]"), int(port), limit=MAX_LINE)
     print("listening on %s:%d" % server.sockets[0].getsockname()[:2], flush=True)
-    robot.tick()
     await server.serve_forever()
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description="a URRCP robot")
-    parser.add_argument("--listen", default="127.0.0.1:0", metavar="HOST:PORT", help="port 0: any that is free")
-    host, _, port = parser.parse_args().listen.rpartition(":")
     with contextlib.suppress(KeyboardInterrupt):
-        asyncio.run(serve(host.strip("[]"), int(port)))
+        asyncio.run(main())
