@@ -88,6 +88,7 @@ static bool arm_read(int device, double *value)
 #define LATE_STEP MS
 #define LATE_START (50 * MS)
 #define SILENCE (5 * SECOND)  /* after which a session without commands ends */
+#define FUTURE (5 * SECOND)   /* how far ahead of the clock a stop takes back */
 #define SPIN MS               /* so long before it is due, a step is waited for without sleeping */
 
 struct text {
@@ -848,14 +849,12 @@ static int values_at(int object, double *first)
         const char *key = json.nodes[at].text;
         size_t length = json.nodes[at].length, i;
         int n = 0;
-        if (length < 14 || memcmp(key, "control_value_", 14) != 0)
+        if (length < 14 || memcmp(key, "control_value_", 14) != 0 || json.nodes[json.nodes[at].first].type == JSON_NULL)
             continue;
         for (i = 14; i < length && i < 17 && key[i] >= '0' && key[i] <= '9'; i++)
             n = n * 10 + (key[i] - '0');
         if (i < length || n < 2 || n > 256 || key[14] == '0')
             fault = "control_value_N is of a wrong N";
-        if (json.nodes[json.nodes[at].first].type == JSON_NULL)
-            continue;
         if (json.nodes[json.nodes[at].first].type != JSON_NUMBER)
             fault = "a value is no number";
         most = n > most ? n : most;
@@ -866,19 +865,18 @@ static int values_at(int object, double *first)
     return count;
 }
 
-/* OTHER for custom_N; what is no control type at all is malformed. */
+static bool is(const struct text *text, const char *word)
+{
+    return text->length == strlen(word) && !memcmp(text->bytes, word, text->length);
+}
+
+/* OTHER for custom_N, and for what the protocol does not name: no device here has it. */
 static enum kind kind_of(const struct text *name)
 {
-    double n = 0;
-    size_t i;
+    int i;
     for (i = 0; i < KINDS; i++)
-        if (strlen(KIND_NAMES[i]) == name->length && !memcmp(KIND_NAMES[i], name->bytes, name->length))
+        if (is(name, KIND_NAMES[i]))
             return (enum kind)i;
-    for (i = 7; i < name->length && name->bytes[i] >= '0' && name->bytes[i] <= '9'; i++)
-        n = n * 10 + (name->bytes[i] - '0');
-    if (name->length < 8 || i < name->length || n > UINT32_MAX || memcmp(name->bytes, "custom_", 7) != 0
-        || (name->bytes[7] == '0' && name->length > 8))
-        fault = "no control type";
     return OTHER;
 }
 
@@ -921,15 +919,16 @@ static void read_request(int body)
         if (i < 64)
             fault = "content_hash is not 64 hexadecimal digits";
     }
-    r->script = r->control_type.length == 6 && !memcmp(r->control_type.bytes, "script", 6);
-    r->sensor = r->control_type.length == 6 && !memcmp(r->control_type.bytes, "sensor", 6);
+    r->script = is(&r->control_type, "script");
+    r->sensor = is(&r->control_type, "sensor");
     r->size = 1;
     if (r->sensor || r->script) {
         r->size = 0;
         if (r->script && (value == JSON_NONE || json.nodes[value].type != JSON_LIST))
             fault = "control_value is no list of steps";
         for (item = json.nodes[body].first; r->script && item != JSON_NONE; item = json.nodes[item].next)
-            if (json.nodes[item].length >= 14 && !memcmp(json.nodes[item].text, "control_value_", 14))
+            if (json.nodes[item].length >= 14 && !memcmp(json.nodes[item].text, "control_value_", 14)
+                && json.nodes[json.nodes[item].first].type != JSON_NULL)
                 fault = "only custom types take several values";
     } else {
         r->steps[0].ms = 0;
@@ -956,6 +955,8 @@ static void read_request(int body)
         offset = step.ms;
         step.offset = ms_to_ns(step.ms);
         step.kind = kind_of(&type);
+        if (is(&type, "script") || is(&type, "sensor"))
+            fault = "a step is no script and no sensor";
         lease_at(item, &step.lease);
         count = values_at(item, &step.value);
         if (r->size < MAX_STEPS) {
@@ -1086,8 +1087,8 @@ static bool hear(struct link *link, const struct text *session, bool claims)
         owned = true;
         owner = *session;
     }
-    if (session && owned && same(session, &owner))
-        link->of_owner = true;
+    if (session) /* a message without one counts for the session that its connection named last */
+        link->of_owner = owned && same(session, &owner);
     link->heard = now;
     renews = link->of_owner && (!session || same(session, &owner));
     if (renews)
@@ -1141,14 +1142,14 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
     passing.request_id = r->request_id;
     passing.device_id = r->device_id;
     passing.status = FAILED;
-    if (!mine && !r->sensor) {
+    for (i = 0; i < device_count; i++)
+        if (same(&devices[i].id, &r->device_id))
+            device = &devices[i];
+    if (!mine && !(r->sensor && (!device || device->sensor))) {
         refuse(&passing, "busy", busy_message());
         send_answer(link, &passing);
         return;
     }
-    for (i = 0; i < device_count; i++)
-        if (same(&devices[i].id, &r->device_id))
-            device = &devices[i];
     if (refused(r, device, body, now, &passing)) {
         if (!strcmp(passing.code, "unsupported_control_type"))
             rest(device, false, "cancelled", "default state after an unsupported control type", now);
@@ -1163,8 +1164,10 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
         if (r->has_start && r->start > now) {
             drop(device, r->start, "cancelled", "cancelled by an empty script", now);
         } else {
-            if (r->has_sent && r->sent > device->taken_back)
-                device->taken_back = r->sent;
+            if (r->has_sent) { /* no further ahead than FUTURE: no wrong clock blocks a device for good */
+                int64_t until = r->sent < now + FUTURE ? r->sent : now + FUTURE;
+                device->taken_back = until > device->taken_back ? until : device->taken_back;
+            }
             rest(device, r->hold, "cancelled", "cancelled by an empty script", now);
         }
         passing.status = OK;
