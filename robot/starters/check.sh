@@ -1,6 +1,6 @@
 #!/usr/bin/env bash
 # check.sh 'PROGRAM ARGUMENTS' [OPTIONS]: starts a robot on a free port and runs `downbeat conformance OPTIONS` against it.
-# The program takes --listen HOST:PORT and says `listening on HOST:PORT`. DOWNBEAT names another downbeat than the built one.
+# The program takes --listen HOST:PORT and says `listening on HOST:PORT`, or `listens on`. DOWNBEAT names another downbeat than the built one.
 set -euo pipefail
 downbeat=${DOWNBEAT:-$(cd "$(dirname "$0")/../.." && pwd)/target/release/downbeat}
 read -ra program <<<"$1"
@@ -11,7 +11,7 @@ trap 'kill "$robot" 2>/dev/null || true; rm -f "$said"' EXIT
 
 address=
 for _ in $(seq 100); do
-  address=$(sed -n 's/^listening on //p' "$said")
+  address=$(sed -n 's/^.*listen[ings]* on //p' "$said")
   if [ -n "$address" ] || ! kill -0 "$robot" 2>/dev/null; then break; fi
   sleep 0.1
 done

@@ -1,6 +1,6 @@
 //! What a robot declares of its devices and what it then takes.
 
-use urrcp::{Command, ControlType, DeviceId, ErrorCode, Label, Script, Setpoint, Status, Step};
+use urrcp::{Command, ControlType, DeviceId, ErrorCode, Message, Script, Setpoint, Status, Step, encode};
 
 use super::line::Line;
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
@@ -136,22 +136,28 @@ fn unknown_device(trial: &Trial) -> Checked {
 }
 
 fn unsupported_control_type(trial: &Trial) -> Checked {
-    let lacks = trial.actor()?.lacks();
-    lacking(trial, Command::Set(Setpoint::new(lacks, 0.0)), lacks)
+    lacking(trial, &trial.actor()?.lacks().to_string())
 }
 
 fn unknown_control_type(trial: &Trial) -> Checked {
-    let name = Label::new("no_such_control").map_err(|error| not_applicable(error.to_string()))?;
-    lacking(trial, Command::Unknown(name.clone()), name)
+    lacking(trial, "no_such_control")
 }
 
 /// A command of a control type that the device lacks is refused, and ends what the device held.
-fn lacking(trial: &Trial, command: Command, control_type: impl std::fmt::Display) -> Checked {
+fn lacking(trial: &Trial, control_type: &str) -> Checked {
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
     let pending = line.held(&trial.pending(actor))?;
+    let command = Command::Set(Setpoint::new(ControlType::Position, 0.0));
     let request = trial.request(&actor.device.id, command).starting_in(LATER_MS).leased(LEASE_MS);
-    line.refuses(&request, ErrorCode::UnsupportedControlType)?;
+    let id = request.request_id.as_ref().map(ToString::to_string);
+    let mut text = Vec::new();
+    encode(&Message::ControlRequest(request), &mut text);
+    // Its name alone is another, also where no type of ours could bear it.
+    let named = format!("\"control_type\":\"{control_type}\"");
+    let text = String::from_utf8_lossy(&text).replace("\"control_type\":\"position\"", &named);
+    let ticket = line.ask_text(id, actor.device.id.as_str(), &text)?;
+    line.refused(ticket, &[ErrorCode::UnsupportedControlType])?;
     if !trial.reports() {
         return Ok("refused; without `reports` nothing tells whether the device went to its default state"
             .to_owned());
