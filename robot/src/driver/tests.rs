@@ -30,6 +30,19 @@ const LIFT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices"
      "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 8,
                 "control_types": ["position"]}}}]}"#;
 
+/// Like `LIFT`, but takes longer to come to rest than an edge waits. Its wheel needs half a second.
+const HEAVY: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
+  {"id": "lift", "name": "lift", "interpolation": "linear", "default_value": 0, "available_control_types": {
+     "position": {"min_value": 0, "max_value": 100, "granularity": 1},
+     "acceleration": {"min_value": -1, "max_value": 1, "granularity": 1},
+     "script": {"min_value": 0, "max_value": 100, "granularity": 1, "max_number_of_steps": 8,
+                "control_types": ["position"]}}},
+  {"id": "wheel", "name": "wheel", "available_control_types": {
+     "speed": {"min_value": -10, "max_value": 10, "granularity": 1},
+     "acceleration": {"min_value": -20, "max_value": 20, "granularity": 1},
+     "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 1000,
+                "control_types": ["speed"]}}}]}"#;
+
 /// Hardware of a test: tells what is done with it, and does what the test says.
 #[derive(Default)]
 struct Bench {
@@ -230,6 +243,45 @@ async fn a_driver_that_moves_linearly_by_itself_is_told_the_whole_way() {
     rig.responses(&PLAYED).await;
     let done = rig.stop();
     assert_eq!(done, ["connect", "arm 3", "arm ramp to 30", "arm 30", "arm 3", "wheel 0"]);
+}
+
+#[tokio::test]
+async fn an_edge_that_ends_stays_until_a_way_that_the_driver_goes_by_itself_is_over() {
+    let bench = Bench { takes_ramps: true, ..Bench::default() };
+    let mut rig = Rig::of(HEAVY, bench, DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 10.0), (60_000.0, 10.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 10"]);
+    let begin = HostClock::anchored().now();
+    let mut done = rig.stop();
+    let took = HostClock::anchored().now() - begin;
+    done.retain(|what| what.starts_with("wheel"));
+    // The acceleration goes to 0 at once, the speed in the end.
+    assert_eq!(done, ["wheel ramp to 0", "wheel 0", "wheel 0"]);
+    assert!(took >= Span::from_millis(450), "ended {took} after it had begun to slow down for 500 ms");
+}
+
+#[tokio::test]
+async fn a_position_that_takes_too_long_to_rest_stays_where_it_is_and_does_not_jump() {
+    let mut rig = Rig::of(HEAVY, Bench::default(), DriverOptions::default());
+    rig.script("lift", "a", &[(4_000.0, 20.0), (60_000.0, 20.0)], ControlType::Position);
+    rig.responses(&PLAYED[..2]).await;
+    tokio::time::sleep(Duration::from_millis(600)).await;
+    let values: Vec<f64> =
+        rig.stop().iter().filter_map(|what| what.strip_prefix("lift ")?.parse().ok()).collect();
+    assert!(values.iter().any(|value| *value > 2.0), "{values:?}");
+    assert_ne!(values.last(), Some(&0.0), "{values:?}");
+}
+
+#[tokio::test]
+async fn the_hardware_is_asked_for_a_sign_of_life_however_close_the_steps_are() {
+    let mut rig = Rig::of(HEAVY, Bench::default(), DriverOptions::default());
+    let steps: Vec<_> = (0..700_u32).map(|i| (f64::from(i) * 5.0, f64::from(i % 2 + 1))).collect();
+    rig.script("wheel", "a", &steps, ControlType::Speed);
+    rig.responses(&PLAYED).await;
+    let done: Vec<String> = rig.done.try_iter().collect();
+    let mut played = done.iter().skip_while(|what| !what.starts_with("wheel"));
+    assert!(played.any(|what| what == "ping"), "no ping in {} values", done.len());
 }
 
 #[tokio::test]

@@ -10,6 +10,7 @@ use urrcp::{ControlType, InitializationBlock, Setpoint};
 use super::mailbox::{Movement, QUIET, Work};
 use super::{Driver, DriverError, Key, Mailbox, Ramp};
 use crate::hardware::ReadingId;
+use crate::signal::is_rate;
 
 /// Between two tries to connect, at first and at most; it doubles.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
@@ -17,7 +18,7 @@ const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_
 const PING_EVERY: Duration = Duration::from_millis(500);
 /// Then it is asked even though movements follow one another closely.
 const PING_WAIT_MAX: Duration = Duration::from_secs(2);
-/// How long the devices may take to come to rest when the edge ends.
+/// How long the devices may take to come to rest when the edge ends. Then speeds go to zero at once, and positions stay.
 const REST_WAIT_MAX: Duration = Duration::from_secs(3);
 
 /// What a driver's thread tells the machine.
@@ -39,6 +40,8 @@ pub(crate) struct Worker {
     tell: Box<dyn Fn(News) + Send>,
     period: Duration,
     moving: BTreeMap<Key, Moving>,
+    /// Ramps that the hardware goes by itself.
+    handed_over: BTreeMap<Key, Movement>,
     next_sample: Instant,
     seen_alive: Instant,
 }
@@ -58,8 +61,9 @@ impl Worker {
     ) -> Self {
         let now = Instant::now();
         let period = Duration::from_secs_f64(1.0 / samples_per_second.clamp(0.1, 1_000.0));
-        let moving = BTreeMap::new();
-        Self { driver, block, mailbox, tell, period, moving, next_sample: now, seen_alive: now }
+        let (moving, handed_over) = (BTreeMap::new(), BTreeMap::new());
+        let (next_sample, seen_alive) = (now, now);
+        Self { driver, block, mailbox, tell, period, moving, handed_over, next_sample, seen_alive }
     }
 
     /// Runs until the mailbox is closed and empty, or closed while there is no hardware.
@@ -83,6 +87,7 @@ impl Worker {
                 Err(error) => error,
             };
             self.moving.clear();
+            self.handed_over.clear();
             // First nothing more is taken, then it is told: no order of before reaches the next connection.
             self.mailbox.disconnected();
             tracing::warn!(robot = %self.block.id, "hardware away: {reason}");
@@ -107,24 +112,32 @@ impl Worker {
                     movement.map_or(Ok(()), |movement| self.follow(key, movement))?;
                 }
                 Work::Read(id, sensor) => self.read(id, &sensor)?,
-                Work::Nothing => self.stay_in_touch()?,
-                Work::Closed if self.moving.is_empty() => return Ok(()),
+                Work::Nothing => {}
                 Work::Closed => {
                     let end = *closing.get_or_insert_with(|| Instant::now() + REST_WAIT_MAX);
-                    if Instant::now() >= end {
-                        return self.finish_movements();
-                    }
-                    std::thread::sleep(self.next_sample.saturating_duration_since(Instant::now()));
+                    let next = self.next_until_rest().filter(|_| Instant::now() < end);
+                    let Some(next) = next else { return self.end_movements() };
+                    std::thread::sleep(next.min(end).saturating_duration_since(Instant::now()));
                 }
             }
             if !self.moving.is_empty() && Instant::now() >= self.next_sample {
                 self.sample()?;
             }
+            self.stay_in_touch()?;
         }
+    }
+
+    /// When to look again, while something is on its way to rest.
+    fn next_until_rest(&self) -> Option<Instant> {
+        let sample = (!self.moving.is_empty()).then_some(self.next_sample);
+        let left = self.handed_over.values().map(Movement::left).max().filter(|left| !left.is_zero());
+        let look = left.map(|left| Instant::now() + left.min(PING_EVERY));
+        sample.into_iter().chain(look).min()
     }
 
     fn set(&mut self, key: &Key, setpoint: &Setpoint) -> Result<(), DriverError> {
         self.moving.remove(key);
+        self.handed_over.remove(key);
         let value = self.on_grid(key, setpoint.value);
         self.driver.set(&key.0, &Setpoint { value, ..setpoint.clone() })
     }
@@ -132,10 +145,13 @@ impl Worker {
     fn follow(&mut self, key: Key, movement: Movement) -> Result<(), DriverError> {
         if self.driver.takes_ramps() && movement.signal.is_linear() {
             self.moving.remove(&key);
-            let duration = (movement.signal.rests_at() - movement.now()).to_duration();
             let to = self.on_grid(&key, movement.signal.target());
-            return self.driver.ramp(&key.0, Ramp { control_type: key.1, to, duration });
+            let ramp = Ramp { control_type: key.1, to, duration: movement.left() };
+            self.driver.ramp(&key.0, ramp)?;
+            self.handed_over.insert(key, movement);
+            return Ok(());
         }
+        self.handed_over.remove(&key);
         if self.moving.is_empty() {
             self.next_sample = Instant::now() + self.period;
         }
@@ -166,9 +182,14 @@ impl Worker {
         Ok(())
     }
 
-    fn finish_movements(&mut self) -> Result<(), DriverError> {
-        for (key, moving) in std::mem::take(&mut self.moving) {
-            let value = self.on_grid(&key, moving.movement.signal.target());
+    /// What went to rest by itself is told so, and what has taken too long is ended where it is: rates go to zero, a
+    /// position has been set by its last sample and stays, since the rest of its way would be one jump.
+    fn end_movements(&mut self) -> Result<(), DriverError> {
+        let sampled =
+            std::mem::take(&mut self.moving).into_iter().map(|(key, moving)| (key, moving.movement));
+        let ended: Vec<_> = sampled.chain(std::mem::take(&mut self.handed_over)).collect();
+        for (key, movement) in ended.into_iter().filter(|(key, _)| is_rate(key.1)) {
+            let value = self.on_grid(&key, movement.signal.target());
             self.driver.set(&key.0, &Setpoint::new(key.1, value))?;
         }
         Ok(())
@@ -225,6 +246,11 @@ impl Drop for Worker {
 impl Movement {
     fn now(&self) -> urrcp::Timestamp<urrcp::Robot> {
         self.clock.now().assume_clock() + self.ahead
+    }
+
+    /// How long it still takes.
+    fn left(&self) -> Duration {
+        (self.signal.rests_at() - self.now()).to_duration()
     }
 }
 
