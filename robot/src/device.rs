@@ -17,7 +17,7 @@ use urrcp::{
 use crate::held::{Held, Steps};
 use crate::lease::{LastHeard, Lease};
 use crate::robot::LinkId;
-use crate::signal::{Rates, Signal, is_rate, resting_value};
+use crate::signal::{Rates, Signal, default_of, first_value, is_rate, resting_value};
 
 /// What a driver does with a device.
 #[derive(Clone, Debug, PartialEq)]
@@ -46,13 +46,8 @@ pub enum Motion {
         /// When.
         until: Timestamp<Robot>,
     },
-    /// Go to this value: part of the default state.
-    Default {
-        /// Which signal.
-        control_type: ControlType,
-        /// Its value.
-        value: f64,
-    },
+    /// Go to this: part of the default state.
+    Default(Setpoint),
 }
 
 /// What a device machine wants done or told.
@@ -85,6 +80,8 @@ struct Guard {
 pub(crate) struct DeviceMachine {
     pub(crate) spec: Device,
     signals: BTreeMap<ControlType, Signal>,
+    /// The custom types that a command has driven, with the number of their values.
+    driven: BTreeMap<ControlType, usize>,
     queue: VecDeque<Held>,
     /// At most one for each control type: a command that drives the rate takes it over.
     guards: Vec<Guard>,
@@ -99,11 +96,10 @@ impl DeviceMachine {
             .available_control_types
             .iter()
             .filter(|(control_type, _)| !matches!(control_type, ControlType::Script | ControlType::Sensor))
-            .map(|(control_type, _)| {
-                (control_type, Signal::resting(resting_value(&spec, control_type), begin))
-            })
+            .map(|(control_type, _)| (control_type, Signal::resting(first_value(&spec, control_type), begin)))
             .collect();
-        Self { spec, signals, queue: VecDeque::new(), guards: Vec::new(), taken_back: None }
+        let (driven, queue, guards) = (BTreeMap::new(), VecDeque::new(), Vec::new());
+        Self { spec, signals, driven, queue, guards, taken_back: None }
     }
 
     pub(crate) fn value(&self, control_type: ControlType, now: Timestamp<Robot>) -> Option<f64> {
@@ -181,7 +177,7 @@ impl DeviceMachine {
         let index = held.next_step;
         let Some(setpoint) = held.setpoint(index).cloned() else { return };
         held.next_step += 1;
-        self.take_over(setpoint.control_type);
+        self.take_over(&setpoint);
         self.signals.insert(setpoint.control_type, Signal::resting(setpoint.value, at));
         effects.push(Effect::Move {
             motion: Motion::Set(setpoint),
@@ -193,9 +189,13 @@ impl DeviceMachine {
     }
 
     /// A rate that is driven again is no longer under the lease of the command that drove it before.
-    fn take_over(&mut self, rate: ControlType) {
+    fn take_over(&mut self, setpoint: &Setpoint) {
+        let driven = setpoint.control_type;
+        if matches!(driven, ControlType::Custom(_)) {
+            self.driven.insert(driven, setpoint.values().count());
+        }
         for guard in &mut self.guards {
-            guard.rates.retain(|guarded| *guarded != rate);
+            guard.rates.retain(|guarded| *guarded != driven);
         }
         self.guards.retain(|guard| !guard.rates.is_empty());
     }
@@ -209,7 +209,7 @@ impl DeviceMachine {
             return;
         }
         let Some(from) = self.value(next.control_type, now) else { return };
-        self.take_over(next.control_type);
+        self.take_over(next);
         self.signals.insert(next.control_type, Signal::ramp(from, now, next.value, until));
         effects.push(Effect::Move {
             motion: Motion::Ramp { control_type: next.control_type, from, to: next.value, until },
@@ -237,7 +237,8 @@ impl DeviceMachine {
         self.signals
             .iter()
             .filter(|(control_type, signal)| {
-                is_rate(**control_type) && signal.target() != resting_value(&self.spec, **control_type)
+                is_rate(**control_type)
+                    && self.rest(**control_type).is_some_and(|rest| signal.target() != rest)
             })
             .map(|(control_type, _)| *control_type)
     }
@@ -269,16 +270,24 @@ impl DeviceMachine {
         self.drop_all(error, effects);
         self.guards.clear();
         for (control_type, signal) in &mut self.signals {
-            let value = default_state(&self.spec, *control_type).unwrap_or_else(|| signal.value(now));
+            let default = default_of(&self.spec, *control_type);
+            let rest = resting_value(default, *control_type, self.driven.contains_key(control_type));
+            let value = rest.unwrap_or_else(|| signal.value(now));
             *signal = Signal::resting(value, now);
         }
     }
 
-    /// The hardware is back, from wherever it is to its default state at once. A position without a default value stays.
+    /// Where the default state brings a signal; `None`: it stays as it is.
+    fn rest(&self, control_type: ControlType) -> Option<f64> {
+        let driven = self.driven.contains_key(&control_type);
+        resting_value(default_of(&self.spec, control_type), control_type, driven)
+    }
+
+    /// The hardware is back, from wherever it is to its default state at once. What has none stays.
     pub(crate) fn restore(&mut self, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         for control_type in self.signals.keys() {
-            let Some(value) = default_state(&self.spec, *control_type) else { continue };
-            let motion = Motion::Default { control_type: *control_type, value };
+            let Some(value) = self.rest(*control_type) else { continue };
+            let motion = at_rest(&self.driven, *control_type, value);
             effects.push(Effect::Move { motion, due: now, request_id: None, step: None });
         }
     }
@@ -307,26 +316,26 @@ impl DeviceMachine {
         effects.extend(dropped.into_iter().map(|held| failed(held, error)));
     }
 
-    /// default_value, or hold the last position; every other rate to zero. What moves slows down as the device can.
+    /// The default state, or with `hold` the one of a device without `default_value`. What moves slows down as the
+    /// device can.
     fn come_to_rest(&mut self, now: Timestamp<Robot>, hold: bool, effects: &mut Vec<Effect>) {
         self.guards.clear();
-        let primary = self.spec.primary_control_type();
-        let default = self.spec.default_value.filter(|_| !hold);
         let linear = self.spec.interpolation == Interpolation::Linear;
         for (control_type, signal) in &mut self.signals {
-            let value = match control_type {
-                _ if Some(*control_type) == primary && default.is_some() => default.unwrap_or_default(),
-                ControlType::Position => signal.value(now),
-                _ => 0.0,
-            };
             let position = *control_type == ControlType::Position;
+            let default = default_of(&self.spec, *control_type).filter(|_| !hold);
+            let rest = resting_value(default, *control_type, self.driven.contains_key(control_type));
+            let value = match rest {
+                Some(rest) => rest,
+                None if position => signal.value(now),
+                None => continue,
+            };
             let slowed = rates(&self.spec, *control_type).filter(|_| linear || !position).and_then(|rates| {
                 if !position {
                     return signal.slowed_to(now, value, rates.acceleration);
                 }
-                let to = default.is_some().then_some(value);
                 let limits = self.spec.available_control_types.limits(*control_type);
-                signal.brought_to_rest(now, to, rates, limits)
+                signal.brought_to_rest(now, rest, rates, limits)
             });
             let motion = match slowed {
                 Some(slowed) => {
@@ -336,7 +345,7 @@ impl DeviceMachine {
                 }
                 None => {
                     *signal = Signal::resting(value, now);
-                    Motion::Default { control_type: *control_type, value }
+                    at_rest(&self.driven, *control_type, value)
                 }
             };
             effects.push(Effect::Move { motion, due: now, request_id: None, step: None });
@@ -444,10 +453,13 @@ impl DeviceMachine {
     }
 }
 
-/// The value of a signal in the default state; `None` for a position that is held.
-fn default_state(spec: &Device, control_type: ControlType) -> Option<f64> {
-    let default = spec.default_value.filter(|_| spec.primary_control_type() == Some(control_type));
-    default.or_else(|| is_rate(control_type).then_some(0.0))
+/// A custom type of several values rests with as many.
+fn at_rest(driven: &BTreeMap<ControlType, usize>, control_type: ControlType, value: f64) -> Motion {
+    let values = driven.get(&control_type).copied().unwrap_or(1);
+    Motion::Default(Setpoint {
+        more: vec![0.0; values.saturating_sub(1)].into(),
+        ..Setpoint::new(control_type, value)
+    })
 }
 
 /// How fast a device changes its position or speed, where it declares an acceleration.

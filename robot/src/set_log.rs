@@ -36,7 +36,7 @@ impl LogEntry {
             Motion::Set(setpoint) => ("set", setpoint.control_type, setpoint.value),
             Motion::Ramp { control_type, to, .. } => ("ramp", control_type, to),
             Motion::Slow { control_type, to, .. } => ("slow", control_type, to),
-            Motion::Default { control_type, value } => ("default", control_type, value),
+            Motion::Default(setpoint) => ("default", setpoint.control_type, setpoint.value),
         };
         Self {
             true_ns: true_time.as_nanos(),

@@ -155,12 +155,26 @@ pub(crate) const fn is_rate(control_type: ControlType) -> bool {
     !matches!(control_type, ControlType::Position)
 }
 
-/// The value of a signal in the default state, as far as it does not depend on the past: `default_value` for the
-/// primary one, else zero, or for a position that cannot be zero the nearest that it can take.
-pub(crate) fn resting_value(spec: &Device, control_type: ControlType) -> f64 {
-    let default = spec.default_value.filter(|_| spec.primary_control_type() == Some(control_type));
-    let limits = spec.available_control_types.limits(control_type).filter(|_| !is_rate(control_type));
-    default
+/// The `default_value` of a signal: only the primary one has it.
+pub(crate) fn default_of(spec: &Device, control_type: ControlType) -> Option<f64> {
+    spec.default_value.filter(|_| spec.primary_control_type() == Some(control_type))
+}
+
+/// Where the default state brings a signal: to its `default_value`, else to zero; `None` for what stays as it is, a
+/// position and a custom type that no command has `driven`, of which nobody knows what zero would do.
+pub(crate) fn resting_value(default: Option<f64>, control_type: ControlType, driven: bool) -> Option<f64> {
+    let stays = match control_type {
+        ControlType::Position => true,
+        ControlType::Custom(_) => !driven,
+        _ => false,
+    };
+    default.or_else(|| (!stays).then_some(0.0))
+}
+
+/// Where a signal is taken to be before anything is known of it: in its default state, else the nearest to zero.
+pub(crate) fn first_value(spec: &Device, control_type: ControlType) -> f64 {
+    let limits = spec.available_control_types.limits(control_type);
+    resting_value(default_of(spec, control_type), control_type, false)
         .unwrap_or_else(|| limits.map_or(0.0, |limits| 0.0_f64.max(limits.min_value).min(limits.max_value)))
 }
 

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, HashMap};
 
 use urrcp::{
     Command, ControlError, ControlResponse, DEVICES_MAX, DeviceId, Encoding, ErrorCode, InitializationBlock,
-    Message, Robot as RobotClock, Setpoint, Span, Status, StatusValue, Timestamp,
+    Message, Robot as RobotClock, Span, Status, StatusValue, Timestamp,
 };
 
 use crate::device::Motion;
@@ -397,9 +397,8 @@ impl SimulatedRobot {
 fn wanted(robot: &Robot, set: &SetValue) -> Option<Wanted> {
     let key = |control_type| (set.device.clone(), control_type);
     Some(match &set.motion {
-        Motion::Set(setpoint) => Wanted::Set(key(setpoint.control_type), setpoint.clone()),
-        Motion::Default { control_type, value } => {
-            Wanted::Set(key(*control_type), Setpoint::new(*control_type, *value))
+        Motion::Set(setpoint) | Motion::Default(setpoint) => {
+            Wanted::Set(key(setpoint.control_type), setpoint.clone())
         }
         Motion::Ramp { control_type, .. } | Motion::Slow { control_type, .. } => {
             Wanted::Follow(key(*control_type), robot.signal(set.device.as_str(), *control_type)?)

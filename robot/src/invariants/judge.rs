@@ -210,9 +210,9 @@ fn take(device: &mut DeviceModel, of: impl Fn(&Order) -> bool) -> Option<Order> 
 
 /// The device goes to its default state, which ends the leases of the rates that went on.
 fn rested(device: &mut DeviceModel, set: &SetValue) -> Result<(), Violation> {
-    let (control_type, to) = match set.motion {
-        Motion::Default { control_type, value } => (control_type, value),
-        Motion::Slow { control_type, to, .. } => (control_type, to),
+    let (control_type, to) = match &set.motion {
+        Motion::Default(setpoint) => (setpoint.control_type, setpoint.value),
+        Motion::Slow { control_type, to, .. } => (*control_type, *to),
         Motion::Set(_) | Motion::Ramp { .. } => {
             return Err(Violation(format!("a movement of no step: {set:?}")));
         }
@@ -237,7 +237,7 @@ fn is_due(order: &Order, step: usize, set: &SetValue) -> bool {
                 && order.time_of(step) == Some(*until)
                 && before == Some(set.due)
         }
-        Motion::Slow { .. } | Motion::Default { .. } => false,
+        Motion::Slow { .. } | Motion::Default(_) => false,
     }
 }
 

@@ -41,7 +41,7 @@ fn open_reading(bench: &Bench) -> crate::hardware::ReadingId {
 /// Devices with the values of their default state.
 fn defaults(bench: &Bench) -> Vec<(String, f64)> {
     let value = |set: &&SetValue| match &set.motion {
-        Motion::Default { control_type, value } => Some((format!("{} {control_type}", set.device), *value)),
+        Motion::Default(rest) => Some((format!("{} {}", set.device, rest.control_type), rest.value)),
         _ => None,
     };
     bench.sets().iter().filter_map(value).collect()
@@ -93,6 +93,44 @@ fn hardware_that_nothing_was_set_on_is_left_as_it_is() {
     bench.robot.hardware_found(bench.now, &mut bench.out);
     bench.robot.shut_down(bench.now, &mut bench.out);
     assert!(bench.sets().is_empty());
+}
+
+#[test]
+fn a_custom_type_goes_to_rest_once_a_command_has_driven_it_and_is_left_alone_before() {
+    let block = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
+      {"id": "wheel", "name": "w", "available_control_types": {
+         "speed": {"min_value": -10, "max_value": 10, "granularity": 1}}},
+      {"id": "lamp", "name": "l", "available_control_types": {"custom_1": {"colours": 3}}},
+      {"id": "horn", "name": "h", "default_value": 7, "available_control_types": {"custom_2": {}}}]}"#;
+    let block: InitializationBlock = serde_json::from_str(block).unwrap();
+    let mut bench = Bench { robot: Robot::driven(block), ..Bench::new() };
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    let rests = |bench: &mut Bench| -> Vec<String> {
+        let rest = |set: &&SetValue| match &set.motion {
+            Motion::Default(rest) => Some(format!("{} {:?}", set.device, rest.values().collect::<Vec<_>>())),
+            _ => None,
+        };
+        let rests = bench.sets().iter().filter_map(rest).collect();
+        bench.out.clear();
+        rests
+    };
+    bench.robot.restore(bench.now, &mut bench.out);
+    assert_eq!(rests(&mut bench), ["wheel [0.0]", "horn [7.0]"]);
+    let stop = |bench: &mut Bench| {
+        let cancel = Command::Script(Script::cancel());
+        bench.request(ControlRequest::immediate(DeviceId::new("lamp").unwrap(), cancel));
+    };
+    stop(&mut bench);
+    assert_eq!(rests(&mut bench), [""; 0]);
+    let colours = Setpoint { more: [5.0, 9.0].into(), ..Setpoint::new(ControlType::Custom(1), 4.0) };
+    bench.request(ControlRequest::immediate(DeviceId::new("lamp").unwrap(), Command::Set(colours)));
+    stop(&mut bench);
+    assert_eq!(rests(&mut bench), ["lamp [0.0, 0.0, 0.0]"]);
+    bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    assert_eq!(rests(&mut bench), ["wheel [0.0]", "lamp [0.0, 0.0, 0.0]", "horn [7.0]"]);
+    bench.robot.shut_down(bench.now, &mut bench.out);
+    assert_eq!(rests(&mut bench), ["wheel [0.0]", "lamp [0.0, 0.0, 0.0]", "horn [7.0]"]);
 }
 
 #[test]
