@@ -3,7 +3,7 @@
 //! The Thrift robot is `tests/thrift/server.py` where `DOWNBEAT_PYTHON` names a Python with the package thriftpy2,
 //! else the one of `thrift_robot`.
 
-use std::io::{BufRead, BufReader};
+use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
@@ -67,7 +67,8 @@ impl Edge {
     fn start(session: &Session, init: &str, driver: &str) -> Self {
         let mut command = Command::new(PROGRAM);
         command.args(["edge", "--listen", "127.0.0.1:0", "--init", init, "--driver", driver]);
-        let mut child = command.current_dir(session.path(".")).stdout(Stdio::piped()).spawn().unwrap();
+        let command = command.current_dir(session.path(".")).stdout(Stdio::piped()).stderr(Stdio::piped());
+        let mut child = command.spawn().unwrap();
         let line = first_line(&mut child);
         let port = line.trim().rsplit(':').next().unwrap().parse();
         let port = port.unwrap_or_else(|_| panic!("no port in `{line}`"));
@@ -75,9 +76,16 @@ impl Edge {
     }
 
     /// As Ctrl-C in its terminal, or the service manager.
-    fn terminate(mut self) {
+    fn terminate(self) {
+        assert_eq!(self.end(), (Some(0), String::new()));
+    }
+
+    /// Its exit code and what it said.
+    fn end(mut self) -> (Option<i32>, String) {
         assert!(Command::new("kill").args(["-TERM", &self.0.id().to_string()]).status().unwrap().success());
-        assert!(self.0.wait().unwrap().success());
+        let mut said = String::new();
+        self.0.stderr.take().unwrap().read_to_string(&mut said).unwrap();
+        (self.0.wait().unwrap().code(), said)
     }
 }
 
@@ -87,10 +95,11 @@ impl Drop for Edge {
     }
 }
 
-/// What was set, as `device value`, without the times in front.
+/// What was set, as `device value`, without the times in front. A line that is being written is none yet.
 fn sets(session: &Session, log: &str) -> Vec<String> {
     let text = std::fs::read_to_string(session.path(log)).unwrap_or_default();
-    text.lines().map(|line| line.split_once(' ').unwrap().1.to_owned()).collect()
+    let whole = text.split_inclusive('\n').filter_map(|line| line.strip_suffix('\n'));
+    whole.map(|line| line.split_once(' ').unwrap().1.to_owned()).collect()
 }
 
 fn of(device: &str, sets: &[String]) -> Vec<f64> {
@@ -225,6 +234,30 @@ fn an_edge_outlives_the_restart_of_its_robot_and_does_not_go_on_in_the_middle() 
     let sets = sets(&session, "2.log");
     assert_eq!(of("left", &sets), [0.0, 40.0, -20.0, 0.0, 0.0], "{sets:?}");
     assert_eq!(of("right", &sets), [0.0, 0.0, 10.0, 0.0], "{sets:?}");
+}
+
+#[test]
+fn an_edge_that_cannot_bring_its_devices_to_rest_says_so() {
+    let session = session();
+    let (tank, port) = Tank::start(&session, "1.log", 0);
+    let edge = Edge::start(&session, "tank.json", &format!("thrift://127.0.0.1:{port}"));
+    await_that("the default state at the start", || sets(&session, "1.log").len() == 2);
+    drop(tank);
+    let (code, said) = edge.end();
+    assert_eq!(code, Some(4), "{said}");
+    assert!(said.contains("the devices of `tank-1` may not be in their default state: "), "{said}");
+}
+
+#[test]
+fn an_edge_that_finds_its_port_taken_moves_nothing() {
+    let session = session();
+    session.file("drive.sh", DRIVE);
+    let taken = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let listen = taken.local_addr().unwrap().to_string();
+    let driver = "program:sh drive.sh driven.txt";
+    let edge = ["edge", "--init", "tank.json", "--listen", &listen, "--driver", driver];
+    session.run(&edge).says(2, &["cannot listen on 127.0.0.1:"]);
+    assert!(!session.path("driven.txt").exists(), "the driver was started");
 }
 
 const DRIVE: &str = include_str!("drivers/drive.sh");

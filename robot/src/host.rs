@@ -15,8 +15,8 @@ use serde::Serialize;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use urrcp::{Message, RobotId, Timestamp};
 
-use self::hosted::Attached;
 pub use self::hosted::Hosted;
+use self::hosted::{Attached, DriverThread};
 use crate::clock::HostClock;
 use crate::driver::{Mailbox, News};
 use crate::precise_wait::{self, Woken};
@@ -52,6 +52,16 @@ pub enum HostError {
     /// The system gives no thread.
     #[error("no thread for the robots: {0}")]
     Thread(io::Error),
+}
+
+/// A robot whose hardware was moved and, when its host stopped, may not have come to its default state.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the devices of `{robot}` may not be in their default state: {reason}")]
+pub struct NotAtRest {
+    /// Which.
+    pub robot: RobotId,
+    /// Why.
+    pub reason: String,
 }
 
 /// What comes back on a link.
@@ -91,7 +101,8 @@ pub struct Host {
     handle: HostHandle,
     thread: Option<JoinHandle<()>>,
     writer: Option<JoinHandle<()>>,
-    drivers: Vec<JoinHandle<()>>,
+    /// With the index of their robot.
+    drivers: Vec<(usize, DriverThread)>,
     mailboxes: Vec<Arc<Mailbox>>,
 }
 
@@ -150,7 +161,7 @@ impl Host {
             let (robot, driver, thread) = hosted.attach(index, &handle.orders).map_err(HostError::Thread)?;
             robots.push(robot);
             attached.push(driver);
-            drivers.extend(thread);
+            drivers.extend(thread.map(|thread| (index, thread)));
         }
         let mailboxes: Vec<_> = attached.iter().flatten().map(|driver| Arc::clone(&driver.mailbox)).collect();
         let thread = std::thread::Builder::new().name("robots".into());
@@ -177,25 +188,34 @@ impl Host {
         self.handle.clone()
     }
 
-    /// Stops the robots where they are and completes the log. Hardware goes to its default state, if it was moved.
-    pub fn stop(mut self) {
-        self.shut_down();
+    /// Stops the robots where they are and completes the log. Hardware goes to its default state, if it was moved;
+    /// returns the robots of which that is not certain.
+    pub fn stop(mut self) -> Vec<NotAtRest> {
+        self.shut_down()
     }
 
-    fn shut_down(&mut self) {
+    fn shut_down(&mut self) -> Vec<NotAtRest> {
         let _already_gone = self.handle.orders.send(Order::Stop);
-        let drivers = self.drivers.drain(..);
-        for thread in [self.thread.take(), self.writer.take()].into_iter().flatten().chain(drivers) {
+        for thread in [self.thread.take(), self.writer.take()].into_iter().flatten() {
             if thread.join().is_err() {
                 tracing::error!("a thread of the robots' host panicked");
             }
         }
+        let mut not_at_rest = Vec::new();
+        for (index, thread) in self.drivers.drain(..) {
+            let ended = thread.join().unwrap_or_else(|_| Err("its driver panicked".to_owned()));
+            let robot = &self.handle.robots[index];
+            not_at_rest.extend(ended.err().map(|reason| NotAtRest { robot: robot.clone(), reason }));
+        }
+        not_at_rest
     }
 }
 
 impl Drop for Host {
     fn drop(&mut self) {
-        self.shut_down();
+        for robot in self.shut_down() {
+            tracing::error!("{robot}");
+        }
     }
 }
 

@@ -25,7 +25,7 @@ pub mod simulated;
 
 pub use device::Motion;
 pub use hardware::ReadingId;
-pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, RobotLink};
+pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink};
 pub use robot::{Input, LinkId, Output, Robot, SetValue};
 pub use serve::serve;
 pub use set_log::LogEntry;

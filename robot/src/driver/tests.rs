@@ -165,10 +165,15 @@ impl Rig {
 
     /// What was done with the hardware up to its end, pings aside.
     fn stop(self) -> Vec<String> {
+        self.stop_and_tell().0
+    }
+
+    /// And why it may not be at rest.
+    fn stop_and_tell(self) -> (Vec<String>, Option<String>) {
         let Self { host, done, link, .. } = self;
         drop(link);
-        host.stop();
-        done.try_iter().filter(|what| what != "ping").collect()
+        let not_at_rest = host.stop().pop().map(|robot| robot.reason);
+        (done.try_iter().filter(|what| what != "ping").collect(), not_at_rest)
     }
 }
 
@@ -179,7 +184,9 @@ async fn values_reach_the_hardware_in_order_and_in_the_end_the_default_state() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.script("wheel", "a", &[(0.0, 4.0), (300.0, -4.0), (600.0, 2.0)], ControlType::Speed);
     rig.responses(&PLAYED).await;
-    assert_eq!(rig.stop(), ["connect", "wheel 4", "wheel -4", "wheel 2", "arm 3", "wheel 0"]);
+    let (done, not_at_rest) = rig.stop_and_tell();
+    assert_eq!(done, ["connect", "wheel 4", "wheel -4", "wheel 2", "arm 3", "wheel 0"]);
+    assert_eq!(not_at_rest, None);
 }
 
 #[tokio::test]
@@ -190,7 +197,10 @@ async fn hardware_that_was_only_looked_at_is_not_moved() {
         Command::ReadSensor,
     )));
     assert_eq!(rig.response().await.status_value, StatusValue::Number(7.0));
-    assert_eq!(rig.stop(), ["connect", "read eye"]);
+    // Nor does anybody wonder where it is once it has gone.
+    rig.bench.broken.store(true, Ordering::SeqCst);
+    let (done, not_at_rest) = rig.stop_and_tell();
+    assert_eq!((done, not_at_rest), (vec!["connect".to_owned(), "read eye".to_owned()], None));
 }
 
 #[tokio::test]
@@ -267,8 +277,9 @@ async fn a_position_that_takes_too_long_to_rest_stays_where_it_is_and_does_not_j
     rig.script("lift", "a", &[(4_000.0, 20.0), (60_000.0, 20.0)], ControlType::Position);
     rig.responses(&PLAYED[..2]).await;
     tokio::time::sleep(Duration::from_millis(600)).await;
-    let values: Vec<f64> =
-        rig.stop().iter().filter_map(|what| what.strip_prefix("lift ")?.parse().ok()).collect();
+    let (done, not_at_rest) = rig.stop_and_tell();
+    assert!(not_at_rest.unwrap().contains("`lift` was still on its way"));
+    let values: Vec<f64> = done.iter().filter_map(|what| what.strip_prefix("lift ")?.parse().ok()).collect();
     assert!(values.iter().any(|value| *value > 2.0), "{values:?}");
     assert_ne!(values.last(), Some(&0.0), "{values:?}");
 }
@@ -318,6 +329,33 @@ async fn hardware_that_fails_under_a_script_fails_it_and_starts_anew_from_its_de
 }
 
 #[tokio::test]
+async fn hardware_that_cannot_be_brought_to_rest_is_named_when_its_host_ends() {
+    for noticed in [false, true] {
+        let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+        rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
+        rig.responses(&PLAYED[..2]).await;
+        rig.next_done(&["connect", "wheel 4"]);
+        rig.bench.broken.store(true, Ordering::SeqCst);
+        if noticed {
+            assert_eq!(rig.response().await.status, Status::Failed);
+        }
+        let (_, not_at_rest) = rig.stop_and_tell();
+        assert_eq!(not_at_rest.as_deref(), Some("the hardware is away: pulled out"));
+    }
+}
+
+#[tokio::test]
+async fn the_last_values_are_followed_by_a_question_so_that_they_are_known_to_be_taken() {
+    let options = DriverOptions { at_start: AtStart::Default, ..DriverOptions::default() };
+    let rig = Rig::new(Bench::default(), options);
+    rig.next_done(&["connect", "arm 3", "wheel 0"]);
+    let Rig { host, done, link, .. } = rig;
+    drop(link);
+    assert_eq!(host.stop(), []);
+    assert_eq!(done.iter().last().as_deref(), Some("ping"));
+}
+
+#[tokio::test]
 async fn a_driver_that_panics_fails_what_runs_and_leaves_the_host_alone() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.bench.panics.store(true, Ordering::SeqCst);
@@ -325,7 +363,8 @@ async fn a_driver_that_panics_fails_what_runs_and_leaves_the_host_alone() {
     rig.responses(&PLAYED[..2]).await;
     let failed = rig.response().await;
     assert!(failed.error.unwrap().message.contains("its driver panicked"));
-    assert_eq!(rig.stop(), ["connect"]);
+    let told = (vec!["connect".to_owned()], Some("its driver panicked".to_owned()));
+    assert_eq!(rig.stop_and_tell(), told);
 }
 
 #[test]

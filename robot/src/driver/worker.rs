@@ -42,8 +42,18 @@ pub(crate) struct Worker {
     moving: BTreeMap<Key, Moving>,
     /// Ramps that the hardware goes by itself.
     handed_over: BTreeMap<Key, Movement>,
+    touched: Touched,
     next_sample: Instant,
     seen_alive: Instant,
+}
+
+/// What a driver was told to move.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Touched {
+    Never,
+    /// Not since it was connected anew.
+    Before,
+    Now,
 }
 
 struct Moving {
@@ -63,22 +73,36 @@ impl Worker {
         let period = Duration::from_secs_f64(1.0 / samples_per_second.clamp(0.1, 1_000.0));
         let (moving, handed_over) = (BTreeMap::new(), BTreeMap::new());
         let (next_sample, seen_alive) = (now, now);
-        Self { driver, block, mailbox, tell, period, moving, handed_over, next_sample, seen_alive }
+        let touched = Touched::Never;
+        Self { driver, block, mailbox, tell, period, moving, handed_over, touched, next_sample, seen_alive }
     }
 
     /// Runs until the mailbox is closed and empty, or closed while there is no hardware.
-    pub(crate) fn run(mut self) {
+    ///
+    /// # Errors
+    /// Why devices that were moved may not be in their default state.
+    pub(crate) fn run(mut self) -> Result<(), String> {
         let mut pause = PAUSE.0;
         let mut connection = 0;
+        let mut away = String::new();
         while !self.mailbox.is_closed() {
             let reason = match self.driver.connect() {
                 Ok(()) => {
                     connection += 1;
+                    if self.touched == Touched::Now {
+                        self.touched = Touched::Before;
+                    }
                     self.mailbox.connected(connection);
                     (self.tell)(News::There { connection });
                     self.mailbox.tried();
                     let since = Instant::now();
-                    let Err(error) = self.serve() else { return };
+                    let error = match self.serve() {
+                        Ok(_) if self.touched == Touched::Before => {
+                            return Err("the hardware came back too late to be told anything".to_owned());
+                        }
+                        Ok(cut_short) => return cut_short,
+                        Err(error) => error,
+                    };
                     if since.elapsed() > PAUSE.1 {
                         pause = PAUSE.0;
                     }
@@ -91,15 +115,20 @@ impl Worker {
             // First nothing more is taken, then it is told: no order of before reaches the next connection.
             self.mailbox.disconnected();
             tracing::warn!(robot = %self.block.id, "hardware away: {reason}");
-            (self.tell)(News::Away { reason: reason.to_string() });
+            away = reason.to_string();
+            (self.tell)(News::Away { reason: away.clone() });
             self.mailbox.tried();
             self.mailbox.pause(pause);
             pause = (pause * 2).min(PAUSE.1);
         }
+        match self.touched {
+            Touched::Never => Ok(()),
+            Touched::Before | Touched::Now => Err(format!("the hardware is away: {away}")),
+        }
     }
 
-    /// Does what comes until the hardware fails or nothing more will come.
-    fn serve(&mut self) -> Result<(), DriverError> {
+    /// Does what comes until the hardware fails or nothing more will come; then, what had to be cut short.
+    fn serve(&mut self) -> Result<Result<(), String>, DriverError> {
         self.seen_alive = Instant::now();
         let mut closing: Option<Instant> = None;
         loop {
@@ -138,11 +167,13 @@ impl Worker {
     fn set(&mut self, key: &Key, setpoint: &Setpoint) -> Result<(), DriverError> {
         self.moving.remove(key);
         self.handed_over.remove(key);
+        self.touched = Touched::Now;
         let value = self.on_grid(key, setpoint.value);
         self.driver.set(&key.0, &Setpoint { value, ..setpoint.clone() })
     }
 
     fn follow(&mut self, key: Key, movement: Movement) -> Result<(), DriverError> {
+        self.touched = Touched::Now;
         if self.driver.takes_ramps() && movement.signal.is_linear() {
             self.moving.remove(&key);
             let to = self.on_grid(&key, movement.signal.target());
@@ -184,15 +215,26 @@ impl Worker {
 
     /// What went to rest by itself is told so, and what has taken too long is ended where it is: rates go to zero, a
     /// position has been set by its last sample and stays, since the rest of its way would be one jump.
-    fn end_movements(&mut self) -> Result<(), DriverError> {
+    fn end_movements(&mut self) -> Result<Result<(), String>, DriverError> {
         let sampled =
             std::mem::take(&mut self.moving).into_iter().map(|(key, moving)| (key, moving.movement));
         let ended: Vec<_> = sampled.chain(std::mem::take(&mut self.handed_over)).collect();
-        for (key, movement) in ended.into_iter().filter(|(key, _)| is_rate(key.1)) {
-            let value = self.on_grid(&key, movement.signal.target());
-            self.driver.set(&key.0, &Setpoint::new(key.1, value))?;
+        let mut cut_short = Ok(());
+        for (key, movement) in ended {
+            if is_rate(key.1) {
+                let value = self.on_grid(&key, movement.signal.target());
+                self.driver.set(&key.0, &Setpoint::new(key.1, value))?;
+            } else if !movement.left().is_zero() {
+                let seconds = REST_WAIT_MAX.as_secs();
+                cut_short =
+                    Err(format!("`{}` was still on its way after {seconds} s, and stays there", key.0));
+            }
         }
-        Ok(())
+        // Calls that are not confirmed have been taken once a later one is answered.
+        if self.touched == Touched::Now {
+            self.driver.ping()?;
+        }
+        Ok(cut_short)
     }
 
     fn read(&mut self, id: ReadingId, sensor: &urrcp::DeviceId) -> Result<(), DriverError> {

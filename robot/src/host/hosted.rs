@@ -10,6 +10,9 @@ use super::Order;
 use crate::driver::{AtStart, Driver, DriverOptions, Mailbox, News, Wanted, Worker};
 use crate::simulated::SimulatedRobot;
 
+/// A driver's thread; its error is why devices that were moved may not be in their default state.
+pub(super) type DriverThread = JoinHandle<Result<(), String>>;
+
 /// A robot for a host.
 pub struct Hosted {
     pub(super) robot: SimulatedRobot,
@@ -36,7 +39,7 @@ impl Hosted {
         self,
         index: usize,
         orders: &std_mpsc::Sender<Order>,
-    ) -> io::Result<(SimulatedRobot, Option<Attached>, Option<JoinHandle<()>>)> {
+    ) -> io::Result<(SimulatedRobot, Option<Attached>, Option<DriverThread>)> {
         let Some((driver, options)) = self.driver else { return Ok((self.robot, None, None)) };
         let mailbox = Arc::new(Mailbox::default());
         let orders = orders.clone();

@@ -10,7 +10,7 @@ use super::{Exit, Format};
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Prints the address on which it listens, then runs until it is ended. Then, as at its start and
-whenever the hardware comes back, the devices go to their default state. See docs/edge.md.
+whenever the hardware comes back, the devices go to their default state; ends with 4 where that fails. See docs/edge.md.
 
 Drivers:
   sim                  nothing is driven

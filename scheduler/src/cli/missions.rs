@@ -9,8 +9,8 @@ use downbeat_scripts::{FleetRobot, Handshake, counted};
 use serde::Serialize;
 use urrcp::{RobotId, SessionId, Span};
 
-use super::run::{HowArgs, exit_of, finish, operator, server_clock, utc_offset};
-use super::{Exit, Format, ScenarioArgs, choice, console, load};
+use super::run::{HowArgs, finish, operator, server_clock, utc_offset};
+use super::{Exit, Format, ScenarioArgs, choice, console, load, robot};
 use crate::fleet;
 use crate::journal::{self, Fate, Found, Journal};
 use crate::mission::{Mission, MissionOptions};
@@ -253,15 +253,20 @@ async fn withdraw(found: &Found, how: &HowArgs, format: Format) -> Exit {
     let options = options(found, how, fleet::greeting(&fleet));
     let touched: BTreeMap<_, _> = found.kept.touched.clone();
     let mission = Mission::withdraw(fleet::participants(&robots), options, &touched, clock.now());
-    let report = match go_on(found, mission, &robots, fleet.handshake, clock, format).await {
-        Ok(report) => report,
+    let (report, at_rest) = match go_on(found, mission, &robots, fleet.handshake, clock, format).await {
+        Ok(gone_on) => gone_on,
         Err(exit) => return exit,
     };
     let exit = finish(&report, format);
     let unconfirmed = report.robots.iter().any(|robot| matches!(robot.stop, StopState::Unconfirmed { .. }));
-    if unconfirmed { exit } else { Exit::Done }
+    match (unconfirmed, at_rest) {
+        (true, _) => exit,
+        (false, true) => Exit::Done,
+        (false, false) => Exit::Unconfirmed,
+    }
 }
 
+/// Returns the report, and whether hardware in this process is known to be in its default state.
 async fn go_on(
     found: &Found,
     mission: Mission,
@@ -269,7 +274,7 @@ async fn go_on(
     handshake: Handshake,
     clock: crate::server_clock::ServerClock,
     format: Format,
-) -> Result<Report, Exit> {
+) -> Result<(Report, bool), Exit> {
     let (host, endpoints) = fleet::endpoints(robots, handshake, HostOptions::default())
         .map_err(|error| failed(&error.to_string()))?;
     let journal = Journal::open(&found.folder).map_err(|error| failed(&error.to_string()))?;
@@ -285,10 +290,7 @@ async fn go_on(
     live.clear();
     let _nobody_waits = tell_report.send(serde_json::to_string(&report).ok());
     tokio::time::sleep(Duration::from_millis(20)).await;
-    if let Some(host) = host {
-        host.stop();
-    }
-    Ok(report)
+    Ok((report, host.is_none_or(robot::stop)))
 }
 
 pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
@@ -330,9 +332,9 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
             Err(changed) => return failed(&changed.to_string()),
         };
         match go_on(&found, mission, &robots, fleet.handshake, clock, format).await {
-            Ok(report) => {
-                finish(&report, format);
-                exit_of(&report)
+            Ok((report, at_rest)) => {
+                let exit = finish(&report, format);
+                if at_rest { exit } else { Exit::Unconfirmed }
             }
             Err(exit) => exit,
         }

@@ -74,22 +74,21 @@ impl ProcessArgs {
         Ok(block)
     }
 
-    /// Runs the robot until it is interrupted.
+    /// Runs the robot until it is interrupted. Moves nothing before it has its socket.
     pub(super) fn run(&self, robot: Hosted, format: Format) -> Exit {
         let options = HostOptions { realtime: self.realtime, log: self.log_file.clone() };
-        let host = match Host::start(vec![robot], options) {
-            Ok(host) => host,
-            Err(error) => return failed(&error.to_string()),
-        };
         super::with_runtime(async {
             let listener = match TcpListener::bind(&self.listen).await {
                 Ok(listener) => listener,
                 Err(error) => return failed(&format!("cannot listen on {}: {error}", self.listen)),
             };
+            let host = match Host::start(vec![robot], options) {
+                Ok(host) => host,
+                Err(error) => return failed(&error.to_string()),
+            };
             announce(&host, 0, &listener, format);
             let exit = serve_until_interrupted(vec![(listener, 0)], &host).await;
-            host.stop();
-            exit
+            if stop(host) { exit } else { Exit::Unconfirmed }
         })
     }
 }
@@ -128,6 +127,15 @@ pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
 pub(super) fn failed(message: &str) -> Exit {
     console::error(message);
     Exit::Usage
+}
+
+/// Stops a host and says which of its robots may not have come to their default state; returns whether there is none.
+pub(super) fn stop(host: Host) -> bool {
+    let not_at_rest = host.stop();
+    for robot in &not_at_rest {
+        console::error(&robot.to_string());
+    }
+    not_at_rest.is_empty()
 }
 
 /// Says where a robot listens.

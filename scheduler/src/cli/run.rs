@@ -11,7 +11,7 @@ use urrcp::{Server, SessionId, Span, Timestamp};
 use super::choice::{self, ChoiceArgs};
 use super::live::Live;
 use super::load;
-use super::{Exit, Format, ScenarioArgs, console};
+use super::{Exit, Format, ScenarioArgs, console, robot};
 use crate::fleet;
 use crate::journal::{self, Asked, Journal, Opened};
 use crate::mission::{Join, Mission, MissionOptions};
@@ -177,7 +177,10 @@ impl Work<'_> {
         };
         super::with_runtime(async {
             match self.play(choreography, first_act, &fleet, &fleet_path).await {
-                Ok(report) => finish(&report, self.format),
+                Ok((report, at_rest)) => {
+                    let exit = finish(&report, self.format);
+                    if at_rest { exit } else { Exit::Unconfirmed }
+                }
                 Err((message, exit)) => {
                     console::error(&message);
                     exit
@@ -186,13 +189,14 @@ impl Work<'_> {
         })
     }
 
+    /// Plays it; returns its report, and whether hardware in this process is known to be in its default state.
     async fn play(
         &self,
         choreography: Choreography,
         first_act: usize,
         fleet: &Fleet,
         fleet_path: &std::path::Path,
-    ) -> Result<Report, (String, Exit)> {
+    ) -> Result<(Report, bool), (String, Exit)> {
         let failed = |message: String| (message, Exit::Failed);
         let (clock, server_uncertainty) = server_clock(fleet, self.format).await.map_err(failed)?;
         let robots = fleet::robots_in(fleet, &choreography);
@@ -270,10 +274,7 @@ impl Work<'_> {
         let _nobody_waits = tell_report.send(serde_json::to_string(&report).ok());
         // Whoever said stop hears the report before the process ends.
         tokio::time::sleep(std::time::Duration::from_millis(20)).await;
-        if let Some(host) = host {
-            host.stop();
-        }
-        Ok(report)
+        Ok((report, host.is_none_or(robot::stop)))
     }
 }
 
