@@ -249,6 +249,20 @@ fn an_edge_that_cannot_bring_its_devices_to_rest_says_so() {
 }
 
 #[test]
+fn a_run_names_the_hardware_of_its_own_that_it_could_not_bring_to_rest() {
+    let session = session();
+    session.file("tanks.yaml", SCENARIO.replace("600ms, to: 0", "60s, to: 0"));
+    let (tank, port) = Tank::start(&session, "1.log", 0);
+    session.file("fleet.yaml", fleet(&[format!("thrift://127.0.0.1:{port}")], "above 12"));
+    let mut run = session.command(&["run", "tanks.yaml", "--lead", LEAD]);
+    let running = run.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+    await_that("the second step", || of("left", &sets(&session, "1.log")).contains(&-20.0));
+    drop(tank);
+    let ran = crate::session::Ran(running.wait_with_output().unwrap());
+    ran.says(4, &["the devices of `tank-1` may not be in their default state: the hardware is away"]);
+}
+
+#[test]
 fn an_edge_that_finds_its_port_taken_moves_nothing() {
     let session = session();
     session.file("drive.sh", DRIVE);

@@ -54,7 +54,7 @@ pub struct Ramp {
 ///
 /// All calls come from one thread and may block, for a second or so: a call that may hang needs a time limit of its own.
 /// After an error nothing but [`Driver::connect`] is called, with growing pauses, until it succeeds. A driver is dropped
-/// when its edge ends, after its devices were sent to their default state.
+/// when its edge ends, after its devices were sent to their default state and a last [`Driver::ping`].
 ///
 /// ```
 /// use downbeat_robot::driver::{Driver, DriverError};
