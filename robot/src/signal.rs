@@ -14,7 +14,12 @@ pub(crate) struct Signal {
 
 /// Coming to rest: down to a standstill, and from there to the target by speeding up, going on and slowing down.
 #[derive(Clone, Copy, Debug)]
-struct Slowing([Phase; 4]);
+struct Slowing {
+    phases: [Phase; 4],
+    /// Rounding must not lead beyond what the device can take.
+    least: f64,
+    largest: f64,
+}
 
 /// A time of constant acceleration; lasts until the next one begins.
 #[derive(Clone, Copy, Debug)]
@@ -59,12 +64,15 @@ impl Signal {
         }
         if let Some(slowing) = &self.slowing {
             let (phase, seconds) = slowing.at(now);
-            return phase.value + phase.rate * seconds + phase.acceleration * seconds * seconds / 2.0;
+            let value = phase.value + phase.rate * seconds + phase.acceleration * seconds * seconds / 2.0;
+            return value.clamp(slowing.least, slowing.largest);
         }
         let part = (now - self.since).as_millis_f64() / (self.until - self.since).as_millis_f64();
         let part = part.clamp(0.0, 1.0);
         match self.to - self.from {
-            way if way.is_finite() => self.from + way * part,
+            way if way.is_finite() => {
+                (self.from + way * part).clamp(self.from.min(self.to), self.from.max(self.to))
+            }
             // Both ends are numbers, the way between them is beyond any.
             _ => self.from * (1.0 - part) + self.to * part,
         }
@@ -103,7 +111,10 @@ impl Signal {
             false => value - limits.min_value,
         });
         let brake = rates.acceleration.max(rate * rate / (2.0 * room.max(f64::MIN_POSITIVE)));
+        let (least, largest) =
+            limits.map_or((f64::NEG_INFINITY, f64::INFINITY), |limits| (limits.min_value, limits.max_value));
         let standstill = value + (rate * rate.abs() / (2.0 * brake)).clamp(-room.abs(), room.abs());
+        let standstill = standstill.clamp(least, largest);
         let to = to.unwrap_or(standstill);
         let way = (to - standstill).abs();
         if rate == 0.0 && way == 0.0 {
@@ -129,7 +140,13 @@ impl Signal {
         if !numbers.chain([to, at.1]).all(f64::is_finite) {
             return None;
         }
-        Some(Self { from: value, since: now, to, until: at.0, slowing: Some(Slowing(phases)) })
+        Some(Self {
+            from: value,
+            since: now,
+            to,
+            until: at.0,
+            slowing: Some(Slowing { phases, least, largest }),
+        })
     }
 }
 
@@ -145,7 +162,7 @@ impl Signal {
 impl Slowing {
     /// The phase at an instant, and the seconds since its begin.
     fn at(&self, now: Timestamp<Robot>) -> (Phase, f64) {
-        let phase = self.0.iter().rev().find(|phase| phase.since <= now).unwrap_or(&self.0[0]);
+        let phase = self.phases.iter().rev().find(|phase| phase.since <= now).unwrap_or(&self.phases[0]);
         (*phase, (now - phase.since).as_millis_f64().max(0.0) / 1_000.0)
     }
 }
