@@ -196,7 +196,7 @@ fn a_thrift_robot_that_is_not_there_keeps_all_from_starting_and_is_named() {
     session.file("fleet.yaml", fleet(&addresses, "above 12"));
     session
         .run(&["run", "tanks.yaml", "--lead", LEAD])
-        .says(1, &["not started", "tank-2", "the hardware is away: no connection to"]);
+        .says(1, &["not started", "tank-2", "the hardware is away: no connection to thrift://", "refused"]);
     assert_eq!(sets(&session, "1.log"), Vec::<String>::new());
     drop(tank);
 }

@@ -243,8 +243,8 @@ pub(crate) enum Part {
     Index(usize),
 }
 
-/// The name most like a wrong one, as a hint.
-pub(crate) fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
+/// The name most like a wrong one, as a hint: a question, or nothing where none is near.
+pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -> Option<String> {
     nearest(wrong, known, &mut 10_000)
 }
 

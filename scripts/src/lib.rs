@@ -35,7 +35,7 @@ pub use address::{Address, NoAddress};
 pub use compile::{Compiled, compile};
 pub use duration::parse_duration;
 pub use files::{Files, Folder, NoFiles};
-pub use finding::{Code, Finding, Related, Severity};
+pub use finding::{Code, Finding, Related, Severity, did_you_mean};
 pub use fleet::{
     Fault, Fleet, FleetRobot, Handshake, RateLimits, RobotClock, SimulationSettings, read_fleet,
 };

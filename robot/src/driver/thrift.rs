@@ -5,6 +5,7 @@
 
 use std::net::{TcpStream, ToSocketAddrs};
 use std::time::Duration;
+use std::{fmt, io};
 
 use thrift::protocol::{
     TBinaryInputProtocol, TBinaryOutputProtocol, TFieldIdentifier, TInputProtocol, TMessageIdentifier,
@@ -76,10 +77,7 @@ fn told(error: &thrift::ApplicationError) -> String {
 impl Driver for ThriftRobot {
     fn connect(&mut self) -> Result<(), DriverError> {
         self.connection = None;
-        let connected = Connection::open(&self.host, self.port);
-        self.connection = Some(connected.map_err(|error| {
-            DriverError::Away(format!("no connection to {}:{}: {error}", self.host, self.port))
-        })?);
+        self.connection = Some(Connection::open(&self.host, self.port)?);
         self.ping()?;
         // It may be another one than before, or another than its init file says.
         let schema = self.call(Connection::schema)?;
@@ -118,8 +116,20 @@ impl Driver for ThriftRobot {
 /// # Errors
 /// Why there is none.
 pub fn describe(host: &str, port: u16) -> Result<String, DriverError> {
-    let away = |error| DriverError::Away(format!("{host}:{port}: {error}"));
-    Connection::open(host, port).and_then(|mut connection| connection.schema()).map_err(away)
+    let mut connection = Connection::open(host, port)?;
+    connection.schema().map_err(|error| DriverError::Away(format!("{host}:{port}: {error}")))
+}
+
+/// A connection to the first of the host's addresses that takes one.
+fn stream(host: &str, port: u16) -> io::Result<TcpStream> {
+    let mut last = None;
+    for address in (host, port).to_socket_addrs()? {
+        match TcpStream::connect_timeout(&address, WAIT_MAX) {
+            Ok(stream) => return Ok(stream),
+            Err(error) => last = Some(error),
+        }
+    }
+    Err(last.unwrap_or_else(|| io::Error::other("the name has no address")))
 }
 
 type Input = TBinaryInputProtocol<TBufferedReadTransport<ReadHalf<TTcpChannel>>>;
@@ -139,15 +149,13 @@ enum Argument<'a> {
 }
 
 impl Connection {
-    fn open(host: &str, port: u16) -> thrift::Result<Self> {
-        let mut last = None;
-        for address in (host, port).to_socket_addrs()? {
-            match TcpStream::connect_timeout(&address, WAIT_MAX) {
-                Ok(stream) => return Self::over(stream),
-                Err(error) => last = Some(error),
-            }
-        }
-        Err(last.unwrap_or_else(|| std::io::Error::other("the name has no address")).into())
+    fn open(host: &str, port: u16) -> Result<Self, DriverError> {
+        // The system's own words: the library makes them "not open".
+        let away = |why: &dyn fmt::Display| {
+            DriverError::Away(format!("no connection to thrift://{host}:{port}: {why}"))
+        };
+        let stream = stream(host, port).map_err(|error| away(&error))?;
+        Self::over(stream).map_err(|error| away(&error))
     }
 
     fn over(stream: TcpStream) -> thrift::Result<Self> {

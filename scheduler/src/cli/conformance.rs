@@ -70,10 +70,12 @@ enum Clock {
 }
 
 fn parse_name(name: &str) -> Result<String, String> {
-    match requirements().any(|requirement| requirement.name == name) {
-        true => Ok(name.to_owned()),
-        false => Err(format!("no requirement `{name}`; `downbeat conformance --list` shows them all")),
+    if requirements().any(|requirement| requirement.name == name) {
+        return Ok(name.to_owned());
     }
+    let near = downbeat_scripts::did_you_mean(name, requirements().map(|requirement| requirement.name));
+    let near = near.map(|question| format!(" {question}")).unwrap_or_default();
+    Err(format!("no requirement `{name}`;{near} `downbeat conformance --list` shows them all"))
 }
 
 pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
