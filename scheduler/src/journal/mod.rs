@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use urrcp::{RobotId, Server, SessionId, Timestamp};
 
 use crate::mission::Record;
-pub use read::{Fate, Kept, Unreadable, read};
+pub use read::{Fate, Kept, Progressed, Unreadable, read};
 
 /// The first line: who drives whom with what.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]

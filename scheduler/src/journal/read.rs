@@ -17,8 +17,8 @@ pub struct Kept {
     pub opened: Opened,
     /// When that was.
     pub opened_at: Timestamp<Server>,
-    /// Acts that were promised and have not ended, in order: with whether they were decided.
-    pub promises: Vec<(Promise, bool)>,
+    /// Acts that were promised and have not ended, in order: with how far they came.
+    pub promises: Vec<(Promise, Progressed)>,
     /// Acts that have ended.
     pub ended_acts: u32,
     /// Robots that were left out.
@@ -35,6 +35,17 @@ pub struct Kept {
     pub torn_at_line: Option<usize>,
     /// Every robot that was ever sent anything, with its devices.
     pub touched: std::collections::BTreeMap<RobotId, std::collections::BTreeSet<urrcp::DeviceId>>,
+}
+
+/// How far an act came that was promised.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progressed {
+    /// Its requests were sent, or were about to be.
+    Prepared,
+    /// All robots had accepted.
+    Decided,
+    /// Leases were carried over its start, or were about to be.
+    Committed,
 }
 
 /// A journal that does not even say whose it is.
@@ -128,12 +139,19 @@ impl Kept {
         if self.stopping {
             return Fate::Withdraw("it was being stopped");
         }
-        if self.promises.iter().any(|(_, decided)| !decided) {
+        if self.promises.iter().any(|(_, progressed)| *progressed == Progressed::Prepared) {
             return Fate::Withdraw("an act was sent and not decided");
         }
         match self.promises.is_empty() {
             true => Fate::Withdraw("no act was under way"),
             false => Fate::Resume,
+        }
+    }
+
+    fn came_to(&mut self, number: Option<u64>, reached: Progressed) {
+        let of_number = self.promises.iter_mut().find(|(p, _)| Some(u64::from(p.number)) == number);
+        if let Some((_, progressed)) = of_number {
+            *progressed = reached;
         }
     }
 
@@ -146,15 +164,13 @@ impl Kept {
                 for script in &promise.scripts {
                     self.touched.entry(script.robot.clone()).or_default().insert(script.device.clone());
                 }
-                self.promises.push((promise, false));
+                self.promises.push((promise, Progressed::Prepared));
             }
             "decided" => {
-                let of_number = self.promises.iter_mut().find(|(p, _)| Some(u64::from(p.number)) == number);
-                if let Some((_, decided)) = of_number {
-                    *decided = true;
-                }
+                self.came_to(number, Progressed::Decided);
                 self.unnamed.extend(Vec::deserialize(&record["unnamed"]).unwrap_or_default());
             }
+            "committed" => self.came_to(number, Progressed::Committed),
             "act_ended" => {
                 let number = record["report"]["number"].as_u64();
                 self.promises.retain(|(promise, _)| Some(u64::from(promise.number)) != number);

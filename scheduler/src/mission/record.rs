@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use urrcp::{ContentHash, DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
 
-use crate::report::{ActReport, Outcome};
+use super::{ActReport, Outcome};
 
 /// A line of the journal.
 #[derive(Clone, Debug, Serialize)]
@@ -19,7 +19,7 @@ pub enum Record {
         #[serde(skip_serializing_if = "Vec::is_empty")]
         unnamed: Vec<RobotId>,
     },
-    /// All leases reach over the start.
+    /// Every robot holds its scripts: from now on leases may be carried over the start.
     Committed {
         /// The number of the act.
         number: u32,
@@ -52,10 +52,14 @@ pub enum Record {
 }
 
 impl Record {
-    /// Whether it has to be on the disk before anything that follows is done.
+    /// Whether it has to be on the disk, as a power failure leaves it: what is promised and committed, and that a mission is
+    /// being stopped or has ended.
     #[must_use]
     pub const fn is_durable(&self) -> bool {
-        !matches!(self, Self::Committed { .. } | Self::StopConfirmed { .. } | Self::ActEnded { .. })
+        match self {
+            Self::Prepared(_) | Self::Committed { .. } | Self::Stopping { .. } | Self::Ended { .. } => true,
+            Self::Decided { .. } | Self::Dropped { .. } | Self::StopConfirmed { .. } | Self::ActEnded { .. } => false,
+        }
     }
 }
 

@@ -1,0 +1,113 @@
+//! A robot of an act: what it was sent, and whether it still takes part.
+
+use urrcp::{DeviceId, Server, Span, Timestamp};
+
+use crate::mission::robot_state::{RobotState, Standing};
+use crate::mission::script::Script;
+
+/// Whether a robot still takes part in an act.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Part {
+    Taking,
+    /// It was left out.
+    Dropped,
+}
+
+/// A robot of an act.
+#[derive(Clone, Debug)]
+pub(crate) struct Member {
+    /// Its index in the mission.
+    pub(crate) robot: usize,
+    pub(super) part: Part,
+    /// What is added to the act's timestamp so that it is right by the robot's own clock.
+    pub(super) shift: Span,
+    pub(super) scripts: Vec<Script>,
+}
+
+impl Member {
+    pub(crate) fn takes_part(&self) -> bool {
+        self.part == Part::Taking
+    }
+
+    pub(crate) fn scripts(&self) -> &[Script] {
+        &self.scripts
+    }
+
+    pub(crate) const fn shift(&self) -> Span {
+        self.shift
+    }
+
+    /// Every script that was sent is accepted.
+    pub(super) fn has_accepted(&self) -> bool {
+        self.scripts.iter().all(|script| script.was_accepted() || !script.is_out())
+    }
+
+    pub(crate) fn is_done(&self) -> bool {
+        self.scripts.iter().all(Script::has_completed)
+    }
+
+    /// Nothing of it is still to be sent or can still run.
+    pub(super) fn is_over(&self) -> bool {
+        self.scripts.iter().all(|script| !script.is_out() && !script.is_planned())
+    }
+
+    /// Its scripts on a device, in order of time.
+    pub(crate) fn on<'a>(&'a self, device: &'a DeviceId) -> impl Iterator<Item = (usize, &'a Script)> {
+        self.scripts.iter().enumerate().filter(move |(_, script)| script.plan.device == *device)
+    }
+
+    /// The first script of every device.
+    pub(crate) fn firsts(&self) -> impl Iterator<Item = &Script> {
+        (0..self.scripts.len()).filter(|script| self.before(*script).is_none()).map(|script| &self.scripts[script])
+    }
+
+    /// The script before this one on its device. Scripts of one device stand together, in order of time.
+    pub(super) fn before(&self, script: usize) -> Option<&Script> {
+        let before = self.scripts.get(script.checked_sub(1)?)?;
+        (before.plan.device == self.scripts[script].plan.device).then_some(before)
+    }
+
+    /// How long after the start of the act a script begins whose pending lease is shortened: one that begins within a
+    /// lease of the start, and does not follow another of its device. Those that begin later lose their lease long before,
+    /// and those that follow others cannot begin without them.
+    pub(super) fn shortened_offset(&self, script: usize, lease: Span) -> Option<Span> {
+        let offset = self.scripts[script].plan.start.span();
+        (offset < lease && self.before(script).is_none()).then_some(offset)
+    }
+
+    /// The pending lease with which a script is sent. One that follows another of its device in the same act cannot begin
+    /// unless that has begun, so it waits under the lease under which the other one runs, where that is the longer one.
+    pub(super) fn pending_lease(&self, script: usize, lease: Span) -> Option<Span> {
+        match self.before(script) {
+            None => Some(lease),
+            Some(before) => before.running_lease().map(|running| running.max(lease)),
+        }
+    }
+
+    /// Whether it has answered that it holds every script that is out, to a question sent at `since` or later. A robot that
+    /// takes no inquiries is held to its answers to other questions, if it ever gave one.
+    pub(super) fn holds_since(&self, robot: &RobotState, since: Timestamp<Server>) -> bool {
+        let answered = robot.questions.answered();
+        if !robot.is_up() || !self.has_accepted() {
+            return false;
+        }
+        if !robot.takes_inquiries() {
+            return answered.is_none_or(|at| at >= since);
+        }
+        let held = |script: &Script| !script.is_out() || script.held_at().is_some_and(|at| at >= since);
+        answered.is_some_and(|at| at >= since) && self.scripts.iter().all(held)
+    }
+}
+
+/// The members of an act: its robots that are there.
+pub(crate) fn members(plan: &downbeat_scripts::Plan, robots: &[RobotState]) -> Vec<Member> {
+    let index_of: std::collections::HashMap<_, _> =
+        robots.iter().enumerate().map(|(index, robot)| (&robot.id, index)).collect();
+    let member = |planned: &downbeat_scripts::RobotPlan| {
+        let robot = *index_of.get(&planned.robot)?;
+        let present = robots[robot].standing == Standing::In;
+        let scripts = planned.scripts.iter().map(Script::new).collect();
+        present.then_some(Member { robot, part: Part::Taking, shift: Span::ZERO, scripts })
+    };
+    plan.robots.iter().filter_map(member).collect()
+}
