@@ -1,4 +1,4 @@
-//! URRCP, the Universal Remote Robotics Control Protocol: its six messages, their limits and their encoding.
+//! URRCP, the Universal Remote Robotics Control Protocol: its messages, their limits and their encoding.
 //!
 //! Here live the message types, the timestamps, the JSON-lines codec (bytes in, messages out) and the matching of
 //! answers to open requests. No I/O, no clock and no runtime: whoever carries the bytes and knows the time is outside.
@@ -29,14 +29,14 @@ pub use control_type::ControlType;
 pub use error::{ControlError, ErrorCode};
 pub use exchange::OpenRequests;
 pub use limits::{
-    CONTROL_VALUES_MAX, DEVICES_MAX, LINE_BYTES_MAX, LimitError, OFFSET_MS_MAX, PARAMETERS_MAX,
-    SCRIPT_STEPS_MAX, STRING_CHARS_MAX,
+    CONTROL_VALUES_MAX, DEVICES_MAX, INQUIRY_NAMES_MAX, LINE_BYTES_MAX, LimitError, OFFSET_MS_MAX,
+    PARAMETERS_MAX, SCRIPT_STEPS_MAX, STRING_CHARS_MAX,
 };
 pub use message::{
     AvailabilityRequest, AvailabilityResponse, Command, ControlParameters, ControlRequest, ControlResponse,
-    ControlTypes, Device, InitializationBlock, InitializationRequest, Interpolation, Limits, Message,
-    RobotType, Script, ScriptParameters, SensorParameters, Setpoint, Status, StatusValue, Step,
-    StopCondition,
+    ControlTypes, Device, DeviceRoom, InitializationBlock, InitializationRequest, Inquiry, InquiryResponse,
+    Interpolation, Limits, Message, RequestReport, RequestState, RobotType, Script, ScriptParameters,
+    SensorParameters, Setpoint, Status, StatusValue, Step, StopCondition,
 };
 #[cfg(feature = "schema")]
 pub use schema::message_schema;

@@ -13,6 +13,8 @@ pub const PARAMETERS_MAX: usize = 4_096;
 /// Largest number of steps of one script on the wire (ours): as many as a line of [`LINE_BYTES_MAX`] may hold. A frame,
 /// whose steps are shorter, holds no more, so that a message takes no more memory for coming in one.
 pub const SCRIPT_STEPS_MAX: usize = 262_144;
+/// Largest number of requests, and of devices, that one inquiry names (ours): as many as a robot has devices.
+pub const INQUIRY_NAMES_MAX: usize = DEVICES_MAX;
 /// Largest line that a decoder accepts unless told otherwise, in bytes (ours): 16 MiB.
 pub const LINE_BYTES_MAX: usize = 16 * 1024 * 1024;
 /// Largest offset or period in milliseconds (ours): 1e11 ms, a little over three years.
@@ -58,6 +60,9 @@ pub enum LimitError {
     /// A script has more than [`SCRIPT_STEPS_MAX`] steps.
     #[error("more than {SCRIPT_STEPS_MAX} steps in one script")]
     StepCount,
+    /// An inquiry names more than [`INQUIRY_NAMES_MAX`] requests or devices.
+    #[error("more than {INQUIRY_NAMES_MAX} names in one inquiry")]
+    NameCount,
     /// A device's default state lies outside what it can take.
     #[error("default_value {value} of device `{id}`, expected {min} to {max}")]
     DefaultValue {

@@ -174,6 +174,7 @@ impl Robot {
                 let session = match &message {
                     Message::AvailabilityRequest(request) => request.session.as_ref(),
                     Message::ControlRequest(request) => request.session.as_ref(),
+                    Message::Inquiry(inquiry) => inquiry.session.as_ref(),
                     _ => None,
                 };
                 let party = match session {
@@ -220,9 +221,12 @@ impl Robot {
                 out.push(Output::Send { link, message });
             }
             Message::ControlRequest(request) => self.control(now, link, request, out),
+            // Answered once the block says so.
+            Message::Inquiry(_) => {}
             Message::AvailabilityResponse(_)
             | Message::InitializationBlock(_)
-            | Message::ControlResponse(_) => {
+            | Message::ControlResponse(_)
+            | Message::InquiryResponse(_) => {
                 tracing::debug!(robot = %self.block.id, "a message that only a robot sends: ignored");
             }
         }

@@ -49,6 +49,10 @@ pub struct InitializationBlock {
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(default))]
     pub encodings: Vec<Label>,
+    /// Whether it answers an `inquiry` (our extension).
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    #[cfg_attr(feature = "schema", schemars(default))]
+    pub inquiry: bool,
     /// 1 to 32,000 devices, ids unique.
     #[cfg_attr(feature = "schema", schemars(length(min = 1, max = DEVICES_MAX)))]
     pub devices: Vec<Device>,
@@ -70,6 +74,8 @@ struct RawBlock {
     reports: bool,
     #[serde(default)]
     encodings: Vec<Label>,
+    #[serde(default)]
+    inquiry: bool,
     devices: Vec<Object<Device>>,
 }
 
@@ -94,6 +100,7 @@ impl TryFrom<Object<RawBlock>> for InitializationBlock {
             api_version: raw.api_version,
             reports: raw.reports,
             encodings: raw.encodings,
+            inquiry: raw.inquiry,
             devices: raw.devices.into_iter().map(|Object(device)| device).collect(),
         })
     }
@@ -112,6 +119,13 @@ impl InitializationBlock {
         if !self.understands(encoding) {
             self.encodings.extend(Label::new(encoding.as_str()));
         }
+        self
+    }
+
+    /// The same robot, which says that it answers inquiries.
+    #[must_use]
+    pub const fn and_answers_inquiries(mut self) -> Self {
+        self.inquiry = true;
         self
     }
 

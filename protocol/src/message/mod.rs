@@ -1,4 +1,4 @@
-//! The six messages, one object with exactly one key that names it.
+//! The messages, six and the pair of the inquiry: one object with exactly one key that names it.
 
 mod availability;
 mod control_request;
@@ -6,6 +6,7 @@ mod control_response;
 mod control_types;
 mod device;
 mod initialization_block;
+mod inquiry;
 mod parameters;
 mod script;
 mod step;
@@ -21,6 +22,7 @@ pub use control_response::{ControlResponse, Status, StatusValue};
 pub use control_types::{ControlParameters, ControlTypes, Limits, ScriptParameters, SensorParameters};
 pub use device::{Device, Interpolation};
 pub use initialization_block::{InitializationBlock, InitializationRequest, RobotType};
+pub use inquiry::{DeviceRoom, Inquiry, InquiryResponse, RequestReport, RequestState};
 pub use script::{Script, Setpoint};
 pub use step::Step;
 pub use stop_condition::StopCondition;
@@ -46,4 +48,10 @@ pub enum Message {
     /// Step 6, robot to server.
     #[serde(deserialize_with = "object::deserialize")]
     ControlResponse(ControlResponse),
+    /// Server to robot: what became of these requests? A question that cannot act (our extension).
+    #[serde(deserialize_with = "object::deserialize")]
+    Inquiry(Inquiry),
+    /// Robot to server.
+    #[serde(deserialize_with = "object::deserialize")]
+    InquiryResponse(InquiryResponse),
 }

@@ -457,9 +457,11 @@ impl Mission {
             Message::AvailabilityResponse(response) => self.availability(now, robot, &response),
             Message::InitializationBlock(block) => self.introduced(now, robot, block),
             Message::ControlResponse(response) => self.control_response(now, robot, response),
+            Message::InquiryResponse(_) => tracing::debug!(robot, "the answer to an inquiry: ignored"),
             Message::AvailabilityRequest(_)
             | Message::InitializationRequest(_)
-            | Message::ControlRequest(_) => {
+            | Message::ControlRequest(_)
+            | Message::Inquiry(_) => {
                 let reason = "sent a message that only a server sends".to_owned();
                 self.fail(now, robot, FailureKind::Garbled { reason });
             }

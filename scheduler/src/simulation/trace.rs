@@ -119,5 +119,14 @@ fn told(message: &Message) -> String {
             response.request_id.as_ref().map(urrcp::RequestId::as_str),
             response.error.as_ref().map(ToString::to_string).unwrap_or_default()
         ),
+        Message::Inquiry(inquiry) => format!("what became of {} requests?", inquiry.requests.len()),
+        Message::InquiryResponse(response) => {
+            let state = |report: &urrcp::RequestReport| format!("{} {:?}", report.request_id, report.state);
+            format!(
+                "{}: {}",
+                response.status,
+                response.requests.iter().map(state).collect::<Vec<_>>().join(", ")
+            )
+        }
     }
 }

@@ -1,0 +1,168 @@
+//! A question that cannot act: what became of these requests, and how much room have these devices?
+
+use std::fmt;
+use std::marker::PhantomData;
+
+use serde::de::{self, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
+
+use super::Status;
+use crate::content_hash::ContentHash;
+use crate::error::ControlError;
+use crate::limits::{INQUIRY_NAMES_MAX, LimitError};
+use crate::object::{self, Object};
+use crate::text::{DeviceId, RequestId, SessionId};
+use crate::time::{Millis, Robot, Server, Timestamp};
+
+/// Asks a robot about its requests and devices (our extension). It starts, stops and moves nothing, and does not claim the
+/// robot. Like any message it renews the leases of the party that sends it.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Inquiry {
+    /// When the server sent it, T1 of RFC 5905: every inquiry is a clock sample too.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub timestamp: Option<Timestamp<Server>>,
+    /// On whose behalf. Only the session to which the robot belongs learns about requests.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub session: Option<SessionId>,
+    /// What became of these? At most 32,000.
+    #[serde(default, deserialize_with = "names", skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(feature = "schema", schemars(length(max = INQUIRY_NAMES_MAX)))]
+    pub requests: Vec<RequestId>,
+    /// How many scripts would these still take? At most 32,000.
+    #[serde(default, deserialize_with = "names", skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(feature = "schema", schemars(length(max = INQUIRY_NAMES_MAX)))]
+    pub devices: Vec<DeviceId>,
+    /// From receipt on, the pending lease of each request in `requests` that is held and has not begun is the shorter of
+    /// its own and this one; milliseconds.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pending_lease: Option<Millis>,
+}
+
+/// What the robot knows, at one instant.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct InquiryResponse {
+    /// The inquiry's own timestamp, echoed: T1.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub originate_timestamp: Option<Timestamp<Server>>,
+    /// When the robot received the inquiry: T2.
+    pub receive_timestamp: Timestamp<Robot>,
+    /// When the robot sent this: T3.
+    pub timestamp: Timestamp<Robot>,
+    /// `OK`, or `Failed` with an error.
+    pub status: Status,
+    /// `busy`: the robot belongs to another session. `internal`: its hardware is away.
+    #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
+    pub error: Option<ControlError>,
+    /// One for each request asked for, in the same order; none when the robot belongs to another session.
+    #[serde(default, deserialize_with = "objects", skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(feature = "schema", schemars(length(max = INQUIRY_NAMES_MAX)))]
+    pub requests: Vec<RequestReport>,
+    /// One for each device asked for that the robot has, in the same order.
+    #[serde(default, deserialize_with = "objects", skip_serializing_if = "Vec::is_empty")]
+    #[cfg_attr(feature = "schema", schemars(length(max = INQUIRY_NAMES_MAX)))]
+    pub devices: Vec<DeviceRoom>,
+}
+
+/// What became of one request.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct RequestReport {
+    /// Which request.
+    pub request_id: RequestId,
+    /// Where it stands.
+    pub state: RequestState,
+    /// Computed by the robot over what it accepted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub content_hash: Option<ContentHash>,
+    /// When it is to start, while it is held or runs.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub start_timestamp: Option<Timestamp<Robot>>,
+    /// When it really started, once it has.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub event_timestamp: Option<Timestamp<Robot>>,
+    /// How many steps have been executed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub steps_done: Option<u32>,
+    /// How many of them more than a millisecond late.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub late_steps: Option<u32>,
+    /// Why one that has ended was refused or ended early. Absent: it completed.
+    #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
+    pub error: Option<ControlError>,
+}
+
+/// Where a request stands.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum RequestState {
+    /// The robot never received it, has forgotten it or has restarted since.
+    Unknown,
+    /// Accepted; its start lies ahead.
+    Held,
+    /// Begun and not ended.
+    Running,
+    /// Completed, refused or ended early.
+    Ended,
+}
+
+/// How many scripts a device would still take.
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct DeviceRoom {
+    /// Which device.
+    pub device_id: DeviceId,
+    /// As many as its script queue has places free.
+    pub room: u32,
+}
+
+impl RequestReport {
+    /// A report of which only the state is known.
+    #[must_use]
+    pub const fn new(request_id: RequestId, state: RequestState) -> Self {
+        Self {
+            request_id,
+            state,
+            content_hash: None,
+            start_timestamp: None,
+            event_timestamp: None,
+            steps_done: None,
+            late_steps: None,
+            error: None,
+        }
+    }
+}
+
+/// Reads a list of at most [`INQUIRY_NAMES_MAX`] entries.
+fn names<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
+    deserializer.deserialize_seq(Names(PhantomData))
+}
+
+/// The same for entries that are objects.
+fn objects<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
+    let list: Vec<Object<T>> = names(deserializer)?;
+    Ok(list.into_iter().map(|Object(entry)| entry).collect())
+}
+
+struct Names<T>(PhantomData<T>);
+
+impl<'de, T: Deserialize<'de>> Visitor<'de> for Names<T> {
+    type Value = Vec<T>;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a list")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Vec<T>, A::Error> {
+        let mut names = Vec::new();
+        while let Some(name) = list.next_element()? {
+            if names.len() == INQUIRY_NAMES_MAX {
+                return Err(de::Error::custom(LimitError::NameCount));
+            }
+            names.push(name);
+        }
+        Ok(names)
+    }
+}
