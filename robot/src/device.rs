@@ -161,7 +161,7 @@ impl DeviceMachine {
             let message = format!("woke up {} after the start; a late command is never started", now - at);
             return effects.push(failed(held, &ControlError::new(ErrorCode::Late, message)));
         }
-        held.late_steps += u32::from(now - at > LATE);
+        let late = u32::from(now - at > LATE);
         if !held.began {
             held.began = true;
             let value = held.setpoint(0).map_or(0.0, |setpoint| setpoint.value);
@@ -171,9 +171,11 @@ impl DeviceMachine {
                 self.queue.push_front(held);
                 return;
             }
+            held.late_steps += late;
             self.set_step(&mut held, at, effects);
             effects.push(Effect::Started { link: held.link, request_id: held.request_id.clone(), value });
         } else {
+            held.late_steps += late;
             self.set_step(&mut held, at, effects);
         }
         match held.time_of(held.next_step) {

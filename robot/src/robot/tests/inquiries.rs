@@ -232,3 +232,15 @@ fn hardware_that_is_away_takes_nothing_and_what_it_ended_is_told() {
     assert_eq!(answer.error.unwrap().code, ErrorCode::Internal);
     assert_eq!((answer.requests[0].state, answer.devices[0].room), (RequestState::Ended, 0));
 }
+
+#[test]
+fn a_start_that_sets_nothing_yet_is_no_late_step() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &[(500.0, 45.0), (900.0, 0.0)])));
+    bench.now = at(1_030);
+    bench.robot.advance(bench.now, &mut bench.out);
+    let begun = bench.state("a");
+    assert_eq!((begun.steps_done, begun.late_steps), (Some(0), Some(0)));
+    bench.until(2_000);
+    assert_eq!(bench.state("a").late_steps, Some(0));
+}
