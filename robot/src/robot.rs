@@ -2,6 +2,7 @@
 
 mod control;
 mod driven;
+mod inquiry;
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -15,6 +16,7 @@ use crate::device::{DeviceMachine, Effect, Motion};
 use crate::hardware::{Hardware, ReadingId};
 use crate::lease::LastHeard;
 use crate::parties::Parties;
+use control::Belongs;
 
 /// One connection of a server with this robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -171,6 +173,9 @@ impl Robot {
             Input::LinkDown => self.parties.link_down(link),
             Input::Undecodable(error) => self.answer_undecodable(now, link, &error, out),
             Input::Message(message) => {
+                if matches!(message, Message::Inquiry(_)) {
+                    self.release_if_over(now);
+                }
                 let session = match &message {
                     Message::AvailabilityRequest(request) => request.session.as_ref(),
                     Message::ControlRequest(request) => request.session.as_ref(),
@@ -186,6 +191,13 @@ impl Robot {
                 }
                 self.handle_message(now, link, message, out);
             }
+        }
+    }
+
+    /// What an inquiry renews is no claim: a robot whose session is over does not belong to it again by one.
+    fn release_if_over(&mut self, now: Now) {
+        if matches!(self.belongs(now, None), Belongs::ToNobody) {
+            self.parties.release();
         }
     }
 
@@ -221,8 +233,7 @@ impl Robot {
                 out.push(Output::Send { link, message });
             }
             Message::ControlRequest(request) => self.control(now, link, request, out),
-            // Answered once the block says so.
-            Message::Inquiry(_) => {}
+            Message::Inquiry(inquiry) => self.inquire(now, link, &inquiry, out),
             Message::AvailabilityResponse(_)
             | Message::InitializationBlock(_)
             | Message::ControlResponse(_)

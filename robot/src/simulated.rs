@@ -126,7 +126,7 @@ impl SimulatedRobot {
         let mut rng = fastrand::Rng::with_seed(settings.seed);
         let ntp_residue = draw_symmetric(&mut rng, settings.ntp_error.unwrap_or_default());
         Self {
-            robot: Robot::new(block.and_understands(Encoding::MessagePack)),
+            robot: Robot::new(block.and_understands(Encoding::MessagePack).and_answers_inquiries()),
             settings,
             ntp_residue,
             rng,
@@ -311,10 +311,15 @@ impl SimulatedRobot {
     }
 
     fn send(&mut self, now: Timestamp<True>, link: LinkId, mut message: Message) {
-        if let Message::AvailabilityResponse(response) = &mut message {
+        let told = match &mut message {
+            Message::AvailabilityResponse(r) => Some((&mut r.receive_timestamp, &mut r.timestamp)),
+            Message::InquiryResponse(r) => Some((&mut r.receive_timestamp, &mut r.timestamp)),
+            _ => None,
+        };
+        if let Some((received, sent)) = told {
             let error = draw_symmetric(&mut self.rng, self.settings.jitter);
-            response.receive_timestamp = response.receive_timestamp + error;
-            response.timestamp = response.timestamp + error;
+            *received = *received + error;
+            *sent = *sent + error;
         }
         self.dispatch(now, (link, Way::Out), InFlight::Out(Outgoing::Message { link, message }));
     }

@@ -8,6 +8,15 @@ use urrcp::{
 use super::{LinkId, Now, Output, Robot, refusal, response, tell};
 use crate::device::DeviceMachine;
 
+/// To whom the robot belongs.
+pub(super) enum Belongs {
+    ToNobody,
+    /// To the session that asks.
+    ToThese,
+    /// To another, with the refusal that says so.
+    ToOthers(ControlError),
+}
+
 impl Robot {
     pub(super) fn control(&mut self, now: Now, link: LinkId, request: ControlRequest, out: &mut Vec<Output>) {
         if let Some(answer) = request.request_id.as_ref().and_then(|id| self.answers.find(id)) {
@@ -69,21 +78,29 @@ impl Robot {
         link: LinkId,
         session: Option<&SessionId>,
     ) -> Result<(), ControlError> {
-        let idle = self.devices.iter().all(DeviceMachine::is_idle);
-        let owner = self.parties.owner(now, idle, &self.heard);
-        match owner {
-            Some((owner, _)) if session != Some(owner) => {
-                let message = format!("`{}` belongs to session `{owner}` until that ends", self.block.id);
-                return Err(ControlError::new(ErrorCode::Busy, message));
-            }
-            Some(_) => {}
+        match self.belongs(now, session) {
+            Belongs::ToOthers(busy) => return Err(busy),
+            Belongs::ToThese => {}
             // Once over it stays so, whatever others hold from now on.
-            None => self.parties.release(),
+            Belongs::ToNobody => self.parties.release(),
         }
         if let Some(session) = session {
             self.parties.claim(session, self.parties.party(link));
         }
         Ok(())
+    }
+
+    /// To whom the robot belongs, as this session sees it.
+    pub(super) fn belongs(&self, now: Now, session: Option<&SessionId>) -> Belongs {
+        let idle = self.devices.iter().all(DeviceMachine::is_idle);
+        match self.parties.owner(now, idle, &self.heard) {
+            None => Belongs::ToNobody,
+            Some((owner, _)) if session == Some(owner) => Belongs::ToThese,
+            Some((owner, _)) => {
+                let message = format!("`{}` belongs to session `{owner}` until that ends", self.block.id);
+                Belongs::ToOthers(ControlError::new(ErrorCode::Busy, message))
+            }
+        }
     }
 
     fn accept(
@@ -93,8 +110,7 @@ impl Robot {
         index: usize,
         request: &ControlRequest,
     ) -> Result<(), ControlError> {
-        let start = request.starts_at().map_or(now, Timestamp::assume_clock);
-        self.devices[index].accept(now, start, self.parties.party(link), request)
+        self.devices[index].accept(now, start_of(now, request), self.parties.party(link), request)
     }
 
     fn confirm(
@@ -118,6 +134,9 @@ impl Robot {
             ..response(now, request.device_id.clone(), Status::Accepted)
         };
         self.answer(link, answer, out);
+        if let Some(id) = &request.request_id {
+            self.answers.plan(id, start_of(now, request));
+        }
         self.refresh_wakeup(index);
         self.advance(now, out);
     }
@@ -185,6 +204,11 @@ impl Robot {
         };
         self.answer(link, answer, out);
     }
+}
+
+/// When a request that comes now is to start.
+fn start_of(now: Now, request: &ControlRequest) -> Now {
+    request.starts_at().map_or(now, Timestamp::assume_clock)
 }
 
 /// The robot's own hash of what it takes, where the request carries one to compare.
