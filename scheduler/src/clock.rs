@@ -1,10 +1,14 @@
 //! Offsets between clocks, from exchanges of four timestamps as in NTP (RFC 5905, section 8). No clock is read here.
 //! The method and its sources stand in `docs/clocks.md`.
 
+mod round_trips;
+
 use std::collections::VecDeque;
 
 use serde::Serialize;
 use urrcp::{Robot, Server, Span, Timestamp};
+
+use round_trips::RoundTrips;
 
 /// Fastest that two clocks drift apart, as a fraction: what IEEE 802.3 allows the oscillator of a network port, hence what
 /// a free-running computer has. It holds until the drift has been measured.
@@ -176,6 +180,7 @@ pub struct ClockEstimate {
     latest: Option<Timestamp<Server>>,
     delay_min: Span,
     delay_max: Span,
+    round_trips: RoundTrips,
     samples: u32,
     steps: u32,
 }
@@ -192,9 +197,13 @@ pub struct ClockReading {
     /// Least round trip.
     #[serde(rename = "delay_min_ms")]
     pub delay_min: Span,
-    /// Longest round trip.
+    /// Longest round trip of all.
     #[serde(rename = "delay_max_ms")]
     pub delay_max: Span,
+    /// How long round trips take now, but for outliers that stand alone: what times are computed from. Unlike the longest
+    /// of all it forgets.
+    #[serde(rename = "delay_high_ms")]
+    pub delay_high: Span,
     /// How many exchanges stand behind it.
     pub samples: u32,
     /// How often exchanges contradicted earlier ones: a clock was set, or lies.
@@ -202,6 +211,32 @@ pub struct ClockReading {
     /// How fast the robot's clock gains on the server's, once the exchanges span enough time.
     #[serde(flatten)]
     pub drift: Option<Drift>,
+}
+
+/// Why a reading says that a robot may start at the wrong time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ClockDoubt {
+    /// The clock is surely off, whatever the path: its own synchronisation is to be looked at.
+    Clock,
+    /// The clock may well be right; round trips are too long or too uneven to know. The link is to be looked at.
+    Path,
+}
+
+impl ClockDoubt {
+    /// Of an offset that is known to within `uncertainty`. The clock is surely off where that leaves no room for none.
+    #[must_use]
+    pub fn of(offset: Span, uncertainty: Span) -> Self {
+        if offset.abs() > uncertainty { Self::Clock } else { Self::Path }
+    }
+}
+
+impl ClockReading {
+    /// What dominates where this reading is too bad for a start: the clock's offset or the path's uncertainty.
+    #[must_use]
+    pub fn doubt(&self) -> ClockDoubt {
+        ClockDoubt::of(self.offset, self.uncertainty)
+    }
 }
 
 /// How fast one clock gains on another, in parts per million.
@@ -221,6 +256,7 @@ impl ClockEstimate {
     pub fn add(&mut self, sample: ClockSample) {
         self.delay_min = if self.samples == 0 { sample.delay } else { self.delay_min.min(sample.delay) };
         self.delay_max = self.delay_max.max(sample.delay);
+        self.round_trips.add(sample.at, sample.delay);
         self.samples = self.samples.saturating_add(1);
         self.latest = self.latest.max(Some(sample.at));
         let (new, now) = (Bounds::of(&sample), sample.at);
@@ -273,6 +309,7 @@ impl ClockEstimate {
             uncertainty: half + Span::from_nanos(1),
             delay_min: self.delay_min,
             delay_max: self.delay_max,
+            delay_high: self.round_trips.high(),
             samples: self.samples,
             steps: self.steps,
             drift: self.history.drift(),
@@ -496,6 +533,37 @@ mod tests {
         assert!((reading.offset - Span::from_millis(250)).abs() < Span::from_micros(20), "{reading:?}");
         assert!(reading.uncertainty < Span::from_micros(1_020), "{reading:?}");
         assert_eq!(reading.delay_min, Span::from_millis(41));
+    }
+
+    #[test]
+    fn a_pause_counts_as_the_longest_round_trip_but_not_as_what_round_trips_take() {
+        let mut estimate = ClockEstimate::default();
+        for k in 0..50 {
+            let sent = at(f64::from(k) * 3.0);
+            let back = if k == 20 { Span::from_millis(2_000) } else { Span::from_millis(1) };
+            let robot = sent.assume_clock() + Span::from_nanos(500_001);
+            estimate.add(ClockSample::from_exchange(sent, robot, robot, sent + back));
+        }
+        let reading = estimate.reading().unwrap();
+        assert_eq!(reading.delay_max, Span::from_millis(2_000));
+        assert_eq!(reading.delay_high, Span::from_millis(1));
+    }
+
+    #[test]
+    fn a_right_clock_behind_an_uneven_link_is_not_blamed() {
+        let exchange = |off: Span, there: i64, back: i64| {
+            let sent = at(10.0);
+            let robot = sent.assume_clock() + off + Span::from_micros(there * 1_000 + 1);
+            let mut estimate = ClockEstimate::default();
+            let received = sent + Span::from_millis(there + back);
+            estimate.add(ClockSample::from_exchange(sent, robot, robot, received));
+            estimate.reading().unwrap().doubt()
+        };
+        for (there, back) in [(0, 80), (80, 0), (40, 40), (1, 1)] {
+            assert_eq!(exchange(Span::ZERO, there, back), ClockDoubt::Path, "{there} there, {back} back");
+        }
+        assert_eq!(exchange(Span::from_millis(250), 1, 80), ClockDoubt::Clock);
+        assert_eq!(exchange(Span::from_millis(-250), 1, 80), ClockDoubt::Clock);
     }
 
     #[test]

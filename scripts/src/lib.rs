@@ -41,8 +41,8 @@ pub use fleet::{
 };
 pub use init::{init_of, init_text, read_init};
 pub use plan::{
-    Act, Choreography, DeviceScript, DeviceUse, FailurePolicy, OnFailure, Plan, PlannedCue, PlannedReading,
-    RobotPlan, SensorRange, Wait, Way,
+    Act, Choreography, DeviceScript, DeviceUse, FailurePolicy, OnDoubt, OnFailure, Plan, PlannedCue,
+    PlannedReading, RobotPlan, SensorRange, Wait, Way,
 };
 pub use render::{counted, render};
 pub use sarif::sarif;

@@ -121,6 +121,7 @@ impl Compiler {
                 on_timeout: ways.on_timeout,
                 next: ways.next,
                 on_failure: ways.on_failure,
+                on_doubt: act.on_doubt,
             }));
         }
         check_safety::check(&mut self.findings, &scenario, &acts);
