@@ -1,11 +1,11 @@
-//! What a simulated robot set, and when: the truth against which reports are held.
+//! What a robot set, and when: the truth against which reports are held.
 
 use serde::Serialize;
 use urrcp::{DeviceId, Robot, Timestamp};
 
+use crate::clock::HostTime;
 use crate::device::Motion;
 use crate::robot::SetValue;
-use crate::simulated::True;
 
 /// One value set.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -31,7 +31,7 @@ pub struct LogEntry {
 }
 
 impl LogEntry {
-    pub(crate) fn new(true_time: Timestamp<True>, set_at: Timestamp<Robot>, set: SetValue) -> Self {
+    pub(crate) fn new(host_time: Timestamp<HostTime>, set_at: Timestamp<Robot>, set: SetValue) -> Self {
         let (motion, control_type, value) = match set.motion {
             Motion::Set(setpoint) => ("set", setpoint.control_type, setpoint.value),
             Motion::Ramp { control_type, to, .. } => ("ramp", control_type, to),
@@ -39,7 +39,7 @@ impl LogEntry {
             Motion::Default(setpoint) => ("default", setpoint.control_type, setpoint.value),
         };
         Self {
-            true_ns: true_time.as_nanos(),
+            true_ns: host_time.as_nanos(),
             set_at,
             due: set.due,
             device: set.device,

@@ -7,12 +7,12 @@ use urrcp::{
     Message, Robot as RobotClock, Span, Status, StatusValue, Timestamp,
 };
 
-use crate::device::Motion;
-use crate::driver::Wanted;
-use crate::robot::{Input, LinkId, Output, Robot, SetValue};
+use crate::robot::{Input, LinkId, Output, Robot};
 use crate::set_log::LogEntry;
 
-/// The one true clock of a host or of a virtual world.
+pub use crate::outgoing::Outgoing;
+
+/// The one true clock of a simulated world: on a host, the host's.
 #[derive(Clone, Copy, Debug)]
 pub enum True {}
 
@@ -60,24 +60,6 @@ pub enum Fault {
     Disconnect,
 }
 
-/// What leaves a simulated robot.
-#[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "nearly every one is a message")]
-pub enum Outgoing {
-    /// A message on a link.
-    Message {
-        /// Which link.
-        link: LinkId,
-        /// The message.
-        message: Message,
-    },
-    /// The robot closes a link.
-    Close {
-        /// Which.
-        link: LinkId,
-    },
-}
-
 #[derive(Clone, Debug)]
 enum InFlight {
     In(LinkId, Input),
@@ -113,7 +95,6 @@ pub struct SimulatedRobot {
     sequence: u64,
     lanes: HashMap<LaneId, Lane>,
     log: Vec<LogEntry>,
-    wanted: Vec<Wanted>,
     outputs: Vec<Output>,
     /// It has hung up for good.
     gone: bool,
@@ -135,17 +116,9 @@ impl SimulatedRobot {
             sequence: 0,
             lanes: HashMap::new(),
             log: Vec::new(),
-            wanted: Vec::new(),
             outputs: Vec::new(),
             gone: false,
         }
-    }
-
-    /// A robot that drives hardware: no clock of its own, no delays, no faults but the hardware's.
-    #[must_use]
-    pub fn driven(block: InitializationBlock) -> Self {
-        let robot = Robot::driven(block.clone());
-        Self { robot, ..Self::new(block, Settings::default()) }
     }
 
     /// The machine inside.
@@ -174,22 +147,6 @@ impl SimulatedRobot {
     /// What was set since the last call.
     pub fn take_log(&mut self) -> Vec<LogEntry> {
         std::mem::take(&mut self.log)
-    }
-
-    /// What is wanted of the hardware since the last call.
-    pub(crate) fn take_wanted(&mut self) -> Vec<Wanted> {
-        std::mem::take(&mut self.wanted)
-    }
-
-    /// Tells the machine something that comes on no link.
-    pub(crate) fn drive(
-        &mut self,
-        now: Timestamp<True>,
-        tell: impl FnOnce(&mut Robot, Timestamp<RobotClock>, &mut Vec<Output>),
-    ) {
-        let at = self.robot_from_true(now);
-        tell(&mut self.robot, at, &mut self.outputs);
-        self.perform(now);
     }
 
     /// Something was sent to the robot at `now`; it arrives after the link's delay.
@@ -288,13 +245,11 @@ impl SimulatedRobot {
         let mut outputs = std::mem::take(&mut self.outputs);
         for output in outputs.drain(..) {
             match output {
-                Output::Read { reading, sensor } => self.wanted.push(Wanted::Read(reading, sensor)),
+                // It answers readings by itself.
+                Output::Read { .. } => {}
                 Output::Set(set) => {
-                    if self.robot.is_driven() {
-                        self.wanted.extend(wanted(&self.robot, &set));
-                    }
                     let at = self.robot_from_true(now);
-                    self.log.push(LogEntry::new(now, at, set));
+                    self.log.push(LogEntry::new(now.assume_clock(), at, set));
                 }
                 Output::Send { link, message } => {
                     let hangs_up = self.settings.fault == Some(Fault::Disconnect) && is_acceptance(&message);
@@ -396,19 +351,6 @@ impl SimulatedRobot {
         }
         guess
     }
-}
-
-/// What the hardware does for a movement.
-fn wanted(robot: &Robot, set: &SetValue) -> Option<Wanted> {
-    let key = |control_type| (set.device.clone(), control_type);
-    Some(match &set.motion {
-        Motion::Set(setpoint) | Motion::Default(setpoint) => {
-            Wanted::Set(key(setpoint.control_type), setpoint.clone())
-        }
-        Motion::Ramp { control_type, .. } | Motion::Slow { control_type, .. } => {
-            Wanted::Follow(key(*control_type), robot.signal(set.device.as_str(), *control_type)?)
-        }
-    })
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -9,7 +9,7 @@ use std::collections::{HashMap, VecDeque};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use urrcp::{ControlType, DeviceId, Setpoint, Span};
+use urrcp::{ControlType, DeviceId, Setpoint};
 
 use crate::clock::HostClock;
 use crate::hardware::{READINGS_MAX, ReadingId};
@@ -23,8 +23,6 @@ pub(crate) type Key = (DeviceId, ControlType);
 pub(crate) struct Movement {
     pub(crate) signal: Signal,
     pub(crate) clock: HostClock,
-    /// The robot's clock minus the host's.
-    pub(crate) ahead: Span,
 }
 
 /// What the machine wants of the hardware.

@@ -14,7 +14,7 @@ mod worker;
 
 use std::time::Duration;
 
-use urrcp::{ControlType, DeviceId, Setpoint, Span};
+use urrcp::{ControlType, DeviceId, Setpoint};
 
 pub(crate) use self::mailbox::{Key, Mailbox};
 pub use self::program::Program;
@@ -147,7 +147,7 @@ impl Default for DriverOptions {
     }
 }
 
-/// What a machine wants of its hardware, in the robot's own time.
+/// What a machine wants of its hardware, in the robot's own time, which is the host's.
 #[derive(Clone, Debug)]
 pub(crate) enum Wanted {
     Set(Key, Setpoint),
@@ -156,13 +156,11 @@ pub(crate) enum Wanted {
 }
 
 impl Wanted {
-    /// With the clock to follow it by; `ahead` is the robot's clock minus that one.
-    pub(crate) fn on_clock(self, clock: HostClock, ahead: Span) -> mailbox::Order {
+    /// With the clock to follow it by.
+    pub(crate) fn on_clock(self, clock: HostClock) -> mailbox::Order {
         match self {
             Self::Set(key, setpoint) => mailbox::Order::Set(key, setpoint),
-            Self::Follow(key, signal) => {
-                mailbox::Order::Follow(key, mailbox::Movement { signal, clock, ahead })
-            }
+            Self::Follow(key, signal) => mailbox::Order::Follow(key, mailbox::Movement { signal, clock }),
             Self::Read(reading, sensor) => mailbox::Order::Read(reading, sensor),
         }
     }

@@ -6,7 +6,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 
 use urrcp::{
     Command, ControlRequest, ControlResponse, ErrorCode, InitializationBlock, Message, Millis, RequestId,
-    Script, Server, Status, StatusValue, Step, Timestamp,
+    Script, Server, Span, Status, StatusValue, Step, Timestamp,
 };
 
 use super::*;

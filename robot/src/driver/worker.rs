@@ -287,7 +287,7 @@ impl Drop for Worker {
 
 impl Movement {
     fn now(&self) -> urrcp::Timestamp<urrcp::Robot> {
-        self.clock.now().assume_clock() + self.ahead
+        self.clock.now().assume_clock()
     }
 
     /// How long it still takes.

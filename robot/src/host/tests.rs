@@ -8,7 +8,7 @@ use urrcp::{
 };
 
 use super::*;
-use crate::simulated::{Fault, Settings};
+use crate::simulated::{Fault, Settings, SimulatedRobot};
 
 const ARM: &str = r#"{"id": "arm", "name": "arm", "available_control_types": {
     "position": {"min_value": 0, "max_value": 90, "granularity": 1},

@@ -15,12 +15,6 @@ impl Robot {
         Self { hardware: Hardware::awaited(), ..Self::new(block) }
     }
 
-    /// Whether its values drive hardware.
-    #[must_use]
-    pub const fn is_driven(&self) -> bool {
-        !self.hardware.is_simulated()
-    }
-
     /// The hardware is there. If something has been set before, its devices go to their default state: what they did
     /// in between is unknown.
     pub fn hardware_found(&mut self, now: Now, out: &mut Vec<Output>) {
