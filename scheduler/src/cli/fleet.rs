@@ -220,7 +220,7 @@ async fn ask(
                     }
                 }
                 Event::LinkDown { reason, .. } | Event::Garbled { reason, .. } => return Some(reason),
-                Event::Received { .. } | Event::StopRequested | Event::Go | Event::ServerTime(_) => {}
+                _ => {}
             }
         }
         Some("the link ended".to_owned())

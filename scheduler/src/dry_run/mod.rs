@@ -11,15 +11,15 @@ use downbeat_robot::{Input, LinkId, LogEntry};
 use downbeat_scripts::{Choreography, SensorRange, Wait};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
-use crate::mission::{Action, Event, MissingParticipant, Mission, MissionOptions, Participant, Progress};
+use crate::mission::{
+    Action, Event, Loss, MissingParticipant, Mission, MissionOptions, Participant, Progress,
+};
 use crate::report::{ActReport, Report};
 
 /// When virtual time begins where no act waits for an earlier instant: 2026-01-01T00:00:00Z.
 pub const BEGIN: Timestamp<Server> = Timestamp::from_nanos(1_767_225_600_000_000_000);
 /// So long before the first instant that an act waits for virtual time begins.
 const BEFORE_INSTANT: Span = Span::from_millis(60_000);
-/// Before a broken link is made anew.
-const RECONNECT: Span = Span::from_millis(50);
 /// So long after an act has begun to wait for the operator he says go.
 const OPERATOR_THINKS: Span = Span::from_millis(1_000);
 
@@ -209,7 +209,7 @@ impl World {
                     Outgoing::Message { link, message } => (link, Event::Received { robot, message }),
                     Outgoing::Close { link } => {
                         let reason = "the robot closed the link".to_owned();
-                        (link, Event::LinkDown { robot, reason })
+                        (link, Event::LinkDown { robot, loss: Loss::Closed, reason })
                     }
                 };
                 if self.open[robot] && link == self.links[robot] {
@@ -247,7 +247,7 @@ impl World {
                         Input::Message(message),
                     );
                 }
-                Action::Reconnect { robot } => self.due.push((now + RECONNECT, robot)),
+                Action::Reconnect { robot, after } => self.due.push((now + after, robot)),
                 Action::Send { .. } | Action::Record(_) => {}
                 Action::Tell(progress) => {
                     if matches!(progress, Progress::Waiting { .. }) {

@@ -3,11 +3,12 @@
 use downbeat_robot::{HostHandle, LinkEvent};
 
 use super::{EventSink, Queue};
+use crate::mission::Loss;
 
 /// Carries messages both ways until either side closes.
 pub(super) async fn carry(sink: EventSink, host: HostHandle, index: usize, mut queue: Queue) {
     let Some(mut link) = host.connect(index) else {
-        return sink.down("the simulated robot is gone").await;
+        return sink.down(Loss::Refused, "the simulated robot is gone").await;
     };
     sink.up().await;
     loop {
@@ -18,7 +19,9 @@ pub(super) async fn carry(sink: EventSink, host: HostHandle, index: usize, mut q
             },
             event = link.recv() => match event {
                 Some(LinkEvent::Message(message)) => sink.received(message).await,
-                Some(LinkEvent::Closed) | None => return sink.down("the robot closed the link").await,
+                Some(LinkEvent::Closed) | None => {
+                    return sink.down(Loss::Closed, "the robot closed the link").await;
+                }
             },
         }
     }

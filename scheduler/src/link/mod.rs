@@ -13,7 +13,7 @@ use downbeat_robot::HostHandle;
 use tokio::sync::mpsc;
 use urrcp::{Message, Server, Timestamp};
 
-use crate::mission::Event;
+use crate::mission::{Event, Loss};
 use crate::server_clock::ServerClock;
 
 /// Messages that may wait for one robot's socket; beyond that the link counts as broken.
@@ -143,8 +143,8 @@ impl EventSink {
         self.put(Event::LinkUp { robot: self.robot }).await;
     }
 
-    async fn down(&self, reason: impl Into<String>) {
-        self.put(Event::LinkDown { robot: self.robot, reason: reason.into() }).await;
+    async fn down(&self, loss: Loss, reason: impl Into<String>) {
+        self.put(Event::LinkDown { robot: self.robot, loss, reason: reason.into() }).await;
     }
 
     async fn received(&self, message: Message) {

@@ -1,5 +1,6 @@
 //! Messages over TCP: the robot listens, the scheduler connects.
 
+use std::io::{self, ErrorKind};
 use std::time::Duration;
 
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -9,7 +10,7 @@ use tokio::sync::mpsc;
 use urrcp::{Decoder, Message, Server, Span, Timestamp, encode_as};
 
 use super::{Peer, Queue};
-use crate::mission::Event;
+use crate::mission::{Event, Loss};
 use crate::server_clock::ServerClock;
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
@@ -26,8 +27,17 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
     let (host, port) = (host.as_str(), *port);
     let stream = match tokio::time::timeout(CONNECT_TIMEOUT, TcpStream::connect((host, port))).await {
         Ok(Ok(stream)) => stream,
-        Ok(Err(error)) => return sink.down(format!("no connection to {host}:{port}: {error}")).await,
-        Err(_) => return sink.down(format!("no connection to {host}:{port} within 3 s")).await,
+        Ok(Err(error)) => {
+            let loss = match error.kind() {
+                ErrorKind::ConnectionRefused => Loss::Refused,
+                _ => Loss::Unreachable,
+            };
+            return sink.down(loss, format!("no connection to {host}:{port}: {error}")).await;
+        }
+        Err(_) => {
+            let reason = format!("no connection to {host}:{port} within 3 s");
+            return sink.down(Loss::Unreachable, reason).await;
+        }
     };
     if let Err(error) = stream.set_nodelay(true) {
         tracing::debug!("TCP_NODELAY: {error}");
@@ -39,20 +49,20 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
         reason = write(writer, queue, &peer) => reason,
     };
     if let Some(reason) = reason {
-        sink.down(reason).await;
+        sink.down(reason.0, reason.1).await;
     }
 }
 
 /// Ends with the reason for which no more can be read.
-async fn read(peer: &Peer, mut reader: OwnedReadHalf) -> String {
+async fn read(peer: &Peer, mut reader: OwnedReadHalf) -> (Loss, String) {
     let sink = &peer.sink;
     let mut decoder = Decoder::default();
     let mut bytes = vec![0; 8 * 1024];
     loop {
         match reader.read(&mut bytes).await {
-            Ok(0) => return "the robot closed the connection".to_owned(),
+            Ok(0) => return (Loss::Closed, "the robot closed the connection".to_owned()),
             Ok(n) => decoder.push(&bytes[..n]),
-            Err(error) => return error.to_string(),
+            Err(error) => return ended(&error),
         }
         while let Some(decoded) = decoder.next_message() {
             match decoded {
@@ -69,7 +79,7 @@ async fn read(peer: &Peer, mut reader: OwnedReadHalf) -> String {
 }
 
 /// Ends with a reason when writing fails, without one when the mission has let go of the link.
-async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, peer: &Peer) -> Option<String> {
+async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, peer: &Peer) -> Option<(Loss, String)> {
     let mut bytes = Vec::new();
     let clock: &ServerClock = &peer.sink.clock;
     let mut long_until: Option<Timestamp<Server>> = None;
@@ -93,7 +103,7 @@ async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, peer: &Peer) -> Opt
             tokio::select! {
                 written = &mut write => match written {
                     Ok(()) => break,
-                    Err(error) => return Some(error.to_string()),
+                    Err(error) => return Some(ended(&error)),
                 },
                 Some(first) = queue.urgent.recv() => peer.overtake(&first, &mut queue.urgent),
             }
@@ -101,6 +111,15 @@ async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, peer: &Peer) -> Opt
         bytes.clear();
     }
     None
+}
+
+/// What the error of an established connection says.
+fn ended(error: &io::Error) -> (Loss, String) {
+    let loss = match error.kind() {
+        ErrorKind::ConnectionReset | ErrorKind::ConnectionAborted | ErrorKind::BrokenPipe => Loss::Closed,
+        _ => Loss::Unreachable,
+    };
+    (loss, error.to_string())
 }
 
 impl Peer {

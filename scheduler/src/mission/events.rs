@@ -16,8 +16,10 @@ pub enum Event {
     },
     /// A link broke or could not be made.
     LinkDown {
-        /// Whose.
+        /// Index of the robot.
         robot: usize,
+        /// What is certain about it.
+        loss: Loss,
         /// Why, for people.
         reason: String,
     },
@@ -41,6 +43,28 @@ pub enum Event {
     Go,
     /// What NTP says of this machine's clock by now.
     ServerTime(NtpState),
+    /// So many durable records of this mission are on the disk, the first ones, counted from 1. A driver without a journal
+    /// says so at once.
+    Recorded {
+        /// How many.
+        count: u64,
+    },
+    /// The journal takes no more records.
+    JournalLost {
+        /// Why, for people.
+        reason: String,
+    },
+}
+
+/// What the end of a link says about the robot behind it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Loss {
+    /// An established link was closed or reset.
+    Closed,
+    /// Connecting was refused: no process listens there.
+    Refused,
+    /// No route, no answer in time, or anything else that leaves open whether the robot lives.
+    Unreachable,
 }
 
 /// What the driver has to do.
@@ -55,12 +79,15 @@ pub enum Action {
         /// Ahead of everything that waits to be sent.
         urgent: bool,
     },
-    /// Make the robot's link anew.
+    /// Connect to the robot again.
     Reconnect {
-        /// Whose.
+        /// Index of the robot.
         robot: usize,
+        /// The pause before that.
+        after: Span,
     },
-    /// Write this down before anything that follows is done.
+    /// Write this down. A durable record is answered by [`Event::Recorded`] once it is on the disk; what follows is done
+    /// without waiting for that.
     Record(Record),
     /// Tell the operator.
     Tell(Progress),

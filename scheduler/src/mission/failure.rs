@@ -42,7 +42,8 @@ impl Mission {
     /// Makes a link anew, one attempt at a time.
     pub(super) fn reconnect(&mut self, robot: usize) {
         if !std::mem::replace(&mut self.robots[robot].reconnecting, true) {
-            self.actions.push(Action::Reconnect { robot });
+            let after = self.robots[robot].next_attempt();
+            self.actions.push(Action::Reconnect { robot, after });
         }
     }
 

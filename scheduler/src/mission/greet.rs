@@ -28,6 +28,7 @@ impl Mission {
     pub(super) fn link_up(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].link = Link::Up;
         self.robots[robot].reconnecting = false;
+        self.robots[robot].attempts = 0;
         match self.phase {
             Phase::Greeting { .. } => {}
             Phase::Performing => return self.reattach(now, robot),

@@ -30,7 +30,7 @@ use std::sync::Arc;
 use downbeat_scripts::{Choreography, Plan, Way};
 use urrcp::{ControlResponse, Message, RobotId, Server, Timestamp};
 
-pub use events::{Action, Event, Progress, TakenReading};
+pub use events::{Action, Event, Loss, Progress, TakenReading};
 pub use lead::{LEAD_MARGIN_MIN, LeadTime};
 pub use options::{ClockMode, Greeting, Join, MissionOptions, Participant, Requirement};
 pub use preflight::{Check, Preflight, PreflightRow, Verdict};
@@ -163,12 +163,17 @@ impl Mission {
     pub fn handle(&mut self, now: Timestamp<Server>, event: Event) -> Vec<Action> {
         match event {
             Event::LinkUp { robot } => self.link_up(now, robot),
-            Event::LinkDown { robot, reason } => self.link_down(now, robot, reason),
+            Event::LinkDown { robot, reason, .. } => self.link_down(now, robot, reason),
             Event::Received { robot, message } => self.receive(now, robot, message),
             Event::Garbled { robot, reason } => self.fail(now, robot, FailureKind::Garbled { reason }),
             Event::StopRequested => self.request_stop(now),
             Event::Go => self.go(),
             Event::ServerTime(state) => self.server_time(state),
+            Event::Recorded { .. } => {}
+            Event::JournalLost { reason } => {
+                self.tell(Progress::JournalLost { reason });
+                self.request_stop(now);
+            }
         }
         std::mem::take(&mut self.actions)
     }

@@ -203,6 +203,8 @@ pub(crate) struct RobotState {
     pub(crate) last_sent: Option<Timestamp<Server>>,
     /// Its link is being made anew.
     pub(crate) reconnecting: bool,
+    /// Attempts to reach it since its link was last up.
+    pub(crate) attempts: u32,
     /// When its link broke in mid-mission, and when it is given up.
     pub(crate) give_up: Option<Timestamp<Server>>,
     pub(crate) failures: Vec<Failure>,
@@ -303,7 +305,18 @@ pub enum FailureKind {
     },
 }
 
+/// The pause before the first attempt to reach a robot again; doubled with every attempt.
+const RETRY_AFTER: Span = Span::from_millis(50);
+const RETRY_AFTER_MAX: Span = Span::from_millis(1_000);
+
 impl RobotState {
+    /// The pause before the next attempt to reach it, which is counted.
+    pub(crate) fn next_attempt(&mut self) -> Span {
+        let after = RETRY_AFTER * (1 << self.attempts.min(8));
+        self.attempts += 1;
+        after.min(RETRY_AFTER_MAX)
+    }
+
     pub(crate) fn new(participant: Participant) -> Self {
         Self {
             id: participant.id,
@@ -333,6 +346,7 @@ impl RobotState {
             left: Vec::new(),
             last_sent: None,
             reconnecting: false,
+            attempts: 0,
             give_up: None,
             failures: Vec::new(),
             totals: Totals::default(),

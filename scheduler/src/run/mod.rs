@@ -16,9 +16,6 @@ use crate::server_clock::{NtpState, NtpWatch, ServerClock};
 
 /// Events that may wait for the mission; links wait beyond that.
 const EVENTS_MAX: usize = 65_536;
-/// Before a link is tried again; doubled with every failure.
-const RETRY_AFTER: Duration = Duration::from_millis(50);
-const RETRY_AFTER_MAX: Duration = Duration::from_millis(1_000);
 
 /// What the operator asks for while a mission runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -67,7 +64,6 @@ pub async fn run_and_keep(
     let (events, mut happened) = mpsc::channel::<LinkEvent>(EVENTS_MAX);
     let mut driver = Driver {
         links: Vec::with_capacity(endpoints.len()),
-        retries: vec![0; endpoints.len()],
         endpoints,
         clock,
         events,
@@ -125,8 +121,6 @@ async fn sleep_until(wakeup: Option<tokio::time::Instant>) {
 
 struct Driver<'a, T> {
     links: Vec<Link>,
-    /// Attempts to reach each robot since it was last there.
-    retries: Vec<u32>,
     endpoints: Vec<Endpoint>,
     clock: ServerClock,
     events: mpsc::Sender<LinkEvent>,
@@ -142,14 +136,8 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> Driver<'_, T> {
     }
 
     fn note(&mut self, at: Timestamp<Server>, mission: &Mission, event: &Event) {
-        match event {
-            Event::LinkUp { robot } => self.retries[*robot] = 0,
-            Event::Received { robot, message } => {
-                if let Some(recording) = &mut self.keep.recording {
-                    recording.received(at, mission.robot_id(*robot), message);
-                }
-            }
-            _ => {}
+        if let (Event::Received { robot, message }, Some(recording)) = (event, &mut self.keep.recording) {
+            recording.received(at, mission.robot_id(*robot), message);
         }
     }
 
@@ -166,10 +154,8 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> Driver<'_, T> {
                     }
                     self.links[robot].send(message, urgent);
                 }
-                Action::Reconnect { robot } => {
-                    let after = RETRY_AFTER * 2_u32.saturating_pow(self.retries[robot].min(8));
-                    self.retries[robot] += 1;
-                    self.links[robot] = self.open(robot, after.min(RETRY_AFTER_MAX));
+                Action::Reconnect { robot, after } => {
+                    self.links[robot] = self.open(robot, after.to_duration());
                 }
                 Action::Record(record) => {
                     if let Some(recording) = &mut self.keep.recording {
@@ -189,8 +175,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> Driver<'_, T> {
         if let Some(reason) = unwritten.filter(|_| !self.broken) {
             self.broken = true;
             tracing::error!("{reason}");
-            (self.tell)(self.clock.now(), &Progress::JournalLost { reason });
-            let stopping = mission.handle(self.clock.now(), Event::StopRequested);
+            let stopping = mission.handle(self.clock.now(), Event::JournalLost { reason });
             self.perform(mission, stopping);
         }
     }

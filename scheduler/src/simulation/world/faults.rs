@@ -2,7 +2,7 @@
 
 use super::{Item, World, options, participants};
 use crate::journal::Fate;
-use crate::mission::{Event, Mission};
+use crate::mission::{Event, Loss, Mission};
 use crate::simulation::{Fault, Happened};
 
 impl World {
@@ -19,7 +19,7 @@ impl World {
                 let link = side.link.take();
                 if let Some(link) = link.filter(|_| told) {
                     let reason = "the robot closed the connection".to_owned();
-                    self.send_event(robot, link, Event::LinkDown { robot, reason });
+                    self.send_event(robot, link, Event::LinkDown { robot, loss: Loss::Closed, reason });
                 }
                 if let Some(after) = back_after {
                     self.put(now + after, Item::RobotBack(robot));
@@ -32,8 +32,8 @@ impl World {
                 if let Some(link) = side.link.filter(|_| breaks) {
                     let end = side.partitioned_until;
                     self.put(end, Item::RobotLinkDown { robot, link });
-                    let event =
-                        Box::new(Event::LinkDown { robot, reason: "connection timed out".to_owned() });
+                    let (loss, reason) = (Loss::Unreachable, "connection timed out".to_owned());
+                    let event = Box::new(Event::LinkDown { robot, loss, reason });
                     self.put(end, Item::ToScheduler { robot, link, event, session: self.life });
                 }
             }

@@ -21,8 +21,6 @@ use crate::report::Report;
 const LASTS_MAX: Span = Span::from_millis(180_000);
 /// Rounds at one instant, at most: far more than there can be events.
 const ROUNDS_MAX: u32 = 20_000;
-/// Before a link is tried again.
-const RECONNECT: Span = Span::from_millis(50);
 /// After so long an attempt to connect fails.
 const CONNECT_FAILS: Span = Span::from_millis(300);
 /// After the mission's end robots are watched for so long: whatever they still do is seen.
@@ -305,9 +303,9 @@ impl World {
         for action in actions {
             match action {
                 Action::Send { robot, message, .. } => self.send(robot, &message),
-                Action::Reconnect { robot } => {
+                Action::Reconnect { robot, after } => {
                     self.links[robot] = None;
-                    self.put(self.now + RECONNECT, Item::Connect { robot, session: self.life });
+                    self.put(self.now + after, Item::Connect { robot, session: self.life });
                 }
                 Action::Record(record) => {
                     self.kept.note(&record);

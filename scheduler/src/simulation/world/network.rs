@@ -7,7 +7,7 @@ use urrcp::{
 };
 
 use super::{CONNECT_FAILS, Item, World};
-use crate::mission::Event;
+use crate::mission::{Event, Loss};
 use crate::simulation::{Happened, Lie, Network};
 
 impl World {
@@ -80,7 +80,7 @@ impl World {
         }
         if side.link != Some(link) {
             // Its system knows no such connection and says so.
-            let event = Event::LinkDown { robot, reason: "connection reset".to_owned() };
+            let event = Event::LinkDown { robot, loss: Loss::Closed, reason: "connection reset".to_owned() };
             return self.send_event(robot, link, event);
         }
         if self.now < side.paused_until {
@@ -125,7 +125,8 @@ impl World {
         let side = &mut self.robots[robot];
         let reachable = side.machine.is_some() && self.now >= side.partitioned_until;
         if !reachable {
-            let event = Box::new(Event::LinkDown { robot, reason: "no connection".to_owned() });
+            let loss = Loss::Unreachable;
+            let event = Box::new(Event::LinkDown { robot, loss, reason: "no connection".to_owned() });
             let at = self.now + CONNECT_FAILS;
             return self.put(at, Item::ToScheduler { robot, link, event, session });
         }
