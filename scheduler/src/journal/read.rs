@@ -31,8 +31,8 @@ pub struct Kept {
     pub stopped: Vec<RobotId>,
     /// How it ended, as it stands in the report; `None` for a mission that was cut off.
     pub outcome: Option<Value>,
-    /// The last line was cut off, or its checksum is wrong: what follows it is lost.
-    pub torn_at_line: Option<usize>,
+    /// Where it stops being whole.
+    pub torn: Option<Torn>,
     /// Every robot that was ever sent anything, with its devices.
     pub touched: std::collections::BTreeMap<RobotId, std::collections::BTreeSet<urrcp::DeviceId>>,
 }
@@ -67,28 +67,30 @@ pub enum Unreadable {
     },
 }
 
+/// A journal with a line that was cut off or changed. What that line and those after it said is not known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Torn {
+    /// Which line, counted from 1.
+    pub line: usize,
+    /// Bytes from there to the end of the file.
+    pub bytes: usize,
+    /// Whole lines behind it: the file was damaged, not only cut off.
+    pub whole_after: usize,
+}
+
 /// Reads a journal up to the first line that is not whole.
 ///
 /// # Errors
 /// [`Unreadable`] where not even the first line is whole.
 pub fn read(path: &Path) -> Result<Kept, Unreadable> {
     let bytes = std::fs::read(path).map_err(|error| Unreadable::Io { path: path.to_path_buf(), error })?;
-    let no_begin = || Unreadable::NoBegin { path: path.to_path_buf() };
-    let mut lines = bytes.split_inclusive(|byte| *byte == b'\n').enumerate();
-    let first = lines.next().and_then(|(_, line)| whole(line)).ok_or_else(no_begin)?;
-    let opened = Opened::deserialize(&first).map_err(|_| no_begin())?;
-    let opened_at = Timestamp::deserialize(&first["at"]).map_err(|_| no_begin())?;
-    let mut kept = Kept::new(opened, opened_at);
-    for (index, line) in lines {
-        match whole(line) {
-            Some(record) => kept.take(&record),
-            None => {
-                kept.torn_at_line = Some(index + 1);
-                break;
-            }
-        }
-    }
-    Ok(kept)
+    Kept::of_bytes(&bytes).ok_or_else(|| Unreadable::NoBegin { path: path.to_path_buf() })
+}
+
+/// Bytes of the whole lines at the beginning.
+pub(super) fn whole_length(bytes: &[u8]) -> usize {
+    let lines = bytes.split_inclusive(|byte| *byte == b'\n');
+    lines.take_while(|line| whole(line).is_some()).map(<[u8]>::len).sum()
 }
 
 fn whole(line: &[u8]) -> Option<Value> {
@@ -108,6 +110,28 @@ pub enum Fate {
 }
 
 impl Kept {
+    /// What the bytes of a journal say; `None` where not even the first line is whole.
+    pub(crate) fn of_bytes(bytes: &[u8]) -> Option<Self> {
+        let (believed, rest) = bytes.split_at(whole_length(bytes));
+        let mut lines = believed.split_inclusive(|byte| *byte == b'\n').filter_map(whole);
+        let first = lines.next()?;
+        let opened = Opened::deserialize(&first).ok()?;
+        let mut kept = Self::new(opened, Timestamp::deserialize(&first["at"]).ok()?);
+        let mut count = 1;
+        for record in lines {
+            kept.take(&record);
+            count += 1;
+        }
+        if !rest.is_empty() {
+            let after: Vec<Value> = rest.split_inclusive(|byte| *byte == b'\n').filter_map(whole).collect();
+            // Of records behind damage only this is believed: these robots may hold something.
+            let promises = after.iter().filter_map(|record| Promise::deserialize(record).ok());
+            promises.for_each(|promise| kept.touch(&promise));
+            kept.torn = Some(Torn { line: count + 1, bytes: rest.len(), whole_after: after.len() });
+        }
+        Some(kept)
+    }
+
     /// Of a mission of which nothing but its begin is known.
     #[must_use]
     pub fn new(opened: Opened, opened_at: Timestamp<Server>) -> Self {
@@ -121,7 +145,7 @@ impl Kept {
             stopping: false,
             stopped: Vec::new(),
             outcome: None,
-            torn_at_line: None,
+            torn: None,
             touched: std::collections::BTreeMap::new(),
         }
     }
@@ -139,12 +163,21 @@ impl Kept {
         if self.stopping {
             return Fate::Withdraw("it was being stopped");
         }
+        if self.torn.is_some_and(|torn| torn.whole_after > 0) {
+            return Fate::Withdraw("its journal is damaged");
+        }
         if self.promises.iter().any(|(_, progressed)| *progressed == Progressed::Prepared) {
             return Fate::Withdraw("an act was sent and not decided");
         }
         match self.promises.is_empty() {
             true => Fate::Withdraw("no act was under way"),
             false => Fate::Resume,
+        }
+    }
+
+    fn touch(&mut self, promise: &Promise) {
+        for script in &promise.scripts {
+            self.touched.entry(script.robot.clone()).or_default().insert(script.device.clone());
         }
     }
 
@@ -161,9 +194,7 @@ impl Kept {
         match record["record"].as_str().unwrap_or_default() {
             "prepared" => {
                 let Ok(promise) = Promise::deserialize(record) else { return };
-                for script in &promise.scripts {
-                    self.touched.entry(script.robot.clone()).or_default().insert(script.device.clone());
-                }
+                self.touch(&promise);
                 self.promises.push((promise, Progressed::Prepared));
             }
             "decided" => {

@@ -161,7 +161,10 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> Driver<'_, T> {
                     if let Some(recording) = &mut self.keep.recording {
                         recording.record(now, &record);
                     }
-                    let written = self.keep.journal.as_mut().map_or(Ok(()), |j| j.write(now, &record));
+                    let written =
+                        self.keep.journal.as_mut().map_or(Ok(0), |journal| {
+                            journal.append(now, &record).and_then(|()| journal.sync())
+                        });
                     unwritten = written.err().or(unwritten);
                 }
                 Action::Tell(progress) => {
