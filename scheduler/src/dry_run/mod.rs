@@ -121,6 +121,7 @@ fn play_from(mission: Mission, robots: Vec<SimulatedRobot>, begin: Timestamp<Ser
         mission,
         robots,
         progress: Vec::new(),
+        recorded: 0,
     };
     for robot in 0..world.robots.len() {
         world.tell_mission(begin, Event::LinkUp { robot });
@@ -134,13 +135,13 @@ fn play_from(mission: Mission, robots: Vec<SimulatedRobot>, begin: Timestamp<Ser
         }
         let due = world.mission.advance(now);
         world.perform(now, due);
-        if let Some(report) = world.mission.report() {
+        if let Some(report) = Report::of(&world.mission) {
             break report;
         }
         match world.next_wakeup() {
             Some(next) => now = now.max(next),
             // Nothing will ever happen again: no robot and no timer is due.
-            None => break world.mission.report_as_left(now),
+            None => break Report::as_left(&mut world.mission, now),
         }
     };
     let logs: Vec<_> = world.robots.iter_mut().map(SimulatedRobot::take_log).collect();
@@ -190,6 +191,7 @@ struct World {
     /// When the operator says go.
     go: Option<Timestamp<Server>>,
     progress: Vec<(Timestamp<Server>, Progress)>,
+    recorded: u64,
 }
 
 impl World {
@@ -238,6 +240,15 @@ impl World {
     }
 
     fn perform(&mut self, now: Timestamp<Server>, actions: Vec<Action>) {
+        let before = self.recorded;
+        self.perform_each(now, actions);
+        if self.recorded > before {
+            let on_disk = self.mission.handle(now, Event::Recorded { count: self.recorded });
+            self.perform(now, on_disk);
+        }
+    }
+
+    fn perform_each(&mut self, now: Timestamp<Server>, actions: Vec<Action>) {
         for action in actions {
             match action {
                 Action::Send { robot, message, .. } if self.open[robot] => {
@@ -248,7 +259,8 @@ impl World {
                     );
                 }
                 Action::Reconnect { robot, after } => self.due.push((now + after, robot)),
-                Action::Send { .. } | Action::Record(_) => {}
+                Action::Send { .. } => {}
+                Action::Record(record) => self.recorded += u64::from(record.is_durable()),
                 Action::Tell(progress) => {
                     if matches!(progress, Progress::Waiting { .. }) {
                         self.go = Some(now + OPERATOR_THINKS);

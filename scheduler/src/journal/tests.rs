@@ -47,8 +47,8 @@ fn what_was_promised_is_read_back() {
     let kept = read(&written(folder.path())).unwrap();
     assert_eq!(kept.opened, opened());
     let promises: Vec<_> =
-        kept.promises.iter().map(|(promise, decided)| (promise.number, *decided)).collect();
-    assert_eq!(promises, [(0, true), (1, false)]);
+        kept.promises.iter().map(|(promise, progressed)| (promise.number, *progressed)).collect();
+    assert_eq!(promises, [(0, Progressed::Decided), (1, Progressed::Prepared)]);
     assert_eq!((kept.outcome, kept.torn), (None, None));
 }
 
@@ -105,9 +105,9 @@ fn a_journal_cut_anywhere_takes_further_records_and_all_are_read_back() {
         drop(journal);
         let kept = read(&path).unwrap();
         let whole = lines.iter().filter(|end| **end < cut).count();
-        let before: &[_] = [&[][..], &[], &[(0, false)], &[(0, true)], &[(0, true), (1, false)]][whole];
+        let before: &[_] = [&[][..], &[], &[(0, false)], &[(0, true)], &[(0, Progressed::Decided), (1, Progressed::Prepared)]][whole];
         let promises: Vec<_> =
-            kept.promises.iter().map(|(promise, decided)| (promise.number, *decided)).collect();
+            kept.promises.iter().map(|(promise, progressed)| (promise.number, *progressed)).collect();
         assert_eq!(promises, [before, &[(7, true), (8, false)]].concat(), "cut at {cut}");
         assert_eq!(kept.torn, None, "cut at {cut}");
     }

@@ -61,9 +61,9 @@ impl Mission {
             let error = error_of_status(response.error.as_ref());
             return self.fail(now, robot, FailureKind::NotAvailable { error });
         }
-        if let Some(sent) = response.originate_timestamp.filter(|sent| *sent <= now) {
+        if let Some(sent) = response.originate_timestamp.filter(|sent| *sent <= self.arrived) {
             let sample =
-                ClockSample::from_exchange(sent, response.receive_timestamp, response.timestamp, now);
+                ClockSample::from_exchange(sent, response.receive_timestamp, response.timestamp, self.arrived);
             self.take_times(robot, sample);
         }
         match self.phase {

@@ -113,6 +113,8 @@ pub struct Mission {
     flaw_of_starts: Option<Outcome>,
     reports: VecDeque<ActReport>,
     reports_omitted: usize,
+    /// When the message arrived that is being handled.
+    arrived: Timestamp<Server>,
     actions: Vec<Action>,
 }
 
@@ -167,6 +169,7 @@ impl Mission {
             flaw_of_starts: None,
             reports: VecDeque::new(),
             reports_omitted: 0,
+            arrived: now,
             actions: Vec::new(),
         }
     }
@@ -187,6 +190,14 @@ impl Mission {
     /// Takes an event that happened at `now`.
     #[must_use]
     pub fn handle(&mut self, now: Timestamp<Server>, event: Event) -> Vec<Action> {
+        self.happened(now, now, event)
+    }
+
+    /// Takes at `now` an event that happened at `at`: a message may have waited on this machine. What is decided and sent
+    /// depends on what time it is, what is measured on when it came.
+    #[must_use]
+    pub fn happened(&mut self, at: Timestamp<Server>, now: Timestamp<Server>, event: Event) -> Vec<Action> {
+        self.arrived = at;
         self.notice_hold_up(now);
         match event {
             Event::LinkUp { robot } => self.link_up(now, robot),

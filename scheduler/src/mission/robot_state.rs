@@ -221,7 +221,8 @@ impl RobotState {
 
     /// The pause before the next attempt to reach it, which is counted.
     pub(crate) fn next_attempt(&mut self) -> Span {
-        let attempts = std::mem::replace(&mut self.attempts, self.attempts.saturating_add(1));
+        let attempts = self.attempts;
+        self.attempts = attempts.saturating_add(1);
         match attempts.checked_sub(1) {
             None => Span::ZERO,
             Some(again) => (RETRY_AFTER * (1 << again.min(8))).min(RETRY_AFTER_MAX),

@@ -115,9 +115,9 @@ impl Mission {
 
     /// A robot says what became of its scripts.
     pub(super) fn inquiry_answered(&mut self, now: Timestamp<Server>, robot: usize, response: &InquiryResponse) {
-        let Some(asked_at) = response.originate_timestamp.filter(|sent| *sent <= now) else { return };
+        let Some(asked_at) = response.originate_timestamp.filter(|sent| *sent <= self.arrived) else { return };
         let sample =
-            ClockSample::from_exchange(asked_at, response.receive_timestamp, response.timestamp, now);
+            ClockSample::from_exchange(asked_at, response.receive_timestamp, response.timestamp, self.arrived);
         self.take_times(robot, sample);
         for report in &response.requests {
             let Some(&script) = self.robots[robot].requests.get(&report.request_id) else { continue };

@@ -241,6 +241,7 @@ fn stop_line(robot: &RobotReport) -> Option<String> {
     match robot.stop {
         StopState::NotSent => None,
         StopState::Confirmed => Some(format!("{}: default state confirmed\n", robot.robot)),
+        StopState::Held => Some(format!("{}: held where it was, confirmed\n", robot.robot)),
         StopState::Unconfirmed { lease_ends: Some(at) } => {
             Some(format!("{}: stop NOT confirmed; its lease ends at {at}\n", robot.robot))
         }

@@ -70,13 +70,14 @@ pub async fn run_and_keep(
         tell,
         keep,
         broken: false,
+        recorded: 0,
     };
     for robot in 0..driver.endpoints.len() {
         let link = driver.open(robot, Duration::ZERO);
         driver.links.push(link);
     }
     loop {
-        if let Some(report) = mission.report() {
+        if let Some(report) = Report::of(&mission) {
             flush(driver.links).await;
             return report;
         }
@@ -88,12 +89,12 @@ pub async fn run_and_keep(
                 Some(Operator::Go) => mission.handle(clock.now(), Event::Go),
                 Some(Operator::Leave) | None => {
                     flush(driver.links).await;
-                    return mission.report_as_left(clock.now());
+                    return Report::as_left(&mut mission, clock.now());
                 }
             },
             Some((at, event)) = happened.recv() => {
                 driver.note(at, &mission, &event);
-                mission.handle(at, event)
+                mission.happened(at, clock.now(), event)
             },
             state = next_state(&mut ntp) => mission.handle(clock.now(), Event::ServerTime(state)),
             () = sleep_until(wakeup) => Vec::new(),
@@ -128,6 +129,7 @@ struct Driver<'a, T> {
     keep: &'a mut Keep,
     /// The journal takes nothing any more.
     broken: bool,
+    recorded: u64,
 }
 
 impl<T: FnMut(Timestamp<Server>, &Progress)> Driver<'_, T> {
@@ -143,6 +145,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> Driver<'_, T> {
 
     fn perform(&mut self, mission: &mut Mission, actions: Vec<Action>) {
         let mut unwritten = None;
+        let before = self.recorded;
         for action in actions {
             let now = self.clock.now();
             match action {
@@ -165,6 +168,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> Driver<'_, T> {
                         self.keep.journal.as_mut().map_or(Ok(0), |journal| {
                             journal.append(now, &record).and_then(|()| journal.sync())
                         });
+                    self.recorded += u64::from(record.is_durable());
                     unwritten = written.err().or(unwritten);
                 }
                 Action::Tell(progress) => {
@@ -174,6 +178,10 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> Driver<'_, T> {
                     (self.tell)(now, &progress);
                 }
             }
+        }
+        if self.recorded > before && !self.broken && unwritten.is_none() {
+            let on_disk = mission.handle(self.clock.now(), Event::Recorded { count: self.recorded });
+            self.perform(mission, on_disk);
         }
         if let Some(reason) = unwritten.filter(|_| !self.broken) {
             self.broken = true;

@@ -203,11 +203,12 @@ impl Act {
         let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
             return actions;
         };
-        if now >= commitment.next_round {
+        let (due, begun) = (now >= commitment.next_round, now >= commitment.until);
+        if due {
             commitment.next_round = now + timing.pace.period;
             actions.push(ActAction::Ask(self.present().map(|member| member.robot).collect()));
         }
-        if now >= commitment.until {
+        if begun {
             self.begin(now);
         }
         actions

@@ -77,7 +77,7 @@ impl Member {
 
     /// The pending lease with which a script is sent. One that follows another of its device in the same act cannot begin
     /// unless that has begun, so it waits under the lease under which the other one runs, where that is the longer one.
-    pub(super) fn pending_lease(&self, script: usize, lease: Span) -> Option<Span> {
+    pub(crate) fn pending_lease(&self, script: usize, lease: Span) -> Option<Span> {
         match self.before(script) {
             None => Some(lease),
             Some(before) => before.running_lease().map(|running| running.max(lease)),

@@ -55,6 +55,19 @@ enum Stage {
     Over,
 }
 
+/// The name of a stage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Progressed {
+    Waiting,
+    Ready,
+    Promised,
+    Preparing,
+    Approaching,
+    Committed,
+    Playing,
+    Over,
+}
+
 /// What an act wants done.
 #[derive(Clone, Debug)]
 #[must_use]
@@ -141,11 +154,6 @@ impl Act {
         self.number
     }
 
-    /// Its index in the choreography.
-    pub(crate) const fn index(&self) -> usize {
-        self.index
-    }
-
     /// What the scenario says of it.
     pub(crate) fn written(&self) -> &downbeat_scripts::Act {
         &self.choreography.acts[self.index]
@@ -202,10 +210,6 @@ impl Act {
         self.members[script.member].robot
     }
 
-    pub(crate) const fn is_ready(&self) -> bool {
-        matches!(self.stage, Stage::Ready { .. })
-    }
-
     /// Its requests may be sent: what it promises is on the disk.
     pub(crate) const fn is_open(&self) -> bool {
         !matches!(self.stage, Stage::Waiting(_) | Stage::Ready { .. } | Stage::Promised | Stage::Over)
@@ -233,8 +237,17 @@ impl Act {
     }
 
     /// How far it is, to tell whether it went on.
-    pub(crate) fn progress(&self) -> std::mem::Discriminant<impl Sized> {
-        std::mem::discriminant(&self.stage)
+    pub(crate) const fn progress(&self) -> Progressed {
+        match self.stage {
+            Stage::Waiting(_) => Progressed::Waiting,
+            Stage::Ready { .. } => Progressed::Ready,
+            Stage::Promised => Progressed::Promised,
+            Stage::Preparing(_) => Progressed::Preparing,
+            Stage::Approaching(_) => Progressed::Approaching,
+            Stage::Committed(_) => Progressed::Committed,
+            Stage::Playing(_) => Progressed::Playing,
+            Stage::Over => Progressed::Over,
+        }
     }
 
     /// Nothing before it plays any more.
@@ -366,5 +379,3 @@ pub(crate) fn act_name(choreography: &Choreography, act: usize) -> String {
     if act.name.is_empty() { act.plan.scenario.clone() } else { act.name.clone() }
 }
 
-#[cfg(test)]
-mod tests;

@@ -71,6 +71,7 @@ impl World {
             return;
         }
         let participants = participants(&self.drawn);
+        self.recorded = 0;
         let fate = self.kept.fate();
         let resumed = match &fate {
             Fate::Resume => Mission::resume(

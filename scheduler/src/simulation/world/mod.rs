@@ -64,6 +64,7 @@ struct World {
     waiting: Vec<Event>,
     links: Vec<Option<LinkId>>,
     kept: Kept,
+    recorded: u64,
     records: Vec<(Timestamp<Server>, Record)>,
     history: Vec<(Timestamp<Server>, Happened)>,
     /// Keep every message: only for a trace.
@@ -123,6 +124,7 @@ pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
         paused_until: BEGIN,
         waiting: Vec::new(),
         kept: Kept::new(opened, BEGIN),
+        recorded: 0,
         records: Vec::new(),
         history: Vec::new(),
         verbose,
@@ -178,7 +180,7 @@ impl World {
             if !ended {
                 self.advance_mission();
             }
-            let done = self.mission.as_ref().and_then(Mission::report);
+            let done = self.mission.as_ref().and_then(Report::of);
             // Without a scheduler, and nobody who will take it up, that was all.
             let over = done.is_some() || (self.mission.is_none() && !self.will_resume());
             if over && !ended {
@@ -300,6 +302,15 @@ impl World {
     }
 
     fn perform(&mut self, actions: Vec<Action>) {
+        let before = self.recorded;
+        self.perform_each(actions);
+        if self.recorded > before {
+            let count = self.recorded;
+            self.tell(Event::Recorded { count });
+        }
+    }
+
+    fn perform_each(&mut self, actions: Vec<Action>) {
         for action in actions {
             match action {
                 Action::Send { robot, message, .. } => self.send(robot, &message),
@@ -308,6 +319,7 @@ impl World {
                     self.put(self.now + after, Item::Connect { robot, session: self.life });
                 }
                 Action::Record(record) => {
+                    self.recorded += u64::from(record.is_durable());
                     self.kept.note(&record);
                     self.records.push((self.now, record));
                 }
