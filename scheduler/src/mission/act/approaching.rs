@@ -29,7 +29,8 @@ enum OnDisk {
 /// A decided act on its way to the commitment.
 #[derive(Clone, Debug)]
 pub(crate) struct Approach {
-    next_round: Timestamp<Server>,
+    /// When the next round is due; from the critical instant on, when the act is given up.
+    wakeup: Timestamp<Server>,
     /// When the last two rounds were sent, the newer one last.
     rounds: [Timestamp<Server>; 2],
     on_disk: OnDisk,
@@ -59,7 +60,7 @@ enum Told {
 impl Approach {
     /// The first round is sent at once.
     pub(super) const fn beginning(now: Timestamp<Server>) -> Self {
-        Self { next_round: now, rounds: [now, now], on_disk: OnDisk::Nothing, heard: 0 }
+        Self { wakeup: now, rounds: [now, now], on_disk: OnDisk::Nothing, heard: 0 }
     }
 
     pub(super) const fn recorded(&mut self) {
@@ -70,17 +71,14 @@ impl Approach {
         timing.commit_by(self.rounds[1])
     }
 
-    pub(super) fn wakeup(&self, timing: &Timing) -> Timestamp<Server> {
-        match self.next_round < timing.critical() {
-            true => self.next_round,
-            false => self.next_round.min(self.commit_by(timing) - FAIL_AHEAD),
-        }
+    pub(super) const fn wakeup(&self) -> Timestamp<Server> {
+        self.wakeup
     }
 
     fn round(&mut self, now: Timestamp<Server>, timing: &Timing) {
         self.rounds = [self.rounds[1], now];
         self.heard = 0;
-        self.next_round = timing.round_after(now).min(timing.critical());
+        self.wakeup = timing.round_after(now).min(timing.critical());
     }
 }
 
@@ -99,7 +97,7 @@ impl Act {
         }
         let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return Vec::new() };
         match now < timing.critical() {
-            true if now >= approach.next_round => self.round(now, robots),
+            true if now >= approach.wakeup => self.round(now, robots),
             true => Vec::new(),
             false => self.commit_if_all_hold(now, robots),
         }
@@ -135,6 +133,7 @@ impl Act {
             return Vec::new();
         };
         let (since, commit_by) = (approach.rounds[0], approach.commit_by(timing));
+        approach.wakeup = commit_by - FAIL_AHEAD;
         // Those that have answered stay so while nothing new is asked: each event looks at the first that has not.
         let holds = |member: &super::Member| {
             !member.takes_part() || member.holds_since(&robots[member.robot], since)

@@ -307,7 +307,7 @@ impl Act {
             Stage::Ready { look, .. } => *look,
             Stage::Promised => timing.map(|timing| timing.decision),
             Stage::Preparing(preparing) => timing.map(|timing| preparing.wakeup(timing)),
-            Stage::Approaching(approach) => timing.map(|timing| approach.wakeup(timing)),
+            Stage::Approaching(approach) => Some(approach.wakeup()),
             Stage::Committed(commitment) => Some(commitment.wakeup()),
             Stage::Playing(playing) => playing.wakeup().into_iter().chain(self.reading_due()).min(),
             Stage::Over => None,
