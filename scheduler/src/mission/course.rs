@@ -184,9 +184,10 @@ impl Mission {
             if self.skipped > self.choreography.acts.len() {
                 follow = Way::End;
             }
-            if let Some(before) = index.checked_sub(1).and_then(|before| self.acts.get_mut(before)) {
-                before.lead_to(follow);
-            }
+        }
+        // An act that is over before the one ahead of it, as when all its robots were left out, is not played again.
+        if let Some(before) = index.checked_sub(1).and_then(|before| self.acts.get_mut(before)) {
+            before.lead_to(follow);
         }
         if self.acts.is_empty() && self.phase == Phase::Performing {
             self.go_on_from(now, follow);

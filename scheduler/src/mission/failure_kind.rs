@@ -4,6 +4,8 @@ use downbeat_scripts::SensorRange;
 use serde::Serialize;
 use urrcp::{ControlError, DeviceId, RobotId, Span};
 
+use crate::clock::ClockDoubt;
+
 /// A robot failed the mission.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Failure {
@@ -98,11 +100,11 @@ pub enum FailureKind {
 
 /// A clock that is off is a matter of NTP; one that is only poorly known is a matter of the link.
 fn clock_text(offset: Span, uncertainty: Span, tolerance: Span) -> String {
-    match offset.abs() > uncertainty {
-        true => format!(
+    match ClockDoubt::of(offset, uncertainty) {
+        ClockDoubt::Clock => format!(
             "clock off by {offset} (+-{uncertainty}), the scenario tolerates {tolerance}: check the robot's NTP, or raise start_tolerance"
         ),
-        false => format!(
+        ClockDoubt::Path => format!(
             "clock known only to +-{uncertainty} (offset {offset}) because the delay of its link varies, the scenario tolerates {tolerance}: use a steadier link, or raise start_tolerance"
         ),
     }

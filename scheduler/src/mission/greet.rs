@@ -99,6 +99,8 @@ impl Mission {
                 self.greeting_progress(now);
             }
             _ if self.robots[robot].standing == Standing::Absent => self.join_if_greeted(now, robot),
+            // After a resumption: from now on it is known whether it can be asked what it has.
+            Phase::Performing if self.robots[robot].takes_inquiries() => self.inquire(now, robot),
             _ => {}
         }
     }

@@ -239,7 +239,9 @@ impl Script {
     fn unknown_to_the_robot(&mut self, asked_at: Timestamp<Server>, said_at: Timestamp<Robot>) -> News {
         match self.state {
             ScriptState::Sent if self.sent_at.is_none_or(|sent| sent <= asked_at) => News::NeverReceived,
-            ScriptState::Held | ScriptState::Running if self.accepted_at.is_none_or(|at| at < said_at) => {
+            ScriptState::Held | ScriptState::Running | ScriptState::Unknown
+                if self.accepted_at.is_none_or(|at| at < said_at) =>
+            {
                 let message = "the robot has lost the script, as after a restart";
                 self.fail(ControlError::new(ErrorCode::Internal, message))
             }

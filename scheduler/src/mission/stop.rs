@@ -155,6 +155,11 @@ impl Mission {
         if begun && self.outcome.as_ref().is_some_and(not_begun) {
             self.outcome = Some(Outcome::Failed);
         }
+        let scripts = self.acts.iter().flat_map(Act::members).flat_map(|member| member.scripts());
+        let unknown = scripts.into_iter().any(|script| script.is_unaccounted());
+        if !begun && !unknown && self.reports.is_empty() && self.outcome == Some(Outcome::Failed) {
+            self.outcome = Some(Outcome::NotStarted);
+        }
         self.phase = Phase::Ended;
         self.close_all(now);
         let confirmed = self.robots.iter().all(RobotState::is_settled);

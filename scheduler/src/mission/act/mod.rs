@@ -339,7 +339,7 @@ impl Act {
         let shortens = matches!(self.stage, Stage::Approaching(_) | Stage::Committed(_));
         let member = &self.members[place];
         let mut groups: BTreeMap<Option<Span>, Vec<RequestId>> = BTreeMap::new();
-        for (index, script) in member.scripts.iter().enumerate().filter(|(_, script)| script.is_out()) {
+        for (index, script) in member.scripts.iter().enumerate().filter(|(_, script)| script.is_unaccounted()) {
             let offset = member.shortened_offset(index, timing.lead.lease).filter(|_| shortens);
             let lease = offset.map(|offset| timing.lease_at(now) + offset);
             groups.entry(lease).or_default().extend(script.request_id().cloned());

@@ -123,7 +123,10 @@ impl Act {
             return actions;
         }
         let lapsed = self.lapse(now, robots);
-        if self.present().all(|member| member.is_done() || (lapses(&robots[member.robot]) && member.is_over())) {
+        let over = |member: &Member| {
+            member.is_done() || (lapses(&robots[member.robot]) && member.is_over())
+        };
+        if self.present().all(over) {
             self.stage = Stage::Over;
             return actions;
         }
@@ -209,9 +212,10 @@ impl Act {
         match script.state() {
             // Sent when its device has room.
             ScriptState::Planned if member.scripts.iter().any(Script::is_out) => None,
-            ScriptState::Ended(_) | ScriptState::Unknown => None,
+            ScriptState::Ended(_) => None,
             ScriptState::Planned => Some(start + grace),
             _ if !robot.reports() => Some(end + LAPSE),
+            ScriptState::Unknown => Some(end),
             ScriptState::Sent | ScriptState::Held => Some(start + grace),
             ScriptState::Running => Some(end + grace),
         }
