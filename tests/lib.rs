@@ -17,6 +17,8 @@ mod missions;
 mod ntp;
 mod processes;
 mod real_scenarios;
+mod refills;
+mod robots;
 mod schema;
 mod session;
 mod thrift_robot;
