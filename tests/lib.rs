@@ -21,5 +21,6 @@ mod refills;
 mod robots;
 mod schema;
 mod session;
+mod silence;
 mod thrift_robot;
 mod vectors;

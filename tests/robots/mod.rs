@@ -3,6 +3,7 @@
 
 mod proxy;
 
+use std::fmt;
 use std::io::{BufRead, BufReader, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -299,6 +300,30 @@ impl Ended {
     #[track_caller]
     pub fn report(&self) -> Value {
         serde_json::from_str(&self.out).unwrap_or_else(|e| panic!("{e}: {}{}", self.out, self.told))
+    }
+}
+
+impl fmt::Display for Ended {
+    /// What a failed test has to show of it: of a report only how it ended and why.
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        writeln!(f, "exit code {:?}\n{}", self.code, self.told)?;
+        let report: Value = serde_json::from_str(&self.out).unwrap_or_default();
+        if report["outcome"].is_null() {
+            return f.write_str(&self.out);
+        }
+        write!(f, "outcome {}", report["outcome"])?;
+        report["failures"]
+            .as_array()
+            .into_iter()
+            .flatten()
+            .try_for_each(|failure| write!(f, "\n{failure}"))?;
+        for row in report["robots"].as_array().into_iter().flatten() {
+            let (robot, stop) = (&row["robot"], &row["stop"]);
+            let counts = ["started", "scripts", "steps_done", "steps_planned", "unaccounted", "reconnects"];
+            let counts = counts.map(|key| format!("{key} {}", row[key])).join(", ");
+            write!(f, "\n{robot}: {counts}, stop {stop}")?;
+        }
+        Ok(())
     }
 }
 

@@ -1,0 +1,292 @@
+//! Robots that go quiet and links that stand still or break for a moment, while real processes play: what is certain has
+//! consequences in time, and what is not certain breaks nothing.
+
+use std::time::Duration;
+
+use serde_json::Value;
+
+use crate::robots::{Robot, Stage, Via, epoch_nanos, sleep_until};
+
+const SOON: Duration = Duration::from_secs(20);
+
+/// A scenario of one act in which all robots are set to 1, 2, 3, and so on.
+struct Play {
+    steps: u32,
+    every_ms: u32,
+    /// Steps that one script takes.
+    script: u32,
+    queue: u32,
+    running: &'static str,
+    on_failure: &'static str,
+    tolerance: &'static str,
+}
+
+/// Twelve seconds in one script, under a lease of one second.
+const LONG: Play = Play {
+    steps: 120,
+    every_ms: 100,
+    script: 200,
+    queue: 1,
+    running: "1s",
+    on_failure: "abort",
+    tolerance: "1s",
+};
+/// Nearly five seconds in three scripts of eight steps.
+const CHAIN: Play = Play { steps: 24, every_ms: 200, script: 8, queue: 2, running: "2s", ..LONG };
+const SHORT: Play = Play { steps: 4, every_ms: 100, ..LONG };
+
+impl Play {
+    fn stage(&self, vias: &[Via]) -> Stage {
+        let Self { steps, every_ms, script, queue, running, on_failure, tolerance } = self;
+        let keyframe = |step: u32| format!("{{at: {}ms, to: {}}}", step * every_ms, step + 1);
+        let track = (0..*steps).map(keyframe).collect::<Vec<_>>().join(", ");
+        let mut stage = Stage::new();
+        stage.file(
+            "robot.yaml",
+            format!(
+                "id: robot
+api_version: '1'
+reports: true
+devices:
+  - id: d
+    name: d
+    script_queue: {queue}
+    available_control_types:
+      position: {{min_value: 0, max_value: 200, granularity: 1}}
+      script: {{min_value: 0, max_value: 200, granularity: 1, max_number_of_steps: {script}}}
+"
+            ),
+        );
+        stage.file(
+            "play.yaml",
+            format!(
+                "scenario: play
+start_tolerance: {tolerance}
+on_failure: {on_failure}
+stop_condition: {{running: {running}}}
+cues:
+  - {{at: 0s, robots: all, tracks: {{d: [{track}]}}}}
+"
+            ),
+        );
+        for via in vias {
+            stage.robot("robot.yaml", *via);
+        }
+        stage
+    }
+
+    #[track_caller]
+    fn was_played_by(&self, robot: &Robot) {
+        let planned: Vec<f64> = (1..=self.steps).map(f64::from).collect();
+        assert_eq!(robot.values("d"), planned, "{}", robot.id);
+    }
+}
+
+fn failed_robots(report: &Value) -> Vec<&str> {
+    let failures = report["failures"].as_array().unwrap();
+    failures.iter().map(|failure| failure["robot"].as_str().unwrap()).collect()
+}
+
+/// Freezes the second of two robots as soon as it plays, and sees the first one stopped before its script is over.
+#[track_caller]
+fn check_that_silence_is_noticed(play: &Play, within: Duration) {
+    let stage = play.stage(&[Via::Direct, Via::Direct]);
+    let running = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "2s"]);
+    stage.robots[1].await_sets(1, SOON);
+    std::thread::sleep(Duration::from_millis(25));
+    stage.robots[1].freeze();
+    let frozen = epoch_nanos();
+    let ended = running.ended();
+    let last = stage.robots[0].sets().last().unwrap().at;
+    let after = Duration::from_nanos(u64::try_from(last - frozen).unwrap_or(0));
+    assert!(after < within, "its partner still moved {after:?} later\n{ended}");
+    let report = ended.report();
+    assert_eq!(report["outcome"], "failed", "{ended}");
+    assert_eq!(failed_robots(&report), ["r1"], "{ended}");
+    assert_eq!(report["robots"][0]["stop"]["state"], "confirmed", "{ended}");
+    assert_eq!(ended.code, Some(4), "{ended}");
+}
+
+#[test]
+fn a_robot_that_is_frozen_while_it_plays_has_failed_when_its_lease_is_over() {
+    check_that_silence_is_noticed(&LONG, Duration::from_secs(3));
+}
+
+#[test]
+fn a_robot_without_a_lease_that_is_frozen_while_it_plays_is_noticed_before_its_script_is_over() {
+    check_that_silence_is_noticed(&Play { running: "none", ..LONG }, Duration::from_secs(10));
+}
+
+#[test]
+fn a_robot_killed_before_the_start_keeps_the_others_from_starting() {
+    std::thread::scope(|scope| {
+        for before in [400, 300, 200, 150, 100, 70_i64] {
+            scope.spawn(move || check_that_none_starts(before * 1_000_000));
+        }
+    });
+}
+
+#[track_caller]
+fn check_that_none_starts(before: i64) {
+    let mut stage = SHORT.stage(&[Via::Direct; 3]);
+    let mut running = stage.start(&["run", "play.yaml", "--lead", "1s", "--patience", "1s"]);
+    let start = running.start().unwrap();
+    sleep_until(start - before);
+    stage.robots[1].kill();
+    let struck = (start - epoch_nanos()) / 1_000_000;
+    let ended = running.ended();
+    // A machine that was too busy to kill it in time proves nothing.
+    if struck < 40 {
+        return;
+    }
+    let moved: Vec<_> = stage.robots.iter().filter(|robot| !robot.sets().is_empty()).map(|r| &r.id).collect();
+    assert!(moved.is_empty(), "killed {struck} ms before the start, and {moved:?} moved\n{ended}");
+    assert!(ended.out.contains("play: not started") && ended.code != Some(0), "{ended}");
+}
+
+/// The link of the first robot stands still for 0.6 s under a lease of 2 s.
+#[track_caller]
+fn check_that_a_pause_of_the_link_is_survived(play: &Play) {
+    let stage = play.stage(&[Via::Proxy, Via::Direct]);
+    let running = stage.start(&["run", "play.yaml", "--format", "json"]);
+    let link = stage.robots[0].link.as_ref().unwrap();
+    stage.robots[0].await_sets(2, SOON);
+    link.freeze();
+    std::thread::sleep(Duration::from_millis(600));
+    link.open();
+    let ended = running.ended();
+    assert_eq!(ended.code, Some(0), "{ended}");
+    assert_eq!(ended.report()["outcome"], "done", "{ended}");
+    stage.robots.iter().for_each(|robot| play.was_played_by(robot));
+}
+
+#[test]
+fn an_act_of_one_script_survives_a_link_that_stands_still_for_less_than_its_lease() {
+    check_that_a_pause_of_the_link_is_survived(&Play { script: 24, ..CHAIN });
+}
+
+#[test]
+fn an_act_of_three_scripts_survives_a_link_that_stands_still_for_less_than_its_lease() {
+    check_that_a_pause_of_the_link_is_survived(&CHAIN);
+}
+
+#[test]
+fn an_act_of_three_scripts_that_are_all_held_survives_a_link_that_stands_still() {
+    check_that_a_pause_of_the_link_is_survived(&Play { queue: 3, ..CHAIN });
+}
+
+/// A request that contains this value is lost, and with it the link, for 50 ms.
+#[track_caller]
+fn check_that_a_lost_script_is_sent_again(value: u32) {
+    let stage = CHAIN.stage(&[Via::Proxy, Via::Direct]);
+    let link = stage.robots[0].link.as_ref().unwrap();
+    link.lose(&format!("\"control_value\":{value}}}"), Duration::from_millis(50));
+    let ended = stage.run(&["run", "play.yaml", "--format", "json"]);
+    assert_eq!(link.lines_lost(), 1, "nothing was lost\n{ended}");
+    assert_eq!(ended.code, Some(0), "{ended}");
+    stage.robots.iter().for_each(|robot| CHAIN.was_played_by(robot));
+    let others: Vec<_> = stage.robots[0].log().into_iter().filter(|entry| entry.motion != "set").collect();
+    assert!(others.is_empty(), "asking moved or stopped it: {others:?}");
+}
+
+#[test]
+fn a_script_that_was_lost_with_the_link_while_others_play_is_sent_again_and_cancels_nothing() {
+    check_that_a_lost_script_is_sent_again(17);
+}
+
+#[test]
+fn a_script_that_was_lost_with_the_link_while_acts_are_prepared_is_sent_again() {
+    check_that_a_lost_script_is_sent_again(9);
+}
+
+#[test]
+fn a_link_that_is_cut_in_mid_play_and_back_at_once_cancels_nothing() {
+    let stage = CHAIN.stage(&[Via::Proxy, Via::Direct]);
+    let running = stage.start(&["run", "play.yaml", "--format", "json"]);
+    let link = stage.robots[0].link.as_ref().unwrap();
+    for values in [3, 8, 15] {
+        stage.robots[0].await_sets(values, SOON);
+        link.cut();
+        std::thread::sleep(Duration::from_millis(50));
+        link.open();
+    }
+    let ended = running.ended();
+    assert_eq!(ended.code, Some(0), "{ended}");
+    stage.robots.iter().for_each(|robot| CHAIN.was_played_by(robot));
+}
+
+#[test]
+fn a_connection_that_is_reset_during_the_greeting_is_made_again_within_the_patience() {
+    let stage = SHORT.stage(&[Via::Proxy, Via::Direct]);
+    stage.robots[0].link.as_ref().unwrap().reset_first(1);
+    let ended = stage.run(&["run", "play.yaml", "--format", "json", "--patience", "5s"]);
+    assert_eq!(ended.code, Some(0), "{ended}");
+    stage.robots.iter().for_each(|robot| SHORT.was_played_by(robot));
+}
+
+#[test]
+fn robots_that_are_to_hold_are_not_said_to_be_in_their_default_state() {
+    let mut stage = Play { on_failure: "hold", ..LONG }.stage(&[Via::Direct, Via::Direct]);
+    let running = stage.start(&["run", "play.yaml", "--patience", "1s"]);
+    stage.robots[1].await_sets(3, SOON);
+    stage.robots[1].kill();
+    let ended = running.ended();
+    assert!(!ended.out.contains("default state confirmed"), "{ended}");
+    assert!(ended.out.contains("r0: "), "what became of the other one? {ended}");
+    let moved = stage.robots[0].log().into_iter().find(|entry| entry.motion == "default");
+    assert!(moved.is_none(), "{moved:?}");
+}
+
+#[test]
+fn starts_that_were_measured_further_apart_than_allowed_are_not_passed_over() {
+    let stage = Play { tolerance: "15ms", ..SHORT }.stage(&[Via::Direct, Via::Direct]);
+    let mut running = stage.start(&["run", "play.yaml", "--lead", "1s", "--patience", "1s"]);
+    let start = running.start().unwrap();
+    sleep_until(start - 8_000_000);
+    stage.robots[1].freeze();
+    sleep_until(start + 40_000_000);
+    stage.robots[1].thaw();
+    let ended = running.ended();
+    let first = |robot: &Robot| robot.sets().first().map(|set| set.at);
+    let (Some(one), Some(other)) = (first(&stage.robots[0]), first(&stage.robots[1])) else {
+        return assert_ne!(ended.code, Some(0), "{ended}");
+    };
+    if (one - other).abs() > 20_000_000 {
+        let told = ended.code != Some(0) || ended.out.contains("start_tolerance");
+        assert!(told, "{} ms apart\n{ended}", (one - other).abs() / 1_000_000);
+    }
+}
+
+/// The second robot is frozen once both have set so many values, and the operator stops the mission.
+#[track_caller]
+fn check_that_no_lease_is_printed(stage: &Stage, sets: usize) {
+    let mut running = stage.start(&["run", "play.yaml", "--patience", "1s"]);
+    stage.robots[0].await_sets(sets, SOON);
+    stage.robots[1].freeze();
+    running.process.signal(rustix::process::Signal::INT);
+    assert!(running.line("stopping all robots").is_some(), "{}", running.ended());
+    let ended = running.ended();
+    assert_eq!(ended.code, Some(4), "{ended}");
+    assert!(ended.out.contains("r1: stop NOT confirmed"), "{ended}");
+    assert!(!ended.out.contains("lease ends"), "{ended}");
+}
+
+#[test]
+fn no_end_of_a_lease_is_printed_for_robots_without_a_lease() {
+    let stage = Play { running: "none", ..LONG }.stage(&[Via::Direct, Via::Direct]);
+    check_that_no_lease_is_printed(&stage, 3);
+}
+
+#[test]
+fn no_end_of_a_lease_is_printed_for_cues_without_a_lease() {
+    let stage = LONG.stage(&[Via::Direct, Via::Direct]);
+    let cue = |at: u32, to: u32| {
+        format!(
+            "  - {{at: {at}s, robots: all, stop_condition: {{running: none}}, tracks: {{d: [{{at: 0s, to: {to}}}, {{at: 4s, to: {}}}]}}}}\n",
+            to + 1
+        )
+    };
+    stage
+        .file("play.yaml", format!("scenario: play\nstart_tolerance: 1s\ncues:\n{}{}", cue(0, 1), cue(5, 3)));
+    check_that_no_lease_is_printed(&stage, 1);
+}
