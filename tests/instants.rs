@@ -1,4 +1,4 @@
-//! One robot of three is frozen, killed, cut off, muted or started again at a random instant of a mission of two or three
+//! One robot of three is frozen, killed, cut off or started again at a random instant of a mission of two or three
 //! acts with two or three scripts a device: report and exit code have to agree with what the robots' own logs say.
 //! `DOWNBEAT_INSTANTS=100` plays so many missions, `DOWNBEAT_INSTANTS_FIRST=17` begins with that one.
 
@@ -29,7 +29,11 @@ const BUSY: i64 = 250_000_000;
 #[derive(Clone, Copy, Debug)]
 enum Fault {
     Frozen(Option<Duration>),
+    /// Its link is closed, and further ones are refused.
     Cut(Option<Duration>),
+    /// Its link is closed, and further ones stand and carry nothing.
+    Interrupted(Option<Duration>),
+    /// Its link stands and carries nothing.
     Muted(Option<Duration>),
     Killed,
     Restarted,
@@ -57,11 +61,12 @@ impl Drawn {
         // A device that is sent a chain bit by bit needs scripts of a second.
         let every_ms = if acts.iter().all(|scripts| *scripts <= queue) { 100 } else { 260 };
         let lasts = rng.bool().then(|| Duration::from_millis(rng.u64(20..1_500)));
-        let fault = match rng.u8(0..5) {
+        let fault = match rng.u8(0..6) {
             0 => Fault::Frozen(lasts),
             1 => Fault::Cut(lasts),
-            2 => Fault::Muted(lasts),
-            3 => Fault::Killed,
+            2 => Fault::Interrupted(lasts),
+            3 => Fault::Muted(lasts),
+            4 => Fault::Killed,
             _ => Fault::Restarted,
         };
         let on_failure = if rng.u8(0..4) == 0 { "without" } else { "abort" };
@@ -126,12 +131,12 @@ devices:
                     robot.thaw();
                 }
             }
-            Fault::Cut(lasts) | Fault::Muted(lasts) => {
+            Fault::Cut(lasts) | Fault::Interrupted(lasts) | Fault::Muted(lasts) => {
                 let link = robot.link.as_ref().unwrap();
-                if matches!(self.fault, Fault::Cut(_)) {
-                    link.cut()
-                } else {
-                    link.freeze()
+                match self.fault {
+                    Fault::Cut(_) => link.cut(),
+                    Fault::Interrupted(_) => link.interrupt(),
+                    _ => link.freeze(),
                 }
                 if wait(lasts) {
                     link.open();

@@ -206,7 +206,7 @@ fn a_link_that_is_cut_in_mid_play_and_back_at_once_cancels_nothing() {
     let link = stage.robots[0].link.as_ref().unwrap();
     for values in [3, 8, 15] {
         stage.robots[0].await_sets(values, SOON);
-        link.cut();
+        link.interrupt();
         std::thread::sleep(Duration::from_millis(50));
         link.open();
     }

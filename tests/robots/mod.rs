@@ -25,6 +25,12 @@ impl Process {
     pub fn signal(&self, signal: Signal) {
         kill_process(Pid::from_child(&self.0), signal).unwrap();
     }
+
+    /// Ends it as a power cut would.
+    pub fn kill(&mut self) {
+        self.0.kill().unwrap();
+        self.0.wait().unwrap();
+    }
 }
 
 impl Drop for Process {
@@ -136,8 +142,7 @@ fn start(folder: &Path, init: &str, id: &str, port: u16, log: &Path) -> (Process
 impl Robot {
     /// Ends it as a power cut would.
     pub fn kill(&mut self) {
-        self.process.0.kill().unwrap();
-        self.process.0.wait().unwrap();
+        self.process.kill();
     }
 
     /// Freezes it where it is.
@@ -182,6 +187,8 @@ impl Robot {
 pub struct Logged {
     /// By the one clock of the host, in nanoseconds since the Unix epoch.
     pub at: i64,
+    /// By the robot's own clock, as `due` is.
+    pub set_at: i64,
     pub due: i64,
     pub device: String,
     /// `set`, `ramp`, `slow` or `default`.
@@ -197,6 +204,7 @@ impl Logged {
         let text = |key: &str| entry[key].as_str().unwrap_or_default().to_owned();
         Some(Self {
             at: entry["true_ns"].as_i64()?,
+            set_at: nanos(entry["set_at"].as_str()?),
             due: nanos(entry["due"].as_str()?),
             device: text("device"),
             motion: text("motion"),

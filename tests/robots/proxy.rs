@@ -12,7 +12,9 @@ enum Flow {
     Open,
     /// Connections stand and nothing passes; it is delivered later.
     Frozen,
-    /// No connection stands, and none is taken.
+    /// No connection stands; who connects waits.
+    Interrupted,
+    /// No connection stands, and further ones are refused, as if nobody listened.
     Cut,
     /// The proxy has been let go.
     Ended,
@@ -21,7 +23,7 @@ enum Flow {
 struct Link {
     flow: Flow,
     connections: Vec<TcpStream>,
-    /// The next line to the robot that contains this is lost, and the link breaks for so long.
+    /// The next line to the robot that contains this is lost, and the link is interrupted for so long.
     lose: Option<(String, Duration)>,
     /// So many connections are still reset as soon as the robot has been written to.
     resets: u32,
@@ -56,7 +58,12 @@ impl Proxy {
         self.shared.set(Flow::Frozen);
     }
 
-    /// Every connection is closed, and later ones are refused.
+    /// Every connection is closed; later ones stand and nothing passes, as if nobody were reached.
+    pub fn interrupt(&self) {
+        self.shared.set(Flow::Interrupted);
+    }
+
+    /// Every connection is closed, and later ones are refused, as if the robot's process had ended.
     pub fn cut(&self) {
         self.shared.set(Flow::Cut);
     }
@@ -66,7 +73,7 @@ impl Proxy {
         self.shared.set(Flow::Open);
     }
 
-    /// Loses the next line to the robot that contains this text, and breaks the link for a while.
+    /// Loses the next line to the robot that contains this text, and interrupts the link for a while.
     pub fn lose(&self, text: &str, away: Duration) {
         self.shared.lock().lose = Some((text.to_owned(), away));
     }
@@ -103,7 +110,7 @@ impl Shared {
     fn set(&self, flow: Flow) {
         let mut link = self.lock();
         link.flow = flow;
-        if matches!(flow, Flow::Cut | Flow::Ended) {
+        if matches!(flow, Flow::Interrupted | Flow::Cut | Flow::Ended) {
             for end in link.connections.drain(..) {
                 let _closed = end.shutdown(Shutdown::Both);
             }
@@ -115,15 +122,14 @@ impl Shared {
     fn listen(self: &Arc<Self>, first: TcpListener, port: u16, robot: u16) {
         let mut listener = Some(first);
         loop {
-            match self.lock().flow {
+            let flow = self.lock().flow;
+            match flow {
                 Flow::Ended => return,
                 Flow::Cut => listener = None,
-                Flow::Open | Flow::Frozen if listener.is_none() => {
-                    listener = TcpListener::bind(("127.0.0.1", port)).ok();
-                }
-                Flow::Open | Flow::Frozen => {}
+                _ if listener.is_none() => listener = TcpListener::bind(("127.0.0.1", port)).ok(),
+                _ => {}
             }
-            if let Some(listener) = &listener {
+            if let Some(listener) = listener.as_ref().filter(|_| flow != Flow::Interrupted) {
                 listener.set_nonblocking(true).unwrap();
                 match listener.accept() {
                     Ok((client, _)) => self.carry(&client, robot),
@@ -145,7 +151,7 @@ impl Shared {
         let (to, back) = (Arc::clone(self), Arc::clone(self));
         let (client_in, robot_out) = (copy(client), copy(&robot));
         let (robot_in, client_out) = (copy(&robot), copy(client));
-        std::thread::spawn(move || to.pump(client_in, robot_out, |link, line| link.to_robot(line)));
+        std::thread::spawn(move || to.pump(client_in, robot_out, |link, line| link.judge(line)));
         std::thread::spawn(move || back.pump(robot_in, client_out, |_, _| Pass::On));
     }
 
@@ -165,7 +171,7 @@ impl Shared {
                 Pass::On if to.write_all(&line).is_ok() => line.clear(),
                 Pass::On | Pass::Break => break,
                 Pass::Lose(away) => {
-                    self.break_for(away);
+                    self.interrupt_for(away);
                     break;
                 }
             }
@@ -175,12 +181,12 @@ impl Shared {
         }
     }
 
-    fn break_for(self: &Arc<Self>, away: Duration) {
-        self.set(Flow::Cut);
+    fn interrupt_for(self: &Arc<Self>, away: Duration) {
+        self.set(Flow::Interrupted);
         let own = Arc::clone(self);
         std::thread::spawn(move || {
             std::thread::sleep(away);
-            if own.lock().flow == Flow::Cut {
+            if own.lock().flow == Flow::Interrupted {
                 own.set(Flow::Open);
             }
         });
@@ -188,7 +194,7 @@ impl Shared {
 }
 
 impl Link {
-    fn to_robot(&mut self, line: &str) -> Pass {
+    fn judge(&mut self, line: &str) -> Pass {
         if self.resets > 0 {
             self.resets -= 1;
             return Pass::Break;
