@@ -115,9 +115,10 @@ impl Trial {
         !matches!((self.others, self.victim), (0, false)) && (self.others < ROBOTS - 1 || !self.victim)
     }
 
-    /// The failure came before the printed deadline, and robots started nevertheless.
+    /// The failure came before the printed deadline, and only some of the six started. That all start is no broken word:
+    /// a link that breaks before a robot that lives is no failure of the robot.
     fn broke_its_word(&self) -> bool {
-        self.others > 0 && self.printed.as_ref().is_some_and(|printed| self.struck > printed.deadline)
+        self.is_mixed() && self.printed.as_ref().is_some_and(|printed| self.struck > printed.deadline)
     }
 }
 

@@ -224,6 +224,52 @@ fn a_connection_that_is_reset_during_the_greeting_is_made_again_within_the_patie
     stage.robots.iter().for_each(|robot| SHORT.was_played_by(robot));
 }
 
+/// The first robot knows a part of the protocol only.
+#[track_caller]
+fn check_that_it_plays_without(keys: &'static [&'static str]) {
+    let stage = CHAIN.stage(&[Via::Proxy, Via::Direct]);
+    stage.robots[0].link.as_ref().unwrap().leave_out(keys);
+    let ended = stage.run(&["run", "play.yaml", "--format", "json"]);
+    assert_eq!(ended.code, Some(0), "{ended}");
+    stage.robots.iter().for_each(|robot| CHAIN.was_played_by(robot));
+}
+
+#[test]
+fn a_robot_that_echoes_no_names_of_requests_plays_all_its_scripts() {
+    check_that_it_plays_without(&["request_id", "content_hash", "inquiry"]);
+}
+
+#[test]
+fn a_robot_that_answers_no_inquiries_plays_all_its_scripts() {
+    check_that_it_plays_without(&["inquiry"]);
+}
+
+/// The script of the first robot, which nothing reaches any more, ends after the stop was sent.
+#[track_caller]
+fn check_that_a_late_ok_confirms_nothing(keys: &'static [&'static str]) {
+    let stage = Play { steps: 14, ..LONG }.stage(&[Via::Proxy, Via::Direct]);
+    let link = stage.robots[0].link.as_ref().unwrap();
+    link.leave_out(keys);
+    let mut running = stage.start(&["run", "play.yaml", "--patience", "2s"]);
+    stage.robots[0].await_sets(10, SOON);
+    link.deafen();
+    running.process.signal(rustix::process::Signal::INT);
+    assert!(running.line("stopping all robots").is_some(), "{}", running.ended());
+    let ended = running.ended();
+    let confirmed = ended.out.contains("r0: default state confirmed");
+    assert!(!confirmed && ended.code == Some(4), "no stop has reached r0\n{ended}");
+}
+
+#[test]
+fn the_end_of_a_script_confirms_no_stop_that_was_sent_before() {
+    check_that_a_late_ok_confirms_nothing(&[]);
+}
+
+#[test]
+fn the_end_of_a_script_confirms_no_stop_where_the_robot_names_no_requests() {
+    check_that_a_late_ok_confirms_nothing(&["request_id", "content_hash", "inquiry"]);
+}
+
 #[test]
 fn robots_that_are_to_hold_are_not_said_to_be_in_their_default_state() {
     let mut stage = Play { on_failure: "hold", ..LONG }.stage(&[Via::Direct, Via::Direct]);
@@ -289,4 +335,31 @@ fn no_end_of_a_lease_is_printed_for_cues_without_a_lease() {
     stage
         .file("play.yaml", format!("scenario: play\nstart_tolerance: 1s\ncues:\n{}{}", cue(0, 1), cue(5, 3)));
     check_that_no_lease_is_printed(&stage, 1);
+}
+
+/// From sending to the start, in milliseconds.
+fn lead(act: &Value) -> f64 {
+    act["lead"].as_object().unwrap().values().filter_map(Value::as_f64).sum()
+}
+
+#[test]
+fn one_pause_of_a_link_does_not_put_off_the_acts_that_follow() {
+    let stage = LONG.stage(&[Via::Proxy, Via::Direct]);
+    let act = |act: u32, length: u32| {
+        let track = format!("{{d: [{{at: 0s, to: {act}}}, {{at: {length}ms, to: {}}}]}}", act + 10);
+        format!("  - act: act-{act}\n    cues:\n      - {{at: 0s, robots: all, tracks: {track}}}\n")
+    };
+    let acts: String = [(1, 4_000), (2, 400), (3, 400)].map(|(number, length)| act(number, length)).concat();
+    let head = "scenario: play\nstart_tolerance: 1s\nstop_condition: {running: 6s}\nacts:\n";
+    stage.file("play.yaml", format!("{head}{acts}"));
+    let running = stage.start(&["run", "play.yaml", "--format", "json"]);
+    stage.robots[0].await_sets(1, SOON);
+    let link = stage.robots[0].link.as_ref().unwrap();
+    link.freeze();
+    std::thread::sleep(Duration::from_secs(2));
+    link.open();
+    let ended = running.ended();
+    assert_eq!(ended.code, Some(0), "{ended}");
+    let leads: Vec<f64> = ended.report()["acts"].as_array().unwrap().iter().map(lead).collect();
+    assert!(leads.iter().all(|lead| *lead < 2_000.0), "leads of {leads:?} ms\n{ended}");
 }

@@ -5,6 +5,8 @@ use std::net::{Shutdown, TcpListener, TcpStream};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
 use std::time::Duration;
 
+use serde_json::Value;
+
 /// What the link does.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Flow {
@@ -12,6 +14,8 @@ enum Flow {
     Open,
     /// Connections stand and nothing passes; it is delivered later.
     Frozen,
+    /// Connections stand; what the robot says passes, and nothing reaches it.
+    Deaf,
     /// No connection stands; who connects waits.
     Interrupted,
     /// No connection stands, and further ones are refused, as if nobody listened.
@@ -28,6 +32,8 @@ struct Link {
     /// So many connections are still reset as soon as the robot has been written to.
     resets: u32,
     lines_lost: u32,
+    /// Keys that the robot's answers lose.
+    without: &'static [&'static str],
 }
 
 struct Shared {
@@ -46,7 +52,14 @@ impl Proxy {
     pub fn to(robot: u16) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
-        let link = Link { flow: Flow::Open, connections: Vec::new(), lose: None, resets: 0, lines_lost: 0 };
+        let link = Link {
+            flow: Flow::Open,
+            connections: Vec::new(),
+            lose: None,
+            resets: 0,
+            lines_lost: 0,
+            without: &[],
+        };
         let shared = Arc::new(Shared { link: Mutex::new(link), changed: Condvar::new() });
         let own = Arc::clone(&shared);
         std::thread::spawn(move || own.listen(listener, port, robot));
@@ -56,6 +69,11 @@ impl Proxy {
     /// Nothing passes from now on; the connections stand.
     pub fn freeze(&self) {
         self.shared.set(Flow::Frozen);
+    }
+
+    /// Nothing reaches the robot from now on; what it says passes.
+    pub fn deafen(&self) {
+        self.shared.set(Flow::Deaf);
     }
 
     /// Every connection is closed; later ones stand and nothing passes, as if nobody were reached.
@@ -83,6 +101,11 @@ impl Proxy {
         self.shared.lock().lines_lost
     }
 
+    /// Takes these keys out of everything that the robot says, as if it knew only a part of the protocol.
+    pub fn leave_out(&self, keys: &'static [&'static str]) {
+        self.shared.lock().without = keys;
+    }
+
     /// Closes so many connections as soon as something is written to the robot, which never gets it.
     pub fn reset_first(&self, connections: u32) {
         self.shared.lock().resets = connections;
@@ -93,6 +116,13 @@ impl Drop for Proxy {
     fn drop(&mut self) {
         self.shared.set(Flow::Ended);
     }
+}
+
+/// Which way lines go.
+#[derive(Clone, Copy)]
+enum Way {
+    ToRobot,
+    FromRobot,
 }
 
 /// What to do with a line.
@@ -151,21 +181,24 @@ impl Shared {
         let (to, back) = (Arc::clone(self), Arc::clone(self));
         let (client_in, robot_out) = (copy(client), copy(&robot));
         let (robot_in, client_out) = (copy(&robot), copy(client));
-        std::thread::spawn(move || to.pump(client_in, robot_out, |link, line| link.judge(line)));
-        std::thread::spawn(move || back.pump(robot_in, client_out, |_, _| Pass::On));
+        std::thread::spawn(move || to.pump(Way::ToRobot, client_in, robot_out));
+        std::thread::spawn(move || back.pump(Way::FromRobot, robot_in, client_out));
     }
 
-    fn pump(self: &Arc<Self>, from: TcpStream, mut to: TcpStream, judge: impl Fn(&mut Link, &str) -> Pass) {
+    fn pump(self: &Arc<Self>, way: Way, from: TcpStream, mut to: TcpStream) {
         let ends = [from.try_clone().unwrap(), to.try_clone().unwrap()];
         let mut lines = BufReader::new(from);
         let mut line = Vec::new();
         while lines.read_until(b'\n', &mut line).is_ok_and(|n| n > 0) {
             let link = self.lock();
-            let mut link = self.changed.wait_while(link, |link| link.flow == Flow::Frozen).unwrap();
-            if link.flow != Flow::Open {
+            let mut link = self.changed.wait_while(link, |link| link.holds_back(way)).unwrap();
+            if matches!(link.flow, Flow::Interrupted | Flow::Cut | Flow::Ended) {
                 break;
             }
-            let pass = judge(&mut link, &String::from_utf8_lossy(&line));
+            let pass = match way {
+                Way::ToRobot => link.said_to_robot(&line),
+                Way::FromRobot => link.said_by_robot(&mut line),
+            };
             drop(link);
             match pass {
                 Pass::On if to.write_all(&line).is_ok() => line.clear(),
@@ -194,7 +227,25 @@ impl Shared {
 }
 
 impl Link {
-    fn judge(&mut self, line: &str) -> Pass {
+    fn holds_back(&self, way: Way) -> bool {
+        match way {
+            Way::ToRobot => matches!(self.flow, Flow::Frozen | Flow::Deaf),
+            Way::FromRobot => self.flow == Flow::Frozen,
+        }
+    }
+
+    fn said_by_robot(&mut self, line: &mut Vec<u8>) -> Pass {
+        if !self.without.is_empty()
+            && let Ok(mut message) = serde_json::from_slice::<Value>(line)
+        {
+            take_out(&mut message, self.without);
+            *line = format!("{message}\n").into_bytes();
+        }
+        Pass::On
+    }
+
+    fn said_to_robot(&mut self, line: &[u8]) -> Pass {
+        let line = String::from_utf8_lossy(line);
         if self.resets > 0 {
             self.resets -= 1;
             return Pass::Break;
@@ -206,5 +257,16 @@ impl Link {
             }
             None => Pass::On,
         }
+    }
+}
+
+fn take_out(value: &mut Value, keys: &[&str]) {
+    match value {
+        Value::Object(map) => {
+            map.retain(|key, _| !keys.contains(&key.as_str()));
+            map.values_mut().for_each(|value| take_out(value, keys));
+        }
+        Value::Array(values) => values.iter_mut().for_each(|value| take_out(value, keys)),
+        _ => {}
     }
 }
