@@ -23,4 +23,5 @@ mod schema;
 mod session;
 mod silence;
 mod thrift_robot;
+mod told;
 mod vectors;
