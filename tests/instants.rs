@@ -275,8 +275,9 @@ impl Judge<'_> {
     /// What is said of each script.
     fn acts(&mut self) {
         for act in self.played.report["acts"].as_array().unwrap() {
-            let number = act["number"].as_u64().unwrap() as usize;
-            for (robot, said) in act["robots"].as_array().unwrap().iter().enumerate() {
+            let number: usize = act["act"].as_str().unwrap().rsplit('-').next().unwrap().parse().unwrap();
+            for said in act["robots"].as_array().unwrap() {
+                let robot = said["robot"].as_str().unwrap()[1..].parse().unwrap();
                 for (script, device) in said["devices"].as_array().unwrap().iter().enumerate() {
                     self.script((number, robot, script), device);
                 }
@@ -309,11 +310,12 @@ impl Judge<'_> {
         }
     }
 
-    /// Only the one that something befell has failed.
+    /// Only the one that something befell has failed. That others seem silent may be the busy machine's doing.
     fn blame(&mut self) {
         let victim = format!("r{}", self.played.drawn.victim);
         for failure in self.played.report["failures"].as_array().unwrap() {
-            self.say(failure["robot"] != victim, || format!("(blame) {failure}"));
+            let blamed = failure["robot"] != victim && failure["failure"] != "silent";
+            self.say(blamed, || format!("(blame) {failure}"));
         }
     }
 }

@@ -6,7 +6,7 @@ use std::time::Duration;
 use serde_json::Value;
 
 use crate::robots::play::{CHAIN, LONG, Play, SHORT, SOON};
-use crate::robots::{Via, epoch_nanos, sleep_until};
+use crate::robots::{Robot, Via, epoch_nanos, sleep_until};
 
 fn failed_robots(report: &Value) -> Vec<&str> {
     let failures = report["failures"].as_array().unwrap();
@@ -195,4 +195,42 @@ fn one_pause_of_a_link_does_not_put_off_the_acts_that_follow() {
     assert_eq!(ended.code, Some(0), "{ended}");
     let leads: Vec<f64> = ended.report()["acts"].as_array().unwrap().iter().map(lead).collect();
     assert!(leads.iter().all(|lead| *lead < 2_000.0), "leads of {leads:?} ms\n{ended}");
+}
+
+/// A first act in which the first robot is lost, and a second one that is sent while the first plays.
+#[track_caller]
+fn check_that_no_act_is_played_twice(lose: fn(&mut Robot)) {
+    let mut stage = Play { queue: 2, ..LONG }.stage(&[Via::Proxy, Via::Direct, Via::Direct]);
+    let act = |act: u32, length: u32| {
+        let track = format!("{{d: [{{at: 0s, to: {act}}}, {{at: {length}ms, to: {}}}]}}", act + 1);
+        format!("  - act: act-{act}\n    cues:\n      - {{at: 0s, robots: all, tracks: {track}}}\n")
+    };
+    let head =
+        "scenario: play\nstart_tolerance: 1s\non_failure: without\nstop_condition: {running: 600ms}\nacts:\n";
+    stage.file("play.yaml", format!("{head}{}{}", act(1, 900), act(3, 300)));
+    let running = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "1s"]);
+    stage.robots[0].await_sets(1, SOON);
+    // The second act is committed, and the end of the first is never reported.
+    std::thread::sleep(Duration::from_millis(840));
+    lose(&mut stage.robots[0]);
+    let ended = running.ended();
+    for robot in &stage.robots[1..] {
+        assert_eq!(robot.values("d"), [1.0, 2.0, 3.0, 4.0], "{}\n{ended}", robot.id);
+    }
+    assert_eq!(ended.report()["outcome"], "done_without", "{ended}");
+}
+
+#[test]
+fn no_act_is_played_twice_when_a_robot_is_left_out_whose_end_of_an_earlier_act_is_unknown() {
+    check_that_no_act_is_played_twice(|robot| robot.link.as_ref().unwrap().interrupt());
+}
+
+#[test]
+fn no_act_is_played_twice_when_a_frozen_robot_is_left_out() {
+    check_that_no_act_is_played_twice(|robot| robot.freeze());
+}
+
+#[test]
+fn no_act_is_played_twice_when_a_killed_robot_is_left_out() {
+    check_that_no_act_is_played_twice(Robot::kill);
 }
