@@ -3,8 +3,8 @@
 //! Beside it, what a scheduler would give that decides once, when all have accepted. `false_withdrawals` counts missions
 //! without a fault that were withdrawn while every core is busy.
 //!
-//! `cargo bench --bench kill_window -- MODE TRIALS EARLIEST_MS`, each optional: `killed`, `frozen`, `cut`, `muted` or
-//! `false_withdrawals`; 200; 1000.
+//! `cargo bench --bench kill_window -- MODE TRIALS EARLIEST_MS DOUBT`, each optional: `killed`, `frozen`, `cut`, `muted` or
+//! `false_withdrawals`; 200; 1000; `start` or `withdraw`, as the scenario's `on_doubt`.
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -122,9 +122,16 @@ impl Trial {
     }
 }
 
+/// The words of the command line.
+fn words() -> Vec<String> {
+    std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect()
+}
+
 fn stage() -> Stage {
+    let doubt = words().into_iter().find(|word| word == "start" || word == "withdraw");
+    let doubt = doubt.map_or(String::new(), |word| format!("on_doubt: {word}\n"));
     let mut stage = Stage::new();
-    stage.file("robot.yaml", ROBOT).file("window.yaml", SCENARIO);
+    stage.file("robot.yaml", ROBOT).file("window.yaml", format!("{SCENARIO}{doubt}"));
     for id in 0..ROBOTS {
         stage.robot("robot.yaml", if id == 0 { Via::Proxy } else { Via::Direct });
     }
@@ -296,10 +303,12 @@ fn false_withdrawals(missions: usize) {
 }
 
 fn main() {
-    let words: Vec<String> = std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect();
+    let words = words();
     let mut numbers = words.iter().filter_map(|word| word.parse::<usize>().ok());
     let (count, earliest) = (numbers.next().unwrap_or(TRIALS), numbers.next().unwrap_or(1_000));
-    let asked = |name: &str| words.iter().all(|word| word.parse::<usize>().is_ok() || word == name);
+    let modes: Vec<_> = Fault::ALL.iter().map(|fault| fault.name()).chain(["false_withdrawals"]).collect();
+    let named = |word: &&String| modes.contains(&word.as_str());
+    let asked = |name: &str| words.iter().find(named).is_none_or(|word| word == name);
     tell_round_trips();
     for fault in Fault::ALL.into_iter().filter(|fault| asked(fault.name())) {
         tell(fault, &trials(fault, count, i64::try_from(earliest).unwrap() * 1_000_000));
