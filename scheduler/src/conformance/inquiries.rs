@@ -208,24 +208,29 @@ fn ended(trial: &Trial) -> Checked {
         return Err(inquired.differs("event_timestamp, steps_done 1 and no error: it completed"));
     }
     let refused = trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(LEASE_MS);
-    line.refuses(&refused, ErrorCode::OutOfRange)?;
-    ended_by(&mut line, &refused, &ErrorCode::OutOfRange)?;
+    let ticket = line.ask(&refused)?;
+    // Whether it is refused as it must be is the concern of `range`.
+    if line.answer(ticket)?.message.status == Status::Failed {
+        ended_early(&mut line, &refused, None)?;
+    }
     let cancelled = trial.pending(actor);
     line.held(&cancelled)?;
     let stop = line.ask(&trial.cancel(actor))?;
     line.answer(stop)?;
-    ended_by(&mut line, &cancelled, &ErrorCode::Cancelled)?;
+    ended_early(&mut line, &cancelled, Some(&ErrorCode::Cancelled))?;
     pass()
 }
 
-/// It never started, and this is why.
-fn ended_by(line: &mut Line, request: &ControlRequest, code: &ErrorCode) -> Result<(), Unmet> {
+/// It never started, and why is told.
+fn ended_early(line: &mut Line, request: &ControlRequest, code: Option<&ErrorCode>) -> Result<(), Unmet> {
     let (inquired, report) = in_state(line, request, RequestState::Ended)?;
-    let told = report.error.as_ref().is_some_and(|error| error.code == *code);
+    let error = report.error.as_ref();
+    let told = error.is_some_and(|error| code.is_none_or(|code| error.code == *code));
     match told && report.event_timestamp.is_none() {
         true => Ok(()),
         false => {
-            Err(inquired.differs(&format!("error code `{code}` and no event_timestamp: it never started")))
+            let code = code.map(|code| format!(" with error code `{code}`")).unwrap_or_default();
+            Err(inquired.differs(&format!("why it ended{code}, and no event_timestamp: it never started")))
         }
     }
 }
@@ -363,29 +368,23 @@ fn pending_lease(trial: &Trial) -> Checked {
     trial.reporting()?;
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
-    // One with a longer lease than the inquiry says is given up sooner, one with a shorter lease no later.
-    for (own, asked) in [(LEASE_MS, PERIOD.as_millis_f64()), (PERIOD.as_millis_f64(), 20_000.0)] {
-        let other = trial.pending(actor);
-        let several = actor.device.script_queue > 1;
-        let other = if several { Some(line.held(&other)?) } else { None };
-        let named = trial.pending(actor).starting_in(LATER_MS + 1_000.0).leased(own);
-        let ticket = line.held(&named)?;
-        let sent = trial.now();
-        let pending_lease = Millis::new(asked).ok();
-        let inquired = line.inquire(&Inquiry { pending_lease, ..about(&[&named]) })?;
-        let lost = line.failure(ticket, ErrorCode::LinkLost, trial.patience() + PERIOD)?;
-        let silent = lost.at - sent;
-        let latest = PERIOD + trial.slack();
-        if silent > latest {
-            let came = format!("{} after {silent} of silence", lost.text);
-            let expected = format!("it {PERIOD} after the inquiry, at most {latest}");
-            return Err(differs(&inquired.sent, &came, &expected));
-        }
-        if let Some(other) = other {
-            stays_held(trial, &mut line, other)?;
-        }
-        let stop = line.ask(&trial.cancel(actor))?;
-        line.answer(stop)?;
+    let other = match actor.device.script_queue > 1 {
+        true => Some(line.held(&trial.pending(actor))?),
+        false => None,
+    };
+    let named = trial.pending(actor).starting_in(LATER_MS + 1_000.0);
+    let ticket = line.held(&named)?;
+    let shorter = Inquiry { pending_lease: Some(Millis::from_span(PERIOD)), ..about(&[&named]) };
+    line.inquire(&shorter)?;
+    let sent = trial.now();
+    let longer = Inquiry { pending_lease: Millis::new(LATER_MS).ok(), ..about(&[&named]) };
+    let longer = line.inquire(&longer)?;
+    let latest = PERIOD + trial.slack();
+    line.listen(sent + latest, |line| line.asked(ticket).heard.len() > 1)?;
+    if line.asked(ticket).heard.len() < 2 {
+        let asked = format!("{}, after one with a pending_lease of {PERIOD}", longer.sent.trim_end());
+        let expected = format!("the end of that lease {PERIOD} later, and at most {latest}");
+        return Err(differs(&asked, "nothing", &expected));
     }
-    pass()
+    other.map_or_else(pass, |other| stays_held(trial, &mut line, other).and_then(|()| pass()))
 }
