@@ -16,7 +16,7 @@ use crate::device::{DeviceMachine, Effect, Motion};
 use crate::hardware::{Hardware, ReadingId};
 use crate::lease::LastHeard;
 use crate::parties::Parties;
-use control::Belongs;
+use control::Owner;
 
 /// One connection of a server with this robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -196,7 +196,7 @@ impl Robot {
 
     /// What an inquiry renews is no claim: a robot whose session is over does not belong to it again by one.
     fn release_if_over(&mut self, now: Now) {
-        if matches!(self.belongs(now, None), Belongs::ToNobody) {
+        if matches!(self.owner(now, None), Owner::Nobody) {
             self.parties.release();
         }
     }

@@ -9,12 +9,12 @@ use super::{LinkId, Now, Output, Robot, refusal, response, tell};
 use crate::device::DeviceMachine;
 
 /// To whom the robot belongs.
-pub(super) enum Belongs {
-    ToNobody,
+pub(super) enum Owner {
+    Nobody,
     /// To the session that asks.
-    ToThese,
+    Asker,
     /// To another, with the refusal that says so.
-    ToOthers(ControlError),
+    Another(ControlError),
 }
 
 impl Robot {
@@ -78,11 +78,11 @@ impl Robot {
         link: LinkId,
         session: Option<&SessionId>,
     ) -> Result<(), ControlError> {
-        match self.belongs(now, session) {
-            Belongs::ToOthers(busy) => return Err(busy),
-            Belongs::ToThese => {}
+        match self.owner(now, session) {
+            Owner::Another(busy) => return Err(busy),
+            Owner::Asker => {}
             // Once over it stays so, whatever others hold from now on.
-            Belongs::ToNobody => self.parties.release(),
+            Owner::Nobody => self.parties.release(),
         }
         if let Some(session) = session {
             self.parties.claim(session, self.parties.party(link));
@@ -91,14 +91,14 @@ impl Robot {
     }
 
     /// To whom the robot belongs, as this session sees it.
-    pub(super) fn belongs(&self, now: Now, session: Option<&SessionId>) -> Belongs {
+    pub(super) fn owner(&self, now: Now, session: Option<&SessionId>) -> Owner {
         let idle = self.devices.iter().all(DeviceMachine::is_idle);
         match self.parties.owner(now, idle, &self.heard) {
-            None => Belongs::ToNobody,
-            Some((owner, _)) if session == Some(owner) => Belongs::ToThese,
+            None => Owner::Nobody,
+            Some((owner, _)) if session == Some(owner) => Owner::Asker,
             Some((owner, _)) => {
                 let message = format!("`{}` belongs to session `{owner}` until that ends", self.block.id);
-                Belongs::ToOthers(ControlError::new(ErrorCode::Busy, message))
+                Owner::Another(ControlError::new(ErrorCode::Busy, message))
             }
         }
     }

@@ -5,15 +5,15 @@ use urrcp::{
     RequestState, Status,
 };
 
-use super::control::Belongs;
+use super::control::Owner;
 use super::{LinkId, Now, Output, Robot};
 use crate::answers::Known;
 
 impl Robot {
     pub(super) fn inquire(&mut self, now: Now, link: LinkId, inquiry: &Inquiry, out: &mut Vec<Output>) {
-        let busy = match self.belongs(now, inquiry.session.as_ref()) {
-            Belongs::ToOthers(busy) => Some(busy),
-            Belongs::ToNobody | Belongs::ToThese => None,
+        let busy = match self.owner(now, inquiry.session.as_ref()) {
+            Owner::Another(busy) => Some(busy),
+            Owner::Nobody | Owner::Asker => None,
         };
         let belongs = busy.is_none();
         let response = self.what_is_known(now, inquiry, busy);
