@@ -30,7 +30,7 @@ impl Robot {
             Ok(content_hash) => content_hash,
             Err(error) => return self.refuse(now, link, &request, error, out),
         };
-        if let Some(missing) = self.hardware.missing() {
+        if let Some(missing) = self.hardware.away() {
             // Not remembered either: once the hardware is back the same request may be taken.
             return tell(link, refusal(now, &request, missing), out);
         }
