@@ -127,6 +127,18 @@ impl DeviceMachine {
         event.into_iter().chain(self.lease_end(heard)).min()
     }
 
+    /// When the next command starts, of those that were accepted at least so long before their start.
+    pub(crate) fn next_start(&self, notice: Span) -> Option<Timestamp<Robot>> {
+        let pending = self.queue.iter().filter(|held| !held.began && held.start - held.accepted >= notice);
+        pending.map(|held| held.start).min()
+    }
+
+    /// By how much the next step of what runs is late.
+    pub(crate) fn overdue(&self, now: Timestamp<Robot>) -> Option<Span> {
+        let at = self.queue.front().filter(|held| held.began)?.next_event()?;
+        (at < now).then(|| now - at)
+    }
+
     fn lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
         let pending = self.queue.iter().filter(|held| !held.began);
         pending.filter_map(|held| held.lease_end(heard)).chain(self.running_lease_end(heard)).min()

@@ -2,14 +2,18 @@
 
 use std::sync::Arc;
 
-use urrcp::{Robot as RobotClock, Timestamp};
+use urrcp::{Robot as RobotClock, Span, Timestamp};
 
 use crate::clock::{HostClock, HostTime};
 use crate::device::Motion;
-use crate::driver::{AtStart, Mailbox, News, Wanted};
+use crate::driver::{AtStart, Demand, Mailbox, News, STALE, START_NEAR, Wanted};
 use crate::outgoing::Outgoing;
 use crate::robot::{Input, LinkId, Output, Robot, SetValue};
 use crate::set_log::LogEntry;
+
+/// A command that was accepted at least so long before its start does not start while the hardware is silent: there was
+/// time to ask it.
+const NOTICE: Span = Span::from_millis(200);
 
 /// A robot whose values drive hardware.
 pub(crate) struct Edge {
@@ -54,18 +58,32 @@ impl Edge {
 
     /// Takes what reached the robot at `now`.
     pub(crate) fn receive(&mut self, now: Timestamp<HostTime>, link: LinkId, input: Input) {
+        self.look_after(now);
         self.tell(now, |machine, now, out| machine.handle(now, link, input, out));
     }
 
     /// Does everything due at or before `now`, and says what there is to say.
     pub(crate) fn advance(&mut self, now: Timestamp<HostTime>, out: &mut Vec<Outgoing>) {
+        self.look_after(now);
         self.tell(now, Robot::advance);
         out.append(&mut self.leaving);
     }
 
     /// The movements due at or before `now`. Their reports go out with the next [`Edge::advance`].
     pub(crate) fn advance_movements(&mut self, now: Timestamp<HostTime>) {
+        self.look_after(now);
         self.tell(now, Robot::advance_movements);
+    }
+
+    /// Before anything is done: whether the hardware answers, where a start is near, and whether the edge was held up.
+    fn look_after(&mut self, now: Timestamp<HostTime>) {
+        let near = now.assume_clock() + START_NEAR.into();
+        let start = self.machine.next_start(NOTICE).filter(|start| *start <= near);
+        let silence = start.and_then(|_| self.mailbox.silence()).map(Span::from);
+        self.tell(now, |machine, now, out| {
+            machine.give_up_overdue(now, STALE.into(), out);
+            machine.hardware_silent(now, silence, NOTICE, out);
+        });
     }
 
     /// The edge ends: hardware that was moved goes to its default state.
@@ -86,6 +104,9 @@ impl Edge {
             News::Away { reason } => {
                 self.tell(now, |machine, now, out| machine.hardware_lost(now, &reason, out));
             }
+            News::Stale { device, late } => {
+                self.tell(now, |machine, now, out| machine.value_stale(now, &device, late.into(), out));
+            }
             News::Reading { id, reading } => {
                 self.tell(now, |machine, now, out| machine.reading_came(now, id, reading, out));
             }
@@ -94,9 +115,14 @@ impl Edge {
 
     /// Passes on what is wanted of the hardware since the last call.
     pub(crate) fn post(&mut self, clock: &HostClock) {
-        let next_due = self.next_wakeup().map(|at| clock.instant_of(at));
+        let instant = |at: Timestamp<RobotClock>| clock.instant_of(at.assume_clock());
+        let demand = Demand {
+            held: !self.machine.is_idle(),
+            start: self.machine.next_start(Span::ZERO).map(instant),
+            next_due: self.machine.next_wakeup().map(instant),
+        };
         let orders = self.wanted.drain(..).map(|wanted| wanted.on_clock(*clock));
-        self.mailbox.post(self.connection, orders, next_due);
+        self.mailbox.post(self.connection, orders, demand);
     }
 
     /// What was set since the last call.
@@ -135,7 +161,8 @@ fn wanted(robot: &Robot, set: &SetValue) -> Option<Wanted> {
     let key = |control_type| (set.device.clone(), control_type);
     Some(match &set.motion {
         Motion::Set(setpoint) | Motion::Default(setpoint) => {
-            Wanted::Set(key(setpoint.control_type), setpoint.clone())
+            let due = set.step.map(|_| set.due);
+            Wanted::Set(key(setpoint.control_type), setpoint.clone(), due)
         }
         Motion::Ramp { control_type, .. } | Motion::Slow { control_type, .. } => {
             Wanted::Follow(key(*control_type), robot.signal(set.device.as_str(), *control_type)?)

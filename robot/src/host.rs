@@ -240,9 +240,9 @@ impl HostHandle {
 }
 
 impl RobotLink {
-    /// Sends a message to the robot. A host that has stopped takes none; [`RobotLink::recv`] says so.
+    /// Sends a message to the robot, and hashes here what the robot has to compare. A host that has stopped takes none; [`RobotLink::recv`] says so.
     pub fn send(&self, message: Message) {
-        self.order(Input::Message(message));
+        self.order(Input::read(message));
     }
 
     fn order(&self, input: Input) {

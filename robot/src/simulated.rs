@@ -217,7 +217,9 @@ impl SimulatedRobot {
 
     /// What is left of an input after the robot's own fault.
     fn through_fault(&mut self, now: Timestamp<True>, link: LinkId, input: Input) -> Option<Input> {
-        let Input::Message(Message::ControlRequest(request)) = &input else { return Some(input) };
+        let (Input::Message(Message::ControlRequest(request)) | Input::Hashed(request, _)) = &input else {
+            return Some(input);
+        };
         match self.settings.fault {
             Some(Fault::Silent) => None,
             Some(Fault::Refuse) if is_movement(&request.command) => {

@@ -18,7 +18,15 @@ pub(super) enum Owner {
 }
 
 impl Robot {
-    pub(super) fn control(&mut self, now: Now, link: LinkId, request: ControlRequest, out: &mut Vec<Output>) {
+    /// With the hash of the command, where it was computed already.
+    pub(super) fn control(
+        &mut self,
+        now: Now,
+        link: LinkId,
+        request: ControlRequest,
+        computed: Option<ContentHash>,
+        out: &mut Vec<Output>,
+    ) {
         if let Some(answer) = request.request_id.as_ref().and_then(|id| self.answers.find(id)) {
             return tell(link, ControlResponse { timestamp: now, ..answer.clone() }, out);
         }
@@ -35,11 +43,11 @@ impl Robot {
             );
             return self.refuse(now, link, &request, error, out);
         };
-        let content_hash = match check_hash(&request) {
+        let content_hash = match check_hash(&request, computed) {
             Ok(content_hash) => content_hash,
             Err(error) => return self.refuse(now, link, &request, error, out),
         };
-        if let Some(missing) = self.hardware.missing() {
+        if let Some(missing) = self.hardware.away() {
             // Not remembered either: once the hardware is back the same request may be taken.
             return tell(link, refusal(now, &request, missing), out);
         }
@@ -212,13 +220,16 @@ fn start_of(now: Now, request: &ControlRequest) -> Now {
 }
 
 /// The robot's own hash of what it takes, where the request carries one to compare.
-fn check_hash(request: &ControlRequest) -> Result<Option<ContentHash>, ControlError> {
+fn check_hash(
+    request: &ControlRequest,
+    computed: Option<ContentHash>,
+) -> Result<Option<ContentHash>, ControlError> {
     let Some(expected) = request.content_hash else { return Ok(None) };
     // Of these two the value does not matter.
     if matches!(request.command, Command::ReadSensor | Command::Unknown(_)) {
         return Ok(None);
     }
-    match request.command.content_hash() {
+    match computed.unwrap_or_else(|| request.command.content_hash()) {
         computed if computed == expected => Ok(Some(computed)),
         computed => {
             let message = format!("content_hash is {expected}, the control_value hashes to {computed}");
