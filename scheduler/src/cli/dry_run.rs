@@ -173,7 +173,7 @@ fn play(
     let machines: Result<Vec<_>, _> = robots
         .iter()
         .enumerate()
-        .map(|(index, robot)| fleet::simulated(robot, args.seed.wrapping_add(index as u64)))
+        .map(|(index, robot)| fleet::rehearsed(robot, args.seed.wrapping_add(index as u64)))
         .collect();
     let machines = machines.map_err(|error| error.to_string())?;
     let options = MissionOptions { greeting: fleet::greeting(fleet), first_act, ..MissionOptions::default() };

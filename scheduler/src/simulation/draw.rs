@@ -172,7 +172,7 @@ fn draw_disk(seed: u64) -> DrawnDisk {
         1 => millis(&mut rng, 0, 10),
         _ => millis(&mut rng, 10, 300),
     };
-    let capacity = (rng.u8(0..30) == 0).then(|| rng.usize(4_000..30_000));
+    let capacity = (rng.u8(0..20) == 0).then(|| rng.usize(1_000..12_000));
     DrawnDisk { sync, capacity, loses_power: rng.bool() }
 }
 
