@@ -4,7 +4,6 @@
 
 mod disk;
 mod read;
-#[cfg(test)]
 pub(crate) mod simulated;
 mod writer;
 

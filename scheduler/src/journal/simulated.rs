@@ -19,6 +19,7 @@ impl SimulatedDisk {
         Self { capacity, ..Self::default() }
     }
 
+    #[cfg(test)]
     pub(crate) fn bytes(&self) -> &[u8] {
         &self.bytes
     }
@@ -35,6 +36,7 @@ impl SimulatedDisk {
     }
 
     /// The file can grow again.
+    #[cfg(test)]
     pub(crate) const fn make_room(&mut self) {
         self.capacity = None;
     }

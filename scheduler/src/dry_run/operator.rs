@@ -1,0 +1,124 @@
+//! The operator of a dry run: says go when an act waits for it, and ends what would go on for ever.
+
+use std::collections::HashMap;
+
+use downbeat_scripts::Choreography;
+use urrcp::{Server, Span, Timestamp};
+
+use super::Cut;
+use crate::mission::{Event, Progress};
+
+/// So long after an act has begun to wait, with nothing else playing, the operator says go; and again, as long as it waits.
+const THINKS: Span = Span::from_millis(1_000);
+/// An act that waits for longer than its own timeout and this waits for what does not come: readings do not change.
+const WAITS_MAX: Span = Span::from_millis(60_000);
+
+#[derive(Debug)]
+pub(super) struct VirtualOperator {
+    /// How long each act may wait, by its name.
+    timeouts: HashMap<String, Span>,
+    /// The act that waits, and for what.
+    waiting: Option<(String, String)>,
+    /// Acts that have been sent and have not ended.
+    under_way: u32,
+    /// Acts that have ended, and those that were given up waiting.
+    ended: u32,
+    waits: u32,
+    acts_max: u32,
+    /// When the act that waits began to be alone.
+    alone_since: Timestamp<Server>,
+    /// When it speaks next.
+    speaks: Option<Timestamp<Server>>,
+    /// Why it is about to say stop.
+    stopping: Option<Cut>,
+    /// Why it has said stop.
+    pub(super) cut: Option<Cut>,
+}
+
+impl VirtualOperator {
+    pub(super) fn new(choreography: &Choreography, acts_max: u32) -> Self {
+        let name = |act: &downbeat_scripts::Act| match act.name.is_empty() {
+            true => act.plan.scenario.clone(),
+            false => act.name.clone(),
+        };
+        let timeouts = choreography.acts.iter().filter_map(|act| Some((name(act), act.timeout?)));
+        Self {
+            timeouts: timeouts.collect(),
+            waiting: None,
+            under_way: 0,
+            ended: 0,
+            waits: 0,
+            acts_max,
+            alone_since: super::BEGIN,
+            speaks: None,
+            stopping: None,
+            cut: None,
+        }
+    }
+
+    pub(super) const fn speaks(&self) -> Option<Timestamp<Server>> {
+        self.speaks
+    }
+
+    /// Sees what the mission tells.
+    pub(super) fn see(&mut self, now: Timestamp<Server>, progress: &Progress) {
+        if self.stopping.is_some() || self.cut.is_some() {
+            return;
+        }
+        match progress {
+            Progress::Waiting { act, awaits } => {
+                self.waits += 1;
+                self.waiting = Some((act.clone(), awaits.clone()));
+                self.attend(now);
+                // Without a loop no act waits more often than there are acts.
+                if self.waits > self.acts_max {
+                    self.stop(now, Cut::Acts(self.ended));
+                }
+            }
+            Progress::Preparing { .. } => {
+                self.under_way += 1;
+                self.waiting = None;
+                self.speaks = None;
+            }
+            Progress::ActEnded { .. } => {
+                self.under_way = self.under_way.saturating_sub(1);
+                self.ended += 1;
+                match self.ended >= self.acts_max {
+                    true => self.stop(now, Cut::Acts(self.ended)),
+                    false => self.attend(now),
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// An act that waits alone is let go after a moment.
+    fn attend(&mut self, now: Timestamp<Server>) {
+        if self.waiting.is_some() && self.under_way == 0 {
+            self.alone_since = now;
+            self.speaks = Some(now + THINKS);
+        }
+    }
+
+    fn stop(&mut self, now: Timestamp<Server>, cut: Cut) {
+        self.stopping = Some(cut);
+        self.speaks = Some(now);
+    }
+
+    /// What it says now, if anything.
+    pub(super) fn word(&mut self, now: Timestamp<Server>) -> Option<Event> {
+        self.speaks.take_if(|at| now >= *at)?;
+        if let Some(cut) = self.stopping.take() {
+            self.cut = Some(cut);
+            return Some(Event::StopRequested);
+        }
+        let (act, awaits) = self.waiting.as_ref()?;
+        let timeout = self.timeouts.get(act).copied().unwrap_or_default();
+        if now >= self.alone_since + timeout + WAITS_MAX {
+            self.cut = Some(Cut::Waits { act: act.clone(), awaits: awaits.clone() });
+            return Some(Event::StopRequested);
+        }
+        self.speaks = Some(now + THINKS);
+        Some(Event::Go)
+    }
+}
