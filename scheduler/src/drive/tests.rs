@@ -73,6 +73,7 @@ impl World for Silent {
 
     fn connect(&mut self, _: usize, link: LinkNumber, after: Span) {
         self.connected.push((link, after));
+        self.now = self.now + after;
         self.on_link(link, Event::LinkUp { robot: 0 });
     }
 
@@ -98,7 +99,8 @@ impl World for Silent {
 fn a_robot_that_does_not_read_loses_its_link_and_the_mission_hears_why() {
     let mut world = Silent::new(1, Filed::AtOnce);
     let report = at_once(drive(&mut mission(), &mut world)).unwrap();
-    assert_eq!(world.cut, [LinkNumber(0)]);
+    assert_eq!(world.cut.first(), Some(&LinkNumber(0)));
+    assert!(world.connected.len() > 2, "it is tried again as long as patience lasts");
     let failures: Vec<_> = report.failures.iter().map(|failure| failure.kind.to_string()).collect();
     assert!(failures.iter().any(|failure| failure.contains("does not read")), "{failures:?}");
 }
@@ -132,9 +134,9 @@ fn without_a_journal_only_durable_records_are_counted() {
     let mut driver = Driver::new(1);
     let mut world = Silent::new(9, Filed::AtOnce);
     let records = [
-        Record::Decided { number: 0, unnamed: Vec::new() },
+        Record::Committed { number: 0 },
         Record::StopConfirmed { robot: RobotId::new("r").unwrap() },
-        Record::Decided { number: 1, unnamed: Vec::new() },
+        Record::Committed { number: 1 },
     ];
     driver.perform(&mut world, records.into_iter().map(Action::Record).collect());
     let counts: Vec<u64> = driver

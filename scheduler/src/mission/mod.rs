@@ -70,10 +70,10 @@ enum Phase {
 struct Recording {
     /// Durable records so far.
     count: u64,
-    /// Those that an act waits for: which record, which act, and since when.
-    awaited: VecDeque<(u64, u32, Timestamp<Server>)>,
-    /// How long the slowest of the last ones took.
-    longest: Span,
+    /// Those that an act waits for, or that measure the disk: which record, which act, and since when.
+    awaited: VecDeque<(u64, Option<u32>, Timestamp<Server>)>,
+    /// How long the slowest of the last ones took; `None` before the first.
+    longest: Option<Span>,
 }
 
 /// One mission, from connecting to its report.
@@ -198,6 +198,7 @@ impl Mission {
     #[must_use]
     pub fn happened(&mut self, at: Timestamp<Server>, now: Timestamp<Server>, event: Event) -> Vec<Action> {
         self.arrived = at;
+        self.measure_disk(now);
         self.notice_hold_up(now);
         match event {
             Event::LinkUp { robot } => self.link_up(now, robot),

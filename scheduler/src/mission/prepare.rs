@@ -27,7 +27,7 @@ impl Mission {
     /// Sends the act once its time has come and the devices have room for it.
     pub(super) fn prepare_if_it_fits(&mut self, now: Timestamp<Server>, index: usize) {
         let act = &self.acts[index];
-        if !act.is_looked_at(now) || act.present().next().is_none() {
+        if !act.is_looked_at(now) || act.present().next().is_none() || !self.disk_is_known() {
             return;
         }
         if !act.is_alone() && !ledger::fits(&self.acts, index, &self.robots) {

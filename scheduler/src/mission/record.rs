@@ -9,6 +9,8 @@ use super::{ActReport, Outcome};
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "record", rename_all = "snake_case")]
 pub enum Record {
+    /// The mission has begun.
+    Begun,
     /// Requests of an act are about to be sent.
     Prepared(Promise),
     /// All have accepted.
@@ -57,7 +59,7 @@ impl Record {
     #[must_use]
     pub const fn is_durable(&self) -> bool {
         match self {
-            Self::Prepared(_) | Self::Committed { .. } | Self::Stopping { .. } | Self::Ended { .. } => true,
+            Self::Begun | Self::Prepared(_) | Self::Committed { .. } | Self::Stopping { .. } | Self::Ended { .. } => true,
             Self::Decided { .. } | Self::Dropped { .. } | Self::StopConfirmed { .. } | Self::ActEnded { .. } => false,
         }
     }

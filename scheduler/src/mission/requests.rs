@@ -11,7 +11,7 @@ use super::{Action, Mission, Phase, ledger};
 /// What a durable record is expected to take at least.
 const RECORDING: Span = Span::from_millis(30);
 /// A slower disk is not waited for: the commitment comes too late then.
-const RECORDING_MAX: Span = Span::from_millis(500);
+const RECORDING_MAX: Span = Span::from_millis(2_000);
 
 impl Mission {
     pub(super) fn receive(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
@@ -133,15 +133,30 @@ impl Mission {
         let durable = record.is_durable();
         self.record(record);
         if durable {
-            self.recording.awaited.push_back((self.recording.count, act, now));
+            self.recording.awaited.push_back((self.recording.count, Some(act), now));
         }
+    }
+
+    /// The first thing that is written down tells how long the disk takes, before anything depends on it.
+    pub(super) fn measure_disk(&mut self, now: Timestamp<Server>) {
+        if self.recording.count == 0 && matches!(self.phase, Phase::Greeting { .. } | Phase::Performing) {
+            self.record(Record::Begun);
+            self.recording.awaited.push_back((self.recording.count, None, now));
+        }
+    }
+
+    /// Whether it is known how long the disk takes.
+    pub(super) const fn disk_is_known(&self) -> bool {
+        self.recording.longest.is_some()
     }
 
     /// So many durable records are on the disk.
     pub(super) fn recorded(&mut self, now: Timestamp<Server>, count: u64) {
         while let Some((_, number, asked)) = self.recording.awaited.pop_front_if(|(record, ..)| *record <= count) {
             // Slowly forgotten, so that one slow moment does not delay the rest of the show.
-            self.recording.longest = (now - asked).max(self.recording.longest * 3 / 4);
+            let before = self.recording.longest.unwrap_or_default() * 3 / 4;
+            self.recording.longest = Some((now - asked).max(before));
+            let Some(number) = number else { continue };
             let act = self.acts.iter_mut().find(|act| act.number() == number);
             let actions = act.map(Act::recorded).unwrap_or_default();
             self.carry_out(now, number, actions);
@@ -151,7 +166,7 @@ impl Mission {
 
     /// How long a durable record may take.
     pub(super) fn recording_time(&self) -> Span {
-        (self.recording.longest * 2).max(RECORDING).min(RECORDING_MAX)
+        (self.recording.longest.unwrap_or_default() * 2).max(RECORDING).min(RECORDING_MAX)
     }
 }
 
