@@ -144,7 +144,7 @@ impl SimulatedRobot {
     /// A robot that drives hardware: no clock of its own, no delays, no faults but the hardware's.
     #[must_use]
     pub fn driven(block: InitializationBlock) -> Self {
-        let robot = Robot::driven(block.clone());
+        let robot = Robot::driven(block.clone().and_answers_inquiries());
         Self { robot, ..Self::new(block, Settings::default()) }
     }
 
