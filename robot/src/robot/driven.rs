@@ -13,7 +13,7 @@ impl Robot {
     /// A robot whose values drive hardware. Until [`Robot::hardware_found`] it refuses everything.
     #[must_use]
     pub fn driven(block: InitializationBlock) -> Self {
-        Self { hardware: Hardware::awaited(), ..Self::new(block) }
+        Self { hardware: Hardware::awaited(), ..Self::new(block.and_answers_inquiries()) }
     }
 
     /// The hardware is there. If something has been set before, its devices go to their default state: what they did
