@@ -106,7 +106,7 @@ impl Bound {
 }
 
 /// Between which rates the offset drifts.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Rates {
     least: f64,
     most: f64,
@@ -324,6 +324,15 @@ struct History {
     doublings: u32,
     /// The mean rate over any stretch from one bin to another is at least, and at most, one of these.
     means: Rates,
+    narrowest: Option<Narrowest>,
+}
+
+/// The bounds of the bins that say most as long as the rates stay what they are: which do is the same at any later instant.
+#[derive(Clone, Copy, Debug)]
+struct Narrowest {
+    rates: Rates,
+    bounds: Bounds,
+    since: Timestamp<Server>,
 }
 
 /// The tightest bounds of a stretch of time, which the index numbers.
@@ -335,7 +344,7 @@ struct Bin {
 
 impl Default for History {
     fn default() -> Self {
-        Self { bins: VecDeque::new(), doublings: 0, means: Rates::UNKNOWN }
+        Self { bins: VecDeque::new(), doublings: 0, means: Rates::UNKNOWN, narrowest: None }
     }
 }
 
@@ -355,6 +364,18 @@ impl History {
                 self.make_room(now, together);
             }
         }
+        self.narrowest = self.rates().map(|rates| self.narrowest_with(new, now, rates));
+    }
+
+    fn narrowest_with(&self, new: Bounds, now: Timestamp<Server>, rates: Rates) -> Narrowest {
+        let known = self.narrowest.filter(|known| known.rates == rates && known.since <= now);
+        let (mut bounds, bins) = match known {
+            Some(known) => (known.bounds, 0),
+            None => (new, self.bins.len()),
+        };
+        bounds.tighten(new, now, rates);
+        self.bins.iter().take(bins).for_each(|bin| bounds.tighten(bin.bounds, now, rates));
+        Narrowest { rates, bounds, since: now }
     }
 
     fn make_room(&mut self, now: Timestamp<Server>, together: Rates) {
@@ -376,6 +397,7 @@ impl History {
             self.bins.pop_front();
         }
         if self.bins.len() < before {
+            self.narrowest = None;
             // What was known by the forgotten bins alone is forgotten, so that the drift may change over the hours.
             let ended = self.bins.len().saturating_sub(1);
             let pairs = (0..ended).flat_map(|later| (0..later).map(move |earlier| (earlier, later)));
@@ -411,6 +433,9 @@ impl History {
     /// What remains of an interval when the bounds of the window are carried on to `now` by the drift.
     fn narrow(&self, interval: Interval, now: Timestamp<Server>) -> Interval {
         let Some(rates) = self.rates() else { return interval };
+        if let Some(narrowest) = self.narrowest.filter(|narrowest| narrowest.since <= now) {
+            return interval.and(narrowest.bounds.interval(now, rates));
+        }
         self.bins.iter().fold(interval, |interval, bin| interval.and(bin.bounds.interval(now, rates)))
     }
 }

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use downbeat_scripts::Choreography;
+use downbeat_scripts::{Choreography, Wait};
 use urrcp::{Server, Span, Timestamp};
 
 use super::Cut;
@@ -15,8 +15,8 @@ const WAITS_MAX: Span = Span::from_millis(60_000);
 
 #[derive(Debug)]
 pub(super) struct VirtualOperator {
-    /// How long each act may wait, by its name.
-    timeouts: HashMap<String, Span>,
+    /// The acts that wait for the operator or a sensor, by name, with their timeouts. A time comes by itself.
+    attended: HashMap<String, Span>,
     /// The act that waits, and for what.
     waiting: Option<(String, String)>,
     /// Acts that have been sent and have not ended.
@@ -41,9 +41,12 @@ impl VirtualOperator {
             true => act.plan.scenario.clone(),
             false => act.name.clone(),
         };
-        let timeouts = choreography.acts.iter().filter_map(|act| Some((name(act), act.timeout?)));
+        let attended = choreography.acts.iter().filter(|act| match act.wait {
+            Wait::Operator | Wait::Sensor { .. } => true,
+            Wait::Done | Wait::TimeOfDay(_) | Wait::Instant(_) => false,
+        });
         Self {
-            timeouts: timeouts.collect(),
+            attended: attended.map(|act| (name(act), act.timeout.unwrap_or_default())).collect(),
             waiting: None,
             under_way: 0,
             ended: 0,
@@ -68,7 +71,7 @@ impl VirtualOperator {
         match progress {
             Progress::Waiting { act, awaits } => {
                 self.waits += 1;
-                self.waiting = Some((act.clone(), awaits.clone()));
+                self.waiting = self.attended.contains_key(act).then(|| (act.clone(), awaits.clone()));
                 self.attend(now);
                 // Without a loop no act waits more often than there are acts.
                 if self.waits > self.acts_max {
@@ -113,7 +116,7 @@ impl VirtualOperator {
             return Some(Event::StopRequested);
         }
         let (act, awaits) = self.waiting.as_ref()?;
-        let timeout = self.timeouts.get(act).copied().unwrap_or_default();
+        let timeout = self.attended.get(act).copied().unwrap_or_default();
         if now >= self.alone_since + timeout + WAITS_MAX {
             self.cut = Some(Cut::Waits { act: act.clone(), awaits: awaits.clone() });
             return Some(Event::StopRequested);

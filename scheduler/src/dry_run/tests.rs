@@ -289,6 +289,13 @@ fn an_act_that_waits_for_another_reading_than_there_is_does_not_wait_for_ever() 
 }
 
 #[test]
+fn an_act_that_waits_for_a_time_waits_for_as_long_as_that_takes() {
+    let later = Wait::TimeOfDay(Span::from_millis(1_200_000));
+    let (played, ended) = played_through(acts(|acts| acts[1].wait = later.clone()));
+    assert_eq!((played.report.outcome, ended, played.cut), (Outcome::Done, 3, None));
+}
+
+#[test]
 fn acts_that_only_wait_for_each_other_do_not_go_round_for_ever() {
     let waits = Wait::Sensor {
         robot: block(0).id.to_string(),

@@ -116,7 +116,6 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
 
     async fn next(&mut self, until: Option<Timestamp<Server>>) -> Option<Happened> {
         self.write_notes();
-        let until = until.map(|at| tokio::time::Instant::from_std(self.clock.instant_of(at)));
         tokio::select! {
             biased;
             word = self.operator.recv() => match word {
@@ -133,7 +132,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
                 Some(happened)
             }
             state = next_state(&mut self.ntp) => self.event(Event::ServerTime(state)),
-            () = sleep_until(until) => None,
+            () = wait_until(self.clock, until) => None,
         }
     }
 
@@ -201,9 +200,11 @@ async fn next_state(ntp: &mut Option<NtpWatch>) -> NtpState {
     }
 }
 
-async fn sleep_until(until: Option<tokio::time::Instant>) {
+async fn wait_until(clock: ServerClock, until: Option<Timestamp<Server>>) {
     match until {
-        Some(until) => tokio::time::sleep_until(until).await,
+        // A timer that is due already would still take until the runtime's next millisecond.
+        Some(at) if at <= clock.now() => {}
+        Some(at) => tokio::time::sleep_until(tokio::time::Instant::from_std(clock.instant_of(at))).await,
         None => std::future::pending().await,
     }
 }

@@ -1,6 +1,6 @@
 //! What goes wrong.
 
-use super::{Item, World};
+use super::{Item, Machine, World};
 use crate::mission::{Event, Loss};
 use crate::simulation::{Fault, Happened};
 
@@ -15,6 +15,7 @@ impl World {
                 if side.machine.take().is_none() {
                     return;
                 }
+                side.runs_on = if told { Machine::Up } else { Machine::Down };
                 let link = side.link.take();
                 if let Some(link) = link.filter(|_| told) {
                     let reason = "the robot closed the connection".to_owned();

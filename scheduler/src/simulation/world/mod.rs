@@ -60,8 +60,18 @@ enum Item {
     },
 }
 
+/// What the machine does on which a robot's process ran.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Machine {
+    /// It closes connections and refuses new ones for a process that is gone.
+    Up,
+    /// It is gone itself.
+    Down,
+}
+
 struct RobotSide {
     machine: Option<SimulatedRobot>,
+    runs_on: Machine,
     /// The connection with the scheduler, as this side sees it.
     link: Option<LinkId>,
     paused_until: Timestamp<Server>,
@@ -141,6 +151,7 @@ impl World {
     fn new(drawn: Drawn, verbose: bool) -> Self {
         let robots = drawn.robots.iter().map(|robot| RobotSide {
             machine: Some(SimulatedRobot::new(robot.block.clone(), robot.settings.clone())),
+            runs_on: Machine::Up,
             link: None,
             paused_until: BEGIN,
             partitioned_until: BEGIN,
@@ -257,6 +268,7 @@ impl World {
                 let mut machine = SimulatedRobot::new(drawn.block.clone(), drawn.settings.clone());
                 machine.step_clock(self.robots[robot].clock_steps);
                 self.robots[robot].machine = Some(machine);
+                self.robots[robot].runs_on = Machine::Up;
                 self.note(Happened::Back(robot));
             }
             Item::Resume => self.resume(),

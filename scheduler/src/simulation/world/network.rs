@@ -6,7 +6,7 @@ use urrcp::{
     AvailabilityResponse, Command, ContentHash, ControlResponse, Message, Server, Span, Status, Timestamp,
 };
 
-use super::{CONNECT_FAILS, Item, World};
+use super::{CONNECT_FAILS, Item, Machine, World};
 use crate::mission::{Event, Loss};
 use crate::simulation::{Happened, Lie, Network};
 
@@ -119,11 +119,14 @@ impl World {
             return;
         }
         let side = &mut self.robots[robot];
-        let reachable = side.machine.is_some() && self.now >= side.partitioned_until;
-        if !reachable {
-            let loss = Loss::Unreachable;
+        let reachable = self.now >= side.partitioned_until;
+        if !reachable || side.machine.is_none() {
+            let (loss, after) = match side.runs_on {
+                Machine::Up if reachable => (Loss::Refused, self.drawn.delay.1 * 2),
+                Machine::Up | Machine::Down => (Loss::Unreachable, CONNECT_FAILS),
+            };
             let event = Box::new(Event::LinkDown { robot, loss, reason: "no connection".to_owned() });
-            let at = self.now + CONNECT_FAILS;
+            let at = self.now + after;
             return self.put(at, Item::ToScheduler { robot, link, event });
         }
         if let (Some(old), Some(machine)) = (side.link.replace(link), &mut side.machine) {
