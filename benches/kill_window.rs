@@ -20,6 +20,7 @@ mod robots;
 use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
 
 use robots::{Ended, Stage, Via, epoch_nanos, sleep_until};
 
@@ -31,6 +32,8 @@ const STAGES: usize = 2;
 const LEAD: &str = "1100ms";
 /// How long the scripts play, and a little more for the last lines of the logs.
 const PLAYED: i64 = 450_000_000;
+/// A mission that has not ended by then hangs.
+const PATIENCE: Duration = Duration::from_secs(30);
 /// The lease of the baseline, in nanoseconds.
 const CONSTANT_LEASE: i64 = 240_000_000;
 
@@ -73,6 +76,14 @@ impl Fault {
             Self::Frozen => "frozen",
             Self::Cut => "cut",
             Self::Muted => "muted",
+        }
+    }
+
+    /// How the first robot is reached. A proxy would take connections to a process that has ended.
+    fn via(self) -> Via {
+        match self {
+            Self::Killed | Self::Frozen => Via::Direct,
+            Self::Cut | Self::Muted => Via::Proxy,
         }
     }
 
@@ -127,20 +138,20 @@ fn words() -> Vec<String> {
     std::env::args().skip(1).filter(|word| !word.starts_with("--")).collect()
 }
 
-fn stage() -> Stage {
+fn stage(first: Via) -> Stage {
     let doubt = words().into_iter().find(|word| word == "start" || word == "withdraw");
     let doubt = doubt.map_or(String::new(), |word| format!("on_doubt: {word}\n"));
     let mut stage = Stage::new();
     stage.file("robot.yaml", ROBOT).file("window.yaml", format!("{SCENARIO}{doubt}"));
     for id in 0..ROBOTS {
-        stage.robot("robot.yaml", if id == 0 { Via::Proxy } else { Via::Direct });
+        stage.robot("robot.yaml", if id == 0 { first } else { Via::Direct });
     }
     stage
 }
 
 fn trial(stage: &mut Stage, fault: Fault, number: usize, before: i64) -> Option<Trial> {
     // Only the first has a link that can be cut.
-    let victim = if matches!(fault, Fault::Cut | Fault::Muted) { 0 } else { number % ROBOTS };
+    let victim = if fault.via() == Via::Proxy { 0 } else { number % ROBOTS };
     let began = epoch_nanos();
     let mut running = stage.start(&["run", "window.yaml", "--lead", LEAD, "--patience", "1s"]);
     let Some(start) = running.start() else {
@@ -150,7 +161,17 @@ fn trial(stage: &mut Stage, fault: Fault, number: usize, before: i64) -> Option<
     sleep_until(start - before);
     fault.strike(stage, victim);
     let struck = start - epoch_nanos();
-    let ended = running.ended();
+    let ended = match running.ended_within(PATIENCE) {
+        Ok(ended) => ended,
+        Err(told) => {
+            println!(
+                "  trial {number}, struck {:.1} ms before the start, never ended:\n{told}",
+                millis(struck)
+            );
+            fault.heal(stage, victim);
+            return None;
+        }
+    };
     sleep_until(start + PLAYED);
     let moved = |robot: usize| stage.robots[robot].sets().iter().any(|set| set.at >= began);
     let others = (0..ROBOTS).filter(|robot| *robot != victim && moved(*robot)).count();
@@ -191,7 +212,7 @@ fn trials(fault: Fault, count: usize, earliest: i64) -> Vec<Trial> {
     std::thread::scope(|scope| {
         for _ in 0..STAGES {
             scope.spawn(|| {
-                let mut stage = stage();
+                let mut stage = stage(fault.via());
                 loop {
                     let number = next.fetch_add(1, Ordering::Relaxed);
                     if number >= count {
@@ -212,7 +233,7 @@ fn largest<'a>(trials: impl Iterator<Item = &'a Trial>) -> String {
 
 fn tell(fault: Fault, trials: &[Trial]) {
     let count = |which: &dyn Fn(&&Trial) -> bool| trials.iter().filter(which).count();
-    println!("{}: {} trials, one of {ROBOTS} robots, lead {LEAD}", fault.name(), trials.len());
+    println!("{}: {} trials that ended, one of {ROBOTS} robots, lead {LEAD}", fault.name(), trials.len());
     println!("  {:<62}{:>8}", "none of the others started", count(&|t| t.others == 0));
     println!("  {:<62}{:>8}", "all others started", count(&|t| t.others == ROBOTS - 1));
     println!("  {:<62}{:>8}", "some of the others started", count(&|t| t.others % (ROBOTS - 1) != 0));
@@ -247,7 +268,7 @@ fn tell(fault: Fault, trials: &[Trial]) {
 
 /// Least and longest round trip to the robots, as the program measures them.
 fn tell_round_trips() {
-    let stage = stage();
+    let stage = stage(Via::Direct);
     let ping = stage.run(&["fleet", "ping", "fleet.yaml", "--format", "json"]).report();
     let delays = |key: &str| {
         let rows = ping.as_array().or_else(|| ping["robots"].as_array()).unwrap();
@@ -281,7 +302,7 @@ fn with_every_core_busy<T>(measure: impl FnOnce() -> T) -> T {
 /// Missions in which nothing fails.
 fn false_withdrawals(missions: usize) {
     let (mut done, mut reasons) = (0, BTreeMap::<String, usize>::new());
-    let stage = stage();
+    let stage = stage(Via::Direct);
     with_every_core_busy(|| {
         for number in 0..missions {
             let began = epoch_nanos();

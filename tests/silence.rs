@@ -170,6 +170,19 @@ fn a_robot_that_answers_no_inquiries_plays_all_its_scripts() {
     check_that_it_plays_without(&["inquiry"]);
 }
 
+#[test]
+fn a_link_that_is_taken_and_closed_again_and_again_is_given_up() {
+    let mut stage = LONG.stage(&[Via::Proxy, Via::Direct]);
+    let running = stage.start(&["run", "play.yaml", "--format", "json", "--patience", "2s"]);
+    stage.robots[0].await_sets(3, SOON);
+    // Its proxy goes on listening.
+    stage.robots[0].kill();
+    let ended = running.ended();
+    let set = stage.robots[1].sets().len();
+    assert!(set < 100, "its partner set {set} values\n{ended}");
+    assert_eq!(failed_robots(&ended.report()), ["r0"], "{ended}");
+}
+
 /// From sending to the start, in milliseconds.
 fn lead(act: &Value) -> f64 {
     act["lead"].as_object().unwrap().values().filter_map(Value::as_f64).sum()

@@ -290,17 +290,25 @@ impl Running {
 
     /// Waits for its end, a minute at most.
     #[track_caller]
-    pub fn ended(mut self) -> Ended {
+    pub fn ended(self) -> Ended {
+        self.ended_within(Duration::from_secs(60)).unwrap_or_else(|told| panic!("the program hangs: {told}"))
+    }
+
+    /// How it ended, or what it had said until then if it goes on; it is killed then.
+    pub fn ended_within(mut self, patience: Duration) -> Result<Ended, String> {
         let began = Instant::now();
         let code = loop {
             if let Some(status) = self.process.0.try_wait().unwrap() {
                 break status.code();
             }
-            assert!(began.elapsed() < Duration::from_secs(60), "the program hangs: {}", self.told);
+            if began.elapsed() > patience {
+                self.told.extend(self.lines.try_iter().map(|line| line + "\n"));
+                return Err(self.told);
+            }
             std::thread::sleep(Duration::from_millis(5));
         };
         self.told.extend(self.lines.iter().map(|line| line + "\n"));
-        Ended { code, out: self.out.join().unwrap(), told: self.told }
+        Ok(Ended { code, out: self.out.join().unwrap(), told: self.told })
     }
 }
 
