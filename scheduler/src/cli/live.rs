@@ -119,8 +119,8 @@ impl Live {
         doubt: Span,
     ) {
         self.line(&format!(
-            "all have accepted: `{act}` starts in {}; a failure that is known within {} still withdraws it, \
-             a robot that goes silent without a word is noticed up to {doubt} before the start",
+            "all have accepted: `{act}` starts in {}; for {} more a known failure still withdraws it, \
+             and silence is noticed if it begins {doubt} before the start or earlier",
             start - at,
             no_return - at
         ));

@@ -18,10 +18,7 @@ impl Mission {
             return;
         }
         let state = &mut self.robots[robot];
-        let (since, give_up) = match &state.link {
-            Link::Lost(lost) => (lost.since, lost.give_up),
-            _ => (now, None),
-        };
+        let (since, give_up) = state.lost().map_or((now, None), |lost| (lost.since, lost.give_up));
         state.link = Link::Lost(Lost { reason: reason.clone(), loss, since, connecting: false, give_up });
         match self.phase {
             Phase::Greeting { deadline } => self.link_down_in_greeting(now, deadline, robot, reason),
@@ -100,7 +97,7 @@ impl Mission {
         }
         let mut failing = Vec::new();
         for (index, robot) in self.robots.iter_mut().enumerate() {
-            let Link::Lost(lost) = &mut robot.link else { continue };
+            let Some(lost) = robot.lost_mut() else { continue };
             if lost.give_up.take_if(|at| now >= *at).is_some() {
                 failing.push((index, FailureKind::LinkDown { reason: lost.reason.clone() }));
             }
@@ -112,11 +109,7 @@ impl Mission {
     }
 
     fn earliest_give_up(&self) -> Option<Timestamp<Server>> {
-        let due = self.robots.iter().filter_map(|robot| match &robot.link {
-            Link::Lost(lost) => lost.give_up,
-            _ => None,
-        });
-        due.min()
+        self.robots.iter().filter_map(|robot| robot.lost()?.give_up).min()
     }
 
     /// A link stands again: ask what was missed, which renews the leases.
@@ -128,7 +121,6 @@ impl Mission {
             };
         }
         self.robots[robot].totals.reconnects += 1;
-        self.give_up = self.earliest_give_up();
         if self.robots[robot].stop_was_sent() {
             return self.stop_anew(now, robot);
         }
@@ -140,8 +132,15 @@ impl Mission {
             true => self.inquire(now, robot),
             false => self.send_held_again(now, robot),
         }
-        let robot = self.robots[robot].id.clone();
-        self.tell(Progress::Reattached { robot });
+    }
+
+    /// It has been heard again on a new link.
+    pub(super) fn is_back(&mut self, robot: usize) {
+        self.give_up = self.earliest_give_up();
+        if self.phase == Phase::Performing {
+            let robot = self.robots[robot].id.clone();
+            self.tell(Progress::Reattached { robot });
+        }
     }
 
     /// A robot that takes no inquiries is sent again what it may not have received. What it has, it knows by its name; what
@@ -248,7 +247,7 @@ impl Mission {
     /// The others go on; it goes to its default state, if it can be reached.
     fn drop_robot(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].standing = Standing::Out;
-        if let Link::Lost(lost) = &mut self.robots[robot].link {
+        if let Some(lost) = self.robots[robot].lost_mut() {
             lost.give_up = None;
         }
         self.acts.iter_mut().for_each(|act| act.drop_robot(robot));

@@ -111,7 +111,8 @@ impl Mission {
         self.check_start(now, act, &needed)?;
         let spare = act.target().map_or(Span::ZERO, |target| target - now - needed.total());
         let longer = match measured.leases {
-            Leases::Shortened if prescribed.is_none() => lease.max((lease + spare).min(LEASE_AHEAD_MAX)),
+            // The other half is for the answers.
+            Leases::Shortened if prescribed.is_none() => lease.max((lease + spare / 2).min(LEASE_AHEAD_MAX)),
             _ => lease,
         };
         let (needed, pace) = with(longer);

@@ -15,7 +15,9 @@ const RECORDING_MAX: Span = Span::from_millis(2_000);
 
 impl Mission {
     pub(super) fn receive(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
-        self.robots[robot].heard();
+        if self.robots[robot].heard() {
+            self.is_back(robot);
+        }
         match message {
             Message::AvailabilityResponse(response) => self.availability(now, robot, &response),
             Message::InitializationBlock(block) => self.introduced(now, robot, block),

@@ -17,8 +17,9 @@ use crate::clock::{ClockEstimate, ClockReading};
 pub(crate) enum Link {
     /// A first connection is being made.
     Connecting,
-    /// It stands. `unheard` says why it broke before, until something is heard on it again.
-    Up { unheard: Option<String> },
+    /// It stands. `unheard` is how it was lost before, until something is heard on it again: a link that is taken and closed
+    /// again and again is as good as none.
+    Up { unheard: Option<Lost> },
     /// It broke, or could not be made.
     Lost(Lost),
 }
@@ -229,18 +230,19 @@ impl RobotState {
         }
     }
 
-    /// Something came from it.
-    pub(crate) fn heard(&mut self) {
+    /// Something came from it. `true`: for the first time since its link was lost.
+    pub(crate) fn heard(&mut self) -> bool {
         self.attempts = 0;
-        if let Link::Up { unheard } = &mut self.link {
-            *unheard = None;
+        match &mut self.link {
+            Link::Up { unheard } => unheard.take().is_some(),
+            Link::Connecting | Link::Lost(_) => false,
         }
     }
 
     /// Its link stands again.
     pub(crate) fn connected(&mut self) {
         let unheard = match &mut self.link {
-            Link::Lost(lost) => Some(std::mem::take(&mut lost.reason)),
+            Link::Lost(lost) => Some(lost.clone()),
             Link::Up { unheard } => unheard.take(),
             Link::Connecting => None,
         };
@@ -254,9 +256,23 @@ impl RobotState {
 
     /// Why its link broke, unless it has been heard since.
     pub(crate) fn broken(&self) -> Option<&str> {
+        self.lost().map(|lost| lost.reason.as_str())
+    }
+
+    /// How its link was lost, unless it has been heard since.
+    pub(crate) const fn lost(&self) -> Option<&Lost> {
         match &self.link {
-            Link::Lost(lost) => Some(&lost.reason),
-            Link::Up { unheard } => unheard.as_deref(),
+            Link::Lost(lost) => Some(lost),
+            Link::Up { unheard } => unheard.as_ref(),
+            Link::Connecting => None,
+        }
+    }
+
+    /// The same, to be given up or not.
+    pub(crate) const fn lost_mut(&mut self) -> Option<&mut Lost> {
+        match &mut self.link {
+            Link::Lost(lost) => Some(lost),
+            Link::Up { unheard } => unheard.as_mut(),
             Link::Connecting => None,
         }
     }
