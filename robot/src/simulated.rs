@@ -62,7 +62,6 @@ pub enum Fault {
 
 /// What leaves a simulated robot.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "nearly every one is a message")]
 pub enum Outgoing {
     /// A message on a link.
     Message {
