@@ -68,7 +68,6 @@ pub struct NotAtRest {
 
 /// What comes back on a link.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "nearly every one is a message")]
 pub enum LinkEvent {
     /// The robot says something.
     Message(Message),

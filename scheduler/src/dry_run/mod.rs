@@ -16,13 +16,13 @@ use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 use self::operator::VirtualOperator;
 use self::world::VirtualWorld;
 use crate::drive::{at_once, drive};
-use crate::mission::{MissingParticipant, Mission, MissionOptions, Participant, Progress};
+use crate::mission::{MissingParticipant, Mission, MissionOptions, Participant, Progress, next_time_of_day};
 use crate::report::Report;
 
-/// When virtual time begins where no act waits for an earlier instant: 2026-01-01T00:00:00Z.
+/// When virtual time begins where no act waits for a time: 2026-01-01T00:00:00Z.
 pub const BEGIN: Timestamp<Server> = Timestamp::from_nanos(1_767_225_600_000_000_000);
-/// So long before the first instant that an act waits for virtual time begins.
-const BEFORE_INSTANT: Span = Span::from_millis(60_000);
+/// Virtual time begins so long before the first time that an act waits for, and for every act as long again.
+const BEFORE_TIME: Span = Span::from_millis(60_000);
 /// How often a loop through all acts is played, unless another number of acts is asked for.
 pub const ROUNDS: u32 = 3;
 
@@ -106,11 +106,7 @@ impl Rehearsal {
         options: MissionOptions,
         mut robots: Vec<SimulatedRobot>,
     ) -> Result<Self, MissingParticipant> {
-        let instants = choreography.acts.iter().filter_map(|act| match act.wait {
-            Wait::Instant(at) => Some(at - BEFORE_INSTANT),
-            _ => None,
-        });
-        let begin = instants.min().unwrap_or(BEGIN);
+        let begin = begin_of(&choreography, &options);
         for act in &choreography.acts {
             let Wait::Sensor { robot, sensor, range } = &act.wait else { continue };
             let whose = participants.iter().position(|participant| participant.id.as_str() == robot);
@@ -176,6 +172,18 @@ impl Rehearsal {
         let (logs, cut) = world.end();
         Played { report, logs, cut }
     }
+}
+
+/// Early enough that all acts before the first one that waits for a time can be played, and not hours before.
+fn begin_of(choreography: &Choreography, options: &MissionOptions) -> Timestamp<Server> {
+    let times = choreography.acts.iter().filter_map(|act| match act.wait {
+        Wait::Instant(at) => Some(at),
+        Wait::TimeOfDay(time) => Some(next_time_of_day(BEGIN, time, options.utc_offset)),
+        Wait::Done | Wait::Operator | Wait::Sensor { .. } => None,
+    });
+    let before =
+        choreography.acts.iter().fold(BEFORE_TIME, |sum, act| sum + act.plan.duration() + BEFORE_TIME);
+    times.min().map_or(BEGIN, |first| first - before)
 }
 
 /// A reading that will do: not at the edge of what will.

@@ -290,7 +290,7 @@ fn an_act_that_waits_for_another_reading_than_there_is_does_not_wait_for_ever() 
 
 #[test]
 fn an_act_that_waits_for_a_time_waits_for_as_long_as_that_takes() {
-    let later = Wait::TimeOfDay(Span::from_millis(1_200_000));
+    let later = Wait::TimeOfDay(Span::from_millis(72_000_000));
     let (played, ended) = played_through(acts(|acts| acts[1].wait = later.clone()));
     assert_eq!((played.report.outcome, ended, played.cut), (Outcome::Done, 3, None));
 }

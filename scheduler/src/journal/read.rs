@@ -8,7 +8,7 @@ use serde_json::Value;
 use urrcp::{RobotId, Server, Timestamp};
 
 use super::Opened;
-use crate::mission::{Promise, Record};
+use crate::mission::Promise;
 
 /// What a journal says.
 #[derive(Clone, Debug)]
@@ -133,8 +133,7 @@ impl Kept {
     }
 
     /// Of a mission of which nothing but its begin is known.
-    #[must_use]
-    pub fn new(opened: Opened, opened_at: Timestamp<Server>) -> Self {
+    fn new(opened: Opened, opened_at: Timestamp<Server>) -> Self {
         Self {
             opened,
             opened_at,
@@ -147,13 +146,6 @@ impl Kept {
             outcome: None,
             torn: None,
             touched: std::collections::BTreeMap::new(),
-        }
-    }
-
-    /// Takes one more record.
-    pub fn note(&mut self, record: &Record) {
-        if let Ok(record) = serde_json::to_value(record) {
-            self.take(&record);
         }
     }
 

@@ -32,7 +32,7 @@ impl Act {
         let waits = matches!(state.state(), ScriptState::Sent | ScriptState::Held);
         let ends = match pending_ends.filter(|ends| waits && *ends < begins) {
             Some(ends) => Some(ends),
-            None => state.running_lease().map(|lease| {
+            None => state.longest_lease().map(|lease| {
                 let running_ends = silent_since + lease;
                 pending_ends.filter(|_| waits).map_or(running_ends, |pending| running_ends.max(pending))
             }),

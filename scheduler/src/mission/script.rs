@@ -67,7 +67,7 @@ pub(crate) struct Script {
     state: ScriptState,
     request_id: Option<RequestId>,
     content_hash: ContentHash,
-    running_lease: Option<Span>,
+    running: RunningLeases,
     accepted: bool,
     started_at: Option<Timestamp<Robot>>,
     steps_done: u32,
@@ -83,7 +83,7 @@ impl Script {
     pub(crate) fn new(plan: &DeviceScript) -> Self {
         Self {
             content_hash: Command::Script(plan.script.clone()).content_hash(),
-            running_lease: running_lease(plan),
+            running: RunningLeases::of(plan),
             plan: plan.clone(),
             state: ScriptState::Planned,
             request_id: None,
@@ -110,8 +110,13 @@ impl Script {
     }
 
     /// The shortest of the leases under which it plays.
-    pub(crate) const fn running_lease(&self) -> Option<Span> {
-        self.running_lease
+    pub(crate) const fn shortest_lease(&self) -> Option<Span> {
+        self.running.shortest
+    }
+
+    /// The longest of the leases under which it plays; `None`: at times it plays without one.
+    pub(crate) const fn longest_lease(&self) -> Option<Span> {
+        self.running.longest
     }
 
     pub(crate) const fn was_accepted(&self) -> bool {
@@ -242,8 +247,10 @@ impl Script {
             ScriptState::Held | ScriptState::Running | ScriptState::Unknown
                 if self.accepted_at.is_none_or(|at| at < said_at) =>
             {
+                // What it did of it before nobody can tell any more.
+                self.state = ScriptState::Unknown;
                 let message = "the robot has lost the script, as after a restart";
-                self.fail(ControlError::new(ErrorCode::Internal, message))
+                News::Failed(ControlError::new(ErrorCode::Internal, message))
             }
             _ => News::None,
         }
@@ -297,10 +304,29 @@ fn foreign() -> ControlError {
     ControlError::new(ErrorCode::Malformed, message)
 }
 
-fn running_lease(plan: &DeviceScript) -> Option<Span> {
-    let whole = plan.stop_condition.running;
-    let steps = plan.script.steps().iter().filter_map(|step| step.stop_condition?.running);
-    whole.into_iter().chain(steps).map(Millis::span).min()
+/// The leases under which a script plays: that of the request up to its first step, then that of each step.
+#[derive(Clone, Copy, Debug)]
+struct RunningLeases {
+    shortest: Option<Span>,
+    longest: Option<Span>,
+}
+
+impl RunningLeases {
+    fn of(plan: &DeviceScript) -> Self {
+        let whole = plan.stop_condition;
+        let steps = plan.script.steps();
+        let at_once = steps.first().is_some_and(|step| step.offset.span() == Span::ZERO);
+        let before = (!at_once).then_some(whole.running);
+        let of_steps = steps.iter().map(|step| step.stop_condition.unwrap_or(whole).running);
+        let mut shortest: Option<Span> = None;
+        let mut longest = Some(Span::ZERO);
+        for lease in before.into_iter().chain(of_steps) {
+            let lease = lease.map(Millis::span);
+            shortest = shortest.into_iter().chain(lease).min();
+            longest = longest.zip(lease).map(|(longest, lease)| longest.max(lease));
+        }
+        Self { shortest, longest }
+    }
 }
 
 /// The reason in a failed response, or a stand-in where the robot gave none.

@@ -6,8 +6,10 @@
 //! commitment, once every robot has answered one of the last two rounds, every clock is right, and the commitment is on
 //! the disk. If that is not so in time, it never speaks, and no robot starts.
 
+use downbeat_scripts::OnDoubt;
 use urrcp::{Server, Span, Timestamp};
 
+use super::timing::Leases;
 use super::{Act, ActAction, Stage, Timing};
 use crate::mission::failure_kind::FailureKind;
 use crate::mission::record::Record;
@@ -48,6 +50,14 @@ pub(crate) struct Commitment {
     /// Members before it have answered since the commitment.
     heard: usize,
     told: Told,
+    doubt: Doubt,
+}
+
+/// Whether it was looked, as late as a withdrawal allows, who has not answered the commitment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Doubt {
+    Open,
+    Settled,
 }
 
 /// Whether the operator was told how long the commitment took.
@@ -117,14 +127,17 @@ impl Act {
         actions
     }
 
-    /// The commitment is written down ahead of time, once all robots have answered a round: the disk may be slow.
+    /// The commitment is written down ahead of time: the disk may be slow.
     fn may_be_recorded(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
         let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
-        let asked = approach.on_disk != OnDisk::Nothing;
+        if approach.on_disk != OnDisk::Nothing || now < timing.record_from() {
+            return false;
+        }
         let since = approach.rounds[0];
-        !asked
-            && now >= timing.record_from()
-            && self.present().all(|member| member.holds_since(&robots[member.robot], since))
+        // Leases that were shortened end long before another process could read the record: whoever is still missing may
+        // be left out, and the others start.
+        let shortened = timing.pace.leases == Leases::Shortened;
+        shortened || self.present().all(|member| member.holds_since(&robots[member.robot], since))
     }
 
     /// From the critical instant on: commits once everything is well, or gives up in time.
@@ -192,12 +205,16 @@ impl Act {
         let Some(timing) = &mut self.timing else { return Vec::new() };
         timing.round = Some((now, now));
         let next_round = now + timing.pace.period;
-        self.stage = Stage::Committed(Commitment { next_round, since: now, until, heard: 0, told: Told::NotYet });
+        self.stage = Stage::Committed(Commitment { next_round, since: now, until, heard: 0, told: Told::NotYet, doubt: Doubt::Open });
         vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
     }
 
     /// Keeps the leases over the start, and learns whether the commitment has reached every robot.
     pub(super) fn begin_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let doubtful = self.doubtful(now);
+        if !doubtful.is_empty() {
+            return vec![ActAction::Fail(doubtful)];
+        }
         let mut actions = self.note_answers(now, robots);
         let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
             return actions;
@@ -211,6 +228,26 @@ impl Act {
             self.begin(now);
         }
         actions
+    }
+
+    /// Robots that have not answered the commitment while it can still be withdrawn, where the scenario wants that: nobody
+    /// can know whether they will start.
+    fn doubtful(&mut self, now: Timestamp<Server>) -> Vec<(usize, FailureKind)> {
+        let withdraws = self.written().on_doubt == OnDoubt::Withdraw;
+        let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
+            return Vec::new();
+        };
+        if !withdraws || commitment.doubt == Doubt::Settled || now < timing.last_withdrawal() {
+            return Vec::new();
+        }
+        commitment.doubt = Doubt::Settled;
+        let within = now - commitment.since;
+        let silent = self.members[commitment.heard..].iter().filter(|member| member.takes_part());
+        let failure = |robot: usize| {
+            let awaited = "answer to the commitment, and `on_doubt` is `withdraw`".to_owned();
+            (robot, FailureKind::Silent { awaited, within })
+        };
+        silent.map(|member| failure(member.robot)).collect()
     }
 
     /// The commitment's rounds go on until every script has begun whose lease was shortened.

@@ -80,7 +80,7 @@ impl Member {
     pub(crate) fn pending_lease(&self, script: usize, lease: Span) -> Option<Span> {
         match self.before(script) {
             None => Some(lease),
-            Some(before) => before.running_lease().map(|running| running.max(lease)),
+            Some(before) => before.longest_lease().map(|running| running.max(lease)),
         }
     }
 

@@ -270,7 +270,7 @@ impl Act {
         let grace = self.report_grace(robots);
         let ends = member.scripts.iter().filter(|script| script.is_out()).map(|script| {
             let begins = timing.start + script.plan.start.span();
-            match script.running_lease() {
+            match script.longest_lease() {
                 Some(lease) => now.max(begins) + lease + grace,
                 None => planned_end(timing.start, script) + patience,
             }
@@ -283,7 +283,7 @@ impl Act {
         let timing = self.timing.as_ref().filter(|timing| now >= timing.start)?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
         let begun = |script: &&Script| script.is_out() && now >= timing.start + script.plan.start.span();
-        member.scripts.iter().filter(begun).filter_map(Script::running_lease).min()
+        member.scripts.iter().filter(begun).filter_map(Script::shortest_lease).min()
     }
 
     /// The shortest lease that this act needs renewed between its rounds.
@@ -292,7 +292,7 @@ impl Act {
         let scripts = || self.present().flat_map(|member| &member.scripts).filter(|script| script.is_out());
         let waits = |script: &Script| *script.state() != ScriptState::Running;
         let pending = (!self.is_playing() || scripts().any(waits)).then_some(timing.lead.lease);
-        pending.into_iter().chain(scripts().filter_map(Script::running_lease)).min()
+        pending.into_iter().chain(scripts().filter_map(Script::shortest_lease)).min()
     }
 
     /// Asks for the readings of the scenario whose time has come.

@@ -21,6 +21,8 @@ const ROUND_EACH: Span = Span::from_micros(25);
 const ROUND_EACH_SCRIPT: Span = Span::from_micros(2);
 /// The commitment leaves a robot at least so long to receive it before its lease ends.
 const DELIVERY_MIN: Span = Span::from_millis(10);
+/// A withdrawal for doubt is sent so long before its last instant: later than the answers to the commitment come in.
+const WITHDRAWN_BY: Span = Span::from_millis(5);
 /// What a withdrawal takes on this machine and on the robot, besides its way.
 const WITHDRAWAL: Span = Span::from_millis(20);
 
@@ -54,6 +56,7 @@ pub(crate) struct Measured {
 /// The pace at which an act approaches its start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Pace {
+    pub(crate) leases: Leases,
     round_trip: Span,
     early: Span,
     pub(crate) late: Span,
@@ -78,6 +81,7 @@ impl Pace {
             Leases::Fixed => (lease, PERIOD_MIN_FIXED),
         };
         Self {
+            leases: measured.leases,
             round_trip: measured.round_trip,
             early: measured.early,
             late: measured.late,
@@ -166,6 +170,11 @@ impl Timing {
     /// A failure that is known by then is withdrawn before any robot starts.
     pub(crate) fn no_return(&self) -> Timestamp<Server> {
         self.start - self.pace.early - self.pace.round_trip * 3 - WITHDRAWAL
+    }
+
+    /// A withdrawal that is sent now should still reach every robot before it starts.
+    pub(crate) fn last_withdrawal(&self) -> Timestamp<Server> {
+        self.start - self.pace.early - self.pace.round_trip - WITHDRAWN_BY
     }
 
     /// A robot that goes silent without a word later than so long before the start may be noticed too late.
