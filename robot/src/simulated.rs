@@ -60,26 +60,6 @@ pub enum Fault {
     Disconnect,
 }
 
-<<<<<<< HEAD
-=======
-/// What leaves a simulated robot.
-#[derive(Clone, Debug)]
-pub enum Outgoing {
-    /// A message on a link.
-    Message {
-        /// Which link.
-        link: LinkId,
-        /// The message.
-        message: Message,
-    },
-    /// The robot closes a link.
-    Close {
-        /// Which.
-        link: LinkId,
-    },
-}
-
->>>>>>> loop
 #[derive(Clone, Debug)]
 enum InFlight {
     In(LinkId, Input),
