@@ -6,7 +6,6 @@ use crate::robot::LinkId;
 
 /// What leaves a robot.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "nearly every one is a message")]
 pub enum Outgoing {
     /// A message on a link.
     Message {

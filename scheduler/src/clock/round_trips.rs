@@ -22,9 +22,13 @@ pub(super) struct RoundTrips {
 }
 
 impl RoundTrips {
-    /// Takes one more; what has left the window by `at` is forgotten.
+    /// Takes one more, which ended at `at`; what has left the window by then is forgotten. Exchanges that began while
+    /// another was under way tell of the same moment of the link and count as one with it, the longest of them.
     pub(super) fn add(&mut self, at: Timestamp<Server>, delay: Span) {
-        self.latest.push_back((at, delay));
+        match self.latest.back_mut() {
+            Some((ended, longest)) if at - delay < *ended => *longest = delay.max(*longest),
+            _ => self.latest.push_back((at, delay)),
+        }
         while self.latest.len() > EXCHANGES_MAX
             || (self.latest.len() > EXCHANGES_KEPT
                 && self.latest.front().is_some_and(|(ended, _)| at - *ended > WINDOW))
@@ -77,11 +81,21 @@ mod tests {
             let delays = (0..100).map(|k| if k == slow { 2_000 } else { 1 });
             let mut trips = RoundTrips::default();
             for (k, delay) in (0..).zip(delays) {
-                trips.add(Timestamp::from_nanos(0) + millis(100) * k, millis(delay));
+                trips.add(Timestamp::from_nanos(0) + millis(2_100) * k, millis(delay));
                 // Of the first two exchanges nobody can tell which one is the outlier.
                 assert!(k < 2 || trips.high() < millis(10), "pause at {slow}, exchange {k}: {trips:?}");
             }
         }
+    }
+
+    #[test]
+    fn whatever_was_asked_during_one_pause_counts_as_one() {
+        let (mut trips, at) = after(millis(100), std::iter::repeat_n(1, 5));
+        let pause_ends = at + millis(2_000);
+        for k in 0..19 {
+            trips.add(pause_ends, millis(1_950 - 100 * k));
+        }
+        assert_eq!(trips.high(), millis(1), "{trips:?}");
     }
 
     #[test]
@@ -103,14 +117,14 @@ mod tests {
     #[test]
     fn what_has_left_the_window_counts_no_more() {
         // Seldom used, the window is the last three exchanges.
-        let (mut trips, at) = after(millis(100), (0..40).map(|k| if k < 20 { 1 } else { 2_000 }));
+        let (mut trips, at) = after(millis(2_100), (0..40).map(|k| if k < 20 { 1 } else { 2_000 }));
         assert_eq!(trips.high(), millis(2_000));
         for k in 1..=2 {
             trips.add(at + millis(40_000) * k, millis(1));
         }
         assert_eq!(trips.high(), millis(1), "{trips:?}");
         // Often used, it is the last 64.
-        let (trips, _) = after(millis(10), (0..84).map(|k| if k < 20 { 2_000 } else { 1 }));
+        let (trips, _) = after(millis(2_100), (0..84).map(|k| if k < 20 { 2_000 } else { 1 }));
         assert_eq!(trips.high(), millis(1), "{trips:?}");
     }
 

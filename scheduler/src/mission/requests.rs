@@ -154,7 +154,8 @@ impl Mission {
 
     /// So many durable records are on the disk.
     pub(super) fn recorded(&mut self, now: Timestamp<Server>, count: u64) {
-        while let Some((_, number, asked)) = self.recording.awaited.pop_front_if(|(record, ..)| *record <= count) {
+        while let Some(&(_, number, asked)) = self.recording.awaited.front().filter(|(record, ..)| *record <= count) {
+            self.recording.awaited.pop_front();
             // Slowly forgotten, so that one slow moment does not delay the rest of the show.
             let before = self.recording.longest.unwrap_or_default() * 3 / 4;
             self.recording.longest = Some((now - asked).max(before));

@@ -18,7 +18,7 @@ use crate::mission::skew::SkewBudget;
 use crate::mission::{Outcome, Progress};
 
 /// A failure is noted so long before the last instant for the commitment, so that the others can still be committed.
-const FAIL_AHEAD: Span = Span::from_millis(1);
+const FAIL_AHEAD: Span = Span::from_millis(5);
 
 /// What is on the disk.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

@@ -10,7 +10,7 @@ use crate::mission::lead::LeadTime;
 use crate::mission::skew::SkewBudget;
 
 /// Least pending lease of the last rounds: several scheduling delays of a busy host.
-const FINAL_LEASE_MIN: Span = Span::from_millis(25);
+const FINAL_LEASE_MIN: Span = Span::from_millis(30);
 /// Least time between two rounds to robots that take inquiries.
 const PERIOD_MIN: Span = Span::from_millis(5);
 /// Least time between two rounds where a robot keeps the lease with which it was sent its scripts.
@@ -20,7 +20,7 @@ const ROUND_EACH: Span = Span::from_micros(25);
 /// What it takes for each script that is asked about.
 const ROUND_EACH_SCRIPT: Span = Span::from_micros(2);
 /// The commitment leaves a robot at least so long to receive it before its lease ends.
-const DELIVERY_MIN: Span = Span::from_millis(10);
+const DELIVERY_MIN: Span = Span::from_millis(8);
 /// A withdrawal for doubt is sent so long before its last instant: later than the answers to the commitment come in.
 const WITHDRAWN_BY: Span = Span::from_millis(5);
 /// What a withdrawal takes on this machine and on the robot, besides its way.
