@@ -206,6 +206,7 @@ async fn stop_running(found: &Found, patience: Span, format: Format) -> Exit {
         let name = robot["robot"].as_str().unwrap_or_default();
         let text = match robot["stop"]["state"].as_str() {
             Some("confirmed") => "default state confirmed".to_owned(),
+            Some("held") => "held where it was, confirmed".to_owned(),
             Some("unconfirmed") => {
                 unconfirmed = true;
                 let ends = robot["stop"]["lease_ends"].as_str();

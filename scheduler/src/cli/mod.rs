@@ -129,6 +129,9 @@ pub enum Exit {
     Unconfirmed = 4,
     /// Done, without robots that failed on the way.
     DoneWithout = 5,
+    /// Played to its end, and not all of it is known to be as promised: starts were too far apart, or robots cannot say what
+    /// they did.
+    Uncertain = 6,
 }
 
 /// Reads the arguments, does what they say and tells the shell how it went.

@@ -407,6 +407,7 @@ pub(super) fn exit_of(report: &Report) -> Exit {
         _ if unconfirmed => Exit::Unconfirmed,
         Outcome::DoneWithout => Exit::DoneWithout,
         Outcome::Stopped => Exit::Stopped,
+        Outcome::OutOfTolerance { .. } | Outcome::Unknown => Exit::Uncertain,
         _ => Exit::Failed,
     }
 }
