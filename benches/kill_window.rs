@@ -175,17 +175,19 @@ fn trial(stage: &mut Stage, fault: Fault, number: usize, before: i64) -> Option<
     sleep_until(start + PLAYED);
     let moved = |robot: usize| stage.robots[robot].sets().iter().any(|set| set.at >= began);
     let others = (0..ROBOTS).filter(|robot| *robot != victim && moved(*robot)).count();
-    let trial = Trial { struck, printed: printed(&ended), others, victim: moved(victim) };
+    let trial = Trial { struck, printed: printed(&ended, fault), others, victim: moved(victim) };
     fault.heal(stage, victim);
     Some(trial)
 }
 
-/// Reads `starts in 1.07 s; for 950.1 ms more a failure still withdraws it`.
-fn printed(ended: &Ended) -> Option<Printed> {
+/// Reads `starts in 1.07 s; for 950.1 ms more a known failure still withdraws it, and silence is noticed if it begins 46 ms
+/// before the start or earlier`. A process that ended is known to have failed; whatever else strikes a robot is silence.
+fn printed(ended: &Ended, fault: Fault) -> Option<Printed> {
     let line = ended.told.lines().find(|line| line.contains("all have accepted"))?;
     let after = |words: &str| span(line.split(words).nth(1)?);
-    let (ahead, open) = (after("starts in ")?, after("; for ")?);
-    Some(Printed { accepted: ahead, deadline: ahead - open })
+    let (ahead, open, silence) = (after("starts in ")?, after("; for ")?, after("if it begins ")?);
+    let deadline = if fault == Fault::Killed { ahead - open } else { silence };
+    Some(Printed { accepted: ahead, deadline })
 }
 
 /// `347.787 ms`, whatever stands behind it, in nanoseconds.

@@ -60,6 +60,8 @@ impl Mission {
             if self.phase != Phase::Performing || !(gone_on || acted) {
                 return;
             }
+            // Other leases count now.
+            self.quicken_rounds(now);
         }
     }
 

@@ -15,7 +15,7 @@ const RECORDING_MAX: Span = Span::from_millis(2_000);
 
 impl Mission {
     pub(super) fn receive(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
-        if self.robots[robot].heard() {
+        if self.robots[robot].heard(now) {
             self.is_back(robot);
         }
         match message {

@@ -169,6 +169,8 @@ pub(crate) struct RobotState {
     pub(crate) shift: Span,
     pub(crate) clock: ClockEstimate,
     pub(crate) questions: Questions,
+    /// When something last came from it.
+    heard_at: Option<Timestamp<Server>>,
     pub(crate) requires: Vec<Requirement>,
     /// Of `requires`, in its order.
     pub(crate) readings: Vec<Option<f64>>,
@@ -206,6 +208,7 @@ impl RobotState {
             shift: Span::ZERO,
             clock: ClockEstimate::default(),
             questions: Questions::default(),
+            heard_at: None,
             readings: vec![None; participant.requires.len()],
             requires: participant.requires,
             positions: Vec::new(),
@@ -231,8 +234,9 @@ impl RobotState {
     }
 
     /// Something came from it. `true`: for the first time since its link was lost.
-    pub(crate) fn heard(&mut self) -> bool {
+    pub(crate) fn heard(&mut self, now: Timestamp<Server>) -> bool {
         self.attempts = 0;
+        self.heard_at = Some(now);
         match &mut self.link {
             Link::Up { unheard } => unheard.take().is_some(),
             Link::Connecting | Link::Lost(_) => false,
@@ -252,6 +256,15 @@ impl RobotState {
 
     pub(crate) const fn is_up(&self) -> bool {
         matches!(self.link, Link::Up { .. })
+    }
+
+    /// When it has been silent for so long that it has failed: it owes an answer, and this time has passed since anything came
+    /// from it.
+    pub(crate) fn silent_at(&self, bound: Span) -> Option<Timestamp<Server>> {
+        let asked = self.questions.unanswered()?;
+        // After this machine was held up, a question must have had its time.
+        let answerable = asked + bound * 2 / 3;
+        Some(self.heard_at.map_or(asked + bound, |heard| (heard + bound).max(answerable)))
     }
 
     /// Why its link broke, unless it has been heard since.

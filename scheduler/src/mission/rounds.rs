@@ -145,10 +145,7 @@ impl Mission {
 
     /// When the first robot will have been silent for too long, as things are now.
     fn silence_due(&self, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
-        let due = |robot: usize| {
-            let asked = self.robots[robot].questions.unanswered()?;
-            Some(asked + self.silence_bound(now, robot)?)
-        };
+        let due = |robot: usize| self.robots[robot].silent_at(self.silence_bound(now, robot)?);
         (0..self.robots.len()).filter_map(due).min()
     }
 
@@ -158,8 +155,8 @@ impl Mission {
             return;
         }
         let silent = |robot: usize| {
-            let asked = self.robots[robot].questions.unanswered()?;
-            let within = self.silence_bound(now, robot).filter(|bound| now >= asked + *bound)?;
+            let within = self.silence_bound(now, robot)?;
+            self.robots[robot].silent_at(within).filter(|due| now >= *due)?;
             let awaited = "answer".to_owned();
             Some((robot, FailureKind::Silent { awaited, within }))
         };

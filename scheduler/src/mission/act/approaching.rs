@@ -201,9 +201,9 @@ impl Act {
     }
 
     fn commit(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
-        let until = self.rounds_until();
         let Some(timing) = &mut self.timing else { return Vec::new() };
         timing.round = Some((now, now));
+        let until = timing.begun();
         let next_round = now + timing.pace.period;
         self.stage = Stage::Committed(Commitment { next_round, since: now, until, heard: 0, told: Told::NotYet, doubt: Doubt::Open });
         vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
@@ -248,16 +248,6 @@ impl Act {
             (robot, FailureKind::Silent { awaited, within })
         };
         silent.map(|member| failure(member.robot)).collect()
-    }
-
-    /// The commitment's rounds go on until every script has begun whose lease was shortened.
-    fn rounds_until(&self) -> Timestamp<Server> {
-        let Some(timing) = &self.timing else { return self.since };
-        let lease = timing.lead.lease;
-        let offsets = self.present().flat_map(|member| {
-            (0..member.scripts.len()).filter_map(move |script| member.shortened_offset(script, lease))
-        });
-        timing.begun() + offsets.max().unwrap_or_default()
     }
 
     fn note_answers(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {

@@ -2,6 +2,7 @@
 
 use urrcp::{DeviceId, Server, Span, Timestamp};
 
+use super::timing::{Leases, Timing};
 use crate::mission::robot_state::{RobotState, Standing};
 use crate::mission::script::Script;
 
@@ -81,6 +82,16 @@ impl Member {
         match self.before(script) {
             None => Some(lease),
             Some(before) => before.longest_lease().map(|running| running.max(lease)),
+        }
+    }
+
+    /// The pending lease of a script that waits while its act plays: it may have been shortened.
+    pub(super) fn pending_lease_now(&self, script: usize, timing: &Timing) -> Option<Span> {
+        let shortened = timing.pace.leases == Leases::Shortened;
+        let offset = self.shortened_offset(script, timing.lead.lease).filter(|_| shortened);
+        match offset {
+            Some(offset) => Some(timing.final_lease() + offset),
+            None => self.pending_lease(script, timing.lead.lease),
         }
     }
 

@@ -289,10 +289,18 @@ impl Act {
     /// The shortest lease that this act needs renewed between its rounds.
     pub(crate) fn shortest_lease(&self) -> Option<Span> {
         let timing = self.timing.as_ref()?;
-        let scripts = || self.present().flat_map(|member| &member.scripts).filter(|script| script.is_out());
-        let waits = |script: &Script| *script.state() != ScriptState::Running;
-        let pending = (!self.is_playing() || scripts().any(waits)).then_some(timing.lead.lease);
-        pending.into_iter().chain(scripts().filter_map(Script::shortest_lease)).min()
+        let before = (!self.is_playing()).then_some(timing.lead.lease);
+        let of_script = |member: &Member, index: usize| {
+            let script = &member.scripts[index];
+            let waits = matches!(script.state(), ScriptState::Sent | ScriptState::Held);
+            let pending = waits.then(|| member.pending_lease_now(index, timing)).flatten();
+            let running = script.is_out().then(|| script.shortest_lease()).flatten();
+            pending.into_iter().chain(running).min()
+        };
+        let leases = self.present().flat_map(|member| {
+            (0..member.scripts.len()).filter_map(move |index| of_script(member, index))
+        });
+        leases.chain(before).min()
     }
 
     /// Asks for the readings of the scenario whose time has come.

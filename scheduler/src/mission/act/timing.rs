@@ -150,6 +150,11 @@ impl Timing {
         (self.brink() - at).max(self.pace.final_lease).min(self.lead.lease)
     }
 
+    /// The pending lease of the last rounds, for a script that begins with the act.
+    pub(crate) const fn final_lease(&self) -> Span {
+        self.pace.final_lease
+    }
+
     /// When the round after one at `now` is due, while the act approaches its start.
     pub(crate) fn round_after(&self, now: Timestamp<Server>) -> Timestamp<Server> {
         let left = (self.critical() - now) / 3;
