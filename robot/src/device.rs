@@ -1,8 +1,8 @@
 //! One device as a machine: its queue of commands, its steps on absolute deadlines, its default state.
 //!
 //! Order of events at one instant:
-//! 1. leases that run out, those of what runs ahead of those of what is pending, counting the lease that would hold after a start or step due then: so a lease that ends at
-//!    the very instant of a start wins, and nothing starts;
+//! 1. leases that run out, those of what runs ahead of those of what is pending, counting the lease that would hold after a
+//!    start or step due then: so a lease that ends at the very instant of a start wins, and nothing starts;
 //! 2. starts and steps in the order of the queue: a command that ends then, commands of no length, a script that
 //!    begins then;
 //! 3. (in `robot`) the message that arrives.

@@ -21,7 +21,8 @@ pub enum Record {
         #[serde(skip_serializing_if = "Vec::is_empty")]
         unnamed: Vec<RobotId>,
     },
-    /// Every robot holds its scripts: from now on leases may be carried over the start.
+    /// From now on leases may be carried over the start. Leases that were shortened end long before another process can read
+    /// this, so it may be written before every robot has said that it holds its scripts.
     Committed {
         /// The number of the act.
         number: u32,
@@ -31,7 +32,7 @@ pub enum Record {
         /// Which.
         robot: RobotId,
     },
-    /// Stops are about to be sent.
+    /// Stops have been sent: they go out first and are recorded afterwards.
     Stopping {
         /// Why.
         outcome: Outcome,
