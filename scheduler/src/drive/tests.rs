@@ -123,7 +123,7 @@ fn what_happens_on_a_link_that_has_broken_or_been_replaced_is_not_heard() {
 fn a_journal_that_takes_nothing_is_told_once_and_stops_the_mission() {
     let mut driver = Driver::new(1);
     let mut world = Silent::new(9, Filed::Lost("full".to_owned()));
-    let record = || Record::Decided { number: 0, unnamed: Vec::new() };
+    let record = || Record::Decided { number: 0, unnamed: Vec::new(), doubt: Span::ZERO };
     driver.perform(&mut world, vec![Action::Record(record()), Action::Record(record())]);
     let events: Vec<Event> = driver.pending.into_iter().map(|(_, event)| event).collect();
     assert!(matches!(&events[..], [Event::JournalLost { reason }] if reason == "full"), "{events:?}");

@@ -34,7 +34,7 @@ fn prepared(number: u32) -> Record {
 fn written(folder: &Path) -> PathBuf {
     let mut journal = Journal::open(folder).unwrap();
     journal.begin(at(1), &opened()).unwrap();
-    for record in [prepared(0), Record::Decided { number: 0, unnamed: vec![] }, prepared(1)] {
+    for record in [prepared(0), Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO }, prepared(1)] {
         journal.append(at(2), &record).unwrap();
     }
     assert_eq!(journal.sync(), Ok(2));
@@ -99,7 +99,7 @@ fn a_journal_cut_anywhere_takes_further_records_and_all_are_read_back() {
     for cut in lines[0] + 1..=bytes.len() {
         std::fs::write(&path, &bytes[..cut]).unwrap();
         let mut journal = Journal::open(folder.path()).unwrap();
-        for record in [prepared(7), Record::Decided { number: 7, unnamed: vec![] }, prepared(8)] {
+        for record in [prepared(7), Record::Decided { number: 7, unnamed: vec![], doubt: Span::ZERO }, prepared(8)] {
             journal.append(at(9), &record).unwrap();
         }
         drop(journal);
@@ -142,7 +142,7 @@ fn what_was_synced_survives_a_loss_of_power_wherever_it_tears_the_rest() {
         journal.begin(at(1), &opened()).unwrap();
         journal.append(at(2), &prepared(0)).unwrap();
         assert_eq!(journal.sync(), Ok(1));
-        journal.append(at(2), &Record::Decided { number: 0, unnamed: vec![] }).unwrap();
+        journal.append(at(2), &Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO }).unwrap();
         let mut disk = journal.into_disk();
         let at_risk = disk.at_risk();
         disk.lose_power(survive);
@@ -187,7 +187,7 @@ async fn the_thread_tells_how_many_durable_records_are_on_the_disk() {
     let mut journal = on(SimulatedDisk::default());
     journal.begin(at(1), &opened()).unwrap();
     let mut writer = Writer::start(journal).unwrap();
-    for record in [prepared(0), Record::Decided { number: 0, unnamed: vec![] }, prepared(1)] {
+    for record in [prepared(0), Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO }, prepared(1)] {
         writer.write(at(2), record).unwrap();
     }
     let mut written = Written::default();

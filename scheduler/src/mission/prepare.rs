@@ -2,7 +2,7 @@
 
 use urrcp::{Command, ControlRequest, Message, Millis, RobotId, Server, Span, Timestamp, encode};
 
-use super::act::timing::{Leases, Measured, Pace};
+use super::act::timing::{CLOCK_UNKNOWN, Leases, Measured, Pace};
 use super::act::{Act, Member, Timing};
 use super::failure_kind::FailureKind;
 use super::lead::{self, LeadTime};
@@ -95,11 +95,11 @@ impl Mission {
         let slowest = self.slowest(act);
         let round_trip = lead::counted(slowest.as_ref().map_or(Span::ZERO, |(_, round_trip)| *round_trip));
         let prescribed = plan.stop_condition.pending.map(Millis::span);
-        let least = LeadTime::lease_needed(round_trip);
+        let measured = self.measured(act, round_trip, prescribed, skew);
+        let least = LeadTime::lease_needed(round_trip).max(measured.lease_least());
         if let Some(lease) = prescribed.filter(|lease| *lease < least) {
             return Err(Outcome::LeaseTooShort { lease, needed: least });
         }
-        let measured = self.measured(act, round_trip, prescribed, skew);
         let (requests, bytes) = (measured.scripts, request_bytes(act, now));
         let with = |lease: Span| {
             let pace = Pace::of(&measured, lease);
@@ -121,7 +121,7 @@ impl Mission {
     }
 
     fn measured(&self, act: &Act, round_trip: Span, prescribed: Option<Span>, skew: Option<&SkewBudget>) -> Measured {
-        let tolerance = act.written().plan.start_tolerance;
+        let tolerance = act.written().plan.start_tolerance.min(CLOCK_UNKNOWN);
         let (early, late) = skew.map_or((tolerance, tolerance), SkewBudget::early_and_late);
         let inquiries = act.present().all(|member| self.robots[member.robot].takes_inquiries());
         Measured {

@@ -20,6 +20,9 @@ pub enum Record {
         /// Robots that do not know requests by their names.
         #[serde(skip_serializing_if = "Vec::is_empty")]
         unnamed: Vec<RobotId>,
+        /// A robot that goes silent without a word later than so long before the start may be noticed too late.
+        #[serde(rename = "doubt_ms")]
+        doubt: Span,
     },
     /// From now on leases may be carried over the start. Leases that were shortened end long before another process can read
     /// this, so it may be written before every robot has said that it holds its scripts.

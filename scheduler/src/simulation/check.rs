@@ -158,9 +158,14 @@ impl<'a> Check<'a> {
         }
     }
 
-    /// A fault from one renewal before the critical instant up to the start, or one that lasts into that time.
+    /// A fault from the instant on from which, as was stated at the decision, silence may be noticed too late, up to the
+    /// start, or one that lasts into that time.
     fn fault_in_window(&self, promise: &Promise) -> bool {
-        let from = promise.start - promise.lease - promise.lease / 6;
+        let doubt = self.ran.records.iter().find_map(|(_, record)| match record {
+            Record::Decided { number, doubt, .. } if *number == promise.number => Some(*doubt),
+            _ => None,
+        });
+        let from = promise.start - doubt.unwrap_or(promise.lease);
         let last = promise.scripts.iter().map(|script| promise.start + script.start.span()).max();
         let until = last.unwrap_or(promise.start) + Span::from_millis(150);
         let within = |at: Timestamp<Server>| at >= from && at <= until;

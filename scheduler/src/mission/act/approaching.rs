@@ -2,8 +2,8 @@
 //! carries all of them over it.
 //!
 //! Every round asks each robot whether it holds its scripts. At the critical instant the scheduler falls silent: what it
-//! sent before lets no robot start, what it sends from then on lets every one start. It speaks again, which is the
-//! commitment, once every robot has answered one of the last two rounds, every clock is right, and the commitment is on
+//! sent before lets no robot start. A moment later one message lets any robot start. The scheduler speaks again, which is
+//! the commitment, once every robot has answered one of the last two rounds, every clock is right, and the commitment is on
 //! the disk. If that is not so in time, it never speaks, and no robot starts.
 
 use downbeat_scripts::OnDoubt;
@@ -88,7 +88,8 @@ impl Approach {
     fn round(&mut self, now: Timestamp<Server>, timing: &Timing) {
         self.rounds = [self.rounds[1], now];
         self.heard = 0;
-        self.wakeup = timing.round_after(now).min(timing.critical());
+        let next = timing.round_after(now);
+        self.wakeup = if next < timing.critical() { next } else { timing.commit_from() };
     }
 }
 
@@ -105,11 +106,19 @@ impl Act {
             self.stage = Stage::Over;
             return Vec::new();
         }
-        let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return Vec::new() };
-        match now < timing.critical() {
-            true if now >= approach.wakeup => self.round(now, robots),
-            true => Vec::new(),
-            false => self.commit_if_all_hold(now, robots),
+        let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
+            return Vec::new();
+        };
+        if now >= timing.commit_from() {
+            return self.commit_if_all_hold(now, robots);
+        }
+        if now >= timing.critical() {
+            approach.wakeup = timing.commit_from();
+            return Vec::new();
+        }
+        match now >= approach.wakeup {
+            true => self.round(now, robots),
+            false => Vec::new(),
         }
     }
 

@@ -336,7 +336,7 @@ impl Act {
     /// the question carries: while the act approaches its start, one that ends before the script would begin.
     pub(crate) fn names_of(&self, robot: usize, now: Timestamp<Server>) -> Vec<NamedScripts> {
         let (Some(place), Some(timing)) = (self.place_of(robot), &self.timing) else { return Vec::new() };
-        let shortens = matches!(self.stage, Stage::Approaching(_) | Stage::Committed(_));
+        let shortens = matches!(self.stage, Stage::Approaching(_));
         let member = &self.members[place];
         let mut groups: BTreeMap<Option<Span>, Vec<RequestId>> = BTreeMap::new();
         for (index, script) in member.scripts.iter().enumerate().filter(|(_, script)| script.is_unaccounted()) {

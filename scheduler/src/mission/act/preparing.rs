@@ -190,7 +190,7 @@ impl Act {
         self.stage = Stage::Approaching(Approach::beginning(now));
         let unnamed = self.present().map(|member| &robots[member.robot]);
         let unnamed = unnamed.filter(|robot| !robot.takes_inquiries()).map(|robot| robot.id.clone());
-        let record = Record::Decided { number: self.number, unnamed: unnamed.collect() };
+        let record = Record::Decided { number: self.number, unnamed: unnamed.collect(), doubt };
         let duration = self.written().plan.duration();
         let tell = Progress::Decided { act: self.name(), start, duration, no_return, doubt };
         vec![ActAction::Record(record), ActAction::Tell(tell)]

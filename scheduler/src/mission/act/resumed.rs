@@ -7,7 +7,7 @@ use downbeat_scripts::Choreography;
 use urrcp::{RequestId, Server, Span, Timestamp};
 
 use super::approaching::Approach;
-use super::timing::{Leases, Measured, Pace};
+use super::timing::{CLOCK_UNKNOWN, Leases, Measured, Pace};
 use super::{Act, Stage, Timing};
 use crate::mission::lead::LeadTime;
 use crate::mission::record::{Promise, PromisedScript};
@@ -80,8 +80,8 @@ impl Act {
             scripts: promise.scripts.len(),
             leases: Leases::Fixed,
             round_trip: ROUND_TRIP,
-            early: tolerance,
-            late: tolerance,
+            early: tolerance.min(CLOCK_UNKNOWN),
+            late: tolerance.min(CLOCK_UNKNOWN),
             record: Span::ZERO,
         };
         Timing {

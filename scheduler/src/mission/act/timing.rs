@@ -1,8 +1,9 @@
 //! The instants of an act that has been sent, and the leases with which it approaches its start.
 //!
-//! All leases before the start end at one instant, the *brink*, unless the act is committed: whatever is sent to a robot
-//! carries a lease that ends there. A scheduler that dies before the commitment therefore starts no robot, and one that
-//! dies after it has renewed all leases starts every one. `docs/mission.md` draws it.
+//! All leases before the start end at one instant, the *brink*, unless the act is committed: whatever is sent to a robot up
+//! to the *critical* instant carries a lease that ends there. From the instant of the *commitment* on, a little later, one
+//! message carries the lease of any robot over its start. In between nothing is sent. A scheduler that dies before the
+//! commitment therefore starts no robot, and one that dies after it every one. `docs/mission.md` draws it.
 
 use urrcp::{RobotId, Server, Span, Timestamp};
 
@@ -23,8 +24,13 @@ const ROUND_EACH_SCRIPT: Span = Span::from_micros(2);
 const DELIVERY_MIN: Span = Span::from_millis(8);
 /// A withdrawal for doubt is sent so long before its last instant: later than the answers to the commitment come in.
 const WITHDRAWN_BY: Span = Span::from_millis(5);
+/// What a process may still do after it was stopped, as on a busy host.
+const STANDS_STILL: Span = Span::from_millis(10);
 /// What a withdrawal takes on this machine and on the robot, besides its way.
 const WITHDRAWAL: Span = Span::from_millis(20);
+
+/// A robot whose clock was not measured is taken to start this much early or late, at most, if the tolerance allows.
+pub(crate) const CLOCK_UNKNOWN: Span = Span::from_millis(20);
 
 /// Whether robots let the scheduler shorten their pending leases.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -53,6 +59,20 @@ pub(crate) struct Measured {
     pub(crate) record: Span,
 }
 
+impl Measured {
+    /// How long a round of questions takes.
+    fn round(&self) -> Span {
+        let count = |number: usize| i64::try_from(number).unwrap_or(i64::MAX);
+        ROUND_EACH * count(self.robots) + ROUND_EACH_SCRIPT * count(self.scripts)
+    }
+
+    /// The shortest pending lease of the last rounds. It spans the time in which robots start, what a message may still be
+    /// under way, and leaves the answers of several rounds time to come in.
+    pub(crate) fn lease_least(&self) -> Span {
+        self.early + self.late + self.round_trip + FINAL_LEASE_MIN.max(self.round_trip * 4) + self.round() * 2
+    }
+}
+
 /// The pace at which an act approaches its start.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Pace {
@@ -70,13 +90,12 @@ pub(crate) struct Pace {
 impl Pace {
     /// For a fleet whose requests carry this pending lease.
     pub(crate) fn of(measured: &Measured, lease: Span) -> Self {
-        let count = |number: usize| i64::try_from(number).unwrap_or(i64::MAX);
-        let round = ROUND_EACH * count(measured.robots) + ROUND_EACH_SCRIPT * count(measured.scripts);
-        let shortened = FINAL_LEASE_MIN.max(measured.round_trip * 5) + round * 2;
+        let round = measured.round();
         let (final_lease, period) = match measured.leases {
             Leases::Shortened => {
-                let final_lease = shortened.min(lease);
-                (final_lease, PERIOD_MIN.max(final_lease / 4))
+                let final_lease = measured.lease_least().min(lease);
+                // Several questions may be under way at once.
+                (final_lease, PERIOD_MIN.max(measured.round_trip / 2))
             }
             Leases::Fixed => (lease, PERIOD_MIN_FIXED),
         };
@@ -133,9 +152,14 @@ impl Timing {
         self.start - self.pace.early - self.pace.round_trip
     }
 
-    /// From here on whatever is sent to a robot carries its lease over the start: nothing is sent before the commitment.
+    /// What is sent later may carry the lease of a robot over its start: nothing is sent before the commitment.
     pub(crate) fn critical(&self) -> Timestamp<Server> {
         self.brink() - self.pace.final_lease
+    }
+
+    /// From here on one message carries the lease of any robot over its start, also of one that starts late.
+    pub(crate) fn commit_from(&self) -> Timestamp<Server> {
+        self.begun() - self.pace.final_lease
     }
 
     /// The latest instant at which the commitment still reaches every robot before its lease ends. `last_round` was the last
@@ -184,7 +208,7 @@ impl Timing {
 
     /// A robot that goes silent without a word later than so long before the start may be noticed too late.
     pub(crate) fn doubt(&self) -> Span {
-        self.start - (self.critical() - self.pace.period * 2)
+        self.start - (self.critical() - self.pace.period * 2) + self.pace.round_trip + STANDS_STILL
     }
 
     /// When robots that have not answered are asked again, in time for the decision.
@@ -241,7 +265,9 @@ mod tests {
                 }
                 assert!((3..100).contains(&rounds), "{rounds} rounds, {leases:?} {round_trip}");
                 let commit_by = timing.commit_by(timing.critical() - timing.pace.period);
-                assert!(commit_by > timing.critical() + timing.pace.period, "{leases:?} {round_trip}");
+                assert!(commit_by > timing.commit_from() + timing.pace.period, "{leases:?} {round_trip}");
+                assert!(timing.commit_from() > timing.critical(), "{leases:?} {round_trip}");
+                assert!(timing.commit_from() + timing.final_lease() >= timing.begun(), "{leases:?} {round_trip}");
             }
         }
     }
@@ -249,7 +275,7 @@ mod tests {
     #[test]
     fn on_a_fast_link_doubt_is_short_and_a_fixed_lease_makes_it_long() {
         let round_trip = Span::from_micros(300);
-        assert!(timing(Leases::Shortened, round_trip).doubt() < Span::from_millis(50));
+        assert!(timing(Leases::Shortened, round_trip).doubt() < Span::from_millis(70));
         assert!(timing(Leases::Fixed, round_trip).doubt() > Span::from_millis(240));
     }
 }
