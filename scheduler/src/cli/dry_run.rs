@@ -20,7 +20,7 @@ use crate::report::{picture, report_text};
     after_help = "No sockets and no waiting: an hour of show takes moments. The robots are simulated as the fleet file
 describes them, with their clocks, delays and faults, whatever their address. The operator says go a
 second after an act has begun to wait with nothing else playing; a sensor that an act waits for reads
-what it waits for, unless --reading says otherwise. Acts that repeat for ever are stopped after a while.
+what it waits for, unless --reading says otherwise. Acts that repeat for ever end after a while.
 
 Examples:
   downbeat dry-run scripts/examples/swap.yaml
@@ -40,7 +40,7 @@ pub(super) struct DryRunArgs {
     /// Draw what every device did over time, as SVG; of several acts one file each, numbered.
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
-    /// Stop after so many acts; otherwise after three times as many as the scenario has, which only a loop reaches.
+    /// End after so many acts; by default after three times as many as the scenario has, which only a loop reaches.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     acts: Option<u32>,
     /// Of the random delays and clock errors; the same seed gives the same run.
@@ -86,30 +86,23 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         Format::Text => console::print(&report_text(&played.report)),
         Format::Json => console::print_json(&played.report),
     }
-    match &played.cut {
-        None => super::run::exit_of(&played.report),
-        Some(cut) => {
-            console::note(&cut_text(cut));
-            let well = played.report.failures.is_empty() && matches!(cut, Cut::Acts(_));
-            match super::run::exit_of(&played.report) {
-                // All that was to be played went well.
-                Exit::Stopped if well => Exit::Done,
-                exit => exit,
-            }
-        }
+    if let Some(cut) = &played.cut {
+        console::note(&cut_text(cut));
     }
+    if let Some(acts) = played.report.acts_max_reached.filter(|_| args.acts.is_none()) {
+        let acts = counted(acts as usize, "act");
+        console::note(&format!(
+            "a dry run plays {ROUNDS} times as many acts as the scenario has, here {acts}; --acts sets another bound"
+        ));
+    }
+    super::run::exit_of(&played.report)
 }
 
 fn cut_text(cut: &Cut) -> String {
-    match cut {
-        Cut::Acts(acts) => format!(
-            "stopped after {}: these acts repeat for ever, or more than --acts follow (by default {ROUNDS} times as many as the scenario has)",
-            counted(*acts as usize, "act")
-        ),
-        Cut::Waits { act, awaits } => format!(
-            "stopped: `{act}` waits for {awaits}, which does not come in virtual time; --reading says what sensors read"
-        ),
-    }
+    format!(
+        "stopped: `{}` waits for {}, which does not come in virtual time; --reading says what sensors read",
+        cut.act, cut.awaits
+    )
 }
 
 /// Virtual time on a terminal.
@@ -176,7 +169,12 @@ fn play(
         .map(|(index, robot)| fleet::rehearsed(robot, args.seed.wrapping_add(index as u64)))
         .collect();
     let machines = machines.map_err(|error| error.to_string())?;
-    let options = MissionOptions { greeting: fleet::greeting(fleet), first_act, ..MissionOptions::default() };
+    let options = MissionOptions {
+        greeting: fleet::greeting(fleet),
+        first_act,
+        acts_max: args.acts,
+        ..MissionOptions::default()
+    };
     let mut rehearsal = Rehearsal::new(choreography.clone(), fleet::participants(&robots), options, machines)
         .map_err(|error| error.to_string())?;
     for (robot, sensor, value) in &args.reading {
@@ -187,10 +185,5 @@ fn play(
         }
     }
     let logs = if args.picture.is_some() { Logs::Kept } else { Logs::Dropped };
-    let rehearsal = rehearsal.with_logs(logs);
-    let rehearsal = match args.acts {
-        Some(acts) => rehearsal.with_acts_max(acts),
-        None => rehearsal,
-    };
-    Ok(rehearsal.play_before(bar))
+    Ok(rehearsal.with_logs(logs).play_before(bar))
 }

@@ -214,6 +214,7 @@ impl Work<'_> {
             session: Some(session.clone()),
             start_at: self.at.map(|at| at.instant(clock.now(), utc_offset)),
             first_act,
+            acts_max: None,
             join: self.join,
             preflight_only: self.preflight_only,
             utc_offset,

@@ -23,7 +23,7 @@ use crate::report::Report;
 pub const BEGIN: Timestamp<Server> = Timestamp::from_nanos(1_767_225_600_000_000_000);
 /// Virtual time begins so long before the first time that an act waits for, and for every act as long again.
 const BEFORE_TIME: Span = Span::from_millis(60_000);
-/// How often a loop through all acts is played, unless another number of acts is asked for.
+/// How often a loop through all acts is played, unless [`MissionOptions::acts_max`] says otherwise.
 pub const ROUNDS: u32 = 3;
 
 /// What a mission did in virtual time.
@@ -37,18 +37,13 @@ pub struct Played {
     pub cut: Option<Cut>,
 }
 
-/// Why a mission that would have gone on was stopped.
+/// An act waited for something that does not come in virtual time, and the mission was stopped.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Cut {
-    /// So many acts had been played, as many as were asked for.
-    Acts(u32),
-    /// An act waited for something that does not come in virtual time.
-    Waits {
-        /// Which act.
-        act: String,
-        /// For what, for people.
-        awaits: String,
-    },
+pub struct Cut {
+    /// Which act.
+    pub act: String,
+    /// For what, for people.
+    pub awaits: String,
 }
 
 impl Played {
@@ -92,7 +87,6 @@ pub struct Rehearsal {
     robots: Vec<SimulatedRobot>,
     begin: Timestamp<Server>,
     logs: Logs,
-    acts_max: u32,
 }
 
 impl Rehearsal {
@@ -118,9 +112,10 @@ impl Rehearsal {
         Ok(Self::of(mission, robots, begin))
     }
 
-    fn of(mission: Mission, robots: Vec<SimulatedRobot>, begin: Timestamp<Server>) -> Self {
+    fn of(mut mission: Mission, robots: Vec<SimulatedRobot>, begin: Timestamp<Server>) -> Self {
         let acts = u32::try_from(mission.choreography().acts.len()).unwrap_or(u32::MAX);
-        Self { mission, robots, begin, logs: Logs::Dropped, acts_max: acts.saturating_mul(ROUNDS) }
+        mission.bound_acts(acts.saturating_mul(ROUNDS));
+        Self { mission, robots, begin, logs: Logs::Dropped }
     }
 
     /// Lets a sensor read this. `false` where the robot takes no part, or has no such sensor.
@@ -140,18 +135,6 @@ impl Rehearsal {
         Self { logs, ..self }
     }
 
-    /// Stops the mission when so many acts have been played, instead of [`ROUNDS`] times as many as there are.
-    #[must_use]
-    pub fn with_acts_max(self, acts_max: u32) -> Self {
-        Self { acts_max, ..self }
-    }
-
-    /// How many acts are played at most.
-    #[must_use]
-    pub const fn acts_max(&self) -> u32 {
-        self.acts_max
-    }
-
     /// Plays to the end.
     #[must_use]
     pub fn play(self) -> Played {
@@ -161,8 +144,8 @@ impl Rehearsal {
     /// Plays to the end before an audience.
     #[must_use]
     pub fn play_before(self, audience: &mut impl Audience) -> Played {
-        let Self { mut mission, robots, begin, logs, acts_max } = self;
-        let operator = VirtualOperator::new(mission.choreography(), acts_max);
+        let Self { mut mission, robots, begin, logs } = self;
+        let operator = VirtualOperator::new(mission.choreography());
         let ids = mission.robots().iter().map(|robot| robot.id.clone()).collect();
         let mut world = VirtualWorld::new(robots, ids, begin, operator, logs, audience);
         let report = at_once(drive(&mut mission, &mut world));

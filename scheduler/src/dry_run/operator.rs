@@ -1,4 +1,4 @@
-//! The operator of a dry run: says go when an act waits for it, and ends what would go on for ever.
+//! The operator of a dry run: says go when an act waits for it, and stops what waits for ever.
 
 use std::collections::HashMap;
 
@@ -21,22 +21,16 @@ pub(super) struct VirtualOperator {
     waiting: Option<(String, String)>,
     /// Acts that have been sent and have not ended.
     under_way: u32,
-    /// Acts that have ended, and those that were given up waiting.
-    ended: u32,
-    waits: u32,
-    acts_max: u32,
     /// When the act that waits began to be alone.
     alone_since: Timestamp<Server>,
     /// When it speaks next.
     speaks: Option<Timestamp<Server>>,
-    /// Why it is about to say stop.
-    stopping: Option<Cut>,
     /// Why it has said stop.
     pub(super) cut: Option<Cut>,
 }
 
 impl VirtualOperator {
-    pub(super) fn new(choreography: &Choreography, acts_max: u32) -> Self {
+    pub(super) fn new(choreography: &Choreography) -> Self {
         let name = |act: &downbeat_scripts::Act| match act.name.is_empty() {
             true => act.plan.scenario.clone(),
             false => act.name.clone(),
@@ -49,12 +43,8 @@ impl VirtualOperator {
             attended: attended.map(|act| (name(act), act.timeout.unwrap_or_default())).collect(),
             waiting: None,
             under_way: 0,
-            ended: 0,
-            waits: 0,
-            acts_max,
             alone_since: super::BEGIN,
             speaks: None,
-            stopping: None,
             cut: None,
         }
     }
@@ -65,18 +55,13 @@ impl VirtualOperator {
 
     /// Sees what the mission tells.
     pub(super) fn see(&mut self, now: Timestamp<Server>, progress: &Progress) {
-        if self.stopping.is_some() || self.cut.is_some() {
+        if self.cut.is_some() {
             return;
         }
         match progress {
             Progress::Waiting { act, awaits } => {
-                self.waits += 1;
                 self.waiting = self.attended.contains_key(act).then(|| (act.clone(), awaits.clone()));
                 self.attend(now);
-                // Without a loop no act waits more often than there are acts.
-                if self.waits > self.acts_max {
-                    self.stop(now, Cut::Acts(self.ended));
-                }
             }
             Progress::Preparing { .. } => {
                 self.under_way += 1;
@@ -85,11 +70,7 @@ impl VirtualOperator {
             }
             Progress::ActEnded { .. } => {
                 self.under_way = self.under_way.saturating_sub(1);
-                self.ended += 1;
-                match self.ended >= self.acts_max {
-                    true => self.stop(now, Cut::Acts(self.ended)),
-                    false => self.attend(now),
-                }
+                self.attend(now);
             }
             _ => {}
         }
@@ -103,22 +84,13 @@ impl VirtualOperator {
         }
     }
 
-    fn stop(&mut self, now: Timestamp<Server>, cut: Cut) {
-        self.stopping = Some(cut);
-        self.speaks = Some(now);
-    }
-
     /// What it says now, if anything.
     pub(super) fn word(&mut self, now: Timestamp<Server>) -> Option<Event> {
         self.speaks.take_if(|at| now >= *at)?;
-        if let Some(cut) = self.stopping.take() {
-            self.cut = Some(cut);
-            return Some(Event::StopRequested);
-        }
         let (act, awaits) = self.waiting.as_ref()?;
         let timeout = self.attended.get(act).copied().unwrap_or_default();
         if now >= self.alone_since + timeout + WAITS_MAX {
-            self.cut = Some(Cut::Waits { act: act.clone(), awaits: awaits.clone() });
+            self.cut = Some(Cut { act: act.clone(), awaits: awaits.clone() });
             return Some(Event::StopRequested);
         }
         self.speaks = Some(now + THINKS);

@@ -209,6 +209,10 @@ fn a_robot_without_ntp_starts_with_the_others_when_its_clock_is_measured() {
 
 /// Acts after one another, in each of which two arms move.
 fn acts(change: impl Fn(&mut Vec<Act>)) -> Rehearsal {
+    acts_with(MissionOptions::default(), change)
+}
+
+fn acts_with(options: MissionOptions, change: impl Fn(&mut Vec<Act>)) -> Rehearsal {
     let mut acts: Vec<Act> = (0..3)
         .map(|number| {
             let mut act = Choreography::of_plan(plan(2)).acts.remove(0);
@@ -221,7 +225,7 @@ fn acts(change: impl Fn(&mut Vec<Act>)) -> Rehearsal {
     let machines = (0..2).map(|id| SimulatedRobot::new(block(id), Settings::default())).collect();
     let participants = (0..2).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
     let choreography = Choreography { scenario: "acts".into(), acts };
-    Rehearsal::new(choreography, participants, MissionOptions::default(), machines).unwrap()
+    Rehearsal::new(choreography, participants, options, machines).unwrap()
 }
 
 /// Fails where virtual time does not come to an end.
@@ -257,19 +261,43 @@ fn the_operator_says_go_to_whichever_act_waits_for_it() {
     }
 }
 
+fn bounded(acts_max: u32) -> MissionOptions {
+    MissionOptions { acts_max: Some(acts_max), ..MissionOptions::default() }
+}
+
 #[test]
 fn a_loop_of_acts_is_played_three_times_or_as_often_as_asked_for() {
-    let looped = || acts(|acts| acts[2].next = Way::Act(1));
-    let (played, ended) = played_through(looped());
-    // The tenth had been prepared while the ninth played, and is stopped at once.
-    assert_eq!((played.cut, ended), (Some(Cut::Acts(9)), 10));
-    assert_eq!(played.report.outcome, Outcome::Stopped);
-    assert!(played.report.failures.is_empty(), "{:?}", played.report.failures);
-    let (played, ended) = played_through(looped().with_acts_max(4));
-    assert_eq!((played.cut, ended), (Some(Cut::Acts(4)), 5));
-    let (played, ended) = played_through(acts(|_| {}).with_acts_max(3));
-    assert_eq!((played.report.outcome, ended), (Outcome::Done, 3), "all there are is no loop");
-    assert_eq!(played.cut, None);
+    let looped = |options| acts_with(options, |acts| acts[2].next = Way::Act(1));
+    for (options, bound) in [(MissionOptions::default(), 9), (bounded(4), 4), (bounded(1), 1)] {
+        let (played, ended) = played_through(looped(options));
+        assert_eq!((played.report.acts.len(), ended), (bound as usize, bound));
+        assert_eq!(played.report.outcome, Outcome::Done, "{:?}", played.report.failures);
+        assert!(played.report.robots.iter().all(|robot| robot.steps_done == robot.steps_planned));
+        assert_eq!((played.report.acts_max_reached, played.cut), (Some(bound), None));
+    }
+}
+
+#[test]
+fn a_mission_that_ends_because_of_its_bound_says_so() {
+    let (played, _) = played_through(acts_with(bounded(2), |_| {}));
+    let text = crate::report::report_text(&played.report);
+    assert!(text.contains("ended because 2 acts had begun, the bound; another would have followed"), "{text}");
+    assert_eq!(serde_json::to_value(&played.report).unwrap()["acts_max_reached"], 2);
+    let (played, ended) = played_through(acts_with(bounded(3), |_| {}));
+    assert_eq!((played.report.acts_max_reached, ended), (None, 3), "there was no other");
+    assert!(!crate::report::report_text(&played.report).contains("bound"));
+}
+
+#[test]
+fn the_act_that_follows_a_failure_counts_against_the_bound() {
+    for (acts_max, reached) in [(1, Some(1)), (2, None)] {
+        let mut rehearsal = acts_with(bounded(acts_max), |acts| acts[0].on_failure.then = Some(2));
+        let silent = Settings { fault: Some(Fault::Silent), ..Settings::default() };
+        rehearsal.robots[1] = SimulatedRobot::new(block(1), silent);
+        let (played, _) = played_through(rehearsal);
+        assert_eq!(played.report.acts_max_reached, reached, "{:?}", played.report.failures);
+        assert_ne!(played.report.outcome, Outcome::Done);
+    }
 }
 
 #[test]
@@ -278,7 +306,7 @@ fn an_act_that_waits_for_another_reading_than_there_is_does_not_wait_for_ever() 
     let waits = Wait::Sensor { robot: block(0).id.to_string(), sensor: "none".into(), range };
     let (played, ended) = played_through(acts(|acts| acts[1].wait = waits.clone()));
     assert_eq!(ended, 1);
-    assert!(matches!(&played.cut, Some(Cut::Waits { act, .. }) if act == "act-1"), "{:?}", played.cut);
+    assert!(matches!(&played.cut, Some(Cut { act, .. }) if act == "act-1"), "{:?}", played.cut);
     let given_up = acts(|acts| {
         acts[1].wait = waits.clone();
         acts[1].timeout = Some(Span::from_millis(300_000));
@@ -307,5 +335,5 @@ fn acts_that_only_wait_for_each_other_do_not_go_round_for_ever() {
         acts[1].timeout = Some(Span::from_millis(1_000));
         acts[1].on_timeout = Way::Act(1);
     }));
-    assert_eq!(played.cut, Some(Cut::Acts(1)));
+    assert_eq!((played.report.acts_max_reached, played.report.acts.len()), (Some(9), 1));
 }

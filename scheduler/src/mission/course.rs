@@ -102,7 +102,7 @@ impl Mission {
     /// Sees to it that the act that follows is there in time, and ends the mission after the last one.
     fn line_up(&mut self, now: Timestamp<Server>) {
         let [last] = self.acts.as_slice() else { return };
-        if !last.is_committed() {
+        if !last.is_committed() || !self.may_begin_another() {
             return;
         }
         let way = self.detour.map_or(last.follow(), Way::Act);
@@ -118,15 +118,25 @@ impl Mission {
         self.go_way(now, way);
     }
 
-    fn go_way(&mut self, now: Timestamp<Server>, way: Way) {
+    pub(super) fn go_way(&mut self, now: Timestamp<Server>, way: Way) {
         match way {
-            Way::Act(act) => self.line_up_act(now, act),
-            Way::End => {
-                self.outcome = Some(self.flawed.clone().unwrap_or_else(|| self.outcome_at_the_end()));
-                self.end();
+            Way::Act(act) if self.may_begin_another() => self.line_up_act(now, act),
+            Way::Act(_) => {
+                self.bounded = true;
+                self.come_to_the_end();
             }
+            Way::End => self.come_to_the_end(),
             Way::Fail => self.abort(now, Outcome::Failed, Rest::Default, None),
         }
+    }
+
+    fn may_begin_another(&self) -> bool {
+        self.options.acts_max.is_none_or(|acts_max| self.acts_begun < acts_max)
+    }
+
+    fn come_to_the_end(&mut self) {
+        self.outcome = Some(self.flawed.clone().unwrap_or_else(|| self.outcome_at_the_end()));
+        self.end();
     }
 
     /// What may be said of a mission that came to its end.
@@ -140,6 +150,7 @@ impl Mission {
         self.flaw_of_starts.clone().unwrap_or(Outcome::Done)
     }
 
+    /// One more act begins to wait for its condition.
     pub(super) fn line_up_act(&mut self, now: Timestamp<Server>, index: usize) {
         let before = self.acts.last().and_then(Act::timing).map(|timing| timing.end);
         let choreography = Arc::clone(&self.choreography);

@@ -86,6 +86,8 @@ pub struct Mission {
     /// In order of their start; the last one may still wait.
     acts: Vec<Act>,
     acts_begun: u32,
+    /// Another act would have followed if `acts_max` had let it.
+    bounded: bool,
     /// The act that a failure policy wants next.
     detour: Option<usize>,
     /// After a stop the mission goes on with this act.
@@ -152,6 +154,7 @@ impl Mission {
             phase: Phase::Greeting { deadline },
             acts: Vec::new(),
             acts_begun: 0,
+            bounded: false,
             detour: None,
             then: None,
             next_round: None,
@@ -282,6 +285,16 @@ impl Mission {
     #[must_use]
     pub fn outcome(&self) -> Option<&Outcome> {
         self.outcome.as_ref().filter(|_| self.phase == Phase::Ended)
+    }
+
+    /// How many acts were to begin at most, where another would have followed.
+    pub(crate) fn bound_reached(&self) -> Option<u32> {
+        self.options.acts_max.filter(|_| self.bounded)
+    }
+
+    /// As many acts at most, unless the operator chose a number.
+    pub(crate) fn bound_acts(&mut self, acts: u32) {
+        self.options.acts_max.get_or_insert(acts);
     }
 
     /// The operator leaves now, without waiting for anything.

@@ -2,6 +2,7 @@
 
 use std::collections::HashMap;
 
+use downbeat_scripts::Way;
 use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, Span, Timestamp};
 
 use super::act::Act;
@@ -173,8 +174,8 @@ impl Mission {
                     robot.left.clear();
                 }
                 self.phase = Phase::Performing;
-                self.line_up_act(now, act);
-                self.perform(now);
+                self.go_way(now, Way::Act(act));
+                self.goes_on(now);
             }
             None => self.end(),
         }

@@ -26,6 +26,10 @@ pub struct Report {
     pub session: Option<SessionId>,
     /// How it ended.
     pub outcome: Outcome,
+    /// So many acts had begun, as many as were asked for: the mission came to its end although another act would have
+    /// followed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub acts_max_reached: Option<u32>,
     /// Planned start of the first cue of the first act reported, by the server's clock.
     pub start: Option<Timestamp<Server>>,
     /// Why the start was that far ahead.
@@ -126,6 +130,7 @@ impl Report {
             scenario: mission.choreography().scenario.clone(),
             session: mission.options().session.clone(),
             outcome,
+            acts_max_reached: mission.bound_reached(),
             start: acts.front().map(|act| act.start),
             lead: acts.front().map(|act| act.lead),
             spread: acts.iter().filter_map(|act| act.spread).max(),
