@@ -338,13 +338,14 @@ impl Act {
         let (Some(place), Some(timing)) = (self.place_of(robot), &self.timing) else { return Vec::new() };
         let shortens = matches!(self.stage, Stage::Approaching(_) | Stage::Committed(_));
         let member = &self.members[place];
-        let mut groups: BTreeMap<Option<Span>, Vec<RequestId>> = BTreeMap::new();
+        // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
+        let mut groups: BTreeMap<(bool, Option<Span>), Vec<RequestId>> = BTreeMap::new();
         for (index, script) in member.scripts.iter().enumerate().filter(|(_, script)| script.is_unaccounted()) {
             let offset = member.shortened_offset(index, timing.lead.lease).filter(|_| shortens);
             let lease = offset.map(|offset| timing.lease_at(now) + offset);
-            groups.entry(lease).or_default().extend(script.request_id().cloned());
+            groups.entry((lease.is_none(), lease)).or_default().extend(script.request_id().cloned());
         }
-        groups.into_iter().map(|(lease, requests)| NamedScripts { lease, requests }).collect()
+        groups.into_iter().map(|((_, lease), requests)| NamedScripts { lease, requests }).collect()
     }
 
     /// Whether every message to a robot has to come behind a question that carries a lease.
