@@ -50,14 +50,9 @@ pub(crate) struct Commitment {
     /// Members before it have answered since the commitment.
     heard: usize,
     told: Told,
-    doubt: Doubt,
-}
-
-/// Whether it was looked, as late as a withdrawal allows, who has not answered the commitment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Doubt {
-    Open,
-    Settled,
+    /// When it is looked, as late as a withdrawal allows, who has not answered; `None`: the others start in any case, or it
+    /// was looked.
+    doubt: Option<Timestamp<Server>>,
 }
 
 /// Whether the operator was told how long the commitment took.
@@ -94,7 +89,7 @@ impl Approach {
 
 impl Commitment {
     pub(super) fn wakeup(&self) -> Timestamp<Server> {
-        self.next_round.min(self.until)
+        self.doubt.map_or(self.next_round, |at| at.min(self.next_round)).min(self.until)
     }
 }
 
@@ -202,16 +197,19 @@ impl Act {
 
     fn commit(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
         let until = self.rounds_until();
+        let withdraws = self.written().on_doubt == OnDoubt::Withdraw;
         let Some(timing) = &mut self.timing else { return Vec::new() };
         timing.round = Some((now, now));
         let next_round = now + timing.pace.period;
-        self.stage = Stage::Committed(Commitment { next_round, since: now, until, heard: 0, told: Told::NotYet, doubt: Doubt::Open });
+        let doubt = withdraws.then(|| timing.last_withdrawal());
+        let told = Told::NotYet;
+        self.stage = Stage::Committed(Commitment { next_round, since: now, until, heard: 0, told, doubt });
         vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
     }
 
     /// Keeps the leases over the start, and learns whether the commitment has reached every robot.
     pub(super) fn begin_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
-        let doubtful = self.doubtful(now);
+        let doubtful = self.doubtful(now, robots);
         if !doubtful.is_empty() {
             return vec![ActAction::Fail(doubtful)];
         }
@@ -232,17 +230,13 @@ impl Act {
 
     /// Robots that have not answered the commitment while it can still be withdrawn, where the scenario wants that: nobody
     /// can know whether they will start.
-    fn doubtful(&mut self, now: Timestamp<Server>) -> Vec<(usize, FailureKind)> {
-        let withdraws = self.written().on_doubt == OnDoubt::Withdraw;
-        let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
-            return Vec::new();
-        };
-        if !withdraws || commitment.doubt == Doubt::Settled || now < timing.last_withdrawal() {
+    fn doubtful(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
+        let Stage::Committed(commitment) = &mut self.stage else { return Vec::new() };
+        if commitment.doubt.take_if(|at| now >= *at).is_none() {
             return Vec::new();
         }
-        commitment.doubt = Doubt::Settled;
-        let within = now - commitment.since;
-        let silent = self.members[commitment.heard..].iter().filter(|member| member.takes_part());
+        let (since, within) = (commitment.since, now - commitment.since);
+        let silent = self.present().filter(|member| !has_answered(&robots[member.robot], since));
         let failure = |robot: usize| {
             let awaited = "answer to the commitment, and `on_doubt` is `withdraw`".to_owned();
             (robot, FailureKind::Silent { awaited, within })
@@ -265,9 +259,8 @@ impl Act {
             return Vec::new();
         };
         let since = commitment.since;
-        let answered = |member: &super::Member| {
-            !member.takes_part() || robots[member.robot].questions.answered().is_none_or(|at| at >= since)
-        };
+        let answered =
+            |member: &super::Member| !member.takes_part() || has_answered(&robots[member.robot], since);
         let heard = self.members[commitment.heard..].iter().take_while(|member| answered(member)).count();
         commitment.heard += heard;
         if commitment.heard < self.members.len() || commitment.told == Told::Window {
@@ -278,4 +271,9 @@ impl Act {
         let window = Some(now - since);
         vec![ActAction::Tell(Progress::Committed { act: self.name(), window })]
     }
+}
+
+/// Whether a robot has answered a question that was sent at `since` or later, if it answers any.
+fn has_answered(robot: &RobotState, since: Timestamp<Server>) -> bool {
+    robot.questions.answered().is_none_or(|at| at >= since)
 }
