@@ -98,13 +98,13 @@ impl Act {
                 actions.push(ActAction::Refill(vec![robot]));
                 self.look_again();
             }
-            News::NeverReceived => actions.push(ActAction::Send(script)),
+            News::NeverReceived if member.takes_part() => actions.push(ActAction::Send(script)),
             News::Failed(error) => {
                 let device = member.scripts[script.script].plan.device.clone();
                 let kind = FailureKind::Script { device, error: error.clone() };
                 actions.push(ActAction::Fail(vec![(robot, kind)]));
             }
-            News::None | News::Accepted => {}
+            News::None | News::Accepted | News::NeverReceived => {}
         }
         Noted { news, actions }
     }
@@ -303,7 +303,9 @@ impl Act {
             self.readings_asked += 1;
             let planned = &self.written().readings[which];
             let what = Reading::Planned(self.number, which);
+            let left_out = |robot: usize| self.member(robot).is_some_and(|member| !member.takes_part());
             let robot = robots.iter().position(|state| state.id == planned.robot);
+            let robot = robot.filter(|robot| !left_out(*robot));
             let sensor = planned.sensor.clone();
             actions.extend(robot.map(|robot| ActAction::Read { robot, sensor, what }));
         }
