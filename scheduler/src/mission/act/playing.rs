@@ -172,15 +172,17 @@ impl Act {
         let mut failing: Vec<(usize, FailureKind)> = Vec::new();
         for member in self.present() {
             let robot = &robots[member.robot];
-            // Without a link nothing can be reported; it is given up in its own time.
-            if !robot.tells_fates() || !robot.is_up() {
+            // Without a link nothing can be reported, nor before it is heard again; it is given up in its own time.
+            if !robot.tells_fates() || !robot.is_up() || robot.lost().is_some() {
                 continue;
             }
             let due = |script: &&Script| self.report_due(member, script, robot, grace).is_some_and(|at| now >= at);
             let Some(script) = member.scripts.iter().find(due) else { continue };
+            // It had the time to say so, and answered a question meanwhile: after a resumption there may have been none.
+            let was_asked = |due| !robot.takes_inquiries() || robot.questions.answered().is_some_and(|at| at >= due);
             let lost = |script: &Script| {
                 let due = self.report_due(member, script, robot, grace);
-                robot.reports() && due.is_some_and(|due| now >= due + grace)
+                due.is_some_and(|due| now >= due + grace && was_asked(due))
             };
             if lost(script) {
                 let what = if *script.state() == ScriptState::Running { "end" } else { "start" };
