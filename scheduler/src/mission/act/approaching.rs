@@ -76,6 +76,15 @@ impl Approach {
         timing.commit_by(self.rounds[1])
     }
 
+    /// Who has not answered by then has failed: what the others still need is left, the record and the commitment itself.
+    fn fail_by(&self, timing: &Timing) -> Timestamp<Server> {
+        let latest = self.commit_by(timing) - FAIL_AHEAD;
+        match self.on_disk {
+            OnDisk::Nothing => (latest - timing.recording()).max(timing.critical() + timing.pace.period).min(latest),
+            OnDisk::Asked | OnDisk::Commitment => latest,
+        }
+    }
+
     pub(super) const fn wakeup(&self) -> Timestamp<Server> {
         self.wakeup
     }
@@ -140,8 +149,9 @@ impl Act {
         let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();
         };
-        let (since, commit_by) = (approach.rounds[0], approach.commit_by(timing));
-        approach.wakeup = commit_by - FAIL_AHEAD;
+        let (since, commit_by, fail_by) =
+            (approach.rounds[0], approach.commit_by(timing), approach.fail_by(timing));
+        approach.wakeup = fail_by;
         // Those that have answered stay so while nothing new is asked: each event looks at the first that has not.
         let holds = |member: &super::Member| {
             !member.takes_part() || member.holds_since(&robots[member.robot], since)
@@ -155,7 +165,7 @@ impl Act {
             return vec![ActAction::Record(Record::Committed { number: self.number })];
         }
         let ready = all && on_disk == OnDisk::Commitment;
-        if !ready && now < commit_by - FAIL_AHEAD {
+        if !ready && now < fail_by {
             return Vec::new();
         }
         let failing = self.not_committable(now, since, robots);

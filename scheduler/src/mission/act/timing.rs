@@ -162,6 +162,11 @@ impl Timing {
         }
     }
 
+    /// How long the record of the commitment may take.
+    pub(crate) const fn recording(&self) -> Span {
+        self.pace.record
+    }
+
     /// From here on the commitment is written down as soon as every robot holds its scripts.
     pub(crate) fn record_from(&self) -> Timestamp<Server> {
         self.critical() - self.pace.record - self.pace.period * 2
