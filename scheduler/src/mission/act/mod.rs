@@ -309,7 +309,7 @@ impl Act {
             Stage::Preparing(preparing) => timing.map(|timing| preparing.wakeup(timing)),
             Stage::Approaching(approach) => Some(approach.wakeup()),
             Stage::Committed(commitment) => Some(commitment.wakeup()),
-            Stage::Playing(playing) => playing.wakeup().into_iter().chain(self.reading_due()).min(),
+            Stage::Playing(playing) => self.reading_due().into_iter().chain([playing.wakeup(self.since)]).min(),
             Stage::Over => None,
         }
     }

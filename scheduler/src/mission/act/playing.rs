@@ -25,8 +25,9 @@ pub(super) struct Playing {
 }
 
 impl Playing {
-    pub(super) const fn wakeup(&self) -> Option<Timestamp<Server>> {
-        self.watch
+    /// `at_once` is an instant that has passed.
+    pub(super) fn wakeup(&self, at_once: Timestamp<Server>) -> Timestamp<Server> {
+        self.watch.unwrap_or(at_once)
     }
 
     pub(super) const fn recheck(&mut self) {
