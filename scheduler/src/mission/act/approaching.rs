@@ -9,6 +9,7 @@
 use downbeat_scripts::OnDoubt;
 use urrcp::{Server, Span, Timestamp};
 
+use super::playing::Rounds;
 use super::timing::Leases;
 use super::{Act, ActAction, Stage, Timing};
 use crate::mission::failure_kind::FailureKind;
@@ -45,8 +46,8 @@ pub(crate) struct Approach {
 pub(crate) struct Commitment {
     next_round: Timestamp<Server>,
     since: Timestamp<Server>,
-    /// Rounds go on until then.
-    until: Timestamp<Server>,
+    /// When the last robot has started.
+    begun: Timestamp<Server>,
     /// Members before it have answered since the commitment.
     heard: usize,
     told: Told,
@@ -98,7 +99,7 @@ impl Approach {
 
 impl Commitment {
     pub(super) fn wakeup(&self) -> Timestamp<Server> {
-        self.doubt.map_or(self.next_round, |at| at.min(self.next_round)).min(self.until)
+        self.doubt.map_or(self.next_round, |at| at.min(self.next_round)).min(self.begun)
     }
 }
 
@@ -206,14 +207,14 @@ impl Act {
     }
 
     fn commit(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
-        let until = self.rounds_until();
         let withdraws = self.written().on_doubt == OnDoubt::Withdraw;
         let Some(timing) = &mut self.timing else { return Vec::new() };
         timing.round = Some((now, now));
         let next_round = now + timing.pace.period;
         let doubt = withdraws.then(|| timing.last_withdrawal());
         let told = Told::NotYet;
-        self.stage = Stage::Committed(Commitment { next_round, since: now, until, heard: 0, told, doubt });
+        let begun = timing.begun();
+        self.stage = Stage::Committed(Commitment { next_round, since: now, begun, heard: 0, told, doubt });
         vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
     }
 
@@ -227,13 +228,16 @@ impl Act {
         let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
             return actions;
         };
-        let (due, begun) = (now >= commitment.next_round, now >= commitment.until);
+        let (due, begun) = (now >= commitment.next_round, now >= commitment.begun);
         if due {
             commitment.next_round = now + timing.pace.period;
+        }
+        let next = commitment.next_round;
+        if due {
             actions.push(ActAction::Ask(self.present().map(|member| member.robot).collect()));
         }
         if begun {
-            self.begin(now);
+            self.begin(now, Some(Rounds { next, until: self.rounds_until() }));
         }
         actions
     }
@@ -254,7 +258,7 @@ impl Act {
         silent.map(|member| failure(member.robot)).collect()
     }
 
-    /// The commitment's rounds go on until every script has begun whose lease was shortened.
+    /// Rounds go on until every script has begun whose lease was shortened.
     fn rounds_until(&self) -> Timestamp<Server> {
         let Some(timing) = &self.timing else { return self.since };
         let lease = timing.lead.lease;

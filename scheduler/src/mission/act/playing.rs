@@ -22,12 +22,22 @@ pub(super) struct Playing {
     watch: Option<Timestamp<Server>>,
     /// When the robots were last asked for overdue reports.
     asked: Option<Timestamp<Server>>,
+    /// Rounds that keep leases which were shortened for the start; `None`: all their scripts have begun.
+    rounds: Option<Rounds>,
+}
+
+/// Rounds of an act whose last devices begin a little later than it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Rounds {
+    pub(super) next: Timestamp<Server>,
+    pub(super) until: Timestamp<Server>,
 }
 
 impl Playing {
     /// `at_once` is an instant that has passed.
     pub(super) fn wakeup(&self, at_once: Timestamp<Server>) -> Timestamp<Server> {
-        self.watch.unwrap_or(at_once)
+        let watch = self.watch.unwrap_or(at_once);
+        self.rounds.map_or(watch, |rounds| watch.min(rounds.next))
     }
 
     pub(super) const fn recheck(&mut self) {
@@ -43,8 +53,18 @@ pub(crate) struct Noted {
 }
 
 impl Act {
-    pub(super) fn begin(&mut self, now: Timestamp<Server>) {
-        self.stage = Stage::Playing(Playing { watch: Some(now), asked: None });
+    pub(super) fn begin(&mut self, now: Timestamp<Server>, rounds: Option<Rounds>) {
+        let rounds = rounds.filter(|rounds| rounds.next < rounds.until);
+        self.stage = Stage::Playing(Playing { watch: Some(now), asked: None, rounds });
+    }
+
+    /// Keeps the leases of those that begin a little later.
+    fn round_if_due(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
+        let (Stage::Playing(playing), Some(timing)) = (&mut self.stage, &self.timing) else { return Vec::new() };
+        let Some(rounds) = playing.rounds.filter(|rounds| now >= rounds.next) else { return Vec::new() };
+        let next = now + timing.pace.period;
+        playing.rounds = Some(Rounds { next, ..rounds }).filter(|rounds| next < rounds.until);
+        vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
     }
 
     /// Takes an answer to a request of this act.
@@ -118,7 +138,8 @@ impl Act {
 
     /// Ends the act when all is done, and finds reports that are overdue.
     pub(super) fn watch(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
-        let mut actions = self.read_what_is_due(now, robots);
+        let mut actions = self.round_if_due(now);
+        actions.extend(self.read_what_is_due(now, robots));
         let Stage::Playing(playing) = &self.stage else { return actions };
         if playing.watch.is_some_and(|at| now < at) {
             return actions;

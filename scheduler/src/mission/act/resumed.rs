@@ -65,7 +65,7 @@ impl Act {
         act.stage = match reached {
             Reached::Decision => Stage::Approaching(Approach::beginning(now)),
             Reached::Commitment => {
-                act.begin(now);
+                act.begin(now, None);
                 act.stage
             }
         };
