@@ -8,6 +8,8 @@ mod member;
 mod playing;
 mod preparing;
 mod resumed;
+#[cfg(test)]
+mod tests;
 pub(crate) mod timing;
 mod waiting;
 
