@@ -370,3 +370,6 @@ impl RobotState {
         true
     }
 }
+
+#[cfg(test)]
+mod tests;

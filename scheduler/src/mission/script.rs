@@ -335,3 +335,6 @@ pub(crate) fn error_of(response: &ControlResponse) -> ControlError {
     let without = || ControlError::new(ErrorCode::Internal, "the robot gave no reason");
     response.error.clone().unwrap_or_else(without)
 }
+
+#[cfg(test)]
+mod tests;
