@@ -68,3 +68,6 @@ pub(crate) fn fits(acts: &[Act], index: usize, robots: &[RobotState]) -> bool {
         taken.is_empty() || member.scripts().iter().all(has_room)
     })
 }
+
+#[cfg(test)]
+mod tests;

@@ -8,6 +8,8 @@
 //! so that an answer that arrives just in time counts.
 
 pub(crate) mod act;
+#[cfg(test)]
+mod bench;
 mod course;
 mod events;
 mod facts;

@@ -94,11 +94,12 @@ impl Mission {
     /// Sends a message. While an act of the robot approaches its start, it goes behind a question that carries the lease;
     /// between the critical instant and the commitment it waits.
     pub(super) fn send(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
-        if self.acts.iter().any(|act| act.hushes(robot, now)) {
+        let waits = |act: &Act| act.hushes(robot, now) && !act.lets_through(robot, now);
+        if self.acts.iter().any(waits) {
             return self.deferred.push((robot, message));
         }
         if self.acts.iter().any(|act| act.approaches(robot)) {
-            self.inquire(now, robot);
+            self.inquire_now(now, robot);
         }
         self.post(now, robot, message);
     }

@@ -383,3 +383,6 @@ impl RobotState {
         true
     }
 }
+
+#[cfg(test)]
+mod tests;

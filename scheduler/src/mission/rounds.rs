@@ -67,18 +67,27 @@ impl Mission {
         if self.acts.iter().any(|act| act.approaches(robot)) {
             return self.inquire(now, robot);
         }
-        self.ask_about(now, robot, Vec::new());
+        if !self.acts.iter().any(|act| act.hushes(robot, now)) {
+            self.ask_about(now, robot, Vec::new());
+        }
     }
 
     /// Asks a robot what became of all its scripts, and lets it shorten their leases as far as acts approach their start.
     pub(super) fn inquire(&mut self, now: Timestamp<Server>, robot: usize) {
+        if !self.acts.iter().any(|act| act.hushes(robot, now)) {
+            self.inquire_now(now, robot);
+        }
+    }
+
+    /// The same ahead of a message that cannot wait.
+    pub(super) fn inquire_now(&mut self, now: Timestamp<Server>, robot: usize) {
         let named = self.acts.iter().flat_map(|act| act.names_of(robot, now)).collect();
         self.ask_about(now, robot, named);
     }
 
     fn ask_about(&mut self, now: Timestamp<Server>, robot: usize, named: Vec<super::act::NamedScripts>) {
         let state = &mut self.robots[robot];
-        if !state.is_up() || self.acts.iter().any(|act| act.hushes(robot, now)) {
+        if !state.is_up() {
             return;
         }
         state.questions.asked(now);

@@ -240,10 +240,11 @@ impl Script {
         }
     }
 
-    /// The robot does not know the request: it never came, or it is lost. An answer from before it came says nothing.
+    /// The robot does not know the request: it never came, or it is lost. An answer from before it came says nothing, and
+    /// what was asked at the very instant at which it was sent may have gone ahead of it.
     fn unknown_to_the_robot(&mut self, asked_at: Timestamp<Server>, said_at: Timestamp<Robot>) -> News {
         match self.state {
-            ScriptState::Sent if self.sent_at.is_none_or(|sent| sent <= asked_at) => News::NeverReceived,
+            ScriptState::Sent if self.sent_at.is_none_or(|sent| sent < asked_at) => News::NeverReceived,
             ScriptState::Held | ScriptState::Running | ScriptState::Unknown
                 if self.accepted_at.is_none_or(|at| at < said_at) =>
             {
@@ -284,7 +285,7 @@ impl Script {
         }
         self.accepted = true;
         let all = u32::try_from(self.plan.script.steps().len()).unwrap_or(u32::MAX);
-        self.steps_done = steps_done.unwrap_or(all);
+        self.steps_done = self.steps_done.max(steps_done.unwrap_or(all));
         self.state = ScriptState::Ended(Ending::Completed);
         News::Completed
     }
@@ -334,3 +335,6 @@ pub(crate) fn error_of(response: &ControlResponse) -> ControlError {
     let without = || ControlError::new(ErrorCode::Internal, "the robot gave no reason");
     response.error.clone().unwrap_or_else(without)
 }
+
+#[cfg(test)]
+mod tests;

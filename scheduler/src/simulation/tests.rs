@@ -39,6 +39,7 @@ fn most_seeds_without_faults_come_to_their_end() {
         all += 1;
         let outcome = ran.report.map(|report| report.outcome);
         done += usize::from(outcome == Some(crate::report::Outcome::Done));
+        if outcome != Some(crate::report::Outcome::Done) { eprintln!("SEED {seed} {outcome:?}"); }
     }
     assert!(all > 30 && done * 10 >= all * 9, "{done} of {all} done");
 }

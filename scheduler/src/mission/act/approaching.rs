@@ -45,19 +45,14 @@ pub(crate) struct Approach {
 pub(crate) struct Commitment {
     next_round: Timestamp<Server>,
     since: Timestamp<Server>,
-    /// Rounds go on until then.
-    until: Timestamp<Server>,
+    /// When the last robot has started.
+    begun: Timestamp<Server>,
     /// Members before it have answered since the commitment.
     heard: usize,
     told: Told,
-    doubt: Doubt,
-}
-
-/// Whether it was looked, as late as a withdrawal allows, who has not answered the commitment.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Doubt {
-    Open,
-    Settled,
+    /// When it is looked, as late as a withdrawal allows, who has not answered; `None`: the others start in any case, or it
+    /// was looked.
+    doubt: Option<Timestamp<Server>>,
 }
 
 /// Whether the operator was told how long the commitment took.
@@ -81,6 +76,15 @@ impl Approach {
         timing.commit_by(self.rounds[1])
     }
 
+    /// Who has not answered by then has failed: what the others still need is left, the record and the commitment itself.
+    fn fail_by(&self, timing: &Timing) -> Timestamp<Server> {
+        let latest = self.commit_by(timing) - FAIL_AHEAD;
+        match self.on_disk {
+            OnDisk::Nothing => (latest - timing.recording()).max(timing.commit_from() + timing.pace.period).min(latest),
+            OnDisk::Asked | OnDisk::Commitment => latest,
+        }
+    }
+
     pub(super) const fn wakeup(&self) -> Timestamp<Server> {
         self.wakeup
     }
@@ -95,7 +99,7 @@ impl Approach {
 
 impl Commitment {
     pub(super) fn wakeup(&self) -> Timestamp<Server> {
-        self.next_round.min(self.until)
+        self.doubt.map_or(self.next_round, |at| at.min(self.next_round)).min(self.begun)
     }
 }
 
@@ -154,8 +158,9 @@ impl Act {
         let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
             return Vec::new();
         };
-        let (since, commit_by) = (approach.rounds[0], approach.commit_by(timing));
-        approach.wakeup = commit_by - FAIL_AHEAD;
+        let (since, commit_by, fail_by) =
+            (approach.rounds[0], approach.commit_by(timing), approach.fail_by(timing));
+        approach.wakeup = fail_by;
         // Those that have answered stay so while nothing new is asked: each event looks at the first that has not.
         let holds = |member: &super::Member| {
             !member.takes_part() || member.holds_since(&robots[member.robot], since)
@@ -169,7 +174,7 @@ impl Act {
             return vec![ActAction::Record(Record::Committed { number: self.number })];
         }
         let ready = all && on_disk == OnDisk::Commitment;
-        if !ready && now < commit_by - FAIL_AHEAD {
+        if !ready && now < fail_by {
             return Vec::new();
         }
         let failing = self.not_committable(now, since, robots);
@@ -210,17 +215,20 @@ impl Act {
     }
 
     fn commit(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
+        let withdraws = self.written().on_doubt == OnDoubt::Withdraw;
         let Some(timing) = &mut self.timing else { return Vec::new() };
         timing.round = Some((now, now));
-        let until = timing.begun();
         let next_round = now + timing.pace.period;
-        self.stage = Stage::Committed(Commitment { next_round, since: now, until, heard: 0, told: Told::NotYet, doubt: Doubt::Open });
+        let doubt = withdraws.then(|| timing.last_withdrawal());
+        let told = Told::NotYet;
+        let begun = timing.begun();
+        self.stage = Stage::Committed(Commitment { next_round, since: now, begun, heard: 0, told, doubt });
         vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
     }
 
     /// Keeps the leases over the start, and learns whether the commitment has reached every robot.
     pub(super) fn begin_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
-        let doubtful = self.doubtful(now);
+        let doubtful = self.doubtful(now, robots);
         if !doubtful.is_empty() {
             return vec![ActAction::Fail(doubtful)];
         }
@@ -228,7 +236,7 @@ impl Act {
         let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
             return actions;
         };
-        let (due, begun) = (now >= commitment.next_round, now >= commitment.until);
+        let (due, begun) = (now >= commitment.next_round, now >= commitment.begun);
         if due {
             commitment.next_round = now + timing.pace.period;
             actions.push(ActAction::Ask(self.present().map(|member| member.robot).collect()));
@@ -241,17 +249,13 @@ impl Act {
 
     /// Robots that have not answered the commitment while it can still be withdrawn, where the scenario wants that: nobody
     /// can know whether they will start.
-    fn doubtful(&mut self, now: Timestamp<Server>) -> Vec<(usize, FailureKind)> {
-        let withdraws = self.written().on_doubt == OnDoubt::Withdraw;
-        let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
-            return Vec::new();
-        };
-        if !withdraws || commitment.doubt == Doubt::Settled || now < timing.last_withdrawal() {
+    fn doubtful(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
+        let Stage::Committed(commitment) = &mut self.stage else { return Vec::new() };
+        if commitment.doubt.take_if(|at| now >= *at).is_none() {
             return Vec::new();
         }
-        commitment.doubt = Doubt::Settled;
-        let within = now - commitment.since;
-        let silent = self.members[commitment.heard..].iter().filter(|member| member.takes_part());
+        let (since, within) = (commitment.since, now - commitment.since);
+        let silent = self.present().filter(|member| !has_answered(&robots[member.robot], since));
         let failure = |robot: usize| {
             let awaited = "answer to the commitment, and `on_doubt` is `withdraw`".to_owned();
             (robot, FailureKind::Silent { awaited, within })
@@ -264,9 +268,8 @@ impl Act {
             return Vec::new();
         };
         let since = commitment.since;
-        let answered = |member: &super::Member| {
-            !member.takes_part() || robots[member.robot].questions.answered().is_none_or(|at| at >= since)
-        };
+        let answered =
+            |member: &super::Member| !member.takes_part() || has_answered(&robots[member.robot], since);
         let heard = self.members[commitment.heard..].iter().take_while(|member| answered(member)).count();
         commitment.heard += heard;
         if commitment.heard < self.members.len() || commitment.told == Told::Window {
@@ -277,4 +280,9 @@ impl Act {
         let window = Some(now - since);
         vec![ActAction::Tell(Progress::Committed { act: self.name(), window })]
     }
+}
+
+/// Whether a robot has answered a question that was sent at `since` or later, if it answers any.
+fn has_answered(robot: &RobotState, since: Timestamp<Server>) -> bool {
+    robot.questions.answered().is_none_or(|at| at >= since)
 }

@@ -38,9 +38,16 @@ impl Member {
         self.shift
     }
 
-    /// Every script that was sent is accepted.
+    /// The first script of every device and every other one that was sent is accepted.
     pub(super) fn has_accepted(&self) -> bool {
-        self.scripts.iter().all(|script| script.was_accepted() || !script.is_out())
+        self.unaccepted().next().is_none()
+    }
+
+    /// Scripts that it still has to accept.
+    pub(super) fn unaccepted(&self) -> impl Iterator<Item = (usize, &Script)> {
+        let open = |index: usize, script: &Script| script.is_out() || self.before(index).is_none();
+        let scripts = self.scripts.iter().enumerate();
+        scripts.filter(move |(index, script)| !script.was_accepted() && open(*index, script))
     }
 
     pub(crate) fn is_done(&self) -> bool {
@@ -95,18 +102,19 @@ impl Member {
         }
     }
 
-    /// Whether it has answered that it holds every script that is out, to a question sent at `since` or later. A robot that
-    /// takes no inquiries is held to its answers to other questions, if it ever gave one.
+    /// Whether it has answered that it holds the first script of every device, to a question sent at `since` or later. Those
+    /// that follow cannot begin without them, and may be sent until it is their turn. A robot that takes no inquiries is
+    /// held to its answers to other questions, if it ever gave one.
     pub(super) fn holds_since(&self, robot: &RobotState, since: Timestamp<Server>) -> bool {
         let answered = robot.questions.answered();
-        if !robot.is_up() || !self.has_accepted() {
+        if !robot.is_up() || !self.firsts().all(Script::was_accepted) {
             return false;
         }
         if !robot.takes_inquiries() {
             return answered.is_none_or(|at| at >= since);
         }
         let held = |script: &Script| !script.is_out() || script.held_at().is_some_and(|at| at >= since);
-        answered.is_some_and(|at| at >= since) && self.scripts.iter().all(held)
+        answered.is_some_and(|at| at >= since) && self.firsts().all(held)
     }
 }
 

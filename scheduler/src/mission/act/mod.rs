@@ -8,6 +8,8 @@ mod member;
 mod playing;
 mod preparing;
 mod resumed;
+#[cfg(test)]
+mod tests;
 pub(crate) mod timing;
 mod waiting;
 
@@ -309,7 +311,7 @@ impl Act {
             Stage::Preparing(preparing) => timing.map(|timing| preparing.wakeup(timing)),
             Stage::Approaching(approach) => Some(approach.wakeup()),
             Stage::Committed(commitment) => Some(commitment.wakeup()),
-            Stage::Playing(playing) => playing.wakeup().into_iter().chain(self.reading_due()).min(),
+            Stage::Playing(playing) => self.reading_due().into_iter().chain([playing.wakeup(self.since)]).min(),
             Stage::Over => None,
         }
     }
@@ -338,13 +340,14 @@ impl Act {
         let (Some(place), Some(timing)) = (self.place_of(robot), &self.timing) else { return Vec::new() };
         let shortens = matches!(self.stage, Stage::Approaching(_));
         let member = &self.members[place];
-        let mut groups: BTreeMap<Option<Span>, Vec<RequestId>> = BTreeMap::new();
+        // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
+        let mut groups: BTreeMap<(bool, Option<Span>), Vec<RequestId>> = BTreeMap::new();
         for (index, script) in member.scripts.iter().enumerate().filter(|(_, script)| script.is_unaccounted()) {
             let offset = member.shortened_offset(index, timing.lead.lease).filter(|_| shortens);
             let lease = offset.map(|offset| timing.lease_at(now) + offset);
-            groups.entry(lease).or_default().extend(script.request_id().cloned());
+            groups.entry((lease.is_none(), lease)).or_default().extend(script.request_id().cloned());
         }
-        groups.into_iter().map(|(lease, requests)| NamedScripts { lease, requests }).collect()
+        groups.into_iter().map(|((_, lease), requests)| NamedScripts { lease, requests }).collect()
     }
 
     /// Whether every message to a robot has to come behind a question that carries a lease.
@@ -357,6 +360,12 @@ impl Act {
         let critical = self.timing.as_ref().is_some_and(|timing| now >= timing.critical());
         let undecided = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_));
         critical && undecided && self.place_of(robot).is_some()
+    }
+
+    /// Whether a message that cannot wait may still go to a robot that is hushed, behind a question with a shorter lease.
+    pub(crate) fn lets_through(&self, robot: usize, now: Timestamp<Server>) -> bool {
+        let timing = self.timing.as_ref().filter(|timing| timing.lets_through(now));
+        timing.is_some() && self.approaches(robot)
     }
 
     /// Something has changed that may let it go on.

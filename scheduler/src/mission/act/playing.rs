@@ -25,8 +25,9 @@ pub(super) struct Playing {
 }
 
 impl Playing {
-    pub(super) const fn wakeup(&self) -> Option<Timestamp<Server>> {
-        self.watch
+    /// `at_once` is an instant that has passed.
+    pub(super) fn wakeup(&self, at_once: Timestamp<Server>) -> Timestamp<Server> {
+        self.watch.unwrap_or(at_once)
     }
 
     pub(super) const fn recheck(&mut self) {
@@ -98,13 +99,13 @@ impl Act {
                 actions.push(ActAction::Refill(vec![robot]));
                 self.look_again();
             }
-            News::NeverReceived => actions.push(ActAction::Send(script)),
+            News::NeverReceived if member.takes_part() => actions.push(ActAction::Send(script)),
             News::Failed(error) => {
                 let device = member.scripts[script.script].plan.device.clone();
                 let kind = FailureKind::Script { device, error: error.clone() };
                 actions.push(ActAction::Fail(vec![(robot, kind)]));
             }
-            News::None | News::Accepted => {}
+            News::None | News::Accepted | News::NeverReceived => {}
         }
         Noted { news, actions }
     }
@@ -172,15 +173,17 @@ impl Act {
         let mut failing: Vec<(usize, FailureKind)> = Vec::new();
         for member in self.present() {
             let robot = &robots[member.robot];
-            // Without a link nothing can be reported; it is given up in its own time.
-            if !robot.tells_fates() || !robot.is_up() {
+            // Without a link nothing can be reported, nor before it is heard again; it is given up in its own time.
+            if !robot.tells_fates() || !robot.is_up() || robot.lost().is_some() {
                 continue;
             }
             let due = |script: &&Script| self.report_due(member, script, robot, grace).is_some_and(|at| now >= at);
             let Some(script) = member.scripts.iter().find(due) else { continue };
+            // It had the time to say so, and answered a question meanwhile: after a resumption there may have been none.
+            let was_asked = |due| !robot.takes_inquiries() || robot.questions.answered().is_some_and(|at| at >= due);
             let lost = |script: &Script| {
                 let due = self.report_due(member, script, robot, grace);
-                robot.reports() && due.is_some_and(|due| now >= due + grace)
+                due.is_some_and(|due| now >= due + grace && was_asked(due))
             };
             if lost(script) {
                 let what = if *script.state() == ScriptState::Running { "end" } else { "start" };
@@ -311,7 +314,9 @@ impl Act {
             self.readings_asked += 1;
             let planned = &self.written().readings[which];
             let what = Reading::Planned(self.number, which);
+            let left_out = |robot: usize| self.member(robot).is_some_and(|member| !member.takes_part());
             let robot = robots.iter().position(|state| state.id == planned.robot);
+            let robot = robot.filter(|robot| !left_out(*robot));
             let sensor = planned.sensor.clone();
             actions.extend(robot.map(|robot| ActAction::Read { robot, sensor, what }));
         }

@@ -200,12 +200,9 @@ impl Act {
 /// What has not been answered is sent again, in case it was lost.
 fn unanswered(act: u32, members: &[Member], robots: &[RobotState]) -> Vec<ActAction> {
     let waits = |member: &Member| member.takes_part() && !member.has_accepted() && robots[member.robot].is_up();
-    let of_member = |(m, member): (usize, &Member)| {
-        let unanswered = |(_, script): &(usize, &Script)| script.is_out() && !script.was_accepted();
-        let scripts: Vec<_> = member.scripts.iter().enumerate().filter(unanswered).map(|(s, _)| s).collect();
-        scripts.into_iter().map(move |s| ActAction::Send(ScriptRef { act, member: m, script: s }))
-    };
-    members.iter().enumerate().filter(|(_, member)| waits(member)).flat_map(of_member).collect()
+    let waiting = members.iter().enumerate().filter(|(_, member)| waits(member));
+    let open = waiting.flat_map(|(m, member)| member.unaccepted().map(move |(s, _)| (m, s)));
+    open.map(|(member, script)| ActAction::Send(ScriptRef { act, member, script })).collect()
 }
 
 fn unaccepted(robot: &RobotState, member: &Member, within: Span) -> FailureKind {
@@ -216,8 +213,7 @@ fn unaccepted(robot: &RobotState, member: &Member, within: Span) -> FailureKind 
 }
 
 fn awaited_acceptance(member: &Member) -> String {
-    let open = member.scripts.iter().filter(|script| script.is_out() && !script.was_accepted());
-    let open: Vec<_> = open.map(|script| format!("`{}`", script.plan.device)).collect();
+    let open: Vec<_> = member.unaccepted().map(|(_, script)| format!("`{}`", script.plan.device)).collect();
     match open.len() {
         0..=4 => format!("acceptance by {}", open.join(", ")),
         n => format!("acceptance by {} and {} more devices", open[..3].join(", "), n - 3),

@@ -171,7 +171,13 @@ impl Timing {
 
     /// The pending lease that whatever is sent at this instant has to carry.
     pub(crate) fn lease_at(&self, at: Timestamp<Server>) -> Span {
-        (self.brink() - at).max(self.pace.final_lease).min(self.lead.lease)
+        (self.brink() - at).max(Span::ZERO).min(self.lead.lease)
+    }
+
+    /// Whether a message may go to a robot after the critical instant, behind a question with a lease that still ends at the
+    /// brink: there has to be time left for the commitment.
+    pub(crate) fn lets_through(&self, at: Timestamp<Server>) -> bool {
+        self.pace.leases == Leases::Shortened && self.lease_at(at) >= DELIVERY_MIN * 2
     }
 
     /// The pending lease of the last rounds, for a script that begins with the act.
@@ -189,6 +195,11 @@ impl Timing {
             next if now < last && next > last => last,
             next => next,
         }
+    }
+
+    /// How long the record of the commitment may take.
+    pub(crate) const fn recording(&self) -> Span {
+        self.pace.record
     }
 
     /// From here on the commitment is written down as soon as every robot holds its scripts.

@@ -88,9 +88,9 @@ impl Act {
 
     /// The operator says go. `false`: it does not wait for that now.
     pub(crate) fn go(&mut self) -> bool {
-        let alone = self.is_alone();
+        let counts = self.is_alone() && self.written().wait == Wait::Operator;
         match &mut self.stage {
-            Stage::Waiting(waiting) if alone => {
+            Stage::Waiting(waiting) if counts => {
                 waiting.gone = true;
                 true
             }
