@@ -41,7 +41,10 @@ fn robots_that_are_to_hold_are_not_said_to_be_in_their_default_state() {
     assert!(!ended.out.contains("default state confirmed"), "{ended}");
     assert!(ended.out.contains("r0: "), "what became of the other one? {ended}");
     let held = stage.robots[0].values("d").last().copied();
-    let moved = stage.robots[0].log().into_iter().find(|entry| entry.motion == "default" && Some(entry.value) != held);
+    let moved = stage.robots[0]
+        .log()
+        .into_iter()
+        .find(|entry| entry.motion == "default" && Some(entry.value) != held);
     assert!(moved.is_none(), "{moved:?}, it stood at {held:?}");
 }
 

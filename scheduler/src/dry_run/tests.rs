@@ -281,7 +281,10 @@ fn a_loop_of_acts_is_played_three_times_or_as_often_as_asked_for() {
 fn a_mission_that_ends_because_of_its_bound_says_so() {
     let (played, _) = played_through(acts_with(bounded(2), |_| {}));
     let text = crate::report::report_text(&played.report);
-    assert!(text.contains("ended because 2 acts had begun, the bound; another would have followed"), "{text}");
+    assert!(
+        text.contains("ended because 2 acts had begun, the bound; another would have followed"),
+        "{text}"
+    );
     assert_eq!(serde_json::to_value(&played.report).unwrap()["acts_max_reached"], 2);
     let (played, ended) = played_through(acts_with(bounded(3), |_| {}));
     assert_eq!((played.report.acts_max_reached, ended), (None, 3), "there was no other");
@@ -292,8 +295,8 @@ fn a_mission_that_ends_because_of_its_bound_says_so() {
 fn the_act_that_follows_a_failure_counts_against_the_bound() {
     for (acts_max, reached) in [(1, Some(1)), (2, None)] {
         let mut rehearsal = acts_with(bounded(acts_max), |acts| acts[0].on_failure.then = Some(2));
-        let silent = Settings { fault: Some(Fault::Silent), ..Settings::default() };
-        rehearsal.robots[1] = SimulatedRobot::new(block(1), silent);
+        let refuses = Settings { fault: Some(Fault::Refuse), ..Settings::default() };
+        rehearsal.robots[1] = SimulatedRobot::new(block(1), refuses);
         let (played, _) = played_through(rehearsal);
         assert_eq!(played.report.acts_max_reached, reached, "{:?}", played.report.failures);
         assert_ne!(played.report.outcome, Outcome::Done);

@@ -34,7 +34,9 @@ fn prepared(number: u32) -> Record {
 fn written(folder: &Path) -> PathBuf {
     let mut journal = Journal::open(folder).unwrap();
     journal.begin(at(1), &opened()).unwrap();
-    for record in [prepared(0), Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO }, prepared(1)] {
+    for record in
+        [prepared(0), Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO }, prepared(1)]
+    {
         journal.append(at(2), &record).unwrap();
     }
     assert_eq!(journal.sync(), Ok(2));
@@ -99,16 +101,28 @@ fn a_journal_cut_anywhere_takes_further_records_and_all_are_read_back() {
     for cut in lines[0] + 1..=bytes.len() {
         std::fs::write(&path, &bytes[..cut]).unwrap();
         let mut journal = Journal::open(folder.path()).unwrap();
-        for record in [prepared(7), Record::Decided { number: 7, unnamed: vec![], doubt: Span::ZERO }, prepared(8)] {
+        for record in
+            [prepared(7), Record::Decided { number: 7, unnamed: vec![], doubt: Span::ZERO }, prepared(8)]
+        {
             journal.append(at(9), &record).unwrap();
         }
         drop(journal);
         let kept = read(&path).unwrap();
         let whole = lines.iter().filter(|end| **end < cut).count();
-        let before: &[_] = [&[][..], &[], &[(0, Progressed::Prepared)], &[(0, Progressed::Decided)], &[(0, Progressed::Decided), (1, Progressed::Prepared)]][whole];
+        let before: &[_] = [
+            &[][..],
+            &[],
+            &[(0, Progressed::Prepared)],
+            &[(0, Progressed::Decided)],
+            &[(0, Progressed::Decided), (1, Progressed::Prepared)],
+        ][whole];
         let promises: Vec<_> =
             kept.promises.iter().map(|(promise, progressed)| (promise.number, *progressed)).collect();
-        assert_eq!(promises, [before, &[(7, Progressed::Decided), (8, Progressed::Prepared)]].concat(), "cut at {cut}");
+        assert_eq!(
+            promises,
+            [before, &[(7, Progressed::Decided), (8, Progressed::Prepared)]].concat(),
+            "cut at {cut}"
+        );
         assert_eq!(kept.torn, None, "cut at {cut}");
     }
 }
@@ -148,7 +162,11 @@ fn what_was_synced_survives_a_loss_of_power_wherever_it_tears_the_rest() {
         disk.lose_power(survive);
         let mut journal = on(disk);
         let kept = journal.kept().unwrap().clone();
-        assert_eq!(kept.promises[0].1 == Progressed::Decided, survive == at_risk, "{survive} of {at_risk} bytes");
+        assert_eq!(
+            kept.promises[0].1 == Progressed::Decided,
+            survive == at_risk,
+            "{survive} of {at_risk} bytes"
+        );
         assert_eq!(kept.torn.is_some(), survive > 0 && survive < at_risk);
         journal.append(at(3), &Record::Ended { outcome: Outcome::Stopped }).unwrap();
         let again = on(journal.into_disk());
@@ -187,7 +205,9 @@ async fn the_thread_tells_how_many_durable_records_are_on_the_disk() {
     let mut journal = on(SimulatedDisk::default());
     journal.begin(at(1), &opened()).unwrap();
     let mut writer = Writer::start(journal).unwrap();
-    for record in [prepared(0), Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO }, prepared(1)] {
+    for record in
+        [prepared(0), Record::Decided { number: 0, unnamed: vec![], doubt: Span::ZERO }, prepared(1)]
+    {
         writer.write(at(2), record).unwrap();
     }
     let mut written = Written::default();

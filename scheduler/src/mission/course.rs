@@ -52,7 +52,9 @@ impl Mission {
             let actions = self.acts[index].advance(now, &self.robots, &self.options);
             let acted = !actions.is_empty();
             self.carry_out(now, number, actions);
-            if self.phase != Phase::Performing || self.acts.get(index).is_none_or(|act| act.number() != number) {
+            if self.phase != Phase::Performing
+                || self.acts.get(index).is_none_or(|act| act.number() != number)
+            {
                 return;
             }
             self.prepare_if_it_fits(now, index);

@@ -156,11 +156,7 @@ impl Mission {
             };
             let scripts = act.members()[place].scripts().iter().enumerate();
             let scripts = scripts.filter(|(_, script)| waits(script));
-            again.extend(scripts.map(|(script, _)| ScriptRef {
-                act: act.number(),
-                member: place,
-                script,
-            }));
+            again.extend(scripts.map(|(script, _)| ScriptRef { act: act.number(), member: place, script }));
         }
         for script in again {
             self.robots[robot].totals.retries += 1;

@@ -2,8 +2,9 @@
 //! the fleet file requires of sensors, and where devices stand.
 
 use urrcp::{
-    AvailabilityResponse, Command, ControlRequest, ControlResponse, ControlType, DeviceId, InitializationBlock,
-    InitializationRequest, Message, RequestId, Server, Span, Status, StatusValue, Timestamp,
+    AvailabilityResponse, Command, ControlRequest, ControlResponse, ControlType, DeviceId,
+    InitializationBlock, InitializationRequest, Message, RequestId, Server, Span, Status, StatusValue,
+    Timestamp,
 };
 
 use super::failure_kind::FailureKind;
@@ -62,8 +63,12 @@ impl Mission {
             return self.fail(now, robot, FailureKind::NotAvailable { error });
         }
         if let Some(sent) = response.originate_timestamp.filter(|sent| *sent <= self.arrived) {
-            let sample =
-                ClockSample::from_exchange(sent, response.receive_timestamp, response.timestamp, self.arrived);
+            let sample = ClockSample::from_exchange(
+                sent,
+                response.receive_timestamp,
+                response.timestamp,
+                self.arrived,
+            );
             self.take_times(robot, sample);
         }
         match self.phase {
@@ -362,7 +367,9 @@ impl Mission {
                 Link::Connecting | Link::Lost(_) => "connection",
                 Link::Up { .. } if full && robot.clock.samples() == 0 => "availability response",
                 Link::Up { .. } if full && !robot.introduced => "initialization block",
-                Link::Up { .. } if full && robot.clock.samples() < CLOCK_SAMPLES => "further availability responses",
+                Link::Up { .. } if full && robot.clock.samples() < CLOCK_SAMPLES => {
+                    "further availability responses"
+                }
                 Link::Up { .. } if full && !robot.reads.is_empty() => "readings of its sensors",
                 Link::Up { .. } => continue,
             };

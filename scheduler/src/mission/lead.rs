@@ -86,7 +86,8 @@ mod tests {
     fn needed(round_trip: Span, bytes: usize) -> LeadTime {
         let lease = LeadTime::lease_needed(round_trip);
         let (early, late, record) = (Span::ZERO, Span::ZERO, Span::ZERO);
-        let measured = Measured { robots: 6, scripts: 6, leases: Leases::Shortened, round_trip, early, late, record };
+        let measured =
+            Measured { robots: 6, scripts: 6, leases: Leases::Shortened, round_trip, early, late, record };
         LeadTime::needed(round_trip, 6, bytes, &Pace::of(&measured, lease), lease)
     }
 
@@ -102,7 +103,10 @@ mod tests {
 
     #[test]
     fn a_very_slow_link_does_not_make_the_show_wait_without_bound() {
-        assert_eq!(needed(Span::from_millis(10_000), 6_000).prepare, needed(Span::from_millis(500), 6_000).prepare);
+        assert_eq!(
+            needed(Span::from_millis(10_000), 6_000).prepare,
+            needed(Span::from_millis(500), 6_000).prepare
+        );
         assert_eq!(LeadTime::lease_needed(Span::from_millis(10_000)), Span::from_millis(3_000));
     }
 

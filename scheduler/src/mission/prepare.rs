@@ -120,7 +120,13 @@ impl Mission {
         Ok(Need { lead: needed.stretched_to(wanted), pace, slowest })
     }
 
-    fn measured(&self, act: &Act, round_trip: Span, prescribed: Option<Span>, skew: Option<&SkewBudget>) -> Measured {
+    fn measured(
+        &self,
+        act: &Act,
+        round_trip: Span,
+        prescribed: Option<Span>,
+        skew: Option<&SkewBudget>,
+    ) -> Measured {
         let tolerance = act.written().plan.start_tolerance.min(CLOCK_UNKNOWN);
         let (early, late) = skew.map_or((tolerance, tolerance), SkewBudget::early_and_late);
         let inquiries = act.present().all(|member| self.robots[member.robot].takes_inquiries());

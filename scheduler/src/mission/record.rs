@@ -63,8 +63,15 @@ impl Record {
     #[must_use]
     pub const fn is_durable(&self) -> bool {
         match self {
-            Self::Begun | Self::Prepared(_) | Self::Committed { .. } | Self::Stopping { .. } | Self::Ended { .. } => true,
-            Self::Decided { .. } | Self::Dropped { .. } | Self::StopConfirmed { .. } | Self::ActEnded { .. } => false,
+            Self::Begun
+            | Self::Prepared(_)
+            | Self::Committed { .. }
+            | Self::Stopping { .. }
+            | Self::Ended { .. } => true,
+            Self::Decided { .. }
+            | Self::Dropped { .. }
+            | Self::StopConfirmed { .. }
+            | Self::ActEnded { .. } => false,
         }
     }
 }

@@ -36,7 +36,8 @@ impl Mission {
     fn control_response(&mut self, now: Timestamp<Server>, robot: usize, response: &ControlResponse) {
         let acts = &self.acts;
         let reports = self.robots[robot].reports();
-        let open_on = |device: &DeviceId| reports && open_without_name(acts, robot, device, response).is_some();
+        let open_on =
+            |device: &DeviceId| reports && open_without_name(acts, robot, device, response).is_some();
         if self.robots[robot].stop_answered(now, response, open_on) {
             self.stop_confirmed(robot);
             return self.stop_progress(now);
@@ -155,7 +156,9 @@ impl Mission {
 
     /// So many durable records are on the disk.
     pub(super) fn recorded(&mut self, now: Timestamp<Server>, count: u64) {
-        while let Some(&(_, number, asked)) = self.recording.awaited.front().filter(|(record, ..)| *record <= count) {
+        while let Some(&(_, number, asked)) =
+            self.recording.awaited.front().filter(|(record, ..)| *record <= count)
+        {
             self.recording.awaited.pop_front();
             // Slowly forgotten, so that one slow moment does not delay the rest of the show.
             let before = self.recording.longest.unwrap_or_default() * 3 / 4;
@@ -175,7 +178,12 @@ impl Mission {
 }
 
 /// The script that an answer without a name belongs to: answers of a device come in the order of its scripts.
-fn open_without_name(acts: &[Act], robot: usize, device: &DeviceId, response: &ControlResponse) -> Option<ScriptRef> {
+fn open_without_name(
+    acts: &[Act],
+    robot: usize,
+    device: &DeviceId,
+    response: &ControlResponse,
+) -> Option<ScriptRef> {
     if response.request_id.is_some() {
         return None;
     }

@@ -85,7 +85,12 @@ impl Mission {
         }
     }
 
-    fn take_up(&mut self, promise: &Promise, reached: Reached, now: Timestamp<Server>) -> Result<(), Changed> {
+    fn take_up(
+        &mut self,
+        promise: &Promise,
+        reached: Reached,
+        now: Timestamp<Server>,
+    ) -> Result<(), Changed> {
         let choreography = Arc::clone(&self.choreography);
         let mut act = Act::take_up(choreography, promise, reached, &self.robots, now)?;
         if self.acts.is_empty() {

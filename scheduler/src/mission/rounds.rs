@@ -4,7 +4,9 @@
 //! members itself (`act/approaching.rs`); nothing else is then sent to them without a question ahead of it that carries
 //! the lease, and between the critical instant and the commitment nothing at all but stops.
 
-use urrcp::{AvailabilityRequest, Inquiry, InquiryResponse, Message, Millis, Server, Span, Status, Timestamp};
+use urrcp::{
+    AvailabilityRequest, Inquiry, InquiryResponse, Message, Millis, Server, Span, Status, Timestamp,
+};
 
 use super::act::Act;
 use super::failure_kind::FailureKind;
@@ -123,10 +125,21 @@ impl Mission {
     }
 
     /// A robot says what became of its scripts.
-    pub(super) fn inquiry_answered(&mut self, now: Timestamp<Server>, robot: usize, response: &InquiryResponse) {
-        let Some(asked_at) = response.originate_timestamp.filter(|sent| *sent <= self.arrived) else { return };
-        let sample =
-            ClockSample::from_exchange(asked_at, response.receive_timestamp, response.timestamp, self.arrived);
+    pub(super) fn inquiry_answered(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: usize,
+        response: &InquiryResponse,
+    ) {
+        let Some(asked_at) = response.originate_timestamp.filter(|sent| *sent <= self.arrived) else {
+            return;
+        };
+        let sample = ClockSample::from_exchange(
+            asked_at,
+            response.receive_timestamp,
+            response.timestamp,
+            self.arrived,
+        );
         self.take_times(robot, sample);
         for report in &response.requests {
             let Some(&script) = self.robots[robot].requests.get(&report.request_id) else { continue };

@@ -3,10 +3,10 @@
 use serde::Serialize;
 use urrcp::{RobotId, Span, Timestamp};
 
-use super::act::Member;
-use super::robot_state::RobotState;
 use super::ClockMode;
+use super::act::Member;
 use super::failure_kind::FailureKind;
+use super::robot_state::RobotState;
 
 /// The predicted spread of starts with its parts.
 #[derive(Clone, Debug, PartialEq, Serialize)]

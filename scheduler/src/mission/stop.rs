@@ -29,7 +29,13 @@ impl Mission {
     }
 
     /// Withdraws everything that was sent. Renewals end here, so leases end what no message reaches.
-    pub(super) fn abort(&mut self, now: Timestamp<Server>, outcome: Outcome, rest: Rest, then: Option<usize>) {
+    pub(super) fn abort(
+        &mut self,
+        now: Timestamp<Server>,
+        outcome: Outcome,
+        rest: Rest,
+        then: Option<usize>,
+    ) {
         self.tell(Progress::Stopping { reason: outcome.to_string() });
         self.then = then;
         self.next_round = None;
@@ -114,7 +120,8 @@ impl Mission {
     /// A robot has not said what became of one of its scripts, and will if it is asked.
     fn owes_a_fate(&self, robot: usize) -> bool {
         let state = &self.robots[robot];
-        let garbled = state.failures.iter().any(|failure| matches!(failure.kind, FailureKind::Garbled { .. }));
+        let garbled =
+            state.failures.iter().any(|failure| matches!(failure.kind, FailureKind::Garbled { .. }));
         let out = |act: &Act| {
             let scripts = act.member(robot).into_iter().flat_map(|member| member.scripts());
             scripts.into_iter().any(|script| script.is_out())
@@ -151,7 +158,10 @@ impl Mission {
         // Whatever was planned: what the robots say they did is what happened.
         let begun = self.acts.iter().any(Act::has_begun);
         let not_begun = |outcome: &Outcome| {
-            matches!(outcome, Outcome::NotStarted | Outcome::DecisionLate { .. } | Outcome::CommitmentLate { .. })
+            matches!(
+                outcome,
+                Outcome::NotStarted | Outcome::DecisionLate { .. } | Outcome::CommitmentLate { .. }
+            )
         };
         if begun && self.outcome.as_ref().is_some_and(not_begun) {
             self.outcome = Some(Outcome::Failed);

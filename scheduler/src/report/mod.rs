@@ -8,8 +8,8 @@ use urrcp::{RobotId, Server, SessionId, Span, Timestamp};
 
 use crate::clock::ClockReading;
 use crate::mission::robot_state::{Rest, RobotState, Standing, Stop};
-use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight};
 pub use crate::mission::{ActReport, ActRobot, DeviceReport, Outcome};
+use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight};
 use crate::server_clock::NtpState;
 pub use text::{choreography_figures, main_duration, plan_figures, plan_table, preflight_table, report_text};
 

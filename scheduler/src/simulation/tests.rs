@@ -34,12 +34,22 @@ fn most_seeds_without_faults_come_to_their_end() {
     };
     let mut done = 0;
     let mut all = 0;
-    for seed in (0..2_000).filter(|seed| clean(&draw(*seed))) {
+    // What cannot be sent in time, because a device's queue is short and its scripts follow each other closely, is late.
+    let playable = |drawn: &Drawn| {
+        let slowest = drawn.robots.iter().map(|robot| robot.slow).max().unwrap_or_default();
+        let sending = drawn.delay.1 * 3 + slowest * 2 + Span::from_millis(120);
+        let queue = |id: &urrcp::RobotId, device: &urrcp::DeviceId| {
+            let robot = drawn.robots.iter().find(|robot| robot.block.id == *id)?;
+            Some(robot.block.device(device.as_str())?.script_queue)
+        };
+        let tightest = downbeat_scripts::tightest_refill(&drawn.choreography, queue, sending);
+        tightest.is_none_or(|refill| refill.time >= sending)
+    };
+    for seed in (0..2_000).filter(|seed| clean(&draw(*seed)) && playable(&draw(*seed))) {
         let ran = run(seed);
         all += 1;
         let outcome = ran.report.map(|report| report.outcome);
         done += usize::from(outcome == Some(crate::report::Outcome::Done));
-        if outcome != Some(crate::report::Outcome::Done) { eprintln!("SEED {seed} {outcome:?}"); }
     }
     assert!(all > 30 && done * 10 >= all * 9, "{done} of {all} done");
 }

@@ -80,7 +80,9 @@ impl Approach {
     fn fail_by(&self, timing: &Timing) -> Timestamp<Server> {
         let latest = self.commit_by(timing) - FAIL_AHEAD;
         match self.on_disk {
-            OnDisk::Nothing => (latest - timing.recording()).max(timing.commit_from() + timing.pace.period).min(latest),
+            OnDisk::Nothing => {
+                (latest - timing.recording()).max(timing.commit_from() + timing.pace.period).min(latest)
+            }
             OnDisk::Asked | OnDisk::Commitment => latest,
         }
     }
@@ -131,7 +133,9 @@ impl Act {
         if self.may_be_recorded(now, robots) {
             actions.push(ActAction::Record(Record::Committed { number: self.number }));
         }
-        let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else { return actions };
+        let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
+            return actions;
+        };
         if !actions.is_empty() {
             approach.on_disk = OnDisk::Asked;
         }
@@ -162,9 +166,8 @@ impl Act {
             (approach.rounds[0], approach.commit_by(timing), approach.fail_by(timing));
         approach.wakeup = fail_by;
         // Those that have answered stay so while nothing new is asked: each event looks at the first that has not.
-        let holds = |member: &super::Member| {
-            !member.takes_part() || member.holds_since(&robots[member.robot], since)
-        };
+        let holds =
+            |member: &super::Member| !member.takes_part() || member.holds_since(&robots[member.robot], since);
         let heard = self.members[approach.heard..].iter().take_while(|member| holds(member)).count();
         approach.heard += heard;
         let all = approach.heard == self.members.len();

@@ -66,7 +66,9 @@ impl Member {
 
     /// The first script of every device.
     pub(crate) fn firsts(&self) -> impl Iterator<Item = &Script> {
-        (0..self.scripts.len()).filter(|script| self.before(*script).is_none()).map(|script| &self.scripts[script])
+        (0..self.scripts.len())
+            .filter(|script| self.before(*script).is_none())
+            .map(|script| &self.scripts[script])
     }
 
     /// The script before this one on its device. Scripts of one device stand together, in order of time.

@@ -25,8 +25,8 @@ use super::robot_state::{Reading, RobotState};
 use super::script::{Script, ScriptRef};
 use super::{Outcome, Progress, Record};
 use approaching::{Approach, Commitment};
-pub(crate) use member::{Member, members};
 use member::Part;
+pub(crate) use member::{Member, members};
 pub(crate) use resumed::Reached;
 pub(crate) use timing::Timing;
 pub(crate) use waiting::next_time_of_day;
@@ -311,7 +311,9 @@ impl Act {
             Stage::Preparing(preparing) => timing.map(|timing| preparing.wakeup(timing)),
             Stage::Approaching(approach) => Some(approach.wakeup()),
             Stage::Committed(commitment) => Some(commitment.wakeup()),
-            Stage::Playing(playing) => self.reading_due().into_iter().chain([playing.wakeup(self.since)]).min(),
+            Stage::Playing(playing) => {
+                self.reading_due().into_iter().chain([playing.wakeup(self.since)]).min()
+            }
             Stage::Over => None,
         }
     }
@@ -342,7 +344,8 @@ impl Act {
         let member = &self.members[place];
         // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
         let mut groups: BTreeMap<(bool, Option<Span>), Vec<RequestId>> = BTreeMap::new();
-        for (index, script) in member.scripts.iter().enumerate().filter(|(_, script)| script.is_unaccounted()) {
+        for (index, script) in member.scripts.iter().enumerate().filter(|(_, script)| script.is_unaccounted())
+        {
             let offset = member.shortened_offset(index, timing.lead.lease).filter(|_| shortens);
             let lease = offset.map(|offset| timing.lease_at(now) + offset);
             groups.entry((lease.is_none(), lease)).or_default().extend(script.request_id().cloned());
@@ -387,4 +390,3 @@ pub(crate) fn act_name(choreography: &Choreography, act: usize) -> String {
     let act = &choreography.acts[act];
     if act.name.is_empty() { act.plan.scenario.clone() } else { act.name.clone() }
 }
-

@@ -3,10 +3,10 @@
 use urrcp::{ControlResponse, ErrorCode, RequestReport, Robot, Server, Span, Timestamp};
 
 use super::{Act, ActAction, Member, Stage};
+use crate::mission::Progress;
 use crate::mission::failure_kind::FailureKind;
 use crate::mission::robot_state::{Reading, RobotState};
 use crate::mission::script::{News, Script, ScriptRef, ScriptState, error_of};
-use crate::mission::Progress;
 
 /// How long after its instant a report may still arrive, besides the round trip.
 const REPORT_GRACE: Span = Span::from_millis(500);
@@ -124,9 +124,7 @@ impl Act {
             return actions;
         }
         let lapsed = self.lapse(now, robots);
-        let over = |member: &Member| {
-            member.is_done() || (lapses(&robots[member.robot]) && member.is_over())
-        };
+        let over = |member: &Member| member.is_done() || (lapses(&robots[member.robot]) && member.is_over());
         if self.present().all(over) {
             self.stage = Stage::Over;
             return actions;
@@ -177,10 +175,12 @@ impl Act {
             if !robot.tells_fates() || !robot.is_up() || robot.lost().is_some() {
                 continue;
             }
-            let due = |script: &&Script| self.report_due(member, script, robot, grace).is_some_and(|at| now >= at);
+            let due =
+                |script: &&Script| self.report_due(member, script, robot, grace).is_some_and(|at| now >= at);
             let Some(script) = member.scripts.iter().find(due) else { continue };
             // It had the time to say so, and answered a question meanwhile: after a resumption there may have been none.
-            let was_asked = |due| !robot.takes_inquiries() || robot.questions.answered().is_some_and(|at| at >= due);
+            let was_asked =
+                |due| !robot.takes_inquiries() || robot.questions.answered().is_some_and(|at| at >= due);
             let lost = |script: &Script| {
                 let due = self.report_due(member, script, robot, grace);
                 due.is_some_and(|due| now >= due + grace && was_asked(due))
@@ -208,7 +208,13 @@ impl Act {
 
     /// When a robot is asked what became of a script; `None` once nothing is awaited. A robot that does not report by itself
     /// is asked when the script should have ended.
-    fn report_due(&self, member: &Member, script: &Script, robot: &RobotState, grace: Span) -> Option<Timestamp<Server>> {
+    fn report_due(
+        &self,
+        member: &Member,
+        script: &Script,
+        robot: &RobotState,
+        grace: Span,
+    ) -> Option<Timestamp<Server>> {
         let timing = self.timing.as_ref()?;
         let start = timing.start + script.plan.start.span();
         let end = planned_end(timing.start, script) + timing.pace.late;
@@ -245,11 +251,13 @@ impl Act {
     fn patience_with_silent_ones(&self, robots: &[RobotState]) -> Span {
         let silent = self.present().any(|member| !robots[member.robot].reports() && !member.is_done());
         let asked = matches!(&self.stage, Stage::Playing(Playing { asked: Some(_), .. }));
-        let planned = self.present().any(|member| {
-            lapses(&robots[member.robot]) && member.scripts.iter().any(Script::is_planned)
-        });
+        let planned = self
+            .present()
+            .any(|member| lapses(&robots[member.robot]) && member.scripts.iter().any(Script::is_planned));
         match silent && (asked || planned) {
-            true => ASK_AGAIN.max(self.timing.as_ref().map_or(Span::ZERO, |_| longest_round_trip(self, robots))),
+            true => {
+                ASK_AGAIN.max(self.timing.as_ref().map_or(Span::ZERO, |_| longest_round_trip(self, robots)))
+            }
             false => Span::from_millis(3_600_000),
         }
     }
@@ -300,9 +308,9 @@ impl Act {
             let running = script.is_out().then(|| script.shortest_lease()).flatten();
             pending.into_iter().chain(running).min()
         };
-        let leases = self.present().flat_map(|member| {
-            (0..member.scripts.len()).filter_map(move |index| of_script(member, index))
-        });
+        let leases = self
+            .present()
+            .flat_map(|member| (0..member.scripts.len()).filter_map(move |index| of_script(member, index)));
         leases.chain(before).min()
     }
 

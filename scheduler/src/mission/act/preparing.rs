@@ -1,8 +1,6 @@
 //! All requests of an act with one timestamp, and one decision: all have accepted, or none starts.
 
-use urrcp::{
-    Command, ControlRequest, Millis, RequestId, Server, SessionId, Span, StopCondition, Timestamp,
-};
+use urrcp::{Command, ControlRequest, Millis, RequestId, Server, SessionId, Span, StopCondition, Timestamp};
 
 use super::approaching::Approach;
 use super::{Act, ActAction, Member, Stage, Timing};
@@ -199,7 +197,8 @@ impl Act {
 
 /// What has not been answered is sent again, in case it was lost.
 fn unanswered(act: u32, members: &[Member], robots: &[RobotState]) -> Vec<ActAction> {
-    let waits = |member: &Member| member.takes_part() && !member.has_accepted() && robots[member.robot].is_up();
+    let waits =
+        |member: &Member| member.takes_part() && !member.has_accepted() && robots[member.robot].is_up();
     let waiting = members.iter().enumerate().filter(|(_, member)| waits(member));
     let open = waiting.flat_map(|(m, member)| member.unaccepted().map(move |(s, _)| (m, s)));
     open.map(|(member, script)| ActAction::Send(ScriptRef { act, member, script })).collect()

@@ -55,7 +55,9 @@ impl Act {
                 let same = |promised: &&&PromisedScript| promised.content_hash == script.content_hash();
                 let Some(promised) = promised.get(&key).filter(same) else {
                     let (robot, device) = (&robot.id, &script.plan.device);
-                    return Err(Changed { what: format!("`{robot}` device `{device}` was promised another script") });
+                    return Err(Changed {
+                        what: format!("`{robot}` device `{device}` was promised another script"),
+                    });
                 };
                 member.shift = promised.shift;
                 script.name(Some(promised.request_id.clone()));

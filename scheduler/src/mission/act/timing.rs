@@ -278,7 +278,10 @@ mod tests {
                 let commit_by = timing.commit_by(timing.critical() - timing.pace.period);
                 assert!(commit_by > timing.commit_from() + timing.pace.period, "{leases:?} {round_trip}");
                 assert!(timing.commit_from() > timing.critical(), "{leases:?} {round_trip}");
-                assert!(timing.commit_from() + timing.final_lease() >= timing.begun(), "{leases:?} {round_trip}");
+                assert!(
+                    timing.commit_from() + timing.final_lease() >= timing.begun(),
+                    "{leases:?} {round_trip}"
+                );
             }
         }
     }

@@ -85,13 +85,13 @@ fn a_robot_that_lost_its_script_keeps_the_act_from_its_commitment() {
 fn the_commitment_is_on_the_disk_before_any_robot_is_told() {
     let mut bench = Bench::pair();
     bench.decide(Leases::Shortened);
-    bench.disk = Some(ms(40));
+    bench.disk = Some(ms(20));
     bench.commit_from_here();
     let recorded = bench.commitments();
     assert_eq!(recorded.len(), 1);
     let critical = bench.timing().critical();
     let told = bench.asked.iter().map(|question| question.at).find(|at| *at >= critical).unwrap();
-    assert!(told >= recorded[0] + ms(40));
+    assert!(told >= recorded[0] + ms(20));
 }
 
 #[test]

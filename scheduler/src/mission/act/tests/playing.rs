@@ -82,7 +82,11 @@ fn a_lease_that_was_shortened_for_a_device_that_begins_later_is_what_has_to_be_r
     let mut bench = Bench::new(&[Tells::Everything; 2], &scripts);
     bench.play(Leases::Shortened);
     let shortened = bench.timing().final_lease() + ms(150);
-    assert!(bench.act.shortest_lease().is_some_and(|lease| lease <= shortened), "{:?}", bench.act.shortest_lease());
+    assert!(
+        bench.act.shortest_lease().is_some_and(|lease| lease <= shortened),
+        "{:?}",
+        bench.act.shortest_lease()
+    );
 }
 
 #[test]
