@@ -10,7 +10,7 @@
 //! 4. what NTP says;
 //! 5. the mission's own timers, so that an answer that arrives just in time counts.
 //!
-//! A virtual world never waits, so [`at_once`] runs the same asynchronous loop without a runtime.
+//! A virtual world never waits, so `at_once` runs the same asynchronous loop without a runtime.
 
 mod links;
 
