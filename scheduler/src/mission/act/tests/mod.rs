@@ -49,6 +49,7 @@ enum Arrival {
 #[derive(Clone, Debug)]
 struct Question {
     at: Timestamp<Server>,
+    stage: Progressed,
     robot: usize,
     named: Vec<NamedScripts>,
 }
@@ -269,7 +270,8 @@ impl Bench {
         let hushed = self.act.hushes(robot, self.now);
         assert!(!hushed, "{robot} is asked at {}, {} before the start", self.now, self.start() - self.now);
         self.robots[robot].questions.asked(self.now);
-        self.asked.push(Question { at: self.now, robot, named: self.act.names_of(robot, self.now) });
+        let (stage, named) = (self.act.progress(), self.act.names_of(robot, self.now));
+        self.asked.push(Question { at: self.now, stage, robot, named });
         self.arrivals.push((self.now + ROUND_TRIP, Arrival::Answer { robot, asked: self.now }));
     }
 
