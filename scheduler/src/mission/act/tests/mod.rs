@@ -407,18 +407,5 @@ fn timing(act: &Act, now: Timestamp<Server>, leases: Leases) -> Timing {
     let pace = Pace::of(&measured, LEASE);
     let needed = LeadTime::needed(ROUND_TRIP, scripts, 1_000, &pace, LEASE);
     let lead = LeadTime { prepare: needed.prepare + RECORDING, ..needed };
-    let start = now + lead.total();
-    Timing {
-        timestamp: now,
-        start,
-        lead,
-        decision: now + lead.prepare,
-        end: start + act.written().plan.duration(),
-        pace,
-        skew: None,
-        slowest: None,
-        gap: None,
-        accepted_at: None,
-        round: None,
-    }
+    Timing::new(now, lead, pace, act.written().plan.duration())
 }
