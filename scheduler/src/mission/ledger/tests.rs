@@ -6,8 +6,8 @@ use proptest::prelude::*;
 use urrcp::{Span, Status};
 
 use super::*;
-use crate::mission::act::timing::{Leases, Measured, Pace};
 use crate::mission::act::Timing;
+use crate::mission::act::timing::{Leases, Measured, Pace};
 use crate::mission::bench::{self, Planned, Tells, at, ms, response};
 use crate::mission::lead::LeadTime;
 
@@ -36,7 +36,8 @@ fn act(number: u32, scripts: &[(&str, usize)], open: Open, robots: &[RobotState]
 fn timing(now: urrcp::Timestamp<urrcp::Server>) -> Timing {
     let (lease, leases) = (ms(240), Leases::Shortened);
     let (early, late, record) = (ms(1), ms(1), ms(20));
-    let pace = Pace::of(&Measured { robots: 1, scripts: 1, leases, round_trip: ms(1), early, late, record }, lease);
+    let pace =
+        Pace::of(&Measured { robots: 1, scripts: 1, leases, round_trip: ms(1), early, late, record }, lease);
     let lead = LeadTime::needed(ms(1), 1, 1_000, &pace, lease);
     Timing::new(now, lead, pace, ms(100))
 }
@@ -77,7 +78,8 @@ fn whatever_ends_lets_the_next_script_follow_of_whichever_act() {
 #[test]
 fn nothing_overtakes_a_script_that_waits_even_of_an_act_that_is_not_open() {
     let robots = robots(4);
-    let mut acts = [act(0, &[("a", 1), ("b", 1)], Open::No, &robots), act(1, &[("a", 1), ("c", 1)], Open::Yes, &robots)];
+    let mut acts =
+        [act(0, &[("a", 1), ("b", 1)], Open::No, &robots), act(1, &[("a", 1), ("c", 1)], Open::Yes, &robots)];
     assert_eq!(send_all(&mut acts, &robots), [(1, 1)], "only where nothing is ahead of it");
 }
 

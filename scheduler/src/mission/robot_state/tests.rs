@@ -9,9 +9,15 @@ use crate::mission::bench::{self, Tells, at, ms, response};
 fn an_answer_settles_its_question_and_every_older_one() {
     let mut questions = Questions::default();
     [1, 2, 3].into_iter().for_each(|millis| questions.asked(at(millis)));
-    assert_eq!((questions.answered(), questions.unanswered(), questions.last_unanswered()), (None, Some(at(1)), Some(at(3))));
+    assert_eq!(
+        (questions.answered(), questions.unanswered(), questions.last_unanswered()),
+        (None, Some(at(1)), Some(at(3)))
+    );
     questions.answer(at(2));
-    assert_eq!((questions.answered(), questions.unanswered(), questions.last_unanswered()), (Some(at(2)), Some(at(3)), Some(at(3))));
+    assert_eq!(
+        (questions.answered(), questions.unanswered(), questions.last_unanswered()),
+        (Some(at(2)), Some(at(3)), Some(at(3)))
+    );
     questions.answer(at(1));
     assert_eq!(questions.answered(), Some(at(2)), "an older answer that comes later takes nothing back");
     questions.answer(at(3));
@@ -76,7 +82,8 @@ fn a_stop_is_confirmed_when_every_device_has_confirmed_it_by_name() {
 #[test]
 fn an_answer_to_another_request_confirms_no_stop() {
     let mut robot = stopped(Rest::Default);
-    let response = response(&"a".parse().unwrap(), RequestId::new("act").ok().as_ref(), Status::Ok, at(STOPPED + 1));
+    let response =
+        response(&"a".parse().unwrap(), RequestId::new("act").ok().as_ref(), Status::Ok, at(STOPPED + 1));
     assert!(!robot.stop_answered(at(STOPPED + 2), &response, |_| false));
     assert!(robot.awaits_stop());
 }
@@ -88,7 +95,9 @@ fn an_answer_without_a_name_confirms_the_stop_of_its_device_alone() {
     let Stop::Sent(sent) = &robot.stop else { panic!("b has not confirmed") };
     assert_eq!(sent.unconfirmed.keys().collect::<Vec<_>>(), [&id("b")]);
     assert!(!robot.stop_answered(at(STOPPED + 3), &without_name("a", Status::Ok, STOPPED + 2), |_| false));
-    assert!(robot.stop_answered(at(STOPPED + 4), &without_name("b", Status::Accepted, STOPPED + 3), |_| false));
+    assert!(
+        robot.stop_answered(at(STOPPED + 4), &without_name("b", Status::Accepted, STOPPED + 3), |_| false)
+    );
     assert!(robot.is_settled());
 }
 
@@ -146,7 +155,8 @@ fn attempts_to_reach_a_robot_slow_down_until_it_is_heard() {
 fn a_link_that_is_taken_again_is_as_good_as_broken_until_something_is_heard_on_it() {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
     robot.questions.asked(at(1));
-    let lost = Lost { reason: "cut".into(), loss: Loss::Closed, since: at(2), connecting: true, give_up: None };
+    let lost =
+        Lost { reason: "cut".into(), loss: Loss::Closed, since: at(2), connecting: true, give_up: None };
     robot.link = Link::Lost(lost.clone());
     assert_eq!((robot.is_up(), robot.broken()), (false, Some("cut")));
     robot.connected();

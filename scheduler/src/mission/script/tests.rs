@@ -165,7 +165,10 @@ fn a_robot_that_accepted_something_else_has_failed() {
     let mut answered = sent();
     let id = answered.request_id().cloned();
     let accepted = response(&answered.plan.device, id.as_ref(), Status::Accepted, at(1));
-    assert!(matches!(answered.answered(&ControlResponse { content_hash: other, ..accepted }), News::Failed(_)));
+    assert!(matches!(
+        answered.answered(&ControlResponse { content_hash: other, ..accepted }),
+        News::Failed(_)
+    ));
     for state in [RequestState::Held, RequestState::Running] {
         let mut reported = sent();
         let report = report(id.as_ref().unwrap(), state, other);
@@ -193,13 +196,20 @@ fn the_leases_of_a_script_are_those_of_its_steps_and_of_the_request_before_them(
             }),
         };
         let steps = leases.iter().enumerate().map(step).collect();
-        Script::new(&DeviceScript { script: urrcp::Script::new(steps).unwrap(), ..bench::device_script(("a", 0, 0)) })
+        Script::new(&DeviceScript {
+            script: urrcp::Script::new(steps).unwrap(),
+            ..bench::device_script(("a", 0, 0))
+        })
     };
     let both = |script: Script| (script.shortest_lease(), script.longest_lease());
     let whole = bench::RUNNING;
     assert_eq!(both(planned(0, &[None, None])), (Some(whole), Some(whole)));
     assert_eq!(both(planned(0, &[Some(100), Some(300)])), (Some(ms(100)), Some(ms(300))));
-    assert_eq!(both(planned(5, &[Some(100), Some(300)])), (Some(ms(100)), Some(whole)), "up to its first step");
+    assert_eq!(
+        both(planned(5, &[Some(100), Some(300)])),
+        (Some(ms(100)), Some(whole)),
+        "up to its first step"
+    );
     assert_eq!(both(planned(0, &[Some(100), Some(0)])), (Some(ms(100)), None), "the second has none");
 }
 

@@ -41,7 +41,8 @@ fn nothing_is_asked_between_the_critical_instant_and_the_commitment() {
         let approaching = |question: &&Question| question.stage == Progressed::Approaching;
         let last = bench.asked.iter().filter(approaching).map(|question| question.at).max().unwrap();
         assert!(critical - last >= ROUND_TRIP, "answers are there by the critical instant: {leases:?}");
-        let committed = bench.asked.iter().filter(|question| !approaching(question)).map(|question| question.at).min();
+        let committed =
+            bench.asked.iter().filter(|question| !approaching(question)).map(|question| question.at).min();
         let committed = committed.unwrap();
         assert!(committed >= critical && committed == bench.commitments()[0] + takes, "{leases:?}");
         for robot in 0..2 {
