@@ -75,7 +75,7 @@ impl Act {
     }
 
     fn timing_of(&self, promise: &Promise) -> Timing {
-        let prepare = (promise.start - promise.timestamp - promise.lease).max(Span::ZERO);
+        let prepare = promise.start - promise.timestamp - promise.lease;
         let tolerance = self.written().plan.start_tolerance;
         let measured = Measured {
             robots: self.members.len(),
@@ -86,19 +86,9 @@ impl Act {
             late: tolerance.min(CLOCK_UNKNOWN),
             record: Span::ZERO,
         };
-        Timing {
-            timestamp: promise.timestamp,
-            start: promise.start,
-            lead: LeadTime { prepare, lease: promise.lease, margin: Span::ZERO },
-            decision: promise.timestamp + prepare,
-            end: promise.start + self.written().plan.duration(),
-            pace: Pace::of(&measured, promise.lease),
-            skew: None,
-            slowest: None,
-            gap: None,
-            accepted_at: None,
-            round: None,
-        }
+        let lead = LeadTime { prepare, lease: promise.lease, margin: Span::ZERO };
+        let pace = Pace::of(&measured, promise.lease);
+        Timing::new(promise.timestamp, lead, pace, self.written().plan.duration())
     }
 
     /// The names of all its requests.
