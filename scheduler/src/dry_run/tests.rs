@@ -292,8 +292,8 @@ fn a_mission_that_ends_because_of_its_bound_says_so() {
 fn the_act_that_follows_a_failure_counts_against_the_bound() {
     for (acts_max, reached) in [(1, Some(1)), (2, None)] {
         let mut rehearsal = acts_with(bounded(acts_max), |acts| acts[0].on_failure.then = Some(2));
-        let silent = Settings { fault: Some(Fault::Silent), ..Settings::default() };
-        rehearsal.robots[1] = SimulatedRobot::new(block(1), silent);
+        let refuses = Settings { fault: Some(Fault::Refuse), ..Settings::default() };
+        rehearsal.robots[1] = SimulatedRobot::new(block(1), refuses);
         let (played, _) = played_through(rehearsal);
         assert_eq!(played.report.acts_max_reached, reached, "{:?}", played.report.failures);
         assert_ne!(played.report.outcome, Outcome::Done);

@@ -255,7 +255,7 @@ impl Act {
         let Some(timing) = &self.timing else { return self.since };
         let lease = timing.lead.lease;
         let offsets = self.present().flat_map(|member| {
-            (0..member.scripts.len()).filter_map(move |script| member.shortened_offset(script, lease))
+            (0..member.scripts().len()).filter_map(move |script| member.shortened_offset(script, lease))
         });
         timing.begun() + offsets.max().unwrap_or_default()
     }

@@ -54,14 +54,15 @@ impl Act {
         robots: &[RobotState],
     ) -> Noted {
         let robot = &robots[self.robot_of(script)];
-        let state = &mut self.members[script.member].scripts[script.script];
+        let member = &mut self.members[script.member];
         // A robot that cannot tell when a script has ended was sent the next one by time, a little too early.
-        let full = !robot.tells_fates() && *state.state() == ScriptState::Sent && is_full(response);
+        let state = member.scripts()[script.script].state();
+        let full = !robot.tells_fates() && *state == ScriptState::Sent && is_full(response);
         if full {
-            state.refused_for_now();
+            member.change(script.script, Script::refused_for_now);
             return Noted { news: News::None, actions: Vec::new() };
         }
-        let news = state.answered(response);
+        let news = member.change(script.script, |script| script.answered(response));
         self.noted(script, news, robots)
     }
 
@@ -73,8 +74,8 @@ impl Act {
         (asked_at, said_at): (Timestamp<Server>, Timestamp<Robot>),
         robots: &[RobotState],
     ) -> Noted {
-        let state = &mut self.members[script.member].scripts[script.script];
-        let news = state.reported(report, asked_at, said_at);
+        let member = &mut self.members[script.member];
+        let news = member.change(script.script, |script| script.reported(report, asked_at, said_at));
         self.noted(script, news, robots)
     }
 
@@ -88,7 +89,7 @@ impl Act {
                 actions.push(ActAction::Tell(Progress::Accepted { robot: id }));
             }
             News::Started => {
-                let error = self.start_error(member, &member.scripts[script.script]);
+                let error = self.start_error(member, &member.scripts()[script.script]);
                 actions.push(ActAction::Tell(Progress::Started { robot: id, error }));
             }
             News::Completed => {
@@ -100,7 +101,7 @@ impl Act {
             }
             News::NeverReceived => actions.push(ActAction::Send(script)),
             News::Failed(error) => {
-                let device = member.scripts[script.script].plan.device.clone();
+                let device = member.scripts()[script.script].plan.device.clone();
                 let kind = FailureKind::Script { device, error: error.clone() };
                 actions.push(ActAction::Fail(vec![(robot, kind)]));
             }
@@ -150,14 +151,16 @@ impl Act {
             if !lapses(&robots[member.robot]) {
                 continue;
             }
-            for script in member.scripts.iter_mut().filter(|script| script.is_out()) {
-                if now >= planned_end(start, script) + grace {
-                    script.lapse();
-                    lapsed.push(member.robot);
-                }
+            let over = |(index, script): (usize, &Script)| {
+                (script.is_out() && now >= planned_end(start, script) + grace).then_some(index)
+            };
+            let over: Vec<usize> = member.under_way().filter_map(over).collect();
+            for script in over {
+                member.change(script, Script::lapse);
+                lapsed.push(member.robot);
             }
             // Refused because the queue was full for a moment longer.
-            if member.scripts.iter().any(Script::is_planned) {
+            if member.under_way().any(|(_, script)| script.is_planned()) {
                 lapsed.push(member.robot);
             }
         }
@@ -177,7 +180,7 @@ impl Act {
                 continue;
             }
             let due = |script: &&Script| self.report_due(member, script, robot, grace).is_some_and(|at| now >= at);
-            let Some(script) = member.scripts.iter().find(due) else { continue };
+            let Some(script) = member.under_way().map(|(_, script)| script).find(due) else { continue };
             let lost = |script: &Script| {
                 let due = self.report_due(member, script, robot, grace);
                 robot.reports() && due.is_some_and(|due| now >= due + grace)
@@ -211,7 +214,7 @@ impl Act {
         let end = planned_end(timing.start, script) + timing.pace.late;
         match script.state() {
             // Sent when its device has room.
-            ScriptState::Planned if member.scripts.iter().any(Script::is_out) => None,
+            ScriptState::Planned if member.under_way().any(|(_, script)| script.is_out()) => None,
             ScriptState::Ended(_) => None,
             ScriptState::Planned => Some(start + grace),
             _ if !robot.reports() => Some(end + LAPSE),
@@ -225,7 +228,7 @@ impl Act {
         let grace = self.report_grace(robots);
         let due = self.present().flat_map(|member| {
             let robot = &robots[member.robot];
-            member.scripts.iter().filter_map(move |script| {
+            member.under_way().filter_map(move |(_, script)| {
                 let asked = self.report_due(member, script, robot, grace)?;
                 // A report that stays out is a failure after as long again.
                 Some([asked, asked + grace]).filter(|_| robot.tells_fates()).or_else(|| {
@@ -243,7 +246,7 @@ impl Act {
         let silent = self.present().any(|member| !robots[member.robot].reports() && !member.is_done());
         let asked = matches!(&self.stage, Stage::Playing(Playing { asked: Some(_), .. }));
         let planned = self.present().any(|member| {
-            lapses(&robots[member.robot]) && member.scripts.iter().any(Script::is_planned)
+            lapses(&robots[member.robot]) && member.under_way().any(|(_, script)| script.is_planned())
         });
         match silent && (asked || planned) {
             true => ASK_AGAIN.max(self.timing.as_ref().map_or(Span::ZERO, |_| longest_round_trip(self, robots))),
@@ -268,7 +271,7 @@ impl Act {
         let member = self.member(robot).filter(|_| self.is_committed())?;
         let timing = self.timing.as_ref()?;
         let grace = self.report_grace(robots);
-        let ends = member.scripts.iter().filter(|script| script.is_out()).map(|script| {
+        let ends = member.under_way().filter(|(_, script)| script.is_out()).map(|(_, script)| {
             let begins = timing.start + script.plan.start.span();
             match script.longest_lease() {
                 Some(lease) => now.max(begins) + lease + grace,
@@ -283,16 +286,24 @@ impl Act {
         let timing = self.timing.as_ref().filter(|timing| now >= timing.start)?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
         let begun = |script: &&Script| script.is_out() && now >= timing.start + script.plan.start.span();
-        member.scripts.iter().filter(begun).filter_map(Script::shortest_lease).min()
+        member.under_way().map(|(_, script)| script).filter(begun).filter_map(Script::shortest_lease).min()
+    }
+
+    /// The shortest of the leases that a script has from now on.
+    pub(crate) fn shortest_lease_of(&self, script: ScriptRef) -> Option<Span> {
+        let lease = self.timing.as_ref()?.lead.lease;
+        self.members[script.member].shortest_lease(script.script, lease)
     }
 
     /// The shortest lease that this act needs renewed between its rounds.
     pub(crate) fn shortest_lease(&self) -> Option<Span> {
         let timing = self.timing.as_ref()?;
-        let scripts = || self.present().flat_map(|member| &member.scripts).filter(|script| script.is_out());
-        let waits = |script: &Script| *script.state() != ScriptState::Running;
-        let pending = (!self.is_playing() || scripts().any(waits)).then_some(timing.lead.lease);
-        pending.into_iter().chain(scripts().filter_map(Script::shortest_lease)).min()
+        let before_start = (!self.is_playing()).then_some(timing.lead.lease);
+        let out = self.present().flat_map(|member| {
+            let out = member.under_way().filter(|(_, script)| script.is_out());
+            out.filter_map(|(index, _)| member.shortest_lease(index, timing.lead.lease))
+        });
+        before_start.into_iter().chain(out).min()
     }
 
     /// Asks for the readings of the scenario whose time has come.
@@ -335,7 +346,7 @@ fn is_full(response: &ControlResponse) -> bool {
 }
 
 fn planned_end(start: Timestamp<Server>, script: &Script) -> Timestamp<Server> {
-    start + script.plan.start.span() + script.plan.script.duration()
+    start + script.plan.start.span() + script.duration()
 }
 
 fn longest_round_trip(act: &Act, robots: &[RobotState]) -> Span {

@@ -79,13 +79,12 @@ impl Act {
         let mut names = Vec::new();
         for (m, member) in self.members.iter_mut().enumerate() {
             member.shift = shift_of(&robots[member.robot]);
-            for (s, script) in member.scripts.iter_mut().enumerate() {
+            for s in 0..member.scripts().len() {
                 // Sessions are named by this program, far below the limit.
-                script.name(
-                    RequestId::new(format!("{session}{micros}/{}/{}/{s}", self.number, member.robot)).ok(),
-                );
+                let id = RequestId::new(format!("{session}{micros}/{}/{}/{s}", self.number, member.robot)).ok();
                 let reference = ScriptRef { act: self.number, member: m, script: s };
-                names.extend(script.request_id().map(|id| (member.robot, id.clone(), reference)));
+                names.extend(id.clone().map(|id| (member.robot, id, reference)));
+                member.name(s, id);
             }
         }
         let tell = Progress::Preparing {
@@ -116,7 +115,7 @@ impl Act {
             })
         };
         let of_member =
-            |member: &Member| member.scripts.iter().filter_map(|s| script(member, s)).collect::<Vec<_>>();
+            |member: &Member| member.scripts().iter().filter_map(|s| script(member, s)).collect::<Vec<_>>();
         Promise {
             number: self.number,
             act: self.index,
@@ -145,7 +144,7 @@ impl Act {
 
     /// A script's request is on its way.
     pub(crate) fn sent(&mut self, now: Timestamp<Server>, script: ScriptRef) {
-        self.members[script.member].scripts[script.script].sent(now);
+        self.members[script.member].change(script.script, |script| script.sent(now));
     }
 
     /// The one decision, as soon as all have accepted or when it is due: the act starts if every robot has accepted
@@ -202,7 +201,7 @@ fn unanswered(act: u32, members: &[Member], robots: &[RobotState]) -> Vec<ActAct
     let waits = |member: &Member| member.takes_part() && !member.has_accepted() && robots[member.robot].is_up();
     let of_member = |(m, member): (usize, &Member)| {
         let unanswered = |(_, script): &(usize, &Script)| script.is_out() && !script.was_accepted();
-        let scripts: Vec<_> = member.scripts.iter().enumerate().filter(unanswered).map(|(s, _)| s).collect();
+        let scripts: Vec<_> = member.under_way().filter(unanswered).map(|(s, _)| s).collect();
         scripts.into_iter().map(move |s| ActAction::Send(ScriptRef { act, member: m, script: s }))
     };
     members.iter().enumerate().filter(|(_, member)| waits(member)).flat_map(of_member).collect()
@@ -216,7 +215,7 @@ fn unaccepted(robot: &RobotState, member: &Member, within: Span) -> FailureKind 
 }
 
 fn awaited_acceptance(member: &Member) -> String {
-    let open = member.scripts.iter().filter(|script| script.is_out() && !script.was_accepted());
+    let open = member.scripts().iter().filter(|script| script.is_out() && !script.was_accepted());
     let open: Vec<_> = open.map(|script| format!("`{}`", script.plan.device)).collect();
     match open.len() {
         0..=4 => format!("acceptance by {}", open.join(", ")),
@@ -231,7 +230,7 @@ pub(super) fn request(
     index: usize,
     session: Option<&SessionId>,
 ) -> ControlRequest {
-    let script = &member.scripts[index];
+    let script = &member.scripts()[index];
     let offset = timing.start - timing.timestamp + script.plan.start.span();
     ControlRequest {
         timestamp: Some(timing.timestamp + member.shift),
