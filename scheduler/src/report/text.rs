@@ -134,7 +134,8 @@ pub fn report_text(report: &Report) -> String {
     let mut text = format!("{}: {}\n", report.scenario, report.outcome);
     if let Some(acts_max) = report.acts_max_reached {
         let acts = counted(acts_max as usize, "act");
-        let _infallible = writeln!(text, "  ended because {acts} had begun, the bound; another would have followed");
+        let _infallible =
+            writeln!(text, "  ended because {acts} had begun, the bound; another would have followed");
     }
     let alone = matches!(report.outcome, Outcome::Ready | Outcome::NotReady);
     if let Some(preflight) = report.preflight.as_ref().filter(|_| alone) {
