@@ -97,7 +97,9 @@ impl Drawn {
 
     fn stage(&self) -> Stage {
         let mut stage = Stage::new();
-        stage.file("robot.yaml", robots::one_device(self.queue, 90, STEPS)).file("instants.yaml", self.scenario());
+        stage
+            .file("robot.yaml", robots::one_device(self.queue, 90, STEPS))
+            .file("instants.yaml", self.scenario());
         for id in 0..ROBOTS {
             stage.robot("robot.yaml", if id == self.victim { Via::Proxy } else { Via::Direct });
         }

@@ -192,7 +192,8 @@ impl Mission {
         }
         let number = self.acts[index].number();
         self.carry_out(now, number, actions);
-        self.quicken_rounds(now);
+        let lease = self.acts.get(index).and_then(Act::shortest_lease);
+        self.quicken_rounds(now, lease);
     }
 
     /// A robot whose time is measured has the scripts of an act that plays by an older measurement: what follows at once
