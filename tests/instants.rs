@@ -97,21 +97,9 @@ impl Drawn {
 
     fn stage(&self) -> Stage {
         let mut stage = Stage::new();
-        let init = format!(
-            "id: robot
-api_version: '1'
-reports: true
-devices:
-  - id: d
-    name: d
-    script_queue: {}
-    available_control_types:
-      position: {{min_value: 0, max_value: 90, granularity: 1}}
-      script: {{min_value: 0, max_value: 90, granularity: 1, max_number_of_steps: {STEPS}}}
-",
-            self.queue
-        );
-        stage.file("robot.yaml", init).file("instants.yaml", self.scenario());
+        stage
+            .file("robot.yaml", robots::one_device(self.queue, 90, STEPS))
+            .file("instants.yaml", self.scenario());
         for id in 0..ROBOTS {
             stage.robot("robot.yaml", if id == self.victim { Via::Proxy } else { Via::Direct });
         }

@@ -30,4 +30,4 @@ pub use hardware::ReadingId;
 pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink};
 pub use robot::{Input, LinkId, Output, Robot, SetValue};
 pub use serve::serve;
-pub use set_log::LogEntry;
+pub use set_log::{Kept, LogEntry};

@@ -7,6 +7,22 @@ use crate::clock::HostTime;
 use crate::device::Motion;
 use crate::robot::SetValue;
 
+/// What of it is kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Kept {
+    /// Everything.
+    #[default]
+    All,
+    /// The values of the first steps of scripts.
+    FirstSteps,
+}
+
+impl Kept {
+    pub(crate) fn keeps(self, set: &SetValue) -> bool {
+        self == Self::All || (set.step == Some(0) && matches!(set.motion, Motion::Set(_)))
+    }
+}
+
 /// One value set.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct LogEntry {
@@ -47,7 +63,7 @@ impl LogEntry {
             control_type: control_type.to_string(),
             value,
             step: set.step,
-            request_id: set.request_id.map(|id| id.to_string()),
+            request_id: set.request_id.map(|id| id.as_str().to_owned()),
         }
     }
 }

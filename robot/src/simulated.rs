@@ -8,7 +8,7 @@ use urrcp::{
 };
 
 use crate::robot::{Input, LinkId, Output, Robot};
-use crate::set_log::LogEntry;
+use crate::set_log::{Kept, LogEntry};
 
 pub use crate::outgoing::Outgoing;
 
@@ -95,6 +95,7 @@ pub struct SimulatedRobot {
     sequence: u64,
     lanes: HashMap<LaneId, Lane>,
     log: Vec<LogEntry>,
+    kept: Kept,
     outputs: Vec<Output>,
     /// It has hung up for good.
     gone: bool,
@@ -116,6 +117,7 @@ impl SimulatedRobot {
             sequence: 0,
             lanes: HashMap::new(),
             log: Vec::new(),
+            kept: Kept::default(),
             outputs: Vec::new(),
             gone: false,
         }
@@ -142,6 +144,11 @@ impl SimulatedRobot {
     pub fn step_clock(&mut self, by: Span) {
         self.settings.clock_offset += by;
         self.ntp_residue += by;
+    }
+
+    /// What of its log is kept from now on.
+    pub fn keep(&mut self, kept: Kept) {
+        self.kept = kept;
     }
 
     /// What was set since the last call.
@@ -249,6 +256,7 @@ impl SimulatedRobot {
             match output {
                 // It answers readings by itself.
                 Output::Read { .. } => {}
+                Output::Set(set) if !self.kept.keeps(&set) => {}
                 Output::Set(set) => {
                     let at = self.robot_from_true(now);
                     self.log.push(LogEntry::new(now.assume_clock(), at, set));

@@ -297,6 +297,11 @@ impl ClockEstimate {
         self.latest.and_then(|at| self.reading_at(at))
     }
 
+    /// The round trip that is seldom exceeded; zero before the first exchange.
+    pub(crate) const fn delay_high(&self) -> Span {
+        self.round_trips.high()
+    }
+
     /// The estimate carried on to `now`: by the drift if it is known, and ever less certain.
     #[must_use]
     pub fn reading_at(&self, now: Timestamp<Server>) -> Option<ClockReading> {

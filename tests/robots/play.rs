@@ -39,22 +39,7 @@ impl Play {
         let keyframe = |step: u32| format!("{{at: {}ms, to: {}}}", step * every_ms, step + 1);
         let track = (0..*steps).map(keyframe).collect::<Vec<_>>().join(", ");
         let mut stage = Stage::new();
-        stage.file(
-            "robot.yaml",
-            format!(
-                "id: robot
-api_version: '1'
-reports: true
-devices:
-  - id: d
-    name: d
-    script_queue: {queue}
-    available_control_types:
-      position: {{min_value: 0, max_value: 200, granularity: 1}}
-      script: {{min_value: 0, max_value: 200, granularity: 1, max_number_of_steps: {script}}}
-"
-            ),
-        );
+        stage.file("robot.yaml", super::one_device(*queue, 200, *script));
         stage.file(
             "play.yaml",
             format!(

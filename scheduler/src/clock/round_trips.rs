@@ -50,9 +50,12 @@ impl RoundTrips {
             EXCHANGES_KEPT.. => 1,
             _ => 0,
         };
-        let mut delays: Vec<Span> = self.latest.iter().map(|(_, delay)| *delay).collect();
-        delays.sort_unstable_by(|a, b| b.cmp(a));
-        delays.get(outliers).copied().unwrap_or_default()
+        let largest = self.latest.iter().fold([Span::ZERO; 3], |[first, second, third], (_, delay)| {
+            let (delay, first) = (first.min(*delay), first.max(*delay));
+            let (delay, second) = (second.min(delay), second.max(delay));
+            [first, second, third.max(delay)]
+        });
+        largest[outliers]
     }
 }
 

@@ -12,6 +12,8 @@
 //!
 //! A virtual world never waits, so `at_once` runs the same asynchronous loop without a runtime.
 
+#![warn(clippy::too_many_lines)]
+
 mod links;
 
 use std::collections::VecDeque;

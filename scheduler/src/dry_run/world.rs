@@ -1,9 +1,10 @@
 //! The world of a dry run: robots, links without faults, and a clock that jumps.
 
-use std::collections::{BTreeSet, VecDeque};
+use std::cmp::Reverse;
+use std::collections::{BTreeSet, BinaryHeap, VecDeque};
 
 use downbeat_robot::simulated::{Outgoing, SimulatedRobot, True};
-use downbeat_robot::{Input, LinkId, LogEntry};
+use downbeat_robot::{Input, Kept, LinkId, LogEntry};
 use urrcp::{Message, RobotId, Server, Span, Timestamp};
 
 use super::operator::VirtualOperator;
@@ -18,8 +19,8 @@ const SECOND: i64 = 1_000_000_000;
 pub(super) struct VirtualWorld<'a, A> {
     now: Timestamp<Server>,
     robots: Vec<SimulatedRobot>,
-    /// When each robot is next due, in order, and by robot.
-    agenda: BTreeSet<(Timestamp<Server>, usize)>,
+    /// When each robot is next due, in order, and by robot. What `due` does not confirm is outdated.
+    agenda: BinaryHeap<Reverse<(Timestamp<Server>, usize)>>,
     due: Vec<Option<Timestamp<Server>>>,
     /// Links to be made.
     connecting: BTreeSet<(Timestamp<Server>, usize, LinkNumber)>,
@@ -35,7 +36,7 @@ pub(super) struct VirtualWorld<'a, A> {
 
 impl<'a, A: Audience> VirtualWorld<'a, A> {
     pub(super) fn new(
-        robots: Vec<SimulatedRobot>,
+        mut robots: Vec<SimulatedRobot>,
         ids: Vec<RobotId>,
         begin: Timestamp<Server>,
         operator: VirtualOperator,
@@ -43,10 +44,13 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         audience: &'a mut A,
     ) -> Self {
         let count = robots.len();
+        if keeps == Logs::Dropped {
+            robots.iter_mut().for_each(|robot| robot.keep(Kept::FirstSteps));
+        }
         Self {
             now: begin,
             robots,
-            agenda: (0..count).map(|robot| (begin, robot)).collect(),
+            agenda: (0..count).map(|robot| Reverse((begin, robot))).collect(),
             due: vec![Some(begin); count],
             connecting: BTreeSet::new(),
             arrived: VecDeque::new(),
@@ -68,8 +72,19 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         (self.logs, self.operator.cut)
     }
 
-    fn next_instant(&self) -> Option<Timestamp<Server>> {
-        let robots = self.agenda.first().map(|(at, _)| *at);
+    /// The robot that is due first.
+    fn first_due(&mut self) -> Option<(Timestamp<Server>, usize)> {
+        loop {
+            let Reverse((at, robot)) = *self.agenda.peek()?;
+            if self.due[robot] == Some(at) {
+                return Some((at, robot));
+            }
+            self.agenda.pop();
+        }
+    }
+
+    fn next_instant(&mut self) -> Option<Timestamp<Server>> {
+        let robots = self.first_due().map(|(at, _)| at);
         let links = self.connecting.first().map(|(at, ..)| *at);
         robots.into_iter().chain(links).chain(self.operator.speaks()).min()
     }
@@ -84,7 +99,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
 
     /// All robots do what is due, in the order of the mission; then links are made.
     fn step(&mut self) {
-        while let Some((_, robot)) = self.agenda.first().copied().filter(|(at, _)| *at <= self.now) {
+        while let Some((_, robot)) = self.first_due().filter(|(at, _)| *at <= self.now) {
             self.advance(robot);
         }
         while let Some(first) = self.connecting.first().copied().filter(|(at, ..)| *at <= self.now) {
@@ -121,8 +136,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         let next = self.robots[robot].next_wakeup().map(Timestamp::assume_clock::<Server>);
         let known = std::mem::replace(&mut self.due[robot], next);
         if known != next {
-            known.map(|at| self.agenda.remove(&(at, robot)));
-            next.map(|at| self.agenda.insert((at, robot)));
+            self.agenda.extend(next.map(|at| Reverse((at, robot))));
         }
     }
 

@@ -63,7 +63,8 @@ impl Mission {
                 return;
             }
             // Other leases count now.
-            self.quicken_rounds(now);
+            let lease = self.acts.get(index).and_then(Act::shortest_lease);
+            self.quicken_rounds(now, lease);
         }
     }
 

@@ -74,7 +74,7 @@ impl Mission {
         if self.robots[robot].standing == Standing::Out {
             return;
         }
-        if gone && self.acts.iter().any(|act| !act.names_of(robot, now).is_empty()) {
+        if gone && self.acts.iter().any(|act| act.has_something_on(robot)) {
             return self.fail(now, robot, FailureKind::LinkDown { reason });
         }
         let patience = self.options.patience;

@@ -17,18 +17,16 @@ pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<Sc
     let mut sendable = Vec::new();
     for act in acts {
         let Some(place) = act.place_of(robot) else { continue };
-        for (index, script) in act.members()[place].scripts().iter().enumerate() {
-            if !script.is_planned() {
-                continue;
-            }
-            match room.get_mut(&script.plan.device) {
-                Some(room) if *room > 0 && act.is_open() => {
-                    *room -= 1;
-                    sendable.push(ScriptRef { act: act.number(), member: place, script: index });
+        for chain in act.members()[place].chains() {
+            for (index, script) in chain.filter(|(_, script)| script.is_planned()) {
+                let Some(room) = room.get_mut(&script.plan.device) else { break };
+                if *room == 0 || !act.is_open() {
+                    // Nothing overtakes a script that waits.
+                    *room = 0;
+                    break;
                 }
-                // Nothing overtakes a script that waits.
-                Some(room) => *room = 0,
-                None => {}
+                *room -= 1;
+                sendable.push(ScriptRef { act: act.number(), member: place, script: index });
             }
         }
     }
@@ -38,7 +36,8 @@ pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<Sc
 /// Places that are free on each device for which there is anything to send.
 fn room_of<'a>(acts: &'a [Act], robot: usize, state: &RobotState) -> HashMap<&'a DeviceId, usize> {
     let mut room = HashMap::new();
-    let scripts = || acts.iter().filter_map(|act| act.member(robot)).flat_map(|member| member.scripts());
+    let members = || acts.iter().filter_map(|act| act.member(robot));
+    let scripts = || members().flat_map(|member| member.under_way().map(|(_, script)| script));
     for script in scripts().filter(|script| script.is_planned()) {
         room.entry(&script.plan.device).or_insert_with(|| state.queue_of(&script.plan.device));
     }

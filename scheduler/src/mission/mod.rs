@@ -7,6 +7,8 @@
 //! Events of one instant are handled in the order in which the driver hands them over; timers of that instant come last,
 //! so that an answer that arrives just in time counts.
 
+#![warn(clippy::too_many_lines)]
+
 pub(crate) mod act;
 #[cfg(test)]
 mod bench;

@@ -175,20 +175,9 @@ impl Mission {
         let target = act.target();
         let slip = self.slip(act, now);
         let lead = need.lead.stretched_to(target.unwrap_or(now) + slip - now);
-        let start = now + lead.total();
-        let timing = Timing {
-            timestamp: now,
-            start,
-            lead,
-            decision: now + lead.prepare,
-            end: start + act.written().plan.duration(),
-            pace: need.pace,
-            skew,
-            slowest: need.slowest,
-            gap: target.map(|target| start - target),
-            accepted_at: None,
-            round: None,
-        };
+        let timing = Timing::new(now, lead, need.pace, act.written().plan.duration());
+        let gap = target.map(|target| timing.start - target);
+        let timing = Timing { skew, slowest: need.slowest, gap, ..timing };
         let shift_of = |robot: &RobotState| {
             let measured = robot.clock_at(now).filter(|_| robot.clock_mode == ClockMode::Measured);
             measured.map_or(Span::ZERO, |reading| reading.offset)
@@ -203,7 +192,8 @@ impl Mission {
         }
         let number = self.acts[index].number();
         self.carry_out(now, number, actions);
-        self.quicken_rounds(now);
+        let lease = self.acts.get(index).and_then(Act::shortest_lease);
+        self.quicken_rounds(now, lease);
     }
 
     /// A robot whose time is measured has the scripts of an act that plays by an older measurement: what follows at once

@@ -80,10 +80,13 @@ impl Mission {
         let robot = act.robot_of(script);
         let Some(request) = act.request(script, self.options.session.as_ref()) else { return };
         act.sent(now, script);
+        let lease = act.shortest_lease_of(script);
         let state = &mut self.robots[robot];
         state.touched.insert(request.device_id.clone());
         state.requests.extend(request.request_id.clone().map(|id| (id, script)));
         self.send(now, robot, Message::ControlRequest(request));
+        // Under its lease it may begin before the next round that the scripts before it ask for.
+        self.quicken_rounds(now, lease);
     }
 
     pub(super) fn count_retry(&mut self, script: ScriptRef) {

@@ -305,8 +305,8 @@ impl RobotState {
     }
 
     /// The round trip that its link keeps to nearly always.
-    pub(crate) fn round_trip(&self) -> Span {
-        self.clock.reading().map_or(Span::ZERO, |reading| reading.delay_high)
+    pub(crate) const fn round_trip(&self) -> Span {
+        self.clock.delay_high()
     }
 
     /// The server's time at which it sent something, as far as its clock is known, and not later than now.

@@ -45,14 +45,12 @@ impl Mission {
 
     /// A third of the shortest lease.
     fn round_interval(&self) -> Span {
-        let shortest = self.acts.iter().filter_map(Act::shortest_lease).min();
-        let interval = shortest.map(|lease| lease / LeadTime::RENEWALS_A_LEASE);
-        interval.unwrap_or(KEEP_ALIVE).min(KEEP_ALIVE).max(Span::from_millis(1))
+        interval_for(self.acts.iter().filter_map(Act::shortest_lease).min())
     }
 
-    /// Leases have become shorter: the next round comes earlier.
-    pub(super) fn quicken_rounds(&mut self, now: Timestamp<Server>) {
-        let next = now + self.round_interval();
+    /// Something is sent under this lease: the next round comes in time for it.
+    pub(super) fn quicken_rounds(&mut self, now: Timestamp<Server>, lease: Option<Span>) {
+        let next = now + interval_for(lease);
         self.next_round = Some(self.next_round.map_or(next, |at| at.min(next)));
     }
 
@@ -157,7 +155,7 @@ impl Mission {
     /// How long a robot may owe an answer while it has scripts of an act that has started.
     fn silence_bound(&self, now: Timestamp<Server>, robot: usize) -> Option<Span> {
         let state = &self.robots[robot];
-        let plays = |act: &&Act| act.is_committed() && !act.names_of(robot, now).is_empty();
+        let plays = |act: &&Act| act.is_committed() && act.has_something_on(robot);
         if state.stop_was_sent() || !state.is_up() || !self.acts.iter().any(|act| plays(&act)) {
             return None;
         }
@@ -188,4 +186,10 @@ impl Mission {
         }
         self.next_silence = self.silence_due(now).map(|due| due.max(now + Span::from_millis(1)));
     }
+}
+
+/// A third of a lease, within what is sensible.
+fn interval_for(lease: Option<Span>) -> Span {
+    let interval = lease.map(|lease| lease / LeadTime::RENEWALS_A_LEASE);
+    interval.unwrap_or(KEEP_ALIVE).min(KEEP_ALIVE).max(Span::from_millis(1))
 }

@@ -67,6 +67,7 @@ pub(crate) struct Script {
     state: ScriptState,
     request_id: Option<RequestId>,
     content_hash: ContentHash,
+    duration: Span,
     running: RunningLeases,
     accepted: bool,
     started_at: Option<Timestamp<Robot>>,
@@ -83,6 +84,7 @@ impl Script {
     pub(crate) fn new(plan: &DeviceScript) -> Self {
         Self {
             content_hash: Command::Script(plan.script.clone()).content_hash(),
+            duration: plan.script.duration(),
             running: RunningLeases::of(plan),
             plan: plan.clone(),
             state: ScriptState::Planned,
@@ -107,6 +109,11 @@ impl Script {
 
     pub(crate) const fn content_hash(&self) -> ContentHash {
         self.content_hash
+    }
+
+    /// From its start to its last step.
+    pub(crate) const fn duration(&self) -> Span {
+        self.duration
     }
 
     /// The shortest of the leases under which it plays.

@@ -1,10 +1,10 @@
 //! A robot of an act: what it was sent, and whether it still takes part.
 
-use urrcp::{DeviceId, Server, Span, Timestamp};
+use urrcp::{DeviceId, RequestId, Server, Span, Timestamp};
 
 use super::timing::{Leases, Timing};
 use crate::mission::robot_state::{RobotState, Standing};
-use crate::mission::script::Script;
+use crate::mission::script::{Script, ScriptState};
 
 /// Whether a robot still takes part in an act.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -22,10 +22,69 @@ pub(crate) struct Member {
     pub(super) part: Part,
     /// What is added to the act's timestamp so that it is right by the robot's own clock.
     pub(super) shift: Span,
-    pub(super) scripts: Vec<Script>,
+    scripts: Vec<Script>,
+    /// One for each device, in order of their scripts.
+    chains: Vec<Chain>,
+}
+
+/// How far the scripts of one device are, which stand together and in order of time. Each event looks at those that are
+/// under way and not at all that ever were or will be.
+#[derive(Clone, Copy, Debug)]
+struct Chain {
+    first: usize,
+    /// Those before it have completed.
+    completed: usize,
+    /// Those from here on were never sent.
+    unsent: usize,
+    end: usize,
 }
 
 impl Member {
+    fn new(robot: usize, scripts: Vec<Script>) -> Self {
+        let mut chains: Vec<Chain> = Vec::new();
+        for (index, script) in scripts.iter().enumerate() {
+            let follows =
+                index.checked_sub(1).is_some_and(|before| scripts[before].plan.device == script.plan.device);
+            match chains.last_mut().filter(|_| follows) {
+                Some(chain) => chain.end = index + 1,
+                None => chains.push(Chain { first: index, completed: index, unsent: index, end: index + 1 }),
+            }
+        }
+        Self { robot, part: Part::Taking, shift: Span::ZERO, scripts, chains }
+    }
+
+    /// Changes one of its scripts.
+    pub(super) fn change<R>(&mut self, script: usize, change: impl FnOnce(&mut Script) -> R) -> R {
+        let changed = change(&mut self.scripts[script]);
+        let place = self.chains.partition_point(|chain| chain.end <= script);
+        let chain = &mut self.chains[place];
+        if !self.scripts[script].is_planned() {
+            chain.unsent = chain.unsent.max(script + 1);
+        }
+        let completed =
+            self.scripts[chain.completed..chain.end].iter().take_while(|script| script.has_completed());
+        chain.completed += completed.count();
+        changed
+    }
+
+    /// Names its requests.
+    pub(super) fn name(&mut self, script: usize, id: Option<RequestId>) {
+        self.scripts[script].name(id);
+    }
+
+    /// The scripts that are under way: those that were sent and have not completed, and the next one of each device.
+    pub(crate) fn under_way(&self) -> impl Iterator<Item = (usize, &Script)> {
+        let of_chain = |chain: &Chain| chain.completed..chain.end.min(chain.unsent + 1);
+        self.chains.iter().flat_map(of_chain).map(|index| (index, &self.scripts[index]))
+    }
+
+    /// For each device its scripts that have not completed, in order of time.
+    pub(crate) fn chains(&self) -> impl Iterator<Item = impl Iterator<Item = (usize, &Script)>> {
+        self.chains
+            .iter()
+            .map(|chain| (chain.completed..chain.end).map(|index| (index, &self.scripts[index])))
+    }
+
     pub(crate) fn takes_part(&self) -> bool {
         self.part == Part::Taking
     }
@@ -46,17 +105,16 @@ impl Member {
     /// Scripts that it still has to accept.
     pub(super) fn unaccepted(&self) -> impl Iterator<Item = (usize, &Script)> {
         let open = |index: usize, script: &Script| script.is_out() || self.before(index).is_none();
-        let scripts = self.scripts.iter().enumerate();
-        scripts.filter(move |(index, script)| !script.was_accepted() && open(*index, script))
+        self.under_way().filter(move |(index, script)| !script.was_accepted() && open(*index, script))
     }
 
     pub(crate) fn is_done(&self) -> bool {
-        self.scripts.iter().all(Script::has_completed)
+        self.chains.iter().all(|chain| chain.completed == chain.end)
     }
 
     /// Nothing of it is still to be sent or can still run.
     pub(super) fn is_over(&self) -> bool {
-        self.scripts.iter().all(|script| !script.is_out() && !script.is_planned())
+        self.under_way().all(|(_, script)| !script.is_out() && !script.is_planned())
     }
 
     /// Its scripts on a device, in order of time.
@@ -66,9 +124,7 @@ impl Member {
 
     /// The first script of every device.
     pub(crate) fn firsts(&self) -> impl Iterator<Item = &Script> {
-        (0..self.scripts.len())
-            .filter(|script| self.before(*script).is_none())
-            .map(|script| &self.scripts[script])
+        self.chains.iter().map(|chain| &self.scripts[chain.first])
     }
 
     /// The script before this one on its device. Scripts of one device stand together, in order of time.
@@ -95,13 +151,20 @@ impl Member {
     }
 
     /// The pending lease of a script that waits while its act plays: it may have been shortened.
-    pub(super) fn pending_lease_now(&self, script: usize, timing: &Timing) -> Option<Span> {
+    fn pending_lease_now(&self, script: usize, timing: &Timing) -> Option<Span> {
         let shortened = timing.pace.leases == Leases::Shortened;
         let offset = self.shortened_offset(script, timing.lead.lease).filter(|_| shortened);
         match offset {
             Some(offset) => Some(timing.final_lease() + offset),
             None => self.pending_lease(script, timing.lead.lease),
         }
+    }
+
+    /// The shortest of the leases that a script which is out has from now on: while it waits, the pending one counts as well.
+    pub(super) fn shortest_lease(&self, script: usize, timing: &Timing) -> Option<Span> {
+        let waits = matches!(self.scripts[script].state(), ScriptState::Sent | ScriptState::Held);
+        let pending = waits.then(|| self.pending_lease_now(script, timing)).flatten();
+        pending.into_iter().chain(self.scripts[script].shortest_lease()).min()
     }
 
     /// Whether it has answered that it holds the first script of every device, to a question sent at `since` or later. Those
@@ -128,7 +191,7 @@ pub(crate) fn members(plan: &downbeat_scripts::Plan, robots: &[RobotState]) -> V
         let robot = *index_of.get(&planned.robot)?;
         let present = robots[robot].standing == Standing::In;
         let scripts = planned.scripts.iter().map(Script::new).collect();
-        present.then_some(Member { robot, part: Part::Taking, shift: Span::ZERO, scripts })
+        present.then(|| Member::new(robot, scripts))
     };
     plan.robots.iter().filter_map(member).collect()
 }

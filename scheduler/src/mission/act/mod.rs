@@ -204,7 +204,7 @@ impl Act {
     }
 
     pub(crate) fn script(&self, script: ScriptRef) -> &Script {
-        &self.members[script.member].scripts[script.script]
+        &self.members[script.member].scripts()[script.script]
     }
 
     /// The index of the robot that plays a script.
@@ -235,7 +235,7 @@ impl Act {
     }
 
     pub(crate) fn has_begun(&self) -> bool {
-        self.members.iter().flat_map(|member| &member.scripts).any(Script::has_begun)
+        self.members.iter().flat_map(Member::scripts).any(Script::has_begun)
     }
 
     /// How far it is, to tell whether it went on.
@@ -344,13 +344,18 @@ impl Act {
         let member = &self.members[place];
         // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
         let mut groups: BTreeMap<(bool, Option<Span>), Vec<RequestId>> = BTreeMap::new();
-        for (index, script) in member.scripts.iter().enumerate().filter(|(_, script)| script.is_unaccounted())
-        {
+        for (index, script) in member.under_way().filter(|(_, script)| script.is_unaccounted()) {
             let offset = member.shortened_offset(index, timing.lead.lease).filter(|_| shortens);
             let lease = offset.map(|offset| timing.lease_at(now) + offset);
             groups.entry((lease.is_none(), lease)).or_default().extend(script.request_id().cloned());
         }
         groups.into_iter().map(|((_, lease), requests)| NamedScripts { lease, requests }).collect()
+    }
+
+    /// Whether a robot may have a request of it.
+    pub(crate) fn has_something_on(&self, robot: usize) -> bool {
+        let place = self.place_of(robot).filter(|_| self.was_sent());
+        place.is_some_and(|place| self.members[place].under_way().any(|(_, script)| script.is_unaccounted()))
     }
 
     /// Whether every message to a robot has to come behind a question that carries a lease.

@@ -55,14 +55,15 @@ impl Act {
         robots: &[RobotState],
     ) -> Noted {
         let robot = &robots[self.robot_of(script)];
-        let state = &mut self.members[script.member].scripts[script.script];
+        let member = &mut self.members[script.member];
         // A robot that cannot tell when a script has ended was sent the next one by time, a little too early.
-        let full = !robot.tells_fates() && *state.state() == ScriptState::Sent && is_full(response);
+        let state = member.scripts()[script.script].state();
+        let full = !robot.tells_fates() && *state == ScriptState::Sent && is_full(response);
         if full {
-            state.refused_for_now();
+            member.change(script.script, Script::refused_for_now);
             return Noted { news: News::None, actions: Vec::new() };
         }
-        let news = state.answered(response);
+        let news = member.change(script.script, |script| script.answered(response));
         self.noted(script, news, robots)
     }
 
@@ -74,8 +75,8 @@ impl Act {
         (asked_at, said_at): (Timestamp<Server>, Timestamp<Robot>),
         robots: &[RobotState],
     ) -> Noted {
-        let state = &mut self.members[script.member].scripts[script.script];
-        let news = state.reported(report, asked_at, said_at);
+        let member = &mut self.members[script.member];
+        let news = member.change(script.script, |script| script.reported(report, asked_at, said_at));
         self.noted(script, news, robots)
     }
 
@@ -89,7 +90,7 @@ impl Act {
                 actions.push(ActAction::Tell(Progress::Accepted { robot: id }));
             }
             News::Started => {
-                let error = self.start_error(member, &member.scripts[script.script]);
+                let error = self.start_error(member, &member.scripts()[script.script]);
                 actions.push(ActAction::Tell(Progress::Started { robot: id, error }));
             }
             News::Completed => {
@@ -101,7 +102,7 @@ impl Act {
             }
             News::NeverReceived if member.takes_part() => actions.push(ActAction::Send(script)),
             News::Failed(error) => {
-                let device = member.scripts[script.script].plan.device.clone();
+                let device = member.scripts()[script.script].plan.device.clone();
                 let kind = FailureKind::Script { device, error: error.clone() };
                 actions.push(ActAction::Fail(vec![(robot, kind)]));
             }
@@ -149,14 +150,16 @@ impl Act {
             if !lapses(&robots[member.robot]) {
                 continue;
             }
-            for script in member.scripts.iter_mut().filter(|script| script.is_out()) {
-                if now >= planned_end(start, script) + grace {
-                    script.lapse();
-                    lapsed.push(member.robot);
-                }
+            let over = |(index, script): (usize, &Script)| {
+                (script.is_out() && now >= planned_end(start, script) + grace).then_some(index)
+            };
+            let over: Vec<usize> = member.under_way().filter_map(over).collect();
+            for script in over {
+                member.change(script, Script::lapse);
+                lapsed.push(member.robot);
             }
             // Refused because the queue was full for a moment longer.
-            if member.scripts.iter().any(Script::is_planned) {
+            if member.under_way().any(|(_, script)| script.is_planned()) {
                 lapsed.push(member.robot);
             }
         }
@@ -177,7 +180,7 @@ impl Act {
             }
             let due =
                 |script: &&Script| self.report_due(member, script, robot, grace).is_some_and(|at| now >= at);
-            let Some(script) = member.scripts.iter().find(due) else { continue };
+            let Some(script) = member.under_way().map(|(_, script)| script).find(due) else { continue };
             // It had the time to say so, and answered a question meanwhile: after a resumption there may have been none.
             let was_asked =
                 |due| !robot.takes_inquiries() || robot.questions.answered().is_some_and(|at| at >= due);
@@ -220,7 +223,7 @@ impl Act {
         let end = planned_end(timing.start, script) + timing.pace.late;
         match script.state() {
             // Sent when its device has room.
-            ScriptState::Planned if member.scripts.iter().any(Script::is_out) => None,
+            ScriptState::Planned if member.under_way().any(|(_, script)| script.is_out()) => None,
             ScriptState::Ended(_) => None,
             ScriptState::Planned => Some(start + grace),
             _ if !robot.reports() => Some(end + LAPSE),
@@ -234,7 +237,7 @@ impl Act {
         let grace = self.report_grace(robots);
         let due = self.present().flat_map(|member| {
             let robot = &robots[member.robot];
-            member.scripts.iter().filter_map(move |script| {
+            member.under_way().filter_map(move |(_, script)| {
                 let asked = self.report_due(member, script, robot, grace)?;
                 // A report that stays out is a failure after as long again.
                 Some([asked, asked + grace]).filter(|_| robot.tells_fates()).or_else(|| {
@@ -251,9 +254,8 @@ impl Act {
     fn patience_with_silent_ones(&self, robots: &[RobotState]) -> Span {
         let silent = self.present().any(|member| !robots[member.robot].reports() && !member.is_done());
         let asked = matches!(&self.stage, Stage::Playing(Playing { asked: Some(_), .. }));
-        let planned = self
-            .present()
-            .any(|member| lapses(&robots[member.robot]) && member.scripts.iter().any(Script::is_planned));
+        let planned = |member: &Member| member.under_way().any(|(_, script)| script.is_planned());
+        let planned = self.present().any(|member| lapses(&robots[member.robot]) && planned(member));
         match silent && (asked || planned) {
             true => {
                 ASK_AGAIN.max(self.timing.as_ref().map_or(Span::ZERO, |_| longest_round_trip(self, robots)))
@@ -279,7 +281,7 @@ impl Act {
         let member = self.member(robot).filter(|_| self.is_committed())?;
         let timing = self.timing.as_ref()?;
         let grace = self.report_grace(robots);
-        let ends = member.scripts.iter().filter(|script| script.is_out()).map(|script| {
+        let ends = member.under_way().filter(|(_, script)| script.is_out()).map(|(_, script)| {
             let begins = timing.start + script.plan.start.span();
             match script.longest_lease() {
                 Some(lease) => now.max(begins) + lease + grace,
@@ -294,23 +296,22 @@ impl Act {
         let timing = self.timing.as_ref().filter(|timing| now >= timing.start)?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
         let begun = |script: &&Script| script.is_out() && now >= timing.start + script.plan.start.span();
-        member.scripts.iter().filter(begun).filter_map(Script::shortest_lease).min()
+        member.under_way().map(|(_, script)| script).filter(begun).filter_map(Script::shortest_lease).min()
+    }
+
+    /// The shortest of the leases that a script has from now on.
+    pub(crate) fn shortest_lease_of(&self, script: ScriptRef) -> Option<Span> {
+        self.members[script.member].shortest_lease(script.script, self.timing.as_ref()?)
     }
 
     /// The shortest lease that this act needs renewed between its rounds.
     pub(crate) fn shortest_lease(&self) -> Option<Span> {
         let timing = self.timing.as_ref()?;
         let before = (!self.is_playing()).then_some(timing.lead.lease);
-        let of_script = |member: &Member, index: usize| {
-            let script = &member.scripts[index];
-            let waits = matches!(script.state(), ScriptState::Sent | ScriptState::Held);
-            let pending = waits.then(|| member.pending_lease_now(index, timing)).flatten();
-            let running = script.is_out().then(|| script.shortest_lease()).flatten();
-            pending.into_iter().chain(running).min()
-        };
-        let leases = self
-            .present()
-            .flat_map(|member| (0..member.scripts.len()).filter_map(move |index| of_script(member, index)));
+        let leases = self.present().flat_map(|member| {
+            let out = member.under_way().filter(|(_, script)| script.is_out());
+            out.filter_map(|(index, _)| member.shortest_lease(index, timing))
+        });
         leases.chain(before).min()
     }
 
@@ -356,7 +357,7 @@ fn is_full(response: &ControlResponse) -> bool {
 }
 
 fn planned_end(start: Timestamp<Server>, script: &Script) -> Timestamp<Server> {
-    start + script.plan.start.span() + script.plan.script.duration()
+    start + script.plan.start.span() + script.duration()
 }
 
 fn longest_round_trip(act: &Act, robots: &[RobotState]) -> Span {

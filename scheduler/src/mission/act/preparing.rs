@@ -77,13 +77,13 @@ impl Act {
         let mut names = Vec::new();
         for (m, member) in self.members.iter_mut().enumerate() {
             member.shift = shift_of(&robots[member.robot]);
-            for (s, script) in member.scripts.iter_mut().enumerate() {
+            for s in 0..member.scripts().len() {
                 // Sessions are named by this program, far below the limit.
-                script.name(
-                    RequestId::new(format!("{session}{micros}/{}/{}/{s}", self.number, member.robot)).ok(),
-                );
+                let id =
+                    RequestId::new(format!("{session}{micros}/{}/{}/{s}", self.number, member.robot)).ok();
                 let reference = ScriptRef { act: self.number, member: m, script: s };
-                names.extend(script.request_id().map(|id| (member.robot, id.clone(), reference)));
+                names.extend(id.clone().map(|id| (member.robot, id, reference)));
+                member.name(s, id);
             }
         }
         let tell = Progress::Preparing {
@@ -114,7 +114,7 @@ impl Act {
             })
         };
         let of_member =
-            |member: &Member| member.scripts.iter().filter_map(|s| script(member, s)).collect::<Vec<_>>();
+            |member: &Member| member.scripts().iter().filter_map(|s| script(member, s)).collect::<Vec<_>>();
         Promise {
             number: self.number,
             act: self.index,
@@ -143,7 +143,7 @@ impl Act {
 
     /// A script's request is on its way.
     pub(crate) fn sent(&mut self, now: Timestamp<Server>, script: ScriptRef) {
-        self.members[script.member].scripts[script.script].sent(now);
+        self.members[script.member].change(script.script, |script| script.sent(now));
     }
 
     /// The one decision, as soon as all have accepted or when it is due: the act starts if every robot has accepted
@@ -226,7 +226,7 @@ pub(super) fn request(
     index: usize,
     session: Option<&SessionId>,
 ) -> ControlRequest {
-    let script = &member.scripts[index];
+    let script = &member.scripts()[index];
     let offset = timing.start - timing.timestamp + script.plan.start.span();
     ControlRequest {
         timestamp: Some(timing.timestamp + member.shift),

@@ -50,7 +50,8 @@ impl Act {
             .collect();
         for member in &mut act.members {
             let robot = &robots[member.robot];
-            for script in &mut member.scripts {
+            for index in 0..member.scripts().len() {
+                let script = &member.scripts()[index];
                 let key = (&robot.id, &script.plan.device, script.plan.start.get().to_bits());
                 let same = |promised: &&&PromisedScript| promised.content_hash == script.content_hash();
                 let Some(promised) = promised.get(&key).filter(same) else {
@@ -59,8 +60,9 @@ impl Act {
                         what: format!("`{robot}` device `{device}` was promised another script"),
                     });
                 };
-                member.shift = promised.shift;
-                script.name(Some(promised.request_id.clone()));
+                let (shift, id) = (promised.shift, promised.request_id.clone());
+                member.shift = shift;
+                member.name(index, Some(id));
             }
         }
         act.timing = Some(act.timing_of(promise));
@@ -75,7 +77,7 @@ impl Act {
     }
 
     fn timing_of(&self, promise: &Promise) -> Timing {
-        let prepare = (promise.start - promise.timestamp - promise.lease).max(Span::ZERO);
+        let prepare = promise.start - promise.timestamp - promise.lease;
         let tolerance = self.written().plan.start_tolerance;
         let measured = Measured {
             robots: self.members.len(),
@@ -86,25 +88,15 @@ impl Act {
             late: tolerance.min(CLOCK_UNKNOWN),
             record: Span::ZERO,
         };
-        Timing {
-            timestamp: promise.timestamp,
-            start: promise.start,
-            lead: LeadTime { prepare, lease: promise.lease, margin: Span::ZERO },
-            decision: promise.timestamp + prepare,
-            end: promise.start + self.written().plan.duration(),
-            pace: Pace::of(&measured, promise.lease),
-            skew: None,
-            slowest: None,
-            gap: None,
-            accepted_at: None,
-            round: None,
-        }
+        let lead = LeadTime { prepare, lease: promise.lease, margin: Span::ZERO };
+        let pace = Pace::of(&measured, promise.lease);
+        Timing::new(promise.timestamp, lead, pace, self.written().plan.duration())
     }
 
     /// The names of all its requests.
     pub(crate) fn all_names(&self) -> Vec<(usize, RequestId, ScriptRef)> {
         let of_member = |(m, member): (usize, &super::Member)| {
-            let named = member.scripts.iter().enumerate().filter_map(|(s, script)| {
+            let named = member.scripts().iter().enumerate().filter_map(|(s, script)| {
                 let reference = ScriptRef { act: self.number, member: m, script: s };
                 Some((member.robot, script.request_id()?.clone(), reference))
             });

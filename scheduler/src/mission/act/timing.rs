@@ -146,6 +146,24 @@ pub(crate) struct Timing {
 }
 
 impl Timing {
+    /// Of an act that is sent at `timestamp` and plays for `duration`.
+    pub(crate) fn new(timestamp: Timestamp<Server>, lead: LeadTime, pace: Pace, duration: Span) -> Self {
+        let start = timestamp + lead.total();
+        Self {
+            timestamp,
+            start,
+            lead,
+            decision: timestamp + lead.prepare,
+            end: start + duration,
+            pace,
+            skew: None,
+            slowest: None,
+            gap: None,
+            accepted_at: None,
+            round: None,
+        }
+    }
+
     /// All leases end here unless the act is committed: what was sent before may arrive up to a round trip later, and a
     /// robot whose clock is ahead starts before the others.
     pub(crate) fn brink(&self) -> Timestamp<Server> {
@@ -244,21 +262,7 @@ mod tests {
         let lease = LeadTime::lease_needed(round_trip);
         let pace = Pace::of(&measured, lease);
         let lead = LeadTime::needed(round_trip, 6, 6_000, &pace, lease);
-        let timestamp = Timestamp::from_nanos(0);
-        let start = timestamp + lead.total();
-        Timing {
-            timestamp,
-            start,
-            lead,
-            decision: timestamp + lead.prepare,
-            end: start,
-            pace,
-            skew: None,
-            slowest: None,
-            gap: None,
-            accepted_at: None,
-            round: None,
-        }
+        Timing::new(Timestamp::from_nanos(0), lead, pace, Span::ZERO)
     }
 
     #[test]

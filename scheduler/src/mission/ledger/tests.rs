@@ -39,20 +39,7 @@ fn timing(now: urrcp::Timestamp<urrcp::Server>) -> Timing {
     let pace =
         Pace::of(&Measured { robots: 1, scripts: 1, leases, round_trip: ms(1), early, late, record }, lease);
     let lead = LeadTime::needed(ms(1), 1, 1_000, &pace, lease);
-    let start = now + lead.total();
-    Timing {
-        timestamp: now,
-        start,
-        lead,
-        decision: now + lead.prepare,
-        end: start + ms(100),
-        pace,
-        skew: None,
-        slowest: None,
-        gap: None,
-        accepted_at: None,
-        round: None,
-    }
+    Timing::new(now, lead, pace, ms(100))
 }
 
 fn robots(queue: usize) -> Vec<RobotState> {

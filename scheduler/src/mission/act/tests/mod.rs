@@ -49,6 +49,7 @@ enum Arrival {
 #[derive(Clone, Debug)]
 struct Question {
     at: Timestamp<Server>,
+    stage: Progressed,
     robot: usize,
     named: Vec<NamedScripts>,
 }
@@ -269,7 +270,8 @@ impl Bench {
         let hushed = self.act.hushes(robot, self.now);
         assert!(!hushed, "{robot} is asked at {}, {} before the start", self.now, self.start() - self.now);
         self.robots[robot].questions.asked(self.now);
-        self.asked.push(Question { at: self.now, robot, named: self.act.names_of(robot, self.now) });
+        let (stage, named) = (self.act.progress(), self.act.names_of(robot, self.now));
+        self.asked.push(Question { at: self.now, stage, robot, named });
         self.arrivals.push((self.now + ROUND_TRIP, Arrival::Answer { robot, asked: self.now }));
     }
 
@@ -405,18 +407,5 @@ fn timing(act: &Act, now: Timestamp<Server>, leases: Leases) -> Timing {
     let pace = Pace::of(&measured, LEASE);
     let needed = LeadTime::needed(ROUND_TRIP, scripts, 1_000, &pace, LEASE);
     let lead = LeadTime { prepare: needed.prepare + RECORDING, ..needed };
-    let start = now + lead.total();
-    Timing {
-        timestamp: now,
-        start,
-        lead,
-        decision: now + lead.prepare,
-        end: start + act.written().plan.duration(),
-        pace,
-        skew: None,
-        slowest: None,
-        gap: None,
-        accepted_at: None,
-        round: None,
-    }
+    Timing::new(now, lead, pace, act.written().plan.duration())
 }

@@ -22,6 +22,7 @@ fn behind_another(wait: Wait) -> Bench {
 #[test]
 fn an_act_that_waits_for_the_operator_goes_on_when_told_and_not_before() {
     let mut bench = waits_for(Wait::Operator);
+    bench.pump();
     bench.run_until(at(900));
     assert_eq!(bench.act.progress(), Progressed::Waiting);
     assert!(bench.act.go());
@@ -55,6 +56,8 @@ fn waiting_ends_with_the_timeout_counted_from_when_it_is_alone() {
     assert_eq!(bench.went, None);
     bench.act.comes_next(at(5_000));
     assert_eq!(bench.act.wakeup(), Some(at(6_000)));
+    bench.pump();
+    assert_eq!(bench.went, None);
     bench.now = at(6_000);
     let actions = bench.act.advance(bench.now, &bench.robots, &bench.options);
     bench.carry_out(actions);
