@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use downbeat::drive::{Happened, LinkNumber, Urgency};
 use downbeat::link::{Endpoint, Link, Speech};
 use downbeat::mission::{Event, Mission, MissionOptions, Participant};
 use downbeat::server_clock::ServerClock;
@@ -144,11 +145,15 @@ async fn on_receipt(fleet: &Fleet) {
     let (events, mut happened) = mpsc::channel(1_024);
     let clock = ServerClock::anchored(Span::ZERO);
     let links: Vec<_> = (0..ROBOTS)
-        .map(|id| Link::open(id, fleet.endpoint(id), clock, events.clone(), std::time::Duration::ZERO))
+        .map(|id| {
+            let link = (id, LinkNumber(id as u64));
+            Link::open(link, fleet.endpoint(id), clock, events.clone(), std::time::Duration::ZERO)
+        })
         .collect();
     let (mut up, mut ended) = (0, 0);
     while ended < ROBOTS {
-        match happened.recv().await.unwrap().1 {
+        let Happened::OnLink { event, .. } = happened.recv().await.unwrap() else { continue };
+        match *event {
             Event::LinkUp { .. } => {
                 up += 1;
                 if up == ROBOTS {
@@ -167,7 +172,7 @@ async fn on_receipt(fleet: &Fleet) {
 fn send_at_once(link: &Link) {
     let command = Control::Script(script());
     let request = ControlRequest::immediate(DeviceId::new("d").unwrap(), command);
-    link.send(Message::ControlRequest(request), false);
+    link.send(Message::ControlRequest(request), Urgency::InOrder).unwrap();
 }
 
 fn row(name: &str, spreads: &[f64]) {

@@ -1,18 +1,19 @@
 //! Real processes, killed with SIGKILL or stopped with SIGSTOP at random moments: what the journal and the reports say has to
 //! agree with what the robots' own logs say. `DOWNBEAT_CHAOS=200` plays so many missions.
 
-#![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test in a binary of its own")]
+#![expect(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test in a binary of its own")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
-use std::collections::{BTreeMap, HashSet};
-use std::io::{BufRead, BufReader, Read};
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+mod robots;
 
+use std::collections::{BTreeMap, HashSet};
+use std::path::Path;
+use std::time::Duration;
+
+use robots::{Logged, Robot, Running, Stage, Via, epoch_nanos, nanos};
+use rustix::process::Signal;
 use serde_json::Value;
 
-const PROGRAM: &str = env!("CARGO_BIN_EXE_downbeat");
 const ROBOTS: usize = 3;
 /// The running lease of the scenario.
 const LEASE: Duration = Duration::from_millis(700);
@@ -31,7 +32,7 @@ const SCENARIO: &str = "scenario: chaos
 start_tolerance: 100ms
 stop_condition: {running: 700ms}
 cues:
-  - {at: 0s, robots: arms, tracks: {shoulder: [{at: 0s, to: 10}, {at: 400ms, to: 20}, {at: 800ms, to: 30}, {at: 1200ms, to: 40}]}}
+  - {at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 10}, {at: 400ms, to: 20}, {at: 800ms, to: 30}, {at: 1200ms, to: 40}]}}
 ";
 
 #[derive(Clone, Copy, Debug)]
@@ -42,53 +43,12 @@ enum Fault {
     StopRobot(usize, Duration),
 }
 
-struct Killed(Child);
-
-impl Drop for Killed {
-    fn drop(&mut self) {
-        let _gone = self.0.kill();
-        let _reaped = self.0.wait();
-    }
+fn downbeat(stage: &Stage, args: &[&str]) -> Running {
+    stage.start(&[args, &["--format", "json", "--patience", "2s"]].concat())
 }
 
-fn signal(child: &Child, name: &str) {
-    let sent = Command::new("kill").args([&format!("-{name}"), &child.id().to_string()]).status().unwrap();
-    assert!(sent.success());
-}
-
-fn robot(folder: &Path, id: usize) -> (Killed, u16) {
-    let mut command = Command::new(PROGRAM);
-    command.args(["robot", "--init", "arm.yaml", "--listen", "127.0.0.1:0", "--id", &format!("r{id}")]);
-    command.args(["--log-file", &format!("r{id}.jsonl")]).current_dir(folder).stdout(Stdio::piped());
-    let mut child = command.spawn().unwrap();
-    let mut line = String::new();
-    BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
-    let port = line.trim().rsplit(':').next().unwrap().parse().unwrap();
-    (Killed(child), port)
-}
-
-fn downbeat(folder: &Path, args: &[&str]) -> Command {
-    let mut command = Command::new(PROGRAM);
-    command.args(args).args(["--format", "json", "--patience", "2s"]).current_dir(folder);
-    command.env("DOWNBEAT_STATE", folder.join("state")).stdout(Stdio::piped()).stderr(Stdio::null());
-    command
-}
-
-fn output(mut child: Killed, within: Duration, what: &str) -> Option<Value> {
-    let began = Instant::now();
-    while child.0.try_wait().unwrap().is_none() {
-        assert!(began.elapsed() < within, "{what} hangs");
-        std::thread::sleep(Duration::from_millis(10));
-    }
-    let mut text = String::new();
-    child.0.stdout.take().unwrap().read_to_string(&mut text).unwrap();
-    serde_json::from_str(&text).ok()
-}
-
-/// What a robot set, as far as its log is whole: a killed process may leave a torn last line.
-fn log(folder: &Path, id: usize) -> Vec<Value> {
-    let text = std::fs::read_to_string(folder.join(format!("r{id}.jsonl"))).unwrap();
-    text.lines().filter_map(|line| serde_json::from_str(line).ok()).collect()
+fn report(running: Running) -> Option<Value> {
+    serde_json::from_str(&running.ended().out).ok()
 }
 
 struct Played {
@@ -96,70 +56,57 @@ struct Played {
     /// When the fault began and ended, in nanoseconds since the epoch.
     at: (i64, i64),
     report: Option<Value>,
-    logs: Vec<Vec<Value>>,
+    sets: Vec<Vec<Logged>>,
     journal: Vec<Value>,
-}
-
-fn epoch_nanos() -> i64 {
-    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
-    i64::try_from(now.as_nanos()).unwrap()
 }
 
 fn play(seed: u64) -> Played {
     let mut rng = fastrand::Rng::with_seed(seed);
-    let folder = tempfile::TempDir::new().unwrap();
-    let path: PathBuf = folder.path().to_path_buf();
-    std::fs::write(path.join("arm.yaml"), ARM).unwrap();
-    std::fs::write(path.join("chaos.yaml"), SCENARIO).unwrap();
-    let mut robots: Vec<_> = (0..ROBOTS).map(|id| robot(&path, id)).collect();
-    let rows: String = (0..ROBOTS)
-        .map(|id| format!("  r{id}: {{init: arm.yaml, address: \"tcp://127.0.0.1:{}\"}}\n", robots[id].1))
-        .collect();
-    let fleet = format!("robots:\n{rows}groups:\n  arms: [r0, r1, r2]\n");
-    std::fs::write(path.join("fleet.yaml"), fleet).unwrap();
+    let mut stage = Stage::new();
+    stage.file("arm.yaml", ARM).file("chaos.yaml", SCENARIO);
+    for _ in 0..ROBOTS {
+        stage.robot("arm.yaml", Via::Direct);
+    }
     let fault = match rng.u8(0..5) {
         0 | 1 => Fault::KillScheduler { resume: rng.bool() },
         2 => Fault::StopScheduler(Duration::from_millis(rng.u64(50..1_500))),
         3 => Fault::KillRobot(rng.usize(0..ROBOTS)),
         _ => Fault::StopRobot(rng.usize(0..ROBOTS), Duration::from_millis(rng.u64(50..1_500))),
     };
-    let mut scheduler = Killed(downbeat(&path, &["run", "chaos.yaml"]).spawn().unwrap());
+    let mut scheduler = downbeat(&stage, &["run", "chaos.yaml"]);
     std::thread::sleep(Duration::from_millis(rng.u64(0..1_900)));
     let began = epoch_nanos();
-    let mut report = None;
-    match fault {
+    let told = match fault {
         Fault::KillScheduler { resume } => {
-            scheduler.0.kill().unwrap();
-            scheduler.0.wait().unwrap();
-            if resume {
+            scheduler.process.kill();
+            resume.then(|| {
                 std::thread::sleep(Duration::from_millis(rng.u64(0..400)));
-                let resumed = Killed(downbeat(&path, &["resume"]).spawn().unwrap());
-                report = output(resumed, Duration::from_secs(20), "resume");
-            }
+                downbeat(&stage, &["resume"])
+            })
         }
         Fault::StopScheduler(lasts) => {
-            signal(&scheduler.0, "STOP");
+            scheduler.process.signal(Signal::STOP);
             std::thread::sleep(lasts);
-            signal(&scheduler.0, "CONT");
+            scheduler.process.signal(Signal::CONT);
+            Some(scheduler)
         }
         Fault::KillRobot(id) => {
-            robots[id].0.0.kill().unwrap();
-            robots[id].0.0.wait().unwrap();
+            stage.robots[id].kill();
+            Some(scheduler)
         }
         Fault::StopRobot(id, lasts) => {
-            signal(&robots[id].0.0, "STOP");
+            stage.robots[id].freeze();
             std::thread::sleep(lasts);
-            signal(&robots[id].0.0, "CONT");
+            stage.robots[id].thaw();
+            Some(scheduler)
         }
-    }
+    };
     let ended = epoch_nanos();
-    if !matches!(fault, Fault::KillScheduler { .. }) {
-        report = output(scheduler, Duration::from_secs(20), "the scheduler");
-    }
+    let report = told.and_then(report);
     // Whatever a lease still allows is over then.
     std::thread::sleep(LEASE + Duration::from_millis(900));
-    let logs = (0..ROBOTS).map(|id| log(&path, id)).collect();
-    Played { fault, at: (began, ended), report, logs, journal: journal(&path.join("state")) }
+    let sets = stage.robots.iter().map(Robot::sets).collect();
+    Played { fault, at: (began, ended), report, sets, journal: journal(&stage.path("state")) }
 }
 
 fn journal(state: &Path) -> Vec<Value> {
@@ -177,8 +124,7 @@ fn wrong(played: &Played) -> Vec<String> {
     let promised = played.journal.iter().find(|record| record["record"] == "prepared");
     let start = promised.and_then(|record| record["start"].as_str()).map(nanos);
     let lease = promised.map_or(0.0, |record| record["lease_ms"].as_f64().unwrap());
-    let sets = |id: usize| played.logs[id].iter().filter(|entry| entry["motion"] == "set");
-    let moved: Vec<usize> = (0..ROBOTS).filter(|id| sets(*id).count() > 0).collect();
+    let moved: Vec<usize> = (0..ROBOTS).filter(|id| !played.sets[*id].is_empty()).collect();
     if start.is_none() && !moved.is_empty() {
         wrong.push(format!("{moved:?} moved and nothing was promised"));
     }
@@ -191,35 +137,29 @@ fn wrong(played: &Played) -> Vec<String> {
     }
     for id in 0..ROBOTS {
         let mut seen = HashSet::new();
-        for entry in sets(id) {
-            if !seen.insert((entry["request_id"].to_string(), entry["step"].to_string())) {
-                wrong.push(format!("(b) r{id} did a step twice: {entry}"));
+        for entry in &played.sets[id] {
+            if !seen.insert((&entry.request, entry.step)) {
+                wrong.push(format!("(b) r{id} did a step twice: {entry:?}"));
             }
-            let late = nanos(entry["set_at"].as_str().unwrap()) - nanos(entry["due"].as_str().unwrap());
-            if entry["step"] == 0 && late > 60_000_000 {
+            let late = entry.set_at - entry.due;
+            if entry.step == Some(0) && late > 60_000_000 {
                 wrong.push(format!("(b) r{id} started {} ms late", late / 1_000_000));
             }
-            let value = entry["value"].as_f64().unwrap();
-            if !(0.0..=90.0).contains(&value) {
-                wrong.push(format!("(d) r{id} set {value}"));
+            if !(0.0..=90.0).contains(&entry.value) {
+                wrong.push(format!("(d) r{id} set {}", entry.value));
             }
         }
     }
     if let Fault::KillScheduler { resume: false } = played.fault {
         let silent = played.at.0 + i64::try_from(LEASE.as_nanos()).unwrap() + 150_000_000;
         for id in 0..ROBOTS {
-            if let Some(entry) = sets(id).find(|entry| entry["true_ns"].as_i64().unwrap() > silent) {
-                wrong.push(format!("(c) r{id} moved after its lease had run out: {entry}"));
+            if let Some(entry) = played.sets[id].iter().find(|entry| entry.at > silent) {
+                wrong.push(format!("(c) r{id} moved after its lease had run out: {entry:?}"));
             }
         }
     }
     wrong.extend(lies(played));
     wrong
-}
-
-fn nanos(text: &str) -> i64 {
-    let at: urrcp::Timestamp<urrcp::Server> = serde_json::from_value(Value::String(text.to_owned())).unwrap();
-    at.as_nanos()
 }
 
 /// What the report says that the robots' logs do not.
@@ -229,7 +169,7 @@ fn lies(played: &Played) -> Vec<String> {
     let killed = |id: usize| matches!(played.fault, Fault::KillRobot(killed) if killed == id);
     for row in report["robots"].as_array().into_iter().flatten() {
         let id: usize = row["robot"].as_str().unwrap()[1..].parse().unwrap();
-        let steps = played.logs[id].iter().filter(|entry| entry["motion"] == "set").count() as u64;
+        let steps = played.sets[id].len() as u64;
         let said = row["steps_done"].as_u64().unwrap();
         if said > steps && !killed(id) {
             lies.push(format!("(e) r{id} is said to have done {said} steps, and did {steps}"));

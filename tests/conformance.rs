@@ -113,6 +113,24 @@ fn what_a_robot_without_scripts_and_reports_does_not_declare_is_not_held_against
 }
 
 #[test]
+fn a_robot_that_answers_no_inquiries_is_asked_none() {
+    let silent: proxy::Fault = |_, passing| {
+        if let Some(block) = passing.json.get_mut("initialization_block") {
+            block["inquiry"] = serde_json::json!(false);
+        }
+        match passing.json.get("inquiry") {
+            Some(_) => proxy::Then::HangUp,
+            None => proxy::Then::Pass,
+        }
+    };
+    let robot = proxy::faulty(proxy::robot(ARM, Settings::default()), proxy::Serving::All, silent);
+    let names: Vec<_> = requirements().map(|r| r.name).filter(|name| name.contains("inquiry")).collect();
+    let examined = examined(robot, options(&names));
+    let open = examined.judged.iter().filter(|judged| judged.verdict == Verdict::NotApplicable).count();
+    assert_eq!((names.len(), open), (10, 10), "{}", told(&examined, Verdict::Fail));
+}
+
+#[test]
 fn a_clock_that_is_off_is_measured_when_asked_for() {
     let robot = proxy::robot(ARM, ahead());
     let only = options(&["clock", "deferred-start", "late", "script-timing"]);

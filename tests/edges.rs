@@ -3,12 +3,18 @@
 //! The Thrift robot is `tests/thrift/server.py` where `DOWNBEAT_PYTHON` names a Python with the package thriftpy2,
 //! else the one of `thrift_robot`.
 
-use std::io::{BufRead, BufReader, Read};
+use std::collections::VecDeque;
+use std::io::{BufRead, BufReader, Read, Write};
+use std::net::TcpStream;
 use std::process::{Child, Command, Stdio};
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime};
 
 use downbeat_robot::driver::{Driver, DriverError, ThriftRobot};
-use urrcp::{ControlType, DeviceId, Setpoint};
+use urrcp::{
+    AvailabilityRequest, AvailabilityResponse, Command as Controls, ControlError, ControlRequest,
+    ControlResponse, ControlType, DeviceId, ErrorCode, Message, Millis, RequestId, Script, Setpoint, Status,
+    Step, Timestamp,
+};
 
 use crate::session::{PROGRAM, Session, root};
 use crate::thrift_robot;
@@ -38,6 +44,21 @@ impl Tank {
         let port = first_line(&mut child).trim().parse().unwrap();
         (Self::Python(child), port)
     }
+}
+
+impl Tank {
+    /// It keeps its connection and does nothing more.
+    fn freeze(&self) {
+        match self {
+            Self::Python(child) => signal(child, "STOP"),
+            Self::Rust(robot) => robot.freeze(),
+        }
+    }
+}
+
+fn signal(child: &Child, name: &str) {
+    let id = child.id().to_string();
+    assert!(Command::new("kill").args([&format!("-{name}"), &id]).status().unwrap().success());
 }
 
 impl Drop for Tank {
@@ -82,7 +103,7 @@ impl Edge {
 
     /// Its exit code and what it said.
     fn end(mut self) -> (Option<i32>, String) {
-        assert!(Command::new("kill").args(["-TERM", &self.0.id().to_string()]).status().unwrap().success());
+        signal(&self.0, "TERM");
         let mut said = String::new();
         self.0.stderr.take().unwrap().read_to_string(&mut said).unwrap();
         (self.0.wait().unwrap().code(), said)
@@ -92,6 +113,89 @@ impl Edge {
 impl Drop for Edge {
     fn drop(&mut self) {
         end(&mut self.0);
+    }
+}
+
+/// A server that speaks with one edge and does not look after its time.
+struct Server {
+    edge: BufReader<TcpStream>,
+    /// Said of the script while something else was waited for.
+    said: VecDeque<ControlResponse>,
+    /// When the script of this server starts.
+    start: SystemTime,
+}
+
+impl Server {
+    fn connected(edge: &Edge) -> Self {
+        let edge = TcpStream::connect(("127.0.0.1", edge.1)).unwrap();
+        edge.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+        Self { edge: BufReader::new(edge), said: VecDeque::new(), start: SystemTime::now() }
+    }
+
+    fn send(&mut self, message: &Message) {
+        let mut line = Vec::new();
+        urrcp::encode(message, &mut line);
+        self.edge.get_mut().write_all(&line).unwrap();
+    }
+
+    fn hear(&mut self) -> Message {
+        let mut line = String::new();
+        self.edge.read_line(&mut line).unwrap();
+        serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: `{line}`"))
+    }
+
+    /// What the edge says next of the script.
+    fn response(&mut self) -> ControlResponse {
+        if let Some(said) = self.said.pop_front() {
+            return said;
+        }
+        match self.hear() {
+            Message::ControlResponse(response) => response,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn availability(&mut self) -> AvailabilityResponse {
+        self.send(&Message::AvailabilityRequest(AvailabilityRequest::default()));
+        loop {
+            match self.hear() {
+                Message::AvailabilityResponse(response) => return response,
+                Message::ControlResponse(response) => self.said.push_back(response),
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+
+    /// Sends a script for `left`: these values at these milliseconds, from so many after now.
+    fn script(&mut self, lead: u64, steps: &[(f64, f64)]) {
+        let step = |(millis, value): &(f64, f64)| Step {
+            offset: Millis::new(*millis).unwrap(),
+            setpoint: Setpoint::new(ControlType::Position, *value),
+            stop_condition: None,
+        };
+        let script = Script::new(steps.iter().map(step).collect()).unwrap();
+        self.start = SystemTime::now() + Duration::from_millis(lead);
+        let start = self.start.duration_since(SystemTime::UNIX_EPOCH).unwrap();
+        self.send(&Message::ControlRequest(ControlRequest {
+            timestamp: Some(Timestamp::from_nanos(i64::try_from(start.as_nanos()).unwrap())),
+            time_offset_to_start: Some(Millis::new(0.0).unwrap()),
+            request_id: Some(RequestId::new("a").unwrap()),
+            ..ControlRequest::immediate(DeviceId::new("left").unwrap(), Controls::Script(script))
+        }));
+        assert_eq!(self.response().status, Status::Accepted);
+    }
+
+    /// Sleeps until so long before the start.
+    fn await_start_less(&self, millis: u64) {
+        let at = self.start - Duration::from_millis(millis);
+        std::thread::sleep(at.duration_since(SystemTime::now()).unwrap_or_default());
+    }
+
+    /// Why the script fails, which it has to, without a start.
+    fn fails_unstarted(&mut self) -> ControlError {
+        let failed = self.response();
+        assert_eq!(failed.status, Status::Failed, "{failed:?}");
+        failed.error.unwrap()
     }
 }
 
@@ -234,6 +338,80 @@ fn an_edge_outlives_the_restart_of_its_robot_and_does_not_go_on_in_the_middle() 
     let sets = sets(&session, "2.log");
     assert_eq!(of("left", &sets), [0.0, 40.0, -20.0, 0.0, 0.0], "{sets:?}");
     assert_eq!(of("right", &sets), [0.0, 0.0, 10.0, 0.0], "{sets:?}");
+}
+
+#[test]
+fn hardware_that_dies_shortly_before_a_start_is_missed_at_once_and_nothing_starts() {
+    for before in [327, 108, 40] {
+        let session = session();
+        let (tank, port) = Tank::start(&session, "1.log", 0);
+        let edge = Edge::start(&session, "tank.json", &format!("thrift://127.0.0.1:{port}"));
+        await_that("the default state at the start", || sets(&session, "1.log").len() == 2);
+        let mut server = Server::connected(&edge);
+        server.script(1_000, &[(0.0, 40.0), (300.0, -20.0)]);
+        server.await_start_less(before);
+        drop(tank);
+        let error = server.fails_unstarted();
+        assert_eq!(error.code, ErrorCode::Internal);
+        assert!(error.message.contains("has closed the connection"), "{error}");
+        assert_eq!(server.availability().status, Status::Failed);
+    }
+}
+
+#[test]
+fn hardware_that_freezes_shortly_before_a_start_makes_the_edge_unready_and_nothing_starts() {
+    let session = session();
+    let (tank, port) = Tank::start(&session, "1.log", 0);
+    let edge = Edge::start(&session, "tank.json", &format!("thrift://127.0.0.1:{port}"));
+    await_that("the default state at the start", || sets(&session, "1.log").len() == 2);
+    let mut server = Server::connected(&edge);
+    server.script(1_500, &[(0.0, 40.0), (300.0, -20.0)]);
+    server.await_start_less(700);
+    assert_eq!(server.availability().status, Status::Ok);
+    tank.freeze();
+    server.await_start_less(200);
+    let unready = server.availability();
+    assert_eq!(unready.status, Status::Failed);
+    let error = unready.error.unwrap();
+    assert!(error.message.contains("the hardware has not answered for "), "{error}");
+    let error = server.fails_unstarted();
+    assert_eq!(error.code, ErrorCode::Internal);
+    assert!(error.message.contains("the hardware has not answered for "), "{error}");
+}
+
+#[test]
+fn an_edge_that_was_stopped_and_goes_on_sets_no_value_that_has_become_stale() {
+    let session = session();
+    let (_tank, port) = Tank::start(&session, "1.log", 0);
+    let edge = Edge::start(&session, "tank.json", &format!("thrift://127.0.0.1:{port}"));
+    await_that("the default state at the start", || sets(&session, "1.log").len() == 2);
+    let mut server = Server::connected(&edge);
+    server.script(1_000, &[(0.0, 40.0), (1_000.0, -20.0), (60_000.0, 5.0)]);
+    assert_eq!(server.response().status, Status::Started);
+    signal(&edge.0, "STOP");
+    std::thread::sleep(Duration::from_secs(2));
+    signal(&edge.0, "CONT");
+    let failed = server.response();
+    assert_eq!(failed.error.map(|error| error.code), Some(ErrorCode::Late));
+    await_that("the default state", || of("left", &sets(&session, "1.log")).len() == 3);
+    assert_eq!(of("left", &sets(&session, "1.log")), [0.0, 40.0, 0.0]);
+}
+
+#[test]
+fn a_program_that_dies_shortly_before_a_start_is_missed_at_once_and_nothing_starts() {
+    let session = session();
+    session.file("drive.sh", DRIVE);
+    let edge = Edge::start(&session, "tank.json", "program:echo $$ > pid; exec sh drive.sh driven.txt");
+    let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
+    await_that("the default state", || driven().lines().count() >= 3);
+    let mut server = Server::connected(&edge);
+    server.script(1_000, &[(0.0, 40.0), (300.0, -20.0)]);
+    server.await_start_less(108);
+    let program = std::fs::read_to_string(session.path("pid")).unwrap();
+    assert!(Command::new("kill").args(["-KILL", program.trim()]).status().unwrap().success());
+    let error = server.fails_unstarted();
+    assert_eq!(error.code, ErrorCode::Internal);
+    assert!(error.message.contains("driven.txt` has ended"), "{error}");
 }
 
 #[test]

@@ -272,6 +272,24 @@ fn acts_carry_what_they_wait_for_and_where_they_lead() {
 }
 
 #[test]
+fn in_doubt_an_act_starts_unless_it_or_the_scenario_says_otherwise() {
+    let doubts = |whole: &str, own: &str| {
+        let act = |name: &str, own: &str| {
+            let cues = "cues: [{robots: left, tracks: {elbow: [{at: 1s, to: 10}]}}]";
+            format!("  - {{act: {name}, {own}{cues}}}\n")
+        };
+        let plan = planned(&format!("{whole}acts:\n{}{}", act("one", own), act("two", "")));
+        [0, 1].map(|index| plan.0["acts"][index]["on_doubt"].as_str().unwrap().to_owned())
+    };
+    assert_eq!(doubts("", ""), ["start", "start"]);
+    assert_eq!(doubts("", "on_doubt: withdraw, "), ["withdraw", "start"]);
+    assert_eq!(doubts("on_doubt: withdraw\n", ""), ["withdraw", "withdraw"]);
+    assert_eq!(doubts("on_doubt: withdraw\n", "on_doubt: start, "), ["start", "withdraw"]);
+    let whole = "on_doubt: withdraw\ncues: [{robots: left, tracks: {elbow: [{at: 1s, to: 10}]}}]\n";
+    assert_eq!(planned(whole).0["acts"][0]["on_doubt"], "withdraw");
+}
+
+#[test]
 fn warnings_are_errors_where_they_are_denied_and_findings_become_sarif() {
     let session = Session::new();
     session.file(

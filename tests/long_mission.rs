@@ -62,6 +62,7 @@ struct World {
     mission: Mission,
     robots: Vec<SimulatedRobot>,
     acts: usize,
+    recorded: u64,
 }
 
 impl World {
@@ -72,6 +73,10 @@ impl World {
                     self.robots[robot].receive(now.assume_clock(), LINK, Input::Message(message));
                 }
                 Action::Tell(Progress::ActEnded { .. }) => self.acts += 1,
+                Action::Record(record) if record.is_durable() => {
+                    self.recorded += 1;
+                    self.tell(now, Event::Recorded { count: self.recorded });
+                }
                 _ => {}
             }
         }
@@ -115,13 +120,13 @@ fn an_hour_with_a_hundred_robots_and_a_thousand_acts_takes_no_more_memory_than_h
     let participants = (0..ROBOTS).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
     let mission = Mission::new(choreography(), participants, MissionOptions::default(), BEGIN).unwrap();
     let robots = (0..ROBOTS).map(|id| SimulatedRobot::new(block(id), Settings::default())).collect();
-    let mut world = World { mission, robots, acts: 0 };
+    let mut world = World { mission, robots, acts: 0, recorded: 0 };
     for robot in 0..ROBOTS {
         world.tell(BEGIN, Event::LinkUp { robot });
     }
     let (mut now, mut half) = (BEGIN, None);
     let mut after = None;
-    while world.mission.report().is_none() {
+    while world.mission.outcome().is_none() {
         if now >= BEGIN + HOUR / 2 {
             half.get_or_insert_with(|| (resident(), world.acts));
         }

@@ -1,9 +1,10 @@
 //! Missions as people run them: several acts, other terminals, crashes.
 
 use std::io::{BufRead, BufReader};
-use std::process::{Child, Stdio};
+use std::process::Stdio;
 use std::time::Duration;
 
+use crate::robots::{Process, Proxy};
 use crate::session::{Ran, Session};
 
 const TWO_ACTS: &str = "scenario: evening
@@ -32,20 +33,10 @@ fn evening(wait: &str) -> Session {
     session
 }
 
-/// A process that is killed when the test ends.
-struct Killed(Child);
-
-impl Drop for Killed {
-    fn drop(&mut self) {
-        let _gone = self.0.kill();
-        let _gone = self.0.wait();
-    }
-}
-
 /// Starts a mission and waits until it says this.
-fn start(session: &Session, args: &[&str], says: &str) -> Killed {
+fn start(session: &Session, args: &[&str], says: &str) -> Process {
     let mut command = session.command(args);
-    let mut child = Killed(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
+    let mut child = Process(command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap());
     let mut lines = BufReader::new(child.0.stderr.take().unwrap());
     let mut told = String::new();
     while !told.contains(says) {
@@ -56,7 +47,7 @@ fn start(session: &Session, args: &[&str], says: &str) -> Killed {
     child
 }
 
-fn finished(mut child: Killed) -> Ran {
+fn finished(mut child: Process) -> Ran {
     let status = child.0.wait().unwrap();
     let mut out = Vec::new();
     std::io::Read::read_to_end(&mut child.0.stdout.take().unwrap(), &mut out).unwrap();
@@ -199,10 +190,10 @@ fn free_port() -> u16 {
     std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
-fn on_tcp(session: &Session) -> Killed {
+fn on_tcp(session: &Session) -> Process {
     let _both = ports(session);
     let mut sim = session.command(&["sim", "fleet.yaml"]);
-    let sim = Killed(sim.stdout(Stdio::null()).spawn().unwrap());
+    let sim = Process(sim.stdout(Stdio::null()).spawn().unwrap());
     std::thread::sleep(Duration::from_millis(300));
     sim
 }
@@ -307,10 +298,10 @@ fn ports(session: &Session) -> (u16, u16) {
     ports
 }
 
-fn robot(session: &Session, id: &str, port: u16) -> Killed {
+fn robot(session: &Session, id: &str, port: u16) -> Process {
     let mut command = session.command(&["robot", "--init", "arm.yaml", "--id", id, "--listen"]);
     command.arg(format!("127.0.0.1:{port}"));
-    let mut child = Killed(command.stdout(Stdio::piped()).spawn().unwrap());
+    let mut child = Process(command.stdout(Stdio::piped()).spawn().unwrap());
     let mut line = String::new();
     BufReader::new(child.0.stdout.take().unwrap()).read_line(&mut line).unwrap();
     child
@@ -341,45 +332,19 @@ fn a_link_that_breaks_in_mid_mission_is_made_anew_and_the_mission_goes_on() {
     session.file("long.yaml", LONG);
     let (left, right) = ports(&session);
     let _robots = [robot(&session, "left", left), robot(&session, "right", right)];
-    // Between the scheduler and `right` stands a proxy that is closed once and opened again.
-    let proxied = free_port();
+    let link = Proxy::to(right);
     let fleet = std::fs::read_to_string(session.path("fleet.yaml")).unwrap();
-    session.file("fleet.yaml", fleet.replace(&right.to_string(), &proxied.to_string()));
-    let cut = std::sync::Arc::new(std::sync::atomic::AtomicBool::new(false));
-    proxy(proxied, right, std::sync::Arc::clone(&cut));
+    session.file("fleet.yaml", fleet.replace(&right.to_string(), &link.port.to_string()));
     let child = start(&session, &["run", "long.yaml", "--format", "json"], "");
     std::thread::sleep(Duration::from_millis(1_600));
-    cut.store(true, std::sync::atomic::Ordering::Relaxed);
+    link.interrupt();
+    std::thread::sleep(Duration::from_millis(5));
+    link.open();
     let ran = finished(child);
     let report = ran.json();
     assert_eq!(report["outcome"], "done", "{report:#}");
     assert_eq!(report["robots"][1]["reconnects"], 1, "{report:#}");
     assert_eq!(report["robots"][1]["steps_done"], 2);
-}
-
-/// Carries connections from one port to another; those that stand when `cut` is set are closed, later ones are not.
-fn proxy(from: u16, to: u16, cut: std::sync::Arc<std::sync::atomic::AtomicBool>) {
-    let listener = std::net::TcpListener::bind(("127.0.0.1", from)).unwrap();
-    std::thread::spawn(move || {
-        for client in listener.incoming().flatten() {
-            let robot = std::net::TcpStream::connect(("127.0.0.1", to)).unwrap();
-            let cut = std::sync::Arc::clone(&cut);
-            for (mut reader, mut writer) in [
-                (client.try_clone().unwrap(), robot.try_clone().unwrap()),
-                (robot.try_clone().unwrap(), client.try_clone().unwrap()),
-            ] {
-                std::thread::spawn(move || std::io::copy(&mut reader, &mut writer));
-            }
-            std::thread::spawn(move || {
-                while !cut.swap(false, std::sync::atomic::Ordering::Relaxed) {
-                    std::thread::sleep(Duration::from_millis(5));
-                }
-                for end in [&client, &robot] {
-                    let _closed = end.shutdown(std::net::Shutdown::Both);
-                }
-            });
-        }
-    });
 }
 
 #[test]

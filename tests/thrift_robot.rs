@@ -8,7 +8,7 @@ use std::path::Path;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
-use std::time::SystemTime;
+use std::time::{Duration, SystemTime};
 
 const CALL: u8 = 1;
 const REPLY: u8 = 2;
@@ -21,6 +21,7 @@ const STRING: u8 = 11;
 pub struct ThriftRobot {
     port: u16,
     stopped: Arc<AtomicBool>,
+    frozen: Arc<AtomicBool>,
     talking: Arc<Mutex<Option<TcpStream>>>,
     thread: Option<JoinHandle<()>>,
 }
@@ -30,6 +31,8 @@ impl ThriftRobot {
         let listener = TcpListener::bind(("127.0.0.1", port)).unwrap();
         let port = listener.local_addr().unwrap().port();
         let (stopped, talking) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new(None)));
+        let frozen = Arc::new(AtomicBool::new(false));
+        let ice = Arc::clone(&frozen);
         let mut log = File::options().create(true).append(true).open(log).unwrap();
         let (schema, end, stream) = (schema.to_owned(), Arc::clone(&stopped), Arc::clone(&talking));
         // Ends with the next connection after `stop`.
@@ -40,17 +43,23 @@ impl ThriftRobot {
                 }
                 let Ok(mut connection) = connection else { continue };
                 *stream.lock().unwrap() = connection.try_clone().ok();
-                while answer(&mut connection, &schema, &mut log).is_ok() {}
+                while answer(&mut connection, &schema, &mut log, &ice).is_ok() {}
             }
         });
-        Self { port, stopped, talking, thread: Some(thread) }
+        Self { port, stopped, frozen, talking, thread: Some(thread) }
     }
 
     pub fn port(&self) -> u16 {
         self.port
     }
 
+    /// It keeps its connection and does nothing more until it is stopped.
+    pub fn freeze(&self) {
+        self.frozen.store(true, Ordering::SeqCst);
+    }
+
     pub fn stop(&mut self) {
+        self.frozen.store(false, Ordering::SeqCst);
         self.stopped.store(true, Ordering::SeqCst);
         if let Some(stream) = self.talking.lock().unwrap().take() {
             let _already_gone = stream.shutdown(Shutdown::Both);
@@ -63,8 +72,11 @@ impl ThriftRobot {
 }
 
 /// Takes one call and answers it.
-fn answer(stream: &mut TcpStream, schema: &str, log: &mut File) -> io::Result<()> {
+fn answer(stream: &mut TcpStream, schema: &str, log: &mut File, frozen: &AtomicBool) -> io::Result<()> {
     let [a, b, _, kind] = take(stream)?;
+    while frozen.load(Ordering::SeqCst) {
+        std::thread::sleep(Duration::from_millis(5));
+    }
     assert_eq!([a, b], [0x80, 0x01], "strict binary protocol");
     let name = text(stream)?;
     let sequence = take::<4>(stream)?;

@@ -5,7 +5,7 @@ use std::fs;
 use downbeat_robot::{Input, LinkId, Output, Robot};
 use serde::Deserialize;
 use serde_json::Value;
-use urrcp::{ControlResponse, DecodeError, Decoder, Encoding, Message, Timestamp};
+use urrcp::{ControlError, DecodeError, Decoder, Encoding, Message, Status, Timestamp};
 
 use crate::schema::validator;
 use crate::session::root;
@@ -137,10 +137,10 @@ fn the_robot_answers_the_requests_as_listed() {
     for vector in vectors().into_iter().filter(|vector| vector.file.starts_with("requests/")) {
         let mut out = Vec::new();
         Robot::new(block.clone()).handle(now, LinkId(1), Input::Message(vector.message()), &mut out);
-        let answer = first_answer(&out);
-        let code = answer.error.as_ref().map(|error| error.code.to_string());
+        let (status, error) = first_answer(&out);
+        let code = error.as_ref().map(|error| error.code.to_string());
         assert_eq!(
-            (answer.status.to_string(), code),
+            (status.to_string(), code),
             (vector.verdict, vector.code),
             "{}: {}",
             vector.file,
@@ -149,9 +149,14 @@ fn the_robot_answers_the_requests_as_listed() {
     }
 }
 
-fn first_answer(out: &[Output]) -> &ControlResponse {
+fn first_answer(out: &[Output]) -> (&Status, &Option<ControlError>) {
     let mut answers = out.iter().filter_map(|output| match output {
-        Output::Send { message: Message::ControlResponse(response), .. } => Some(response),
+        Output::Send { message: Message::ControlResponse(response), .. } => {
+            Some((&response.status, &response.error))
+        }
+        Output::Send { message: Message::InquiryResponse(response), .. } => {
+            Some((&response.status, &response.error))
+        }
         _ => None,
     });
     answers.next().unwrap()

@@ -18,7 +18,7 @@ use crate::message::{
 use crate::text::{DeviceId, Label, RequestId, RobotId, SessionId};
 use crate::time::{Millis, Timestamp};
 
-/// The schema of any message, each of the six under `$defs`.
+/// The schema of any message, each of them under `$defs`.
 ///
 /// ```
 /// let schema = urrcp::message_schema();

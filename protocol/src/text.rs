@@ -1,6 +1,7 @@
 //! Strings of bounded length: identifiers and labels.
 
 use std::fmt;
+use std::sync::Arc;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
@@ -24,11 +25,12 @@ fn check_identifier(text: &str) -> Result<(), LimitError> {
     }
 }
 
+// Clones share their text: every step of a script names its device and its request.
 macro_rules! bounded_string {
     ($(#[$doc:meta])* $name:ident, $check:ident) => {
         $(#[$doc])*
         #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
-        pub struct $name(Box<str>);
+        pub struct $name(Arc<str>);
 
         impl $name {
             /// Takes a string of at most 256 characters.
@@ -38,7 +40,7 @@ macro_rules! bounded_string {
             pub fn new(text: impl Into<String>) -> Result<Self, LimitError> {
                 let text = text.into();
                 $check(&text)?;
-                Ok(Self(text.into_boxed_str()))
+                Ok(Self(text.into()))
             }
 
             /// The text itself.

@@ -59,8 +59,13 @@ impl Span {
     /// From milliseconds with a fraction, rounded to the nearest nanosecond; saturating, and zero for NaN.
     #[must_use]
     #[expect(clippy::cast_possible_truncation, reason = "`as` saturates and maps NaN to 0")]
+    #[expect(clippy::cast_precision_loss, reason = "what was a whole f64 is one again")]
     pub fn from_millis_f64(millis: f64) -> Self {
-        Self((millis * 1e6).round() as i64)
+        let nanos = millis * 1e6;
+        // As `f64::round`, which is a call into the mathematics library where the processor's own rounding may be missing.
+        let whole = nanos as i64;
+        let rest = nanos - whole as f64;
+        Self(whole.saturating_add(i64::from(rest >= 0.5) - i64::from(rest <= -0.5)))
     }
 
     /// In nanoseconds.
@@ -372,6 +377,17 @@ mod tests {
         let text = serde_json::to_string(&instant).unwrap();
         assert_eq!(text, "\"2026-11-18T19:00:00.000000001Z\"");
         assert_eq!(serde_json::from_str::<Timestamp<Server>>(&text).unwrap(), instant);
+    }
+
+    #[test]
+    fn milliseconds_are_rounded_as_f64_rounds() {
+        let special = [0.0, -0.0, 0.499_999_999_999_999_94, 0.5, 1.5, 2.5, 4_503_599_627_370_497.5, 9.3e18];
+        let special = special.into_iter().chain([f64::INFINITY, f64::NAN, f64::MAX, f64::MIN_POSITIVE]);
+        let many = (0..100_000).map(|n| f64::from(n) * 7_919.25 + f64::from(n) * 1e-3);
+        for nanos in special.chain(many).flat_map(|nanos| [nanos, -nanos]) {
+            let millis = nanos / 1e6;
+            assert_eq!(Span::from_millis_f64(millis).as_nanos(), (millis * 1e6).round() as i64, "{millis}");
+        }
     }
 
     #[test]

@@ -189,6 +189,18 @@ fn thirty_two_thousand_devices_are_taken_and_one_more_is_not() {
 }
 
 #[test]
+fn thirty_two_thousand_names_in_an_inquiry_are_taken_and_one_more_is_not() {
+    let inquiry = |key: &str, count: usize| {
+        format!(r#"{{"inquiry":{{"{key}":[{}]}}}}"#, vec![r#""a""#; count].join(","))
+    };
+    for key in ["requests", "devices"] {
+        assert!(decode_one(&inquiry(key, 32_000)).is_ok());
+        let error = decode_one(&inquiry(key, 32_001)).unwrap_err();
+        assert!(error.to_string().contains("more than 32000 names"), "{error}");
+    }
+}
+
+#[test]
 fn an_error_names_the_device_and_request_that_an_answer_needs() {
     let error = decode_one(
         r#"{"control_request":{"device_id":"d","request_id":"r","control_type":"position","control_value":"x"}}"#,

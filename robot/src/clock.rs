@@ -1,4 +1,4 @@
-//! The host's true clock: the system's, carried on by the monotonic clock, so that a step of the system's clock does not
+//! The host's clock: the system's, carried on by the monotonic clock, so that a step of the system's clock does not
 //! move what is scheduled. The robot's one door to real clocks.
 #![expect(clippy::disallowed_methods, reason = "the door through which a robot's host reads the time")]
 
@@ -6,13 +6,15 @@ use std::time::{Instant, SystemTime};
 
 use urrcp::{Span, Timestamp};
 
-use crate::simulated::True;
+/// The time of a host: what its robots live by.
+#[derive(Clone, Copy, Debug)]
+pub enum HostTime {}
 
-/// Reads the true time.
+/// Reads the host's time.
 #[derive(Clone, Copy, Debug)]
 pub struct HostClock {
     instant: Instant,
-    timestamp: Timestamp<True>,
+    timestamp: Timestamp<HostTime>,
 }
 
 impl HostClock {
@@ -32,13 +34,13 @@ impl HostClock {
 
     /// The time now.
     #[must_use]
-    pub fn now(&self) -> Timestamp<True> {
+    pub fn now(&self) -> Timestamp<HostTime> {
         self.timestamp + Span::from(self.instant.elapsed())
     }
 
     /// The monotonic instant of a timestamp; instants before the anchor become the anchor.
     #[must_use]
-    pub fn instant_of(&self, timestamp: Timestamp<True>) -> Instant {
+    pub fn instant_of(&self, timestamp: Timestamp<HostTime>) -> Instant {
         self.instant + (timestamp - self.timestamp).to_duration()
     }
 }

@@ -1,8 +1,8 @@
 //! One device as a machine: its queue of commands, its steps on absolute deadlines, its default state.
 //!
 //! Order of events at one instant:
-//! 1. leases that run out, counting the lease that would hold after a start or step due then: so a lease that ends at
-//!    the very instant of a start wins, and nothing starts;
+//! 1. leases that run out, those of what runs ahead of those of what is pending, counting the lease that would hold after a
+//!    start or step due then: so a lease that ends at the very instant of a start wins, and nothing starts;
 //! 2. starts and steps in the order of the queue: a command that ends then, commands of no length, a script that
 //!    begins then;
 //! 3. (in `robot`) the message that arrives.
@@ -10,8 +10,8 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use urrcp::{
-    Command, ControlError, ControlType, Device, ErrorCode, Interpolation, RequestId, Robot, Script, Server,
-    Setpoint, Span, Timestamp,
+    Command, ControlError, ControlType, Device, ErrorCode, Interpolation, Millis, RequestId, Robot, Script,
+    Server, Setpoint, Span, Timestamp,
 };
 
 use crate::held::{Held, Steps};
@@ -127,9 +127,28 @@ impl DeviceMachine {
         event.into_iter().chain(self.lease_end(heard)).min()
     }
 
+    /// When the next command starts, of those that were accepted at least so long before their start.
+    pub(crate) fn next_start(&self, notice: Span) -> Option<Timestamp<Robot>> {
+        let pending = self.queue.iter().filter(|held| !held.began && held.start - held.accepted >= notice);
+        pending.map(|held| held.start).min()
+    }
+
+    /// By how much the next step of what runs is late.
+    pub(crate) fn overdue(&self, now: Timestamp<Robot>) -> Option<Span> {
+        let at = self.queue.front().filter(|held| held.began)?.next_event()?;
+        (at < now).then(|| now - at)
+    }
+
     fn lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
+        let pending = self.queue.iter().filter(|held| !held.began);
+        pending.filter_map(|held| held.lease_end(heard)).chain(self.running_lease_end(heard)).min()
+    }
+
+    /// When the first lease of what runs, or of a rate left on, ends.
+    fn running_lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
         let guards = self.guards.iter().filter_map(|guard| heard.ends(&guard.lease));
-        self.queue.iter().filter_map(|held| held.lease_end(heard)).chain(guards).min()
+        let running = self.queue.iter().filter(|held| held.began);
+        running.filter_map(|held| held.lease_end(heard)).chain(guards).min()
     }
 
     /// Does everything due at or before `now`, in the order of its time.
@@ -138,7 +157,9 @@ impl DeviceMachine {
             let lease_end = self.lease_end(heard).filter(|end| *end <= now);
             let event = self.queue.front().and_then(Held::next_event).filter(|at| *at <= now);
             match (lease_end, event) {
-                (Some(end), event) if event.is_none_or(|event| end <= event) => self.link_lost(end, effects),
+                (Some(end), event) if event.is_none_or(|event| end <= event) => {
+                    self.lease_ended(end, heard, effects);
+                }
                 (_, Some(at)) => self.step(at, now, effects),
                 (_, None) => return,
             }
@@ -152,7 +173,7 @@ impl DeviceMachine {
             let message = format!("woke up {} after the start; a late command is never started", now - at);
             return effects.push(failed(held, &ControlError::new(ErrorCode::Late, message)));
         }
-        held.late_steps += u32::from(now - at > LATE);
+        let late = u32::from(now - at > LATE);
         if !held.began {
             held.began = true;
             let value = held.setpoint(0).map_or(0.0, |setpoint| setpoint.value);
@@ -162,9 +183,11 @@ impl DeviceMachine {
                 self.queue.push_front(held);
                 return;
             }
+            held.late_steps += late;
             self.set_step(&mut held, at, effects);
             effects.push(Effect::Started { link: held.link, request_id: held.request_id.clone(), value });
         } else {
+            held.late_steps += late;
             self.set_step(&mut held, at, effects);
         }
         match held.time_of(held.next_step) {
@@ -243,13 +266,28 @@ impl DeviceMachine {
             .map(|(control_type, _)| *control_type)
     }
 
-    fn link_lost(&mut self, at: Timestamp<Robot>, effects: &mut Vec<Effect>) {
+    /// A lease of the device ends at `at`: that of what runs ends everything, one that is pending only what is pending.
+    fn lease_ended(&mut self, at: Timestamp<Robot>, heard: &LastHeard, effects: &mut Vec<Effect>) {
         let error =
             ControlError::new(ErrorCode::LinkLost, "the server was silent for longer than stop_condition");
+        let lost = |held: &&Held| !held.began && held.lease_end(heard) == Some(at);
+        let from = self.queue.iter().find(lost).map(|held| held.start);
+        match from.filter(|_| self.running_lease_end(heard) != Some(at)) {
+            None => self.link_lost(at, &error, effects),
+            Some(from) => {
+                self.cancel_from(from, &error, effects);
+                if self.queue.is_empty() && self.rates_left_on().next().is_none() {
+                    self.come_to_rest(at, false, effects);
+                }
+            }
+        }
+    }
+
+    fn link_lost(&mut self, at: Timestamp<Robot>, error: &ControlError, effects: &mut Vec<Effect>) {
         for Guard { lease, request_id, steps_done, .. } in self.guards.drain(..) {
             effects.push(Effect::Failed { link: lease.link, request_id, error: error.clone(), steps_done });
         }
-        self.drop_all(&error, effects);
+        self.drop_all(error, effects);
         self.come_to_rest(at, false, effects);
     }
 
@@ -300,6 +338,33 @@ impl DeviceMachine {
     fn drop_all(&mut self, error: &ControlError, effects: &mut Vec<Effect>) {
         for held in self.queue.drain(..) {
             effects.push(failed(held, error));
+        }
+    }
+
+    /// How many commands it would still hold.
+    pub(crate) fn room(&self) -> u32 {
+        let held = u32::try_from(self.queue.len()).unwrap_or(u32::MAX);
+        self.spec.script_queue.saturating_sub(held)
+    }
+
+    /// The command under way.
+    pub(crate) fn running(&self) -> Option<&Held> {
+        self.queue.front().filter(|held| held.began)
+    }
+
+    /// Shortens the pending lease of a command of this party that starts at `start` and has not begun.
+    pub(crate) fn shorten(
+        &mut self,
+        id: &RequestId,
+        start: Timestamp<Robot>,
+        party: LinkId,
+        pending: Millis,
+    ) {
+        let first = self.queue.partition_point(|held| held.start < start);
+        let same_start = self.queue.iter_mut().skip(first).take_while(|held| held.start == start);
+        let named = |held: &&mut Held| held.request_id.as_ref() == Some(id);
+        if let Some(held) = same_start.filter(|held| !held.began && held.link == party).find(named) {
+            held.shorten_pending(pending);
         }
     }
 

@@ -23,6 +23,8 @@ enum Presence {
     /// Nothing: it answers readings by itself.
     Simulated,
     There,
+    /// It should have answered, and has not for so long.
+    Silent(Span),
     Away(String),
 }
 
@@ -66,13 +68,28 @@ impl Hardware {
         self.presence = Presence::Away(reason.to_owned());
     }
 
-    /// Why nothing can be driven now.
+    /// It has not answered for too long, or it has after all.
+    pub(crate) fn silent(&mut self, silence: Option<Span>) {
+        if let Presence::There | Presence::Silent(_) = self.presence {
+            self.presence = silence.map_or(Presence::There, Presence::Silent);
+        }
+    }
+
+    /// Why nothing can be promised now: it is away, or it may be.
     pub(crate) fn missing(&self) -> Option<ControlError> {
+        match &self.presence {
+            Presence::Silent(silence) => Some(unanswered(*silence)),
+            _ => self.away(),
+        }
+    }
+
+    /// Why nothing can be driven now. Hardware that may be there is still to be stopped.
+    pub(crate) fn away(&self) -> Option<ControlError> {
         match &self.presence {
             Presence::Away(reason) => {
                 Some(ControlError::new(ErrorCode::Internal, format!("the hardware is away: {reason}")))
             }
-            Presence::Simulated | Presence::There => None,
+            Presence::Simulated | Presence::There | Presence::Silent(_) => None,
         }
     }
 
@@ -124,4 +141,10 @@ impl Hardware {
     pub(crate) fn abandon(&mut self) -> Vec<OpenReading> {
         std::mem::take(&mut self.readings).into_values().collect()
     }
+}
+
+/// Why a start is not begun, or not promised.
+pub(crate) fn unanswered(silence: Span) -> ControlError {
+    let message = format!("the hardware has not answered for {silence}");
+    ControlError::new(ErrorCode::Internal, message)
 }

@@ -1,6 +1,6 @@
 //! A command that a device has accepted and that has not ended: its steps, their absolute times, its lease.
 
-use urrcp::{ControlType, RequestId, Robot, Script, Setpoint, StopCondition, Timestamp};
+use urrcp::{ControlType, Millis, RequestId, Robot, Script, Setpoint, StopCondition, Timestamp};
 
 use crate::lease::{self, LastHeard, Lease};
 use crate::robot::LinkId;
@@ -83,12 +83,19 @@ impl Held {
         heard.ends(&self.lease()).into_iter().chain(over_by_then).min()
     }
 
+    /// From now on it may wait for its start no longer than this without a word.
+    pub(crate) fn shorten_pending(&mut self, silence: Millis) {
+        let condition = self.stop_condition.get_or_insert_default();
+        let shorter = condition.pending.is_none_or(|own| silence.get() < own.get());
+        condition.pending = if shorter { Some(silence) } else { condition.pending };
+    }
+
     fn running_lease(&self, steps_done: usize) -> Lease {
         let current = steps_done.checked_sub(1).and_then(|step| self.step_condition(step));
         self.lease_of(lease::running(self.stop_condition, current))
     }
 
-    const fn lease_of(&self, silence: Option<urrcp::Millis>) -> Lease {
+    const fn lease_of(&self, silence: Option<Millis>) -> Lease {
         Lease { link: self.link, granted: self.accepted, silence }
     }
 

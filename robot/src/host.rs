@@ -1,5 +1,6 @@
 //! Runs robots in real time: one thread of its own that wakes precisely, however many robots live on it.
 
+mod body;
 mod hosted;
 
 use std::collections::{BTreeSet, HashMap};
@@ -15,14 +16,15 @@ use serde::Serialize;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use urrcp::{Message, RobotId, Timestamp};
 
+use self::body::Body;
+use self::hosted::DriverThread;
 pub use self::hosted::Hosted;
-use self::hosted::{Attached, DriverThread};
-use crate::clock::HostClock;
+use crate::clock::{HostClock, HostTime};
 use crate::driver::{Mailbox, News};
+use crate::outgoing::Outgoing;
 use crate::precise_wait::{self, Woken};
 use crate::robot::{Input, LinkId};
 use crate::set_log::LogEntry;
-use crate::simulated::{Outgoing, SimulatedRobot, True};
 
 /// Messages that may wait for a peer; one that does not read is hung up on.
 const OUTGOING_MAX: usize = 65_536;
@@ -66,7 +68,6 @@ pub struct NotAtRest {
 
 /// What comes back on a link.
 #[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "nearly every one is a message")]
 pub enum LinkEvent {
     /// The robot says something.
     Message(Message),
@@ -139,8 +140,7 @@ impl Host {
     /// [`HostError`] when the log cannot be written or the system gives no thread.
     pub fn start<R: Into<Hosted>>(robots: Vec<R>, options: HostOptions) -> Result<Self, HostError> {
         let hosted: Vec<Hosted> = robots.into_iter().map(Into::into).collect();
-        let ids: Arc<[RobotId]> =
-            hosted.iter().map(|hosted| hosted.robot.robot().block().id.clone()).collect();
+        let ids: Arc<[RobotId]> = hosted.iter().map(|hosted| hosted.id().clone()).collect();
         let (log, writer) = match options.log {
             None => (None, None),
             Some(path) => {
@@ -156,20 +156,19 @@ impl Host {
         };
         let (orders, inbox) = std_mpsc::channel();
         let handle = HostHandle { orders, robots: ids, next_link: Arc::new(AtomicU64::new(0)) };
-        let (mut robots, mut attached, mut drivers) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut robots, mut drivers) = (Vec::new(), Vec::new());
         for (index, hosted) in hosted.into_iter().enumerate() {
-            let (robot, driver, thread) = hosted.attach(index, &handle.orders).map_err(HostError::Thread)?;
+            let (robot, thread) = hosted.attach(index, &handle.orders).map_err(HostError::Thread)?;
             robots.push(robot);
-            attached.push(driver);
             drivers.extend(thread.map(|thread| (index, thread)));
         }
-        let mailboxes: Vec<_> = attached.iter().flatten().map(|driver| Arc::clone(&driver.mailbox)).collect();
+        let mailboxes: Vec<_> = robots.iter().filter_map(Body::mailbox).collect();
         let thread = std::thread::Builder::new().name("robots".into());
         // Ends by `Order::Stop`, or when every handle is gone.
         let thread = thread
             .spawn(move || {
                 precise_wait::prepare_thread(options.realtime);
-                Executor::new(robots, attached, log).run(&inbox);
+                Executor::new(robots, log).run(&inbox);
             })
             .map_err(HostError::Thread)?;
         Ok(Self { handle, thread: Some(thread), writer, drivers, mailboxes })
@@ -240,9 +239,9 @@ impl HostHandle {
 }
 
 impl RobotLink {
-    /// Sends a message to the robot. A host that has stopped takes none; [`RobotLink::recv`] says so.
+    /// Sends a message to the robot, and hashes here what the robot has to compare. A host that has stopped takes none; [`RobotLink::recv`] says so.
     pub fn send(&self, message: Message) {
-        self.order(Input::Message(message));
+        self.order(Input::read(message));
     }
 
     fn order(&self, input: Input) {
@@ -285,11 +284,9 @@ type LoggedBatch = (usize, Vec<LogEntry>);
 
 /// The precise thread's state.
 struct Executor {
-    robots: Vec<SimulatedRobot>,
-    /// One for each robot that drives something.
-    drivers: Vec<Option<Attached>>,
-    wakeups: BTreeSet<(Timestamp<True>, usize)>,
-    wakeup_of: Vec<Option<Timestamp<True>>>,
+    robots: Vec<Body>,
+    wakeups: BTreeSet<(Timestamp<HostTime>, usize)>,
+    wakeup_of: Vec<Option<Timestamp<HostTime>>>,
     peers: HashMap<LinkId, mpsc::Sender<LinkEvent>>,
     clock: HostClock,
     log: Option<std_mpsc::Sender<LoggedBatch>>,
@@ -298,15 +295,10 @@ struct Executor {
 }
 
 impl Executor {
-    fn new(
-        robots: Vec<SimulatedRobot>,
-        drivers: Vec<Option<Attached>>,
-        log: Option<std_mpsc::Sender<LoggedBatch>>,
-    ) -> Self {
+    fn new(robots: Vec<Body>, log: Option<std_mpsc::Sender<LoggedBatch>>) -> Self {
         Self {
             wakeup_of: vec![None; robots.len()],
             robots,
-            drivers,
             wakeups: BTreeSet::new(),
             peers: HashMap::new(),
             clock: HostClock::anchored(),
@@ -331,7 +323,7 @@ impl Executor {
         match order {
             Order::Open { robot, link, peer } => {
                 // Nothing is scheduled on an idle host, so it may follow the system's clock again.
-                if self.robots.len() <= 64 && self.robots.iter().all(SimulatedRobot::is_idle) {
+                if self.robots.len() <= 64 && self.robots.iter().all(Body::is_idle) {
                     self.clock = HostClock::anchored();
                 }
                 self.peers.insert(link, peer);
@@ -347,9 +339,7 @@ impl Executor {
                 drop(permit);
             }
             Order::Hardware { robot, news } => {
-                if let Some(driver) = &mut self.drivers[robot] {
-                    driver.hear(&mut self.robots[robot], &self.clock, news);
-                }
+                self.robots[robot].hear(self.clock.now(), news);
                 self.advance(robot);
             }
             Order::Stop => {}
@@ -359,19 +349,8 @@ impl Executor {
     /// Hardware goes to its default state; the drivers' threads end when they have seen to that, as their ends here are gone.
     fn shut_down(mut self) {
         for robot in 0..self.robots.len() {
-            if self.drivers[robot].is_none() {
-                continue;
-            }
-            let now = self.clock.now();
-            self.robots[robot].drive(now, |machine, now, out| machine.shut_down(now, out));
+            self.robots[robot].shut_down(self.clock.now());
             self.advance(robot);
-        }
-    }
-
-    /// Passes on what a robot wants of its hardware.
-    fn post(&mut self, robot: usize) {
-        if let Some(driver) = &self.drivers[robot] {
-            driver.post(&mut self.robots[robot], &self.clock);
         }
     }
 
@@ -383,7 +362,7 @@ impl Executor {
         for robot in &due {
             let now = self.clock.now();
             self.robots[*robot].advance_movements(now);
-            self.post(*robot);
+            self.robots[*robot].post(&self.clock);
         }
         // Another process may wait for this core to move its robots at the same instant.
         std::thread::yield_now();
@@ -397,7 +376,7 @@ impl Executor {
     fn advance(&mut self, robot: usize) {
         let now = self.clock.now();
         self.robots[robot].advance(now, &mut self.out);
-        self.post(robot);
+        self.robots[robot].post(&self.clock);
         let log = self.robots[robot].take_log();
         if let (Some(sink), false) = (&self.log, log.is_empty()) {
             let _writer_gone = sink.send((robot, log));

@@ -3,10 +3,12 @@
 //!
 //! After every operation: no value outside the limits or off the granularity is set; nothing starts before its time or
 //! late; no lease is outlived, and none ends early; no device holds more than its queue; every accepted request ends
-//! once, and sets nothing afterwards; every answer names its request; nobody touches what belongs to another session.
+//! once, and sets nothing afterwards; every answer names its request; nobody touches what belongs to another session; an
+//! inquiry is answered truthfully and changes nothing but leases.
 
 mod answers;
 mod described;
+mod inquiries;
 mod judge;
 mod model;
 mod operation;
@@ -21,7 +23,7 @@ use urrcp::{
 use crate::robot::{Input, LinkId, Output, Robot};
 pub use described::drive_all;
 use judge::Judge;
-pub use operation::{Operation, Pause, Request, operations};
+pub use operation::{Operation, Pause, Question, Request, operations};
 
 /// An invariant does not hold.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -134,6 +136,7 @@ impl Bench {
                 sent => self.request(*link, self.sent[usize::from(*which) % sent].clone()),
             },
             Operation::Ask { link, session } => self.ask(*link, *session),
+            Operation::Inquire(question) => self.inquire(question),
             Operation::Describe { link } => self.describe(*link),
             Operation::Stray { link } => self.stray(*link),
             Operation::Noise { link, device } => self.noise(*link, *device),
@@ -196,6 +199,14 @@ impl Bench {
         let answered = matches!(&out[..], [Output::Send { link: to, message: Message::AvailabilityResponse(r) }]
             if *to == link && r.originate_timestamp == timestamp && r.timestamp == self.now);
         hold(answered, || format!("an availability request was answered by {out:?}"))
+    }
+
+    fn inquire(&mut self, question: &Question) -> Result<(), Violation> {
+        let link = self.link(question.link);
+        let inquiry = question.written(&self.sent, &self.devices);
+        let out = self.handle(link, Input::Message(Message::Inquiry(inquiry.clone())))?;
+        self.judge.inquired(self.now, link, &inquiry, &out)?;
+        self.judge.check_settled(self.now, &self.robot)
     }
 
     fn describe(&mut self, link: u8) -> Result<(), Violation> {

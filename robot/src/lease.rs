@@ -10,6 +10,8 @@ use crate::robot::LinkId;
 #[derive(Clone, Debug)]
 pub(crate) struct LastHeard {
     at: HashMap<LinkId, Timestamp<Robot>>,
+    /// The one that was heard last is nearly always the one that is asked for, at every step of every device.
+    latest: Option<(LinkId, Timestamp<Robot>)>,
     /// Beyond it those are forgotten who hold nothing.
     room: usize,
 }
@@ -19,7 +21,7 @@ const PARTIES_MIN: usize = 1_024;
 
 impl Default for LastHeard {
     fn default() -> Self {
-        Self { at: HashMap::new(), room: PARTIES_MIN }
+        Self { at: HashMap::new(), latest: None, room: PARTIES_MIN }
     }
 }
 
@@ -28,24 +30,29 @@ impl LastHeard {
     #[must_use]
     pub(crate) fn heard(&mut self, party: LinkId, now: Timestamp<Robot>) -> bool {
         self.at.insert(party, now);
+        self.latest = Some((party, now));
         self.at.len() > self.room
     }
 
     /// Forgets all others. Nothing is lost by it: a lease counts from its own begin where nothing was heard since.
     pub(crate) fn keep(&mut self, holding: &HashSet<LinkId>) {
         self.at.retain(|party, _| holding.contains(party));
+        self.latest = None;
         self.room = PARTIES_MIN.max(2 * self.at.len());
     }
 
     /// When a party was last heard.
     pub(crate) fn last(&self, party: LinkId) -> Option<Timestamp<Robot>> {
-        self.at.get(&party).copied()
+        match self.latest {
+            Some((latest, at)) if latest == party => Some(at),
+            _ => self.at.get(&party).copied(),
+        }
     }
 
     /// When a lease of this length runs out; `None` without a lease.
     pub(crate) fn ends(&self, lease: &Lease) -> Option<Timestamp<Robot>> {
         let silence = lease.silence?.span();
-        let heard = self.at.get(&lease.link).copied().unwrap_or(lease.granted);
+        let heard = self.last(lease.link).unwrap_or(lease.granted);
         Some(heard.max(lease.granted) + silence)
     }
 }

@@ -1,20 +1,22 @@
 //! The robot's side of URRCP: machines that decide, and a thin real world round them.
 //!
 //! `device` and `robot` are machines without I/O and without a clock: messages and the time in, answers and values out.
-//! `simulated` wraps a robot with a clock, delays and faults of its own, still without touching the world. `host` runs
-//! robots in real time on one precise thread (`precise_wait`, `clock`), with hardware behind drivers (`driver`), and
-//! `serve` puts TCP round it.
+//! Something surrounds each: hardware behind a driver (`edge`, `driver`), or a simulated world with a clock, delays and
+//! faults of its own (`simulated`), still without touching the real one. `host` runs both kinds in real time on one
+//! precise thread (`precise_wait`, `clock`), and `serve` puts TCP round it.
 
 mod answers;
 pub mod clock;
 mod device;
 pub mod driver;
+mod edge;
 mod hardware;
 mod held;
 mod host;
 #[cfg(any(test, feature = "invariants"))]
 pub mod invariants;
 mod lease;
+mod outgoing;
 mod parties;
 mod precise_wait;
 mod robot;
@@ -28,4 +30,4 @@ pub use hardware::ReadingId;
 pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink};
 pub use robot::{Input, LinkId, Output, Robot, SetValue};
 pub use serve::serve;
-pub use set_log::LogEntry;
+pub use set_log::{Kept, LogEntry};

@@ -2,12 +2,14 @@
 
 mod control;
 mod driven;
+mod inquiry;
 
 use std::collections::{BTreeSet, HashMap};
 
 use urrcp::{
-    AvailabilityResponse, ControlError, ControlRequest, ControlResponse, ControlType, DecodeError, DeviceId,
-    ErrorCode, InitializationBlock, Message, RequestId, Status, StatusValue, Timestamp,
+    AvailabilityResponse, ContentHash, ControlError, ControlRequest, ControlResponse, ControlType,
+    DecodeError, DeviceId, ErrorCode, InitializationBlock, Message, RequestId, SessionId, Status,
+    StatusValue, Timestamp,
 };
 
 use crate::answers::Answers;
@@ -15,6 +17,7 @@ use crate::device::{DeviceMachine, Effect, Motion};
 use crate::hardware::{Hardware, ReadingId};
 use crate::lease::LastHeard;
 use crate::parties::Parties;
+use control::Owner;
 
 /// One connection of a server with this robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -25,10 +28,27 @@ pub struct LinkId(pub u64);
 pub enum Input {
     /// A message.
     Message(Message),
+    /// A request with the hash of what it carries, computed where it was read: a long script takes long.
+    Hashed(ControlRequest, ContentHash),
     /// A line that is no message. It is answered and renews no lease: noise on a line is no server.
     Undecodable(DecodeError),
     /// The link broke. Its silence counts from its last message on.
     LinkDown,
+}
+
+impl Input {
+    /// Of a message that was read. Computes the hash that the robot has to compare, so that the robot's own thread, on
+    /// which others live too, need not.
+    #[must_use]
+    pub fn read(message: Message) -> Self {
+        match message {
+            Message::ControlRequest(request) if request.content_hash.is_some() => {
+                let computed = request.command.content_hash();
+                Self::Hashed(request, computed)
+            }
+            message => Self::Message(message),
+        }
+    }
 }
 
 /// What a robot wants done.
@@ -171,21 +191,39 @@ impl Robot {
             Input::LinkDown => self.parties.link_down(link),
             Input::Undecodable(error) => self.answer_undecodable(now, link, &error, out),
             Input::Message(message) => {
+                if matches!(message, Message::Inquiry(_)) {
+                    self.release_if_over(now);
+                }
                 let session = match &message {
                     Message::AvailabilityRequest(request) => request.session.as_ref(),
                     Message::ControlRequest(request) => request.session.as_ref(),
                     Message::Inquiry(inquiry) => inquiry.session.as_ref(),
                     _ => None,
                 };
-                let party = match session {
-                    Some(session) => self.parties.join(link, session),
-                    None => self.parties.party(link),
-                };
-                if self.heard.heard(party, now) {
-                    self.forget_who_holds_nothing();
-                }
+                self.heard_from(now, link, session);
                 self.handle_message(now, link, message, out);
             }
+            Input::Hashed(request, computed) => {
+                self.heard_from(now, link, request.session.as_ref());
+                self.control(now, link, request, Some(computed), out);
+            }
+        }
+    }
+
+    fn heard_from(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) {
+        let party = match session {
+            Some(session) => self.parties.join(link, session),
+            None => self.parties.party(link),
+        };
+        if self.heard.heard(party, now) {
+            self.forget_who_holds_nothing();
+        }
+    }
+
+    /// What an inquiry renews is no claim: a robot whose session is over does not belong to it again by one.
+    fn release_if_over(&mut self, now: Now) {
+        if matches!(self.owner(now, None), Owner::Nobody) {
+            self.parties.release();
         }
     }
 
@@ -220,9 +258,8 @@ impl Robot {
                 let message = Message::InitializationBlock(self.block.clone());
                 out.push(Output::Send { link, message });
             }
-            Message::ControlRequest(request) => self.control(now, link, request, out),
-            // Answered once the block says so.
-            Message::Inquiry(_) => {}
+            Message::ControlRequest(request) => self.control(now, link, request, None, out),
+            Message::Inquiry(inquiry) => self.inquire(now, link, &inquiry, out),
             Message::AvailabilityResponse(_)
             | Message::InitializationBlock(_)
             | Message::ControlResponse(_)

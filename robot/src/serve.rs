@@ -167,7 +167,7 @@ async fn read(
         decoder.push(&bytes[..n]);
         while let Some(decoded) = decoder.next_message() {
             heard.send_replace(decoder.encoding());
-            robot.send(decoded.map_or_else(Input::Undecodable, Input::Message)).await;
+            robot.send(decoded.map_or_else(Input::Undecodable, Input::read)).await;
         }
     }
 }

@@ -1,11 +1,27 @@
-//! What a simulated robot set, and when: the truth against which reports are held.
+//! What a robot set, and when: the truth against which reports are held.
 
 use serde::Serialize;
 use urrcp::{DeviceId, Robot, Timestamp};
 
+use crate::clock::HostTime;
 use crate::device::Motion;
 use crate::robot::SetValue;
-use crate::simulated::True;
+
+/// What of it is kept.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Kept {
+    /// Everything.
+    #[default]
+    All,
+    /// The values of the first steps of scripts.
+    FirstSteps,
+}
+
+impl Kept {
+    pub(crate) fn keeps(self, set: &SetValue) -> bool {
+        self == Self::All || (set.step == Some(0) && matches!(set.motion, Motion::Set(_)))
+    }
+}
 
 /// One value set.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -31,7 +47,7 @@ pub struct LogEntry {
 }
 
 impl LogEntry {
-    pub(crate) fn new(true_time: Timestamp<True>, set_at: Timestamp<Robot>, set: SetValue) -> Self {
+    pub(crate) fn new(host_time: Timestamp<HostTime>, set_at: Timestamp<Robot>, set: SetValue) -> Self {
         let (motion, control_type, value) = match set.motion {
             Motion::Set(setpoint) => ("set", setpoint.control_type, setpoint.value),
             Motion::Ramp { control_type, to, .. } => ("ramp", control_type, to),
@@ -39,7 +55,7 @@ impl LogEntry {
             Motion::Default(setpoint) => ("default", setpoint.control_type, setpoint.value),
         };
         Self {
-            true_ns: true_time.as_nanos(),
+            true_ns: host_time.as_nanos(),
             set_at,
             due: set.due,
             device: set.device,
@@ -47,7 +63,7 @@ impl LogEntry {
             control_type: control_type.to_string(),
             value,
             step: set.step,
-            request_id: set.request_id.map(|id| id.to_string()),
+            request_id: set.request_id.map(|id| id.as_str().to_owned()),
         }
     }
 }

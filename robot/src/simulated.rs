@@ -7,12 +7,12 @@ use urrcp::{
     Message, Robot as RobotClock, Span, Status, StatusValue, Timestamp,
 };
 
-use crate::device::Motion;
-use crate::driver::Wanted;
-use crate::robot::{Input, LinkId, Output, Robot, SetValue};
-use crate::set_log::LogEntry;
+use crate::robot::{Input, LinkId, Output, Robot};
+use crate::set_log::{Kept, LogEntry};
 
-/// The one true clock of a host or of a virtual world.
+pub use crate::outgoing::Outgoing;
+
+/// The one true clock of a simulated world: on a host, the host's.
 #[derive(Clone, Copy, Debug)]
 pub enum True {}
 
@@ -60,24 +60,6 @@ pub enum Fault {
     Disconnect,
 }
 
-/// What leaves a simulated robot.
-#[derive(Clone, Debug)]
-#[expect(clippy::large_enum_variant, reason = "nearly every one is a message")]
-pub enum Outgoing {
-    /// A message on a link.
-    Message {
-        /// Which link.
-        link: LinkId,
-        /// The message.
-        message: Message,
-    },
-    /// The robot closes a link.
-    Close {
-        /// Which.
-        link: LinkId,
-    },
-}
-
 #[derive(Clone, Debug)]
 enum InFlight {
     In(LinkId, Input),
@@ -113,7 +95,7 @@ pub struct SimulatedRobot {
     sequence: u64,
     lanes: HashMap<LaneId, Lane>,
     log: Vec<LogEntry>,
-    wanted: Vec<Wanted>,
+    kept: Kept,
     outputs: Vec<Output>,
     /// It has hung up for good.
     gone: bool,
@@ -126,7 +108,7 @@ impl SimulatedRobot {
         let mut rng = fastrand::Rng::with_seed(settings.seed);
         let ntp_residue = draw_symmetric(&mut rng, settings.ntp_error.unwrap_or_default());
         Self {
-            robot: Robot::new(block.and_understands(Encoding::MessagePack)),
+            robot: Robot::new(block.and_understands(Encoding::MessagePack).and_answers_inquiries()),
             settings,
             ntp_residue,
             rng,
@@ -135,17 +117,10 @@ impl SimulatedRobot {
             sequence: 0,
             lanes: HashMap::new(),
             log: Vec::new(),
-            wanted: Vec::new(),
+            kept: Kept::default(),
             outputs: Vec::new(),
             gone: false,
         }
-    }
-
-    /// A robot that drives hardware: no clock of its own, no delays, no faults but the hardware's.
-    #[must_use]
-    pub fn driven(block: InitializationBlock) -> Self {
-        let robot = Robot::driven(block.clone());
-        Self { robot, ..Self::new(block, Settings::default()) }
     }
 
     /// The machine inside.
@@ -171,25 +146,14 @@ impl SimulatedRobot {
         self.ntp_residue += by;
     }
 
+    /// What of its log is kept from now on.
+    pub fn keep(&mut self, kept: Kept) {
+        self.kept = kept;
+    }
+
     /// What was set since the last call.
     pub fn take_log(&mut self) -> Vec<LogEntry> {
         std::mem::take(&mut self.log)
-    }
-
-    /// What is wanted of the hardware since the last call.
-    pub(crate) fn take_wanted(&mut self) -> Vec<Wanted> {
-        std::mem::take(&mut self.wanted)
-    }
-
-    /// Tells the machine something that comes on no link.
-    pub(crate) fn drive(
-        &mut self,
-        now: Timestamp<True>,
-        tell: impl FnOnce(&mut Robot, Timestamp<RobotClock>, &mut Vec<Output>),
-    ) {
-        let at = self.robot_from_true(now);
-        tell(&mut self.robot, at, &mut self.outputs);
-        self.perform(now);
     }
 
     /// Something was sent to the robot at `now`; it arrives after the link's delay.
@@ -260,7 +224,9 @@ impl SimulatedRobot {
 
     /// What is left of an input after the robot's own fault.
     fn through_fault(&mut self, now: Timestamp<True>, link: LinkId, input: Input) -> Option<Input> {
-        let Input::Message(Message::ControlRequest(request)) = &input else { return Some(input) };
+        let (Input::Message(Message::ControlRequest(request)) | Input::Hashed(request, _)) = &input else {
+            return Some(input);
+        };
         match self.settings.fault {
             Some(Fault::Silent) => None,
             Some(Fault::Refuse) if is_movement(&request.command) => {
@@ -288,13 +254,12 @@ impl SimulatedRobot {
         let mut outputs = std::mem::take(&mut self.outputs);
         for output in outputs.drain(..) {
             match output {
-                Output::Read { reading, sensor } => self.wanted.push(Wanted::Read(reading, sensor)),
+                // It answers readings by itself.
+                Output::Read { .. } => {}
+                Output::Set(set) if !self.kept.keeps(&set) => {}
                 Output::Set(set) => {
-                    if self.robot.is_driven() {
-                        self.wanted.extend(wanted(&self.robot, &set));
-                    }
                     let at = self.robot_from_true(now);
-                    self.log.push(LogEntry::new(now, at, set));
+                    self.log.push(LogEntry::new(now.assume_clock(), at, set));
                 }
                 Output::Send { link, message } => {
                     let hangs_up = self.settings.fault == Some(Fault::Disconnect) && is_acceptance(&message);
@@ -311,10 +276,15 @@ impl SimulatedRobot {
     }
 
     fn send(&mut self, now: Timestamp<True>, link: LinkId, mut message: Message) {
-        if let Message::AvailabilityResponse(response) = &mut message {
+        let told = match &mut message {
+            Message::AvailabilityResponse(r) => Some((&mut r.receive_timestamp, &mut r.timestamp)),
+            Message::InquiryResponse(r) => Some((&mut r.receive_timestamp, &mut r.timestamp)),
+            _ => None,
+        };
+        if let Some((received, sent)) = told {
             let error = draw_symmetric(&mut self.rng, self.settings.jitter);
-            response.receive_timestamp = response.receive_timestamp + error;
-            response.timestamp = response.timestamp + error;
+            *received = *received + error;
+            *sent = *sent + error;
         }
         self.dispatch(now, (link, Way::Out), InFlight::Out(Outgoing::Message { link, message }));
     }
@@ -391,19 +361,6 @@ impl SimulatedRobot {
         }
         guess
     }
-}
-
-/// What the hardware does for a movement.
-fn wanted(robot: &Robot, set: &SetValue) -> Option<Wanted> {
-    let key = |control_type| (set.device.clone(), control_type);
-    Some(match &set.motion {
-        Motion::Set(setpoint) | Motion::Default(setpoint) => {
-            Wanted::Set(key(setpoint.control_type), setpoint.clone())
-        }
-        Motion::Ramp { control_type, .. } | Motion::Slow { control_type, .. } => {
-            Wanted::Follow(key(*control_type), robot.signal(set.device.as_str(), *control_type)?)
-        }
-    })
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]

@@ -1,10 +1,14 @@
 //! Offsets between clocks, from exchanges of four timestamps as in NTP (RFC 5905, section 8). No clock is read here.
 //! The method and its sources stand in `docs/clocks.md`.
 
+mod round_trips;
+
 use std::collections::VecDeque;
 
 use serde::Serialize;
 use urrcp::{Robot, Server, Span, Timestamp};
+
+use round_trips::RoundTrips;
 
 /// Fastest that two clocks drift apart, as a fraction: what IEEE 802.3 allows the oscillator of a network port, hence what
 /// a free-running computer has. It holds until the drift has been measured.
@@ -102,7 +106,7 @@ impl Bound {
 }
 
 /// Between which rates the offset drifts.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 struct Rates {
     least: f64,
     most: f64,
@@ -176,6 +180,7 @@ pub struct ClockEstimate {
     latest: Option<Timestamp<Server>>,
     delay_min: Span,
     delay_max: Span,
+    round_trips: RoundTrips,
     samples: u32,
     steps: u32,
 }
@@ -192,9 +197,13 @@ pub struct ClockReading {
     /// Least round trip.
     #[serde(rename = "delay_min_ms")]
     pub delay_min: Span,
-    /// Longest round trip.
+    /// Longest round trip of all.
     #[serde(rename = "delay_max_ms")]
     pub delay_max: Span,
+    /// How long round trips take now, but for outliers that stand alone: what times are computed from. Unlike the longest
+    /// of all it forgets.
+    #[serde(rename = "delay_high_ms")]
+    pub delay_high: Span,
     /// How many exchanges stand behind it.
     pub samples: u32,
     /// How often exchanges contradicted earlier ones: a clock was set, or lies.
@@ -202,6 +211,32 @@ pub struct ClockReading {
     /// How fast the robot's clock gains on the server's, once the exchanges span enough time.
     #[serde(flatten)]
     pub drift: Option<Drift>,
+}
+
+/// Why a reading says that a robot may start at the wrong time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum ClockDoubt {
+    /// The clock is surely off, whatever the path: its own synchronisation is to be looked at.
+    Clock,
+    /// The clock may well be right; round trips are too long or too uneven to know. The link is to be looked at.
+    Path,
+}
+
+impl ClockDoubt {
+    /// Of an offset that is known to within `uncertainty`. The clock is surely off where that leaves no room for none.
+    #[must_use]
+    pub fn of(offset: Span, uncertainty: Span) -> Self {
+        if offset.abs() > uncertainty { Self::Clock } else { Self::Path }
+    }
+}
+
+impl ClockReading {
+    /// What dominates where this reading is too bad for a start: the clock's offset or the path's uncertainty.
+    #[must_use]
+    pub fn doubt(&self) -> ClockDoubt {
+        ClockDoubt::of(self.offset, self.uncertainty)
+    }
 }
 
 /// How fast one clock gains on another, in parts per million.
@@ -221,6 +256,7 @@ impl ClockEstimate {
     pub fn add(&mut self, sample: ClockSample) {
         self.delay_min = if self.samples == 0 { sample.delay } else { self.delay_min.min(sample.delay) };
         self.delay_max = self.delay_max.max(sample.delay);
+        self.round_trips.add(sample.at, sample.delay);
         self.samples = self.samples.saturating_add(1);
         self.latest = self.latest.max(Some(sample.at));
         let (new, now) = (Bounds::of(&sample), sample.at);
@@ -261,6 +297,11 @@ impl ClockEstimate {
         self.latest.and_then(|at| self.reading_at(at))
     }
 
+    /// The round trip that is seldom exceeded; zero before the first exchange.
+    pub(crate) const fn delay_high(&self) -> Span {
+        self.round_trips.high()
+    }
+
     /// The estimate carried on to `now`: by the drift if it is known, and ever less certain.
     #[must_use]
     pub fn reading_at(&self, now: Timestamp<Server>) -> Option<ClockReading> {
@@ -273,6 +314,7 @@ impl ClockEstimate {
             uncertainty: half + Span::from_nanos(1),
             delay_min: self.delay_min,
             delay_max: self.delay_max,
+            delay_high: self.round_trips.high(),
             samples: self.samples,
             steps: self.steps,
             drift: self.history.drift(),
@@ -287,6 +329,15 @@ struct History {
     doublings: u32,
     /// The mean rate over any stretch from one bin to another is at least, and at most, one of these.
     means: Rates,
+    narrowest: Option<Narrowest>,
+}
+
+/// The bounds of the bins that say most as long as the rates stay what they are: which do is the same at any later instant.
+#[derive(Clone, Copy, Debug)]
+struct Narrowest {
+    rates: Rates,
+    bounds: Bounds,
+    since: Timestamp<Server>,
 }
 
 /// The tightest bounds of a stretch of time, which the index numbers.
@@ -298,7 +349,7 @@ struct Bin {
 
 impl Default for History {
     fn default() -> Self {
-        Self { bins: VecDeque::new(), doublings: 0, means: Rates::UNKNOWN }
+        Self { bins: VecDeque::new(), doublings: 0, means: Rates::UNKNOWN, narrowest: None }
     }
 }
 
@@ -318,6 +369,18 @@ impl History {
                 self.make_room(now, together);
             }
         }
+        self.narrowest = self.rates().map(|rates| self.narrowest_with(new, now, rates));
+    }
+
+    fn narrowest_with(&self, new: Bounds, now: Timestamp<Server>, rates: Rates) -> Narrowest {
+        let known = self.narrowest.filter(|known| known.rates == rates && known.since <= now);
+        let (mut bounds, bins) = match known {
+            Some(known) => (known.bounds, 0),
+            None => (new, self.bins.len()),
+        };
+        bounds.tighten(new, now, rates);
+        self.bins.iter().take(bins).for_each(|bin| bounds.tighten(bin.bounds, now, rates));
+        Narrowest { rates, bounds, since: now }
     }
 
     fn make_room(&mut self, now: Timestamp<Server>, together: Rates) {
@@ -339,6 +402,7 @@ impl History {
             self.bins.pop_front();
         }
         if self.bins.len() < before {
+            self.narrowest = None;
             // What was known by the forgotten bins alone is forgotten, so that the drift may change over the hours.
             let ended = self.bins.len().saturating_sub(1);
             let pairs = (0..ended).flat_map(|later| (0..later).map(move |earlier| (earlier, later)));
@@ -374,6 +438,9 @@ impl History {
     /// What remains of an interval when the bounds of the window are carried on to `now` by the drift.
     fn narrow(&self, interval: Interval, now: Timestamp<Server>) -> Interval {
         let Some(rates) = self.rates() else { return interval };
+        if let Some(narrowest) = self.narrowest.filter(|narrowest| narrowest.since <= now) {
+            return interval.and(narrowest.bounds.interval(now, rates));
+        }
         self.bins.iter().fold(interval, |interval, bin| interval.and(bin.bounds.interval(now, rates)))
     }
 }
@@ -496,6 +563,37 @@ mod tests {
         assert!((reading.offset - Span::from_millis(250)).abs() < Span::from_micros(20), "{reading:?}");
         assert!(reading.uncertainty < Span::from_micros(1_020), "{reading:?}");
         assert_eq!(reading.delay_min, Span::from_millis(41));
+    }
+
+    #[test]
+    fn a_pause_counts_as_the_longest_round_trip_but_not_as_what_round_trips_take() {
+        let mut estimate = ClockEstimate::default();
+        for k in 0..50 {
+            let sent = at(f64::from(k) * 3.0);
+            let back = if k == 20 { Span::from_millis(2_000) } else { Span::from_millis(1) };
+            let robot = sent.assume_clock() + Span::from_nanos(500_001);
+            estimate.add(ClockSample::from_exchange(sent, robot, robot, sent + back));
+        }
+        let reading = estimate.reading().unwrap();
+        assert_eq!(reading.delay_max, Span::from_millis(2_000));
+        assert_eq!(reading.delay_high, Span::from_millis(1));
+    }
+
+    #[test]
+    fn a_right_clock_behind_an_uneven_link_is_not_blamed() {
+        let exchange = |off: Span, there: i64, back: i64| {
+            let sent = at(10.0);
+            let robot = sent.assume_clock() + off + Span::from_micros(there * 1_000 + 1);
+            let mut estimate = ClockEstimate::default();
+            let received = sent + Span::from_millis(there + back);
+            estimate.add(ClockSample::from_exchange(sent, robot, robot, received));
+            estimate.reading().unwrap().doubt()
+        };
+        for (there, back) in [(0, 80), (80, 0), (40, 40), (1, 1)] {
+            assert_eq!(exchange(Span::ZERO, there, back), ClockDoubt::Path, "{there} there, {back} back");
+        }
+        assert_eq!(exchange(Span::from_millis(250), 1, 80), ClockDoubt::Clock);
+        assert_eq!(exchange(Span::from_millis(-250), 1, 80), ClockDoubt::Clock);
     }
 
     #[test]

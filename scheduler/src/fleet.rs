@@ -4,7 +4,7 @@ use downbeat_robot::driver::{DriverError, DriverOptions, DriverSpec};
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostError, HostOptions, Hosted};
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Handshake, Plan, RobotClock, Wait};
-use urrcp::{Encoding, RobotId};
+use urrcp::{Encoding, RobotId, Span};
 
 use crate::link::{Endpoint, Speech};
 use crate::mission::{ClockMode, Greeting, Participant, Requirement};
@@ -97,8 +97,27 @@ pub fn greeting(fleet: &Fleet) -> Greeting {
 /// [`NoInit`] when the fleet file does not describe it.
 pub fn simulated(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit> {
     let block = robot.init.clone().ok_or_else(|| NoInit { robot: robot.id.clone() })?;
+    Ok(SimulatedRobot::new(block, settings(robot, seed)))
+}
+
+/// The robot as a dry run has it: where the fleet file does not say how long messages take, they take as long as in a wired
+/// network, because what arrives at the very instant at which it is sent hides what comes too late in reality.
+///
+/// # Errors
+/// As [`simulated`].
+pub fn rehearsed(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit> {
+    let block = robot.init.clone().ok_or_else(|| NoInit { robot: robot.id.clone() })?;
+    let settings = settings(robot, seed);
+    let delay = settings.delay.or(Some(WIRED));
+    Ok(SimulatedRobot::new(block, Settings { delay, ..settings }))
+}
+
+/// Least and largest delay each way in a wired network.
+const WIRED: (Span, Span) = (Span::from_micros(100), Span::from_micros(500));
+
+fn settings(robot: &FleetRobot, seed: u64) -> Settings {
     let from = &robot.simulation;
-    let settings = Settings {
+    Settings {
         clock_offset: from.clock_offset,
         drift_ppm: from.drift_ppm,
         jitter: from.jitter,
@@ -110,8 +129,7 @@ pub fn simulated(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit
             downbeat_scripts::Fault::Disconnect => Fault::Disconnect,
         }),
         seed,
-    };
-    Ok(SimulatedRobot::new(block, settings))
+    }
 }
 
 /// How long the hardware of all robots in this process may take to be found before the mission begins without it.

@@ -94,6 +94,9 @@ codes! {
     UnknownSensor = "DB0044", Error, "the robot has no such sensor";
     TooMuch = "DB0045", Error, "more than anything could play";
     BadData = "DB0046", Error, "a data file cannot be used";
+    NoTimeToSend = "DB0047", Error, "no time to send the next script";
+    LittleTimeToSend = "DB0048", Warning, "little time to send the next script";
+    ActHasToWait = "DB0049", Warning, "an act that cannot follow at once";
     ImportTable = "DB0060", Error, "a table of another shape than its format has";
     ImportNumber = "DB0061", Error, "an imported value is no finite number";
     ImportTime = "DB0062", Error, "imported times that do not go forward";

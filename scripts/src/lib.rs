@@ -21,6 +21,7 @@ mod motion;
 mod music;
 mod node;
 mod plan;
+mod refill;
 mod rehearse;
 mod render;
 mod sarif;
@@ -41,9 +42,10 @@ pub use fleet::{
 };
 pub use init::{init_of, init_text, read_init};
 pub use plan::{
-    Act, Choreography, DeviceScript, DeviceUse, FailurePolicy, OnFailure, Plan, PlannedCue, PlannedReading,
-    RobotPlan, SensorRange, Wait, Way,
+    Act, Choreography, DeviceScript, DeviceUse, FailurePolicy, OnDoubt, OnFailure, Plan, PlannedCue,
+    PlannedReading, RobotPlan, SensorRange, Wait, Way,
 };
+pub use refill::{Freed, Refill, RefillKind, refills, tightest_refill};
 pub use render::{counted, render};
 pub use sarif::sarif;
 pub use scenario::{fleet_named_by, parse_time};

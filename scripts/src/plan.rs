@@ -3,7 +3,7 @@
 use serde::Serialize;
 use urrcp::{ControlType, DeviceId, Millis, RobotId, Script, Span, StopCondition};
 
-pub use crate::scenario::{OnFailure, SensorRange, Wait};
+pub use crate::scenario::{OnDoubt, OnFailure, SensorRange, Wait};
 
 /// A whole scenario: acts with the ways between them.
 #[derive(Clone, Debug, PartialEq)]
@@ -37,6 +37,8 @@ pub struct Act {
     pub next: Way,
     /// What happens when a robot fails.
     pub on_failure: FailurePolicy,
+    /// What the others do when nobody can know whether a robot will start.
+    pub on_doubt: OnDoubt,
 }
 
 /// A way out of an act.
@@ -175,6 +177,7 @@ impl Choreography {
             on_timeout: Way::Fail,
             next: Way::End,
             on_failure: FailurePolicy::default(),
+            on_doubt: OnDoubt::default(),
             plan,
         };
         Self { scenario: act.plan.scenario.clone(), acts: vec![act] }

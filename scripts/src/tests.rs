@@ -18,9 +18,10 @@ cues:
       d: [{at: 0s, to: 0}, {at: 1s, to: 45, ease: smooth}]
 ";
 
-fn fleet() -> Fleet {
+/// A simulated robot of [`BLOCK`].
+pub(crate) fn robot() -> FleetRobot {
     let init: urrcp::InitializationBlock = serde_json::from_str(BLOCK).unwrap();
-    let robot = FleetRobot {
+    FleetRobot {
         id: init.id.clone(),
         address: Address::Simulated,
         init: Some(init),
@@ -30,8 +31,11 @@ fn fleet() -> Fleet {
         wake_up: crate::fleet::WAKE_UP,
         require: Vec::new(),
         encoding: Default::default(),
-    };
-    Fleet { robots: vec![robot], ..Fleet::default() }
+    }
+}
+
+fn fleet() -> Fleet {
+    Fleet { robots: vec![robot()], ..Fleet::default() }
 }
 
 fn compile_text(text: &str) -> crate::Compiled {

@@ -1,5 +1,6 @@
 //! Robots with one planted fault each, and the requirements that this must break: these and no others.
 
+mod asking;
 mod codes;
 mod commands;
 mod holding;
@@ -127,7 +128,7 @@ fn replace(passing: &mut Passing, text: &str, to: &str) -> Then {
 
 /// All of them.
 pub fn all() -> Vec<Mutant> {
-    let waiting = [commands::of_times(), holding::of_leases(), codes::lease()]
+    let waiting = [commands::of_times(), holding::of_leases(), asking::of_leases(), codes::lease()]
         .into_iter()
         .flatten()
         .map(|mutant| Mutant { waits: true, ..mutant });
@@ -136,6 +137,7 @@ pub fn all() -> Vec<Mutant> {
         codes::all(),
         commands::of_values(),
         holding::of_stops(),
+        asking::of_inquiries(),
         talking::of_identity(),
         talking::of_lines(),
         talking::of_links(),

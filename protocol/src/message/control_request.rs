@@ -73,7 +73,7 @@ impl Command {
                     many => serde_json::to_vec(many),
                 }
             }
-            Self::Script(script) => serde_json::to_vec(script),
+            Self::Script(script) => return script.content_hash(),
             Self::ReadSensor | Self::Unknown(_) => Ok(b"null".to_vec()),
         };
         ContentHash::of(&json.unwrap_or_default())

@@ -27,11 +27,11 @@ pub struct Inquiry {
     pub session: Option<SessionId>,
     /// What became of these? At most 32,000.
     #[serde(default, deserialize_with = "names", skip_serializing_if = "Vec::is_empty")]
-    #[cfg_attr(feature = "schema", schemars(length(max = INQUIRY_NAMES_MAX)))]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<RequestId>>", length(max = INQUIRY_NAMES_MAX)))]
     pub requests: Vec<RequestId>,
     /// How many scripts would these still take? At most 32,000.
     #[serde(default, deserialize_with = "names", skip_serializing_if = "Vec::is_empty")]
-    #[cfg_attr(feature = "schema", schemars(length(max = INQUIRY_NAMES_MAX)))]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<DeviceId>>", length(max = INQUIRY_NAMES_MAX)))]
     pub devices: Vec<DeviceId>,
     /// From receipt on, the pending lease of each request in `requests` that is held and has not begun is the shorter of
     /// its own and this one; milliseconds.
@@ -57,11 +57,11 @@ pub struct InquiryResponse {
     pub error: Option<ControlError>,
     /// One for each request asked for, in the same order; none when the robot belongs to another session.
     #[serde(default, deserialize_with = "objects", skip_serializing_if = "Vec::is_empty")]
-    #[cfg_attr(feature = "schema", schemars(length(max = INQUIRY_NAMES_MAX)))]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<RequestReport>>", length(max = INQUIRY_NAMES_MAX)))]
     pub requests: Vec<RequestReport>,
     /// One for each device asked for that the robot has, in the same order.
     #[serde(default, deserialize_with = "objects", skip_serializing_if = "Vec::is_empty")]
-    #[cfg_attr(feature = "schema", schemars(length(max = INQUIRY_NAMES_MAX)))]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<Vec<DeviceRoom>>", length(max = INQUIRY_NAMES_MAX)))]
     pub devices: Vec<DeviceRoom>,
 }
 
@@ -135,15 +135,24 @@ impl RequestReport {
     }
 }
 
-/// Reads a list of at most [`INQUIRY_NAMES_MAX`] entries.
+/// Reads a list of at most [`INQUIRY_NAMES_MAX`] entries; null is none.
 fn names<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
-    deserializer.deserialize_seq(Names(PhantomData))
+    Ok(Option::<List<T>>::deserialize(deserializer)?.map(|List(names)| names).unwrap_or_default())
 }
 
 /// The same for entries that are objects.
 fn objects<'de, D: Deserializer<'de>, T: Deserialize<'de>>(deserializer: D) -> Result<Vec<T>, D::Error> {
     let list: Vec<Object<T>> = names(deserializer)?;
     Ok(list.into_iter().map(|Object(entry)| entry).collect())
+}
+
+/// A list whose length is bounded.
+struct List<T>(Vec<T>);
+
+impl<'de, T: Deserialize<'de>> Deserialize<'de> for List<T> {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_seq(Names(PhantomData)).map(Self)
+    }
 }
 
 struct Names<T>(PhantomData<T>);

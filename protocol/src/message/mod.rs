@@ -1,4 +1,4 @@
-//! The messages, six and the pair of the inquiry: one object with exactly one key that names it.
+//! The eight messages: one object with exactly one key that names it.
 
 mod availability;
 mod control_request;

@@ -2,13 +2,14 @@
 
 use std::fmt;
 use std::marker::PhantomData;
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 
 use serde::de::{self, SeqAccess, Visitor};
 use serde::ser::SerializeMap;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 use super::Step;
+use crate::content_hash::ContentHash;
 use crate::control_type::ControlType;
 use crate::limits::{CONTROL_VALUES_MAX, LimitError, SCRIPT_STEPS_MAX};
 use crate::number::Number;
@@ -38,9 +39,27 @@ impl Setpoint {
     }
 }
 
-/// Steps in order of time. Without steps it cancels. Clones share their steps.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Script(Arc<[Step]>);
+/// Steps in order of time. Without steps it cancels. Clones share their steps, and their hash once it has been asked for.
+#[derive(Clone, Default)]
+pub struct Script(Arc<Shared>);
+
+#[derive(Default)]
+struct Shared {
+    steps: Box<[Step]>,
+    hash: OnceLock<ContentHash>,
+}
+
+impl PartialEq for Script {
+    fn eq(&self, other: &Self) -> bool {
+        self.steps() == other.steps()
+    }
+}
+
+impl fmt::Debug for Script {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_tuple("Script").field(&self.steps()).finish()
+    }
+}
 
 impl Script {
     /// Takes steps whose offsets do not decrease.
@@ -50,7 +69,7 @@ impl Script {
     pub fn new(steps: Vec<Step>) -> Result<Self, LimitError> {
         let fall = steps.windows(2).position(|pair| pair[1].offset < pair[0].offset);
         match fall {
-            None => Ok(Self(steps.into())),
+            None => Ok(Self(Arc::new(Shared { steps: steps.into(), hash: OnceLock::new() }))),
             Some(i) => Err(LimitError::StepsOutOfOrder {
                 step: i + 1,
                 millis: steps[i + 1].offset.get(),
@@ -68,25 +87,30 @@ impl Script {
     /// The steps in order.
     #[must_use]
     pub fn steps(&self) -> &[Step] {
-        &self.0
+        &self.0.steps
+    }
+
+    /// SHA-256 over the canonical JSON of the steps.
+    pub(super) fn content_hash(&self) -> ContentHash {
+        *self.0.hash.get_or_init(|| ContentHash::of(&serde_json::to_vec(self).unwrap_or_default()))
     }
 
     /// Whether it cancels instead of moving.
     #[must_use]
     pub fn is_empty(&self) -> bool {
-        self.0.is_empty()
+        self.steps().is_empty()
     }
 
     /// From its start to its last step.
     #[must_use]
     pub fn duration(&self) -> Span {
-        self.0.last().map_or(Span::ZERO, |step| step.offset.span())
+        self.steps().last().map_or(Span::ZERO, |step| step.offset.span())
     }
 }
 
 impl Serialize for Script {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        serializer.collect_seq(self.0.iter())
+        serializer.collect_seq(self.steps())
     }
 }
 

@@ -8,8 +8,9 @@ use serde_json::{Value, json};
 
 use crate::{
     AvailabilityRequest, AvailabilityResponse, Command, ControlError, ControlRequest, ControlResponse,
-    ControlType, DeviceId, ErrorCode, InitializationBlock, InitializationRequest, Label, Message, Millis,
-    RequestId, Script, SessionId, Setpoint, Status, StatusValue, Step, StopCondition, Timestamp,
+    ControlType, DeviceId, DeviceRoom, ErrorCode, InitializationBlock, InitializationRequest, Inquiry,
+    InquiryResponse, Label, Message, Millis, RequestId, RequestReport, RequestState, Script, SessionId,
+    Setpoint, Status, StatusValue, Step, StopCondition, Timestamp,
 };
 
 /// Any message.
@@ -22,6 +23,8 @@ pub(super) fn message() -> impl Strategy<Value = Message> {
         initialization_block().prop_map(Message::InitializationBlock),
         control_request().prop_map(Message::ControlRequest),
         control_response().prop_map(Message::ControlResponse),
+        inquiry().prop_map(Message::Inquiry),
+        inquiry_response().prop_map(Message::InquiryResponse),
     ]
 }
 
@@ -161,6 +164,57 @@ fn availability_response() -> impl Strategy<Value = AvailabilityResponse> {
     )
 }
 
+fn inquiry() -> impl Strategy<Value = Inquiry> {
+    let names = (vec(text(), 0..4), vec(text(), 0..4));
+    (option::of(timestamp()), option::of(text()), names, option::of(millis())).prop_map(
+        |(timestamp, session, (requests, devices), pending_lease)| Inquiry {
+            timestamp,
+            session: session.map(|id| SessionId::new(id).unwrap()),
+            requests: requests.into_iter().map(|id| RequestId::new(id).unwrap()).collect(),
+            devices: devices.into_iter().map(|id| DeviceId::new(id).unwrap()).collect(),
+            pending_lease,
+        },
+    )
+}
+
+fn request_report() -> impl Strategy<Value = RequestReport> {
+    let state = prop_oneof![
+        Just(RequestState::Unknown),
+        Just(RequestState::Held),
+        Just(RequestState::Running),
+        Just(RequestState::Ended),
+    ];
+    let times = (option::of(timestamp()), option::of(timestamp()));
+    let counts = (option::of(any::<u32>()), option::of(any::<u32>()));
+    (text(), state, any::<bool>(), times, counts, error()).prop_map(
+        |(id, state, hashed, times, counts, error)| RequestReport {
+            request_id: RequestId::new(id).unwrap(),
+            state,
+            content_hash: hashed.then(|| Command::ReadSensor.content_hash()),
+            start_timestamp: times.0,
+            event_timestamp: times.1,
+            steps_done: counts.0,
+            late_steps: counts.1,
+            error,
+        },
+    )
+}
+
+fn inquiry_response() -> impl Strategy<Value = InquiryResponse> {
+    let room = (text(), any::<u32>())
+        .prop_map(|(id, room)| DeviceRoom { device_id: DeviceId::new(id).unwrap(), room });
+    let lists = (vec(request_report(), 0..4), vec(room, 0..4));
+    (availability_response(), lists).prop_map(|(said, (requests, devices))| InquiryResponse {
+        originate_timestamp: said.originate_timestamp,
+        receive_timestamp: said.receive_timestamp,
+        timestamp: said.timestamp,
+        status: said.status,
+        error: said.error,
+        requests,
+        devices,
+    })
+}
+
 /// Parameters of a custom control type: whatever JSON can say.
 fn parameters() -> impl Strategy<Value = Value> {
     let leaf = prop_oneof![
@@ -205,7 +259,7 @@ fn initialization_block() -> impl Strategy<Value = InitializationBlock> {
     );
     (text(), option::of(text()), any::<bool>(), vec(device, 1..4)).prop_map(|(id, name, reports, devices)| {
         let mut block = json!({"id": id, "name": name, "api_version": "1", "type": "Transport",
-            "reports": reports, "encodings": ["msgpack", "smoke signals"], "devices": devices});
+            "reports": reports, "inquiry": !reports, "encodings": ["msgpack", "smoke signals"], "devices": devices});
         for (number, device) in block["devices"].as_array_mut().unwrap().iter_mut().enumerate() {
             device["id"] = format!("d{number}").into();
         }

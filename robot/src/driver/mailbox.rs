@@ -9,8 +9,9 @@ use std::collections::{HashMap, VecDeque};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use urrcp::{ControlType, DeviceId, Setpoint, Span};
+use urrcp::{ControlType, DeviceId, Setpoint};
 
+use super::pulse::{Demand, Pulse, QUIET};
 use crate::clock::HostClock;
 use crate::hardware::{READINGS_MAX, ReadingId};
 use crate::signal::Signal;
@@ -23,14 +24,28 @@ pub(crate) type Key = (DeviceId, ControlType);
 pub(crate) struct Movement {
     pub(crate) signal: Signal,
     pub(crate) clock: HostClock,
-    /// The robot's clock minus the host's.
-    pub(crate) ahead: Span,
+}
+
+/// A value, and from when on it is too old to be set.
+#[derive(Clone, Debug)]
+pub(crate) struct Value {
+    pub(crate) setpoint: Setpoint,
+    /// `None`: the default state is never too old.
+    pub(crate) due: Option<Instant>,
+}
+
+impl Value {
+    /// By how much it is late, where that is too much.
+    pub(crate) fn stale(&self, now: Instant) -> Option<Duration> {
+        let late = now.saturating_duration_since(self.due?);
+        (late > STALE).then_some(late)
+    }
 }
 
 /// What the machine wants of the hardware.
 #[derive(Clone, Debug)]
 pub(crate) enum Order {
-    Set(Key, Setpoint),
+    Set(Key, Value),
     Follow(Key, Movement),
     Read(ReadingId, DeviceId),
 }
@@ -40,18 +55,33 @@ pub(crate) enum Order {
 #[expect(clippy::large_enum_variant, reason = "nearly every one is to drive something")]
 pub(crate) enum Work {
     /// Set this, then follow that.
-    Drive(Key, Option<Setpoint>, Option<Movement>),
+    Drive(Key, Option<Value>, Option<Movement>),
     Read(ReadingId, DeviceId),
+    /// Ask the hardware for a sign of life.
+    Ping,
+    /// The connection has ended, as this tells.
+    HungUp(String),
     /// Nothing until the time that was asked for.
     Nothing,
     /// Nothing is left, and nothing more will come.
     Closed,
 }
 
-/// A reading is not begun so shortly before a movement: the hardware would be busy with it.
-pub(crate) const QUIET: Duration = Duration::from_millis(20);
-/// It is begun all the same once it has waited so long.
+/// A value of a script that is later than this is not set any more.
+pub(crate) const STALE: Duration = Duration::from_millis(250);
+/// A reading waits for a time without movements, but no longer than this.
 const READ_WAIT_MAX: Duration = Duration::from_millis(200);
+/// Before it is looked again whether a ping would be in no movement's way.
+const PING_RETRY: Duration = Duration::from_millis(2);
+
+/// What a call that has ended well tells of the hardware.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Sign {
+    /// It has answered.
+    Answered,
+    /// Nothing: the system under it may have taken the call.
+    Unknown,
+}
 
 #[derive(Debug, Default)]
 struct State {
@@ -61,7 +91,11 @@ struct State {
     /// The keys of `values`, the longest waiting first.
     order: VecDeque<Key>,
     readings: VecDeque<(ReadingId, DeviceId, Instant)>,
-    next_due: Option<Instant>,
+    demand: Demand,
+    /// There while there is a connection.
+    pulse: Option<Pulse>,
+    /// Why the connection has ended, though nothing was asked of it.
+    hung_up: Option<String>,
     /// A first try to connect has ended.
     tried: bool,
     closed: bool,
@@ -70,7 +104,7 @@ struct State {
 /// What waits for one signal.
 #[derive(Debug, Default)]
 struct Waiting {
-    set: Option<Setpoint>,
+    set: Option<Value>,
     follow: Option<Movement>,
 }
 
@@ -88,15 +122,11 @@ impl Mailbox {
     }
 
     /// Puts in orders that were given under a connection; those of an earlier one are void.
-    pub(crate) fn post(
-        &self,
-        connection: u64,
-        orders: impl Iterator<Item = Order>,
-        next_due: Option<Instant>,
-    ) {
+    pub(crate) fn post(&self, connection: u64, orders: impl Iterator<Item = Order>, demand: Demand) {
+        let now = Instant::now();
         let mut state = self.lock();
-        state.next_due = next_due;
-        let mut any = false;
+        state.demand = demand;
+        let mut any = state.pulse.as_mut().is_some_and(|pulse| pulse.demand(now, demand));
         for order in orders.filter(|_| connection > 0) {
             if state.connection == connection {
                 state.put(order);
@@ -121,13 +151,21 @@ impl Mailbox {
 
     /// A connection stands; orders are taken for it alone.
     pub(crate) fn connected(&self, connection: u64) {
-        self.lock().connection = connection;
+        let now = Instant::now();
+        let mut state = self.lock();
+        let mut pulse = Pulse::new(now);
+        pulse.demand(now, state.demand);
+        state.connection = connection;
+        state.pulse = Some(pulse);
+        state.hung_up = None;
     }
 
     /// The connection is gone, and everything that waited for it.
     pub(crate) fn disconnected(&self) {
         let mut state = self.lock();
         state.connection = 0;
+        state.pulse = None;
+        state.hung_up = None;
         state.values.clear();
         state.order.clear();
         state.readings.clear();
@@ -163,23 +201,63 @@ impl Mailbox {
         state
     }
 
-    /// Whether no movement is due so soon that a question to the hardware could delay it.
-    pub(crate) fn is_quiet(&self) -> bool {
-        self.lock().is_quiet(Instant::now())
+    /// The connection has ended by itself.
+    pub(crate) fn hung_up(&self, connection: u64, reason: String) {
+        let mut state = self.lock();
+        if state.connection == connection {
+            state.hung_up = Some(reason);
+            drop(state);
+            self.changed.notify_all();
+        }
     }
 
-    /// The next thing to do: values first, then readings where no movement is near.
+    /// Notes what a call took, and whether it shows that the hardware lives.
+    pub(crate) fn called(&self, took: Duration, sign: Sign) {
+        let now = Instant::now();
+        if let Some(pulse) = &mut self.lock().pulse {
+            pulse.called(took);
+            if sign == Sign::Answered {
+                pulse.seen(now);
+            }
+        }
+    }
+
+    /// A reading begins or has ended.
+    pub(crate) fn reading(&self, under_way: bool) {
+        if let Some(pulse) = &mut self.lock().pulse {
+            pulse.reading(under_way);
+        }
+    }
+
+    /// For how long the hardware has not answered, where that is too long for what is held.
+    pub(crate) fn silence(&self) -> Option<Duration> {
+        let now = Instant::now();
+        self.lock().pulse.as_ref()?.silence(now)
+    }
+
+    /// The next thing to do: values first, then signs of life, then readings where no movement is near.
     pub(crate) fn next(&self, until: Instant) -> Work {
         let mut state = self.lock();
         loop {
-            match state.take() {
-                Some((key, Waiting { set, follow })) => return Work::Drive(key, set, follow),
-                None if state.closed => return Work::Closed,
-                None => {}
-            }
             let now = Instant::now();
+            if let Some(reason) = state.hung_up.take() {
+                return Work::HungUp(reason);
+            }
+            if state.pulse.as_ref().is_some_and(|pulse| pulse.is_overdue(now)) {
+                return Work::Ping;
+            }
+            if let Some((key, Waiting { set, follow })) = state.take() {
+                return Work::Drive(key, set, follow);
+            }
+            let ping = state.pulse.as_ref().map(|pulse| (pulse.next_ping(now), pulse.is_quiet(now)));
+            if ping.is_some_and(|(ping, quiet)| ping <= now && quiet) {
+                return Work::Ping;
+            }
+            if state.closed {
+                return Work::Closed;
+            }
             let waited = |asked: &Instant| now.saturating_duration_since(*asked) >= READ_WAIT_MAX;
-            let quiet = state.is_quiet(now);
+            let quiet = state.pulse.as_ref().is_none_or(|pulse| pulse.is_quiet_for_readings(now));
             if state.readings.front().is_some_and(|(.., asked)| quiet || waited(asked))
                 && let Some((id, sensor, _)) = state.readings.pop_front()
             {
@@ -189,20 +267,19 @@ impl Mailbox {
                 return Work::Nothing;
             };
             let left = if state.readings.is_empty() { left } else { left.min(QUIET) };
+            // Where a movement is near the ping is looked for again behind it.
+            let ping = ping.map(|(ping, _)| ping.saturating_duration_since(now).max(PING_RETRY));
+            let left = ping.map_or(left, |ping| left.min(ping));
             state = self.wait(state, left);
         }
     }
 }
 
 impl State {
-    fn is_quiet(&self, now: Instant) -> bool {
-        self.next_due.is_none_or(|due| due > now + QUIET)
-    }
-
     fn put(&mut self, order: Order) {
         match order {
-            Order::Set(key, setpoint) => {
-                *self.waiting(key) = Waiting { set: Some(setpoint), follow: None };
+            Order::Set(key, value) => {
+                *self.waiting(key) = Waiting { set: Some(value), follow: None };
             }
             // A value that is due at the same instant is still set first.
             Order::Follow(key, movement) => self.waiting(key).follow = Some(movement),

@@ -12,6 +12,7 @@
 
 use std::fmt::Write as _;
 use std::io::{BufRead, BufReader, Read, Write};
+use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::process::CommandExt;
 use std::process::{Child, ChildStdin, Command, Stdio};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
@@ -19,7 +20,7 @@ use std::time::Duration;
 
 use urrcp::{DeviceId, InitializationBlock, Setpoint};
 
-use super::{Driver, DriverError, Ramp};
+use super::{Driver, DriverError, Lifeline, Ramp};
 
 /// How long the program may take to answer its first line: interpreters start slowly.
 const START_WAIT: Duration = Duration::from_secs(10);
@@ -121,6 +122,11 @@ impl Driver for Program {
         self.ask_ok(&format!("ramp {device} {} {} {milliseconds}", ramp.control_type, ramp.to))
     }
 
+    fn lifeline(&self) -> Option<Lifeline> {
+        let ended = format!("the program `{}` has ended", self.command);
+        Lifeline::of(&self.running.as_ref()?.output, ended)
+    }
+
     fn takes_ramps(&self) -> bool {
         self.takes_ramps
     }
@@ -130,6 +136,8 @@ impl Driver for Program {
 struct Running {
     child: Child,
     input: Option<ChildStdin>,
+    /// A copy of its output, to be watched alone.
+    output: OwnedFd,
     answers: Receiver<String>,
 }
 
@@ -142,6 +150,7 @@ impl Running {
         let no_pipe = || std::io::Error::other("no pipe");
         let output = child.stdout.take().ok_or_else(no_pipe)?;
         let input = Some(child.stdin.take().ok_or_else(no_pipe)?);
+        let watched = output.as_fd().try_clone_to_owned()?;
         // One answer belongs to one line; a program that says more is soon out of step.
         let (sender, answers) = sync_channel(1);
         // Ends with the program's output, or when nobody listens any more.
@@ -159,7 +168,7 @@ impl Running {
                 }
             }
         })?;
-        Ok(Self { child, input, answers })
+        Ok(Self { child, input, output: watched, answers })
     }
 
     /// One line at a time is on the way, so a pipe is never full and this never hangs.

@@ -6,7 +6,7 @@ use std::sync::mpsc::{Receiver, Sender, channel};
 
 use urrcp::{
     Command, ControlRequest, ControlResponse, ErrorCode, InitializationBlock, Message, Millis, RequestId,
-    Script, Server, Status, StatusValue, Step, Timestamp,
+    Script, Server, Span, Status, StatusValue, Step, Timestamp,
 };
 
 use super::*;
@@ -51,6 +51,7 @@ struct Bench {
     takes_ramps: bool,
     /// Until a test lets it, a `set` does not return.
     busy: AtomicBool,
+    line: Option<std::os::unix::net::UnixStream>,
 }
 
 struct Fake {
@@ -97,6 +98,10 @@ impl Driver for Fake {
     fn takes_ramps(&self) -> bool {
         self.bench.takes_ramps
     }
+
+    fn lifeline(&self) -> Option<Lifeline> {
+        Lifeline::of(self.bench.line.as_ref()?, "the line was cut")
+    }
 }
 
 /// A robot on a host, with its hardware and a link.
@@ -125,6 +130,11 @@ impl Rig {
     }
 
     fn script(&self, device: &str, id: &str, steps: &[(f64, f64)], control_type: ControlType) {
+        self.script_in(device, id, 200.0, steps, control_type);
+    }
+
+    /// Sends a script that starts so many milliseconds from now.
+    fn script_in(&self, device: &str, id: &str, lead: f64, steps: &[(f64, f64)], control_type: ControlType) {
         let step = |(millis, value): &(f64, f64)| Step {
             offset: Millis::new(*millis).unwrap(),
             setpoint: Setpoint::new(control_type, *value),
@@ -134,7 +144,7 @@ impl Rig {
         let now: Timestamp<Server> = HostClock::anchored().now().assume_clock();
         self.link.send(Message::ControlRequest(ControlRequest {
             timestamp: Some(now),
-            time_offset_to_start: Some(Millis::new(200.0).unwrap()),
+            time_offset_to_start: Some(Millis::new(lead).unwrap()),
             request_id: Some(RequestId::new(id).unwrap()),
             ..ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::Script(script))
         }));
@@ -308,6 +318,31 @@ async fn a_slow_device_skips_what_is_out_of_date_and_the_machine_does_not_wait()
 }
 
 #[tokio::test]
+async fn a_value_that_waited_too_long_for_the_hardware_is_not_set_and_its_script_fails_as_late() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.bench.busy.store(true, Ordering::SeqCst);
+    rig.script("wheel", "a", &[(0.0, 4.0), (50.0, 6.0), (60_000.0, 8.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 4"]);
+    tokio::time::sleep(2 * STALE).await;
+    rig.bench.busy.store(false, Ordering::SeqCst);
+    assert_eq!(rig.response().await.error.unwrap().code, ErrorCode::Late);
+    rig.next_done(&["wheel 0"]);
+}
+
+#[tokio::test]
+async fn hardware_that_hangs_up_while_nothing_is_asked_is_away_before_the_next_ping() {
+    let (hangs_up, line) = std::os::unix::net::UnixStream::pair().unwrap();
+    let bench = Bench { line: Some(line), ..Bench::default() };
+    let mut rig = Rig::new(bench, DriverOptions::default());
+    rig.script_in("wheel", "a", 60_000.0, &[(0.0, 4.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..1]).await;
+    drop(hangs_up);
+    let error = rig.response().await.error.unwrap();
+    assert_eq!(error.message, "the hardware is away: the line was cut");
+}
+
+#[tokio::test]
 async fn hardware_that_fails_under_a_script_fails_it_and_starts_anew_from_its_default_state() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
@@ -358,12 +393,13 @@ async fn the_last_values_are_followed_by_a_question_so_that_they_are_known_to_be
 #[tokio::test]
 async fn a_driver_that_panics_fails_what_runs_and_leaves_the_host_alone() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
-    rig.bench.panics.store(true, Ordering::SeqCst);
     rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
     rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 4"]);
+    rig.bench.panics.store(true, Ordering::SeqCst);
     let failed = rig.response().await;
     assert!(failed.error.unwrap().message.contains("its driver panicked"));
-    let told = (vec!["connect".to_owned()], Some("its driver panicked".to_owned()));
+    let told = (vec![], Some("its driver panicked".to_owned()));
     assert_eq!(rig.stop_and_tell(), told);
 }
 
@@ -371,25 +407,28 @@ async fn a_driver_that_panics_fails_what_runs_and_leaves_the_host_alone() {
 fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_older_ones() {
     let mailbox = Mailbox::default();
     let key = |device: &str| (DeviceId::new(device).unwrap(), ControlType::Speed);
-    let set = |device, value| mailbox::Order::Set(key(device), Setpoint::new(ControlType::Speed, value));
-    mailbox.post(0, [set("a", 1.0)].into_iter(), None);
+    let set = |device, value| {
+        let setpoint = Setpoint::new(ControlType::Speed, value);
+        mailbox::Order::Set(key(device), mailbox::Value { setpoint, due: None })
+    };
+    mailbox.post(0, [set("a", 1.0)].into_iter(), Demand::default());
     mailbox.connected(1);
-    mailbox.post(0, [set("a", 2.0)].into_iter(), None);
-    mailbox.post(1, [set("a", 3.0), set("b", 4.0), set("a", 5.0)].into_iter(), None);
+    mailbox.post(0, [set("a", 2.0)].into_iter(), Demand::default());
+    mailbox.post(1, [set("a", 3.0), set("b", 4.0), set("a", 5.0)].into_iter(), Demand::default());
     mailbox.close();
     let values: Vec<_> = std::iter::from_fn(|| {
         match mailbox.next(HostClock::anchored().instant_of(Timestamp::from_nanos(0))) {
-            mailbox::Work::Drive(key, Some(setpoint), None) => Some((key.0.to_string(), setpoint.value)),
+            mailbox::Work::Drive(key, Some(value), None) => Some((key.0.to_string(), value.setpoint.value)),
             _ => None,
         }
     })
     .collect();
     assert_eq!(values, [("a".to_owned(), 5.0), ("b".to_owned(), 4.0)]);
     mailbox.connected(1);
-    mailbox.post(1, [set("a", 6.0)].into_iter(), None);
+    mailbox.post(1, [set("a", 6.0)].into_iter(), Demand::default());
     mailbox.disconnected();
     mailbox.connected(2);
-    mailbox.post(1, [set("a", 7.0)].into_iter(), None);
+    mailbox.post(1, [set("a", 7.0)].into_iter(), Demand::default());
     assert!(matches!(
         mailbox.next(HostClock::anchored().instant_of(Timestamp::from_nanos(0))),
         mailbox::Work::Closed

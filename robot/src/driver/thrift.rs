@@ -18,7 +18,7 @@ use thrift::{ApplicationErrorKind, TConfiguration};
 use urrcp::{DeviceId, InitializationBlock, Setpoint};
 
 use super::worker::is_driven;
-use super::{Driver, DriverError, described};
+use super::{Driver, DriverError, Lifeline, described};
 
 /// How long the robot may take to let itself be connected to, to take a call, to answer one.
 const WAIT_MAX: Duration = Duration::from_secs(1);
@@ -109,6 +109,11 @@ impl Driver for ThriftRobot {
             false => Err(DriverError::Away("the robot answers ping with false: not ready".to_owned())),
         }
     }
+
+    fn lifeline(&self) -> Option<Lifeline> {
+        let ended = format!("{}:{} has closed the connection", self.host, self.port);
+        Lifeline::of(&self.connection.as_ref()?.stream, ended)
+    }
 }
 
 /// Asks a Thrift robot for its description, a JSON text.
@@ -137,6 +142,8 @@ type Output = TBinaryOutputProtocol<TBufferedWriteTransport<WriteHalf<TTcpChanne
 
 /// A connection, with the six calls.
 struct Connection {
+    /// To be watched alone.
+    stream: TcpStream,
     input: Input,
     output: Output,
     sequence: i32,
@@ -162,12 +169,13 @@ impl Connection {
         stream.set_nodelay(true)?;
         stream.set_read_timeout(Some(WAIT_MAX))?;
         stream.set_write_timeout(Some(WAIT_MAX))?;
+        let watched = stream.try_clone()?;
         let (reader, writer) = TTcpChannel::with_stream(stream).split()?;
         let limits = TConfiguration::builder().max_string_size(Some(TEXT_BYTES_MAX)).build()?;
         // Robots of the older, headerless form of the protocol are understood as well.
         let input = TBinaryInputProtocol::with_config(TBufferedReadTransport::new(reader), false, limits);
         let output = TBinaryOutputProtocol::new(TBufferedWriteTransport::new(writer), true);
-        Ok(Self { input, output, sequence: 0 })
+        Ok(Self { stream: watched, input, output, sequence: 0 })
     }
 
     fn ping(&mut self) -> thrift::Result<bool> {

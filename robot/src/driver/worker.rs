@@ -7,17 +7,16 @@ use std::time::{Duration, Instant};
 
 use urrcp::{ControlType, InitializationBlock, Setpoint};
 
-use super::mailbox::{Movement, QUIET, Work};
+use super::lifeline::Watcher;
+use super::mailbox::{Movement, Sign, Value, Work};
 use super::{Driver, DriverError, Key, Mailbox, Ramp};
 use crate::hardware::ReadingId;
 use crate::signal::is_rate;
 
 /// Between two tries to connect, at first and at most; it doubles.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
-/// Without another sign of life the hardware is asked for one.
-const PING_EVERY: Duration = Duration::from_millis(500);
-/// Then it is asked even though movements follow one another closely.
-const PING_WAIT_MAX: Duration = Duration::from_secs(2);
+/// How often it is looked at the mailbox while nothing is due.
+const LOOK_EVERY: Duration = Duration::from_millis(500);
 /// How long the devices may take to come to rest when the edge ends. Then speeds go to zero at once, and positions stay.
 const REST_WAIT_MAX: Duration = Duration::from_secs(3);
 
@@ -28,6 +27,8 @@ pub(crate) enum News {
     There { connection: u64 },
     /// It is not, or no longer.
     Away { reason: String },
+    /// A value came so late that it was not set.
+    Stale { device: urrcp::DeviceId, late: Duration },
     /// A sensor was read.
     Reading { id: ReadingId, reading: Result<f64, String> },
 }
@@ -44,7 +45,6 @@ pub(crate) struct Worker {
     handed_over: BTreeMap<Key, Movement>,
     touched: Touched,
     next_sample: Instant,
-    seen_alive: Instant,
 }
 
 /// What a driver was told to move.
@@ -72,9 +72,8 @@ impl Worker {
         let now = Instant::now();
         let period = Duration::from_secs_f64(1.0 / samples_per_second.clamp(0.1, 1_000.0));
         let (moving, handed_over) = (BTreeMap::new(), BTreeMap::new());
-        let (next_sample, seen_alive) = (now, now);
-        let touched = Touched::Never;
-        Self { driver, block, mailbox, tell, period, moving, handed_over, touched, next_sample, seen_alive }
+        let (touched, next_sample) = (Touched::Never, now);
+        Self { driver, block, mailbox, tell, period, moving, handed_over, touched, next_sample }
     }
 
     /// Runs until the mailbox is closed and empty, or closed while there is no hardware.
@@ -96,7 +95,11 @@ impl Worker {
                     (self.tell)(News::There { connection });
                     self.mailbox.tried();
                     let since = Instant::now();
-                    let error = match self.serve() {
+                    // Goes before the driver connects again: hardware may take one connection at a time.
+                    let watcher = self.watch(connection);
+                    let served = self.serve();
+                    drop(watcher);
+                    let error = match served {
                         Ok(_) if self.touched == Touched::Before => {
                             return Err("the hardware came back too late to be told anything".to_owned());
                         }
@@ -129,18 +132,14 @@ impl Worker {
 
     /// Does what comes until the hardware fails or nothing more will come; then, what had to be cut short.
     fn serve(&mut self) -> Result<Result<(), String>, DriverError> {
-        self.seen_alive = Instant::now();
         let mut closing: Option<Instant> = None;
         loop {
             let sample = (!self.moving.is_empty()).then_some(self.next_sample);
-            let ping = self.seen_alive + PING_EVERY;
-            let until = ping.max(Instant::now() + QUIET / 2);
-            match self.mailbox.next(sample.map_or(until, |sample| sample.min(until))) {
-                Work::Drive(key, setpoint, movement) => {
-                    setpoint.map_or(Ok(()), |setpoint| self.set(&key, &setpoint))?;
-                    movement.map_or(Ok(()), |movement| self.follow(key, movement))?;
-                }
+            match self.mailbox.next(sample.unwrap_or_else(|| Instant::now() + LOOK_EVERY)) {
+                Work::Drive(key, value, movement) => self.drive(key, value, movement)?,
                 Work::Read(id, sensor) => self.read(id, &sensor)?,
+                Work::Ping => self.ping()?,
+                Work::HungUp(reason) => return Err(DriverError::Away(reason)),
                 Work::Nothing => {}
                 Work::Closed => {
                     let end = *closing.get_or_insert_with(|| Instant::now() + REST_WAIT_MAX);
@@ -152,7 +151,6 @@ impl Worker {
             if !self.moving.is_empty() && Instant::now() >= self.next_sample {
                 self.sample()?;
             }
-            self.stay_in_touch()?;
         }
     }
 
@@ -160,8 +158,43 @@ impl Worker {
     fn next_until_rest(&self) -> Option<Instant> {
         let sample = (!self.moving.is_empty()).then_some(self.next_sample);
         let left = self.handed_over.values().map(Movement::left).max().filter(|left| !left.is_zero());
-        let look = left.map(|left| Instant::now() + left.min(PING_EVERY));
+        let look = left.map(|left| Instant::now() + left.min(LOOK_EVERY));
         sample.into_iter().chain(look).min()
+    }
+
+    /// Has the end of the connection noticed, where the driver can name what ends with it.
+    fn watch(&self, connection: u64) -> Option<Watcher> {
+        let watcher = Watcher::begin(self.driver.lifeline()?, Arc::clone(&self.mailbox), connection);
+        watcher.inspect_err(|error| tracing::warn!("the hardware's connection is not watched: {error}")).ok()
+    }
+
+    /// Calls the driver and notes how long it took.
+    fn call<T>(
+        &mut self,
+        sign: Sign,
+        call: impl FnOnce(&mut dyn Driver) -> Result<T, DriverError>,
+    ) -> Result<T, DriverError> {
+        let begin = Instant::now();
+        let called = call(&mut *self.driver);
+        if called.is_ok() {
+            self.mailbox.called(begin.elapsed(), sign);
+        }
+        called
+    }
+
+    /// What has become stale is told and not set, and neither is what follows from it: the machine ends both.
+    fn drive(
+        &mut self,
+        key: Key,
+        value: Option<Value>,
+        movement: Option<Movement>,
+    ) -> Result<(), DriverError> {
+        if let Some(late) = value.as_ref().and_then(|value| value.stale(Instant::now())) {
+            (self.tell)(News::Stale { device: key.0, late });
+            return Ok(());
+        }
+        value.map_or(Ok(()), |value| self.set(&key, &value.setpoint))?;
+        movement.map_or(Ok(()), |movement| self.follow(key, movement))
     }
 
     fn set(&mut self, key: &Key, setpoint: &Setpoint) -> Result<(), DriverError> {
@@ -169,7 +202,8 @@ impl Worker {
         self.handed_over.remove(key);
         self.touched = Touched::Now;
         let value = self.on_grid(key, setpoint.value);
-        self.driver.set(&key.0, &Setpoint { value, ..setpoint.clone() })
+        let setpoint = Setpoint { value, ..setpoint.clone() };
+        self.call(Sign::Unknown, |driver| driver.set(&key.0, &setpoint))
     }
 
     fn follow(&mut self, key: Key, movement: Movement) -> Result<(), DriverError> {
@@ -178,7 +212,7 @@ impl Worker {
             self.moving.remove(&key);
             let to = self.on_grid(&key, movement.signal.target());
             let ramp = Ramp { control_type: key.1, to, duration: movement.left() };
-            self.driver.ramp(&key.0, ramp)?;
+            self.call(Sign::Unknown, |driver| driver.ramp(&key.0, ramp))?;
             self.handed_over.insert(key, movement);
             return Ok(());
         }
@@ -199,7 +233,8 @@ impl Worker {
             let value = self.on_grid(&key, moving.movement.signal.value(now));
             let rests = now >= moving.movement.signal.rests_at();
             if moving.sent != Some(value) {
-                self.driver.set(&key.0, &Setpoint::new(key.1, value))?;
+                let setpoint = Setpoint::new(key.1, value);
+                self.call(Sign::Unknown, |driver| driver.set(&key.0, &setpoint))?;
             }
             match self.moving.get_mut(&key) {
                 Some(moving) if !rests => moving.sent = Some(value),
@@ -238,7 +273,10 @@ impl Worker {
     }
 
     fn read(&mut self, id: ReadingId, sensor: &urrcp::DeviceId) -> Result<(), DriverError> {
-        let reading = match self.driver.read(sensor) {
+        self.mailbox.reading(true);
+        let reading = self.driver.read(sensor);
+        self.mailbox.reading(false);
+        let reading = match reading {
             Err(DriverError::Away(reason)) => {
                 (self.tell)(News::Reading { id, reading: Err(reason.clone()) });
                 return Err(DriverError::Away(reason));
@@ -246,19 +284,13 @@ impl Worker {
             Err(DriverError::Refused(reason)) => Err(reason),
             Ok(reading) => Ok(reading),
         };
-        self.seen_alive = Instant::now();
+        self.mailbox.called(Duration::ZERO, Sign::Answered);
         (self.tell)(News::Reading { id, reading });
         Ok(())
     }
 
-    fn stay_in_touch(&mut self) -> Result<(), DriverError> {
-        let silent = self.seen_alive.elapsed();
-        if silent < PING_EVERY || (silent < PING_WAIT_MAX && !self.mailbox.is_quiet()) {
-            return Ok(());
-        }
-        self.driver.ping()?;
-        self.seen_alive = Instant::now();
-        Ok(())
+    fn ping(&mut self) -> Result<(), DriverError> {
+        self.call(Sign::Answered, |driver| driver.ping())
     }
 
     /// A value as the device can take it: values between those of scripts come from movements and stops.
@@ -287,7 +319,7 @@ impl Drop for Worker {
 
 impl Movement {
     fn now(&self) -> urrcp::Timestamp<urrcp::Robot> {
-        self.clock.now().assume_clock() + self.ahead
+        self.clock.now().assume_clock()
     }
 
     /// How long it still takes.

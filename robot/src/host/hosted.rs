@@ -1,27 +1,33 @@
-//! What a host runs: a robot alone, or one with hardware behind a driver on a thread of its own.
+//! What a host is given to run: a robot with hardware behind a driver, or one in a simulated world.
 
 use std::io;
 use std::sync::{Arc, mpsc as std_mpsc};
 use std::thread::JoinHandle;
 
-use urrcp::InitializationBlock;
+use urrcp::{InitializationBlock, RobotId};
 
 use super::Order;
-use crate::driver::{AtStart, Driver, DriverOptions, Mailbox, News, Wanted, Worker};
+use super::body::Body;
+use crate::driver::{Driver, DriverOptions, Mailbox, Worker};
+use crate::edge::Edge;
+use crate::robot::Robot;
 use crate::simulated::SimulatedRobot;
 
 /// A driver's thread; its error is why devices that were moved may not be in their default state.
 pub(super) type DriverThread = JoinHandle<Result<(), String>>;
 
 /// A robot for a host.
-pub struct Hosted {
-    pub(super) robot: SimulatedRobot,
-    driver: Option<(Box<dyn Driver>, DriverOptions)>,
+pub struct Hosted(Surroundings);
+
+#[expect(clippy::large_enum_variant, reason = "there are a few hundred at most, and none is moved often")]
+enum Surroundings {
+    Hardware { block: InitializationBlock, driver: Box<dyn Driver>, options: DriverOptions },
+    World(SimulatedRobot),
 }
 
 impl From<SimulatedRobot> for Hosted {
     fn from(robot: SimulatedRobot) -> Self {
-        Self { robot, driver: None }
+        Self(Surroundings::World(robot))
     }
 }
 
@@ -31,7 +37,14 @@ impl Hosted {
     pub fn driven(mut block: InitializationBlock, driver: Box<dyn Driver>, options: DriverOptions) -> Self {
         // The machine reports, whatever the hardware can.
         block.reports = true;
-        Self { robot: SimulatedRobot::driven(block), driver: Some((driver, options)) }
+        Self(Surroundings::Hardware { block, driver, options })
+    }
+
+    pub(super) fn id(&self) -> &RobotId {
+        match &self.0 {
+            Surroundings::Hardware { block, .. } => &block.id,
+            Surroundings::World(robot) => &robot.robot().block().id,
+        }
     }
 
     /// Starts the driver's thread, if there is one. It ends once its mailbox is closed.
@@ -39,62 +52,24 @@ impl Hosted {
         self,
         index: usize,
         orders: &std_mpsc::Sender<Order>,
-    ) -> io::Result<(SimulatedRobot, Option<Attached>, Option<DriverThread>)> {
-        let Some((driver, options)) = self.driver else { return Ok((self.robot, None, None)) };
+    ) -> io::Result<(Body, Option<DriverThread>)> {
+        let (block, driver, options) = match self.0 {
+            Surroundings::World(robot) => return Ok((Body::Simulated(robot), None)),
+            Surroundings::Hardware { block, driver, options } => (block, driver, options),
+        };
         let mailbox = Arc::new(Mailbox::default());
         let orders = orders.clone();
         // At most the open readings and a word a connection are on the way; a host that has stopped hears nothing.
         let tell = move |news| drop(orders.send(Order::Hardware { robot: index, news }));
-        let block = self.robot.robot().block().clone();
-        let worker =
-            Worker::new(driver, block, Arc::clone(&mailbox), options.samples_per_second, Box::new(tell));
+        let worker = Worker::new(
+            driver,
+            block.clone(),
+            Arc::clone(&mailbox),
+            options.samples_per_second,
+            Box::new(tell),
+        );
         let thread = std::thread::Builder::new().name("driver".into()).spawn(move || worker.run())?;
-        let attached = Attached { mailbox, connection: 0, at_start: options.at_start };
-        Ok((self.robot, Some(attached), Some(thread)))
-    }
-}
-
-/// The host's end of a driver.
-pub(super) struct Attached {
-    pub(super) mailbox: Arc<Mailbox>,
-    /// Which connection the robot's machine knows of.
-    connection: u64,
-    at_start: AtStart,
-}
-
-impl Drop for Attached {
-    fn drop(&mut self) {
-        self.mailbox.close();
-    }
-}
-
-impl Attached {
-    /// Passes on what is wanted of the hardware.
-    pub(super) fn post(&self, robot: &mut SimulatedRobot, clock: &crate::clock::HostClock) {
-        let now = clock.now();
-        let ahead = robot.robot_from_true(now) - now.assume_clock();
-        let next_due = robot.next_wakeup().map(|at| clock.instant_of(at));
-        let orders = robot.take_wanted().into_iter().map(|wanted: Wanted| wanted.on_clock(*clock, ahead));
-        self.mailbox.post(self.connection, orders, next_due);
-    }
-
-    /// Tells the robot what its driver's thread says.
-    pub(super) fn hear(&mut self, robot: &mut SimulatedRobot, clock: &crate::clock::HostClock, news: News) {
-        let now = clock.now();
-        match news {
-            News::There { connection } => {
-                self.connection = connection;
-                robot.drive(now, |machine, now, out| machine.hardware_found(now, out));
-                if connection == 1 && self.at_start == AtStart::Default {
-                    robot.drive(now, |machine, now, out| machine.restore(now, out));
-                }
-            }
-            News::Away { reason } => {
-                robot.drive(now, |machine, now, out| machine.hardware_lost(now, &reason, out));
-            }
-            News::Reading { id, reading } => {
-                robot.drive(now, |machine, now, out| machine.reading_came(now, id, reading, out));
-            }
-        }
+        let edge = Edge::new(Robot::driven(block), mailbox, options.at_start);
+        Ok((Body::Edge(edge), Some(thread)))
     }
 }

@@ -3,12 +3,12 @@
 use std::path::PathBuf;
 
 use urrcp::{
-    AvailabilityRequest, Command, ControlRequest, ControlResponse, ControlType, DeviceId,
+    AvailabilityRequest, Command, ControlRequest, ControlResponse, ControlType, DeviceId, ErrorCode,
     InitializationBlock, Millis, RequestId, Script, Server, Setpoint, Status, Step,
 };
 
 use super::*;
-use crate::simulated::{Fault, Settings};
+use crate::simulated::{Fault, Settings, SimulatedRobot};
 
 const ARM: &str = r#"{"id": "arm", "name": "arm", "available_control_types": {
     "position": {"min_value": 0, "max_value": 90, "granularity": 1},
@@ -86,6 +86,19 @@ async fn a_robot_starts_at_the_instant_set_and_never_early_and_logs_what_it_did(
         assert_eq!(line["robot"], "r0");
         assert!(line["set_at"].as_str() >= line["due"].as_str(), "early: {line}");
     }
+}
+
+#[tokio::test]
+async fn a_hash_that_was_computed_outside_the_precise_thread_is_compared_and_echoed() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let mut link = host.handle().connect(0).unwrap();
+    let Message::ControlRequest(mut request) = paper(60_000.0) else { panic!() };
+    request.content_hash = Some(Command::ReadSensor.content_hash());
+    link.send(Message::ControlRequest(ControlRequest { request_id: None, ..request.clone() }));
+    assert_eq!(response(&mut link).await.error.unwrap().code, ErrorCode::Malformed);
+    request.content_hash = Some(request.command.content_hash());
+    link.send(Message::ControlRequest(request.clone()));
+    assert_eq!(response(&mut link).await.content_hash, request.content_hash);
 }
 
 #[tokio::test]

@@ -36,7 +36,7 @@ impl Judge {
                 // A report of a movement's end says when it took place; this one answers an empty script.
                 let cancels = is_cancel(request) && self.devices.contains_key(&request.device_id);
                 hold(cancels, || format!("done already: {request:?}"))?;
-                self.hold_session(request)?;
+                self.hold_session(request.session.as_ref())?;
                 self.cancelled_by(now, request)
             }
             Status::Provide => self.provided(request, answer)?,
@@ -49,13 +49,14 @@ impl Judge {
 
     fn remember(&mut self, id: &RequestId, answer: &ControlResponse) {
         self.answers.insert(id.clone(), answer.clone());
+        self.hashes.extend(answer.content_hash.map(|hash| (id.clone(), hash)));
     }
 
     /// The robot belongs to the session for which it holds something.
-    fn hold_session(&self, request: &ControlRequest) -> Result<(), Violation> {
-        let of_others = |order: &&Order| order.session.is_some() && order.session != request.session;
+    pub(super) fn hold_session(&self, session: Option<&SessionId>) -> Result<(), Violation> {
+        let of_others = |order: &&Order| order.session.is_some() && order.session.as_ref() != session;
         let others = self.devices.values().flat_map(|device| &device.queue).find(of_others);
-        hold(others.is_none(), || format!("{request:?} while the robot is held by {others:?}"))
+        hold(others.is_none(), || format!("{session:?} while the robot is held by {others:?}"))
     }
 
     fn accepted(
@@ -65,7 +66,7 @@ impl Judge {
         answer: &ControlResponse,
     ) -> Result<HashSet<usize>, Violation> {
         let request = asked.request;
-        self.hold_session(request)?;
+        self.hold_session(request.session.as_ref())?;
         let value = match &request.command {
             Command::Set(setpoint) => StatusValue::Number(setpoint.value),
             Command::Script(script) => StatusValue::Script(script.clone()),
@@ -150,7 +151,7 @@ impl Judge {
                 !order.steps.is_empty()
             }
             Some(ErrorCode::UnsupportedControlType) => {
-                self.hold_session(request)?;
+                self.hold_session(request.session.as_ref())?;
                 let left = device.queue.iter().map(|order| order.serial).collect();
                 return Ok(&self.cancelled | &left);
             }

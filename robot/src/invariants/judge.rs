@@ -3,8 +3,8 @@
 use std::collections::{HashMap, HashSet};
 
 use urrcp::{
-    ControlRequest, ControlResponse, ControlType, DeviceId, ErrorCode, InitializationBlock, Message,
-    RequestId, SessionId, Status, StatusValue, Timestamp,
+    ContentHash, ControlRequest, ControlResponse, ControlType, DeviceId, ErrorCode, InitializationBlock,
+    Message, RequestId, SessionId, Status, StatusValue, Timestamp,
 };
 
 use super::model::{DeviceModel, Heard, Order, Party, cancels_from};
@@ -25,8 +25,30 @@ pub(super) struct Judge {
     pub(super) cancelled: HashSet<usize>,
     /// From where on what is being judged cancels; `None`: all.
     cancels_from: Option<Now>,
-    /// Devices of which a lease has ended by what is being judged.
-    lost: HashSet<DeviceId>,
+    /// The content hash of each request that was accepted with one.
+    pub(super) hashes: HashMap<RequestId, ContentHash>,
+    /// When each request that has started did so.
+    pub(super) starts: HashMap<RequestId, Now>,
+    /// What leases of each device have ended by what is being judged.
+    lost: HashMap<DeviceId, Lost>,
+    /// Devices that went to their default state, and whether a rate went on until then.
+    rested: HashMap<DeviceId, bool>,
+    /// Devices that reported something else than the end of a lease.
+    acted: HashSet<DeviceId>,
+}
+
+/// What the leases that have ended take with them.
+#[derive(Clone, Copy, Debug, Default)]
+struct Lost {
+    everything: bool,
+    /// What has not begun and starts then or later.
+    from: Option<Now>,
+}
+
+impl Lost {
+    fn takes(&self, order: &Order) -> bool {
+        self.everything || !order.began && self.from.is_some_and(|from| order.start >= from)
+    }
 }
 
 /// A request and who sent it.
@@ -47,7 +69,11 @@ impl Judge {
             serials: 0,
             cancelled: HashSet::new(),
             cancels_from: None,
-            lost: HashSet::new(),
+            hashes: HashMap::new(),
+            starts: HashMap::new(),
+            lost: HashMap::new(),
+            rested: HashMap::new(),
+            acted: HashSet::new(),
         }
     }
 
@@ -86,6 +112,8 @@ impl Judge {
     fn judge(&mut self, now: Now, out: &[Output], asked: Option<&Asked<'_>>) -> Result<(), Violation> {
         self.cancelled.clear();
         self.lost.clear();
+        self.rested.clear();
+        self.acted.clear();
         self.cancels_from = asked.and_then(|asked| cancels_from(now, asked.request));
         let mut answers = 0;
         for output in out {
@@ -109,8 +137,32 @@ impl Judge {
         hold(answers == usize::from(asked.is_some()), || {
             format!("{answers} answers to one request: {out:?}")
         })?;
+        self.check_lost(asked.is_some())?;
         self.devices.values_mut().for_each(|device| device.released.clear());
         Ok(())
+    }
+
+    /// A lease that has ended took with it what it had to and nothing else.
+    fn check_lost(&self, asked: bool) -> Result<(), Violation> {
+        for (id, lost) in &self.lost {
+            let left = self.devices.get(id).and_then(|device| device.queue.iter().find(|o| lost.takes(o)));
+            hold(left.is_none(), || {
+                format!("`{id}` still holds {left:?}, which a lease's end takes with it")
+            })?;
+        }
+        for (id, rate_went_on) in &self.rested {
+            let lost = self.lost.get(id).copied().unwrap_or_default();
+            let began = self.devices.get(id).is_some_and(|d| d.queue.iter().any(|order| order.began));
+            let due = asked || lost.everything || lost.from.is_some() && !rate_went_on;
+            hold(due && !began, || format!("`{id}` went to its default state by {lost:?}, {began}"))?;
+        }
+        let silent =
+            self.lost.keys().filter(|id| !self.rested.contains_key(*id) && !self.acted.contains(*id));
+        let at_rest = |id: &&DeviceId| self.devices.get(*id).is_none_or(|device| !device.must_rest());
+        match silent.into_iter().find(|id| !at_rest(id)) {
+            None => Ok(()),
+            Some(id) => Err(Violation(format!("`{id}` holds nothing and did not go to its default state"))),
+        }
     }
 
     fn moved(&mut self, now: Now, set: &SetValue) -> Result<(), Violation> {
@@ -119,7 +171,10 @@ impl Judge {
             return Err(Violation(format!("no such device: {set:?}")));
         };
         hold(set.due <= now, || format!("early by {}: {set:?}", set.due - now))?;
-        let Some(step) = set.step else { return rested(device, set) };
+        let Some(step) = set.step else {
+            self.rested.entry(set.device.clone()).or_insert_with(|| device.rate_goes_on());
+            return rested(device, set);
+        };
         let step = step as usize;
         let found = device.queue.iter().position(|order| {
             order.id == set.request_id
@@ -161,6 +216,12 @@ impl Judge {
             self.answers.insert(id.clone(), report.clone());
         }
         hold(report.event_timestamp == Some(now), || format!("it is {now}: {report:?}"))?;
+        if report.error.as_ref().is_none_or(|error| error.code != ErrorCode::LinkLost) {
+            self.acted.insert(report.device_id.clone());
+        }
+        if report.status == Status::Started {
+            self.starts.extend(report.request_id.clone().map(|id| (id, now)));
+        }
         let owed = match report.status {
             Status::Started => started(device, heard, now, report),
             Status::Ok => ended(device, report),
@@ -176,15 +237,18 @@ impl Judge {
         let of = |order: &Order| order.id == report.request_id && !order.is_done();
         match code {
             Some(ErrorCode::LinkLost) => {
-                if self.lost.insert(report.device_id.clone()) {
-                    let over = device.lease_is_over(now, &self.heard);
-                    hold(over, || format!("a lease ended early: {report:?}, {:?}", device.queue))?;
-                }
+                let lost = self.lost.entry(report.device_id.clone()).or_default();
+                lost.everything |= device.running_lease_is_over(now, &self.heard);
+                let earlier = lost.from.into_iter().chain(device.falls_from(now, &self.heard));
+                lost.from = earlier.min();
+                let over = lost.everything || lost.from.is_some();
+                hold(over, || format!("a lease ended early: {report:?}, {:?}", device.queue))?;
                 if let Some(at) = device.released.iter().position(|guard| guard.id == report.request_id) {
                     device.released.remove(at);
-                    return Ok(true);
+                    return Ok(lost.everything);
                 }
-                Ok(take(device, of).is_some())
+                let lost = *lost;
+                Ok(take(device, |order| of(order) && lost.takes(order)).is_some())
             }
             Some(ErrorCode::Late) => {
                 Ok(take(device, |order| of(order) && !order.began && now - order.start > START_LATE_MAX)

@@ -133,6 +133,18 @@ impl Order {
         heard.ends(self.party, self.accepted, own.or(self.condition).and_then(|lease| lease.running))
     }
 
+    /// It may wait for its start no longer than this without a word.
+    pub(super) fn shorten(&mut self, pending: Millis) {
+        let condition = self.condition.unwrap_or_default();
+        let shortest = condition.pending.filter(|own| own.get() <= pending.get()).unwrap_or(pending);
+        self.condition = Some(StopCondition { pending: Some(shortest), ..condition });
+    }
+
+    /// Whether its lease has ended while it still waited for its start.
+    fn is_over_before_its_start(&self, now: Now, heard: &Heard) -> bool {
+        !self.began && self.must_end(heard).is_some_and(|end| end <= now && end <= self.start)
+    }
+
     /// When it must be given up: its lease has ended, or would have ended once the next event has taken place.
     pub(super) fn must_end(&self, heard: &Heard) -> Option<Now> {
         let current = match self.began {
@@ -238,11 +250,30 @@ impl DeviceModel {
         orders.chain(self.guards.iter().map(|guard| guard.must_end(heard))).flatten().min()
     }
 
-    /// Whether some lease of the device is over.
-    pub(super) fn lease_is_over(&self, now: Now, heard: &Heard) -> bool {
+    /// Whether some lease of what runs, or of a rate left on, is over.
+    pub(super) fn running_lease_is_over(&self, now: Now, heard: &Heard) -> bool {
         let guards = self.guards.iter().chain(&self.released).map(|guard| guard.must_end(heard));
-        let orders = self.queue.iter().filter(|order| !order.is_done()).map(|order| order.must_end(heard));
-        orders.chain(guards).flatten().any(|end| end <= now)
+        let running = self.queue.iter().filter(|order| order.began && !order.is_done());
+        running.map(|order| order.must_end(heard)).chain(guards).flatten().any(|end| end <= now)
+    }
+
+    /// The earliest start of what waited for it until its lease was over: what starts then or later falls.
+    pub(super) fn falls_from(&self, now: Now, heard: &Heard) -> Option<Now> {
+        let over = self.queue.iter().filter(|order| order.is_over_before_its_start(now, heard));
+        over.map(|order| order.start).min()
+    }
+
+    /// Whether a rate goes on that does not rest.
+    pub(super) fn rate_goes_on(&self) -> bool {
+        let rates = self.targets.iter().filter(|(rate, _)| **rate != ControlType::Position);
+        rates.into_iter().any(|(rate, target)| *target != self.rest(*rate))
+    }
+
+    /// Whether nothing is left on it that would keep it from its default state.
+    pub(super) fn must_rest(&self) -> bool {
+        let has = |control_type| self.spec.available_control_types.limits(control_type).is_some();
+        let moves = has(ControlType::Position) || has(ControlType::Speed);
+        moves && self.queue.is_empty() && !self.rate_goes_on()
     }
 
     /// Whether a request may set this: of a type that the device has, within its limits, on its grid.

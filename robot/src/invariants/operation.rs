@@ -4,8 +4,8 @@
 
 use arbitrary::{Arbitrary, Unstructured};
 use urrcp::{
-    Command, ControlRequest, ControlType, Device, DeviceId, Millis, RequestId, Robot, Script, SessionId,
-    Setpoint, Span, Step, StopCondition, Timestamp,
+    Command, ControlRequest, ControlType, Device, DeviceId, Inquiry, Millis, RequestId, Robot, Script,
+    SessionId, Setpoint, Span, Step, StopCondition, Timestamp,
 };
 
 /// Operations that are played at most: fewer than the robot remembers requests.
@@ -40,6 +40,8 @@ pub enum Operation {
         /// On whose behalf.
         session: u8,
     },
+    /// An inquiry comes.
+    Inquire(Question),
     /// An initialization request comes.
     Describe {
         /// On which link.
@@ -73,6 +75,17 @@ pub enum Operation {
 pub struct Pause {
     ticks: u8,
     nudge: i8,
+}
+
+/// An inquiry before it is written out.
+#[derive(Clone, Debug, Arbitrary)]
+pub struct Question {
+    pub(super) link: u8,
+    session: u8,
+    /// Earlier requests, and one that never was.
+    requests: [u8; 3],
+    device: u8,
+    pending_ticks: Option<u8>,
 }
 
 /// A control request before it is written out.
@@ -175,6 +188,8 @@ macro_rules! chosen {
 // What goes through is chosen more often than what is refused.
 chosen!(Operation, bytes,
     110 => Self::Request(bytes.arbitrary()?),
+    176 => Self::Wait(bytes.arbitrary()?),
+    187 => Self::Inquire(bytes.arbitrary()?),
     190 => Self::Wait(bytes.arbitrary()?),
     220 => Self::Ask { link: bytes.arbitrary()?, session: bytes.arbitrary()? },
     228 => Self::Repeat { which: bytes.arbitrary()?, link: bytes.arbitrary()? },
@@ -219,6 +234,23 @@ impl Pause {
         // Mostly shorter than a script, now and then longer than all leases.
         let ticks = if self.ticks < 240 { self.ticks % 12 } else { self.ticks };
         now.max(on_grid(now, i64::from(ticks)) + nudged(self.nudge))
+    }
+}
+
+impl Question {
+    /// Writes the inquiry out: about requests that were sent, and about one that was not.
+    pub(super) fn written(&self, sent: &[ControlRequest], devices: &[DeviceId]) -> Inquiry {
+        let earlier = |which: &u8| sent.get(usize::from(*which) % sent.len().max(1))?.request_id.clone();
+        let mut requests: Vec<_> = self.requests.iter().filter_map(earlier).collect();
+        requests.extend(RequestId::new("never sent"));
+        let device = devices.get(usize::from(self.device) % (devices.len() + 1)).cloned();
+        Inquiry {
+            timestamp: None,
+            session: session(self.session),
+            requests,
+            devices: device.or_else(|| DeviceId::new(NO_DEVICE).ok()).into_iter().collect(),
+            pending_lease: self.pending_ticks.map(|ticks| Millis::from_span(TICK * i64::from(ticks % 24))),
+        }
     }
 }
 

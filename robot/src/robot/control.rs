@@ -8,8 +8,25 @@ use urrcp::{
 use super::{LinkId, Now, Output, Robot, refusal, response, tell};
 use crate::device::DeviceMachine;
 
+/// To whom the robot belongs.
+pub(super) enum Owner {
+    Nobody,
+    /// To the session that asks.
+    Asker,
+    /// To another, with the refusal that says so.
+    Another(ControlError),
+}
+
 impl Robot {
-    pub(super) fn control(&mut self, now: Now, link: LinkId, request: ControlRequest, out: &mut Vec<Output>) {
+    /// With the hash of the command, where it was computed already.
+    pub(super) fn control(
+        &mut self,
+        now: Now,
+        link: LinkId,
+        request: ControlRequest,
+        computed: Option<ContentHash>,
+        out: &mut Vec<Output>,
+    ) {
         if let Some(answer) = request.request_id.as_ref().and_then(|id| self.answers.find(id)) {
             return tell(link, ControlResponse { timestamp: now, ..answer.clone() }, out);
         }
@@ -26,11 +43,11 @@ impl Robot {
             );
             return self.refuse(now, link, &request, error, out);
         };
-        let content_hash = match check_hash(&request) {
+        let content_hash = match check_hash(&request, computed) {
             Ok(content_hash) => content_hash,
             Err(error) => return self.refuse(now, link, &request, error, out),
         };
-        if let Some(missing) = self.hardware.missing() {
+        if let Some(missing) = self.hardware.away() {
             // Not remembered either: once the hardware is back the same request may be taken.
             return tell(link, refusal(now, &request, missing), out);
         }
@@ -69,21 +86,29 @@ impl Robot {
         link: LinkId,
         session: Option<&SessionId>,
     ) -> Result<(), ControlError> {
-        let idle = self.devices.iter().all(DeviceMachine::is_idle);
-        let owner = self.parties.owner(now, idle, &self.heard);
-        match owner {
-            Some((owner, _)) if session != Some(owner) => {
-                let message = format!("`{}` belongs to session `{owner}` until that ends", self.block.id);
-                return Err(ControlError::new(ErrorCode::Busy, message));
-            }
-            Some(_) => {}
+        match self.owner(now, session) {
+            Owner::Another(busy) => return Err(busy),
+            Owner::Asker => {}
             // Once over it stays so, whatever others hold from now on.
-            None => self.parties.release(),
+            Owner::Nobody => self.parties.release(),
         }
         if let Some(session) = session {
             self.parties.claim(session, self.parties.party(link));
         }
         Ok(())
+    }
+
+    /// To whom the robot belongs, as this session sees it.
+    pub(super) fn owner(&self, now: Now, session: Option<&SessionId>) -> Owner {
+        let idle = self.devices.iter().all(DeviceMachine::is_idle);
+        match self.parties.owner(now, idle, &self.heard) {
+            None => Owner::Nobody,
+            Some((owner, _)) if session == Some(owner) => Owner::Asker,
+            Some((owner, _)) => {
+                let message = format!("`{}` belongs to session `{owner}` until that ends", self.block.id);
+                Owner::Another(ControlError::new(ErrorCode::Busy, message))
+            }
+        }
     }
 
     fn accept(
@@ -93,8 +118,7 @@ impl Robot {
         index: usize,
         request: &ControlRequest,
     ) -> Result<(), ControlError> {
-        let start = request.starts_at().map_or(now, Timestamp::assume_clock);
-        self.devices[index].accept(now, start, self.parties.party(link), request)
+        self.devices[index].accept(now, start_of(now, request), self.parties.party(link), request)
     }
 
     fn confirm(
@@ -118,6 +142,9 @@ impl Robot {
             ..response(now, request.device_id.clone(), Status::Accepted)
         };
         self.answer(link, answer, out);
+        if let Some(id) = &request.request_id {
+            self.answers.plan(id, start_of(now, request));
+        }
         self.refresh_wakeup(index);
         self.advance(now, out);
     }
@@ -187,14 +214,22 @@ impl Robot {
     }
 }
 
+/// When a request that comes now is to start.
+fn start_of(now: Now, request: &ControlRequest) -> Now {
+    request.starts_at().map_or(now, Timestamp::assume_clock)
+}
+
 /// The robot's own hash of what it takes, where the request carries one to compare.
-fn check_hash(request: &ControlRequest) -> Result<Option<ContentHash>, ControlError> {
+fn check_hash(
+    request: &ControlRequest,
+    computed: Option<ContentHash>,
+) -> Result<Option<ContentHash>, ControlError> {
     let Some(expected) = request.content_hash else { return Ok(None) };
     // Of these two the value does not matter.
     if matches!(request.command, Command::ReadSensor | Command::Unknown(_)) {
         return Ok(None);
     }
-    match request.command.content_hash() {
+    match computed.unwrap_or_else(|| request.command.content_hash()) {
         computed if computed == expected => Ok(Some(computed)),
         computed => {
             let message = format!("content_hash is {expected}, the control_value hashes to {computed}");

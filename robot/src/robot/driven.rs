@@ -1,24 +1,19 @@
 //! A robot with hardware: what changes when that comes and goes, and readings that are answered later.
 
 use urrcp::{
-    ControlError, ControlRequest, ControlResponse, ErrorCode, InitializationBlock, Status, StatusValue,
+    ControlError, ControlRequest, ControlResponse, DeviceId, ErrorCode, InitializationBlock, Span, Status,
+    StatusValue,
 };
 
 use super::{LinkId, Now, Output, Robot, refusal, response, tell};
-use crate::hardware::{Hardware, OpenReading, ReadingId};
+use crate::hardware::{Hardware, OpenReading, ReadingId, unanswered};
 use crate::signal::Signal;
 
 impl Robot {
     /// A robot whose values drive hardware. Until [`Robot::hardware_found`] it refuses everything.
     #[must_use]
     pub fn driven(block: InitializationBlock) -> Self {
-        Self { hardware: Hardware::awaited(), ..Self::new(block) }
-    }
-
-    /// Whether its values drive hardware.
-    #[must_use]
-    pub const fn is_driven(&self) -> bool {
-        !self.hardware.is_simulated()
+        Self { hardware: Hardware::awaited(), ..Self::new(block.and_answers_inquiries()) }
     }
 
     /// The hardware is there. If something has been set before, its devices go to their default state: what they did
@@ -49,6 +44,56 @@ impl Robot {
         for open in self.hardware.abandon() {
             tell(open.link, refusal(now, &open.request, error.clone()), out);
         }
+    }
+
+    /// When the next command starts, of those that were accepted at least so long before their start.
+    #[must_use]
+    pub fn next_start(&self, notice: Span) -> Option<Now> {
+        self.devices.iter().filter_map(|device| device.next_start(notice)).min()
+    }
+
+    /// The hardware has not answered for so long that nothing can be promised, or it has after all. Starts that are due
+    /// meanwhile end as `Failed`, code `internal`, as far as they were accepted with so much notice; `None` lets all be.
+    pub fn hardware_silent(&mut self, now: Now, silence: Option<Span>, notice: Span, out: &mut Vec<Output>) {
+        self.hardware.silent(silence);
+        let Some(silence) = silence else { return };
+        let error = unanswered(silence);
+        for index in 0..self.devices.len() {
+            if self.devices[index].next_start(notice).is_some_and(|start| start <= now) {
+                self.devices[index].stop(now, &error, false, &mut self.effects);
+                self.settle(now, index, out);
+            }
+        }
+    }
+
+    /// Ends as `Failed`, code `late`, what runs and has a step that is overdue by more than this: the edge was held up,
+    /// and what would follow is out of sync. Those devices go to their default state.
+    pub fn give_up_overdue(&mut self, now: Now, late_max: Span, out: &mut Vec<Output>) {
+        for index in 0..self.devices.len() {
+            let late = self.devices[index].overdue(now).filter(|late| *late > late_max);
+            if let Some(late) = late {
+                self.fail_late(now, index, &format!("the edge was held up: a step is {late} late"), out);
+            }
+        }
+    }
+
+    /// A value came so late to the hardware that it was not set: the device is not where it should be, so what runs ends
+    /// as `Failed`, code `late`, and the device goes to its default state.
+    pub fn value_stale(&mut self, now: Now, device: &DeviceId, late: Span, out: &mut Vec<Output>) {
+        if let Some(&index) = self.index_of.get(device) {
+            self.fail_late(
+                now,
+                index,
+                &format!("a value reached the hardware {late} late and was not set"),
+                out,
+            );
+        }
+    }
+
+    fn fail_late(&mut self, now: Now, index: usize, why: &str, out: &mut Vec<Output>) {
+        let error = ControlError::new(ErrorCode::Late, why);
+        self.devices[index].stop(now, &error, false, &mut self.effects);
+        self.settle(now, index, out);
     }
 
     /// The hardware has answered a reading. One that has been given up already is nothing.
@@ -83,7 +128,7 @@ impl Robot {
     /// Ends everything and sends every device to its default state, as it can, because the edge ends. Nothing, if
     /// nothing was ever set.
     pub fn shut_down(&mut self, now: Now, out: &mut Vec<Output>) {
-        if !self.moved || self.hardware.missing().is_some() {
+        if !self.moved || self.hardware.away().is_some() {
             return;
         }
         for index in 0..self.devices.len() {

@@ -1,7 +1,9 @@
 //! The rules of the robot's side, one a test.
 
 mod hardware;
+mod inquiries;
 mod instants;
+mod leases;
 mod sessions;
 
 use proptest::prelude::*;

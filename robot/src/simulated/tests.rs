@@ -55,6 +55,27 @@ fn run(robot: &mut SimulatedRobot, until: Timestamp<True>) -> Vec<(Timestamp<Tru
     left
 }
 
+#[test]
+fn a_simulated_robot_and_an_edge_say_that_they_answer_inquiries() {
+    let simulated = robot(Settings::default());
+    let block = InitializationBlock { inquiry: false, ..simulated.robot().block().clone() };
+    let edge = crate::Robot::driven(block);
+    assert!(simulated.robot().block().inquiry && edge.block().inquiry);
+}
+
+#[test]
+fn jitter_moves_what_an_inquiry_is_told_of_the_clock() {
+    let mut robot = robot(Settings { jitter: Span::from_millis(5), ..Settings::default() });
+    robot.receive(at(0), LINK, Input::Message(Message::Inquiry(urrcp::Inquiry::default())));
+    let left = run(&mut robot, at(1_000));
+    let [(_, Outgoing::Message { message: Message::InquiryResponse(response), .. })] = &left[..] else {
+        panic!("{left:?}")
+    };
+    let off = response.timestamp.as_nanos() - BEGIN;
+    assert!(off != 0 && off.abs() <= 5_000_000, "{off} ns");
+    assert_eq!(response.timestamp, response.receive_timestamp);
+}
+
 fn words(left: &[(Timestamp<True>, Outgoing)]) -> Vec<String> {
     let word = |outgoing: &Outgoing| match outgoing {
         Outgoing::Close { .. } => "closed".to_owned(),

@@ -36,13 +36,15 @@
 #define MAX_UNREAD (48 * 1024)
 #define KEPT 300          /* last answers of requests that have ended; the protocol asks for 256 */
 #define MAX_ID 256        /* characters of a string */
+#define MAX_NAMES 128     /* requests, and devices, of an inquiry; its answer must fit into MAX_OUT */
 
 /* Your robot. The macro makes a string of it. */
 
 #define JSON(...) #__VA_ARGS__
 
 static const char BLOCK[] = JSON(
-{"id": "arm-2", "name": "right arm", "type": "Industrial", "api_version": "1", "reports": true, "devices": [
+{"id": "arm-2", "name": "right arm", "type": "Industrial", "api_version": "1", "reports": true,
+ "inquiry": true, "devices": [
     {"id": "shoulder", "name": "shoulder servo", "unit": "deg", "default_value": 0, "interpolation": "linear", "script_queue": 2,
      "available_control_types": {
         "position": {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25},
@@ -128,7 +130,10 @@ struct answer {
     int64_t event;
     int steps_done, late_steps;
     const char *code, *message;
-    const struct command *command; /* that is accepted and has not started */
+    const struct command *command; /* that is accepted and has not ended */
+    char content_hash[65];         /* of what was accepted */
+    bool began;
+    int64_t began_at;
 };
 
 struct command {
@@ -476,6 +481,7 @@ static void report(struct command *c, enum status status, const double *value, c
         send_answer(to, a);
     if (status != STARTED) {
         c->held = false;
+        a->command = NULL;
         a->ended = true;
         a->number = ++numbers;
         a->used = a->named;
@@ -508,6 +514,9 @@ static void report_tail(const struct device *device, const struct tail *tail, co
     a.message = message;
     if (kept) {
         a.number = kept->number;
+        a.began = kept->began;
+        a.began_at = kept->began_at;
+        memcpy(a.content_hash, kept->content_hash, sizeof a.content_hash);
         *kept = a;
     }
     if (to)
@@ -519,15 +528,15 @@ static bool goes_before(const struct command *a, const struct command *b)
     return a->start != b->start ? a->start < b->start : a->end != b->end ? a->end < b->end : a->number < b->number;
 }
 
-/* Ends the commands that start at `from` or later, in the order of their starts. */
-static void drop(struct device *device, int64_t from, const char *code, const char *message, int64_t now)
+/* Ends the commands that start at `from` or later, in the order of their starts; `pending`: only those that have not begun. */
+static void drop(struct device *device, int64_t from, bool pending, const char *code, const char *message, int64_t now)
 {
     for (;;) {
         struct command *first = NULL;
         int i;
         for (i = 0; i < MAX_QUEUE; i++) {
             struct command *c = &device->commands[i];
-            if (c->held && c->start >= from && (!first || goes_before(c, first)))
+            if (c->held && c->start >= from && !(pending && c->begun) && (!first || goes_before(c, first)))
                 first = c;
         }
         if (!first)
@@ -573,21 +582,35 @@ static void rest(struct device *device, bool hold, const char *code, const char 
         set(device, device->primary, device->default_value);
     for (i = 0; i < KINDS; i++)
         device->tails[i].there = false;
-    drop(device, -NEVER, code, message, now);
+    drop(device, -NEVER, false, code, message, now);
 }
 
+static const char SILENT[] = "the server was silent for longer than stop_condition";
+
+/* The lease of what runs, or of a speed that goes on, has ended: everything ends. */
 static void run_out(struct device *device, int64_t now)
 {
-    static const char message[] = "the server was silent for longer than stop_condition";
     int i, j;
     for (i = 0; i < KINDS; i++) {
         const struct tail *tail = &device->tails[i];
         for (j = 0; j < i && !(device->tails[j].there && device->tails[j].command == tail->command); j++)
             ;
         if (tail->there && j == i)
-            report_tail(device, tail, "link_lost", message, now);
+            report_tail(device, tail, "link_lost", SILENT, now);
     }
-    rest(device, false, "link_lost", message, now);
+    rest(device, false, "link_lost", SILENT, now);
+}
+
+/* The lease of a command that has not begun has ended: so do those that start then or later, and nothing that runs. */
+static void run_out_pending(struct device *device, int64_t start, int64_t now)
+{
+    int i;
+    bool busy = device->where[SPEED] != 0 || device->where[ACCELERATION] != 0;
+    drop(device, start, true, "link_lost", SILENT, now);
+    for (i = 0; i < MAX_QUEUE; i++)
+        busy = busy || device->commands[i].held;
+    if (!busy)
+        rest(device, false, "link_lost", SILENT, now);
 }
 
 static void tell_started(struct device *device, struct command *c, int64_t now)
@@ -649,6 +672,8 @@ static void go_on(struct device *device, struct command *c, int64_t now)
         report(c, FAILED, NULL, "late", "the robot was held up over the start", now);
     } else if (!c->begun) {
         c->begun = true;
+        c->answer->began = true;
+        c->answer->began_at = now;
         c->sampled = now;
         c->from_offset = 0;
         c->from_kind = step->kind;
@@ -675,7 +700,7 @@ static void go_on(struct device *device, struct command *c, int64_t now)
 static int64_t run(void)
 {
     for (;;) {
-        enum { LEASE, STEP, MOVE } what = LEASE;
+        enum { LEASE, PENDING, STEP, MOVE } what = LEASE; /* at one instant in this order */
         int64_t now = now_ns(), shift = now - silence_ns(), due = NEVER, at;
         struct device *device, *of = NULL;
         struct command *c, *with = NULL;
@@ -690,8 +715,8 @@ static int64_t run(void)
                 if (!c->held)
                     continue;
                 at = lease_ends(c, shift);
-                if (at < due || (at == due && what != LEASE))
-                    due = at, what = LEASE, of = device, with = c;
+                if (at < due || (at == due && at < NEVER && what > (c->begun ? LEASE : PENDING)))
+                    due = at, what = c->begun ? LEASE : PENDING, of = device, with = c;
                 at = c->begun ? c->start + c->steps[c->done].offset : c->start;
                 if (at < due || (at == due && (what == MOVE || (what == STEP && goes_before(c, with)))))
                     due = at, what = STEP, of = device, with = c;
@@ -703,6 +728,8 @@ static int64_t run(void)
             return due;
         if (what == LEASE)
             run_out(of, now);
+        else if (what == PENDING)
+            run_out_pending(of, with->start, now);
         else if (what == STEP)
             go_on(of, with, now);
         else
@@ -714,13 +741,10 @@ static int64_t run(void)
 
 static const char *fault;
 
-static bool text_at(int object, const char *key, size_t least, struct text *to)
+static bool text_of(int node, size_t least, struct text *to)
 {
-    int node = json_get(&json, object, key);
     size_t i, characters = 0;
     to->length = 0;
-    if (node == JSON_NONE)
-        return false;
     if (json.nodes[node].type == JSON_STRING)
         for (i = 0; i < json.nodes[node].length; i++)
             characters += (json.nodes[node].text[i] & 0xc0) != 0x80;
@@ -731,6 +755,13 @@ static bool text_at(int object, const char *key, size_t least, struct text *to)
     to->length = json.nodes[node].length;
     memcpy(to->bytes, json.nodes[node].text, to->length);
     return true;
+}
+
+static bool text_at(int object, const char *key, size_t least, struct text *to)
+{
+    int node = json_get(&json, object, key);
+    to->length = 0;
+    return node != JSON_NONE && text_of(node, least, to);
 }
 
 static bool number_at(int object, const char *key, double *to)
@@ -1162,7 +1193,7 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
         }
     } else if (!r->size) {
         if (r->has_start && r->start > now) {
-            drop(device, r->start, "cancelled", "cancelled by an empty script", now);
+            drop(device, r->start, true, "cancelled", "cancelled by an empty script", now);
         } else {
             if (r->has_sent) { /* no further ahead than FUTURE: no wrong clock blocks a device for good */
                 int64_t until = r->sent < now + FUTURE ? r->sent : now + FUTURE;
@@ -1190,6 +1221,7 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
         passing.status = ACCEPTED;
         passing.ended = false;
         passing.command = c;
+        memcpy(passing.content_hash, c->content_hash, sizeof passing.content_hash);
         passing.has_value = !r->script;
         passing.value = r->steps[0].value;
     }
@@ -1203,10 +1235,12 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
     send_answer(link, &passing);
 }
 
-static void availability(struct link *link, int64_t received, const struct text *sent, const char *code, const char *message)
+/* The clock and the status that an availability response and the answer to an inquiry begin with. */
+static void begin_clock(struct link *link, const char *name, int64_t received, const struct text *sent, const char *code,
+    const char *message)
 {
     int64_t now = now_ns();
-    put(link, "{\"availability_response\":{");
+    put(link, "{\"%s\":{", name);
     if (sent) {
         put(link, "\"originate_timestamp\":");
         put_text(link, sent->bytes, sent->length);
@@ -1219,7 +1253,115 @@ static void availability(struct link *link, int64_t received, const struct text 
     put(link, ",\"status\":\"%s\"", code ? "Failed" : "OK");
     if (code)
         put_error(link, code, message);
+}
+
+static void availability(struct link *link, int64_t received, const struct text *sent, const char *code, const char *message)
+{
+    begin_clock(link, "availability_response", received, sent, code, message);
     send_end(link);
+}
+
+/* What is told of one request. Held or running, it is a command; else only its last answer is left. */
+static void put_request(struct link *link, const struct text *request_id)
+{
+    const struct answer *a = find_answer(request_id);
+    const struct command *c = a ? a->command : NULL;
+    put(link, "{\"request_id\":");
+    put_text(link, request_id->bytes, request_id->length);
+    put(link, ",\"state\":\"%s\"", !a ? "unknown" : !c ? "ended" : c->begun ? "running" : "held");
+    if (a && a->content_hash[0])
+        put(link, ",\"content_hash\":\"%s\"", a->content_hash);
+    if (c) {
+        put(link, ",\"start_timestamp\":");
+        put_stamp(link, c->start);
+    }
+    if (a && a->began) {
+        put(link, ",\"event_timestamp\":");
+        put_stamp(link, a->began_at);
+    }
+    if (a && (c ? c->begun : a->is_report))
+        put(link, ",\"steps_done\":%d", c ? c->done : a->steps_done);
+    if (a && !c && a->is_report && a->status == OK)
+        put(link, ",\"late_steps\":%d", a->late_steps);
+    if (a && !c && a->status == FAILED)
+        put_error(link, a->code, a->message);
+    put(link, "}");
+}
+
+static void put_room(struct link *link, const struct device *device)
+{
+    int i, room = device->queue;
+    for (i = 0; i < MAX_QUEUE; i++)
+        room -= device->commands[i].held;
+    put(link, "{\"device_id\":");
+    put_text(link, device->id.bytes, device->id.length);
+    put(link, ",\"room\":%d}", room);
+}
+
+/* Whether one of the lists of an inquiry is a list of names, or left out. */
+static bool names_at(int body, const char *key, size_t least)
+{
+    int list = json_get(&json, body, key), item;
+    static struct text name;
+    if (list == JSON_NONE)
+        return true;
+    if (json.nodes[list].type != JSON_LIST)
+        fault = "requests and devices are lists";
+    else if (json.nodes[list].size > MAX_NAMES)
+        fault = "the inquiry names more than this robot takes";
+    for (item = json.nodes[list].first; !fault && item != JSON_NONE; item = json.nodes[item].next)
+        text_of(item, least, &name);
+    return !fault;
+}
+
+/* A command of this connection's session, or without one of this connection, may wait for its start no longer than this. */
+static void shorten(struct link *link, const struct text *request_id, bool has_session, double limit)
+{
+    struct device *device;
+    struct answer *a = find_answer(request_id);
+    int i;
+    for (device = devices; a && device < devices + device_count; device++)
+        for (i = 0; i < MAX_QUEUE; i++) {
+            struct command *c = &device->commands[i];
+            if (!c->held || c->answer != a || c->begun || (c->of_owner ? !has_session : c->link != link->number))
+                continue;
+            if (isnan(c->lease.pending) || limit < c->lease.pending)
+                c->lease.pending = limit;
+        }
+}
+
+/* A question: nothing but leases changes. */
+static void inquire(struct link *link, int body, int64_t received, bool mine, const struct text *sent, bool has_session)
+{
+    int item, requests = json_get(&json, body, "requests"), asked = json_get(&json, body, "devices"), i, count = 0;
+    static struct text name;
+    double limit;
+    bool shortens = period_at(body, "pending_lease", &limit);
+    begin_clock(link, "inquiry_response", received, sent, mine ? NULL : "busy", mine ? NULL : busy_message());
+    put(link, ",\"requests\":[");
+    item = mine && requests != JSON_NONE ? json.nodes[requests].first : JSON_NONE;
+    for (; item != JSON_NONE; item = json.nodes[item].next) {
+        put(link, count++ ? "," : "");
+        text_of(item, 0, &name);
+        put_request(link, &name);
+    }
+    put(link, "],\"devices\":[");
+    item = mine && asked != JSON_NONE ? json.nodes[asked].first : JSON_NONE;
+    for (count = 0; item != JSON_NONE; item = json.nodes[item].next) {
+        text_of(item, 1, &name);
+        for (i = 0; i < device_count; i++)
+            if (same(&devices[i].id, &name)) {
+                put(link, count++ ? "," : "");
+                put_room(link, &devices[i]);
+            }
+    }
+    put(link, "]");
+    send_end(link);
+    item = mine && shortens && requests != JSON_NONE ? json.nodes[requests].first : JSON_NONE;
+    for (; item != JSON_NONE; item = json.nodes[item].next) {
+        text_of(item, 0, &name);
+        shorten(link, &name, has_session, limit);
+    }
 }
 
 static void malformed(struct link *link, int64_t received, int body, const char *message)
@@ -1240,7 +1382,8 @@ static void malformed(struct link *link, int64_t received, int body, const char 
 static void take(struct link *link, char *line, size_t length, int64_t received)
 {
     int name, body;
-    bool control_request, ping, has_sent, has_session;
+    bool control_request, ping, inquiry, mine, has_sent, has_session;
+    double limit;
     static struct text sent, session;
     int64_t at;
     if (!json_read(&json, line, length)) {
@@ -1255,11 +1398,12 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
     body = json.nodes[name].first;
     control_request = json_is(&json, name, "control_request");
     ping = json_is(&json, name, "availability_request");
+    inquiry = json_is(&json, name, "inquiry");
     fault = json.fault;
     if (!fault && (json_is(&json, name, "availability_response") || json_is(&json, name, "initialization_block")
-        || json_is(&json, name, "control_response")))
+        || json_is(&json, name, "control_response") || json_is(&json, name, "inquiry_response")))
         return;
-    if (!control_request && !ping && !json_is(&json, name, "initialization_request"))
+    if (!control_request && !ping && !inquiry && !json_is(&json, name, "initialization_request"))
         fault = "no such message";
     else if (json.nodes[body].type != JSON_OBJECT)
         fault = "a message's content is an object";
@@ -1275,12 +1419,17 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
         return;
     }
     has_sent = timestamp_at(body, "timestamp", &sent, &at);
-    has_session = ping && text_at(body, "session", 1, &session);
+    has_session = (ping || inquiry) && text_at(body, "session", 1, &session);
+    if (inquiry && names_at(body, "requests", 0) && names_at(body, "devices", 1))
+        period_at(body, "pending_lease", &limit);
     if (fault) {
         malformed(link, received, JSON_NONE, fault);
         return;
     }
-    if (hear(link, has_session ? &session : NULL, true) || !has_session) {
+    mine = hear(link, has_session ? &session : NULL, !inquiry);
+    if (inquiry) {
+        inquire(link, body, received, mine, has_sent ? &sent : NULL, has_session);
+    } else if (mine || !has_session) {
         if (ping) {
             availability(link, received, has_sent ? &sent : NULL, NULL, NULL);
         } else {

@@ -8,7 +8,8 @@ import asyncio, contextlib, datetime, hashlib, json, math, re, sys, time, types
 
 ANGLES = {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25}
 SPEEDS = {"min_value": -10, "max_value": 10, "granularity": 0.1}
-BLOCK = {"id": "arm-1", "name": "left arm", "type": "Industrial", "api_version": "1", "reports": True, "devices": [
+BLOCK = {"id": "arm-1", "name": "left arm", "type": "Industrial", "api_version": "1", "reports": True,
+         "inquiry": True, "devices": [
     {"id": "shoulder", "name": "shoulder servo", "unit": "deg", "default_value": 0, "script_queue": 2,
      "available_control_types": {"position": ANGLES, "script": {**ANGLES, "max_number_of_steps": 1000}}},
     {"id": "wheel", "name": "wheel motor", "unit": "m/s", "script_queue": 1,
@@ -23,7 +24,7 @@ class Arm:
     def read(self, device): return 42.5
 
 MAX_LINE, MAX_UNREAD = 1 << 18, 1 << 20         # bytes, room for 1000 steps; a peer beyond either is hung up on
-MAX_LINKS, KEPT = 32, 512                       # KEPT: last answers; the protocol asks for 256
+MAX_LINKS, MAX_NAMES, KEPT = 32, 1000, 512      # names in an inquiry; last answers, the protocol asks for 256
 MS, NEVER = 1_000_000, 1 << 100                 # all times are nanoseconds
 LATE_STEP, LATE_START, SILENCE, FUTURE = 1 * MS, 50 * MS, 5000 * MS, 5000 * MS
 SPIN = 1.5 * MS                                 # so long before it is due, a step is waited for without sleeping
@@ -42,6 +43,7 @@ def timestamp(value): return string(value) and instant(value) is not None
 def boolean(value): return isinstance(value, bool)
 def number(value): return type(value) in (int, float)
 def period(value): return number(value) and 0 <= value <= 1e11
+def names(check): return lambda value: isinstance(value, list) and len(value) <= MAX_NAMES and all(map(check, value))
 def lease(value): return all(each is None or period(each) for each in phases(value))
 def ns(milliseconds): return NEVER if milliseconds is None else round(milliseconds * MS)
 def stamp(at): return time.strftime("%Y-%m-%dT%H:%M:%S", time.gmtime(at // 10**9)) + f".{at % 10**9:09d}Z"
@@ -51,8 +53,10 @@ STEP = {"time_offset_to_start": period, "control_type": string, "control_value":
 CONTROL = {"time_offset_to_start": period, "control_type": string, "stop_condition": lease, "timestamp": timestamp,
            "device_id": ident, "request_id": string, "content_hash": digest, "session": ident, "hold": boolean}
 REQUESTS = {"availability_request": {"timestamp": timestamp, "session": ident}, "control_request": CONTROL,
-            "initialization_request": {"timestamp": timestamp}}
-OF_ROBOTS = ["availability_response", "initialization_block", "control_response"]       # not for us
+            "initialization_request": {"timestamp": timestamp},
+            "inquiry": {"timestamp": timestamp, "session": ident, "pending_lease": period,
+                        "requests": names(string), "devices": names(ident)}}
+OF_ROBOTS = ["availability_response", "initialization_block", "control_response", "inquiry_response"]    # not for us
 
 def instant(value):
     match = re.fullmatch(r"([0-9-]{10}T[0-9:]{8})(?:\.([0-9]{1,9}))?(Z|[+-][0-9]{2}:[0-9]{2})", value.upper())
@@ -111,7 +115,7 @@ class Device:
         self.id, self.types, self.default = spec["id"], spec["available_control_types"], spec.get("default_value")
         self.drive = next((kind for kind in self.types if kind not in ("script", "sensor")), None)
         self.queue, self.held, self.taken_back = spec.get("script_queue", 1), [], -NEVER
-        self.left_on = []                       # the ended command whose speed goes on under its lease
+        self.left_on, self.moving = [], False   # the ended command whose lease a speed is under; that one goes on
 
 def check(c, device, now):
     """All that a request may be refused for, in the order of the protocol."""
@@ -137,7 +141,8 @@ def check(c, device, now):
 
 class Robot:
     def __init__(self, arm):
-        self.arm, self.links, self.answers, self.owner, self.owner_heard = arm, [], {}, None, 0
+        self.arm, self.links, self.owner, self.owner_heard = arm, [], None, 0
+        self.answers, self.facts = {}, {}       # by request_id: the last answer, and what else inquiries tell
         self.devices = {spec["id"]: Device(spec) for spec in BLOCK["devices"]}
         self.timer = asyncio.get_running_loop().call_soon(self.run)
     def run(self):
@@ -148,8 +153,8 @@ class Robot:
             for device in self.devices.values():
                 for c in device.held + device.left_on:
                     ends = c.lease_ends(shift + (self.owner_heard if c.session else c.link.heard))
-                    due.append((ends, 0, c.times, self.rest, device, "link_lost", "silence beyond stop_condition"))
-                due += [(c.times[c.passed], 1, c.times, self.go_on, device, c) for c in device.held]
+                    due.append((ends, int(c.passed == 0), c.times, self.lose, device, c))
+                due += [(c.times[c.passed], 2, c.times, self.go_on, device, c) for c in device.held]
             at, _, _, act, *what = min(due, key=lambda each: each[:3])
             if at > now:
                 break
@@ -159,23 +164,35 @@ class Robot:
     def go_on(self, device, c, now):
         """Starts a command, or does its next step."""
         late, c.passed = now - c.times[c.passed], c.passed + 1
+        if c.passed == 1 and late > LATE_START:
+            return self.drop(device, [c], "late", "the robot was held up over the start", now)
         if c.passed == 1:
-            return late > LATE_START and self.drop(device, [c], "late", "the robot was held up over the start", now)
+            return self.facts.get(c.request_id, {}).update(event_timestamp=stamp(now))
         value = c.steps[c.done].control_value
         try:
             self.arm.set(device.id, value)
         except Exception as fault:
             return self.drop(device, [c], "internal", str(fault), now)
         c.done, c.late, device.left_on = c.done + 1, c.late + (late > LATE_STEP), []
+        device.moving = device.drive != "position" and value != 0
         if c.done == 1:
             self.respond(c, "Started", value, now)
         if c.done == len(c.steps):
             device.held.remove(c)
-            device.left_on = [c] if device.drive != "position" and value != 0 and c.leases[-1] is not None else []
+            device.left_on = [c] if device.moving and c.leases[-1] is not None else []
             self.respond(c, "OK", value, now, steps_done=c.done, late_steps=c.late)
+    def lose(self, device, c, now):
+        """A lease has ended: with one of what runs all ends, with one ahead of a start what starts then or later."""
+        why = "link_lost", "silence beyond stop_condition", now
+        if c.passed:
+            return self.rest(device, *why)
+        self.drop(device, [other for other in device.held if not other.passed and other.times[0] >= c.times[0]], *why)
+        if not device.held and not device.moving:
+            self.rest(device, *why)
     def rest(self, device, code, message, now, hold=False):
         """Ends everything; then the default state, or a stop in place. With an `acceleration`, slow down by it here."""
-        ended, device.left_on = device.held + (device.left_on if code == "link_lost" else []), []
+        ended = device.held + (device.left_on if code == "link_lost" else [])
+        device.left_on, device.moving = [], False
         with contextlib.suppress(Exception):
             self.arm.rest(device.id, None if hold else device.default)
         self.drop(device, ended, code, message, now)
@@ -189,11 +206,13 @@ class Robot:
                 **more, **({"event_timestamp": stamp(event)} if event else {})}
         if c.request_id is not None:
             body["request_id"] = c.request_id
+        if c.request_id is not None and status != "Provide":
             self.answers.pop(c.request_id, None)
             self.answers[c.request_id] = body
+            self.facts.setdefault(c.request_id, {key: more[key] for key in ("content_hash",) if key in more})
             ended = [key for key, old in self.answers.items() if old["status"] not in ("Accepted", "Started")]
             for key in ended[:-KEPT]:
-                del self.answers[key]
+                del self.answers[key], self.facts[key]
         links = [link for link in self.links if (link.session == c.session if c.session else link is c.link)]
         if event and links:
             send(max(links, key=lambda link: link.heard), {"control_response": body})
@@ -212,7 +231,7 @@ class Robot:
             return f"`{BLOCK['id']}` belongs to session `{self.owner}` until that ends"
     def take(self, link, line, received):
         """The answer to a line."""
-        name, body, result = None, None, {"status": "OK"}
+        name, body, result, kind = None, None, {"status": "OK"}, "availability_response"
         try:
             message = JSON.decode(line := line.decode())
             need(isinstance(message, dict) and len(message) == 1, "a message is an object with one key")
@@ -224,10 +243,12 @@ class Robot:
                 return self.control(link, Command(body, line, link))
             request = Fields(body, REQUESTS[name])
             result.update({"originate_timestamp": request.timestamp} if request.timestamp else {})
-            busy = self.hear(link, getattr(request, "session", None))
+            busy = self.hear(link, getattr(request, "session", None), name != "inquiry")
             if name == "initialization_request":
                 return {"initialization_block": BLOCK}
-            need(not busy or request.session is None, busy, "busy")
+            kind = "inquiry_response" if name == "inquiry" else kind
+            need(not busy or name != "inquiry" and request.session is None, busy, "busy")
+            result.update(self.inquire(link, request) if name == "inquiry" else {})
         except (ValueError, RecursionError) as fault:
             message, code = fault.args if isinstance(fault, Refused) else (str(fault), "malformed")
             result.update({"status": "Failed", "error": {"code": code, "message": message}})
@@ -236,7 +257,24 @@ class Robot:
                 ids = {key: meant[key] for key in ("device_id", "request_id") if string(meant.get(key))}
                 return {"control_response": {"timestamp": stamp(time.time_ns()), "status_value": None, **ids, **result}}
         times = {"receive_timestamp": stamp(received), "timestamp": stamp(max(received, time.time_ns()))}
-        return {"availability_response": {**times, **result}}
+        return {kind: {**times, **result}}
+    def inquire(self, link, asked):
+        """What became of requests, and how many commands devices would still hold. Nothing but leases changes."""
+        held = {c.request_id: c for device in self.devices.values() for c in device.held}
+        found = [self.devices[key] for key in asked.devices or [] if key in self.devices]
+        told = {"requests": [self.tell(key, held.get(key)) for key in asked.requests or []],
+                "devices": [{"device_id": device.id, "room": device.queue - len(device.held)} for device in found]}
+        for c in [held[key] for key in asked.requests or [] if key in held and asked.pending_lease is not None]:
+            if not c.passed and (c.session == asked.session if c.session else c.link is link):
+                c.leases[0] = min(asked.pending_lease, math.inf if c.leases[0] is None else c.leases[0])
+        return told
+    def tell(self, key, c):
+        told = {"request_id": key, "state": "ended" if key in self.answers else "unknown", **self.facts.get(key, {})}
+        last = {"steps_done": c.done} if c and c.passed else {} if c else self.answers.get(key, {})
+        told.update({fact: last[fact] for fact in ("steps_done", "late_steps", "error") if fact in last})
+        if c:
+            told.update(state="running" if c.passed else "held", start_timestamp=stamp(c.times[0]))
+        return told
     def control(self, link, c):
         busy, now = self.hear(link, c.session, not c.sensor), time.time_ns()    # so that a lease of 0 ends in time
         device = self.devices.get(c.device_id)

@@ -2,28 +2,31 @@
 
 use std::path::{Path, PathBuf};
 
-use downbeat_scripts::{Choreography, Fleet};
-use urrcp::{DeviceId, RobotId};
+use downbeat_scripts::{Choreography, Fleet, counted};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use urrcp::{DeviceId, RobotId, Server, Timestamp};
 
 use super::choice::{self, ChoiceArgs};
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console};
-use crate::dry_run::{Played, Rehearsal};
+use crate::dry_run::{Audience, Cut, Logs, Played, ROUNDS, Rehearsal};
 use crate::fleet;
-use crate::mission::MissionOptions;
+use crate::mission::{MissionOptions, Progress};
 use crate::report::{picture, report_text};
 
 /// Play a scenario in virtual time, with simulated robots and the real mission machine.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "No sockets and no waiting: an hour of show takes moments. The robots are simulated as the fleet file
-describes them, with their clocks, delays and faults, whatever their address. The operator says go at
-once; a sensor that an act waits for reads what it waits for, unless --reading says otherwise.
+describes them, with their clocks, delays and faults, whatever their address. The operator says go a
+second after an act has begun to wait with nothing else playing; a sensor that an act waits for reads
+what it waits for, unless --reading says otherwise. Acts that repeat for ever end after a while.
 
 Examples:
   downbeat dry-run scripts/examples/swap.yaml
   downbeat dry-run scripts/examples/dance.yaml --picture dance.svg
   downbeat dry-run scripts/examples/meeting.yaml --act finale
+  downbeat dry-run scripts/examples/meeting.yaml --acts 12
   downbeat dry-run scripts/examples/meeting.yaml --reading rover-1/range=2.5"
 )]
 pub(super) struct DryRunArgs {
@@ -37,6 +40,9 @@ pub(super) struct DryRunArgs {
     /// Draw what every device did over time, as SVG; of several acts one file each, numbered.
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
+    /// End after so many acts; by default after three times as many as the scenario has, which only a loop reaches.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    acts: Option<u32>,
     /// Of the random delays and clock errors; the same seed gives the same run.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -60,7 +66,10 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         Ok(chosen) => chosen,
         Err(exit) => return exit,
     };
-    let played = match play(args, &choreography, first_act, &fleet) {
+    let bar = Bar::new(format);
+    let played = play(args, &choreography, first_act, &fleet, &mut bar.clone());
+    bar.0.finish_and_clear();
+    let played = match played {
         Ok(played) => played,
         Err(error) => {
             console::error(&error);
@@ -77,7 +86,55 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         Format::Text => console::print(&report_text(&played.report)),
         Format::Json => console::print_json(&played.report),
     }
+    if let Some(cut) = &played.cut {
+        console::note(&cut_text(cut));
+    }
+    if let Some(acts) = played.report.acts_max_reached.filter(|_| args.acts.is_none()) {
+        let acts = counted(acts as usize, "act");
+        console::note(&format!(
+            "a dry run plays {ROUNDS} times as many acts as the scenario has, here {acts}; --acts sets another bound"
+        ));
+    }
     super::run::exit_of(&played.report)
+}
+
+fn cut_text(cut: &Cut) -> String {
+    format!(
+        "stopped: `{}` waits for {}, which does not come in virtual time; --reading says what sensors read",
+        cut.act, cut.awaits
+    )
+}
+
+/// Virtual time on a terminal.
+#[derive(Clone)]
+struct Bar(ProgressBar);
+
+impl Bar {
+    fn new(format: Format) -> Self {
+        let target = match format {
+            Format::Text => ProgressDrawTarget::stderr(),
+            Format::Json => ProgressDrawTarget::hidden(),
+        };
+        let bar = ProgressBar::with_draw_target(None, target);
+        if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos:>6}/{len} s of virtual time  {msg}") {
+            bar.set_style(style);
+        }
+        Self(bar)
+    }
+}
+
+impl Audience for Bar {
+    fn told(&mut self, at: Timestamp<Server>, progress: &Progress) {
+        if let Progress::Decided { act, start, duration, .. } = progress {
+            let left = (*start + *duration - at).to_duration().as_secs();
+            self.0.set_length(self.0.position() + left);
+            self.0.set_message(format!("`{act}`"));
+        }
+    }
+
+    fn second(&mut self, _: Timestamp<Server>) {
+        self.0.inc(1);
+    }
 }
 
 fn draw(path: &Path, choreography: &Choreography, fleet: &Fleet, played: &Played) -> std::io::Result<()> {
@@ -103,15 +160,21 @@ fn play(
     choreography: &Choreography,
     first_act: usize,
     fleet: &Fleet,
+    bar: &mut Bar,
 ) -> Result<Played, String> {
     let robots = fleet::robots_in(fleet, choreography);
     let machines: Result<Vec<_>, _> = robots
         .iter()
         .enumerate()
-        .map(|(index, robot)| fleet::simulated(robot, args.seed.wrapping_add(index as u64)))
+        .map(|(index, robot)| fleet::rehearsed(robot, args.seed.wrapping_add(index as u64)))
         .collect();
     let machines = machines.map_err(|error| error.to_string())?;
-    let options = MissionOptions { greeting: fleet::greeting(fleet), first_act, ..MissionOptions::default() };
+    let options = MissionOptions {
+        greeting: fleet::greeting(fleet),
+        first_act,
+        acts_max: args.acts,
+        ..MissionOptions::default()
+    };
     let mut rehearsal = Rehearsal::new(choreography.clone(), fleet::participants(&robots), options, machines)
         .map_err(|error| error.to_string())?;
     for (robot, sensor, value) in &args.reading {
@@ -121,5 +184,6 @@ fn play(
             ));
         }
     }
-    Ok(rehearsal.play())
+    let logs = if args.picture.is_some() { Logs::Kept } else { Logs::Dropped };
+    Ok(rehearsal.with_logs(logs).play_before(bar))
 }

@@ -16,6 +16,7 @@ use urrcp::{
 use super::run::parse_span;
 use super::{Exit, Format, console, load};
 use crate::clock::{ClockEstimate, ClockReading, ClockSample};
+use crate::drive::{Happened, LinkNumber, Urgency};
 use crate::fleet;
 use crate::link::{Endpoint, Link, Speech};
 use crate::mission::Event;
@@ -138,7 +139,7 @@ fn ask_block(host: String, port: u16, patience: Span) -> Result<InitializationBl
         let clock = ServerClock::anchored(Span::ZERO);
         let (events, happened) = mpsc::channel(64);
         let endpoint = Endpoint::Tcp { host, port, speech: Speech::default() };
-        let link = Link::open(0, endpoint, clock, events, std::time::Duration::ZERO);
+        let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
         let answer = ask(unnamed(), link, happened, clock, patience).await;
         let problem = answer.problem.unwrap_or_else(|| "the robot did not describe itself".to_owned());
         told = answer.block.ok_or(problem);
@@ -159,7 +160,7 @@ async fn ask_all(fleet: &Fleet, patience: Span) -> Result<Vec<Answer>, String> {
         .map_err(|error| error.to_string())?;
     let asked = robots.iter().zip(endpoints).map(|(robot, endpoint)| {
         let (events, happened) = mpsc::channel(64);
-        let link = Link::open(0, endpoint, clock, events, std::time::Duration::ZERO);
+        let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
         let id = robot.id.clone();
         // One task a robot, so that a silent one keeps no other waiting; ends after `patience`.
         tokio::spawn(ask(id, link, happened, clock, patience))
@@ -177,19 +178,19 @@ async fn ask_all(fleet: &Fleet, patience: Span) -> Result<Vec<Answer>, String> {
 async fn ask(
     robot: RobotId,
     link: Link,
-    mut happened: mpsc::Receiver<crate::link::LinkEvent>,
+    mut happened: mpsc::Receiver<Happened>,
     clock: ServerClock,
     patience: Span,
 ) -> Answer {
     let mut answer = Answer { robot, reachable: false, clock: None, problem: None, block: None };
     let mut estimate = ClockEstimate::default();
     let talk = async {
-        while let Some((at, event)) = happened.recv().await {
-            match event {
+        while let Some(Happened::OnLink { at, event, .. }) = happened.recv().await {
+            match *event {
                 Event::LinkUp { .. } => {
                     answer.reachable = true;
                     let request = InitializationRequest { timestamp: Some(clock.now()) };
-                    link.send(Message::InitializationRequest(request), false);
+                    let _never_full = link.send(Message::InitializationRequest(request), Urgency::InOrder);
                     ping(&link, &clock);
                 }
                 Event::Received { message: Message::AvailabilityResponse(response), .. } => {
@@ -233,7 +234,7 @@ async fn ask(
 
 fn ping(link: &Link, clock: &ServerClock) {
     let request = AvailabilityRequest { timestamp: Some(clock.now()), session: None };
-    link.send(Message::AvailabilityRequest(request), false);
+    let _never_full = link.send(Message::AvailabilityRequest(request), Urgency::InOrder);
 }
 
 fn ping_table(fleet: &Fleet, answers: &[Answer]) -> String {

@@ -75,8 +75,8 @@ impl Live {
                 self.bar.set_message(message);
                 self.bar.tick();
             }
-            Progress::Decided { act, start, duration, no_return } => {
-                self.decided(at, act, *start, *duration, *no_return);
+            Progress::Decided { act, start, duration, no_return, doubt } => {
+                self.decided(at, act, *start, *duration, *no_return, *doubt);
             }
             Progress::Committed { window: Some(window), .. } => {
                 self.line(&format!("every lease reaches over the start, confirmed within {window}"));
@@ -89,9 +89,8 @@ impl Live {
             }
             Progress::Failed(failure) => self.line(&format!("{}: {}", failure.robot, failure.kind)),
             Progress::LinkLost { robot, reason, until } => {
-                self.line(&format!(
-                    "{robot}: link lost ({reason}); it goes on by its script, given up at {until}"
-                ));
+                let until = until.map_or("".to_owned(), |until| format!(", given up at {until}"));
+                self.line(&format!("{robot}: link lost ({reason}); it goes on by its script{until}"));
             }
             Progress::Reattached { robot } => self.line(&format!("{robot}: back")),
             Progress::Dropped { robot } => self.line(&format!("going on without {robot}")),
@@ -117,9 +116,11 @@ impl Live {
         start: Timestamp<Server>,
         duration: Span,
         no_return: Timestamp<Server>,
+        doubt: Span,
     ) {
         self.line(&format!(
-            "all have accepted: `{act}` starts in {}; for {} more a failure still withdraws it",
+            "all have accepted: `{act}` starts in {}; for {} more a known failure still withdraws it, \
+             and silence is noticed if it begins {doubt} before the start or earlier",
             start - at,
             no_return - at
         ));

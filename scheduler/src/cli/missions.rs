@@ -12,7 +12,7 @@ use urrcp::{RobotId, SessionId, Span};
 use super::run::{HowArgs, finish, operator, server_clock, utc_offset};
 use super::{Exit, Format, ScenarioArgs, choice, console, load, robot};
 use crate::fleet;
-use crate::journal::{self, Fate, Found, Journal};
+use crate::journal::{self, Fate, Found, Journal, Torn};
 use crate::mission::{Mission, MissionOptions};
 use crate::report::{Report, StopState};
 use crate::run::{Keep, control};
@@ -176,9 +176,12 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
         Err(exit) => return exit,
     };
     super::with_runtime(async {
-        match found.alive {
-            true => stop_running(&found, args.how.patience, format).await,
-            false => withdraw(&found, &args.how, format).await,
+        if found.alive {
+            return stop_running(&found, args.how.patience, format).await;
+        }
+        match take_up(found) {
+            Ok((found, journal)) => withdraw(&found, journal, &args.how, format).await,
+            Err(exit) => exit,
         }
     })
 }
@@ -203,6 +206,7 @@ async fn stop_running(found: &Found, patience: Span, format: Format) -> Exit {
         let name = robot["robot"].as_str().unwrap_or_default();
         let text = match robot["stop"]["state"].as_str() {
             Some("confirmed") => "default state confirmed".to_owned(),
+            Some("held") => "held where it was, confirmed".to_owned(),
             Some("unconfirmed") => {
                 unconfirmed = true;
                 let ends = robot["stop"]["lease_ends"].as_str();
@@ -217,6 +221,33 @@ async fn stop_running(found: &Found, patience: Span, format: Format) -> Exit {
         }
     }
     if unconfirmed { Exit::Unconfirmed } else { Exit::Done }
+}
+
+/// Opens the journal of a mission whose scheduler is gone, and reads it again under its lock.
+fn take_up(mut found: Found) -> Result<(Found, Journal), Exit> {
+    let journal = Journal::open(&found.folder).map_err(|error| failed(&error.to_string()))?;
+    let Some(kept) = journal.kept() else { return Err(failed("the journal is empty")) };
+    found.kept = kept.clone();
+    if found.kept.outcome.is_some() {
+        return Err(failed("another process has ended this mission meanwhile"));
+    }
+    if let Some(torn) = found.kept.torn {
+        console::warn(&torn_text(torn));
+    }
+    Ok((found, journal))
+}
+
+fn torn_text(torn: Torn) -> String {
+    let Torn { line, bytes, whole_after } = torn;
+    match whole_after {
+        0 => format!(
+            "the last record of the journal, line {line}, was not written to its end: its {bytes} bytes are cut off, what it said is not known"
+        ),
+        after => format!(
+            "the journal is damaged from line {line} on: its last {bytes} bytes are cut off, also {} after the damage",
+            counted(after, "whole record")
+        ),
+    }
 }
 
 /// The robots of a journal as the fleet file has them now.
@@ -240,7 +271,7 @@ fn options(found: &Found, how: &HowArgs, greeting: crate::mission::Greeting) -> 
 }
 
 /// Stops what a dead scheduler left behind.
-async fn withdraw(found: &Found, how: &HowArgs, format: Format) -> Exit {
+async fn withdraw(found: &Found, journal: Journal, how: &HowArgs, format: Format) -> Exit {
     let (fleet, ids) = match robots_of(found) {
         Ok(robots) => robots,
         Err(exit) => return exit,
@@ -253,10 +284,11 @@ async fn withdraw(found: &Found, how: &HowArgs, format: Format) -> Exit {
     let options = options(found, how, fleet::greeting(&fleet));
     let touched: BTreeMap<_, _> = found.kept.touched.clone();
     let mission = Mission::withdraw(fleet::participants(&robots), options, &touched, clock.now());
-    let (report, at_rest) = match go_on(found, mission, &robots, fleet.handshake, clock, format).await {
-        Ok(gone_on) => gone_on,
-        Err(exit) => return exit,
-    };
+    let (report, at_rest) =
+        match go_on(found, journal, mission, &robots, fleet.handshake, clock, format).await {
+            Ok(gone_on) => gone_on,
+            Err(exit) => return exit,
+        };
     let exit = finish(&report, format);
     let unconfirmed = report.robots.iter().any(|robot| matches!(robot.stop, StopState::Unconfirmed { .. }));
     match (unconfirmed, at_rest) {
@@ -269,6 +301,7 @@ async fn withdraw(found: &Found, how: &HowArgs, format: Format) -> Exit {
 /// Returns the report, and whether hardware in this process is known to be in its default state.
 async fn go_on(
     found: &Found,
+    journal: Journal,
     mission: Mission,
     robots: &[&FleetRobot],
     handshake: Handshake,
@@ -277,7 +310,6 @@ async fn go_on(
 ) -> Result<(Report, bool), Exit> {
     let (host, endpoints) = fleet::endpoints(robots, handshake, HostOptions::default())
         .map_err(|error| failed(&error.to_string()))?;
-    let journal = Journal::open(&found.folder).map_err(|error| failed(&error.to_string()))?;
     let mut keep = Keep { journal: Some(journal), ..Keep::default() };
     let (said, operator) = operator();
     let (tell_report, report_told) = tokio::sync::watch::channel(None);
@@ -299,12 +331,13 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
         Ok(found) => found,
         Err(exit) => return exit,
     };
-    if let Some(line) = found.kept.torn_at_line {
-        console::warn(&format!("the journal is whole up to line {}; what followed was never sent", line - 1));
-    }
+    let (found, journal) = match take_up(found) {
+        Ok(taken) => taken,
+        Err(exit) => return exit,
+    };
     if let Fate::Withdraw(why) = found.kept.fate() {
         console::note(&format!("{why}: withdrawing what was promised"));
-        return super::with_runtime(withdraw(&found, &args.how, format));
+        return super::with_runtime(withdraw(&found, journal, &args.how, format));
     }
     let scenario = ScenarioArgs {
         scenario: found.kept.opened.scenario.clone(),
@@ -331,7 +364,7 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
             Ok(mission) => mission,
             Err(changed) => return failed(&changed.to_string()),
         };
-        match go_on(&found, mission, &robots, fleet.handshake, clock, format).await {
+        match go_on(&found, journal, mission, &robots, fleet.handshake, clock, format).await {
             Ok((report, at_rest)) => {
                 let exit = finish(&report, format);
                 if at_rest { exit } else { Exit::Unconfirmed }

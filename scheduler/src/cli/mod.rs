@@ -1,7 +1,8 @@
 //! The command line: one file a subcommand. The only room that prints.
 //!
 //! Exit codes: 0 done; 1 findings, or the mission failed or did not start; 2 usage or unreadable input; 3 stopped by the
-//! operator, every robot confirmed; 4 ended with robots whose stop nobody confirmed; 5 done without robots that failed.
+//! operator, every robot confirmed; 4 ended with robots whose stop is not confirmed; 5 done without robots that failed; 6
+//! played to its end, but not as promised or not known.
 
 mod check;
 mod choice;
@@ -42,8 +43,9 @@ Exit codes:
   1  findings, or the mission failed or did not start
   2  usage, or input that cannot be read
   3  stopped by the operator, every robot confirmed it
-  4  ended with robots whose stop nobody confirmed
-  5  done, without robots that failed on the way"
+  4  ended with robots whose stop is not confirmed
+  5  done, without robots that failed on the way
+  6  played to its end, but not as promised, or not known"
 )]
 pub struct Cli {
     #[command(subcommand)]
@@ -129,6 +131,9 @@ pub enum Exit {
     Unconfirmed = 4,
     /// Done, without robots that failed on the way.
     DoneWithout = 5,
+    /// Played to its end, and not all of it is known to be as promised: starts were too far apart, or robots cannot say what
+    /// they did.
+    Uncertain = 6,
 }
 
 /// Reads the arguments, does what they say and tells the shell how it went.

@@ -1,6 +1,8 @@
 //! `downbeat plan`: the control requests that a scenario compiles to.
 
-use downbeat_scripts::{Act, Choreography, DeviceUse, OnFailure, PlannedCue, PlannedReading, Wait, Way};
+use downbeat_scripts::{
+    Act, Choreography, DeviceUse, OnDoubt, OnFailure, PlannedCue, PlannedReading, Wait, Way,
+};
 use serde::Serialize;
 use urrcp::{Command, ControlRequest, Message, Millis, Server, Span, Timestamp};
 
@@ -61,6 +63,7 @@ struct PlannedAct<'a> {
     on_timeout: Option<String>,
     next: Option<String>,
     on_failure: OnFailure,
+    on_doubt: OnDoubt,
     readings: &'a [PlannedReading],
     robots: serde_json::Map<String, serde_json::Value>,
 }
@@ -96,6 +99,7 @@ fn planned_act<'a>(act: &'a Act, choreography: &'a Choreography) -> PlannedAct<'
         on_timeout: way(act.on_timeout),
         next: way(act.next),
         on_failure: act.on_failure.default,
+        on_doubt: act.on_doubt,
         readings: &act.readings,
         robots: robots
             .map(|robot| (robot.robot.to_string(), serde_json::json!(requests(&act.plan, robot))))

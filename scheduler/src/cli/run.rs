@@ -214,6 +214,7 @@ impl Work<'_> {
             session: Some(session.clone()),
             start_at: self.at.map(|at| at.instant(clock.now(), utc_offset)),
             first_act,
+            acts_max: None,
             join: self.join,
             preflight_only: self.preflight_only,
             utc_offset,
@@ -407,6 +408,7 @@ pub(super) fn exit_of(report: &Report) -> Exit {
         _ if unconfirmed => Exit::Unconfirmed,
         Outcome::DoneWithout => Exit::DoneWithout,
         Outcome::Stopped => Exit::Stopped,
+        Outcome::OutOfTolerance { .. } | Outcome::Unknown => Exit::Uncertain,
         _ => Exit::Failed,
     }
 }

@@ -8,9 +8,9 @@ use urrcp::{
 use super::heard::Ticket;
 use super::line::Line;
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
-use super::trial::{Shaped, Trial};
+use super::trial::{LATER_MS, Shaped, Trial};
 
-pub(super) const ALL: [Requirement; 9] = [
+pub(super) const ALL: [Requirement; 10] = [
     Requirement {
         name: "lease-pending",
         demands: "What is pending ends `Failed`, `link_lost` once the server has been silent for stop_condition, not before and not much later.",
@@ -22,6 +22,12 @@ pub(super) const ALL: [Requirement; 9] = [
         demands: "What runs ends `Failed`, `link_lost` once the server has been silent for stop_condition.",
         section: "The lease",
         check: lease_running,
+    },
+    Requirement {
+        name: "lease-queued",
+        demands: "What waits behind a script that runs ends with its own lease, and the one that runs goes on under its own.",
+        section: "The lease",
+        check: lease_queued,
     },
     Requirement {
         name: "lease-pair",
@@ -117,6 +123,25 @@ fn lease_running(trial: &Trial) -> Checked {
     let ticket = line.held(&ControlRequest { stop_condition: Some(lease), ..request })?;
     line.report(ticket, &Status::Started, trial.patience())?;
     runs_out(trial, &mut line, ticket)
+}
+
+fn lease_queued(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let actor = trial.scripted()?;
+    if actor.device.script_queue < 2 {
+        return Err(not_applicable(format!("`{}` holds one command at a time", actor.device.id)));
+    }
+    let mut line = trial.connect()?;
+    let lease =
+        |pending| Some(StopCondition { pending: Some(millis(pending)), running: Some(millis(20_000)) });
+    let running = trial.there_and_back(actor, 1_000.0).starting_in(100.0);
+    let running = line.held(&ControlRequest { stop_condition: lease(20_000), ..running })?;
+    let queued = trial.there_and_back(actor, 500.0).starting_in(LATER_MS);
+    let queued = line.held(&ControlRequest { stop_condition: lease(300), ..queued })?;
+    line.failure(queued, ErrorCode::LinkLost, trial.patience() + PERIOD)?;
+    line.report(running, &Status::Ok, trial.patience() + Span::from_millis(1_100))
+        .map_err(|unmet| unmet.within(|why| format!("the lease of a script behind it had ended: {why}")))?;
+    pass()
 }
 
 fn millis(millis: i64) -> Millis {

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use urrcp::{
     AvailabilityRequest, AvailabilityResponse, ControlRequest, ControlResponse, Decoder, ErrorCode,
-    InitializationBlock, Message, Server, Span, Status, Timestamp, encode,
+    InitializationBlock, Inquiry, InquiryResponse, Message, Server, Span, Status, Timestamp, encode,
 };
 
 use super::heard::{Asked, Exchanges, Heard, Ticket, says_malformed};
@@ -30,6 +30,21 @@ pub(super) struct Line<'a> {
     others: VecDeque<Heard<Message>>,
     /// Set when the peer has hung up: why.
     ended: Option<String>,
+}
+
+/// An inquiry with its answer.
+#[derive(Clone, Debug)]
+pub(super) struct Inquired {
+    pub(super) sent: String,
+    came: String,
+    pub(super) response: InquiryResponse,
+}
+
+impl Inquired {
+    /// A failure: the answer is another than it should be.
+    pub(super) fn differs(&self, expected: &str) -> Unmet {
+        differs(&self.sent, &self.came, expected)
+    }
 }
 
 impl<'a> Line<'a> {
@@ -325,6 +340,20 @@ impl<'a> Line<'a> {
             }
         }
         Err(differs(&sent, &self.nothing(), "an initialization_block"))
+    }
+
+    /// Sends an inquiry and waits for its answer.
+    pub(super) fn inquire(&mut self, inquiry: &Inquiry) -> Result<Inquired, Unmet> {
+        let sent_at = self.trial.now();
+        let sent = self.say(&Message::Inquiry(inquiry.clone()))?;
+        let until = self.trial.patience();
+        while let Some(heard) = self.other(until)? {
+            if let Message::InquiryResponse(response) = heard.message {
+                self.trial.saw_round_trip(heard.at - sent_at);
+                return Ok(Inquired { sent, came: heard.text, response });
+            }
+        }
+        Err(differs(&sent, &self.nothing(), "an inquiry_response"))
     }
 
     /// Asks for the block again and again without reading, until the peer takes no more for a while, or hangs up, or

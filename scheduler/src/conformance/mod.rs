@@ -8,6 +8,7 @@ mod actor;
 mod greeting;
 mod heard;
 mod identity;
+mod inquiries;
 mod leases;
 mod line;
 mod links;
@@ -72,7 +73,7 @@ pub struct Examined {
 /// All requirements, in the order in which they are checked.
 pub fn requirements() -> impl Iterator<Item = &'static Requirement> {
     let of_robot = greeting::ALL.iter().chain(&values::ALL).chain(&starting::ALL).chain(&scripts::ALL);
-    let of_server = leases::ALL.iter().chain(&stopping::ALL).chain(&identity::ALL);
+    let of_server = leases::ALL.iter().chain(&stopping::ALL).chain(&identity::ALL).chain(&inquiries::ALL);
     of_robot.chain(of_server).chain(&wire::ALL).chain(&links::ALL)
 }
 

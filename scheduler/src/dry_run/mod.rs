@@ -1,37 +1,49 @@
-//! The virtual driver of a mission: the same mission machine and the same robot machines, time jumps from event to event.
+//! A mission in virtual time: the same loop, the same mission machine and the same robot machines, time jumps from event to
+//! event. The network delays as the fleet file says and loses nothing; for one that does, see `simulation/`.
 //!
-//! At one instant robots go first, in the order of the mission, then what they sent reaches the mission, then the mission's
-//! own timers: the order of the real driver. The network is perfect but for what the robots are told to do wrong; for
-//! one that is not, see `simulation/`.
+//! A virtual operator says go whenever an act waits and nothing else plays. Nothing goes on for ever: a loop of acts is played
+//! a stated number of times, and an act that waits for what never comes is given up ([`Cut`]).
 
-use std::collections::{HashMap, HashSet};
+mod operator;
+mod spread;
+mod world;
 
-use downbeat_robot::simulated::{Outgoing, SimulatedRobot, True};
-use downbeat_robot::{Input, LinkId, LogEntry};
+use downbeat_robot::LogEntry;
+use downbeat_robot::simulated::SimulatedRobot;
 use downbeat_scripts::{Choreography, SensorRange, Wait};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
-use crate::mission::{
-    Action, Event, Loss, MissingParticipant, Mission, MissionOptions, Participant, Progress,
-};
-use crate::report::{ActReport, Report};
+use self::operator::VirtualOperator;
+use self::world::VirtualWorld;
+use crate::drive::{at_once, drive};
+use crate::mission::{MissingParticipant, Mission, MissionOptions, Participant, Progress, next_time_of_day};
+use crate::report::Report;
 
-/// When virtual time begins where no act waits for an earlier instant: 2026-01-01T00:00:00Z.
+/// When virtual time begins where no act waits for a time: 2026-01-01T00:00:00Z.
 pub const BEGIN: Timestamp<Server> = Timestamp::from_nanos(1_767_225_600_000_000_000);
-/// So long before the first instant that an act waits for virtual time begins.
-const BEFORE_INSTANT: Span = Span::from_millis(60_000);
-/// So long after an act has begun to wait for the operator he says go.
-const OPERATOR_THINKS: Span = Span::from_millis(1_000);
+/// Virtual time begins so long before the first time that an act waits for, and for every act as long again.
+const BEFORE_TIME: Span = Span::from_millis(60_000);
+/// How often a loop through all acts is played, unless [`MissionOptions::acts_max`] says otherwise.
+pub const ROUNDS: u32 = 3;
 
 /// What a mission did in virtual time.
 #[derive(Debug)]
 pub struct Played {
     /// As after a real mission.
     pub report: Report,
-    /// What each robot set, in the order of the mission's robots.
+    /// What each robot set, in the order of the mission's robots; empty unless it was to be kept.
     pub logs: Vec<Vec<LogEntry>>,
-    /// What the operator would have seen.
-    pub progress: Vec<(Timestamp<Server>, Progress)>,
+    /// Why the virtual operator ended what would have gone on.
+    pub cut: Option<Cut>,
+}
+
+/// An act waited for something that does not come in virtual time, and the mission was stopped.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Cut {
+    /// Which act.
+    pub act: String,
+    /// For what, for people.
+    pub awaits: String,
 }
 
 impl Played {
@@ -43,12 +55,38 @@ impl Played {
     }
 }
 
+/// Whether to keep what every robot sets: about 250 bytes a step.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Logs {
+    /// Only what the report needs is looked at.
+    #[default]
+    Dropped,
+    /// As for a picture.
+    Kept,
+}
+
+/// Watches a dry run while it plays.
+pub trait Audience {
+    /// The operator is told something.
+    fn told(&mut self, at: Timestamp<Server>, progress: &Progress);
+
+    /// Another second of virtual time has begun.
+    fn second(&mut self, now: Timestamp<Server>);
+}
+
+impl Audience for () {
+    fn told(&mut self, _: Timestamp<Server>, _: &Progress) {}
+
+    fn second(&mut self, _: Timestamp<Server>) {}
+}
+
 /// A choreography about to be played in virtual time.
 #[derive(Debug)]
 pub struct Rehearsal {
     mission: Mission,
     robots: Vec<SimulatedRobot>,
     begin: Timestamp<Server>,
+    logs: Logs,
 }
 
 impl Rehearsal {
@@ -62,11 +100,7 @@ impl Rehearsal {
         options: MissionOptions,
         mut robots: Vec<SimulatedRobot>,
     ) -> Result<Self, MissingParticipant> {
-        let instants = choreography.acts.iter().filter_map(|act| match act.wait {
-            Wait::Instant(at) => Some(at - BEFORE_INSTANT),
-            _ => None,
-        });
-        let begin = instants.min().unwrap_or(BEGIN);
+        let begin = begin_of(&choreography, &options);
         for act in &choreography.acts {
             let Wait::Sensor { robot, sensor, range } = &act.wait else { continue };
             let whose = participants.iter().position(|participant| participant.id.as_str() == robot);
@@ -75,7 +109,13 @@ impl Rehearsal {
             }
         }
         let mission = Mission::new(choreography, participants, options, begin)?;
-        Ok(Self { mission, robots, begin })
+        Ok(Self::of(mission, robots, begin))
+    }
+
+    fn of(mut mission: Mission, robots: Vec<SimulatedRobot>, begin: Timestamp<Server>) -> Self {
+        let acts = u32::try_from(mission.choreography().acts.len()).unwrap_or(u32::MAX);
+        mission.bound_acts(acts.saturating_mul(ROUNDS));
+        Self { mission, robots, begin, logs: Logs::Dropped }
     }
 
     /// Lets a sensor read this. `false` where the robot takes no part, or has no such sensor.
@@ -89,11 +129,44 @@ impl Rehearsal {
         index.map(|index| self.robots[index].set_reading(sensor.clone(), value)).is_some()
     }
 
+    /// Whether to keep what every robot sets.
+    #[must_use]
+    pub fn with_logs(self, logs: Logs) -> Self {
+        Self { logs, ..self }
+    }
+
     /// Plays to the end.
     #[must_use]
     pub fn play(self) -> Played {
-        play_from(self.mission, self.robots, self.begin)
+        self.play_before(&mut ())
     }
+
+    /// Plays to the end before an audience.
+    #[must_use]
+    pub fn play_before(self, audience: &mut impl Audience) -> Played {
+        let Self { mut mission, robots, begin, logs } = self;
+        let operator = VirtualOperator::new(mission.choreography());
+        let ids = mission.robots().iter().map(|robot| robot.id.clone()).collect();
+        let mut world = VirtualWorld::new(robots, ids, begin, operator, logs, audience);
+        let report = at_once(drive(&mut mission, &mut world));
+        // A virtual process is not killed.
+        let mut report = report.unwrap_or_else(|| Report::as_left(&mut mission, begin));
+        report.true_spread = world.true_spread();
+        let (logs, cut) = world.end();
+        Played { report, logs, cut }
+    }
+}
+
+/// Early enough that all acts before the first one that waits for a time can be played, and not hours before.
+fn begin_of(choreography: &Choreography, options: &MissionOptions) -> Timestamp<Server> {
+    let times = choreography.acts.iter().filter_map(|act| match act.wait {
+        Wait::Instant(at) => Some(at),
+        Wait::TimeOfDay(time) => Some(next_time_of_day(BEGIN, time, options.utc_offset)),
+        Wait::Done | Wait::Operator | Wait::Sensor { .. } => None,
+    });
+    let before =
+        choreography.acts.iter().fold(BEFORE_TIME, |sum, act| sum + act.plan.duration() + BEFORE_TIME);
+    times.min().map_or(BEGIN, |first| first - before)
 }
 
 /// A reading that will do: not at the edge of what will.
@@ -109,155 +182,13 @@ fn reading_within(range: SensorRange) -> f64 {
 /// clock is the true one.
 #[must_use]
 pub fn play(mission: Mission, robots: Vec<SimulatedRobot>) -> Played {
-    play_from(mission, robots, BEGIN)
-}
-
-fn play_from(mission: Mission, robots: Vec<SimulatedRobot>, begin: Timestamp<Server>) -> Played {
-    let mut world = World {
-        links: vec![LinkId(0); robots.len()],
-        open: vec![true; robots.len()],
-        due: Vec::new(),
-        go: None,
-        mission,
-        robots,
-        progress: Vec::new(),
-    };
-    for robot in 0..world.robots.len() {
-        world.tell_mission(begin, Event::LinkUp { robot });
-    }
-    let mut now = begin;
-    let mut report = loop {
-        world.advance_robots(now);
-        world.reconnect(now);
-        if world.go.take_if(|at| now >= *at).is_some() {
-            world.tell_mission(now, Event::Go);
-        }
-        let due = world.mission.advance(now);
-        world.perform(now, due);
-        if let Some(report) = world.mission.report() {
-            break report;
-        }
-        match world.next_wakeup() {
-            Some(next) => now = now.max(next),
-            // Nothing will ever happen again: no robot and no timer is due.
-            None => break world.mission.report_as_left(now),
-        }
-    };
-    let logs: Vec<_> = world.robots.iter_mut().map(SimulatedRobot::take_log).collect();
-    let spreads = report.acts.iter().filter_map(|act| true_spread(&world.mission, act, &logs));
-    report.true_spread = spreads.max();
-    Played { report, logs, progress: world.progress }
-}
-
-/// Largest minus smallest error of the first steps of an act's scripts, by true time instead of the robots' own.
-fn true_spread(mission: &Mission, act: &ActReport, logs: &[Vec<LogEntry>]) -> Option<Span> {
-    let index_of: HashMap<_, _> =
-        mission.robots().iter().enumerate().map(|(index, robot)| (&robot.id, index)).collect();
-    let mut errors = Vec::new();
-    for robot in act.robots.iter().filter(|robot| !robot.left_out) {
-        let log = logs.get(*index_of.get(&robot.robot)?)?;
-        // A device's scripts begin in the order of the plan.
-        let mut begun: HashMap<&DeviceId, usize> = HashMap::new();
-        for device in &robot.devices {
-            let nth = begun.entry(&device.device).or_default();
-            let mut firsts = log.iter().filter(|entry| {
-                let of_act = entry.request_id.as_deref().and_then(act_of) == Some(act.number);
-                of_act && entry.device == device.device && entry.motion == "set" && entry.step == Some(0)
-            });
-            let (first, planned) = (firsts.nth(*nth)?, device.planned_start? + device.first_step);
-            errors.push(Span::from_nanos(first.true_ns - planned.as_nanos()));
-            *nth += 1;
-        }
-    }
-    Some(*errors.iter().max()? - *errors.iter().min()?)
+    Rehearsal::of(mission, robots, BEGIN).with_logs(Logs::Kept).play()
 }
 
 /// The number of the act to which a request belongs: ids end with act, robot and script.
 #[must_use]
 pub fn act_of(request_id: &str) -> Option<u32> {
     request_id.rsplit('/').nth(2)?.parse().ok()
-}
-
-struct World {
-    mission: Mission,
-    robots: Vec<SimulatedRobot>,
-    /// The link by which each robot is reached now.
-    links: Vec<LinkId>,
-    /// Links that the robots have not closed.
-    open: Vec<bool>,
-    /// Links to be made anew.
-    due: Vec<(Timestamp<Server>, usize)>,
-    /// When the operator says go.
-    go: Option<Timestamp<Server>>,
-    progress: Vec<(Timestamp<Server>, Progress)>,
-}
-
-impl World {
-    fn next_wakeup(&self) -> Option<Timestamp<Server>> {
-        let robots = self.robots.iter().filter_map(SimulatedRobot::next_wakeup);
-        let robots = robots.map(Timestamp::assume_clock::<Server>);
-        let links = self.due.iter().map(|(at, _)| *at);
-        robots.chain(links).chain(self.go).chain(self.mission.next_wakeup()).min()
-    }
-
-    fn advance_robots(&mut self, now: Timestamp<Server>) {
-        let mut out = Vec::new();
-        for robot in 0..self.robots.len() {
-            self.robots[robot].advance(now.assume_clock::<True>(), &mut out);
-            for outgoing in out.drain(..) {
-                let (link, event) = match outgoing {
-                    Outgoing::Message { link, message } => (link, Event::Received { robot, message }),
-                    Outgoing::Close { link } => {
-                        let reason = "the robot closed the link".to_owned();
-                        (link, Event::LinkDown { robot, loss: Loss::Closed, reason })
-                    }
-                };
-                if self.open[robot] && link == self.links[robot] {
-                    self.open[robot] = !matches!(event, Event::LinkDown { .. });
-                    self.tell_mission(now, event);
-                }
-            }
-        }
-    }
-
-    fn reconnect(&mut self, now: Timestamp<Server>) {
-        let due: HashSet<usize> =
-            self.due.extract_if(.., |(at, _)| now >= *at).map(|(_, robot)| robot).collect();
-        for robot in 0..self.robots.len() {
-            if due.contains(&robot) {
-                self.links[robot] = LinkId(self.links[robot].0 + 1);
-                self.open[robot] = true;
-                self.tell_mission(now, Event::LinkUp { robot });
-            }
-        }
-    }
-
-    fn tell_mission(&mut self, now: Timestamp<Server>, event: Event) {
-        let actions = self.mission.handle(now, event);
-        self.perform(now, actions);
-    }
-
-    fn perform(&mut self, now: Timestamp<Server>, actions: Vec<Action>) {
-        for action in actions {
-            match action {
-                Action::Send { robot, message, .. } if self.open[robot] => {
-                    self.robots[robot].receive(
-                        now.assume_clock(),
-                        self.links[robot],
-                        Input::Message(message),
-                    );
-                }
-                Action::Reconnect { robot, after } => self.due.push((now + after, robot)),
-                Action::Send { .. } | Action::Record(_) => {}
-                Action::Tell(progress) => {
-                    if matches!(progress, Progress::Waiting { .. }) {
-                        self.go = Some(now + OPERATOR_THINKS);
-                    }
-                    self.progress.push((now, progress));
-                }
-            }
-        }
-    }
 }
 
 #[cfg(test)]

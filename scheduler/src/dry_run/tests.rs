@@ -2,13 +2,14 @@
 
 use downbeat_robot::LogEntry;
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
-use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
+use downbeat_scripts::{Act, Choreography, DeviceScript, Plan, RobotPlan, SensorRange, Wait, Way};
 use urrcp::{
-    ControlType, DeviceId, InitializationBlock, Millis, RobotId, Script, Setpoint, Span, Step, StopCondition,
+    ControlType, DeviceId, InitializationBlock, Millis, RobotId, Script, Server, Setpoint, Span, Step,
+    StopCondition, Timestamp,
 };
 
-use super::{BEGIN, Played, play};
-use crate::mission::{Greeting, Mission, MissionOptions, Participant};
+use super::{Audience, BEGIN, Cut, Played, Rehearsal, play};
+use crate::mission::{Greeting, Mission, MissionOptions, Participant, Progress};
 use crate::report::Outcome;
 
 const ARM: &str = r#"{"id": "arm", "api_version": "1", "reports": true, "devices": [
@@ -204,4 +205,138 @@ fn a_robot_without_ntp_starts_with_the_others_when_its_clock_is_measured() {
     let skew = played.report.acts[0].skew.clone().unwrap();
     assert!(played.report.true_spread.unwrap() <= skew.predicted, "{:?} {skew:?}", played.report.true_spread);
     assert!(played.report.robots[1].clock.unwrap().offset > Span::from_millis(2_300));
+}
+
+/// Acts after one another, in each of which two arms move.
+fn acts(change: impl Fn(&mut Vec<Act>)) -> Rehearsal {
+    acts_with(MissionOptions::default(), change)
+}
+
+fn acts_with(options: MissionOptions, change: impl Fn(&mut Vec<Act>)) -> Rehearsal {
+    let mut acts: Vec<Act> = (0..3)
+        .map(|number| {
+            let mut act = Choreography::of_plan(plan(2)).acts.remove(0);
+            act.name = format!("act-{number}");
+            act.next = if number == 2 { Way::End } else { Way::Act(number + 1) };
+            act
+        })
+        .collect();
+    change(&mut acts);
+    let machines = (0..2).map(|id| SimulatedRobot::new(block(id), Settings::default())).collect();
+    let participants = (0..2).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
+    let choreography = Choreography { scenario: "acts".into(), acts };
+    Rehearsal::new(choreography, participants, options, machines).unwrap()
+}
+
+/// Fails where virtual time does not come to an end.
+struct Patience {
+    seconds: u32,
+    acts: u32,
+}
+
+impl Audience for Patience {
+    fn told(&mut self, _: Timestamp<Server>, progress: &Progress) {
+        self.acts += u32::from(matches!(progress, Progress::ActEnded { .. }));
+    }
+
+    fn second(&mut self, _: Timestamp<Server>) {
+        self.seconds += 1;
+        assert!(self.seconds < 2_000, "virtual time goes on and on");
+    }
+}
+
+fn played_through(rehearsal: Rehearsal) -> (Played, u32) {
+    let mut patience = Patience { seconds: 0, acts: 0 };
+    let played = rehearsal.play_before(&mut patience);
+    (played, patience.acts)
+}
+
+#[test]
+fn the_operator_says_go_to_whichever_act_waits_for_it() {
+    for waiting in [&[0][..], &[1], &[2], &[1, 2], &[0, 1, 2]] {
+        let rehearsal = acts(|acts| waiting.iter().for_each(|act| acts[*act].wait = Wait::Operator));
+        let (played, ended) = played_through(rehearsal);
+        assert_eq!((played.report.outcome, ended), (Outcome::Done, 3), "{waiting:?} waits");
+        assert_eq!(played.cut, None);
+    }
+}
+
+fn bounded(acts_max: u32) -> MissionOptions {
+    MissionOptions { acts_max: Some(acts_max), ..MissionOptions::default() }
+}
+
+#[test]
+fn a_loop_of_acts_is_played_three_times_or_as_often_as_asked_for() {
+    let looped = |options| acts_with(options, |acts| acts[2].next = Way::Act(1));
+    for (options, bound) in [(MissionOptions::default(), 9), (bounded(4), 4), (bounded(1), 1)] {
+        let (played, ended) = played_through(looped(options));
+        assert_eq!((played.report.acts.len(), ended), (bound as usize, bound));
+        assert_eq!(played.report.outcome, Outcome::Done, "{:?}", played.report.failures);
+        assert!(played.report.robots.iter().all(|robot| robot.steps_done == robot.steps_planned));
+        assert_eq!((played.report.acts_max_reached, played.cut), (Some(bound), None));
+    }
+}
+
+#[test]
+fn a_mission_that_ends_because_of_its_bound_says_so() {
+    let (played, _) = played_through(acts_with(bounded(2), |_| {}));
+    let text = crate::report::report_text(&played.report);
+    assert!(
+        text.contains("ended because 2 acts had begun, the bound; another would have followed"),
+        "{text}"
+    );
+    assert_eq!(serde_json::to_value(&played.report).unwrap()["acts_max_reached"], 2);
+    let (played, ended) = played_through(acts_with(bounded(3), |_| {}));
+    assert_eq!((played.report.acts_max_reached, ended), (None, 3), "there was no other");
+    assert!(!crate::report::report_text(&played.report).contains("bound"));
+}
+
+#[test]
+fn the_act_that_follows_a_failure_counts_against_the_bound() {
+    for (acts_max, reached) in [(1, Some(1)), (2, None)] {
+        let mut rehearsal = acts_with(bounded(acts_max), |acts| acts[0].on_failure.then = Some(2));
+        let refuses = Settings { fault: Some(Fault::Refuse), ..Settings::default() };
+        rehearsal.robots[1] = SimulatedRobot::new(block(1), refuses);
+        let (played, _) = played_through(rehearsal);
+        assert_eq!(played.report.acts_max_reached, reached, "{:?}", played.report.failures);
+        assert_ne!(played.report.outcome, Outcome::Done);
+    }
+}
+
+#[test]
+fn an_act_that_waits_for_another_reading_than_there_is_does_not_wait_for_ever() {
+    let range = SensorRange::Above(1e9);
+    let waits = Wait::Sensor { robot: block(0).id.to_string(), sensor: "none".into(), range };
+    let (played, ended) = played_through(acts(|acts| acts[1].wait = waits.clone()));
+    assert_eq!(ended, 1);
+    assert!(matches!(&played.cut, Some(Cut { act, .. }) if act == "act-1"), "{:?}", played.cut);
+    let given_up = acts(|acts| {
+        acts[1].wait = waits.clone();
+        acts[1].timeout = Some(Span::from_millis(300_000));
+        acts[1].on_timeout = Way::Act(2);
+    });
+    let (played, ended) = played_through(given_up);
+    assert_eq!((played.report.outcome, ended, played.cut), (Outcome::Done, 2, None));
+}
+
+#[test]
+fn an_act_that_waits_for_a_time_waits_for_as_long_as_that_takes() {
+    let later = Wait::TimeOfDay(Span::from_millis(72_000_000));
+    let (played, ended) = played_through(acts(|acts| acts[1].wait = later.clone()));
+    assert_eq!((played.report.outcome, ended, played.cut), (Outcome::Done, 3, None));
+}
+
+#[test]
+fn acts_that_only_wait_for_each_other_do_not_go_round_for_ever() {
+    let waits = Wait::Sensor {
+        robot: block(0).id.to_string(),
+        sensor: "none".into(),
+        range: SensorRange::Above(1e9),
+    };
+    let (played, _) = played_through(acts(|acts| {
+        acts[1].wait = waits.clone();
+        acts[1].timeout = Some(Span::from_millis(1_000));
+        acts[1].on_timeout = Way::Act(1);
+    }));
+    assert_eq!((played.report.acts_max_reached, played.report.acts.len()), (Some(9), 1));
 }

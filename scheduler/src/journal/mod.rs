@@ -1,17 +1,23 @@
-//! The journal of a mission on disk: append-only lines, each with its checksum, on the disk before what they promise is
-//! done. A folder a mission, in it `journal`, locked as long as its scheduler lives, and `control`, its socket.
+//! The journal of a mission: lines, each with its checksum, that are only ever appended. Which of them must be on the disk
+//! before a promise is made, the mission decides. A folder a mission, in it `journal`, locked as long as its scheduler lives,
+//! and `control`, its socket.
 
+mod disk;
 mod read;
+pub(crate) mod simulated;
+mod writer;
 
-use std::fs::{File, OpenOptions};
-use std::io::{self, Write};
+use std::fs::File;
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 use urrcp::{RobotId, Server, SessionId, Timestamp};
 
 use crate::mission::Record;
-pub use read::{Fate, Kept, Unreadable, read};
+pub use disk::{Disk, FileDisk};
+pub use read::{Fate, Kept, Progressed, Torn, Unreadable, read};
+pub use writer::{Writer, Written};
 
 /// The first line: who drives whom with what.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -63,33 +69,58 @@ pub struct JournalError {
 
 /// The journal of a mission that runs.
 #[derive(Debug)]
-pub struct Journal {
+pub struct Journal<D = FileDisk> {
+    disk: D,
     path: PathBuf,
-    file: File,
-    /// The first failure to write: from then on nothing is promised any more.
+    kept: Option<Kept>,
+    /// Durable records appended since it was opened.
+    appended: u64,
+    /// Those of them that are on the disk.
+    on_disk: u64,
+    /// The first failure to write: from then on nothing is taken any more.
     broken: Option<String>,
 }
 
 impl Journal {
-    /// Opens the journal of a mission in its folder, and locks it.
+    /// Opens the journal of a mission in its folder, and locks it. What follows its last whole record is cut off.
     ///
     /// # Errors
     /// [`JournalError`], also when another process holds it.
     pub fn open(folder: &Path) -> Result<Self, JournalError> {
         let path = folder.join("journal");
-        let open = || {
-            std::fs::create_dir_all(folder)?;
-            let file = OpenOptions::new().create(true).append(true).read(true).open(&path)?;
-            file.try_lock().map_err(io::Error::from)?;
-            Ok(file)
+        match FileDisk::open(folder) {
+            Ok(disk) => Self::on(disk, path),
+            Err(error) => Err(JournalError { path, error }),
+        }
+    }
+}
+
+impl<D: Disk> Journal<D> {
+    /// The journal on a disk. What follows its last whole record is cut off. `path` is for error messages.
+    ///
+    /// # Errors
+    /// [`JournalError`] when the disk cannot be read or does not take the cut.
+    pub fn on(mut disk: D, path: PathBuf) -> Result<Self, JournalError> {
+        let mut cut = || {
+            let bytes = disk.read()?;
+            let whole = read::whole_length(&bytes);
+            if whole < bytes.len() {
+                disk.truncate(whole as u64)?;
+            }
+            Ok(Kept::of_bytes(&bytes))
         };
-        match open() {
-            Ok(file) => Ok(Self { path, file, broken: None }),
+        match cut() {
+            Ok(kept) => Ok(Self { disk, path, kept, appended: 0, on_disk: 0, broken: None }),
             Err(error) => Err(JournalError { path, error }),
         }
     }
 
-    /// Writes the first line.
+    /// What it said when it was opened; `None` for a new one.
+    pub const fn kept(&self) -> Option<&Kept> {
+        self.kept.as_ref()
+    }
+
+    /// Writes the first line, which is on the disk when this returns.
     ///
     /// # Errors
     /// [`JournalError`] when the disk does not take it.
@@ -100,33 +131,57 @@ impl Journal {
             #[serde(flatten)]
             opened: &'a Opened,
         }
-        let written = self.append(&Line { at, record: &Begin { record: "opened", opened } }, true);
+        let line = line(&Line { at, record: &Begin { record: "opened", opened } });
+        let written = line.and_then(|line| self.disk.append(&line)).and_then(|()| self.disk.sync());
         written.map_err(|error| JournalError { path: self.path.clone(), error })
     }
 
-    /// Writes a line, and waits for the disk where the record asks for that.
+    /// Writes a line. It may be lost until [`Journal::sync`] has returned.
     ///
     /// # Errors
     /// Why the disk does not take it; also for every record after one that was lost.
-    pub fn write(&mut self, at: Timestamp<Server>, record: &Record) -> Result<(), String> {
+    pub fn append(&mut self, at: Timestamp<Server>, record: &Record) -> Result<(), String> {
+        self.unless_broken(|disk| line(&Line { at, record }).and_then(|line| disk.append(&line)))?;
+        self.appended += u64::from(record.is_durable());
+        Ok(())
+    }
+
+    /// Waits for the disk, if a durable record may not be on it yet. Returns how many durable records are on it since the
+    /// journal was opened.
+    ///
+    /// # Errors
+    /// Why what was written may be lost.
+    pub fn sync(&mut self) -> Result<u64, String> {
+        let due = self.on_disk < self.appended;
+        self.unless_broken(|disk| if due { disk.sync() } else { Ok(()) })?;
+        self.on_disk = self.appended;
+        Ok(self.on_disk)
+    }
+
+    fn unless_broken(&mut self, write: impl FnOnce(&mut D) -> io::Result<()>) -> Result<(), String> {
         if let Some(broken) = &self.broken {
             return Err(broken.clone());
         }
-        self.append(&Line { at, record }, record.is_durable()).map_err(|error| {
+        write(&mut self.disk).map_err(|error| {
             let reason = format!("cannot write the journal {}: {error}", self.path.display());
             self.broken = Some(reason.clone());
             reason
         })
     }
 
-    fn append(&mut self, line: &impl Serialize, durable: bool) -> io::Result<()> {
-        let json = serde_json::to_vec(line)?;
-        let mut bytes = format!("{:08x} ", crc32fast::hash(&json)).into_bytes();
-        bytes.extend_from_slice(&json);
-        bytes.push(b'\n');
-        self.file.write_all(&bytes)?;
-        if durable { self.file.sync_data() } else { Ok(()) }
+    /// Gives the disk back, as when the process ends.
+    pub fn into_disk(self) -> D {
+        self.disk
     }
+}
+
+/// The checksum, then JSON.
+fn line(line: &impl Serialize) -> io::Result<Vec<u8>> {
+    let json = serde_json::to_vec(line)?;
+    let mut bytes = format!("{:08x} ", crc32fast::hash(&json)).into_bytes();
+    bytes.extend_from_slice(&json);
+    bytes.push(b'\n');
+    Ok(bytes)
 }
 
 /// Where missions leave their folders: `$DOWNBEAT_STATE`, else `$XDG_STATE_HOME/downbeat`, else `~/.local/state/downbeat`.

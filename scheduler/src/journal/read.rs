@@ -8,7 +8,7 @@ use serde_json::Value;
 use urrcp::{RobotId, Server, Timestamp};
 
 use super::Opened;
-use crate::mission::{Promise, Record};
+use crate::mission::Promise;
 
 /// What a journal says.
 #[derive(Clone, Debug)]
@@ -17,8 +17,8 @@ pub struct Kept {
     pub opened: Opened,
     /// When that was.
     pub opened_at: Timestamp<Server>,
-    /// Acts that were promised and have not ended, in order: with whether they were decided.
-    pub promises: Vec<(Promise, bool)>,
+    /// Acts that were promised and have not ended, in order: with how far they came.
+    pub promises: Vec<(Promise, Progressed)>,
     /// Acts that have ended.
     pub ended_acts: u32,
     /// Robots that were left out.
@@ -31,10 +31,21 @@ pub struct Kept {
     pub stopped: Vec<RobotId>,
     /// How it ended, as it stands in the report; `None` for a mission that was cut off.
     pub outcome: Option<Value>,
-    /// The last line was cut off, or its checksum is wrong: what follows it is lost.
-    pub torn_at_line: Option<usize>,
+    /// Where it stops being whole.
+    pub torn: Option<Torn>,
     /// Every robot that was ever sent anything, with its devices.
     pub touched: std::collections::BTreeMap<RobotId, std::collections::BTreeSet<urrcp::DeviceId>>,
+}
+
+/// How far an act came that was promised.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Progressed {
+    /// Its requests were sent, or were about to be.
+    Prepared,
+    /// All robots had accepted.
+    Decided,
+    /// Leases were carried over its start, or were about to be.
+    Committed,
 }
 
 /// A journal that does not even say whose it is.
@@ -56,28 +67,30 @@ pub enum Unreadable {
     },
 }
 
+/// A journal with a line that was cut off or changed. What that line and those after it said is not known.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Torn {
+    /// Which line, counted from 1.
+    pub line: usize,
+    /// Bytes from there to the end of the file.
+    pub bytes: usize,
+    /// Whole lines behind it: the file was damaged, not only cut off.
+    pub whole_after: usize,
+}
+
 /// Reads a journal up to the first line that is not whole.
 ///
 /// # Errors
 /// [`Unreadable`] where not even the first line is whole.
 pub fn read(path: &Path) -> Result<Kept, Unreadable> {
     let bytes = std::fs::read(path).map_err(|error| Unreadable::Io { path: path.to_path_buf(), error })?;
-    let no_begin = || Unreadable::NoBegin { path: path.to_path_buf() };
-    let mut lines = bytes.split_inclusive(|byte| *byte == b'\n').enumerate();
-    let first = lines.next().and_then(|(_, line)| whole(line)).ok_or_else(no_begin)?;
-    let opened = Opened::deserialize(&first).map_err(|_| no_begin())?;
-    let opened_at = Timestamp::deserialize(&first["at"]).map_err(|_| no_begin())?;
-    let mut kept = Kept::new(opened, opened_at);
-    for (index, line) in lines {
-        match whole(line) {
-            Some(record) => kept.take(&record),
-            None => {
-                kept.torn_at_line = Some(index + 1);
-                break;
-            }
-        }
-    }
-    Ok(kept)
+    Kept::of_bytes(&bytes).ok_or_else(|| Unreadable::NoBegin { path: path.to_path_buf() })
+}
+
+/// Bytes of the whole lines at the beginning.
+pub(super) fn whole_length(bytes: &[u8]) -> usize {
+    let lines = bytes.split_inclusive(|byte| *byte == b'\n');
+    lines.take_while(|line| whole(line).is_some()).map(<[u8]>::len).sum()
 }
 
 fn whole(line: &[u8]) -> Option<Value> {
@@ -97,9 +110,30 @@ pub enum Fate {
 }
 
 impl Kept {
+    /// What the bytes of a journal say; `None` where not even the first line is whole.
+    pub(crate) fn of_bytes(bytes: &[u8]) -> Option<Self> {
+        let (believed, rest) = bytes.split_at(whole_length(bytes));
+        let mut lines = believed.split_inclusive(|byte| *byte == b'\n').filter_map(whole);
+        let first = lines.next()?;
+        let opened = Opened::deserialize(&first).ok()?;
+        let mut kept = Self::new(opened, Timestamp::deserialize(&first["at"]).ok()?);
+        let mut count = 1;
+        for record in lines {
+            kept.take(&record);
+            count += 1;
+        }
+        if !rest.is_empty() {
+            let after: Vec<Value> = rest.split_inclusive(|byte| *byte == b'\n').filter_map(whole).collect();
+            // Of records behind damage only this is believed: these robots may hold something.
+            let promises = after.iter().filter_map(|record| Promise::deserialize(record).ok());
+            promises.for_each(|promise| kept.touch(&promise));
+            kept.torn = Some(Torn { line: count + 1, bytes: rest.len(), whole_after: after.len() });
+        }
+        Some(kept)
+    }
+
     /// Of a mission of which nothing but its begin is known.
-    #[must_use]
-    pub fn new(opened: Opened, opened_at: Timestamp<Server>) -> Self {
+    fn new(opened: Opened, opened_at: Timestamp<Server>) -> Self {
         Self {
             opened,
             opened_at,
@@ -110,15 +144,8 @@ impl Kept {
             stopping: false,
             stopped: Vec::new(),
             outcome: None,
-            torn_at_line: None,
+            torn: None,
             touched: std::collections::BTreeMap::new(),
-        }
-    }
-
-    /// Takes one more record.
-    pub fn note(&mut self, record: &Record) {
-        if let Ok(record) = serde_json::to_value(record) {
-            self.take(&record);
         }
     }
 
@@ -128,12 +155,28 @@ impl Kept {
         if self.stopping {
             return Fate::Withdraw("it was being stopped");
         }
-        if self.promises.iter().any(|(_, decided)| !decided) {
+        if self.torn.is_some_and(|torn| torn.whole_after > 0) {
+            return Fate::Withdraw("its journal is damaged");
+        }
+        if self.promises.iter().any(|(_, progressed)| *progressed == Progressed::Prepared) {
             return Fate::Withdraw("an act was sent and not decided");
         }
         match self.promises.is_empty() {
             true => Fate::Withdraw("no act was under way"),
             false => Fate::Resume,
+        }
+    }
+
+    fn touch(&mut self, promise: &Promise) {
+        for script in &promise.scripts {
+            self.touched.entry(script.robot.clone()).or_default().insert(script.device.clone());
+        }
+    }
+
+    fn came_to(&mut self, number: Option<u64>, reached: Progressed) {
+        let of_number = self.promises.iter_mut().find(|(p, _)| Some(u64::from(p.number)) == number);
+        if let Some((_, progressed)) = of_number {
+            *progressed = reached;
         }
     }
 
@@ -143,18 +186,14 @@ impl Kept {
         match record["record"].as_str().unwrap_or_default() {
             "prepared" => {
                 let Ok(promise) = Promise::deserialize(record) else { return };
-                for script in &promise.scripts {
-                    self.touched.entry(script.robot.clone()).or_default().insert(script.device.clone());
-                }
-                self.promises.push((promise, false));
+                self.touch(&promise);
+                self.promises.push((promise, Progressed::Prepared));
             }
             "decided" => {
-                let of_number = self.promises.iter_mut().find(|(p, _)| Some(u64::from(p.number)) == number);
-                if let Some((_, decided)) = of_number {
-                    *decided = true;
-                }
+                self.came_to(number, Progressed::Decided);
                 self.unnamed.extend(Vec::deserialize(&record["unnamed"]).unwrap_or_default());
             }
+            "committed" => self.came_to(number, Progressed::Committed),
             "act_ended" => {
                 let number = record["report"]["number"].as_u64();
                 self.promises.retain(|(promise, _)| Some(u64::from(promise.number)) != number);

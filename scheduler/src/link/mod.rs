@@ -11,8 +11,10 @@ pub use encoding::Speech;
 
 use downbeat_robot::HostHandle;
 use tokio::sync::mpsc;
-use urrcp::{Message, Server, Timestamp};
+use tokio::task::AbortHandle;
+use urrcp::Message;
 
+use crate::drive::{Happened, LinkNumber, QueueFull, Urgency};
 use crate::mission::{Event, Loss};
 use crate::server_clock::ServerClock;
 
@@ -40,14 +42,12 @@ pub enum Endpoint {
     },
 }
 
-/// An event on a link, with the instant at which it happened there.
-pub type LinkEvent = (Timestamp<Server>, Event);
-
 /// The sending end of a link. Dropping it closes the link once all has been sent.
 #[derive(Debug)]
 pub struct Link {
     outgoing: mpsc::Sender<Message>,
     urgent: mpsc::UnboundedSender<Message>,
+    task: AbortHandle,
 }
 
 /// A robot on TCP.
@@ -67,20 +67,20 @@ struct Queue {
 }
 
 impl Link {
-    /// Opens a link after a while; what happens on it comes as events of `robot`.
+    /// Opens a link after a while; what happens on it comes as events of `robot` on the link of this number.
     pub fn open(
-        robot: usize,
+        (robot, number): (usize, LinkNumber),
         endpoint: Endpoint,
         clock: ServerClock,
-        events: mpsc::Sender<LinkEvent>,
+        events: mpsc::Sender<Happened>,
         after: Duration,
     ) -> Self {
         let (outgoing, queue) = mpsc::channel(OUTGOING_MAX);
         let (urgent, first) = mpsc::unbounded_channel();
         let queue = Queue { outgoing: queue, urgent: first };
-        let sink = EventSink { robot, clock, events };
+        let sink = EventSink { robot, link: Some(number), clock, events };
         // The task ends when its link breaks or when `outgoing` is dropped, whichever comes first.
-        tokio::spawn(async move {
+        let task = tokio::spawn(async move {
             if !after.is_zero() {
                 tokio::time::sleep(after).await;
             }
@@ -94,19 +94,29 @@ impl Link {
                 }
             }
         });
-        Self { outgoing, urgent }
+        Self { outgoing, urgent, task: task.abort_handle() }
     }
 
-    /// Queues a message, an urgent one ahead of all others. A link that is down or full drops it: the mission hears of that
-    /// by its own event.
-    pub fn send(&self, message: Message, urgent: bool) {
-        let sent = match urgent {
-            true => self.urgent.send(message).map_err(|error| error.to_string()),
-            false => self.outgoing.try_send(message).map_err(|error| error.to_string()),
+    /// Queues a message. A link that is down drops it: the mission hears of that by its own event.
+    ///
+    /// # Errors
+    /// [`QueueFull`] when the robot does not read: the message is lost.
+    pub fn send(&self, message: Message, urgency: Urgency) -> Result<(), QueueFull> {
+        let full = match urgency {
+            Urgency::Overtaking => {
+                let _down = self.urgent.send(message);
+                false
+            }
+            Urgency::InOrder => {
+                matches!(self.outgoing.try_send(message), Err(mpsc::error::TrySendError::Full(_)))
+            }
         };
-        if let Err(error) = sent {
-            tracing::debug!("message dropped: {error}");
-        }
+        if full { Err(QueueFull { waiting: OUTGOING_MAX }) } else { Ok(()) }
+    }
+
+    /// Closes the link at once. What waits to be sent is discarded.
+    pub fn cut(&self) {
+        self.task.abort();
     }
 }
 
@@ -129,14 +139,21 @@ impl Queue {
 #[derive(Clone)]
 struct EventSink {
     robot: usize,
+    /// `None` on a connection beside the link, which says nothing of the link.
+    link: Option<LinkNumber>,
     clock: ServerClock,
-    events: mpsc::Sender<LinkEvent>,
+    events: mpsc::Sender<Happened>,
 }
 
 impl EventSink {
     /// The driver's end is gone only when the mission has ended; then nobody needs the event.
     async fn put(&self, event: Event) {
-        let _ended = self.events.send((self.clock.now(), event)).await;
+        let (at, robot, event) = (self.clock.now(), self.robot, Box::new(event));
+        let happened = match self.link {
+            Some(link) => Happened::OnLink { at, robot, link, event },
+            None => Happened::Event { at, event },
+        };
+        let _ended = self.events.send(happened).await;
     }
 
     async fn up(&self) {

@@ -132,7 +132,8 @@ impl Peer {
         while let Ok(message) = more.try_recv() {
             encode_as(encoding, &message, &mut bytes);
         }
-        let peer = self.clone();
+        let mut peer = self.clone();
+        peer.sink.link = None;
         // Ends when the robot closes, or when nobody can be waiting for its answers any more.
         tokio::spawn(async move {
             let stream = TcpStream::connect((peer.host.as_str(), peer.port));
@@ -148,109 +149,4 @@ impl Peer {
 }
 
 #[cfg(test)]
-mod tests {
-    use tokio::io::AsyncBufReadExt;
-    use urrcp::{Command, ControlRequest, Script};
-
-    use super::*;
-    use crate::link::{Endpoint, Link, Speech};
-
-    #[tokio::test]
-    async fn a_stop_never_waits_behind_an_upload_that_the_robot_does_not_read() {
-        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-        let port = listener.local_addr().unwrap().port();
-        let (events, _happened) = mpsc::channel(64);
-        let clock = ServerClock::anchored(Span::ZERO);
-        let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, speech: Speech::default() };
-        let link = Link::open(0, endpoint, clock, events, Duration::ZERO);
-        let (_unread, _) = listener.accept().await.unwrap();
-        let stop = |device: String| {
-            let request =
-                ControlRequest::immediate(device.parse().unwrap(), Command::Script(Script::cancel()));
-            Message::ControlRequest(request)
-        };
-        // Far more than any socket buffers.
-        for _ in 0..39_000 {
-            link.send(stop("x".repeat(250)), false);
-        }
-        tokio::time::sleep(Duration::from_millis(100)).await;
-        link.send(stop("arm".to_owned()), true);
-        let (second, _) =
-            tokio::time::timeout(Duration::from_secs(5), listener.accept()).await.unwrap().unwrap();
-        let line = tokio::io::BufReader::new(second).lines().next_line().await.unwrap().unwrap();
-        assert!(line.contains(r#""device_id":"arm""#), "{line}");
-    }
-
-    /// What comes of a robot that writes these bytes, and of another that behaves.
-    async fn events_of(bytes: Vec<u8>, count: usize) -> Vec<Event> {
-        let clock = ServerClock::anchored(Span::ZERO);
-        let (events, mut happened) = mpsc::channel(64);
-        let mut links = Vec::new();
-        for (robot, bytes) in [bytes, b"{\"initialization_request\":{}}\n".to_vec()].into_iter().enumerate() {
-            let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
-            let port = listener.local_addr().unwrap().port();
-            let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, speech: Speech::default() };
-            links.push(Link::open(robot, endpoint, clock, events.clone(), Duration::ZERO));
-            // Ends when the link is dropped, at the end of the test.
-            tokio::spawn(async move {
-                let (mut stream, _) = listener.accept().await.unwrap();
-                let _hung_up = stream.write_all(&bytes).await;
-                let _until_dropped = stream.read(&mut [0]).await;
-            });
-        }
-        let (mut of_hostile, mut of_other) = (Vec::new(), 0);
-        while of_hostile.len() < count || of_other < 2 {
-            let (_, event) =
-                tokio::time::timeout(Duration::from_secs(60), happened.recv()).await.unwrap().unwrap();
-            match event {
-                Event::LinkUp { robot: 1 } | Event::Received { robot: 1, .. } => of_other += 1,
-                of => of_hostile.push(of),
-            }
-        }
-        assert_eq!(of_other, 2, "the other link is up and carries");
-        of_hostile
-    }
-
-    #[tokio::test]
-    async fn whatever_a_robot_writes_is_told_and_the_link_goes_on() {
-        let device = |i: usize| format!(r#"{{"id":"d{i}","name":"","available_control_types":{{}}}}"#);
-        let devices: Vec<_> = (0..32_001).map(device).collect();
-        let block = |devices: &str| {
-            format!(r#"{{"initialization_block":{{"id":"r","api_version":"1","devices":[{devices}]}}}}"#)
-        };
-        let twice = device(1).replace("\"name\"", "\"id\":\"e\",\"name\"");
-        let cases = [
-            (block(&devices.join(",")), "32001 devices, expected 1 to 32000"),
-            (block(""), "0 devices, expected 1 to 32000"),
-            (block(&format!("{},{}", device(1), device(1))), "`d1` stands twice"),
-            (block(&twice), "duplicate field `id`"),
-            ("x".repeat(17 * 1024 * 1024), "a line longer than 16777216 bytes"),
-            ("x".repeat(60 * 1024 * 1024), "a line longer than 16777216 bytes"),
-            (r#"{"control_response":"#.repeat(100_000), "not JSON"),
-            (format!(r#"{{"control_response":{}1}}"#, r#"{"status_value":["#.repeat(50_000)), ""),
-            (
-                r#"{"availability_response":{},"availability_response":{}}"#.to_owned(),
-                "2 keys, expected exactly one",
-            ),
-            (block(&device(1)).replace("\"r\"", &format!("\"{}\"", "r".repeat(257))), "257 characters"),
-            (block(&device(1)).replace("\"r\"", "\"\\ud800\""), "at `initialization_block.id`"),
-        ];
-        for (line, says) in cases {
-            let bytes = format!("{line}\n{}\n", block(&device(1))).into_bytes();
-            let events = events_of(bytes, 3).await;
-            let [Event::LinkUp { .. }, Event::Garbled { robot: 0, reason }, Event::Received { message, .. }] =
-                &events[..]
-            else {
-                panic!("{says}: {events:?}");
-            };
-            assert!(reason.contains(says) && reason.chars().count() < 600, "{reason}");
-            assert!(matches!(message, Message::InitializationBlock(_)));
-        }
-        let cut = format!("\u{ff}\u{fe}{}", block(&device(1))).chars().map(|c| c as u8).collect::<Vec<_>>();
-        let events = events_of([&cut[..], b"\n"].concat(), 2).await;
-        assert!(
-            matches!(&events[1], Event::Garbled { reason, .. } if reason.contains("not UTF-8")),
-            "{events:?}"
-        );
-    }
-}
+mod tests;

@@ -3,7 +3,8 @@
 use serde::Serialize;
 use urrcp::{DeviceId, Message, RobotId, Server, Span, Timestamp};
 
-use super::{Failure, LeadTime, Preflight, Record, SkewBudget};
+use super::failure_kind::Failure;
+use super::{LeadTime, Preflight, Record, SkewBudget};
 use crate::server_clock::NtpState;
 
 /// What happened outside.
@@ -129,6 +130,9 @@ pub enum Progress {
         lead: LeadTime,
         /// How far apart the robots may start.
         skew: Option<SkewBudget>,
+        /// The robot whose link determines the lead.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        slowest: Option<RobotId>,
     },
     /// A robot has accepted all its scripts.
     Accepted {
@@ -144,8 +148,11 @@ pub enum Progress {
         /// How long it plays.
         #[serde(rename = "duration_ms")]
         duration: Span,
-        /// Until then a failure still withdraws everything before anything has moved; after it only stopping is possible.
+        /// A failure that is known by then is withdrawn before anything has moved; after it only stopping is possible.
         no_return: Timestamp<Server>,
+        /// A robot that goes silent without a word later than so long before the start may be noticed too late.
+        #[serde(rename = "doubt_ms")]
+        doubt: Span,
     },
     /// All robots have confirmed the renewal that carries them over the start.
     Committed {
@@ -181,8 +188,8 @@ pub enum Progress {
         robot: RobotId,
         /// Why.
         reason: String,
-        /// When it is given up.
-        until: Timestamp<Server>,
+        /// When it is given up; `None` where it holds nothing that could still move it.
+        until: Option<Timestamp<Server>>,
     },
     /// A robot is back.
     Reattached {

@@ -1,36 +1,31 @@
 //! What a robot's failure does to the others, and robots whose link breaks in mid-mission.
 
 use downbeat_scripts::OnFailure;
-use urrcp::{InitializationRequest, Message, Server, Timestamp};
+use urrcp::{InitializationRequest, Message, Server, Span, Timestamp};
 
-use super::act::{ActRun, Stage};
-use super::commit::running_lease;
+use super::failure_kind::{Failure, FailureKind};
 use super::record::Record;
-use super::robot_state::{Failure, FailureKind, Link, ScriptPhase, Standing};
-use super::{Action, Greeting, Join, Mission, Phase, Progress};
-use crate::report::Outcome;
+use super::robot_state::{Link, Lost, Rest, Standing};
+use super::script::{Script, ScriptRef, ScriptState};
+use super::{Action, Greeting, Join, Loss, Mission, Outcome, Phase, Progress};
+
+/// While robots are greeted, one that refuses connections may still be starting.
+const STARTS_WITHIN: Span = Span::from_millis(500);
 
 impl Mission {
-    pub(super) fn link_down(&mut self, now: Timestamp<Server>, robot: usize, reason: String) {
+    pub(super) fn link_down(&mut self, now: Timestamp<Server>, robot: usize, loss: Loss, reason: String) {
         if self.phase == Phase::Ended {
             return;
         }
-        self.robots[robot].link = Link::Down(reason.clone());
-        self.robots[robot].reconnecting = false;
-        self.robots[robot].broken = Some(reason.clone());
+        let state = &mut self.robots[robot];
+        let (since, give_up) = state.lost().map_or((now, None), |lost| (lost.since, lost.give_up));
+        state.link = Link::Lost(Lost { reason: reason.clone(), loss, since, connecting: false, give_up });
         match self.phase {
-            Phase::Greeting { .. } if self.options.join == Join::NextAct => {
-                self.robots[robot].standing = Standing::Absent;
-                self.reconnect(robot);
-                self.greeting_progress(now);
-            }
-            Phase::Greeting { .. } => self.fail(now, robot, FailureKind::LinkDown { reason }),
-            Phase::Performing if self.robots[robot].standing == Standing::Absent => {
-                self.reconnect(robot);
-            }
+            Phase::Greeting { deadline } => self.link_down_in_greeting(now, deadline, robot, reason),
+            Phase::Performing if self.robots[robot].standing == Standing::Absent => self.reconnect(robot),
             Phase::Performing => self.link_lost(now, robot, reason),
             Phase::Stopping { .. } => {
-                if !self.robots[robot].stops.is_empty() {
+                if self.robots[robot].awaits_stop() {
                     self.reconnect(robot);
                 }
                 self.stop_progress(now);
@@ -39,67 +34,85 @@ impl Mission {
         }
     }
 
-    /// Makes a link anew, one attempt at a time.
+    /// A robot that was reached, or may still be starting, is tried again as long as patience lasts.
+    fn link_down_in_greeting(
+        &mut self,
+        now: Timestamp<Server>,
+        deadline: Timestamp<Server>,
+        robot: usize,
+        reason: String,
+    ) {
+        if self.options.join == Join::NextAct {
+            self.robots[robot].standing = Standing::Absent;
+            self.reconnect(robot);
+            return self.greeting_progress(now);
+        }
+        let Link::Lost(lost) = &self.robots[robot].link else { return };
+        let off = lost.loss == Loss::Refused && now >= lost.since + STARTS_WITHIN;
+        match off || now >= deadline {
+            true => self.fail(now, robot, FailureKind::LinkDown { reason }),
+            false => self.reconnect(robot),
+        }
+    }
+
+    /// Makes a link again, one attempt at a time.
     pub(super) fn reconnect(&mut self, robot: usize) {
-        if !std::mem::replace(&mut self.robots[robot].reconnecting, true) {
-            let after = self.robots[robot].next_attempt();
+        let state = &mut self.robots[robot];
+        if let Link::Lost(lost) = &mut state.link
+            && !std::mem::replace(&mut lost.connecting, true)
+        {
+            let after = state.next_attempt();
             self.actions.push(Action::Reconnect { robot, after });
         }
     }
 
-    /// The robot goes on by its script, as far as its lease lets it. Until that is surely over it may come back.
+    /// The robot goes on by its script, as far as its lease lets it. Until that is surely over it may come back. Where
+    /// connections are refused no process of it runs: what it had is over.
     fn link_lost(&mut self, now: Timestamp<Server>, robot: usize, reason: String) {
         self.reconnect(robot);
-        let state = &self.robots[robot];
-        if state.give_up.is_some() || state.standing == Standing::Out {
+        let gone = self.robots[robot].is_gone();
+        if self.robots[robot].standing == Standing::Out {
             return;
         }
-        let playing = self.runs.iter().filter(|run| run.stage >= Stage::Committed);
-        let ends = playing.filter_map(|run| self.gives_up(run, robot, now)).max();
-        self.robots[robot].give_up = ends;
-        self.give_up = self.give_up.into_iter().chain(ends).min();
-        let robot = state_id(self, robot);
-        self.tell(Progress::LinkLost { robot, reason, until: ends.unwrap_or(now + self.options.patience) });
-    }
-
-    /// When a robot that cannot be heard has surely ended what it has of an act: its leases have run out, or, without
-    /// them, its scripts are over. Before the start decision and commitment see to it.
-    fn gives_up(&self, run: &ActRun, robot: usize, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
-        let member = run.member(robot)?;
-        let timing = run.timing.as_ref()?;
-        let grace = self.report_grace(run);
-        let out = member.scripts.iter().filter(|script| script.is_out());
-        let ends = out.map(|script| {
-            let begins = timing.start + script.plan.start.span();
-            match running_lease(script) {
-                Some(lease) => now.max(begins) + lease + grace,
-                None => begins + script.plan.script.duration() + self.options.patience,
-            }
-        });
-        ends.max()
+        if gone && self.acts.iter().any(|act| act.has_something_on(robot)) {
+            return self.fail(now, robot, FailureKind::LinkDown { reason });
+        }
+        let patience = self.options.patience;
+        let ends = self.acts.iter().filter_map(|act| act.gives_up(robot, now, &self.robots, patience)).max();
+        let Link::Lost(lost) = &mut self.robots[robot].link else { return };
+        let first = lost.since == now;
+        if lost.give_up.is_none() {
+            lost.give_up = ends;
+            self.give_up = self.give_up.into_iter().chain(ends).min();
+        }
+        if first {
+            let robot = self.robots[robot].id.clone();
+            self.tell(Progress::LinkLost { robot, reason, until: ends });
+        }
     }
 
     pub(super) fn give_up_lost(&mut self, now: Timestamp<Server>) {
         if self.give_up.is_none_or(|at| now < at) {
             return;
         }
-        let mut lost = Vec::new();
+        let mut failing = Vec::new();
         for (index, robot) in self.robots.iter_mut().enumerate() {
-            if robot.give_up.take_if(|at| now >= *at).is_some() {
-                let reason = match &robot.link {
-                    Link::Down(reason) => reason.clone(),
-                    _ => "it did not come back in time".to_owned(),
-                };
-                lost.push((index, FailureKind::LinkDown { reason }));
+            let Some(lost) = robot.lost_mut() else { continue };
+            if lost.give_up.take_if(|at| now >= *at).is_some() {
+                failing.push((index, FailureKind::LinkDown { reason: lost.reason.clone() }));
             }
         }
-        self.give_up = self.robots.iter().filter_map(|robot| robot.give_up).min();
-        if !lost.is_empty() {
-            self.fail_all(now, lost);
+        self.give_up = self.earliest_give_up();
+        if !failing.is_empty() {
+            self.fail_all(now, failing);
         }
     }
 
-    /// A link stands again: renew the leases at once, then ask what was missed.
+    fn earliest_give_up(&self) -> Option<Timestamp<Server>> {
+        self.robots.iter().filter_map(|robot| robot.lost()?.give_up).min()
+    }
+
+    /// A link stands again: ask what was missed, which renews the leases.
     pub(super) fn reattach(&mut self, now: Timestamp<Server>, robot: usize) {
         if self.robots[robot].standing == Standing::Absent {
             return match self.options.greeting {
@@ -108,38 +121,47 @@ impl Mission {
             };
         }
         self.robots[robot].totals.reconnects += 1;
-        if self.robots[robot].stop_sent {
+        if self.robots[robot].stop_was_sent() {
             return self.stop_anew(now, robot);
         }
-        self.robots[robot].give_up = None;
-        self.ask_availability(now, robot);
-        if !self.robots[robot].introduced && self.options.greeting == Greeting::Full {
+        if self.options.greeting == Greeting::Full && !self.robots[robot].introduced {
             let request = InitializationRequest { timestamp: Some(now) };
-            self.send(now, robot, Message::InitializationRequest(request));
+            self.post(now, robot, Message::InitializationRequest(request));
         }
-        for index in 0..self.runs.len() {
-            let Some(timing) = &self.runs[index].timing else { continue };
-            // From here on nobody may join: an act starts on all or on none, and who has lost it must say so.
-            let passed = now >= timing.commit;
-            let Some(m) = self.runs[index].members.iter().position(|m| m.robot == robot && !m.out) else {
-                continue;
+        match self.robots[robot].takes_inquiries() {
+            true => self.inquire(now, robot),
+            false => self.send_held_again(now, robot),
+        }
+    }
+
+    /// It has been heard again on a new link.
+    pub(super) fn is_back(&mut self, robot: usize) {
+        self.give_up = self.earliest_give_up();
+        if self.phase == Phase::Performing {
+            let robot = self.robots[robot].id.clone();
+            self.tell(Progress::Reattached { robot });
+        }
+    }
+
+    /// A robot that takes no inquiries is sent again what it may not have received. What it has, it knows by its name; what
+    /// has begun is left alone.
+    fn send_held_again(&mut self, now: Timestamp<Server>, robot: usize) {
+        self.ask(now, robot);
+        let mut again = Vec::new();
+        for act in self.acts.iter().filter(|act| act.is_open()) {
+            let (Some(place), Some(timing)) = (act.place_of(robot), act.timing()) else { continue };
+            let waits = |script: &Script| {
+                let ahead = timing.start + script.plan.start.span() > now;
+                ahead && matches!(script.state(), ScriptState::Sent | ScriptState::Held)
             };
-            for s in 0..self.runs[index].members[m].scripts.len() {
-                let script = &self.runs[index].members[m].scripts[s];
-                match script.phase {
-                    ScriptPhase::Planned | ScriptPhase::Ended | ScriptPhase::Failed(_) => {}
-                    _ if passed => self.probe(now, index, m, s),
-                    _ => {
-                        if let Some(request) = self.request(index, m, s) {
-                            self.robots[robot].totals.retries += 1;
-                            self.send(now, robot, Message::ControlRequest(request));
-                        }
-                    }
-                }
-            }
+            let scripts = act.members()[place].scripts().iter().enumerate();
+            let scripts = scripts.filter(|(_, script)| waits(script));
+            again.extend(scripts.map(|(script, _)| ScriptRef { act: act.number(), member: place, script }));
         }
-        let robot = state_id(self, robot);
-        self.tell(Progress::Reattached { robot });
+        for script in again {
+            self.robots[robot].totals.retries += 1;
+            self.send_script(now, script);
+        }
     }
 
     /// Notes the failure of a robot and does what the policy says.
@@ -152,8 +174,12 @@ impl Mission {
         let out = |mission: &Self, robot: usize| mission.robots[robot].standing == Standing::Out;
         let failing: Vec<_> = failing.into_iter().filter(|(robot, _)| !out(self, *robot)).collect();
         let robots: Vec<usize> = failing.iter().map(|(robot, _)| *robot).collect();
+        // What a stop ends is no failure.
+        let stopping = matches!(self.phase, Phase::Stopping { .. } | Phase::Ended);
         for (robot, kind) in failing {
-            self.note_failure(robot, kind);
+            if !stopping || matches!(kind, FailureKind::Garbled { .. }) {
+                self.note_failure(robot, kind);
+            }
         }
         match self.phase {
             // All robots get their chance to speak first, so that all findings come at once.
@@ -172,13 +198,13 @@ impl Mission {
 
     /// The strictest policy of those that failed: abort, then hold, then going on without them.
     fn apply_policy(&mut self, now: Timestamp<Server>, robots: &[usize]) {
-        let Some(current) = self.runs.first() else {
-            return self.abort(now, Outcome::Failed, false, None);
+        let Some(current) = self.acts.first() else {
+            return self.abort(now, Outcome::Failed, Rest::Default, None);
         };
         let policies = robots.iter().map(|robot| {
             // That of the newest act that it takes part in.
-            let run = self.runs.iter().rfind(|run| run.is_sent() && run.member(*robot).is_some());
-            let policy = &self.choreography.acts[run.unwrap_or(current).act].on_failure;
+            let act = self.acts.iter().rfind(|act| act.was_sent() && act.member(*robot).is_some());
+            let policy = &act.unwrap_or(current).written().on_failure;
             let id = &self.robots[*robot].id;
             let own = policy.robots.iter().find(|(robot, _)| robot == id).map(|(_, what)| *what);
             (own.unwrap_or(policy.default), policy.then)
@@ -188,45 +214,42 @@ impl Mission {
             OnFailure::Hold => 1,
             OnFailure::Without => 0,
         };
-        let policies: Vec<_> = policies.collect();
-        let Some((what, then)) = policies.into_iter().max_by_key(|(what, _)| rank(what)) else { return };
+        let Some((what, then)) = policies.max_by_key(|(what, _)| rank(what)) else { return };
         match what {
-            OnFailure::Abort | OnFailure::Hold => {
-                let moved = self.runs.iter().any(|run| {
-                    run.has_begun() || run.timing.as_ref().is_some_and(|timing| now >= timing.start)
-                });
-                let any_before = !self.acts.is_empty();
-                let outcome = if moved || any_before { Outcome::Failed } else { Outcome::NotStarted };
-                robots.iter().for_each(|robot| self.robots[*robot].standing = Standing::Out);
-                self.abort(now, outcome, what == OnFailure::Hold, then);
-            }
+            OnFailure::Abort => self.abort_for(now, robots, Rest::Default, then),
+            OnFailure::Hold => self.abort_for(now, robots, Rest::Hold, then),
             OnFailure::Without => {
                 self.detour = then.or(self.detour);
                 robots.iter().for_each(|robot| self.drop_robot(now, *robot));
-                let sent = self.runs.iter().any(ActRun::is_sent);
+                let sent = self.acts.iter().any(super::act::Act::was_sent);
                 let nobody = self.robots.iter().all(|robot| robot.standing == Standing::Out);
                 if nobody && sent {
-                    self.abort(now, Outcome::Failed, false, None);
+                    self.abort(now, Outcome::Failed, Rest::Default, None);
                 }
             }
         }
     }
 
+    fn abort_for(&mut self, now: Timestamp<Server>, robots: &[usize], rest: Rest, then: Option<usize>) {
+        let started = |act: &super::act::Act| {
+            act.has_begun() || act.is_committed() && act.timing().is_some_and(|timing| now >= timing.start)
+        };
+        let moved = self.acts.iter().any(started) || !self.reports.is_empty();
+        let outcome = if moved { Outcome::Failed } else { Outcome::NotStarted };
+        robots.iter().for_each(|robot| self.robots[*robot].standing = Standing::Out);
+        self.abort(now, outcome, rest, then);
+    }
+
     /// The others go on; it goes to its default state, if it can be reached.
     fn drop_robot(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].standing = Standing::Out;
-        self.robots[robot].give_up = None;
-        for member in self.runs.iter_mut().flat_map(|run| &mut run.members) {
-            member.out |= member.robot == robot;
+        if let Some(lost) = self.robots[robot].lost_mut() {
+            lost.give_up = None;
         }
-        self.runs.iter_mut().for_each(|run| run.recheck = true);
-        let id = state_id(self, robot);
+        self.acts.iter_mut().for_each(|act| act.drop_robot(robot));
+        let id = self.robots[robot].id.clone();
         self.record(Record::Dropped { robot: id.clone() });
         self.tell(Progress::Dropped { robot: id });
-        self.stop_robot(now, robot, false);
+        self.stop_robot(now, robot, Rest::Default);
     }
-}
-
-fn state_id(mission: &Mission, robot: usize) -> urrcp::RobotId {
-    mission.robots[robot].id.clone()
 }

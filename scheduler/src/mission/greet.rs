@@ -2,17 +2,17 @@
 //! the fleet file requires of sensors, and where devices stand.
 
 use urrcp::{
-    AvailabilityRequest, AvailabilityResponse, Command, ControlError, ControlRequest, ControlResponse,
-    ControlType, DeviceId, ErrorCode, InitializationBlock, InitializationRequest, Message, RequestId, Server,
-    Span, Status, StatusValue, Timestamp,
+    AvailabilityResponse, Command, ControlRequest, ControlResponse, ControlType, DeviceId,
+    InitializationBlock, InitializationRequest, Message, RequestId, Server, Span, Status, StatusValue,
+    Timestamp,
 };
 
+use super::failure_kind::FailureKind;
 use super::preflight;
-use super::robot_state::{FailureKind, Link, Reading, RobotState, Standing};
+use super::robot_state::{Link, Reading, RobotState, Standing};
 use super::skew::SkewBudget;
-use super::{ClockMode, Greeting, Join, Mission, Phase, Progress, TakenReading, act};
+use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, act, error_of_status};
 use crate::clock::ClockSample;
-use crate::report::Outcome;
 
 /// Exchanges of timestamps with each robot before anything is decided.
 const CLOCK_SAMPLES: u32 = 8;
@@ -26,9 +26,7 @@ const SAMPLING_INTERVAL: Span = Span::from_millis(20);
 
 impl Mission {
     pub(super) fn link_up(&mut self, now: Timestamp<Server>, robot: usize) {
-        self.robots[robot].link = Link::Up;
-        self.robots[robot].reconnecting = false;
-        self.robots[robot].attempts = 0;
+        self.robots[robot].connected();
         match self.phase {
             Phase::Greeting { .. } => {}
             Phase::Performing => return self.reattach(now, robot),
@@ -54,14 +52,6 @@ impl Mission {
         }
     }
 
-    /// Asks for the robot's times; also claims it for the session and renews all leases.
-    pub(super) fn ask_availability(&mut self, now: Timestamp<Server>, robot: usize) {
-        self.robots[robot].asked_at = Some(now);
-        let session = self.options.session.clone();
-        let request = AvailabilityRequest { timestamp: Some(now), session };
-        self.send(now, robot, Message::AvailabilityRequest(request));
-    }
-
     pub(super) fn availability(
         &mut self,
         now: Timestamp<Server>,
@@ -69,18 +59,17 @@ impl Mission {
         response: &AvailabilityResponse,
     ) {
         if response.status == Status::Failed {
-            let without = || ControlError::new(ErrorCode::Internal, "the robot gave no reason");
-            let error = response.error.clone().unwrap_or_else(without);
+            let error = error_of_status(response.error.as_ref());
             return self.fail(now, robot, FailureKind::NotAvailable { error });
         }
-        if let Some(sent) = response.originate_timestamp.filter(|sent| *sent <= now) {
-            let sample =
-                ClockSample::from_exchange(sent, response.receive_timestamp, response.timestamp, now);
-            let state = &mut self.robots[robot];
-            state.clock.add(sample);
-            state.asked_at = state.asked_at.filter(|asked| *asked != sent);
-            state.renewed_at = state.renewed_at.max(Some(sent));
-            self.note_round(now, sent);
+        if let Some(sent) = response.originate_timestamp.filter(|sent| *sent <= self.arrived) {
+            let sample = ClockSample::from_exchange(
+                sent,
+                response.receive_timestamp,
+                response.timestamp,
+                self.arrived,
+            );
+            self.take_times(robot, sample);
         }
         match self.phase {
             Phase::Greeting { .. } if self.robots[robot].clock.samples() < CLOCK_SAMPLES => {
@@ -88,9 +77,14 @@ impl Mission {
             }
             Phase::Greeting { .. } => self.greeting_progress(now),
             _ if self.robots[robot].standing == Standing::Absent => self.join_if_greeted(now, robot),
-            // An act may have waited for this.
-            Phase::Performing if self.robots[robot].clock.samples() == 1 => self.perform(now),
-            _ => {}
+            Phase::Performing => {
+                // An act may have waited for its first times.
+                if self.robots[robot].clock.samples() == 1 {
+                    self.acts.iter_mut().for_each(|act| act.look_again_at(None));
+                }
+                self.perform(now);
+            }
+            Phase::Stopping { .. } | Phase::Ended => {}
         }
     }
 
@@ -110,6 +104,8 @@ impl Mission {
                 self.greeting_progress(now);
             }
             _ if self.robots[robot].standing == Standing::Absent => self.join_if_greeted(now, robot),
+            // After a resumption: from now on it is known whether it can be asked what it has.
+            Phase::Performing if self.robots[robot].takes_inquiries() => self.inquire(now, robot),
             _ => {}
         }
     }
@@ -189,14 +185,13 @@ impl Mission {
             Reading::Position(device) => {
                 self.robots[robot].positions.extend(value.map(|value| (device, value)));
             }
-            Reading::Wait(number) => self.wait_reading(now, number, value),
+            Reading::Wait(number) => {
+                let act = self.acts.iter_mut().find(|act| act.number() == number);
+                act.into_iter().for_each(|act| act.sensor_read(value));
+            }
             Reading::Planned(number, index) => {
-                let state = &self.robots[robot];
-                let Some(run) = self.runs.iter_mut().find(|run| run.number == number) else { return true };
-                if let Some(planned) = self.choreography.acts[run.act].readings.get(index) {
-                    let (robot, sensor) = (state.id.clone(), planned.sensor.clone());
-                    run.readings.push(TakenReading { robot, sensor, at: planned.at, value });
-                }
+                let act = self.acts.iter_mut().find(|act| act.number() == number);
+                act.into_iter().for_each(|act| act.read(index, &self.robots[robot], value));
             }
         }
         if matches!(self.phase, Phase::Greeting { .. }) {
@@ -265,10 +260,10 @@ impl Mission {
             let state = &self.robots[robot];
             let reading = state.clock.reading();
             // Also those that are known well enough are looked at now and then: a clock may be set meanwhile.
-            let stale = state.renewed_at.is_none_or(|at| now - at > STALE);
+            let stale = state.questions.answered().is_none_or(|at| now - at > STALE);
             let unsure = stale || reading.is_none_or(|reading| reading.uncertainty > enough);
-            let delay_max = reading.map_or(Span::ZERO, |reading| reading.delay_max);
-            let awaited = state.asked_at.is_some_and(|at| now < at + delay_max * 3 + SAMPLING_INTERVAL);
+            let longest = state.round_trip() * 3 + SAMPLING_INTERVAL;
+            let awaited = state.questions.last_unanswered().is_some_and(|at| now < at + longest);
             if unsure && !awaited && state.is_up() {
                 self.ask_availability(now, robot);
             }
@@ -369,12 +364,14 @@ impl Mission {
             let robot = &self.robots[index];
             let awaited = match robot.link {
                 _ if robot.has_failed() || robot.standing != Standing::In => continue,
-                Link::Connecting | Link::Down(_) => "connection",
-                Link::Up if full && robot.clock.samples() == 0 => "availability response",
-                Link::Up if full && !robot.introduced => "initialization block",
-                Link::Up if full && robot.clock.samples() < CLOCK_SAMPLES => "further availability responses",
-                Link::Up if full && !robot.reads.is_empty() => "readings of its sensors",
-                Link::Up => continue,
+                Link::Connecting | Link::Lost(_) => "connection",
+                Link::Up { .. } if full && robot.clock.samples() == 0 => "availability response",
+                Link::Up { .. } if full && !robot.introduced => "initialization block",
+                Link::Up { .. } if full && robot.clock.samples() < CLOCK_SAMPLES => {
+                    "further availability responses"
+                }
+                Link::Up { .. } if full && !robot.reads.is_empty() => "readings of its sensors",
+                Link::Up { .. } => continue,
             };
             if self.options.join == Join::NextAct && !robot.is_up() {
                 self.robots[index].standing = Standing::Absent;
@@ -403,9 +400,7 @@ impl Mission {
     /// From the next act on that has not been sent.
     pub(super) fn joins(&mut self, robot: usize) {
         self.robots[robot].standing = Standing::In;
-        for run in self.runs.iter_mut().filter(|run| !run.is_sent()) {
-            run.members = act::members(&self.choreography.acts[run.act].plan, &self.robots);
-        }
+        self.acts.iter_mut().for_each(|act| act.gather(&self.robots));
     }
 
     /// Ends before anything has been sent that could move a robot.

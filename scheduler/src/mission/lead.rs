@@ -3,11 +3,16 @@
 use serde::Serialize;
 use urrcp::Span;
 
+use super::act::timing::Pace;
+
 /// Least time kept free between the end of all leases and the start, and on top of what preparing needs: a loaded machine
 /// wakes the scheduler tens of milliseconds late.
 pub const LEAD_MARGIN_MIN: Span = Span::from_millis(50);
 /// Least pending lease: a few renewals must fit into it on the scheduler's millisecond timer.
 const LEASE_MIN: Span = Span::from_millis(240);
+/// Longer round trips count as this one: a lead and a lease that follow every delay make a show wait for one bad link.
+/// Preparing and leases still leave room for two and more times as much.
+const ROUND_TRIP_MAX: Span = Span::from_millis(500);
 /// Bytes a second that any link and robot is trusted to take in.
 const BYTES_A_SECOND: i64 = 20_000_000;
 /// Time to encode, send, check and answer one request, besides its bytes.
@@ -34,25 +39,25 @@ impl LeadTime {
 
     /// What this fleet needs.
     ///
-    /// `delay_max` is the longest measured round trip, `requests` and `bytes` what has to be sent in all, `lease` the
-    /// pending lease that the scenario prescribes.
+    /// `round_trip` is the longest that links keep to nearly always, `requests` and `bytes` what has to be sent in all,
+    /// `lease` the pending lease that requests carry.
     #[must_use]
-    pub fn needed(delay_max: Span, requests: usize, bytes: usize, lease: Option<Span>) -> Self {
+    pub(crate) fn needed(round_trip: Span, requests: usize, bytes: usize, pace: &Pace, lease: Span) -> Self {
         let requests = i64::try_from(requests).unwrap_or(i64::MAX);
         let bytes = i64::try_from(bytes).unwrap_or(i64::MAX);
         let transfer =
             EACH_REQUEST * requests + Span::from_millis(bytes.saturating_mul(1_000) / BYTES_A_SECOND);
         Self {
-            prepare: delay_max * 3 + transfer + LEAD_MARGIN_MIN,
-            lease: lease.unwrap_or_else(|| Self::lease_needed(delay_max)),
-            margin: LEAD_MARGIN_MIN.max(delay_max / 2),
+            prepare: counted(round_trip) * 3 + transfer + LEAD_MARGIN_MIN,
+            lease,
+            margin: LEAD_MARGIN_MIN.max(pace.margin()).max(pace.needed() - lease),
         }
     }
 
     /// The shortest pending lease that survives the delays of this fleet.
     #[must_use]
-    pub fn lease_needed(delay_max: Span) -> Span {
-        LEASE_MIN.max(delay_max * (2 * Self::RENEWALS_A_LEASE))
+    pub fn lease_needed(round_trip: Span) -> Span {
+        LEASE_MIN.max(counted(round_trip) * (2 * Self::RENEWALS_A_LEASE))
     }
 
     /// From the sending timestamp to the start.
@@ -61,30 +66,53 @@ impl LeadTime {
         self.prepare + self.lease + self.margin
     }
 
-    /// The same start further away: what is gained goes to the answers.
+    /// The same start further away: any extra time extends the *prepare* phase.
     #[must_use]
     pub fn stretched_to(self, total: Span) -> Self {
         Self { prepare: self.prepare + (total - self.total()).max(Span::ZERO), ..self }
     }
 }
 
+/// A round trip as far as it counts.
+pub(crate) fn counted(round_trip: Span) -> Span {
+    round_trip.min(ROUND_TRIP_MAX)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::mission::act::timing::{Leases, Measured};
+
+    fn needed(round_trip: Span, bytes: usize) -> LeadTime {
+        let lease = LeadTime::lease_needed(round_trip);
+        let (early, late, record) = (Span::ZERO, Span::ZERO, Span::ZERO);
+        let measured =
+            Measured { robots: 6, scripts: 6, leases: Leases::Shortened, round_trip, early, late, record };
+        LeadTime::needed(round_trip, 6, bytes, &Pace::of(&measured, lease), lease)
+    }
 
     #[test]
     fn slower_links_and_longer_scripts_need_a_longer_lead() {
-        let near = LeadTime::needed(Span::from_millis(1), 6, 6_000, None);
-        let far = LeadTime::needed(Span::from_millis(160), 6, 6_000, None);
-        let long = LeadTime::needed(Span::from_millis(1), 6, 60_000_000, None);
+        let near = needed(Span::from_millis(1), 6_000);
+        let far = needed(Span::from_millis(160), 6_000);
+        let long = needed(Span::from_millis(1), 60_000_000);
         assert!(far.total() > near.total());
         assert!(long.total() > near.total() + Span::from_millis(2_900));
         assert!(far.lease >= Span::from_millis(160 * 6));
     }
 
     #[test]
+    fn a_very_slow_link_does_not_make_the_show_wait_without_bound() {
+        assert_eq!(
+            needed(Span::from_millis(10_000), 6_000).prepare,
+            needed(Span::from_millis(500), 6_000).prepare
+        );
+        assert_eq!(LeadTime::lease_needed(Span::from_millis(10_000)), Span::from_millis(3_000));
+    }
+
+    #[test]
     fn a_longer_lead_gives_the_answers_more_time() {
-        let needed = LeadTime::needed(Span::from_millis(1), 6, 6_000, None);
+        let needed = needed(Span::from_millis(1), 6_000);
         let stretched = needed.stretched_to(Span::from_millis(5_000));
         assert_eq!(stretched.total(), Span::from_millis(5_000));
         assert_eq!(stretched.lease, needed.lease);

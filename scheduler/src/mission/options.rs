@@ -88,6 +88,9 @@ pub struct MissionOptions {
     pub start_at: Option<Timestamp<Server>>,
     /// With which act to begin, by its index.
     pub first_act: usize,
+    /// No further act begins once so many have, those included that waited in vain; the mission then comes to its end as
+    /// after its last act. The first act always begins. `None`: no bound.
+    pub acts_max: Option<u32>,
     /// What becomes of robots that are not there at first.
     pub join: Join,
     /// Ends once the fleet is checked.
@@ -106,6 +109,7 @@ impl Default for MissionOptions {
             session: None,
             start_at: None,
             first_act: 0,
+            acts_max: None,
             join: Join::Refuse,
             preflight_only: false,
             utc_offset: Span::ZERO,

@@ -3,7 +3,8 @@
 use serde::Serialize;
 use urrcp::{RobotId, Server, Timestamp};
 
-use super::robot_state::{FailureKind, Link, RobotState};
+use super::failure_kind::FailureKind;
+use super::robot_state::{Link, RobotState};
 use super::{ClockMode, Greeting, Mission};
 
 /// What is checked.
@@ -106,11 +107,11 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
     let greeted = mission.options.greeting == Greeting::Full;
     match check {
         Check::Link => match &robot.link {
-            Link::Up => Verdict::Pass(match robot.clock.reading() {
+            Link::Up { .. } => Verdict::Pass(match robot.clock.reading() {
                 Some(reading) => format!("{} to {}", reading.delay_min, reading.delay_max),
                 None => "up".to_owned(),
             }),
-            Link::Down(reason) => Verdict::Warning(reason.clone()),
+            Link::Lost(lost) => Verdict::Warning(lost.reason.clone()),
             Link::Connecting => Verdict::Warning("not there".to_owned()),
         },
         Check::Version | Check::Description if !robot.introduced => Verdict::NotChecked,

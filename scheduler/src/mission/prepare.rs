@@ -1,441 +1,219 @@
-//! All requests of an act with one timestamp, and one decision: all have accepted, or none starts.
-//!
-//! The start lies a lease and a margin beyond the decision, so that robots that no message can reach any more drop their
-//! scripts before it (`commit`).
+//! When an act is sent, and with which lead: what the mission knows beyond the act itself.
 
-use urrcp::{
-    Command, ContentHash, ControlError, ControlRequest, ControlResponse, ErrorCode, Message, Millis,
-    RequestId, Server, Span, Status, StopCondition, Timestamp, encode,
-};
+use urrcp::{Command, ControlRequest, Message, Millis, RobotId, Server, Span, Timestamp, encode};
 
-use super::act::{ActRun, Member, Stage, Timing};
-use super::lead::LeadTime;
-use super::record::{Promise, PromisedScript, Record};
-use super::robot_state::{FailureKind, ScriptPhase, ScriptState};
+use super::act::timing::{CLOCK_UNKNOWN, Leases, Measured, Pace};
+use super::act::{Act, Member, Timing};
+use super::failure_kind::FailureKind;
+use super::lead::{self, LeadTime};
+use super::robot_state::RobotState;
 use super::skew::SkewBudget;
-use super::{ClockMode, Greeting, Mission, Phase, Progress};
-use crate::report::Outcome;
+use super::{ClockMode, Greeting, Mission, Outcome, ledger};
 
 /// An act that follows another is sent so long before it has to be, at most.
 const AHEAD: Span = Span::from_millis(2_000);
+/// The longest pending lease of an act that is sent that early: while others play, a link that freezes for a moment does no
+/// harm to it.
+const LEASE_AHEAD_MAX: Span = Span::from_millis(2_000);
 
 /// What an act needs before it can start.
 struct Need {
     lead: LeadTime,
-    delay_max: Span,
+    pace: Pace,
+    slowest: Option<(RobotId, Span)>,
 }
 
 impl Mission {
     /// Sends the act once its time has come and the devices have room for it.
     pub(super) fn prepare_if_it_fits(&mut self, now: Timestamp<Server>, index: usize) {
-        let run = &self.runs[index];
-        if run.present().next().is_none() {
-            // All its robots have been left out: there is nothing to play.
-            self.runs[index].stage = Stage::Over;
+        let act = &self.acts[index];
+        if !act.is_looked_at(now) || act.present().next().is_none() || !self.disk_is_known() {
             return;
         }
-        let waits = run.poll.is_some_and(|at| now < at) && self.unknown_clocks(run).is_empty();
-        if waits && run.target.is_some() {
-            return;
-        }
-        if !self.has_room(run) {
+        if !act.is_alone() && !ledger::fits(&self.acts, index, &self.robots) {
             // Looked at again whenever something ends.
-            self.runs[index].poll = None;
-            return;
+            return self.acts[index].look_again_at(Some(now + AHEAD));
         }
-        let unknown = self.unknown_clocks(run);
+        let unknown = self.unknown_clocks(act);
         if !unknown.is_empty() {
-            let (within, since) = (self.options.patience, run.since);
-            self.runs[index].poll = Some(since + within).filter(|until| now < *until);
-            if self.runs[index].poll.is_none() {
-                let awaited = "availability response".to_owned();
-                let silent = |robot| (robot, FailureKind::Silent { awaited: awaited.clone(), within });
-                self.fail_all(now, unknown.into_iter().map(silent).collect());
-            }
-            return;
+            return self.await_clocks(now, index, unknown);
         }
-        let need = match self.need(now, run) {
+        let skew = self.skew_of(act, now);
+        let need = match self.need(now, act, skew.as_ref()) {
             Ok(need) => need,
             Err(outcome) => return self.cannot_prepare(now, outcome),
         };
-        let from = self.runs[index].target.map(|target| target - need.lead.total() - AHEAD);
-        self.runs[index].poll = from.filter(|from| now < *from);
-        if self.runs[index].poll.is_some() {
-            return;
+        let from = act.target().map(|target| target - need.lead.total() - AHEAD);
+        if let Some(from) = from.filter(|from| now < *from) {
+            return self.acts[index].look_again_at(Some(from));
         }
-        let run = &self.runs[index];
-        let tolerance = self.choreography.acts[run.act].plan.start_tolerance;
-        let skew = SkewBudget::of(run.present(), &self.robots, tolerance, now);
         let offenders = skew.as_ref().map(SkewBudget::offenders).unwrap_or_default();
         if !offenders.is_empty() {
             let at = |id| self.robots.iter().position(|robot| robot.id == id);
             let failing = offenders.into_iter().filter_map(|(id, kind)| Some((at(id)?, kind))).collect();
             return self.fail_all(now, failing);
         }
-        self.send_act(now, index, &need, skew);
+        self.send_act(now, index, need, skew);
+    }
+
+    fn skew_of(&self, act: &Act, now: Timestamp<Server>) -> Option<SkewBudget> {
+        SkewBudget::of(act.present(), &self.robots, act.written().plan.start_tolerance, now)
     }
 
     /// Members whose clock has not been measured, as after a resumption, where it has to be.
-    fn unknown_clocks(&self, run: &ActRun) -> Vec<usize> {
+    fn unknown_clocks(&self, act: &Act) -> Vec<usize> {
         let full = self.options.greeting == Greeting::Full;
         let unknown = |robot: &usize| {
             let robot = &self.robots[*robot];
             robot.clock.samples() == 0 && (full || robot.clock_mode == ClockMode::Measured)
         };
-        run.present().map(|member| member.robot).filter(unknown).collect()
+        act.present().map(|member| member.robot).filter(unknown).collect()
     }
 
-    /// Every device has room for its first script beside what it holds of other acts. After those have ended there is room.
-    fn has_room(&self, run: &ActRun) -> bool {
-        let others = || self.runs.iter().filter(|other| other.number != run.number && other.is_sent());
-        run.alone_since.is_some()
-            || run.present().all(|member| {
-                let robot = &self.robots[member.robot];
-                let held = |device: &urrcp::DeviceId| {
-                    others().map(|o| o.held(member.robot, device, run.number)).sum()
-                };
-                let sendable = member.sendable(robot, held);
-                let scripts = &member.scripts;
-                let first = |i: &usize| *i == 0 || scripts[i - 1].plan.device != scripts[*i].plan.device;
-                (0..scripts.len()).filter(first).all(|i| sendable.contains(&i))
-            })
+    fn await_clocks(&mut self, now: Timestamp<Server>, index: usize, unknown: Vec<usize>) {
+        let (within, since) = (self.options.patience, self.acts[index].since());
+        if now < since + within {
+            return self.acts[index].look_again_at(Some(since + within));
+        }
+        let silent = |robot| {
+            let awaited = "answer to the question for its times".to_owned();
+            (robot, FailureKind::Silent { awaited, within })
+        };
+        self.fail_all(now, unknown.into_iter().map(silent).collect());
     }
 
     /// Refused for a lead or a lease that is too short. Before anything has moved nothing is sent at all.
     fn cannot_prepare(&mut self, now: Timestamp<Server>, outcome: Outcome) {
         match self.robots.iter().all(|robot| robot.touched.is_empty()) {
             true => self.refuse(outcome),
-            false => self.abort(now, outcome, false, None),
+            false => self.abort(now, outcome, super::robot_state::Rest::Default, None),
         }
     }
 
-    fn need(&self, now: Timestamp<Server>, run: &ActRun) -> Result<Need, Outcome> {
-        let plan = &self.choreography.acts[run.act].plan;
-        let delays = run.present().filter_map(|member| self.robots[member.robot].clock.reading());
-        let delay_max = delays.map(|reading| reading.delay_max).max().unwrap_or(Span::ZERO);
+    fn need(&self, now: Timestamp<Server>, act: &Act, skew: Option<&SkewBudget>) -> Result<Need, Outcome> {
+        let plan = &act.written().plan;
+        let slowest = self.slowest(act);
+        let round_trip = lead::counted(slowest.as_ref().map_or(Span::ZERO, |(_, round_trip)| *round_trip));
         let prescribed = plan.stop_condition.pending.map(Millis::span);
-        if let Some(lease) = prescribed.filter(|lease| *lease < LeadTime::lease_needed(delay_max)) {
-            return Err(Outcome::LeaseTooShort { lease, needed: LeadTime::lease_needed(delay_max) });
+        let measured = self.measured(act, round_trip, prescribed, skew);
+        let least = LeadTime::lease_needed(round_trip).max(measured.lease_least());
+        if let Some(lease) = prescribed.filter(|lease| *lease < least) {
+            return Err(Outcome::LeaseTooShort { lease, needed: least });
         }
-        let requests = run.present().map(|member| member.scripts.len()).sum();
-        let needed = LeadTime::needed(delay_max, requests, request_bytes(run, now), prescribed);
-        let wanted = self.options.lead.or(plan.lead).filter(|_| run.target.is_none());
-        if let Some(lead) = wanted.filter(|lead| *lead < needed.total()) {
-            let safe_start = now + needed.total();
-            return Err(Outcome::LeadTooShort { lead, needed, safe_start });
-        }
-        // What the operator asked for is kept or refused, never silently played later.
-        let asked = self.options.start_at.filter(|_| run.number == 0);
-        if let Some(start) = asked.filter(|start| *start < now + needed.total()) {
-            return Err(Outcome::StartTooSoon { start, safe_start: now + needed.total() });
-        }
-        let lead = needed.stretched_to(wanted.unwrap_or(needed.total()));
-        Ok(Need { lead, delay_max })
+        let (requests, bytes) = (measured.scripts, request_bytes(act, now));
+        let with = |lease: Span| {
+            let pace = Pace::of(&measured, lease);
+            let needed = LeadTime::needed(round_trip, requests, bytes, &pace, lease);
+            (LeadTime { prepare: needed.prepare + measured.record, ..needed }, pace)
+        };
+        let lease = prescribed.unwrap_or(least);
+        let (needed, _) = with(lease);
+        self.check_start(now, act, &needed)?;
+        let spare = act.target().map_or(Span::ZERO, |target| target - now - needed.total());
+        let longer = match measured.leases {
+            // The other half is for the answers.
+            Leases::Shortened if prescribed.is_none() => lease.max((lease + spare / 2).min(LEASE_AHEAD_MAX)),
+            _ => lease,
+        };
+        let (needed, pace) = with(longer);
+        let wanted = self.wanted_lead(act).unwrap_or(needed.total());
+        Ok(Need { lead: needed.stretched_to(wanted), pace, slowest })
     }
 
-    fn send_act(&mut self, now: Timestamp<Server>, index: usize, need: &Need, skew: Option<SkewBudget>) {
+    fn measured(
+        &self,
+        act: &Act,
+        round_trip: Span,
+        prescribed: Option<Span>,
+        skew: Option<&SkewBudget>,
+    ) -> Measured {
+        let tolerance = act.written().plan.start_tolerance.min(CLOCK_UNKNOWN);
+        let (early, late) = skew.map_or((tolerance, tolerance), SkewBudget::early_and_late);
+        let inquiries = act.present().all(|member| self.robots[member.robot].takes_inquiries());
+        Measured {
+            robots: act.present().count(),
+            scripts: act.present().map(|member| member.scripts().len()).sum(),
+            leases: match inquiries && prescribed.is_none() {
+                true => Leases::Shortened,
+                false => Leases::Fixed,
+            },
+            round_trip,
+            early,
+            late,
+            record: self.recording_time(),
+        }
+    }
+
+    /// The robot of an act whose link takes longest.
+    fn slowest(&self, act: &Act) -> Option<(RobotId, Span)> {
+        let robots = act.present().map(|member| &self.robots[member.robot]);
+        let slowest = robots.max_by_key(|robot| robot.round_trip());
+        slowest.map(|robot| (robot.id.clone(), robot.round_trip()))
+    }
+
+    fn wanted_lead(&self, act: &Act) -> Option<Span> {
+        self.options.lead.or(act.written().plan.lead).filter(|_| act.target().is_none())
+    }
+
+    /// What the operator asked for is kept or refused, never silently played later.
+    fn check_start(&self, now: Timestamp<Server>, act: &Act, needed: &LeadTime) -> Result<(), Outcome> {
+        let safe_start = now + needed.total();
+        if let Some(lead) = self.wanted_lead(act).filter(|lead| *lead < needed.total()) {
+            return Err(Outcome::LeadTooShort { lead, needed: *needed, safe_start });
+        }
+        let asked = self.options.start_at.filter(|_| act.number() == 0);
+        match asked.filter(|start| *start < safe_start) {
+            Some(start) => Err(Outcome::StartTooSoon { start, safe_start }),
+            None => Ok(()),
+        }
+    }
+
+    fn send_act(&mut self, now: Timestamp<Server>, index: usize, need: Need, skew: Option<SkewBudget>) {
         // Later than any stop: those take back what was sent before them.
         let now = self.stopped_at.map_or(now, |stopped| now.max(stopped + Span::from_nanos(1)));
-        let run = &self.runs[index];
-        let target = run.target.unwrap_or(now);
-        let lead = need.lead.stretched_to(target + self.slip(run, now) - now);
-        let start = now + lead.total();
-        let plan = &self.choreography.acts[run.act].plan;
-        let timing = Timing {
-            timestamp: now,
-            start,
-            lead,
-            decision: now + lead.prepare,
-            commit: start - lead.lease / 2,
-            no_return: start - need.delay_max,
-            end: start + plan.duration(),
-            skew: skew.clone(),
-            accepted_at: None,
-            round: None,
-            gap: run.target.map(|target| start - target),
-            asked_again: false,
-        };
-        let act = self.act_name(run.act);
-        let run = &mut self.runs[index];
-        run.stage = Stage::Preparing;
-        run.awaited = run.present().count();
-        run.timing = Some(timing);
-        for member in &mut run.members {
-            let robot = &mut self.robots[member.robot];
+        let act = &self.acts[index];
+        let target = act.target();
+        let slip = self.slip(act, now);
+        let lead = need.lead.stretched_to(target.unwrap_or(now) + slip - now);
+        let timing = Timing::new(now, lead, need.pace, act.written().plan.duration());
+        let gap = target.map(|target| timing.start - target);
+        let timing = Timing { skew, slowest: need.slowest, gap, ..timing };
+        let shift_of = |robot: &RobotState| {
             let measured = robot.clock_at(now).filter(|_| robot.clock_mode == ClockMode::Measured);
-            member.shift = measured.map_or(Span::ZERO, |reading| reading.offset);
-            robot.shift = member.shift;
+            measured.map_or(Span::ZERO, |reading| reading.offset)
+        };
+        let session = self.options.session.as_ref();
+        let (names, actions) = self.acts[index].promise(timing, &self.robots, session, shift_of);
+        for (robot, id, script) in names {
+            self.robots[robot].requests.insert(id, script);
         }
-        self.name_requests(index);
-        self.record(Record::Prepared(self.promise(index)));
-        self.tell(Progress::Preparing { act, timestamp: now, start, lead, skew });
-        // Robots of an act that plays must not wait longer for their next renewal because its rhythm changes now.
-        if self.runs.len() > 1 {
-            self.renew_all(now);
+        for member in self.acts[index].members() {
+            self.robots[member.robot].shift = member.shift();
         }
-        self.next_renewal = Some(self.renewal_after(now));
-        for member in 0..self.runs[index].members.len() {
-            if !self.runs[index].members[member].out {
-                self.send_scripts(now, index, member);
-            }
-        }
+        let number = self.acts[index].number();
+        self.carry_out(now, number, actions);
+        let lease = self.acts.get(index).and_then(Act::shortest_lease);
+        self.quicken_rounds(now, lease);
     }
 
     /// A robot whose time is measured has the scripts of an act that plays by an older measurement: what follows at once
     /// must not overlap them by the difference.
-    fn slip(&self, run: &ActRun, now: Timestamp<Server>) -> Span {
+    fn slip(&self, act: &Act, now: Timestamp<Server>) -> Span {
         let earlier = |member: &Member| {
             let robot = &self.robots[member.robot];
-            let playing = self
-                .runs
-                .iter()
-                .any(|other| other.number != run.number && other.member(member.robot).is_some());
+            let plays = |other: &Act| other.number() != act.number() && other.member(member.robot).is_some();
+            let playing = self.acts.iter().any(plays);
             let offset =
                 robot.clock_at(now).filter(|_| playing && robot.clock_mode == ClockMode::Measured)?.offset;
             Some(robot.shift - offset)
         };
-        run.present().filter_map(earlier).max().unwrap_or(Span::ZERO).max(Span::ZERO)
+        act.present().filter_map(earlier).max().unwrap_or(Span::ZERO).max(Span::ZERO)
     }
-
-    /// Every request gets the name under which it is known for ever, also after a crash of this machine.
-    fn name_requests(&mut self, index: usize) {
-        let run = &mut self.runs[index];
-        let timestamp = run.timing.as_ref().map_or(0, |timing| timing.timestamp.as_nanos() / 1_000);
-        let session = self.options.session.as_ref().map(|session| format!("{session}/")).unwrap_or_default();
-        for (m, member) in run.members.iter_mut().enumerate() {
-            for (s, script) in member.scripts.iter_mut().enumerate() {
-                let id = format!("{session}{timestamp}/{}/{}/{s}", run.number, member.robot);
-                // Sessions are named by this program, far below the limit.
-                script.request_id = RequestId::new(id).ok();
-                if let Some(id) = &script.request_id {
-                    let open = &mut self.robots[member.robot].open;
-                    open.open(script.plan.device.clone(), id.clone(), (run.number, m, s));
-                }
-            }
-        }
-    }
-
-    fn promise(&self, index: usize) -> Promise {
-        let run = &self.runs[index];
-        let script = |member: &Member, script: &ScriptState| {
-            Some(PromisedScript {
-                robot: self.robots[member.robot].id.clone(),
-                device: script.plan.device.clone(),
-                request_id: script.request_id.clone()?,
-                content_hash: content_hash(script),
-                shift: member.shift,
-                start: script.plan.start,
-                duration: script.plan.script.duration(),
-                running: script.plan.stop_condition.running,
-            })
-        };
-        let of_member =
-            |member: &&Member| member.scripts.iter().filter_map(|s| script(member, s)).collect::<Vec<_>>();
-        let timing = run.timing.as_ref();
-        Promise {
-            number: run.number,
-            act: run.act,
-            timestamp: timing.map_or(run.since, |timing| timing.timestamp),
-            start: timing.map_or(run.since, |timing| timing.start),
-            lease: timing.map_or(Span::ZERO, |timing| timing.lead.lease),
-            scripts: run.present().collect::<Vec<_>>().iter().flat_map(of_member).collect(),
-        }
-    }
-
-    /// Sends a member as many of its scripts as its devices have room for.
-    pub(super) fn send_scripts(&mut self, now: Timestamp<Server>, index: usize, member: usize) {
-        let run = &self.runs[index];
-        let state = &run.members[member];
-        let others = self.runs.iter().filter(|other| other.number != run.number);
-        let held = |device: &urrcp::DeviceId| {
-            others.clone().map(|other| other.held(state.robot, device, run.number)).sum::<usize>()
-        };
-        let sendable = state.sendable(&self.robots[state.robot], held);
-        for script in sendable {
-            let robot = self.runs[index].members[member].robot;
-            let Some(request) = self.request(index, member, script) else { continue };
-            self.runs[index].members[member].scripts[script].phase = ScriptPhase::Sent;
-            self.robots[robot].touched.insert(request.device_id.clone());
-            self.send(now, robot, Message::ControlRequest(request));
-        }
-    }
-
-    /// The request of a script: the same bytes however often it is sent.
-    pub(super) fn request(&self, index: usize, member: usize, script: usize) -> Option<ControlRequest> {
-        let run = &self.runs[index];
-        let timing = run.timing.as_ref()?;
-        let member = &run.members[member];
-        let script = &member.scripts[script];
-        let command = Command::Script(script.plan.script.clone());
-        let offset = timing.start - timing.timestamp + script.plan.start.span();
-        Some(ControlRequest {
-            timestamp: Some(timing.timestamp + member.shift),
-            time_offset_to_start: Some(Millis::from_span(offset)),
-            device_id: script.plan.device.clone(),
-            stop_condition: Some(StopCondition {
-                pending: Some(Millis::from_span(timing.lead.lease)),
-                running: script.plan.stop_condition.running,
-            }),
-            request_id: script.request_id.clone(),
-            content_hash: Some(command.content_hash()),
-            session: self.options.session.clone(),
-            hold: false,
-            command,
-        })
-    }
-
-    pub(super) fn script_response(
-        &mut self,
-        now: Timestamp<Server>,
-        robot: usize,
-        response: &ControlResponse,
-    ) {
-        let Some((_, &(number, member, script))) = self.robots[robot].open.find(response) else {
-            tracing::debug!(robot = %self.robots[robot].id, "answer to no open request: {response:?}");
-            return;
-        };
-        let Some(index) = self.runs.iter().position(|run| run.number == number) else { return };
-        // By the robot's own time of sending: an answer that was overtaken says nothing of now.
-        let offset = self.robots[robot].clock_at(now).map_or(Span::ZERO, |reading| reading.offset);
-        let said_at = (response.timestamp - offset).assume_clock::<Server>().min(now);
-        self.robots[robot].echoes |= response.request_id.is_some();
-        let state = &mut self.runs[index].members[member].scripts[script];
-        if matches!(response.status, Status::Accepted | Status::Started) {
-            state.held_at = state.held_at.max(Some(said_at));
-        }
-        if let Some(error) = foreign_content(state, response) {
-            let device = response.device_id.clone();
-            return self.fail(now, robot, FailureKind::Script { device, error });
-        }
-        if !state.note(response) {
-            return;
-        }
-        if matches!(self.phase, Phase::Stopping { .. } | Phase::Ended) {
-            return;
-        }
-        match response.status {
-            Status::Accepted => self.accepted(now, robot, index, member),
-            Status::Started => self.started(robot, index, member, script),
-            Status::Ok if self.runs[index].members[member].scripts[script].phase == ScriptPhase::Ended => {
-                self.ended(now, robot, index, member);
-            }
-            Status::Failed | Status::Ok => {
-                let error = match &self.runs[index].members[member].scripts[script].phase {
-                    ScriptPhase::Failed(error) => error.clone(),
-                    _ => super::robot_state::error_of(response),
-                };
-                let device = response.device_id.clone();
-                self.fail(now, robot, FailureKind::Script { device, error });
-            }
-            Status::Provide | Status::Other(_) => {}
-        }
-    }
-
-    fn accepted(&mut self, now: Timestamp<Server>, robot: usize, index: usize, member: usize) {
-        let run = &mut self.runs[index];
-        if run.stage == Stage::Preparing && run.members[member].has_accepted() {
-            if let Some(timing) = &mut run.timing {
-                timing.accepted_at = Some(now);
-            }
-            run.awaited = run.awaited.saturating_sub(1);
-            let all = run.awaited == 0;
-            let robot = self.robots[robot].id.clone();
-            self.tell(Progress::Accepted { robot });
-            if all {
-                self.decide_if_due(now, index);
-            }
-        }
-    }
-
-    /// The one decision, as soon as all have accepted or when it is due: the act starts if every robot has accepted
-    /// everything, else none starts.
-    pub(super) fn decide_if_due(&mut self, now: Timestamp<Server>, index: usize) {
-        let Some(timing) = &self.runs[index].timing else { return };
-        let (decision, ask_again, asked) = (timing.decision, timing.ask_again(), timing.asked_again);
-        let (start, lease, no_return) = (timing.start, timing.lead.lease, timing.no_return);
-        let within = timing.lead.prepare;
-        if now >= ask_again && !asked && self.runs[index].awaited > 0 {
-            self.ask_again(now, index);
-        }
-        let all = self.runs[index].awaited == 0;
-        if now < decision && !all {
-            return;
-        }
-        let slow: Vec<_> = self.runs[index]
-            .present()
-            .filter(|member| !member.has_accepted())
-            .map(|member| (member.robot, self.unaccepted(member, within)))
-            .collect();
-        if !slow.is_empty() {
-            self.fail_all(now, slow);
-        }
-        let Some(run) = self.runs.get(index).filter(|_| self.phase == Phase::Performing) else { return };
-        if run.present().next().is_none() {
-            self.runs[index].stage = Stage::Over;
-            return;
-        }
-        // A decision that comes late would shorten what the leases need to run out before the start.
-        if now > start - lease {
-            return self.abort(now, Outcome::DecisionLate { by: now - decision }, false, None);
-        }
-        tracing::info!(%start, "decided");
-        let run = &mut self.runs[index];
-        run.stage = Stage::Decided;
-        let (number, act) = (run.number, run.act);
-        let duration = self.choreography.acts[act].plan.duration();
-        let act = self.act_name(act);
-        let unnamed = self.runs[index].present().map(|member| &self.robots[member.robot]);
-        let unnamed = unnamed.filter(|robot| !robot.echoes).map(|robot| robot.id.clone()).collect();
-        self.record(Record::Decided { number, unnamed });
-        self.tell(Progress::Decided { act, start, duration, no_return });
-    }
-
-    /// Sends what has not been answered once more, in case it was lost.
-    fn ask_again(&mut self, now: Timestamp<Server>, index: usize) {
-        if let Some(timing) = &mut self.runs[index].timing {
-            timing.asked_again = true;
-        }
-        for member in 0..self.runs[index].members.len() {
-            let state = &self.runs[index].members[member];
-            let robot = state.robot;
-            if state.out || state.has_accepted() || !self.robots[robot].is_up() {
-                continue;
-            }
-            for script in 0..state.scripts.len() {
-                if self.runs[index].members[member].scripts[script].phase == ScriptPhase::Sent
-                    && let Some(request) = self.request(index, member, script)
-                {
-                    self.robots[robot].totals.retries += 1;
-                    self.send(now, robot, Message::ControlRequest(request));
-                }
-            }
-        }
-    }
-
-    fn unaccepted(&self, member: &Member, within: Span) -> FailureKind {
-        match &self.robots[member.robot].broken {
-            Some(reason) => FailureKind::LinkDown { reason: reason.clone() },
-            None => FailureKind::Silent { awaited: awaited_acceptance(member), within },
-        }
-    }
-}
-
-fn content_hash(script: &ScriptState) -> ContentHash {
-    Command::Script(script.plan.script.clone()).content_hash()
-}
-
-/// What starts is what was checked: the robot's own hash of what it accepted has to be ours.
-fn foreign_content(script: &ScriptState, response: &ControlResponse) -> Option<ControlError> {
-    let echoed = response.content_hash.filter(|_| response.status == Status::Accepted)?;
-    (echoed != content_hash(script)).then(|| {
-        let message = "the robot accepted another script than the one sent (content_hash differs)";
-        ControlError::new(ErrorCode::Malformed, message)
-    })
 }
 
 /// How much has to travel, measured on the real encoding of the largest script.
-fn request_bytes(run: &ActRun, now: Timestamp<Server>) -> usize {
-    let scripts = || run.present().flat_map(|member| &member.scripts);
+fn request_bytes(act: &Act, now: Timestamp<Server>) -> usize {
+    let scripts = || act.present().flat_map(|member| member.scripts());
     let Some(largest) = scripts().max_by_key(|script| script.plan.script.steps().len()) else { return 0 };
     let mut line = Vec::new();
     let command = Command::Script(largest.plan.script.clone());
@@ -445,13 +223,4 @@ fn request_bytes(run: &ActRun, now: Timestamp<Server>) -> usize {
     let steps: usize = scripts().map(|script| script.plan.script.steps().len()).sum();
     let step_bytes = line.len() / largest.plan.script.steps().len().max(1);
     steps * step_bytes + scripts().count() * 256
-}
-
-fn awaited_acceptance(member: &Member) -> String {
-    let open: Vec<_> =
-        member.scripts.iter().filter(|s| !s.accepted).map(|s| format!("`{}`", s.plan.device)).collect();
-    match open.len() {
-        0..=4 => format!("acceptance by {}", open.join(", ")),
-        n => format!("acceptance by {} and {} more devices", open[..3].join(", "), n - 3),
-    }
 }

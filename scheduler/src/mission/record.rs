@@ -3,12 +3,14 @@
 use serde::{Deserialize, Serialize};
 use urrcp::{ContentHash, DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
 
-use crate::report::{ActReport, Outcome};
+use super::{ActReport, Outcome};
 
 /// A line of the journal.
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "record", rename_all = "snake_case")]
 pub enum Record {
+    /// The mission has begun.
+    Begun,
     /// Requests of an act are about to be sent.
     Prepared(Promise),
     /// All have accepted.
@@ -18,8 +20,12 @@ pub enum Record {
         /// Robots that do not know requests by their names.
         #[serde(skip_serializing_if = "Vec::is_empty")]
         unnamed: Vec<RobotId>,
+        /// A robot that goes silent without a word later than so long before the start may be noticed too late.
+        #[serde(rename = "doubt_ms")]
+        doubt: Span,
     },
-    /// All leases reach over the start.
+    /// From now on leases may be carried over the start. Leases that were shortened end long before another process can read
+    /// this, so it may be written before every robot has said that it holds its scripts.
     Committed {
         /// The number of the act.
         number: u32,
@@ -29,7 +35,7 @@ pub enum Record {
         /// Which.
         robot: RobotId,
     },
-    /// Stops are about to be sent.
+    /// Stops have been sent: they go out first and are recorded afterwards.
     Stopping {
         /// Why.
         outcome: Outcome,
@@ -52,10 +58,21 @@ pub enum Record {
 }
 
 impl Record {
-    /// Whether it has to be on the disk before anything that follows is done.
+    /// Whether it has to be on the disk, as a power failure leaves it: what is promised and committed, and that a mission is
+    /// being stopped or has ended.
     #[must_use]
     pub const fn is_durable(&self) -> bool {
-        !matches!(self, Self::Committed { .. } | Self::StopConfirmed { .. } | Self::ActEnded { .. })
+        match self {
+            Self::Begun
+            | Self::Prepared(_)
+            | Self::Committed { .. }
+            | Self::Stopping { .. }
+            | Self::Ended { .. } => true,
+            Self::Decided { .. }
+            | Self::Dropped { .. }
+            | Self::StopConfirmed { .. }
+            | Self::ActEnded { .. } => false,
+        }
     }
 }
 

@@ -4,15 +4,13 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use downbeat_scripts::Choreography;
-use urrcp::{Command, DeviceId, RobotId, Server, Span, Timestamp};
+use urrcp::{DeviceId, RobotId, Server, Timestamp};
 
-use super::act::{ActRun, Stage, Timing};
-use super::lead::LeadTime;
+use super::act::{Act, Reached};
 use super::record::Promise;
-use super::robot_state::{ScriptPhase, Standing};
-use super::{Mission, MissionOptions, Participant, Phase, act};
-use crate::journal::Kept;
-use crate::report::Outcome;
+use super::robot_state::{Rest, Standing};
+use super::{Mission, MissionOptions, Outcome, Participant, Phase, ledger};
+use crate::journal::{Kept, Progressed};
 
 /// A promise does not fit the choreography as it is now.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -40,17 +38,21 @@ impl Mission {
             if left.dropped.contains(&robot.id) {
                 robot.standing = Standing::Out;
             }
-            robot.echoes = !left.unnamed.contains(&robot.id);
         }
-        for (promise, _) in left.promises.iter().filter(|(_, decided)| *decided) {
-            mission.take_up(promise, now)?;
+        for (promise, progressed) in &left.promises {
+            match progressed {
+                Progressed::Prepared => {}
+                Progressed::Decided => mission.take_up(promise, Reached::Decision, now)?,
+                Progressed::Committed => mission.take_up(promise, Reached::Commitment, now)?,
+            }
         }
-        if mission.runs.is_empty() {
+        mission.note_as_sent(now);
+        if mission.acts.is_empty() {
             return Err(Changed { what: "no act was decided and has not ended".to_owned() });
         }
         mission.phase = Phase::Performing;
         // The leases have been running out since the other process died.
-        mission.next_renewal = Some(now);
+        mission.next_round = Some(now);
         Ok(mission)
     }
 
@@ -68,92 +70,42 @@ impl Mission {
         for robot in &mut mission.robots {
             robot.touched = touched.get(&robot.id).cloned().unwrap_or_default();
         }
-        mission.abort(now, Outcome::Stopped, false, None);
+        mission.abort(now, Outcome::Stopped, Rest::Default, None);
         mission
     }
 
-    fn take_up(&mut self, promise: &Promise, now: Timestamp<Server>) -> Result<(), Changed> {
-        let changed = |what: String| Changed { what };
-        let Some(act) = self.choreography.acts.get(promise.act) else {
-            return Err(changed(format!("there is no act {} any more", promise.act + 1)));
-        };
-        let plan = &act.plan;
-        let mut members = act::members(plan, &self.robots);
-        for member in &mut members {
-            let robot = &mut self.robots[member.robot];
-            for script in &mut member.scripts {
-                let hash = Command::Script(script.plan.script.clone()).content_hash();
-                let promised = promise.scripts.iter().find(|promised| {
-                    promised.robot == robot.id
-                        && promised.device == script.plan.device
-                        && promised.start == script.plan.start
-                });
-                let Some(promised) = promised.filter(|promised| promised.content_hash == hash) else {
-                    return Err(changed(format!(
-                        "`{}` device `{}` was promised another script",
-                        robot.id, script.plan.device
-                    )));
-                };
-                member.shift = promised.shift;
-                robot.shift = promised.shift;
-                script.request_id = Some(promised.request_id.clone());
-                robot.touched.insert(script.plan.device.clone());
+    /// Sends nothing: what the robots have is asked once their links stand.
+    fn note_as_sent(&mut self, now: Timestamp<Server>) {
+        for robot in 0..self.robots.len() {
+            // What was beyond a device's queue is sent once there is room; if it was sent already, its name tells.
+            for script in ledger::sendable(&self.acts, robot, &self.robots[robot]) {
+                let act = self.acts.iter_mut().find(|act| act.number() == script.act);
+                act.into_iter().for_each(|act| act.sent(now, script));
             }
         }
-        // What was beyond a device's queue is sent once there is room; if it was sent already, its name tells.
-        for member in &mut members {
-            for script in member.sendable(&self.robots[member.robot], |_| 0) {
-                member.scripts[script].phase = ScriptPhase::Sent;
-            }
+    }
+
+    fn take_up(
+        &mut self,
+        promise: &Promise,
+        reached: Reached,
+        now: Timestamp<Server>,
+    ) -> Result<(), Changed> {
+        let choreography = Arc::clone(&self.choreography);
+        let mut act = Act::take_up(choreography, promise, reached, &self.robots, now)?;
+        if self.acts.is_empty() {
+            act.comes_next(now);
         }
-        let number = promise.number;
-        for (m, member) in members.iter().enumerate() {
-            for (s, script) in member.scripts.iter().enumerate() {
-                if let Some(id) = &script.request_id {
-                    let open = &mut self.robots[member.robot].open;
-                    open.open(script.plan.device.clone(), id.clone(), (number, m, s));
-                }
-            }
+        for (robot, id, script) in act.all_names() {
+            let robot = &mut self.robots[robot];
+            robot.requests.insert(id, script);
+            robot.touched.insert(act.script(script).plan.device.clone());
         }
-        let lead = LeadTime {
-            prepare: (promise.start - promise.timestamp - promise.lease).max(Span::ZERO),
-            lease: promise.lease,
-            margin: Span::ZERO,
-        };
-        let timing = Timing {
-            timestamp: promise.timestamp,
-            start: promise.start,
-            lead,
-            decision: promise.timestamp + lead.prepare,
-            commit: promise.start - promise.lease / 2,
-            no_return: promise.start,
-            end: promise.start + plan.duration(),
-            skew: None,
-            accepted_at: None,
-            round: None,
-            gap: None,
-            asked_again: true,
-        };
-        let stage = if now < timing.commit { Stage::Decided } else { Stage::Committed };
-        self.acts_begun = self.acts_begun.max(number + 1);
-        self.runs.push(ActRun {
-            number,
-            act: promise.act,
-            stage,
-            follow: act.next,
-            since: now,
-            alone_since: self.runs.is_empty().then_some(now),
-            gone: false,
-            poll: None,
-            target: None,
-            timing: Some(timing),
-            members,
-            awaited: 0,
-            watch: None,
-            recheck: false,
-            readings_asked: 0,
-            readings: Vec::new(),
-        });
+        for member in act.members() {
+            self.robots[member.robot].shift = member.shift();
+        }
+        self.acts_begun = self.acts_begun.max(promise.number + 1);
+        self.acts.push(act);
         Ok(())
     }
 }

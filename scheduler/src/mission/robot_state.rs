@@ -1,24 +1,40 @@
-//! What the mission knows of one robot.
+//! What the mission knows of one robot: its link, its clock, what it was asked, and its stop.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, VecDeque};
 
-use downbeat_scripts::{DeviceScript, SensorRange};
-use serde::Serialize;
 use urrcp::{
-    ControlError, ControlResponse, DeviceId, Encoding, ErrorCode, InitializationBlock, OpenRequests,
-    RequestId, Robot, RobotId, Server, Span, Status, Timestamp,
+    ControlResponse, DeviceId, Encoding, InitializationBlock, RequestId, Robot, RobotId, Server, Span,
+    Status, Timestamp,
 };
 
-use super::{ClockMode, Participant, Requirement};
+use super::failure_kind::Failure;
+use super::script::ScriptRef;
+use super::{ClockMode, Loss, Participant, Requirement};
 use crate::clock::{ClockEstimate, ClockReading};
 
 /// The state of a robot's link.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Link {
+    /// A first connection is being made.
     Connecting,
-    Up,
-    /// Broken, and why.
-    Down(String),
+    /// It stands. `unheard` is how it was lost before, until something is heard on it again: a link that is taken and closed
+    /// again and again is as good as none.
+    Up { unheard: Option<Lost> },
+    /// It broke, or could not be made.
+    Lost(Lost),
+}
+
+/// A link that is down.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Lost {
+    pub(crate) reason: String,
+    pub(crate) loss: Loss,
+    /// When it broke for the first time since the robot was last heard.
+    pub(crate) since: Timestamp<Server>,
+    /// A new connection is being made.
+    pub(crate) connecting: bool,
+    /// When the robot is given up; `None`: not yet.
+    pub(crate) give_up: Option<Timestamp<Server>>,
 }
 
 /// Whether a robot takes part.
@@ -31,104 +47,33 @@ pub(crate) enum Standing {
     Out,
 }
 
-/// What became of one script.
-#[derive(Clone, Debug, PartialEq)]
-pub(crate) enum ScriptPhase {
-    Planned,
-    Sent,
-    Accepted,
-    Started,
-    Ended,
-    Failed(ControlError),
+/// What became of the stop of a robot.
+#[derive(Clone, Debug, Default)]
+pub(crate) enum Stop {
+    /// None was sent.
+    #[default]
+    None,
+    /// Sent; these have not been confirmed.
+    Sent(SentStop),
+    /// Every device that was sent anything is known to be at rest.
+    Confirmed(Rest),
 }
 
-/// One script and its fate.
+/// A stop on its way.
 #[derive(Clone, Debug)]
-pub(crate) struct ScriptState {
-    pub(crate) plan: DeviceScript,
-    pub(crate) phase: ScriptPhase,
-    pub(crate) accepted: bool,
-    pub(crate) started_at: Option<Timestamp<Robot>>,
-    pub(crate) steps_done: u32,
-    pub(crate) late_steps: u32,
-    pub(crate) request_id: Option<RequestId>,
-    /// Asked again for a report that is overdue.
-    pub(crate) probed: bool,
-    /// Asked for by its name alone: who does not know the name answers for an empty script.
-    pub(crate) asked_by_name: bool,
-    /// When, by the server's clock and at the latest, the robot last said that it holds it.
-    pub(crate) held_at: Option<Timestamp<Server>>,
+pub(crate) struct SentStop {
+    pub(crate) at: Timestamp<Server>,
+    pub(crate) rest: Rest,
+    pub(crate) unconfirmed: HashMap<RequestId, DeviceId>,
 }
 
-impl ScriptState {
-    pub(crate) fn new(plan: &DeviceScript) -> Self {
-        Self {
-            plan: plan.clone(),
-            phase: ScriptPhase::Planned,
-            accepted: false,
-            started_at: None,
-            steps_done: 0,
-            late_steps: 0,
-            request_id: None,
-            probed: false,
-            asked_by_name: false,
-            held_at: None,
-        }
-    }
-
-    pub(crate) const fn is_final(&self) -> bool {
-        matches!(self.phase, ScriptPhase::Ended | ScriptPhase::Failed(_))
-    }
-
-    /// The robot holds it, or may hold it.
-    pub(crate) const fn is_out(&self) -> bool {
-        matches!(self.phase, ScriptPhase::Sent | ScriptPhase::Accepted | ScriptPhase::Started)
-    }
-
-    /// The robot said that it began.
-    pub(crate) const fn has_begun(&self) -> bool {
-        self.started_at.is_some()
-            || self.steps_done > 0
-            || matches!(self.phase, ScriptPhase::Started | ScriptPhase::Ended)
-    }
-
-    /// Takes an answer, in whatever order answers come. `true` where it is news.
-    pub(crate) fn note(&mut self, response: &ControlResponse) -> bool {
-        let before = self.phase.clone();
-        self.steps_done = self.steps_done.max(response.steps_done.unwrap_or(0));
-        self.late_steps = self.late_steps.max(response.late_steps.unwrap_or(0));
-        match &response.status {
-            Status::Accepted => {
-                self.accepted = true;
-                if self.phase == ScriptPhase::Sent {
-                    self.phase = ScriptPhase::Accepted;
-                }
-            }
-            Status::Started => {
-                self.accepted = true;
-                let first = self.started_at.is_none();
-                self.started_at = self.started_at.or(response.event_timestamp).or(Some(response.timestamp));
-                if !self.is_final() {
-                    self.phase = ScriptPhase::Started;
-                }
-                return first;
-            }
-            // The answer to an empty script under its name, from a robot that does not know the name any more.
-            Status::Ok if self.asked_by_name && response.steps_done.is_none() && !self.is_final() => {
-                let message = "the robot has lost the script, as after a restart";
-                self.phase = ScriptPhase::Failed(ControlError::new(ErrorCode::Internal, message));
-            }
-            Status::Ok if !self.is_final() => {
-                self.accepted = true;
-                self.phase = ScriptPhase::Ended;
-                let all = u32::try_from(self.plan.script.steps().len()).unwrap_or(u32::MAX);
-                self.steps_done = response.steps_done.unwrap_or(all);
-            }
-            Status::Failed if !self.is_final() => self.phase = ScriptPhase::Failed(error_of(response)),
-            _ => {}
-        }
-        self.phase != before
-    }
+/// How a stopped device comes to rest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Rest {
+    /// In its default state.
+    Default,
+    /// Where it is.
+    Hold,
 }
 
 /// What a reading is for.
@@ -160,13 +105,59 @@ pub(crate) struct Totals {
     pub(crate) reconnects: u32,
 }
 
+/// Questions for a robot's times, and whether it answers them.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Questions {
+    /// When those were sent that have not been answered, the oldest first.
+    open: VecDeque<Timestamp<Server>>,
+    /// When the newest one was sent that has been answered.
+    answered: Option<Timestamp<Server>>,
+}
+
+/// Questions that are remembered; more are open only on a link that carries nothing.
+const OPEN_MAX: usize = 64;
+
+impl Questions {
+    pub(crate) fn asked(&mut self, now: Timestamp<Server>) {
+        if self.open.len() < OPEN_MAX {
+            self.open.push_back(now);
+        }
+    }
+
+    /// Whether this is an answer to a question that was asked.
+    pub(crate) fn answer(&mut self, sent: Timestamp<Server>) {
+        self.answered = self.answered.max(Some(sent));
+        self.open.retain(|open| *open > sent);
+    }
+
+    /// When the newest question was sent that it has answered: it has surely heard what was sent then.
+    pub(crate) const fn answered(&self) -> Option<Timestamp<Server>> {
+        self.answered
+    }
+
+    /// When the oldest question was sent that it has not answered.
+    pub(crate) fn unanswered(&self) -> Option<Timestamp<Server>> {
+        self.open.front().copied()
+    }
+
+    /// When the newest question was sent that has not been answered.
+    pub(crate) fn last_unanswered(&self) -> Option<Timestamp<Server>> {
+        self.open.back().copied()
+    }
+
+    /// This machine itself was held up, or the link is new: what was open says nothing about the robot.
+    pub(crate) fn forgive(&mut self) {
+        self.open.clear();
+    }
+}
+
 /// One robot of the mission.
 #[derive(Debug)]
 pub(crate) struct RobotState {
     pub(crate) id: RobotId,
     pub(crate) link: Link,
-    /// Why its link broke, until it is heard again.
-    pub(crate) broken: Option<String>,
+    /// Attempts to reach it since it was last heard.
+    attempts: u32,
     pub(crate) standing: Standing,
     pub(crate) block: Option<InitializationBlock>,
     /// The robot has given its own block in this mission.
@@ -177,151 +168,37 @@ pub(crate) struct RobotState {
     /// What was last added to a timestamp so that it is right by its own clock.
     pub(crate) shift: Span,
     pub(crate) clock: ClockEstimate,
-    /// The question for its times that has not been answered.
-    pub(crate) asked_at: Option<Timestamp<Server>>,
+    pub(crate) questions: Questions,
+    /// When something last came from it.
+    heard_at: Option<Timestamp<Server>>,
     pub(crate) requires: Vec<Requirement>,
     /// Of `requires`, in its order.
     pub(crate) readings: Vec<Option<f64>>,
     /// Where devices stood before the first act.
     pub(crate) positions: Vec<(DeviceId, f64)>,
     pub(crate) reads: HashMap<RequestId, Reading>,
-    /// When the newest message was sent that it has surely received.
-    pub(crate) renewed_at: Option<Timestamp<Server>>,
-    /// From request to (number of the act, member, script).
-    pub(crate) open: OpenRequests<(u32, usize, usize)>,
+    /// The requests that it was sent, by their names.
+    pub(crate) requests: HashMap<RequestId, ScriptRef>,
     /// Devices that this mission has sent anything that moves.
     pub(crate) touched: BTreeSet<DeviceId>,
-    /// Stop requests that await their confirmation.
-    pub(crate) stops: HashMap<RequestId, DeviceId>,
-    pub(crate) stop_sent: bool,
-    pub(crate) stop_recorded: bool,
-    /// It names the requests that it answers, so it knows them by their names.
-    pub(crate) echoes: bool,
-    pub(crate) hold: bool,
+    pub(crate) stop: Stop,
     /// When what it still held at the end of an act ends by its own leases; `None` where it has none.
     pub(crate) left: Vec<Option<Timestamp<Server>>>,
     pub(crate) last_sent: Option<Timestamp<Server>>,
-    /// Its link is being made anew.
-    pub(crate) reconnecting: bool,
-    /// Attempts to reach it since its link was last up.
-    pub(crate) attempts: u32,
-    /// When its link broke in mid-mission, and when it is given up.
-    pub(crate) give_up: Option<Timestamp<Server>>,
     pub(crate) failures: Vec<Failure>,
     pub(crate) totals: Totals,
 }
 
-/// A robot failed the mission.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Failure {
-    /// Which robot.
-    pub robot: RobotId,
-    /// What happened.
-    #[serde(flatten)]
-    pub kind: FailureKind,
-}
-
-/// Ways for a robot to fail the mission.
-#[derive(Clone, Debug, PartialEq, Serialize, thiserror::Error)]
-#[serde(tag = "failure", rename_all = "snake_case")]
-pub enum FailureKind {
-    /// The link broke or could not be made.
-    #[error("link down: {reason}")]
-    LinkDown {
-        /// Why.
-        reason: String,
-    },
-    /// It sent what is no message, or one out of place.
-    #[error("garbled: {reason}")]
-    Garbled {
-        /// What is wrong.
-        reason: String,
-    },
-    /// It did not answer in time.
-    #[error("silent: no {awaited} within {within}")]
-    Silent {
-        /// What was awaited.
-        awaited: String,
-        /// For how long.
-        #[serde(rename = "within_ms")]
-        within: Span,
-    },
-    /// Its availability check failed.
-    #[error("not available: {error}")]
-    NotAvailable {
-        /// Its own reason.
-        error: ControlError,
-    },
-    /// Its own description does not fit the plan.
-    #[error("does not fit the plan: {reason}")]
-    Unfit {
-        /// Where it differs.
-        reason: String,
-    },
-    /// Its clock is further off than the scenario tolerates.
-    #[error(
-        "clock off by {offset} (+-{uncertainty}), the scenario tolerates {tolerance}: check the robot's NTP, or raise start_tolerance"
-    )]
-    Clock {
-        /// Robot minus server.
-        #[serde(rename = "offset_ms")]
-        offset: Span,
-        /// Of the offset.
-        #[serde(rename = "uncertainty_ms")]
-        uncertainty: Span,
-        /// The scenario's start_tolerance.
-        #[serde(rename = "tolerance_ms")]
-        tolerance: Span,
-    },
-    /// A sensor does not read what the fleet file requires.
-    #[error("`{sensor}` reads {reading}, the fleet file requires {range}", reading = reading.map_or_else(|| "nothing".to_owned(), |r| r.to_string()))]
-    Requirement {
-        /// Which sensor.
-        sensor: DeviceId,
-        /// What it read.
-        reading: Option<f64>,
-        /// What is required.
-        range: SensorRange,
-    },
-    /// A device stands where its first keyframe does not expect it.
-    #[error(
-        "device `{device}` stands at {reading}, its first keyframe expects {expected}: bring it there, or give the first keyframe a time"
-    )]
-    Position {
-        /// Which device.
-        device: DeviceId,
-        /// Where it stands.
-        reading: f64,
-        /// Where it should.
-        expected: f64,
-    },
-    /// It refused or ended a script.
-    #[error("device `{device}`: {error}")]
-    Script {
-        /// Which device.
-        device: DeviceId,
-        /// The robot's reason.
-        error: ControlError,
-    },
-}
-
-/// The pause before the first attempt to reach a robot again; doubled with every attempt.
-const RETRY_AFTER: Span = Span::from_millis(50);
+/// The pause before the second attempt to reach a robot again, doubled with every attempt; the first comes at once.
+const RETRY_AFTER: Span = Span::from_millis(10);
 const RETRY_AFTER_MAX: Span = Span::from_millis(1_000);
 
 impl RobotState {
-    /// The pause before the next attempt to reach it, which is counted.
-    pub(crate) fn next_attempt(&mut self) -> Span {
-        let after = RETRY_AFTER * (1 << self.attempts.min(8));
-        self.attempts += 1;
-        after.min(RETRY_AFTER_MAX)
-    }
-
     pub(crate) fn new(participant: Participant) -> Self {
         Self {
             id: participant.id,
             link: Link::Connecting,
-            broken: None,
+            attempts: 0,
             standing: Standing::In,
             block: participant.block,
             introduced: false,
@@ -330,31 +207,92 @@ impl RobotState {
             encoding: participant.encoding,
             shift: Span::ZERO,
             clock: ClockEstimate::default(),
-            asked_at: None,
+            questions: Questions::default(),
+            heard_at: None,
             readings: vec![None; participant.requires.len()],
             requires: participant.requires,
             positions: Vec::new(),
             reads: HashMap::new(),
-            renewed_at: None,
-            open: OpenRequests::default(),
+            requests: HashMap::new(),
             touched: BTreeSet::new(),
-            stops: HashMap::new(),
-            stop_sent: false,
-            stop_recorded: false,
-            echoes: false,
-            hold: false,
+            stop: Stop::None,
             left: Vec::new(),
             last_sent: None,
-            reconnecting: false,
-            attempts: 0,
-            give_up: None,
             failures: Vec::new(),
             totals: Totals::default(),
         }
     }
 
-    pub(crate) fn is_up(&self) -> bool {
-        self.link == Link::Up
+    /// The pause before the next attempt to reach it, which is counted.
+    pub(crate) fn next_attempt(&mut self) -> Span {
+        let attempts = self.attempts;
+        self.attempts = attempts.saturating_add(1);
+        match attempts.checked_sub(1) {
+            None => Span::ZERO,
+            Some(again) => (RETRY_AFTER * (1 << again.min(8))).min(RETRY_AFTER_MAX),
+        }
+    }
+
+    /// Something came from it. `true`: for the first time since its link was lost.
+    pub(crate) fn heard(&mut self, now: Timestamp<Server>) -> bool {
+        self.attempts = 0;
+        self.heard_at = Some(now);
+        match &mut self.link {
+            Link::Up { unheard } => unheard.take().is_some(),
+            Link::Connecting | Link::Lost(_) => false,
+        }
+    }
+
+    /// Its link stands again.
+    pub(crate) fn connected(&mut self) {
+        let unheard = match &mut self.link {
+            Link::Lost(lost) => Some(lost.clone()),
+            Link::Up { unheard } => unheard.take(),
+            Link::Connecting => None,
+        };
+        self.link = Link::Up { unheard };
+        self.questions.forgive();
+    }
+
+    pub(crate) const fn is_up(&self) -> bool {
+        matches!(self.link, Link::Up { .. })
+    }
+
+    /// When it has been silent for so long that it has failed: it owes an answer, and this time has passed since anything came
+    /// from it.
+    pub(crate) fn silent_at(&self, bound: Span) -> Option<Timestamp<Server>> {
+        let asked = self.questions.unanswered()?;
+        // After this machine was held up, a question must have had its time.
+        let answerable = asked + bound * 2 / 3;
+        Some(self.heard_at.map_or(asked + bound, |heard| (heard + bound).max(answerable)))
+    }
+
+    /// Why its link broke, unless it has been heard since.
+    pub(crate) fn broken(&self) -> Option<&str> {
+        self.lost().map(|lost| lost.reason.as_str())
+    }
+
+    /// How its link was lost, unless it has been heard since.
+    pub(crate) const fn lost(&self) -> Option<&Lost> {
+        match &self.link {
+            Link::Lost(lost) => Some(lost),
+            Link::Up { unheard } => unheard.as_ref(),
+            Link::Connecting => None,
+        }
+    }
+
+    /// The same, to be given up or not.
+    pub(crate) const fn lost_mut(&mut self) -> Option<&mut Lost> {
+        match &mut self.link {
+            Link::Lost(lost) => Some(lost),
+            Link::Up { unheard } => unheard.as_mut(),
+            Link::Connecting => None,
+        }
+    }
+
+    /// Whether it is certain that no process of it runs any more.
+    pub(crate) const fn is_gone(&self) -> bool {
+        matches!(&self.link, Link::Lost(Lost { loss: Loss::Refused, .. }))
     }
 
     pub(crate) fn has_failed(&self) -> bool {
@@ -366,9 +304,30 @@ impl RobotState {
         self.clock.reading_at(at)
     }
 
+    /// The round trip that its link keeps to nearly always.
+    pub(crate) const fn round_trip(&self) -> Span {
+        self.clock.delay_high()
+    }
+
+    /// The server's time at which it sent something, as far as its clock is known, and not later than now.
+    pub(crate) fn said_at(&self, now: Timestamp<Server>, timestamp: Timestamp<Robot>) -> Timestamp<Server> {
+        let offset = self.clock_at(now).map_or(Span::ZERO, |reading| reading.offset);
+        (timestamp - offset).assume_clock::<Server>().min(now)
+    }
+
     /// Whether it says when scripts start and end.
     pub(crate) fn reports(&self) -> bool {
         self.block.as_ref().is_some_and(|block| block.reports)
+    }
+
+    /// Whether it answers inquiries.
+    pub(crate) fn takes_inquiries(&self) -> bool {
+        self.block.as_ref().is_some_and(|block| block.inquiry)
+    }
+
+    /// Whether what became of a script can be learned from it.
+    pub(crate) fn tells_fates(&self) -> bool {
+        self.reports() || self.takes_inquiries()
     }
 
     /// How many scripts one of its devices holds.
@@ -377,34 +336,53 @@ impl RobotState {
         device.map_or(1, |device| device.script_queue as usize)
     }
 
-    /// Takes the answer to a stop request, if it is one.
-    pub(crate) fn stop_answered(&mut self, response: &ControlResponse) -> bool {
-        let Some(id) = &response.request_id else {
-            // A robot that echoes no ids answers in order; after the stops nothing else is open.
-            let device = response.device_id.clone();
-            let open = self.stops.iter().find(|(_, d)| **d == device).map(|(id, _)| id.clone());
-            return match open {
-                Some(id) if matches!(response.status, Status::Ok | Status::Accepted) => {
-                    self.stops.remove(&id).is_some()
+    pub(crate) const fn stop_was_sent(&self) -> bool {
+        !matches!(self.stop, Stop::None)
+    }
+
+    /// Whether a stop is on its way that has not been confirmed.
+    pub(crate) const fn awaits_stop(&self) -> bool {
+        matches!(self.stop, Stop::Sent(_))
+    }
+
+    /// Nothing that this mission sent can still move it: it was sent nothing, or has confirmed its stop.
+    pub(crate) fn is_settled(&self) -> bool {
+        self.touched.is_empty() || matches!(self.stop, Stop::Confirmed(_))
+    }
+
+    /// Takes the answer to a stop request, if it is one. An answer without a name is one only if no script of its device
+    /// can be meant: `open_on` tells whether one is open.
+    pub(crate) fn stop_answered(
+        &mut self,
+        now: Timestamp<Server>,
+        response: &ControlResponse,
+        open_on: impl Fn(&DeviceId) -> bool,
+    ) -> bool {
+        let said_at = self.said_at(now, response.timestamp);
+        let Stop::Sent(sent) = &mut self.stop else { return false };
+        let confirms = matches!(response.status, Status::Ok | Status::Accepted);
+        let id = match &response.request_id {
+            Some(id) if !sent.unconfirmed.contains_key(id) => return false,
+            Some(id) => id.clone(),
+            None => {
+                let of_device = |(_, device): &(&RequestId, &DeviceId)| **device == response.device_id;
+                let open = sent.unconfirmed.iter().find(of_device).map(|(id, _)| id.clone());
+                let before = said_at < sent.at;
+                match open.filter(|_| confirms && !before && !open_on(&response.device_id)) {
+                    Some(id) => id,
+                    None => return false,
                 }
-                _ => false,
-            };
+            }
         };
-        match self.stops.contains_key(id) {
-            true if response.status == Status::Failed => true,
-            true => self.stops.remove(id).is_some(),
-            false => false,
+        if confirms {
+            sent.unconfirmed.remove(&id);
+            if sent.unconfirmed.is_empty() {
+                self.stop = Stop::Confirmed(sent.rest);
+            }
         }
-    }
-
-    /// Every device that was sent anything is known to be at rest.
-    pub(crate) fn stop_confirmed(&self) -> bool {
-        self.stop_sent && self.stops.is_empty()
+        true
     }
 }
 
-/// The reason in a failed response, or a stand-in where the robot gave none.
-pub(crate) fn error_of(response: &ControlResponse) -> ControlError {
-    let without = || ControlError::new(ErrorCode::Internal, "the robot gave no reason");
-    response.error.clone().unwrap_or_else(without)
-}
+#[cfg(test)]
+mod tests;

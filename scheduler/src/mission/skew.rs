@@ -3,9 +3,10 @@
 use serde::Serialize;
 use urrcp::{RobotId, Span, Timestamp};
 
+use super::ClockMode;
 use super::act::Member;
+use super::failure_kind::FailureKind;
 use super::robot_state::RobotState;
-use super::{ClockMode, FailureKind};
 
 /// The predicted spread of starts with its parts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -66,7 +67,7 @@ impl SkewBudget {
         tolerance: Span,
         at: Timestamp<urrcp::Server>,
     ) -> Option<Self> {
-        Self::with(members, robots, tolerance, at, |member, offset| offset - member.shift)
+        Self::with(members, robots, tolerance, at, |member, offset| offset - member.shift())
     }
 
     fn with<'a>(
@@ -90,9 +91,19 @@ impl SkewBudget {
         let robots = robots.filter(|robots| !robots.is_empty())?;
         let latest = robots.iter().map(|robot| robot.range().1).max().unwrap_or_default();
         let earliest = robots.iter().map(|robot| robot.range().0).min().unwrap_or_default();
-        // One robot alone has nobody to differ from.
-        let predicted = if robots.len() > 1 { latest - earliest } else { Span::ZERO };
+        // The devices of one robot share its clock; each may still wake up late.
+        let predicted = match robots.as_slice() {
+            [alone] => alone.wake_up,
+            _ => latest - earliest,
+        };
         Some(Self { predicted, tolerance, robots })
+    }
+
+    /// How much earlier, and how much later, than planned a robot may start.
+    pub(crate) fn early_and_late(&self) -> (Span, Span) {
+        let earliest = self.robots.iter().map(|robot| robot.range().0).min().unwrap_or_default();
+        let latest = self.robots.iter().map(|robot| robot.range().1).max().unwrap_or_default();
+        ((Span::ZERO - earliest).max(Span::ZERO), latest.max(Span::ZERO))
     }
 
     pub(crate) fn fits(&self) -> bool {

@@ -1,20 +1,24 @@
 //! Stopping: every device that was sent anything gets an empty script and comes to rest.
 
-use urrcp::{Command, ControlRequest, Message, RequestId, Script, Server, Span, Timestamp};
+use std::collections::HashMap;
 
+use downbeat_scripts::Way;
+use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, Span, Timestamp};
+
+use super::act::Act;
+use super::failure_kind::FailureKind;
 use super::record::Record;
-use super::robot_state::RobotState;
-use super::{Mission, Phase, Progress};
-use crate::report::Outcome;
+use super::robot_state::{Link, Rest, RobotState, SentStop, Stop};
+use super::{Mission, Outcome, Phase, Progress};
 
-/// Stops that are not confirmed are sent again after this or after three of the longest delays.
+/// Stops that are not confirmed are sent again after this or after three round trips.
 const STOP_AGAIN: Span = Span::from_millis(200);
 
 impl Mission {
     pub(super) fn request_stop(&mut self, now: Timestamp<Server>) {
         match self.phase {
             Phase::Greeting { .. } => self.refuse(Outcome::Stopped),
-            Phase::Performing => self.abort(now, Outcome::Stopped, false, None),
+            Phase::Performing => self.abort(now, Outcome::Stopped, Rest::Default, None),
             // Whatever was to follow the stop does not.
             Phase::Stopping { .. } => {
                 self.then = None;
@@ -29,21 +33,24 @@ impl Mission {
         &mut self,
         now: Timestamp<Server>,
         outcome: Outcome,
-        hold: bool,
+        rest: Rest,
         then: Option<usize>,
     ) {
         self.tell(Progress::Stopping { reason: outcome.to_string() });
-        self.record(Record::Stopping { outcome: outcome.clone() });
-        self.outcome = Some(outcome);
         self.then = then;
-        self.next_renewal = None;
+        self.next_round = None;
+        self.next_silence = None;
+        self.deferred.clear();
         self.phase =
             Phase::Stopping { deadline: now + self.options.patience, resend: now + self.stop_interval() };
         for robot in 0..self.robots.len() {
-            self.stop_robot(now, robot, hold);
-            if matches!(self.robots[robot].link, super::robot_state::Link::Down(_))
-                && !self.robots[robot].stops.is_empty()
-            {
+            self.stop_robot(now, robot, rest);
+        }
+        // A stop promises nothing: it is sent first and recorded afterwards.
+        self.record(Record::Stopping { outcome: outcome.clone() });
+        self.outcome = Some(outcome);
+        for robot in 0..self.robots.len() {
+            if matches!(self.robots[robot].link, Link::Lost(_)) && self.robots[robot].awaits_stop() {
                 self.reconnect(robot);
             }
         }
@@ -51,41 +58,41 @@ impl Mission {
     }
 
     /// Stops all devices of a robot that were sent anything. Ahead of everything that waits to be sent.
-    pub(super) fn stop_robot(&mut self, now: Timestamp<Server>, robot: usize, hold: bool) {
+    pub(super) fn stop_robot(&mut self, now: Timestamp<Server>, robot: usize, rest: Rest) {
         let state = &mut self.robots[robot];
-        if state.touched.is_empty() || state.stop_sent {
+        if state.touched.is_empty() || state.stop_was_sent() {
             return;
         }
-        state.stop_sent = true;
         self.stopped_at = self.stopped_at.max(Some(now));
-        state.hold = hold;
         let session = self.options.session.as_ref().map(|session| format!("{session}/")).unwrap_or_default();
-        for (index, device) in state.touched.iter().enumerate() {
-            let id = format!("{session}stop/{}/{robot}/{index}", now.as_nanos() / 1_000);
+        let named = |(index, device): (usize, &DeviceId)| {
             // Sessions are named by this program, far below the limit.
-            if let Ok(id) = RequestId::new(id) {
-                state.stops.insert(id, device.clone());
-            }
-        }
+            let id = RequestId::new(format!("{session}stop/{}/{robot}/{index}", now.as_nanos() / 1_000));
+            Some((id.ok()?, device.clone()))
+        };
+        let unconfirmed: HashMap<_, _> = state.touched.iter().enumerate().filter_map(named).collect();
+        state.stop = Stop::Sent(SentStop { at: now, rest, unconfirmed });
         self.send_stops(now, robot);
     }
 
     fn send_stops(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
+        let Stop::Sent(sent) = &state.stop else { return };
         let stopped_at = self.stopped_at.unwrap_or(now);
-        let request = |(id, device): (&RequestId, &urrcp::DeviceId)| {
+        let request = |(id, device): (&RequestId, &DeviceId)| {
             let mut request = ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()));
             request.request_id = Some(id.clone());
             // What was sent before it and arrives after it is taken back as well.
             request.timestamp = Some(stopped_at + state.shift);
             request.session.clone_from(&self.options.session);
-            request.hold = state.hold;
+            request.hold = sent.rest == Rest::Hold;
             Message::ControlRequest(request)
         };
-        let mut requests: Vec<_> = state.stops.iter().map(|stop| (stop.0.as_str(), request(stop))).collect();
+        let mut requests: Vec<_> =
+            sent.unconfirmed.iter().map(|stop| (stop.0.as_str(), request(stop))).collect();
         requests.sort_by(|a, b| a.0.cmp(b.0));
         let requests: Vec<_> = requests.into_iter().map(|(_, request)| request).collect();
-        requests.into_iter().for_each(|request| self.send_by(now, robot, request, true));
+        requests.into_iter().for_each(|request| self.post_urgently(now, robot, request));
     }
 
     /// What has not been confirmed is asked for again: the stop, or what became of a script.
@@ -102,86 +109,93 @@ impl Mission {
     }
 
     pub(super) fn stop_anew(&mut self, now: Timestamp<Server>, robot: usize) {
-        if !self.robots[robot].stops.is_empty() {
+        if self.robots[robot].awaits_stop() {
             self.robots[robot].totals.retries += 1;
-            return self.send_stops(now, robot);
-        }
-        for (index, member, script) in self.unknown_fates() {
-            if self.runs[index].members[member].robot == robot {
-                self.probe(now, index, member, script);
-            }
+            self.send_stops(now, robot);
+        } else if self.owes_a_fate(robot) {
+            self.inquire(now, robot);
         }
     }
 
-    /// Scripts of which a robot has not said what became of them, and will if it is asked: act, member and script.
-    fn unknown_fates(&self) -> Vec<(usize, usize, usize)> {
-        let mut unknown = Vec::new();
-        for (index, run) in self.runs.iter().enumerate() {
-            let answers = |member: &super::act::Member| {
-                let robot = &self.robots[member.robot];
-                let garbled =
-                    |failure: &super::Failure| matches!(failure.kind, super::FailureKind::Garbled { .. });
-                robot.reports() && !robot.failures.iter().any(garbled)
-            };
-            for (m, member) in run.members.iter().enumerate().filter(|(_, member)| answers(member)) {
-                let scripts = member.scripts.iter().enumerate().filter(|(_, script)| script.is_out());
-                unknown.extend(scripts.map(|(s, _)| (index, m, s)));
-            }
-        }
-        unknown
+    /// A robot has not said what became of one of its scripts, and will if it is asked.
+    fn owes_a_fate(&self, robot: usize) -> bool {
+        let state = &self.robots[robot];
+        let garbled =
+            state.failures.iter().any(|failure| matches!(failure.kind, FailureKind::Garbled { .. }));
+        let out = |act: &Act| {
+            let scripts = act.member(robot).into_iter().flat_map(|member| member.scripts());
+            scripts.into_iter().any(|script| script.is_out())
+        };
+        state.tells_fates() && !garbled && !state.is_gone() && self.acts.iter().any(out)
     }
 
     fn stop_interval(&self) -> Span {
-        let delays = self.robots.iter().filter_map(|robot| robot.clock.reading());
-        STOP_AGAIN.max(delays.map(|reading| reading.delay_max).max().unwrap_or(Span::ZERO) * 3)
+        let longest = self.robots.iter().map(RobotState::round_trip).max().unwrap_or_default();
+        STOP_AGAIN.max(super::lead::counted(longest) * 3)
     }
 
     /// Goes on once every robot has confirmed, and has said what became of its scripts.
     pub(super) fn stop_progress(&mut self, now: Timestamp<Server>) {
-        for robot in 0..self.robots.len() {
-            let state = &mut self.robots[robot];
-            if state.stop_confirmed() && !state.stop_recorded {
-                state.stop_recorded = true;
-                let robot = state.id.clone();
-                self.record(Record::StopConfirmed { robot });
-            }
+        if !matches!(self.phase, Phase::Stopping { .. }) {
+            return;
         }
-        let settled =
-            |robot: &RobotState| robot.touched.is_empty() || (robot.stop_sent && robot.stops.is_empty());
-        let all = self.robots.iter().all(settled);
-        let known = all && self.unknown_fates().is_empty();
-        if matches!(self.phase, Phase::Stopping { .. }) && known {
+        let all = self.robots.iter().all(RobotState::is_settled);
+        let known = all && !(0..self.robots.len()).any(|robot| self.owes_a_fate(robot));
+        if known {
             self.stopped(now);
+        } else if all {
+            // What became of their scripts is asked for at once, once.
+            for robot in 0..self.robots.len() {
+                if self.owes_a_fate(robot) && self.robots[robot].questions.last_unanswered().is_none() {
+                    self.inquire(now, robot);
+                }
+            }
         }
     }
 
     /// The stop is over, confirmed or not: the end, or the act that a failure policy wants.
     pub(super) fn stopped(&mut self, now: Timestamp<Server>) {
         // Whatever was planned: what the robots say they did is what happened.
-        let begun = self.runs.iter().any(super::act::ActRun::has_begun);
-        if begun && matches!(self.outcome, Some(Outcome::NotStarted | Outcome::DecisionLate { .. })) {
+        let begun = self.acts.iter().any(Act::has_begun);
+        let not_begun = |outcome: &Outcome| {
+            matches!(
+                outcome,
+                Outcome::NotStarted | Outcome::DecisionLate { .. } | Outcome::CommitmentLate { .. }
+            )
+        };
+        if begun && self.outcome.as_ref().is_some_and(not_begun) {
             self.outcome = Some(Outcome::Failed);
         }
-        self.phase = Phase::Ended;
-        while !self.runs.is_empty() {
-            self.close_run(now, 0);
+        let scripts = self.acts.iter().flat_map(Act::members).flat_map(|member| member.scripts());
+        let unknown = scripts.into_iter().any(|script| script.is_unaccounted());
+        if !begun && !unknown && self.reports.is_empty() && self.outcome == Some(Outcome::Failed) {
+            self.outcome = Some(Outcome::NotStarted);
         }
-        let confirmed = self.robots.iter().all(|robot| robot.touched.is_empty() || robot.stop_confirmed());
+        self.phase = Phase::Ended;
+        self.close_all(now);
+        let confirmed = self.robots.iter().all(RobotState::is_settled);
         match self.then.take().filter(|_| confirmed) {
             Some(act) => {
                 let stopped = self.outcome.take().filter(|outcome| *outcome == Outcome::Stopped);
                 self.flawed = Some(stopped.unwrap_or(Outcome::Failed));
                 for robot in &mut self.robots {
-                    robot.stop_sent = false;
-                    robot.stop_recorded = false;
+                    robot.stop = Stop::None;
                     robot.touched.clear();
                     robot.left.clear();
                 }
                 self.phase = Phase::Performing;
-                self.line_up_act(now, act);
-                self.perform(now);
+                self.go_way(now, Way::Act(act));
+                self.goes_on(now);
             }
             None => self.end(),
+        }
+    }
+
+    /// A stop was confirmed on all devices of a robot.
+    pub(super) fn stop_confirmed(&mut self, robot: usize) {
+        if matches!(self.robots[robot].stop, Stop::Confirmed(_)) {
+            let robot = self.robots[robot].id.clone();
+            self.record(Record::StopConfirmed { robot });
         }
     }
 }

@@ -3,109 +3,18 @@
 pub mod picture;
 mod text;
 
-use std::fmt;
-
 use serde::Serialize;
-use urrcp::{DeviceId, Robot, RobotId, Server, SessionId, Span, Timestamp};
+use urrcp::{RobotId, Server, SessionId, Span, Timestamp};
 
 use crate::clock::ClockReading;
-use crate::mission::act::{ActRun, Member, start_error};
-use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight, SkewBudget, TakenReading};
+use crate::mission::robot_state::{Rest, RobotState, Standing, Stop};
+pub use crate::mission::{ActReport, ActRobot, DeviceReport, Outcome};
+use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight};
 use crate::server_clock::NtpState;
 pub use text::{choreography_figures, main_duration, plan_figures, plan_table, preflight_table, report_text};
 
-use crate::mission::robot_state::{RobotState, ScriptPhase, ScriptState, Standing};
-
 /// The JSON Schema of a report.
 pub const SCHEMA: &str = include_str!("schema.json");
-
-/// How a mission ended.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Outcome {
-    /// All robots started together and came to their end.
-    Done,
-    /// The others came to their end; robots that failed were left out, as `on_failure` says.
-    DoneWithout,
-    /// The fleet is checked and nothing was sent.
-    Ready,
-    /// The fleet is checked, and would not start.
-    NotReady,
-    /// None started.
-    NotStarted,
-    /// It started, then a robot failed, and all were stopped.
-    Failed,
-    /// The operator stopped it.
-    Stopped,
-    /// The operator left without waiting for the stop to be confirmed.
-    Abandoned,
-    /// The lead time asked for is too short; nothing was sent.
-    LeadTooShort {
-        /// What was asked for.
-        #[serde(rename = "lead_ms")]
-        lead: Span,
-        /// What this fleet needs.
-        needed: LeadTime,
-        /// The earliest start that would have been safe.
-        safe_start: Timestamp<Server>,
-    },
-    /// The start asked for has passed, or is too soon; nothing was sent.
-    StartTooSoon {
-        /// What was asked for.
-        start: Timestamp<Server>,
-        /// The earliest start that would have been safe.
-        safe_start: Timestamp<Server>,
-    },
-    /// The pending lease asked for is too short; nothing was sent.
-    LeaseTooShort {
-        /// What was asked for.
-        #[serde(rename = "lease_ms")]
-        lease: Span,
-        /// What the measured delays need.
-        #[serde(rename = "needed_ms")]
-        needed: Span,
-    },
-    /// The scheduler itself was held up over the decision; none started.
-    DecisionLate {
-        /// By how much.
-        #[serde(rename = "by_ms")]
-        by: Span,
-    },
-}
-
-impl fmt::Display for Outcome {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Done => f.write_str("done"),
-            Self::DoneWithout => f.write_str("done, without the robots that failed"),
-            Self::Ready => f.write_str("ready, nothing was sent"),
-            Self::NotReady => f.write_str("not ready, nothing was sent"),
-            Self::NotStarted => f.write_str("not started"),
-            Self::Failed => f.write_str("failed and stopped"),
-            Self::Stopped => f.write_str("stopped by the operator"),
-            Self::Abandoned => f.write_str("left by the operator before the stop was confirmed"),
-            Self::LeadTooShort { lead, needed, safe_start } => write!(
-                f,
-                "not sent: a lead of {lead} is too short, this fleet needs {} ({} to prepare, {} of lease, {} of margin); the earliest safe start was {safe_start}",
-                needed.total(),
-                needed.prepare,
-                needed.lease,
-                needed.margin
-            ),
-            Self::StartTooSoon { start, safe_start } => write!(
-                f,
-                "not sent: a start at {start} has passed or is too soon, the earliest safe start was {safe_start}"
-            ),
-            Self::LeaseTooShort { lease, needed } => write!(
-                f,
-                "not sent: a pending stop_condition of {lease} is too short, the measured delays need {needed}"
-            ),
-            Self::DecisionLate { by } => {
-                write!(f, "not started: this machine was held up, the decision came {by} late")
-            }
-        }
-    }
-}
 
 /// The report of one mission. Times in milliseconds, instants in RFC 3339.
 #[derive(Clone, Debug, Serialize)]
@@ -117,6 +26,10 @@ pub struct Report {
     pub session: Option<SessionId>,
     /// How it ended.
     pub outcome: Outcome,
+    /// So many acts had begun, as many as were asked for: the mission came to its end although another act would have
+    /// followed.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub acts_max_reached: Option<u32>,
     /// Planned start of the first cue of the first act reported, by the server's clock.
     pub start: Option<Timestamp<Server>>,
     /// Why the start was that far ahead.
@@ -141,52 +54,6 @@ pub struct Report {
     /// What was checked before.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preflight: Option<Preflight>,
-}
-
-/// What became of one act.
-#[derive(Clone, Debug, Serialize)]
-pub struct ActReport {
-    /// Its name.
-    pub act: String,
-    /// Which of the mission's acts, counted from zero.
-    pub number: u32,
-    /// The sending timestamp that all its requests shared.
-    pub timestamp: Timestamp<Server>,
-    /// Planned start.
-    pub start: Timestamp<Server>,
-    /// Why the start was that far ahead.
-    pub lead: LeadTime,
-    /// How much later it started than it should have: at the end of the act before, or at the time that it waited for.
-    #[serde(rename = "gap_ms")]
-    pub gap: Option<Span>,
-    /// How far apart the clocks allowed the starts to be, before the decision.
-    pub skew: Option<SkewBudget>,
-    /// Largest minus smallest start error, by the robots' own clocks.
-    #[serde(rename = "spread_ms")]
-    pub spread: Option<Span>,
-    /// Time left at the decision after the last acceptance.
-    #[serde(rename = "margin_left_ms")]
-    pub margin_left: Option<Span>,
-    /// Between the first renewal that carried a lease over the start and the last confirmed: had the scheduler died in it,
-    /// some robots would have started and others not.
-    #[serde(rename = "window_ms")]
-    pub window: Option<Span>,
-    /// Readings that the scenario asked for.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    pub readings: Vec<TakenReading>,
-    /// Robots in the order of the plan.
-    pub robots: Vec<ActRobot>,
-}
-
-/// What one robot did in one act.
-#[derive(Clone, Debug, Serialize)]
-pub struct ActRobot {
-    /// Which.
-    pub robot: RobotId,
-    /// It was left out.
-    pub left_out: bool,
-    /// Each device.
-    pub devices: Vec<DeviceReport>,
 }
 
 /// What one robot did over all acts.
@@ -231,8 +98,10 @@ pub struct RobotReport {
 pub enum StopState {
     /// None was sent.
     NotSent,
-    /// The robot confirmed on every device that it is at rest.
+    /// The robot confirmed its default state on every device.
     Confirmed,
+    /// The robot confirmed on every device that it rests where it was, as `on_failure: hold` asks.
+    Held,
     /// No confirmation; it stops by itself when its longest lease ends.
     Unconfirmed {
         /// When, by the server's clock; `None` if a script runs on without a lease.
@@ -240,39 +109,28 @@ pub enum StopState {
     },
 }
 
-/// What one script of a device did.
-#[derive(Clone, Debug, Serialize)]
-pub struct DeviceReport {
-    /// Which device.
-    pub device: DeviceId,
-    /// `planned`, `sent`, `accepted`, `started`, `ended` or `failed`.
-    pub state: &'static str,
-    /// Planned start of its script.
-    pub planned_start: Option<Timestamp<Server>>,
-    /// From there to its first step.
-    #[serde(skip)]
-    pub first_step: Span,
-    /// Actual start by the robot's clock.
-    pub started_at: Option<Timestamp<Robot>>,
-    /// Actual minus planned.
-    #[serde(rename = "start_error_ms")]
-    pub start_error: Option<Span>,
-    /// Steps executed.
-    pub steps_done: u32,
-    /// Steps planned.
-    pub steps_planned: usize,
-    /// Steps that came more than a millisecond late.
-    pub late_steps: u32,
-}
-
 impl Report {
-    pub(crate) fn new(mission: &Mission, outcome: Outcome) -> Self {
+    /// Of a mission that has ended; `None` before.
+    #[must_use]
+    pub fn of(mission: &Mission) -> Option<Self> {
+        mission.outcome().map(|outcome| Self::with(mission, outcome.clone()))
+    }
+
+    /// What is known if the operator leaves now, without waiting for anything.
+    #[must_use]
+    pub fn as_left(mission: &mut Mission, now: Timestamp<Server>) -> Self {
+        mission.leave(now);
+        Self::with(mission, Outcome::Abandoned)
+    }
+
+    fn with(mission: &Mission, outcome: Outcome) -> Self {
         let (acts, acts_omitted) = mission.act_reports();
         let robots = mission.robots();
         Self {
             scenario: mission.choreography().scenario.clone(),
             session: mission.options().session.clone(),
             outcome,
+            acts_max_reached: mission.bound_reached(),
             start: acts.front().map(|act| act.start),
             lead: acts.front().map(|act| act.lead),
             spread: acts.iter().filter_map(|act| act.spread).max(),
@@ -290,39 +148,6 @@ impl Report {
     #[must_use]
     pub fn is_done(&self) -> bool {
         self.outcome == Outcome::Done
-    }
-}
-
-impl ActReport {
-    /// `None` for an act that was not sent.
-    pub(crate) fn new(act: String, run: &ActRun, robots: &[RobotState]) -> Option<Self> {
-        let timing = run.timing.as_ref()?;
-        let errors = || {
-            let members = run.members.iter();
-            members.flat_map(|member| {
-                member.scripts.iter().filter_map(move |script| start_error(run, member, script))
-            })
-        };
-        let spread = errors().max().zip(errors().min()).map(|(max, min)| max - min);
-        let robot = |member: &Member| ActRobot {
-            robot: robots[member.robot].id.clone(),
-            left_out: member.out,
-            devices: member.scripts.iter().map(|script| device_report(run, member, script)).collect(),
-        };
-        Some(Self {
-            act,
-            number: run.number,
-            timestamp: timing.timestamp,
-            start: timing.start,
-            lead: timing.lead,
-            gap: timing.gap,
-            skew: timing.skew.clone(),
-            spread,
-            margin_left: timing.accepted_at.map(|at| timing.decision - at),
-            window: timing.round.map(|(sent, answered)| answered - sent),
-            readings: run.readings.clone(),
-            robots: run.members.iter().map(robot).collect(),
-        })
     }
 }
 
@@ -352,33 +177,13 @@ fn robot_report(robot: &RobotState) -> RobotReport {
 }
 
 fn stop_state(robot: &RobotState) -> StopState {
-    match (robot.stop_sent, robot.stop_confirmed(), robot.left.is_empty()) {
-        (true, true, _) => StopState::Confirmed,
-        (false, _, true) => StopState::NotSent,
-        _ => {
+    match (&robot.stop, robot.left.is_empty()) {
+        (Stop::Confirmed(Rest::Default), _) => StopState::Confirmed,
+        (Stop::Confirmed(Rest::Hold), _) => StopState::Held,
+        (Stop::None, true) => StopState::NotSent,
+        (Stop::None | Stop::Sent(_), _) => {
             let ends: Option<Vec<_>> = robot.left.iter().copied().collect();
             StopState::Unconfirmed { lease_ends: ends.and_then(|ends| ends.into_iter().max()) }
         }
-    }
-}
-
-fn device_report(run: &ActRun, member: &Member, script: &ScriptState) -> DeviceReport {
-    DeviceReport {
-        device: script.plan.device.clone(),
-        state: match script.phase {
-            ScriptPhase::Planned => "planned",
-            ScriptPhase::Sent => "sent",
-            ScriptPhase::Accepted => "accepted",
-            ScriptPhase::Started => "started",
-            ScriptPhase::Ended => "ended",
-            ScriptPhase::Failed(_) => "failed",
-        },
-        planned_start: run.timing.as_ref().map(|timing| timing.start + script.plan.start.span()),
-        first_step: script.plan.script.steps().first().map_or(Span::ZERO, |step| step.offset.span()),
-        started_at: script.started_at,
-        start_error: start_error(run, member, script),
-        steps_done: script.steps_done,
-        steps_planned: script.plan.script.steps().len(),
-        late_steps: script.late_steps,
     }
 }

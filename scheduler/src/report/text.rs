@@ -132,6 +132,11 @@ pub fn preflight_table(preflight: &Preflight, told: bool) -> String {
 #[must_use]
 pub fn report_text(report: &Report) -> String {
     let mut text = format!("{}: {}\n", report.scenario, report.outcome);
+    if let Some(acts_max) = report.acts_max_reached {
+        let acts = counted(acts_max as usize, "act");
+        let _infallible =
+            writeln!(text, "  ended because {acts} had begun, the bound; another would have followed");
+    }
     let alone = matches!(report.outcome, Outcome::Ready | Outcome::NotReady);
     if let Some(preflight) = report.preflight.as_ref().filter(|_| alone) {
         return text + &preflight_table(preflight, true);
@@ -241,6 +246,7 @@ fn stop_line(robot: &RobotReport) -> Option<String> {
     match robot.stop {
         StopState::NotSent => None,
         StopState::Confirmed => Some(format!("{}: default state confirmed\n", robot.robot)),
+        StopState::Held => Some(format!("{}: held where it was, confirmed\n", robot.robot)),
         StopState::Unconfirmed { lease_ends: Some(at) } => {
             Some(format!("{}: stop NOT confirmed; its lease ends at {at}\n", robot.robot))
         }

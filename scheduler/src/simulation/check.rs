@@ -57,6 +57,9 @@ pub struct Verdict {
     pub starts: Vec<Starts>,
 }
 
+/// Clocks of honest robots are off by less than this.
+const CLOCK_BEHIND: Span = Span::from_millis(5);
+
 impl Ran {
     /// Holds the invariants against what happened.
     #[must_use]
@@ -158,16 +161,23 @@ impl<'a> Check<'a> {
         }
     }
 
-    /// A fault from one renewal before the critical instant up to the start, or one that lasts into that time.
+    /// A fault from the instant on from which, as was stated at the decision, silence may be noticed too late, up to the
+    /// start, or one that lasts into that time.
     fn fault_in_window(&self, promise: &Promise) -> bool {
-        let from = promise.start - promise.lease - promise.lease / 6;
+        let doubt = self.ran.records.iter().find_map(|(_, record)| match record {
+            Record::Decided { number, doubt, .. } if *number == promise.number => Some(*doubt),
+            _ => None,
+        });
+        let from = promise.start - doubt.unwrap_or(promise.lease);
         let last = promise.scripts.iter().map(|script| promise.start + script.start.span()).max();
         let until = last.unwrap_or(promise.start) + Span::from_millis(150);
         let within = |at: Timestamp<Server>| at >= from && at <= until;
         // After the point of no return a stop, whatever it is for, may reach some before their start and others after it.
         let late_stop = self.ran.records.iter().any(|(at, record)| {
             let returns = promise.start - self.drawn().delay.1 * 4 - LATE_STOP;
-            matches!(record, Record::Stopping { .. }) && *at >= returns && *at <= promise.start
+            // A robot whose clock is behind starts a little after the planned instant.
+            let begun = promise.start + CLOCK_BEHIND;
+            matches!(record, Record::Stopping { .. }) && *at >= returns && *at <= begun
         });
         late_stop
             || self.ran.history.iter().any(|(at, happened)| match happened {

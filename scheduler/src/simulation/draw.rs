@@ -102,6 +102,19 @@ pub struct Drawn {
     pub choreography: Choreography,
     /// What goes wrong, in order.
     pub faults: Vec<(Span, Fault)>,
+    /// Where the scheduler keeps its journal.
+    pub disk: DrawnDisk,
+}
+
+/// The disk of the scheduler's machine.
+#[derive(Clone, Copy, Debug)]
+pub struct DrawnDisk {
+    /// How long it takes until what was written survives a loss of power.
+    pub sync: Span,
+    /// The journal cannot grow beyond so many bytes.
+    pub capacity: Option<usize>,
+    /// When the scheduler's process ends, it is because its machine loses power.
+    pub loses_power: bool,
 }
 
 /// One robot.
@@ -147,7 +160,20 @@ pub fn draw(seed: u64) -> Drawn {
         })
         .collect();
     faults.sort_by_key(|(at, _)| *at);
-    Drawn { seed, network, delay, tail, robots, choreography, faults }
+    let disk = draw_disk(seed);
+    Drawn { seed, network, delay, tail, robots, choreography, faults, disk }
+}
+
+/// From a generator of its own, so that what a seed stands for besides is what it was.
+fn draw_disk(seed: u64) -> DrawnDisk {
+    let mut rng = Rng::with_seed(seed ^ 0xd15c);
+    let sync = match rng.u8(0..3) {
+        0 => Span::ZERO,
+        1 => millis(&mut rng, 0, 10),
+        _ => millis(&mut rng, 10, 300),
+    };
+    let capacity = (rng.u8(0..20) == 0).then(|| rng.usize(1_000..12_000));
+    DrawnDisk { sync, capacity, loses_power: rng.bool() }
 }
 
 fn draw_robot(rng: &mut Rng, index: usize) -> DrawnRobot {

@@ -14,7 +14,7 @@ use urrcp::{Message, Server, Span, Timestamp};
 use crate::mission::Record;
 use crate::report::Report;
 pub use check::{Starts, Verdict, Violation};
-pub use draw::{Drawn, DrawnRobot, Fault, Lie, Network, draw};
+pub use draw::{Drawn, DrawnDisk, DrawnRobot, Fault, Lie, Network, draw};
 pub use trace::trace;
 
 /// What happened to a seed.

@@ -23,6 +23,14 @@ pub fn trace(ran: &Ran) -> String {
         drawn.delay.1,
         drawn.tail
     );
+    let disk = &drawn.disk;
+    let _infallible = writeln!(
+        text,
+        "  disk: syncs within {}, {}{}",
+        disk.sync,
+        disk.capacity.map_or("has room".to_owned(), |bytes| format!("is full after {bytes} bytes")),
+        if disk.loses_power { ", loses power with its machine" } else { "" }
+    );
     for (index, robot) in drawn.robots.iter().enumerate() {
         let _infallible = writeln!(
             text,

@@ -78,6 +78,10 @@ impl<'a> Cast<'a> {
         &self.fleet.robots[robot].id
     }
 
+    pub(super) fn index(&self, robot: &RobotId) -> Option<usize> {
+        self.index_of.get(robot.as_str()).copied()
+    }
+
     pub(super) fn devices(&self, robot: usize) -> &'a [Device] {
         devices_of(&self.fleet.robots[robot])
     }

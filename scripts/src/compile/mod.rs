@@ -6,6 +6,7 @@
 mod acts;
 mod cast;
 mod check_motion;
+mod check_refill;
 mod check_safety;
 mod check_values;
 mod conflict;
@@ -121,10 +122,13 @@ impl Compiler {
                 on_timeout: ways.on_timeout,
                 next: ways.next,
                 on_failure: ways.on_failure,
+                on_doubt: act.on_doubt,
             }));
         }
         check_safety::check(&mut self.findings, &scenario, &acts);
         let acts: Option<Vec<Act>> = acts.into_iter().collect();
-        Some(Choreography { scenario: scenario.name, acts: acts? })
+        let choreography = Choreography { scenario: scenario.name.clone(), acts: acts? };
+        check_refill::check(&mut self.findings, &scenario, &cast, &choreography);
+        Some(choreography)
     }
 }

@@ -81,7 +81,7 @@ pub(super) fn block(
         api_version,
         reports: true,
         encodings: Vec::new(),
-        inquiry: false,
+        inquiry: true,
         devices,
     };
     // Once through the wire's own checks, which count the devices and know ids that are there twice.

@@ -13,8 +13,8 @@ use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
 use crate::node::{Node, shortened};
 
-pub(crate) const ACT_KEYS: [&str; 9] =
-    ["act", "cues", "wait", "next", "on_failure", "zones", "order", "tempo", "signature"];
+pub(crate) const ACT_KEYS: [&str; 10] =
+    ["act", "cues", "wait", "next", "on_failure", "on_doubt", "zones", "order", "tempo", "signature"];
 pub(crate) const WAIT_KEYS: [&str; 8] =
     ["for", "time", "sensor", "above", "below", "within", "timeout", "otherwise"];
 
@@ -25,6 +25,7 @@ pub(super) struct Defaults<'a> {
     pub(super) order: Order,
     pub(super) zones: Option<At<'a>>,
     pub(super) on_failure: OnFailureRule,
+    pub(super) on_doubt: OnDoubt,
 }
 
 /// What acts have in common.
@@ -44,6 +45,18 @@ pub enum OnFailure {
     Without,
     /// All robots stay where they are.
     Hold,
+}
+
+/// What the others do when shortly before the start a robot's link is silent or broken, and nobody can know whether it will
+/// start. What is known is never treated as doubt.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum OnDoubt {
+    /// They start. If the silent robot is gone, they begin without it.
+    #[default]
+    Start,
+    /// They do not move. If the silent robot starts, it moves alone until its lease has ended.
+    Withdraw,
 }
 
 /// What a failure does, as it is written.
@@ -142,6 +155,7 @@ pub(super) fn read(
                 wait: WrittenWait::default(),
                 next: None,
                 on_failure: defaults.on_failure.clone(),
+                on_doubt: defaults.on_doubt,
             }]
         }
         (None, Some(acts)) => {
@@ -196,7 +210,7 @@ fn act(
     at: &At<'_>,
     index: usize,
 ) -> Option<Act> {
-    let [name, cues, wait, next, failure, own_zones, order, tempo, signature] =
+    let [name, cues, wait, next, failure, doubt, own_zones, order, tempo, signature] =
         reader.map(at, "an act", ACT_KEYS, &["cues"])?;
     let name = name
         .and_then(|at| reader.name(&at, "the act's name"))
@@ -226,6 +240,7 @@ fn act(
             Some(Name { text: reader.name(&at, "the name of an act, or `end`")?, place: at.place() })
         }),
         on_failure: rule,
+        on_doubt: doubt.and_then(|at| reader.word(&at, &ON_DOUBT)).unwrap_or(defaults.on_doubt),
         name,
     })
 }
@@ -249,6 +264,9 @@ fn zones(reader: &mut Reader, at: &At<'_>, order: Order) -> Vec<(String, Order)>
 
 const ON_FAILURE: [(&str, OnFailure); 3] =
     [("abort", OnFailure::Abort), ("without", OnFailure::Without), ("hold", OnFailure::Hold)];
+
+pub(super) const ON_DOUBT: [(&str, OnDoubt); 2] =
+    [("start", OnDoubt::Start), ("withdraw", OnDoubt::Withdraw)];
 
 /// One word for all, or a map with `default`, `then` and words for robots or groups.
 pub(super) fn on_failure(reader: &mut Reader, at: &At<'_>) -> OnFailureRule {

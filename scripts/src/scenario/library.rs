@@ -17,7 +17,7 @@ use crate::tags::foreign_tags;
 /// Most files that a scenario may include, directly or through others.
 const INCLUDES_MAX: usize = 256;
 
-pub(crate) const SCENARIO_KEYS: [&str; 17] = [
+pub(crate) const SCENARIO_KEYS: [&str; 18] = [
     "scenario",
     "fleet",
     "include",
@@ -33,6 +33,7 @@ pub(crate) const SCENARIO_KEYS: [&str; 17] = [
     "lead",
     "stop_condition",
     "on_failure",
+    "on_doubt",
     "cues",
     "acts",
 ];

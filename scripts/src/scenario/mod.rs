@@ -24,7 +24,7 @@ use crate::motion::Curve;
 use crate::node::{self, Node};
 use crate::source::Source;
 
-pub use acts::{OnFailure, SensorRange, Wait, parse_time};
+pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 pub(crate) use library::{Documents, SCENARIO_KEYS};
 pub(crate) use when::{Anchor, Relation};
@@ -73,6 +73,7 @@ pub(crate) struct Act {
     pub(crate) wait: WrittenWait,
     pub(crate) next: Option<Name>,
     pub(crate) on_failure: OnFailureRule,
+    pub(crate) on_doubt: OnDoubt,
 }
 
 /// How cues that need the same zone are put in order.
@@ -229,6 +230,7 @@ pub(crate) fn read(reader: &mut Reader, documents: &Documents, files: &dyn Files
         lead,
         stop_condition,
         on_failure,
+        on_doubt,
         cues,
         acts,
     ] = reader.map(&at, "the scenario", SCENARIO_KEYS, &["scenario"])?;
@@ -255,6 +257,7 @@ pub(crate) fn read(reader: &mut Reader, documents: &Documents, files: &dyn Files
         order: order.and_then(|at| reader.word(&at, &cue::ORDER)).unwrap_or_default(),
         zones,
         on_failure: on_failure.map(|at| acts::on_failure(reader, &at)).unwrap_or_default(),
+        on_doubt: on_doubt.and_then(|at| reader.word(&at, &acts::ON_DOUBT)).unwrap_or_default(),
     };
     scenario.acts = acts::read(reader, &library, &defaults, &at, [cues, acts]);
     for name in library.unused() {

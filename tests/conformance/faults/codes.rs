@@ -61,6 +61,7 @@ pub fn lease() -> Vec<Mutant> {
         &[
             "lease-pending",
             "lease-running",
+            "lease-queued",
             "lease-step",
             "lease-noise",
             "lease-link-down",

@@ -214,10 +214,11 @@ pub fn of_times() -> Vec<Mutant> {
         mutant("fewer steps are declared than it takes", &["one-step-too-many"], |_, passing| {
             declare(passing, |d| d["available_control_types"]["script"]["max_number_of_steps"] = json!(7))
         }),
-        mutant("a longer queue is declared than there is", &["queue"], |_, passing| {
+        // The room that is told is that of the true queue.
+        mutant("a longer queue is declared than there is", &["queue", "inquiry-room"], |_, passing| {
             declare(passing, |device| device["script_queue"] = json!(3))
         }),
-        mutant("a shorter queue is declared than there is", &["queue"], |_, passing| {
+        mutant("a shorter queue is declared than there is", &["queue", "inquiry-room"], |_, passing| {
             declare(passing, |device| device["script_queue"] = json!(1))
         }),
         mutant("what overlaps is put off", &["overlap"], |_, passing| {

@@ -17,7 +17,14 @@ pub fn of_leases() -> Vec<Mutant> {
         // All that shows a lease running out; a step's own stays.
         mutant(
             "stop_condition is not read",
-            &["lease-pending", "lease-running", "lease-noise", "lease-link-down", "lease-two-links"],
+            &[
+                "lease-pending",
+                "lease-running",
+                "lease-queued",
+                "lease-noise",
+                "lease-link-down",
+                "lease-two-links",
+            ],
             |_, passing| edit(passing, |request| remove(request, "stop_condition")),
         ),
         mutant("leases end with the start", &["lease-running"], |_, passing| {
@@ -101,6 +108,20 @@ pub fn of_leases() -> Vec<Mutant> {
         mutant("what was asked on another connection is forgotten", &["lease-link-down"], |_, passing| {
             let mark = format!("#{}", passing.link);
             let way = passing.way;
+            for id in passing
+                .json
+                .pointer_mut("/inquiry/requests")
+                .and_then(Value::as_array_mut)
+                .into_iter()
+                .flatten()
+            {
+                *id = json!(format!("{}{mark}", id.as_str().unwrap_or_default()));
+            }
+            let told = passing.json.pointer_mut("/inquiry_response/requests").and_then(Value::as_array_mut);
+            for report in told.into_iter().flatten() {
+                let id = report["request_id"].as_str().unwrap_or_default();
+                report["request_id"] = json!(id.replace(&mark, ""));
+            }
             let key = if way == Way::ToRobot { "control_request" } else { "control_response" };
             if let Some(id) = passing.json.pointer_mut(&format!("/{key}/request_id")) {
                 let text = id.as_str().unwrap_or_default();

@@ -52,7 +52,7 @@ pub fn of_identity() -> Vec<Mutant> {
         mutant("hashes are not echoed", &["content-hash"], |_, passing| {
             edit_response(passing, |response| remove(response, "content_hash"))
         }),
-        mutant("hashes are echoed unread", &["content-hash"], |memory, passing| {
+        mutant("hashes are echoed unread", &["content-hash", "inquiry-hash"], |memory, passing| {
             if let Some(request) = passing.request() {
                 let hash = request.get("content_hash").cloned();
                 remove(request, "content_hash");
@@ -70,7 +70,7 @@ pub fn of_identity() -> Vec<Mutant> {
                 }
             })
         }),
-        mutant("sessions are not known", &["session", "session-reading"], |_, passing| {
+        mutant("sessions are not known", &["session", "session-reading", "inquiry-session"], |_, passing| {
             for message in ["availability_request", "control_request"] {
                 if let Some(inside) = passing.json.get_mut(message)
                     // A session that is too long is still a string that is too long.

@@ -1,8 +1,7 @@
-//! What goes wrong, and somebody who takes up what was left.
+//! What goes wrong.
 
-use super::{Item, World, options, participants};
-use crate::journal::Fate;
-use crate::mission::{Event, Loss, Mission};
+use super::{Item, Machine, World};
+use crate::mission::{Event, Loss};
 use crate::simulation::{Fault, Happened};
 
 impl World {
@@ -16,6 +15,7 @@ impl World {
                 if side.machine.take().is_none() {
                     return;
                 }
+                side.runs_on = if told { Machine::Up } else { Machine::Down };
                 let link = side.link.take();
                 if let Some(link) = link.filter(|_| told) {
                     let reason = "the robot closed the connection".to_owned();
@@ -34,7 +34,7 @@ impl World {
                     self.put(end, Item::RobotLinkDown { robot, link });
                     let (loss, reason) = (Loss::Unreachable, "connection timed out".to_owned());
                     let event = Box::new(Event::LinkDown { robot, loss, reason });
-                    self.put(end, Item::ToScheduler { robot, link, event, session: self.life });
+                    self.put(end, Item::ToScheduler { robot, link, event });
                 }
             }
             Fault::ClockStep { robot, by } => {
@@ -45,52 +45,16 @@ impl World {
                 }
             }
             Fault::SchedulerCrash { resumed_after } => {
-                if self.mission.take().is_none() {
+                if !self.scheduler.is_running() {
                     return;
                 }
-                self.life += 1;
-                self.waiting.clear();
-                for robot in 0..self.robots.len() {
-                    if let Some(link) = self.links[robot].take() {
-                        let at = now + self.drawn.delay.1;
-                        self.put(at, Item::RobotLinkDown { robot, link });
-                    }
-                }
+                self.kill_scheduler();
                 if let Some(after) = resumed_after {
                     self.put(now + after, Item::Resume);
                 }
             }
-            Fault::SchedulerPause { lasts } => self.paused_until = now + lasts,
+            Fault::SchedulerPause { lasts } => self.scheduler.paused_until = now + lasts,
             Fault::Stop => self.tell(Event::StopRequested),
-        }
-    }
-
-    /// What `downbeat resume` does.
-    pub(super) fn resume(&mut self) {
-        if self.mission.is_some() || self.kept.outcome.is_some() {
-            return;
-        }
-        let participants = participants(&self.drawn);
-        let fate = self.kept.fate();
-        let resumed = match &fate {
-            Fate::Resume => Mission::resume(
-                self.drawn.choreography.clone(),
-                participants.clone(),
-                options(),
-                &self.kept,
-                self.now,
-            )
-            .ok(),
-            Fate::Withdraw(_) => None,
-        };
-        let how = if resumed.is_some() { "resumed" } else { "withdrawn" };
-        self.note(Happened::TakenUp(how));
-        self.mission = Some(
-            resumed
-                .unwrap_or_else(|| Mission::withdraw(participants, options(), &self.kept.touched, self.now)),
-        );
-        for robot in 0..self.robots.len() {
-            self.put(self.now, Item::Connect { robot, session: self.life });
         }
     }
 }

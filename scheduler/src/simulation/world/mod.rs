@@ -1,8 +1,9 @@
-//! The virtual world of one seed: what is due next, and who does it. What becomes of messages is in `network`, what goes wrong
-//! in `faults`.
+//! The virtual world of one seed: what is due next, and which side does it. What becomes of messages is in `network`, what
+//! goes wrong in `faults`; `scheduler` is the process that runs the loop of every mission.
 
 mod faults;
 mod network;
+mod scheduler;
 
 use std::collections::BTreeMap;
 
@@ -11,11 +12,11 @@ use downbeat_robot::{Input, LinkId, LogEntry};
 use fastrand::Rng;
 use urrcp::{Message, Server, SessionId, Span, Timestamp};
 
+use self::scheduler::{Process, Scheduler};
 use super::{Drawn, DrawnRobot, Fault, Happened, Ran};
+use crate::drive::{at_once, drive};
 use crate::dry_run::BEGIN;
-use crate::journal::{Asked, Kept, Opened};
-use crate::mission::{Action, Event, Mission, MissionOptions, Participant, Record};
-use crate::report::Report;
+use crate::mission::{Event, Mission, MissionOptions, Participant, Record};
 
 /// A mission that lasts longer hangs.
 const LASTS_MAX: Span = Span::from_millis(180_000);
@@ -27,18 +28,50 @@ const CONNECT_FAILS: Span = Span::from_millis(300);
 const AFTERMATH: Span = Span::from_millis(8_000);
 
 enum Item {
-    ToRobot { robot: usize, link: LinkId, message: Box<Message> },
-    ToScheduler { robot: usize, link: LinkId, event: Box<Event>, session: u32 },
-    RobotLinkDown { robot: usize, link: LinkId },
-    Connect { robot: usize, session: u32 },
+    ToRobot {
+        robot: usize,
+        link: LinkId,
+        message: Box<Message>,
+    },
+    ToScheduler {
+        robot: usize,
+        link: LinkId,
+        event: Box<Event>,
+    },
+    RobotLinkDown {
+        robot: usize,
+        link: LinkId,
+    },
+    Connect {
+        robot: usize,
+        link: LinkId,
+    },
     Fault(Fault),
     RobotBack(usize),
     Resume,
-    Answer { robot: usize, link: LinkId, message: Box<Message> },
+    Answer {
+        robot: usize,
+        link: LinkId,
+        message: Box<Message>,
+    },
+    /// The disk has done what it was asked for in this life of the scheduler.
+    Synced {
+        life: u32,
+    },
+}
+
+/// What the machine does on which a robot's process ran.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Machine {
+    /// It closes connections and refuses new ones for a process that is gone.
+    Up,
+    /// It is gone itself.
+    Down,
 }
 
 struct RobotSide {
     machine: Option<SimulatedRobot>,
+    runs_on: Machine,
     /// The connection with the scheduler, as this side sees it.
     link: Option<LinkId>,
     paused_until: Timestamp<Server>,
@@ -55,15 +88,12 @@ struct World {
     now: Timestamp<Server>,
     items: BTreeMap<(Timestamp<Server>, u64), Item>,
     sequence: u64,
-    next_link: u64,
     robots: Vec<RobotSide>,
-    mission: Option<Mission>,
-    /// Counts the scheduler's lives: what was under way for an earlier one is lost.
-    life: u32,
-    paused_until: Timestamp<Server>,
-    waiting: Vec<Event>,
-    links: Vec<Option<LinkId>>,
-    kept: Kept,
+    scheduler: Scheduler,
+    /// At this instant so many things were done.
+    rounds: u32,
+    /// The mission never comes to an end.
+    hung: bool,
     records: Vec<(Timestamp<Server>, Record)>,
     history: Vec<(Timestamp<Server>, Happened)>,
     /// Keep every message: only for a trace.
@@ -89,60 +119,66 @@ fn participants(drawn: &Drawn) -> Vec<Participant> {
 /// Plays a world to its end.
 pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
     let mission = Mission::new(drawn.choreography.clone(), participants(&drawn), options(), BEGIN).ok();
-    let robots: Vec<RobotSide> = drawn
-        .robots
-        .iter()
-        .map(|robot| RobotSide {
+    let mut world = World::new(drawn, verbose);
+    let mut report = None;
+    let mut next = mission;
+    while let Some(mut mission) = next.take() {
+        report = at_once(drive(&mut mission, &mut world));
+        if world.hung {
+            let (wakeup, due) = (mission.next_wakeup(), mission.due());
+            let robots: Vec<_> =
+                world.robots.iter().map(|robot| robot.machine.as_ref()?.next_wakeup()).collect();
+            world.note(Happened::Told(format!("stuck: robots {robots:?}, mission {wakeup:?}: {due}")));
+        } else if report.is_none() {
+            next = world.taken_up();
+        }
+    }
+    world.aftermath();
+    for robot in &mut world.robots {
+        robot.collect();
+    }
+    Ran {
+        report,
+        records: world.records,
+        logs: world.robots.into_iter().map(|robot| robot.log).collect(),
+        history: world.history,
+        hung: world.hung,
+        drawn: world.drawn,
+    }
+}
+
+impl World {
+    fn new(drawn: Drawn, verbose: bool) -> Self {
+        let robots = drawn.robots.iter().map(|robot| RobotSide {
             machine: Some(SimulatedRobot::new(robot.block.clone(), robot.settings.clone())),
+            runs_on: Machine::Up,
             link: None,
             paused_until: BEGIN,
             partitioned_until: BEGIN,
             log: Vec::new(),
             last: [BEGIN; 2],
             clock_steps: Span::ZERO,
-        })
-        .collect();
-    let opened = Opened {
-        session: session().unwrap_or_else(unreachable_session),
-        pid: 0,
-        scenario: "soak".into(),
-        fleet: "soak".into(),
-        asked: Asked::default(),
-        robots: drawn.robots.iter().map(|robot| (robot.block.id.clone(), "soak".to_owned())).collect(),
-    };
-    let mut world = World {
-        rng: Rng::with_seed(drawn.seed ^ 0x5eed),
-        now: BEGIN,
-        items: BTreeMap::new(),
-        sequence: 0,
-        next_link: 1,
-        links: vec![None; robots.len()],
-        robots,
-        mission,
-        life: 0,
-        paused_until: BEGIN,
-        waiting: Vec::new(),
-        kept: Kept::new(opened, BEGIN),
-        records: Vec::new(),
-        history: Vec::new(),
-        verbose,
-        drawn,
-    };
-    for (at, fault) in world.drawn.faults.clone() {
-        world.put(BEGIN + at, Item::Fault(fault));
+        });
+        let mut world = Self {
+            rng: Rng::with_seed(drawn.seed ^ 0x5eed),
+            now: BEGIN,
+            items: BTreeMap::new(),
+            sequence: 0,
+            robots: robots.collect(),
+            scheduler: Scheduler::new(&drawn),
+            rounds: 0,
+            hung: false,
+            records: Vec::new(),
+            history: Vec::new(),
+            verbose,
+            drawn,
+        };
+        for (at, fault) in world.drawn.faults.clone() {
+            world.put(BEGIN + at, Item::Fault(fault));
+        }
+        world
     }
-    for robot in 0..world.robots.len() {
-        world.put(BEGIN, Item::Connect { robot, session: 0 });
-    }
-    world.go()
-}
 
-#[expect(clippy::expect_used, reason = "a constant below every limit")]
-fn unreachable_session() -> SessionId {
-    SessionId::new("s").expect("a constant below every limit")
-}
-
-impl World {
     fn put(&mut self, at: Timestamp<Server>, item: Item) {
         self.sequence += 1;
         self.items.insert((at.max(self.now), self.sequence), item);
@@ -152,69 +188,41 @@ impl World {
         self.history.push((self.now, happened));
     }
 
-    fn go(mut self) -> Ran {
-        let mut report: Option<Report> = None;
-        let mut until = BEGIN + LASTS_MAX;
-        let mut ended = false;
-        let mut rounds = 0;
-        while let Some(next) = self.next_instant(ended).filter(|next| *next <= until) {
-            rounds = if next > self.now { 0 } else { rounds + 1 };
-            if rounds > ROUNDS_MAX {
-                // Somebody is due and never does what he is due for.
-                let robots: Vec<_> =
-                    self.robots.iter().map(|robot| robot.machine.as_ref()?.next_wakeup()).collect();
-                let mission = self.mission.as_ref().and_then(Mission::next_wakeup);
-                let due = self.mission.as_ref().map(Mission::due).unwrap_or_default();
-                self.note(Happened::Told(format!("stuck: robots {robots:?}, mission {mission:?}: {due}")));
-                break;
-            }
-            self.now = self.now.max(next);
-            self.advance_robots();
-            while let Some(entry) = self.items.first_entry().filter(|entry| entry.key().0 <= self.now) {
-                let item = entry.remove();
-                self.happen(item);
-                self.advance_robots();
-            }
-            if !ended {
-                self.advance_mission();
-            }
-            let done = self.mission.as_ref().and_then(Mission::report);
-            // Without a scheduler, and nobody who will take it up, that was all.
-            let over = done.is_some() || (self.mission.is_none() && !self.will_resume());
-            if over && !ended {
-                ended = true;
-                report = done;
-                self.mission = None;
-                until = self.now + AFTERMATH;
-            }
-        }
-        for robot in &mut self.robots {
-            robot.collect();
-        }
-        Ran {
-            report,
-            records: self.records,
-            logs: self.robots.into_iter().map(|robot| robot.log).collect(),
-            history: self.history,
-            hung: !ended,
-            drawn: self.drawn,
-        }
-    }
-
-    fn will_resume(&self) -> bool {
-        self.items.values().any(|item| matches!(item, Item::Resume))
-    }
-
-    fn next_instant(&self, ended: bool) -> Option<Timestamp<Server>> {
+    /// When something next happens by itself, outside the mission.
+    fn next_instant(&self) -> Option<Timestamp<Server>> {
         let items = self.items.keys().next().map(|(at, _)| *at);
         let robots = self.robots.iter().filter_map(|robot| {
             let at = robot.machine.as_ref()?.next_wakeup()?.assume_clock::<Server>();
             Some(at.max(robot.paused_until))
         });
-        let mission = self.mission.as_ref().filter(|_| !ended).and_then(Mission::next_wakeup);
-        let mission = mission.map(|at| at.max(self.paused_until));
-        let waiting = (!self.waiting.is_empty()).then_some(self.paused_until);
-        items.into_iter().chain(robots).chain(mission).chain(waiting).min()
+        items.into_iter().chain(robots).chain(self.scheduler.wakes()).min()
+    }
+
+    /// It is this late now. Where too much happens at one instant, something is due and is never done.
+    fn pass(&mut self, at: Timestamp<Server>) {
+        self.rounds = if at > self.now { 0 } else { self.rounds + 1 };
+        self.now = self.now.max(at);
+        self.hung |= self.rounds > ROUNDS_MAX;
+    }
+
+    /// Does the next thing that is due at this instant: robots first.
+    fn step(&mut self, at: Timestamp<Server>) {
+        self.pass(at);
+        self.advance_robots();
+        if let Some(entry) = self.items.first_entry().filter(|entry| entry.key().0 <= self.now) {
+            let item = entry.remove();
+            self.happen(item);
+            self.advance_robots();
+        }
+    }
+
+    /// The scheduler is gone for good: what the robots still do.
+    fn aftermath(&mut self) {
+        self.scheduler.process = Process::Gone;
+        let until = self.now + AFTERMATH;
+        while let Some(next) = self.next_instant().filter(|next| *next <= until && !self.hung) {
+            self.step(next);
+        }
     }
 
     fn advance_robots(&mut self) {
@@ -242,11 +250,7 @@ impl World {
         match item {
             Item::ToRobot { robot, link, message } => self.arrive_at_robot(robot, link, *message),
             Item::Answer { robot, link, message } => self.answer(robot, link, &message),
-            Item::ToScheduler { robot, link, event, session } => {
-                if session == self.life && self.links[robot] == Some(link) {
-                    self.tell(*event);
-                }
-            }
+            Item::ToScheduler { robot, link, event } => self.arrive_at_scheduler(robot, link, event),
             Item::RobotLinkDown { robot, link } => {
                 let side = &mut self.robots[robot];
                 if side.link == Some(link) {
@@ -257,67 +261,18 @@ impl World {
                     }
                 }
             }
-            Item::Connect { robot, session } => self.connect(robot, session),
+            Item::Connect { robot, link } => self.connect(robot, link),
             Item::Fault(fault) => self.go_wrong(fault),
             Item::RobotBack(robot) => {
                 let drawn = &self.drawn.robots[robot];
                 let mut machine = SimulatedRobot::new(drawn.block.clone(), drawn.settings.clone());
                 machine.step_clock(self.robots[robot].clock_steps);
                 self.robots[robot].machine = Some(machine);
+                self.robots[robot].runs_on = Machine::Up;
                 self.note(Happened::Back(robot));
             }
             Item::Resume => self.resume(),
-        }
-    }
-
-    fn tell(&mut self, event: Event) {
-        if self.now < self.paused_until {
-            return self.waiting.push(event);
-        }
-        match &event {
-            Event::LinkUp { robot } => self.note(Happened::LinkUp(*robot)),
-            Event::LinkDown { robot, .. } => self.note(Happened::LinkDown(*robot)),
-            Event::Received { robot, message } if self.verbose => {
-                self.note(Happened::FromRobot(*robot, message.clone()));
-            }
-            _ => {}
-        }
-        let Some(mission) = &mut self.mission else { return };
-        let actions = mission.handle(self.now, event);
-        self.perform(actions);
-    }
-
-    fn advance_mission(&mut self) {
-        if self.now < self.paused_until {
-            return;
-        }
-        for event in std::mem::take(&mut self.waiting) {
-            self.tell(event);
-        }
-        let Some(mission) = &mut self.mission else { return };
-        let actions = mission.advance(self.now);
-        self.perform(actions);
-    }
-
-    fn perform(&mut self, actions: Vec<Action>) {
-        for action in actions {
-            match action {
-                Action::Send { robot, message, .. } => self.send(robot, &message),
-                Action::Reconnect { robot, after } => {
-                    self.links[robot] = None;
-                    self.put(self.now + after, Item::Connect { robot, session: self.life });
-                }
-                Action::Record(record) => {
-                    self.kept.note(&record);
-                    self.records.push((self.now, record));
-                }
-                Action::Tell(progress) => {
-                    if self.verbose {
-                        let text = serde_json::to_string(&progress).unwrap_or_default();
-                        self.note(Happened::Told(text));
-                    }
-                }
-            }
+            Item::Synced { life } => self.synced(life),
         }
     }
 }

@@ -6,7 +6,7 @@ use urrcp::{
     AvailabilityResponse, Command, ContentHash, ControlResponse, Message, Server, Span, Status, Timestamp,
 };
 
-use super::{CONNECT_FAILS, Item, World};
+use super::{CONNECT_FAILS, Item, Machine, World};
 use crate::mission::{Event, Loss};
 use crate::simulation::{Happened, Lie, Network};
 
@@ -104,41 +104,39 @@ impl World {
         for _ in 0..if self.doubled() { 2 } else { 1 } {
             if let Some(at) = self.travel(robot, 1) {
                 let event = Box::new(Event::Received { robot, message: message.clone() });
-                self.put(at, Item::ToScheduler { robot, link, event, session: self.life });
+                self.put(at, Item::ToScheduler { robot, link, event });
             }
         }
     }
 
     pub(super) fn send_event(&mut self, robot: usize, link: LinkId, event: Event) {
         let at = self.now + self.drawn.delay.1;
-        let (event, session) = (Box::new(event), self.life);
-        self.put(at, Item::ToScheduler { robot, link, event, session });
+        self.put(at, Item::ToScheduler { robot, link, event: Box::new(event) });
     }
 
-    pub(super) fn connect(&mut self, robot: usize, session: u32) {
-        if session != self.life || self.mission.is_none() {
+    pub(super) fn connect(&mut self, robot: usize, link: LinkId) {
+        if !self.links_to(robot, link) {
             return;
         }
-        let link = LinkId(self.next_link);
-        self.next_link += 1;
-        self.links[robot] = Some(link);
         let side = &mut self.robots[robot];
-        let reachable = side.machine.is_some() && self.now >= side.partitioned_until;
-        if !reachable {
-            let loss = Loss::Unreachable;
+        let reachable = self.now >= side.partitioned_until;
+        if !reachable || side.machine.is_none() {
+            let (loss, after) = match side.runs_on {
+                Machine::Up if reachable => (Loss::Refused, self.drawn.delay.1 * 2),
+                Machine::Up | Machine::Down => (Loss::Unreachable, CONNECT_FAILS),
+            };
             let event = Box::new(Event::LinkDown { robot, loss, reason: "no connection".to_owned() });
-            let at = self.now + CONNECT_FAILS;
-            return self.put(at, Item::ToScheduler { robot, link, event, session });
+            let at = self.now + after;
+            return self.put(at, Item::ToScheduler { robot, link, event });
         }
         if let (Some(old), Some(machine)) = (side.link.replace(link), &mut side.machine) {
             machine.receive(self.now.assume_clock(), old, Input::LinkDown);
         }
         side.last = [self.now; 2];
-        self.tell(Event::LinkUp { robot });
+        self.tell_on_link(robot, link, Event::LinkUp { robot });
     }
 
-    pub(super) fn send(&mut self, robot: usize, message: &Message) {
-        let Some(link) = self.links[robot] else { return };
+    pub(super) fn send_to_robot(&mut self, robot: usize, link: LinkId, message: &Message) {
         if self.verbose {
             self.note(Happened::ToRobot(robot, message.clone()));
         }

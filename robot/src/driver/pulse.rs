@@ -1,0 +1,184 @@
+//! Signs of life: when hardware is asked for one, and for how long it may be silent.
+//!
+//! Hardware for which nothing is held is asked now and then. Once the machine holds something, and more so as a start
+//! comes near, it is asked often, so that a start rests on a fresh sign of life. Answers take at most half of its time,
+//! and it is not asked right before a movement, which would have to wait.
+
+use std::time::{Duration, Instant};
+
+/// While nothing is held.
+const IDLE: Duration = Duration::from_millis(500);
+/// While something is held or runs.
+const HELD: Duration = Duration::from_millis(50);
+/// While a start is near.
+const NEAR: Duration = Duration::from_millis(25);
+/// A start is near from so long before it on.
+pub(crate) const START_NEAR: Duration = Duration::from_secs(1);
+/// Silence that counts as such where something is held, beyond twice what its calls take.
+const SILENCE_MAX: Duration = Duration::from_millis(150);
+/// A question is not begun so shortly before a movement, or less where the answers come fast.
+pub(crate) const QUIET: Duration = Duration::from_millis(20);
+const QUIET_LEAST: Duration = Duration::from_millis(2);
+/// It is asked all the same once it is so long overdue: under a near start, and otherwise.
+const OVERDUE: (Duration, Duration) = (Duration::from_millis(60), Duration::from_secs(2));
+
+/// What the machine holds, as far as its hardware has to be alive for it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Demand {
+    /// Something is held or runs.
+    pub(crate) held: bool,
+    /// The next start.
+    pub(crate) start: Option<Instant>,
+    /// When the machine next does anything.
+    pub(crate) next_due: Option<Instant>,
+}
+
+/// The signs of life of one connection.
+#[derive(Debug)]
+pub(super) struct Pulse {
+    /// When it last answered.
+    seen: Instant,
+    /// The longest of its calls of late.
+    took: Duration,
+    demand: Demand,
+    held_since: Option<Instant>,
+    /// A sensor is being read, which may take as long as it takes.
+    reading: bool,
+}
+
+impl Pulse {
+    pub(super) const fn new(now: Instant) -> Self {
+        let demand = Demand { held: false, start: None, next_due: None };
+        Self { seen: now, took: Duration::ZERO, demand, held_since: None, reading: false }
+    }
+
+    /// True when this changes when it is asked next.
+    pub(super) fn demand(&mut self, now: Instant, demand: Demand) -> bool {
+        let before = std::mem::replace(&mut self.demand, demand);
+        self.held_since = demand.held.then(|| self.held_since.unwrap_or(now));
+        (before.held, before.start) != (demand.held, demand.start)
+    }
+
+    /// It has just answered.
+    pub(super) fn seen(&mut self, now: Instant) {
+        self.seen = now;
+    }
+
+    /// What a call took; a single long one is forgotten after some dozens of short ones.
+    pub(super) fn called(&mut self, took: Duration) {
+        self.took = took.max(self.took - self.took / 16);
+    }
+
+    pub(super) const fn reading(&mut self, reading: bool) {
+        self.reading = reading;
+    }
+
+    /// When it is to be asked next.
+    pub(super) fn next_ping(&self, now: Instant) -> Instant {
+        let every = match self.demand {
+            Demand { held: false, .. } => IDLE,
+            _ if self.start_is_near(now) => NEAR,
+            _ => HELD,
+        };
+        self.seen + every.max(self.took)
+    }
+
+    /// Whether it is to be asked although a movement is near.
+    pub(super) fn is_overdue(&self, now: Instant) -> bool {
+        let overdue = if self.start_is_near(now) { OVERDUE.0 } else { OVERDUE.1 };
+        now.saturating_duration_since(self.seen) >= overdue.max(self.took * 2)
+    }
+
+    fn start_is_near(&self, now: Instant) -> bool {
+        self.demand.start.is_some_and(|start| start <= now + START_NEAR)
+    }
+
+    /// Whether no movement is due so soon that the answer to a ping could delay it.
+    pub(super) fn is_quiet(&self, now: Instant) -> bool {
+        self.nothing_within(now, self.quiet())
+    }
+
+    /// Whether no movement is due so soon that a reading could delay it.
+    pub(super) fn is_quiet_for_readings(&self, now: Instant) -> bool {
+        self.nothing_within(now, QUIET)
+    }
+
+    fn nothing_within(&self, now: Instant, margin: Duration) -> bool {
+        self.demand.next_due.is_none_or(|due| due > now + margin)
+    }
+
+    pub(super) fn quiet(&self) -> Duration {
+        (self.took * 4).clamp(QUIET_LEAST, QUIET)
+    }
+
+    /// For how long it has not answered, where that is longer than it should be under what is held.
+    pub(super) fn silence(&self, now: Instant) -> Option<Duration> {
+        let asked = self.seen.max(self.held_since.filter(|_| !self.reading)?);
+        let too_long = now.saturating_duration_since(asked) > SILENCE_MAX + 2 * self.took;
+        too_long.then(|| now.saturating_duration_since(self.seen))
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "an instant to begin with")]
+mod tests {
+    use super::*;
+
+    const MS: Duration = Duration::from_millis(1);
+
+    fn holding(start: Option<Duration>) -> (Pulse, Instant) {
+        let begin = Instant::now();
+        let mut pulse = Pulse::new(begin);
+        let start = start.map(|start| begin + start);
+        pulse.demand(begin, Demand { held: true, start, next_due: start });
+        (pulse, begin)
+    }
+
+    #[test]
+    fn hardware_is_asked_more_often_the_more_depends_on_it_and_at_most_half_of_its_time() {
+        let begin = Instant::now();
+        let mut pulse = Pulse::new(begin);
+        assert_eq!(pulse.next_ping(begin), begin + IDLE);
+        let far = Demand { held: true, start: Some(begin + 2 * START_NEAR), next_due: None };
+        assert!(pulse.demand(begin, far));
+        assert_eq!(pulse.next_ping(begin), begin + HELD);
+        assert_eq!(pulse.next_ping(begin + START_NEAR), begin + NEAR);
+        pulse.called(200 * MS);
+        assert_eq!(pulse.next_ping(begin + START_NEAR), begin + 200 * MS);
+    }
+
+    #[test]
+    fn a_ping_keeps_clear_of_movements_by_what_answers_take_until_it_is_overdue() {
+        let (mut pulse, begin) = holding(Some(100 * MS));
+        assert!(pulse.is_quiet(begin + 97 * MS) && !pulse.is_quiet(begin + 98 * MS));
+        pulse.called(4 * MS);
+        assert!(pulse.is_quiet(begin + 83 * MS) && !pulse.is_quiet(begin + 84 * MS));
+        assert!(!pulse.is_overdue(begin + 59 * MS) && pulse.is_overdue(begin + 60 * MS));
+    }
+
+    #[test]
+    fn silence_counts_from_when_something_is_held_and_allows_for_slow_calls_and_readings() {
+        let (mut pulse, begin) = holding(None);
+        assert_eq!(pulse.silence(begin + SILENCE_MAX), None);
+        assert_eq!(pulse.silence(begin + SILENCE_MAX + MS), Some(SILENCE_MAX + MS));
+        pulse.called(50 * MS);
+        assert_eq!(pulse.silence(begin + SILENCE_MAX + 100 * MS), None);
+        assert_eq!(pulse.silence(begin + SILENCE_MAX + 101 * MS), Some(SILENCE_MAX + 101 * MS));
+        pulse.reading(true);
+        assert_eq!(pulse.silence(begin + 900 * MS), None);
+        pulse.reading(false);
+        pulse.seen(begin + 900 * MS);
+        assert_eq!(pulse.silence(begin + 900 * MS), None);
+        pulse.demand(begin, Demand::default());
+        assert_eq!(pulse.silence(begin + 9_000 * MS), None, "nothing depends on it");
+    }
+
+    #[test]
+    fn a_single_slow_call_is_forgotten() {
+        let (mut pulse, _) = holding(None);
+        pulse.called(500 * MS);
+        (0..100).for_each(|_| pulse.called(MS));
+        assert_eq!(pulse.quiet(), (4 * pulse.took).max(QUIET_LEAST));
+        assert!(pulse.took < 5 * MS, "{:?}", pulse.took);
+    }
+}

@@ -1,0 +1,171 @@
+//! An edge: a robot's machine with hardware around it. Its clock is the host's, its hands are a driver's mailbox.
+
+use std::sync::Arc;
+
+use urrcp::{Robot as RobotClock, Span, Timestamp};
+
+use crate::clock::{HostClock, HostTime};
+use crate::device::Motion;
+use crate::driver::{AtStart, Demand, Mailbox, News, STALE, START_NEAR, Wanted};
+use crate::outgoing::Outgoing;
+use crate::robot::{Input, LinkId, Output, Robot, SetValue};
+use crate::set_log::LogEntry;
+
+/// A command that was accepted at least so long before its start does not start while the hardware is silent: there was
+/// time to ask it.
+const NOTICE: Span = Span::from_millis(200);
+
+/// A robot whose values drive hardware.
+pub(crate) struct Edge {
+    machine: Robot,
+    mailbox: Arc<Mailbox>,
+    /// Which connection of the driver the machine knows of.
+    connection: u64,
+    at_start: AtStart,
+    outputs: Vec<Output>,
+    wanted: Vec<Wanted>,
+    leaving: Vec<Outgoing>,
+    log: Vec<LogEntry>,
+}
+
+impl Edge {
+    /// Around a machine whose hardware is yet to be found by the driver behind the mailbox.
+    pub(crate) fn new(machine: Robot, mailbox: Arc<Mailbox>, at_start: AtStart) -> Self {
+        Self {
+            machine,
+            mailbox,
+            connection: 0,
+            at_start,
+            outputs: Vec::new(),
+            wanted: Vec::new(),
+            leaving: Vec::new(),
+            log: Vec::new(),
+        }
+    }
+
+    pub(crate) fn mailbox(&self) -> Arc<Mailbox> {
+        Arc::clone(&self.mailbox)
+    }
+
+    pub(crate) fn is_idle(&self) -> bool {
+        self.leaving.is_empty() && self.machine.is_idle()
+    }
+
+    /// When [`Edge::advance`] is next due.
+    pub(crate) fn next_wakeup(&self) -> Option<Timestamp<HostTime>> {
+        self.machine.next_wakeup().map(Timestamp::assume_clock)
+    }
+
+    /// Takes what reached the robot at `now`.
+    pub(crate) fn receive(&mut self, now: Timestamp<HostTime>, link: LinkId, input: Input) {
+        self.look_after(now);
+        self.tell(now, |machine, now, out| machine.handle(now, link, input, out));
+    }
+
+    /// Does everything due at or before `now`, and says what there is to say.
+    pub(crate) fn advance(&mut self, now: Timestamp<HostTime>, out: &mut Vec<Outgoing>) {
+        self.look_after(now);
+        self.tell(now, Robot::advance);
+        out.append(&mut self.leaving);
+    }
+
+    /// The movements due at or before `now`. Their reports go out with the next [`Edge::advance`].
+    pub(crate) fn advance_movements(&mut self, now: Timestamp<HostTime>) {
+        self.look_after(now);
+        self.tell(now, Robot::advance_movements);
+    }
+
+    /// Before anything is done: whether the hardware answers, where a start is near, and whether the edge was held up.
+    fn look_after(&mut self, now: Timestamp<HostTime>) {
+        let near = now.assume_clock() + START_NEAR.into();
+        let start = self.machine.next_start(NOTICE).filter(|start| *start <= near);
+        let silence = start.and_then(|_| self.mailbox.silence()).map(Span::from);
+        self.tell(now, |machine, now, out| {
+            machine.give_up_overdue(now, STALE.into(), out);
+            machine.hardware_silent(now, silence, NOTICE, out);
+        });
+    }
+
+    /// The edge ends: hardware that was moved goes to its default state.
+    pub(crate) fn shut_down(&mut self, now: Timestamp<HostTime>) {
+        self.tell(now, Robot::shut_down);
+    }
+
+    /// Takes what its driver's thread says.
+    pub(crate) fn hear(&mut self, now: Timestamp<HostTime>, news: News) {
+        match news {
+            News::There { connection } => {
+                self.connection = connection;
+                self.tell(now, Robot::hardware_found);
+                if connection == 1 && self.at_start == AtStart::Default {
+                    self.tell(now, Robot::restore);
+                }
+            }
+            News::Away { reason } => {
+                self.tell(now, |machine, now, out| machine.hardware_lost(now, &reason, out));
+            }
+            News::Stale { device, late } => {
+                self.tell(now, |machine, now, out| machine.value_stale(now, &device, late.into(), out));
+            }
+            News::Reading { id, reading } => {
+                self.tell(now, |machine, now, out| machine.reading_came(now, id, reading, out));
+            }
+        }
+    }
+
+    /// Passes on what is wanted of the hardware since the last call.
+    pub(crate) fn post(&mut self, clock: &HostClock) {
+        let instant = |at: Timestamp<RobotClock>| clock.instant_of(at.assume_clock());
+        let demand = Demand {
+            held: !self.machine.is_idle(),
+            start: self.machine.next_start(Span::ZERO).map(instant),
+            next_due: self.machine.next_wakeup().map(instant),
+        };
+        let orders = self.wanted.drain(..).map(|wanted| wanted.on_clock(*clock));
+        self.mailbox.post(self.connection, orders, demand);
+    }
+
+    /// What was set since the last call.
+    pub(crate) fn take_log(&mut self) -> Vec<LogEntry> {
+        std::mem::take(&mut self.log)
+    }
+
+    /// Tells the machine something and takes what it wants done. The robot's clock is the host's.
+    fn tell(
+        &mut self,
+        now: Timestamp<HostTime>,
+        tell: impl FnOnce(&mut Robot, Timestamp<RobotClock>, &mut Vec<Output>),
+    ) {
+        tell(&mut self.machine, now.assume_clock(), &mut self.outputs);
+        for output in self.outputs.drain(..) {
+            match output {
+                Output::Read { reading, sensor } => self.wanted.push(Wanted::Read(reading, sensor)),
+                Output::Send { link, message } => self.leaving.push(Outgoing::Message { link, message }),
+                Output::Set(set) => {
+                    self.wanted.extend(wanted(&self.machine, &set));
+                    self.log.push(LogEntry::new(now, now.assume_clock(), set));
+                }
+            }
+        }
+    }
+}
+
+impl Drop for Edge {
+    fn drop(&mut self) {
+        self.mailbox.close();
+    }
+}
+
+/// What the hardware does for a movement.
+fn wanted(robot: &Robot, set: &SetValue) -> Option<Wanted> {
+    let key = |control_type| (set.device.clone(), control_type);
+    Some(match &set.motion {
+        Motion::Set(setpoint) | Motion::Default(setpoint) => {
+            let due = set.step.map(|_| set.due);
+            Wanted::Set(key(setpoint.control_type), setpoint.clone(), due)
+        }
+        Motion::Ramp { control_type, .. } | Motion::Slow { control_type, .. } => {
+            Wanted::Follow(key(*control_type), robot.signal(set.device.as_str(), *control_type)?)
+        }
+    })
+}

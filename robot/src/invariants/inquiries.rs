@@ -1,0 +1,107 @@
+//! An inquiry is answered truthfully, and it changes nothing but leases.
+
+use urrcp::{
+    ErrorCode, Inquiry, InquiryResponse, Message, Millis, RequestId, RequestReport, RequestState, Status,
+    Timestamp,
+};
+
+use super::judge::Judge;
+use super::model::{Order, Party};
+use super::{Violation, hold};
+use crate::robot::{LinkId, Output};
+
+type Now = Timestamp<urrcp::Robot>;
+
+impl Judge {
+    /// An inquiry came, after everything that was due.
+    pub(super) fn inquired(
+        &mut self,
+        now: Now,
+        link: LinkId,
+        inquiry: &Inquiry,
+        out: &[Output],
+    ) -> Result<(), Violation> {
+        let party = self.heard(now, link, inquiry.session.as_ref());
+        let [Output::Send { link: to, message: Message::InquiryResponse(answer) }, brought @ ..] = out else {
+            return Err(Violation(format!("{inquiry:?} was answered by {out:?}")));
+        };
+        let echoes = *to == link && answer.originate_timestamp == inquiry.timestamp;
+        let shows = answer.receive_timestamp == now && answer.timestamp == now;
+        hold(echoes && shows, || format!("{answer:?} to {inquiry:?}"))?;
+        match answer.status {
+            Status::Ok => self.told(party, inquiry, answer)?,
+            _ => self.not_told(inquiry, answer)?,
+        }
+        // Only a lease that is over by now brings anything.
+        self.passed(now, brought)
+    }
+
+    fn told(&mut self, party: Party, inquiry: &Inquiry, answer: &InquiryResponse) -> Result<(), Violation> {
+        self.hold_session(inquiry.session.as_ref())?;
+        hold(answer.error.is_none() && answer.requests.len() == inquiry.requests.len(), || {
+            format!("{answer:?} to {inquiry:?}")
+        })?;
+        for (id, report) in inquiry.requests.iter().zip(&answer.requests) {
+            hold(report.request_id == *id && self.is_true(report), || {
+                format!("{report:?}, last answered {:?}", self.answers.get(id))
+            })?;
+        }
+        let known = inquiry.devices.iter().filter_map(|id| self.devices.get(id));
+        let room =
+            known.map(|device| (&device.spec.id, device.spec.script_queue as usize - device.queue.len()));
+        let told = answer.devices.iter().map(|device| (&device.device_id, device.room as usize));
+        hold(room.eq(told), || format!("the room {:?}", answer.devices))?;
+        if let Some(lease) = inquiry.pending_lease {
+            inquiry.requests.iter().for_each(|id| self.shorten(party, id, lease));
+        }
+        Ok(())
+    }
+
+    fn not_told(&self, inquiry: &Inquiry, answer: &InquiryResponse) -> Result<(), Violation> {
+        let busy = answer.error.as_ref().is_some_and(|error| error.code == ErrorCode::Busy);
+        let others = self.heard.sessions().any(|session| inquiry.session.as_ref() != Some(session));
+        let silent = answer.requests.is_empty() && answer.devices.is_empty();
+        hold(busy && others && silent, || format!("{answer:?} to {inquiry:?}"))
+    }
+
+    fn order(&self, id: &RequestId) -> Option<&Order> {
+        let orders = || self.devices.values().flat_map(|device| &device.queue);
+        orders().find(|order| order.id.as_ref() == Some(id))
+    }
+
+    fn is_true(&self, report: &RequestReport) -> bool {
+        let id = &report.request_id;
+        let unknown = RequestReport::new(id.clone(), RequestState::Unknown);
+        let known = RequestReport {
+            content_hash: self.hashes.get(id).copied(),
+            event_timestamp: self.starts.get(id).copied(),
+            ..unknown.clone()
+        };
+        if let Some(order) = self.order(id) {
+            let held = RequestReport { start_timestamp: Some(order.start), ..known };
+            let steps_done = u32::try_from(order.done).ok();
+            return match order.began {
+                false => *report == RequestReport { state: RequestState::Held, ..held },
+                true => {
+                    let late_steps = report.late_steps.filter(|late| Some(*late) <= steps_done);
+                    let state = RequestState::Running;
+                    *report == RequestReport { state, steps_done, late_steps, ..held }
+                }
+            };
+        }
+        let Some(answer) = self.answers.get(id) else { return *report == unknown };
+        let error = answer.error.clone();
+        // A refusal because of the session is not kept.
+        let forgotten = error.as_ref().is_some_and(|error| error.code == ErrorCode::Busy);
+        let (steps_done, late_steps) = (answer.steps_done, answer.late_steps);
+        let ended = RequestReport { state: RequestState::Ended, steps_done, late_steps, error, ..known };
+        *report == ended || forgotten && *report == unknown
+    }
+
+    fn shorten(&mut self, party: Party, id: &RequestId, lease: Millis) {
+        let orders = self.devices.values_mut().flat_map(|device| &mut device.queue);
+        let named =
+            |order: &&mut Order| order.id.as_ref() == Some(id) && order.party == party && !order.began;
+        orders.filter(named).for_each(|order| order.shorten(lease));
+    }
+}

@@ -1,0 +1,22 @@
+//! What a robot says to its peers, whether hardware or a simulated world is around it.
+
+use urrcp::Message;
+
+use crate::robot::LinkId;
+
+/// What leaves a robot.
+#[derive(Clone, Debug)]
+pub enum Outgoing {
+    /// A message on a link.
+    Message {
+        /// Which link.
+        link: LinkId,
+        /// The message.
+        message: Message,
+    },
+    /// The robot closes a link.
+    Close {
+        /// Which.
+        link: LinkId,
+    },
+}

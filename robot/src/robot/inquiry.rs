@@ -1,0 +1,97 @@
+//! What a robot answers to an inquiry: a question that neither starts, stops nor moves anything, and claims nothing.
+
+use urrcp::{
+    ControlError, DeviceId, DeviceRoom, Inquiry, InquiryResponse, Message, Millis, RequestId, RequestReport,
+    RequestState, Status,
+};
+
+use super::control::Owner;
+use super::{LinkId, Now, Output, Robot};
+use crate::answers::Known;
+
+impl Robot {
+    pub(super) fn inquire(&mut self, now: Now, link: LinkId, inquiry: &Inquiry, out: &mut Vec<Output>) {
+        let busy = match self.owner(now, inquiry.session.as_ref()) {
+            Owner::Another(busy) => Some(busy),
+            Owner::Nobody | Owner::Asker => None,
+        };
+        let belongs = busy.is_none();
+        let response = self.what_is_known(now, inquiry, busy);
+        out.push(Output::Send { link, message: Message::InquiryResponse(response) });
+        if let Some(lease) = inquiry.pending_lease.filter(|_| belongs) {
+            let party = self.parties.party(link);
+            inquiry.requests.iter().for_each(|id| self.shorten(id, party, lease));
+            // A lease of no length ends at once.
+            self.advance(now, out);
+        }
+    }
+
+    fn what_is_known(&self, now: Now, inquiry: &Inquiry, busy: Option<ControlError>) -> InquiryResponse {
+        let belongs = busy.is_none();
+        let error = busy.or_else(|| self.hardware.missing());
+        InquiryResponse {
+            originate_timestamp: inquiry.timestamp,
+            receive_timestamp: now,
+            timestamp: now,
+            status: if error.is_some() { Status::Failed } else { Status::Ok },
+            error,
+            requests: match belongs {
+                true => inquiry.requests.iter().map(|id| self.report_of(id)).collect(),
+                false => Vec::new(),
+            },
+            devices: match belongs {
+                true => inquiry.devices.iter().filter_map(|id| self.room_of(id)).collect(),
+                false => Vec::new(),
+            },
+        }
+    }
+
+    fn report_of(&self, id: &RequestId) -> RequestReport {
+        let unknown = RequestReport::new(id.clone(), RequestState::Unknown);
+        let Some(known) = self.answers.known(id) else { return unknown };
+        let known_of =
+            RequestReport { content_hash: known.content_hash, event_timestamp: known.began, ..unknown };
+        match known.answer.status {
+            Status::Accepted => {
+                RequestReport { state: RequestState::Held, start_timestamp: known.start, ..known_of }
+            }
+            Status::Started => self.running_report(known, known_of),
+            _ => RequestReport {
+                state: RequestState::Ended,
+                steps_done: known.answer.steps_done,
+                late_steps: known.answer.late_steps,
+                error: known.answer.error.clone(),
+                ..known_of
+            },
+        }
+    }
+
+    fn running_report(&self, known: &Known, report: RequestReport) -> RequestReport {
+        let device = self.index_of.get(&known.answer.device_id).map(|index| &self.devices[*index]);
+        let running = device.and_then(|device| device.running());
+        RequestReport {
+            state: RequestState::Running,
+            start_timestamp: known.start,
+            steps_done: running.map(|held| held.steps_done()),
+            late_steps: running.map(|held| held.late_steps),
+            ..report
+        }
+    }
+
+    /// Hardware that is away takes nothing.
+    fn room_of(&self, id: &DeviceId) -> Option<DeviceRoom> {
+        let room = self.devices[*self.index_of.get(id)?].room();
+        let room = if self.hardware.missing().is_some() { 0 } else { room };
+        Some(DeviceRoom { device_id: id.clone(), room })
+    }
+
+    /// Only what this party has sent itself: its message has just renewed those leases.
+    fn shorten(&mut self, id: &RequestId, party: LinkId, lease: Millis) {
+        let Some(known) = self.answers.known(id) else { return };
+        let (Some(start), Some(&index)) = (known.start, self.index_of.get(&known.answer.device_id)) else {
+            return;
+        };
+        self.devices[index].shorten(id, start, party, lease);
+        self.refresh_wakeup(index);
+    }
+}

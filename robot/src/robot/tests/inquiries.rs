@@ -1,0 +1,246 @@
+//! A question that cannot act.
+
+use urrcp::{DeviceRoom, Inquiry, InquiryResponse, RequestReport, RequestState, SessionId};
+
+use super::*;
+
+fn names(ids: &[&str]) -> Vec<RequestId> {
+    ids.iter().map(|id| RequestId::new(*id).unwrap()).collect()
+}
+
+fn about(ids: &[&str]) -> Inquiry {
+    Inquiry { requests: names(ids), ..Inquiry::default() }
+}
+
+fn session(name: &str) -> Option<SessionId> {
+    Some(SessionId::new(name).unwrap())
+}
+
+impl Bench {
+    fn inquire_on(&mut self, link: LinkId, inquiry: Inquiry) -> InquiryResponse {
+        let before = self.out.len();
+        self.robot.handle(self.now, link, Input::Message(Message::Inquiry(inquiry)), &mut self.out);
+        match self.out.get(before) {
+            Some(Output::Send { link: to, message: Message::InquiryResponse(response) }) if *to == link => {
+                response.clone()
+            }
+            other => panic!("{other:?}"),
+        }
+    }
+
+    fn inquire(&mut self, inquiry: Inquiry) -> InquiryResponse {
+        self.inquire_on(LINK, inquiry)
+    }
+
+    /// What is said of one request.
+    fn state(&mut self, id: &str) -> RequestReport {
+        let [report] = &self.inquire(about(&[id])).requests[..] else { panic!() };
+        assert_eq!(report.request_id.as_str(), id);
+        report.clone()
+    }
+}
+
+fn paper() -> Command {
+    script(ControlType::Position, &PAPER)
+}
+
+#[test]
+fn a_request_is_unknown_then_held_then_running_then_ended() {
+    let mut bench = Bench::new();
+    assert_eq!(bench.state("a"), RequestReport::new(names(&["a"]).remove(0), RequestState::Unknown));
+    let hashed =
+        ControlRequest { content_hash: Some(paper().content_hash()), ..timed("arm", "a", 1_000.0, paper()) };
+    bench.request(hashed);
+    let known = RequestReport { content_hash: Some(paper().content_hash()), ..bench.state("x") };
+    let known = RequestReport { request_id: names(&["a"]).remove(0), ..known };
+    let planned = RequestReport { start_timestamp: Some(at(1_000)), ..known.clone() };
+    assert_eq!(bench.state("a"), RequestReport { state: RequestState::Held, ..planned.clone() });
+    bench.until(2_500);
+    let running = RequestReport {
+        state: RequestState::Running,
+        event_timestamp: Some(at(1_000)),
+        steps_done: Some(2),
+        late_steps: Some(0),
+        ..planned
+    };
+    assert_eq!(bench.state("a"), running);
+    bench.until(4_000);
+    let (state, start_timestamp, steps_done) = (RequestState::Ended, None, Some(3));
+    assert_eq!(bench.state("a"), RequestReport { state, start_timestamp, steps_done, ..running });
+}
+
+#[test]
+fn what_has_ended_tells_how_and_when_it_really_started() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "refused", 100.0, script(ControlType::Position, &[(0.0, 91.0)])));
+    bench.request(timed("arm", "a", 1_000.0, paper()));
+    bench.now = at(1_030);
+    bench.robot.advance(bench.now, &mut bench.out);
+    bench.until(1_500);
+    let stop = ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()));
+    bench.request(ControlRequest { request_id: names(&["stop"]).pop(), ..stop });
+    let code = |report: RequestReport| report.error.map(|error| error.code);
+    let ended = bench.state("a");
+    assert_eq!((ended.state, ended.event_timestamp), (RequestState::Ended, Some(at(1_030))));
+    assert_eq!((ended.steps_done, code(ended)), (Some(1), Some(ErrorCode::Cancelled)));
+    let refused = bench.state("refused");
+    assert_eq!((refused.state, refused.event_timestamp), (RequestState::Ended, None));
+    assert_eq!(code(refused), Some(ErrorCode::OutOfRange));
+    let stop = bench.state("stop");
+    assert_eq!((stop.state, code(stop)), (RequestState::Ended, None));
+}
+
+#[test]
+fn a_robot_without_reports_tells_all_the_same() {
+    let mut bench = Bench::new();
+    let block = BLOCK.replace(r#""reports": true"#, r#""reports": false"#);
+    bench.robot = Robot::new(serde_json::from_str(&block).unwrap());
+    bench.request(timed("arm", "a", 1_000.0, paper()));
+    bench.until(1_500);
+    assert_eq!(bench.state("a").state, RequestState::Running);
+    bench.until(4_000);
+    assert_eq!(bench.state("a").event_timestamp, Some(at(1_000)));
+    assert_eq!(bench.statuses(), ["Accepted"]);
+}
+
+#[test]
+fn the_answer_keeps_the_order_of_the_question_and_tells_the_room_of_known_devices() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, paper()));
+    bench.until(5);
+    let devices = ["wheel", "leg", "arm"].map(|id| DeviceId::new(id).unwrap()).to_vec();
+    let timestamp = Some(at(1).assume_clock());
+    let answer = bench.inquire(Inquiry { devices, timestamp, ..about(&["b", "a", "b"]) });
+    let states: Vec<_> = answer.requests.iter().map(|report| report.state).collect();
+    assert_eq!(states, [RequestState::Unknown, RequestState::Held, RequestState::Unknown]);
+    let room = |id: &str, room| DeviceRoom { device_id: DeviceId::new(id).unwrap(), room };
+    assert_eq!(answer.devices, [room("wheel", 1), room("arm", 1)]);
+    assert_eq!((answer.status, answer.originate_timestamp), (Status::Ok, timestamp));
+    assert_eq!((answer.receive_timestamp, answer.timestamp), (at(5), at(5)));
+}
+
+#[test]
+fn an_inquiry_renews_the_leases_of_its_party_and_of_no_other() {
+    for (link, values) in [(LINK, 1), (LinkId(2), 0)] {
+        let mut bench = Bench::new();
+        let mut request = timed("arm", "a", 500.0, script(ControlType::Position, &[(0.0, 45.0)]));
+        request.stop_condition = lease(300.0, 300.0);
+        bench.request(request);
+        for millis in [200, 400, 600] {
+            bench.until(millis);
+            bench.inquire_on(link, Inquiry::default());
+        }
+        bench.until(2_000);
+        assert_eq!(bench.values().len(), values);
+    }
+}
+
+#[test]
+fn a_pending_lease_is_shortened_for_what_is_named_and_never_lengthened() {
+    let mut bench = Bench::new();
+    for (id, start, pending) in [("a", 5_000.0, 2_000.0), ("b", 8_000.0, 100.0)] {
+        let request = timed("arm", id, start, script(ControlType::Position, &[(0.0, 45.0)]));
+        bench.request(ControlRequest { stop_condition: lease(pending, 9_000.0), ..request });
+    }
+    bench.request(timed("wheel", "c", 5_000.0, script(ControlType::Speed, &[(0.0, 0.0)])));
+    bench.request(timed("ramp", "d", 5_000.0, script(ControlType::Position, &[(0.0, 9.0)])));
+    bench.until(50);
+    let shorter = Inquiry { pending_lease: Millis::new(300.0).ok(), ..about(&["a", "b", "c", "x"]) };
+    bench.inquire(shorter);
+    bench.until(9_000);
+    let lost: Vec<_> = bench.responses().into_iter().filter(|r| r.status == Status::Failed).collect();
+    let lost: Vec<_> =
+        lost.iter().map(|r| (r.request_id.as_ref().unwrap().as_str(), r.event_timestamp.unwrap())).collect();
+    assert_eq!(lost, [("b", at(150)), ("a", at(350)), ("c", at(350))]);
+    assert_eq!(bench.values(), [(5_000, 9.0)], "not named");
+}
+
+#[test]
+fn a_running_script_keeps_its_lease_whatever_an_inquiry_says() {
+    let mut bench = Bench::new();
+    bench.request(ControlRequest {
+        stop_condition: lease(9_000.0, 3_000.0),
+        ..timed("arm", "a", 0.0, paper())
+    });
+    bench.until(10);
+    bench.inquire(Inquiry { pending_lease: Some(Millis::ZERO), ..about(&["a"]) });
+    bench.until(5_000);
+    assert_eq!(bench.values().len(), 3);
+}
+
+#[test]
+fn nobody_shortens_what_another_connection_has_sent() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, paper()));
+    bench.until(10);
+    bench.inquire_on(LinkId(2), Inquiry { pending_lease: Some(Millis::ZERO), ..about(&["a"]) });
+    bench.until(5_000);
+    assert_eq!(bench.values().len(), 3);
+}
+
+#[test]
+fn to_another_session_nothing_is_told_and_nothing_is_shortened() {
+    let mut bench = Bench::new();
+    bench.request(ControlRequest { session: session("show-1"), ..timed("arm", "a", 1_000.0, paper()) });
+    for other in [session("show-2"), None] {
+        let devices = vec![DeviceId::new("arm").unwrap()];
+        let pending_lease = Some(Millis::ZERO);
+        let asks = Inquiry { session: other, devices, pending_lease, ..about(&["a"]) };
+        let answer = bench.inquire_on(LinkId(2), asks);
+        let error = answer.error.unwrap();
+        assert_eq!((answer.status, error.code), (Status::Failed, ErrorCode::Busy));
+        assert!(error.message.contains("`show-1`"), "{}", error.message);
+        assert!(answer.requests.is_empty() && answer.devices.is_empty());
+    }
+    bench.until(5_000);
+    assert_eq!(bench.values().len(), 3);
+}
+
+#[test]
+fn an_inquiry_claims_nothing_also_not_for_a_session_that_is_over() {
+    let mut bench = Bench::new();
+    bench.inquire(Inquiry { session: session("show-1"), ..Inquiry::default() });
+    let claim = |bench: &mut Bench, link, name| {
+        let request = AvailabilityRequest { session: session(name), timestamp: None };
+        bench.robot.handle(
+            bench.now,
+            link,
+            Input::Message(Message::AvailabilityRequest(request)),
+            &mut bench.out,
+        );
+        match bench.out.last() {
+            Some(Output::Send { message: Message::AvailabilityResponse(r), .. }) => r.status.clone(),
+            other => panic!("{other:?}"),
+        }
+    };
+    assert_eq!(claim(&mut bench, LinkId(2), "show-2"), Status::Ok);
+    bench.until(5_001);
+    let answer = bench.inquire_on(LinkId(2), Inquiry { session: session("show-2"), ..Inquiry::default() });
+    assert_eq!(answer.status, Status::Ok, "the robot is free");
+    assert_eq!(claim(&mut bench, LINK, "show-1"), Status::Ok);
+}
+
+#[test]
+fn hardware_that_is_away_takes_nothing_and_what_it_ended_is_told() {
+    let mut bench = Bench::new();
+    bench.robot = Robot::driven(serde_json::from_str(BLOCK).unwrap());
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    bench.request(timed("arm", "a", 1_000.0, paper()));
+    bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
+    let devices = vec![DeviceId::new("arm").unwrap()];
+    let answer = bench.inquire(Inquiry { devices, ..about(&["a"]) });
+    assert_eq!(answer.error.unwrap().code, ErrorCode::Internal);
+    assert_eq!((answer.requests[0].state, answer.devices[0].room), (RequestState::Ended, 0));
+}
+
+#[test]
+fn a_start_that_sets_nothing_yet_is_no_late_step() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &[(500.0, 45.0), (900.0, 0.0)])));
+    bench.now = at(1_030);
+    bench.robot.advance(bench.now, &mut bench.out);
+    let begun = bench.state("a");
+    assert_eq!((begun.steps_done, begun.late_steps), (Some(0), Some(0)));
+    bench.until(2_000);
+    assert_eq!(bench.state("a").late_steps, Some(0));
+}

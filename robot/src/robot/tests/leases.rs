@@ -1,0 +1,79 @@
+//! A pending lease ends only what is pending.
+
+use super::*;
+
+fn leased(device: &str, id: &str, start_ms: f64, command: Command, pending: f64) -> ControlRequest {
+    ControlRequest { stop_condition: lease(pending, 2_000.0), ..timed(device, id, start_ms, command) }
+}
+
+fn paper() -> Command {
+    script(ControlType::Position, &PAPER)
+}
+
+#[test]
+fn the_end_of_a_pending_lease_leaves_the_running_script_alone() {
+    let mut bench = Bench::new();
+    bench.request(leased("arm", "running", 0.0, paper(), 240.0));
+    bench.until(100);
+    bench.request(leased("arm", "queued", 3_000.0, paper(), 240.0));
+    bench.until(700);
+    assert_eq!(bench.statuses()[3..], ["Failed link_lost"], "600 ms of silence");
+    let lost = bench.responses()[3];
+    assert_eq!(lost.request_id.as_ref().unwrap().as_str(), "queued");
+    assert_eq!(lost.event_timestamp, Some(at(340)));
+    bench.send(Message::AvailabilityRequest(AvailabilityRequest::default()));
+    bench.until(5_000);
+    assert_eq!(bench.values(), [(0, 45.0), (1_000, 0.0), (2_000, 45.0)]);
+    assert_eq!(bench.statuses()[4..], ["OK"]);
+}
+
+#[test]
+fn the_end_of_a_pending_lease_takes_what_starts_later_with_it_and_leaves_what_starts_before() {
+    let block = BLOCK.replace(r#""script_queue": 2"#, r#""script_queue": 3"#);
+    let mut bench = Bench { robot: Robot::new(serde_json::from_str(&block).unwrap()), ..Bench::new() };
+    let bow = || script(ControlType::Position, &[(0.0, 5.0)]);
+    bench.request(leased("arm", "later", 2_000.0, bow(), 9_000.0));
+    bench.request(leased("arm", "first", 1_000.0, bow(), 9_000.0));
+    bench.request(leased("arm", "middle", 1_500.0, bow(), 300.0));
+    bench.until(1_200);
+    assert_eq!(bench.statuses()[3..], ["Failed link_lost", "Failed link_lost", "Started", "OK"]);
+    let of = |index: usize| bench.responses()[index].request_id.as_ref().unwrap().as_str().to_owned();
+    assert_eq!([of(3), of(4), of(5)], ["middle", "later", "first"]);
+    assert_eq!(bench.values(), [(1_000, 5.0)]);
+}
+
+#[test]
+fn a_rate_left_on_goes_on_under_its_own_lease_when_a_pending_one_ends() {
+    let mut bench = Bench::new();
+    bench.request(leased("wheel", "on", 0.0, script(ControlType::Speed, &[(0.0, 5.0)]), 240.0));
+    bench.request(leased("wheel", "next", 9_000.0, script(ControlType::Speed, &[(0.0, 7.0)]), 240.0));
+    bench.until(1_999);
+    assert_eq!(bench.statuses()[4..], ["Failed link_lost"]);
+    assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(5.0));
+    bench.until(2_000);
+    assert_eq!(bench.statuses()[5..], ["Failed link_lost"]);
+    assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(0.0));
+}
+
+#[test]
+fn a_device_on_which_nothing_is_left_goes_to_its_default_state_when_a_pending_lease_ends() {
+    let mut bench = Bench::new();
+    bench.request(leased("arm", "done", 0.0, script(ControlType::Position, &[(0.0, 45.0)]), 240.0));
+    bench.request(leased("arm", "queued", 3_000.0, paper(), 240.0));
+    bench.until(239);
+    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(45.0));
+    bench.until(240);
+    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(10.0));
+}
+
+#[test]
+fn the_end_of_a_running_lease_takes_what_is_pending_with_it() {
+    let mut bench = Bench::new();
+    let mut running = leased("arm", "running", 0.0, paper(), 240.0);
+    running.stop_condition = lease(240.0, 300.0);
+    bench.request(running);
+    bench.request(leased("arm", "queued", 3_000.0, paper(), 9_000.0));
+    bench.until(300);
+    assert_eq!(bench.statuses()[3..], ["Failed link_lost", "Failed link_lost"]);
+    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(10.0));
+}

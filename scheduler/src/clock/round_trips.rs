@@ -1,0 +1,149 @@
+//! How long round trips take now: a high quantile of the latest ones, which forgets. `docs/clocks.md` has the reasons.
+
+use std::collections::VecDeque;
+
+use urrcp::{Server, Span, Timestamp};
+
+/// So many exchanges count at most: the third largest of them lies above their 95th percentile.
+const EXCHANGES_MAX: usize = 64;
+/// Older exchanges than this do not count.
+const WINDOW: Span = Span::from_millis(30_000);
+/// So many count however old they are, so that one that took long does not stand alone on a link that is seldom used.
+const EXCHANGES_KEPT: usize = 3;
+/// Of so many exchanges two may be outliers; of fewer only one.
+const EXCHANGES_MANY: usize = 32;
+
+/// The latest round trips with one robot, in bounded memory.
+#[derive(Clone, Debug, Default)]
+pub(super) struct RoundTrips {
+    /// When each ended and how long it took, in order of arrival.
+    latest: VecDeque<(Timestamp<Server>, Span)>,
+    high: Span,
+}
+
+impl RoundTrips {
+    /// Takes one more, which ended at `at`; what has left the window by then is forgotten. Exchanges that began while
+    /// another was under way tell of the same moment of the link and count as one with it, the longest of them.
+    pub(super) fn add(&mut self, at: Timestamp<Server>, delay: Span) {
+        match self.latest.back_mut() {
+            Some((ended, longest)) if at - delay < *ended => *longest = delay.max(*longest),
+            _ => self.latest.push_back((at, delay)),
+        }
+        while self.latest.len() > EXCHANGES_MAX
+            || (self.latest.len() > EXCHANGES_KEPT
+                && self.latest.front().is_some_and(|(ended, _)| at - *ended > WINDOW))
+        {
+            self.latest.pop_front();
+        }
+        self.high = self.above_outliers();
+    }
+
+    /// How long round trips take now. Outliers that stand alone leave it as it is, three in a row raise it at once.
+    pub(super) const fn high(&self) -> Span {
+        self.high
+    }
+
+    /// The third largest of 32 or more, the second largest of three or more, else the largest.
+    fn above_outliers(&self) -> Span {
+        let outliers = match self.latest.len() {
+            EXCHANGES_MANY.. => 2,
+            EXCHANGES_KEPT.. => 1,
+            _ => 0,
+        };
+        let largest = self.latest.iter().fold([Span::ZERO; 3], |[first, second, third], (_, delay)| {
+            let (delay, first) = (first.min(*delay), first.max(*delay));
+            let (delay, second) = (second.min(delay), second.max(delay));
+            [first, second, third.max(delay)]
+        });
+        largest[outliers]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn millis(millis: i64) -> Span {
+        Span::from_millis(millis)
+    }
+
+    /// One exchange every `pause`, each with its delay in milliseconds.
+    fn after(pause: Span, delays: impl IntoIterator<Item = i64>) -> (RoundTrips, Timestamp<Server>) {
+        let mut trips = RoundTrips::default();
+        let mut at = Timestamp::from_nanos(0);
+        for delay in delays {
+            at = at + pause;
+            trips.add(at, millis(delay));
+        }
+        (trips, at)
+    }
+
+    #[test]
+    fn one_pause_of_two_seconds_among_fast_exchanges_does_not_count() {
+        for slow in 0..100 {
+            let delays = (0..100).map(|k| if k == slow { 2_000 } else { 1 });
+            let mut trips = RoundTrips::default();
+            for (k, delay) in (0..).zip(delays) {
+                trips.add(Timestamp::from_nanos(0) + millis(2_100) * k, millis(delay));
+                // Of the first two exchanges nobody can tell which one is the outlier.
+                assert!(k < 2 || trips.high() < millis(10), "pause at {slow}, exchange {k}: {trips:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn whatever_was_asked_during_one_pause_counts_as_one() {
+        let (mut trips, at) = after(millis(100), std::iter::repeat_n(1, 5));
+        let pause_ends = at + millis(2_000);
+        for k in 0..19 {
+            trips.add(pause_ends, millis(1_950 - 100 * k));
+        }
+        assert_eq!(trips.high(), millis(1), "{trips:?}");
+    }
+
+    #[test]
+    fn a_link_that_is_always_slow_is_known_as_slow_from_the_first_exchange_on() {
+        for count in 1..200 {
+            let (trips, _) = after(millis(100), (0..count).map(|k| 79 + k % 3));
+            assert!((millis(79)..=millis(81)).contains(&trips.high()), "{count}: {trips:?}");
+        }
+    }
+
+    #[test]
+    fn a_link_that_turns_slow_is_noticed_within_three_exchanges() {
+        for before in 0..200 {
+            let (trips, _) = after(millis(100), std::iter::repeat_n(1, before).chain([80, 80, 80]));
+            assert_eq!(trips.high(), millis(80), "after {before}");
+        }
+    }
+
+    #[test]
+    fn what_has_left_the_window_counts_no_more() {
+        // Seldom used, the window is the last three exchanges.
+        let (mut trips, at) = after(millis(2_100), (0..40).map(|k| if k < 20 { 1 } else { 2_000 }));
+        assert_eq!(trips.high(), millis(2_000));
+        for k in 1..=2 {
+            trips.add(at + millis(40_000) * k, millis(1));
+        }
+        assert_eq!(trips.high(), millis(1), "{trips:?}");
+        // Often used, it is the last 64.
+        let (trips, _) = after(millis(2_100), (0..84).map(|k| if k < 20 { 2_000 } else { 1 }));
+        assert_eq!(trips.high(), millis(1), "{trips:?}");
+    }
+
+    #[test]
+    fn on_an_uneven_link_at_most_two_of_the_window_took_longer() {
+        let mut rng = fastrand::Rng::with_seed(1);
+        for count in 3..200 {
+            let (trips, _) = after(millis(100), (0..count).map(|_| rng.i64(1..80)));
+            let longer = trips.latest.iter().filter(|(_, delay)| *delay > trips.high()).count();
+            assert!(longer <= 2, "{trips:?}");
+        }
+    }
+
+    #[test]
+    fn memory_is_bounded() {
+        let (trips, _) = after(Span::from_nanos(1), std::iter::repeat_n(1, 100_000));
+        assert!(trips.latest.len() <= EXCHANGES_MAX && trips.latest.capacity() <= 4 * EXCHANGES_MAX);
+    }
+}

@@ -1,0 +1,390 @@
+//! The inquiry: a question that tells the truth and cannot act.
+
+use urrcp::{
+    Command, ControlRequest, DeviceId, ErrorCode, Inquiry, Millis, RequestId, RequestReport, RequestState,
+    Script, SessionId, Span, Status, Timestamp,
+};
+
+use super::heard::Ticket;
+use super::line::{Inquired, Line};
+use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
+use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
+
+pub(super) const ALL: [Requirement; 10] = [
+    Requirement {
+        name: "inquiry",
+        demands: "An inquiry is answered `OK` with the clock of the exchange and one entry for each request, in their order, `unknown` for those that never came.",
+        section: "Inquiry (D)",
+        check: inquiry,
+    },
+    Requirement {
+        name: "inquiry-held",
+        demands: "What is accepted and has not begun is told as `held`, with the instant at which it will start.",
+        section: "Inquiry (D)",
+        check: held,
+    },
+    Requirement {
+        name: "inquiry-running",
+        demands: "What has begun is told as `running`, with when it really started and how many steps are done.",
+        section: "Inquiry (D)",
+        check: running,
+    },
+    Requirement {
+        name: "inquiry-ended",
+        demands: "What has ended is told as `ended`: when it really started and with how many steps, or why it was refused or ended early.",
+        section: "Inquiry (D)",
+        check: ended,
+    },
+    Requirement {
+        name: "inquiry-hash",
+        demands: "The answer to an inquiry has the content_hash of what was accepted.",
+        section: "Inquiry (D)",
+        check: hash,
+    },
+    Requirement {
+        name: "inquiry-room",
+        demands: "The room of a device is script_queue less the commands that have not ended, and a device that the robot lacks is left out.",
+        section: "Inquiry (D)",
+        check: room,
+    },
+    Requirement {
+        name: "inquiry-no-effect",
+        demands: "An inquiry about what is held and what was never sent starts, cancels and ends nothing.",
+        section: "Inquiry (D)",
+        check: no_effect,
+    },
+    Requirement {
+        name: "inquiry-session",
+        demands: "An inquiry claims nothing, and where the robot belongs to another session the answer is `busy` and tells nothing.",
+        section: "Inquiry (D)",
+        check: session,
+    },
+    Requirement {
+        name: "lease-inquiry",
+        demands: "An inquiry renews the leases of the server that sends it.",
+        section: "Inquiry (D)",
+        check: renews,
+    },
+    Requirement {
+        name: "lease-inquiry-pending",
+        demands: "pending_lease shortens the lease of what is named and has not begun, lengthens none, and leaves alone what is not named.",
+        section: "Inquiry (D)",
+        check: pending_lease,
+    },
+];
+
+/// The lease that is waited for, and the one that an inquiry sets.
+const PERIOD: Span = Span::from_millis(300);
+
+/// Whether the robot answers inquiries.
+fn answering(trial: &Trial) -> Result<(), Unmet> {
+    match trial.block()?.inquiry {
+        true => Ok(()),
+        false => Err(not_applicable("the robot declares no `inquiry`")),
+    }
+}
+
+fn about(requests: &[&ControlRequest]) -> Inquiry {
+    let requests = requests.iter().filter_map(|request| request.request_id.clone()).collect();
+    Inquiry { requests, ..Inquiry::default() }
+}
+
+/// What the robot says of one request.
+fn told(line: &mut Line, request: &ControlRequest) -> Result<(Inquired, RequestReport), Unmet> {
+    let inquired = line.inquire(&about(&[request]))?;
+    match inquired.response.requests.as_slice() {
+        [report] => Ok((inquired.clone(), report.clone())),
+        _ => Err(inquired.differs("one entry, about the request that was asked about")),
+    }
+}
+
+/// What the robot says of one request, which must be in this state.
+fn in_state(
+    line: &mut Line,
+    request: &ControlRequest,
+    state: RequestState,
+) -> Result<(Inquired, RequestReport), Unmet> {
+    let (inquired, report) = told(line, request)?;
+    match report.state == state {
+        true => Ok((inquired, report)),
+        false => {
+            let word = format!("{state:?}").to_lowercase();
+            Err(inquired.differs(&format!("state `{word}`")))
+        }
+    }
+}
+
+fn inquiry(trial: &Trial) -> Checked {
+    answering(trial)?;
+    let mut line = trial.connect()?;
+    let ids: Vec<_> = (0..3).filter_map(|_| RequestId::new(trial.fresh_id()).ok()).collect();
+    let timestamp = Some(trial.stamp());
+    let inquired = line.inquire(&Inquiry { timestamp, requests: ids.clone(), ..Inquiry::default() })?;
+    let said = &inquired.response;
+    if said.status != Status::Ok || said.error.is_some() {
+        return Err(inquired.differs("status `OK`"));
+    }
+    if said.originate_timestamp != timestamp || said.receive_timestamp > said.timestamp {
+        return Err(inquired
+            .differs("its timestamp as originate_timestamp, and receive_timestamp not after timestamp"));
+    }
+    let unknown = ids.into_iter().map(|id| RequestReport::new(id, RequestState::Unknown));
+    match said.requests.iter().cloned().eq(unknown) {
+        true => pass(),
+        false => Err(inquired.differs("the three requests in their order, each `unknown` and nothing else")),
+    }
+}
+
+/// How far an instant that is told may lie from the one that was asked for: doubles of milliseconds round.
+const ROUNDING: Span = Span::from_micros(1);
+
+fn is_at(told: Option<Timestamp<urrcp::Robot>>, request: &ControlRequest) -> bool {
+    let start = request.starts_at().map(Timestamp::assume_clock);
+    told.zip(start).is_some_and(|(told, start)| told - start <= ROUNDING && start - told <= ROUNDING)
+}
+
+fn held(trial: &Trial) -> Checked {
+    answering(trial)?;
+    let request = trial.pending(trial.actor()?);
+    let mut line = trial.connect()?;
+    line.held(&request)?;
+    let (inquired, report) = in_state(&mut line, &request, RequestState::Held)?;
+    let right = is_at(report.start_timestamp, &request) && report.event_timestamp.is_none();
+    match right && report.error.is_none() {
+        true => pass(),
+        false => Err(inquired.differs(
+            "start_timestamp: timestamp + time_offset_to_start of the request; no event_timestamp, no error",
+        )),
+    }
+}
+
+/// Asks again and again until the request is in this state.
+fn reaches(
+    trial: &Trial,
+    line: &mut Line,
+    request: &ControlRequest,
+    state: RequestState,
+) -> Result<(Inquired, RequestReport), Unmet> {
+    let until = trial.patience() + Span::from_millis(1_000);
+    loop {
+        let (inquired, report) = told(line, request)?;
+        if report.state == state || trial.now() >= until {
+            return in_state(line, request, state).map(|_| (inquired, report));
+        }
+        trial.pause(Span::from_millis(20))?;
+    }
+}
+
+fn running(trial: &Trial) -> Checked {
+    answering(trial)?;
+    let request = trial.there_and_back(trial.scripted()?, 800.0).starting_in(100.0).leased(LEASE_MS);
+    let mut line = trial.connect()?;
+    line.held(&request)?;
+    let (inquired, report) = reaches(trial, &mut line, &request, RequestState::Running)?;
+    let began = report.event_timestamp.zip(report.start_timestamp);
+    let late = began.map(|(event, start)| event - start);
+    let in_time = late.is_some_and(|late| late >= Span::ZERO && late <= trial.options().tolerance);
+    if !in_time || !is_at(report.start_timestamp, &request) {
+        return Err(inquired.differs(&format!(
+            "start_timestamp of the request, and event_timestamp at most {} later",
+            trial.options().tolerance
+        )));
+    }
+    // The first step is set at the start, the second 400 ms later, the third ends it.
+    if !matches!(report.steps_done, Some(1 | 2)) || report.error.is_some() {
+        return Err(inquired.differs("steps_done 1, or 2 after 400 ms, and no error"));
+    }
+    Ok(late.map(|late| format!("started {late} after its time")).unwrap_or_default())
+}
+
+fn ended(trial: &Trial) -> Checked {
+    answering(trial)?;
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let completed = trial.set(actor, actor.rest).leased(LEASE_MS);
+    line.held(&completed)?;
+    let (inquired, report) = reaches(trial, &mut line, &completed, RequestState::Ended)?;
+    if report.event_timestamp.is_none() || report.steps_done != Some(1) || report.error.is_some() {
+        return Err(inquired.differs("event_timestamp, steps_done 1 and no error: it completed"));
+    }
+    let refused = trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(LEASE_MS);
+    let ticket = line.ask(&refused)?;
+    // Whether it is refused as it must be is the concern of `range`.
+    if line.answer(ticket)?.message.status == Status::Failed {
+        ended_early(&mut line, &refused, None)?;
+    }
+    let cancelled = trial.pending(actor);
+    line.held(&cancelled)?;
+    let stop = line.ask(&trial.cancel(actor))?;
+    line.answer(stop)?;
+    ended_early(&mut line, &cancelled, Some(&ErrorCode::Cancelled))?;
+    pass()
+}
+
+/// It never started, and why is told.
+fn ended_early(line: &mut Line, request: &ControlRequest, code: Option<&ErrorCode>) -> Result<(), Unmet> {
+    let (inquired, report) = in_state(line, request, RequestState::Ended)?;
+    let error = report.error.as_ref();
+    let told = error.is_some_and(|error| code.is_none_or(|code| error.code == *code));
+    match told && report.event_timestamp.is_none() {
+        true => Ok(()),
+        false => {
+            let code = code.map(|code| format!(" with error code `{code}`")).unwrap_or_default();
+            Err(inquired.differs(&format!("why it ended{code}, and no event_timestamp: it never started")))
+        }
+    }
+}
+
+fn hash(trial: &Trial) -> Checked {
+    answering(trial)?;
+    let mut request = trial.pending(trial.actor()?);
+    request.content_hash = Some(request.command.content_hash());
+    let mut line = trial.connect()?;
+    line.held(&request)?;
+    let (inquired, report) = in_state(&mut line, &request, RequestState::Held)?;
+    match report.content_hash == request.content_hash {
+        true => pass(),
+        false => Err(inquired.differs("the content_hash of the request")),
+    }
+}
+
+fn room(trial: &Trial) -> Checked {
+    answering(trial)?;
+    let actor = trial.actor()?;
+    let device = actor.device.id.clone();
+    let lacking = DeviceId::new(format!("{device}-that-is-not-there"));
+    let devices: Vec<_> = lacking.into_iter().chain([device.clone()]).collect();
+    let asks = Inquiry { devices, ..Inquiry::default() };
+    let mut line = trial.connect()?;
+    for held in 0..=1 {
+        let inquired = line.inquire(&asks)?;
+        let room = actor.device.script_queue.saturating_sub(held);
+        let right = matches!(inquired.response.devices.as_slice(),
+            [told] if told.device_id == device && told.room == room);
+        if !right {
+            return Err(inquired.differs(&format!("room {room} of `{device}`, which holds {held}, alone")));
+        }
+        if held == 0 {
+            line.held(&trial.pending(actor))?;
+        }
+    }
+    pass()
+}
+
+/// Nothing more was said of a request than that it is held.
+fn stays_held(trial: &Trial, line: &mut Line, ticket: Ticket) -> Result<(), Unmet> {
+    line.listen(trial.soon(150), |line| line.asked(ticket).heard.len() > 1)?;
+    match line.asked(ticket).heard.get(1) {
+        None => Ok(()),
+        Some(more) => {
+            let sent = format!("{}, then an inquiry about it", line.asked(ticket).text.trim_end());
+            Err(differs(&sent, &more.text, "nothing: an inquiry cannot act"))
+        }
+    }
+}
+
+fn no_effect(trial: &Trial) -> Checked {
+    answering(trial)?;
+    let actor = trial.actor()?;
+    let request = trial.pending(actor);
+    let mut line = trial.connect()?;
+    let ticket = line.held(&request)?;
+    let never_sent = trial.set(actor, actor.near);
+    let everything = Inquiry {
+        timestamp: Some(trial.stamp()),
+        devices: vec![actor.device.id.clone()],
+        pending_lease: Millis::new(LEASE_MS).ok(),
+        ..about(&[&request, &never_sent])
+    };
+    line.inquire(&everything)?;
+    stays_held(trial, &mut line, ticket)?;
+    in_state(&mut line, &request, RequestState::Held)?;
+    in_state(&mut line, &never_sent, RequestState::Unknown)?;
+    pass()
+}
+
+fn session(trial: &Trial) -> Checked {
+    answering(trial)?;
+    let actor = trial.actor()?;
+    let name = |n: u32| {
+        SessionId::new(format!("{}/inquiry-{n}", trial.fresh_id())).map_err(|e| not_applicable(e.to_string()))
+    };
+    let (ours, theirs) = (name(1)?, name(2)?);
+    let mut stranger = trial.connect()?;
+    let mut line = trial.connect_beside()?;
+    stranger.inquire(&Inquiry { session: Some(theirs.clone()), ..Inquiry::default() })?;
+    // It has asked and claimed nothing, so another may claim the robot.
+    let request = ControlRequest { session: Some(ours.clone()), ..trial.pending(actor) };
+    line.held(&request).map_err(|unmet| {
+        unmet.within(|why| format!("`{theirs}` has sent an inquiry, which claims nothing: {why}"))
+    })?;
+    let judged = told_nothing(&mut stranger, &request, theirs);
+    // What is held belongs to the session: only that can take it back.
+    let empty = Command::Script(Script::cancel());
+    let stop = ControlRequest { session: Some(ours), command: empty, ..trial.cancel(actor) };
+    let stop = line.ask(&stop)?;
+    line.answer(stop)?;
+    judged
+}
+
+fn told_nothing(stranger: &mut Line, request: &ControlRequest, theirs: SessionId) -> Checked {
+    for session in [Some(theirs), None] {
+        let devices = vec![request.device_id.clone()];
+        let inquired = stranger.inquire(&Inquiry { session, devices, ..about(&[request]) })?;
+        let said = &inquired.response;
+        let busy = said.error.as_ref().is_some_and(|error| error.code == ErrorCode::Busy);
+        let silent = said.requests.is_empty() && said.devices.is_empty();
+        if said.status != Status::Failed || !busy || !silent {
+            return Err(inquired.differs(
+                "status `Failed` with error code `busy`, no requests and no devices: the robot belongs to another session",
+            ));
+        }
+    }
+    pass()
+}
+
+fn renews(trial: &Trial) -> Checked {
+    answering(trial)?;
+    trial.reporting()?;
+    let mut line = trial.connect()?;
+    let ticket = line.held(&trial.pending(trial.actor()?).leased(PERIOD.as_millis_f64()))?;
+    let until = trial.soon(900);
+    while trial.now() < until {
+        line.inquire(&Inquiry { timestamp: Some(trial.stamp()), ..Inquiry::default() })?;
+        line.listen(trial.soon(PERIOD.as_nanos() / 3_000_000), |_| false)?;
+    }
+    match line.asked(ticket).heard.get(1) {
+        None => Ok(format!("held for 900 ms by inquiries, with a lease of {PERIOD}")),
+        Some(more) => Err(differs(
+            &format!("{}, then an inquiry every 100 ms", line.asked(ticket).text.trim_end()),
+            &more.text,
+            "nothing: each of them renews the lease",
+        )),
+    }
+}
+
+fn pending_lease(trial: &Trial) -> Checked {
+    answering(trial)?;
+    trial.reporting()?;
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let other = match actor.device.script_queue > 1 {
+        true => Some(line.held(&trial.pending(actor))?),
+        false => None,
+    };
+    let named = trial.pending(actor).starting_in(LATER_MS + 1_000.0);
+    let ticket = line.held(&named)?;
+    let shorter = Inquiry { pending_lease: Some(Millis::from_span(PERIOD)), ..about(&[&named]) };
+    line.inquire(&shorter)?;
+    let sent = trial.now();
+    let longer = Inquiry { pending_lease: Millis::new(LATER_MS).ok(), ..about(&[&named]) };
+    let longer = line.inquire(&longer)?;
+    let latest = PERIOD + trial.slack();
+    line.listen(sent + latest, |line| line.asked(ticket).heard.len() > 1)?;
+    if line.asked(ticket).heard.len() < 2 {
+        let asked = format!("{}, after one with a pending_lease of {PERIOD}", longer.sent.trim_end());
+        let expected = format!("the end of that lease {PERIOD} later, and at most {latest}");
+        return Err(differs(&asked, "nothing", &expected));
+    }
+    other.map_or_else(pass, |other| stays_held(trial, &mut line, other).and_then(|()| pass()))
+}

@@ -1,0 +1,64 @@
+//! How far apart the first steps of an act came by the one true clock, which only a dry run has.
+
+use std::collections::HashMap;
+
+use downbeat_robot::LogEntry;
+use urrcp::{DeviceId, RobotId, Span};
+
+use super::act_of;
+use crate::report::ActReport;
+
+/// The first steps of the scripts of acts that have not ended.
+#[derive(Debug)]
+pub(super) struct TrueSpread {
+    index_of: HashMap<RobotId, usize>,
+    /// For each robot, by act and device: the true times of its scripts' first steps, in order.
+    firsts: Vec<HashMap<(u32, DeviceId), Vec<i64>>>,
+    largest: Option<Span>,
+}
+
+impl TrueSpread {
+    pub(super) fn new(ids: Vec<RobotId>) -> Self {
+        let firsts = vec![HashMap::new(); ids.len()];
+        let index_of = ids.into_iter().enumerate().map(|(index, id)| (id, index)).collect();
+        Self { index_of, firsts, largest: None }
+    }
+
+    pub(super) const fn largest(&self) -> Option<Span> {
+        self.largest
+    }
+
+    pub(super) fn see(&mut self, robot: usize, entry: &LogEntry) {
+        if entry.step != Some(0) || entry.motion != "set" {
+            return;
+        }
+        if let Some(act) = entry.request_id.as_deref().and_then(act_of) {
+            let firsts = self.firsts[robot].entry((act, entry.device.clone())).or_default();
+            firsts.push(entry.true_ns);
+        }
+    }
+
+    /// An act has ended: largest minus smallest error of the first steps of its scripts.
+    pub(super) fn act_ended(&mut self, act: &ActReport) {
+        self.largest = self.largest.max(self.spread(act));
+        self.firsts.iter_mut().for_each(|firsts| firsts.retain(|(number, _), _| *number > act.number));
+    }
+
+    /// `None` where a robot that was not left out did not start a script.
+    fn spread(&self, act: &ActReport) -> Option<Span> {
+        let mut errors = Vec::new();
+        for robot in act.robots.iter().filter(|robot| !robot.left_out) {
+            let firsts = &self.firsts[*self.index_of.get(&robot.robot)?];
+            // A device's scripts begin in the order of the plan.
+            let mut begun: HashMap<&DeviceId, usize> = HashMap::new();
+            for device in &robot.devices {
+                let nth = begun.entry(&device.device).or_default();
+                let first = firsts.get(&(act.number, device.device.clone()))?.get(*nth)?;
+                let planned = device.planned_start? + device.first_step;
+                errors.push(Span::from_nanos(first - planned.as_nanos()));
+                *nth += 1;
+            }
+        }
+        Some(*errors.iter().max()? - *errors.iter().min()?)
+    }
+}

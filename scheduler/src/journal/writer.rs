@@ -1,0 +1,103 @@
+//! A journal on a thread of its own: the mission never waits for the disk.
+
+use std::io;
+use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+use std::time::Duration;
+
+use tokio::sync::{oneshot, watch};
+use urrcp::{Server, Timestamp};
+
+use super::{Disk, FileDisk, Journal};
+use crate::mission::Record;
+
+/// Records that may wait for the disk; with one more the journal counts as lost.
+const WAITING_MAX: usize = 4_096;
+/// So long the disk may take at the end of a mission.
+const FINISH_MAX: Duration = Duration::from_secs(5);
+
+/// How far the records of a mission have come.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Written {
+    /// So many durable records are on the disk.
+    pub count: u64,
+    /// Why no more records are taken.
+    pub lost: Option<String>,
+}
+
+/// Hands records to the thread that writes them.
+#[derive(Debug)]
+pub struct Writer<D = FileDisk> {
+    queue: SyncSender<(Timestamp<Server>, Record)>,
+    written: watch::Receiver<Written>,
+    /// The journal, once the thread has ended.
+    back: oneshot::Receiver<Journal<D>>,
+}
+
+impl<D: Disk + Send + 'static> Writer<D> {
+    /// Starts the thread. It ends when the writer is dropped and everything is on the disk.
+    ///
+    /// # Errors
+    /// The system gives no thread.
+    pub fn start(journal: Journal<D>) -> io::Result<Self> {
+        let (queue, records) = sync_channel(WAITING_MAX);
+        let (tell, written) = watch::channel(Written::default());
+        let (give_back, back) = oneshot::channel();
+        std::thread::Builder::new().name("journal".to_owned()).spawn(move || {
+            let journal = write_all(journal, &records, &tell);
+            let _nobody_waits = give_back.send(journal);
+        })?;
+        Ok(Self { queue, written, back })
+    }
+
+    /// Queues a record, without waiting.
+    ///
+    /// # Errors
+    /// Why the journal takes no more: too many records wait for the disk.
+    pub fn write(&self, at: Timestamp<Server>, record: Record) -> Result<(), String> {
+        self.queue.try_send((at, record)).map_err(|error| match error {
+            TrySendError::Full(_) => {
+                format!("the journal's disk is too slow: {WAITING_MAX} records wait for it")
+            }
+            TrySendError::Disconnected(_) => "the journal's thread has ended".to_owned(),
+        })
+    }
+
+    /// Waits until more is on the disk, or the journal is lost.
+    pub async fn next(&mut self) -> Written {
+        if self.written.changed().await.is_err() {
+            // The thread ends only with this writer, unless it fails.
+            std::future::pending::<()>().await;
+        }
+        self.written.borrow_and_update().clone()
+    }
+
+    /// Waits until everything is on the disk, 5 s at most, and returns the journal.
+    pub async fn finish(self) -> Option<Journal<D>> {
+        drop(self.queue);
+        tokio::time::timeout(FINISH_MAX, self.back).await.ok()?.ok()
+    }
+}
+
+/// Writes what comes, and syncs once for all that waited.
+fn write_all<D: Disk>(
+    mut journal: Journal<D>,
+    records: &Receiver<(Timestamp<Server>, Record)>,
+    tell: &watch::Sender<Written>,
+) -> Journal<D> {
+    while let Ok((at, record)) = records.recv() {
+        let mut appended = journal.append(at, &record);
+        while let Ok((at, record)) = records.try_recv() {
+            appended = appended.and_then(|()| journal.append(at, &record));
+        }
+        let synced = appended.and_then(|()| journal.sync());
+        tell.send_if_modified(|written| {
+            let before = written.clone();
+            match synced {
+                Ok(count) => written.count = count,
+                Err(reason) => written.lost = Some(reason),
+            }
+            *written != before
+        });
+    }
+    journal
+}

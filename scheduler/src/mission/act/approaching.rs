@@ -1,0 +1,291 @@
+//! From the decision to the start: rounds of questions bring all leases to end just before the start, and the commitment
+//! carries all of them over it.
+//!
+//! Every round asks each robot whether it holds its scripts. At the critical instant the scheduler falls silent: what it
+//! sent before lets no robot start. A moment later one message lets any robot start. The scheduler speaks again, which is
+//! the commitment, once every robot has answered one of the last two rounds, every clock is right, and the commitment is on
+//! the disk. If that is not so in time, it never speaks, and no robot starts.
+
+use downbeat_scripts::OnDoubt;
+use urrcp::{Server, Span, Timestamp};
+
+use super::timing::Leases;
+use super::{Act, ActAction, Stage, Timing};
+use crate::mission::failure_kind::FailureKind;
+use crate::mission::record::Record;
+use crate::mission::robot_state::RobotState;
+use crate::mission::skew::SkewBudget;
+use crate::mission::{Outcome, Progress};
+
+/// A failure is noted so long before the last instant for the commitment, so that the others can still be committed.
+const FAIL_AHEAD: Span = Span::from_millis(5);
+
+/// What is on the disk.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum OnDisk {
+    Nothing,
+    Asked,
+    Commitment,
+}
+
+/// A decided act on its way to the commitment.
+#[derive(Clone, Debug)]
+pub(crate) struct Approach {
+    /// When the next round is due; from the critical instant on, when the act is given up.
+    wakeup: Timestamp<Server>,
+    /// When the last two rounds were sent, the newer one last.
+    rounds: [Timestamp<Server>; 2],
+    on_disk: OnDisk,
+    /// Members before it have answered one of the last two rounds.
+    heard: usize,
+}
+
+/// A committed act that has not started everywhere.
+#[derive(Clone, Debug)]
+pub(crate) struct Commitment {
+    next_round: Timestamp<Server>,
+    since: Timestamp<Server>,
+    /// When the last robot has started.
+    begun: Timestamp<Server>,
+    /// Members before it have answered since the commitment.
+    heard: usize,
+    told: Told,
+    /// When it is looked, as late as a withdrawal allows, who has not answered; `None`: the others start in any case, or it
+    /// was looked.
+    doubt: Option<Timestamp<Server>>,
+}
+
+/// Whether the operator was told how long the commitment took.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Told {
+    NotYet,
+    Window,
+}
+
+impl Approach {
+    /// The first round is sent at once.
+    pub(super) const fn beginning(now: Timestamp<Server>) -> Self {
+        Self { wakeup: now, rounds: [now, now], on_disk: OnDisk::Nothing, heard: 0 }
+    }
+
+    pub(super) const fn recorded(&mut self) {
+        self.on_disk = OnDisk::Commitment;
+    }
+
+    fn commit_by(&self, timing: &Timing) -> Timestamp<Server> {
+        timing.commit_by(self.rounds[1])
+    }
+
+    /// Who has not answered by then has failed: what the others still need is left, the record and the commitment itself.
+    fn fail_by(&self, timing: &Timing) -> Timestamp<Server> {
+        let latest = self.commit_by(timing) - FAIL_AHEAD;
+        match self.on_disk {
+            OnDisk::Nothing => {
+                (latest - timing.recording()).max(timing.commit_from() + timing.pace.period).min(latest)
+            }
+            OnDisk::Asked | OnDisk::Commitment => latest,
+        }
+    }
+
+    pub(super) const fn wakeup(&self) -> Timestamp<Server> {
+        self.wakeup
+    }
+
+    fn round(&mut self, now: Timestamp<Server>, timing: &Timing) {
+        self.rounds = [self.rounds[1], now];
+        self.heard = 0;
+        let next = timing.round_after(now);
+        self.wakeup = if next < timing.critical() { next } else { timing.commit_from() };
+    }
+}
+
+impl Commitment {
+    pub(super) fn wakeup(&self) -> Timestamp<Server> {
+        self.doubt.map_or(self.next_round, |at| at.min(self.next_round)).min(self.begun)
+    }
+}
+
+impl Act {
+    /// A round of questions, the record of the commitment, or the commitment itself.
+    pub(super) fn approach(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        if self.present().next().is_none() {
+            self.stage = Stage::Over;
+            return Vec::new();
+        }
+        let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
+            return Vec::new();
+        };
+        if now >= timing.commit_from() {
+            return self.commit_if_all_hold(now, robots);
+        }
+        if now >= timing.critical() {
+            approach.wakeup = timing.commit_from();
+            return Vec::new();
+        }
+        match now >= approach.wakeup {
+            true => self.round(now, robots),
+            false => Vec::new(),
+        }
+    }
+
+    fn round(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let mut actions = Vec::new();
+        if self.may_be_recorded(now, robots) {
+            actions.push(ActAction::Record(Record::Committed { number: self.number }));
+        }
+        let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
+            return actions;
+        };
+        if !actions.is_empty() {
+            approach.on_disk = OnDisk::Asked;
+        }
+        approach.round(now, timing);
+        actions.push(ActAction::Ask(self.present().map(|member| member.robot).collect()));
+        actions
+    }
+
+    /// The commitment is written down ahead of time: the disk may be slow.
+    fn may_be_recorded(&self, now: Timestamp<Server>, robots: &[RobotState]) -> bool {
+        let (Stage::Approaching(approach), Some(timing)) = (&self.stage, &self.timing) else { return false };
+        if approach.on_disk != OnDisk::Nothing || now < timing.record_from() {
+            return false;
+        }
+        let since = approach.rounds[0];
+        // Leases that were shortened end long before another process could read the record: whoever is still missing may
+        // be left out, and the others start.
+        let shortened = timing.pace.leases == Leases::Shortened;
+        shortened || self.present().all(|member| member.holds_since(&robots[member.robot], since))
+    }
+
+    /// From the critical instant on: commits once everything is well, or gives up in time.
+    fn commit_if_all_hold(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let (Stage::Approaching(approach), Some(timing)) = (&mut self.stage, &self.timing) else {
+            return Vec::new();
+        };
+        let (since, commit_by, fail_by) =
+            (approach.rounds[0], approach.commit_by(timing), approach.fail_by(timing));
+        approach.wakeup = fail_by;
+        // Those that have answered stay so while nothing new is asked: each event looks at the first that has not.
+        let holds =
+            |member: &super::Member| !member.takes_part() || member.holds_since(&robots[member.robot], since);
+        let heard = self.members[approach.heard..].iter().take_while(|member| holds(member)).count();
+        approach.heard += heard;
+        let all = approach.heard == self.members.len();
+        let on_disk = approach.on_disk;
+        if all && on_disk == OnDisk::Nothing {
+            approach.on_disk = OnDisk::Asked;
+            return vec![ActAction::Record(Record::Committed { number: self.number })];
+        }
+        let ready = all && on_disk == OnDisk::Commitment;
+        if !ready && now < fail_by {
+            return Vec::new();
+        }
+        let failing = self.not_committable(now, since, robots);
+        if !failing.is_empty() {
+            return vec![ActAction::Fail(failing)];
+        }
+        if !ready || now > commit_by {
+            let by = (now - commit_by).max(Span::ZERO);
+            return vec![ActAction::Withdraw(Outcome::CommitmentLate { by })];
+        }
+        self.commit(now)
+    }
+
+    /// Members that have not said in time that they hold their scripts, and those whose clock was set since the decision.
+    fn not_committable(
+        &self,
+        now: Timestamp<Server>,
+        since: Timestamp<Server>,
+        robots: &[RobotState],
+    ) -> Vec<(usize, FailureKind)> {
+        let short = self.present().filter(|member| !member.holds_since(&robots[member.robot], since));
+        let short = short.map(|member| {
+            let kind = match robots[member.robot].broken() {
+                Some(reason) => FailureKind::LinkDown { reason: reason.to_owned() },
+                None => {
+                    let awaited = "word shortly before the start that it holds its scripts".to_owned();
+                    FailureKind::Silent { awaited, within: now - since }
+                }
+            };
+            (member.robot, kind)
+        });
+        let tolerance = self.written().plan.start_tolerance;
+        let skew = SkewBudget::of_sent(self.present(), robots, tolerance, now);
+        let strayed = skew.map(|skew| skew.offenders()).unwrap_or_default();
+        let index_of = |id| self.present().map(|m| m.robot).find(|robot| robots[*robot].id == id);
+        let strayed = strayed.into_iter().filter_map(|(id, kind)| Some((index_of(id)?, kind)));
+        short.chain(strayed).collect()
+    }
+
+    fn commit(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
+        let withdraws = self.written().on_doubt == OnDoubt::Withdraw;
+        let Some(timing) = &mut self.timing else { return Vec::new() };
+        timing.round = Some((now, now));
+        let next_round = now + timing.pace.period;
+        let doubt = withdraws.then(|| timing.last_withdrawal());
+        let told = Told::NotYet;
+        let begun = timing.begun();
+        self.stage = Stage::Committed(Commitment { next_round, since: now, begun, heard: 0, told, doubt });
+        vec![ActAction::Ask(self.present().map(|member| member.robot).collect())]
+    }
+
+    /// Keeps the leases over the start, and learns whether the commitment has reached every robot.
+    pub(super) fn begin_if_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let doubtful = self.doubtful(now, robots);
+        if !doubtful.is_empty() {
+            return vec![ActAction::Fail(doubtful)];
+        }
+        let mut actions = self.note_answers(now, robots);
+        let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &self.timing) else {
+            return actions;
+        };
+        let (due, begun) = (now >= commitment.next_round, now >= commitment.begun);
+        if due {
+            commitment.next_round = now + timing.pace.period;
+            actions.push(ActAction::Ask(self.present().map(|member| member.robot).collect()));
+        }
+        if begun {
+            self.begin(now);
+        }
+        actions
+    }
+
+    /// Robots that have not answered the commitment while it can still be withdrawn, where the scenario wants that: nobody
+    /// can know whether they will start.
+    fn doubtful(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
+        let Stage::Committed(commitment) = &mut self.stage else { return Vec::new() };
+        if commitment.doubt.take_if(|at| now >= *at).is_none() {
+            return Vec::new();
+        }
+        let (since, within) = (commitment.since, now - commitment.since);
+        let silent = self.present().filter(|member| !has_answered(&robots[member.robot], since));
+        let failure = |robot: usize| {
+            let awaited = "answer to the commitment, and `on_doubt` is `withdraw`".to_owned();
+            (robot, FailureKind::Silent { awaited, within })
+        };
+        silent.map(|member| failure(member.robot)).collect()
+    }
+
+    fn note_answers(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let (Stage::Committed(commitment), Some(timing)) = (&mut self.stage, &mut self.timing) else {
+            return Vec::new();
+        };
+        let since = commitment.since;
+        let answered =
+            |member: &super::Member| !member.takes_part() || has_answered(&robots[member.robot], since);
+        let heard = self.members[commitment.heard..].iter().take_while(|member| answered(member)).count();
+        commitment.heard += heard;
+        if commitment.heard < self.members.len() || commitment.told == Told::Window {
+            return Vec::new();
+        }
+        commitment.told = Told::Window;
+        timing.round = Some((since, now));
+        let window = Some(now - since);
+        vec![ActAction::Tell(Progress::Committed { act: self.name(), window })]
+    }
+}
+
+/// Whether a robot has answered a question that was sent at `since` or later, if it answers any.
+fn has_answered(robot: &RobotState, since: Timestamp<Server>) -> bool {
+    robot.questions.answered().is_none_or(|at| at >= since)
+}

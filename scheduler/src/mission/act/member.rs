@@ -1,0 +1,197 @@
+//! A robot of an act: what it was sent, and whether it still takes part.
+
+use urrcp::{DeviceId, RequestId, Server, Span, Timestamp};
+
+use super::timing::{Leases, Timing};
+use crate::mission::robot_state::{RobotState, Standing};
+use crate::mission::script::{Script, ScriptState};
+
+/// Whether a robot still takes part in an act.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Part {
+    Taking,
+    /// It was left out.
+    Dropped,
+}
+
+/// A robot of an act.
+#[derive(Clone, Debug)]
+pub(crate) struct Member {
+    /// Its index in the mission.
+    pub(crate) robot: usize,
+    pub(super) part: Part,
+    /// What is added to the act's timestamp so that it is right by the robot's own clock.
+    pub(super) shift: Span,
+    scripts: Vec<Script>,
+    /// One for each device, in order of their scripts.
+    chains: Vec<Chain>,
+}
+
+/// How far the scripts of one device are, which stand together and in order of time. Each event looks at those that are
+/// under way and not at all that ever were or will be.
+#[derive(Clone, Copy, Debug)]
+struct Chain {
+    first: usize,
+    /// Those before it have completed.
+    completed: usize,
+    /// Those from here on were never sent.
+    unsent: usize,
+    end: usize,
+}
+
+impl Member {
+    fn new(robot: usize, scripts: Vec<Script>) -> Self {
+        let mut chains: Vec<Chain> = Vec::new();
+        for (index, script) in scripts.iter().enumerate() {
+            let follows =
+                index.checked_sub(1).is_some_and(|before| scripts[before].plan.device == script.plan.device);
+            match chains.last_mut().filter(|_| follows) {
+                Some(chain) => chain.end = index + 1,
+                None => chains.push(Chain { first: index, completed: index, unsent: index, end: index + 1 }),
+            }
+        }
+        Self { robot, part: Part::Taking, shift: Span::ZERO, scripts, chains }
+    }
+
+    /// Changes one of its scripts.
+    pub(super) fn change<R>(&mut self, script: usize, change: impl FnOnce(&mut Script) -> R) -> R {
+        let changed = change(&mut self.scripts[script]);
+        let place = self.chains.partition_point(|chain| chain.end <= script);
+        let chain = &mut self.chains[place];
+        if !self.scripts[script].is_planned() {
+            chain.unsent = chain.unsent.max(script + 1);
+        }
+        let completed =
+            self.scripts[chain.completed..chain.end].iter().take_while(|script| script.has_completed());
+        chain.completed += completed.count();
+        changed
+    }
+
+    /// Names its requests.
+    pub(super) fn name(&mut self, script: usize, id: Option<RequestId>) {
+        self.scripts[script].name(id);
+    }
+
+    /// The scripts that are under way: those that were sent and have not completed, and the next one of each device.
+    pub(crate) fn under_way(&self) -> impl Iterator<Item = (usize, &Script)> {
+        let of_chain = |chain: &Chain| chain.completed..chain.end.min(chain.unsent + 1);
+        self.chains.iter().flat_map(of_chain).map(|index| (index, &self.scripts[index]))
+    }
+
+    /// For each device its scripts that have not completed, in order of time.
+    pub(crate) fn chains(&self) -> impl Iterator<Item = impl Iterator<Item = (usize, &Script)>> {
+        self.chains
+            .iter()
+            .map(|chain| (chain.completed..chain.end).map(|index| (index, &self.scripts[index])))
+    }
+
+    pub(crate) fn takes_part(&self) -> bool {
+        self.part == Part::Taking
+    }
+
+    pub(crate) fn scripts(&self) -> &[Script] {
+        &self.scripts
+    }
+
+    pub(crate) const fn shift(&self) -> Span {
+        self.shift
+    }
+
+    /// The first script of every device and every other one that was sent is accepted.
+    pub(super) fn has_accepted(&self) -> bool {
+        self.unaccepted().next().is_none()
+    }
+
+    /// Scripts that it still has to accept.
+    pub(super) fn unaccepted(&self) -> impl Iterator<Item = (usize, &Script)> {
+        let open = |index: usize, script: &Script| script.is_out() || self.before(index).is_none();
+        self.under_way().filter(move |(index, script)| !script.was_accepted() && open(*index, script))
+    }
+
+    pub(crate) fn is_done(&self) -> bool {
+        self.chains.iter().all(|chain| chain.completed == chain.end)
+    }
+
+    /// Nothing of it is still to be sent or can still run.
+    pub(super) fn is_over(&self) -> bool {
+        self.under_way().all(|(_, script)| !script.is_out() && !script.is_planned())
+    }
+
+    /// Its scripts on a device, in order of time.
+    pub(crate) fn on<'a>(&'a self, device: &'a DeviceId) -> impl Iterator<Item = (usize, &'a Script)> {
+        self.scripts.iter().enumerate().filter(move |(_, script)| script.plan.device == *device)
+    }
+
+    /// The first script of every device.
+    pub(crate) fn firsts(&self) -> impl Iterator<Item = &Script> {
+        self.chains.iter().map(|chain| &self.scripts[chain.first])
+    }
+
+    /// The script before this one on its device. Scripts of one device stand together, in order of time.
+    pub(super) fn before(&self, script: usize) -> Option<&Script> {
+        let before = self.scripts.get(script.checked_sub(1)?)?;
+        (before.plan.device == self.scripts[script].plan.device).then_some(before)
+    }
+
+    /// How long after the start of the act a script begins whose pending lease is shortened: one that begins within a
+    /// lease of the start, and does not follow another of its device. Those that begin later lose their lease long before,
+    /// and those that follow others cannot begin without them.
+    pub(super) fn shortened_offset(&self, script: usize, lease: Span) -> Option<Span> {
+        let offset = self.scripts[script].plan.start.span();
+        (offset < lease && self.before(script).is_none()).then_some(offset)
+    }
+
+    /// The pending lease with which a script is sent. One that follows another of its device in the same act cannot begin
+    /// unless that has begun, so it waits under the lease under which the other one runs, where that is the longer one.
+    pub(crate) fn pending_lease(&self, script: usize, lease: Span) -> Option<Span> {
+        match self.before(script) {
+            None => Some(lease),
+            Some(before) => before.longest_lease().map(|running| running.max(lease)),
+        }
+    }
+
+    /// The pending lease of a script that waits while its act plays: it may have been shortened.
+    fn pending_lease_now(&self, script: usize, timing: &Timing) -> Option<Span> {
+        let shortened = timing.pace.leases == Leases::Shortened;
+        let offset = self.shortened_offset(script, timing.lead.lease).filter(|_| shortened);
+        match offset {
+            Some(offset) => Some(timing.final_lease() + offset),
+            None => self.pending_lease(script, timing.lead.lease),
+        }
+    }
+
+    /// The shortest of the leases that a script which is out has from now on: while it waits, the pending one counts as well.
+    pub(super) fn shortest_lease(&self, script: usize, timing: &Timing) -> Option<Span> {
+        let waits = matches!(self.scripts[script].state(), ScriptState::Sent | ScriptState::Held);
+        let pending = waits.then(|| self.pending_lease_now(script, timing)).flatten();
+        pending.into_iter().chain(self.scripts[script].shortest_lease()).min()
+    }
+
+    /// Whether it has answered that it holds the first script of every device, to a question sent at `since` or later. Those
+    /// that follow cannot begin without them, and may be sent until it is their turn. A robot that takes no inquiries is
+    /// held to its answers to other questions, if it ever gave one.
+    pub(super) fn holds_since(&self, robot: &RobotState, since: Timestamp<Server>) -> bool {
+        let answered = robot.questions.answered();
+        if !robot.is_up() || !self.firsts().all(Script::was_accepted) {
+            return false;
+        }
+        if !robot.takes_inquiries() {
+            return answered.is_none_or(|at| at >= since);
+        }
+        let held = |script: &Script| !script.is_out() || script.held_at().is_some_and(|at| at >= since);
+        answered.is_some_and(|at| at >= since) && self.firsts().all(held)
+    }
+}
+
+/// The members of an act: its robots that are there.
+pub(crate) fn members(plan: &downbeat_scripts::Plan, robots: &[RobotState]) -> Vec<Member> {
+    let index_of: std::collections::HashMap<_, _> =
+        robots.iter().enumerate().map(|(index, robot)| (&robot.id, index)).collect();
+    let member = |planned: &downbeat_scripts::RobotPlan| {
+        let robot = *index_of.get(&planned.robot)?;
+        let present = robots[robot].standing == Standing::In;
+        let scripts = planned.scripts.iter().map(Script::new).collect();
+        present.then(|| Member::new(robot, scripts))
+    };
+    plan.robots.iter().filter_map(member).collect()
+}

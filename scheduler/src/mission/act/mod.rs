@@ -1,0 +1,397 @@
+//! One act as a machine: it waits, is prepared, decided, committed, plays and is over.
+//!
+//! It is told what happened and returns what is to be done; it sends nothing, and nobody else changes what it knows. One
+//! file a stage. It reads of the robots what the mission knows of them.
+
+mod approaching;
+mod member;
+mod playing;
+mod preparing;
+mod resumed;
+#[cfg(test)]
+mod tests;
+pub(crate) mod timing;
+mod waiting;
+
+use std::collections::{BTreeMap, HashMap};
+use std::sync::Arc;
+
+use downbeat_scripts::{Choreography, Way};
+use urrcp::{ControlRequest, DeviceId, RequestId, Server, SessionId, Span, Timestamp};
+
+use super::events::TakenReading;
+use super::failure_kind::FailureKind;
+use super::robot_state::{Reading, RobotState};
+use super::script::{Script, ScriptRef};
+use super::{Outcome, Progress, Record};
+use approaching::{Approach, Commitment};
+use member::Part;
+pub(crate) use member::{Member, members};
+pub(crate) use resumed::Reached;
+pub(crate) use timing::Timing;
+pub(crate) use waiting::next_time_of_day;
+
+/// How far an act is.
+#[derive(Clone, Debug)]
+enum Stage {
+    /// Its condition does not hold yet.
+    Waiting(waiting::Waiting),
+    /// It may be sent as soon as it fits.
+    Ready {
+        /// The instant at which it should start: the end of the act before, or the time that it waits for.
+        target: Option<Timestamp<Server>>,
+        /// When to look again whether it fits; `None`: whenever something has changed.
+        look: Option<Timestamp<Server>>,
+    },
+    /// What it promises is being written down; requests go out once that is on the disk.
+    Promised,
+    /// Requests are out; the decision is due.
+    Preparing(preparing::Preparing),
+    /// All have accepted; the leases are brought near the start, and the commitment is due.
+    Approaching(Approach),
+    /// The leases reach over the start.
+    Committed(Commitment),
+    /// The start has passed.
+    Playing(playing::Playing),
+    /// All has ended.
+    Over,
+}
+
+/// The name of a stage.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Progressed {
+    Waiting,
+    Ready,
+    Promised,
+    Preparing,
+    Approaching,
+    Committed,
+    Playing,
+    Over,
+}
+
+/// What an act wants done.
+#[derive(Clone, Debug)]
+#[must_use]
+pub(crate) enum ActAction {
+    /// Read a sensor.
+    Read { robot: usize, sensor: DeviceId, what: Reading },
+    /// It has waited for too long: the mission goes this way instead.
+    TimedOut(Way),
+    /// Send this script's request.
+    Send(ScriptRef),
+    /// Send to every device of these robots what it has room for.
+    Refill(Vec<usize>),
+    /// Ask these robots what became of their scripts.
+    Ask(Vec<usize>),
+    /// These robots have failed.
+    Fail(Vec<(usize, FailureKind)>),
+    /// It cannot start: withdraw it.
+    Withdraw(Outcome),
+    /// Write this down.
+    Record(Record),
+    /// Tell the operator.
+    Tell(Progress),
+}
+
+/// Requests that a robot is asked for together.
+#[derive(Clone, Debug)]
+pub(crate) struct NamedScripts {
+    /// The pending lease that they have from then on, where that is shorter than theirs.
+    pub(crate) lease: Option<Span>,
+    pub(crate) requests: Vec<RequestId>,
+}
+
+/// One act under way.
+#[derive(Clone, Debug)]
+pub(crate) struct Act {
+    number: u32,
+    index: usize,
+    choreography: Arc<Choreography>,
+    stage: Stage,
+    follow: Way,
+    since: Timestamp<Server>,
+    /// The planned end of the act before it, if that still played when this one began to wait.
+    before: Option<Timestamp<Server>>,
+    /// When nothing before it plays any more.
+    alone_since: Option<Timestamp<Server>>,
+    timing: Option<Timing>,
+    members: Vec<Member>,
+    /// Where each robot stands in `members`.
+    place: HashMap<usize, usize>,
+    readings_asked: usize,
+    readings: Vec<TakenReading>,
+}
+
+impl Act {
+    /// The act of that index in the choreography, about to wait for its condition.
+    pub(crate) fn new(
+        choreography: Arc<Choreography>,
+        index: usize,
+        number: u32,
+        robots: &[RobotState],
+        since: Timestamp<Server>,
+        before: Option<Timestamp<Server>>,
+    ) -> Self {
+        let members = members(&choreography.acts[index].plan, robots);
+        Self {
+            number,
+            index,
+            stage: Stage::Waiting(waiting::Waiting::default()),
+            follow: choreography.acts[index].next,
+            since,
+            before,
+            alone_since: None,
+            timing: None,
+            place: places(&members),
+            members,
+            readings_asked: 0,
+            readings: Vec::new(),
+            choreography,
+        }
+    }
+
+    /// Counts the acts of the mission.
+    pub(crate) const fn number(&self) -> u32 {
+        self.number
+    }
+
+    /// What the scenario says of it.
+    pub(crate) fn written(&self) -> &downbeat_scripts::Act {
+        &self.choreography.acts[self.index]
+    }
+
+    /// Its name as people know it.
+    pub(crate) fn name(&self) -> String {
+        act_name(&self.choreography, self.index)
+    }
+
+    /// Where the mission goes after it.
+    pub(crate) const fn follow(&self) -> Way {
+        self.follow
+    }
+
+    /// Since when it is the next one.
+    pub(crate) const fn since(&self) -> Timestamp<Server> {
+        self.since
+    }
+
+    pub(crate) const fn timing(&self) -> Option<&Timing> {
+        self.timing.as_ref()
+    }
+
+    pub(crate) fn members(&self) -> &[Member] {
+        &self.members
+    }
+
+    pub(crate) fn readings(&self) -> &[TakenReading] {
+        &self.readings
+    }
+
+    /// The members that still take part.
+    pub(crate) fn present(&self) -> impl Iterator<Item = &Member> {
+        self.members.iter().filter(|member| member.takes_part())
+    }
+
+    /// A robot's part in it, whether it still takes part or not.
+    pub(crate) fn member(&self, robot: usize) -> Option<&Member> {
+        self.place.get(&robot).map(|place| &self.members[*place])
+    }
+
+    /// The place of a robot that still takes part.
+    pub(crate) fn place_of(&self, robot: usize) -> Option<usize> {
+        self.place.get(&robot).copied().filter(|place| self.members[*place].takes_part())
+    }
+
+    pub(crate) fn script(&self, script: ScriptRef) -> &Script {
+        &self.members[script.member].scripts()[script.script]
+    }
+
+    /// The index of the robot that plays a script.
+    pub(crate) fn robot_of(&self, script: ScriptRef) -> usize {
+        self.members[script.member].robot
+    }
+
+    /// Its requests may be sent: what it promises is on the disk.
+    pub(crate) const fn is_open(&self) -> bool {
+        !matches!(self.stage, Stage::Waiting(_) | Stage::Ready { .. } | Stage::Promised | Stage::Over)
+    }
+
+    /// Whether one of its robots may have something of it.
+    pub(crate) const fn was_sent(&self) -> bool {
+        self.timing.is_some()
+    }
+
+    pub(crate) const fn is_committed(&self) -> bool {
+        matches!(self.stage, Stage::Committed(_) | Stage::Playing(_) | Stage::Over)
+    }
+
+    pub(crate) const fn is_playing(&self) -> bool {
+        matches!(self.stage, Stage::Playing(_))
+    }
+
+    pub(crate) const fn is_over(&self) -> bool {
+        matches!(self.stage, Stage::Over)
+    }
+
+    pub(crate) fn has_begun(&self) -> bool {
+        self.members.iter().flat_map(Member::scripts).any(Script::has_begun)
+    }
+
+    /// How far it is, to tell whether it went on.
+    pub(crate) const fn progress(&self) -> Progressed {
+        match self.stage {
+            Stage::Waiting(_) => Progressed::Waiting,
+            Stage::Ready { .. } => Progressed::Ready,
+            Stage::Promised => Progressed::Promised,
+            Stage::Preparing(_) => Progressed::Preparing,
+            Stage::Approaching(_) => Progressed::Approaching,
+            Stage::Committed(_) => Progressed::Committed,
+            Stage::Playing(_) => Progressed::Playing,
+            Stage::Over => Progressed::Over,
+        }
+    }
+
+    /// Nothing before it plays any more.
+    pub(crate) fn comes_next(&mut self, now: Timestamp<Server>) {
+        self.alone_since.get_or_insert(now);
+    }
+
+    pub(crate) const fn is_alone(&self) -> bool {
+        self.alone_since.is_some()
+    }
+
+    /// The mission goes elsewhere after it.
+    pub(crate) fn lead_to(&mut self, way: Way) {
+        self.follow = way;
+    }
+
+    /// A robot takes part no longer.
+    pub(crate) fn drop_robot(&mut self, robot: usize) {
+        if let Some(place) = self.place.get(&robot) {
+            self.members[*place].part = Part::Dropped;
+        }
+        self.look_again();
+    }
+
+    /// Robots have come; those that are there now take part, if nothing has been sent.
+    pub(crate) fn gather(&mut self, robots: &[RobotState]) {
+        if !self.was_sent() {
+            self.members = members(&self.written().plan, robots);
+            self.place = places(&self.members);
+        }
+    }
+
+    /// Does what is due at `now`.
+    pub(crate) fn advance(
+        &mut self,
+        now: Timestamp<Server>,
+        robots: &[RobotState],
+        options: &super::MissionOptions,
+    ) -> Vec<ActAction> {
+        match &self.stage {
+            Stage::Waiting(_) => self.wait(now, robots, options),
+            Stage::Ready { .. } => self.leave_if_deserted(),
+            Stage::Promised => self.await_promise(now),
+            Stage::Preparing(_) => self.decide_if_due(now, robots),
+            Stage::Approaching(_) => self.approach(now, robots),
+            Stage::Committed(_) => self.begin_if_due(now, robots),
+            Stage::Playing(_) => self.watch(now, robots),
+            Stage::Over => Vec::new(),
+        }
+    }
+
+    /// When [`Act::advance`] is next due; `None`: when something happens.
+    pub(crate) fn wakeup(&self) -> Option<Timestamp<Server>> {
+        let timing = self.timing.as_ref();
+        match &self.stage {
+            Stage::Waiting(waiting) => self.wait_wakeup(waiting),
+            Stage::Ready { look, .. } => *look,
+            Stage::Promised => timing.map(|timing| timing.decision),
+            Stage::Preparing(preparing) => timing.map(|timing| preparing.wakeup(timing)),
+            Stage::Approaching(approach) => Some(approach.wakeup()),
+            Stage::Committed(commitment) => Some(commitment.wakeup()),
+            Stage::Playing(playing) => {
+                self.reading_due().into_iter().chain([playing.wakeup(self.since)]).min()
+            }
+            Stage::Over => None,
+        }
+    }
+
+    /// The record that it waits for is on the disk.
+    pub(crate) fn recorded(&mut self) -> Vec<ActAction> {
+        match &mut self.stage {
+            Stage::Promised => self.open(),
+            Stage::Approaching(approach) => {
+                approach.recorded();
+                Vec::new()
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// The request of a script: the same bytes however often it is sent.
+    pub(crate) fn request(&self, script: ScriptRef, session: Option<&SessionId>) -> Option<ControlRequest> {
+        let timing = self.timing.as_ref()?;
+        Some(preparing::request(timing, &self.members[script.member], script.script, session))
+    }
+
+    /// The requests that a robot may have, in the groups in which it is asked for them, each with the pending lease that
+    /// the question carries: while the act approaches its start, one that ends before the script would begin.
+    pub(crate) fn names_of(&self, robot: usize, now: Timestamp<Server>) -> Vec<NamedScripts> {
+        let (Some(place), Some(timing)) = (self.place_of(robot), &self.timing) else { return Vec::new() };
+        let shortens = matches!(self.stage, Stage::Approaching(_));
+        let member = &self.members[place];
+        // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
+        let mut groups: BTreeMap<(bool, Option<Span>), Vec<RequestId>> = BTreeMap::new();
+        for (index, script) in member.under_way().filter(|(_, script)| script.is_unaccounted()) {
+            let offset = member.shortened_offset(index, timing.lead.lease).filter(|_| shortens);
+            let lease = offset.map(|offset| timing.lease_at(now) + offset);
+            groups.entry((lease.is_none(), lease)).or_default().extend(script.request_id().cloned());
+        }
+        groups.into_iter().map(|((_, lease), requests)| NamedScripts { lease, requests }).collect()
+    }
+
+    /// Whether a robot may have a request of it.
+    pub(crate) fn has_something_on(&self, robot: usize) -> bool {
+        let place = self.place_of(robot).filter(|_| self.was_sent());
+        place.is_some_and(|place| self.members[place].under_way().any(|(_, script)| script.is_unaccounted()))
+    }
+
+    /// Whether every message to a robot has to come behind a question that carries a lease.
+    pub(crate) fn approaches(&self, robot: usize) -> bool {
+        matches!(self.stage, Stage::Approaching(_)) && self.place_of(robot).is_some()
+    }
+
+    /// Whether nothing may be sent to a robot now: it would carry its lease over a start that is not committed.
+    pub(crate) fn hushes(&self, robot: usize, now: Timestamp<Server>) -> bool {
+        let critical = self.timing.as_ref().is_some_and(|timing| now >= timing.critical());
+        let undecided = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_));
+        critical && undecided && self.place_of(robot).is_some()
+    }
+
+    /// Whether a message that cannot wait may still go to a robot that is hushed, behind a question with a shorter lease.
+    pub(crate) fn lets_through(&self, robot: usize, now: Timestamp<Server>) -> bool {
+        let timing = self.timing.as_ref().filter(|timing| timing.lets_through(now));
+        timing.is_some() && self.approaches(robot)
+    }
+
+    /// Something has changed that may let it go on.
+    fn look_again(&mut self) {
+        match &mut self.stage {
+            Stage::Playing(playing) => playing.recheck(),
+            Stage::Ready { look, .. } => *look = None,
+            _ => {}
+        }
+    }
+}
+
+fn places(members: &[Member]) -> HashMap<usize, usize> {
+    members.iter().enumerate().map(|(place, member)| (member.robot, place)).collect()
+}
+
+/// The name of an act as people know it.
+pub(crate) fn act_name(choreography: &Choreography, act: usize) -> String {
+    let act = &choreography.acts[act];
+    if act.name.is_empty() { act.plan.scenario.clone() } else { act.name.clone() }
+}

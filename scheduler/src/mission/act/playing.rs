@@ -1,0 +1,365 @@
+//! From the start to the last step: who has started, how exactly, what frees room for further scripts, and who has ended.
+
+use urrcp::{ControlResponse, ErrorCode, RequestReport, Robot, Server, Span, Timestamp};
+
+use super::{Act, ActAction, Member, Stage};
+use crate::mission::Progress;
+use crate::mission::failure_kind::FailureKind;
+use crate::mission::robot_state::{Reading, RobotState};
+use crate::mission::script::{News, Script, ScriptRef, ScriptState, error_of};
+
+/// How long after its instant a report may still arrive, besides the round trip.
+const REPORT_GRACE: Span = Span::from_millis(500);
+/// A script whose planned end has passed by this much has ended on a robot that cannot say so.
+const LAPSE: Span = Span::from_millis(15);
+/// Before a robot that does not report by itself is asked again what became of a script that should have ended.
+const ASK_AGAIN: Span = Span::from_millis(50);
+
+/// An act that has started.
+#[derive(Clone, Debug)]
+pub(super) struct Playing {
+    /// When reports are next looked for; `None`: at once.
+    watch: Option<Timestamp<Server>>,
+    /// When the robots were last asked for overdue reports.
+    asked: Option<Timestamp<Server>>,
+}
+
+impl Playing {
+    /// `at_once` is an instant that has passed.
+    pub(super) fn wakeup(&self, at_once: Timestamp<Server>) -> Timestamp<Server> {
+        self.watch.unwrap_or(at_once)
+    }
+
+    pub(super) const fn recheck(&mut self) {
+        self.watch = None;
+    }
+}
+
+/// What an answer led to.
+#[derive(Debug)]
+pub(crate) struct Noted {
+    pub(crate) news: News,
+    pub(crate) actions: Vec<ActAction>,
+}
+
+impl Act {
+    pub(super) fn begin(&mut self, now: Timestamp<Server>) {
+        self.stage = Stage::Playing(Playing { watch: Some(now), asked: None });
+    }
+
+    /// Takes an answer to a request of this act.
+    pub(crate) fn answered(
+        &mut self,
+        script: ScriptRef,
+        response: &ControlResponse,
+        robots: &[RobotState],
+    ) -> Noted {
+        let robot = &robots[self.robot_of(script)];
+        let member = &mut self.members[script.member];
+        // A robot that cannot tell when a script has ended was sent the next one by time, a little too early.
+        let state = member.scripts()[script.script].state();
+        let full = !robot.tells_fates() && *state == ScriptState::Sent && is_full(response);
+        if full {
+            member.change(script.script, Script::refused_for_now);
+            return Noted { news: News::None, actions: Vec::new() };
+        }
+        let news = member.change(script.script, |script| script.answered(response));
+        self.noted(script, news, robots)
+    }
+
+    /// Takes what a robot reported of a request of this act.
+    pub(crate) fn reported(
+        &mut self,
+        script: ScriptRef,
+        report: &RequestReport,
+        (asked_at, said_at): (Timestamp<Server>, Timestamp<Robot>),
+        robots: &[RobotState],
+    ) -> Noted {
+        let member = &mut self.members[script.member];
+        let news = member.change(script.script, |script| script.reported(report, asked_at, said_at));
+        self.noted(script, news, robots)
+    }
+
+    fn noted(&mut self, script: ScriptRef, news: News, robots: &[RobotState]) -> Noted {
+        let member = &self.members[script.member];
+        let robot = member.robot;
+        let id = robots[robot].id.clone();
+        let mut actions = Vec::new();
+        match &news {
+            News::Accepted if matches!(self.stage, Stage::Preparing(_)) && member.has_accepted() => {
+                actions.push(ActAction::Tell(Progress::Accepted { robot: id }));
+            }
+            News::Started => {
+                let error = self.start_error(member, &member.scripts()[script.script]);
+                actions.push(ActAction::Tell(Progress::Started { robot: id, error }));
+            }
+            News::Completed => {
+                if member.is_done() {
+                    actions.push(ActAction::Tell(Progress::Finished { robot: id }));
+                }
+                actions.push(ActAction::Refill(vec![robot]));
+                self.look_again();
+            }
+            News::NeverReceived if member.takes_part() => actions.push(ActAction::Send(script)),
+            News::Failed(error) => {
+                let device = member.scripts()[script.script].plan.device.clone();
+                let kind = FailureKind::Script { device, error: error.clone() };
+                actions.push(ActAction::Fail(vec![(robot, kind)]));
+            }
+            News::None | News::Accepted | News::NeverReceived => {}
+        }
+        Noted { news, actions }
+    }
+
+    /// Actual minus planned start, both by the robot's own clock.
+    pub(crate) fn start_error(&self, member: &Member, script: &Script) -> Option<Span> {
+        let planned = self.timing.as_ref()?.start + script.plan.start.span() + member.shift;
+        Some(script.started_at()? - planned.assume_clock())
+    }
+
+    /// Ends the act when all is done, and finds reports that are overdue.
+    pub(super) fn watch(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let mut actions = self.read_what_is_due(now, robots);
+        let Stage::Playing(playing) = &self.stage else { return actions };
+        if playing.watch.is_some_and(|at| now < at) {
+            return actions;
+        }
+        let lapsed = self.lapse(now, robots);
+        let over = |member: &Member| member.is_done() || (lapses(&robots[member.robot]) && member.is_over());
+        if self.present().all(over) {
+            self.stage = Stage::Over;
+            return actions;
+        }
+        if !lapsed.is_empty() {
+            actions.push(ActAction::Refill(lapsed));
+        }
+        actions.extend(self.ask_for_overdue(now, robots));
+        let next = self.next_watch(now, robots);
+        if let Stage::Playing(playing) = &mut self.stage {
+            playing.watch = Some(next);
+        }
+        actions
+    }
+
+    /// Scripts whose time has passed on robots that cannot say so. Returns those robots.
+    fn lapse(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<usize> {
+        let Some(timing) = &self.timing else { return Vec::new() };
+        let (start, grace) = (timing.start, timing.pace.late + LAPSE);
+        let mut lapsed = Vec::new();
+        for member in self.members.iter_mut().filter(|member| member.takes_part()) {
+            if !lapses(&robots[member.robot]) {
+                continue;
+            }
+            let over = |(index, script): (usize, &Script)| {
+                (script.is_out() && now >= planned_end(start, script) + grace).then_some(index)
+            };
+            let over: Vec<usize> = member.under_way().filter_map(over).collect();
+            for script in over {
+                member.change(script, Script::lapse);
+                lapsed.push(member.robot);
+            }
+            // Refused because the queue was full for a moment longer.
+            if member.under_way().any(|(_, script)| script.is_planned()) {
+                lapsed.push(member.robot);
+            }
+        }
+        lapsed.dedup();
+        lapsed
+    }
+
+    /// Asks for reports that are overdue; robots that do not answer for as long again have failed.
+    fn ask_for_overdue(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let grace = self.report_grace(robots);
+        let mut ask = Vec::new();
+        let mut failing: Vec<(usize, FailureKind)> = Vec::new();
+        for member in self.present() {
+            let robot = &robots[member.robot];
+            // Without a link nothing can be reported, nor before it is heard again; it is given up in its own time.
+            if !robot.tells_fates() || !robot.is_up() || robot.lost().is_some() {
+                continue;
+            }
+            let due =
+                |script: &&Script| self.report_due(member, script, robot, grace).is_some_and(|at| now >= at);
+            let Some(script) = member.under_way().map(|(_, script)| script).find(due) else { continue };
+            // It had the time to say so, and answered a question meanwhile: after a resumption there may have been none.
+            let was_asked =
+                |due| !robot.takes_inquiries() || robot.questions.answered().is_some_and(|at| at >= due);
+            let lost = |script: &Script| {
+                let due = self.report_due(member, script, robot, grace);
+                due.is_some_and(|due| now >= due + grace && was_asked(due))
+            };
+            if lost(script) {
+                let what = if *script.state() == ScriptState::Running { "end" } else { "start" };
+                let awaited = format!("report of the {what} of `{}`", script.plan.device);
+                failing.push((member.robot, FailureKind::Silent { awaited, within: grace * 2 }));
+            } else if robot.takes_inquiries() {
+                ask.push(member.robot);
+            }
+        }
+        let mut actions = Vec::new();
+        if let Stage::Playing(playing) = &mut self.stage
+            && !ask.is_empty()
+        {
+            playing.asked = Some(now);
+            actions.push(ActAction::Ask(ask));
+        }
+        if !failing.is_empty() {
+            actions.push(ActAction::Fail(failing));
+        }
+        actions
+    }
+
+    /// When a robot is asked what became of a script; `None` once nothing is awaited. A robot that does not report by itself
+    /// is asked when the script should have ended.
+    fn report_due(
+        &self,
+        member: &Member,
+        script: &Script,
+        robot: &RobotState,
+        grace: Span,
+    ) -> Option<Timestamp<Server>> {
+        let timing = self.timing.as_ref()?;
+        let start = timing.start + script.plan.start.span();
+        let end = planned_end(timing.start, script) + timing.pace.late;
+        match script.state() {
+            // Sent when its device has room.
+            ScriptState::Planned if member.under_way().any(|(_, script)| script.is_out()) => None,
+            ScriptState::Ended(_) => None,
+            ScriptState::Planned => Some(start + grace),
+            _ if !robot.reports() => Some(end + LAPSE),
+            ScriptState::Unknown => Some(end),
+            ScriptState::Sent | ScriptState::Held => Some(start + grace),
+            ScriptState::Running => Some(end + grace),
+        }
+    }
+
+    fn next_watch(&self, now: Timestamp<Server>, robots: &[RobotState]) -> Timestamp<Server> {
+        let grace = self.report_grace(robots);
+        let due = self.present().flat_map(|member| {
+            let robot = &robots[member.robot];
+            member.under_way().filter_map(move |(_, script)| {
+                let asked = self.report_due(member, script, robot, grace)?;
+                // A report that stays out is a failure after as long again.
+                Some([asked, asked + grace]).filter(|_| robot.tells_fates()).or_else(|| {
+                    let lapses = planned_end(self.timing.as_ref()?.start, script) + LAPSE;
+                    Some([lapses + self.timing.as_ref()?.pace.late; 2])
+                })
+            })
+        });
+        let next = due.flatten().filter(|at| *at > now).min().unwrap_or(now + grace);
+        next.min(now + self.patience_with_silent_ones(robots))
+    }
+
+    /// While a robot that does not report by itself owes an answer, or must be sent something again, it is asked soon.
+    fn patience_with_silent_ones(&self, robots: &[RobotState]) -> Span {
+        let silent = self.present().any(|member| !robots[member.robot].reports() && !member.is_done());
+        let asked = matches!(&self.stage, Stage::Playing(Playing { asked: Some(_), .. }));
+        let planned = |member: &Member| member.under_way().any(|(_, script)| script.is_planned());
+        let planned = self.present().any(|member| lapses(&robots[member.robot]) && planned(member));
+        match silent && (asked || planned) {
+            true => {
+                ASK_AGAIN.max(self.timing.as_ref().map_or(Span::ZERO, |_| longest_round_trip(self, robots)))
+            }
+            false => Span::from_millis(3_600_000),
+        }
+    }
+
+    /// How long after its instant a report may still arrive.
+    pub(crate) fn report_grace(&self, robots: &[RobotState]) -> Span {
+        longest_round_trip(self, robots) * 2 + REPORT_GRACE
+    }
+
+    /// When a robot that cannot be heard has surely ended what it has of this act: its leases have run out, or, without
+    /// them, its scripts are over by `patience`. Before the start the decision and the commitment see to it.
+    pub(crate) fn gives_up(
+        &self,
+        robot: usize,
+        now: Timestamp<Server>,
+        robots: &[RobotState],
+        patience: Span,
+    ) -> Option<Timestamp<Server>> {
+        let member = self.member(robot).filter(|_| self.is_committed())?;
+        let timing = self.timing.as_ref()?;
+        let grace = self.report_grace(robots);
+        let ends = member.under_way().filter(|(_, script)| script.is_out()).map(|(_, script)| {
+            let begins = timing.start + script.plan.start.span();
+            match script.longest_lease() {
+                Some(lease) => now.max(begins) + lease + grace,
+                None => planned_end(timing.start, script) + patience,
+            }
+        });
+        ends.max()
+    }
+
+    /// The leases under which its scripts play now, the shortest of a robot.
+    pub(crate) fn running_lease(&self, robot: usize, now: Timestamp<Server>) -> Option<Span> {
+        let timing = self.timing.as_ref().filter(|timing| now >= timing.start)?;
+        let member = self.member(robot).filter(|member| member.takes_part())?;
+        let begun = |script: &&Script| script.is_out() && now >= timing.start + script.plan.start.span();
+        member.under_way().map(|(_, script)| script).filter(begun).filter_map(Script::shortest_lease).min()
+    }
+
+    /// The shortest of the leases that a script has from now on.
+    pub(crate) fn shortest_lease_of(&self, script: ScriptRef) -> Option<Span> {
+        self.members[script.member].shortest_lease(script.script, self.timing.as_ref()?)
+    }
+
+    /// The shortest lease that this act needs renewed between its rounds.
+    pub(crate) fn shortest_lease(&self) -> Option<Span> {
+        let timing = self.timing.as_ref()?;
+        let before = (!self.is_playing()).then_some(timing.lead.lease);
+        let leases = self.present().flat_map(|member| {
+            let out = member.under_way().filter(|(_, script)| script.is_out());
+            out.filter_map(|(index, _)| member.shortest_lease(index, timing))
+        });
+        leases.chain(before).min()
+    }
+
+    /// Asks for the readings of the scenario whose time has come.
+    fn read_what_is_due(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let mut actions = Vec::new();
+        while self.reading_due().is_some_and(|due| now >= due) {
+            let which = self.readings_asked;
+            self.readings_asked += 1;
+            let planned = &self.written().readings[which];
+            let what = Reading::Planned(self.number, which);
+            let left_out = |robot: usize| self.member(robot).is_some_and(|member| !member.takes_part());
+            let robot = robots.iter().position(|state| state.id == planned.robot);
+            let robot = robot.filter(|robot| !left_out(*robot));
+            let sensor = planned.sensor.clone();
+            actions.extend(robot.map(|robot| ActAction::Read { robot, sensor, what }));
+        }
+        actions
+    }
+
+    pub(super) fn reading_due(&self) -> Option<Timestamp<Server>> {
+        let planned = self.written().readings.get(self.readings_asked)?;
+        Some(self.timing.as_ref()?.start + planned.at)
+    }
+
+    /// A reading that the scenario asked for has come.
+    pub(crate) fn read(&mut self, which: usize, robot: &RobotState, value: Option<f64>) {
+        if let Some(planned) = self.choreography.acts[self.index].readings.get(which) {
+            let (robot, sensor) = (robot.id.clone(), planned.sensor.clone());
+            self.readings.push(super::TakenReading { robot, sensor, at: planned.at, value });
+        }
+    }
+}
+
+/// What became of its scripts cannot be learned from it.
+fn lapses(robot: &RobotState) -> bool {
+    !robot.tells_fates()
+}
+
+fn is_full(response: &ControlResponse) -> bool {
+    let code = error_of(response).code;
+    response.status == urrcp::Status::Failed && matches!(code, ErrorCode::Busy | ErrorCode::Overlap)
+}
+
+fn planned_end(start: Timestamp<Server>, script: &Script) -> Timestamp<Server> {
+    start + script.plan.start.span() + script.duration()
+}
+
+fn longest_round_trip(act: &Act, robots: &[RobotState]) -> Span {
+    act.present().map(|member| robots[member.robot].round_trip()).max().unwrap_or_default()
+}

@@ -1,0 +1,107 @@
+//! An act that another process promised before it died.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use downbeat_scripts::Choreography;
+use urrcp::{RequestId, Server, Span, Timestamp};
+
+use super::approaching::Approach;
+use super::timing::{CLOCK_UNKNOWN, Leases, Measured, Pace};
+use super::{Act, Stage, Timing};
+use crate::mission::lead::LeadTime;
+use crate::mission::record::{Promise, PromisedScript};
+use crate::mission::resume::Changed;
+use crate::mission::robot_state::RobotState;
+use crate::mission::script::ScriptRef;
+
+/// How far the other process came.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Reached {
+    /// All had accepted.
+    Decision,
+    /// The commitment was on the disk.
+    Commitment,
+}
+
+/// Nothing has been measured yet: what a local network stays below.
+const ROUND_TRIP: Span = Span::from_millis(10);
+
+impl Act {
+    /// Takes up what was promised. An act that was not committed still has to be, if there is time; one that was may play.
+    ///
+    /// # Errors
+    /// [`Changed`] where what was promised is not what the choreography says.
+    pub(crate) fn take_up(
+        choreography: Arc<Choreography>,
+        promise: &Promise,
+        reached: Reached,
+        robots: &[RobotState],
+        now: Timestamp<Server>,
+    ) -> Result<Self, Changed> {
+        if promise.act >= choreography.acts.len() {
+            return Err(Changed { what: format!("there is no act {} any more", promise.act + 1) });
+        }
+        let mut act = Self::new(choreography, promise.act, promise.number, robots, now, None);
+        let promised: HashMap<_, _> = promise
+            .scripts
+            .iter()
+            .map(|script| ((&script.robot, &script.device, script.start.get().to_bits()), script))
+            .collect();
+        for member in &mut act.members {
+            let robot = &robots[member.robot];
+            for index in 0..member.scripts().len() {
+                let script = &member.scripts()[index];
+                let key = (&robot.id, &script.plan.device, script.plan.start.get().to_bits());
+                let same = |promised: &&&PromisedScript| promised.content_hash == script.content_hash();
+                let Some(promised) = promised.get(&key).filter(same) else {
+                    let (robot, device) = (&robot.id, &script.plan.device);
+                    return Err(Changed {
+                        what: format!("`{robot}` device `{device}` was promised another script"),
+                    });
+                };
+                let (shift, id) = (promised.shift, promised.request_id.clone());
+                member.shift = shift;
+                member.name(index, Some(id));
+            }
+        }
+        act.timing = Some(act.timing_of(promise));
+        act.stage = match reached {
+            Reached::Decision => Stage::Approaching(Approach::beginning(now)),
+            Reached::Commitment => {
+                act.begin(now);
+                act.stage
+            }
+        };
+        Ok(act)
+    }
+
+    fn timing_of(&self, promise: &Promise) -> Timing {
+        let prepare = promise.start - promise.timestamp - promise.lease;
+        let tolerance = self.written().plan.start_tolerance;
+        let measured = Measured {
+            robots: self.members.len(),
+            scripts: promise.scripts.len(),
+            leases: Leases::Fixed,
+            round_trip: ROUND_TRIP,
+            early: tolerance.min(CLOCK_UNKNOWN),
+            late: tolerance.min(CLOCK_UNKNOWN),
+            record: Span::ZERO,
+        };
+        let lead = LeadTime { prepare, lease: promise.lease, margin: Span::ZERO };
+        let pace = Pace::of(&measured, promise.lease);
+        Timing::new(promise.timestamp, lead, pace, self.written().plan.duration())
+    }
+
+    /// The names of all its requests.
+    pub(crate) fn all_names(&self) -> Vec<(usize, RequestId, ScriptRef)> {
+        let of_member = |(m, member): (usize, &super::Member)| {
+            let named = member.scripts().iter().enumerate().filter_map(|(s, script)| {
+                let reference = ScriptRef { act: self.number, member: m, script: s };
+                Some((member.robot, script.request_id()?.clone(), reference))
+            });
+            named.collect::<Vec<_>>()
+        };
+        self.members.iter().enumerate().flat_map(of_member).collect()
+    }
+}

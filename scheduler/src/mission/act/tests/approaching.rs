@@ -1,0 +1,285 @@
+//! From the decision to the start: the leases end before it unless the act is committed, and it is committed only for good
+//! reasons.
+
+use downbeat_scripts::OnDoubt;
+
+use super::*;
+
+/// When what a robot holds of a script would end by its own lease, had it heard this question last.
+fn ends(question: &Question, id: &urrcp::RequestId) -> Option<Timestamp<Server>> {
+    let group = question.named.iter().find(|group| group.requests.contains(id))?;
+    Some(question.at + ROUND_TRIP / 2 + group.lease?)
+}
+
+#[test]
+fn every_question_before_the_critical_instant_carries_a_lease_that_ends_before_the_start() {
+    let scripts: [&[Planned]; 2] = [&[("a", 0, 400), ("b", 30, 400)], &[("a", 100, 400)]];
+    let mut bench = Bench::new(&[Tells::Everything; 2], &scripts);
+    bench.commit(Leases::Shortened);
+    let critical = bench.timing().critical();
+    let before: Vec<_> = bench.asked.iter().filter(|question| question.at < critical).collect();
+    assert!(before.len() >= 12, "{} questions", before.len());
+    for question in before {
+        for script in bench.scripts_of(question.robot) {
+            let script = bench.act.script(script);
+            let begins = bench.start() + script.plan.start.span();
+            let lease_ends = ends(question, script.request_id().unwrap()).unwrap();
+            assert!(lease_ends < begins - bench.timing().lead.margin / 50, "{question:?}");
+        }
+    }
+}
+
+#[test]
+fn nothing_is_asked_between_the_critical_instant_and_the_commitment() {
+    for leases in [Leases::Shortened, Leases::Fixed] {
+        let mut bench = Bench::pair();
+        bench.decide(leases);
+        // The disk is not done by the critical instant.
+        let takes = bench.timing().commit_from() - bench.timing().record_from() + ms(1);
+        bench.disk = Some(takes);
+        bench.commit_from_here();
+        let critical = bench.timing().critical();
+        let approaching = |question: &&Question| question.stage == Progressed::Approaching;
+        let last = bench.asked.iter().filter(approaching).map(|question| question.at).max().unwrap();
+        assert!(critical - last >= ROUND_TRIP, "answers are there by the critical instant: {leases:?}");
+        let committed =
+            bench.asked.iter().filter(|question| !approaching(question)).map(|question| question.at).min();
+        let committed = committed.unwrap();
+        assert!(committed >= critical && committed == bench.commitments()[0] + takes, "{leases:?}");
+        for robot in 0..2 {
+            assert!(bench.asked_of(robot).any(|question| question.at == committed), "{leases:?} {robot}");
+        }
+    }
+}
+
+#[test]
+fn robots_of_an_act_are_hushed_only_from_the_critical_instant_to_the_commitment() {
+    let mut bench = Bench::pair();
+    bench.decide(Leases::Shortened);
+    let critical = bench.timing().critical();
+    assert!(!bench.act.hushes(0, critical - Span::from_nanos(1)));
+    assert!(bench.act.hushes(0, critical) && bench.act.hushes(1, critical));
+    bench.run_until(bench.start());
+    assert_eq!(bench.act.progress(), Progressed::Committed);
+    assert!(!bench.act.hushes(0, bench.now));
+}
+
+#[test]
+fn the_commitment_needs_every_answer_to_one_of_the_last_two_rounds() {
+    // Silent so long before the critical instant that both of the last rounds were missed.
+    for (periods, committed) in [(0, true), (1, true), (4, false)] {
+        let mut bench = Bench::pair();
+        bench.decide(Leases::Shortened);
+        let (critical, period) = (bench.timing().critical(), bench.timing().pace.period);
+        bench.run_until(critical - period * periods - period / 2);
+        bench.silent = vec![1];
+        bench.run_until(bench.start());
+        let went_on = bench.act.progress() == Progressed::Committed;
+        assert_eq!(went_on, committed, "silent {periods} periods before: {:?}", bench.failed);
+    }
+}
+
+#[test]
+fn a_robot_that_lost_its_script_keeps_the_act_from_its_commitment() {
+    let mut bench = Bench::pair();
+    bench.decide(Leases::Shortened);
+    bench.run_until(bench.timing().critical() - ms(20));
+    let script = bench.scripts_of(1)[0];
+    bench.report(script, bench.now, RequestState::Unknown);
+    assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Script { .. })]));
+}
+
+#[test]
+fn the_commitment_is_on_the_disk_before_any_robot_is_told() {
+    let mut bench = Bench::pair();
+    bench.decide(Leases::Shortened);
+    bench.disk = Some(ms(20));
+    bench.commit_from_here();
+    let recorded = bench.commitments();
+    assert_eq!(recorded.len(), 1);
+    let critical = bench.timing().critical();
+    let told = bench.asked.iter().map(|question| question.at).find(|at| *at >= critical).unwrap();
+    assert!(told >= recorded[0] + ms(20));
+}
+
+#[test]
+fn a_slow_disk_withdraws_the_act_while_nothing_has_moved() {
+    for leases in [Leases::Shortened, Leases::Fixed] {
+        let mut bench = Bench::pair();
+        bench.decide(leases);
+        bench.disk = None;
+        bench.run_to_the_end();
+        let (when, outcome) = bench.withdrawn.clone().unwrap();
+        assert!(matches!(outcome, Outcome::CommitmentLate { .. }));
+        assert!(when < bench.timing().brink());
+        assert!(bench.asked.iter().all(|question| question.at < bench.timing().critical()));
+        assert!(bench.failed.is_empty(), "it is not the fault of a robot");
+    }
+}
+
+#[test]
+fn a_clock_that_was_set_after_the_decision_is_a_failure_before_the_commitment() {
+    let mut bench = Bench::of_three(Policy::Abort);
+    bench.decide(Leases::Shortened);
+    bench.run_until(bench.timing().critical() - ms(1));
+    let (now, there) = (bench.now, by_robot(bench.now) + ms(500));
+    bench.robots[1].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
+    bench.run_until(bench.start());
+    assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Clock { .. })]), "{:?}", bench.failed);
+}
+
+#[test]
+fn a_silent_robot_fails_in_time_for_the_others_to_be_committed_without_it() {
+    for leases in [Leases::Shortened, Leases::Fixed] {
+        let mut bench = Bench::of_three(Policy::Without);
+        bench.decide(leases);
+        bench.silent = vec![1];
+        bench.run_to_the_end();
+        assert!(
+            matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Silent { .. })]),
+            "{leases:?} {:?}",
+            bench.failed
+        );
+        assert_eq!(bench.withdrawn, None, "{leases:?}");
+        let (failed, ..) = bench.failed[0];
+        let committed =
+            bench.asked_of(0).find(|question| question.at >= bench.timing().critical()).unwrap().at;
+        assert!(failed <= committed && committed < bench.timing().brink(), "{leases:?}");
+        assert!(bench.asked_of(1).all(|question| question.at < failed));
+        assert!(bench.state(0, 0) == bench.state(2, 0) && bench.act.is_over());
+    }
+}
+
+#[test]
+fn a_robot_that_is_left_out_before_the_commitment_does_not_hold_up_the_others() {
+    let mut bench = Bench::of_three(Policy::Without);
+    bench.decide(Leases::Shortened);
+    bench.act.drop_robot(1);
+    bench.commit_from_here();
+    assert!(bench.failed.is_empty());
+}
+
+#[test]
+fn an_act_without_robots_is_over_without_a_commitment() {
+    let mut bench = Bench::pair();
+    bench.decide(Leases::Shortened);
+    bench.act.drop_robot(0);
+    bench.act.drop_robot(1);
+    bench.pump();
+    assert!(bench.act.is_over());
+    assert!(bench.commitments().is_empty());
+}
+
+#[test]
+fn a_robot_that_takes_no_inquiries_is_held_to_its_answers_to_other_questions() {
+    let scripts: [&[Planned]; 2] = [&[("a", 0, 400)]; 2];
+    for silent in [false, true] {
+        let mut bench = Bench::new(&[Tells::Everything, Tells::Reports], &scripts);
+        bench.decide(Leases::Fixed);
+        bench.run_until(bench.timing().critical() - bench.timing().pace.period * 4);
+        bench.silent = if silent { vec![1] } else { Vec::new() };
+        bench.run_until(bench.start());
+        assert_eq!(bench.act.progress() == Progressed::Committed, !silent);
+        assert_eq!(bench.failed.len(), usize::from(silent));
+    }
+}
+
+#[test]
+fn a_script_that_follows_another_and_is_sent_too_late_to_be_asked_about_does_not_keep_the_act_from_starting()
+{
+    let scripts: [&[Planned]; 2] = [&[("a", 0, 400), ("a", 400, 400)], &[("a", 0, 400)]];
+    let mut bench = Bench::of(&[Tells::Everything; 2], 1, bench::played(&scripts));
+    bench.decide(Leases::Shortened);
+    assert_eq!(bench.sent_to(0).len(), 1);
+    bench.run_until(bench.timing().critical() - Span::from_micros(100));
+    // An act before it has just ended there: there is room, and what is sent waits for the commitment.
+    bench.act.sent(bench.now, bench.scripts_of(0)[1]);
+    bench.run_until(bench.start());
+    assert_eq!((bench.act.progress(), &bench.failed), (Progressed::Committed, &Vec::new()));
+}
+
+#[test]
+fn follow_on_scripts_get_no_shortened_lease_and_come_behind_those_that_do() {
+    let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("b", 60, 100), ("c", 500, 100)]];
+    let mut bench = Bench::new(&[Tells::Everything], &scripts);
+    bench.decide(Leases::Shortened);
+    bench.run_until(bench.timing().critical() - ms(1));
+    let named = &bench.asked.last().unwrap().named;
+    let id = |script: usize| bench.act.script(bench.scripts_of(0)[script]).request_id().unwrap();
+    let lease_of = |script| named.iter().find(|group| group.requests.contains(id(script))).unwrap().lease;
+    let shortened = lease_of(0).unwrap();
+    assert!(shortened < LEASE / 2);
+    assert_eq!(lease_of(1), None, "it cannot begin without the one before it");
+    assert_eq!(lease_of(2), Some(shortened + ms(60)));
+    assert_eq!(lease_of(3), None, "it loses its lease long before it would begin");
+    // A question without a lease renews all that the robot has: theirs has to be the shorter one by then.
+    let leases: Vec<_> = named.iter().map(|group| group.lease).collect();
+    assert_eq!(leases, [Some(shortened), Some(shortened + ms(60)), None]);
+}
+
+#[test]
+fn outside_the_approach_no_lease_is_shortened() {
+    let mut bench = Bench { silent: vec![1], ..Bench::pair() };
+    bench.promise(Leases::Shortened);
+    bench.run_until(at(10));
+    assert!(bench.act.names_of(0, bench.now).iter().all(|group| group.lease.is_none()));
+    let mut bench = Bench::pair();
+    bench.play(Leases::Shortened);
+    assert!(bench.act.names_of(0, bench.now).iter().all(|group| group.lease.is_none()));
+}
+
+fn with_doubt(on_doubt: OnDoubt, policy: Policy) -> Bench {
+    let mut choreography = bench::choreography(&[&[("a", 0, 400)], &[("a", 0, 400)], &[("a", 0, 400)]]);
+    choreography.acts[0].on_doubt = on_doubt;
+    Bench { policy, ..Bench::of(&[Tells::Everything; 3], 2, choreography.into()) }
+}
+
+#[test]
+fn on_doubt_decides_what_the_others_do_about_one_that_does_not_answer_the_commitment() {
+    for (on_doubt, failures) in [(OnDoubt::Start, 0), (OnDoubt::Withdraw, 1)] {
+        for leases in [Leases::Shortened, Leases::Fixed] {
+            let mut bench = with_doubt(on_doubt, Policy::Abort);
+            bench.commit(leases);
+            bench.silent = vec![0];
+            bench.run_until(bench.start());
+            let failed: Vec<_> = bench.failed.iter().map(|(_, robot, _)| *robot).collect();
+            assert_eq!(failed, vec![0; failures], "{on_doubt:?} {leases:?}");
+            let by = bench.timing().last_withdrawal();
+            assert!(
+                bench.failed.iter().all(|(when, ..)| *when == by),
+                "a withdrawal still arrives: {leases:?}"
+            );
+        }
+    }
+}
+
+#[test]
+fn those_that_answered_the_commitment_start_without_the_doubtful_one() {
+    let mut bench = with_doubt(OnDoubt::Withdraw, Policy::Without);
+    bench.commit(Leases::Shortened);
+    bench.silent = vec![0];
+    bench.run_to_the_end();
+    assert_eq!(bench.failed.iter().map(|(_, robot, _)| *robot).collect::<Vec<_>>(), [0]);
+    assert!(bench.act.is_over());
+}
+
+#[test]
+fn the_window_of_the_commitment_is_told_once_when_all_have_answered() {
+    let mut bench = Bench::pair();
+    bench.commit(Leases::Shortened);
+    bench.run_to_the_end();
+    let windows = bench.told.iter().filter_map(|(_, progress)| match progress {
+        Progress::Committed { window, .. } => Some(*window),
+        _ => None,
+    });
+    let windows: Vec<_> = windows.collect();
+    assert_eq!(windows, [Some(ROUND_TRIP)]);
+}
+
+impl Bench {
+    /// Goes on until the act is committed.
+    fn commit_from_here(&mut self) {
+        self.run_until(self.start() - ms(1));
+        assert_eq!(self.act.progress(), Progressed::Committed);
+    }
+}

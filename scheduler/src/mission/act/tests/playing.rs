@@ -1,0 +1,179 @@
+//! From the start to the last step.
+
+use downbeat_scripts::PlannedReading;
+
+use super::*;
+use crate::mission::script::Ending;
+
+const COMPLETED: ScriptState = ScriptState::Ended(Ending::Completed);
+
+fn chain(tells: Tells, queue: usize) -> Bench {
+    let scripts: [&[Planned]; 1] = [&[("a", 0, 200), ("a", 200, 200), ("a", 400, 200), ("a", 600, 200)]];
+    Bench::of(&[tells], queue, bench::played(&scripts))
+}
+
+/// When each script was sent, from the start.
+fn sent_at(bench: &Bench) -> Vec<Span> {
+    bench.sent_to(0).iter().map(|(at, _)| *at - bench.start()).collect()
+}
+
+#[test]
+fn an_act_is_over_when_every_script_has_completed() {
+    let mut bench = Bench::pair();
+    bench.play(Leases::Shortened);
+    bench.run_until(bench.timing().end - ms(1));
+    assert!(bench.act.is_playing());
+    bench.run_until(bench.timing().end + ms(1));
+    assert!(bench.act.is_over());
+    assert_eq!((bench.state(0, 0), bench.state(1, 0)), (&COMPLETED, &COMPLETED));
+}
+
+#[test]
+fn what_ends_makes_room_for_the_next_script() {
+    let mut bench = chain(Tells::Everything, 2);
+    bench.play(Leases::Shortened);
+    bench.run_to_the_end();
+    let sent = sent_at(&bench);
+    assert_eq!(sent.len(), 4);
+    assert!(sent[2] >= ms(200) && sent[2] < ms(205) && sent[3] >= ms(400) && sent[3] < ms(405), "{sent:?}");
+    assert!(bench.act.is_over());
+}
+
+#[test]
+fn a_robot_that_only_answers_is_asked_when_a_script_should_have_ended() {
+    let mut bench = chain(Tells::Answers, 2);
+    bench.play(Leases::Shortened);
+    bench.run_to_the_end();
+    let sent = sent_at(&bench);
+    assert!(sent[2] > ms(200) && sent[2] < ms(300) && sent[3] > ms(400) && sent[3] < ms(500), "{sent:?}");
+    assert!(bench.act.is_over());
+    assert_eq!(bench.state(0, 3), &COMPLETED);
+}
+
+#[test]
+fn scripts_of_a_robot_that_tells_nothing_lapse_and_become_unknown() {
+    let mut bench = chain(Tells::Nothing, 2);
+    bench.play(Leases::Fixed);
+    bench.run_to_the_end();
+    let sent = sent_at(&bench);
+    assert!(sent[2] > ms(200) && sent[2] < ms(300) && sent[3] > ms(400) && sent[3] < ms(500), "{sent:?}");
+    assert!(bench.act.is_over());
+    assert!((0..4).all(|script| bench.state(0, script) == &ScriptState::Unknown), "never completed");
+    assert!(bench.failed.is_empty());
+}
+
+#[test]
+fn a_script_that_begins_late_on_another_device_does_not_hold_up_refills_and_readings() {
+    let scripts: [&[Planned]; 2] = [&[("a", 0, 40), ("a", 40, 40), ("a", 80, 80)], &[("a", 200, 100)]];
+    let mut choreography = bench::choreography(&scripts);
+    let reading = PlannedReading { robot: "r1".parse().unwrap(), sensor: "b".parse().unwrap(), at: ms(50) };
+    choreography.acts[0].readings = vec![reading];
+    let mut bench = Bench::of(&[Tells::Nothing, Tells::Everything], 2, choreography.into());
+    bench.commit(Leases::Fixed);
+    bench.run_to_the_end();
+    let sent = sent_at(&bench);
+    assert!(sent[2] < ms(80), "it begins 80 ms after the start: {sent:?}");
+    assert_eq!(bench.reads.first().map(|(at, ..)| *at), Some(bench.start() + ms(50)));
+}
+
+#[test]
+fn a_lease_that_was_shortened_for_a_device_that_begins_later_is_what_has_to_be_renewed() {
+    let scripts: [&[Planned]; 2] = [&[("a", 0, 400)], &[("a", 150, 400)]];
+    let mut bench = Bench::new(&[Tells::Everything; 2], &scripts);
+    bench.play(Leases::Shortened);
+    let shortened = bench.timing().final_lease() + ms(150);
+    assert!(
+        bench.act.shortest_lease().is_some_and(|lease| lease <= shortened),
+        "{:?}",
+        bench.act.shortest_lease()
+    );
+}
+
+#[test]
+fn an_overdue_report_is_asked_for_and_then_its_robot_has_failed() {
+    let mut bench = Bench { mum: vec![1], ..Bench::pair() };
+    bench.play(Leases::Shortened);
+    bench.says_always = Some(RequestState::Held);
+    let grace = bench.act.report_grace(&bench.robots);
+    bench.run_to_the_end();
+    let due = bench.start() + grace;
+    assert!(bench.asked_of(1).any(|question| question.at >= due && question.at < due + ms(1)));
+    assert!(
+        matches!(bench.failed.as_slice(), [(when, 1, FailureKind::Silent { .. })] if *when == due + grace),
+        "{:?}",
+        bench.failed
+    );
+}
+
+#[test]
+fn a_report_that_was_lost_is_made_good_by_the_answer() {
+    let mut bench = Bench { mum: vec![1], ..Bench::pair() };
+    bench.play(Leases::Shortened);
+    bench.run_to_the_end();
+    assert!(bench.failed.is_empty());
+    assert_eq!(bench.state(1, 0), &COMPLETED);
+}
+
+#[test]
+fn a_robot_that_only_answers_and_never_ends_has_failed() {
+    let mut bench = Bench { mum: vec![0], ..Bench::new(&[Tells::Answers], &[&[("a", 0, 400)]]) };
+    bench.play(Leases::Shortened);
+    bench.says_always = Some(RequestState::Running);
+    bench.run_to_the_end();
+    assert!(matches!(bench.failed.as_slice(), [(_, 0, FailureKind::Silent { .. })]));
+}
+
+#[test]
+fn a_robot_that_is_back_after_a_long_break_is_asked_before_it_has_failed() {
+    let mut bench = Bench { policy: Policy::Without, ..Bench::pair() };
+    bench.play(Leases::Shortened);
+    bench.break_link(1);
+    bench.silent = vec![1];
+    bench.run_until(bench.timing().end + ms(3_000));
+    assert!(bench.failed.is_empty(), "without a link nothing is awaited");
+    bench.robots[1].connected();
+    bench.silent.clear();
+    bench.act.drop_robot(0);
+    bench.pump();
+    assert!(bench.failed.is_empty(), "{:?}", bench.failed);
+    bench.ask(1);
+    bench.run_to_the_end();
+    bench.run_until(bench.now + ms(2_000));
+    assert_eq!((bench.failed.len(), bench.state(1, 0)), (0, &COMPLETED));
+}
+
+#[test]
+fn an_act_is_due_at_once_when_the_robot_that_it_waited_for_is_left_out() {
+    let mut bench = Bench { mum: vec![1], ..Bench::pair() };
+    bench.play(Leases::Shortened);
+    bench.run_until(bench.timing().end + ms(10));
+    assert_eq!(bench.state(0, 0), &COMPLETED);
+    bench.act.drop_robot(1);
+    assert!(bench.wakeup().is_some_and(|at| at <= bench.now));
+    bench.run_until(bench.now);
+    assert!(bench.act.is_over());
+}
+
+#[test]
+fn a_start_error_is_actual_minus_planned_by_the_robots_own_clock() {
+    let mut bench = Bench { mum: vec![0, 1], ..Bench::pair() };
+    bench.play(Leases::Shortened);
+    let script = bench.scripts_of(1)[0];
+    let event_timestamp = Some(by_robot(bench.start()) + Span::from_micros(70));
+    let response = ControlResponse { event_timestamp, ..bench.response(script, Status::Started) };
+    bench.take_response(script, &response);
+    let member = bench.act.member(1).unwrap();
+    assert_eq!(bench.act.start_error(member, bench.act.script(script)), Some(Span::from_micros(70)));
+}
+
+#[test]
+fn readings_of_the_scenario_are_taken_at_their_times() {
+    let mut choreography = bench::choreography(&[&[("a", 0, 400)]]);
+    let reading = |at| PlannedReading { robot: "r0".parse().unwrap(), sensor: "b".parse().unwrap(), at };
+    choreography.acts[0].readings = vec![reading(ms(100)), reading(ms(250))];
+    let mut bench = Bench::of(&[Tells::Everything], 2, choreography.into());
+    bench.play(Leases::Shortened);
+    bench.run_to_the_end();
+    let times: Vec<_> = bench.reads.iter().map(|(at, ..)| *at - bench.start()).collect();
+    assert_eq!(times, [ms(100), ms(250)]);
+}

@@ -1,0 +1,124 @@
+//! What is promised before anything is sent, and the one decision.
+
+use super::*;
+
+#[test]
+fn nothing_is_sent_before_the_promise_is_on_the_disk() {
+    let mut bench = Bench { disk: None, ..Bench::pair() };
+    bench.promise(Leases::Shortened);
+    assert!(
+        matches!(bench.recorded.as_slice(), [(_, Record::Prepared(promise))] if promise.scripts.len() == 2)
+    );
+    bench.run_until(at(30));
+    assert_eq!((bench.act.progress(), bench.sent.len()), (Progressed::Promised, 0));
+    assert!(!bench.act.is_open());
+    bench.take(Arrival::Recorded);
+    assert_eq!((bench.act.progress(), bench.sent.len()), (Progressed::Preparing, 2));
+}
+
+#[test]
+fn a_promise_that_is_not_on_the_disk_in_time_is_not_sent() {
+    let mut bench = Bench { disk: None, ..Bench::pair() };
+    bench.promise(Leases::Shortened);
+    bench.run_to_the_end();
+    let decision = bench.timing().decision;
+    assert!(matches!(bench.withdrawn, Some((when, Outcome::DecisionLate { .. })) if when == decision));
+    assert!(bench.sent.is_empty());
+}
+
+#[test]
+fn the_decision_needs_every_acceptance_and_comes_once() {
+    let mut bench = Bench { silent: vec![1], ..Bench::pair() };
+    bench.promise(Leases::Shortened);
+    bench.run_until(at(20));
+    assert_eq!(bench.act.progress(), Progressed::Preparing);
+    bench.silent.clear();
+    bench.say(bench.scripts_of(1)[0], Status::Accepted);
+    bench.pump();
+    assert_eq!(bench.act.progress(), Progressed::Approaching);
+    bench.say(bench.scripts_of(1)[0], Status::Accepted);
+    bench.run_to_the_end();
+    assert_eq!(bench.decisions(), [at(20)]);
+}
+
+#[test]
+fn what_is_not_answered_is_sent_again_once_and_then_its_robot_has_failed() {
+    let mut bench = Bench { silent: vec![1], ..Bench::pair() };
+    bench.promise(Leases::Shortened);
+    bench.run_to_the_end();
+    let (again, decision) = (bench.timing().ask_again(), bench.timing().decision);
+    assert_eq!(bench.sent_to(0).len(), 1);
+    assert_eq!(bench.sent_to(1), [(at(2), 0), (again, 0)]);
+    assert!(matches!(bench.failed.as_slice(), [(when, 1, FailureKind::Silent { .. })] if *when == decision));
+    assert!(bench.decisions().is_empty());
+}
+
+#[test]
+fn a_robot_without_a_link_is_not_sent_anything_again_and_fails_for_its_link() {
+    let mut bench = Bench { silent: vec![1], ..Bench::pair() };
+    bench.promise(Leases::Shortened);
+    bench.run_until(at(10));
+    bench.break_link(1);
+    bench.run_to_the_end();
+    assert_eq!(bench.sent_to(1).len(), 1);
+    assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::LinkDown { .. })]));
+}
+
+#[test]
+fn without_the_one_that_did_not_accept_the_others_are_decided() {
+    let mut bench = Bench { silent: vec![1], ..Bench::of_three(Policy::Without) };
+    bench.promise(Leases::Shortened);
+    bench.run_to_the_end();
+    assert_eq!((bench.failed.len(), bench.decisions().len()), (1, 1));
+    assert_eq!((bench.state(0, 0), bench.state(2, 0)), (&completed(), &completed()));
+}
+
+#[test]
+fn a_refusal_is_a_failure() {
+    let mut bench = Bench { silent: vec![1], ..Bench::pair() };
+    bench.promise(Leases::Shortened);
+    bench.run_until(at(10));
+    bench.refuse(bench.scripts_of(1)[0], ErrorCode::Malformed);
+    assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Script { .. })]));
+}
+
+#[test]
+fn a_robot_that_tells_nothing_and_is_full_for_a_moment_has_not_accepted() {
+    let scripts: [&[Planned]; 2] = [&[("a", 0, 400)]; 2];
+    let mut bench = Bench::new(&[Tells::Everything, Tells::Nothing], &scripts);
+    bench.silent = vec![1];
+    bench.promise(Leases::Fixed);
+    bench.run_until(at(3));
+    bench.refuse(bench.scripts_of(1)[0], ErrorCode::Busy);
+    bench.run_until(at(20));
+    assert_eq!((bench.act.progress(), bench.failed.len()), (Progressed::Preparing, 0));
+    bench.silent.clear();
+    bench.run_until(bench.timing().decision);
+    assert_eq!(bench.sent_to(1).len(), 2, "sent again");
+    assert_eq!(bench.act.progress(), Progressed::Approaching);
+}
+
+#[test]
+fn a_decision_that_comes_too_late_for_the_leases_to_run_out_is_none() {
+    let mut bench = Bench { silent: vec![1], ..Bench::pair() };
+    bench.promise(Leases::Shortened);
+    bench.run_until(at(10));
+    // This machine was held up.
+    bench.now = bench.timing().brink() - LEASE + ms(1);
+    bench.say(bench.scripts_of(1)[0], Status::Accepted);
+    bench.pump();
+    assert!(matches!(bench.withdrawn, Some((_, Outcome::DecisionLate { .. }))));
+}
+
+#[test]
+fn only_as_much_is_sent_as_a_device_holds() {
+    let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("a", 200, 100)]];
+    let mut bench = Bench::new(&[Tells::Everything], &scripts);
+    bench.decide(Leases::Shortened);
+    assert_eq!(bench.sent_to(0).iter().map(|(_, script)| *script).collect::<Vec<_>>(), [0, 1]);
+    assert!(bench.decisions().len() == 1, "what waits for room is not waited for");
+}
+
+fn completed() -> ScriptState {
+    ScriptState::Ended(crate::mission::script::Ending::Completed)
+}

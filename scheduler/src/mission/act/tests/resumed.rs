@@ -1,0 +1,104 @@
+//! An act that another process has promised.
+
+use super::super::Reached;
+use super::*;
+use crate::mission::record::Promise;
+
+fn promised(scripts: &[&[Planned]]) -> (Bench, Promise) {
+    let tells = vec![Tells::Everything; scripts.len()];
+    let mut bench = Bench::new(&tells, scripts);
+    bench.promise(Leases::Shortened);
+    let Some((_, Record::Prepared(promise))) = bench.recorded.first().cloned() else { panic!("no promise") };
+    (bench, promise)
+}
+
+/// The other process died, and this one takes over so long before the start. What the robots held they hold.
+fn taken_up(reached: Reached, before_start: Span) -> Bench {
+    let scripts: [&[Planned]; 2] = [&[("a", 0, 400)]; 2];
+    let (other, promise) = promised(&scripts);
+    let robots = robots(&[Tells::Everything; 2], 2);
+    let now = promise.start - before_start;
+    let choreography = Arc::clone(&other.act.choreography);
+    let act = Act::take_up(choreography, &promise, reached, &robots, now).unwrap();
+    let mut bench = Bench { now, ..Bench::around(act, robots) };
+    for robot in 0..2 {
+        let script = bench.scripts_of(robot)[0];
+        bench.act.sent(at(2), script);
+        bench.sent.push((at(2), script));
+    }
+    bench
+}
+
+#[test]
+fn an_act_that_was_only_decided_is_committed_if_there_is_time_and_else_withdrawn() {
+    for (before_start, commits) in [(ms(330), true), (ms(200), false), (ms(20), false), (ms(-500), false)] {
+        let mut bench = taken_up(Reached::Decision, before_start);
+        bench.run_until(bench.start().max(bench.now));
+        assert_eq!(
+            bench.act.progress() == Progressed::Committed,
+            commits,
+            "{before_start}: {:?}",
+            bench.failed
+        );
+        let critical = bench.timing().critical();
+        let asked_late = bench.asked.iter().any(|question| question.at >= critical);
+        assert_eq!(asked_late, commits, "{before_start}");
+        assert_eq!(bench.commitments().is_empty(), !commits, "{before_start}");
+        assert_ne!(bench.failed.is_empty() && bench.withdrawn.is_none(), !commits, "{before_start}");
+    }
+}
+
+#[test]
+fn an_act_that_was_only_decided_is_sent_again_where_it_never_came_and_not_committed_where_it_is_lost() {
+    let mut bench = taken_up(Reached::Decision, ms(330));
+    bench.sent.clear();
+    bench.run_until(bench.start());
+    assert_eq!((bench.sent_to(0).len(), bench.sent_to(1).len()), (1, 1));
+    assert_eq!(bench.act.progress(), Progressed::Committed);
+
+    let mut bench = Bench {
+        mum: vec![1],
+        says_always: Some(RequestState::Unknown),
+        ..taken_up(Reached::Decision, ms(330))
+    };
+    bench.run_until(bench.start());
+    assert_eq!(bench.act.progress(), Progressed::Approaching);
+    assert!(matches!(bench.failed.as_slice(), [(_, 1, _)]) && bench.commitments().is_empty());
+}
+
+#[test]
+fn an_act_that_was_committed_plays_on() {
+    let mut bench = taken_up(Reached::Commitment, ms(100));
+    assert!(bench.act.is_committed());
+    bench.ask(0);
+    bench.ask(1);
+    bench.run_to_the_end();
+    assert!(bench.act.is_over() && bench.failed.is_empty(), "{:?}", bench.failed);
+}
+
+#[test]
+fn what_ended_while_nobody_was_there_is_asked_for_before_anybody_has_failed() {
+    let mut bench = taken_up(Reached::Commitment, ms(-10_000));
+    bench.pump();
+    bench.run_until(bench.now + ms(1));
+    assert!(bench.failed.is_empty(), "{:?}", bench.failed);
+    bench.ask(0);
+    bench.ask(1);
+    bench.run_until(bench.now + ms(5_000));
+    assert!(bench.act.is_over() && bench.failed.is_empty(), "{:?}", bench.failed);
+}
+
+#[test]
+fn what_was_promised_has_to_be_what_the_choreography_says() {
+    let (other, promise) = promised(&[&[("a", 0, 400)]]);
+    let robots = robots(&[Tells::Everything], 2);
+    let take_up = |choreography, promise: &Promise| {
+        Act::take_up(choreography, promise, Reached::Decision, &robots, at(5)).map(|act| act.all_names())
+    };
+    let same = take_up(Arc::clone(&other.act.choreography), &promise).unwrap();
+    assert_eq!(same.iter().map(|(_, id, _)| id).collect::<Vec<_>>(), [&promise.scripts[0].request_id]);
+    assert!(take_up(bench::played(&[&[("a", 0, 401)]]), &promise).is_err(), "another movement");
+    assert!(take_up(bench::played(&[&[("b", 0, 400)]]), &promise).is_err(), "another device");
+    assert!(take_up(bench::played(&[&[("a", 10, 400)]]), &promise).is_err(), "another time");
+    assert!(take_up(Arc::clone(&other.act.choreography), &Promise { act: 1, ..promise.clone() }).is_err());
+}

@@ -1,0 +1,92 @@
+//! What it waits for, and what counts as the operator's go.
+
+use downbeat_scripts::{SensorRange, Wait, Way};
+
+use super::*;
+
+fn waits_for(wait: Wait) -> Bench {
+    let mut choreography = bench::choreography(&[&[("a", 0, 400)]]);
+    choreography.acts[0].wait = wait;
+    choreography.acts[0].timeout = Some(ms(1_000));
+    choreography.acts[0].on_timeout = Way::End;
+    Bench::of(&[Tells::Everything], 2, choreography.into())
+}
+
+/// The same, while an act before it still plays.
+fn behind_another(wait: Wait) -> Bench {
+    let bench = waits_for(wait);
+    let act = Act::new(Arc::clone(&bench.act.choreography), 0, 1, &bench.robots, at(0), Some(at(500)));
+    Bench::around(act, bench.robots)
+}
+
+#[test]
+fn an_act_that_waits_for_the_operator_goes_on_when_told_and_not_before() {
+    let mut bench = waits_for(Wait::Operator);
+    bench.pump();
+    bench.run_until(at(900));
+    assert_eq!(bench.act.progress(), Progressed::Waiting);
+    assert!(bench.act.go());
+    bench.pump();
+    assert_eq!(bench.act.progress(), Progressed::Ready);
+    assert!(!bench.act.go(), "go counts once");
+}
+
+#[test]
+fn go_does_not_count_ahead_of_the_act_that_waits_for_it() {
+    let mut bench = behind_another(Wait::Operator);
+    bench.pump();
+    assert!(!bench.act.go());
+    bench.act.comes_next(at(500));
+    bench.run_until(at(600));
+    assert_eq!(bench.act.progress(), Progressed::Waiting);
+    assert!(bench.act.go());
+}
+
+#[test]
+fn go_does_not_count_for_an_act_that_waits_for_something_else() {
+    let range = SensorRange::Above(1.0);
+    let wait = Wait::Sensor { robot: "r0".into(), sensor: "a".into(), range };
+    assert!(!waits_for(wait).act.go());
+}
+
+#[test]
+fn waiting_ends_with_the_timeout_counted_from_when_it_is_alone() {
+    let mut bench = behind_another(Wait::Operator);
+    bench.run_until(at(5_000));
+    assert_eq!(bench.went, None);
+    bench.act.comes_next(at(5_000));
+    assert_eq!(bench.act.wakeup(), Some(at(6_000)));
+    bench.pump();
+    assert_eq!(bench.went, None);
+    bench.now = at(6_000);
+    let actions = bench.act.advance(bench.now, &bench.robots, &bench.options);
+    bench.carry_out(actions);
+    assert_eq!(bench.went, Some(Way::End));
+}
+
+#[test]
+fn a_sensor_is_read_again_until_its_reading_will_do() {
+    let range = SensorRange::Above(1.0);
+    let mut bench = waits_for(Wait::Sensor { robot: "r0".into(), sensor: "a".into(), range });
+    bench.pump();
+    bench.run_until(at(450));
+    assert_eq!(bench.reads.len(), 5, "one every 100 ms: {:?}", bench.reads);
+    bench.act.sensor_read(None);
+    bench.act.sensor_read(Some(0.5));
+    assert_eq!(bench.act.progress(), Progressed::Waiting);
+    bench.act.sensor_read(Some(1.5));
+    assert_eq!(bench.act.progress(), Progressed::Ready);
+}
+
+#[test]
+fn an_act_that_follows_another_aims_at_its_end_and_one_with_a_time_at_the_later_of_both() {
+    let mut follows = behind_another(Wait::Done);
+    follows.pump();
+    assert_eq!(follows.act.target(), Some(at(500)));
+    let mut early = behind_another(Wait::Instant(at(300)));
+    early.pump();
+    assert_eq!(early.act.target(), Some(at(500)));
+    let mut late = behind_another(Wait::Instant(at(800)));
+    late.pump();
+    assert_eq!(late.act.target(), Some(at(800)));
+}

@@ -1,0 +1,299 @@
+//! The instants of an act that has been sent, and the leases with which it approaches its start.
+//!
+//! All leases before the start end at one instant, the *brink*, unless the act is committed: whatever is sent to a robot up
+//! to the *critical* instant carries a lease that ends there. From the instant of the *commitment* on, a little later, one
+//! message carries the lease of any robot over its start. In between nothing is sent. A scheduler that dies before the
+//! commitment therefore starts no robot, and one that dies after it every one. `docs/mission.md` draws it.
+
+use urrcp::{RobotId, Server, Span, Timestamp};
+
+use crate::mission::lead::LeadTime;
+use crate::mission::skew::SkewBudget;
+
+/// Least pending lease of the last rounds: several scheduling delays of a busy host.
+const FINAL_LEASE_MIN: Span = Span::from_millis(30);
+/// Least time between two rounds to robots that take inquiries.
+const PERIOD_MIN: Span = Span::from_millis(5);
+/// Least time between two rounds where a robot keeps the lease with which it was sent its scripts.
+const PERIOD_MIN_FIXED: Span = Span::from_millis(20);
+/// What a round takes for each robot: to write, send, read and answer one question.
+const ROUND_EACH: Span = Span::from_micros(25);
+/// What it takes for each script that is asked about.
+const ROUND_EACH_SCRIPT: Span = Span::from_micros(2);
+/// The commitment leaves a robot at least so long to receive it before its lease ends.
+const DELIVERY_MIN: Span = Span::from_millis(8);
+/// A withdrawal for doubt is sent so long before its last instant: later than the answers to the commitment come in.
+const WITHDRAWN_BY: Span = Span::from_millis(5);
+/// What a process may still do after it was stopped, as on a busy host.
+const STANDS_STILL: Span = Span::from_millis(10);
+/// What a withdrawal takes on this machine and on the robot, besides its way.
+const WITHDRAWAL: Span = Span::from_millis(20);
+
+/// A robot whose clock was not measured is taken to start this much early or late, at most, if the tolerance allows.
+pub(crate) const CLOCK_UNKNOWN: Span = Span::from_millis(20);
+
+/// Whether robots let the scheduler shorten their pending leases.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Leases {
+    /// All members take inquiries, and the scenario leaves the lease to the scheduler.
+    Shortened,
+    /// They stay as they were sent.
+    Fixed,
+}
+
+/// What is known of the fleet that plays an act.
+#[derive(Clone, Debug)]
+pub(crate) struct Measured {
+    /// How many robots.
+    pub(crate) robots: usize,
+    /// How many scripts a round asks about.
+    pub(crate) scripts: usize,
+    pub(crate) leases: Leases,
+    /// The longest of the round trips that links keep to nearly always.
+    pub(crate) round_trip: Span,
+    /// How much earlier than planned a robot may start, because its clock is ahead.
+    pub(crate) early: Span,
+    /// How much later.
+    pub(crate) late: Span,
+    /// How long the journal takes to put a record on the disk.
+    pub(crate) record: Span,
+}
+
+impl Measured {
+    /// How long a round of questions takes.
+    fn round(&self) -> Span {
+        let count = |number: usize| i64::try_from(number).unwrap_or(i64::MAX);
+        ROUND_EACH * count(self.robots) + ROUND_EACH_SCRIPT * count(self.scripts)
+    }
+
+    /// The shortest pending lease of the last rounds. It spans the time in which robots start, what a message may still be
+    /// under way, and leaves the answers of several rounds time to come in.
+    pub(crate) fn lease_least(&self) -> Span {
+        self.early + self.late + self.round_trip + FINAL_LEASE_MIN.max(self.round_trip * 4) + self.round() * 2
+    }
+}
+
+/// The pace at which an act approaches its start.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Pace {
+    pub(crate) leases: Leases,
+    round_trip: Span,
+    early: Span,
+    pub(crate) late: Span,
+    /// The pending lease of the last rounds.
+    final_lease: Span,
+    /// Between two of the last rounds.
+    pub(crate) period: Span,
+    record: Span,
+}
+
+impl Pace {
+    /// For a fleet whose requests carry this pending lease.
+    pub(crate) fn of(measured: &Measured, lease: Span) -> Self {
+        let round = measured.round();
+        let (final_lease, period) = match measured.leases {
+            Leases::Shortened => {
+                let final_lease = measured.lease_least().min(lease);
+                // Several questions may be under way at once.
+                (final_lease, PERIOD_MIN.max(measured.round_trip / 2))
+            }
+            Leases::Fixed => (lease, PERIOD_MIN_FIXED),
+        };
+        Self {
+            leases: measured.leases,
+            round_trip: measured.round_trip,
+            early: measured.early,
+            late: measured.late,
+            final_lease,
+            period: period.max(round),
+            record: measured.record,
+        }
+    }
+
+    /// From the decision to the start this is needed at least: four of the last rounds, in which the commitment is
+    /// written down, and the last lease.
+    pub(crate) fn needed(&self) -> Span {
+        self.early + self.round_trip + self.final_lease + self.period * 4 + self.record
+    }
+
+    /// From the end of the leases with which requests were sent to the start at least this.
+    pub(crate) fn margin(&self) -> Span {
+        self.early + self.round_trip * 3 / 2
+    }
+}
+
+/// The instants of an act that has been sent.
+#[derive(Clone, Debug)]
+pub(crate) struct Timing {
+    /// The sending timestamp that all requests share.
+    pub(crate) timestamp: Timestamp<Server>,
+    pub(crate) start: Timestamp<Server>,
+    pub(crate) lead: LeadTime,
+    pub(crate) decision: Timestamp<Server>,
+    /// When the last step is planned.
+    pub(crate) end: Timestamp<Server>,
+    pub(crate) pace: Pace,
+    /// What spread the clocks allow.
+    pub(crate) skew: Option<SkewBudget>,
+    /// The robot whose link determines the lead, and its round trip.
+    pub(crate) slowest: Option<(RobotId, Span)>,
+    /// How much later it starts than it should: at the end of the act before, or at the time that it waits for.
+    pub(crate) gap: Option<Span>,
+    /// When the last acceptance came.
+    pub(crate) accepted_at: Option<Timestamp<Server>>,
+    /// The round of renewals that carries the leases over the start: when it was sent, and when its last answer came.
+    pub(crate) round: Option<(Timestamp<Server>, Timestamp<Server>)>,
+}
+
+impl Timing {
+    /// Of an act that is sent at `timestamp` and plays for `duration`.
+    pub(crate) fn new(timestamp: Timestamp<Server>, lead: LeadTime, pace: Pace, duration: Span) -> Self {
+        let start = timestamp + lead.total();
+        Self {
+            timestamp,
+            start,
+            lead,
+            decision: timestamp + lead.prepare,
+            end: start + duration,
+            pace,
+            skew: None,
+            slowest: None,
+            gap: None,
+            accepted_at: None,
+            round: None,
+        }
+    }
+
+    /// All leases end here unless the act is committed: what was sent before may arrive up to a round trip later, and a
+    /// robot whose clock is ahead starts before the others.
+    pub(crate) fn brink(&self) -> Timestamp<Server> {
+        self.start - self.pace.early - self.pace.round_trip
+    }
+
+    /// What is sent later may carry the lease of a robot over its start: nothing is sent before the commitment.
+    pub(crate) fn critical(&self) -> Timestamp<Server> {
+        self.brink() - self.pace.final_lease
+    }
+
+    /// From here on one message carries the lease of any robot over its start, also of one that starts late.
+    pub(crate) fn commit_from(&self) -> Timestamp<Server> {
+        self.begun() - self.pace.final_lease
+    }
+
+    /// The latest instant at which the commitment still reaches every robot before its lease ends. `last_round` was the last
+    /// time that anything was sent.
+    pub(crate) fn commit_by(&self, last_round: Timestamp<Server>) -> Timestamp<Server> {
+        let leases_end = self.brink().min(last_round + self.lease_at(last_round));
+        leases_end - DELIVERY_MIN.max(self.pace.round_trip * 2)
+    }
+
+    /// The pending lease that whatever is sent at this instant has to carry.
+    pub(crate) fn lease_at(&self, at: Timestamp<Server>) -> Span {
+        (self.brink() - at).max(Span::ZERO).min(self.lead.lease)
+    }
+
+    /// Whether a message may go to a robot after the critical instant, behind a question with a lease that still ends at the
+    /// brink: there has to be time left for the commitment.
+    pub(crate) fn lets_through(&self, at: Timestamp<Server>) -> bool {
+        self.pace.leases == Leases::Shortened && self.lease_at(at) >= DELIVERY_MIN * 2
+    }
+
+    /// The pending lease of the last rounds, for a script that begins with the act.
+    pub(crate) const fn final_lease(&self) -> Span {
+        self.pace.final_lease
+    }
+
+    /// When the round after one at `now` is due, while the act approaches its start.
+    pub(crate) fn round_after(&self, now: Timestamp<Server>) -> Timestamp<Server> {
+        let left = (self.critical() - now) / 3;
+        let interval = (self.lease_at(now) / 4).min(left).max(self.pace.period);
+        // The last one comes a period before the critical instant, so that its answers are there by then.
+        let last = self.critical() - self.pace.period;
+        match now + interval {
+            next if now < last && next > last => last,
+            next => next,
+        }
+    }
+
+    /// How long the record of the commitment may take.
+    pub(crate) const fn recording(&self) -> Span {
+        self.pace.record
+    }
+
+    /// From here on the commitment is written down as soon as every robot holds its scripts.
+    pub(crate) fn record_from(&self) -> Timestamp<Server> {
+        self.critical() - self.pace.record - self.pace.period * 2
+    }
+
+    /// A failure that is known by then is withdrawn before any robot starts.
+    pub(crate) fn no_return(&self) -> Timestamp<Server> {
+        self.start - self.pace.early - self.pace.round_trip * 3 - WITHDRAWAL
+    }
+
+    /// A withdrawal that is sent now should still reach every robot before it starts.
+    pub(crate) fn last_withdrawal(&self) -> Timestamp<Server> {
+        self.start - self.pace.early - self.pace.round_trip - WITHDRAWN_BY
+    }
+
+    /// A robot that goes silent without a word later than so long before the start may be noticed too late.
+    pub(crate) fn doubt(&self) -> Span {
+        self.start - (self.critical() - self.pace.period * 2) + self.pace.round_trip + STANDS_STILL
+    }
+
+    /// When robots that have not answered are asked again, in time for the decision.
+    pub(crate) fn ask_again(&self) -> Timestamp<Server> {
+        self.timestamp + (self.decision - self.timestamp) * 2 / 3
+    }
+
+    /// When the last robot has started.
+    pub(crate) fn begun(&self) -> Timestamp<Server> {
+        self.start + self.pace.late
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn timing(leases: Leases, round_trip: Span) -> Timing {
+        let (early, late) = (Span::from_millis(1), Span::from_millis(2));
+        let record = Span::from_millis(20);
+        let measured = Measured { robots: 6, scripts: 6, leases, round_trip, early, late, record };
+        let lease = LeadTime::lease_needed(round_trip);
+        let pace = Pace::of(&measured, lease);
+        let lead = LeadTime::needed(round_trip, 6, 6_000, &pace, lease);
+        Timing::new(Timestamp::from_nanos(0), lead, pace, Span::ZERO)
+    }
+
+    #[test]
+    fn whatever_is_sent_before_the_critical_instant_carries_a_lease_that_ends_before_the_start() {
+        for leases in [Leases::Shortened, Leases::Fixed] {
+            for round_trip in [Span::from_micros(300), Span::from_millis(8), Span::from_millis(160)] {
+                let timing = timing(leases, round_trip);
+                let mut now = timing.decision;
+                let mut rounds = 0;
+                while now <= timing.critical() {
+                    assert!(now + timing.lease_at(now) <= timing.brink(), "{leases:?} {round_trip}");
+                    let next = timing.round_after(now);
+                    assert!(next > now && next - now < timing.lease_at(now), "{leases:?} {round_trip}");
+                    (now, rounds) = (next, rounds + 1);
+                }
+                assert!((3..100).contains(&rounds), "{rounds} rounds, {leases:?} {round_trip}");
+                let commit_by = timing.commit_by(timing.critical() - timing.pace.period);
+                assert!(commit_by > timing.commit_from() + timing.pace.period, "{leases:?} {round_trip}");
+                assert!(timing.commit_from() > timing.critical(), "{leases:?} {round_trip}");
+                assert!(
+                    timing.commit_from() + timing.final_lease() >= timing.begun(),
+                    "{leases:?} {round_trip}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn on_a_fast_link_doubt_is_short_and_a_fixed_lease_makes_it_long() {
+        let round_trip = Span::from_micros(300);
+        assert!(timing(Leases::Shortened, round_trip).doubt() < Span::from_millis(70));
+        assert!(timing(Leases::Fixed, round_trip).doubt() > Span::from_millis(240));
+    }
+}

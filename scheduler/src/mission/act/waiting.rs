@@ -1,0 +1,144 @@
+//! What an act waits for before it is sent.
+
+use downbeat_scripts::{Wait, Way};
+use urrcp::{Server, Span, Timestamp};
+
+use super::{Act, ActAction, Stage, act_name};
+use crate::mission::robot_state::{Reading, RobotState};
+use crate::mission::{MissionOptions, Progress};
+
+/// Between two readings of a sensor that an act waits for.
+const POLL: Span = Span::from_millis(100);
+const DAY: Span = Span::from_millis(24 * 3_600 * 1_000);
+
+/// An act whose condition does not hold yet.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Waiting {
+    /// The operator said go.
+    gone: bool,
+    /// When its sensor is read next.
+    poll: Option<Timestamp<Server>>,
+}
+
+impl Act {
+    /// Looks whether its condition holds.
+    pub(super) fn wait(
+        &mut self,
+        now: Timestamp<Server>,
+        robots: &[RobotState],
+        options: &MissionOptions,
+    ) -> Vec<ActAction> {
+        let fixed = self.fixed_target(options);
+        let Stage::Waiting(waiting) = &mut self.stage else { return Vec::new() };
+        let written = &self.choreography.acts[self.index];
+        if let Some(fixed) = fixed {
+            // An act begins when the one before it has ended, however early it was meant to.
+            let target = Some(self.before.map_or(fixed, |end| end.max(fixed)));
+            self.stage = Stage::Ready { target, look: None };
+            return Vec::new();
+        }
+        if written.wait == Wait::Done {
+            self.stage = Stage::Ready { target: self.before, look: None };
+            return Vec::new();
+        }
+        let Some(alone_since) = self.alone_since else { return Vec::new() };
+        if written.timeout.is_some_and(|timeout| now >= alone_since + timeout) {
+            return vec![ActAction::TimedOut(written.on_timeout)];
+        }
+        match &written.wait {
+            Wait::Operator if waiting.gone => {
+                self.stage = Stage::Ready { target: None, look: None };
+                Vec::new()
+            }
+            Wait::Sensor { robot, sensor, .. } if waiting.poll.is_none_or(|at| now >= at) => {
+                waiting.poll = Some(now + POLL);
+                let robot = robots.iter().position(|state| state.id.as_str() == robot);
+                let what = Reading::Wait(self.number);
+                let read = |(robot, sensor)| ActAction::Read { robot, sensor, what };
+                robot.zip(sensor.parse().ok()).map(read).into_iter().collect()
+            }
+            _ => Vec::new(),
+        }
+    }
+
+    /// The instant that the operator or the scenario wants.
+    fn fixed_target(&self, options: &MissionOptions) -> Option<Timestamp<Server>> {
+        if let Some(at) = options.start_at.filter(|_| self.number == 0) {
+            return Some(at);
+        }
+        match &self.written().wait {
+            Wait::Instant(at) => Some(*at),
+            Wait::TimeOfDay(time) => Some(next_time_of_day(self.since, *time, options.utc_offset)),
+            Wait::Done | Wait::Operator | Wait::Sensor { .. } => None,
+        }
+    }
+
+    pub(super) fn wait_wakeup(&self, waiting: &Waiting) -> Option<Timestamp<Server>> {
+        let over = self.alone_since.zip(self.written().timeout).map(|(since, timeout)| since + timeout);
+        over.into_iter().chain(waiting.poll).min()
+    }
+
+    /// A reading came for which it may wait.
+    pub(crate) fn sensor_read(&mut self, value: Option<f64>) {
+        let Wait::Sensor { range, .. } = &self.written().wait else { return };
+        if matches!(self.stage, Stage::Waiting(_)) && value.is_some_and(|value| range.contains(value)) {
+            self.stage = Stage::Ready { target: None, look: None };
+        }
+    }
+
+    /// The operator says go. `false`: it does not wait for that now.
+    pub(crate) fn go(&mut self) -> bool {
+        let counts = self.is_alone() && self.written().wait == Wait::Operator;
+        match &mut self.stage {
+            Stage::Waiting(waiting) if counts => {
+                waiting.gone = true;
+                true
+            }
+            _ => false,
+        }
+    }
+
+    /// What it waits for, for people; nothing for an act that follows at once.
+    pub(crate) fn announcement(&self, options: &MissionOptions) -> Option<Progress> {
+        let written = self.written();
+        let awaits = match (self.fixed_target(options), &written.wait) {
+            (Some(at), _) => format!("{at}"),
+            (None, Wait::Operator) => "the operator's go".to_owned(),
+            (None, Wait::Sensor { robot, sensor, range }) => format!("`{robot}/{sensor}` {range}"),
+            (None, _) => return None,
+        };
+        let awaits = match (written.timeout, written.on_timeout) {
+            (None, _) => awaits,
+            (Some(timeout), Way::End) => format!("{awaits}, for {timeout} at most, then the end"),
+            (Some(timeout), Way::Fail) => format!("{awaits}, for {timeout} at most"),
+            (Some(timeout), Way::Act(other)) => {
+                format!("{awaits}, for {timeout} at most, then `{}`", act_name(&self.choreography, other))
+            }
+        };
+        Some(Progress::Waiting { act: self.name(), awaits })
+    }
+}
+
+/// The first instant from `from` on at which clocks show this time of day.
+pub(crate) fn next_time_of_day(from: Timestamp<Server>, time: Span, utc_offset: Span) -> Timestamp<Server> {
+    let local = from + utc_offset;
+    let since_midnight = Span::from_nanos(local.as_nanos().rem_euclid(DAY.as_nanos()));
+    let ahead = time - since_midnight;
+    from + if ahead < Span::ZERO { ahead + DAY } else { ahead }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_time_of_day_is_today_or_tomorrow() {
+        let hour = Span::from_millis(3_600_000);
+        // 1970-01-02T10:00Z, where clocks show 12:00.
+        let from = Timestamp::from_nanos((DAY + hour * 10).as_nanos());
+        let offset = hour * 2;
+        assert_eq!(next_time_of_day(from, hour * 13, offset), from + hour);
+        assert_eq!(next_time_of_day(from, hour * 12, offset), from);
+        assert_eq!(next_time_of_day(from, hour * 11, offset), from + hour * 23);
+    }
+}

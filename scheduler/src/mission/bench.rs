@@ -1,0 +1,146 @@
+//! Robots, scripts and answers for the tests of single machines, without a mission and without links.
+
+use std::sync::Arc;
+
+use downbeat_scripts::{Choreography, DeviceScript, Plan, RobotPlan};
+use urrcp::{
+    ContentHash, ControlError, ControlResponse, ControlType, DeviceId, ErrorCode, InitializationBlock,
+    Millis, RequestId, RequestReport, RequestState, Robot, RobotId, Script, Server, Setpoint, Span, Status,
+    StatusValue, Step, StopCondition, Timestamp,
+};
+
+use super::Participant;
+use super::robot_state::RobotState;
+
+/// What a robot tells of its scripts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Tells {
+    /// It reports by itself, and answers inquiries.
+    Everything,
+    /// It reports by itself.
+    Reports,
+    /// It answers inquiries.
+    Answers,
+    /// Neither.
+    Nothing,
+}
+
+/// A script of a device: its name, when it starts and how long it plays, in milliseconds.
+pub(super) type Planned<'a> = (&'a str, i64, i64);
+
+pub(super) const RUNNING: Span = Span::from_millis(2_000);
+pub(super) const TOLERANCE: Span = Span::from_millis(10);
+
+pub(super) fn ms(millis: i64) -> Span {
+    Span::from_millis(millis)
+}
+
+/// An instant, in milliseconds after the beginning.
+pub(super) fn at(millis: i64) -> Timestamp<Server> {
+    Timestamp::from_nanos(0) + ms(1_000_000 + millis)
+}
+
+/// A robot whose link stands, with the devices `a`, `b` and `c`.
+pub(super) fn robot(id: &str, tells: Tells, queue: usize) -> RobotState {
+    let (reports, inquiry) = match tells {
+        Tells::Everything => (true, true),
+        Tells::Reports => (true, false),
+        Tells::Answers => (false, true),
+        Tells::Nothing => (false, false),
+    };
+    let device = |name: &str| {
+        format!(
+            r#"{{"id": "{name}", "name": "{name}", "script_queue": {queue}, "available_control_types": {{
+                "position": {{"min_value": 0, "max_value": 90, "granularity": 1}},
+                "script": {{"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}}}}"#
+        )
+    };
+    let devices = ["a", "b", "c"].map(device).join(", ");
+    let block = format!(
+        r#"{{"id": "{id}", "api_version": "1", "reports": {reports}, "inquiry": {inquiry}, "devices": [{devices}]}}"#
+    );
+    let block: InitializationBlock = serde_json::from_str(&block).unwrap();
+    let mut robot = RobotState::new(Participant::new(RobotId::new(id).unwrap(), Some(block)));
+    robot.connected();
+    robot
+}
+
+pub(super) fn stop_condition() -> StopCondition {
+    StopCondition { pending: None, running: Some(Millis::from_span(RUNNING)) }
+}
+
+/// A script with a step at its start and one at its end.
+pub(super) fn device_script((device, start, duration): Planned) -> DeviceScript {
+    let step = |offset: i64| Step {
+        offset: Millis::from_span(ms(offset)),
+        setpoint: Setpoint::new(ControlType::Position, 45.0),
+        stop_condition: None,
+    };
+    DeviceScript {
+        device: device.parse().unwrap(),
+        start: Millis::from_span(ms(start)),
+        stop_condition: stop_condition(),
+        script: Script::new(vec![step(0), step(duration)]).unwrap(),
+    }
+}
+
+/// One act, in which the robots `r0`, `r1` and so on play these scripts.
+pub(super) fn choreography(scripts: &[&[Planned]]) -> Choreography {
+    let robot = |(index, scripts): (usize, &&[Planned])| RobotPlan {
+        robot: RobotId::new(format!("r{index}")).unwrap(),
+        scripts: scripts.iter().map(|planned| device_script(*planned)).collect(),
+    };
+    Choreography::of_plan(Plan {
+        scenario: "s".into(),
+        start_tolerance: TOLERANCE,
+        lead: None,
+        stop_condition: stop_condition(),
+        robots: scripts.iter().enumerate().map(robot).collect(),
+    })
+}
+
+pub(super) fn played(scripts: &[&[Planned]]) -> Arc<Choreography> {
+    Arc::new(choreography(scripts))
+}
+
+/// A robot's clock that shows the server's time.
+pub(super) fn by_robot(at: Timestamp<Server>) -> Timestamp<Robot> {
+    at.assume_clock()
+}
+
+pub(super) fn response(
+    device: &DeviceId,
+    id: Option<&RequestId>,
+    status: Status,
+    said: Timestamp<Server>,
+) -> ControlResponse {
+    ControlResponse {
+        timestamp: by_robot(said),
+        device_id: device.clone(),
+        status,
+        status_value: StatusValue::Null,
+        request_id: id.cloned(),
+        content_hash: None,
+        event_timestamp: None,
+        steps_done: None,
+        late_steps: None,
+        error: None,
+    }
+}
+
+pub(super) fn refusal(code: ErrorCode) -> Option<ControlError> {
+    Some(ControlError::new(code, "no"))
+}
+
+pub(super) fn report(id: &RequestId, state: RequestState, hash: Option<ContentHash>) -> RequestReport {
+    RequestReport {
+        request_id: id.clone(),
+        state,
+        content_hash: hash,
+        start_timestamp: None,
+        event_timestamp: None,
+        steps_done: None,
+        late_steps: None,
+        error: None,
+    }
+}

@@ -1,0 +1,250 @@
+//! The course of a mission through its acts: each is advanced, followed by the next one, and closed.
+
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+use downbeat_scripts::Way;
+use urrcp::{Server, Timestamp};
+
+use super::act::{Act, ActAction};
+use super::facts::ActReport;
+use super::record::Record;
+use super::robot_state::{Reading, Rest, Standing};
+use super::{Mission, Outcome, Phase, Progress};
+
+/// Reports of acts are kept as long as they have no more rows than this in all.
+const ROWS_KEPT: usize = 20_000;
+
+impl Mission {
+    /// One round of everything that is due while acts wait, start and play.
+    pub(super) fn perform(&mut self, now: Timestamp<Server>) {
+        self.notice_hold_up(now);
+        self.renew_if_due(now);
+        self.notice_silence(now);
+        self.give_up_lost(now);
+        let mut index = 0;
+        while self.phase == Phase::Performing && index < self.acts.len() {
+            self.advance_act(now, index);
+            match self.acts.get(index).map(Act::is_over) {
+                Some(true) => self.close_act(now, index),
+                _ => index += 1,
+            }
+        }
+        if self.phase == Phase::Performing {
+            self.line_up(now);
+            self.send_deferred(now);
+        }
+    }
+
+    /// Something has come in that may let an act go on.
+    pub(super) fn goes_on(&mut self, now: Timestamp<Server>) {
+        match self.phase {
+            Phase::Performing => self.perform(now),
+            Phase::Stopping { .. } => self.stop_progress(now),
+            Phase::Greeting { .. } | Phase::Ended => {}
+        }
+    }
+
+    fn advance_act(&mut self, now: Timestamp<Server>, index: usize) {
+        // A stage may be passed through at once: each is looked at in turn.
+        for _ in 0..6 {
+            let (number, before) = (self.acts[index].number(), self.acts[index].progress());
+            let actions = self.acts[index].advance(now, &self.robots, &self.options);
+            let acted = !actions.is_empty();
+            self.carry_out(now, number, actions);
+            if self.phase != Phase::Performing
+                || self.acts.get(index).is_none_or(|act| act.number() != number)
+            {
+                return;
+            }
+            self.prepare_if_it_fits(now, index);
+            let gone_on = self.acts.get(index).is_some_and(|act| act.progress() != before);
+            if self.phase != Phase::Performing || !(gone_on || acted) {
+                return;
+            }
+            // Other leases count now.
+            let lease = self.acts.get(index).and_then(Act::shortest_lease);
+            self.quicken_rounds(now, lease);
+        }
+    }
+
+    /// Does what an act wants, in order, as long as the mission performs.
+    pub(super) fn carry_out(&mut self, now: Timestamp<Server>, number: u32, actions: Vec<ActAction>) {
+        for action in actions {
+            if matches!(self.phase, Phase::Ended) {
+                return;
+            }
+            let performs = self.phase == Phase::Performing;
+            match action {
+                ActAction::Tell(progress) => self.tell(progress),
+                ActAction::Fail(failing) => self.fail_all(now, failing),
+                _ if !performs => {}
+                ActAction::Record(record) => self.record_for(now, number, record),
+                ActAction::Send(script) => {
+                    self.count_retry(script);
+                    self.send_script(now, script);
+                }
+                ActAction::Refill(robots) => robots.into_iter().for_each(|robot| self.refill(now, robot)),
+                ActAction::Ask(robots) => robots.into_iter().for_each(|robot| self.inquire(now, robot)),
+                ActAction::Withdraw(outcome) => self.abort(now, outcome, Rest::Default, None),
+                ActAction::TimedOut(way) => {
+                    self.acts.retain(|act| act.number() != number);
+                    self.go_way(now, way);
+                }
+                ActAction::Read { robot, sensor, what } => {
+                    // An answer that was lost must not be waited for.
+                    if matches!(what, Reading::Wait(_)) {
+                        self.robots[robot].reads.retain(|_, waits| *waits != what);
+                    }
+                    self.read(now, robot, sensor, what);
+                }
+            }
+        }
+    }
+
+    /// Sees to it that the act that follows is there in time, and ends the mission after the last one.
+    fn line_up(&mut self, now: Timestamp<Server>) {
+        let [last] = self.acts.as_slice() else { return };
+        if !last.is_committed() || !self.may_begin_another() {
+            return;
+        }
+        let way = self.detour.map_or(last.follow(), Way::Act);
+        if let Way::Act(act) = way {
+            self.detour = None;
+            self.line_up_act(now, act);
+        }
+    }
+
+    /// After an act has ended with none behind it.
+    fn go_on_from(&mut self, now: Timestamp<Server>, follow: Way) {
+        let way = self.detour.take().map_or(follow, Way::Act);
+        self.go_way(now, way);
+    }
+
+    pub(super) fn go_way(&mut self, now: Timestamp<Server>, way: Way) {
+        match way {
+            Way::Act(act) if self.may_begin_another() => self.line_up_act(now, act),
+            Way::Act(_) => {
+                self.bounded = true;
+                self.come_to_the_end();
+            }
+            Way::End => self.come_to_the_end(),
+            Way::Fail => self.abort(now, Outcome::Failed, Rest::Default, None),
+        }
+    }
+
+    fn may_begin_another(&self) -> bool {
+        self.options.acts_max.is_none_or(|acts_max| self.acts_begun < acts_max)
+    }
+
+    fn come_to_the_end(&mut self) {
+        self.outcome = Some(self.flawed.clone().unwrap_or_else(|| self.outcome_at_the_end()));
+        self.end();
+    }
+
+    /// What may be said of a mission that came to its end.
+    fn outcome_at_the_end(&self) -> Outcome {
+        if self.robots.iter().any(|robot| robot.standing == Standing::Out) {
+            return Outcome::DoneWithout;
+        }
+        if self.robots.iter().any(|robot| robot.totals.unaccounted > 0) {
+            return Outcome::Unknown;
+        }
+        self.flaw_of_starts.clone().unwrap_or(Outcome::Done)
+    }
+
+    /// One more act begins to wait for its condition.
+    pub(super) fn line_up_act(&mut self, now: Timestamp<Server>, index: usize) {
+        let before = self.acts.last().and_then(Act::timing).map(|timing| timing.end);
+        let choreography = Arc::clone(&self.choreography);
+        let mut act = Act::new(choreography, index, self.acts_begun, &self.robots, now, before);
+        if self.acts.is_empty() {
+            act.comes_next(now);
+        }
+        self.acts_begun += 1;
+        let announcement = act.announcement(&self.options);
+        self.acts.push(act);
+        announcement.into_iter().for_each(|waiting| self.tell(waiting));
+        self.advance_act(now, self.acts.len() - 1);
+    }
+
+    /// The operator says go: it counts for the act that waits for it, and not ahead of that.
+    pub(super) fn go(&mut self, now: Timestamp<Server>) {
+        if self.acts.iter_mut().any(Act::go) {
+            self.goes_on(now);
+        }
+    }
+
+    /// Closes all acts, however far they are.
+    pub(super) fn close_all(&mut self, now: Timestamp<Server>) {
+        while !self.acts.is_empty() {
+            self.close_act(now, 0);
+        }
+    }
+
+    /// Puts an act's story into its report and forgets the rest.
+    fn close_act(&mut self, now: Timestamp<Server>, index: usize) {
+        let act = self.acts.remove(index);
+        self.account(now, &act);
+        if let Some(report) = ActReport::new(&act, &self.robots) {
+            self.skipped = 0;
+            self.keep_report(&act, report);
+        }
+        if let Some(next) = self.acts.get_mut(index) {
+            next.comes_next(now);
+        }
+        let mut follow = act.follow();
+        if !act.was_sent() {
+            // A round of acts that nobody is left to play would go on for ever.
+            self.skipped += 1;
+            if self.skipped > self.choreography.acts.len() {
+                follow = Way::End;
+            }
+        }
+        // An act that is over before the one ahead of it, as when all its robots were left out, is not played again.
+        if let Some(before) = index.checked_sub(1).and_then(|before| self.acts.get_mut(before)) {
+            before.lead_to(follow);
+        }
+        if self.acts.is_empty() && self.phase == Phase::Performing {
+            self.go_on_from(now, follow);
+        }
+    }
+
+    fn keep_report(&mut self, act: &Act, report: ActReport) {
+        let tolerance = act.written().plan.start_tolerance;
+        if let Some(spread) = report.spread.filter(|spread| *spread > tolerance) {
+            self.flaw_of_starts.get_or_insert(Outcome::OutOfTolerance { spread, tolerance });
+        }
+        self.record(Record::ActEnded { report: Box::new(report.clone()) });
+        self.reports.push_back(report);
+        let rows = |acts: &VecDeque<ActReport>| acts.iter().map(|act| act.robots.len()).sum::<usize>();
+        while self.reports.len() > 1 && rows(&self.reports) > ROWS_KEPT {
+            self.reports.pop_front();
+            self.reports_omitted += 1;
+        }
+        self.tell(Progress::ActEnded { act: act.name() });
+    }
+
+    fn account(&mut self, now: Timestamp<Server>, act: &Act) {
+        for member in act.members() {
+            for (index, script) in member.scripts().iter().enumerate() {
+                let left = act.left_behind(member, index, &self.robots[member.robot], now);
+                let robot = &mut self.robots[member.robot];
+                robot.left.extend(left);
+                let error = act.start_error(member, script);
+                let totals = &mut robot.totals;
+                totals.scripts += 1;
+                totals.accepted += usize::from(script.was_accepted());
+                totals.started += usize::from(script.has_begun());
+                totals.steps_done += u64::from(script.steps_done());
+                totals.steps_planned += script.plan.script.steps().len() as u64;
+                totals.late_steps += u64::from(script.late_steps());
+                totals.start_error = totals.start_error.into_iter().chain(error).max_by_key(|e| e.abs());
+                totals.unaccounted += usize::from(script.is_unaccounted());
+                if let Some(id) = script.request_id() {
+                    robot.requests.remove(id);
+                }
+            }
+        }
+    }
+}

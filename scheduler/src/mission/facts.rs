@@ -1,0 +1,148 @@
+//! What became of an act, as plain facts for the report and the journal.
+
+use serde::Serialize;
+use urrcp::{DeviceId, Robot, RobotId, Server, Span, Timestamp};
+
+use super::act::{Act, Member};
+use super::events::TakenReading;
+use super::robot_state::RobotState;
+use super::script::{Ending, Script, ScriptState};
+use super::{LeadTime, SkewBudget};
+
+/// What became of one act.
+#[derive(Clone, Debug, Serialize)]
+pub struct ActReport {
+    /// Its name.
+    pub act: String,
+    /// Which of the mission's acts, counted from zero.
+    pub number: u32,
+    /// The sending timestamp that all its requests shared.
+    pub timestamp: Timestamp<Server>,
+    /// Planned start.
+    pub start: Timestamp<Server>,
+    /// Why the start was that far ahead.
+    pub lead: LeadTime,
+    /// The robot whose link determines the lead.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub slowest: Option<RobotId>,
+    /// How much later it started than it should have: at the end of the act before, or at the time that it waited for.
+    #[serde(rename = "gap_ms")]
+    pub gap: Option<Span>,
+    /// How far apart the clocks allowed the starts to be, before the decision.
+    pub skew: Option<SkewBudget>,
+    /// Largest minus smallest start error, by the robots' own clocks.
+    #[serde(rename = "spread_ms")]
+    pub spread: Option<Span>,
+    /// Time left at the decision after the last acceptance.
+    #[serde(rename = "margin_left_ms")]
+    pub margin_left: Option<Span>,
+    /// Between the first renewal that carried a lease over the start and the last confirmed: had the scheduler died in it,
+    /// some robots would have started and others not.
+    #[serde(rename = "window_ms")]
+    pub window: Option<Span>,
+    /// A robot that went silent without a word so shortly before the start may not have been noticed in time.
+    #[serde(rename = "doubt_ms")]
+    pub doubt: Span,
+    /// Readings that the scenario asked for.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub readings: Vec<TakenReading>,
+    /// Robots in the order of the plan.
+    pub robots: Vec<ActRobot>,
+}
+
+/// What one robot did in one act.
+#[derive(Clone, Debug, Serialize)]
+pub struct ActRobot {
+    /// Which.
+    pub robot: RobotId,
+    /// It was left out.
+    pub left_out: bool,
+    /// Each device.
+    pub devices: Vec<DeviceReport>,
+}
+
+/// What one script of a device did.
+#[derive(Clone, Debug, Serialize)]
+pub struct DeviceReport {
+    /// Which device.
+    pub device: DeviceId,
+    /// `planned`, `sent`, `accepted`, `started`, `ended`, `failed` or `unknown`.
+    pub state: &'static str,
+    /// Planned start of its script.
+    pub planned_start: Option<Timestamp<Server>>,
+    /// From there to its first step.
+    #[serde(skip)]
+    pub first_step: Span,
+    /// Actual start by the robot's clock.
+    pub started_at: Option<Timestamp<Robot>>,
+    /// Actual minus planned.
+    #[serde(rename = "start_error_ms")]
+    pub start_error: Option<Span>,
+    /// Steps executed.
+    pub steps_done: u32,
+    /// Steps planned.
+    pub steps_planned: usize,
+    /// Steps that came more than a millisecond late.
+    pub late_steps: u32,
+}
+
+impl ActReport {
+    /// `None` for an act that was not sent.
+    pub(super) fn new(act: &Act, robots: &[RobotState]) -> Option<Self> {
+        let timing = act.timing()?;
+        let robot = |member: &Member| ActRobot {
+            robot: robots[member.robot].id.clone(),
+            left_out: !member.takes_part(),
+            devices: member.scripts().iter().map(|script| device_report(act, member, script)).collect(),
+        };
+        Some(Self {
+            act: act.name(),
+            number: act.number(),
+            timestamp: timing.timestamp,
+            start: timing.start,
+            lead: timing.lead,
+            slowest: timing.slowest.as_ref().map(|(robot, _)| robot.clone()),
+            gap: timing.gap,
+            skew: timing.skew.clone(),
+            spread: spread(act),
+            margin_left: timing.accepted_at.map(|at| timing.decision - at),
+            window: timing.round.map(|(sent, answered)| answered - sent),
+            doubt: timing.doubt(),
+            readings: act.readings().to_vec(),
+            robots: act.members().iter().map(robot).collect(),
+        })
+    }
+}
+
+/// Largest minus smallest error of the starts that are to be simultaneous: of the first script of every device.
+fn spread(act: &Act) -> Option<Span> {
+    let errors = || {
+        act.members().iter().flat_map(|member| {
+            let firsts = member.firsts();
+            firsts.filter_map(move |script| act.start_error(member, script))
+        })
+    };
+    errors().max().zip(errors().min()).map(|(max, min)| max - min)
+}
+
+fn device_report(act: &Act, member: &Member, script: &Script) -> DeviceReport {
+    DeviceReport {
+        device: script.plan.device.clone(),
+        state: match script.state() {
+            ScriptState::Planned => "planned",
+            ScriptState::Sent => "sent",
+            ScriptState::Held => "accepted",
+            ScriptState::Running => "started",
+            ScriptState::Ended(Ending::Completed) => "ended",
+            ScriptState::Ended(Ending::Failed(_)) => "failed",
+            ScriptState::Unknown => "unknown",
+        },
+        planned_start: act.timing().map(|timing| timing.start + script.plan.start.span()),
+        first_step: script.plan.script.steps().first().map_or(Span::ZERO, |step| step.offset.span()),
+        started_at: script.started_at(),
+        start_error: act.start_error(member, script),
+        steps_done: script.steps_done(),
+        steps_planned: script.plan.script.steps().len(),
+        late_steps: script.late_steps(),
+    }
+}

@@ -1,0 +1,111 @@
+//! The ways in which a robot fails a mission.
+
+use downbeat_scripts::SensorRange;
+use serde::Serialize;
+use urrcp::{ControlError, DeviceId, RobotId, Span};
+
+use crate::clock::ClockDoubt;
+
+/// A robot failed the mission.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Failure {
+    /// Which robot.
+    pub robot: RobotId,
+    /// What happened.
+    #[serde(flatten)]
+    pub kind: FailureKind,
+}
+
+/// Ways for a robot to fail the mission.
+#[derive(Clone, Debug, PartialEq, Serialize, thiserror::Error)]
+#[serde(tag = "failure", rename_all = "snake_case")]
+pub enum FailureKind {
+    /// The link broke or could not be made.
+    #[error("link down: {reason}")]
+    LinkDown {
+        /// Why.
+        reason: String,
+    },
+    /// It sent what is no message, or one out of place.
+    #[error("garbled: {reason}")]
+    Garbled {
+        /// What is wrong.
+        reason: String,
+    },
+    /// It did not answer in time.
+    #[error("silent: no {awaited} within {within}")]
+    Silent {
+        /// What was awaited.
+        awaited: String,
+        /// For how long.
+        #[serde(rename = "within_ms")]
+        within: Span,
+    },
+    /// Its availability check failed.
+    #[error("not available: {error}")]
+    NotAvailable {
+        /// Its own reason.
+        error: ControlError,
+    },
+    /// Its own description does not fit the plan.
+    #[error("does not fit the plan: {reason}")]
+    Unfit {
+        /// Where it differs.
+        reason: String,
+    },
+    /// Its clock is further off than the scenario tolerates, or not known well enough.
+    #[error("{}", clock_text(*offset, *uncertainty, *tolerance))]
+    Clock {
+        /// Robot minus server.
+        #[serde(rename = "offset_ms")]
+        offset: Span,
+        /// Of the offset.
+        #[serde(rename = "uncertainty_ms")]
+        uncertainty: Span,
+        /// The scenario's start_tolerance.
+        #[serde(rename = "tolerance_ms")]
+        tolerance: Span,
+    },
+    /// A sensor does not read what the fleet file requires.
+    #[error("`{sensor}` reads {reading}, the fleet file requires {range}", reading = reading.map_or_else(|| "nothing".to_owned(), |r| r.to_string()))]
+    Requirement {
+        /// Which sensor.
+        sensor: DeviceId,
+        /// What it read.
+        reading: Option<f64>,
+        /// What is required.
+        range: SensorRange,
+    },
+    /// A device stands where its first keyframe does not expect it.
+    #[error(
+        "device `{device}` stands at {reading}, its first keyframe expects {expected}: bring it there, or give the first keyframe a time"
+    )]
+    Position {
+        /// Which device.
+        device: DeviceId,
+        /// Where it stands.
+        reading: f64,
+        /// Where it should.
+        expected: f64,
+    },
+    /// It refused or ended a script.
+    #[error("device `{device}`: {error}")]
+    Script {
+        /// Which device.
+        device: DeviceId,
+        /// The robot's reason.
+        error: ControlError,
+    },
+}
+
+/// A clock that is off is a matter of NTP; one that is only poorly known is a matter of the link.
+fn clock_text(offset: Span, uncertainty: Span, tolerance: Span) -> String {
+    match ClockDoubt::of(offset, uncertainty) {
+        ClockDoubt::Clock => format!(
+            "clock off by {offset} (+-{uncertainty}), the scenario tolerates {tolerance}: check the robot's NTP, or raise start_tolerance"
+        ),
+        ClockDoubt::Path => format!(
+            "clock known only to +-{uncertainty} (offset {offset}) because the delay of its link varies, the scenario tolerates {tolerance}: use a steadier link, or raise start_tolerance"
+        ),
+    }
+}

@@ -1,0 +1,72 @@
+//! Room in the queues of devices, across all acts in order of their start.
+//!
+//! A device holds as many scripts as its queue has places. Whatever frees one lets the next script in order of start
+//! follow, of whichever act.
+
+use std::collections::HashMap;
+
+use urrcp::DeviceId;
+
+use super::act::Act;
+use super::robot_state::RobotState;
+use super::script::{Script, ScriptRef};
+
+/// The scripts that may be sent to a robot now, in order of start. `acts` stand in order of their start.
+pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<ScriptRef> {
+    let mut room = room_of(acts, robot, state);
+    let mut sendable = Vec::new();
+    for act in acts {
+        let Some(place) = act.place_of(robot) else { continue };
+        for chain in act.members()[place].chains() {
+            for (index, script) in chain.filter(|(_, script)| script.is_planned()) {
+                let Some(room) = room.get_mut(&script.plan.device) else { break };
+                if *room == 0 || !act.is_open() {
+                    // Nothing overtakes a script that waits.
+                    *room = 0;
+                    break;
+                }
+                *room -= 1;
+                sendable.push(ScriptRef { act: act.number(), member: place, script: index });
+            }
+        }
+    }
+    sendable
+}
+
+/// Places that are free on each device for which there is anything to send.
+fn room_of<'a>(acts: &'a [Act], robot: usize, state: &RobotState) -> HashMap<&'a DeviceId, usize> {
+    let mut room = HashMap::new();
+    let members = || acts.iter().filter_map(|act| act.member(robot));
+    let scripts = || members().flat_map(|member| member.under_way().map(|(_, script)| script));
+    for script in scripts().filter(|script| script.is_planned()) {
+        room.entry(&script.plan.device).or_insert_with(|| state.queue_of(&script.plan.device));
+    }
+    for script in scripts().filter(|script| script.is_out()) {
+        if let Some(room) = room.get_mut(&script.plan.device) {
+            *room = room.saturating_sub(1);
+        }
+    }
+    room
+}
+
+/// Whether every device of an act has room for its first script behind all that acts before it have there or still have to
+/// send.
+pub(crate) fn fits(acts: &[Act], index: usize, robots: &[RobotState]) -> bool {
+    let (before, act) = (&acts[..index], &acts[index]);
+    act.present().all(|member| {
+        let robot = &robots[member.robot];
+        let mut taken: HashMap<&DeviceId, usize> = HashMap::new();
+        let earlier = before.iter().filter_map(|act| act.member(member.robot));
+        let left = |script: &&Script| script.is_out() || script.is_planned();
+        for script in earlier.flat_map(|member| member.scripts()).filter(left) {
+            *taken.entry(&script.plan.device).or_default() += 1;
+        }
+        let has_room = |script: &Script| {
+            taken.get(&script.plan.device).is_none_or(|taken| *taken < robot.queue_of(&script.plan.device))
+        };
+        taken.is_empty() || member.scripts().iter().all(has_room)
+    })
+}
+
+#[cfg(test)]
+mod tests;

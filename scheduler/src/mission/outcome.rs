@@ -1,0 +1,124 @@
+//! How a mission ended.
+
+use std::fmt;
+
+use serde::Serialize;
+use urrcp::{Server, Span, Timestamp};
+
+use super::LeadTime;
+
+/// How a mission ended.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// All robots started together and came to their end.
+    Done,
+    /// The others came to their end; robots that failed were left out, as `on_failure` says.
+    DoneWithout,
+    /// It was played to its end, and the starts were further apart than the scenario tolerates.
+    OutOfTolerance {
+        /// Largest spread of starts of any act, by the robots' own clocks.
+        #[serde(rename = "spread_ms")]
+        spread: Span,
+        /// The scenario's start_tolerance.
+        #[serde(rename = "tolerance_ms")]
+        tolerance: Span,
+    },
+    /// It was played to its end, as far as is known: some robots cannot say what they did.
+    Unknown,
+    /// The fleet is checked and nothing was sent.
+    Ready,
+    /// The fleet is checked, and would not start.
+    NotReady,
+    /// None started.
+    NotStarted,
+    /// It started, then a robot failed, and all were stopped.
+    Failed,
+    /// The operator stopped it.
+    Stopped,
+    /// The operator left without waiting for the stop to be confirmed.
+    Abandoned,
+    /// The lead time asked for is too short; nothing was sent.
+    LeadTooShort {
+        /// What was asked for.
+        #[serde(rename = "lead_ms")]
+        lead: Span,
+        /// What this fleet needs.
+        needed: LeadTime,
+        /// The earliest start that would have been safe.
+        safe_start: Timestamp<Server>,
+    },
+    /// The start asked for has passed, or is too soon; nothing was sent.
+    StartTooSoon {
+        /// What was asked for.
+        start: Timestamp<Server>,
+        /// The earliest start that would have been safe.
+        safe_start: Timestamp<Server>,
+    },
+    /// The pending lease asked for is too short; nothing was sent.
+    LeaseTooShort {
+        /// What was asked for.
+        #[serde(rename = "lease_ms")]
+        lease: Span,
+        /// What the measured delays need.
+        #[serde(rename = "needed_ms")]
+        needed: Span,
+    },
+    /// The scheduler itself was held up over the decision; none started.
+    DecisionLate {
+        /// By how much.
+        #[serde(rename = "by_ms")]
+        by: Span,
+    },
+    /// The scheduler itself or its disk was held up over the commitment; none started.
+    CommitmentLate {
+        /// By how much, at least.
+        #[serde(rename = "by_ms")]
+        by: Span,
+    },
+}
+
+impl fmt::Display for Outcome {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Done => f.write_str("done"),
+            Self::DoneWithout => f.write_str("done, without the robots that failed"),
+            Self::OutOfTolerance { spread, tolerance } => write!(
+                f,
+                "played to its end, but out of tolerance: the starts were {spread} apart, start_tolerance is {tolerance}"
+            ),
+            Self::Unknown => {
+                f.write_str("played to its end as far as is known: some robots do not say what they did")
+            }
+            Self::Ready => f.write_str("ready, nothing was sent"),
+            Self::NotReady => f.write_str("not ready, nothing was sent"),
+            Self::NotStarted => f.write_str("not started"),
+            Self::Failed => f.write_str("failed and stopped"),
+            Self::Stopped => f.write_str("stopped by the operator"),
+            Self::Abandoned => f.write_str("left by the operator before the stop was confirmed"),
+            Self::LeadTooShort { lead, needed, safe_start } => write!(
+                f,
+                "not sent: a lead of {lead} is too short, this fleet needs {} ({} to prepare, {} of lease, {} of margin); the earliest safe start was {safe_start}",
+                needed.total(),
+                needed.prepare,
+                needed.lease,
+                needed.margin
+            ),
+            Self::StartTooSoon { start, safe_start } => write!(
+                f,
+                "not sent: a start at {start} has passed or is too soon, the earliest safe start was {safe_start}"
+            ),
+            Self::LeaseTooShort { lease, needed } => write!(
+                f,
+                "not sent: a pending stop_condition of {lease} is too short, the measured delays need {needed}"
+            ),
+            Self::DecisionLate { by } => {
+                write!(f, "not started: this machine was held up, the decision came {by} late")
+            }
+            Self::CommitmentLate { by } => write!(
+                f,
+                "not started: this machine or its disk was held up, the commitment came {by} or more too late"
+            ),
+        }
+    }
+}

@@ -1,0 +1,206 @@
+//! What goes to the robots and to the journal, and what comes back: requests by their names, answers to their scripts.
+
+use urrcp::{ControlResponse, DeviceId, Message, Server, Span, Status, Timestamp};
+
+use super::act::Act;
+use super::failure_kind::FailureKind;
+use super::record::Record;
+use super::script::{ScriptRef, ScriptState};
+use super::{Action, Mission, Phase, ledger};
+
+/// What a durable record is expected to take at least.
+const RECORDING: Span = Span::from_millis(30);
+/// A slower disk is not waited for: the commitment comes too late then.
+const RECORDING_MAX: Span = Span::from_millis(2_000);
+
+impl Mission {
+    pub(super) fn receive(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+        if self.robots[robot].heard(now) {
+            self.is_back(robot);
+        }
+        match message {
+            Message::AvailabilityResponse(response) => self.availability(now, robot, &response),
+            Message::InitializationBlock(block) => self.introduced(now, robot, block),
+            Message::ControlResponse(response) => self.control_response(now, robot, &response),
+            Message::InquiryResponse(response) => self.inquiry_answered(now, robot, &response),
+            Message::AvailabilityRequest(_)
+            | Message::InitializationRequest(_)
+            | Message::Inquiry(_)
+            | Message::ControlRequest(_) => {
+                let reason = "sent a message that only a server sends".to_owned();
+                self.fail(now, robot, FailureKind::Garbled { reason });
+            }
+        }
+    }
+
+    fn control_response(&mut self, now: Timestamp<Server>, robot: usize, response: &ControlResponse) {
+        let acts = &self.acts;
+        let reports = self.robots[robot].reports();
+        let open_on =
+            |device: &DeviceId| reports && open_without_name(acts, robot, device, response).is_some();
+        if self.robots[robot].stop_answered(now, response, open_on) {
+            self.stop_confirmed(robot);
+            return self.stop_progress(now);
+        }
+        if self.reading_taken(now, robot, response) {
+            return self.goes_on(now);
+        }
+        let script = match &response.request_id {
+            Some(id) => self.robots[robot].requests.get(id).copied(),
+            None => open_without_name(&self.acts, robot, &response.device_id, response),
+        };
+        let Some(script) = script else {
+            return tracing::debug!(robot = %self.robots[robot].id, "answer to no open request: {response:?}");
+        };
+        let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
+        let noted = act.answered(script, response, &self.robots);
+        if noted.news != super::script::News::None {
+            self.carry_out(now, script.act, noted.actions);
+            self.goes_on(now);
+        } else if matches!(self.phase, Phase::Stopping { .. }) {
+            self.stop_progress(now);
+        }
+    }
+
+    /// Sends a robot as many scripts as its devices have room for, in order of start.
+    pub(super) fn refill(&mut self, now: Timestamp<Server>, robot: usize) {
+        if self.robots[robot].stop_was_sent() {
+            return;
+        }
+        for script in ledger::sendable(&self.acts, robot, &self.robots[robot]) {
+            self.send_script(now, script);
+        }
+        // Room for what is out is room that an act behind may have waited for.
+        self.acts.iter_mut().for_each(|act| act.look_again_at(None));
+    }
+
+    /// Sends the request of a script, for the first time or again.
+    pub(super) fn send_script(&mut self, now: Timestamp<Server>, script: ScriptRef) {
+        let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
+        let robot = act.robot_of(script);
+        let Some(request) = act.request(script, self.options.session.as_ref()) else { return };
+        act.sent(now, script);
+        let lease = act.shortest_lease_of(script);
+        let state = &mut self.robots[robot];
+        state.touched.insert(request.device_id.clone());
+        state.requests.extend(request.request_id.clone().map(|id| (id, script)));
+        self.send(now, robot, Message::ControlRequest(request));
+        // Under its lease it may begin before the next round that the scripts before it ask for.
+        self.quicken_rounds(now, lease);
+    }
+
+    pub(super) fn count_retry(&mut self, script: ScriptRef) {
+        if let Some(act) = self.acts.iter().find(|act| act.number() == script.act) {
+            self.robots[act.robot_of(script)].totals.retries += 1;
+        }
+    }
+
+    /// Sends a message. While an act of the robot approaches its start, it goes behind a question that carries the lease;
+    /// between the critical instant and the commitment it waits.
+    pub(super) fn send(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+        let waits = |act: &Act| act.hushes(robot, now) && !act.lets_through(robot, now);
+        if self.acts.iter().any(waits) {
+            return self.deferred.push((robot, message));
+        }
+        if self.acts.iter().any(|act| act.approaches(robot)) {
+            self.inquire_now(now, robot);
+        }
+        self.post(now, robot, message);
+    }
+
+    /// Sends what had to wait.
+    pub(super) fn send_deferred(&mut self, now: Timestamp<Server>) {
+        for (robot, message) in std::mem::take(&mut self.deferred) {
+            self.send(now, robot, message);
+        }
+    }
+
+    pub(super) fn post(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+        self.post_by(now, robot, message, false);
+    }
+
+    pub(super) fn post_urgently(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+        self.post_by(now, robot, message, true);
+    }
+
+    fn post_by(&mut self, now: Timestamp<Server>, robot: usize, message: Message, urgent: bool) {
+        if self.robots[robot].is_up() {
+            self.robots[robot].last_sent = Some(now);
+            self.actions.push(Action::Send { robot, message, urgent });
+        }
+    }
+
+    pub(super) fn record(&mut self, record: Record) {
+        self.recording.count += u64::from(record.is_durable());
+        self.actions.push(Action::Record(record));
+    }
+
+    /// Writes down what an act waits for.
+    pub(super) fn record_for(&mut self, now: Timestamp<Server>, act: u32, record: Record) {
+        let durable = record.is_durable();
+        self.record(record);
+        if durable {
+            self.recording.awaited.push_back((self.recording.count, Some(act), now));
+        }
+    }
+
+    /// The first thing that is written down tells how long the disk takes, before anything depends on it.
+    pub(super) fn measure_disk(&mut self, now: Timestamp<Server>) {
+        if self.recording.count == 0 && matches!(self.phase, Phase::Greeting { .. } | Phase::Performing) {
+            self.record(Record::Begun);
+            self.recording.awaited.push_back((self.recording.count, None, now));
+        }
+    }
+
+    /// Whether it is known how long the disk takes.
+    pub(super) const fn disk_is_known(&self) -> bool {
+        self.recording.longest.is_some()
+    }
+
+    /// So many durable records are on the disk.
+    pub(super) fn recorded(&mut self, now: Timestamp<Server>, count: u64) {
+        while let Some(&(_, number, asked)) =
+            self.recording.awaited.front().filter(|(record, ..)| *record <= count)
+        {
+            self.recording.awaited.pop_front();
+            // Slowly forgotten, so that one slow moment does not delay the rest of the show.
+            let before = self.recording.longest.unwrap_or_default() * 3 / 4;
+            self.recording.longest = Some((now - asked).max(before));
+            let Some(number) = number else { continue };
+            let act = self.acts.iter_mut().find(|act| act.number() == number);
+            let actions = act.map(Act::recorded).unwrap_or_default();
+            self.carry_out(now, number, actions);
+        }
+        self.goes_on(now);
+    }
+
+    /// How long a durable record may take.
+    pub(super) fn recording_time(&self) -> Span {
+        (self.recording.longest.unwrap_or_default() * 2).max(RECORDING).min(RECORDING_MAX)
+    }
+}
+
+/// The script that an answer without a name belongs to: answers of a device come in the order of its scripts.
+fn open_without_name(
+    acts: &[Act],
+    robot: usize,
+    device: &DeviceId,
+    response: &ControlResponse,
+) -> Option<ScriptRef> {
+    if response.request_id.is_some() {
+        return None;
+    }
+    let fits = |state: &ScriptState| match response.status {
+        Status::Accepted => *state == ScriptState::Sent,
+        Status::Started => matches!(state, ScriptState::Sent | ScriptState::Held),
+        Status::Ok => matches!(state, ScriptState::Held | ScriptState::Running),
+        _ => matches!(state, ScriptState::Sent | ScriptState::Held | ScriptState::Running),
+    };
+    let found = |act: &Act| {
+        let place = act.place_of(robot)?;
+        let mut scripts = act.members()[place].on(device);
+        let (script, _) = scripts.find(|(_, script)| fits(script.state()))?;
+        Some(ScriptRef { act: act.number(), member: place, script })
+    };
+    acts.iter().find_map(found)
+}

@@ -1,0 +1,169 @@
+//! Questions and their answers, stops and their confirmations, links and attempts.
+
+use urrcp::ErrorCode;
+
+use super::*;
+use crate::mission::bench::{self, Tells, at, ms, response};
+
+#[test]
+fn an_answer_settles_its_question_and_every_older_one() {
+    let mut questions = Questions::default();
+    [1, 2, 3].into_iter().for_each(|millis| questions.asked(at(millis)));
+    assert_eq!(
+        (questions.answered(), questions.unanswered(), questions.last_unanswered()),
+        (None, Some(at(1)), Some(at(3)))
+    );
+    questions.answer(at(2));
+    assert_eq!(
+        (questions.answered(), questions.unanswered(), questions.last_unanswered()),
+        (Some(at(2)), Some(at(3)), Some(at(3)))
+    );
+    questions.answer(at(1));
+    assert_eq!(questions.answered(), Some(at(2)), "an older answer that comes later takes nothing back");
+    questions.answer(at(3));
+    assert_eq!((questions.unanswered(), questions.last_unanswered()), (None, None));
+}
+
+#[test]
+fn what_is_forgiven_is_not_owed_and_what_was_answered_stays_so() {
+    let mut questions = Questions::default();
+    questions.asked(at(1));
+    questions.answer(at(1));
+    questions.asked(at(2));
+    questions.forgive();
+    assert_eq!((questions.answered(), questions.unanswered()), (Some(at(1)), None));
+}
+
+#[test]
+fn on_a_link_that_carries_nothing_the_oldest_questions_are_remembered() {
+    let mut questions = Questions::default();
+    (0..1_000).for_each(|millis| questions.asked(at(millis)));
+    assert_eq!(questions.unanswered(), Some(at(0)));
+    assert_eq!(questions.open.len(), OPEN_MAX);
+    questions.answer(at(2_000));
+    assert_eq!(questions.unanswered(), None);
+}
+
+const STOPPED: i64 = 100;
+
+/// A robot whose devices `a` and `b` were sent stops.
+fn stopped(rest: Rest) -> RobotState {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    robot.touched = ["a", "b"].map(|device| device.parse().unwrap()).into();
+    let unconfirmed = ["a", "b"].map(|device| (id(device), device.parse().unwrap())).into();
+    robot.stop = Stop::Sent(SentStop { at: at(STOPPED), rest, unconfirmed });
+    robot
+}
+
+fn id(device: &str) -> RequestId {
+    RequestId::new(format!("stop/{device}")).unwrap()
+}
+
+fn without_name(device: &str, status: Status, millis: i64) -> ControlResponse {
+    response(&device.parse().unwrap(), None, status, at(millis))
+}
+
+#[test]
+fn a_stop_is_confirmed_when_every_device_has_confirmed_it_by_name() {
+    let mut robot = stopped(Rest::Hold);
+    let confirmed = |robot: &mut RobotState, device: &str, status| {
+        let response = response(&device.parse().unwrap(), Some(&id(device)), status, at(STOPPED + 1));
+        robot.stop_answered(at(STOPPED + 2), &response, |_| false)
+    };
+    assert!(confirmed(&mut robot, "a", Status::Accepted));
+    assert!(robot.awaits_stop() && !robot.is_settled());
+    assert!(confirmed(&mut robot, "b", Status::Failed), "it is an answer, and no confirmation");
+    assert!(robot.awaits_stop());
+    assert!(confirmed(&mut robot, "b", Status::Ok));
+    assert!(matches!(robot.stop, Stop::Confirmed(Rest::Hold)) && robot.is_settled());
+    assert!(!confirmed(&mut robot, "b", Status::Ok), "there is nothing left to confirm");
+}
+
+#[test]
+fn an_answer_to_another_request_confirms_no_stop() {
+    let mut robot = stopped(Rest::Default);
+    let response =
+        response(&"a".parse().unwrap(), RequestId::new("act").ok().as_ref(), Status::Ok, at(STOPPED + 1));
+    assert!(!robot.stop_answered(at(STOPPED + 2), &response, |_| false));
+    assert!(robot.awaits_stop());
+}
+
+#[test]
+fn an_answer_without_a_name_confirms_the_stop_of_its_device_alone() {
+    let mut robot = stopped(Rest::Default);
+    assert!(robot.stop_answered(at(STOPPED + 2), &without_name("a", Status::Ok, STOPPED + 1), |_| false));
+    let Stop::Sent(sent) = &robot.stop else { panic!("b has not confirmed") };
+    assert_eq!(sent.unconfirmed.keys().collect::<Vec<_>>(), [&id("b")]);
+    assert!(!robot.stop_answered(at(STOPPED + 3), &without_name("a", Status::Ok, STOPPED + 2), |_| false));
+    assert!(
+        robot.stop_answered(at(STOPPED + 4), &without_name("b", Status::Accepted, STOPPED + 3), |_| false)
+    );
+    assert!(robot.is_settled());
+}
+
+#[test]
+fn an_answer_without_a_name_confirms_nothing_if_a_script_may_be_meant_or_it_was_said_before_the_stop() {
+    let mut robot = stopped(Rest::Default);
+    let after = without_name("a", Status::Ok, STOPPED + 1);
+    assert!(!robot.stop_answered(at(STOPPED + 2), &after, |device| device.as_str() == "a"));
+    let before = without_name("a", Status::Ok, STOPPED - 1);
+    assert!(!robot.stop_answered(at(STOPPED + 2), &before, |_| false));
+    for status in [Status::Started, Status::Failed, Status::Provide] {
+        let response = ControlResponse {
+            error: bench::refusal(ErrorCode::Cancelled),
+            ..without_name("a", status, STOPPED + 1)
+        };
+        assert!(!robot.stop_answered(at(STOPPED + 2), &response, |_| false));
+    }
+    assert!(robot.awaits_stop());
+    assert!(robot.stop_answered(at(STOPPED + 2), &after, |device| device.as_str() == "b"));
+}
+
+#[test]
+fn an_answer_is_said_when_the_robots_clock_says_so_and_not_later_than_now() {
+    let mut robot = stopped(Rest::Default);
+    let there = bench::by_robot(at(10)) + ms(5_000);
+    robot.clock.add(crate::clock::ClockSample::from_exchange(at(10), there, there, at(10)));
+    let said = |robot: &RobotState, millis| robot.said_at(at(200), bench::by_robot(at(millis)));
+    assert!((said(&robot, 5_150) - at(150)).abs() < ms(1), "its clock is five seconds ahead");
+    assert_eq!(said(&robot, 9_000), at(200));
+    // By its own clock it was said long after the stop; in truth before it.
+    let response = without_name("a", Status::Ok, 5_000 + STOPPED - 50);
+    assert!(!robot.stop_answered(at(STOPPED + 60), &response, |_| false));
+}
+
+#[test]
+fn before_a_stop_was_sent_nothing_confirms_one() {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    assert!(robot.is_settled(), "it was sent nothing");
+    robot.touched.insert("a".parse().unwrap());
+    assert!(!robot.is_settled());
+    assert!(!robot.stop_answered(at(1), &without_name("a", Status::Ok, 1), |_| false));
+}
+
+#[test]
+fn attempts_to_reach_a_robot_slow_down_until_it_is_heard() {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    let pauses: Vec<Span> = (0..10).map(|_| robot.next_attempt()).collect();
+    assert_eq!(pauses[..4], [Span::ZERO, ms(10), ms(20), ms(40)]);
+    assert!(pauses.is_sorted() && pauses[9] == RETRY_AFTER_MAX);
+    assert!(!robot.heard(Timestamp::from_nanos(0)));
+    assert_eq!(robot.next_attempt(), Span::ZERO);
+}
+
+#[test]
+fn a_link_that_is_taken_again_is_as_good_as_broken_until_something_is_heard_on_it() {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    robot.questions.asked(at(1));
+    let lost =
+        Lost { reason: "cut".into(), loss: Loss::Closed, since: at(2), connecting: true, give_up: None };
+    robot.link = Link::Lost(lost.clone());
+    assert_eq!((robot.is_up(), robot.broken()), (false, Some("cut")));
+    robot.connected();
+    assert_eq!((robot.is_up(), robot.broken(), robot.questions.unanswered()), (true, Some("cut"), None));
+    assert!(robot.heard(Timestamp::from_nanos(0)), "for the first time since");
+    assert!(!robot.heard(Timestamp::from_nanos(0)));
+    assert_eq!(robot.broken(), None);
+    robot.link = Link::Lost(Lost { loss: Loss::Refused, ..lost });
+    assert!(robot.is_gone());
+}

@@ -1,0 +1,195 @@
+//! Questions to robots: what keeps leases, measures clocks and tells who has gone silent.
+//!
+//! All robots are asked at least once a second, and three times a lease. While an act approaches its start it asks its
+//! members itself (`act/approaching.rs`); nothing else is then sent to them without a question ahead of it that carries
+//! the lease, and between the critical instant and the commitment nothing at all but stops.
+
+use urrcp::{
+    AvailabilityRequest, Inquiry, InquiryResponse, Message, Millis, Server, Span, Status, Timestamp,
+};
+
+use super::act::Act;
+use super::failure_kind::FailureKind;
+use super::lead::LeadTime;
+use super::{Mission, Phase, error_of_status};
+use crate::clock::ClockSample;
+
+/// Between two rounds where no lease asks for more.
+const KEEP_ALIVE: Span = Span::from_millis(1_000);
+/// A robot that owes an answer for so long has failed, where no lease of its own sets a bound.
+pub(super) const SILENCE_MAX: Span = Span::from_millis(3_000);
+/// A round that comes so late was held up on this machine, and says nothing about the robots.
+const HELD_UP: Span = Span::from_millis(100);
+
+impl Mission {
+    /// Asks all robots when the next round is due.
+    pub(super) fn renew_if_due(&mut self, now: Timestamp<Server>) {
+        if now < *self.next_round.get_or_insert(now + KEEP_ALIVE) {
+            return;
+        }
+        self.renew_all(now);
+        self.next_round = Some(now + self.round_interval());
+        self.next_silence = self.silence_due(now);
+    }
+
+    fn renew_all(&mut self, now: Timestamp<Server>) {
+        for robot in 0..self.robots.len() {
+            match (self.robots[robot].stop_was_sent(), self.robots[robot].awaits_stop()) {
+                (false, _) => self.ask(now, robot),
+                // A robot that was left out has not confirmed yet.
+                (true, true) => self.stop_anew(now, robot),
+                (true, false) => {}
+            }
+        }
+    }
+
+    /// A third of the shortest lease.
+    fn round_interval(&self) -> Span {
+        interval_for(self.acts.iter().filter_map(Act::shortest_lease).min())
+    }
+
+    /// Something is sent under this lease: the next round comes in time for it.
+    pub(super) fn quicken_rounds(&mut self, now: Timestamp<Server>, lease: Option<Span>) {
+        let next = now + interval_for(lease);
+        self.next_round = Some(self.next_round.map_or(next, |at| at.min(next)));
+    }
+
+    /// This machine was held up: robots that could not answer meanwhile are not silent.
+    pub(super) fn notice_hold_up(&mut self, now: Timestamp<Server>) {
+        if self.next_round.is_some_and(|due| now > due + HELD_UP) {
+            self.robots.iter_mut().for_each(|robot| robot.questions.forgive());
+            self.next_silence = None;
+        }
+    }
+
+    /// Asks a robot for its times, which renews all leases. While an act approaches its start, about its scripts as well.
+    pub(super) fn ask(&mut self, now: Timestamp<Server>, robot: usize) {
+        if self.acts.iter().any(|act| act.approaches(robot)) {
+            return self.inquire(now, robot);
+        }
+        if !self.acts.iter().any(|act| act.hushes(robot, now)) {
+            self.ask_about(now, robot, Vec::new());
+        }
+    }
+
+    /// Asks a robot what became of all its scripts, and lets it shorten their leases as far as acts approach their start.
+    pub(super) fn inquire(&mut self, now: Timestamp<Server>, robot: usize) {
+        if !self.acts.iter().any(|act| act.hushes(robot, now)) {
+            self.inquire_now(now, robot);
+        }
+    }
+
+    /// The same ahead of a message that cannot wait.
+    pub(super) fn inquire_now(&mut self, now: Timestamp<Server>, robot: usize) {
+        let named = self.acts.iter().flat_map(|act| act.names_of(robot, now)).collect();
+        self.ask_about(now, robot, named);
+    }
+
+    fn ask_about(&mut self, now: Timestamp<Server>, robot: usize, named: Vec<super::act::NamedScripts>) {
+        let state = &mut self.robots[robot];
+        if !state.is_up() {
+            return;
+        }
+        state.questions.asked(now);
+        let session = self.options.session.clone();
+        if !state.takes_inquiries() {
+            let request = AvailabilityRequest { timestamp: Some(now), session };
+            return self.post(now, robot, Message::AvailabilityRequest(request));
+        }
+        let plain = Inquiry { timestamp: Some(now), session, ..Inquiry::default() };
+        if named.is_empty() {
+            return self.post(now, robot, Message::Inquiry(plain));
+        }
+        for group in named {
+            let pending_lease = group.lease.map(Millis::from_span);
+            let inquiry = Inquiry { requests: group.requests, pending_lease, ..plain.clone() };
+            self.post(now, robot, Message::Inquiry(inquiry));
+        }
+    }
+
+    /// Asks for the robot's times and claims it for the session, which also renews all leases.
+    pub(super) fn ask_availability(&mut self, now: Timestamp<Server>, robot: usize) {
+        self.robots[robot].questions.asked(now);
+        let session = self.options.session.clone();
+        let request = AvailabilityRequest { timestamp: Some(now), session };
+        self.post(now, robot, Message::AvailabilityRequest(request));
+    }
+
+    /// Takes the times in an answer.
+    pub(super) fn take_times(&mut self, robot: usize, sample: ClockSample) {
+        let state = &mut self.robots[robot];
+        state.clock.add(sample);
+        state.questions.answer(sample.sent);
+    }
+
+    /// A robot says what became of its scripts.
+    pub(super) fn inquiry_answered(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: usize,
+        response: &InquiryResponse,
+    ) {
+        let Some(asked_at) = response.originate_timestamp.filter(|sent| *sent <= self.arrived) else {
+            return;
+        };
+        let sample = ClockSample::from_exchange(
+            asked_at,
+            response.receive_timestamp,
+            response.timestamp,
+            self.arrived,
+        );
+        self.take_times(robot, sample);
+        for report in &response.requests {
+            let Some(&script) = self.robots[robot].requests.get(&report.request_id) else { continue };
+            let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { continue };
+            let noted = act.reported(script, report, (asked_at, response.timestamp), &self.robots);
+            self.carry_out(now, script.act, noted.actions);
+        }
+        if response.status == Status::Failed && !matches!(self.phase, Phase::Stopping { .. }) {
+            let error = error_of_status(response.error.as_ref());
+            self.fail(now, robot, FailureKind::NotAvailable { error });
+        }
+        self.goes_on(now);
+    }
+
+    /// How long a robot may owe an answer while it has scripts of an act that has started.
+    fn silence_bound(&self, now: Timestamp<Server>, robot: usize) -> Option<Span> {
+        let state = &self.robots[robot];
+        let plays = |act: &&Act| act.is_committed() && act.has_something_on(robot);
+        if state.stop_was_sent() || !state.is_up() || !self.acts.iter().any(|act| plays(&act)) {
+            return None;
+        }
+        let lease = self.acts.iter().filter_map(|act| act.running_lease(robot, now)).min();
+        Some(lease.unwrap_or(SILENCE_MAX) + state.round_trip())
+    }
+
+    /// When the first robot will have been silent for too long, as things are now.
+    fn silence_due(&self, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
+        let due = |robot: usize| self.robots[robot].silent_at(self.silence_bound(now, robot)?);
+        (0..self.robots.len()).filter_map(due).min()
+    }
+
+    /// A robot that owes an answer for its running lease is a failure, whatever its link looks like.
+    pub(super) fn notice_silence(&mut self, now: Timestamp<Server>) {
+        if self.next_silence.is_none_or(|due| now < due) {
+            return;
+        }
+        let silent = |robot: usize| {
+            let within = self.silence_bound(now, robot)?;
+            self.robots[robot].silent_at(within).filter(|due| now >= *due)?;
+            let awaited = "answer".to_owned();
+            Some((robot, FailureKind::Silent { awaited, within }))
+        };
+        let silent: Vec<_> = (0..self.robots.len()).filter_map(silent).collect();
+        if !silent.is_empty() {
+            self.fail_all(now, silent);
+        }
+        self.next_silence = self.silence_due(now).map(|due| due.max(now + Span::from_millis(1)));
+    }
+}
+
+/// A third of a lease, within what is sensible.
+fn interval_for(lease: Option<Span>) -> Span {
+    let interval = lease.map(|lease| lease / LeadTime::RENEWALS_A_LEASE);
+    interval.unwrap_or(KEEP_ALIVE).min(KEEP_ALIVE).max(Span::from_millis(1))
+}

@@ -1,0 +1,347 @@
+//! One script of one device on its way: planned, sent, held, running, ended, or nobody knows.
+
+use downbeat_scripts::DeviceScript;
+use urrcp::{
+    Command, ContentHash, ControlError, ControlResponse, ErrorCode, Millis, RequestId, RequestReport,
+    RequestState, Robot, Server, Span, Status, Timestamp,
+};
+
+/// One script of a mission.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) struct ScriptRef {
+    /// The number of its act in the mission.
+    pub(crate) act: u32,
+    /// The robot's place among the members of the act.
+    pub(crate) member: usize,
+    /// Its place among the scripts of that member.
+    pub(crate) script: usize,
+}
+
+/// Where a script stands, as far as the scheduler knows.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum ScriptState {
+    /// Not sent.
+    Planned,
+    /// Its request is on its way; the robot has not answered.
+    Sent,
+    /// The robot holds it; its start lies ahead.
+    Held,
+    /// It has begun.
+    Running,
+    /// The robot said how it ended.
+    Ended(Ending),
+    /// It was sent, its time has passed, and nobody said what became of it.
+    Unknown,
+}
+
+/// How a script ended.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Ending {
+    /// All its steps were done.
+    Completed,
+    /// It was refused or ended early.
+    Failed(ControlError),
+}
+
+/// What an answer says that was not known before.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum News {
+    /// Nothing.
+    None,
+    /// The robot holds it.
+    Accepted,
+    /// It has begun.
+    Started,
+    /// It has completed.
+    Completed,
+    /// It was refused, lost or ended early.
+    Failed(ControlError),
+    /// The robot never received it.
+    NeverReceived,
+}
+
+/// One script and what is known of it.
+#[derive(Clone, Debug)]
+pub(crate) struct Script {
+    pub(crate) plan: DeviceScript,
+    state: ScriptState,
+    request_id: Option<RequestId>,
+    content_hash: ContentHash,
+    duration: Span,
+    running: RunningLeases,
+    accepted: bool,
+    started_at: Option<Timestamp<Robot>>,
+    steps_done: u32,
+    late_steps: u32,
+    /// By the robot's clock: when it first said that it holds it.
+    accepted_at: Option<Timestamp<Robot>>,
+    /// When the question was sent that it last answered with "held".
+    held_at: Option<Timestamp<Server>>,
+    sent_at: Option<Timestamp<Server>>,
+}
+
+impl Script {
+    pub(crate) fn new(plan: &DeviceScript) -> Self {
+        Self {
+            content_hash: Command::Script(plan.script.clone()).content_hash(),
+            duration: plan.script.duration(),
+            running: RunningLeases::of(plan),
+            plan: plan.clone(),
+            state: ScriptState::Planned,
+            request_id: None,
+            accepted: false,
+            started_at: None,
+            steps_done: 0,
+            late_steps: 0,
+            accepted_at: None,
+            held_at: None,
+            sent_at: None,
+        }
+    }
+
+    pub(crate) const fn state(&self) -> &ScriptState {
+        &self.state
+    }
+
+    pub(crate) const fn request_id(&self) -> Option<&RequestId> {
+        self.request_id.as_ref()
+    }
+
+    pub(crate) const fn content_hash(&self) -> ContentHash {
+        self.content_hash
+    }
+
+    /// From its start to its last step.
+    pub(crate) const fn duration(&self) -> Span {
+        self.duration
+    }
+
+    /// The shortest of the leases under which it plays.
+    pub(crate) const fn shortest_lease(&self) -> Option<Span> {
+        self.running.shortest
+    }
+
+    /// The longest of the leases under which it plays; `None`: at times it plays without one.
+    pub(crate) const fn longest_lease(&self) -> Option<Span> {
+        self.running.longest
+    }
+
+    pub(crate) const fn was_accepted(&self) -> bool {
+        self.accepted
+    }
+
+    pub(crate) const fn started_at(&self) -> Option<Timestamp<Robot>> {
+        self.started_at
+    }
+
+    pub(crate) const fn steps_done(&self) -> u32 {
+        self.steps_done
+    }
+
+    pub(crate) const fn late_steps(&self) -> u32 {
+        self.late_steps
+    }
+
+    /// When the question was sent that it last answered with "held".
+    pub(crate) const fn held_at(&self) -> Option<Timestamp<Server>> {
+        self.held_at
+    }
+
+    pub(crate) const fn is_planned(&self) -> bool {
+        matches!(self.state, ScriptState::Planned)
+    }
+
+    /// The robot has it, or may have it.
+    pub(crate) const fn is_out(&self) -> bool {
+        matches!(self.state, ScriptState::Sent | ScriptState::Held | ScriptState::Running)
+    }
+
+    /// Sent, and nobody said what became of it.
+    pub(crate) const fn is_unaccounted(&self) -> bool {
+        self.is_out() || matches!(self.state, ScriptState::Unknown)
+    }
+
+    pub(crate) const fn has_completed(&self) -> bool {
+        matches!(self.state, ScriptState::Ended(Ending::Completed))
+    }
+
+    /// The robot said that it began.
+    pub(crate) const fn has_begun(&self) -> bool {
+        self.started_at.is_some()
+            || self.steps_done > 0
+            || self.has_completed()
+            || matches!(self.state, ScriptState::Running)
+    }
+
+    pub(super) fn name(&mut self, id: Option<RequestId>) {
+        self.request_id = id;
+    }
+
+    pub(super) fn sent(&mut self, now: Timestamp<Server>) {
+        self.state = ScriptState::Sent;
+        self.sent_at = Some(now);
+    }
+
+    /// Its time has passed on a robot that does not report: it is taken to have ended, and nobody knows how.
+    pub(super) fn lapse(&mut self) {
+        if self.is_out() {
+            self.state = ScriptState::Unknown;
+        }
+    }
+
+    /// A refusal because the queue was still full: it is sent again, under another name, since the robot remembers what
+    /// it answered to this one.
+    pub(super) fn refused_for_now(&mut self) {
+        self.state = ScriptState::Planned;
+        let again = self.request_id.as_ref().map(|id| RequestId::new(format!("{id}+")));
+        self.request_id = again.and_then(Result::ok);
+    }
+
+    const fn is_final(&self) -> bool {
+        matches!(self.state, ScriptState::Ended(_))
+    }
+
+    /// Takes an answer, in whatever order answers come.
+    pub(super) fn answered(&mut self, response: &ControlResponse) -> News {
+        self.steps_done = self.steps_done.max(response.steps_done.unwrap_or(0));
+        self.late_steps = self.late_steps.max(response.late_steps.unwrap_or(0));
+        match &response.status {
+            Status::Accepted => match response.content_hash.filter(|hash| *hash != self.content_hash) {
+                Some(_) => self.fail(foreign()),
+                None => self.accept(response.timestamp),
+            },
+            Status::Started => self.start(response.event_timestamp.unwrap_or(response.timestamp)),
+            Status::Ok => self.complete(response.steps_done),
+            Status::Failed => self.fail(error_of(response)),
+            Status::Provide | Status::Other(_) => News::None,
+        }
+    }
+
+    /// Takes what a robot reported at `said_at`, when it was asked at `asked_at`.
+    pub(super) fn reported(
+        &mut self,
+        report: &RequestReport,
+        asked_at: Timestamp<Server>,
+        said_at: Timestamp<Robot>,
+    ) -> News {
+        self.steps_done = self.steps_done.max(report.steps_done.unwrap_or(0));
+        self.late_steps = self.late_steps.max(report.late_steps.unwrap_or(0));
+        let foreign_content = report.content_hash.is_some_and(|hash| hash != self.content_hash);
+        match report.state {
+            RequestState::Held | RequestState::Running if foreign_content => self.fail(foreign()),
+            RequestState::Held => {
+                self.held_at = self.held_at.max(Some(asked_at));
+                self.accept(said_at)
+            }
+            RequestState::Running => self.start(report.event_timestamp.unwrap_or(said_at)),
+            RequestState::Ended => {
+                if let Some(at) = report.event_timestamp {
+                    self.started_at.get_or_insert(at);
+                }
+                match &report.error {
+                    None => self.complete(report.steps_done),
+                    Some(error) => self.fail(error.clone()),
+                }
+            }
+            RequestState::Unknown => self.unknown_to_the_robot(asked_at, said_at),
+        }
+    }
+
+    /// The robot does not know the request: it never came, or it is lost. An answer from before it came says nothing, and
+    /// what was asked at the very instant at which it was sent may have gone ahead of it.
+    fn unknown_to_the_robot(&mut self, asked_at: Timestamp<Server>, said_at: Timestamp<Robot>) -> News {
+        match self.state {
+            ScriptState::Sent if self.sent_at.is_none_or(|sent| sent < asked_at) => News::NeverReceived,
+            ScriptState::Held | ScriptState::Running | ScriptState::Unknown
+                if self.accepted_at.is_none_or(|at| at < said_at) =>
+            {
+                // What it did of it before nobody can tell any more.
+                self.state = ScriptState::Unknown;
+                let message = "the robot has lost the script, as after a restart";
+                News::Failed(ControlError::new(ErrorCode::Internal, message))
+            }
+            _ => News::None,
+        }
+    }
+
+    fn accept(&mut self, said_at: Timestamp<Robot>) -> News {
+        self.accepted = true;
+        self.accepted_at.get_or_insert(said_at);
+        match self.state {
+            ScriptState::Sent | ScriptState::Planned => {
+                self.state = ScriptState::Held;
+                News::Accepted
+            }
+            _ => News::None,
+        }
+    }
+
+    fn start(&mut self, at: Timestamp<Robot>) -> News {
+        self.accepted = true;
+        let first = self.started_at.is_none();
+        self.started_at.get_or_insert(at);
+        if !self.is_final() {
+            self.state = ScriptState::Running;
+        }
+        if first { News::Started } else { News::None }
+    }
+
+    fn complete(&mut self, steps_done: Option<u32>) -> News {
+        if self.is_final() {
+            return News::None;
+        }
+        self.accepted = true;
+        let all = u32::try_from(self.plan.script.steps().len()).unwrap_or(u32::MAX);
+        self.steps_done = self.steps_done.max(steps_done.unwrap_or(all));
+        self.state = ScriptState::Ended(Ending::Completed);
+        News::Completed
+    }
+
+    fn fail(&mut self, error: ControlError) -> News {
+        if self.is_final() {
+            return News::None;
+        }
+        self.state = ScriptState::Ended(Ending::Failed(error.clone()));
+        News::Failed(error)
+    }
+}
+
+/// What starts is what was checked: the robot's own hash of what it accepted has to be ours.
+fn foreign() -> ControlError {
+    let message = "the robot accepted another script than the one sent (content_hash differs)";
+    ControlError::new(ErrorCode::Malformed, message)
+}
+
+/// The leases under which a script plays: that of the request up to its first step, then that of each step.
+#[derive(Clone, Copy, Debug)]
+struct RunningLeases {
+    shortest: Option<Span>,
+    longest: Option<Span>,
+}
+
+impl RunningLeases {
+    fn of(plan: &DeviceScript) -> Self {
+        let whole = plan.stop_condition;
+        let steps = plan.script.steps();
+        let at_once = steps.first().is_some_and(|step| step.offset.span() == Span::ZERO);
+        let before = (!at_once).then_some(whole.running);
+        let of_steps = steps.iter().map(|step| step.stop_condition.unwrap_or(whole).running);
+        let mut shortest: Option<Span> = None;
+        let mut longest = Some(Span::ZERO);
+        for lease in before.into_iter().chain(of_steps) {
+            let lease = lease.map(Millis::span);
+            shortest = shortest.into_iter().chain(lease).min();
+            longest = longest.zip(lease).map(|(longest, lease)| longest.max(lease));
+        }
+        Self { shortest, longest }
+    }
+}
+
+/// The reason in a failed response, or a stand-in where the robot gave none.
+pub(crate) fn error_of(response: &ControlResponse) -> ControlError {
+    let without = || ControlError::new(ErrorCode::Internal, "the robot gave no reason");
+    response.error.clone().unwrap_or_else(without)
+}
+
+#[cfg(test)]
+mod tests;

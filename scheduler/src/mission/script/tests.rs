@@ -1,0 +1,247 @@
+//! Whatever a robot says of a script, in whatever order.
+
+use proptest::prelude::*;
+
+use super::*;
+use crate::mission::bench::{self, at, by_robot, ms, refusal, report, response};
+
+/// What may be said of a script, or happen to it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Said {
+    Accepted,
+    Started,
+    Ok(Option<u32>),
+    Failed,
+    Held,
+    Running(u32),
+    EndedWell(Option<u32>),
+    EndedBadly,
+    Unknown,
+    /// It is sent again.
+    Sent,
+    /// Its time has passed, and nobody said anything.
+    Lapses,
+}
+
+fn sent() -> Script {
+    let mut script = Script::new(&bench::device_script(("a", 0, 400)));
+    script.name(RequestId::new("id").ok());
+    script.sent(at(0));
+    script
+}
+
+/// Takes what was said `millis` after it was sent.
+fn take(script: &mut Script, said: Said, millis: i64) -> News {
+    let now = at(millis);
+    let id = script.request_id().unwrap().clone();
+    let status = |status, steps_done, error| ControlResponse {
+        steps_done,
+        error,
+        ..response(&script.plan.device, Some(&id), status, now)
+    };
+    let state = |state, steps_done, error| RequestReport { steps_done, error, ..report(&id, state, None) };
+    let failed = refusal(ErrorCode::Late);
+    let reported = match said {
+        Said::Accepted => return script.answered(&status(Status::Accepted, None, None)),
+        Said::Started => return script.answered(&status(Status::Started, None, None)),
+        Said::Ok(steps) => return script.answered(&status(Status::Ok, steps, None)),
+        Said::Failed => return script.answered(&status(Status::Failed, None, failed)),
+        Said::Sent => {
+            script.sent(now);
+            return News::None;
+        }
+        Said::Lapses => {
+            script.lapse();
+            return News::None;
+        }
+        Said::Held => state(RequestState::Held, None, None),
+        Said::Running(steps) => state(RequestState::Running, Some(steps), None),
+        Said::EndedWell(steps) => state(RequestState::Ended, steps, None),
+        Said::EndedBadly => state(RequestState::Ended, None, failed),
+        Said::Unknown => state(RequestState::Unknown, None, None),
+    };
+    script.reported(&reported, now, by_robot(now))
+}
+
+const ANSWERS: [Said; 10] = [
+    Said::Accepted,
+    Said::Started,
+    Said::Ok(None),
+    Said::Ok(Some(1)),
+    Said::Failed,
+    Said::Held,
+    Said::Running(1),
+    Said::EndedWell(Some(2)),
+    Said::EndedBadly,
+    Said::Unknown,
+];
+
+fn is_end(news: &News) -> bool {
+    matches!(news, News::Completed | News::Failed(_))
+}
+
+#[test]
+fn in_every_order_of_answers_an_end_stays_and_is_told_once() {
+    for one in ANSWERS {
+        for two in ANSWERS {
+            for three in ANSWERS {
+                for four in ANSWERS {
+                    let mut script = sent();
+                    let (mut ended, mut ends, mut steps) = (None, 0, 0);
+                    for (index, said) in [one, two, three, four].into_iter().enumerate() {
+                        let news = take(&mut script, said, 1 + index as i64);
+                        let final_now = script.is_final().then(|| script.state().clone());
+                        assert!(ended.is_none() || final_now == ended, "{one:?} {two:?} {three:?} {four:?}");
+                        ends += usize::from(is_end(&news) && script.is_final());
+                        assert!(script.steps_done() >= steps, "{one:?} {two:?} {three:?} {four:?}");
+                        (ended, steps) = (final_now, script.steps_done());
+                    }
+                    assert_eq!(ends, usize::from(ended.is_some()), "{one:?} {two:?} {three:?} {four:?}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn the_usual_course_is_told_step_by_step() {
+    let mut script = sent();
+    assert!(script.is_out() && !script.was_accepted() && !script.has_begun());
+    assert_eq!(take(&mut script, Said::Accepted, 1), News::Accepted);
+    assert_eq!(take(&mut script, Said::Held, 2), News::None);
+    assert_eq!(script.held_at(), Some(at(2)));
+    assert_eq!(take(&mut script, Said::Started, 3), News::Started);
+    assert!(script.has_begun() && *script.state() == ScriptState::Running);
+    assert_eq!(take(&mut script, Said::Running(1), 4), News::None);
+    assert_eq!(take(&mut script, Said::Ok(None), 5), News::Completed);
+    assert!(script.has_completed() && !script.is_unaccounted());
+    assert_eq!((script.steps_done(), script.started_at()), (2, Some(by_robot(at(3)))));
+}
+
+#[test]
+fn whatever_is_heard_first_makes_up_for_what_was_lost_before_it() {
+    for said in [Said::Started, Said::Running(1), Said::Ok(None), Said::EndedWell(None)] {
+        let mut script = sent();
+        let _ = take(&mut script, said, 1);
+        assert!(script.was_accepted() && script.has_begun(), "{said:?}");
+        assert_eq!(take(&mut script, Said::Accepted, 2), News::None, "{said:?}");
+        assert!(script.has_begun(), "{said:?}");
+    }
+}
+
+#[test]
+fn an_unknown_script_was_never_received_lost_or_asked_about_too_early() {
+    let mut never = sent();
+    assert_eq!(take(&mut never, Said::Unknown, 1), News::NeverReceived);
+    assert_eq!(*never.state(), ScriptState::Sent);
+    for first in [Said::Accepted, Said::Started] {
+        let mut lost = sent();
+        let _ = take(&mut lost, first, 1);
+        assert!(matches!(take(&mut lost, Said::Unknown, 2), News::Failed(_)), "{first:?}");
+        assert_eq!(*lost.state(), ScriptState::Unknown, "nobody can tell what it did");
+    }
+    // A question that went ahead of the request in the same instant says nothing.
+    let mut behind = sent();
+    assert_eq!(take(&mut behind, Said::Unknown, 0), News::None);
+    let mut again = sent();
+    again.sent(at(5));
+    assert_eq!(take(&mut again, Said::Unknown, 4), News::None);
+}
+
+#[test]
+fn a_script_that_nobody_spoke_of_becomes_unknown_and_may_still_be_heard_of() {
+    let mut script = sent();
+    script.lapse();
+    assert_eq!(*script.state(), ScriptState::Unknown);
+    assert!(script.is_unaccounted() && !script.is_out() && !script.has_begun());
+    assert_eq!(take(&mut script, Said::Ok(None), 500), News::Completed);
+    script.lapse();
+    assert!(script.has_completed());
+}
+
+#[test]
+fn a_robot_that_accepted_something_else_has_failed() {
+    let other = Some(Command::Script(bench::device_script(("a", 0, 401)).script).content_hash());
+    let mut answered = sent();
+    let id = answered.request_id().cloned();
+    let accepted = response(&answered.plan.device, id.as_ref(), Status::Accepted, at(1));
+    assert!(matches!(
+        answered.answered(&ControlResponse { content_hash: other, ..accepted }),
+        News::Failed(_)
+    ));
+    for state in [RequestState::Held, RequestState::Running] {
+        let mut reported = sent();
+        let report = report(id.as_ref().unwrap(), state, other);
+        assert!(matches!(reported.reported(&report, at(1), by_robot(at(1))), News::Failed(_)));
+        assert!(!reported.was_accepted() && !reported.has_begun());
+    }
+}
+
+#[test]
+fn a_script_that_is_refused_for_a_moment_is_planned_again_under_another_name() {
+    let mut script = sent();
+    script.refused_for_now();
+    assert!(script.is_planned() && script.request_id().unwrap().as_str() == "id+");
+}
+
+#[test]
+fn the_leases_of_a_script_are_those_of_its_steps_and_of_the_request_before_them() {
+    let planned = |first: i64, leases: &[Option<i64>]| {
+        let step = |(index, lease): (usize, &Option<i64>)| urrcp::Step {
+            offset: Millis::from_span(ms(first + 10 * index as i64)),
+            setpoint: urrcp::Setpoint::new(urrcp::ControlType::Position, 1.0),
+            stop_condition: lease.map(|lease| urrcp::StopCondition {
+                pending: None,
+                running: (lease > 0).then(|| Millis::from_span(ms(lease))),
+            }),
+        };
+        let steps = leases.iter().enumerate().map(step).collect();
+        Script::new(&DeviceScript {
+            script: urrcp::Script::new(steps).unwrap(),
+            ..bench::device_script(("a", 0, 0))
+        })
+    };
+    let both = |script: Script| (script.shortest_lease(), script.longest_lease());
+    let whole = bench::RUNNING;
+    assert_eq!(both(planned(0, &[None, None])), (Some(whole), Some(whole)));
+    assert_eq!(both(planned(0, &[Some(100), Some(300)])), (Some(ms(100)), Some(ms(300))));
+    assert_eq!(
+        both(planned(5, &[Some(100), Some(300)])),
+        (Some(ms(100)), Some(whole)),
+        "up to its first step"
+    );
+    assert_eq!(both(planned(0, &[Some(100), Some(0)])), (Some(ms(100)), None), "the second has none");
+}
+
+fn any_said() -> impl Strategy<Value = Said> {
+    let steps = proptest::option::of(0_u32..4);
+    prop_oneof![
+        prop::sample::select(&ANSWERS[..]),
+        Just(Said::Sent),
+        Just(Said::Lapses),
+        steps.clone().prop_map(Said::Ok),
+        steps.prop_map(Said::EndedWell),
+        (0_u32..4).prop_map(Said::Running),
+    ]
+}
+
+proptest! {
+    #[test]
+    fn whatever_is_said_steps_done_never_falls_and_what_has_begun_has_begun(
+        said in prop::collection::vec(any_said(), 1..12),
+    ) {
+        let mut script = sent();
+        for (index, said) in said.into_iter().enumerate() {
+            // What has ended is not sent again.
+            if said == Said::Sent && script.is_final() {
+                continue;
+            }
+            let before = (script.steps_done(), script.was_accepted(), script.started_at(), script.has_completed());
+            let _ = take(&mut script, said, 1 + index as i64);
+            prop_assert!(script.steps_done() >= before.0);
+            prop_assert!(script.was_accepted() >= before.1);
+            prop_assert!(before.2.is_none() || script.started_at() == before.2);
+            prop_assert!(script.has_completed() >= before.3);
+        }
+    }
+}

@@ -1,0 +1,210 @@
+//! The real world of a mission: tokio's links and timers, the journal's thread, the recording's file.
+
+use std::time::Duration;
+
+use tokio::sync::mpsc;
+use urrcp::{Message, RobotId, Server, Span, Timestamp};
+
+use super::{Keep, Operator};
+use crate::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
+use crate::journal::{Journal, Writer, Written};
+use crate::link::{Endpoint, Link};
+use crate::mission::{Event, Progress, Record};
+use crate::recording::Recording;
+use crate::server_clock::{NtpState, NtpWatch, ServerClock};
+
+/// Events that may wait for the mission; links wait beyond that.
+const EVENTS_MAX: usize = 65_536;
+
+/// Something for the recording, written once nothing is left to do.
+type Note = Box<dyn FnOnce(&mut Recording, &[RobotId]) + Send>;
+
+pub(super) struct RealWorld<T> {
+    clock: ServerClock,
+    endpoints: Vec<Endpoint>,
+    ids: Vec<RobotId>,
+    links: Vec<Option<Link>>,
+    events: mpsc::Sender<Happened>,
+    happened: mpsc::Receiver<Happened>,
+    operator: mpsc::Receiver<Operator>,
+    ntp: Option<NtpWatch>,
+    tell: T,
+    journal: FileJournal,
+    recording: Option<Recording>,
+    notes: Vec<Note>,
+}
+
+enum FileJournal {
+    None,
+    Written(Writer),
+    /// Its thread cannot start.
+    Lost(String),
+}
+
+impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
+    pub(super) fn new(
+        endpoints: Vec<Endpoint>,
+        ids: Vec<RobotId>,
+        clock: ServerClock,
+        operator: mpsc::Receiver<Operator>,
+        tell: T,
+        keep: Keep,
+    ) -> Self {
+        let (events, happened) = mpsc::channel(EVENTS_MAX);
+        let journal = keep.journal.map_or(FileJournal::None, |journal| match Writer::start(journal) {
+            Ok(writer) => FileJournal::Written(writer),
+            Err(error) => FileJournal::Lost(format!("no thread for the journal: {error}")),
+        });
+        Self {
+            clock,
+            links: endpoints.iter().map(|_| None).collect(),
+            endpoints,
+            ids,
+            events,
+            happened,
+            operator,
+            ntp: keep.ntp,
+            tell,
+            journal,
+            recording: keep.recording,
+            notes: Vec::new(),
+        }
+    }
+
+    /// Lets go of the links, gives their tasks a moment to write what is queued, and waits for the disk.
+    pub(super) async fn finish(mut self) -> Keep {
+        self.write_notes();
+        drop(self.links);
+        tokio::time::sleep(Duration::from_millis(20)).await;
+        let journal: Option<Journal> = match self.journal {
+            FileJournal::Written(writer) => writer.finish().await,
+            FileJournal::None | FileJournal::Lost(_) => None,
+        };
+        Keep { journal, recording: self.recording, ntp: self.ntp }
+    }
+
+    /// The recording's file may make this wait, so nothing that has to be sent waits behind it.
+    fn write_notes(&mut self) {
+        if let Some(recording) = &mut self.recording {
+            self.notes.drain(..).for_each(|note| note(recording, &self.ids));
+        }
+    }
+
+    fn note(&mut self, note: impl FnOnce(&mut Recording, &[RobotId]) + Send + 'static) {
+        if self.recording.is_some() {
+            self.notes.push(Box::new(note));
+        }
+    }
+
+    fn note_received(&mut self, happened: &Happened) {
+        let (Happened::OnLink { at, event, .. } | Happened::Event { at, event }) = happened else { return };
+        if let (Event::Received { robot, message }, Some(_)) = (&**event, &self.recording) {
+            let (at, robot, message) = (*at, *robot, message.clone());
+            self.note(move |recording, ids| recording.received(at, &ids[robot], &message));
+        }
+    }
+
+    fn event(&self, event: Event) -> Option<Happened> {
+        Some(Happened::Event { at: self.clock.now(), event: Box::new(event) })
+    }
+}
+
+impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
+    fn now(&self) -> Timestamp<Server> {
+        self.clock.now()
+    }
+
+    async fn next(&mut self, until: Option<Timestamp<Server>>) -> Option<Happened> {
+        self.write_notes();
+        tokio::select! {
+            biased;
+            word = self.operator.recv() => match word {
+                Some(Operator::Stop) => self.event(Event::StopRequested),
+                Some(Operator::Go) => self.event(Event::Go),
+                Some(Operator::Leave) | None => Some(Happened::Left),
+            },
+            written = next_written(&mut self.journal) => self.event(match written.lost {
+                Some(reason) => Event::JournalLost { reason },
+                None => Event::Recorded { count: written.count },
+            }),
+            Some(happened) = self.happened.recv() => {
+                self.note_received(&happened);
+                Some(happened)
+            }
+            state = next_state(&mut self.ntp) => self.event(Event::ServerTime(state)),
+            () = wait_until(self.clock, until) => None,
+        }
+    }
+
+    fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
+        let endpoint = self.endpoints[robot].clone();
+        let events = self.events.clone();
+        self.links[robot] =
+            Some(Link::open((robot, link), endpoint, self.clock, events, after.to_duration()));
+    }
+
+    fn send(
+        &mut self,
+        robot: usize,
+        _: LinkNumber,
+        message: Message,
+        urgency: Urgency,
+    ) -> Result<(), QueueFull> {
+        let Some(link) = &self.links[robot] else { return Ok(()) };
+        let copy = self.recording.is_some().then(|| message.clone());
+        link.send(message, urgency)?;
+        if let Some(message) = copy {
+            let at = self.clock.now();
+            self.note(move |recording, ids| recording.sent(at, &ids[robot], &message));
+        }
+        Ok(())
+    }
+
+    fn cut(&mut self, robot: usize, _: LinkNumber) {
+        if let Some(link) = self.links[robot].take() {
+            link.cut();
+        }
+    }
+
+    fn write(&mut self, at: Timestamp<Server>, record: Record) -> Filed {
+        if self.recording.is_some() {
+            let record = record.clone();
+            self.note(move |recording, _| recording.record(at, &record));
+        }
+        match &self.journal {
+            FileJournal::None => Filed::AtOnce,
+            FileJournal::Lost(reason) => Filed::Lost(reason.clone()),
+            FileJournal::Written(writer) => {
+                writer.write(at, record).map_or_else(Filed::Lost, |()| Filed::Waiting)
+            }
+        }
+    }
+
+    fn tell(&mut self, at: Timestamp<Server>, progress: Progress) {
+        (self.tell)(at, &progress);
+        self.note(move |recording, _| recording.progress(at, &progress));
+    }
+}
+
+async fn next_written(journal: &mut FileJournal) -> Written {
+    match journal {
+        FileJournal::Written(writer) => writer.next().await,
+        FileJournal::None | FileJournal::Lost(_) => std::future::pending().await,
+    }
+}
+
+async fn next_state(ntp: &mut Option<NtpWatch>) -> NtpState {
+    match ntp {
+        Some(watch) => watch.next().await,
+        None => std::future::pending().await,
+    }
+}
+
+async fn wait_until(clock: ServerClock, until: Option<Timestamp<Server>>) {
+    match until {
+        // A timer that is due already would still take until the runtime's next millisecond.
+        Some(at) if at <= clock.now() => {}
+        Some(at) => tokio::time::sleep_until(tokio::time::Instant::from_std(clock.instant_of(at))).await,
+        None => std::future::pending().await,
+    }
+}

@@ -1,0 +1,237 @@
+//! Scripts that their device has no room for until it is late.
+
+use urrcp::{DeviceId, RobotId, Span};
+
+use super::cast::Cast;
+use crate::fields::Reader;
+use crate::finding::{Code, Place};
+use crate::node::shortened;
+use crate::plan::Choreography;
+use crate::refill::{Refill, RefillKind, refills};
+use crate::render::counted;
+use crate::scenario::Scenario;
+
+/// Sending a script while its act plays takes less on ordinary links: a round trip, and a resend where one is lost.
+const SENDING: Span = Span::from_millis(100);
+/// Sending an act takes less on fast links: scripts travel, are decided, and leases can run out before the start.
+const PREPARING: Span = Span::from_millis(500);
+/// Larger queues that are tried for a hint.
+const QUEUES_TRIED: u32 = 4;
+/// Findings for which they are tried.
+const TRIALS_MAX: usize = 16;
+
+/// Compares the time that each act leaves with what sending takes.
+pub(super) fn check(
+    findings: &mut Reader,
+    scenario: &Scenario,
+    cast: &Cast<'_>,
+    choreography: &Choreography,
+) {
+    let lines = Lines { scenario, cast, choreography };
+    let tight = refills(choreography, |robot, device| lines.queue(robot, device), SENDING);
+    let tight = tight.into_iter().filter(|refill| refill.time < needed(refill.kind));
+    for (index, refill) in tight.enumerate() {
+        let queue = if index < TRIALS_MAX { lines.queue_that_does(&refill) } else { None };
+        lines.tell(findings, &refill, queue);
+    }
+}
+
+const fn needed(kind: RefillKind) -> Span {
+    match kind {
+        RefillKind::First => PREPARING,
+        RefillKind::Later => SENDING,
+    }
+}
+
+struct Lines<'a> {
+    scenario: &'a Scenario,
+    cast: &'a Cast<'a>,
+    choreography: &'a Choreography,
+}
+
+impl Lines<'_> {
+    fn queue(&self, robot: &RobotId, device: &DeviceId) -> Option<u32> {
+        let robot = self.cast.index(robot)?;
+        let device = self.cast.devices(robot).iter().find(|known| known.id == *device)?;
+        Some(device.script_queue.max(1))
+    }
+
+    /// The next larger queue with which this device leaves time enough everywhere.
+    fn queue_that_does(&self, refill: &Refill) -> Option<u32> {
+        let queue = self.queue(&refill.robot, &refill.device)?;
+        let does = |queue: &u32| {
+            let only = |robot: &RobotId, device: &DeviceId| {
+                (*robot == refill.robot && *device == refill.device).then_some(*queue)
+            };
+            refills(self.choreography, only, SENDING).iter().all(|refill| refill.time >= needed(refill.kind))
+        };
+        (queue.saturating_add(1)..=queue.saturating_add(QUEUES_TRIED)).find(does)
+    }
+
+    fn tell(&self, findings: &mut Reader, refill: &Refill, queue: Option<u32>) {
+        let needed = needed(refill.kind);
+        let holds = self.queue(&refill.robot, &refill.device).unwrap_or(1);
+        let (act, before) = (self.name(refill.act), self.name(refill.freed_by.act));
+        let (device, robot) = (&refill.device, &refill.robot);
+        let held = format!("`{device}` of `{robot}` holds {}", counted(holds as usize, "script"));
+        let room =
+            format!("there is room when script {} of `{before}` has ended", refill.freed_by.script + 1);
+        let time = refill.time;
+        let (code, message, expected) = match refill.kind {
+            RefillKind::First => (
+                Code::ActHasToWait,
+                format!("the act `{act}` cannot follow at once: {held}, and {room}, {time} before"),
+                format!("room {needed} before the act"),
+            ),
+            RefillKind::Later => (
+                if time > Span::ZERO { Code::LittleTimeToSend } else { Code::NoTimeToSend },
+                format!(
+                    "{held}: for script {} of `{act}` {room}, {time} before its start",
+                    refill.script + 1
+                ),
+                format!("{needed} or more to send it"),
+            ),
+        };
+        let hint = Some(ways_out(refill, needed - time, queue));
+        findings.add(code, self.place(refill), message, expected, hint);
+    }
+
+    fn name(&self, act: usize) -> String {
+        shortened(&self.choreography.acts[act].name)
+    }
+
+    /// The track that moves the device when the script starts.
+    fn place(&self, refill: &Refill) -> Place {
+        let (written, act) = (&self.scenario.acts[refill.act], &self.choreography.acts[refill.act]);
+        let starts = act
+            .plan
+            .robots
+            .iter()
+            .filter(|robot| robot.robot == refill.robot)
+            .flat_map(|robot| &robot.scripts)
+            .filter(|script| script.device == refill.device)
+            .nth(refill.script)
+            .map_or(Span::ZERO, |script| script.start.span());
+        let cues = written.cues.iter().zip(&act.cues).filter_map(|(cue, planned)| {
+            let members = self.cast.members(&mut Reader::default(), cue, self.scenario.horizon());
+            let own = |member: &&super::cast::Member| *self.cast.id(member.robot) == refill.robot;
+            let movement = cue.movement_of(members.all.iter().find(own)?);
+            let track = movement.tracks.iter().find(|track| track.device == refill.device.as_str())?;
+            Some((planned.start > starts, (planned.start - starts).abs(), &track.place))
+        });
+        let nearest = cues.min_by_key(|(later, distance, _)| (*later, *distance));
+        nearest.map_or_else(|| written.place.clone(), |(_, _, place)| place.clone())
+    }
+}
+
+/// What would give it the time that it lacks.
+fn ways_out(refill: &Refill, lacking: Span, queue: Option<u32>) -> String {
+    let device = &refill.device;
+    let pause = match refill.kind {
+        RefillKind::First => {
+            format!(
+                "let `{device}` come to its end {lacking} earlier in the act before, or let this act wait"
+            )
+        }
+        RefillKind::Later => format!(
+            "let `{device}` begin {lacking} later in this act, or let the act wait, or give the device so few keyframes that it needs {}",
+            counted(refill.script, "script")
+        ),
+    };
+    match queue {
+        Some(queue) => format!("{pause}; a robot with a script_queue of {queue} has the time"),
+        None => pause,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{Fleet, FleetRobot, Source, compile};
+
+    /// A fleet of one robot whose device takes `most` steps a script and holds `queue` scripts.
+    fn fleet(queue: usize, most: usize) -> Fleet {
+        let block = format!(
+            r#"{{"id": "r", "api_version": "1", "devices": [{{"id": "d", "name": "d", "interpolation": "linear",
+            "script_queue": {queue}, "available_control_types": {{
+            "position": {{"min_value": 0, "max_value": 90, "granularity": 0.5}},
+            "script": {{"min_value": 0, "max_value": 90, "granularity": 0.5, "max_number_of_steps": {most}}}}}}}]}}"#
+        );
+        let init: urrcp::InitializationBlock = serde_json::from_str(&block).unwrap();
+        let robot = FleetRobot { id: init.id.clone(), init: Some(init), ..crate::tests::robot() };
+        Fleet { robots: vec![robot], ..Fleet::default() }
+    }
+
+    /// Acts that follow each other, each with so many steps, one every `pause` milliseconds.
+    fn acts(steps: &[usize], pause: usize) -> String {
+        let act = |(index, steps): (usize, &usize)| {
+            let keyframe = |step: usize| format!("{{at: {}ms, to: {}}}", step * pause, step % 2 * 10);
+            let keyframes: Vec<_> = (0..*steps).map(keyframe).collect();
+            let track = format!("{{d: [{}]}}", keyframes.join(", "));
+            format!("  - act: act {index}\n    cues: [{{robots: r, tracks: {track}}}]\n")
+        };
+        format!("scenario: s\nacts:\n{}", steps.iter().enumerate().map(act).collect::<String>())
+    }
+
+    /// Codes and lines of what is found about refills.
+    fn found(scenario: String, fleet: &Fleet) -> Vec<(&'static str, usize)> {
+        let compiled = compile(&Source { name: "s.yaml".into(), text: scenario }, fleet, &crate::NoFiles);
+        let refills =
+            compiled.findings.iter().filter(|finding| ("DB0047"..="DB0049").contains(&finding.code.as_str()));
+        refills.map(|finding| (finding.code.as_str(), finding.line)).collect()
+    }
+
+    #[test]
+    fn whatever_is_held_for_a_second_is_in_time_in_every_act() {
+        for queue in 2..=4 {
+            for counts in 0..64 {
+                // One to four scripts in each of three acts, each of two steps, the second a second after the first.
+                let scripts = [counts % 4, counts / 4 % 4, counts / 16].map(|count| 2 * (count + 1));
+                assert_eq!(found(acts(&scripts, 1_000), &fleet(queue, 2)), [], "queue {queue}: {scripts:?}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_script_that_starts_when_room_for_it_appears_is_refused_on_its_line() {
+        assert_eq!(found(acts(&[2, 2], 2_000), &fleet(2, 1)), [("DB0047", 6)]);
+        assert_eq!(found(acts(&[2, 2], 2_000), &fleet(3, 1)), []);
+        // Here the act has to wait for room, and its second script gets time by that.
+        assert_eq!(found(acts(&[2, 1, 2], 2_000), &fleet(2, 1)), [("DB0049", 8)]);
+    }
+
+    #[test]
+    fn a_script_with_less_than_a_round_trip_or_two_is_worth_a_warning() {
+        let late = |at: &str| {
+            acts(&[2, 2], 2_000).replacen("    cues: [{robots", &format!("    cues: [{{at: {at}, robots"), 2)
+        };
+        assert_eq!(found(late("99ms"), &fleet(2, 1)), [("DB0048", 6)]);
+        assert_eq!(found(late("100ms"), &fleet(2, 1)), []);
+    }
+
+    #[test]
+    fn an_act_that_waits_for_something_else_has_all_the_time() {
+        let waiting =
+            acts(&[2, 2], 2_000).replace("  - act: act 1\n", "  - act: act 1\n    wait: operator\n");
+        assert_eq!(found(waiting, &fleet(2, 1)), []);
+    }
+
+    #[test]
+    fn with_a_queue_of_one_each_act_follows_with_a_gap() {
+        assert_eq!(found(acts(&[2, 2, 2], 1_000), &fleet(1, 8)), [("DB0049", 6), ("DB0049", 8)]);
+        assert_eq!(found(acts(&[2, 2, 2], 1_000), &fleet(2, 8)), []);
+    }
+
+    #[test]
+    fn what_helps_is_named_with_its_figures() {
+        let source = Source { name: "s.yaml".into(), text: acts(&[2, 2], 2_000) };
+        let compiled = compile(&source, &fleet(2, 1), &crate::NoFiles);
+        let finding = compiled.findings.iter().find(|finding| finding.code.as_str() == "DB0047").unwrap();
+        assert!(compiled.choreography.is_none());
+        let hint = finding.hint.as_deref().unwrap();
+        assert!(
+            finding.message.contains("`d` of `r` holds 2 scripts: for script 2 of `act 1`"),
+            "{finding:?}"
+        );
+        assert!(hint.contains("begin 100 ms later") && hint.contains("script_queue of 3"), "{hint}");
+    }
+}

@@ -1,0 +1,340 @@
+//! How much time there is to send the scripts that a device cannot hold from the start.
+//!
+//! A device holds `script_queue` scripts that have not ended. The next one of its chain can be sent when one of those has
+//! ended, also across acts that follow each other at once, and has to be there before its own start.
+
+use std::collections::{HashMap, VecDeque};
+
+use urrcp::{DeviceId, RobotId, Span};
+
+use crate::plan::{Act, Choreography, DeviceScript, Wait, Way};
+
+/// Where lines of acts meet, that many acts are looked at again, with what each line left on the devices.
+const AGAIN: usize = 2;
+
+/// A script that its device has no room for until an earlier one has ended.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Refill {
+    /// Index of its act in the choreography.
+    pub act: usize,
+    /// Whose.
+    pub robot: RobotId,
+    /// Of which device.
+    pub device: DeviceId,
+    /// Which script of this device in this act, from 0.
+    pub script: usize,
+    /// The script whose end makes room.
+    pub freed_by: Freed,
+    /// How long there is room for it before it is due: before its own start, or as the first one before the act before its
+    /// own has ended.
+    pub time: Span,
+    /// What has to wait where that is too short.
+    pub kind: RefillKind,
+}
+
+/// A script that makes room.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Freed {
+    /// Index of its act in the choreography.
+    pub act: usize,
+    /// Which script of this device in that act, from 0.
+    pub script: usize,
+}
+
+/// What has to wait where there is too little time for a script.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord)]
+pub enum RefillKind {
+    /// The act: it is sent once every device has room for its first script, and starts later than the one before ends.
+    First,
+    /// Nothing: the act plays already, and a script that comes late is refused.
+    Later,
+}
+
+/// For each act the refill of either kind that leaves the least time, in the order of the acts. Acts that wait for something
+/// begin with nothing on the devices, since what was before them has ended.
+///
+/// `queue` tells how many scripts a device holds; devices for which it tells nothing are left out. `sending` is what sending
+/// a script takes at least: an act begins no earlier than that after all devices have room for its first scripts, which gives
+/// its later ones more time.
+#[must_use]
+pub fn refills(
+    choreography: &Choreography,
+    queue: impl Fn(&RobotId, &DeviceId) -> Option<u32>,
+    sending: Span,
+) -> Vec<Refill> {
+    let acts = &choreography.acts;
+    let mut walk = Walk { acts, queue, sending, tightest: HashMap::new() };
+    let mut visited = vec![false; acts.len()];
+    // However many lines meet in one act, it is not played over and over here.
+    let mut left = 2 * acts.iter().map(scripts_of).sum::<usize>();
+    let heads = (0..acts.len()).take(1).chain(heads(acts));
+    // What no line reaches from a head is a circle.
+    for head in heads.chain(0..acts.len()) {
+        if !visited[head] {
+            walk.line(head, &mut visited, &mut left);
+        }
+    }
+    let mut refills: Vec<Refill> = walk.tightest.into_values().collect();
+    refills.sort_unstable_by_key(|refill| (refill.act, refill.kind));
+    refills
+}
+
+/// The script that leaves the least time to send it while its act plays. If that is less than `sending`, what sending takes
+/// as measured, the mission cannot be played as it is written.
+#[must_use]
+pub fn tightest_refill(
+    choreography: &Choreography,
+    queue: impl Fn(&RobotId, &DeviceId) -> Option<u32>,
+    sending: Span,
+) -> Option<Refill> {
+    let later =
+        refills(choreography, queue, sending).into_iter().filter(|refill| refill.kind == RefillKind::Later);
+    later.min_by_key(|refill| refill.time)
+}
+
+fn scripts_of(act: &Act) -> usize {
+    act.plan.robots.iter().map(|robot| robot.scripts.len()).sum()
+}
+
+/// The act that begins as soon as this one ends.
+fn following(acts: &[Act], act: usize) -> Option<usize> {
+    match acts[act].next {
+        Way::Act(next) if acts.get(next)?.wait == Wait::Done => Some(next),
+        _ => None,
+    }
+}
+
+/// The acts that follow no other at once.
+fn heads(acts: &[Act]) -> impl Iterator<Item = usize> {
+    let mut follows = vec![false; acts.len()];
+    for next in (0..acts.len()).filter_map(|act| following(acts, act)) {
+        follows[next] = true;
+    }
+    (0..acts.len()).filter(move |act| !follows[*act])
+}
+
+/// A script that was sent, and when it ends, from the start of the line.
+struct Sent {
+    what: Freed,
+    ends: Span,
+}
+
+/// The latest scripts of each device, no more than it holds.
+type Held<'a> = HashMap<(&'a RobotId, &'a DeviceId), VecDeque<Sent>>;
+
+struct Walk<'a, Q> {
+    acts: &'a [Act],
+    queue: Q,
+    sending: Span,
+    tightest: HashMap<(usize, RefillKind), Refill>,
+}
+
+impl<'a, Q: Fn(&RobotId, &DeviceId) -> Option<u32>> Walk<'a, Q> {
+    /// The acts that follow each other from `head` on.
+    fn line(&mut self, head: usize, visited: &mut [bool], left: &mut usize) {
+        let (mut held, mut begin, mut again) = (Held::new(), Span::ZERO, 0);
+        let mut next = Some(head);
+        while let Some(act) = next {
+            if std::mem::replace(&mut visited[act], true) {
+                again += 1;
+                let room = left.checked_sub(scripts_of(&self.acts[act]));
+                let Some(room) = room.filter(|_| again <= AGAIN) else { return };
+                *left = room;
+            }
+            begin = self.act(act, begin, &mut held) + self.acts[act].plan.duration();
+            next = following(self.acts, act);
+        }
+    }
+
+    /// Takes in the scripts of an act after one that has ended at `ended`. Returns when it begins.
+    fn act(&mut self, act: usize, ended: Span, held: &mut Held<'a>) -> Span {
+        let mut begin = ended;
+        for chain in self.chains(act) {
+            if let Some(freed) = held.get(&chain.key()).filter(|held| held.len() == chain.queue)
+                && let Some(first) = freed.front()
+            {
+                begin = begin.max(first.ends + self.sending);
+                self.note(&chain, 0, first.what, ended - first.ends);
+            }
+        }
+        for chain in self.chains(act) {
+            let held = held.entry(chain.key()).or_default();
+            for (script, planned) in chain.scripts.iter().enumerate() {
+                let starts = begin + planned.start.span();
+                let freed = if held.len() == chain.queue { held.pop_front() } else { None };
+                if let Some(freed) = freed.filter(|_| script > 0) {
+                    self.note(&chain, script, freed.what, starts - freed.ends);
+                }
+                let ends = starts + planned.script.duration();
+                held.push_back(Sent { what: Freed { act, script }, ends });
+            }
+        }
+        begin
+    }
+
+    fn chains(&self, act: usize) -> Vec<Chain<'a>> {
+        let robots = self.acts[act].plan.robots.iter();
+        let chains = robots.flat_map(|robot| {
+            let of_devices = robot.scripts.chunk_by(|a, b| a.device == b.device);
+            of_devices.map(move |scripts| (&robot.robot, scripts))
+        });
+        let chain = |(robot, scripts): (&'a RobotId, &'a [DeviceScript])| {
+            let queue = (self.queue)(robot, &scripts[0].device)?.max(1) as usize;
+            Some(Chain { act, robot, scripts, queue })
+        };
+        chains.filter_map(chain).collect()
+    }
+
+    /// Keeps it if none of its act and kind leaves less time.
+    fn note(&mut self, chain: &Chain<'_>, script: usize, freed_by: Freed, time: Span) {
+        let kind = if script == 0 { RefillKind::First } else { RefillKind::Later };
+        let known = self.tightest.get(&(chain.act, kind));
+        if known.is_none_or(|known| time < known.time) {
+            let (robot, device) = (chain.robot.clone(), chain.scripts[script].device.clone());
+            let refill = Refill { act: chain.act, robot, device, script, freed_by, time, kind };
+            self.tightest.insert((chain.act, kind), refill);
+        }
+    }
+}
+
+/// What a device does in an act.
+struct Chain<'a> {
+    act: usize,
+    robot: &'a RobotId,
+    /// At least one.
+    scripts: &'a [DeviceScript],
+    queue: usize,
+}
+
+impl<'a> Chain<'a> {
+    fn key(&self) -> (&'a RobotId, &'a DeviceId) {
+        (self.robot, &self.scripts[0].device)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::{ControlType, Millis, Script, Setpoint, Step, StopCondition};
+
+    use super::*;
+    use crate::plan::{FailurePolicy, OnDoubt, Plan, RobotPlan};
+
+    fn script(device: &str, start: i64, duration: i64) -> DeviceScript {
+        let millis = |millis: i64| Millis::from_span(Span::from_millis(millis));
+        let setpoint = Setpoint::new(ControlType::Position, 0.0);
+        let step = Step { offset: millis(duration), setpoint, stop_condition: None };
+        DeviceScript {
+            device: device.parse().unwrap(),
+            start: millis(start),
+            stop_condition: StopCondition::default(),
+            script: Script::new(vec![step]).unwrap(),
+        }
+    }
+
+    /// One robot with one device, whose scripts follow each other and last so many milliseconds.
+    fn act(durations: &[i64], next: Way) -> Act {
+        let mut start = 0;
+        let script = |duration: &i64| {
+            start += duration;
+            script("arm", start - duration, *duration)
+        };
+        act_of(durations.iter().map(script).collect(), next)
+    }
+
+    fn act_of(scripts: Vec<DeviceScript>, next: Way) -> Act {
+        let plan = Plan {
+            scenario: "s".into(),
+            start_tolerance: Span::ZERO,
+            lead: None,
+            stop_condition: StopCondition::default(),
+            robots: vec![RobotPlan { robot: "r".parse().unwrap(), scripts }],
+        };
+        let mut act = Choreography::of_plan(plan).acts.remove(0);
+        (act.next, act.on_failure, act.on_doubt) = (next, FailurePolicy::default(), OnDoubt::Start);
+        act
+    }
+
+    fn of(acts: Vec<Act>, queue: u32) -> Vec<(usize, RefillKind, i64)> {
+        let refills = refills(&Choreography { scenario: "s".into(), acts }, |_, _| Some(queue), Span::ZERO);
+        refills.iter().map(|r| (r.act, r.kind, r.time.as_nanos() / 1_000_000)).collect()
+    }
+
+    use RefillKind::{First, Later};
+
+    #[test]
+    fn the_next_script_has_the_time_of_those_between() {
+        let acts = || vec![act(&[1_000, 2_000, 3_000, 4_000], Way::End)];
+        assert_eq!(of(acts(), 2), [(0, Later, 2_000)]);
+        assert_eq!(of(acts(), 3), [(0, Later, 5_000)]);
+        assert_eq!(of(acts(), 4), []);
+        // There is room when the one before has ended, which is when the next one starts.
+        assert_eq!(of(acts(), 1), [(0, Later, 0)]);
+    }
+
+    #[test]
+    fn across_acts_that_follow_at_once_the_chain_goes_on() {
+        let acts = || vec![act(&[1_000, 500], Way::Act(1)), act(&[300, 700], Way::End)];
+        assert_eq!(of(acts(), 2), [(1, First, 500), (1, Later, 300)]);
+        assert_eq!(of(acts(), 3), [(1, Later, 800)]);
+        assert_eq!(of(acts(), 4), []);
+        let mut waiting = acts();
+        waiting[1].wait = Wait::Operator;
+        assert_eq!(of(waiting, 2), []);
+    }
+
+    #[test]
+    fn a_device_that_ends_before_its_act_makes_room_earlier() {
+        let first = act_of(vec![script("arm", 0, 1_000), script("leg", 0, 3_000)], Way::Act(1));
+        assert_eq!(of(vec![first, act(&[1_000], Way::End)], 1), [(1, First, 2_000)]);
+    }
+
+    #[test]
+    fn an_act_that_the_device_has_no_part_in_gives_it_time() {
+        let pause = act_of(vec![script("leg", 0, 700)], Way::Act(2));
+        let acts = vec![act(&[1_000], Way::Act(1)), pause, act(&[1_000], Way::End)];
+        assert_eq!(of(acts, 1), [(2, First, 700)]);
+    }
+
+    #[test]
+    fn circles_and_lines_that_meet_are_followed() {
+        assert_eq!(of(vec![act(&[1_000, 200], Way::Act(0))], 2), [(0, First, 200), (0, Later, 1_000)]);
+        // The second act leads to the third as well, and leaves more on the device.
+        let mut second = act(&[1_000, 100], Way::Act(2));
+        second.wait = Wait::Operator;
+        let acts = vec![act(&[1_000], Way::Act(2)), second, act(&[50, 50], Way::End)];
+        assert_eq!(of(acts, 2), [(2, First, 100), (2, Later, 50)]);
+    }
+
+    #[test]
+    fn the_tightest_is_the_one_that_a_mission_cannot_wait_for() {
+        let acts = vec![act(&[900, 100], Way::Act(1)), act(&[400, 300, 200, 100], Way::End)];
+        let choreography = Choreography { scenario: "s".into(), acts };
+        let tightest = tightest_refill(&choreography, |_, _| Some(2), Span::ZERO).unwrap();
+        assert_eq!((tightest.act, tightest.script), (1, 3));
+        assert_eq!((tightest.freed_by, tightest.time), (Freed { act: 1, script: 1 }, Span::from_millis(200)));
+        assert_eq!(tightest_refill(&choreography, |_, _| None, Span::ZERO), None);
+    }
+
+    #[test]
+    fn an_act_that_waits_for_room_gives_its_later_scripts_more_time() {
+        // The first act leaves two scripts on the device, which end when it ends.
+        let mut first = act(&[1_000, 0], Way::Act(1));
+        first.plan.robots[0].scripts.remove(0);
+        first.plan.robots[0].scripts.push(script("arm", 1_000, 0));
+        let choreography = Choreography { scenario: "s".into(), acts: vec![first, act(&[0, 500], Way::End)] };
+        let times = |sending: i64| {
+            let refills = refills(&choreography, |_, _| Some(2), Span::from_millis(sending));
+            refills.iter().map(|refill| refill.time.as_nanos() / 1_000_000).collect::<Vec<_>>()
+        };
+        assert_eq!(times(0), [0, 0]);
+        assert_eq!(times(80), [0, 80]);
+    }
+
+    #[test]
+    fn thousands_of_lines_that_meet_in_a_long_act_take_no_time() {
+        let long = act(&vec![10; 20_000], Way::End);
+        let short = |_| Act { wait: Wait::Operator, ..act(&[10], Way::Act(0)) };
+        let acts: Vec<Act> = std::iter::once(long).chain((0..20_000).map(short)).collect();
+        assert_eq!(of(acts, 2), [(0, Later, 10)]);
+    }
+}

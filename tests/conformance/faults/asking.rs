@@ -1,0 +1,152 @@
+//! Faults of inquiries.
+
+use serde_json::{Value, json};
+
+use super::super::proxy::{Passing, Then, Way};
+use super::*;
+
+/// Edits the answers to inquiries.
+fn edit_answer(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
+    if let Some(answer) = passing.json.get_mut("inquiry_response") {
+        edit(answer);
+    }
+    Then::Pass
+}
+
+/// Edits what is told of requests in this state.
+fn edit_told(passing: &mut Passing, state: &str, edit: impl Fn(&mut Value)) -> Then {
+    edit_answer(passing, |answer| {
+        let told = answer.get_mut("requests").and_then(Value::as_array_mut).into_iter().flatten();
+        told.filter(|report| report["state"] == state).for_each(&edit);
+    })
+}
+
+fn inquiry(passing: &Passing) -> Option<&Value> {
+    passing.json.get("inquiry").filter(|_| passing.way == Way::ToRobot)
+}
+
+/// This line, and behind it the one that came.
+fn after(line: &Value, passing: &Passing) -> Then {
+    let mut bytes = format!("{line}\n").into_bytes();
+    bytes.extend_from_slice(&passing.raw);
+    Then::Instead(bytes)
+}
+
+pub fn of_inquiries() -> Vec<Mutant> {
+    vec![
+        mutant("what an inquiry asks about is told backwards", &["inquiry"], |_, passing| {
+            edit_answer(passing, |answer| {
+                if let Some(told) = answer.get_mut("requests").and_then(Value::as_array_mut) {
+                    told.reverse();
+                }
+            })
+        }),
+        mutant("the planned start is told a second late", &["inquiry-held"], |_, passing| {
+            edit_told(passing, "held", |report| {
+                let start: urrcp::Timestamp<urrcp::Robot> =
+                    serde_json::from_value(report["start_timestamp"].clone()).unwrap();
+                report["start_timestamp"] = json!(start + urrcp::Span::from_millis(1_000));
+            })
+        }),
+        mutant("steps are told when all are done", &["inquiry-running"], |_, passing| {
+            edit_told(passing, "running", |report| report["steps_done"] = json!(0))
+        }),
+        mutant("why something ended is not told", &["inquiry-ended"], |_, passing| {
+            edit_told(passing, "ended", |report| remove(report, "error"))
+        }),
+        mutant("the hash of what is held is not told", &["inquiry-hash"], |_, passing| {
+            edit_told(passing, "held", |report| remove(report, "content_hash"))
+        }),
+        mutant("the room does not count what is held", &["inquiry-room"], |_, passing| {
+            edit_answer(passing, |answer| {
+                for device in answer.get_mut("devices").and_then(Value::as_array_mut).into_iter().flatten() {
+                    device["room"] = json!(2);
+                }
+            })
+        }),
+        // As a probe by an empty script once did.
+        mutant("an inquiry about something unknown cancels", &["inquiry-no-effect"], |_, passing| {
+            let Some(asked) = inquiry(passing) else { return Then::Pass };
+            let (Some(device), Some(request)) = (asked["devices"].get(0), asked["requests"].get(1)) else {
+                return Then::Pass;
+            };
+            let probe = json!({"control_request": {"device_id": device, "request_id": request,
+                "control_type": "script", "control_value": []}});
+            after(&probe, passing)
+        }),
+        mutant("an inquiry claims the robot", &["inquiry-session"], |_, passing| {
+            match inquiry(passing).and_then(|asked| asked.get("session")) {
+                Some(session) => after(&json!({"availability_request": {"session": session}}), passing),
+                None => Then::Pass,
+            }
+        }),
+        mutant("everybody is told about everything", &["inquiry-session"], |_, passing| {
+            edit_answer(passing, |answer| {
+                if answer["error"]["code"] == "busy" {
+                    answer["status"] = json!("OK");
+                    remove(answer, "error");
+                }
+            })
+        }),
+    ]
+}
+
+pub fn of_leases() -> Vec<Mutant> {
+    vec![
+        mutant("inquiries renew nothing", &["lease-inquiry"], |_, passing| match inquiry(passing) {
+            Some(asked) if asked.get("requests").is_none() && asked["timestamp"].is_string() => {
+                let now = &asked["timestamp"];
+                Then::Answer(json!({"inquiry_response": {
+                    "originate_timestamp": now, "receive_timestamp": now, "timestamp": now, "status": "OK"}}))
+            }
+            _ => Then::Pass,
+        }),
+        mutant("pending_lease is not read", &["lease-inquiry-pending"], |_, passing| {
+            if passing.way == Way::ToRobot
+                && let Some(asked) = passing.json.get_mut("inquiry")
+            {
+                remove(asked, "pending_lease");
+            }
+            Then::Pass
+        }),
+        mutant(
+            "pending_lease counts for what is not named",
+            &["lease-inquiry-pending"],
+            |memory, passing| {
+                if let Some(request) = passing.request()
+                    && !is_cancel(request)
+                    && let Some(id) = request["request_id"].as_str()
+                {
+                    memory.seen.insert((0, id.to_owned()));
+                }
+                if passing.way == Way::ToRobot
+                    && let Some(asked) = passing.json.get_mut("inquiry")
+                    && asked["pending_lease"] == 300
+                {
+                    asked["requests"] = json!(memory.seen.iter().map(|(_, id)| id).collect::<Vec<_>>());
+                }
+                Then::Pass
+            },
+        ),
+        // The report of the queued one is lost as well.
+        mutant("the end of a pending lease ends what runs", &["lease-queued"], |memory, passing| {
+            let Some(report) = passing.response() else { return Then::Pass };
+            let id = report["request_id"].as_str().unwrap_or_default().to_owned();
+            match report["status"].as_str() {
+                Some("Started") => memory.running = memory.seen.insert((0, id)),
+                Some("OK") if report.get("steps_done").is_some() => memory.running = false,
+                Some("Failed") if report["error"]["code"] == "link_lost" => {
+                    if memory.running && !memory.seen.contains(&(0, id)) {
+                        let device = report["device_id"].clone();
+                        return Then::Answer(json!({"control_request": {"device_id": device,
+                            "control_type": "script", "control_value": []}}));
+                    }
+                    memory.running = false;
+                }
+                Some("Failed") => memory.running = false,
+                _ => {}
+            }
+            Then::Pass
+        }),
+    ]
+}

@@ -1,0 +1,272 @@
+//! A TCP proxy before one robot, whose link stands still, breaks and comes back when it is told to.
+
+use std::io::{BufRead, BufReader, ErrorKind, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard};
+use std::time::Duration;
+
+use serde_json::Value;
+
+/// What the link does.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Flow {
+    /// Everything passes.
+    Open,
+    /// Connections stand and nothing passes; it is delivered later.
+    Frozen,
+    /// Connections stand; what the robot says passes, and nothing reaches it.
+    Deaf,
+    /// No connection stands; who connects waits.
+    Interrupted,
+    /// No connection stands, and further ones are refused, as if nobody listened.
+    Cut,
+    /// The proxy has been let go.
+    Ended,
+}
+
+struct Link {
+    flow: Flow,
+    connections: Vec<TcpStream>,
+    /// The next line to the robot that contains this is lost, and the link is interrupted for so long.
+    lose: Option<(String, Duration)>,
+    /// So many connections are still reset as soon as the robot has been written to.
+    resets: u32,
+    lines_lost: u32,
+    /// Keys that the robot's answers lose.
+    without: &'static [&'static str],
+}
+
+struct Shared {
+    link: Mutex<Link>,
+    changed: Condvar,
+}
+
+/// Carries connections to one robot.
+pub struct Proxy {
+    /// Where it listens.
+    pub port: u16,
+    shared: Arc<Shared>,
+}
+
+impl Proxy {
+    pub fn to(robot: u16) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let link = Link {
+            flow: Flow::Open,
+            connections: Vec::new(),
+            lose: None,
+            resets: 0,
+            lines_lost: 0,
+            without: &[],
+        };
+        let shared = Arc::new(Shared { link: Mutex::new(link), changed: Condvar::new() });
+        let own = Arc::clone(&shared);
+        std::thread::spawn(move || own.listen(listener, port, robot));
+        Self { port, shared }
+    }
+
+    /// Nothing passes from now on; the connections stand.
+    pub fn freeze(&self) {
+        self.shared.set(Flow::Frozen);
+    }
+
+    /// Nothing reaches the robot from now on; what it says passes.
+    pub fn deafen(&self) {
+        self.shared.set(Flow::Deaf);
+    }
+
+    /// Every connection is closed; later ones stand and nothing passes, as if nobody were reached.
+    pub fn interrupt(&self) {
+        self.shared.set(Flow::Interrupted);
+    }
+
+    /// Every connection is closed, and later ones are refused, as if the robot's process had ended.
+    pub fn cut(&self) {
+        self.shared.set(Flow::Cut);
+    }
+
+    /// What stood still passes, and connections are taken again.
+    pub fn open(&self) {
+        self.shared.set(Flow::Open);
+    }
+
+    /// Loses the next line to the robot that contains this text, and interrupts the link for a while.
+    pub fn lose(&self, text: &str, away: Duration) {
+        self.shared.lock().lose = Some((text.to_owned(), away));
+    }
+
+    /// How many lines were lost so.
+    pub fn lines_lost(&self) -> u32 {
+        self.shared.lock().lines_lost
+    }
+
+    /// Takes these keys out of everything that the robot says, as if it knew only a part of the protocol.
+    pub fn leave_out(&self, keys: &'static [&'static str]) {
+        self.shared.lock().without = keys;
+    }
+
+    /// Closes so many connections as soon as something is written to the robot, which never gets it.
+    pub fn reset_first(&self, connections: u32) {
+        self.shared.lock().resets = connections;
+    }
+}
+
+impl Drop for Proxy {
+    fn drop(&mut self) {
+        self.shared.set(Flow::Ended);
+    }
+}
+
+/// Which way lines go.
+#[derive(Clone, Copy)]
+enum Way {
+    ToRobot,
+    FromRobot,
+}
+
+/// What to do with a line.
+enum Pass {
+    On,
+    Break,
+    Lose(Duration),
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Link> {
+        self.link.lock().unwrap()
+    }
+
+    fn set(&self, flow: Flow) {
+        let mut link = self.lock();
+        link.flow = flow;
+        if matches!(flow, Flow::Interrupted | Flow::Cut | Flow::Ended) {
+            for end in link.connections.drain(..) {
+                let _closed = end.shutdown(Shutdown::Both);
+            }
+        }
+        drop(link);
+        self.changed.notify_all();
+    }
+
+    fn listen(self: &Arc<Self>, first: TcpListener, port: u16, robot: u16) {
+        let mut listener = Some(first);
+        loop {
+            let flow = self.lock().flow;
+            match flow {
+                Flow::Ended => return,
+                Flow::Cut => listener = None,
+                _ if listener.is_none() => listener = TcpListener::bind(("127.0.0.1", port)).ok(),
+                _ => {}
+            }
+            if let Some(listener) = listener.as_ref().filter(|_| flow != Flow::Interrupted) {
+                listener.set_nonblocking(true).unwrap();
+                match listener.accept() {
+                    Ok((client, _)) => self.carry(&client, robot),
+                    Err(error) => assert_eq!(error.kind(), ErrorKind::WouldBlock, "{error}"),
+                }
+            }
+            std::thread::sleep(Duration::from_millis(1));
+        }
+    }
+
+    fn carry(self: &Arc<Self>, client: &TcpStream, robot: u16) {
+        client.set_nonblocking(false).unwrap();
+        let Ok(robot) = TcpStream::connect(("127.0.0.1", robot)) else { return };
+        let copy = |stream: &TcpStream| stream.try_clone().unwrap();
+        for stream in [client, &robot] {
+            stream.set_nodelay(true).unwrap();
+            self.lock().connections.push(copy(stream));
+        }
+        let (to, back) = (Arc::clone(self), Arc::clone(self));
+        let (client_in, robot_out) = (copy(client), copy(&robot));
+        let (robot_in, client_out) = (copy(&robot), copy(client));
+        std::thread::spawn(move || to.pump(Way::ToRobot, client_in, robot_out));
+        std::thread::spawn(move || back.pump(Way::FromRobot, robot_in, client_out));
+    }
+
+    fn pump(self: &Arc<Self>, way: Way, from: TcpStream, mut to: TcpStream) {
+        let ends = [from.try_clone().unwrap(), to.try_clone().unwrap()];
+        let mut lines = BufReader::new(from);
+        let mut line = Vec::new();
+        while lines.read_until(b'\n', &mut line).is_ok_and(|n| n > 0) {
+            let link = self.lock();
+            let mut link = self.changed.wait_while(link, |link| link.holds_back(way)).unwrap();
+            if matches!(link.flow, Flow::Interrupted | Flow::Cut | Flow::Ended) {
+                break;
+            }
+            let pass = match way {
+                Way::ToRobot => link.said_to_robot(&line),
+                Way::FromRobot => link.said_by_robot(&mut line),
+            };
+            drop(link);
+            match pass {
+                Pass::On if to.write_all(&line).is_ok() => line.clear(),
+                Pass::On | Pass::Break => break,
+                Pass::Lose(away) => {
+                    self.interrupt_for(away);
+                    break;
+                }
+            }
+        }
+        for end in ends {
+            let _closed = end.shutdown(Shutdown::Both);
+        }
+    }
+
+    fn interrupt_for(self: &Arc<Self>, away: Duration) {
+        self.set(Flow::Interrupted);
+        let own = Arc::clone(self);
+        std::thread::spawn(move || {
+            std::thread::sleep(away);
+            if own.lock().flow == Flow::Interrupted {
+                own.set(Flow::Open);
+            }
+        });
+    }
+}
+
+impl Link {
+    fn holds_back(&self, way: Way) -> bool {
+        match way {
+            Way::ToRobot => matches!(self.flow, Flow::Frozen | Flow::Deaf),
+            Way::FromRobot => self.flow == Flow::Frozen,
+        }
+    }
+
+    fn said_by_robot(&mut self, line: &mut Vec<u8>) -> Pass {
+        if !self.without.is_empty()
+            && let Ok(mut message) = serde_json::from_slice::<Value>(line)
+        {
+            take_out(&mut message, self.without);
+            *line = format!("{message}\n").into_bytes();
+        }
+        Pass::On
+    }
+
+    fn said_to_robot(&mut self, line: &[u8]) -> Pass {
+        let line = String::from_utf8_lossy(line);
+        if self.resets > 0 {
+            self.resets -= 1;
+            return Pass::Break;
+        }
+        match self.lose.take_if(|(text, _)| line.contains(text.as_str())) {
+            Some((_, away)) => {
+                self.lines_lost += 1;
+                Pass::Lose(away)
+            }
+            None => Pass::On,
+        }
+    }
+}
+
+fn take_out(value: &mut Value, keys: &[&str]) {
+    match value {
+        Value::Object(map) => {
+            map.retain(|key, _| !keys.contains(&key.as_str()));
+            map.values_mut().for_each(|value| take_out(value, keys));
+        }
+        Value::Array(values) => values.iter_mut().for_each(|value| take_out(value, keys)),
+        _ => {}
+    }
+}
