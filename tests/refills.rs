@@ -2,9 +2,11 @@
 //! order, whichever act its script belongs to and however many the acts before it had.
 
 use std::collections::BTreeMap;
+use std::time::Duration;
 
 use serde_json::Value;
 
+use crate::robots::play::{CHAIN, Play};
 use crate::robots::{Stage, Via};
 
 /// Steps of one script.
@@ -243,4 +245,23 @@ fn robots_that_report_nothing_and_miss_a_value_are_not_done() {
     let ran = running.ended();
     assert!(!matrix.deviations(&stage).is_empty(), "it was to miss values");
     assert!(ran.code != Some(0) && ran.report()["outcome"] != "done", "{ran}");
+}
+
+#[test]
+fn a_link_that_is_too_slow_for_the_scripts_of_a_chain_is_refused_before_anything_moves() {
+    let chain = Play { steps: 12, every_ms: 260, script: 4, ..CHAIN };
+    let stage = chain.stage(&[Via::Proxy, Via::Direct]);
+    stage.robots[0].link.as_ref().unwrap().delay(Duration::from_millis(600));
+    let ended = stage.run(&["run", "play.yaml", "--patience", "60s", "--format", "json"]);
+    assert_eq!(ended.code, Some(1), "{ended}");
+    let report = ended.report();
+    assert_eq!(report["outcome"], "not_started", "{report}");
+    let failures = report["failures"].as_array().unwrap();
+    let refused = |failure: &Value| failure["kind"] == "no_time_to_send" && failure["robot"] == "r0";
+    assert!(failures.iter().any(refused), "{report}");
+    assert!(stage.robots.iter().all(|robot| robot.sets().is_empty()));
+
+    let fast = chain.stage(&[Via::Direct, Via::Direct]);
+    let ended = fast.run(&["run", "play.yaml"]);
+    assert_eq!(ended.code, Some(0), "{ended}");
 }

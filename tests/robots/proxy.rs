@@ -34,6 +34,8 @@ struct Link {
     lines_lost: u32,
     /// Keys that the robot's answers lose.
     without: &'static [&'static str],
+    /// How long each line takes, either way.
+    delay: Duration,
 }
 
 struct Shared {
@@ -59,6 +61,7 @@ impl Proxy {
             resets: 0,
             lines_lost: 0,
             without: &[],
+            delay: Duration::ZERO,
         };
         let shared = Arc::new(Shared { link: Mutex::new(link), changed: Condvar::new() });
         let own = Arc::clone(&shared);
@@ -104,6 +107,11 @@ impl Proxy {
     /// Takes these keys out of everything that the robot says, as if it knew only a part of the protocol.
     pub fn leave_out(&self, keys: &'static [&'static str]) {
         self.shared.lock().without = keys;
+    }
+
+    /// Every line takes so long from now on, either way.
+    pub fn delay(&self, delay: Duration) {
+        self.shared.lock().delay = delay;
     }
 
     /// Closes so many connections as soon as something is written to the robot, which never gets it.
@@ -199,7 +207,9 @@ impl Shared {
                 Way::ToRobot => link.said_to_robot(&line),
                 Way::FromRobot => link.said_by_robot(&mut line),
             };
+            let delay = link.delay;
             drop(link);
+            std::thread::sleep(delay);
             match pass {
                 Pass::On if to.write_all(&line).is_ok() => line.clear(),
                 Pass::On | Pass::Break => break,

@@ -53,6 +53,25 @@ pub enum FailureKind {
         /// Where it differs.
         reason: String,
     },
+    /// Its link is too slow for one of the scripts that its device has no room for at first.
+    #[error(
+        "script {} of `{device}` in the act `{act}` cannot be sent in time: there is room for it {} before its start, and on this link it takes {needed}; use fewer steps or robots that hold more scripts (`script_queue`)",
+        script + 1, (*time).max(Span::ZERO)
+    )]
+    NoTimeToSend {
+        /// Of the robot.
+        device: DeviceId,
+        /// In which act.
+        act: String,
+        /// Which script of this device in this act, from 0.
+        script: usize,
+        /// How long before its start there is room for it; negative: after that.
+        #[serde(rename = "time_ms")]
+        time: Span,
+        /// What a round trip and what the robot does take at least.
+        #[serde(rename = "needed_ms")]
+        needed: Span,
+    },
     /// Its clock is further off than the scenario tolerates, or not known well enough.
     #[error("{}", clock_text(*offset, *uncertainty, *tolerance))]
     Clock {

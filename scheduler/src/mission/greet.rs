@@ -217,6 +217,7 @@ impl Mission {
         }
         self.check_clocks(now);
         self.check_sensors();
+        self.check_refills();
         let preflight = preflight::table(self, now);
         self.preflight = Some(preflight.clone());
         let offsets = self.robots.iter().filter_map(|robot| robot.clock.reading());

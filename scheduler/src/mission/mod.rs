@@ -26,6 +26,7 @@ mod outcome;
 pub(crate) mod preflight;
 mod prepare;
 pub(crate) mod record;
+mod refill_time;
 mod requests;
 mod resume;
 pub(crate) mod robot_state;
@@ -216,10 +217,7 @@ impl Mission {
             Event::Go => self.go(now),
             Event::ServerTime(state) => self.server_time(state),
             Event::Recorded { count } => self.recorded(now, count),
-            Event::JournalLost { reason } => {
-                self.tell(Progress::JournalLost { reason });
-                self.request_stop(now);
-            }
+            Event::JournalLost { reason } => self.journal_lost(now, reason),
         }
         std::mem::take(&mut self.actions)
     }

@@ -64,6 +64,11 @@ pub enum Outcome {
         #[serde(rename = "needed_ms")]
         needed: Span,
     },
+    /// The journal cannot be written, or its disk stands still: nothing more may be promised, and all were stopped.
+    JournalLost {
+        /// Why, for people.
+        reason: String,
+    },
     /// The scheduler itself was held up over the decision; none started.
     DecisionLate {
         /// By how much.
@@ -112,6 +117,7 @@ impl fmt::Display for Outcome {
                 f,
                 "not sent: a pending stop_condition of {lease} is too short, the measured delays need {needed}"
             ),
+            Self::JournalLost { reason } => write!(f, "stopped: {reason}"),
             Self::DecisionLate { by } => {
                 write!(f, "not started: this machine was held up, the decision came {by} late")
             }

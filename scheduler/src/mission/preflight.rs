@@ -159,7 +159,7 @@ fn column(kind: &FailureKind) -> Check {
             Check::Link
         }
         FailureKind::Unfit { reason } if reason.starts_with("it speaks URRCP") => Check::Version,
-        FailureKind::Unfit { .. } => Check::Description,
+        FailureKind::Unfit { .. } | FailureKind::NoTimeToSend { .. } => Check::Description,
         FailureKind::Clock { .. } => Check::Clock,
         FailureKind::Requirement { .. } => Check::Sensors,
         FailureKind::Position { .. } => Check::Position,

@@ -27,8 +27,11 @@ impl Mission {
     /// Sends the act once its time has come and the devices have room for it.
     pub(super) fn prepare_if_it_fits(&mut self, now: Timestamp<Server>, index: usize) {
         let act = &self.acts[index];
-        if !act.is_looked_at(now) || act.present().next().is_none() || !self.disk_is_known() {
+        if !act.is_looked_at(now) || act.present().next().is_none() {
             return;
+        }
+        if !self.disk_is_known() {
+            return self.await_disk(now, index);
         }
         if !act.is_alone() && !ledger::fits(&self.acts, index, &self.robots) {
             // Looked at again whenever something ends.
@@ -54,6 +57,15 @@ impl Mission {
             return self.fail_all(now, failing);
         }
         self.send_act(now, index, need, skew);
+    }
+
+    /// What is promised has to be on the disk first: one that stands still is not waited for.
+    fn await_disk(&mut self, now: Timestamp<Server>, index: usize) {
+        let (within, since) = (self.options.patience, self.acts[index].since());
+        if now < since + within {
+            return self.acts[index].look_again_at(Some(since + within));
+        }
+        self.journal_lost(now, format!("the journal's disk has not taken the first record within {within}"));
     }
 
     fn skew_of(&self, act: &Act, now: Timestamp<Server>) -> Option<SkewBudget> {

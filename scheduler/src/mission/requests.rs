@@ -166,7 +166,10 @@ impl Mission {
             // Slowly forgotten, so that one slow moment does not delay the rest of the show.
             let before = self.recording.longest.unwrap_or_default() * 3 / 4;
             self.recording.longest = Some((now - asked).max(before));
-            let Some(number) = number else { continue };
+            let Some(number) = number else {
+                self.acts.iter_mut().for_each(|act| act.look_again_at(None));
+                continue;
+            };
             let act = self.acts.iter_mut().find(|act| act.number() == number);
             let actions = act.map(Act::recorded).unwrap_or_default();
             self.carry_out(now, number, actions);

@@ -28,6 +28,18 @@ impl Mission {
         }
     }
 
+    /// Nothing more may be promised.
+    pub(super) fn journal_lost(&mut self, now: Timestamp<Server>, reason: String) {
+        self.tell(Progress::JournalLost { reason: reason.clone() });
+        let outcome = Outcome::JournalLost { reason };
+        match self.phase {
+            Phase::Greeting { .. } => self.refuse(outcome),
+            Phase::Performing => self.abort(now, outcome, Rest::Default, None),
+            Phase::Stopping { .. } => self.then = None,
+            Phase::Ended => {}
+        }
+    }
+
     /// Withdraws everything that was sent. Renewals end here, so leases end what no message reaches.
     pub(super) fn abort(
         &mut self,

@@ -11,14 +11,12 @@ use std::fmt;
 use downbeat_robot::LogEntry;
 use urrcp::{ControlType, Server, Span, Timestamp};
 
-use super::{Drawn, Fault, Happened, Ran};
-use crate::mission::{Promise, Record};
+use super::{Drawn, DrawnRobot, Fault, Happened, Ran};
+use crate::mission::{ClockMode, Promise, Record};
 use crate::report::{Outcome, RobotReport, StopState};
 
 /// A clock that was set is seen at the next renewal, a second later where no lease asks for more.
 const SEEN_AFTER: Span = Span::from_millis(1_100);
-/// Robots of the simulation start so much earlier than planned, at most, as their clocks are off.
-const LATE_STOP: Span = Span::from_millis(5);
 /// What a drifting clock may add to a lease or a start within a mission.
 const DRIFT: Span = Span::from_millis(1);
 
@@ -56,9 +54,6 @@ pub struct Verdict {
     /// Each act that was sent.
     pub starts: Vec<Starts>,
 }
-
-/// Clocks of honest robots are off by less than this.
-const CLOCK_BEHIND: Span = Span::from_millis(5);
 
 impl Ran {
     /// Holds the invariants against what happened.
@@ -103,6 +98,20 @@ impl<'a> Check<'a> {
             .faults
             .iter()
             .any(|(_, fault)| matches!(fault, Fault::ClockStep { robot: r, .. } if *r == robot))
+    }
+
+    /// How much earlier and how much later than planned the robot starts at most, as its clock was drawn: off by its offset,
+    /// or where the offset is measured by what the paths there and back may differ.
+    fn early_and_late(&self, robot: usize) -> (Span, Span) {
+        let DrawnRobot { clock, settings, slow, .. } = &self.drawn().robots[robot];
+        let paths = (self.drawn().delay.1 + *slow) / 2;
+        let (early, late) = match clock {
+            ClockMode::Measured => (paths, paths),
+            ClockMode::Ntp => {
+                (settings.clock_offset.max(Span::ZERO), (Span::ZERO - settings.clock_offset).max(Span::ZERO))
+            }
+        };
+        (early + DRIFT, late + DRIFT)
     }
 
     fn promises(&self) -> Vec<(Timestamp<Server>, &'a Promise)> {
@@ -173,12 +182,17 @@ impl<'a> Check<'a> {
         let until = last.unwrap_or(promise.start) + Span::from_millis(150);
         let within = |at: Timestamp<Server>| at >= from && at <= until;
         // After the point of no return a stop, whatever it is for, may reach some before their start and others after it.
-        let late_stop = self.ran.records.iter().any(|(at, record)| {
-            let returns = promise.start - self.drawn().delay.1 * 4 - LATE_STOP;
-            // A robot whose clock is behind starts a little after the planned instant.
-            let begun = promise.start + CLOCK_BEHIND;
-            matches!(record, Record::Stopping { .. }) && *at >= returns && *at <= begun
+        let members = promise.scripts.iter().filter_map(|script| self.index_of(&script.robot));
+        let (early, late) = members.fold((Span::ZERO, Span::ZERO), |(early, late), robot| {
+            let (of_robot_early, of_robot_late) = self.early_and_late(robot);
+            (early.max(of_robot_early), late.max(of_robot_late))
         });
+        let returns = promise.start - self.drawn().delay.1 * 4 - early;
+        let begun = promise.start + late;
+        let late_stop =
+            self.ran.records.iter().any(|(at, record)| {
+                matches!(record, Record::Stopping { .. }) && *at >= returns && *at <= begun
+            });
         late_stop
             || self.ran.history.iter().any(|(at, happened)| match happened {
                 Happened::Lost(_) => within(*at),

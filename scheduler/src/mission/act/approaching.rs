@@ -219,8 +219,7 @@ impl Act {
 
     fn commit(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {
         let withdraws = self.written().on_doubt == OnDoubt::Withdraw;
-        let Some(timing) = &mut self.timing else { return Vec::new() };
-        timing.round = Some((now, now));
+        let Some(timing) = &self.timing else { return Vec::new() };
         let next_round = now + timing.pace.period;
         let doubt = withdraws.then(|| timing.last_withdrawal());
         let told = Told::NotYet;

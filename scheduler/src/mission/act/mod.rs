@@ -27,6 +27,7 @@ use super::{Outcome, Progress, Record};
 use approaching::{Approach, Commitment};
 use member::Part;
 pub(crate) use member::{Member, members};
+pub(crate) use playing::LAPSE;
 pub(crate) use resumed::Reached;
 pub(crate) use timing::Timing;
 pub(crate) use waiting::next_time_of_day;

@@ -11,7 +11,7 @@ use crate::mission::script::{News, Script, ScriptRef, ScriptState, error_of};
 /// How long after its instant a report may still arrive, besides the round trip.
 const REPORT_GRACE: Span = Span::from_millis(500);
 /// A script whose planned end has passed by this much has ended on a robot that cannot say so.
-const LAPSE: Span = Span::from_millis(15);
+pub(crate) const LAPSE: Span = Span::from_millis(15);
 /// Before a robot that does not report by itself is asked again what became of a script that should have ended.
 const ASK_AGAIN: Span = Span::from_millis(50);
 

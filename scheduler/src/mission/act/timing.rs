@@ -141,7 +141,7 @@ pub(crate) struct Timing {
     pub(crate) gap: Option<Span>,
     /// When the last acceptance came.
     pub(crate) accepted_at: Option<Timestamp<Server>>,
-    /// The round of renewals that carries the leases over the start: when it was sent, and when its last answer came.
+    /// When the commitment was sent, and when its last answer came; `None` until all have answered.
     pub(crate) round: Option<(Timestamp<Server>, Timestamp<Server>)>,
 }
 

@@ -1,0 +1,45 @@
+//! Whether each script that has no room at first can be sent in time, on the links as they were measured.
+//!
+//! A script that comes late is refused by its robot, in mid-show. `check` finds what no link could do; what the links of
+//! today cannot do is found here, before anything has moved.
+
+use downbeat_scripts::{Refill, RefillKind, refills};
+use urrcp::{DeviceId, RobotId, Span};
+
+use super::Mission;
+use super::act::LAPSE;
+use super::failure_kind::FailureKind;
+use super::robot_state::RobotState;
+
+impl Mission {
+    /// Refuses robots whose devices cannot be sent one of their scripts in time.
+    pub(super) fn check_refills(&mut self) {
+        let sending = self.robots.iter().map(sending).max().unwrap_or_default();
+        let queue = |robot: &RobotId, device: &DeviceId| {
+            let state = self.robots.iter().find(|state| state.id == *robot)?;
+            let described = state.block.as_ref()?.device(device.as_str())?;
+            Some(described.script_queue)
+        };
+        let later = |refill: &Refill| refill.kind == RefillKind::Later;
+        for refill in refills(&self.choreography, queue, sending).into_iter().filter(later) {
+            let Some(robot) = self.robots.iter().position(|robot| robot.id == refill.robot) else { continue };
+            let needed = self::sending(&self.robots[robot]);
+            if refill.time < needed {
+                let act = self.choreography.acts[refill.act].name.clone();
+                let Refill { device, script, time, .. } = refill;
+                self.note_failure(robot, FailureKind::NoTimeToSend { device, act, script, time, needed });
+            }
+        }
+    }
+}
+
+/// How long it takes at least until a robot holds a script for which it has room: the end of the one before is reported and
+/// the next one sent, or, where the robot does not report by itself, its end is awaited and asked for.
+fn sending(robot: &RobotState) -> Span {
+    let round_trip = robot.round_trip();
+    match (robot.reports(), robot.takes_inquiries()) {
+        (true, _) => round_trip,
+        (false, true) => round_trip * 2 + LAPSE,
+        (false, false) => round_trip + LAPSE,
+    }
+}
