@@ -55,14 +55,14 @@ pub enum FailureKind {
     },
     /// Its link is too slow for one of the scripts that its device has no room for at first.
     #[error(
-        "script {} of `{device}` in the act `{act}` cannot be sent in time: there is room for it {} before its start, and on this link it takes {needed}; use fewer steps or robots that hold more scripts (`script_queue`)",
-        script + 1, (*time).max(Span::ZERO)
+        "script {} of `{device}`{} cannot be sent in time: there is room for it {} before its start, and on this link it takes {needed}; use fewer steps, or a robot that holds more scripts (`script_queue`)",
+        script + 1, act.as_ref().map(|act| format!(" in the act `{act}`")).unwrap_or_default(), (*time).max(Span::ZERO)
     )]
     NoTimeToSend {
         /// Of the robot.
         device: DeviceId,
-        /// In which act.
-        act: String,
+        /// In which act; `None` where the only one has no name.
+        act: Option<String>,
         /// Which script of this device in this act, from 0.
         script: usize,
         /// How long before its start there is room for it; negative: after that.

@@ -25,7 +25,8 @@ impl Mission {
             let Some(robot) = self.robots.iter().position(|robot| robot.id == refill.robot) else { continue };
             let needed = self::sending(&self.robots[robot]);
             if refill.time < needed {
-                let act = self.choreography.acts[refill.act].name.clone();
+                let act =
+                    Some(self.choreography.acts[refill.act].name.clone()).filter(|name| !name.is_empty());
                 let Refill { device, script, time, .. } = refill;
                 self.note_failure(robot, FailureKind::NoTimeToSend { device, act, script, time, needed });
             }
