@@ -284,6 +284,14 @@ fn tell_round_trips() {
     );
 }
 
+struct SetWhenDropped<'a>(&'a AtomicBool);
+
+impl Drop for SetWhenDropped<'_> {
+    fn drop(&mut self) {
+        self.0.store(true, Ordering::Relaxed);
+    }
+}
+
 /// Keeps two cores busy until it is let go.
 fn with_every_core_busy<T>(measure: impl FnOnce() -> T) -> T {
     let enough = AtomicBool::new(false);
@@ -295,9 +303,9 @@ fn with_every_core_busy<T>(measure: impl FnOnce() -> T) -> T {
                 }
             });
         }
-        let measured = measure();
-        enough.store(true, Ordering::Relaxed);
-        measured
+        // Also when it panics.
+        let _enough = SetWhenDropped(&enough);
+        measure()
     })
 }
 

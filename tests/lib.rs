@@ -13,6 +13,7 @@ mod hostile;
 mod import;
 mod import_real;
 mod language;
+mod large_show;
 mod missions;
 mod ntp;
 mod processes;
