@@ -96,8 +96,16 @@ pub fn greeting(fleet: &Fleet) -> Greeting {
 /// # Errors
 /// [`NoInit`] when the fleet file does not describe it.
 pub fn simulated(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit> {
+    simulated_with(robot, settings(robot, seed))
+}
+
+fn simulated_with(robot: &FleetRobot, settings: Settings) -> Result<SimulatedRobot, NoInit> {
     let block = robot.init.clone().ok_or_else(|| NoInit { robot: robot.id.clone() })?;
-    Ok(SimulatedRobot::new(block, settings(robot, seed)))
+    let mut simulated = SimulatedRobot::new(block, settings);
+    for (sensor, reading) in &robot.simulation.readings {
+        simulated.set_reading(sensor.clone(), *reading);
+    }
+    Ok(simulated)
 }
 
 /// The robot as a dry run has it: where the fleet file does not say how long messages take, they take as long as in a wired
@@ -106,10 +114,9 @@ pub fn simulated(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit
 /// # Errors
 /// As [`simulated`].
 pub fn rehearsed(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit> {
-    let block = robot.init.clone().ok_or_else(|| NoInit { robot: robot.id.clone() })?;
     let settings = settings(robot, seed);
     let delay = settings.delay.or(Some(WIRED));
-    Ok(SimulatedRobot::new(block, Settings { delay, ..settings }))
+    simulated_with(robot, Settings { delay, ..settings })
 }
 
 /// Least and largest delay each way in a wired network.

@@ -20,8 +20,8 @@ pub(crate) const ROBOT_KEYS: [&str; 9] =
     ["init", "devices", "address", "simulate", "limits", "clock", "wake_up", "require", "encoding"];
 pub(crate) const RANGE_KEYS: [&str; 3] = ["above", "below", "within"];
 pub(crate) const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
-pub(crate) const SIMULATE_KEYS: [&str; 6] =
-    ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault"];
+pub(crate) const SIMULATE_KEYS: [&str; 7] =
+    ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault", "readings"];
 
 /// All robots of a site.
 #[derive(Clone, Debug, Default)]
@@ -127,6 +127,8 @@ pub struct SimulationSettings {
     pub delay: Option<(Span, Span)>,
     /// What it does wrong.
     pub fault: Option<Fault>,
+    /// What its sensors read, in their units; others read nothing.
+    pub readings: Vec<(DeviceId, f64)>,
 }
 
 impl Default for SimulationSettings {
@@ -138,6 +140,7 @@ impl Default for SimulationSettings {
             ntp_error: Some(Span::ZERO),
             delay: None,
             fault: None,
+            readings: Vec::new(),
         }
     }
 }
@@ -243,8 +246,8 @@ impl FleetReader {
         let [init, devices, address, simulate, limits, clock, wake_up, require, encoding] =
             self.findings.map(at, &what, ROBOT_KEYS, &["init", "address"])?;
         let address = address.and_then(|at| self.address(&at));
-        let simulation = simulate.map(|at| self.simulation(&at)).unwrap_or_default();
         let mut init = init.and_then(|at| self.init(&at, devices.as_ref()))?;
+        let simulation = simulate.map(|at| self.simulation(&at, &init)).unwrap_or_default();
         init.id = id.clone();
         let limits = limits.map(|at| self.limits(&at, &init)).unwrap_or_default();
         let words = [("ntp", RobotClock::Ntp), ("measured", RobotClock::Measured)];
@@ -302,18 +305,9 @@ impl FleetReader {
     fn require(&mut self, at: &At<'_>, init: &InitializationBlock) -> Vec<(DeviceId, SensorRange)> {
         let mut required = Vec::new();
         for (name, at) in self.findings.entries(at, "sensor to what it has to read") {
-            let is_sensor = |device: &&Device| device.available_control_types.sensor().is_some();
-            let sensors = || init.devices.iter().filter(is_sensor).map(|device| device.id.as_str());
             let range = self.range(&at);
-            match init.device(name).filter(is_sensor) {
-                Some(device) => required.extend(range.map(|range| (device.id.clone(), range))),
-                None => {
-                    let message = format!("the robot has no sensor `{}`", node::shortened(name));
-                    let expected = format!("one of {}", crate::finding::names(sensors()));
-                    let hint = crate::finding::did_you_mean(name, sensors());
-                    self.findings.add(Code::UnknownSensor, at.key_place(), message, expected, hint);
-                }
-            }
+            let sensor = self.sensor(name, &at, init);
+            required.extend(sensor.zip(range));
         }
         required
     }
@@ -390,9 +384,9 @@ impl FleetReader {
         }
     }
 
-    fn simulation(&mut self, at: &At<'_>) -> SimulationSettings {
+    fn simulation(&mut self, at: &At<'_>, init: &InitializationBlock) -> SimulationSettings {
         let mut settings = SimulationSettings::default();
-        let Some([offset, drift, jitter, ntp_error, delay, fault]) =
+        let Some([offset, drift, jitter, ntp_error, delay, fault, readings]) =
             self.findings.map(at, "`simulate`", SIMULATE_KEYS, &[])
         else {
             return settings;
@@ -410,7 +404,33 @@ impl FleetReader {
         settings.delay = delay.and_then(|at| delay_range(findings, &at));
         let words = [("refuse", Fault::Refuse), ("silent", Fault::Silent), ("disconnect", Fault::Disconnect)];
         settings.fault = fault.and_then(|at| findings.word(&at, &words));
+        settings.readings = readings.map(|at| self.readings(&at, init)).unwrap_or_default();
         settings
+    }
+
+    /// `{range: 0.4}`
+    fn readings(&mut self, at: &At<'_>, init: &InitializationBlock) -> Vec<(DeviceId, f64)> {
+        let mut readings = Vec::new();
+        for (name, at) in self.findings.entries(at, "sensor to what it reads") {
+            let reading = self.findings.number(&at, "a number, in the unit of the sensor");
+            let sensor = self.sensor(name, &at, init);
+            readings.extend(sensor.zip(reading));
+        }
+        readings
+    }
+
+    /// A sensor of the robot, or a finding where the name stands.
+    fn sensor(&mut self, name: &str, at: &At<'_>, init: &InitializationBlock) -> Option<DeviceId> {
+        let is_sensor = |device: &&Device| device.available_control_types.sensor().is_some();
+        let sensors = || init.devices.iter().filter(is_sensor).map(|device| device.id.as_str());
+        let found = init.device(name).filter(is_sensor).map(|device| device.id.clone());
+        if found.is_none() {
+            let message = format!("the robot has no sensor `{}`", node::shortened(name));
+            let expected = format!("one of {}", crate::finding::names(sensors()));
+            let hint = crate::finding::did_you_mean(name, sensors());
+            self.findings.add(Code::UnknownSensor, at.key_place(), message, expected, hint);
+        }
+        found
     }
 
     fn groups(&mut self, at: &At<'_>, named: &HashSet<&str>, fleet: &mut Fleet) {

@@ -81,6 +81,7 @@ impl Live {
             Progress::Committed { window: Some(window), .. } => {
                 self.line(&format!("every lease reaches over the start, confirmed within {window}"));
             }
+            Progress::ActSkipped { act, fate } => self.line(&format!("`{act}` {fate}")),
             Progress::Committed { .. } | Progress::ActEnded { .. } => {}
             Progress::Started { .. } => self.bar.tick(),
             Progress::Finished { .. } => {

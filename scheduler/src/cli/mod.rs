@@ -129,7 +129,7 @@ pub enum Exit {
     Stopped = 3,
     /// Somebody's stop is not confirmed.
     Unconfirmed = 4,
-    /// Done, without robots that failed on the way.
+    /// Done, without robots that failed on the way, or without acts whose wait ran out.
     DoneWithout = 5,
     /// Played to its end, and not all of it is known to be as promised: starts were too far apart, or robots cannot say what
     /// they did.

@@ -6,7 +6,7 @@ use clap::ValueEnum;
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostOptions, Hosted, serve};
 use tokio::net::TcpListener;
-use urrcp::{InitializationBlock, RobotId, Span};
+use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
 use super::run::parse_span;
 use super::{Exit, Format, console};
@@ -36,6 +36,9 @@ pub(super) struct RobotArgs {
     /// What it does wrong.
     #[arg(long, value_enum)]
     fault: Option<FaultArg>,
+    /// What a sensor reads, as range=0.4; may be given several times.
+    #[arg(long = "reading", value_parser = parse_reading, value_name = "SENSOR=VALUE")]
+    readings: Vec<(DeviceId, f64)>,
     /// Of its random draws.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -121,7 +124,24 @@ pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
         seed: args.seed,
         ..Settings::default()
     };
-    args.process.run(SimulatedRobot::new(block, settings).into(), format)
+    let is_sensor = |sensor: &DeviceId| {
+        block.device(sensor.as_str()).is_some_and(|d| d.available_control_types.sensor().is_some())
+    };
+    if let Some((sensor, _)) = args.readings.iter().find(|(sensor, _)| !is_sensor(sensor)) {
+        console::error(&format!("--reading: `{}` has no sensor `{sensor}`", block.id));
+        return Exit::Usage;
+    }
+    let mut robot = SimulatedRobot::new(block, settings);
+    args.readings.iter().for_each(|(sensor, reading)| robot.set_reading(sensor.clone(), *reading));
+    args.process.run(robot.into(), format)
+}
+
+fn parse_reading(text: &str) -> Result<(DeviceId, f64), String> {
+    let parsed = text.split_once('=').and_then(|(sensor, reading)| {
+        let reading = reading.parse().ok().filter(|reading: &f64| reading.is_finite())?;
+        Some((sensor.parse().ok()?, reading))
+    });
+    parsed.ok_or_else(|| format!("`{text}`, expected a sensor and a number, such as range=0.4"))
 }
 
 pub(super) fn failed(message: &str) -> Exit {

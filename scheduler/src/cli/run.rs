@@ -406,7 +406,7 @@ pub(super) fn exit_of(report: &Report) -> Exit {
     match &report.outcome {
         Outcome::Done | Outcome::Ready => Exit::Done,
         _ if unconfirmed => Exit::Unconfirmed,
-        Outcome::DoneWithout => Exit::DoneWithout,
+        Outcome::DoneWithout | Outcome::DoneSkipping { .. } => Exit::DoneWithout,
         Outcome::Stopped => Exit::Stopped,
         Outcome::OutOfTolerance { .. } | Outcome::Unknown => Exit::Uncertain,
         _ => Exit::Failed,

@@ -8,6 +8,7 @@ use urrcp::{Server, Timestamp};
 
 use super::act::{Act, ActAction};
 use super::facts::ActReport;
+use super::fates::ActFate;
 use super::record::Record;
 use super::robot_state::{Reading, Rest, Standing};
 use super::{Mission, Outcome, Phase, Progress};
@@ -87,10 +88,7 @@ impl Mission {
                 ActAction::Refill(robots) => robots.into_iter().for_each(|robot| self.refill(now, robot)),
                 ActAction::Ask(robots) => robots.into_iter().for_each(|robot| self.inquire(now, robot)),
                 ActAction::Withdraw(outcome) => self.abort(now, outcome, Rest::Default, None),
-                ActAction::TimedOut(way) => {
-                    self.acts.retain(|act| act.number() != number);
-                    self.go_way(now, way);
-                }
+                ActAction::TimedOut(way) => self.skip_act(now, number, way),
                 ActAction::Read { robot, sensor, what } => {
                     // An answer that was lost must not be waited for.
                     if matches!(what, Reading::Wait(_)) {
@@ -100,6 +98,17 @@ impl Mission {
                 }
             }
         }
+    }
+
+    /// What an act waits for has not come in time.
+    fn skip_act(&mut self, now: Timestamp<Server>, number: u32, way: Way) {
+        if let Some(at) = self.acts.iter().position(|act| act.number() == number) {
+            let act = self.acts.remove(at);
+            let fate = ActFate::timed_out(&act);
+            self.tell(Progress::ActSkipped { act: act.name(), fate: fate.clone() });
+            self.fates[act.index()].note(fate);
+        }
+        self.go_way(now, way);
     }
 
     /// Sees to it that the act that follows is there in time, and ends the mission after the last one.
@@ -150,7 +159,14 @@ impl Mission {
         if self.robots.iter().any(|robot| robot.totals.unaccounted > 0) {
             return Outcome::Unknown;
         }
-        self.flaw_of_starts.clone().unwrap_or(Outcome::Done)
+        if let Some(flaw) = &self.flaw_of_starts {
+            return flaw.clone();
+        }
+        let skipped = self.fates.iter().filter(|act| act.was_skipped()).map(|act| act.act.clone());
+        match skipped.collect::<Vec<_>>() {
+            none if none.is_empty() => Outcome::Done,
+            acts => Outcome::DoneSkipping { acts },
+        }
     }
 
     /// One more act begins to wait for its condition.
@@ -186,6 +202,11 @@ impl Mission {
     fn close_act(&mut self, now: Timestamp<Server>, index: usize) {
         let act = self.acts.remove(index);
         self.account(now, &act);
+        let fate = self.fate_of(&act);
+        if fate == ActFate::NobodyLeft {
+            self.tell(Progress::ActSkipped { act: act.name(), fate: fate.clone() });
+        }
+        self.fates[act.index()].note(fate);
         if let Some(report) = ActReport::new(&act, &self.robots) {
             self.skipped = 0;
             self.keep_report(&act, report);
@@ -207,6 +228,17 @@ impl Mission {
         }
         if self.acts.is_empty() && self.phase == Phase::Performing {
             self.go_on_from(now, follow);
+        }
+    }
+
+    fn fate_of(&self, act: &Act) -> ActFate {
+        let performs = self.phase == Phase::Performing;
+        match (act.was_sent(), act.has_begun()) {
+            (true, _) if performs && act.is_over() => ActFate::Played,
+            (_, true) => ActFate::Stopped,
+            (true, false) => ActFate::Withdrawn,
+            (false, false) if performs => ActFate::NobodyLeft,
+            (false, false) => ActFate::StillWaiting,
         }
     }
 

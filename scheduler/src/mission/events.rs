@@ -4,6 +4,7 @@ use serde::Serialize;
 use urrcp::{DeviceId, Message, RobotId, Server, Span, Timestamp};
 
 use super::failure_kind::Failure;
+use super::fates::ActFate;
 use super::{LeadTime, Preflight, Record, SkewBudget};
 use crate::server_clock::NtpState;
 
@@ -174,6 +175,14 @@ pub enum Progress {
     Finished {
         /// Which.
         robot: RobotId,
+    },
+    /// An act is not played, and the mission goes on.
+    ActSkipped {
+        /// Which.
+        act: String,
+        /// Why.
+        #[serde(flatten)]
+        fate: ActFate,
     },
     /// An act has ended.
     ActEnded {

@@ -17,6 +17,7 @@ mod events;
 mod facts;
 mod failure;
 mod failure_kind;
+mod fates;
 mod greet;
 mod lead;
 mod leases;
@@ -45,6 +46,7 @@ pub(crate) use act::next_time_of_day;
 pub use events::{Action, Event, Loss, Progress, TakenReading};
 pub use facts::{ActReport, ActRobot, DeviceReport};
 pub use failure_kind::{Failure, FailureKind};
+pub use fates::{ActCourse, ActFate};
 pub use lead::{LEAD_MARGIN_MIN, LeadTime};
 pub use options::{ClockMode, Greeting, Join, MissionOptions, Participant, Requirement};
 pub use outcome::Outcome;
@@ -107,6 +109,8 @@ pub struct Mission {
     /// Messages that must not be sent before an act is committed or withdrawn.
     deferred: Vec<(usize, Message)>,
     recording: Recording,
+    /// What became of each act of the scenario.
+    fates: Vec<ActCourse>,
     /// Acts in a row that nobody was left to play.
     skipped: usize,
     /// Until when clocks are sampled further, and when next.
@@ -152,6 +156,9 @@ impl Mission {
         now: Timestamp<Server>,
     ) -> Self {
         let deadline = now + options.patience;
+        let course =
+            |act: &downbeat_scripts::Act| ActCourse { act: act.name.clone(), ..ActCourse::default() };
+        let fates = choreography.acts.iter().map(course).collect();
         Self {
             choreography,
             options,
@@ -168,6 +175,7 @@ impl Mission {
             give_up: None,
             deferred: Vec::new(),
             recording: Recording::default(),
+            fates,
             skipped: 0,
             sampling: None,
             preflight: None,
@@ -310,6 +318,11 @@ impl Mission {
 
     pub(crate) const fn act_reports(&self) -> (&VecDeque<ActReport>, usize) {
         (&self.reports, self.reports_omitted)
+    }
+
+    /// Every act of the scenario and what became of it, in order.
+    pub(crate) fn fates(&self) -> &[ActCourse] {
+        &self.fates
     }
 
     pub(crate) const fn preflight(&self) -> Option<&Preflight> {

@@ -15,6 +15,11 @@ pub enum Outcome {
     Done,
     /// The others came to their end; robots that failed were left out, as `on_failure` says.
     DoneWithout,
+    /// It came to its end, and acts were left out on the way: what they waited for did not come.
+    DoneSkipping {
+        /// Which.
+        acts: Vec<String>,
+    },
     /// It was played to its end, and the starts were further apart than the scenario tolerates.
     OutOfTolerance {
         /// Largest spread of starts of any act, by the robots' own clocks.
@@ -88,6 +93,10 @@ impl fmt::Display for Outcome {
         match self {
             Self::Done => f.write_str("done"),
             Self::DoneWithout => f.write_str("done, without the robots that failed"),
+            Self::DoneSkipping { acts } => {
+                let acts: Vec<_> = acts.iter().map(|act| format!("`{act}`")).collect();
+                write!(f, "done, but skipped {}", acts.join(", "))
+            }
             Self::OutOfTolerance { spread, tolerance } => write!(
                 f,
                 "played to its end, but out of tolerance: the starts were {spread} apart, start_tolerance is {tolerance}"

@@ -1,5 +1,6 @@
 //! What really happened: for people (`text`), for machines (serde), in a picture (`picture`).
 
+mod course;
 pub mod picture;
 mod text;
 
@@ -8,9 +9,10 @@ use urrcp::{RobotId, Server, SessionId, Span, Timestamp};
 
 use crate::clock::ClockReading;
 use crate::mission::robot_state::{Rest, RobotState, Standing, Stop};
-pub use crate::mission::{ActReport, ActRobot, DeviceReport, Outcome};
+pub use crate::mission::{ActCourse, ActFate, ActReport, ActRobot, DeviceReport, Outcome};
 use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight};
 use crate::server_clock::NtpState;
+pub use course::course_lines;
 pub use text::{choreography_figures, main_duration, plan_figures, plan_table, preflight_table, report_text};
 
 /// The JSON Schema of a report.
@@ -40,6 +42,8 @@ pub struct Report {
     /// The same by the one true clock, which only a dry run has.
     #[serde(rename = "true_spread_ms", skip_serializing_if = "Option::is_none")]
     pub true_spread: Option<Span>,
+    /// Every act of the scenario, in the order of the file, and what became of it.
+    pub course: Vec<ActCourse>,
     /// The acts that were sent, in order.
     pub acts: Vec<ActReport>,
     /// Earlier acts that are no longer listed; the journal has them.
@@ -135,6 +139,7 @@ impl Report {
             lead: acts.front().map(|act| act.lead),
             spread: acts.iter().filter_map(|act| act.spread).max(),
             true_spread: None,
+            course: mission.fates().to_vec(),
             acts: acts.iter().cloned().collect(),
             acts_omitted,
             robots: robots.iter().map(robot_report).collect(),

@@ -6,7 +6,7 @@ use comfy_table::{CellAlignment, Table, presets};
 use downbeat_scripts::{Act, Choreography, Plan, RobotPlan, counted};
 use urrcp::Span;
 
-use super::{ActReport, Outcome, Report, RobotReport, StopState};
+use super::{ActReport, Outcome, Report, RobotReport, StopState, course_lines};
 use crate::mission::{Check, Preflight, Verdict};
 
 fn table(header: &[&str], numbers_from: usize) -> Table {
@@ -140,6 +140,9 @@ pub fn report_text(report: &Report) -> String {
     let alone = matches!(report.outcome, Outcome::Ready | Outcome::NotReady);
     if let Some(preflight) = report.preflight.as_ref().filter(|_| alone) {
         return text + &preflight_table(preflight, true);
+    }
+    for line in course_lines(report) {
+        let _infallible = writeln!(text, "  {line}");
     }
     for failure in &report.failures {
         let _infallible = writeln!(text, "  {}: {}", failure.robot, failure.kind);

@@ -157,6 +157,11 @@ impl Act {
         self.number
     }
 
+    /// Which act of the choreography it is.
+    pub(crate) const fn index(&self) -> usize {
+        self.index
+    }
+
     /// What the scenario says of it.
     pub(crate) fn written(&self) -> &downbeat_scripts::Act {
         &self.choreography.acts[self.index]

@@ -1,0 +1,89 @@
+//! What became of each act of the scenario, also of those that were never sent.
+
+use std::fmt;
+
+use downbeat_scripts::Wait;
+use serde::Serialize;
+use urrcp::Span;
+
+use super::act::Act;
+
+/// What became of an act of the scenario. Of one that came several times the last time counts.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case", tag = "fate")]
+pub enum ActFate {
+    /// The mission did not come to it.
+    #[default]
+    NotReached,
+    /// It waited when the mission ended.
+    StillWaiting,
+    /// What it waited for did not come, and the mission went on as `otherwise` says.
+    TimedOut {
+        /// For what, for people.
+        awaited: String,
+        /// For how long.
+        #[serde(rename = "within_ms")]
+        within: Span,
+    },
+    /// All its robots had been left out.
+    NobodyLeft,
+    /// It was sent and withdrawn before anything moved.
+    Withdrawn,
+    /// It was stopped after it had begun.
+    Stopped,
+    /// It was played to its end.
+    Played,
+}
+
+/// An act of the scenario and what became of it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct ActCourse {
+    /// Its name; empty where the only one has none.
+    pub act: String,
+    /// How often it was played to its end.
+    pub played: u32,
+    /// What became of it.
+    #[serde(flatten)]
+    pub fate: ActFate,
+}
+
+impl ActCourse {
+    pub(super) fn note(&mut self, fate: ActFate) {
+        self.played += u32::from(fate == ActFate::Played);
+        self.fate = fate;
+    }
+
+    /// It was to be played and was not, and the mission went on.
+    pub(crate) const fn was_skipped(&self) -> bool {
+        matches!(self.fate, ActFate::TimedOut { .. } | ActFate::NobodyLeft)
+    }
+}
+
+impl ActFate {
+    /// Of an act whose wait is over without what it waited for.
+    pub(super) fn timed_out(act: &Act) -> Self {
+        let written = act.written();
+        let awaited = match &written.wait {
+            Wait::Operator => "the operator's go".to_owned(),
+            Wait::Sensor { robot, sensor, range } => format!("`{robot}/{sensor}` {range}"),
+            Wait::Done | Wait::TimeOfDay(_) | Wait::Instant(_) => "its time".to_owned(),
+        };
+        Self::TimedOut { awaited, within: written.timeout.unwrap_or_default() }
+    }
+}
+
+impl fmt::Display for ActFate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::NotReached => f.write_str("not reached"),
+            Self::StillWaiting => f.write_str("still waiting at the end"),
+            Self::TimedOut { awaited, within } => {
+                write!(f, "skipped: {awaited} did not come within {within}")
+            }
+            Self::NobodyLeft => f.write_str("skipped: all its robots had been left out"),
+            Self::Withdrawn => f.write_str("withdrawn before anything moved"),
+            Self::Stopped => f.write_str("stopped on the way"),
+            Self::Played => f.write_str("played"),
+        }
+    }
+}

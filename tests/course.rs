@@ -1,0 +1,92 @@
+//! What becomes of acts that wait: the report names every act of the scenario, and what was skipped is no success.
+
+use serde_json::Value;
+
+use crate::robots::{Ended, Stage, Via};
+
+const INIT: &str = "id: robot
+api_version: '1'
+reports: true
+inquiry: true
+devices:
+  - id: d
+    name: d
+    available_control_types:
+      position: {min_value: 0, max_value: 90, granularity: 1}
+      script: {min_value: 0, max_value: 90, granularity: 1, max_number_of_steps: 8}
+  - id: range
+    name: range
+    available_control_types:
+      sensor: {min_value: 0, max_value: 4}
+";
+
+/// Three acts of which the second waits for this.
+fn played(wait: &str) -> (Stage, Ended) {
+    let cues = "cues: [{robots: all, tracks: {d: [{at: 0s, to: 1}, {at: 100ms, to: 2}]}}]";
+    let mut stage = Stage::new();
+    stage.file("robot.yaml", INIT).file(
+        "show.yaml",
+        format!(
+            "scenario: show
+start_tolerance: 1s
+acts:
+  - {{act: one, {cues}}}
+  - {{act: two, wait: {wait}, {cues}}}
+  - {{act: three, next: end, {cues}}}
+"
+        ),
+    );
+    stage.robot("robot.yaml", Via::Direct);
+    let ended = stage.run(&["run", "show.yaml", "--format", "json"]);
+    (stage, ended)
+}
+
+fn course(ended: &Ended) -> Vec<(String, String)> {
+    let report = ended.report();
+    let text = |value: &Value| value.as_str().unwrap().to_owned();
+    report["course"].as_array().unwrap().iter().map(|act| (text(&act["act"]), text(&act["fate"]))).collect()
+}
+
+fn fates(expected: [(&str, &str); 3]) -> Vec<(String, String)> {
+    expected.map(|(act, fate)| (act.to_owned(), fate.to_owned())).to_vec()
+}
+
+#[test]
+fn an_act_whose_sensor_never_reads_what_it_waits_for_is_skipped_and_the_mission_is_not_simply_done() {
+    let (stage, ended) = played("{sensor: r0/range, below: 0.5, timeout: 400ms, otherwise: end}");
+    assert_eq!(ended.code, Some(5), "{ended}");
+    assert_eq!(course(&ended), fates([("one", "played"), ("two", "timed_out"), ("three", "not_reached")]));
+    let report = ended.report();
+    assert_eq!(report["outcome"]["done_skipping"]["acts"][0], "two");
+    assert_eq!(report["course"][1]["awaited"], "`r0/range` below 0.5");
+    let text = stage.run(&["run", "show.yaml"]);
+    assert!(text.out.contains("show: done, but skipped `two`"), "{text}");
+    assert!(
+        text.out.contains("act `two`: skipped: `r0/range` below 0.5 did not come within 400 ms"),
+        "{text}"
+    );
+    assert!(text.out.contains("act `three`: not reached"), "{text}");
+}
+
+#[test]
+fn an_operator_who_does_not_say_go_in_time_is_named() {
+    let (_stage, ended) = played("{for: operator, timeout: 300ms, otherwise: three}");
+    assert_eq!(ended.code, Some(5), "{ended}");
+    assert_eq!(course(&ended), fates([("one", "played"), ("two", "timed_out"), ("three", "played")]));
+    assert_eq!(ended.report()["course"][1]["awaited"], "the operator's go");
+    assert!(ended.told.is_empty() || ended.told.contains("did not come within"), "{ended}");
+}
+
+#[test]
+fn without_otherwise_the_mission_fails_and_says_which_act_was_skipped() {
+    let (_stage, ended) = played("{for: operator, timeout: 300ms}");
+    assert_eq!(ended.code, Some(1), "{ended}");
+    assert_eq!(course(&ended), fates([("one", "played"), ("two", "timed_out"), ("three", "not_reached")]));
+}
+
+#[test]
+fn acts_that_are_all_played_are_done() {
+    let (_stage, ended) = played("done");
+    assert_eq!(ended.code, Some(0), "{ended}");
+    assert_eq!(course(&ended), fates([("one", "played"), ("two", "played"), ("three", "played")]));
+}
