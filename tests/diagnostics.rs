@@ -68,6 +68,6 @@ fn every_code_has_a_test_that_triggers_it() {
     for code in downbeat_scripts::Code::ALL {
         assert!(tests.contains(code.as_str()), "no test triggers {}", code.as_str());
         let explained = Ran(Command::new(PROGRAM).args(["explain", code.as_str()]).output().unwrap());
-        explained.says(0, &[code.as_str(), code.title(), "Mend it"]);
+        explained.says(0, &[code.as_str(), code.title(), "Fix it"]);
     }
 }

@@ -37,8 +37,8 @@ fn the_swap_has_432_steps_in_4250_ms_18_a_device() {
 }
 
 #[test]
-fn the_unmended_dance_breaks_exactly_five_limits() {
-    let ran = downbeat(&["check", "scripts/examples/dance.unmended.yaml", "--format", "json"]);
+fn the_unfixed_dance_breaks_exactly_five_limits() {
+    let ran = downbeat(&["check", "scripts/examples/dance.unfixed.yaml", "--format", "json"]);
     assert_eq!(ran.code(), 1);
     let json = ran.json();
     let limits: Vec<_> = json["findings"]

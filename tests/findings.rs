@@ -1,4 +1,4 @@
-//! What `downbeat check` says of wrong input: where, what, what was expected, how to mend it.
+//! What `downbeat check` says of wrong input: where, what, what was expected, how to fix it.
 
 use crate::session::Session;
 

@@ -1,4 +1,4 @@
-//! What a user did wrong: a code, a place, what was found and expected, how to mend it.
+//! What a user did wrong: a code, a place, what was found and expected, how to fix it.
 
 use serde::Serialize;
 
@@ -110,7 +110,7 @@ codes! {
 }
 
 impl Code {
-    /// What it means, why it matters and how to mend it: its section of `findings.md`.
+    /// What it means, why it matters and how to fix it: its section of `findings.md`.
     #[must_use]
     pub fn explanation(self) -> &'static str {
         let heading = format!("## {}", self.as_str());
@@ -150,7 +150,7 @@ pub struct Finding {
     pub message: String,
     /// What was expected.
     pub expected: String,
-    /// How to mend it.
+    /// How to fix it.
     pub hint: Option<String>,
     /// The offending line.
     pub source_line: String,

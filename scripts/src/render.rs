@@ -1,4 +1,4 @@
-//! Findings as people read them: the line, what is wrong with it, what was expected, how to mend it.
+//! Findings as people read them: the line, what is wrong with it, what was expected, how to fix it.
 
 use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 

@@ -89,19 +89,14 @@ mod tests {
 
     #[test]
     fn a_finding_becomes_a_result_that_points_at_its_rule_and_place() {
-        let mut finding = Finding::about_file(
-            Code::OffGranularity,
-            "my show.yaml",
-            "off".into(),
-            "on",
-            Some("mend".into()),
-        );
+        let mut finding =
+            Finding::about_file(Code::OffGranularity, "my show.yaml", "off".into(), "on", Some("fix".into()));
         (finding.line, finding.column, finding.width) = (3, 5, 4);
         let sarif = sarif(&[finding]);
         let run = &sarif["runs"][0];
         assert_eq!(run["tool"]["driver"]["rules"][0]["id"], "DB0012");
         let result = &run["results"][0];
-        assert_eq!(result["message"]["text"], "off: expected on. mend");
+        assert_eq!(result["message"]["text"], "off: expected on. fix");
         let place = &result["locations"][0]["physicalLocation"];
         assert_eq!(place["artifactLocation"]["uri"], "my%20show.yaml");
         assert_eq!(place["region"], json!({"startLine": 3, "startColumn": 5, "endColumn": 9}));

@@ -1,4 +1,4 @@
-//! Times that contradict each other, told in the lines of the file: the chain, and what would mend it.
+//! Times that contradict each other, told in the lines of the file: the chain, and what would fix it.
 
 use std::collections::HashMap;
 
@@ -28,15 +28,15 @@ pub(super) fn finding(act: &Act, origins: &HashMap<ConstraintId, Origin>, confli
     let related: Vec<(Place, String)> =
         told.map(|(link, origin)| (teller.place(origin), teller.says(origin, link))).collect();
     let place = related.first().map_or_else(|| act.place.clone(), |(place, _)| place.clone());
-    let mends: Vec<String> = conflict
+    let fixes: Vec<String> = conflict
         .corrections
         .iter()
         .filter_map(|correction| {
             let (link, origin) = links.get(correction.link)?;
-            Some(teller.mends((*origin)?, link, correction.by))
+            Some(teller.fixes((*origin)?, link, correction.by))
         })
         .collect();
-    let hint = match mends.as_slice() {
+    let hint = match fixes.as_slice() {
         [] => "no single change is enough: there are other contradictions beside this one".to_owned(),
         [only] => only.clone(),
         several => format!("any one of: {}", several.join("; ")),
@@ -124,7 +124,7 @@ impl Teller<'_> {
     }
 
     /// What loosening a bound by so much means.
-    fn mends(&self, origin: &Origin, link: &Link, by: Span) -> String {
+    fn fixes(&self, origin: &Origin, link: &Link, by: Span) -> String {
         match (origin, link.bound) {
             (Origin::Length { cue, .. }, Bound::Min) => format!("shorten {} by {by}", self.name(*cue)),
             (Origin::Length { cue, .. }, Bound::Max) => format!("lengthen {} by {by}", self.name(*cue)),

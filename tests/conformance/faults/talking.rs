@@ -123,7 +123,7 @@ pub fn of_lines() -> Vec<Mutant> {
         mutant("a word for a number is zero", &["wrong-type"], |_, passing| {
             replace(passing, "\"much\"", "0")
         }),
-        mutant("what is not UTF-8 is mended", &["not-utf8"], |_, passing| {
+        mutant("what is not UTF-8 is fixed", &["not-utf8"], |_, passing| {
             replace(passing, "\u{fffd}\u{fffd}", "x")
         }),
         mutant("deep nesting is the end", &["deep-nesting"], |_, passing| {

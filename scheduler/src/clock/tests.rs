@@ -1,0 +1,203 @@
+use super::*;
+
+/// Exchanges with a robot whose clock is off by `offset(t)`, `t` in seconds.
+struct Path<F> {
+    offset: F,
+    rng: fastrand::Rng,
+    /// Longest delay there and back, in nanoseconds.
+    delays: (i64, i64),
+}
+
+impl<F: Fn(f64) -> f64> Path<F> {
+    fn new(seed: u64, delays: (i64, i64), offset: F) -> Self {
+        Self { offset, rng: fastrand::Rng::with_seed(seed), delays }
+    }
+
+    fn offset_at(&self, now: Timestamp<Server>) -> Span {
+        Span::from_millis_f64((self.offset)(now.as_nanos() as f64 / 1e9) * 1e3)
+    }
+
+    fn robot(&self, now: Timestamp<Server>) -> Timestamp<Robot> {
+        now.assume_clock() + self.offset_at(now)
+    }
+
+    fn exchange(&mut self, sent: Timestamp<Server>) -> ClockSample {
+        let mut way = |longest| Span::from_nanos(self.rng.i64(0..=longest));
+        let (there, takes, back) = (way(self.delays.0), way(5_000_000), way(self.delays.1));
+        let (arrives, leaves) = (sent + there, sent + there + takes);
+        ClockSample::from_exchange(sent, self.robot(arrives), self.robot(leaves), leaves + back)
+    }
+
+    #[track_caller]
+    fn assert_covered(&self, estimate: &ClockEstimate, now: Timestamp<Server>) {
+        let reading = estimate.reading_at(now).unwrap();
+        let error = (reading.offset - self.offset_at(now)).abs();
+        assert!(error <= reading.uncertainty, "off by {error} at {now}: {reading:?}");
+    }
+}
+
+fn at(seconds: f64) -> Timestamp<Server> {
+    Timestamp::from_nanos(0) + Span::from_millis_f64(seconds * 1e3)
+}
+
+#[test]
+fn the_true_offset_lies_within_the_uncertainty_whatever_the_delays_and_the_drift() {
+    let mut rng = fastrand::Rng::with_seed(7);
+    for seed in 0..2_000 {
+        let (offset, rate) = (rng.f64() - 0.5, (rng.f64() * 2.0 - 1.0) * DRIFT_BOUND);
+        let delays = (rng.i64(0..80_000_000) >> rng.u32(0..20), rng.i64(0..80_000_000) >> rng.u32(0..20));
+        let mut path = Path::new(seed, delays, |t| offset + rate * t);
+        let mut estimate = ClockEstimate::default();
+        let pause = rng.f64() * 10.0;
+        let mut now = at(rng.f64());
+        for _ in 0..rng.u32(1..200) {
+            let sample = path.exchange(now);
+            estimate.add(sample);
+            path.assert_covered(&estimate, sample.at);
+            now = sample.at + Span::from_millis_f64(rng.f64() * pause * 1e3);
+        }
+        assert_eq!(estimate.steps(), 0);
+        // Also before and long after the exchanges.
+        path.assert_covered(&estimate, at(0.0));
+        path.assert_covered(&estimate, now + Span::from_millis(600_000));
+    }
+}
+
+#[test]
+fn a_drift_that_wanders_is_followed_for_hours() {
+    for seed in 0..20 {
+        let mean = (seed as f64 - 10.0) * 8e-6;
+        // The rate swings by half the wander either way in a quarter of an hour.
+        let omega = std::f64::consts::TAU / 900.0;
+        let offset = move |t: f64| 0.1 + mean * t + DRIFT_WANDER / 2.0 / omega * (omega * t).sin();
+        let mut path = Path::new(seed, (20_000_000, 60_000_000), offset);
+        let mut estimate = ClockEstimate::default();
+        for second in 0..3 * 3_600 {
+            let sample = path.exchange(at(f64::from(second)));
+            estimate.add(sample);
+            path.assert_covered(&estimate, sample.at);
+            path.assert_covered(&estimate, sample.at + Span::from_millis(30_000));
+        }
+        assert_eq!(estimate.steps(), 0);
+        assert!(estimate.history.bins.len() <= BINS && estimate.history.bins.capacity() <= 2 * BINS + 2);
+        let drift = estimate.reading().unwrap().drift.unwrap();
+        assert!((drift.ppm - mean * 1e6).abs() <= drift.uncertainty_ppm, "{drift:?}");
+        assert!(drift.uncertainty_ppm < 25.0, "{drift:?}");
+    }
+}
+
+#[test]
+fn a_drift_that_changes_over_the_hours_is_of_the_last_hour() {
+    // As of a machine that warms up: 10 ppm an hour.
+    let offset = |t: f64| -20e-6 * t + 10e-6 / 3_600.0 * t * t / 2.0;
+    let mut path = Path::new(11, (2_000_000, 6_000_000), offset);
+    let mut estimate = ClockEstimate::default();
+    for k in 0..4 * 720 {
+        let sample = path.exchange(at(f64::from(k) * 5.0));
+        estimate.add(sample);
+        path.assert_covered(&estimate, sample.at + Span::from_millis(30_000));
+    }
+    assert_eq!(estimate.steps(), 0);
+    let drift = estimate.reading().unwrap().drift.unwrap();
+    assert!((drift.ppm - 20.0).abs() <= drift.uncertainty_ppm, "{drift:?}");
+}
+
+#[test]
+fn least_delays_each_way_need_not_meet_in_one_exchange() {
+    let mut estimate = ClockEstimate::default();
+    let millis = |m: i64| Timestamp::<Server>::from_nanos(m * 1_000_000 + 1);
+    let robot = |m: i64| Timestamp::<Robot>::from_nanos((m + 250) * 1_000_000 + 1);
+    // There in 1 ms and back in 40, then there in 40 and back in 1.
+    estimate.add(ClockSample::from_exchange(millis(0), robot(1), robot(1), millis(41)));
+    estimate.add(ClockSample::from_exchange(millis(100), robot(140), robot(140), millis(141)));
+    let reading = estimate.reading().unwrap();
+    assert!((reading.offset - Span::from_millis(250)).abs() < Span::from_micros(20), "{reading:?}");
+    assert!(reading.uncertainty < Span::from_micros(1_020), "{reading:?}");
+    assert_eq!(reading.delay_min, Span::from_millis(41));
+}
+
+#[test]
+fn a_pause_counts_as_the_longest_round_trip_but_not_as_what_round_trips_take() {
+    let mut estimate = ClockEstimate::default();
+    for k in 0..50 {
+        let sent = at(f64::from(k) * 3.0);
+        let back = if k == 20 { Span::from_millis(2_000) } else { Span::from_millis(1) };
+        let robot = sent.assume_clock() + Span::from_nanos(500_001);
+        estimate.add(ClockSample::from_exchange(sent, robot, robot, sent + back));
+    }
+    let reading = estimate.reading().unwrap();
+    assert_eq!(reading.delay_max, Span::from_millis(2_000));
+    assert_eq!(reading.delay_high, Span::from_millis(1));
+}
+
+#[test]
+fn a_right_clock_behind_an_uneven_link_is_not_blamed() {
+    let exchange = |off: Span, there: i64, back: i64| {
+        let sent = at(10.0);
+        let robot = sent.assume_clock() + off + Span::from_micros(there * 1_000 + 1);
+        let mut estimate = ClockEstimate::default();
+        let received = sent + Span::from_millis(there + back);
+        estimate.add(ClockSample::from_exchange(sent, robot, robot, received));
+        estimate.reading().unwrap().doubt()
+    };
+    for (there, back) in [(0, 80), (80, 0), (40, 40), (1, 1)] {
+        assert_eq!(exchange(Span::ZERO, there, back), ClockDoubt::Path, "{there} there, {back} back");
+    }
+    assert_eq!(exchange(Span::from_millis(250), 1, 80), ClockDoubt::Clock);
+    assert_eq!(exchange(Span::from_millis(-250), 1, 80), ClockDoubt::Clock);
+}
+
+#[test]
+fn a_step_is_recognised_once_and_the_new_offset_found() {
+    for (seed, step) in [0.05, -0.05, 5.0, -3_600.0].into_iter().enumerate() {
+        let offset = move |t: f64| if t < 30.0 { 0.2 } else { 0.2 + step };
+        let mut path = Path::new(seed as u64, (10_000_000, 30_000_000), offset);
+        let mut estimate = ClockEstimate::default();
+        for k in 0..600 {
+            estimate.add(path.exchange(at(f64::from(k) * 0.1)));
+            assert_eq!(estimate.steps(), u32::from(k >= 300), "{k}");
+        }
+        path.assert_covered(&estimate, at(60.0));
+        assert_eq!(estimate.samples(), 600);
+    }
+}
+
+#[test]
+fn a_rate_that_changes_within_the_bound_is_no_step() {
+    let offset = |t: f64| if t < 300.0 { 80e-6 * t } else { 80e-6 * 300.0 - 80e-6 * (t - 300.0) };
+    let mut path = Path::new(3, (500_000, 900_000), offset);
+    let mut estimate = ClockEstimate::default();
+    for second in 0..600 {
+        estimate.add(path.exchange(at(f64::from(second))));
+    }
+    assert_eq!(estimate.steps(), 0);
+    path.assert_covered(&estimate, at(600.0));
+    let drift = estimate.reading().unwrap().drift.unwrap();
+    assert!((drift.ppm + 80.0).abs() <= drift.uncertainty_ppm, "{drift:?}");
+}
+
+#[test]
+fn a_robot_that_writes_milliseconds_does_not_contradict_itself() {
+    let mut path = Path::new(5, (100_000, 100_000), |_| 0.0123);
+    let mut estimate = ClockEstimate::default();
+    let whole = |t: Timestamp<Robot>| Timestamp::from_nanos(t.as_nanos() / 1_000_000 * 1_000_000);
+    for k in 0..1_000 {
+        let sent = at(f64::from(k) * 0.0101);
+        let (there, back) = (path.rng.i64(0..100_000), path.rng.i64(0..100_000));
+        let robot = whole(path.robot(sent + Span::from_nanos(there)));
+        estimate.add(ClockSample::from_exchange(sent, robot, robot, sent + Span::from_nanos(there + back)));
+    }
+    assert_eq!(estimate.steps(), 0);
+    path.assert_covered(&estimate, at(10.1));
+}
+
+#[test]
+fn timestamps_from_the_ends_of_time_are_read_without_overflow() {
+    let mut estimate = ClockEstimate::default();
+    for (a, b) in [(i64::MAX, i64::MIN), (i64::MIN, i64::MAX), (i64::MIN, i64::MIN), (0, 0), (1, -1)] {
+        let (sent, received) = (Timestamp::from_nanos(b), Timestamp::from_nanos(a));
+        let robot = Timestamp::from_nanos;
+        estimate.add(ClockSample::from_exchange(sent, robot(a), robot(b), received));
+        assert!(estimate.reading().is_some());
+    }
+}
