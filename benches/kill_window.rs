@@ -19,9 +19,10 @@ mod robots;
 
 use std::collections::BTreeMap;
 use std::sync::Mutex;
-use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
+use robots::busy::with_cores_busy;
 use robots::{Ended, Stage, Via, epoch_nanos, sleep_until};
 
 const ROBOTS: usize = 6;
@@ -284,36 +285,11 @@ fn tell_round_trips() {
     );
 }
 
-struct SetWhenDropped<'a>(&'a AtomicBool);
-
-impl Drop for SetWhenDropped<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
-}
-
-/// Keeps two cores busy until it is let go.
-fn with_every_core_busy<T>(measure: impl FnOnce() -> T) -> T {
-    let enough = AtomicBool::new(false);
-    std::thread::scope(|scope| {
-        for _ in 0..2 {
-            scope.spawn(|| {
-                while !enough.load(Ordering::Relaxed) {
-                    std::hint::spin_loop();
-                }
-            });
-        }
-        // Also when it panics.
-        let _enough = SetWhenDropped(&enough);
-        measure()
-    })
-}
-
 /// Missions in which nothing fails.
 fn false_withdrawals(missions: usize) {
     let (mut done, mut reasons) = (0, BTreeMap::<String, usize>::new());
     let stage = stage(Via::Direct);
-    with_every_core_busy(|| {
+    with_cores_busy(2, || {
         for number in 0..missions {
             let began = epoch_nanos();
             let ended = stage.run(&["run", "window.yaml", "--patience", "5s"]);

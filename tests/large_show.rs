@@ -4,8 +4,7 @@
 //! `DOWNBEAT_LARGE_SHOWS=20` plays it so many times while every core is kept busy.
 #![expect(clippy::print_stdout, reason = "a test may print")]
 
-use std::sync::atomic::{AtomicBool, Ordering};
-
+use crate::robots::busy::with_cores_busy;
 use crate::robots::{Stage, Via};
 
 const DEVICES: usize = 278;
@@ -37,31 +36,6 @@ fn scenario() -> String {
     )
 }
 
-struct SetWhenDropped<'a>(&'a AtomicBool);
-
-impl Drop for SetWhenDropped<'_> {
-    fn drop(&mut self) {
-        self.0.store(true, Ordering::Relaxed);
-    }
-}
-
-fn with_every_core_busy<T>(measure: impl FnOnce() -> T) -> T {
-    let enough = AtomicBool::new(false);
-    let cores = std::thread::available_parallelism().map_or(2, usize::from);
-    std::thread::scope(|scope| {
-        for _ in 0..cores {
-            scope.spawn(|| {
-                while !enough.load(Ordering::Relaxed) {
-                    std::hint::spin_loop();
-                }
-            });
-        }
-        // Also when it panics.
-        let _enough = SetWhenDropped(&enough);
-        measure()
-    })
-}
-
 #[test]
 fn a_show_of_megabytes_starts_and_sets_every_value() {
     let busy = std::env::var("DOWNBEAT_LARGE_SHOWS").ok().and_then(|shows| shows.parse().ok());
@@ -80,7 +54,7 @@ fn a_show_of_megabytes_starts_and_sets_every_value() {
         }
     };
     match busy {
-        Some(_) => with_every_core_busy(play),
+        Some(_) => with_cores_busy(std::thread::available_parallelism().map_or(2, usize::from), play),
         None => play(),
     }
     for robot in &stage.robots {

@@ -14,7 +14,7 @@ use thrift::protocol::{
 use thrift::transport::{
     ReadHalf, TBufferedReadTransport, TBufferedWriteTransport, TIoChannel, TTcpChannel, WriteHalf,
 };
-use thrift::{ApplicationErrorKind, TConfiguration};
+use thrift::{ApplicationErrorKind, TConfiguration, TransportErrorKind};
 use urrcp::{DeviceId, InitializationBlock, Setpoint};
 
 use super::worker::is_driven;
@@ -61,9 +61,16 @@ impl ThriftRobot {
             error => {
                 // The answer may still come, and would be taken for that of the next call.
                 self.connection = None;
-                DriverError::Away(format!("{}:{}: {error}", self.host, self.port))
+                DriverError::Away(match has_ended(&error) {
+                    true => self.ended(),
+                    false => format!("{}:{}: {error}", self.host, self.port),
+                })
             }
         })
+    }
+
+    fn ended(&self) -> String {
+        format!("{}:{} has closed the connection", self.host, self.port)
     }
 }
 
@@ -111,9 +118,14 @@ impl Driver for ThriftRobot {
     }
 
     fn lifeline(&self) -> Option<Lifeline> {
-        let ended = format!("{}:{} has closed the connection", self.host, self.port);
-        Lifeline::of(&self.connection.as_ref()?.stream, ended)
+        Lifeline::of(&self.connection.as_ref()?.stream, self.ended())
     }
+}
+
+/// A call may learn of the end of a connection before the lifeline does.
+fn has_ended(error: &thrift::Error) -> bool {
+    let thrift::Error::Transport(error) = error else { return false };
+    matches!(error.kind, TransportErrorKind::EndOfFile | TransportErrorKind::NotOpen)
 }
 
 /// Asks a Thrift robot for its description, a JSON text.
