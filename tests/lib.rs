@@ -2,6 +2,7 @@
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
+mod claims;
 mod conformance;
 mod diagnostics;
 mod documents;
@@ -10,6 +11,7 @@ mod encodings;
 mod examples;
 mod findings;
 mod hostile;
+mod identity;
 mod import;
 mod import_real;
 mod language;

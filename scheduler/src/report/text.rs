@@ -2,12 +2,16 @@
 
 use std::fmt::Write;
 
+use anstyle::{AnsiColor, Style};
 use comfy_table::{CellAlignment, Table, presets};
 use downbeat_scripts::{Act, Choreography, Plan, RobotPlan, counted};
 use urrcp::Span;
 
 use super::{ActReport, Outcome, Report, RobotReport, StopState};
-use crate::mission::{Check, Preflight, Verdict};
+use crate::mission::{Check, Greeting, Preflight, Verdict};
+
+/// Removed by the printing end where that is no terminal.
+const RED: Style = AnsiColor::Red.on_default().bold();
 
 fn table(header: &[&str], numbers_from: usize) -> Table {
     let mut table = Table::new();
@@ -116,7 +120,7 @@ pub fn preflight_table(preflight: &Preflight, told: bool) -> String {
                 Verdict::Pass(seen) => (seen.clone(), None),
                 Verdict::Warning(why) => ("warning".to_owned(), Some(why)),
                 Verdict::Failure(why) => ("FAILURE".to_owned(), Some(why)),
-                Verdict::NotChecked => ("not checked".to_owned(), None),
+                Verdict::NotChecked => ("-".to_owned(), None),
             };
             if let Some(why) = why.filter(|_| told) {
                 let _infallible = writeln!(wrong, "{} {}: {why}", row.robot, check.title());
@@ -125,7 +129,28 @@ pub fn preflight_table(preflight: &Preflight, told: bool) -> String {
         }
         rows.add_row(cells);
     }
-    format!("{rows}\n{wrong}")
+    let rows = rows.to_string().replace("FAILURE", &format!("{RED}FAILURE{RED:#}"));
+    let readings = if told { readings_table(preflight) } else { String::new() };
+    if preflight.greeting == Greeting::Skip {
+        wrong.push_str(
+            "with `handshake: skip` no robot is asked which one it is: `downbeat fleet ping` asks\n",
+        );
+    }
+    format!("{rows}\n{readings}{wrong}")
+}
+
+/// What sensors read and where devices stand: a row each.
+fn readings_table(preflight: &Preflight) -> String {
+    let mut rows = table(&["robot", "device", "reads", "expected"], 2);
+    for row in &preflight.rows {
+        for reading in &row.readings {
+            let unit = reading.unit.as_ref().map(|unit| format!(" {unit}")).unwrap_or_default();
+            let read = reading.reading.map_or("nothing".to_owned(), |value| format!("{value}{unit}"));
+            let expected = reading.expected.as_ref().map(|expected| format!("{expected}{unit}"));
+            rows.add_row(vec![row.robot.to_string(), reading.device.to_string(), read, or_dash(expected)]);
+        }
+    }
+    if rows.is_empty() { String::new() } else { format!("\n{rows}\n") }
 }
 
 /// The report: a row a robot, failures with their reasons, and the figures that matter.

@@ -295,7 +295,7 @@ impl Bench {
         let Some(id) = self.act.script(script).request_id().cloned() else { return };
         let report = bench::report(&id, state, None);
         let noted =
-            self.act.reported(script, &report, (asked, by_robot(asked + ROUND_TRIP / 2)), &self.robots);
+            self.act.reported(script, &report, (asked, by_robot(asked + ROUND_TRIP / 2), self.now), &self.robots);
         self.carry_out(noted.actions);
     }
 
@@ -329,7 +329,7 @@ impl Bench {
     }
 
     fn take_response(&mut self, script: ScriptRef, response: &ControlResponse) {
-        let noted = self.act.answered(script, response, &self.robots);
+        let noted = self.act.answered(script, response, self.now, &self.robots);
         self.carry_out(noted.actions);
     }
 
