@@ -1,7 +1,9 @@
 //! The robot that moves is the one that was meant: robots as processes at addresses that lead to another one.
 
-use crate::robots::play::{LONG, Play, SHORT, SOON};
-use crate::robots::{Ended, Stage, Via};
+use std::time::Duration;
+
+use crate::robots::play::{LONG, Play, SHORT};
+use crate::robots::{Ended, Running, Stage, Via};
 use crate::session::Session;
 
 /// A fleet file in which each robot of the stage is reached at the port of the one named beside it.
@@ -93,8 +95,7 @@ fn a_robot_that_takes_over_an_address_in_mid_mission_is_sent_nothing_and_its_pre
         stage.robots[1].port()
     );
     stage.file("fleet.yaml", fleet);
-    let run = stage.start(&["run", "play.yaml", "--patience", "2s", "--format", "json"]);
-    stage.robots[0].await_sets(5, SOON);
+    let run = moving(&stage, &["run", "play.yaml", "--patience", "2s", "--format", "json"]);
     link.lead_to(stage.robots[2].port());
     link.interrupt();
     link.open();
@@ -110,8 +111,7 @@ fn a_robot_that_takes_over_an_address_in_mid_mission_is_sent_nothing_and_its_pre
 fn the_same_robot_that_comes_back_goes_on() {
     let play = Play { steps: 30, running: "2s", ..LONG };
     let stage = play.stage(&[Via::Proxy, Via::Direct]);
-    let run = stage.start(&["run", "play.yaml"]);
-    stage.robots[0].await_sets(5, SOON);
+    let run = moving(&stage, &["run", "play.yaml"]);
     let link = stage.robots[0].link.as_ref().unwrap();
     link.interrupt();
     link.open();
@@ -119,11 +119,24 @@ fn the_same_robot_that_comes_back_goes_on() {
     stage.robots.iter().for_each(|robot| play.was_played_by(robot));
 }
 
+/// Starts a mission until its first robot moves: a busy machine may refuse to start it.
+fn moving(stage: &Stage, args: &[&str]) -> Running {
+    for _ in 0..5 {
+        let mut run = stage.start(args);
+        while run.process.0.try_wait().unwrap().is_none() {
+            if stage.robots[0].sets().len() >= 5 {
+                return run;
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+    panic!("it never starts")
+}
+
 /// A mission whose scheduler was killed while it played, and whose robot `r0` is another one now.
 fn left_behind() -> Stage {
     let mut stage = Play { running: "20s", ..LONG }.stage(&[Via::Direct, Via::Direct]);
-    let mut run = stage.start(&["run", "play.yaml"]);
-    stage.robots[0].await_sets(5, SOON);
+    let mut run = moving(&stage, &["run", "play.yaml"]);
     run.process.kill();
     stage.replace(0, "stranger");
     stage

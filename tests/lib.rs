@@ -17,6 +17,7 @@ mod import_real;
 mod language;
 mod missions;
 mod ntp;
+mod preflight;
 mod processes;
 mod real_scenarios;
 mod refills;

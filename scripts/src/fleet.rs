@@ -473,13 +473,14 @@ fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) 
         }
         let Some(own_id) = robot.init.as_ref().map(|init| &init.id) else { continue };
         if let Some(other) = called.insert(own_id, robot) {
-            let named = if *own_id == robot.id { (other, robot) } else { (robot, other) };
+            // The name of one of them may be what the other one has as its `robot_id`.
+            let named = if *own_id == robot.id { other } else { robot };
             findings.add(
                 Code::NameTwice,
-                at(named.0, "robot_id"),
-                format!("`{}` and `{}` both call themselves `{own_id}`", other.id, robot.id),
+                at(named, "robot_id"),
+                format!("`{}` and `{}` would both call themselves `{own_id}`", other.id, robot.id),
                 "an id of its own for each robot",
-                Some(format!("`robot_id` is what the robot declares as its `id`; that of `{}` is `{own_id}`", named.1.id)),
+                Some("`robot_id` is what the robot itself declares as its `id`".to_owned()),
             );
         }
     }

@@ -298,7 +298,7 @@ fn show_table(answers: &[Answer]) -> String {
     table.load_style(presets::NOTHING);
     table.set_header(["robot", "device", "unit", "control type", "from", "to", "granularity", "steps"]);
     for answer in answers {
-        let Some(block) = &answer.block else {
+        let Some(block) = answer.block.as_ref().filter(|_| answer.problem.is_none()) else {
             let problem = answer.problem.clone().unwrap_or_default();
             table.add_row([answer.robot.to_string(), problem]);
             continue;

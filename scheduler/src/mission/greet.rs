@@ -3,8 +3,7 @@
 
 use urrcp::{
     AvailabilityResponse, Command, ControlRequest, ControlResponse, ControlType, DeviceId,
-    InitializationBlock, Message, RequestId, Server, Span, Status, StatusValue,
-    Timestamp,
+    InitializationBlock, Message, RequestId, Server, Span, Status, StatusValue, Timestamp,
 };
 
 use super::failure_kind::FailureKind;
@@ -126,7 +125,8 @@ impl Mission {
             .cloned()
             .collect();
         devices.dedup();
-        let shown = if self.options.preflight_only { others_that_read(state, block, &devices) } else { Vec::new() };
+        let shown =
+            if self.options.preflight_only { others_that_read(state, block, &devices) } else { Vec::new() };
         for device in devices {
             self.read(now, robot, device.clone(), Reading::Position(device));
         }
@@ -398,9 +398,9 @@ const SHOWN_MAX: usize = 64;
 /// Devices that give readings which nothing depends on.
 fn others_that_read(robot: &RobotState, block: &InitializationBlock, read: &[DeviceId]) -> Vec<DeviceId> {
     let sensors = block.devices.iter().filter(|device| device.available_control_types.sensor().is_some());
-    let others = sensors.map(|device| &device.id).filter(|id| {
-        !read.contains(id) && !robot.requires.iter().any(|required| required.sensor == **id)
-    });
+    let others = sensors
+        .map(|device| &device.id)
+        .filter(|id| !read.contains(id) && !robot.requires.iter().any(|required| required.sensor == **id));
     others.take(SHOWN_MAX).cloned().collect()
 }
 

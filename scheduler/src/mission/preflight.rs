@@ -1,7 +1,7 @@
 //! The checks before a mission as one table: a row a robot, a column a check.
 
 use serde::Serialize;
-use urrcp::{DeviceId, ErrorCode, RobotId, Server, Timestamp};
+use urrcp::{DeviceId, ErrorCode, Millis, RobotId, Server, Span, Timestamp};
 
 use super::failure_kind::FailureKind;
 use super::robot_state::{Link, RobotState};
@@ -118,10 +118,7 @@ pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
         let checks = Check::ALL.map(|check| (check, verdict(mission, index, check, now)));
         PreflightRow { robot, checks: checks.to_vec(), readings: readings(mission, index) }
     };
-    Preflight {
-        greeting: mission.options.greeting,
-        rows: (0..mission.robots.len()).map(row).collect(),
-    }
+    Preflight { greeting: mission.options.greeting, rows: (0..mission.robots.len()).map(row).collect() }
 }
 
 /// Everything that was read: what the fleet file requires, then where devices stand, then what is only shown.
@@ -137,8 +134,8 @@ fn readings(mission: &Mission, index: usize) -> Vec<DeviceReading> {
     };
     let asked = mission.options.greeting == Greeting::Full;
     let required = robot.requires.iter().zip(&robot.readings).filter(|_| asked);
-    let required = required
-        .map(|(required, reading)| row(&required.sensor, *reading, Some(required.range.to_string())));
+    let required =
+        required.map(|(required, reading)| row(&required.sensor, *reading, Some(required.range.to_string())));
     let stands = robot.positions.iter().map(|(device, reading)| {
         let expected = mission.expected_position(index, device);
         let expected = expected.map(|(expected, tolerance)| format!("{expected} ±{tolerance}"));
@@ -164,7 +161,7 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
         Check::Link => match &robot.link {
             Link::Unnamed { .. } => Verdict::Pass("up".to_owned()),
             Link::Up { .. } => Verdict::Pass(match robot.clock.reading() {
-                Some(reading) => format!("{} to {}", reading.delay_min, reading.delay_max),
+                Some(reading) => format!("{} to {} ms", ms(reading.delay_min), ms(reading.delay_max)),
                 None => "up".to_owned(),
             }),
             Link::Lost(lost) => Verdict::Warning(lost.reason.clone()),
@@ -208,9 +205,14 @@ fn clock(robot: &RobotState, now: Timestamp<Server>) -> Verdict {
         None => Verdict::NotChecked,
         Some(reading) => {
             let measured = if robot.clock_mode == ClockMode::Measured { ", measured" } else { "" };
-            Verdict::Pass(format!("{} +-{}{measured}", reading.offset, reading.uncertainty))
+            Verdict::Pass(format!("{} ±{} ms{measured}", ms(reading.offset), ms(reading.uncertainty)))
         }
     }
+}
+
+/// In milliseconds, as exactly as people want to know it.
+fn ms(span: Span) -> String {
+    format!("{:.2}", Millis::from_span(span).get())
 }
 
 /// Where a failure stands in the table.

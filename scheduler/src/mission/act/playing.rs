@@ -2,8 +2,8 @@
 
 use urrcp::{ControlResponse, ErrorCode, RequestReport, Robot, Server, Span, Timestamp};
 
-use super::{Act, ActAction, Member, Stage};
 use super::timing::CLOCK_UNKNOWN;
+use super::{Act, ActAction, Member, Stage};
 use crate::mission::Progress;
 use crate::mission::claim::{Possible, Times, Told};
 use crate::mission::failure_kind::FailureKind;
