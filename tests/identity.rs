@@ -194,3 +194,21 @@ fn two_robots_with_one_address_are_found_however_it_is_written() {
         session.run(&["check", "test.yaml"]).says(0, &["no errors"]);
     }
 }
+
+#[test]
+fn a_robot_id_that_no_robot_can_have_is_found_at_its_place() {
+    let session = Session::new();
+    session.file(
+        "test.yaml",
+        "scenario: test\ncues: [{at: 0s, robots: left, tracks: {shoulder: [{at: 0s, to: 0}]}}]\n",
+    );
+    for wrong in ["''", "[a]"] {
+        session.file(
+            "fleet.yaml",
+            format!("robots:\n  left: {{init: arm.yaml, address: sim, robot_id: {wrong}}}\n"),
+        );
+        session
+            .run(&["check", "test.yaml"])
+            .says(1, &["DB0003", "fleet.yaml:2:48", "the id that the robot declares"]);
+    }
+}

@@ -264,8 +264,9 @@ impl FleetReader {
         let expected = "the id that the robot declares, 1 to 256 characters";
         let text = self.findings.text(at, expected)?;
         let id = RobotId::new(text.as_ref());
-        let wrong = id.as_ref().err().map(ToString::to_string);
-        wrong.map(|wrong| self.findings.add(Code::WrongType, at.place(), wrong, expected, None));
+        if let Err(wrong) = &id {
+            self.findings.add(Code::WrongType, at.place(), wrong.to_string(), expected, None);
+        }
         id.ok()
     }
 

@@ -78,12 +78,9 @@ impl Mission {
         for reason in unfit {
             self.fail(now, robot, FailureKind::Unfit { reason });
         }
-        match self.phase {
-            Phase::Greeting { .. } => {
-                self.read_positions(now, robot);
-                self.greeting_progress(now);
-            }
-            _ => {}
+        if matches!(self.phase, Phase::Greeting { .. }) {
+            self.read_positions(now, robot);
+            self.greeting_progress(now);
         }
     }
 
