@@ -209,6 +209,6 @@ fn a_robot_id_that_no_robot_can_have_is_found_at_its_place() {
         );
         session
             .run(&["check", "test.yaml"])
-            .says(1, &["DB0003", "fleet.yaml:2:48", "the id that the robot declares"]);
+            .says(1, &["DB0003", "fleet.yaml:2:50", "the id that the robot declares"]);
     }
 }
