@@ -1,5 +1,6 @@
 //! What `downbeat check` prints, whole, for each scenario in `tests/diagnostics/`: the text beside it in a file of the same
-//! name. With `DOWNBEAT_BLESS=1` the texts are written anew; then read every change as a user would.
+//! name. The fleet is `fleet.yaml`, or the file of the same name in `fleets/`. With `DOWNBEAT_BLESS=1` the texts are written
+//! anew; then read every change as a user would.
 
 use std::path::PathBuf;
 use std::process::Command;
@@ -24,7 +25,9 @@ fn names() -> Vec<String> {
 
 fn shown(name: &str) -> String {
     let mut command = Command::new(PROGRAM);
-    command.args(["check", &format!("{name}.yaml"), "--fleet", "fleet.yaml"]).current_dir(folder());
+    let own = format!("fleets/{name}.yaml");
+    let fleet = if folder().join(&own).exists() { &own } else { "fleet.yaml" };
+    command.args(["check", &format!("{name}.yaml"), "--fleet", fleet]).current_dir(folder());
     let ran = Ran(command.output().unwrap());
     let text =
         String::from_utf8(ran.0.stderr.clone()).unwrap() + &String::from_utf8(ran.0.stdout.clone()).unwrap();

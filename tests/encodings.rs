@@ -120,7 +120,7 @@ fn a_mission_speaks_message_pack_with_robots_that_list_it_and_json_until_they_ha
     check_done(&session);
     let sent = Overheard::messages(&overheard.to_robot);
     assert!(
-        matches!(sent[0], (Encoding::Json, Message::AvailabilityRequest(_))),
+        matches!(sent[0], (Encoding::Json, Message::InitializationRequest(_))),
         "nobody has listed anything yet"
     );
     let scripts: Vec<_> = sent.iter().filter(|(_, m)| matches!(m, Message::ControlRequest(_))).collect();

@@ -2,6 +2,7 @@
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
+mod claims;
 mod conformance;
 mod course;
 mod diagnostics;
@@ -11,12 +12,14 @@ mod encodings;
 mod examples;
 mod findings;
 mod hostile;
+mod identity;
 mod import;
 mod import_real;
 mod language;
 mod large_show;
 mod missions;
 mod ntp;
+mod preflight;
 mod processes;
 mod real_scenarios;
 mod refills;

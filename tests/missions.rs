@@ -166,7 +166,7 @@ fn preflight_shows_every_robot_and_what_is_wrong() {
         "fleet.yaml",
         "robots:\n  left: {init: arm.yaml, address: sim, require: {battery: above 30}}\n  right: {init: arm.yaml, address: sim}\ngroups:\n  arms: [left, right]\n",
     );
-    session.run(&["preflight", "evening.yaml"]).says(0, &["ready", "battery 50", "not checked", "version"]);
+    session.run(&["preflight", "evening.yaml"]).says(0, &["ready", "battery 50", "version", "above 30"]);
     let json = session.run(&["preflight", "evening.yaml", "--format", "json"]).json();
     assert_eq!(json["preflight"]["rows"].as_array().unwrap().len(), 2);
 }

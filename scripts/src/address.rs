@@ -1,6 +1,7 @@
 //! Where robots are reached, as the fleet file and the command line write it.
 
 use std::fmt;
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr};
 use std::str::FromStr;
 
 /// Where a robot is reached.
@@ -37,6 +38,46 @@ impl fmt::Display for Address {
             Self::Thrift { host, port } => write!(f, "thrift://{host}:{port}"),
             Self::Program { command } => write!(f, "program:{command}"),
         }
+    }
+}
+
+/// A place in the network, however it is written.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Reached {
+    host: ReachedHost,
+    port: u16,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+enum ReachedHost {
+    Ip(IpAddr),
+    /// A name without its final full stop, in small letters. Only DNS knows where it leads.
+    Name(String),
+}
+
+impl Address {
+    /// The places to which it leads, as far as that is known without DNS: none where nothing listens.
+    pub(crate) fn places(&self) -> Vec<Reached> {
+        let (Self::Tcp { host, port } | Self::Thrift { host, port }) = self else { return Vec::new() };
+        let place = |host| Reached { host, port: *port };
+        hosts(host).into_iter().map(place).collect()
+    }
+}
+
+/// `localhost` is this machine in either version of IP; so is the unspecified address to those that connect to it.
+fn hosts(host: &str) -> Vec<ReachedHost> {
+    let ip = host.parse::<IpAddr>().map(|ip| match ip.to_canonical() {
+        IpAddr::V4(ip) if ip.is_unspecified() => Ipv4Addr::LOCALHOST.into(),
+        IpAddr::V6(ip) if ip.is_unspecified() => Ipv6Addr::LOCALHOST.into(),
+        ip => ip,
+    });
+    let name = host.strip_suffix('.').unwrap_or(host).to_ascii_lowercase();
+    match ip {
+        Ok(ip) => vec![ReachedHost::Ip(ip)],
+        Err(_) if name == "localhost" => {
+            [Ipv4Addr::LOCALHOST.into(), Ipv6Addr::LOCALHOST.into()].map(ReachedHost::Ip).to_vec()
+        }
+        Err(_) => vec![ReachedHost::Name(name)],
     }
 }
 

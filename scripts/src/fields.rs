@@ -122,6 +122,21 @@ impl Reader {
         self.found.push(Pending { code, place, message, expected, hint, related: Vec::new() });
     }
 
+    /// A finding that several places make together, each with what it says; the first one is where the finding stands.
+    pub(crate) fn add_related(
+        &mut self,
+        code: Code,
+        related: Vec<(Place, String)>,
+        message: String,
+        expected: &str,
+        hint: Option<String>,
+    ) {
+        let Some((place, _)) = related.first().cloned() else { return };
+        let before = self.found.len();
+        self.add(code, place, message, expected, hint);
+        self.found.iter_mut().skip(before).for_each(|found| found.related.clone_from(&related));
+    }
+
     /// Everything that is told; the last of very many says how many more there are.
     pub(crate) fn finish(mut self) -> Vec<Pending> {
         for told in self.told.iter().filter(|told| told.more > 0) {

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use urrcp::{ControlType, Device, DeviceId, Encoding, InitializationBlock, RobotId, Span};
 
-use crate::address::{ADDRESS, Address};
+use crate::address::{ADDRESS, Address, Reached};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding};
 use crate::init::{Init, read_supplements};
@@ -16,8 +16,9 @@ use crate::source::Source;
 use crate::tags::foreign_tags;
 
 pub(crate) const FLEET_KEYS: [&str; 4] = ["ntp", "handshake", "robots", "groups"];
-pub(crate) const ROBOT_KEYS: [&str; 9] =
-    ["init", "devices", "address", "simulate", "limits", "clock", "wake_up", "require", "encoding"];
+pub(crate) const ROBOT_KEYS: [&str; 10] = [
+    "init", "devices", "address", "robot_id", "simulate", "limits", "clock", "wake_up", "require", "encoding",
+];
 pub(crate) const RANGE_KEYS: [&str; 3] = ["above", "below", "within"];
 pub(crate) const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
 pub(crate) const SIMULATE_KEYS: [&str; 7] =
@@ -53,7 +54,7 @@ pub struct FleetRobot {
     pub id: RobotId,
     /// Where it is reached.
     pub address: Address,
-    /// Its description, with the id of the fleet file.
+    /// Its description, with the id by which the robot calls itself: `robot_id`, else its key in the fleet file.
     pub init: Option<InitializationBlock>,
     /// How it behaves when it is simulated.
     pub simulation: SimulationSettings,
@@ -215,6 +216,7 @@ impl FleetReader {
             let robot = self.robot(name, &at, fleet.handshake);
             fleet.robots.extend(robot);
         }
+        one_place_each(&mut self.findings, &robots, &fleet.robots);
         if fleet.robots.is_empty() && matches!(robots.node, Node::Map(entries) if entries.is_empty()) {
             self.findings.add(
                 Code::NothingToDo,
@@ -243,12 +245,13 @@ impl FleetReader {
             }
         };
         let what = format!("robot `{name}`");
-        let [init, devices, address, simulate, limits, clock, wake_up, require, encoding] =
+        let [init, devices, address, robot_id, simulate, limits, clock, wake_up, require, encoding] =
             self.findings.map(at, &what, ROBOT_KEYS, &["init", "address"])?;
         let address = address.and_then(|at| self.address(&at));
         let mut init = init.and_then(|at| self.init(&at, devices.as_ref()))?;
         let simulation = simulate.map(|at| self.simulation(&at, &init)).unwrap_or_default();
-        init.id = id.clone();
+        let own_id = robot_id.and_then(|at| self.own_id(&at));
+        init.id = own_id.unwrap_or_else(|| id.clone());
         let limits = limits.map(|at| self.limits(&at, &init)).unwrap_or_default();
         let words = [("ntp", RobotClock::Ntp), ("measured", RobotClock::Measured)];
         let clock = clock.and_then(|at| self.findings.word(&at, &words)).unwrap_or_default();
@@ -257,6 +260,17 @@ impl FleetReader {
         let encoding = encoding.and_then(|at| self.encoding(&at, &init, handshake)).unwrap_or_default();
         let (address, init) = (address?, Some(init));
         Some(FleetRobot { id, address, init, simulation, limits, clock, wake_up, require, encoding })
+    }
+
+    /// What the robot itself has as its id, where that differs from its name here.
+    fn own_id(&mut self, at: &At<'_>) -> Option<RobotId> {
+        let expected = "the id that the robot declares, 1 to 256 characters";
+        let text = self.findings.text(at, expected)?;
+        let id = RobotId::new(text.as_ref());
+        if let Err(wrong) = &id {
+            self.findings.add(Code::WrongType, at.place(), wrong.to_string(), expected, None);
+        }
+        id.ok()
     }
 
     /// Where robots are asked, they say for themselves what they understand.
@@ -453,6 +467,42 @@ impl FleetReader {
                 }
             }
             fleet.groups.insert(name.to_owned(), members);
+        }
+    }
+}
+
+/// Robots that are reached at one place, or call themselves by one id, cannot be told from each other.
+fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
+    let mut reached: HashMap<Reached, &FleetRobot> = HashMap::new();
+    let mut called: HashMap<&RobotId, &FleetRobot> = HashMap::new();
+    for robot in fleet {
+        let at = |robot: &FleetRobot, key| robots.place().of_key(robot.id.as_str()).of_key(key);
+        let places = robot.address.places();
+        if let Some(other) = places.iter().find_map(|place| reached.get(place).copied()) {
+            let is_reached =
+                |robot: &FleetRobot| (at(robot, "address"), format!("`{}` at {}", robot.id, robot.address));
+            findings.add_related(
+                Code::OneAddress,
+                vec![is_reached(robot), is_reached(other)],
+                format!("`{}` and `{}` have the same address", other.id, robot.id),
+                "an address of its own for each robot",
+                Some("correct the address of one of them".to_owned()),
+            );
+        }
+        for place in places {
+            reached.entry(place).or_insert(robot);
+        }
+        let Some(own_id) = robot.init.as_ref().map(|init| &init.id) else { continue };
+        if let Some(other) = called.insert(own_id, robot) {
+            // The name of one of them may be what the other one has as its `robot_id`.
+            let named = if *own_id == robot.id { other } else { robot };
+            findings.add(
+                Code::NameTwice,
+                at(named, "robot_id"),
+                format!("`{}` and `{}` would both call themselves `{own_id}`", other.id, robot.id),
+                "an id of its own for each robot",
+                Some("`robot_id` is what the robot itself declares as its `id`".to_owned()),
+            );
         }
     }
 }

@@ -102,10 +102,16 @@ impl Stage {
 
     /// Ends a robot's process and starts it again on the same port, remembering nothing.
     pub fn restart(&mut self, index: usize) {
+        let id = self.robots[index].id.clone();
+        self.replace(index, &id);
+    }
+
+    /// Ends a robot's process; a robot with an id of its own takes over its port. Its log is the newest of the old one's.
+    pub fn replace(&mut self, index: usize, id: &str) {
         self.robots[index].kill();
         let robot = &self.robots[index];
         let log = self.path(&format!("{}-{}.jsonl", robot.id, robot.logs.len()));
-        let (process, _) = start(self.folder.path(), &robot.init, &robot.id, robot.port, &log);
+        let (process, _) = start(self.folder.path(), &robot.init, id, robot.port, &log);
         let robot = &mut self.robots[index];
         robot.process = process;
         robot.logs.push(log);
@@ -142,6 +148,11 @@ fn start(folder: &Path, init: &str, id: &str, port: u16, log: &Path) -> (Process
 }
 
 impl Robot {
+    /// Where it listens itself, past its proxy.
+    pub const fn port(&self) -> u16 {
+        self.port
+    }
+
     /// Ends it as a power cut would.
     pub fn kill(&mut self) {
         self.process.kill();

@@ -26,6 +26,8 @@ enum Flow {
 
 struct Link {
     flow: Flow,
+    /// Where the robot listens that is reached by it.
+    robot: u16,
     connections: Vec<TcpStream>,
     /// The next line to the robot that contains this is lost, and the link is interrupted for so long.
     lose: Option<(String, Duration)>,
@@ -36,6 +38,8 @@ struct Link {
     without: &'static [&'static str],
     /// How long each line takes, either way.
     delay: Duration,
+    /// What becomes of each message that the robot says.
+    rewrite: Option<fn(&mut Value)>,
 }
 
 struct Shared {
@@ -56,16 +60,18 @@ impl Proxy {
         let port = listener.local_addr().unwrap().port();
         let link = Link {
             flow: Flow::Open,
+            robot,
             connections: Vec::new(),
             lose: None,
             resets: 0,
             lines_lost: 0,
             without: &[],
             delay: Duration::ZERO,
+            rewrite: None,
         };
         let shared = Arc::new(Shared { link: Mutex::new(link), changed: Condvar::new() });
         let own = Arc::clone(&shared);
-        std::thread::spawn(move || own.listen(listener, port, robot));
+        std::thread::spawn(move || own.listen(listener, port));
         Self { port, shared }
     }
 
@@ -94,6 +100,11 @@ impl Proxy {
         self.shared.set(Flow::Open);
     }
 
+    /// Later connections reach this robot, as if it had taken over the address.
+    pub fn lead_to(&self, robot: u16) {
+        self.shared.lock().robot = robot;
+    }
+
     /// Loses the next line to the robot that contains this text, and interrupts the link for a while.
     pub fn lose(&self, text: &str, away: Duration) {
         self.shared.lock().lose = Some((text.to_owned(), away));
@@ -112,6 +123,11 @@ impl Proxy {
     /// Every line takes so long from now on, either way.
     pub fn delay(&self, delay: Duration) {
         self.shared.lock().delay = delay;
+    }
+
+    /// Makes something else of everything that the robot says.
+    pub fn rewrite(&self, rewrite: fn(&mut Value)) {
+        self.shared.lock().rewrite = Some(rewrite);
     }
 
     /// Closes so many connections as soon as something is written to the robot, which never gets it.
@@ -157,7 +173,7 @@ impl Shared {
         self.changed.notify_all();
     }
 
-    fn listen(self: &Arc<Self>, first: TcpListener, port: u16, robot: u16) {
+    fn listen(self: &Arc<Self>, first: TcpListener, port: u16) {
         let mut listener = Some(first);
         loop {
             let flow = self.lock().flow;
@@ -170,7 +186,7 @@ impl Shared {
             if let Some(listener) = listener.as_ref().filter(|_| flow != Flow::Interrupted) {
                 listener.set_nonblocking(true).unwrap();
                 match listener.accept() {
-                    Ok((client, _)) => self.carry(&client, robot),
+                    Ok((client, _)) => self.carry(&client),
                     Err(error) => assert_eq!(error.kind(), ErrorKind::WouldBlock, "{error}"),
                 }
             }
@@ -178,7 +194,8 @@ impl Shared {
         }
     }
 
-    fn carry(self: &Arc<Self>, client: &TcpStream, robot: u16) {
+    fn carry(self: &Arc<Self>, client: &TcpStream) {
+        let robot = self.lock().robot;
         client.set_nonblocking(false).unwrap();
         let Ok(robot) = TcpStream::connect(("127.0.0.1", robot)) else { return };
         let copy = |stream: &TcpStream| stream.try_clone().unwrap();
@@ -245,10 +262,11 @@ impl Link {
     }
 
     fn said_by_robot(&mut self, line: &mut Vec<u8>) -> Pass {
-        if !self.without.is_empty()
+        if (!self.without.is_empty() || self.rewrite.is_some())
             && let Ok(mut message) = serde_json::from_slice::<Value>(line)
         {
             take_out(&mut message, self.without);
+            self.rewrite.iter().for_each(|rewrite| rewrite(&mut message));
             *line = format!("{message}\n").into_bytes();
         }
         Pass::On

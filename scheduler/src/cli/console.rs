@@ -24,6 +24,11 @@ pub(super) fn error(text: &str) {
     note(&format!("{RED}error{RED:#}{BOLD}: {text}{BOLD:#}"));
 }
 
+/// A text that says that something is wrong.
+pub(super) fn red(text: &str) -> String {
+    format!("{RED}{text}{RED:#}")
+}
+
 /// Prints something to look at.
 pub(super) fn warn(text: &str) {
     note(&format!("{YELLOW}warning{YELLOW:#}{BOLD}: {text}{BOLD:#}"));

@@ -6,7 +6,7 @@ use clap::{Args, Subcommand};
 use comfy_table::{Table, presets};
 use downbeat_robot::HostOptions;
 use downbeat_robot::driver::describe_thrift;
-use downbeat_scripts::{Address, Fleet, FleetRobot, Source, init_of, init_text};
+use downbeat_scripts::{Address, Fleet, FleetRobot, RobotClock, Source, init_of, init_text};
 use serde::Serialize;
 use tokio::sync::mpsc;
 use urrcp::{
@@ -27,9 +27,15 @@ use crate::server_clock::ServerClock;
 pub(super) enum FleetCommand {
     /// Ask every robot whether it is there, and compare clocks.
     #[command(
-        after_help = "Examples:\n  downbeat fleet ping\n  downbeat fleet ping stage.yaml --format json"
+        after_help = "Fails if a robot does not answer, is another one than the fleet file says, or has a clock that is further off
+than the tolerance (but for one with `clock: measured`).
+
+Examples:
+  downbeat fleet ping
+  downbeat fleet ping stage.yaml --tolerance 100ms
+  downbeat fleet ping stage.yaml --format json"
     )]
-    Ping(FleetArgs),
+    Ping(PingArgs),
     /// Ask every robot what it is, and show its devices.
     #[command(
         after_help = "Examples:\n  downbeat fleet show\n  downbeat fleet show stage.yaml --format json"
@@ -63,6 +69,16 @@ pub(super) struct FleetArgs {
     patience: Span,
 }
 
+#[derive(Debug, Args)]
+pub(super) struct PingArgs {
+    #[command(flatten)]
+    asked: FleetArgs,
+    /// How far off a robot's clock may be, beyond what is uncertain; by default what a scenario without `start_tolerance`
+    /// allows.
+    #[arg(long, value_parser = parse_span, default_value = "10ms", value_name = "TIME")]
+    tolerance: Span,
+}
+
 /// Exchanges with each robot.
 const SAMPLES: u32 = 8;
 
@@ -78,22 +94,26 @@ struct Answer {
 }
 
 pub(super) fn fleet(command: &FleetCommand, format: Format) -> Exit {
-    let args = match command {
+    let (args, tolerance) = match command {
         FleetCommand::Describe(args) => return describe(args, format),
-        FleetCommand::Ping(args) | FleetCommand::Show(args) => args,
+        FleetCommand::Ping(args) => (&args.asked, Some(args.tolerance)),
+        FleetCommand::Show(args) => (args, None),
     };
     let fleet = match load::load_fleet(&args.fleet, format) {
         Ok(fleet) => fleet,
         Err(exit) => return exit,
     };
     super::with_runtime(async {
-        let answers = match ask_all(&fleet, args.patience).await {
+        let mut answers = match ask_all(&fleet, args.patience).await {
             Ok(answers) => answers,
             Err(message) => {
                 console::error(&message);
                 return Exit::Failed;
             }
         };
+        for (answer, robot) in answers.iter_mut().zip(&fleet.robots) {
+            answer.problem = answer.problem.take().or_else(|| wrong_with(answer, robot, tolerance));
+        }
         let all_well = answers.iter().all(|answer| answer.problem.is_none());
         match (format, command) {
             (Format::Json, _) => console::print_json(&answers),
@@ -102,6 +122,17 @@ pub(super) fn fleet(command: &FleetCommand, format: Format) -> Exit {
         }
         if all_well { Exit::Done } else { Exit::Failed }
     })
+}
+
+/// What is wrong with a robot that answers: it is another one, or its clock is off.
+fn wrong_with(answer: &Answer, robot: &FleetRobot, tolerance: Option<Span>) -> Option<String> {
+    let expected = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
+    if let Some(block) = answer.block.as_ref().filter(|block| block.id != *expected) {
+        return Some(format!("another robot: it calls itself `{}`, expected `{expected}`", block.id));
+    }
+    let (reading, tolerance) = (answer.clock.as_ref()?, tolerance?);
+    let off = robot.clock == RobotClock::Ntp && reading.offset.abs() - reading.uncertainty > tolerance;
+    off.then(|| format!("clock off by more than {tolerance}: check its NTP"))
 }
 
 fn describe(args: &DescribeArgs, format: Format) -> Exit {
@@ -255,7 +286,11 @@ fn ping_table(fleet: &Fleet, answers: &[Answer]) -> String {
             clock(|reading| reading.uncertainty),
         ]);
     }
-    format!("{table}\n")
+    // The first line is the header.
+    let wrong = answers.iter().map(|answer| answer.problem.is_some());
+    let table = table.to_string();
+    let rows = table.lines().zip(std::iter::once(false).chain(wrong));
+    rows.map(|(line, wrong)| if wrong { console::red(line) + "\n" } else { format!("{line}\n") }).collect()
 }
 
 fn show_table(answers: &[Answer]) -> String {
@@ -263,7 +298,7 @@ fn show_table(answers: &[Answer]) -> String {
     table.load_style(presets::NOTHING);
     table.set_header(["robot", "device", "unit", "control type", "from", "to", "granularity", "steps"]);
     for answer in answers {
-        let Some(block) = &answer.block else {
+        let Some(block) = answer.block.as_ref().filter(|_| answer.problem.is_none()) else {
             let problem = answer.problem.clone().unwrap_or_default();
             table.add_row([answer.robot.to_string(), problem]);
             continue;

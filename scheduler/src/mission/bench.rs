@@ -61,7 +61,8 @@ pub(super) fn robot(id: &str, tells: Tells, queue: usize) -> RobotState {
     );
     let block: InitializationBlock = serde_json::from_str(&block).unwrap();
     let mut robot = RobotState::new(Participant::new(RobotId::new(id).unwrap(), Some(block)));
-    robot.connected();
+    robot.connected(at(0));
+    robot.named();
     robot
 }
 

@@ -244,7 +244,8 @@ impl Mission {
 
     fn keep_report(&mut self, act: &Act, report: ActReport) {
         let tolerance = act.written().plan.start_tolerance;
-        if let Some(spread) = report.spread.filter(|spread| *spread > tolerance) {
+        let spread = report.spread.into_iter().chain(report.off_plan()).max();
+        if let Some(spread) = spread.filter(|spread| *spread > tolerance) {
             self.flaw_of_starts.get_or_insert(Outcome::OutOfTolerance { spread, tolerance });
         }
         self.record(Record::ActEnded { report: Box::new(report.clone()) });

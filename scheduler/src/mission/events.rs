@@ -106,7 +106,7 @@ pub enum Progress {
     },
     /// All robots are greeted and checked.
     Greeted {
-        /// Largest measured offset of a robot's clock.
+        /// Largest measured offset of a clock that follows NTP; `None` where robots have failed.
         #[serde(rename = "clock_offset_max_ms")]
         clock_offset_max: Option<Span>,
         /// What was checked, a row a robot.

@@ -114,6 +114,14 @@ impl ActReport {
     }
 }
 
+impl ActReport {
+    /// How far from its plan a script started, at most, by its robot's own clock.
+    pub(super) fn off_plan(&self) -> Option<Span> {
+        let scripts = self.robots.iter().flat_map(|robot| &robot.devices);
+        scripts.filter_map(|script| script.start_error).map(Span::abs).max()
+    }
+}
+
 /// Largest minus smallest error of the starts that are to be simultaneous: of the first script of every device.
 fn spread(act: &Act) -> Option<Span> {
     let errors = || {

@@ -1,7 +1,7 @@
 //! What a robot's failure does to the others, and robots whose link breaks in mid-mission.
 
 use downbeat_scripts::OnFailure;
-use urrcp::{InitializationRequest, Message, Server, Span, Timestamp};
+use urrcp::{Server, Span, Timestamp};
 
 use super::failure_kind::{Failure, FailureKind};
 use super::record::Record;
@@ -123,10 +123,6 @@ impl Mission {
         self.robots[robot].totals.reconnects += 1;
         if self.robots[robot].stop_was_sent() {
             return self.stop_anew(now, robot);
-        }
-        if self.options.greeting == Greeting::Full && !self.robots[robot].introduced {
-            let request = InitializationRequest { timestamp: Some(now) };
-            self.post(now, robot, Message::InitializationRequest(request));
         }
         match self.robots[robot].takes_inquiries() {
             true => self.inquire(now, robot),

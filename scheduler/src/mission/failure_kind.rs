@@ -4,6 +4,7 @@ use downbeat_scripts::SensorRange;
 use serde::Serialize;
 use urrcp::{ControlError, DeviceId, RobotId, Span};
 
+use super::claim::Claim;
 use crate::clock::ClockDoubt;
 
 /// A robot failed the mission.
@@ -31,6 +32,14 @@ pub enum FailureKind {
     Garbled {
         /// What is wrong.
         reason: String,
+    },
+    /// Another robot answers at its address. Nothing is sent to that one.
+    #[error("another robot answers at its address: it calls itself `{told}`, expected `{expected}`")]
+    AnotherRobot {
+        /// What the robot that is meant calls itself.
+        expected: RobotId,
+        /// What the other one calls itself.
+        told: RobotId,
     },
     /// It did not answer in time.
     #[error("silent: no {awaited} within {within}")]
@@ -106,6 +115,15 @@ pub enum FailureKind {
         reading: f64,
         /// Where it should.
         expected: f64,
+    },
+    /// It says of a script what cannot be true.
+    #[error("device `{device}` reports what cannot be: {claim}")]
+    Claim {
+        /// Which device.
+        device: DeviceId,
+        /// What it says, and what is possible.
+        #[serde(flatten)]
+        claim: Claim,
     },
     /// It refused or ended a script.
     #[error("device `{device}`: {error}")]

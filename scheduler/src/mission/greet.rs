@@ -3,8 +3,7 @@
 
 use urrcp::{
     AvailabilityResponse, Command, ControlRequest, ControlResponse, ControlType, DeviceId,
-    InitializationBlock, InitializationRequest, Message, RequestId, Server, Span, Status, StatusValue,
-    Timestamp,
+    InitializationBlock, Message, RequestId, Server, Span, Status, StatusValue, Timestamp,
 };
 
 use super::failure_kind::FailureKind;
@@ -25,27 +24,8 @@ const STALE: Span = Span::from_millis(500);
 const SAMPLING_INTERVAL: Span = Span::from_millis(20);
 
 impl Mission {
-    pub(super) fn link_up(&mut self, now: Timestamp<Server>, robot: usize) {
-        self.robots[robot].connected();
-        match self.phase {
-            Phase::Greeting { .. } => {}
-            Phase::Performing => return self.reattach(now, robot),
-            Phase::Stopping { .. } => return self.stop_anew(now, robot),
-            Phase::Ended => return,
-        }
-        if self.options.greeting == Greeting::Full {
-            self.greet(now, robot);
-        }
-        if self.robots.iter().all(RobotState::is_up) {
-            self.tell(Progress::Connected { robots: self.robots.len() });
-        }
-        self.greeting_progress(now);
-    }
-
     pub(super) fn greet(&mut self, now: Timestamp<Server>, robot: usize) {
         self.ask_availability(now, robot);
-        let request = InitializationRequest { timestamp: Some(now) };
-        self.send(now, robot, Message::InitializationRequest(request));
         for index in 0..self.robots[robot].requires.len() {
             let sensor = self.robots[robot].requires[index].sensor.clone();
             self.read(now, robot, sensor, Reading::Requirement(index));
@@ -88,25 +68,19 @@ impl Mission {
         }
     }
 
+    /// Compares what a robot says of itself with the plan, the first time that it does.
     pub(super) fn introduced(&mut self, now: Timestamp<Server>, robot: usize, block: InitializationBlock) {
-        if self.robots[robot].introduced {
+        if std::mem::replace(&mut self.robots[robot].introduced, true) {
             return;
         }
-        self.robots[robot].introduced = true;
         let unfit = self.unfit(robot, &block);
         self.robots[robot].block = Some(block);
         for reason in unfit {
             self.fail(now, robot, FailureKind::Unfit { reason });
         }
-        match self.phase {
-            Phase::Greeting { .. } => {
-                self.read_positions(now, robot);
-                self.greeting_progress(now);
-            }
-            _ if self.robots[robot].standing == Standing::Absent => self.join_if_greeted(now, robot),
-            // After a resumption: from now on it is known whether it can be asked what it has.
-            Phase::Performing if self.robots[robot].takes_inquiries() => self.inquire(now, robot),
-            _ => {}
+        if matches!(self.phase, Phase::Greeting { .. }) {
+            self.read_positions(now, robot);
+            self.greeting_progress(now);
         }
     }
 
@@ -125,9 +99,6 @@ impl Mission {
                  there, `encoding: json` is understood by every robot",
                 state.encoding
             ));
-        }
-        if let Some(listed) = state.block.as_ref().filter(|listed| listed.id != block.id) {
-            tracing::warn!(robot = %state.id, "calls itself `{}`, the fleet file `{}`", block.id, listed.id);
         }
         let plans = self.choreography.acts.iter().flat_map(|act| &act.plan.robots);
         let scripts = plans.filter(|plan| plan.robot == state.id).flat_map(|plan| &plan.scripts);
@@ -151,8 +122,13 @@ impl Mission {
             .cloned()
             .collect();
         devices.dedup();
+        let shown =
+            if self.options.preflight_only { others_that_read(state, block, &devices) } else { Vec::new() };
         for device in devices {
             self.read(now, robot, device.clone(), Reading::Position(device));
+        }
+        for device in shown {
+            self.read(now, robot, device.clone(), Reading::Shown(device));
         }
     }
 
@@ -185,6 +161,7 @@ impl Mission {
             Reading::Position(device) => {
                 self.robots[robot].positions.extend(value.map(|value| (device, value)));
             }
+            Reading::Shown(device) => self.robots[robot].shown.push((device, value)),
             Reading::Wait(number) => {
                 let act = self.acts.iter_mut().find(|act| act.number() == number);
                 act.into_iter().for_each(|act| act.sensor_read(value));
@@ -220,10 +197,11 @@ impl Mission {
         self.check_refills();
         let preflight = preflight::table(self, now);
         self.preflight = Some(preflight.clone());
-        let offsets = self.robots.iter().filter_map(|robot| robot.clock.reading());
+        let failed = self.robots.iter().any(RobotState::has_failed);
+        let follows = |robot: &&RobotState| robot.clock_mode == ClockMode::Ntp && !failed;
+        let offsets = self.robots.iter().filter(follows).filter_map(|robot| robot.clock.reading());
         let clock_offset_max = offsets.map(|reading| reading.offset.abs()).max();
         self.tell(Progress::Greeted { clock_offset_max, preflight });
-        let failed = self.robots.iter().any(RobotState::has_failed);
         let nobody = self.robots.iter().all(|robot| robot.standing != Standing::In);
         match failed || nobody {
             true if self.options.preflight_only => self.refuse(Outcome::NotReady),
@@ -362,12 +340,13 @@ impl Mission {
         let within = self.options.patience;
         let full = self.options.greeting == Greeting::Full;
         for index in 0..self.robots.len() {
+            self.robots[index].reads.retain(|_, what| !matches!(what, Reading::Shown(_)));
             let robot = &self.robots[index];
             let awaited = match robot.link {
                 _ if robot.has_failed() || robot.standing != Standing::In => continue,
                 Link::Connecting | Link::Lost(_) => "connection",
+                Link::Unnamed { .. } => "initialization block",
                 Link::Up { .. } if full && robot.clock.samples() == 0 => "availability response",
-                Link::Up { .. } if full && !robot.introduced => "initialization block",
                 Link::Up { .. } if full && robot.clock.samples() < CLOCK_SAMPLES => {
                     "further availability responses"
                 }
@@ -409,6 +388,18 @@ impl Mission {
         self.outcome = Some(outcome);
         self.end();
     }
+}
+
+/// Sensors of a robot that are read only to be shown, at most.
+const SHOWN_MAX: usize = 64;
+
+/// Devices that give readings which nothing depends on.
+fn others_that_read(robot: &RobotState, block: &InitializationBlock, read: &[DeviceId]) -> Vec<DeviceId> {
+    let sensors = block.devices.iter().filter(|device| device.available_control_types.sensor().is_some());
+    let others = sensors
+        .map(|device| &device.id)
+        .filter(|id| !read.contains(id) && !robot.requires.iter().any(|required| required.sensor == **id));
+    others.take(SHOWN_MAX).cloned().collect()
 }
 
 /// Faults of one robot that are listed; one with another unit would bury the others.

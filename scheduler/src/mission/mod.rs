@@ -12,6 +12,7 @@
 pub(crate) mod act;
 #[cfg(test)]
 mod bench;
+mod claim;
 mod course;
 mod events;
 mod facts;
@@ -19,6 +20,7 @@ mod failure;
 mod failure_kind;
 mod fates;
 mod greet;
+mod identity;
 mod lead;
 mod leases;
 mod ledger;
@@ -43,6 +45,7 @@ use downbeat_scripts::{Choreography, Plan};
 use urrcp::{ControlError, ErrorCode, Message, RobotId, Server, Span, Timestamp};
 
 pub(crate) use act::next_time_of_day;
+pub use claim::Claim;
 pub use events::{Action, Event, Loss, Progress, TakenReading};
 pub use facts::{ActReport, ActRobot, DeviceReport};
 pub use failure_kind::{Failure, FailureKind};
@@ -50,7 +53,7 @@ pub use fates::{ActCourse, ActFate};
 pub use lead::{LEAD_MARGIN_MIN, LeadTime};
 pub use options::{ClockMode, Greeting, Join, MissionOptions, Participant, Requirement};
 pub use outcome::Outcome;
-pub use preflight::{Check, Preflight, PreflightRow, Verdict};
+pub use preflight::{Check, DeviceReading, Preflight, PreflightRow, Verdict};
 pub use record::{Promise, PromisedScript, Record};
 pub use resume::Changed;
 pub use skew::{RobotSkew, SkewBudget};
@@ -102,6 +105,8 @@ pub struct Mission {
     next_round: Option<Timestamp<Server>>,
     /// When it is next looked whether a robot has been silent for too long.
     next_silence: Option<Timestamp<Server>>,
+    /// When it is next looked whether a robot has not said which one it is.
+    next_name: Option<Timestamp<Server>>,
     /// When stops were last sent.
     stopped_at: Option<Timestamp<Server>>,
     /// The earliest instant at which a lost robot is given up.
@@ -171,6 +176,7 @@ impl Mission {
             then: None,
             next_round: None,
             next_silence: None,
+            next_name: None,
             stopped_at: None,
             give_up: None,
             deferred: Vec::new(),
@@ -233,6 +239,7 @@ impl Mission {
     /// Does what is due at `now`.
     #[must_use]
     pub fn advance(&mut self, now: Timestamp<Server>) -> Vec<Action> {
+        self.ask_names_again(now);
         match self.phase {
             Phase::Greeting { deadline } => {
                 self.sample_clocks(now);
@@ -256,7 +263,7 @@ impl Mission {
     /// When [`Mission::advance`] is next due; `None` once the mission has ended.
     #[must_use]
     pub fn next_wakeup(&self) -> Option<Timestamp<Server>> {
-        match self.phase {
+        let due = match self.phase {
             Phase::Greeting { deadline } => {
                 let sample = self.sampling.map(|(_, next)| next);
                 Some(sample.map_or(deadline, |next| next.min(deadline)))
@@ -266,8 +273,9 @@ impl Mission {
                 acts.chain(self.give_up).chain(self.next_round).chain(self.next_silence).min()
             }
             Phase::Stopping { deadline, resend } => Some(deadline.min(resend)),
-            Phase::Ended => None,
-        }
+            Phase::Ended => return None,
+        };
+        due.into_iter().chain(self.next_name).min()
     }
 
     /// What it is due for, for a trace.

@@ -29,7 +29,7 @@ pub struct Requirement {
 pub struct Participant {
     /// Its id in the fleet file.
     pub id: RobotId,
-    /// Its static description, if the fleet file gives one.
+    /// Its static description, if the fleet file gives one, with the id by which it has to call itself.
     pub block: Option<InitializationBlock>,
     /// How its time is brought to agree with the server's.
     pub clock: ClockMode,
@@ -47,6 +47,12 @@ impl Participant {
     pub const fn new(id: RobotId, block: Option<InitializationBlock>) -> Self {
         let (clock, encoding) = (ClockMode::Ntp, Encoding::Json);
         Self { id, block, clock, wake_up: Span::ZERO, encoding, requires: Vec::new() }
+    }
+
+    /// What the robot has to call itself.
+    #[must_use]
+    pub fn own_id(&self) -> &RobotId {
+        self.block.as_ref().map_or(&self.id, |block| &block.id)
     }
 }
 

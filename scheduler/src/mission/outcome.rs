@@ -20,9 +20,9 @@ pub enum Outcome {
         /// Which.
         acts: Vec<String>,
     },
-    /// It was played to its end, and the starts were further apart than the scenario tolerates.
+    /// It was played to its end, and starts were further apart, or further from their plan, than the scenario tolerates.
     OutOfTolerance {
-        /// Largest spread of starts of any act, by the robots' own clocks.
+        /// How far apart the starts of an act were, or how far one was from its plan, by the robots' own clocks.
         #[serde(rename = "spread_ms")]
         spread: Span,
         /// The scenario's start_tolerance.
@@ -99,7 +99,7 @@ impl fmt::Display for Outcome {
             }
             Self::OutOfTolerance { spread, tolerance } => write!(
                 f,
-                "played to its end, but out of tolerance: the starts were {spread} apart, start_tolerance is {tolerance}"
+                "played to its end, but out of tolerance: starts were {spread} apart or off their plan, start_tolerance is {tolerance}"
             ),
             Self::Unknown => {
                 f.write_str("played to its end as far as is known: some robots do not say what they did")

@@ -1,7 +1,7 @@
 //! The checks before a mission as one table: a row a robot, a column a check.
 
 use serde::Serialize;
-use urrcp::{RobotId, Server, Timestamp};
+use urrcp::{DeviceId, ErrorCode, Millis, RobotId, Server, Span, Timestamp};
 
 use super::failure_kind::FailureKind;
 use super::robot_state::{Link, RobotState};
@@ -13,6 +13,8 @@ use super::{ClockMode, Greeting, Mission};
 pub enum Check {
     /// It is reached.
     Link,
+    /// It is the robot that is meant.
+    Identity,
     /// It speaks this version of URRCP.
     Version,
     /// It describes itself as the fleet file does, and the plan fits it.
@@ -21,6 +23,8 @@ pub enum Check {
     Clock,
     /// Its devices stand where the first keyframes expect them.
     Position,
+    /// What it drives is there.
+    Hardware,
     /// It belongs to nobody else and its queues are free.
     Free,
     /// Its sensors read what the fleet file requires.
@@ -29,12 +33,14 @@ pub enum Check {
 
 impl Check {
     /// All, in the order of the columns.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 9] = [
         Self::Link,
+        Self::Identity,
         Self::Version,
         Self::Description,
         Self::Clock,
         Self::Position,
+        Self::Hardware,
         Self::Free,
         Self::Sensors,
     ];
@@ -44,10 +50,12 @@ impl Check {
     pub const fn title(self) -> &'static str {
         match self {
             Self::Link => "link",
+            Self::Identity => "identity",
             Self::Version => "version",
             Self::Description => "description",
             Self::Clock => "clock",
             Self::Position => "position",
+            Self::Hardware => "hardware",
             Self::Free => "free",
             Self::Sensors => "sensors",
         }
@@ -69,17 +77,37 @@ pub enum Verdict {
 }
 
 /// A robot's row.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PreflightRow {
     /// Which robot.
     pub robot: RobotId,
     /// In the order of [`Check::ALL`].
     pub checks: Vec<(Check, Verdict)>,
+    /// What its sensors read, and where its devices stand.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub readings: Vec<DeviceReading>,
+}
+
+/// What a sensor, or a device that can tell where it stands, read.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct DeviceReading {
+    /// Which device.
+    pub device: DeviceId,
+    /// In its unit; `None` where it gave no reading.
+    pub reading: Option<f64>,
+    /// Its unit.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub unit: Option<String>,
+    /// What it has to read, for people.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub expected: Option<String>,
 }
 
 /// The whole table.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Preflight {
+    /// Whether robots were asked at all.
+    pub greeting: Greeting,
     /// A row a robot.
     pub rows: Vec<PreflightRow>,
 }
@@ -88,9 +116,33 @@ pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
     let row = |index: usize| {
         let robot = mission.robots[index].id.clone();
         let checks = Check::ALL.map(|check| (check, verdict(mission, index, check, now)));
-        PreflightRow { robot, checks: checks.to_vec() }
+        PreflightRow { robot, checks: checks.to_vec(), readings: readings(mission, index) }
     };
-    Preflight { rows: (0..mission.robots.len()).map(row).collect() }
+    Preflight { greeting: mission.options.greeting, rows: (0..mission.robots.len()).map(row).collect() }
+}
+
+/// Everything that was read: what the fleet file requires, then where devices stand, then what is only shown.
+fn readings(mission: &Mission, index: usize) -> Vec<DeviceReading> {
+    let robot = &mission.robots[index];
+    let unit = |device: &DeviceId| {
+        let described = robot.block.as_ref()?.device(device.as_str())?;
+        described.unit.as_ref().map(ToString::to_string)
+    };
+    let row = |device: &DeviceId, reading, expected| {
+        let (device, unit) = (device.clone(), unit(device));
+        DeviceReading { device, reading, unit, expected }
+    };
+    let asked = mission.options.greeting == Greeting::Full;
+    let required = robot.requires.iter().zip(&robot.readings).filter(|_| asked);
+    let required =
+        required.map(|(required, reading)| row(&required.sensor, *reading, Some(required.range.to_string())));
+    let stands = robot.positions.iter().map(|(device, reading)| {
+        let expected = mission.expected_position(index, device);
+        let expected = expected.map(|(expected, tolerance)| format!("{expected} ±{tolerance}"));
+        row(device, Some(*reading), expected)
+    });
+    let shown = robot.shown.iter().map(|(device, reading)| row(device, *reading, None));
+    required.chain(stands).chain(shown).collect()
 }
 
 fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>) -> Verdict {
@@ -107,14 +159,16 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
     let greeted = mission.options.greeting == Greeting::Full;
     match check {
         Check::Link => match &robot.link {
+            Link::Unnamed { .. } => Verdict::Pass("up".to_owned()),
             Link::Up { .. } => Verdict::Pass(match robot.clock.reading() {
-                Some(reading) => format!("{} to {}", reading.delay_min, reading.delay_max),
+                Some(reading) => format!("{} to {} ms", ms(reading.delay_min), ms(reading.delay_max)),
                 None => "up".to_owned(),
             }),
             Link::Lost(lost) => Verdict::Warning(lost.reason.clone()),
             Link::Connecting => Verdict::Warning("not there".to_owned()),
         },
-        Check::Version | Check::Description if !robot.introduced => Verdict::NotChecked,
+        Check::Identity | Check::Version | Check::Description if !robot.introduced => Verdict::NotChecked,
+        Check::Identity => Verdict::Pass(robot.own_id.to_string()),
         Check::Version => {
             Verdict::Pass(robot.block.as_ref().map(|block| block.api_version.to_string()).unwrap_or_default())
         }
@@ -123,6 +177,10 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
         Check::Position => match robot.positions.len() {
             0 => Verdict::NotChecked,
             devices => Verdict::Pass(format!("{devices} read")),
+        },
+        Check::Hardware => match greeted && robot.clock.samples() > 0 {
+            true => Verdict::Pass("there".to_owned()),
+            false => Verdict::NotChecked,
         },
         Check::Free => match greeted && mission.options.session.is_some() && robot.is_up() {
             true => Verdict::Pass("ours".to_owned()),
@@ -147,9 +205,14 @@ fn clock(robot: &RobotState, now: Timestamp<Server>) -> Verdict {
         None => Verdict::NotChecked,
         Some(reading) => {
             let measured = if robot.clock_mode == ClockMode::Measured { ", measured" } else { "" };
-            Verdict::Pass(format!("{} +-{}{measured}", reading.offset, reading.uncertainty))
+            Verdict::Pass(format!("{} ±{} ms{measured}", ms(reading.offset), ms(reading.uncertainty)))
         }
     }
+}
+
+/// In milliseconds, as exactly as people want to know it.
+fn ms(span: Span) -> String {
+    format!("{:.2}", Millis::from_span(span).get())
 }
 
 /// Where a failure stands in the table.
@@ -163,6 +226,10 @@ fn column(kind: &FailureKind) -> Check {
         FailureKind::Clock { .. } => Check::Clock,
         FailureKind::Requirement { .. } => Check::Sensors,
         FailureKind::Position { .. } => Check::Position,
-        FailureKind::NotAvailable { .. } | FailureKind::Script { .. } => Check::Free,
+        FailureKind::AnotherRobot { .. } => Check::Identity,
+        // A robot that is busy belongs to another session; any other reason concerns its equipment.
+        FailureKind::NotAvailable { error } if error.code == ErrorCode::Busy => Check::Free,
+        FailureKind::NotAvailable { .. } => Check::Hardware,
+        FailureKind::Script { .. } | FailureKind::Claim { .. } => Check::Free,
     }
 }

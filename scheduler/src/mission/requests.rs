@@ -15,12 +15,21 @@ const RECORDING_MAX: Span = Span::from_millis(2_000);
 
 impl Mission {
     pub(super) fn receive(&mut self, now: Timestamp<Server>, robot: usize, message: Message) {
+        if !self.is_the_one(now, robot, &message) {
+            return;
+        }
+        let named = self.robots[robot].named();
         if self.robots[robot].heard(now) {
             self.is_back(robot);
         }
         match message {
             Message::AvailabilityResponse(response) => self.availability(now, robot, &response),
-            Message::InitializationBlock(block) => self.introduced(now, robot, block),
+            Message::InitializationBlock(block) => {
+                self.introduced(now, robot, block);
+                if named {
+                    self.link_serves(now, robot);
+                }
+            }
             Message::ControlResponse(response) => self.control_response(now, robot, &response),
             Message::InquiryResponse(response) => self.inquiry_answered(now, robot, &response),
             Message::AvailabilityRequest(_)
@@ -53,7 +62,7 @@ impl Mission {
             return tracing::debug!(robot = %self.robots[robot].id, "answer to no open request: {response:?}");
         };
         let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
-        let noted = act.answered(script, response, &self.robots);
+        let noted = act.answered(script, response, self.arrived, &self.robots);
         if noted.news != super::script::News::None {
             self.carry_out(now, script.act, noted.actions);
             self.goes_on(now);
@@ -124,7 +133,9 @@ impl Mission {
     }
 
     fn post_by(&mut self, now: Timestamp<Server>, robot: usize, message: Message, urgent: bool) {
-        if self.robots[robot].is_up() {
+        let state = &self.robots[robot];
+        // Stops do not wait until the robot has said which one it is.
+        if state.is_up() || urgent && state.unnamed_since().is_some() {
             self.robots[robot].last_sent = Some(now);
             self.actions.push(Action::Send { robot, message, urgent });
         }

@@ -17,7 +17,10 @@ use crate::clock::{ClockEstimate, ClockReading};
 pub(crate) enum Link {
     /// A first connection is being made.
     Connecting,
-    /// It stands. `unheard` is how it was lost before, until something is heard on it again: a link that is taken and closed
+    /// It stands, and the robot behind it has not said yet which one it is: nothing but that question is sent, and stops.
+    /// `unheard` as below.
+    Unnamed { since: Timestamp<Server>, unheard: Option<Lost> },
+    /// It stands, and the robot behind it is the one that is meant. `unheard` is how it was lost before, until something is heard on it again: a link that is taken and closed
     /// again and again is as good as none.
     Up { unheard: Option<Lost> },
     /// It broke, or could not be made.
@@ -83,6 +86,8 @@ pub(crate) enum Reading {
     Requirement(usize),
     /// Where a device stands before the first act.
     Position(DeviceId),
+    /// Only to be shown before a mission.
+    Shown(DeviceId),
     /// An act waits for it: the act's number.
     Wait(u32),
     /// The scenario reads it: the act's number, and which of its readings.
@@ -155,6 +160,8 @@ impl Questions {
 #[derive(Debug)]
 pub(crate) struct RobotState {
     pub(crate) id: RobotId,
+    /// What it has to call itself.
+    pub(crate) own_id: RobotId,
     pub(crate) link: Link,
     /// Attempts to reach it since it was last heard.
     attempts: u32,
@@ -176,6 +183,8 @@ pub(crate) struct RobotState {
     pub(crate) readings: Vec<Option<f64>>,
     /// Where devices stood before the first act.
     pub(crate) positions: Vec<(DeviceId, f64)>,
+    /// What its other sensors read, which nothing depends on.
+    pub(crate) shown: Vec<(DeviceId, Option<f64>)>,
     pub(crate) reads: HashMap<RequestId, Reading>,
     /// The requests that it was sent, by their names.
     pub(crate) requests: HashMap<RequestId, ScriptRef>,
@@ -196,6 +205,7 @@ const RETRY_AFTER_MAX: Span = Span::from_millis(1_000);
 impl RobotState {
     pub(crate) fn new(participant: Participant) -> Self {
         Self {
+            own_id: participant.own_id().clone(),
             id: participant.id,
             link: Link::Connecting,
             attempts: 0,
@@ -212,6 +222,7 @@ impl RobotState {
             readings: vec![None; participant.requires.len()],
             requires: participant.requires,
             positions: Vec::new(),
+            shown: Vec::new(),
             reads: HashMap::new(),
             requests: HashMap::new(),
             touched: BTreeSet::new(),
@@ -239,19 +250,30 @@ impl RobotState {
         self.heard_at = Some(now);
         match &mut self.link {
             Link::Up { unheard } => unheard.take().is_some(),
-            Link::Connecting | Link::Lost(_) => false,
+            Link::Connecting | Link::Unnamed { .. } | Link::Lost(_) => false,
         }
     }
 
-    /// Its link stands again.
-    pub(crate) fn connected(&mut self) {
-        let unheard = match &mut self.link {
-            Link::Lost(lost) => Some(lost.clone()),
-            Link::Up { unheard } => unheard.take(),
-            Link::Connecting => None,
-        };
-        self.link = Link::Up { unheard };
+    /// A link to its address stands. Which robot answers there it has to say first.
+    pub(crate) fn connected(&mut self, now: Timestamp<Server>) {
+        let unheard = self.lost_mut().cloned();
+        self.link = Link::Unnamed { since: now, unheard };
         self.questions.forgive();
+    }
+
+    /// It is the one that is meant, or nobody asks. `false`: that was known of this link.
+    pub(crate) fn named(&mut self) -> bool {
+        let Link::Unnamed { unheard, .. } = &mut self.link else { return false };
+        self.link = Link::Up { unheard: unheard.take() };
+        true
+    }
+
+    /// A link stands on which it has not said yet which robot it is, since then.
+    pub(crate) const fn unnamed_since(&self) -> Option<Timestamp<Server>> {
+        match self.link {
+            Link::Unnamed { since, .. } => Some(since),
+            _ => None,
+        }
     }
 
     pub(crate) const fn is_up(&self) -> bool {
@@ -276,7 +298,7 @@ impl RobotState {
     pub(crate) const fn lost(&self) -> Option<&Lost> {
         match &self.link {
             Link::Lost(lost) => Some(lost),
-            Link::Up { unheard } => unheard.as_ref(),
+            Link::Unnamed { unheard, .. } | Link::Up { unheard } => unheard.as_ref(),
             Link::Connecting => None,
         }
     }
@@ -285,7 +307,7 @@ impl RobotState {
     pub(crate) const fn lost_mut(&mut self) -> Option<&mut Lost> {
         match &mut self.link {
             Link::Lost(lost) => Some(lost),
-            Link::Up { unheard } => unheard.as_mut(),
+            Link::Unnamed { unheard, .. } | Link::Up { unheard } => unheard.as_mut(),
             Link::Connecting => None,
         }
     }

@@ -142,7 +142,8 @@ impl Mission {
         for report in &response.requests {
             let Some(&script) = self.robots[robot].requests.get(&report.request_id) else { continue };
             let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { continue };
-            let noted = act.reported(script, report, (asked_at, response.timestamp), &self.robots);
+            let noted =
+                act.reported(script, report, (asked_at, response.timestamp, self.arrived), &self.robots);
             self.carry_out(now, script.act, noted.actions);
         }
         if response.status == Status::Failed && !matches!(self.phase, Phase::Stopping { .. }) {

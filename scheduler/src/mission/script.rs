@@ -6,6 +6,8 @@ use urrcp::{
     RequestState, Robot, Server, Span, Status, Timestamp,
 };
 
+use super::claim::{Claim, Told};
+
 /// One script of a mission.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub(crate) struct ScriptRef {
@@ -58,6 +60,8 @@ pub(crate) enum News {
     Failed(ControlError),
     /// The robot never received it.
     NeverReceived,
+    /// The robot says of it what cannot be true.
+    Discredited,
 }
 
 /// One script and what is known of it.
@@ -73,6 +77,10 @@ pub(crate) struct Script {
     started_at: Option<Timestamp<Robot>>,
     steps_done: u32,
     late_steps: u32,
+    /// The robot said that it began, though nothing else of that is believed.
+    began: bool,
+    /// What the robot last said of its steps, and when by its clock.
+    steps_said: Option<(Timestamp<Robot>, u32)>,
     /// By the robot's clock: when it first said that it holds it.
     accepted_at: Option<Timestamp<Robot>>,
     /// When the question was sent that it last answered with "held".
@@ -93,6 +101,8 @@ impl Script {
             started_at: None,
             steps_done: 0,
             late_steps: 0,
+            began: false,
+            steps_said: None,
             accepted_at: None,
             held_at: None,
             sent_at: None,
@@ -168,6 +178,7 @@ impl Script {
     /// The robot said that it began.
     pub(crate) const fn has_begun(&self) -> bool {
         self.started_at.is_some()
+            || self.began
             || self.steps_done > 0
             || self.has_completed()
             || matches!(self.state, ScriptState::Running)
@@ -197,7 +208,31 @@ impl Script {
         self.request_id = again.and_then(Result::ok);
     }
 
-    const fn is_final(&self) -> bool {
+    /// How many steps it has.
+    pub(crate) fn steps_planned(&self) -> u32 {
+        u32::try_from(self.plan.script.steps().len()).unwrap_or(u32::MAX)
+    }
+
+    /// What the robot last said of its steps, and when by its clock.
+    pub(crate) const fn steps_said(&self) -> Option<(Timestamp<Robot>, u32)> {
+        self.steps_said
+    }
+
+    /// The robot said so many steps, which can be.
+    pub(super) fn said(&mut self, told: &Told) {
+        self.steps_said = self.steps_said.max(told.steps());
+    }
+
+    /// The robot said of it what cannot be true: nothing that it says of it counts any more.
+    pub(super) fn discredit(&mut self, claim: &Claim, told: &Told) {
+        self.began |= told.says_that_it_moved();
+        if !self.is_final() {
+            let error = ControlError::new(ErrorCode::Internal, claim.to_string());
+            self.state = ScriptState::Ended(Ending::Failed(error));
+        }
+    }
+
+    pub(super) const fn is_final(&self) -> bool {
         matches!(self.state, ScriptState::Ended(_))
     }
 
@@ -291,8 +326,7 @@ impl Script {
             return News::None;
         }
         self.accepted = true;
-        let all = u32::try_from(self.plan.script.steps().len()).unwrap_or(u32::MAX);
-        self.steps_done = self.steps_done.max(steps_done.unwrap_or(all));
+        self.steps_done = self.steps_done.max(steps_done.unwrap_or(self.steps_planned()));
         self.state = ScriptState::Ended(Ending::Completed);
         News::Completed
     }

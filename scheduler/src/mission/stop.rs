@@ -114,7 +114,8 @@ impl Mission {
             *resend = now + interval;
         }
         for robot in 0..self.robots.len() {
-            if self.robots[robot].is_up() {
+            let state = &self.robots[robot];
+            if state.is_up() || state.unnamed_since().is_some() {
                 self.stop_anew(now, robot);
             }
         }

@@ -2,12 +2,16 @@
 
 use std::fmt::Write;
 
+use anstyle::{AnsiColor, Style};
 use comfy_table::{CellAlignment, Table, presets};
 use downbeat_scripts::{Act, Choreography, Plan, RobotPlan, counted};
 use urrcp::Span;
 
 use super::{ActReport, Outcome, Report, RobotReport, StopState, course_lines};
-use crate::mission::{Check, Preflight, Verdict};
+use crate::mission::{Check, Greeting, Preflight, PreflightRow, Verdict};
+
+/// Removed by the printing end where that is no terminal.
+const RED: Style = AnsiColor::Red.on_default().bold();
 
 fn table(header: &[&str], numbers_from: usize) -> Table {
     let mut table = Table::new();
@@ -103,29 +107,62 @@ pub fn plan_figures(plan: &Plan) -> String {
     )
 }
 
-/// What was checked before a mission: a row a robot, a column a check; below it, if wanted, what is wrong.
+/// What was checked before a mission: a row a robot, a column a check; below it, if wanted, what was read and what is wrong.
 #[must_use]
 pub fn preflight_table(preflight: &Preflight, told: bool) -> String {
-    let titles = Check::ALL.map(Check::title);
-    let mut rows = table(&[&["robot"], titles.as_slice()].concat(), 1);
-    let mut wrong = String::new();
-    for row in &preflight.rows {
-        let mut cells = vec![row.robot.to_string()];
-        for (check, verdict) in &row.checks {
-            let (cell, why) = match verdict {
-                Verdict::Pass(seen) => (seen.clone(), None),
-                Verdict::Warning(why) => ("warning".to_owned(), Some(why)),
-                Verdict::Failure(why) => ("FAILURE".to_owned(), Some(why)),
-                Verdict::NotChecked => ("not checked".to_owned(), None),
-            };
-            if let Some(why) = why.filter(|_| told) {
-                let _infallible = writeln!(wrong, "{} {}: {why}", row.robot, check.title());
-            }
-            cells.push(cell);
-        }
-        rows.add_row(cells);
+    // Half of the checks at a time, so that a row fits a terminal of 80 columns.
+    let (who, how) = Check::ALL.split_at(Check::ALL.len().div_ceil(2));
+    let mut text = format!("{}\n{}", checks_table(preflight, who), checks_table(preflight, how));
+    if told {
+        text.push_str(&readings_table(preflight));
+        text.extend(preflight.rows.iter().flat_map(wrong_lines));
     }
-    format!("{rows}\n{wrong}")
+    if preflight.greeting == Greeting::Skip {
+        text.push_str(
+            "with `handshake: skip` no robot is asked which one it is: `downbeat fleet ping` asks\n",
+        );
+    }
+    text
+}
+
+fn checks_table(preflight: &Preflight, shown: &[Check]) -> String {
+    let titles: Vec<_> = std::iter::once("robot").chain(shown.iter().map(|check| check.title())).collect();
+    let mut rows = table(&titles, 1);
+    for row in &preflight.rows {
+        let checks = row.checks.iter().filter(|(check, _)| shown.contains(check));
+        let cells = checks.map(|(_, verdict)| match verdict {
+            Verdict::Pass(seen) => seen.clone(),
+            Verdict::Warning(_) => "warning".to_owned(),
+            Verdict::Failure(_) => "FAILURE".to_owned(),
+            Verdict::NotChecked => "-".to_owned(),
+        });
+        rows.add_row(std::iter::once(row.robot.to_string()).chain(cells));
+    }
+    format!("{rows}\n").replace("FAILURE", &format!("{RED}FAILURE{RED:#}"))
+}
+
+fn wrong_lines(row: &PreflightRow) -> Vec<String> {
+    let wrong = row.checks.iter().filter_map(|(check, verdict)| match verdict {
+        Verdict::Warning(why) | Verdict::Failure(why) => {
+            Some(format!("{} {}: {why}\n", row.robot, check.title()))
+        }
+        Verdict::Pass(_) | Verdict::NotChecked => None,
+    });
+    wrong.collect()
+}
+
+/// What sensors read and where devices stand: a row each.
+fn readings_table(preflight: &Preflight) -> String {
+    let mut rows = table(&["robot", "device", "reads", "expected"], 2);
+    for row in &preflight.rows {
+        for reading in &row.readings {
+            let unit = reading.unit.as_ref().map(|unit| format!(" {unit}")).unwrap_or_default();
+            let read = reading.reading.map_or("nothing".to_owned(), |value| format!("{value}{unit}"));
+            let expected = reading.expected.as_ref().map(|expected| format!("{expected}{unit}"));
+            rows.add_row(vec![row.robot.to_string(), reading.device.to_string(), read, or_dash(expected)]);
+        }
+    }
+    if rows.is_empty() { String::new() } else { format!("\n{rows}\n") }
 }
 
 /// The report: a row a robot, failures with their reasons, and the figures that matter.

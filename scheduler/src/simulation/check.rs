@@ -11,7 +11,7 @@ use std::fmt;
 use downbeat_robot::LogEntry;
 use urrcp::{ControlType, Server, Span, Timestamp};
 
-use super::{Drawn, DrawnRobot, Fault, Happened, Ran};
+use super::{Drawn, DrawnRobot, Fault, Happened, Lie, Ran};
 use crate::mission::{ClockMode, Promise, Record};
 use crate::report::{Outcome, RobotReport, StopState};
 
@@ -335,6 +335,13 @@ impl<'a> Check<'a> {
         }
         let Some(report) = &self.ran.report else { return };
         let mut found = Vec::new();
+        let claims = |robot: &DrawnRobot| robot.lie == Some(Lie::TooManySteps) && robot.block.reports;
+        for row in report.robots.iter().filter(|row| row.scripts > 0) {
+            let claims = self.index_of(&row.robot).is_some_and(|robot| claims(&self.drawn().robots[robot]));
+            if claims && report.outcome == Outcome::Done {
+                found.push(format!("done, by the word of {} for more steps than there are", row.robot));
+            }
+        }
         for row in &report.robots {
             let Some(robot) = self.index_of(&row.robot).filter(|robot| self.honest(*robot)) else { continue };
             found.extend(self.row(robot, row, &report.outcome));

@@ -34,6 +34,8 @@ pub enum Lie {
     Forgets,
     /// It echoes the hash of something else.
     WrongHash,
+    /// It says that it has done more steps than any script has.
+    TooManySteps,
 }
 
 /// Something that goes wrong at an instant, counted from the begin.
@@ -149,7 +151,8 @@ pub fn draw(seed: u64) -> Drawn {
     let least = millis(rng, 0, 5);
     let delay = (least, least + millis(rng, 0, 20));
     let tail = if rng.u8(0..4) == 0 { rng.f64() * 0.02 } else { 0.0 };
-    let robots: Vec<DrawnRobot> = (0..count).map(|index| draw_robot(rng, index)).collect();
+    let mut robots: Vec<DrawnRobot> = (0..count).map(|index| draw_robot(rng, index)).collect();
+    draw_claim(seed, &mut robots);
     let choreography = draw_choreography(rng, &robots);
     let duration: Span = choreography.acts.iter().fold(Span::ZERO, |sum, act| sum + act.plan.duration());
     let within = duration + Span::from_millis(1_500) * i64::try_from(choreography.acts.len()).unwrap_or(1);
@@ -174,6 +177,16 @@ fn draw_disk(seed: u64) -> DrawnDisk {
     };
     let capacity = (rng.u8(0..20) == 0).then(|| rng.usize(1_000..12_000));
     DrawnDisk { sync, capacity, loses_power: rng.bool() }
+}
+
+/// From a generator of its own as well.
+fn draw_claim(seed: u64, robots: &mut [DrawnRobot]) {
+    let mut rng = Rng::with_seed(seed ^ 0xc1a1);
+    let claims = rng.u8(0..20) == 0;
+    let robot = rng.usize(0..robots.len());
+    if claims {
+        robots[robot].lie.get_or_insert(Lie::TooManySteps);
+    }
 }
 
 fn draw_robot(rng: &mut Rng, index: usize) -> DrawnRobot {

@@ -2,8 +2,10 @@
 
 use urrcp::{ControlResponse, ErrorCode, RequestReport, Robot, Server, Span, Timestamp};
 
+use super::timing::CLOCK_UNKNOWN;
 use super::{Act, ActAction, Member, Stage};
 use crate::mission::Progress;
+use crate::mission::claim::{Possible, Times, Told};
 use crate::mission::failure_kind::FailureKind;
 use crate::mission::robot_state::{Reading, RobotState};
 use crate::mission::script::{News, Script, ScriptRef, ScriptState, error_of};
@@ -52,8 +54,12 @@ impl Act {
         &mut self,
         script: ScriptRef,
         response: &ControlResponse,
+        arrived: Timestamp<Server>,
         robots: &[RobotState],
     ) -> Noted {
+        if let Some(noted) = self.doubted(script, &Told::by_response(response, arrived), robots) {
+            return noted;
+        }
         let robot = &robots[self.robot_of(script)];
         let member = &mut self.members[script.member];
         // A robot that cannot tell when a script has ended was sent the next one by time, a little too early.
@@ -72,12 +78,49 @@ impl Act {
         &mut self,
         script: ScriptRef,
         report: &RequestReport,
-        (asked_at, said_at): (Timestamp<Server>, Timestamp<Robot>),
+        (asked_at, said_at, arrived): (Timestamp<Server>, Timestamp<Robot>, Timestamp<Server>),
         robots: &[RobotState],
     ) -> Noted {
+        if let Some(noted) = self.doubted(script, &Told::by_report(report, said_at, arrived), robots) {
+            return noted;
+        }
         let member = &mut self.members[script.member];
         let news = member.change(script.script, |script| script.reported(report, asked_at, said_at));
         self.noted(script, news, robots)
+    }
+
+    /// What is to be done where a robot says of a script what cannot be true; `None` where it can. Of a script that is over
+    /// nothing new is heard.
+    fn doubted(&mut self, reference: ScriptRef, told: &Told, robots: &[RobotState]) -> Option<Noted> {
+        let member = &self.members[reference.member];
+        let script = &member.scripts()[reference.script];
+        let robot = member.robot;
+        let claim = self.possible(member, script, &robots[robot], told).contradicts(told);
+        let over = script.is_final();
+        let device = script.plan.device.clone();
+        let member = &mut self.members[reference.member];
+        let Some(claim) = claim else {
+            member.change(reference.script, |script| script.said(told));
+            return None;
+        };
+        member.change(reference.script, |script| script.discredit(&claim, told));
+        let failing = (robot, FailureKind::Claim { device, claim });
+        let actions = if over { Vec::new() } else { vec![ActAction::Fail(vec![failing])] };
+        let news = if over { News::None } else { News::Discredited };
+        Some(Noted { news, actions })
+    }
+
+    fn possible(&self, member: &Member, script: &Script, robot: &RobotState, told: &Told) -> Possible {
+        let reading = robot.clock_at(told.arrived());
+        let times = self.timing.as_ref().map(|timing| Times {
+            sent: timing.timestamp,
+            start: (timing.start + script.plan.start.span() + member.shift).assume_clock(),
+            duration: script.duration(),
+            offset: reading.map_or(member.shift, |reading| reading.offset),
+            uncertainty: reading.map_or(CLOCK_UNKNOWN, |reading| reading.uncertainty),
+            tolerance: self.written().plan.start_tolerance,
+        });
+        Possible { planned: script.steps_planned(), before: script.steps_said(), times }
     }
 
     fn noted(&mut self, script: ScriptRef, news: News, robots: &[RobotState]) -> Noted {
@@ -106,7 +149,7 @@ impl Act {
                 let kind = FailureKind::Script { device, error: error.clone() };
                 actions.push(ActAction::Fail(vec![(robot, kind)]));
             }
-            News::None | News::Accepted | News::NeverReceived => {}
+            News::None | News::Accepted | News::NeverReceived | News::Discredited => {}
         }
         Noted { news, actions }
     }

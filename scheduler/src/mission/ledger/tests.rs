@@ -60,7 +60,7 @@ fn ends(acts: &mut [Act], number: u32, script: usize, robots: &[RobotState]) {
     let script = ScriptRef { act: number, member: 0, script };
     let state = act.script(script);
     let ok = response(&state.plan.device.clone(), state.request_id(), Status::Ok, at(2));
-    let _ = act.answered(script, &ok, robots);
+    let _ = act.answered(script, &ok, at(3_600_000), robots);
 }
 
 #[test]

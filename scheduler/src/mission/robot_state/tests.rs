@@ -159,7 +159,8 @@ fn a_link_that_is_taken_again_is_as_good_as_broken_until_something_is_heard_on_i
         Lost { reason: "cut".into(), loss: Loss::Closed, since: at(2), connecting: true, give_up: None };
     robot.link = Link::Lost(lost.clone());
     assert_eq!((robot.is_up(), robot.broken()), (false, Some("cut")));
-    robot.connected();
+    robot.connected(at(0));
+    assert!(robot.named());
     assert_eq!((robot.is_up(), robot.broken(), robot.questions.unanswered()), (true, Some("cut"), None));
     assert!(robot.heard(Timestamp::from_nanos(0)), "for the first time since");
     assert!(!robot.heard(Timestamp::from_nanos(0)));

@@ -22,6 +22,14 @@ impl World {
             (Some(Lie::WrongHash), Message::ControlResponse(response)) if response.content_hash.is_some() => {
                 response.content_hash = Some(ContentHash::of(b"something else"));
             }
+            (Some(Lie::TooManySteps), Message::ControlResponse(response)) => {
+                response.steps_done = response.steps_done.map(|_| u32::MAX);
+            }
+            (Some(Lie::TooManySteps), Message::InquiryResponse(response)) => {
+                for report in &mut response.requests {
+                    report.steps_done = report.steps_done.map(|_| u32::MAX);
+                }
+            }
             (
                 Some(Lie::Forgets),
                 Message::ControlResponse(ControlResponse { status: Status::Accepted, .. }),

@@ -294,8 +294,12 @@ impl Bench {
     fn report(&mut self, script: ScriptRef, asked: Timestamp<Server>, state: RequestState) {
         let Some(id) = self.act.script(script).request_id().cloned() else { return };
         let report = bench::report(&id, state, None);
-        let noted =
-            self.act.reported(script, &report, (asked, by_robot(asked + ROUND_TRIP / 2)), &self.robots);
+        let noted = self.act.reported(
+            script,
+            &report,
+            (asked, by_robot(asked + ROUND_TRIP / 2), self.now),
+            &self.robots,
+        );
         self.carry_out(noted.actions);
     }
 
@@ -329,7 +333,7 @@ impl Bench {
     }
 
     fn take_response(&mut self, script: ScriptRef, response: &ControlResponse) {
-        let noted = self.act.answered(script, response, &self.robots);
+        let noted = self.act.answered(script, response, self.now, &self.robots);
         self.carry_out(noted.actions);
     }
 

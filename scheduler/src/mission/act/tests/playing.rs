@@ -131,7 +131,8 @@ fn a_robot_that_is_back_after_a_long_break_is_asked_before_it_has_failed() {
     bench.silent = vec![1];
     bench.run_until(bench.timing().end + ms(3_000));
     assert!(bench.failed.is_empty(), "without a link nothing is awaited");
-    bench.robots[1].connected();
+    bench.robots[1].connected(at(0));
+    assert!(bench.robots[1].named());
     bench.silent.clear();
     bench.act.drop_robot(0);
     bench.pump();

@@ -1,0 +1,125 @@
+//! Which robot answers on a link: asked on each new one, before anything else is sent on it.
+//!
+//! An address may lead to another robot than the one that is meant: two addresses were swapped in the fleet file, or another
+//! robot has taken over the address since. A robot says which one it is in its initialization block. Stops do not wait for
+//! that: they are sent at once, but only the robot that is meant can confirm them.
+
+use urrcp::{InitializationRequest, Message, RobotId, Server, Span, Timestamp};
+
+use super::failure_kind::FailureKind;
+use super::robot_state::{Link, Lost, RobotState, Standing};
+use super::rounds::SILENCE_MAX;
+use super::{Action, Greeting, Loss, Mission, Phase, Progress};
+
+/// A robot that has not said which one it is after so long is asked again.
+const ASK_AGAIN: Span = Span::from_millis(250);
+
+impl Mission {
+    pub(super) fn link_up(&mut self, now: Timestamp<Server>, robot: usize) {
+        if self.phase == Phase::Ended {
+            return;
+        }
+        self.robots[robot].connected(now);
+        if !self.asks_names() {
+            self.robots[robot].named();
+            return self.link_serves(now, robot);
+        }
+        self.ask_name(now, robot);
+        if self.robots[robot].awaits_stop() {
+            self.stop_anew(now, robot);
+        }
+    }
+
+    fn asks_names(&self) -> bool {
+        self.options.greeting == Greeting::Full
+    }
+
+    fn ask_name(&mut self, now: Timestamp<Server>, robot: usize) {
+        let message = Message::InitializationRequest(InitializationRequest { timestamp: Some(now) });
+        // Ahead of the stops: its answer has to come before theirs.
+        let urgent = self.robots[robot].awaits_stop();
+        self.actions.push(Action::Send { robot, message, urgent });
+        let again = now + ASK_AGAIN;
+        self.next_name = Some(self.next_name.map_or(again, |next| next.min(again)));
+    }
+
+    /// Asks robots again that have not said which one they are. One that goes on saying nothing is as good as not reached.
+    pub(super) fn ask_names_again(&mut self, now: Timestamp<Server>) {
+        if self.next_name.is_none_or(|next| now < next) {
+            return;
+        }
+        self.next_name = None;
+        let greets = matches!(self.phase, Phase::Greeting { .. });
+        for robot in 0..self.robots.len() {
+            let Some(since) = self.robots[robot].unnamed_since() else { continue };
+            if greets && self.robots[robot].has_failed() {
+                continue;
+            }
+            if !greets && now >= since + SILENCE_MAX {
+                let reason = "it does not say which robot it is".to_owned();
+                self.link_down(now, robot, Loss::Unreachable, reason);
+            } else {
+                self.ask_name(now, robot);
+            }
+        }
+    }
+
+    /// Whether a message comes from the robot that is meant. What another one says counts for nothing, nor what one says that
+    /// has not said yet which one it is.
+    pub(super) fn is_the_one(&mut self, now: Timestamp<Server>, robot: usize, message: &Message) -> bool {
+        match message {
+            _ if !self.asks_names() => true,
+            Message::InitializationBlock(block) if block.id == self.robots[robot].own_id => true,
+            Message::InitializationBlock(block) => {
+                self.met_another(now, robot, block.id.clone());
+                false
+            }
+            _ => self.robots[robot].is_up(),
+        }
+    }
+
+    /// On this link the robot that is meant is reached: what waited for that goes on.
+    pub(super) fn link_serves(&mut self, now: Timestamp<Server>, robot: usize) {
+        match self.phase {
+            Phase::Greeting { .. } if self.asks_names() => self.greet(now, robot),
+            Phase::Greeting { .. } => {}
+            Phase::Performing => return self.reattach(now, robot),
+            // Its stop was sent when the link was made.
+            Phase::Stopping { .. } if self.asks_names() && self.robots[robot].awaits_stop() => return,
+            Phase::Stopping { .. } => return self.stop_anew(now, robot),
+            Phase::Ended => return,
+        }
+        if self.robots.iter().all(RobotState::is_up) {
+            self.tell(Progress::Connected { robots: self.robots.len() });
+        }
+        self.greeting_progress(now);
+    }
+
+    /// Nothing more is sent on this link: the robot that is meant is not reached by it.
+    fn met_another(&mut self, now: Timestamp<Server>, robot: usize, told: RobotId) {
+        let state = &mut self.robots[robot];
+        let kind = FailureKind::AnotherRobot { expected: state.own_id.clone(), told };
+        let known = state.failures.iter().any(|failure| failure.kind == kind);
+        if self.phase == Phase::Ended || known && matches!(self.phase, Phase::Greeting { .. }) {
+            return;
+        }
+        if matches!(self.phase, Phase::Greeting { .. }) {
+            // The link is kept for the table: it stands.
+            return self.fail(now, robot, kind);
+        }
+        let (since, give_up) = state.lost().map_or((now, None), |lost| (lost.since, lost.give_up));
+        let (reason, loss) = ("another robot answers".to_owned(), Loss::Unreachable);
+        state.link = Link::Lost(Lost { reason, loss, since, connecting: false, give_up });
+        self.reconnect(robot);
+        match self.robots[robot].standing {
+            Standing::In if self.phase == Phase::Performing => self.fail(now, robot, kind),
+            _ if known => {}
+            standing => {
+                self.note_failure(robot, kind);
+                if standing == Standing::Absent {
+                    self.robots[robot].standing = Standing::Out;
+                }
+            }
+        }
+    }
+}
