@@ -22,6 +22,7 @@ mod robots;
 mod schema;
 mod session;
 mod silence;
+mod stops;
 mod thrift_robot;
 mod told;
 mod vectors;

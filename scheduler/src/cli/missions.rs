@@ -9,13 +9,14 @@ use downbeat_scripts::{FleetRobot, Handshake, counted};
 use serde::Serialize;
 use urrcp::{RobotId, SessionId, Span};
 
-use super::run::{HowArgs, finish, operator, server_clock, utc_offset};
+use super::run::{HowArgs, finish, server_clock, stop_lane, utc_offset};
 use super::{Exit, Format, ScenarioArgs, choice, console, load, robot};
 use crate::fleet;
 use crate::journal::{self, Fate, Found, Journal, Torn};
 use crate::mission::{Mission, MissionOptions};
 use crate::report::{Report, StopState};
 use crate::run::{Keep, control};
+use crate::signals::OnHangUp;
 
 /// List the missions of this machine: those that run, and those that were cut off.
 #[derive(Debug, clap::Args)]
@@ -310,12 +311,15 @@ async fn go_on(
 ) -> Result<(Report, bool), Exit> {
     let (host, endpoints) = fleet::endpoints(robots, handshake, HostOptions::default())
         .map_err(|error| failed(&error.to_string()))?;
-    let mut keep = Keep { journal: Some(journal), ..Keep::default() };
-    let (said, operator) = operator();
+    let (lane, operator) = stop_lane(OnHangUp::End).map_err(|error| failed(&error))?;
     let (tell_report, report_told) = tokio::sync::watch::channel(None);
-    if let Err(error) = control::listen(&found.folder, said, report_told) {
-        console::warn(&format!("`downbeat stop` will not reach this mission: {error}"));
+    {
+        let _in_the_lane = lane.runtime().enter();
+        if let Err(error) = control::listen(&found.folder, lane.said(), report_told) {
+            console::warn(&format!("`downbeat stop` will not reach this mission: {error}"));
+        }
     }
+    let mut keep = Keep { journal: Some(journal), stop_lane: Some(lane), ..Keep::default() };
     let live = super::live::Live::new(format, clock, robots.len());
     let tell = |at, progress: &_| live.tell(at, progress);
     let report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;

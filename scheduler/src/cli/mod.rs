@@ -8,6 +8,7 @@ mod check;
 mod choice;
 mod conformance;
 mod console;
+mod detach;
 mod dry_run;
 mod edge;
 mod explain;
@@ -26,6 +27,8 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+
+use crate::signals;
 
 /// Makes many robots start together and stay together.
 #[derive(Debug, Parser)]
@@ -136,10 +139,26 @@ pub enum Exit {
     Uncertain = 6,
 }
 
+impl Exit {
+    /// What another process of this program ended with.
+    const fn of_code(code: i32) -> Self {
+        match code {
+            0 => Self::Done,
+            2 => Self::Usage,
+            3 => Self::Stopped,
+            4 => Self::Unconfirmed,
+            5 => Self::DoneWithout,
+            6 => Self::Uncertain,
+            _ => Self::Failed,
+        }
+    }
+}
+
 /// Reads the arguments, does what they say and tells the shell how it went.
 #[must_use]
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
+    signals::take_harmless();
     start_log(&cli.log);
     let format = cli.format;
     let exit = match cli.command {

@@ -11,7 +11,7 @@ use urrcp::{Server, SessionId, Span, Timestamp};
 use super::choice::{self, ChoiceArgs};
 use super::live::Live;
 use super::load;
-use super::{Exit, Format, ScenarioArgs, console, robot};
+use super::{Exit, Format, ScenarioArgs, console, detach, robot};
 use crate::fleet;
 use crate::journal::{self, Asked, Journal, Opened};
 use crate::mission::{Join, Mission, MissionOptions};
@@ -19,6 +19,8 @@ use crate::recording::Recording;
 use crate::report::{Outcome, Report, StopState, report_text};
 use crate::run::{Keep, Operator, control};
 use crate::server_clock::{self, NTP_WATCH_INTERVAL, NtpWatch, ServerClock};
+use crate::signals::OnHangUp;
+use crate::stop_lane::StopLane;
 
 /// Play a scenario on the fleet: all robots start together, or none does.
 #[derive(Debug, clap::Args)]
@@ -55,6 +57,9 @@ pub(super) struct RunArgs {
     /// Keep no journal: after a crash nobody knows what was promised to whom.
     #[arg(long)]
     no_journal: bool,
+    /// Go on in the background, away from this terminal, with a log of its own in the mission's folder.
+    #[arg(long, conflicts_with = "no_journal")]
+    detach: bool,
 }
 
 /// Check the fleet without moving anything.
@@ -117,6 +122,11 @@ fn parse_start(text: &str) -> Result<StartAt, String> {
 }
 
 pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
+    let place = match (args.detach, args.detach.then(detach::detached_as).flatten()) {
+        (false, _) => Place::Terminal,
+        (true, None) => Place::Detaching,
+        (true, Some(session)) => Place::Background(session),
+    };
     let work = Work {
         scenario: &args.scenario,
         asked: args.choice.asked(),
@@ -130,6 +140,7 @@ pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
         record: args.record.as_deref(),
         journal: !args.no_journal,
         preflight_only: false,
+        place,
         format,
     };
     work.run()
@@ -146,9 +157,19 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
         record: None,
         journal: false,
         preflight_only: true,
+        place: Place::Terminal,
         format,
     };
     work.run()
+}
+
+/// Where a mission runs.
+enum Place {
+    Terminal,
+    /// In a process that has yet to be started.
+    Detaching,
+    /// In this process, which belongs to no terminal, under this name.
+    Background(SessionId),
 }
 
 /// One mission as it was asked for.
@@ -162,6 +183,7 @@ struct Work<'a> {
     record: Option<&'a std::path::Path>,
     journal: bool,
     preflight_only: bool,
+    place: Place,
     format: Format,
 }
 
@@ -175,6 +197,10 @@ impl Work<'_> {
             Ok(chosen) => chosen,
             Err(exit) => return exit,
         };
+        if matches!(self.place, Place::Detaching) {
+            let session = session_name(&choreography.scenario, &ServerClock::anchored(Span::ZERO));
+            return detach::detach(&session, &journal::state_folder().join(session.as_str()), self.format);
+        }
         super::with_runtime(async {
             match self.play(choreography, first_act, &fleet, &fleet_path).await {
                 Ok((report, at_rest)) => {
@@ -200,7 +226,10 @@ impl Work<'_> {
         let failed = |message: String| (message, Exit::Failed);
         let (clock, server_uncertainty) = server_clock(fleet, self.format).await.map_err(failed)?;
         let robots = fleet::robots_in(fleet, &choreography);
-        let session = session_name(&choreography.scenario, &clock);
+        let session = match &self.place {
+            Place::Background(session) => session.clone(),
+            Place::Terminal | Place::Detaching => session_name(&choreography.scenario, &clock),
+        };
         let state = journal::state_folder();
         if !self.preflight_only {
             taken_here(&state, &robots).map_err(failed)?;
@@ -226,7 +255,12 @@ impl Work<'_> {
             keep.recording = Some(Recording::create(path).map_err(|error| usage(error.to_string()))?);
         }
         let folder = state.join(session.as_str());
-        let (said, operator) = operator();
+        let on_hang_up = match self.place {
+            Place::Background(_) => OnHangUp::Stay,
+            Place::Terminal | Place::Detaching => OnHangUp::End,
+        };
+        let (lane, mut operator) = stop_lane(on_hang_up).map_err(failed)?;
+        let said = lane.said();
         let (tell_report, report_told) = watch::channel(None);
         if self.journal {
             let absolute =
@@ -239,8 +273,14 @@ impl Work<'_> {
                 asked: self.asked.clone(),
                 robots: robots.iter().map(|robot| (robot.id.clone(), robot.address.to_string())).collect(),
             };
-            journal::forget_old(&state);
-            keep.journal = Some(open_journal(&folder, &opened, &clock).map_err(usage)?);
+            let of_mission = folder.clone();
+            let opening = move || {
+                journal::forget_old(&state);
+                open_journal(&of_mission, &opened, &clock)
+            };
+            keep.journal = Some(unless_stopped(&mut operator, opening).await?.map_err(usage)?);
+            // In the lane: nothing that stands still here keeps a stop from being heard.
+            let _in_the_lane = lane.runtime().enter();
             if let Err(error) = control::listen(&folder, said.clone(), report_told) {
                 console::warn(&format!(
                     "`downbeat stop` and `downbeat go` will not reach this mission: {error}"
@@ -250,6 +290,7 @@ impl Work<'_> {
         if choreography.acts.iter().any(|act| act.wait == Wait::Operator) {
             go_by_enter(said);
         }
+        keep.stop_lane = Some(lane);
         let host_options = HostOptions { realtime: self.how.realtime, ..HostOptions::default() };
         let (host, endpoints) =
             fleet::endpoints(&robots, fleet.handshake, host_options).map_err(|e| failed(e.to_string()))?;
@@ -284,6 +325,23 @@ impl StartAt {
         match self {
             Self::Instant(at) => at,
             Self::TimeOfDay(time) => crate::mission::next_time_of_day(now, time, utc_offset),
+        }
+    }
+}
+
+/// Waits for a disk that may stand still, unless the operator stops before anything was sent.
+async fn unless_stopped<T: Send + 'static>(
+    operator: &mut mpsc::Receiver<Operator>,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, (String, Exit)> {
+    let mut working = tokio::task::spawn_blocking(work);
+    loop {
+        tokio::select! {
+            done = &mut working => return done.map_err(|error| (error.to_string(), Exit::Failed)),
+            Some(word) = operator.recv() => if word != Operator::Go {
+                let message = "stopped by the operator while the journal was opened; nothing was sent";
+                return Err((message.to_owned(), Exit::Stopped));
+            },
         }
     }
 }
@@ -351,22 +409,9 @@ pub(super) async fn server_clock(fleet: &Fleet, format: Format) -> Result<(Serve
     Ok((ServerClock::anchored(reading.offset), reading.uncertainty))
 }
 
-/// The operator's words: the first Ctrl-C stops, the second leaves; others speak by the sender. The task ends with the
-/// process.
-pub(super) fn operator() -> (mpsc::Sender<Operator>, mpsc::Receiver<Operator>) {
-    let (said, heard) = mpsc::channel(16);
-    let speaker = said.clone();
-    tokio::spawn(async move {
-        for word in [Operator::Stop, Operator::Leave] {
-            // Without a handler the system's own Ctrl-C ends the process; the sender must live on either way.
-            if interrupted().await.is_err() {
-                std::future::pending::<()>().await;
-            }
-            let _ended = speaker.send(word).await;
-        }
-        std::future::pending::<()>().await;
-    });
-    (said, heard)
+/// The stop lane, and what the operator says.
+pub(super) fn stop_lane(on_hang_up: OnHangUp) -> Result<(StopLane, mpsc::Receiver<Operator>), String> {
+    StopLane::start(on_hang_up).map_err(|error| format!("no robot could be stopped: {error}"))
 }
 
 /// Enter at the terminal is the operator's go. The thread ends with the process.
@@ -381,15 +426,6 @@ fn go_by_enter(said: mpsc::Sender<Operator>) {
             }
         }
     });
-}
-
-/// Ctrl-C, or a supervisor's SIGTERM.
-pub(super) async fn interrupted() -> std::io::Result<()> {
-    let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;
-    tokio::select! {
-        pressed = tokio::signal::ctrl_c() => pressed,
-        _ = terminate.recv() => Ok(()),
-    }
 }
 
 pub(super) fn finish(report: &Report, format: Format) -> Exit {

@@ -14,6 +14,7 @@ use crate::mission::{Mission, Progress};
 use crate::recording::Recording;
 use crate::report::Report;
 use crate::server_clock::{NtpWatch, ServerClock};
+use crate::stop_lane::StopLane;
 
 /// What the operator asks for while a mission runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,7 +27,7 @@ pub enum Operator {
     Leave,
 }
 
-/// What is kept of a mission on disk.
+/// What goes with a mission.
 #[derive(Debug, Default)]
 pub struct Keep {
     /// What was promised to whom.
@@ -35,6 +36,8 @@ pub struct Keep {
     pub recording: Option<Recording>,
     /// Follows NTP while the mission goes on.
     pub ntp: Option<NtpWatch>,
+    /// Stops the robots whatever else stands still.
+    pub stop_lane: Option<StopLane>,
 }
 
 /// Runs a mission to its end. `endpoints` stand in the order of the mission's robots.

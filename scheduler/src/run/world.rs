@@ -12,6 +12,7 @@ use crate::link::{Endpoint, Link};
 use crate::mission::{Event, Progress, Record};
 use crate::recording::Recording;
 use crate::server_clock::{NtpState, NtpWatch, ServerClock};
+use crate::stop_lane::{Passage, StopLane};
 
 /// Events that may wait for the mission; links wait beyond that.
 const EVENTS_MAX: usize = 65_536;
@@ -32,6 +33,7 @@ pub(super) struct RealWorld<T> {
     journal: FileJournal,
     recording: Option<Recording>,
     notes: Vec<Note>,
+    stop_lane: Option<StopLane>,
 }
 
 enum FileJournal {
@@ -51,6 +53,10 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         keep: Keep,
     ) -> Self {
         let (events, happened) = mpsc::channel(EVENTS_MAX);
+        let mut stop_lane = keep.stop_lane;
+        if let Some(lane) = &mut stop_lane {
+            lane.guard(&endpoints, clock, &events);
+        }
         let journal = keep.journal.map_or(FileJournal::None, |journal| match Writer::start(journal) {
             Ok(writer) => FileJournal::Written(writer),
             Err(error) => FileJournal::Lost(format!("no thread for the journal: {error}")),
@@ -68,6 +74,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
             journal,
             recording: keep.recording,
             notes: Vec::new(),
+            stop_lane,
         }
     }
 
@@ -80,7 +87,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
             FileJournal::Written(writer) => writer.finish().await,
             FileJournal::None | FileJournal::Lost(_) => None,
         };
-        Keep { journal, recording: self.recording, ntp: self.ntp }
+        Keep { journal, recording: self.recording, ntp: self.ntp, stop_lane: self.stop_lane }
     }
 
     /// The recording's file may make this wait, so nothing that has to be sent waits behind it.
@@ -98,6 +105,9 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
 
     fn note_received(&mut self, happened: &Happened) {
         let (Happened::OnLink { at, event, .. } | Happened::Event { at, event }) = happened else { return };
+        if let (Event::LinkUp { robot }, Some(lane)) = (&**event, &self.stop_lane) {
+            lane.reached(*robot);
+        }
         if let (Event::Received { robot, message }, Some(_)) = (&**event, &self.recording) {
             let (at, robot, message) = (*at, *robot, message.clone());
             self.note(move |recording, ids| recording.received(at, &ids[robot], &message));
@@ -139,8 +149,11 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
         let endpoint = self.endpoints[robot].clone();
         let events = self.events.clone();
-        self.links[robot] =
-            Some(Link::open((robot, link), endpoint, self.clock, events, after.to_duration()));
+        let link = Link::open((robot, link), endpoint, self.clock, events, after.to_duration());
+        if let Some(lane) = &self.stop_lane {
+            lane.links(robot, &link);
+        }
+        self.links[robot] = Some(link);
     }
 
     fn send(
@@ -151,6 +164,9 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
         urgency: Urgency,
     ) -> Result<(), QueueFull> {
         let Some(link) = &self.links[robot] else { return Ok(()) };
+        if self.stop_lane.as_ref().is_some_and(|lane| lane.passes(robot, &message) == Passage::Closed) {
+            return Ok(());
+        }
         let copy = self.recording.is_some().then(|| message.clone());
         link.send(message, urgency)?;
         if let Some(message) = copy {
