@@ -449,6 +449,7 @@ fn told(way: Way, trouble: Trouble, stopped: &Stopped) -> Result<(), String> {
 
 /// Plays the cells of one row, a few at a time, and shows what each took.
 #[track_caller]
+#[expect(clippy::print_stdout, reason = "how long each cell took is shown where it is asked for")]
 fn check_row(way: Way) {
     let only = std::env::var("DOWNBEAT_TROUBLE").ok();
     let troubles =

@@ -26,12 +26,13 @@ use crate::stop_lane::StopLane;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Ctrl-C stops: every robot returns to its default state and confirms it. A second Ctrl-C leaves at
-once and says what was left running. From another terminal `downbeat stop` does the same, and
+once and says what was left running. A closed terminal stops, too, unless the mission runs with --detach. From another terminal `downbeat stop` does the same, and
 `downbeat go` (or Enter here) lets an act begin that waits for the operator.
 
 Examples:
   downbeat run scripts/examples/swap.yaml
   downbeat run show.yaml --fleet stage.yaml --at 19:30 --record show.mcap
+  downbeat run show.yaml --at 19:30 --detach               in the background
   downbeat run show.yaml --speed 0.25 --only arm-1,arm-2    a rehearsal
   downbeat run show.yaml --from finale --format json"
 )]

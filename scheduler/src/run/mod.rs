@@ -14,7 +14,7 @@ use crate::mission::{Mission, Progress};
 use crate::recording::Recording;
 use crate::report::Report;
 use crate::server_clock::{NtpWatch, ServerClock};
-use crate::stop_lane::StopLane;
+use crate::stop_lane::{Before, StopLane};
 
 /// What the operator asks for while a mission runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -62,7 +62,11 @@ pub async fn run_and_keep(
     keep: &mut Keep,
 ) -> Report {
     let ids = (0..endpoints.len()).map(|robot| mission.robot_id(robot).clone()).collect();
-    let mut world = RealWorld::new(endpoints, ids, clock, operator, tell, std::mem::take(keep));
+    let before = Before {
+        session: mission.options().session.clone(),
+        devices: mission.robots().iter().map(|robot| robot.touched.clone()).collect(),
+    };
+    let mut world = RealWorld::new((endpoints, before), ids, clock, operator, tell, std::mem::take(keep));
     let report = drive(&mut mission, &mut world).await;
     *keep = world.finish().await;
     // A real process that is killed does not come here.

@@ -12,7 +12,7 @@ use crate::link::{Endpoint, Link};
 use crate::mission::{Event, Progress, Record};
 use crate::recording::Recording;
 use crate::server_clock::{NtpState, NtpWatch, ServerClock};
-use crate::stop_lane::{Passage, StopLane};
+use crate::stop_lane::{Before, Passage, StopLane};
 
 /// Events that may wait for the mission; links wait beyond that.
 const EVENTS_MAX: usize = 65_536;
@@ -45,7 +45,7 @@ enum FileJournal {
 
 impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
     pub(super) fn new(
-        endpoints: Vec<Endpoint>,
+        (endpoints, before): (Vec<Endpoint>, Before),
         ids: Vec<RobotId>,
         clock: ServerClock,
         operator: mpsc::Receiver<Operator>,
@@ -55,7 +55,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         let (events, happened) = mpsc::channel(EVENTS_MAX);
         let mut stop_lane = keep.stop_lane;
         if let Some(lane) = &mut stop_lane {
-            lane.guard(&endpoints, clock, &events);
+            lane.guard(&endpoints, &before, clock, &events);
         }
         let journal = keep.journal.map_or(FileJournal::None, |journal| match Writer::start(journal) {
             Ok(writer) => FileJournal::Written(writer),
@@ -80,6 +80,9 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
 
     /// Lets go of the links, gives their tasks a moment to write what is queued, and waits for the disk.
     pub(super) async fn finish(mut self) -> Keep {
+        if let Some(lane) = &self.stop_lane {
+            lane.let_go();
+        }
         self.write_notes();
         drop(self.links);
         tokio::time::sleep(Duration::from_millis(20)).await;

@@ -11,12 +11,13 @@ mod sent;
 mod stopping;
 mod words;
 
+use std::collections::BTreeSet;
 use std::io;
 use std::sync::mpsc::sync_channel;
 
 use tokio::runtime::{Builder, Handle};
 use tokio::sync::{mpsc, watch};
-use urrcp::Message;
+use urrcp::{DeviceId, Message, SessionId};
 
 pub(crate) use self::sent::Passage;
 use self::sent::{Book, Sent};
@@ -35,6 +36,14 @@ const WORDS_MAX: usize = 64;
 enum Alarm {
     Quiet,
     Ringing,
+}
+
+/// What an earlier process of the mission has moved.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Before {
+    pub(crate) session: Option<SessionId>,
+    /// Of each robot.
+    pub(crate) devices: Vec<BTreeSet<DeviceId>>,
 }
 
 /// The mission's end of the lane. When it is dropped the robots are let go; signals are heard to the end of the process.
@@ -92,15 +101,18 @@ impl StopLane {
         &self.runtime
     }
 
-    /// Takes the mission's robots into its care, in their order. What they answer to stops goes to `events`.
+    /// Takes the mission's robots into its care, in their order. `before` is what another process has moved of them under this
+    /// session. What they answer to stops goes to `events`.
     pub(crate) fn guard(
         &mut self,
         endpoints: &[Endpoint],
+        before: &Before,
         clock: ServerClock,
         events: &mpsc::Sender<Happened>,
     ) {
         for (robot, endpoint) in endpoints.iter().enumerate() {
-            let sent = watch::Sender::new(Sent::default());
+            let devices = before.devices.get(robot).cloned().unwrap_or_default();
+            let sent = watch::Sender::new(Sent::before(&devices, before.session.clone()));
             let guard = Guard {
                 robot,
                 endpoint: endpoint.clone(),
@@ -119,6 +131,11 @@ impl StopLane {
             });
             self.robots.push(Book::new(sent));
         }
+    }
+
+    /// The mission is over: what it leaves as it is stays so, also if the operator says stop now.
+    pub(crate) fn let_go(&self) {
+        self.over.send_replace(());
     }
 
     /// The mission has made a link to a robot.

@@ -1,18 +1,19 @@
 //! What the mission has sent a robot, as far as a stop has to know it. The mission's loop writes it, the lane reads the
 //! latest; neither waits for the other.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use tokio::sync::{mpsc, watch};
 use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, SessionId, Timestamp};
 
 use crate::link::Link;
+use crate::mission::robot_state::Rest;
 
 /// What a robot was sent.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Sent {
-    /// Devices that were sent anything that moves.
-    pub(super) devices: BTreeSet<DeviceId>,
+    /// Devices that were sent anything that moves, with how a stop leaves them.
+    devices: BTreeMap<DeviceId, Rest>,
     /// The latest timestamp of a request, by the robot's own clock where that is not the server's: a stop takes back all up
     /// to it that arrives later.
     latest: Option<Timestamp<Server>>,
@@ -21,6 +22,14 @@ pub(super) struct Sent {
     pub(super) link: Option<mpsc::UnboundedSender<Message>>,
     /// A link has stood.
     pub(super) reached: bool,
+}
+
+impl Sent {
+    /// Of a mission that another process began.
+    pub(super) fn before(devices: &BTreeSet<DeviceId>, session: Option<SessionId>) -> Self {
+        let devices = devices.iter().map(|device| (device.clone(), Rest::Default)).collect();
+        Self { devices, session, ..Self::default() }
+    }
 }
 
 /// Whether a message may leave.
@@ -50,11 +59,17 @@ impl Book {
     /// Notes a message that is about to be sent.
     pub(super) fn note(&self, message: &Message) -> Moves {
         let Message::ControlRequest(request) = message else { return Moves::Nothing };
-        if !moves(&request.command) {
-            return Moves::Nothing;
+        match &request.command {
+            Command::ReadSensor => Moves::Nothing,
+            Command::Script(script) if script.is_empty() => {
+                self.0.send_modify(|sent| sent.stopped(request));
+                Moves::Nothing
+            }
+            Command::Set(_) | Command::Script(_) | Command::Unknown(_) => {
+                self.0.send_modify(|sent| sent.add(request));
+                Moves::Devices
+            }
         }
-        self.0.send_modify(|sent| sent.add(request));
-        Moves::Devices
     }
 
     pub(super) fn links(&self, link: &Link) {
@@ -66,26 +81,24 @@ impl Book {
     }
 }
 
-/// Readings and stops move nothing that a stop would have to end.
-fn moves(command: &Command) -> bool {
-    match command {
-        Command::ReadSensor => false,
-        Command::Script(script) => !script.is_empty(),
-        Command::Set(_) | Command::Unknown(_) => true,
-    }
-}
-
 impl Sent {
     fn add(&mut self, request: &ControlRequest) {
-        self.devices.insert(request.device_id.clone());
+        self.devices.insert(request.device_id.clone(), Rest::Default);
         self.latest = self.latest.max(request.timestamp);
         self.session.clone_from(&request.session);
+    }
+
+    /// What a failure has stopped where it was stays there: the report says so.
+    fn stopped(&mut self, request: &ControlRequest) {
+        if let Some(rest) = self.devices.get_mut(&request.device_id) {
+            *rest = if request.hold { Rest::Hold } else { Rest::Default };
+        }
     }
 
     /// A stop of every device that was sent anything, each under a name of its own.
     pub(super) fn stops(&self, now: Timestamp<Server>, robot: usize) -> Vec<(RequestId, Message)> {
         let session = self.session.as_ref().map(|session| format!("{session}/")).unwrap_or_default();
-        let stop = |(index, device): (usize, &DeviceId)| {
+        let stop = |(index, (device, rest)): (usize, (&DeviceId, &Rest))| {
             let name = format!("{session}stop/{}/lane/{robot}/{index}", now.as_nanos() / 1_000);
             // Sessions are named by this program, far below the limit.
             let id = RequestId::new(name).ok()?;
@@ -93,6 +106,7 @@ impl Sent {
             request.request_id = Some(id.clone());
             request.timestamp = self.latest;
             request.session.clone_from(&self.session);
+            request.hold = *rest == Rest::Hold;
             Some((id, Message::ControlRequest(request)))
         };
         self.devices.iter().enumerate().filter_map(stop).collect()
@@ -136,6 +150,25 @@ mod tests {
             ("leg".to_owned(), latest, false, "show/stop/1/lane/3/1".to_owned()),
         ];
         assert_eq!(stops.iter().map(told).collect::<Vec<_>>(), expected);
+    }
+
+    #[test]
+    fn what_a_failure_has_stopped_where_it_was_stays_there_until_it_is_moved_again() {
+        let book = Book::new(watch::Sender::new(Sent::default()));
+        let holds = |book: &Book| {
+            let stops = book.0.borrow().stops(Timestamp::from_nanos(0), 0);
+            matches!(&stops[..], [(_, Message::ControlRequest(request))] if request.hold)
+        };
+        let mut hold = request("arm", Command::Script(Script::cancel()), 7);
+        if let Message::ControlRequest(request) = &mut hold {
+            request.hold = true;
+        }
+        book.note(&request("arm", set(), 5));
+        assert!(!holds(&book));
+        book.note(&hold);
+        assert!(holds(&book));
+        book.note(&request("arm", set(), 9));
+        assert!(!holds(&book));
     }
 
     #[test]

@@ -17,8 +17,8 @@ use crate::link::Endpoint;
 use crate::mission::Event;
 use crate::server_clock::ServerClock;
 
-/// Between two tries to keep a connection.
-const TRY_EVERY: Duration = Duration::from_secs(1);
+/// Between two tries to keep a connection, at first and at most; it doubles.
+const TRY_EVERY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
 /// An answer later than this lets the stop go by the mission's own link as well.
 const ANSWERS_SOON: Duration = Duration::from_millis(100);
 /// So long each try may take, from the first to the last; it doubles.
@@ -53,6 +53,7 @@ impl Guard {
             () = &mut ringing => return None,
             () = reached(&mut self.sent) => {}
         }
+        let mut pause = TRY_EVERY.0;
         loop {
             let opened = tokio::select! {
                 biased;
@@ -75,8 +76,9 @@ impl Guard {
             tokio::select! {
                 biased;
                 () = &mut ringing => return None,
-                () = tokio::time::sleep(TRY_EVERY) => {}
+                () = tokio::time::sleep(pause) => {}
             }
+            pause = (pause * 2).min(TRY_EVERY.1);
         }
     }
 
