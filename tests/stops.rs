@@ -102,7 +102,7 @@ on_failure: without
 stop_condition: {{running: none}}
 cues:
   - {{at: 0s, robots: [r0, r1, r2, r3, r5], tracks: {{d: [{positions}]}}}}
-  - {{at: 0s, robots: r4, tracks: {{w: {{control: speed, keyframes: [{speeds}]}}}}}}
+  - {{at: 0s, robots: r4, stop_condition: {{running: 9s}}, tracks: {{w: {{control: speed, keyframes: [{speeds}]}}}}}}
 "
     )
 }
@@ -555,6 +555,62 @@ fn a_mission_in_the_background_outlives_its_terminal_and_is_stopped_by_command()
     let stopped = stage.run(&["stop", told["mission"].as_str().unwrap()]);
     assert_eq!(stopped.code, Some(0), "{stopped}");
     await_that("its report", || std::fs::read_to_string(&log).unwrap().contains("\"outcome\": \"stopped\""));
+}
+
+#[test]
+fn a_stop_leaves_where_it_is_what_a_failure_holds_there() {
+    let mut stage = Stage::new();
+    let arm = one_device(1, 600, 600).replace("    name: d\n", "    name: d\n    default_value: 0\n");
+    stage.file("arm.yaml", arm);
+    stage.robot("arm.yaml", Via::Direct);
+    stage.robot("arm.yaml", Via::Direct);
+    let keys = (0..100)
+        .map(|step| format!("{{at: {}ms, to: {}}}", step * 50, step + 1))
+        .collect::<Vec<_>>()
+        .join(", ");
+    stage.file("play.yaml", format!("scenario: play\nstart_tolerance: 1s\non_failure: hold\nstop_condition: {{running: none}}\ncues:\n  - {{at: 0s, robots: all, tracks: {{d: [{keys}]}}}}\n"));
+    let mut running = stage.start(&["run", "play.yaml", "--patience", "2s"]);
+    stage.robots[1].await_sets(5, Duration::from_secs(30));
+    stage.robots[1].kill();
+    assert!(running.line("stopping all robots").is_some());
+    std::thread::sleep(Duration::from_millis(100));
+    running.process.signal(Signal::INT);
+    let ended = running.ended();
+    assert!(ended.out.contains("r0: held where it was"), "{ended}");
+    let log = stage.robots[0].log();
+    let held = log.iter().rfind(|entry| entry.motion == "set").unwrap().value;
+    let moved = log.iter().find(|entry| entry.motion == "default" && (entry.value - held).abs() > 0.5);
+    assert!(moved.is_none(), "{moved:?}, it stood at {held}\n{ended}");
+}
+
+#[test]
+fn what_a_killed_scheduler_has_moved_is_stopped_while_the_one_that_takes_over_stands_still() {
+    let show = Show::begin(Trouble::FleetChanged);
+    kill_process(show.pid, Signal::KILL).unwrap();
+    std::thread::sleep(Duration::from_millis(100));
+    let (_kept, full) = pipe().unwrap();
+    fill(&full);
+    let mut resume = show.stage.command(&["resume"]);
+    resume.stdout(full.try_clone().unwrap()).stderr(full);
+    let resume = Process(resume.spawn().unwrap());
+    await_that("its socket", || {
+        let folders = std::fs::read_dir(show.stage.path("state")).unwrap();
+        let log = |folder: std::fs::DirEntry| {
+            std::fs::metadata(folder.path().join("control")).ok()?.modified().ok()
+        };
+        let latest = folders.flatten().filter_map(log).max().unwrap();
+        latest > std::fs::metadata(show.stage.path("told")).unwrap().modified().unwrap()
+    });
+    std::thread::sleep(Duration::from_millis(500));
+    let at = epoch_nanos();
+    resume.signal(Signal::TERM);
+    std::thread::sleep(Duration::from_secs(2));
+    for robot in &show.stage.robots {
+        let log = robot.log();
+        let moved = log.iter().rev().find(|entry| entry.motion == "set").unwrap().at;
+        assert!(moved < at + 1_000_000_000, "{} still moved {} ms later", robot.id, (moved - at) / 1_000_000);
+        assert_ne!(log.last().unwrap().motion, "set", "{}", robot.id);
+    }
 }
 
 #[test]
