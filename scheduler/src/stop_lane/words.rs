@@ -19,11 +19,12 @@ pub(super) async fn hear(
     mission: mpsc::Sender<Operator>,
     alarm: watch::Sender<Alarm>,
 ) {
+    let mut before = None;
     loop {
         let word = tokio::select! {
             biased;
             asked = signals.next() => {
-                let word = word_of(asked, *alarm.borrow());
+                let word = word_of(asked, before.replace(asked));
                 if word == Operator::Leave || mission.is_closed() {
                     // Nothing that still keeps the process, as a terminal that takes no report, keeps the operator.
                     tokio::spawn(die_soon(asked));
@@ -41,10 +42,11 @@ async fn die_soon(asked: Asked) {
     die_of(asked);
 }
 
-/// The first signal stops, and a second Ctrl-C leaves. Any other may come twice by itself, as when a terminal closes.
-fn word_of(asked: Asked, alarm: Alarm) -> Operator {
-    match (alarm, asked) {
-        (Alarm::Ringing, Asked::Interrupt) => Operator::Leave,
+/// Every signal stops, but a Ctrl-C after another signal leaves. Any other may come twice by itself, as when a terminal
+/// closes.
+const fn word_of(asked: Asked, before: Option<Asked>) -> Operator {
+    match (before, asked) {
+        (Some(_), Asked::Interrupt) => Operator::Leave,
         _ => Operator::Stop,
     }
 }
@@ -64,5 +66,34 @@ fn pass_on(word: Operator, mission: &mpsc::Sender<Operator>, alarm: &watch::Send
     }
     if stops {
         alarm.send_replace(Alarm::Ringing);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_a_second_ctrl_c_leaves() {
+        assert_eq!(word_of(Asked::Interrupt, None), Operator::Stop);
+        assert_eq!(word_of(Asked::Interrupt, Some(Asked::Interrupt)), Operator::Leave);
+        assert_eq!(word_of(Asked::HangUp, Some(Asked::HangUp)), Operator::Stop);
+        assert_eq!(word_of(Asked::Terminate, Some(Asked::Interrupt)), Operator::Stop);
+    }
+
+    #[test]
+    fn a_mission_that_takes_no_words_hears_of_the_stop_as_soon_as_it_does_and_the_alarm_rings_at_once() {
+        let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
+        runtime.block_on(async {
+            let (mission, mut words) = mpsc::channel(1);
+            let (alarm, ringing) = watch::channel(Alarm::Quiet);
+            pass_on(Operator::Go, &mission, &alarm);
+            pass_on(Operator::Go, &mission, &alarm);
+            assert_eq!(*ringing.borrow(), Alarm::Quiet);
+            pass_on(Operator::Stop, &mission, &alarm);
+            assert_eq!(*ringing.borrow(), Alarm::Ringing);
+            assert_eq!(words.recv().await, Some(Operator::Go));
+            assert_eq!(words.recv().await, Some(Operator::Stop));
+        });
     }
 }
