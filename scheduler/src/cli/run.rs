@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use downbeat_robot::HostOptions;
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Wait};
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{mpsc, oneshot};
 use urrcp::{Server, SessionId, Span, Timestamp};
 
 use super::choice::{self, ChoiceArgs};
@@ -13,11 +13,12 @@ use super::live::Live;
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console, robot};
 use crate::fleet;
-use crate::journal::{self, Asked, Journal, Opened};
+use crate::journal::{self, Asked, Journal, Life, Missions, Opened, OpenedRobot};
 use crate::mission::{Join, Mission, MissionOptions};
 use crate::recording::Recording;
 use crate::report::{Outcome, Report, StopState, report_text};
-use crate::run::{Keep, Operator, control};
+use crate::run::control::Control;
+use crate::run::{Keep, Operator};
 use crate::server_clock::{self, NTP_WATCH_INTERVAL, NtpWatch, ServerClock};
 
 /// Play a scenario on the fleet: all robots start together, or none does.
@@ -227,7 +228,7 @@ impl Work<'_> {
         }
         let folder = state.join(session.as_str());
         let (said, operator) = operator();
-        let (tell_report, report_told) = watch::channel(None);
+        let mut control = None;
         if self.journal {
             let absolute =
                 |path: &std::path::Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
@@ -237,15 +238,13 @@ impl Work<'_> {
                 scenario: absolute(&self.scenario.scenario),
                 fleet: absolute(fleet_path),
                 asked: self.asked.clone(),
-                robots: robots.iter().map(|robot| (robot.id.clone(), robot.address.to_string())).collect(),
+                greeting: fleet::greeting(fleet),
+                clock_offset: clock.offset(),
+                robots: robots.iter().map(|robot| opened_robot(robot)).collect(),
             };
             journal::forget_old(&state);
             keep.journal = Some(open_journal(&folder, &opened, &clock).map_err(usage)?);
-            if let Err(error) = control::listen(&folder, said.clone(), report_told) {
-                console::warn(&format!(
-                    "`downbeat stop` and `downbeat go` will not reach this mission: {error}"
-                ));
-            }
+            control = listen(&folder, said.clone());
         }
         if choreography.acts.iter().any(|act| act.wait == Wait::Operator) {
             go_by_enter(said);
@@ -272,9 +271,9 @@ impl Work<'_> {
         if let Some(recording) = keep.recording.take() {
             recording.finish().map_err(|error| failed(error.to_string()))?;
         }
-        let _nobody_waits = tell_report.send(serde_json::to_string(&report).ok());
-        // Whoever said stop hears the report before the process ends.
-        tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+        if let Some(control) = control {
+            control.end(serde_json::to_string(&report).ok()).await;
+        }
         Ok((report, host.is_none_or(robot::stop)))
     }
 }
@@ -286,6 +285,26 @@ impl StartAt {
             Self::TimeOfDay(time) => crate::mission::next_time_of_day(now, time, utc_offset),
         }
     }
+}
+
+/// Where it fails, the mission still plays.
+pub(super) fn listen(folder: &std::path::Path, said: mpsc::Sender<Operator>) -> Option<Control> {
+    let listening = Control::listen(folder, said);
+    let failed = |error: &std::io::Error| {
+        console::warn(&format!(
+            "`downbeat go` will not reach this mission, `downbeat stop` only its robots: {error}"
+        ));
+    };
+    listening.inspect_err(failed).ok()
+}
+
+/// What a stop has to know of a robot when nothing but the journal is left.
+fn opened_robot(robot: &FleetRobot) -> OpenedRobot {
+    let init = match robot.address {
+        Address::Thrift { .. } | Address::Program { .. } => robot.init.clone(),
+        Address::Tcp { .. } | Address::Simulated => None,
+    };
+    OpenedRobot { robot: robot.id.clone(), address: robot.address.to_string(), init }
 }
 
 fn open_journal(folder: &std::path::Path, opened: &Opened, clock: &ServerClock) -> Result<Journal, String> {
@@ -323,10 +342,10 @@ pub(super) fn utc_offset() -> Span {
 /// schedulers on other machines.
 fn taken_here(state: &std::path::Path, robots: &[&FleetRobot]) -> Result<(), String> {
     let mut taken = Vec::new();
-    for mission in journal::missions(state).into_iter().filter(|mission| mission.alive) {
-        let opened = &mission.kept.opened;
+    for mission in Missions::of(state).found.into_iter().filter(|mission| mission.life == Life::Running) {
+        let opened = &mission.opened;
         for robot in robots.iter().filter(|robot| robot.address != Address::Simulated) {
-            if opened.robots.iter().any(|(_, address)| *address == robot.address.to_string()) {
+            if opened.robots.iter().any(|opened| opened.address == robot.address.to_string()) {
                 let text = format!(
                     "robot `{}` is in mission `{}` (process {})",
                     robot.id, opened.session, opened.pid
@@ -376,8 +395,12 @@ fn go_by_enter(said: mpsc::Sender<Operator>) {
     }
     std::thread::spawn(move || {
         for line in std::io::stdin().lock().lines() {
-            if line.is_err() || said.blocking_send(Operator::Go).is_err() {
+            let (answer, answered) = oneshot::channel();
+            if line.is_err() || said.blocking_send(Operator::Go { act: None, answer }).is_err() {
                 return;
+            }
+            if let Ok(Err(reason)) = answered.blocking_recv() {
+                console::note(&format!("no go: {reason}"));
             }
         }
     });
