@@ -22,6 +22,7 @@ mod robots;
 mod schema;
 mod session;
 mod silence;
+mod stop_command;
 mod stops;
 mod thrift_robot;
 mod told;

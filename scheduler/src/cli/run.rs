@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use downbeat_robot::HostOptions;
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Wait};
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{mpsc, oneshot};
 use urrcp::{Server, SessionId, Span, Timestamp};
 
 use super::choice::{self, ChoiceArgs};
@@ -13,11 +13,12 @@ use super::live::Live;
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console, detach, robot};
 use crate::fleet;
-use crate::journal::{self, Asked, Journal, Opened};
+use crate::journal::{self, Asked, Journal, Life, Missions, Opened, OpenedRobot};
 use crate::mission::{Join, Mission, MissionOptions};
 use crate::recording::Recording;
 use crate::report::{Outcome, Report, StopState, report_text};
-use crate::run::{Keep, Operator, control};
+use crate::run::control::Control;
+use crate::run::{Keep, Operator};
 use crate::server_clock::{self, NTP_WATCH_INTERVAL, NtpWatch, ServerClock};
 use crate::signals::OnHangUp;
 use crate::stop_lane::StopLane;
@@ -261,8 +262,7 @@ impl Work<'_> {
             Place::Terminal | Place::Detaching => OnHangUp::End,
         };
         let (lane, mut operator) = stop_lane(on_hang_up).map_err(failed)?;
-        let said = lane.said();
-        let (tell_report, report_told) = watch::channel(None);
+        let mut control = None;
         if self.journal {
             let absolute =
                 |path: &std::path::Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
@@ -272,7 +272,9 @@ impl Work<'_> {
                 scenario: absolute(&self.scenario.scenario),
                 fleet: absolute(fleet_path),
                 asked: self.asked.clone(),
-                robots: robots.iter().map(|robot| (robot.id.clone(), robot.address.to_string())).collect(),
+                greeting: fleet::greeting(fleet),
+                clock_offset: clock.offset(),
+                robots: robots.iter().map(|robot| opened_robot(robot)).collect(),
             };
             let of_mission = folder.clone();
             let opening = move || {
@@ -280,16 +282,10 @@ impl Work<'_> {
                 open_journal(&of_mission, &opened, &clock)
             };
             keep.journal = Some(unless_stopped(&mut operator, opening).await?.map_err(usage)?);
-            // In the lane: nothing that stands still here keeps a stop from being heard.
-            let _in_the_lane = lane.runtime().enter();
-            if let Err(error) = control::listen(&folder, said.clone(), report_told) {
-                console::warn(&format!(
-                    "`downbeat stop` and `downbeat go` will not reach this mission: {error}"
-                ));
-            }
+            control = listen(&folder, &lane);
         }
         if choreography.acts.iter().any(|act| act.wait == Wait::Operator) {
-            go_by_enter(said);
+            go_by_enter(&lane);
         }
         keep.stop_lane = Some(lane);
         let host_options = HostOptions { realtime: self.how.realtime, ..HostOptions::default() };
@@ -314,9 +310,9 @@ impl Work<'_> {
         if let Some(recording) = keep.recording.take() {
             recording.finish().map_err(|error| failed(error.to_string()))?;
         }
-        let _nobody_waits = tell_report.send(serde_json::to_string(&report).ok());
-        // Whoever said stop hears the report before the process ends.
-        tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+        if let Some(control) = control {
+            control.end(serde_json::to_string(&report).ok()).await;
+        }
         Ok((report, host.is_none_or(robot::stop)))
     }
 }
@@ -339,12 +335,32 @@ async fn unless_stopped<T: Send + 'static>(
     loop {
         tokio::select! {
             done = &mut working => return done.map_err(|error| (error.to_string(), Exit::Failed)),
-            Some(word) = operator.recv() => if word != Operator::Go {
+            Some(word) = operator.recv() => if matches!(word, Operator::Stop | Operator::Leave) {
                 let message = "stopped by the operator while the journal was opened; nothing was sent";
                 return Err((message.to_owned(), Exit::Stopped));
             },
         }
     }
+}
+
+/// Where it fails, the mission still plays.
+pub(super) fn listen(folder: &std::path::Path, lane: &StopLane) -> Option<Control> {
+    let listening = Control::listen(folder, lane);
+    let failed = |error: &std::io::Error| {
+        console::warn(&format!(
+            "`downbeat go` will not reach this mission, `downbeat stop` only its robots: {error}"
+        ));
+    };
+    listening.inspect_err(failed).ok()
+}
+
+/// What a stop has to know of a robot when nothing but the journal is left.
+fn opened_robot(robot: &FleetRobot) -> OpenedRobot {
+    let init = match robot.address {
+        Address::Thrift { .. } | Address::Program { .. } => robot.init.clone(),
+        Address::Tcp { .. } | Address::Simulated => None,
+    };
+    OpenedRobot { robot: robot.id.clone(), address: robot.address.to_string(), init }
 }
 
 fn open_journal(folder: &std::path::Path, opened: &Opened, clock: &ServerClock) -> Result<Journal, String> {
@@ -382,10 +398,10 @@ pub(super) fn utc_offset() -> Span {
 /// schedulers on other machines.
 fn taken_here(state: &std::path::Path, robots: &[&FleetRobot]) -> Result<(), String> {
     let mut taken = Vec::new();
-    for mission in journal::missions(state).into_iter().filter(|mission| mission.alive) {
-        let opened = &mission.kept.opened;
+    for mission in Missions::of(state).found.into_iter().filter(|mission| mission.life == Life::Running) {
+        let opened = &mission.opened;
         for robot in robots.iter().filter(|robot| robot.address != Address::Simulated) {
-            if opened.robots.iter().any(|(_, address)| *address == robot.address.to_string()) {
+            if opened.robots.iter().any(|opened| opened.address == robot.address.to_string()) {
                 let text = format!(
                     "robot `{}` is in mission `{}` (process {})",
                     robot.id, opened.session, opened.pid
@@ -416,14 +432,20 @@ pub(super) fn stop_lane(on_hang_up: OnHangUp) -> Result<(StopLane, mpsc::Receive
 }
 
 /// Enter at the terminal is the operator's go. The thread ends with the process.
-fn go_by_enter(said: mpsc::Sender<Operator>) {
+fn go_by_enter(lane: &StopLane) {
     if !std::io::stdin().is_terminal() {
         return;
     }
+    let (voice, lane) = (lane.voice(), lane.runtime().clone());
     std::thread::spawn(move || {
         for line in std::io::stdin().lock().lines() {
-            if line.is_err() || said.blocking_send(Operator::Go).is_err() {
+            let (answer, answered) = oneshot::channel();
+            let go = Operator::Go { act: None, answer };
+            if line.is_err() || lane.block_on(voice.say(go)).is_err() {
                 return;
+            }
+            if let Ok(Err(reason)) = answered.blocking_recv() {
+                console::note(&format!("no go: {reason}"));
             }
         }
     });

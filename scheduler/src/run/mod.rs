@@ -3,7 +3,7 @@
 pub mod control;
 mod world;
 
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use urrcp::{Server, Timestamp};
 
 use self::world::RealWorld;
@@ -17,10 +17,15 @@ use crate::server_clock::{NtpWatch, ServerClock};
 use crate::stop_lane::{Before, StopLane};
 
 /// What the operator asks for while a mission runs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Debug)]
 pub enum Operator {
     /// Let the act begin that waits for it.
-    Go,
+    Go {
+        /// Which act is meant; `None`: whichever waits.
+        act: Option<String>,
+        /// Hears which act it lets begin, or why it counts for none; nothing when the mission ends before.
+        answer: oneshot::Sender<Result<String, String>>,
+    },
     /// Stop all robots and wait for their confirmation.
     Stop,
     /// Leave at once.

@@ -1,8 +1,9 @@
 //! The real world of a mission: tokio's links and timers, the journal's thread, the recording's file.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use urrcp::{Message, RobotId, Server, Span, Timestamp};
 
 use super::{Keep, Operator};
@@ -28,6 +29,8 @@ pub(super) struct RealWorld<T> {
     events: mpsc::Sender<Happened>,
     happened: mpsc::Receiver<Happened>,
     operator: mpsc::Receiver<Operator>,
+    /// Who waits for the answer to a go, the oldest first.
+    unanswered: VecDeque<oneshot::Sender<Result<String, String>>>,
     ntp: Option<NtpWatch>,
     tell: T,
     journal: FileJournal,
@@ -69,6 +72,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
             events,
             happened,
             operator,
+            unanswered: VecDeque::new(),
             ntp: keep.ntp,
             tell,
             journal,
@@ -133,7 +137,10 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
             biased;
             word = self.operator.recv() => match word {
                 Some(Operator::Stop) => self.event(Event::StopRequested),
-                Some(Operator::Go) => self.event(Event::Go),
+                Some(Operator::Go { act, answer }) => {
+                    self.unanswered.push_back(answer);
+                    self.event(Event::Go { act })
+                }
                 Some(Operator::Leave) | None => Some(Happened::Left),
             },
             written = next_written(&mut self.journal) => self.event(match written.lost {
@@ -202,6 +209,12 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     fn tell(&mut self, at: Timestamp<Server>, progress: Progress) {
         (self.tell)(at, &progress);
         self.note(move |recording, _| recording.progress(at, &progress));
+    }
+
+    fn answer(&mut self, answer: Result<String, String>) {
+        if let Some(asked) = self.unanswered.pop_front() {
+            let _gone = asked.send(answer);
+        }
     }
 }
 

@@ -20,6 +20,7 @@ use tokio::sync::{mpsc, watch};
 use urrcp::{DeviceId, Message, SessionId};
 
 pub(crate) use self::sent::Passage;
+pub use self::words::{MissionOver, Voice};
 use self::sent::{Book, Sent};
 use self::stopping::Guard;
 use crate::drive::Happened;
@@ -50,7 +51,7 @@ pub(crate) struct Before {
 #[derive(Debug)]
 pub struct StopLane {
     runtime: Handle,
-    said: mpsc::Sender<Operator>,
+    voice: Voice,
     alarm: watch::Receiver<Alarm>,
     robots: Vec<Book>,
     /// The robots' tasks end with it.
@@ -63,9 +64,10 @@ impl StopLane {
     /// # Errors
     /// The system gives no thread, no runtime or no signal handlers.
     pub fn start(on_hang_up: OnHangUp) -> io::Result<(Self, mpsc::Receiver<Operator>)> {
-        let (said, heard) = mpsc::channel(WORDS_MAX);
-        let (to_mission, operator) = mpsc::channel(WORDS_MAX);
+        let (mission, operator) = mpsc::channel(WORDS_MAX);
         let (ring, alarm) = watch::channel(Alarm::Quiet);
+        let voice = Voice::new(mission, ring);
+        let of_signals = voice.clone();
         let (ready, started) = sync_channel(1);
         // Ends with the process: signals have to be heard as long as it lives.
         std::thread::Builder::new().name("stop-lane".to_owned()).spawn(move || {
@@ -77,7 +79,7 @@ impl StopLane {
                 match crate::signals::Signals::listen(on_hang_up) {
                     Ok(signals) => {
                         let _waited_for = ready.send(Ok(Handle::current()));
-                        words::hear(signals, heard, to_mission, ring).await;
+                        words::hear(signals, of_signals).await;
                     }
                     Err(error) => drop(ready.send(Err(error))),
                 }
@@ -86,13 +88,13 @@ impl StopLane {
         let gone = |_| io::Error::other("the stop lane has ended");
         let runtime = started.recv().map_err(gone)??;
         let (robots, over) = (Vec::new(), watch::Sender::new(()));
-        Ok((Self { runtime, said, alarm, robots, over }, operator))
+        Ok((Self { runtime, voice, alarm, robots, over }, operator))
     }
 
-    /// Where the operator's words go in.
+    /// By which others speak for the operator.
     #[must_use]
-    pub fn said(&self) -> mpsc::Sender<Operator> {
-        self.said.clone()
+    pub fn voice(&self) -> Voice {
+        self.voice.clone()
     }
 
     /// The runtime of the lane, for what has to hear a stop whatever else stands still.

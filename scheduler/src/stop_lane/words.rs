@@ -12,28 +12,63 @@ use crate::signals::{Asked, Signals, die_of};
 /// Once told to leave at once, or when the mission is over, the process may take so long to say what it has to.
 const LEAVES_WITHIN: Duration = Duration::from_secs(10);
 
-/// Hears everything until the process ends.
-pub(super) async fn hear(
-    mut signals: Signals,
-    mut heard: mpsc::Receiver<Operator>,
+/// Speaks for the operator: the mission hears every word, and the robots hear of a stop at once.
+#[derive(Clone, Debug)]
+pub struct Voice {
     mission: mpsc::Sender<Operator>,
     alarm: watch::Sender<Alarm>,
-) {
+}
+
+/// The mission is over: it takes no more words.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct MissionOver;
+
+impl Voice {
+    pub(super) const fn new(mission: mpsc::Sender<Operator>, alarm: watch::Sender<Alarm>) -> Self {
+        Self { mission, alarm }
+    }
+
+    /// Says a word; returns once the mission has it among those that it takes next. A stop rings the alarm before that, but
+    /// where the mission has room it has the word first, so that it knows why its robots end what they do.
+    ///
+    /// # Errors
+    /// [`MissionOver`].
+    pub async fn say(&self, word: Operator) -> Result<(), MissionOver> {
+        let stops = matches!(word, Operator::Stop);
+        let tried = self.mission.try_send(word);
+        if stops {
+            self.alarm.send_replace(Alarm::Ringing);
+        }
+        match tried {
+            Ok(()) => Ok(()),
+            Err(TrySendError::Full(word)) => self.mission.send(word).await.map_err(|_| MissionOver),
+            Err(TrySendError::Closed(_)) => Err(MissionOver),
+        }
+    }
+
+    /// Whether the mission has taken all that was said, or is over.
+    #[must_use]
+    pub fn is_heard(&self) -> bool {
+        self.mission.is_closed() || self.mission.capacity() == self.mission.max_capacity()
+    }
+
+    fn is_over(&self) -> bool {
+        self.mission.is_closed()
+    }
+}
+
+/// Hears the signals until the process ends.
+pub(super) async fn hear(mut signals: Signals, voice: Voice) {
     let mut before = None;
     loop {
-        let word = tokio::select! {
-            biased;
-            asked = signals.next() => {
-                let word = word_of(asked, before.replace(asked));
-                if word == Operator::Leave || mission.is_closed() {
-                    // Nothing that still keeps the process, as a terminal that takes no report, keeps the operator.
-                    tokio::spawn(die_soon(asked));
-                }
-                word
-            }
-            Some(word) = heard.recv() => word,
-        };
-        pass_on(word, &mission, &alarm);
+        let asked = signals.next().await;
+        let word = word_of(asked, before.replace(asked));
+        if matches!(word, Operator::Leave) || voice.is_over() {
+            // Nothing that still keeps the process, as a terminal that takes no report, keeps the operator.
+            tokio::spawn(die_soon(asked));
+        }
+        let voice = voice.clone();
+        tokio::spawn(async move { voice.say(word).await });
     }
 }
 
@@ -51,49 +86,35 @@ const fn word_of(asked: Asked, before: Option<Asked>) -> Operator {
     }
 }
 
-/// The mission hears of a stop before the robots do, so that it knows why they end what they do.
-fn pass_on(word: Operator, mission: &mpsc::Sender<Operator>, alarm: &watch::Sender<Alarm>) {
-    let stops = word == Operator::Stop;
-    match mission.try_send(word) {
-        // A mission that stands still takes no second go; a stop waits for it.
-        Err(TrySendError::Full(word @ (Operator::Stop | Operator::Leave))) => {
-            let mission = mission.clone();
-            tokio::spawn(async move {
-                let _ended = mission.send(word).await;
-            });
-        }
-        Ok(()) | Err(TrySendError::Full(_) | TrySendError::Closed(_)) => {}
-    }
-    if stops {
-        alarm.send_replace(Alarm::Ringing);
-    }
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
     fn only_a_second_ctrl_c_leaves() {
-        assert_eq!(word_of(Asked::Interrupt, None), Operator::Stop);
-        assert_eq!(word_of(Asked::Interrupt, Some(Asked::Interrupt)), Operator::Leave);
-        assert_eq!(word_of(Asked::HangUp, Some(Asked::HangUp)), Operator::Stop);
-        assert_eq!(word_of(Asked::Terminate, Some(Asked::Interrupt)), Operator::Stop);
+        let leaves = |asked, before| matches!(word_of(asked, before), Operator::Leave);
+        assert!(!leaves(Asked::Interrupt, None));
+        assert!(leaves(Asked::Interrupt, Some(Asked::Interrupt)));
+        assert!(!leaves(Asked::HangUp, Some(Asked::HangUp)));
+        assert!(!leaves(Asked::Terminate, Some(Asked::Interrupt)));
     }
 
     #[test]
-    fn a_mission_that_takes_no_words_hears_of_the_stop_as_soon_as_it_does_and_the_alarm_rings_at_once() {
+    fn the_alarm_rings_at_once_and_a_mission_that_takes_no_words_hears_of_the_stop_as_soon_as_it_does() {
         let runtime = tokio::runtime::Builder::new_current_thread().build().unwrap();
         runtime.block_on(async {
             let (mission, mut words) = mpsc::channel(1);
             let (alarm, ringing) = watch::channel(Alarm::Quiet);
-            pass_on(Operator::Go, &mission, &alarm);
-            pass_on(Operator::Go, &mission, &alarm);
+            let voice = Voice::new(mission, alarm);
+            voice.say(Operator::Leave).await.unwrap();
             assert_eq!(*ringing.borrow(), Alarm::Quiet);
-            pass_on(Operator::Stop, &mission, &alarm);
+            let speaking = tokio::spawn(async move { voice.say(Operator::Stop).await });
+            tokio::task::yield_now().await;
             assert_eq!(*ringing.borrow(), Alarm::Ringing);
-            assert_eq!(words.recv().await, Some(Operator::Go));
-            assert_eq!(words.recv().await, Some(Operator::Stop));
+            assert!(!speaking.is_finished());
+            assert!(matches!(words.recv().await, Some(Operator::Leave)));
+            assert!(matches!(words.recv().await, Some(Operator::Stop)));
+            assert_eq!(speaking.await.unwrap(), Ok(()));
         });
     }
 }
