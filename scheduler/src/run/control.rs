@@ -24,6 +24,8 @@ const LINE_MAX: u64 = 4_096;
 const SILENCE_MAX: Duration = Duration::from_secs(1);
 /// How often a mission that stops says that it is alive.
 const ALIVE_EVERY: Duration = Duration::from_millis(250);
+/// A mission whose loop has not turned for so long while it stops is given up: whoever said stop asks the robots then.
+const STANDS_STILL: Duration = Duration::from_secs(2);
 /// How often it is looked whether the mission has taken a word.
 const TAKEN_RETRY: Duration = Duration::from_millis(2);
 
@@ -121,13 +123,21 @@ impl Listener {
             tokio::time::sleep(TAKEN_RETRY).await;
         }
         self.say("heard").await?;
+        let (mut turns, mut still) = (self.voice.turns(), Duration::ZERO);
         loop {
             let reported = timeout(ALIVE_EVERY, self.report.wait_for(Option::is_some)).await;
             match reported.map(|report| report.ok().and_then(|report| report.clone())) {
                 Ok(Some(report)) => return self.say(&report).await,
                 // The mission ended without one.
                 Ok(None) => return Ok(()),
-                Err(_) => self.say("alive").await?,
+                // Robots are asked again at least once a second.
+                Err(_) if still >= STANDS_STILL => return Ok(()),
+                Err(_) => {
+                    let now = self.voice.turns();
+                    still = if now == turns && now.is_some() { still + ALIVE_EVERY } else { Duration::ZERO };
+                    turns = now;
+                    self.say("alive").await?;
+                }
             }
         }
     }

@@ -133,6 +133,9 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
 
     async fn next(&mut self, until: Option<Timestamp<Server>>) -> Option<Happened> {
         self.write_notes();
+        if let Some(lane) = &self.stop_lane {
+            lane.turned();
+        }
         tokio::select! {
             biased;
             word = self.operator.recv() => match word {

@@ -20,9 +20,9 @@ use tokio::sync::{mpsc, watch};
 use urrcp::{DeviceId, Message, SessionId};
 
 pub(crate) use self::sent::Passage;
-pub use self::words::{MissionOver, Voice};
 use self::sent::{Book, Sent};
 use self::stopping::Guard;
+pub use self::words::{MissionOver, Voice};
 use crate::drive::Happened;
 use crate::link::{Endpoint, Link};
 use crate::run::Operator;
@@ -137,7 +137,13 @@ impl StopLane {
 
     /// The mission is over: what it leaves as it is stays so, also if the operator says stop now.
     pub(crate) fn let_go(&self) {
+        self.voice.ended();
         self.over.send_replace(());
+    }
+
+    /// The mission's loop goes on.
+    pub(crate) fn turned(&self) {
+        self.voice.turned();
     }
 
     /// The mission has made a link to a robot.

@@ -1,5 +1,7 @@
 //! What the operator says, by signals or by the mission's socket: a stop rings the alarm, and the mission hears every word.
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 use tokio::sync::mpsc::error::TrySendError;
@@ -17,15 +19,35 @@ const LEAVES_WITHIN: Duration = Duration::from_secs(10);
 pub struct Voice {
     mission: mpsc::Sender<Operator>,
     alarm: watch::Sender<Alarm>,
+    /// How often the mission's loop has turned; [`OVER`] once it has ended.
+    turns: Arc<AtomicU64>,
 }
+
+const OVER: u64 = u64::MAX;
 
 /// The mission is over: it takes no more words.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct MissionOver;
 
 impl Voice {
-    pub(super) const fn new(mission: mpsc::Sender<Operator>, alarm: watch::Sender<Alarm>) -> Self {
-        Self { mission, alarm }
+    pub(super) fn new(mission: mpsc::Sender<Operator>, alarm: watch::Sender<Alarm>) -> Self {
+        Self { mission, alarm, turns: Arc::default() }
+    }
+
+    /// The mission's loop goes on.
+    pub(super) fn turned(&self) {
+        self.turns.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// The mission's loop has ended.
+    pub(super) fn ended(&self) {
+        self.turns.store(OVER, Ordering::Relaxed);
+    }
+
+    /// How often the mission's loop has turned; `None` once it has ended. One that stands still does not turn.
+    #[must_use]
+    pub fn turns(&self) -> Option<u64> {
+        Some(self.turns.load(Ordering::Relaxed)).filter(|turns| *turns != OVER)
     }
 
     /// Says a word; returns once the mission has it among those that it takes next. A stop rings the alarm before that, but
