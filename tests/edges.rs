@@ -102,8 +102,12 @@ impl Edge {
     }
 
     /// Its exit code and what it said.
-    fn end(mut self) -> (Option<i32>, String) {
-        signal(&self.0, "TERM");
+    fn end(self) -> (Option<i32>, String) {
+        self.ends_by("TERM")
+    }
+
+    fn ends_by(mut self, name: &str) -> (Option<i32>, String) {
+        signal(&self.0, name);
         let mut said = String::new();
         self.0.stderr.take().unwrap().read_to_string(&mut said).unwrap();
         (self.0.wait().unwrap().code(), said)
@@ -480,6 +484,57 @@ fn a_shell_script_drives_a_robot_and_is_restarted_when_it_dies() {
     let expected = "hello\nset left position 0\nset right position 0\nread battery\nset left position 40\nset left position -20\nset left position 0\n";
     assert!(driven().starts_with(expected), "{}", driven());
     assert!(driven().ends_with("set left position 0\nset right position 0\n"), "{}", driven());
+}
+
+/// A program drives a wheel, and the edge is sent these signals, one after another. What the program was told.
+fn driven_until(signals: &[&str]) -> (Option<i32>, String) {
+    let session = Session::new();
+    session.file("drive.sh", DRIVE).file("wheel.yaml", WHEEL);
+    let edge = Edge::start(&session, "wheel.yaml", "program:sh drive.sh driven.txt");
+    let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
+    let fleet = format!("robots: {{wheel: {{init: wheel.yaml, address: 'tcp://127.0.0.1:{}'}}}}\n", edge.1);
+    session.file("fleet.yaml", fleet).file("turn.yaml", TURN);
+    let mut running = session.command(&["run", "turn.yaml"]).spawn().unwrap();
+    await_that("the wheel", || driven().ends_with("set wheel speed 5\n"));
+    signals[..signals.len() - 1].iter().for_each(|name| signal(&edge.0, name));
+    std::thread::sleep(Duration::from_millis(50));
+    assert!(driven().ends_with("set wheel speed 5\n"), "{signals:?}: {}", driven());
+    let (code, _) = edge.ends_by(signals[signals.len() - 1]);
+    let _gone = running.kill();
+    let _reaped = running.wait();
+    (code, driven())
+}
+
+const WHEEL: &str = "id: wheel
+api_version: '1'
+reports: true
+devices:
+  - id: wheel
+    name: wheel
+    available_control_types:
+      speed: {min_value: 0, max_value: 10, granularity: 1}
+      script: {min_value: 0, max_value: 10, granularity: 1, max_number_of_steps: 8, control_types: [speed]}
+";
+
+const TURN: &str = "scenario: turn
+stop_condition: {running: none}
+cues: [{at: 0s, robots: wheel, tracks: {wheel: {control: speed, keyframes: [{at: 0s, to: 5}, {at: 60s, to: 0}]}}}]
+";
+
+#[test]
+fn a_driver_is_told_to_stop_last_whatever_signal_asks_the_edge_to_end() {
+    for name in ["INT", "TERM", "HUP", "QUIT"] {
+        let (code, driven) = driven_until(&[name]);
+        assert!(driven.ends_with("set wheel speed 0\n"), "{name}: {driven}");
+        assert_eq!(code, Some(0), "{name}");
+    }
+}
+
+#[test]
+fn signals_that_ask_for_nothing_do_not_end_an_edge() {
+    let (code, driven) = driven_until(&["USR1", "USR2", "XFSZ", "PIPE", "TERM"]);
+    assert!(driven.ends_with("set wheel speed 0\n"), "{driven}");
+    assert_eq!(code, Some(0));
 }
 
 #[test]

@@ -27,6 +27,8 @@ mod robots;
 mod schema;
 mod session;
 mod silence;
+mod stop_command;
+mod stops;
 mod thrift_robot;
 mod told;
 mod vectors;

@@ -8,16 +8,20 @@ use std::time::{Duration, Instant};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::tcp::OwnedReadHalf;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::watch;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
 use tokio::task::JoinHandle;
-use urrcp::{Decoder, Encoding, LINE_BYTES_MAX, encode_as};
+use urrcp::{Command, Decoder, Encoding, LINE_BYTES_MAX, Message, encode_as};
 
 use crate::host::{HostHandle, LinkEvent, LinkSender, RobotLink};
 use crate::robot::Input;
 
-/// Servers that may be connected to one robot at a time; more have to wait.
-const CONNECTIONS_MAX: usize = 16;
-/// Where somebody waits, a connection that has been silent for so long makes room: its peer may be long gone.
+/// Connections that have a place at a time: whatever comes on them is taken.
+const PLACES: usize = 16;
+/// Further connections: on them a stop is taken, and what asks who the robot is; everything else waits for a place.
+const WAITING_MAX: usize = 8;
+/// Where all of these are taken and one more comes, one without a place gives way once it is so old.
+const WAITS_MIN: Duration = Duration::from_secs(1);
+/// Where somebody waits for a place, one that has been silent for so long gives its own up: its peer may be long gone.
 const SILENCE_MAX: Duration = Duration::from_secs(30);
 /// How often it is looked for one.
 const ROOM_RETRY: Duration = Duration::from_millis(50);
@@ -40,33 +44,61 @@ async fn serve_with(
     robot: usize,
     silence_max: Duration,
 ) -> io::Result<()> {
-    let mut connections = Vec::new();
+    let mut connections = Connections { all: Vec::new(), silence_max };
+    let places = Arc::new(Semaphore::new(PLACES));
     loop {
-        let (stream, peer) = accept(&listener).await?;
-        make_room(&mut connections, silence_max).await;
+        let accepted = tokio::select! {
+            accepted = accept(&listener) => Some(accepted?),
+            () = tokio::time::sleep(ROOM_RETRY), if connections.one_has_no_place() => None,
+        };
+        connections.tidy();
+        let Some((stream, peer)) = accepted else { continue };
+        connections.await_room().await;
         let Some(link) = host.connect(robot) else { return Ok(()) };
-        let heard = Arc::new(Mutex::new(now()));
-        let last = Arc::clone(&heard);
+        let seen = Arc::new(Mutex::new(Seen { heard: now(), seat: Seat::None }));
+        let chair = Chair::new(Arc::clone(&places), Arc::clone(&seen));
         // One task a connection, so that a slow or broken peer harms only itself; ends when either side closes, or when
         // its place is needed.
         let task = tokio::spawn(async move {
-            if let Err(error) = carry(stream, link, &last).await {
+            if let Err(error) = carry(stream, link, chair).await {
                 tracing::debug!(%peer, "connection ended: {error}");
             }
         });
-        connections.push(Connection { task, heard });
+        connections.all.push(Connection { task, since: now(), seen });
     }
 }
 
-/// A connection that stands, and when its peer was last heard.
+/// What is seen of a connection from outside its task.
+struct Seen {
+    /// When its peer was last heard.
+    heard: Instant,
+    seat: Seat,
+}
+
+/// Whether a connection has a place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Seat {
+    /// It has none, and has not needed one.
+    None,
+    /// Something came that waits for one.
+    Wanted,
+    Taken,
+}
+
+/// A connection that stands.
 struct Connection {
     task: JoinHandle<()>,
-    heard: Arc<Mutex<Instant>>,
+    since: Instant,
+    seen: Arc<Mutex<Seen>>,
 }
 
 impl Connection {
+    fn seat(&self) -> Seat {
+        self.seen.lock().unwrap_or_else(PoisonError::into_inner).seat
+    }
+
     fn silence(&self) -> Duration {
-        now().saturating_duration_since(*self.heard.lock().unwrap_or_else(PoisonError::into_inner))
+        now().saturating_duration_since(self.seen.lock().unwrap_or_else(PoisonError::into_inner).heard)
     }
 }
 
@@ -75,18 +107,93 @@ fn now() -> Instant {
     Instant::now()
 }
 
-/// Waits until another connection may be served.
-async fn make_room(connections: &mut Vec<Connection>, silence_max: Duration) {
-    loop {
-        connections.retain(|connection| !connection.task.is_finished());
-        if connections.len() < CONNECTIONS_MAX {
-            return;
+/// All that stand.
+struct Connections {
+    all: Vec<Connection>,
+    silence_max: Duration,
+}
+
+impl Connections {
+    /// It may want one at any time.
+    fn one_has_no_place(&self) -> bool {
+        self.all.iter().any(|connection| connection.seat() != Seat::Taken)
+    }
+
+    fn one_wants_a_place(&self) -> bool {
+        self.all.iter().any(|connection| connection.seat() == Seat::Wanted)
+    }
+
+    /// Forgets those that have ended. Where a place is wanted, the one that has been silent for longest gives its own up.
+    fn tidy(&mut self) {
+        self.all.retain(|connection| !connection.task.is_finished());
+        if self.one_wants_a_place() {
+            let seated = self.all.iter().filter(|connection| connection.seat() == Seat::Taken);
+            let silent = seated.max_by_key(|connection| connection.silence());
+            let silent = silent.filter(|connection| connection.silence() >= self.silence_max);
+            silent.into_iter().for_each(|connection| connection.task.abort());
         }
-        let silent = connections.iter().max_by_key(|connection| connection.silence());
-        if let Some(silent) = silent.filter(|connection| connection.silence() >= silence_max) {
-            silent.task.abort();
+    }
+
+    /// Waits until another connection may be served: the oldest without a place gives way.
+    async fn await_room(&mut self) {
+        while self.all.len() >= PLACES + WAITING_MAX {
+            let standing = self.all.iter().filter(|connection| connection.seat() != Seat::Taken);
+            let oldest = standing.min_by_key(|connection| connection.since);
+            let old_enough =
+                |connection: &&Connection| now().saturating_duration_since(connection.since) >= WAITS_MIN;
+            oldest.filter(old_enough).into_iter().for_each(|connection| connection.task.abort());
+            tokio::time::sleep(ROOM_RETRY).await;
+            self.tidy();
         }
-        tokio::time::sleep(ROOM_RETRY).await;
+    }
+}
+
+/// The place of a connection, if it has one.
+struct Chair {
+    places: Arc<Semaphore>,
+    /// Given back with the connection.
+    permit: Option<OwnedSemaphorePermit>,
+    seen: Arc<Mutex<Seen>>,
+}
+
+impl Chair {
+    fn new(places: Arc<Semaphore>, seen: Arc<Mutex<Seen>>) -> Self {
+        let permit = Arc::clone(&places).try_acquire_owned().ok();
+        let chair = Self { places, permit, seen };
+        if chair.permit.is_some() {
+            chair.note(Seat::Taken);
+        }
+        chair
+    }
+
+    fn note(&self, seat: Seat) {
+        self.seen.lock().unwrap_or_else(PoisonError::into_inner).seat = seat;
+    }
+
+    fn heard(&self) {
+        self.seen.lock().unwrap_or_else(PoisonError::into_inner).heard = now();
+    }
+
+    /// Waits for a place.
+    async fn take(&mut self) {
+        if self.permit.is_none() {
+            self.note(Seat::Wanted);
+            // Nobody closes the semaphore.
+            self.permit = Arc::clone(&self.places).acquire_owned().await.ok();
+            self.note(Seat::Taken);
+        }
+    }
+}
+
+/// Whether it is taken from a connection without a place: a stop, or a question who the robot is.
+fn needs_no_place(message: &Message) -> bool {
+    match message {
+        Message::AvailabilityRequest(_) | Message::InitializationRequest(_) => true,
+        Message::ControlRequest(request) => {
+            let stops = matches!(&request.command, Command::Script(script) if script.is_empty());
+            stops && request.starts_at().is_none()
+        }
+        _ => false,
     }
 }
 
@@ -112,12 +219,12 @@ fn is_passing(error: &io::Error) -> bool {
 }
 
 /// Carries both ways. While the peer does not read, nothing more is read from it either.
-async fn carry(stream: TcpStream, mut link: RobotLink, last: &Mutex<Instant>) -> io::Result<()> {
+async fn carry(stream: TcpStream, mut link: RobotLink, chair: Chair) -> io::Result<()> {
     stream.set_nodelay(true)?;
     let (reader, mut writer) = stream.into_split();
     // How the peer wrote last is how it is answered.
     let (heard, encoding) = watch::channel(Encoding::Json);
-    let reading = read(reader, link.sender(), heard, last);
+    let reading = read(reader, link.sender(), heard, chair);
     tokio::pin!(reading);
     let mut bytes = Vec::new();
     loop {
@@ -154,7 +261,7 @@ async fn read(
     mut reader: OwnedReadHalf,
     robot: LinkSender,
     heard: watch::Sender<Encoding>,
-    last: &Mutex<Instant>,
+    mut chair: Chair,
 ) -> io::Result<()> {
     let mut decoder = Decoder::new(LINE_BYTES_MAX);
     let mut bytes = vec![0; 8 * 1024];
@@ -163,10 +270,13 @@ async fn read(
         if n == 0 {
             return Ok(());
         }
-        *last.lock().unwrap_or_else(PoisonError::into_inner) = now();
+        chair.heard();
         decoder.push(&bytes[..n]);
         while let Some(decoded) = decoder.next_message() {
             heard.send_replace(decoder.encoding());
+            if !decoded.as_ref().is_ok_and(needs_no_place) {
+                chair.take().await;
+            }
             robot.send(decoded.map_or_else(Input::Undecodable, Input::read)).await;
         }
     }

@@ -165,6 +165,22 @@ pub fn endpoints(
     handshake: Handshake,
     options: HostOptions,
 ) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
+    let (host, endpoints) = endpoints_at_once(robots, handshake, options)?;
+    if let Some(host) = &host {
+        host.await_hardware(HARDWARE_WAIT);
+    }
+    Ok((host, endpoints))
+}
+
+/// The same, without waiting for hardware.
+///
+/// # Errors
+/// As [`endpoints`].
+pub fn endpoints_at_once(
+    robots: &[&FleetRobot],
+    handshake: Handshake,
+    options: HostOptions,
+) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
     let mut machines: Vec<Hosted> = Vec::new();
     // The index in the host of those that run there.
     let mut places = Vec::new();
@@ -174,9 +190,6 @@ pub fn endpoints(
         machines.extend(hosted);
     }
     let host = if machines.is_empty() { None } else { Some(Host::start(machines, options)?) };
-    if let Some(host) = &host {
-        host.await_hardware(HARDWARE_WAIT);
-    }
     let endpoint = |(robot, place): (&&FleetRobot, Option<usize>)| match (&robot.address, place, &host) {
         (Address::Tcp { host, port }, ..) => {
             let speech = speech(robot, handshake);

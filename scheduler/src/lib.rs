@@ -18,4 +18,6 @@ pub mod recording;
 pub mod report;
 pub mod run;
 pub mod server_clock;
+pub mod signals;
 pub mod simulation;
+pub mod stop_lane;

@@ -41,6 +41,12 @@ impl ServerClock {
         Self { host: HostClock::anchored(), offset }
     }
 
+    /// The server's time minus the system's.
+    #[must_use]
+    pub const fn offset(&self) -> Span {
+        self.offset
+    }
+
     /// The time now.
     #[must_use]
     pub fn now(&self) -> Timestamp<Server> {

@@ -146,23 +146,56 @@ async fn a_peer_that_sends_without_reading_harms_only_itself() {
     flooding.abort();
 }
 
-#[tokio::test]
-async fn no_more_than_the_limit_of_connections_is_served_at_a_time() {
-    let log = LogFile::new("limit");
-    let (_host, address) = served(&log).await;
+/// So many peers have a place and have been answered.
+async fn all_places_taken(address: SocketAddr) -> Vec<Peer> {
     let mut peers = Vec::new();
-    for _ in 0..CONNECTIONS_MAX {
+    for _ in 0..PLACES {
         let mut peer = Peer::connected(address).await;
         peer.write(b"{\"availability_request\": {}}\n").await;
         peer.read().await;
         peers.push(peer);
     }
+    peers
+}
+
+fn is_accepted(message: &Message) -> bool {
+    matches!(message, Message::ControlResponse(response) if response.status == Status::Accepted)
+}
+
+#[tokio::test]
+async fn no_more_than_the_limit_of_connections_is_obeyed_at_a_time() {
+    let log = LogFile::new("limit");
+    let (_host, address) = served(&log).await;
+    let mut peers = all_places_taken(address).await;
     let mut waiting = Peer::connected(address).await;
-    waiting.write(b"{\"availability_request\": {}}\n").await;
+    waiting.send(&paper(10_000.0)).await;
     let answer = tokio::time::timeout(Duration::from_millis(100), waiting.read()).await;
-    assert!(answer.is_err(), "answered although {CONNECTIONS_MAX} others are connected");
+    assert!(answer.is_err(), "obeyed although {PLACES} others are connected");
     peers.pop();
-    assert!(matches!(waiting.read().await, Message::AvailabilityResponse(_)), "served once one has gone");
+    assert!(is_accepted(&waiting.read().await), "obeyed once one has gone");
+}
+
+#[tokio::test]
+async fn a_stop_is_obeyed_however_many_are_connected() {
+    let log = LogFile::new("stop-beyond");
+    let (_host, address) = served(&log).await;
+    let mut peers = all_places_taken(address).await;
+    peers[0].send(&paper(10_000.0)).await;
+    assert!(is_accepted(&peers[0].read().await));
+    // They also take all that is beyond the places, and say what waits.
+    let mut beyond = Vec::new();
+    for _ in 0..WAITING_MAX {
+        let mut peer = Peer::connected(address).await;
+        peer.send(&paper(10_000.0)).await;
+        beyond.push(peer);
+    }
+    let device = urrcp::DeviceId::new("arm").unwrap();
+    let stop = urrcp::ControlRequest::immediate(device, Command::Script(urrcp::Script::cancel()));
+    let mut stopping = Peer::connected(address).await;
+    stopping.send(&Message::ControlRequest(stop)).await;
+    let answer = tokio::time::timeout(Duration::from_secs(20), stopping.read()).await;
+    let Ok(Message::ControlResponse(response)) = answer else { panic!("{answer:?}") };
+    assert!(matches!(response.status, Status::Ok | Status::Accepted), "{response:?}");
 }
 
 #[tokio::test]
@@ -172,16 +205,10 @@ async fn who_has_long_been_silent_makes_room_for_somebody_who_waits() {
     let address = listener.local_addr().unwrap();
     tokio::spawn(serve_with(listener, host.handle(), 0, Duration::from_secs(1)));
     let hello = Message::AvailabilityRequest(urrcp::AvailabilityRequest::default());
-    let mut talking = Peer::connected(address).await;
-    let mut silent = Vec::new();
-    for _ in 1..CONNECTIONS_MAX {
-        let mut peer = Peer::connected(address).await;
-        peer.send(&hello).await;
-        peer.read().await;
-        silent.push(peer);
-    }
+    let mut peers = all_places_taken(address).await;
+    let mut talking = peers.pop().unwrap();
     let mut waiting = Peer::connected(address).await;
-    waiting.send(&hello).await;
+    waiting.send(&paper(10_000.0)).await;
     let served = async {
         loop {
             talking.send(&hello).await;
@@ -193,6 +220,6 @@ async fn who_has_long_been_silent_makes_room_for_somebody_who_waits() {
         () = served => None,
         answer = tokio::time::timeout(Duration::from_secs(20), waiting.read()) => answer.ok(),
     };
-    assert!(matches!(answered, Some(Message::AvailabilityResponse(_))), "{answered:?}");
+    assert!(answered.as_ref().is_some_and(is_accepted), "{answered:?}");
     host.stop();
 }

@@ -15,6 +15,7 @@ use urrcp::Span;
 use super::run::parse_span;
 use super::{Exit, Format, console};
 use crate::conformance::{Examined, Judged, Options, Requirement, Verdict, examine, requirements};
+use crate::signals::{OnHangUp, Signals};
 
 /// Check whether a robot does what the protocol demands.
 #[derive(Debug, clap::Args)]
@@ -99,7 +100,8 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
         let told = Arc::clone(&interrupted);
         // Ends with the process: tells the checks to stop and bring the robot to rest.
         tokio::spawn(async move {
-            if super::run::interrupted().await.is_ok() {
+            if let Ok(mut signals) = Signals::listen(OnHangUp::End) {
+                signals.next().await;
                 told.store(true, Ordering::Relaxed);
             }
         });

@@ -8,24 +8,31 @@ mod check;
 mod choice;
 mod conformance;
 mod console;
+mod detach;
 mod dry_run;
 mod edge;
 mod explain;
 mod fleet;
+mod go;
 mod import;
 mod live;
 mod load;
 mod missions;
 mod plan;
+mod resume;
 mod robot;
 mod run;
 mod schema;
 mod sim;
+mod stop;
+mod withdraw;
 
 use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+
+use crate::signals;
 
 /// Makes many robots start together and stay together.
 #[derive(Debug, Parser)]
@@ -82,11 +89,11 @@ enum Command {
     /// Play a scenario on the fleet: all robots start together, or none does.
     Run(run::RunArgs),
     /// Let the act begin that waits for the operator.
-    Go(missions::GoArgs),
-    /// Stop a mission: every robot that can be reached comes to rest.
-    Stop(missions::StopArgs),
+    Go(go::GoArgs),
+    /// Stop missions: every robot that can be reached comes to rest.
+    Stop(stop::StopArgs),
     /// Take up a mission whose scheduler was killed.
-    Resume(missions::ResumeArgs),
+    Resume(resume::ResumeArgs),
     /// List the missions of this machine.
     Missions(missions::MissionsArgs),
     /// Check whether a robot does what the protocol demands.
@@ -136,10 +143,26 @@ pub enum Exit {
     Uncertain = 6,
 }
 
+impl Exit {
+    /// What another process of this program ended with.
+    const fn of_code(code: i32) -> Self {
+        match code {
+            0 => Self::Done,
+            2 => Self::Usage,
+            3 => Self::Stopped,
+            4 => Self::Unconfirmed,
+            5 => Self::DoneWithout,
+            6 => Self::Uncertain,
+            _ => Self::Failed,
+        }
+    }
+}
+
 /// Reads the arguments, does what they say and tells the shell how it went.
 #[must_use]
 pub fn main() -> ExitCode {
     let cli = Cli::parse();
+    signals::take_harmless();
     start_log(&cli.log);
     let format = cli.format;
     let exit = match cli.command {
@@ -149,9 +172,9 @@ pub fn main() -> ExitCode {
         Command::DryRun(args) => dry_run::dry_run(&args, format),
         Command::Preflight(args) => run::preflight(&args, format),
         Command::Run(args) => run::run(&args, format),
-        Command::Go(args) => missions::go(&args),
-        Command::Stop(args) => missions::stop(&args, format),
-        Command::Resume(args) => missions::resume(&args, format),
+        Command::Go(args) => go::go(&args, format),
+        Command::Stop(args) => stop::stop(&args, format),
+        Command::Resume(args) => resume::resume(&args, format),
         Command::Missions(args) => missions::missions(&args, format),
         Command::Conformance(args) => conformance::conformance(&args, format),
         Command::Robot(args) => robot::robot(&args, format),

@@ -10,6 +10,7 @@ use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
 use super::run::parse_span;
 use super::{Exit, Format, console};
+use crate::signals::{OnHangUp, Signals};
 
 /// Run one simulated robot as a process of its own.
 #[derive(Debug, clap::Args)]
@@ -81,6 +82,11 @@ impl ProcessArgs {
     pub(super) fn run(&self, robot: Hosted, format: Format) -> Exit {
         let options = HostOptions { realtime: self.realtime, log: self.log_file.clone() };
         super::with_runtime(async {
+            // Before anything moves.
+            let signals = match Signals::listen(OnHangUp::End) {
+                Ok(signals) => signals,
+                Err(error) => return failed(&format!("no signal handlers: {error}")),
+            };
             let listener = match TcpListener::bind(&self.listen).await {
                 Ok(listener) => listener,
                 Err(error) => return failed(&format!("cannot listen on {}: {error}", self.listen)),
@@ -90,7 +96,7 @@ impl ProcessArgs {
                 Err(error) => return failed(&error.to_string()),
             };
             announce(&host, 0, &listener, format);
-            let exit = serve_until_interrupted(vec![(listener, 0)], &host).await;
+            let exit = serve_until_asked_to_end(vec![(listener, 0)], &host, signals).await;
             if stop(host) { exit } else { Exit::Unconfirmed }
         })
     }
@@ -171,14 +177,18 @@ pub(super) fn announce(host: &Host, index: usize, listener: &TcpListener, format
     }
 }
 
-/// Serves robots until Ctrl-C or SIGTERM.
-pub(super) async fn serve_until_interrupted(listeners: Vec<(TcpListener, usize)>, host: &Host) -> Exit {
+/// Serves robots until a signal asks the program to end.
+pub(super) async fn serve_until_asked_to_end(
+    listeners: Vec<(TcpListener, usize)>,
+    host: &Host,
+    mut signals: Signals,
+) -> Exit {
     let mut serving = tokio::task::JoinSet::new();
     for (listener, index) in listeners {
         serving.spawn(serve(listener, host.handle(), index));
     }
     tokio::select! {
-        _ = super::run::interrupted() => Exit::Done,
+        _ = signals.next() => Exit::Done,
         Some(ended) = serving.join_next() => match ended {
             Ok(Ok(())) => Exit::Done,
             Ok(Err(error)) => failed(&format!("listening ended: {error}")),

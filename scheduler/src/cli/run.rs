@@ -5,31 +5,35 @@ use std::path::PathBuf;
 
 use downbeat_robot::HostOptions;
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Wait};
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{mpsc, oneshot};
 use urrcp::{Server, SessionId, Span, Timestamp};
 
 use super::choice::{self, ChoiceArgs};
 use super::live::Live;
 use super::load;
-use super::{Exit, Format, ScenarioArgs, console, robot};
+use super::{Exit, Format, ScenarioArgs, console, detach, robot};
 use crate::fleet;
-use crate::journal::{self, Asked, Journal, Opened};
+use crate::journal::{self, Asked, Journal, Life, Missions, Opened, OpenedRobot};
 use crate::mission::{Join, Mission, MissionOptions};
 use crate::recording::Recording;
 use crate::report::{Outcome, Report, StopState, report_text};
-use crate::run::{Keep, Operator, control};
+use crate::run::control::Control;
+use crate::run::{Keep, Operator};
 use crate::server_clock::{self, NTP_WATCH_INTERVAL, NtpWatch, ServerClock};
+use crate::signals::OnHangUp;
+use crate::stop_lane::StopLane;
 
 /// Play a scenario on the fleet: all robots start together, or none does.
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Ctrl-C stops: every robot returns to its default state and confirms it. A second Ctrl-C leaves at
-once and says what was left running. From another terminal `downbeat stop` does the same, and
+once and says what was left running. A closed terminal stops, too, unless the mission runs with --detach. From another terminal `downbeat stop` does the same, and
 `downbeat go` (or Enter here) lets an act begin that waits for the operator.
 
 Examples:
   downbeat run scripts/examples/swap.yaml
   downbeat run show.yaml --fleet stage.yaml --at 19:30 --record show.mcap
+  downbeat run show.yaml --at 19:30 --detach               in the background
   downbeat run show.yaml --speed 0.25 --only arm-1,arm-2    a rehearsal
   downbeat run show.yaml --from finale --format json"
 )]
@@ -55,6 +59,9 @@ pub(super) struct RunArgs {
     /// Keep no journal: after a crash nobody knows what was promised to whom.
     #[arg(long)]
     no_journal: bool,
+    /// Go on in the background, away from this terminal, with a log of its own in the mission's folder.
+    #[arg(long, conflicts_with = "no_journal")]
+    detach: bool,
 }
 
 /// Check the fleet without moving anything.
@@ -117,6 +124,11 @@ fn parse_start(text: &str) -> Result<StartAt, String> {
 }
 
 pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
+    let place = match (args.detach, args.detach.then(detach::detached_as).flatten()) {
+        (false, _) => Place::Terminal,
+        (true, None) => Place::Detaching,
+        (true, Some(session)) => Place::Background(session),
+    };
     let work = Work {
         scenario: &args.scenario,
         asked: args.choice.asked(),
@@ -130,6 +142,7 @@ pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
         record: args.record.as_deref(),
         journal: !args.no_journal,
         preflight_only: false,
+        place,
         format,
     };
     work.run()
@@ -146,9 +159,19 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
         record: None,
         journal: false,
         preflight_only: true,
+        place: Place::Terminal,
         format,
     };
     work.run()
+}
+
+/// Where a mission runs.
+enum Place {
+    Terminal,
+    /// In a process that has yet to be started.
+    Detaching,
+    /// In this process, which belongs to no terminal, under this name.
+    Background(SessionId),
 }
 
 /// One mission as it was asked for.
@@ -162,6 +185,7 @@ struct Work<'a> {
     record: Option<&'a std::path::Path>,
     journal: bool,
     preflight_only: bool,
+    place: Place,
     format: Format,
 }
 
@@ -175,6 +199,10 @@ impl Work<'_> {
             Ok(chosen) => chosen,
             Err(exit) => return exit,
         };
+        if matches!(self.place, Place::Detaching) {
+            let session = session_name(&choreography.scenario, &ServerClock::anchored(Span::ZERO));
+            return detach::detach(&session, &journal::state_folder().join(session.as_str()), self.format);
+        }
         super::with_runtime(async {
             match self.play(choreography, first_act, &fleet, &fleet_path).await {
                 Ok((report, at_rest)) => {
@@ -200,7 +228,10 @@ impl Work<'_> {
         let failed = |message: String| (message, Exit::Failed);
         let (clock, server_uncertainty) = server_clock(fleet, self.format).await.map_err(failed)?;
         let robots = fleet::robots_in(fleet, &choreography);
-        let session = session_name(&choreography.scenario, &clock);
+        let session = match &self.place {
+            Place::Background(session) => session.clone(),
+            Place::Terminal | Place::Detaching => session_name(&choreography.scenario, &clock),
+        };
         let state = journal::state_folder();
         if !self.preflight_only {
             taken_here(&state, &robots).map_err(failed)?;
@@ -226,8 +257,12 @@ impl Work<'_> {
             keep.recording = Some(Recording::create(path).map_err(|error| usage(error.to_string()))?);
         }
         let folder = state.join(session.as_str());
-        let (said, operator) = operator();
-        let (tell_report, report_told) = watch::channel(None);
+        let on_hang_up = match self.place {
+            Place::Background(_) => OnHangUp::Stay,
+            Place::Terminal | Place::Detaching => OnHangUp::End,
+        };
+        let (lane, mut operator) = stop_lane(on_hang_up).map_err(failed)?;
+        let mut control = None;
         if self.journal {
             let absolute =
                 |path: &std::path::Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
@@ -237,19 +272,22 @@ impl Work<'_> {
                 scenario: absolute(&self.scenario.scenario),
                 fleet: absolute(fleet_path),
                 asked: self.asked.clone(),
-                robots: robots.iter().map(|robot| (robot.id.clone(), robot.address.to_string())).collect(),
+                greeting: fleet::greeting(fleet),
+                clock_offset: clock.offset(),
+                robots: robots.iter().map(|robot| opened_robot(robot)).collect(),
             };
-            journal::forget_old(&state);
-            keep.journal = Some(open_journal(&folder, &opened, &clock).map_err(usage)?);
-            if let Err(error) = control::listen(&folder, said.clone(), report_told) {
-                console::warn(&format!(
-                    "`downbeat stop` and `downbeat go` will not reach this mission: {error}"
-                ));
-            }
+            let of_mission = folder.clone();
+            let opening = move || {
+                journal::forget_old(&state);
+                open_journal(&of_mission, &opened, &clock)
+            };
+            keep.journal = Some(unless_stopped(&mut operator, opening).await?.map_err(usage)?);
+            control = listen(&folder, &lane);
         }
         if choreography.acts.iter().any(|act| act.wait == Wait::Operator) {
-            go_by_enter(said);
+            go_by_enter(&lane);
         }
+        keep.stop_lane = Some(lane);
         let host_options = HostOptions { realtime: self.how.realtime, ..HostOptions::default() };
         let (host, endpoints) =
             fleet::endpoints(&robots, fleet.handshake, host_options).map_err(|e| failed(e.to_string()))?;
@@ -272,9 +310,9 @@ impl Work<'_> {
         if let Some(recording) = keep.recording.take() {
             recording.finish().map_err(|error| failed(error.to_string()))?;
         }
-        let _nobody_waits = tell_report.send(serde_json::to_string(&report).ok());
-        // Whoever said stop hears the report before the process ends.
-        tokio::time::sleep(std::time::Duration::from_millis(20)).await;
+        if let Some(control) = control {
+            control.end(serde_json::to_string(&report).ok()).await;
+        }
         Ok((report, host.is_none_or(robot::stop)))
     }
 }
@@ -286,6 +324,43 @@ impl StartAt {
             Self::TimeOfDay(time) => crate::mission::next_time_of_day(now, time, utc_offset),
         }
     }
+}
+
+/// Waits for a disk that may stand still, unless the operator stops before anything was sent.
+async fn unless_stopped<T: Send + 'static>(
+    operator: &mut mpsc::Receiver<Operator>,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, (String, Exit)> {
+    let mut working = tokio::task::spawn_blocking(work);
+    loop {
+        tokio::select! {
+            done = &mut working => return done.map_err(|error| (error.to_string(), Exit::Failed)),
+            Some(word) = operator.recv() => if matches!(word, Operator::Stop | Operator::Leave) {
+                let message = "stopped by the operator while the journal was opened; nothing was sent";
+                return Err((message.to_owned(), Exit::Stopped));
+            },
+        }
+    }
+}
+
+/// Where it fails, the mission still plays.
+pub(super) fn listen(folder: &std::path::Path, lane: &StopLane) -> Option<Control> {
+    let listening = Control::listen(folder, lane);
+    let failed = |error: &std::io::Error| {
+        console::warn(&format!(
+            "`downbeat go` will not reach this mission, `downbeat stop` only its robots: {error}"
+        ));
+    };
+    listening.inspect_err(failed).ok()
+}
+
+/// What a stop has to know of a robot when nothing but the journal is left.
+fn opened_robot(robot: &FleetRobot) -> OpenedRobot {
+    let init = match robot.address {
+        Address::Thrift { .. } | Address::Program { .. } => robot.init.clone(),
+        Address::Tcp { .. } | Address::Simulated => None,
+    };
+    OpenedRobot { robot: robot.id.clone(), address: robot.address.to_string(), init }
 }
 
 fn open_journal(folder: &std::path::Path, opened: &Opened, clock: &ServerClock) -> Result<Journal, String> {
@@ -323,10 +398,10 @@ pub(super) fn utc_offset() -> Span {
 /// schedulers on other machines.
 fn taken_here(state: &std::path::Path, robots: &[&FleetRobot]) -> Result<(), String> {
     let mut taken = Vec::new();
-    for mission in journal::missions(state).into_iter().filter(|mission| mission.alive) {
-        let opened = &mission.kept.opened;
+    for mission in Missions::of(state).found.into_iter().filter(|mission| mission.life == Life::Running) {
+        let opened = &mission.opened;
         for robot in robots.iter().filter(|robot| robot.address != Address::Simulated) {
-            if opened.robots.iter().any(|(_, address)| *address == robot.address.to_string()) {
+            if opened.robots.iter().any(|opened| opened.address == robot.address.to_string()) {
                 let text = format!(
                     "robot `{}` is in mission `{}` (process {})",
                     robot.id, opened.session, opened.pid
@@ -351,45 +426,29 @@ pub(super) async fn server_clock(fleet: &Fleet, format: Format) -> Result<(Serve
     Ok((ServerClock::anchored(reading.offset), reading.uncertainty))
 }
 
-/// The operator's words: the first Ctrl-C stops, the second leaves; others speak by the sender. The task ends with the
-/// process.
-pub(super) fn operator() -> (mpsc::Sender<Operator>, mpsc::Receiver<Operator>) {
-    let (said, heard) = mpsc::channel(16);
-    let speaker = said.clone();
-    tokio::spawn(async move {
-        for word in [Operator::Stop, Operator::Leave] {
-            // Without a handler the system's own Ctrl-C ends the process; the sender must live on either way.
-            if interrupted().await.is_err() {
-                std::future::pending::<()>().await;
-            }
-            let _ended = speaker.send(word).await;
-        }
-        std::future::pending::<()>().await;
-    });
-    (said, heard)
+/// The stop lane, and what the operator says.
+pub(super) fn stop_lane(on_hang_up: OnHangUp) -> Result<(StopLane, mpsc::Receiver<Operator>), String> {
+    StopLane::start(on_hang_up).map_err(|error| format!("no robot could be stopped: {error}"))
 }
 
 /// Enter at the terminal is the operator's go. The thread ends with the process.
-fn go_by_enter(said: mpsc::Sender<Operator>) {
+fn go_by_enter(lane: &StopLane) {
     if !std::io::stdin().is_terminal() {
         return;
     }
+    let (voice, lane) = (lane.voice(), lane.runtime().clone());
     std::thread::spawn(move || {
         for line in std::io::stdin().lock().lines() {
-            if line.is_err() || said.blocking_send(Operator::Go).is_err() {
+            let (answer, answered) = oneshot::channel();
+            let go = Operator::Go { act: None, answer };
+            if line.is_err() || lane.block_on(voice.say(go)).is_err() {
                 return;
+            }
+            if let Ok(Err(reason)) = answered.blocking_recv() {
+                console::note(&format!("no go: {reason}"));
             }
         }
     });
-}
-
-/// Ctrl-C, or a supervisor's SIGTERM.
-pub(super) async fn interrupted() -> std::io::Result<()> {
-    let mut terminate = tokio::signal::unix::signal(tokio::signal::unix::SignalKind::terminate())?;
-    tokio::select! {
-        pressed = tokio::signal::ctrl_c() => pressed,
-        _ = terminate.recv() => Ok(()),
-    }
 }
 
 pub(super) fn finish(report: &Report, format: Format) -> Exit {

@@ -8,6 +8,7 @@ use tokio::net::TcpListener;
 
 use super::{Exit, Format, console, load, robot};
 use crate::fleet;
+use crate::signals::{OnHangUp, Signals};
 
 /// Run all TCP robots of a fleet as simulated ones in this process.
 #[derive(Debug, clap::Args)]
@@ -60,6 +61,10 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
         }
     };
     super::with_runtime(async {
+        let signals = match Signals::listen(OnHangUp::End) {
+            Ok(signals) => signals,
+            Err(error) => return robot::failed(&format!("no signal handlers: {error}")),
+        };
         let mut listeners = Vec::new();
         for (index, (name, port)) in addresses.into_iter().enumerate() {
             match TcpListener::bind((name.as_str(), port)).await {
@@ -73,7 +78,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
                 }
             }
         }
-        let exit = robot::serve_until_interrupted(listeners, &host).await;
+        let exit = robot::serve_until_asked_to_end(listeners, &host, signals).await;
         host.stop();
         exit
     })

@@ -63,6 +63,9 @@ pub trait World {
 
     /// Tells the operator.
     fn tell(&mut self, at: Timestamp<Server>, progress: Progress);
+
+    /// Answers the oldest go of the operator that has no answer yet: which act it lets begin, or why it counts for none.
+    fn answer(&mut self, _answer: Result<String, String>) {}
 }
 
 /// Whether a message may wait behind others.
@@ -212,6 +215,7 @@ impl Driver {
                 }
                 Action::Record(record) => self.record(world, record),
                 Action::Tell(progress) => world.tell(world.now(), progress),
+                Action::Answer(answer) => world.answer(answer),
             }
         }
     }

@@ -94,6 +94,6 @@ impl VirtualOperator {
             return Some(Event::StopRequested);
         }
         self.speaks = Some(now + THINKS);
-        Some(Event::Go)
+        Some(Event::Go { act: None })
     }
 }

@@ -4,6 +4,8 @@ use std::fs::{File, OpenOptions};
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
+use super::lock;
+
 /// As much of a disk as a journal needs: one file that grows at its end.
 pub trait Disk {
     /// All bytes of the file.
@@ -42,14 +44,26 @@ impl FileDisk {
     /// The file cannot be opened, or another process holds the lock.
     pub fn open(folder: &Path) -> io::Result<Self> {
         std::fs::create_dir_all(folder)?;
+        let new = !folder.join("journal").exists();
         let file = OpenOptions::new().create(true).append(true).read(true).open(folder.join("journal"))?;
-        file.try_lock().map_err(io::Error::from)?;
-        for folder in [Some(folder), folder.parent()].into_iter().flatten() {
-            // The names of a new file and a new folder are on the disk only then. Some file systems cannot do it.
+        lock::take(&file)?;
+        // The names of a new file and a new folder are on the disk only then.
+        for folder in [Some(folder), folder.parent()].into_iter().flatten().filter(|_| new) {
+            // Some file systems cannot do it.
             if let Err(error) = File::open(folder).and_then(|folder| folder.sync_all()) {
                 tracing::debug!("cannot sync {}: {error}", folder.display());
             }
         }
+        Ok(Self(file))
+    }
+
+    /// Opens and locks a `journal` that is there, without waiting for the disk.
+    ///
+    /// # Errors
+    /// There is none that can be written, or another process holds the lock.
+    pub fn take_up(folder: &Path) -> io::Result<Self> {
+        let file = OpenOptions::new().append(true).read(true).open(folder.join("journal"))?;
+        lock::take(&file)?;
         Ok(Self(file))
     }
 }

@@ -3,23 +3,25 @@
 //! and `control`, its socket.
 
 mod disk;
+mod found;
+mod lock;
 mod read;
 pub(crate) mod simulated;
 mod writer;
 
-use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
-use urrcp::{RobotId, Server, SessionId, Timestamp};
+use urrcp::{InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
-use crate::mission::Record;
+use crate::mission::{Greeting, Record};
 pub use disk::{Disk, FileDisk};
-pub use read::{Fate, Kept, Progressed, Torn, Unreadable, read};
+pub use found::{Found, Life, Missions, forget_old};
+pub use read::{Fate, Kept, Left, LeftOn, Progressed, Torn, Unreadable, read};
 pub use writer::{Writer, Written};
 
-/// The first line: who drives whom with what.
+/// The first line: who drives whom with what. It has all that a stop needs, because files may change while a mission plays.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Opened {
     /// The session that the robots know.
@@ -32,8 +34,25 @@ pub struct Opened {
     pub fleet: PathBuf,
     /// What was asked for besides.
     pub asked: Asked,
-    /// The robots and where they are reached.
-    pub robots: Vec<(RobotId, String)>,
+    /// Whether robots are asked who they are.
+    pub greeting: Greeting,
+    /// The server's time minus this machine's, as NTP said when the mission began.
+    #[serde(rename = "clock_offset_ms")]
+    pub clock_offset: Span,
+    /// The robots.
+    pub robots: Vec<OpenedRobot>,
+}
+
+/// A robot of a mission, and how it can be reached without the fleet file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct OpenedRobot {
+    /// Its id in the fleet file, which is what it calls itself.
+    pub robot: RobotId,
+    /// Its address, as the fleet file writes it.
+    pub address: String,
+    /// What is known of its devices, where a driver of this machine has to know them to reach its hardware.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub init: Option<InitializationBlock>,
 }
 
 /// What changes a choreography between its file and the mission.
@@ -192,49 +211,6 @@ pub fn state_folder() -> PathBuf {
         .or_else(|| from("XDG_STATE_HOME").map(|folder| folder.join("downbeat")))
         .or_else(|| from("HOME").map(|home| home.join(".local/state/downbeat")))
         .unwrap_or_else(|| std::env::temp_dir().join("downbeat"))
-}
-
-/// A mission that left a folder.
-#[derive(Clone, Debug)]
-pub struct Found {
-    /// Its folder.
-    pub folder: PathBuf,
-    /// Its scheduler lives.
-    pub alive: bool,
-    /// What it wrote down.
-    pub kept: Kept,
-}
-
-/// All missions that left a folder here and can be read, the newest last.
-#[must_use]
-pub fn missions(state: &Path) -> Vec<Found> {
-    let Ok(entries) = std::fs::read_dir(state) else { return Vec::new() };
-    let mut found: Vec<Found> = entries.flatten().filter_map(|entry| look_at(&entry.path())).collect();
-    found.sort_by_key(|found| found.kept.opened_at);
-    found
-}
-
-/// Ended missions whose folders are kept.
-const ENDED_KEPT: usize = 50;
-
-/// Removes the folders of missions that ended long ago. Those that were cut off stay until they are resumed or stopped.
-pub fn forget_old(state: &Path) {
-    let ended = missions(state).into_iter().filter(|found| !found.alive && found.kept.outcome.is_some());
-    let mut ended: Vec<Found> = ended.collect();
-    ended.truncate(ended.len().saturating_sub(ENDED_KEPT));
-    for found in ended {
-        if let Err(error) = std::fs::remove_dir_all(&found.folder) {
-            tracing::debug!("cannot remove {}: {error}", found.folder.display());
-        }
-    }
-}
-
-fn look_at(folder: &Path) -> Option<Found> {
-    let path = folder.join("journal");
-    let file = File::open(&path).ok()?;
-    let alive = matches!(file.try_lock_shared(), Err(std::fs::TryLockError::WouldBlock));
-    let kept = read(&path).ok()?;
-    Some(Found { folder: folder.to_path_buf(), alive, kept })
 }
 
 #[cfg(test)]

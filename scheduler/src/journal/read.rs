@@ -1,11 +1,12 @@
 //! Reading a journal back, as far as it is whole.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use serde_json::Value;
-use urrcp::{RobotId, Server, Timestamp};
+use urrcp::{DeviceId, Millis, RobotId, Server, Span, Timestamp};
 
 use super::Opened;
 use crate::mission::Promise;
@@ -34,7 +35,27 @@ pub struct Kept {
     /// Where it stops being whole.
     pub torn: Option<Torn>,
     /// Every robot that was ever sent anything, with its devices.
-    pub touched: std::collections::BTreeMap<RobotId, std::collections::BTreeSet<urrcp::DeviceId>>,
+    pub touched: BTreeMap<RobotId, BTreeSet<DeviceId>>,
+    /// What was last added to a timestamp for a robot's clock.
+    shifts: BTreeMap<RobotId, Span>,
+}
+
+/// What a mission left on its robots, for another process to take back.
+#[derive(Clone, Debug, Default)]
+pub struct Left {
+    /// A robot that was sent nothing is not in it.
+    pub robots: BTreeMap<RobotId, LeftOn>,
+}
+
+/// What a mission left on a robot.
+#[derive(Clone, Debug, Default)]
+pub struct LeftOn {
+    /// The devices that were sent anything.
+    pub devices: BTreeSet<DeviceId>,
+    /// What was added to timestamps for its clock.
+    pub shift: Span,
+    /// The running leases of scripts whose acts have not ended; `None` for one that goes on without a link.
+    pub leases: Vec<Option<Millis>>,
 }
 
 /// How far an act came that was promised.
@@ -90,14 +111,37 @@ pub fn read(path: &Path) -> Result<Kept, Unreadable> {
 /// Bytes of the whole lines at the beginning.
 pub(super) fn whole_length(bytes: &[u8]) -> usize {
     let lines = bytes.split_inclusive(|byte| *byte == b'\n');
-    lines.take_while(|line| whole(line).is_some()).map(<[u8]>::len).sum()
+    lines.take_while(|line| sound(line).is_some()).map(<[u8]>::len).sum()
 }
 
-fn whole(line: &[u8]) -> Option<Value> {
+/// What a whole line says.
+pub(super) fn whole(line: &[u8]) -> Option<Value> {
+    serde_json::from_slice(sound(line)?).ok()
+}
+
+/// The JSON of a line that is as it was written.
+fn sound(line: &[u8]) -> Option<&[u8]> {
     let line = line.strip_suffix(b"\n")?;
     let (sum, json) = line.split_at_checked(9)?;
     let sum = u32::from_str_radix(std::str::from_utf8(sum.strip_suffix(b" ")?).ok()?, 16).ok()?;
-    (crc32fast::hash(json) == sum).then(|| serde_json::from_slice(json).ok())?
+    (crc32fast::hash(json) == sum).then_some(json)
+}
+
+/// As much of a line as is needed of most; the reports of acts, nearly all of a long journal, are passed over.
+#[derive(Deserialize)]
+struct Head {
+    record: String,
+    number: Option<u64>,
+    robot: Option<RobotId>,
+    #[serde(default)]
+    unnamed: Vec<RobotId>,
+    report: Option<Numbered>,
+    outcome: Option<Value>,
+}
+
+#[derive(Deserialize)]
+struct Numbered {
+    number: u64,
 }
 
 /// What becomes of a mission that was cut off.
@@ -113,19 +157,19 @@ impl Kept {
     /// What the bytes of a journal say; `None` where not even the first line is whole.
     pub(crate) fn of_bytes(bytes: &[u8]) -> Option<Self> {
         let (believed, rest) = bytes.split_at(whole_length(bytes));
-        let mut lines = believed.split_inclusive(|byte| *byte == b'\n').filter_map(whole);
-        let first = lines.next()?;
+        let mut lines = believed.split_inclusive(|byte| *byte == b'\n').filter_map(sound);
+        let first: Value = serde_json::from_slice(lines.next()?).ok()?;
         let opened = Opened::deserialize(&first).ok()?;
         let mut kept = Self::new(opened, Timestamp::deserialize(&first["at"]).ok()?);
         let mut count = 1;
-        for record in lines {
-            kept.take(&record);
+        for json in lines {
+            kept.take(json);
             count += 1;
         }
         if !rest.is_empty() {
-            let after: Vec<Value> = rest.split_inclusive(|byte| *byte == b'\n').filter_map(whole).collect();
+            let after: Vec<_> = rest.split_inclusive(|byte| *byte == b'\n').filter_map(sound).collect();
             // Of records behind damage only this is believed: these robots may hold something.
-            let promises = after.iter().filter_map(|record| Promise::deserialize(record).ok());
+            let promises = after.iter().filter_map(|json| serde_json::from_slice::<Promise>(json).ok());
             promises.for_each(|promise| kept.touch(&promise));
             kept.torn = Some(Torn { line: count + 1, bytes: rest.len(), whole_after: after.len() });
         }
@@ -145,7 +189,8 @@ impl Kept {
             stopped: Vec::new(),
             outcome: None,
             torn: None,
-            touched: std::collections::BTreeMap::new(),
+            touched: BTreeMap::new(),
+            shifts: BTreeMap::new(),
         }
     }
 
@@ -167,9 +212,27 @@ impl Kept {
         }
     }
 
+    /// What it left on its robots.
+    #[must_use]
+    pub fn left(&self) -> Left {
+        let mut left = Left::default();
+        for (robot, devices) in &self.touched {
+            let shift = self.shifts.get(robot).copied().unwrap_or_default();
+            let on = LeftOn { devices: devices.clone(), shift, leases: Vec::new() };
+            left.robots.insert(robot.clone(), on);
+        }
+        for script in self.promises.iter().flat_map(|(promise, _)| &promise.scripts) {
+            if let Some(on) = left.robots.get_mut(&script.robot) {
+                on.leases.push(script.running);
+            }
+        }
+        left
+    }
+
     fn touch(&mut self, promise: &Promise) {
         for script in &promise.scripts {
             self.touched.entry(script.robot.clone()).or_default().insert(script.device.clone());
+            self.shifts.insert(script.robot.clone(), script.shift);
         }
     }
 
@@ -180,29 +243,28 @@ impl Kept {
         }
     }
 
-    fn take(&mut self, record: &Value) {
-        let robot = || RobotId::deserialize(&record["robot"]).ok();
-        let number = record["number"].as_u64();
-        match record["record"].as_str().unwrap_or_default() {
+    fn take(&mut self, json: &[u8]) {
+        let Ok(head) = serde_json::from_slice::<Head>(json) else { return };
+        match head.record.as_str() {
             "prepared" => {
-                let Ok(promise) = Promise::deserialize(record) else { return };
+                let Ok(promise) = serde_json::from_slice::<Promise>(json) else { return };
                 self.touch(&promise);
                 self.promises.push((promise, Progressed::Prepared));
             }
             "decided" => {
-                self.came_to(number, Progressed::Decided);
-                self.unnamed.extend(Vec::deserialize(&record["unnamed"]).unwrap_or_default());
+                self.came_to(head.number, Progressed::Decided);
+                self.unnamed.extend(head.unnamed);
             }
-            "committed" => self.came_to(number, Progressed::Committed),
+            "committed" => self.came_to(head.number, Progressed::Committed),
             "act_ended" => {
-                let number = record["report"]["number"].as_u64();
+                let number = head.report.map(|report| report.number);
                 self.promises.retain(|(promise, _)| Some(u64::from(promise.number)) != number);
                 self.ended_acts += 1;
             }
-            "dropped" => self.dropped.extend(robot()),
+            "dropped" => self.dropped.extend(head.robot),
             "stopping" => self.stopping = true,
-            "stop_confirmed" => self.stopped.extend(robot()),
-            "ended" => self.outcome = Some(record["outcome"].clone()),
+            "stop_confirmed" => self.stopped.extend(head.robot),
+            "ended" => self.outcome = head.outcome.or(Some(Value::Null)),
             _ => {}
         }
     }

@@ -12,7 +12,13 @@ fn opened() -> Opened {
         scenario: "s.yaml".into(),
         fleet: "fleet.yaml".into(),
         asked: Asked { speed: Some(0.5), ..Asked::default() },
-        robots: vec![(RobotId::new("arm").unwrap(), "tcp://a:1".into())],
+        greeting: Greeting::Full,
+        clock_offset: Span::from_millis(3),
+        robots: vec![OpenedRobot {
+            robot: RobotId::new("arm").unwrap(),
+            address: "tcp://a:1".into(),
+            init: None,
+        }],
     }
 }
 
@@ -61,6 +67,84 @@ fn a_mission_that_ended_is_known_as_such() {
     let mut journal = Journal::open(folder.path()).unwrap();
     journal.append(at(3), &Record::Ended { outcome: Outcome::Done }).unwrap();
     assert_eq!(read(&path).unwrap().outcome, Some(serde_json::json!("done")));
+}
+
+fn life(folder: &Path) -> Life {
+    Found::look_at(folder).unwrap().unwrap().life
+}
+
+fn end(folder: &Path) {
+    let mut journal = Journal::open(folder).unwrap();
+    journal.append(at(3), &Record::Ended { outcome: Outcome::Done }).unwrap();
+}
+
+#[test]
+fn whether_a_mission_lives_is_told_by_its_lock_and_whether_it_has_ended_by_its_last_lines() {
+    let folder = tempfile::tempdir().unwrap();
+    written(folder.path());
+    assert_eq!(life(folder.path()), Life::CutOff);
+    let held = Journal::open(folder.path()).unwrap();
+    assert_eq!(life(folder.path()), Life::Running);
+    assert!(Journal::open(folder.path()).is_err(), "whoever looks does not break the lock");
+    drop(held);
+    end(folder.path());
+    assert_eq!(life(folder.path()), Life::Ended);
+}
+
+#[test]
+fn a_lock_of_another_kind_keeps_nobody_from_a_journal() {
+    let folder = tempfile::tempdir().unwrap();
+    let foreign = std::fs::File::open(written(folder.path())).unwrap();
+    foreign.lock().unwrap();
+    assert_eq!(life(folder.path()), Life::CutOff);
+    Journal::open(folder.path()).unwrap();
+}
+
+#[test]
+fn a_journal_whose_first_line_is_damaged_is_named() {
+    let state = tempfile::tempdir().unwrap();
+    let path = written(&state.path().join("a"));
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes[15] ^= 1;
+    std::fs::write(&path, &bytes).unwrap();
+    let missions = Missions::of(state.path());
+    assert_eq!((missions.found.len(), missions.damaged), (0, vec![path.clone()]));
+    // Cut off while it began: nothing had been sent.
+    std::fs::write(&path, &bytes[..40]).unwrap();
+    assert!(Missions::of(state.path()).damaged.is_empty());
+}
+
+/// A mission of that many megabytes, most of them a hole in the file.
+fn mission(state: &Path, number: i64, megabytes: u64, ends: bool) {
+    let folder = state.join(format!("m{number}"));
+    let mut journal = Journal::open(&folder).unwrap();
+    journal.begin(at(number), &opened()).unwrap();
+    drop(journal);
+    if megabytes > 0 {
+        let mut file = std::fs::OpenOptions::new().append(true).open(folder.join("journal")).unwrap();
+        file.set_len(megabytes * 1024 * 1024).unwrap();
+        std::io::Write::write_all(&mut file, b"\n").unwrap();
+    }
+    if ends {
+        let record = Record::Ended { outcome: Outcome::Done };
+        let line = line(&Line { at: at(number), record: &record }).unwrap();
+        let mut file = std::fs::OpenOptions::new().append(true).open(folder.join("journal")).unwrap();
+        std::io::Write::write_all(&mut file, &line).unwrap();
+    }
+}
+
+#[test]
+fn old_journals_are_limited_in_number_and_size_and_one_that_has_not_ended_stays() {
+    let state = tempfile::tempdir().unwrap();
+    mission(state.path(), 0, 0, false);
+    (1..=60).for_each(|number| mission(state.path(), number, 0, true));
+    forget_old(state.path());
+    let left = |number: i64| state.path().join(format!("m{number}")).exists();
+    assert!(left(0) && !left(10) && left(11) && left(60));
+    mission(state.path(), 61, 40, true);
+    mission(state.path(), 62, 40, true);
+    forget_old(state.path());
+    assert!(left(0) && !left(60) && !left(61) && left(62), "the newest is kept however long it is");
 }
 
 #[test]

@@ -27,7 +27,7 @@ impl Speech {
     }
 
     /// What the next message is written in.
-    pub(super) fn encoding(&self) -> Encoding {
+    pub(crate) fn encoding(&self) -> Encoding {
         match self.understood.load(Ordering::Relaxed) {
             true => self.wanted,
             false => Encoding::Json,

@@ -114,6 +114,11 @@ impl Link {
         if full { Err(QueueFull { waiting: OUTGOING_MAX }) } else { Ok(()) }
     }
 
+    /// Where messages go in that overtake all that waits.
+    pub(crate) fn overtaking(&self) -> mpsc::UnboundedSender<Message> {
+        self.urgent.clone()
+    }
+
     /// Closes the link at once. What waits to be sent is discarded.
     pub fn cut(&self) {
         self.task.abort();

@@ -6,12 +6,12 @@ use std::sync::Arc;
 use downbeat_scripts::Way;
 use urrcp::{Server, Timestamp};
 
-use super::act::{Act, ActAction};
+use super::act::{Act, ActAction, act_name};
 use super::facts::ActReport;
 use super::fates::ActFate;
 use super::record::Record;
 use super::robot_state::{Reading, Rest, Standing};
-use super::{Mission, Outcome, Phase, Progress};
+use super::{Action, Mission, Outcome, Phase, Progress};
 
 /// Reports of acts are kept as long as they have no more rows than this in all.
 const ROWS_KEPT: usize = 20_000;
@@ -178,16 +178,67 @@ impl Mission {
             act.comes_next(now);
         }
         self.acts_begun += 1;
-        let announcement = act.announcement(&self.options);
         self.acts.push(act);
-        announcement.into_iter().for_each(|waiting| self.tell(waiting));
+        self.announce(self.acts.len() - 1);
         self.advance_act(now, self.acts.len() - 1);
     }
 
+    /// Tells what an act waits for, unless it waits for an act before it still.
+    fn announce(&mut self, index: usize) {
+        let announcement = self.acts.get_mut(index).and_then(|act| act.announcement(&self.options));
+        announcement.into_iter().for_each(|waiting| self.tell(waiting));
+    }
+
     /// The operator says go: it counts for the act that waits for it, and not ahead of that.
-    pub(super) fn go(&mut self, now: Timestamp<Server>) {
-        if self.acts.iter_mut().any(Act::go) {
+    pub(super) fn go(&mut self, now: Timestamp<Server>, named: Option<&str>) {
+        let answer = match self.awaits_go(named) {
+            Ok(index) => {
+                self.acts[index].go();
+                Ok(self.acts[index].name())
+            }
+            Err(reason) => Err(reason),
+        };
+        let counts = answer.is_ok();
+        self.actions.push(Action::Answer(answer));
+        if counts {
             self.goes_on(now);
+        }
+    }
+
+    /// The act for which a go counts now, or why there is none.
+    fn awaits_go(&self, named: Option<&str>) -> Result<usize, String> {
+        let known = |name: &str| {
+            (0..self.choreography.acts.len()).any(|act| act_name(&self.choreography, act) == name)
+        };
+        if let Some(name) = named.filter(|name| !known(name)) {
+            return Err(format!("no act is called `{name}`"));
+        }
+        match self.phase {
+            Phase::Greeting { .. } => return Err("the fleet is still being checked".to_owned()),
+            Phase::Stopping { .. } => return Err("the mission is being stopped".to_owned()),
+            Phase::Ended => return Err("the mission is over".to_owned()),
+            Phase::Performing => {}
+        }
+        let waiting = self.acts.iter().position(|act| act.awaits_operator() && act.is_alone());
+        let Some(index) = waiting else { return Err(self.why_no_go(named)) };
+        let name = self.acts[index].name();
+        match named {
+            Some(other) if other != name => {
+                Err(format!("`{other}` does not wait: `{name}` waits for the operator's go"))
+            }
+            _ => Ok(index),
+        }
+    }
+
+    /// Why no go counts now, although the mission performs.
+    fn why_no_go(&self, named: Option<&str>) -> String {
+        let behind = self.acts.windows(2).find(|acts| acts[1].awaits_operator());
+        match (behind, named) {
+            (Some([before, act]), named) if named.is_none_or(|name| name == act.name()) => {
+                format!("`{}` waits until `{}` has ended", act.name(), before.name())
+            }
+            (_, Some(name)) => format!("`{name}` does not wait for the operator now"),
+            (_, None) => "no act waits for the operator".to_owned(),
         }
     }
 
@@ -213,6 +264,7 @@ impl Mission {
         }
         if let Some(next) = self.acts.get_mut(index) {
             next.comes_next(now);
+            self.announce(index);
         }
         let mut follow = act.follow();
         if !act.was_sent() {

@@ -41,8 +41,11 @@ pub enum Event {
     },
     /// The operator wants everything to stop.
     StopRequested,
-    /// The operator lets the act begin that waits for it.
-    Go,
+    /// The operator lets the act begin that waits for it. Answered by [`Action::Answer`].
+    Go {
+        /// Which act is meant; `None`: whichever waits.
+        act: Option<String>,
+    },
     /// What NTP says of this machine's clock by now.
     ServerTime(NtpState),
     /// So many durable records of this mission are on the disk, the first ones, counted from 1. A driver without a journal
@@ -93,6 +96,8 @@ pub enum Action {
     Record(Record),
     /// Tell the operator.
     Tell(Progress),
+    /// Answer the operator's go: which act it lets begin, or why it counts for none.
+    Answer(Result<String, String>),
 }
 
 /// What an operator wants to know while the mission goes on.

@@ -228,7 +228,7 @@ impl Mission {
             Event::Received { robot, message } => self.receive(now, robot, message),
             Event::Garbled { robot, reason } => self.fail(now, robot, FailureKind::Garbled { reason }),
             Event::StopRequested => self.request_stop(now),
-            Event::Go => self.go(now),
+            Event::Go { act } => self.go(now, act.as_deref()),
             Event::ServerTime(state) => self.server_time(state),
             Event::Recorded { count } => self.recorded(now, count),
             Event::JournalLost { reason } => self.journal_lost(now, reason),

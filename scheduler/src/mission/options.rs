@@ -1,7 +1,7 @@
 //! Who takes part in a mission, and what the operator chose.
 
 use downbeat_scripts::SensorRange;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::{DeviceId, Encoding, InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
 /// How a robot's time is brought to agree with the server's.
@@ -57,7 +57,7 @@ impl Participant {
 }
 
 /// Whether steps 1 to 4 of the protocol are played.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Greeting {
     /// Ask every robot for its availability, clock and initialization block.

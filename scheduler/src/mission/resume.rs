@@ -1,16 +1,15 @@
 //! Taking up what another process promised before it died: to finish it, or to withdraw it.
 
-use std::collections::{BTreeMap, BTreeSet};
 use std::sync::Arc;
 
 use downbeat_scripts::Choreography;
-use urrcp::{DeviceId, RobotId, Server, Timestamp};
+use urrcp::{Server, Timestamp};
 
 use super::act::{Act, Reached};
 use super::record::Promise;
 use super::robot_state::{Rest, Standing};
 use super::{Mission, MissionOptions, Outcome, Participant, Phase, ledger};
-use crate::journal::{Kept, Progressed};
+use crate::journal::{Kept, Left, Progressed};
 
 /// A promise does not fit the choreography as it is now.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -56,19 +55,26 @@ impl Mission {
         Ok(mission)
     }
 
-    /// A mission that does nothing but stop these devices.
+    /// A mission that does nothing but take back what another process left on its robots.
     #[must_use]
     pub fn withdraw(
         participants: Vec<Participant>,
         options: MissionOptions,
-        touched: &BTreeMap<RobotId, BTreeSet<DeviceId>>,
+        left: &Left,
         now: Timestamp<Server>,
     ) -> Self {
         let choreography = Choreography { scenario: "withdrawal".to_owned(), acts: Vec::new() };
         // No robot is asked for: there is none to miss.
         let mut mission = Self::with_robots(choreography.into(), participants, options, now);
         for robot in &mut mission.robots {
-            robot.touched = touched.get(&robot.id).cloned().unwrap_or_default();
+            let Some(left) = left.robots.get(&robot.id) else { continue };
+            robot.touched.clone_from(&left.devices);
+            robot.shift = left.shift;
+            // A lease may have been renewed until just now.
+            robot.left = left.leases.iter().map(|lease| lease.map(|lease| now + lease.span())).collect();
+            if robot.left.is_empty() {
+                robot.left.push(Some(now));
+            }
         }
         mission.abort(now, Outcome::Stopped, Rest::Default, None);
         mission

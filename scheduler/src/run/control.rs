@@ -1,16 +1,33 @@
-//! A mission's socket: other terminals say `go` or `stop` and hear how it ended. A line of text each way.
+//! A mission's socket: other terminals say `go` or `stop` and hear what became of it. A line of text each way.
+//!
+//! The mission says `ready` to whoever connects. `go`, or `go ACT`, is answered by `started ACT` or `refused: REASON`. `stop`
+//! is answered by `heard` once the mission has taken it, by `alive` four times a second as long as it stops, and in the end
+//! by its report, a line of JSON. So whoever says something knows within a second whether anybody listens.
 
 use std::io;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
+use tokio::net::unix::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::net::{UnixListener, UnixStream};
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio::task::AbortHandle;
+use tokio::time::timeout;
 
 use super::Operator;
+use crate::stop_lane::{StopLane, Voice};
 
-/// Longest line that is listened to.
-const LINE_MAX: u64 = 256;
+/// Longest line that is listened to, in bytes: a word and the name of an act.
+const LINE_MAX: u64 = 4_096;
+/// A scheduler that is silent for so long does not listen.
+const SILENCE_MAX: Duration = Duration::from_secs(1);
+/// How often a mission that stops says that it is alive.
+const ALIVE_EVERY: Duration = Duration::from_millis(250);
+/// A mission whose loop has not turned for so long while it stops is given up: whoever said stop asks the robots then.
+const STANDS_STILL: Duration = Duration::from_secs(2);
+/// How often it is looked whether the mission has taken a word.
+const TAKEN_RETRY: Duration = Duration::from_millis(2);
 
 /// The socket in a mission's folder.
 #[must_use]
@@ -18,61 +35,190 @@ pub fn socket(folder: &Path) -> PathBuf {
     folder.join("control")
 }
 
-/// Listens for other terminals until the process ends. Whoever says `stop` hears the report, as JSON, once there is one.
-///
-/// # Errors
-/// The socket cannot be made, as where its path is too long.
-pub fn listen(
-    folder: &Path,
-    said: mpsc::Sender<Operator>,
+/// Listens for other terminals as long as a mission runs.
+#[derive(Debug)]
+pub struct Control {
+    accepting: AbortHandle,
+    report: watch::Sender<Option<String>>,
+    /// Closed once everybody has been told how it ended.
+    told: mpsc::Receiver<()>,
+}
+
+impl Control {
+    /// Listens until [`Control::end`].
+    ///
+    /// # Errors
+    /// The socket cannot be made, as where its path is too long.
+    pub fn listen(folder: &Path, lane: &StopLane) -> io::Result<Self> {
+        let path = socket(folder);
+        // Left behind by a process that was killed: whoever holds the journal's lock owns the folder.
+        let _absent = std::fs::remove_file(&path);
+        // In the lane: nothing that stands still elsewhere keeps a stop from being heard.
+        let _in_the_lane = lane.runtime().enter();
+        let voice = lane.voice();
+        let listener = UnixListener::bind(&path)?;
+        let (report, reported) = watch::channel(None);
+        let (telling, told) = mpsc::channel(1);
+        let accepting = tokio::spawn(async move {
+            while let Ok((stream, _)) = listener.accept().await {
+                let (reader, writer) = stream.into_split();
+                let listener = Listener { writer, voice: voice.clone(), report: reported.clone() };
+                let telling = telling.clone();
+                // Ends when the mission does, or whoever speaks.
+                tokio::spawn(async move {
+                    let _gone = listener.converse(reader).await;
+                    drop(telling);
+                });
+            }
+        });
+        Ok(Self { accepting: accepting.abort_handle(), report, told })
+    }
+
+    /// Tells everybody who said stop how the mission ended, for a second at most.
+    pub async fn end(mut self, report: Option<String>) {
+        let _nobody_waits = self.report.send(report);
+        self.accepting.abort();
+        drop(self.report);
+        let _too_slow = timeout(SILENCE_MAX, self.told.recv()).await;
+    }
+}
+
+/// The mission's end of one connection.
+struct Listener {
+    writer: OwnedWriteHalf,
+    voice: Voice,
     report: watch::Receiver<Option<String>>,
-) -> io::Result<()> {
-    let path = socket(folder);
-    // Left behind by a process that was killed: whoever holds the journal's lock owns the folder.
-    let _absent = std::fs::remove_file(&path);
-    let listener = UnixListener::bind(&path)?;
-    // Ends with the process.
-    tokio::spawn(async move {
-        while let Ok((stream, _)) = listener.accept().await {
-            tokio::spawn(converse(stream, said.clone(), report.clone()));
+}
+
+impl Listener {
+    async fn converse(mut self, reader: OwnedReadHalf) -> io::Result<()> {
+        self.say("ready").await?;
+        let mut line = String::new();
+        BufReader::new(reader.take(LINE_MAX)).read_line(&mut line).await?;
+        match line.trim().split_once(' ').unwrap_or((line.trim(), "")) {
+            ("go", act) => self.go(act).await,
+            ("stop", "") => self.stop().await,
+            _ => self.say("unknown").await,
         }
-    });
-    Ok(())
+    }
+
+    async fn say(&mut self, line: &str) -> io::Result<()> {
+        self.writer.write_all(format!("{line}\n").as_bytes()).await
+    }
+
+    async fn go(&mut self, act: &str) -> io::Result<()> {
+        let act = Some(act).filter(|act| !act.is_empty()).map(str::to_owned);
+        let (answer, answered) = oneshot::channel();
+        let _over = self.voice.say(Operator::Go { act, answer }).await;
+        match answered.await {
+            Ok(Ok(act)) => self.say(&format!("started {act}")).await,
+            Ok(Err(reason)) => self.say(&format!("refused: {reason}")).await,
+            Err(_) => self.say("refused: the mission is over").await,
+        }
+    }
+
+    async fn stop(&mut self) -> io::Result<()> {
+        let _over = self.voice.say(Operator::Stop).await;
+        while !self.voice.is_heard() {
+            tokio::time::sleep(TAKEN_RETRY).await;
+        }
+        self.say("heard").await?;
+        let (mut turns, mut still) = (self.voice.turns(), Duration::ZERO);
+        loop {
+            let reported = timeout(ALIVE_EVERY, self.report.wait_for(Option::is_some)).await;
+            match reported.map(|report| report.ok().and_then(|report| report.clone())) {
+                Ok(Some(report)) => return self.say(&report).await,
+                // The mission ended without one.
+                Ok(None) => return Ok(()),
+                // Robots are asked again at least once a second.
+                Err(_) if still >= STANDS_STILL => return Ok(()),
+                Err(_) => {
+                    let now = self.voice.turns();
+                    still = if now == turns && now.is_some() { still + ALIVE_EVERY } else { Duration::ZERO };
+                    turns = now;
+                    self.say("alive").await?;
+                }
+            }
+        }
+    }
 }
 
-async fn converse(
-    mut stream: UnixStream,
-    said: mpsc::Sender<Operator>,
-    mut report: watch::Receiver<Option<String>>,
-) -> io::Result<()> {
-    let (reader, mut writer) = stream.split();
-    let mut line = String::new();
-    BufReader::new(reader.take(LINE_MAX)).read_line(&mut line).await?;
-    let word = match line.trim() {
-        "go" => Operator::Go,
-        "stop" => Operator::Stop,
-        _ => return writer.write_all(b"unknown\n").await,
-    };
-    if said.send(word).await.is_err() {
-        return writer.write_all(b"over\n").await;
-    }
-    writer.write_all(b"heard\n").await?;
-    if word == Operator::Stop && report.wait_for(Option::is_some).await.is_ok() {
-        let text = report.borrow().clone().unwrap_or_default();
-        writer.write_all(text.as_bytes()).await?;
-        writer.write_all(b"\n").await?;
-    }
-    Ok(())
+/// A scheduler did not do what it was told.
+#[derive(Debug, thiserror::Error)]
+pub enum Unheard {
+    /// Nobody listens.
+    #[error("nobody listens at its socket: {0}")]
+    NobodyListens(#[from] io::Error),
+    /// It is silent.
+    #[error("it does not answer within 1 s")]
+    Silent,
+    /// It hung up without an answer.
+    #[error("it ended without an answer")]
+    Ended,
 }
 
-/// Says a word to a mission that runs. Returns what it answers, to the end.
+/// Lets the act begin that waits for the operator, of this name if one is given. Returns the name of the act, or why the go
+/// counts for none.
 ///
 /// # Errors
-/// Nobody listens.
-pub async fn say(folder: &Path, word: &str) -> io::Result<String> {
-    let mut stream = UnixStream::connect(socket(folder)).await?;
-    stream.write_all(format!("{word}\n").as_bytes()).await?;
-    let mut answer = String::new();
-    stream.read_to_string(&mut answer).await?;
-    Ok(answer)
+/// [`Unheard`]; nothing begins then, unless the scheduler fell silent in the middle of it.
+pub async fn go(folder: &Path, act: Option<&str>) -> Result<Result<String, String>, Unheard> {
+    if act.is_some_and(|act| act.contains(['\n', '\r']) || act.len() as u64 > LINE_MAX / 2) {
+        return Ok(Err("no act has such a name".to_owned()));
+    }
+    let mut speaker = Speaker::to(folder).await?;
+    // A go that a scheduler finds when it wakes up from standing still would come at any time.
+    speaker.hear().await?;
+    speaker.say(&format!("go {}", act.unwrap_or_default())).await?;
+    let answer = speaker.hear().await?;
+    match (answer.strip_prefix("started "), answer.strip_prefix("refused: ")) {
+        (Some(act), _) => Ok(Ok(act.to_owned())),
+        (_, reason) => Ok(Err(reason.unwrap_or(&answer).to_owned())),
+    }
+}
+
+/// Stops a mission. Returns its report, a line of JSON, once it has ended.
+///
+/// # Errors
+/// [`Unheard`], as soon as it is silent for 1 s. What was said to it may still count then.
+pub async fn stop(folder: &Path) -> Result<String, Unheard> {
+    let mut speaker = Speaker::to(folder).await?;
+    speaker.say("stop").await?;
+    loop {
+        let line = speaker.hear().await?;
+        if line.starts_with('{') {
+            return Ok(line);
+        }
+    }
+}
+
+/// Another terminal's end of a connection.
+struct Speaker {
+    reader: BufReader<OwnedReadHalf>,
+    writer: OwnedWriteHalf,
+}
+
+impl Speaker {
+    async fn to(folder: &Path) -> Result<Self, Unheard> {
+        let stream = UnixStream::connect(socket(folder));
+        let (reader, writer) = timeout(SILENCE_MAX, stream).await.map_err(|_| Unheard::Silent)??.into_split();
+        Ok(Self { reader: BufReader::new(reader), writer })
+    }
+
+    async fn say(&mut self, line: &str) -> Result<(), Unheard> {
+        let line = format!("{line}\n");
+        match timeout(SILENCE_MAX, self.writer.write_all(line.as_bytes())).await {
+            Ok(written) => written.map_err(|_| Unheard::Ended),
+            Err(_) => Err(Unheard::Silent),
+        }
+    }
+
+    async fn hear(&mut self) -> Result<String, Unheard> {
+        let mut line = String::new();
+        match timeout(SILENCE_MAX, self.reader.read_line(&mut line)).await {
+            Err(_) => Err(Unheard::Silent),
+            Ok(Ok(n)) if n > 0 => Ok(line.trim_end().to_owned()),
+            Ok(_) => Err(Unheard::Ended),
+        }
+    }
 }

@@ -3,7 +3,7 @@
 pub mod control;
 mod world;
 
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use urrcp::{Server, Timestamp};
 
 use self::world::RealWorld;
@@ -14,19 +14,25 @@ use crate::mission::{Mission, Progress};
 use crate::recording::Recording;
 use crate::report::Report;
 use crate::server_clock::{NtpWatch, ServerClock};
+use crate::stop_lane::{Before, StopLane};
 
 /// What the operator asks for while a mission runs.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Debug)]
 pub enum Operator {
     /// Let the act begin that waits for it.
-    Go,
+    Go {
+        /// Which act is meant; `None`: whichever waits.
+        act: Option<String>,
+        /// Hears which act it lets begin, or why it counts for none; nothing when the mission ends before.
+        answer: oneshot::Sender<Result<String, String>>,
+    },
     /// Stop all robots and wait for their confirmation.
     Stop,
     /// Leave at once.
     Leave,
 }
 
-/// What is kept of a mission on disk.
+/// What goes with a mission.
 #[derive(Debug, Default)]
 pub struct Keep {
     /// What was promised to whom.
@@ -35,6 +41,8 @@ pub struct Keep {
     pub recording: Option<Recording>,
     /// Follows NTP while the mission goes on.
     pub ntp: Option<NtpWatch>,
+    /// Stops the robots whatever else stands still.
+    pub stop_lane: Option<StopLane>,
 }
 
 /// Runs a mission to its end. `endpoints` stand in the order of the mission's robots.
@@ -59,7 +67,11 @@ pub async fn run_and_keep(
     keep: &mut Keep,
 ) -> Report {
     let ids = (0..endpoints.len()).map(|robot| mission.robot_id(robot).clone()).collect();
-    let mut world = RealWorld::new(endpoints, ids, clock, operator, tell, std::mem::take(keep));
+    let before = Before {
+        session: mission.options().session.clone(),
+        devices: mission.robots().iter().map(|robot| robot.touched.clone()).collect(),
+    };
+    let mut world = RealWorld::new((endpoints, before), ids, clock, operator, tell, std::mem::take(keep));
     let report = drive(&mut mission, &mut world).await;
     *keep = world.finish().await;
     // A real process that is killed does not come here.

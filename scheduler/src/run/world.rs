@@ -1,8 +1,9 @@
 //! The real world of a mission: tokio's links and timers, the journal's thread, the recording's file.
 
+use std::collections::VecDeque;
 use std::time::Duration;
 
-use tokio::sync::mpsc;
+use tokio::sync::{mpsc, oneshot};
 use urrcp::{Message, RobotId, Server, Span, Timestamp};
 
 use super::{Keep, Operator};
@@ -12,6 +13,7 @@ use crate::link::{Endpoint, Link};
 use crate::mission::{Event, Progress, Record};
 use crate::recording::Recording;
 use crate::server_clock::{NtpState, NtpWatch, ServerClock};
+use crate::stop_lane::{Before, Passage, StopLane};
 
 /// Events that may wait for the mission; links wait beyond that.
 const EVENTS_MAX: usize = 65_536;
@@ -27,11 +29,14 @@ pub(super) struct RealWorld<T> {
     events: mpsc::Sender<Happened>,
     happened: mpsc::Receiver<Happened>,
     operator: mpsc::Receiver<Operator>,
+    /// Who waits for the answer to a go, the oldest first.
+    unanswered: VecDeque<oneshot::Sender<Result<String, String>>>,
     ntp: Option<NtpWatch>,
     tell: T,
     journal: FileJournal,
     recording: Option<Recording>,
     notes: Vec<Note>,
+    stop_lane: Option<StopLane>,
 }
 
 enum FileJournal {
@@ -43,7 +48,7 @@ enum FileJournal {
 
 impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
     pub(super) fn new(
-        endpoints: Vec<Endpoint>,
+        (endpoints, before): (Vec<Endpoint>, Before),
         ids: Vec<RobotId>,
         clock: ServerClock,
         operator: mpsc::Receiver<Operator>,
@@ -51,6 +56,10 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         keep: Keep,
     ) -> Self {
         let (events, happened) = mpsc::channel(EVENTS_MAX);
+        let mut stop_lane = keep.stop_lane;
+        if let Some(lane) = &mut stop_lane {
+            lane.guard(&endpoints, &before, clock, &events);
+        }
         let journal = keep.journal.map_or(FileJournal::None, |journal| match Writer::start(journal) {
             Ok(writer) => FileJournal::Written(writer),
             Err(error) => FileJournal::Lost(format!("no thread for the journal: {error}")),
@@ -63,16 +72,21 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
             events,
             happened,
             operator,
+            unanswered: VecDeque::new(),
             ntp: keep.ntp,
             tell,
             journal,
             recording: keep.recording,
             notes: Vec::new(),
+            stop_lane,
         }
     }
 
     /// Lets go of the links, gives their tasks a moment to write what is queued, and waits for the disk.
     pub(super) async fn finish(mut self) -> Keep {
+        if let Some(lane) = &self.stop_lane {
+            lane.let_go();
+        }
         self.write_notes();
         drop(self.links);
         tokio::time::sleep(Duration::from_millis(20)).await;
@@ -80,7 +94,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
             FileJournal::Written(writer) => writer.finish().await,
             FileJournal::None | FileJournal::Lost(_) => None,
         };
-        Keep { journal, recording: self.recording, ntp: self.ntp }
+        Keep { journal, recording: self.recording, ntp: self.ntp, stop_lane: self.stop_lane }
     }
 
     /// The recording's file may make this wait, so nothing that has to be sent waits behind it.
@@ -98,6 +112,9 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
 
     fn note_received(&mut self, happened: &Happened) {
         let (Happened::OnLink { at, event, .. } | Happened::Event { at, event }) = happened else { return };
+        if let (Event::LinkUp { robot }, Some(lane)) = (&**event, &self.stop_lane) {
+            lane.reached(*robot);
+        }
         if let (Event::Received { robot, message }, Some(_)) = (&**event, &self.recording) {
             let (at, robot, message) = (*at, *robot, message.clone());
             self.note(move |recording, ids| recording.received(at, &ids[robot], &message));
@@ -116,11 +133,17 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
 
     async fn next(&mut self, until: Option<Timestamp<Server>>) -> Option<Happened> {
         self.write_notes();
+        if let Some(lane) = &self.stop_lane {
+            lane.turned();
+        }
         tokio::select! {
             biased;
             word = self.operator.recv() => match word {
                 Some(Operator::Stop) => self.event(Event::StopRequested),
-                Some(Operator::Go) => self.event(Event::Go),
+                Some(Operator::Go { act, answer }) => {
+                    self.unanswered.push_back(answer);
+                    self.event(Event::Go { act })
+                }
                 Some(Operator::Leave) | None => Some(Happened::Left),
             },
             written = next_written(&mut self.journal) => self.event(match written.lost {
@@ -139,8 +162,11 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
         let endpoint = self.endpoints[robot].clone();
         let events = self.events.clone();
-        self.links[robot] =
-            Some(Link::open((robot, link), endpoint, self.clock, events, after.to_duration()));
+        let link = Link::open((robot, link), endpoint, self.clock, events, after.to_duration());
+        if let Some(lane) = &self.stop_lane {
+            lane.links(robot, &link);
+        }
+        self.links[robot] = Some(link);
     }
 
     fn send(
@@ -151,6 +177,9 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
         urgency: Urgency,
     ) -> Result<(), QueueFull> {
         let Some(link) = &self.links[robot] else { return Ok(()) };
+        if self.stop_lane.as_ref().is_some_and(|lane| lane.passes(robot, &message) == Passage::Closed) {
+            return Ok(());
+        }
         let copy = self.recording.is_some().then(|| message.clone());
         link.send(message, urgency)?;
         if let Some(message) = copy {
@@ -183,6 +212,12 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     fn tell(&mut self, at: Timestamp<Server>, progress: Progress) {
         (self.tell)(at, &progress);
         self.note(move |recording, _| recording.progress(at, &progress));
+    }
+
+    fn answer(&mut self, answer: Result<String, String>) {
+        if let Some(asked) = self.unanswered.pop_front() {
+            let _gone = asked.send(answer);
+        }
     }
 }
 

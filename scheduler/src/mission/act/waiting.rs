@@ -16,6 +16,8 @@ const DAY: Span = Span::from_millis(24 * 3_600 * 1_000);
 pub(super) struct Waiting {
     /// The operator said go.
     gone: bool,
+    /// What it waits for has been told.
+    announced: bool,
     /// When its sensor is read next.
     poll: Option<Timestamp<Server>>,
 }
@@ -86,22 +88,31 @@ impl Act {
         }
     }
 
-    /// The operator says go. `false`: it does not wait for that now.
-    pub(crate) fn go(&mut self) -> bool {
-        let counts = self.is_alone() && self.written().wait == Wait::Operator;
-        match &mut self.stage {
-            Stage::Waiting(waiting) if counts => {
-                waiting.gone = true;
-                true
-            }
-            _ => false,
-        }
+    /// Whether it waits for the operator and has no go yet, be it that another act plays before it.
+    pub(crate) fn awaits_operator(&self) -> bool {
+        matches!(&self.stage, Stage::Waiting(waiting) if !waiting.gone && self.written().wait == Wait::Operator)
     }
 
-    /// What it waits for, for people; nothing for an act that follows at once.
-    pub(crate) fn announcement(&self, options: &MissionOptions) -> Option<Progress> {
+    /// The operator says go. `false`: it does not wait for that now.
+    pub(crate) fn go(&mut self) -> bool {
+        let counts = self.is_alone() && self.awaits_operator();
+        if let Stage::Waiting(waiting) = &mut self.stage {
+            waiting.gone |= counts;
+        }
+        counts
+    }
+
+    /// What it waits for, for people, once it does; nothing for an act that follows at once. A time comes whatever plays
+    /// before it, the operator and sensors are waited for once nothing does.
+    pub(crate) fn announcement(&mut self, options: &MissionOptions) -> Option<Progress> {
+        let (fixed, alone) = (self.fixed_target(options), self.is_alone());
+        let Stage::Waiting(waiting) = &mut self.stage else { return None };
+        if waiting.announced || !(fixed.is_some() || alone) {
+            return None;
+        }
+        waiting.announced = true;
         let written = self.written();
-        let awaits = match (self.fixed_target(options), &written.wait) {
+        let awaits = match (fixed, &written.wait) {
             (Some(at), _) => format!("{at}"),
             (None, Wait::Operator) => "the operator's go".to_owned(),
             (None, Wait::Sensor { robot, sensor, range }) => format!("`{robot}/{sensor}` {range}"),

@@ -4,13 +4,13 @@
 use std::collections::VecDeque;
 
 use downbeat_robot::LinkId;
-use urrcp::{Message, Server, SessionId, Span, Timestamp};
+use urrcp::{Message, RobotId, Server, SessionId, Span, Timestamp};
 
 use super::{BEGIN, Item, LASTS_MAX, World, options, participants, session};
 use crate::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use crate::journal::simulated::SimulatedDisk;
-use crate::journal::{Asked, Fate, Journal, Opened};
-use crate::mission::{Event, Mission, Progress, Record};
+use crate::journal::{Asked, Fate, Journal, Kept, Opened, OpenedRobot};
+use crate::mission::{Event, Greeting, Mission, Progress, Record};
 use crate::simulation::{Drawn, Happened};
 
 /// Whether the process is there.
@@ -46,6 +46,10 @@ enum DiskState {
     Lost,
 }
 
+fn opened(robot: RobotId) -> OpenedRobot {
+    OpenedRobot { robot, address: "soak".to_owned(), init: None }
+}
+
 impl Scheduler {
     pub(super) fn new(drawn: &Drawn) -> Self {
         let mut journal = on(SimulatedDisk::with_capacity(drawn.disk.capacity));
@@ -55,7 +59,9 @@ impl Scheduler {
             scenario: "soak".into(),
             fleet: "soak".into(),
             asked: Asked::default(),
-            robots: drawn.robots.iter().map(|robot| (robot.block.id.clone(), "soak".to_owned())).collect(),
+            greeting: Greeting::Full,
+            clock_offset: Span::ZERO,
+            robots: drawn.robots.iter().map(|robot| opened(robot.block.id.clone())).collect(),
         };
         if let Some(Err(error)) = journal.as_mut().map(|journal| journal.begin(BEGIN, &opened)) {
             tracing::debug!("{error}");
@@ -158,11 +164,11 @@ impl World {
         let resumed = kept.filter(|kept| kept.fate() == Fate::Resume).and_then(|kept| {
             Mission::resume(choreography, participants.clone(), options(), kept, self.now).ok()
         });
-        let touched = kept.map(|kept| kept.touched.clone()).unwrap_or_default();
+        let left = kept.map(Kept::left).unwrap_or_default();
         self.scheduler.disk = DiskState::Idle;
         self.scheduler.paused_until = self.now;
         self.note(Happened::TakenUp(if resumed.is_some() { "resumed" } else { "withdrawn" }));
-        resumed.unwrap_or_else(|| Mission::withdraw(participants, options(), &touched, self.now))
+        resumed.unwrap_or_else(|| Mission::withdraw(participants, options(), &left, self.now))
     }
 
     /// Something for the scheduler, which takes it when it can.

@@ -1,0 +1,74 @@
+//! `downbeat run --detach`: the mission goes on as a process of its own, away from the terminal, with its own log.
+
+use std::fs::{File, OpenOptions};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::time::Duration;
+
+use urrcp::SessionId;
+
+use super::{Exit, Format, console};
+use crate::run::control;
+
+/// Tells the process in the background the name of its mission.
+const NAME: &str = "DOWNBEAT_DETACHED_AS";
+/// How often it is looked whether the mission has begun.
+const LOOK_EVERY: Duration = Duration::from_millis(20);
+
+/// The mission's name, in the process that runs in the background. It leaves the terminal here.
+pub(super) fn detached_as() -> Option<SessionId> {
+    let session = std::env::var(NAME).ok()?.parse().ok()?;
+    if let Err(error) = rustix::process::setsid() {
+        console::warn(&format!("the mission still belongs to its terminal: {error}"));
+    }
+    Some(session)
+}
+
+/// Starts this very command again in the background, and waits until its mission can be stopped from other terminals.
+pub(super) fn detach(session: &SessionId, folder: &Path, format: Format) -> Exit {
+    let log = folder.join("log");
+    let mut child = match start(session, folder, &log) {
+        Ok(child) => child,
+        Err(error) => {
+            console::error(&format!(
+                "cannot start a mission in the background, log {}: {error}",
+                log.display()
+            ));
+            return Exit::Failed;
+        }
+    };
+    super::with_runtime(async {
+        loop {
+            if control::socket(folder).exists() {
+                announce(session, child.id(), log, format);
+                return Exit::Done;
+            }
+            if let Ok(Some(status)) = child.try_wait() {
+                console::note(std::fs::read_to_string(&log).unwrap_or_default().trim_end());
+                return status.code().map_or(Exit::Failed, Exit::of_code);
+            }
+            tokio::time::sleep(LOOK_EVERY).await;
+        }
+    })
+}
+
+fn start(session: &SessionId, folder: &Path, log: &Path) -> io::Result<Child> {
+    std::fs::create_dir_all(folder)?;
+    let out: File = OpenOptions::new().create(true).append(true).open(log)?;
+    let mut command = Command::new(std::env::current_exe()?);
+    command.args(std::env::args_os().skip(1)).env(NAME, session.as_str());
+    command.stdin(Stdio::null()).stdout(out.try_clone()?).stderr(out).spawn()
+}
+
+fn announce(session: &SessionId, process: u32, log: PathBuf, format: Format) {
+    match format {
+        Format::Json => {
+            console::print_json(&serde_json::json!({"mission": session, "process": process, "log": log}));
+        }
+        Format::Text => console::print(&format!(
+            "mission {session} runs in the background, process {process}\n  follow it: tail -f {}\n  stop it:   downbeat stop {session}\n",
+            log.display()
+        )),
+    }
+}

@@ -1,0 +1,50 @@
+//! `downbeat go`: the operator's word from another terminal.
+
+use super::missions::{failed, one};
+use super::{Exit, Format, console};
+use crate::journal::Life;
+use crate::run::control;
+
+/// Let the act begin that waits for the operator.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Says which act it lets begin. Where none waits for the operator now, or another than the one that
+is named, nothing happens: the reason is told, and the exit code is 1.
+
+Examples:
+  downbeat go
+  downbeat go finale
+  downbeat go --mission swap@stage-4711-20261121T193000000"
+)]
+pub(super) struct GoArgs {
+    /// The act that is meant; otherwise whichever waits.
+    act: Option<String>,
+    /// The mission; needed where several run.
+    #[arg(long)]
+    mission: Option<String>,
+}
+
+pub(super) fn go(args: &GoArgs, format: Format) -> Exit {
+    let found = match one(args.mission.as_deref(), Life::Running, "runs") {
+        Ok(found) => found,
+        Err(exit) => return exit,
+    };
+    let name = &found.opened.session;
+    super::with_runtime(async {
+        match control::go(&found.folder, args.act.as_deref()).await {
+            Ok(Ok(act)) => {
+                match format {
+                    Format::Json => {
+                        console::print_json(&serde_json::json!({"mission": name, "started": act}))
+                    }
+                    Format::Text => console::print(&format!("`{act}` begins\n")),
+                }
+                Exit::Done
+            }
+            Ok(Err(reason)) => failed(&format!("no go: {reason}")),
+            Err(unheard) => {
+                failed(&format!("no go: the scheduler of `{name}`, process {}: {unheard}", found.opened.pid))
+            }
+        }
+    })
+}

@@ -1,0 +1,161 @@
+//! `downbeat resume`: takes up a mission whose scheduler was killed.
+
+use downbeat_robot::HostOptions;
+use downbeat_scripts::{Choreography, Fleet, FleetRobot};
+
+use super::live::Live;
+use super::missions::{failed, one};
+use super::run::{HowArgs, finish, listen, server_clock, stop_lane, utc_offset};
+use super::withdraw::{How, Scheduler, Taken, withdraw_and_record};
+use super::{Exit, Format, ScenarioArgs, choice, console, load, robot, stop};
+use crate::fleet;
+use crate::journal::{Fate, Found, Journal, Kept, Life, OpenedRobot};
+use crate::mission::{Mission, MissionOptions};
+use crate::report::Report;
+use crate::run::Keep;
+use crate::server_clock::ServerClock;
+use crate::signals::OnHangUp;
+
+/// Take up a mission whose scheduler was killed.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Reads the journal, reaches the robots again under the same session, learns what they did meanwhile, and
+plays the mission to its end. An act that was not decided yet is withdrawn instead. Refuses where a robot has another
+address now than the one at which it was sent its scripts.
+
+Examples:
+  downbeat resume
+  downbeat resume swap@stage-4711-20261121T193000000"
+)]
+pub(super) struct ResumeArgs {
+    /// The mission; needed where several were cut off.
+    mission: Option<String>,
+    #[command(flatten)]
+    how: HowArgs,
+}
+
+pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
+    let found = match one(args.mission.as_deref(), Life::CutOff, "was cut off") {
+        Ok(found) => found,
+        Err(exit) => return exit,
+    };
+    let taken = match Taken::of(&found) {
+        Ok(taken) => taken,
+        Err(reason) => return failed(&format!("{}: {reason}", found.opened.session)),
+    };
+    if let Fate::Withdraw(why) = taken.kept.fate() {
+        console::note(&format!("{why}: withdrawing what was promised"));
+        return super::with_runtime(async {
+            let how = How { scheduler: Scheduler::Gone, patience: args.how.patience, told: format };
+            stop::conclude(found.opened.session.clone(), withdraw_and_record(taken, how).await, format)
+        });
+    }
+    match Resumption::of(found, taken, args, format) {
+        Ok(resumption) => super::with_runtime(resumption.play()),
+        Err(exit) => {
+            console::note(
+                "nothing was resumed; `downbeat stop` takes back what the robots hold, by the journal alone",
+            );
+            exit
+        }
+    }
+}
+
+/// A mission that goes on.
+struct Resumption<'a> {
+    found: Found,
+    kept: Kept,
+    journal: Journal,
+    choreography: Choreography,
+    fleet: Fleet,
+    how: &'a HowArgs,
+    format: Format,
+}
+
+impl<'a> Resumption<'a> {
+    fn of(found: Found, taken: Taken, args: &'a ResumeArgs, format: Format) -> Result<Self, Exit> {
+        let scenario =
+            ScenarioArgs { scenario: found.opened.scenario.clone(), fleet: Some(found.opened.fleet.clone()) };
+        let (choreography, fleet, _) = load::load_choreography(&scenario, format)?;
+        let (choreography, _) = choice::choose(choreography, &fleet, &found.opened.asked)?;
+        let moved = moved(&found.opened.robots, &fleet);
+        if !moved.is_empty() {
+            return Err(failed(&moved.join("\n")));
+        }
+        let (kept, journal) = taken.journal().map_err(|reason| failed(&reason))?;
+        Ok(Self { found, kept, journal, choreography, fleet, how: &args.how, format })
+    }
+
+    async fn play(self) -> Exit {
+        let clock = match server_clock(&self.fleet, self.format).await {
+            Ok((clock, _)) => clock,
+            Err(error) => return failed(&error),
+        };
+        let robots = fleet::robots_in(&self.fleet, &self.choreography);
+        let options = MissionOptions {
+            greeting: fleet::greeting(&self.fleet),
+            patience: self.how.patience,
+            session: Some(self.found.opened.session.clone()),
+            utc_offset: utc_offset(),
+            ..MissionOptions::default()
+        };
+        let participants = fleet::participants(&robots);
+        let mission =
+            Mission::resume(self.choreography.clone(), participants, options, &self.kept, clock.now());
+        let mission = match mission {
+            Ok(mission) => mission,
+            Err(changed) => return failed(&changed.to_string()),
+        };
+        let format = self.format;
+        match go_on(&self.found, self.journal, mission, &robots, &self.fleet, clock, format).await {
+            Ok((report, at_rest)) => {
+                let exit = finish(&report, format);
+                if at_rest { exit } else { Exit::Unconfirmed }
+            }
+            Err(exit) => exit,
+        }
+    }
+}
+
+/// Robots that are no longer where they were sent their scripts, each with both addresses.
+fn moved(opened: &[OpenedRobot], fleet: &Fleet) -> Vec<String> {
+    let is_now = |id| fleet.robots.iter().find(|robot: &&FleetRobot| robot.id == id);
+    let moved = |opened: &OpenedRobot| {
+        let (robot, was) = (&opened.robot, &opened.address);
+        match is_now(robot.clone()).map(|robot| robot.address.to_string()) {
+            Some(now) if now == *was => None,
+            Some(now) => Some(format!(
+                "robot `{robot}` was sent its scripts at {was}, and the fleet file says {now} now"
+            )),
+            None => Some(format!(
+                "robot `{robot}` was sent its scripts at {was}, and is not in the fleet file now"
+            )),
+        }
+    };
+    opened.iter().filter_map(moved).collect()
+}
+
+/// Returns the report, and whether hardware in this process is known to be in its default state.
+async fn go_on(
+    found: &Found,
+    journal: Journal,
+    mission: Mission,
+    robots: &[&FleetRobot],
+    fleet: &Fleet,
+    clock: ServerClock,
+    format: Format,
+) -> Result<(Report, bool), Exit> {
+    let (host, endpoints) = fleet::endpoints(robots, fleet.handshake, HostOptions::default())
+        .map_err(|error| failed(&error.to_string()))?;
+    let (lane, operator) = stop_lane(OnHangUp::End).map_err(|error| failed(&error))?;
+    let control = listen(&found.folder, &lane);
+    let mut keep = Keep { journal: Some(journal), stop_lane: Some(lane), ..Keep::default() };
+    let live = Live::new(format, clock, robots.len());
+    let tell = |at, progress: &_| live.tell(at, progress);
+    let report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
+    live.clear();
+    if let Some(control) = control {
+        control.end(serde_json::to_string(&report).ok()).await;
+    }
+    Ok((report, host.is_none_or(robot::stop)))
+}

@@ -1,0 +1,272 @@
+//! `downbeat stop`: missions that run, from any terminal; those whose scheduler is gone or does not answer, by their journals.
+
+use std::path::Path;
+
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::{Value, json};
+use tokio::task::{JoinSet, LocalSet};
+use urrcp::{SessionId, Span};
+
+use super::missions::{is_called, listed, none};
+use super::run::HowArgs;
+use super::withdraw::{
+    How, Inside, InsideWhat, NotTaken, Scheduler, Taken, Withdrawn, withdraw, withdraw_and_record,
+};
+use super::{Exit, Format, console};
+use crate::journal::{Found, Kept, Life};
+use crate::run::control;
+
+/// Stop missions: every robot that can be reached comes to rest.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Without a name, stops all missions that run or were cut off, at once. Stops a mission that runs from any
+terminal, and waits for its report. Of a mission whose scheduler was killed, or does not answer within a second, stops the
+robots directly, as its journal names them; no other file is read. Says which robots confirmed, which did not, and when
+their leases end. A mission of which a robot has not confirmed can be stopped again; one that has ended, too, by its name.
+
+Examples:
+  downbeat stop
+  downbeat stop swap@stage-4711-20261121T193000000 --patience 2s"
+)]
+pub(super) struct StopArgs {
+    /// The mission; otherwise all of them.
+    mission: Option<String>,
+    /// All missions that run or were cut off, as without a name; JSON is an array then, however many there are.
+    #[arg(long, conflicts_with = "mission")]
+    all: bool,
+    #[command(flatten)]
+    how: HowArgs,
+}
+
+/// What became of one mission.
+struct Stopped {
+    mission: SessionId,
+    /// `None`: it was not stopped, and why.
+    report: Result<Value, String>,
+    inside: Vec<Inside>,
+    exit: Exit,
+}
+
+pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
+    let missions = listed();
+    let unreadable = if missions.damaged.is_empty() { Exit::Done } else { Exit::Failed };
+    let named = args.mission.as_deref();
+    let meant = |found: &Found| is_called(found, named) && (named.is_some() || found.life != Life::Ended);
+    let found: Vec<Found> = missions.found.into_iter().filter(meant).collect();
+    if found.is_empty() {
+        return none(named, "runs or was cut off");
+    }
+    let shown = if args.all || found.len() > 1 { Shown::Several } else { Shown::One };
+    let told = if shown == Shown::One { format } else { Format::Json };
+    let stops = stop_all(found, args.how.patience, told, shown, format);
+    worst(unreadable, super::with_runtime(LocalSet::new().run_until(stops)))
+}
+
+/// Whether one mission was meant, or however many there are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Shown {
+    One,
+    Several,
+}
+
+async fn stop_all(found: Vec<Found>, patience: Span, told: Format, shown: Shown, format: Format) -> Exit {
+    let mut stops = JoinSet::new();
+    for found in found {
+        stops.spawn_local(stop_one(found, patience, told));
+    }
+    let mut exit = Exit::Done;
+    let mut documents = Vec::new();
+    while let Some(joined) = stops.join_next().await {
+        match joined {
+            Ok(stopped) => {
+                exit = worst(exit, stopped.exit);
+                stopped.tell(shown, format);
+                documents.push(stopped.document(shown));
+            }
+            Err(error) => {
+                console::error(&error.to_string());
+                exit = Exit::Unconfirmed;
+            }
+        }
+    }
+    match (format, shown) {
+        (Format::Text, _) => {}
+        (Format::Json, Shown::Several) => console::print_json(&documents),
+        (Format::Json, Shown::One) => documents.iter().for_each(console::print_json),
+    }
+    exit
+}
+
+/// What a script has to look at first: robots whose stop is not confirmed.
+fn worst(one: Exit, other: Exit) -> Exit {
+    let rank = |exit: Exit| match exit {
+        Exit::Done => 0,
+        Exit::Unconfirmed => 2,
+        _ => 1,
+    };
+    if rank(other) > rank(one) { other } else { one }
+}
+
+async fn stop_one(found: Found, patience: Span, told: Format) -> Stopped {
+    match found.life {
+        Life::Running => match control::stop(&found.folder).await {
+            Ok(report) => Stopped::by_itself(&found, &report),
+            Err(unheard) => unanswered(&found, &unheard.to_string(), patience, told).await,
+        },
+        Life::CutOff => cut_off(&found, patience, told).await,
+        Life::Ended => {
+            let how = How { scheduler: Scheduler::Gone, patience, told };
+            directly(&found, how, "it has ended; its robots are stopped again").await
+        }
+    }
+}
+
+/// A mission that was there and gave no report.
+async fn unanswered(found: &Found, unheard: &str, patience: Span, told: Format) -> Stopped {
+    let now = Found::look_at(&found.folder).ok().flatten().map_or(Life::Ended, |found| found.life);
+    match now {
+        Life::CutOff => return cut_off(found, patience, told).await,
+        Life::Ended => {
+            let how = How { scheduler: Scheduler::Gone, patience, told };
+            return directly(found, how, "it has ended meanwhile; its robots are stopped again").await;
+        }
+        Life::Running => {}
+    }
+    let pid = found.opened.pid;
+    let how = How { scheduler: Scheduler::Silent, patience, told };
+    let why = format!("process {pid}: {unheard}; its robots are stopped directly");
+    let stopped = directly(found, how, &why).await;
+    // Once it goes on, it stops for good.
+    if terminate(pid, &found.folder) {
+        console::note(&format!(
+            "{}: process {pid} was sent SIGTERM, for when it goes on",
+            found.opened.session
+        ));
+    }
+    stopped
+}
+
+async fn cut_off(found: &Found, patience: Span, told: Format) -> Stopped {
+    let how = How { scheduler: Scheduler::Gone, patience, told };
+    let mission = found.opened.session.clone();
+    match Taken::of(found) {
+        Ok(taken) => Stopped::of(mission, withdraw_and_record(taken, how).await),
+        // By another stop, most likely, which is told of by its socket.
+        Err(NotTaken::Held) => match control::stop(&found.folder).await {
+            Ok(report) => Stopped::by_itself(found, &report),
+            Err(unheard) => {
+                directly(found, how, &format!("another process has its journal: {unheard}")).await
+            }
+        },
+        Err(not_taken) => directly(found, how, &not_taken.to_string()).await,
+    }
+}
+
+/// Without its journal's lock, and without writing to it.
+async fn directly(found: &Found, how: How, why: &str) -> Stopped {
+    let mission = found.opened.session.clone();
+    console::warn(&format!("{mission}: {why}"));
+    let kept: Result<Kept, String> = found.read().map_err(|error| error.to_string());
+    match kept {
+        Ok(kept) => Stopped::of(mission, withdraw(&kept, how).await),
+        Err(reason) => Stopped::of(mission, Err(reason)),
+    }
+}
+
+/// Asks a process to end, if it is the one that has this mission's journal open.
+fn terminate(pid: u32, folder: &Path) -> bool {
+    let Ok(journal) = std::fs::canonicalize(folder.join("journal")) else { return false };
+    let Ok(files) = std::fs::read_dir(format!("/proc/{pid}/fd")) else { return false };
+    let is_journal =
+        |file: std::fs::DirEntry| std::fs::read_link(file.path()).is_ok_and(|open| open == journal);
+    let Some(pid) = i32::try_from(pid).ok().and_then(Pid::from_raw) else { return false };
+    files.flatten().any(is_journal) && kill_process(pid, Signal::TERM).is_ok()
+}
+
+impl Stopped {
+    /// The mission has stopped itself and says so.
+    fn by_itself(found: &Found, report: &str) -> Self {
+        let report: Result<Value, String> = serde_json::from_str(report).map_err(|error| error.to_string());
+        let unconfirmed = report.as_ref().map_or(true, |report| {
+            let mut robots = report["robots"].as_array().into_iter().flatten();
+            robots.any(|robot| robot["stop"]["state"] == "unconfirmed")
+        });
+        let exit = if unconfirmed { Exit::Unconfirmed } else { Exit::Done };
+        Self { mission: found.opened.session.clone(), report, inside: Vec::new(), exit }
+    }
+
+    pub(super) fn of(mission: SessionId, withdrawn: Result<Withdrawn, String>) -> Self {
+        match withdrawn {
+            Ok(withdrawn) => {
+                let exit = if withdrawn.is_confirmed() { Exit::Done } else { Exit::Unconfirmed };
+                let report = serde_json::to_value(&withdrawn.report).map_err(|error| error.to_string());
+                Self { mission, report, inside: withdrawn.inside, exit }
+            }
+            Err(reason) => Self { mission, report: Err(reason), inside: Vec::new(), exit: Exit::Unconfirmed },
+        }
+    }
+
+    fn tell(&self, shown: Shown, format: Format) {
+        let indent = if shown == Shown::Several { "  " } else { "" };
+        let mut lines = String::new();
+        if shown == Shown::Several {
+            lines.push_str(&format!("{}:\n", self.mission));
+        }
+        let robots = self.report.iter().filter_map(|report| report["robots"].as_array()).flatten();
+        robots.for_each(|robot| lines.push_str(&format!("{indent}{}\n", robot_line(robot))));
+        self.inside.iter().for_each(|inside| lines.push_str(&format!("{indent}{}\n", inside_line(inside))));
+        match format {
+            Format::Text => console::print(&lines),
+            Format::Json => self.inside.iter().for_each(|inside| console::note(&inside_line(inside))),
+        }
+        if let Err(reason) = &self.report {
+            console::error(&format!("{} is NOT stopped: {reason}", self.mission));
+        }
+    }
+
+    fn document(&self, shown: Shown) -> Value {
+        let report = match &self.report {
+            Ok(report) => report.clone(),
+            Err(reason) => json!({"error": reason}),
+        };
+        match shown {
+            Shown::One => report,
+            Shown::Several => json!({"mission": self.mission, "report": report}),
+        }
+    }
+}
+
+fn robot_line(robot: &Value) -> String {
+    let name = robot["robot"].as_str().unwrap_or_default();
+    match robot["stop"]["state"].as_str() {
+        Some("confirmed") => format!("{name}: default state confirmed"),
+        Some("held") => format!("{name}: held where it was, confirmed"),
+        Some("unconfirmed") => match robot["stop"]["lease_ends"].as_str() {
+            Some(ends) => format!("{name}: stop NOT confirmed; its lease ends at {ends}"),
+            None => format!("{name}: stop NOT confirmed, and it runs without a lease"),
+        },
+        _ => format!("{name}: nothing had been sent to it"),
+    }
+}
+
+fn inside_line(inside: &Inside) -> String {
+    let robot = &inside.robot;
+    match inside.what {
+        InsideWhat::Simulated => format!("{robot}: was simulated in the scheduler's own process"),
+        InsideWhat::Driver => {
+            format!(
+                "{robot}: stop NOT confirmed; the scheduler's own process drives it, end that and stop again"
+            )
+        }
+    }
+}
+
+/// Tells what became of a mission that was taken back instead of resumed.
+pub(super) fn conclude(mission: SessionId, withdrawn: Result<Withdrawn, String>, format: Format) -> Exit {
+    let stopped = Stopped::of(mission, withdrawn);
+    stopped.tell(Shown::One, format);
+    if format == Format::Json {
+        console::print_json(&stopped.document(Shown::One));
+    }
+    stopped.exit
+}

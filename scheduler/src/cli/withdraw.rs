@@ -1,0 +1,246 @@
+//! Takes back what a mission left on its robots, by its journal alone: files may have changed since it began.
+
+use std::path::PathBuf;
+use std::time::Duration;
+
+use downbeat_robot::HostOptions;
+use downbeat_scripts::{Address, FleetRobot, Handshake, RobotClock, counted};
+use urrcp::{Encoding, RobotId, Span};
+
+use super::live::Live;
+use super::run::{listen, stop_lane, utc_offset};
+use super::{Format, console, robot};
+use crate::fleet;
+use crate::journal::{FileDisk, Found, Journal, Kept, OpenedRobot, Torn, read};
+use crate::mission::{Mission, MissionOptions, Record};
+use crate::report::{Report, StopState};
+use crate::run::Keep;
+use crate::server_clock::ServerClock;
+use crate::signals::OnHangUp;
+
+/// So long the disk may take to write down that a mission was stopped.
+const RECORD_MAX: Duration = Duration::from_secs(5);
+
+/// The journal of a mission whose scheduler is gone, under its lock.
+pub(super) struct Taken {
+    pub(super) kept: Kept,
+    disk: FileDisk,
+    folder: PathBuf,
+}
+
+/// A mission is not there to be taken up.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum NotTaken {
+    /// Another process has it.
+    #[error("another process has taken it up")]
+    Held,
+    /// It has ended meanwhile.
+    #[error("another process has ended it meanwhile")]
+    Ended,
+    /// Its journal cannot be opened or read.
+    #[error("{0}")]
+    Journal(String),
+}
+
+impl Taken {
+    /// Takes the journal, and reads it under its lock.
+    pub(super) fn of(found: &Found) -> Result<Self, NotTaken> {
+        let path = found.folder.join("journal");
+        let disk = FileDisk::take_up(&found.folder).map_err(|error| match error.kind() {
+            std::io::ErrorKind::WouldBlock => NotTaken::Held,
+            _ => NotTaken::Journal(format!("cannot open the journal {}: {error}", path.display())),
+        })?;
+        let kept = read(&path).map_err(|error| NotTaken::Journal(error.to_string()))?;
+        if kept.outcome.is_some() {
+            return Err(NotTaken::Ended);
+        }
+        if let Some(torn) = kept.torn {
+            console::warn(&torn_text(torn));
+        }
+        Ok(Self { kept, disk, folder: found.folder.clone() })
+    }
+
+    /// The journal, to be written further.
+    pub(super) fn journal(self) -> Result<(Kept, Journal), String> {
+        let journal =
+            Journal::on(self.disk, self.folder.join("journal")).map_err(|error| error.to_string())?;
+        Ok((self.kept, journal))
+    }
+}
+
+fn torn_text(torn: Torn) -> String {
+    let Torn { line, bytes, whole_after } = torn;
+    match whole_after {
+        0 => format!(
+            "the last record of the journal, line {line}, was not written to its end: its {bytes} bytes are cut off, what it said is not known"
+        ),
+        after => format!(
+            "the journal is damaged from line {line} on: its last {bytes} bytes are cut off, also {} after the damage",
+            counted(after, "whole record")
+        ),
+    }
+}
+
+/// The process that drove a mission.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Scheduler {
+    /// It is gone, and what ran in it as well.
+    Gone,
+    /// It is there and does not answer.
+    Silent,
+}
+
+/// A robot that nothing can be said to, because it runs or ran in the scheduler's own process.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Inside {
+    pub(super) robot: RobotId,
+    pub(super) what: InsideWhat,
+}
+
+/// What ran in the scheduler's process.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum InsideWhat {
+    /// A simulated robot: it ended, or stands still, with the process.
+    Simulated,
+    /// A driver of hardware.
+    Driver,
+}
+
+/// What became of it.
+pub(super) struct Withdrawn {
+    pub(super) report: Report,
+    pub(super) inside: Vec<Inside>,
+    /// Hardware that this process reached for it is in its default state.
+    pub(super) at_rest: bool,
+}
+
+impl Withdrawn {
+    /// Whether every robot is known to be at rest.
+    pub(super) fn is_confirmed(&self) -> bool {
+        let unconfirmed =
+            |robot: &crate::report::RobotReport| matches!(robot.stop, StopState::Unconfirmed { .. });
+        let driven = self.inside.iter().any(|inside| inside.what == InsideWhat::Driver);
+        self.at_rest && !driven && !self.report.robots.iter().any(unconfirmed)
+    }
+}
+
+/// How a mission is withdrawn.
+#[derive(Clone, Copy)]
+pub(super) struct How {
+    pub(super) scheduler: Scheduler,
+    pub(super) patience: Span,
+    /// What is told meanwhile: nothing with JSON.
+    pub(super) told: Format,
+}
+
+/// Stops what a mission left behind, and writes that down afterwards, where the journal is taken: a stop waits for no disk.
+pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdrawn, String> {
+    let (lane, operator) = stop_lane(OnHangUp::End)?;
+    // Whoever says stop meanwhile hears what becomes of this one.
+    let control = listen(&taken.folder, &lane);
+    let withdrawn = withdraw_as(&taken.kept, how, operator).await?;
+    let records = records_of(&withdrawn);
+    let recorded = tokio::task::spawn_blocking(move || write_down(taken, &records));
+    match tokio::time::timeout(RECORD_MAX, recorded).await {
+        Ok(Ok(Ok(()))) => {}
+        Ok(Ok(Err(reason))) => console::warn(&reason),
+        Ok(Err(_)) | Err(_) => {
+            console::warn("the disk does not take it: the journal does not say that it was stopped")
+        }
+    }
+    if let Some(control) = control {
+        control.end(serde_json::to_string(&withdrawn.report).ok()).await;
+    }
+    Ok(withdrawn)
+}
+
+/// Stops what a mission left behind.
+pub(super) async fn withdraw(kept: &Kept, how: How) -> Result<Withdrawn, String> {
+    let (_lane, operator) = stop_lane(OnHangUp::End)?;
+    withdraw_as(kept, how, operator).await
+}
+
+async fn withdraw_as(
+    kept: &Kept,
+    how: How,
+    operator: tokio::sync::mpsc::Receiver<crate::run::Operator>,
+) -> Result<Withdrawn, String> {
+    let (robots, inside) = robots_of(&kept.opened.robots, how.scheduler);
+    let robots: Vec<&FleetRobot> = robots.iter().collect();
+    let clock = ServerClock::anchored(kept.opened.clock_offset);
+    let options = MissionOptions {
+        greeting: kept.opened.greeting,
+        patience: how.patience,
+        session: Some(kept.opened.session.clone()),
+        utc_offset: utc_offset(),
+        ..MissionOptions::default()
+    };
+    let mission = Mission::withdraw(fleet::participants(&robots), options, &kept.left(), clock.now());
+    let (host, endpoints) = fleet::endpoints_at_once(&robots, Handshake::Full, HostOptions::default())
+        .map_err(|error| error.to_string())?;
+    let live = Live::new(how.told, clock, robots.len());
+    let tell = |at, progress: &_| live.tell(at, progress);
+    let mut keep = Keep::default();
+    let report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
+    live.clear();
+    Ok(Withdrawn { report, inside, at_rest: host.is_none_or(robot::stop) })
+}
+
+/// The robots of a journal as far as this process can reach them, and the others.
+fn robots_of(opened: &[OpenedRobot], scheduler: Scheduler) -> (Vec<FleetRobot>, Vec<Inside>) {
+    let (mut reached, mut inside) = (Vec::new(), Vec::new());
+    for opened in opened {
+        let what = match (opened.address.parse(), scheduler) {
+            (Ok(address @ Address::Tcp { .. }), _) => {
+                reached.push(fleet_robot(opened, address));
+                continue;
+            }
+            (Ok(address @ (Address::Thrift { .. } | Address::Program { .. })), Scheduler::Gone)
+                if opened.init.is_some() =>
+            {
+                reached.push(fleet_robot(opened, address));
+                continue;
+            }
+            (Ok(Address::Simulated), _) => InsideWhat::Simulated,
+            _ => InsideWhat::Driver,
+        };
+        inside.push(Inside { robot: opened.robot.clone(), what });
+    }
+    (reached, inside)
+}
+
+/// As much of it as a stop needs. Every robot understands JSON.
+fn fleet_robot(opened: &OpenedRobot, address: Address) -> FleetRobot {
+    FleetRobot {
+        id: opened.robot.clone(),
+        address,
+        init: opened.init.clone(),
+        simulation: downbeat_scripts::SimulationSettings::default(),
+        limits: std::collections::BTreeMap::new(),
+        clock: RobotClock::Ntp,
+        wake_up: Span::ZERO,
+        require: Vec::new(),
+        encoding: Encoding::Json,
+    }
+}
+
+/// A mission of which a robot may still move has not ended: it can be stopped again.
+fn records_of(withdrawn: &Withdrawn) -> Vec<Record> {
+    let report = &withdrawn.report;
+    let confirmed =
+        |robot: &&crate::report::RobotReport| matches!(robot.stop, StopState::Confirmed | StopState::Held);
+    let mut records = vec![Record::Stopping { outcome: report.outcome.clone() }];
+    let robots = report.robots.iter().filter(confirmed);
+    records.extend(robots.map(|robot| Record::StopConfirmed { robot: robot.robot.clone() }));
+    if withdrawn.is_confirmed() {
+        records.push(Record::Ended { outcome: report.outcome.clone() });
+    }
+    records
+}
+
+fn write_down(taken: Taken, records: &[Record]) -> Result<(), String> {
+    let clock = ServerClock::anchored(taken.kept.opened.clock_offset);
+    let (_, mut journal) = taken.journal()?;
+    records.iter().try_for_each(|record| journal.append(clock.now(), record))?;
+    journal.sync().map(drop)
+}

@@ -1,0 +1,143 @@
+//! The missions that left a folder here, as far as the first and the last lines of their journals tell: a stop must not wait
+//! until years of old journals are read.
+
+use std::fs::File;
+use std::io::{self, BufRead, BufReader, Read, Seek, SeekFrom};
+use std::path::{Path, PathBuf};
+
+use serde::Deserialize;
+use serde_json::Value;
+use urrcp::{Server, Timestamp};
+
+use super::read::whole;
+use super::{Kept, Opened, Unreadable, lock, read};
+
+/// A mission that left a folder.
+#[derive(Clone, Debug)]
+pub struct Found {
+    /// Its folder.
+    pub folder: PathBuf,
+    /// Its first line.
+    pub opened: Opened,
+    /// When that was.
+    pub opened_at: Timestamp<Server>,
+    /// What became of it.
+    pub life: Life,
+    /// Bytes of its journal.
+    size: u64,
+}
+
+/// What became of a mission.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Life {
+    /// Its scheduler lives.
+    Running,
+    /// Its scheduler was gone before it had ended.
+    CutOff,
+    /// It has ended.
+    Ended,
+}
+
+/// All missions that left a folder here.
+#[derive(Debug, Default)]
+pub struct Missions {
+    /// Those that can be read, the newest last.
+    pub found: Vec<Found>,
+    /// Journals with lines of which the first one is damaged: nobody knows whose they are.
+    pub damaged: Vec<PathBuf>,
+}
+
+impl Missions {
+    /// Looks at all folders.
+    #[must_use]
+    pub fn of(state: &Path) -> Self {
+        let mut missions = Self::default();
+        let Ok(entries) = std::fs::read_dir(state) else { return missions };
+        for entry in entries.flatten() {
+            match Found::look_at(&entry.path()) {
+                Ok(Some(found)) => missions.found.push(found),
+                Ok(None) => missions.damaged.push(entry.path().join("journal")),
+                Err(error) => tracing::debug!("{}: {error}", entry.path().display()),
+            }
+        }
+        missions.found.sort_by_key(|found| found.opened_at);
+        missions
+    }
+}
+
+impl Found {
+    /// Looks at one folder; `None` where the first line of its journal is damaged.
+    ///
+    /// # Errors
+    /// There is no journal, or nothing in it yet.
+    pub fn look_at(folder: &Path) -> io::Result<Option<Self>> {
+        let file = File::open(folder.join("journal"))?;
+        let running = lock::is_taken(&file);
+        let mut first = Vec::new();
+        let mut reader = BufReader::new(&file);
+        reader.read_until(b'\n', &mut first)?;
+        let size = file.metadata()?.len();
+        let begun = whole(&first).and_then(|line| {
+            Some((Opened::deserialize(&line).ok()?, Timestamp::deserialize(&line["at"]).ok()?))
+        });
+        let Some((opened, opened_at)) = begun else {
+            // Cut off while it began: nothing had been sent yet.
+            return if size == first.len() as u64 {
+                Err(io::ErrorKind::UnexpectedEof.into())
+            } else {
+                Ok(None)
+            };
+        };
+        let life = match running {
+            true => Life::Running,
+            false if has_ended(&file, first.len() as u64, size)? => Life::Ended,
+            false => Life::CutOff,
+        };
+        Ok(Some(Self { folder: folder.to_path_buf(), opened, opened_at, life, size }))
+    }
+
+    /// Reads its whole journal.
+    ///
+    /// # Errors
+    /// [`Unreadable`] where not even the first line is whole any more.
+    pub fn read(&self) -> Result<Kept, Unreadable> {
+        read(&self.folder.join("journal"))
+    }
+}
+
+/// So many bytes at the end of a journal are looked at: that a mission has ended is one of its last lines, and a short one.
+const TAIL: u64 = 64 * 1024;
+
+fn has_ended(mut file: &File, begin: u64, size: u64) -> io::Result<bool> {
+    let from = size.saturating_sub(TAIL).max(begin);
+    file.seek(SeekFrom::Start(from))?;
+    let mut tail = Vec::new();
+    file.read_to_end(&mut tail)?;
+    // Where that falls into a line, the rest of it is no whole one.
+    let lines = tail.split_inclusive(|byte| *byte == b'\n');
+    let ended = |line: Value| line["record"].as_str() == Some("ended");
+    Ok(lines.filter_map(whole).any(ended))
+}
+
+/// Ended missions whose folders are kept at most.
+const ENDED_KEPT: usize = 50;
+/// Bytes of the journals of ended missions that are kept at most, except that of the last one.
+const ENDED_BYTES: u64 = 64 * 1024 * 1024;
+
+/// Removes the folders of missions that ended: of those beyond the last 50, and of the older ones where their journals are
+/// longer than 64 MiB together. Those that were cut off stay until they are resumed or stopped.
+pub fn forget_old(state: &Path) {
+    let found = Missions::of(state).found;
+    let ended = found.into_iter().rev().filter(|found| found.life == Life::Ended);
+    let mut bytes = 0;
+    for (index, found) in ended.enumerate() {
+        bytes += found.size;
+        let kept = index == 0 || (index < ENDED_KEPT && bytes <= ENDED_BYTES);
+        if kept {
+            continue;
+        }
+        if let Err(error) = std::fs::remove_dir_all(&found.folder) {
+            tracing::debug!("cannot remove {}: {error}", found.folder.display());
+        }
+    }
+}

@@ -1,0 +1,134 @@
+//! Which signals end the program in good order, and which it ignores.
+//!
+//! Ctrl-C, SIGTERM, SIGQUIT and SIGHUP ask it to end. SIGUSR1, SIGUSR2 and SIGXFSZ would kill it by default and are taken
+//! without effect; a file that has reached its limit then gives an error of writing. SIGPIPE is ignored by Rust itself.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGUSR1, SIGUSR2, SIGXFSZ};
+use tokio::signal::unix::{Signal, SignalKind, signal};
+
+/// A signal that asks the program to end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Asked {
+    /// Ctrl-C.
+    Interrupt,
+    /// A supervisor's SIGTERM.
+    Terminate,
+    /// Ctrl-\.
+    Quit,
+    /// The terminal was closed, or the connection to it lost.
+    HangUp,
+}
+
+/// Whether the end of the terminal is the end of the program.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OnHangUp {
+    /// As by SIGTERM, unless the program was started with SIGHUP ignored, as `nohup` does.
+    End,
+    /// It goes on.
+    Stay,
+}
+
+/// Takes the signals that would kill the program for no good reason. Programs that it starts have them as usual.
+pub fn take_harmless() {
+    for harmless in [SIGUSR1, SIGUSR2, SIGXFSZ] {
+        take(harmless);
+    }
+}
+
+fn take(number: i32) {
+    if let Err(error) = signal_hook::flag::register(number, Arc::new(AtomicBool::new(false))) {
+        tracing::warn!("signal {number} keeps its default effect: {error}");
+    }
+}
+
+/// Ends the process as the signal would have, had the program not taken it. Nothing is waited for.
+pub fn die_of(asked: Asked) {
+    if let Err(error) = signal_hook::low_level::emulate_default_handler(asked.number()) {
+        tracing::error!("cannot end by a signal: {error}");
+    }
+}
+
+impl Asked {
+    const fn number(self) -> i32 {
+        match self {
+            Self::Interrupt => SIGINT,
+            Self::Terminate => SIGTERM,
+            Self::Quit => SIGQUIT,
+            Self::HangUp => SIGHUP,
+        }
+    }
+}
+
+/// Waits for the signals that ask the program to end.
+#[derive(Debug)]
+pub struct Signals {
+    interrupt: Signal,
+    terminate: Signal,
+    quit: Signal,
+    hang_up: Option<Signal>,
+}
+
+impl Signals {
+    /// From now on none of them kills the process by itself. Called within a runtime.
+    ///
+    /// # Errors
+    /// The system gives no handler.
+    pub fn listen(on_hang_up: OnHangUp) -> io::Result<Self> {
+        let hang_up = match on_hang_up {
+            OnHangUp::End if is_ignored(SIGHUP) => None,
+            OnHangUp::End => Some(signal(SignalKind::hangup())?),
+            OnHangUp::Stay => {
+                take(SIGHUP);
+                None
+            }
+        };
+        let (interrupt, terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
+        Ok(Self { interrupt, terminate, quit: signal(SignalKind::quit())?, hang_up })
+    }
+
+    /// The next one.
+    pub async fn next(&mut self) -> Asked {
+        tokio::select! {
+            _ = self.interrupt.recv() => Asked::Interrupt,
+            _ = self.terminate.recv() => Asked::Terminate,
+            _ = self.quit.recv() => Asked::Quit,
+            () = hung_up(&mut self.hang_up) => Asked::HangUp,
+        }
+    }
+}
+
+async fn hung_up(signal: &mut Option<Signal>) {
+    match signal {
+        Some(signal) => {
+            let _never_ends = signal.recv().await;
+        }
+        None => std::future::pending().await,
+    }
+}
+
+/// Whether a signal was ignored when the program began, as its parent wanted.
+fn is_ignored(number: i32) -> bool {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    ignored(&status) >> (number - 1) & 1 == 1
+}
+
+/// The mask of ignored signals in `/proc/self/status` (proc(5)).
+fn ignored(status: &str) -> u64 {
+    let mask = status.lines().find_map(|line| line.strip_prefix("SigIgn:"));
+    mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok()).unwrap_or(0)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_mask_of_ignored_signals_is_read_from_the_status_of_the_process() {
+        assert_eq!(ignored("Name:\tx\nSigBlk:\t0000000000000000\nSigIgn:\t0000000000001001\n"), 0x1001);
+        assert_eq!(ignored("no such line"), 0);
+    }
+}

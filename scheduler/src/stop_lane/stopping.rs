@@ -1,0 +1,200 @@
+//! The lane's care for one robot: a connection is kept ready until the operator says stop, then the stop is sent until the
+//! robot has confirmed it.
+
+use std::collections::BTreeMap;
+use std::net::SocketAddr;
+use std::pin::pin;
+use std::time::Duration;
+
+use tokio::sync::{mpsc, watch};
+use urrcp::{ControlResponse, Message, RequestId, Status};
+
+use super::Alarm;
+use super::connection::Connection;
+use super::sent::Sent;
+use crate::drive::Happened;
+use crate::link::Endpoint;
+use crate::mission::Event;
+use crate::server_clock::ServerClock;
+
+/// Between two tries to keep a connection, at first and at most; it doubles.
+const TRY_EVERY: (Duration, Duration) = (Duration::from_secs(1), Duration::from_secs(30));
+/// An answer later than this lets the stop go by the mission's own link as well.
+const ANSWERS_SOON: Duration = Duration::from_millis(100);
+/// So long each try may take, from the first to the last; it doubles.
+const TRY_WITHIN: (Duration, Duration) = (Duration::from_millis(250), Duration::from_secs(1));
+
+/// Stops that a robot has not confirmed.
+type Open = BTreeMap<RequestId, Message>;
+
+/// What stops one robot.
+pub(super) struct Guard {
+    pub(super) robot: usize,
+    pub(super) endpoint: Endpoint,
+    pub(super) clock: ServerClock,
+    pub(super) events: mpsc::Sender<Happened>,
+    pub(super) sent: watch::Receiver<Sent>,
+    pub(super) alarm: watch::Receiver<Alarm>,
+}
+
+impl Guard {
+    /// Ends when nothing is left to do.
+    pub(super) async fn keep(mut self) {
+        let mut known = None;
+        let connection = self.until_alarm(&mut known).await;
+        self.stop(connection, known).await;
+    }
+
+    /// Returns with a connection, if one stands, once the operator has said stop.
+    async fn until_alarm(&mut self, known: &mut Option<SocketAddr>) -> Option<Connection> {
+        let mut ringing = pin!(rings(self.alarm.clone()));
+        tokio::select! {
+            biased;
+            () = &mut ringing => return None,
+            () = reached(&mut self.sent) => {}
+        }
+        let mut pause = TRY_EVERY.0;
+        loop {
+            let opened = tokio::select! {
+                biased;
+                () = &mut ringing => return None,
+                opened = Connection::open(&self.endpoint, known) => opened,
+            };
+            match opened {
+                // Nothing comes between this process and itself.
+                Ok(connection @ Connection::InProcess(_)) => {
+                    ringing.await;
+                    return Some(connection);
+                }
+                Ok(mut connection) => tokio::select! {
+                    biased;
+                    () = &mut ringing => return Some(connection),
+                    () = connection.stay() => {}
+                },
+                Err(error) => tracing::debug!("no connection for stops: {error}"),
+            }
+            tokio::select! {
+                biased;
+                () = &mut ringing => return None,
+                () = tokio::time::sleep(pause) => {}
+            }
+            pause = (pause * 2).min(TRY_EVERY.1);
+        }
+    }
+
+    async fn stop(&self, mut connection: Option<Connection>, mut known: Option<SocketAddr>) {
+        let mut open: Open = self.sent.borrow().stops(self.clock.now(), self.robot).into_iter().collect();
+        if open.is_empty() {
+            return;
+        }
+        if connection.is_none() {
+            self.overtake(&open);
+        }
+        let mut within = TRY_WITHIN.0;
+        loop {
+            let kept = connection.is_some();
+            let attempt = self.attempt(&mut connection, &mut known, &mut open);
+            let ended = tokio::time::timeout(within, attempt).await;
+            if open.is_empty() {
+                break;
+            }
+            connection = None;
+            if !kept {
+                // A try that fails at once is not repeated at once.
+                if ended.is_ok() {
+                    tokio::time::sleep(within).await;
+                }
+                within = (within * 2).min(TRY_WITHIN.1);
+            }
+        }
+        // What the robot says of its scripts may come here, as the place where it last heard this session.
+        while let Some(connection) = &mut connection
+            && let Some(message) = connection.next().await
+        {
+            self.hand_on(message);
+        }
+    }
+
+    /// Sends what is not confirmed, and hears until all is; ends early where the connection does.
+    async fn attempt(
+        &self,
+        connection: &mut Option<Connection>,
+        known: &mut Option<SocketAddr>,
+        open: &mut Open,
+    ) {
+        let begun = match connection {
+            Some(connection) => connection,
+            None => match Connection::open(&self.endpoint, known).await {
+                Ok(opened) => connection.insert(opened),
+                Err(error) => return self.failed(&error, open),
+            },
+        };
+        if let Err(error) = begun.send(open.values()).await {
+            return self.failed(&error, open);
+        }
+        let mut soon = pin!(tokio::time::sleep(ANSWERS_SOON));
+        while !open.is_empty() {
+            tokio::select! {
+                message = begun.next() => match message {
+                    Some(message) => self.hear(message, open),
+                    None => return self.overtake(open),
+                },
+                () = &mut soon, if !soon.is_elapsed() => self.overtake(open),
+            }
+        }
+    }
+
+    fn failed(&self, error: &std::io::Error, open: &Open) {
+        tracing::debug!(robot = self.robot, "the stop was not sent: {error}");
+        self.overtake(open);
+    }
+
+    fn hear(&self, message: Message, open: &mut Open) {
+        match &message {
+            Message::ControlResponse(response) if confirms(response) => match &response.request_id {
+                Some(id) if open.remove(id).is_some() => {}
+                Some(_) => self.hand_on(message),
+                // A robot that names no requests.
+                None => open.retain(|_, stop| !is_for(stop, response)),
+            },
+            _ => self.hand_on(message),
+        }
+    }
+
+    /// Reports of scripts are for the mission, if it has room for them. What bears no name may answer the lane.
+    fn hand_on(&self, message: Message) {
+        if let Message::ControlResponse(ControlResponse { request_id: Some(_), .. }) = &message {
+            let event = Box::new(Event::Received { robot: self.robot, message });
+            let _it_asks_again = self.events.try_send(Happened::Event { at: self.clock.now(), event });
+        }
+    }
+
+    /// Sends the stops by the mission's own link too.
+    fn overtake(&self, open: &Open) {
+        if let Some(link) = &self.sent.borrow().link {
+            open.values().for_each(|stop| {
+                let _down = link.send(stop.clone());
+            });
+        }
+    }
+}
+
+const fn confirms(response: &ControlResponse) -> bool {
+    matches!(response.status, Status::Ok | Status::Accepted)
+}
+
+fn is_for(stop: &Message, response: &ControlResponse) -> bool {
+    matches!(stop, Message::ControlRequest(request) if request.device_id == response.device_id)
+}
+
+async fn rings(mut alarm: watch::Receiver<Alarm>) {
+    if alarm.wait_for(|alarm| *alarm == Alarm::Ringing).await.is_err() {
+        std::future::pending::<()>().await;
+    }
+}
+
+async fn reached(sent: &mut watch::Receiver<Sent>) {
+    if sent.wait_for(|sent| sent.reached).await.is_err() {
+        std::future::pending::<()>().await;
+    }
+}

@@ -1,0 +1,311 @@
+//! `downbeat stop` and `downbeat go` with real processes: they obey whatever has become of files, journals and schedulers.
+
+use std::time::{Duration, Instant};
+
+use rustix::process::Signal;
+
+use crate::robots::{Ended, Running, Stage, Via, one_device};
+
+/// Robots without a lease play this for half a minute, a step every 300 ms.
+const PLAYS: &str = "scenario: NAME
+start_tolerance: 200ms
+stop_condition: STOP
+cues:
+  - cue: up
+    robots: ROBOTS
+    at: 0s
+    tracks:
+      d: [STEPS]
+";
+
+fn plays(name: &str, robots: &str) -> String {
+    let steps = steps(100, 300);
+    let plays = PLAYS.replace("NAME", name).replace("ROBOTS", robots);
+    plays.replace("STOP", "{running: none}").replace("STEPS", &steps)
+}
+
+/// So many steps, one every so many milliseconds.
+fn steps(count: u32, millis: u32) -> String {
+    let steps = (0..count).map(|step| format!("{{at: {}ms, to: {step}}}", step * millis));
+    steps.collect::<Vec<_>>().join(", ")
+}
+
+/// So many robots, each a process of its own, and a scenario for all of them.
+fn stage(robots: usize) -> Stage {
+    let mut stage = Stage::new();
+    stage.file("robot.yaml", one_device(2, 100, 200)).file("long.yaml", plays("long", "all"));
+    for _ in 0..robots {
+        stage.robot("robot.yaml", Via::Direct);
+    }
+    stage
+}
+
+/// A mission whose robots have all begun to move.
+#[track_caller]
+fn playing(stage: &Stage, args: &[&str], robots: &[usize]) -> Running {
+    let mut mission = stage.start(args);
+    assert!(mission.start().is_some(), "it never starts");
+    robots.iter().for_each(|robot| stage.robots[*robot].await_sets(2, Duration::from_secs(20)));
+    mission
+}
+
+/// A mission whose scheduler was killed while all robots play.
+fn cut_off(robots: usize) -> Stage {
+    let stage = stage(robots);
+    let all: Vec<usize> = (0..robots).collect();
+    let mut mission = playing(&stage, &["run", "long.yaml"], &all);
+    mission.process.kill();
+    stage
+}
+
+/// No robot sets a value of its script any more.
+#[track_caller]
+fn all_rest(stage: &Stage) {
+    let sets = || stage.robots.iter().map(|robot| robot.sets().len()).collect::<Vec<_>>();
+    std::thread::sleep(Duration::from_millis(300));
+    let before = sets();
+    std::thread::sleep(Duration::from_millis(1_000));
+    assert_eq!(before, sets(), "a robot still moves");
+}
+
+#[track_caller]
+fn says(ended: &Ended, code: i32, parts: &[&str]) {
+    let text = format!("{}{}", ended.out, ended.told);
+    assert_eq!(ended.code, Some(code), "{text}");
+    parts.iter().for_each(|part| assert!(text.contains(part), "`{part}` is missing in:\n{text}"));
+}
+
+const BOTH: [&str; 2] = ["r0: default state confirmed", "r1: default state confirmed"];
+
+#[test]
+fn after_a_crash_a_robot_that_was_taken_out_of_the_fleet_file_is_stopped() {
+    let stage = cut_off(2);
+    let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
+    let without: String =
+        fleet.lines().filter(|line| !line.contains("r1:")).map(|line| format!("{line}\n")).collect();
+    stage.file("fleet.yaml", without.replace("[r0, r1]", "[r0]"));
+    says(&stage.run(&["stop"]), 0, &BOTH);
+    all_rest(&stage);
+    says(&stage.run(&["missions"]), 0, &["none was cut off"]);
+}
+
+#[test]
+fn after_a_crash_robots_are_stopped_at_the_addresses_at_which_they_were_sent_their_scripts() {
+    let mut stage = cut_off(2);
+    let old = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
+    // Another robot, at rest, bears the address that the file says from now on.
+    stage.robot("robot.yaml", Via::Direct);
+    let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
+    let address = |id: &str| {
+        let line = fleet.lines().find(|line| line.contains(&format!("{id}:"))).unwrap();
+        line.split('"').nth(1).unwrap().to_owned()
+    };
+    stage.file("fleet.yaml", old.replace(&address("r1"), &address("r2")));
+    let refused = stage.run(&["resume"]);
+    says(&refused, 1, &["robot `r1` was sent its scripts at", "`downbeat stop`"]);
+    says(&stage.run(&["stop"]), 0, &BOTH);
+    all_rest(&stage);
+}
+
+#[test]
+fn after_a_crash_a_stop_needs_no_fleet_file() {
+    for broken in [None, Some("robots: [")] {
+        let stage = cut_off(2);
+        match broken {
+            None => std::fs::remove_file(stage.path("fleet.yaml")).unwrap(),
+            Some(text) => drop(stage.file("fleet.yaml", text)),
+        }
+        std::fs::remove_file(stage.path("long.yaml")).unwrap();
+        says(&stage.run(&["resume"]), 2, &["`downbeat stop`"]);
+        says(&stage.run(&["stop"]), 0, &BOTH);
+        all_rest(&stage);
+    }
+}
+
+#[test]
+fn a_mission_of_which_a_robot_did_not_confirm_can_be_stopped_again() {
+    let stage = cut_off(2);
+    stage.robots[1].freeze();
+    let first = stage.run(&["stop", "--patience", "1s"]);
+    says(&first, 4, &["r0: default state confirmed", "r1: stop NOT confirmed, and it runs without a lease"]);
+    stage.robots[1].thaw();
+    says(&stage.run(&["stop"]), 0, &BOTH);
+    all_rest(&stage);
+    says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
+}
+
+#[test]
+fn a_lease_of_a_robot_that_cannot_be_reached_is_told() {
+    let stage = stage(1);
+    stage.file("long.yaml", plays("long", "all").replace("{running: none}", "{running: 20s}"));
+    let mut mission = playing(&stage, &["run", "long.yaml"], &[0]);
+    mission.process.kill();
+    stage.robots[0].freeze();
+    says(&stage.run(&["stop", "--patience", "500ms"]), 4, &["r0: stop NOT confirmed; its lease ends at"]);
+    stage.robots[0].thaw();
+}
+
+#[test]
+fn a_simulated_robot_that_died_with_its_scheduler_is_not_called_confirmed() {
+    let mut stage = stage(1);
+    let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
+    let with = fleet
+        .replace("groups:\n  all: [r0]", "  s: {init: robot.yaml, address: sim}\ngroups:\n  all: [r0, s]");
+    stage.file("fleet.yaml", with);
+    let mut mission = playing(&stage, &["run", "long.yaml"], &[0]);
+    mission.process.kill();
+    let simulated = "s: was simulated in the scheduler's own process";
+    says(&stage.run(&["stop"]), 0, &["r0: default state confirmed", simulated]);
+    stage.robots.clear();
+}
+
+#[test]
+fn a_stop_without_a_name_stops_what_runs_and_what_was_cut_off_each_under_its_name() {
+    let stage = stage(4);
+    for (name, robots) in [("one", "[r0]"), ("two", "[r1]"), ("three", "[r2, r3]")] {
+        stage.file(&format!("{name}.yaml"), plays(name, robots));
+    }
+    let mut dead = playing(&stage, &["run", "one.yaml"], &[0]);
+    dead.process.kill();
+    let two = playing(&stage, &["run", "two.yaml"], &[1]);
+    let three = playing(&stage, &["run", "three.yaml"], &[2, 3]);
+    let stopped = stage.run(&["stop"]);
+    says(
+        &stopped,
+        0,
+        &["one@", "two@", "three@", "  r0: default state confirmed", "  r3: default state confirmed"],
+    );
+    all_rest(&stage);
+    assert_eq!((two.ended().code, three.ended().code), (Some(3), Some(3)));
+}
+
+#[test]
+fn a_stop_of_all_is_as_bad_as_its_worst_mission_and_tells_of_each_in_json() {
+    let stage = stage(2);
+    stage.file("one.yaml", plays("one", "[r0]")).file("two.yaml", plays("two", "[r1]"));
+    let mut one = playing(&stage, &["run", "one.yaml"], &[0]);
+    one.process.kill();
+    let two = playing(&stage, &["run", "two.yaml"], &[1]);
+    stage.robots[0].freeze();
+    let stopped = stage.run(&["stop", "--all", "--patience", "1s", "--format", "json"]);
+    assert_eq!(stopped.code, Some(4), "{stopped}");
+    let documents: serde_json::Value = serde_json::from_str(&stopped.out).unwrap();
+    let state = |mission: &str| {
+        let of = |document: &&serde_json::Value| document["mission"].as_str().unwrap().starts_with(mission);
+        documents.as_array().unwrap().iter().find(of).unwrap()["report"]["robots"][0]["stop"]["state"].clone()
+    };
+    assert_eq!((state("one").as_str(), state("two").as_str()), (Some("unconfirmed"), Some("confirmed")));
+    stage.robots[0].thaw();
+    two.ended();
+}
+
+#[test]
+fn the_robots_of_a_scheduler_that_stands_still_are_stopped_directly() {
+    let stage = stage(2);
+    let mission = playing(&stage, &["run", "long.yaml"], &[0, 1]);
+    mission.process.signal(Signal::STOP);
+    let began = Instant::now();
+    says(&stage.run(&["stop"]), 0, &["it does not answer within 1 s", BOTH[0], BOTH[1]]);
+    assert!(began.elapsed() < Duration::from_secs(20));
+    all_rest(&stage);
+    // Once it goes on, it does not move them again.
+    mission.process.signal(Signal::CONT);
+    let ended = mission.ended();
+    assert_eq!(ended.code, Some(3), "{ended}");
+    all_rest(&stage);
+}
+
+#[test]
+fn a_mission_without_a_socket_is_stopped_directly_and_ends() {
+    let stage = stage(2);
+    let mission = playing(&stage, &["run", "long.yaml"], &[0, 1]);
+    for folder in std::fs::read_dir(stage.path("state")).unwrap() {
+        std::fs::remove_file(folder.unwrap().path().join("control")).unwrap();
+    }
+    says(&stage.run(&["go"]), 1, &["nobody listens"]);
+    says(&stage.run(&["stop"]), 0, &BOTH);
+    all_rest(&stage);
+    assert_ne!(mission.ended().code, Some(0));
+}
+
+#[test]
+fn a_go_to_a_scheduler_that_stands_still_fails_and_does_not_count_later() {
+    let stage = stage(1);
+    stage.file("acts.yaml", ACTS.replace("STEPS", &steps(20, 200)));
+    let mut mission = stage.start(&["run", "acts.yaml"]);
+    assert!(mission.line("`two` waits for the operator's go").is_some());
+    mission.process.signal(Signal::STOP);
+    says(&stage.run(&["go"]), 1, &["it does not answer within 1 s"]);
+    mission.process.signal(Signal::CONT);
+    std::thread::sleep(Duration::from_millis(1_000));
+    says(&stage.run(&["go", "two"]), 0, &["`two` begins"]);
+    assert_eq!(mission.ended().code, Some(0));
+}
+
+const ACTS: &str = "scenario: acts
+start_tolerance: 200ms
+acts:
+  - act: one
+    cues:
+      - {cue: up, robots: all, at: 0s, tracks: {d: [STEPS]}}
+  - act: two
+    wait: operator
+    cues:
+      - {cue: down, robots: all, at: 0s, tracks: {d: [{at: 0s, to: 20}, {at: 400ms, to: 0}]}}
+";
+
+#[test]
+fn a_go_ahead_of_its_act_is_refused_and_one_that_counts_says_which_act_begins() {
+    let stage = stage(1);
+    stage.file("acts.yaml", ACTS.replace("STEPS", &steps(20, 200)));
+    let mut mission = playing(&stage, &["run", "acts.yaml"], &[0]);
+    says(&stage.run(&["go"]), 1, &["`two` waits until `one` has ended"]);
+    says(&stage.run(&["go", "one"]), 1, &["`one` does not wait for the operator now"]);
+    says(&stage.run(&["go", "three"]), 1, &["no act is called `three`"]);
+    assert!(mission.line("`two` waits for the operator's go").is_some());
+    // Said once the act before has ended, and not while it plays.
+    let sets = stage.robots[0].sets().len();
+    std::thread::sleep(Duration::from_millis(300));
+    assert_eq!(stage.robots[0].sets().len(), sets);
+    let started = stage.run(&["go", "two", "--format", "json"]);
+    let started: serde_json::Value = serde_json::from_str(&started.out).unwrap();
+    assert_eq!(started["started"], "two");
+    assert_eq!(mission.ended().code, Some(0));
+}
+
+#[test]
+fn whoever_looks_at_missions_or_locks_their_journals_keeps_no_stop_from_them() {
+    let stage = cut_off(2);
+    let folder = std::fs::read_dir(stage.path("state")).unwrap().next().unwrap().unwrap().path();
+    let foreign = std::fs::File::open(folder.join("journal")).unwrap();
+    foreign.lock().unwrap();
+    says(&stage.run(&["missions"]), 0, &["cut off"]);
+    let over = std::sync::atomic::AtomicBool::new(false);
+    std::thread::scope(|scope| {
+        for _ in 0..2 {
+            scope.spawn(|| {
+                while !over.load(std::sync::atomic::Ordering::Relaxed) {
+                    stage.run(&["missions", "--all"]);
+                }
+            });
+        }
+        let stopped = stage.run(&["stop"]);
+        over.store(true, std::sync::atomic::Ordering::Relaxed);
+        says(&stopped, 0, &BOTH);
+        assert!(!stopped.told.contains("another process"), "{stopped}");
+    });
+    all_rest(&stage);
+    says(&stage.run(&["missions"]), 0, &["none was cut off"]);
+}
+
+#[test]
+fn a_robot_of_whose_connections_all_are_taken_is_stopped() {
+    let stage = cut_off(1);
+    let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
+    let address = fleet.split("tcp://").nth(1).unwrap().split('"').next().unwrap().to_owned();
+    let taken: Vec<_> = (0..40).map(|_| std::net::TcpStream::connect(&address).unwrap()).collect();
+    std::thread::sleep(Duration::from_millis(500));
+    says(&stage.run(&["stop", "--patience", "30s"]), 0, &["r0: default state confirmed"]);
+    assert_eq!(taken.len(), 40);
+    all_rest(&stage);
+}
