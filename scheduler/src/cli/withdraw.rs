@@ -61,9 +61,8 @@ impl Taken {
 
     /// The journal, to be written further.
     pub(super) fn journal(self) -> Result<(Kept, Journal), String> {
-        let journal =
-            Journal::on(self.disk, self.folder.join("journal")).map_err(|error| error.to_string())?;
-        Ok((self.kept, journal))
+        let journal = Journal::taken_up(self.disk, self.folder.join("journal"), self.kept.clone());
+        Ok((self.kept, journal.map_err(|error| error.to_string())?))
     }
 }
 
