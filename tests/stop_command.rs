@@ -1,5 +1,6 @@
 //! `downbeat stop` and `downbeat go` with real processes: they obey whatever has become of files, journals and schedulers.
 
+use std::io::{Seek, SeekFrom, Write};
 use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
@@ -132,6 +133,44 @@ fn a_mission_of_which_a_robot_did_not_confirm_can_be_stopped_again() {
     says(&stage.run(&["stop"]), 0, &BOTH);
     all_rest(&stage);
     says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
+}
+
+#[test]
+fn a_mission_of_which_a_robot_is_gone_for_good_can_be_forgotten() {
+    let mut stage = cut_off(1);
+    stage.robots[0].kill();
+    let missions = stage.run(&["missions", "--format", "json"]);
+    let missions: serde_json::Value = serde_json::from_str(&missions.out).unwrap();
+    let name = missions[0]["mission"].as_str().unwrap();
+    let args = ["stop", name, "--forget", "--patience", "500ms"];
+    says(&stage.run(&args), 4, &["r0: stop NOT confirmed"]);
+    says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
+}
+
+#[test]
+fn old_journals_are_not_read_however_long_they_are() {
+    let stage = cut_off(1);
+    let folder = |named: &str| stage.path("state").join(named);
+    let cut_off = std::fs::read_dir(stage.path("state")).unwrap().next().unwrap().unwrap().path();
+    let journal = std::fs::read(cut_off.join("journal")).unwrap();
+    let begin = journal.split_inclusive(|byte| *byte == b'\n').next().unwrap();
+    for old in ["a", "b", "c"] {
+        // More than would fit into memory: most of it is a hole in the file.
+        std::fs::create_dir(folder(old)).unwrap();
+        let mut file = std::fs::File::create(folder(old).join("journal")).unwrap();
+        file.write_all(begin).unwrap();
+        file.set_len(1 << 36).unwrap();
+        file.seek(SeekFrom::End(0)).unwrap();
+        let ended = br#"{"at":"2026-11-20T19:00:00.000000000Z","record":"ended","outcome":"done"}"#;
+        file.write_all(format!("\n{:08x} ", crc32fast::hash(ended)).as_bytes()).unwrap();
+        file.write_all(ended).unwrap();
+        file.write_all(b"\n").unwrap();
+    }
+    says(&stage.run(&["stop", "--patience", "30s"]), 0, &["r0: default state confirmed"]);
+    // What follows removes them.
+    stage.run(&["run", "long.yaml", "--lead", "1ms"]);
+    let left = ["a", "b", "c"].iter().filter(|old| folder(old).exists()).count();
+    assert!(left <= 1, "only the newest may be so long");
 }
 
 #[test]

@@ -6,7 +6,7 @@ use downbeat_scripts::{Choreography, Fleet, FleetRobot};
 use super::live::Live;
 use super::missions::{failed, one};
 use super::run::{HowArgs, finish, listen, server_clock, stop_lane, utc_offset};
-use super::withdraw::{How, Scheduler, Taken, withdraw_and_record};
+use super::withdraw::{How, Scheduler, Taken, Unconfirmed, withdraw_and_record};
 use super::{Exit, Format, ScenarioArgs, choice, console, load, robot, stop};
 use crate::fleet;
 use crate::journal::{Fate, Found, Journal, Kept, Life, OpenedRobot};
@@ -46,7 +46,12 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
     if let Fate::Withdraw(why) = taken.kept.fate() {
         console::note(&format!("{why}: withdrawing what was promised"));
         return super::with_runtime(async {
-            let how = How { scheduler: Scheduler::Gone, patience: args.how.patience, told: format };
+            let how = How {
+                scheduler: Scheduler::Gone,
+                unconfirmed: Unconfirmed::Kept,
+                patience: args.how.patience,
+                told: format,
+            };
             stop::conclude(found.opened.session.clone(), withdraw_and_record(taken, how).await, format)
         });
     }

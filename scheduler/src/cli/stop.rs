@@ -5,12 +5,13 @@ use std::path::Path;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use tokio::task::{JoinSet, LocalSet};
-use urrcp::{SessionId, Span};
+use urrcp::SessionId;
 
 use super::missions::{is_called, listed, none};
 use super::run::HowArgs;
 use super::withdraw::{
-    How, Inside, InsideWhat, NotTaken, Scheduler, Taken, Withdrawn, withdraw, withdraw_and_record,
+    How, Inside, InsideWhat, NotTaken, Scheduler, Taken, Unconfirmed, Withdrawn, withdraw,
+    withdraw_and_record,
 };
 use super::{Exit, Format, console};
 use crate::journal::{Found, Kept, Life};
@@ -34,6 +35,9 @@ pub(super) struct StopArgs {
     /// All missions that run or were cut off, as without a name; JSON is an array then, however many there are.
     #[arg(long, conflicts_with = "mission")]
     all: bool,
+    /// Count a mission that was cut off as ended even if robots do not confirm, as when one is gone for good.
+    #[arg(long, requires = "mission")]
+    forget: bool,
     #[command(flatten)]
     how: HowArgs,
 }
@@ -58,7 +62,9 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     }
     let shown = if args.all || found.len() > 1 { Shown::Several } else { Shown::One };
     let told = if shown == Shown::One { format } else { Format::Json };
-    let stops = stop_all(found, args.how.patience, told, shown, format);
+    let forgotten = if args.forget { Unconfirmed::Forgotten } else { Unconfirmed::Kept };
+    let how = How { scheduler: Scheduler::Gone, unconfirmed: forgotten, patience: args.how.patience, told };
+    let stops = stop_all(found, how, shown, format);
     worst(unreadable, super::with_runtime(LocalSet::new().run_until(stops)))
 }
 
@@ -69,10 +75,10 @@ enum Shown {
     Several,
 }
 
-async fn stop_all(found: Vec<Found>, patience: Span, told: Format, shown: Shown, format: Format) -> Exit {
+async fn stop_all(found: Vec<Found>, how: How, shown: Shown, format: Format) -> Exit {
     let mut stops = JoinSet::new();
     for found in found {
-        stops.spawn_local(stop_one(found, patience, told));
+        stops.spawn_local(stop_one(found, how));
     }
     let mut exit = Exit::Done;
     let mut documents = Vec::new();
@@ -107,47 +113,40 @@ fn worst(one: Exit, other: Exit) -> Exit {
     if rank(other) > rank(one) { other } else { one }
 }
 
-async fn stop_one(found: Found, patience: Span, told: Format) -> Stopped {
+async fn stop_one(found: Found, how: How) -> Stopped {
     match found.life {
         Life::Running => match control::stop(&found.folder).await {
             Ok(report) => Stopped::by_itself(&found, &report),
-            Err(unheard) => unanswered(&found, &unheard.to_string(), patience, told).await,
+            Err(unheard) => unanswered(&found, &unheard.to_string(), how).await,
         },
-        Life::CutOff => cut_off(&found, patience, told).await,
-        Life::Ended => {
-            let how = How { scheduler: Scheduler::Gone, patience, told };
-            directly(&found, how, "it has ended; its robots are stopped again").await
-        }
+        Life::CutOff => cut_off(&found, how).await,
+        Life::Ended => directly(&found, how, "it has ended; its robots are stopped again").await,
     }
 }
 
 /// A mission that was there and gave no report.
-async fn unanswered(found: &Found, unheard: &str, patience: Span, told: Format) -> Stopped {
+async fn unanswered(found: &Found, unheard: &str, how: How) -> Stopped {
     let now = Found::look_at(&found.folder).ok().flatten().map_or(Life::Ended, |found| found.life);
     match now {
-        Life::CutOff => return cut_off(found, patience, told).await,
+        Life::CutOff => return cut_off(found, how).await,
         Life::Ended => {
-            let how = How { scheduler: Scheduler::Gone, patience, told };
             return directly(found, how, "it has ended meanwhile; its robots are stopped again").await;
         }
         Life::Running => {}
     }
-    let pid = found.opened.pid;
-    let how = How { scheduler: Scheduler::Silent, patience, told };
-    let why = format!("process {pid}: {unheard}; its robots are stopped directly");
-    let stopped = directly(found, how, &why).await;
+    let pid = holder(&found.folder);
+    let process = pid.map_or("its process".to_owned(), |pid| format!("process {}", pid.as_raw_nonzero()));
+    let how = How { scheduler: Scheduler::Silent, ..how };
+    let stopped =
+        directly(found, how, &format!("{process}: {unheard}; its robots are stopped directly")).await;
     // Once it goes on, it stops for good.
-    if terminate(pid, &found.folder) {
-        console::note(&format!(
-            "{}: process {pid} was sent SIGTERM, for when it goes on",
-            found.opened.session
-        ));
+    if pid.is_some_and(|pid| kill_process(pid, Signal::TERM).is_ok()) {
+        console::note(&format!("{}: {process} was sent SIGTERM, for when it goes on", found.opened.session));
     }
     stopped
 }
 
-async fn cut_off(found: &Found, patience: Span, told: Format) -> Stopped {
-    let how = How { scheduler: Scheduler::Gone, patience, told };
+async fn cut_off(found: &Found, how: How) -> Stopped {
     let mission = found.opened.session.clone();
     match Taken::of(found) {
         Ok(taken) => Stopped::of(mission, withdraw_and_record(taken, how).await),
@@ -173,14 +172,24 @@ async fn directly(found: &Found, how: How, why: &str) -> Stopped {
     }
 }
 
-/// Asks a process to end, if it is the one that has this mission's journal open.
-fn terminate(pid: u32, folder: &Path) -> bool {
-    let Ok(journal) = std::fs::canonicalize(folder.join("journal")) else { return false };
-    let Ok(files) = std::fs::read_dir(format!("/proc/{pid}/fd")) else { return false };
-    let is_journal =
-        |file: std::fs::DirEntry| std::fs::read_link(file.path()).is_ok_and(|open| open == journal);
-    let Some(pid) = i32::try_from(pid).ok().and_then(Pid::from_raw) else { return false };
-    files.flatten().any(is_journal) && kill_process(pid, Signal::TERM).is_ok()
+/// The process that holds the lock of a mission's journal, as far as this one may see it.
+fn holder(folder: &Path) -> Option<Pid> {
+    let journal = std::fs::canonicalize(folder.join("journal")).ok()?;
+    let processes = std::fs::read_dir("/proc").ok()?.flatten();
+    let holds = |process: &Path| {
+        let files = std::fs::read_dir(process.join("fd")).into_iter().flatten().flatten();
+        let mut open = files.filter(|file| std::fs::read_link(file.path()).is_ok_and(|open| open == journal));
+        open.any(|file| {
+            let info = std::fs::read_to_string(process.join("fdinfo").join(file.file_name()));
+            info.is_ok_and(|info| info.contains("OFDLCK"))
+        })
+    };
+    processes
+        .filter_map(|process| {
+            let pid = Pid::from_raw(process.file_name().to_str()?.parse().ok()?)?;
+            holds(&process.path()).then_some(pid)
+        })
+        .next()
 }
 
 impl Stopped {

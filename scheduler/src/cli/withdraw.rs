@@ -62,9 +62,8 @@ impl Taken {
 
     /// The journal, to be written further.
     pub(super) fn journal(self) -> Result<(Kept, Journal), String> {
-        let journal =
-            Journal::on(self.disk, self.folder.join("journal")).map_err(|error| error.to_string())?;
-        Ok((self.kept, journal))
+        let journal = Journal::taken_up(self.disk, self.folder.join("journal"), self.kept.clone());
+        Ok((self.kept, journal.map_err(|error| error.to_string())?))
     }
 }
 
@@ -124,10 +123,21 @@ impl Withdrawn {
     }
 }
 
+/// What becomes of a mission of which a robot does not confirm its stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Unconfirmed {
+    /// It has not ended, and can be stopped again.
+    Kept,
+    /// It counts as ended.
+    Forgotten,
+}
+
 /// How a mission is withdrawn.
 #[derive(Clone, Copy)]
 pub(super) struct How {
     pub(super) scheduler: Scheduler,
+    /// What becomes of the mission then.
+    pub(super) unconfirmed: Unconfirmed,
     pub(super) patience: Span,
     /// What is told meanwhile: nothing with JSON.
     pub(super) told: Format,
@@ -139,7 +149,7 @@ pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdr
     // Whoever says stop meanwhile hears what becomes of this one.
     let control = listen(&taken.folder, &lane);
     let withdrawn = withdraw_as(&taken.kept, how, operator).await?;
-    let records = records_of(&withdrawn);
+    let records = records_of(&withdrawn, how.unconfirmed);
     let recorded = tokio::task::spawn_blocking(move || write_down(taken, &records));
     match tokio::time::timeout(RECORD_MAX, recorded).await {
         Ok(Ok(Ok(()))) => {}
@@ -225,14 +235,14 @@ fn fleet_robot(opened: &OpenedRobot, address: Address) -> FleetRobot {
 }
 
 /// A mission of which a robot may still move has not ended: it can be stopped again.
-fn records_of(withdrawn: &Withdrawn) -> Vec<Record> {
+fn records_of(withdrawn: &Withdrawn, unconfirmed: Unconfirmed) -> Vec<Record> {
     let report = &withdrawn.report;
     let confirmed =
         |robot: &&crate::report::RobotReport| matches!(robot.stop, StopState::Confirmed | StopState::Held);
     let mut records = vec![Record::Stopping { outcome: report.outcome.clone() }];
     let robots = report.robots.iter().filter(confirmed);
     records.extend(robots.map(|robot| Record::StopConfirmed { robot: robot.robot.clone() }));
-    if withdrawn.is_confirmed() {
+    if withdrawn.is_confirmed() || unconfirmed == Unconfirmed::Forgotten {
         records.push(Record::Ended { outcome: report.outcome.clone() });
     }
     records

@@ -115,6 +115,20 @@ impl Journal {
 }
 
 impl<D: Disk> Journal<D> {
+    /// A journal that has been read under its lock already. What follows its last whole record is cut off. `path` is for
+    /// error messages.
+    ///
+    /// # Errors
+    /// [`JournalError`] when the disk does not take the cut.
+    pub fn taken_up(mut disk: D, path: PathBuf, kept: Kept) -> Result<Self, JournalError> {
+        if kept.torn.is_some()
+            && let Err(error) = disk.truncate(kept.whole as u64)
+        {
+            return Err(JournalError { path, error });
+        }
+        Ok(Self { disk, path, kept: Some(kept), appended: 0, on_disk: 0, broken: None })
+    }
+
     /// The journal on a disk. What follows its last whole record is cut off. `path` is for error messages.
     ///
     /// # Errors

@@ -1,5 +1,6 @@
 //! Reading a journal back, as far as it is whole.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::path::{Path, PathBuf};
@@ -38,6 +39,8 @@ pub struct Kept {
     pub touched: BTreeMap<RobotId, BTreeSet<DeviceId>>,
     /// What was last added to a timestamp for a robot's clock.
     shifts: BTreeMap<RobotId, Span>,
+    /// Bytes of its whole lines at the beginning.
+    pub(super) whole: usize,
 }
 
 /// What a mission left on its robots, for another process to take back.
@@ -131,7 +134,7 @@ fn sound(line: &[u8]) -> Option<&[u8]> {
 #[derive(Deserialize)]
 struct Head {
     record: String,
-    number: Option<u64>,
+    number: Option<u32>,
     robot: Option<RobotId>,
     #[serde(default)]
     unnamed: Vec<RobotId>,
@@ -141,7 +144,25 @@ struct Head {
 
 #[derive(Deserialize)]
 struct Numbered {
-    number: u64,
+    number: u32,
+}
+
+/// As much of a promise as a stop needs.
+#[derive(Deserialize)]
+struct Touching<'a> {
+    number: u32,
+    #[serde(borrow)]
+    scripts: Vec<Touched<'a>>,
+}
+
+#[derive(Deserialize)]
+struct Touched<'a> {
+    #[serde(borrow)]
+    robot: Cow<'a, str>,
+    #[serde(borrow)]
+    device: Cow<'a, str>,
+    #[serde(rename = "shift_ms")]
+    shift: Span,
 }
 
 /// What becomes of a mission that was cut off.
@@ -162,14 +183,18 @@ impl Kept {
         let opened = Opened::deserialize(&first).ok()?;
         let mut kept = Self::new(opened, Timestamp::deserialize(&first["at"]).ok()?);
         let mut count = 1;
+        kept.whole = believed.len();
+        let mut under_way = Vec::new();
         for json in lines {
-            kept.take(json);
+            kept.take(json, &mut under_way);
             count += 1;
         }
+        let promise = |(_, json, progressed)| Some((serde_json::from_slice(json).ok()?, progressed));
+        kept.promises = under_way.into_iter().filter_map(promise).collect();
         if !rest.is_empty() {
             let after: Vec<_> = rest.split_inclusive(|byte| *byte == b'\n').filter_map(sound).collect();
             // Of records behind damage only this is believed: these robots may hold something.
-            let promises = after.iter().filter_map(|json| serde_json::from_slice::<Promise>(json).ok());
+            let promises = after.iter().filter_map(|json| serde_json::from_slice::<Touching<'_>>(json).ok());
             promises.for_each(|promise| kept.touch(&promise));
             kept.torn = Some(Torn { line: count + 1, bytes: rest.len(), whole_after: after.len() });
         }
@@ -191,6 +216,7 @@ impl Kept {
             torn: None,
             touched: BTreeMap::new(),
             shifts: BTreeMap::new(),
+            whole: 0,
         }
     }
 
@@ -229,36 +255,37 @@ impl Kept {
         left
     }
 
-    fn touch(&mut self, promise: &Promise) {
+    fn touch(&mut self, promise: &Touching<'_>) {
         for script in &promise.scripts {
-            self.touched.entry(script.robot.clone()).or_default().insert(script.device.clone());
-            self.shifts.insert(script.robot.clone(), script.shift);
+            let (Ok(robot), Ok(device)) = (script.robot.parse::<RobotId>(), script.device.parse()) else {
+                continue;
+            };
+            self.shifts.insert(robot.clone(), script.shift);
+            self.touched.entry(robot).or_default().insert(device);
         }
     }
 
-    fn came_to(&mut self, number: Option<u64>, reached: Progressed) {
-        let of_number = self.promises.iter_mut().find(|(p, _)| Some(u64::from(p.number)) == number);
-        if let Some((_, progressed)) = of_number {
-            *progressed = reached;
+    /// Takes a line; what was promised is read whole only of acts that have not ended.
+    fn take<'a>(&mut self, json: &'a [u8], under_way: &mut Vec<UnderWay<'a>>) {
+        if is_promise(json) {
+            let Ok(promise) = serde_json::from_slice::<Touching<'_>>(json) else { return };
+            self.touch(&promise);
+            return under_way.push((promise.number, json, Progressed::Prepared));
         }
-    }
-
-    fn take(&mut self, json: &[u8]) {
         let Ok(head) = serde_json::from_slice::<Head>(json) else { return };
+        let mut came_to = |reached| {
+            let of_number = under_way.iter_mut().find(|(number, ..)| Some(*number) == head.number);
+            of_number.into_iter().for_each(|(.., progressed)| *progressed = reached);
+        };
         match head.record.as_str() {
-            "prepared" => {
-                let Ok(promise) = serde_json::from_slice::<Promise>(json) else { return };
-                self.touch(&promise);
-                self.promises.push((promise, Progressed::Prepared));
-            }
             "decided" => {
-                self.came_to(head.number, Progressed::Decided);
+                came_to(Progressed::Decided);
                 self.unnamed.extend(head.unnamed);
             }
-            "committed" => self.came_to(head.number, Progressed::Committed),
+            "committed" => came_to(Progressed::Committed),
             "act_ended" => {
-                let number = head.report.map(|report| report.number);
-                self.promises.retain(|(promise, _)| Some(u64::from(promise.number)) != number);
+                let ended = head.report.map(|report| report.number);
+                under_way.retain(|(number, ..)| Some(*number) != ended);
                 self.ended_acts += 1;
             }
             "dropped" => self.dropped.extend(head.robot),
@@ -268,4 +295,14 @@ impl Kept {
             _ => {}
         }
     }
+}
+
+/// A promise that has not ended: its number, its line, and how far it came.
+type UnderWay<'a> = (u32, &'a [u8], Progressed);
+
+/// Whether a line is a promise: its kind stands behind its time.
+fn is_promise(json: &[u8]) -> bool {
+    let begin = &json[..json.len().min(128)];
+    let kind = br#","record":"prepared","#;
+    begin.windows(kind.len()).any(|bytes| bytes == kind)
 }

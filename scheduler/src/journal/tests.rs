@@ -2,7 +2,7 @@ use urrcp::Span;
 
 use super::simulated::SimulatedDisk;
 use super::*;
-use crate::mission::Promise;
+use crate::mission::{Promise, PromisedScript};
 use crate::report::Outcome;
 
 fn opened() -> Opened {
@@ -67,6 +67,35 @@ fn a_mission_that_ended_is_known_as_such() {
     let mut journal = Journal::open(folder.path()).unwrap();
     journal.append(at(3), &Record::Ended { outcome: Outcome::Done }).unwrap();
     assert_eq!(read(&path).unwrap().outcome, Some(serde_json::json!("done")));
+}
+
+#[test]
+fn what_a_mission_left_on_its_robots_is_known_with_their_clocks_and_their_leases() {
+    let script = |device: &str, running| PromisedScript {
+        robot: RobotId::new("arm").unwrap(),
+        device: device.parse().unwrap(),
+        request_id: format!("s/{device}").parse().unwrap(),
+        content_hash: urrcp::Command::ReadSensor.content_hash(),
+        shift: Span::from_millis(40),
+        start: urrcp::Millis::default(),
+        duration: Span::from_millis(500),
+        running,
+    };
+    let promise = |number, scripts| match prepared(number) {
+        Record::Prepared(promise) => Record::Prepared(Promise { scripts, ..promise }),
+        other => other,
+    };
+    let lease = urrcp::Millis::new(2_000.0).ok();
+    let folder = tempfile::tempdir().unwrap();
+    let mut journal = Journal::open(folder.path()).unwrap();
+    journal.begin(at(1), &opened()).unwrap();
+    for record in [promise(0, vec![script("a", lease)]), promise(1, vec![script("b", None)])] {
+        journal.append(at(2), &record).unwrap();
+    }
+    let left = read(&folder.path().join("journal")).unwrap().left();
+    let on = &left.robots[&RobotId::new("arm").unwrap()];
+    assert_eq!(on.devices.iter().map(|device| device.as_str()).collect::<Vec<_>>(), ["a", "b"]);
+    assert_eq!((on.shift, on.leases.as_slice()), (Span::from_millis(40), [lease, None].as_slice()));
 }
 
 fn life(folder: &Path) -> Life {
