@@ -1,45 +1,30 @@
-//! Live progress of a mission: a bar on a terminal, lines elsewhere, nothing with JSON.
-
-use std::cell::Cell;
-use std::time::Duration;
+//! What a mission says while it goes on: lines, nothing with JSON.
 
 use downbeat_scripts::counted;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use urrcp::{Server, Span, Timestamp};
 
 use super::{Format, console};
 use crate::mission::{Progress, SkewBudget, Verdict};
 use crate::report::preflight_table;
-use crate::server_clock::ServerClock;
 
 pub(super) struct Live {
     format: Format,
-    clock: ServerClock,
-    robots: usize,
-    bar: ProgressBar,
-    accepted: Cell<usize>,
-    finished: Cell<usize>,
 }
 
 impl Live {
-    pub(super) fn new(format: Format, clock: ServerClock, robots: usize) -> Self {
-        let target = match format {
-            Format::Text => ProgressDrawTarget::stderr(),
-            Format::Json => ProgressDrawTarget::hidden(),
-        };
-        let bar = ProgressBar::with_draw_target(None, target);
-        bar.set_style(ProgressStyle::default_spinner());
-        let (accepted, finished) = (Cell::new(0), Cell::new(0));
-        Self { format, clock, robots, bar, accepted, finished }
-    }
-
-    pub(super) fn clear(&self) {
-        self.bar.finish_and_clear();
+    pub(super) const fn new(format: Format) -> Self {
+        Self { format }
     }
 
     fn line(&self, text: &str) {
         if self.format == Format::Text {
-            self.bar.suspend(|| console::note(text));
+            console::note(text);
+        }
+    }
+
+    fn block(&self, text: &str) {
+        if self.format == Format::Text {
+            console::note_block(text);
         }
     }
 
@@ -53,13 +38,11 @@ impl Live {
                 let plain = |verdict: &Verdict| matches!(verdict, Verdict::Pass(_) | Verdict::NotChecked);
                 if preflight.rows.iter().any(|row| !row.checks.iter().all(|(_, verdict)| plain(verdict))) {
                     // What is wrong with whom is told as it is found, and in the report.
-                    self.line(preflight_table(preflight, false).trim_end());
+                    self.block(&preflight_table(preflight, false));
                 }
             }
             Progress::Waiting { act, awaits } => self.line(&format!("`{act}` waits for {awaits}")),
             Progress::Preparing { act, start, lead, skew, .. } => {
-                self.accepted.set(0);
-                self.finished.set(0);
                 self.line(&format!(
                     "preparing `{act}`, start at {start} (lead {}: {} to prepare, {} of lease, {} of margin{})",
                     lead.total(),
@@ -69,24 +52,17 @@ impl Live {
                     skew.as_ref().map(skew_text).unwrap_or_default()
                 ));
             }
-            Progress::Accepted { .. } => {
-                self.accepted.set(self.accepted.get() + 1);
-                let message = format!("{}/{} robots have accepted", self.accepted.get(), self.robots);
-                self.bar.set_message(message);
-                self.bar.tick();
-            }
-            Progress::Decided { act, start, duration, no_return, doubt } => {
-                self.decided(at, act, *start, *duration, *no_return, *doubt);
+            Progress::Decided { act, start, no_return, doubt, .. } => {
+                self.decided(at, act, *start, *no_return, *doubt);
             }
             Progress::Committed { window: Some(window), .. } => {
                 self.line(&format!("every lease reaches over the start, confirmed within {window}"));
             }
-            Progress::Committed { .. } | Progress::ActEnded { .. } => {}
-            Progress::Started { .. } => self.bar.tick(),
-            Progress::Finished { .. } => {
-                self.finished.set(self.finished.get() + 1);
-                self.bar.set_message(format!("{}/{} robots have finished", self.finished.get(), self.robots));
-            }
+            Progress::Committed { .. }
+            | Progress::Accepted { .. }
+            | Progress::Started { .. }
+            | Progress::Finished { .. }
+            | Progress::ActEnded { .. } => {}
             Progress::Failed(failure) => self.line(&format!("{}: {}", failure.robot, failure.kind)),
             Progress::LinkLost { robot, reason, until } => {
                 let until = until.map_or("".to_owned(), |until| format!(", given up at {until}"));
@@ -114,8 +90,7 @@ impl Live {
         at: Timestamp<Server>,
         act: &str,
         start: Timestamp<Server>,
-        duration: Span,
-        no_return: Timestamp<Server>,
+                no_return: Timestamp<Server>,
         doubt: Span,
     ) {
         self.line(&format!(
@@ -124,23 +99,6 @@ impl Live {
             start - at,
             no_return - at
         ));
-        let total = duration.to_duration();
-        self.bar.set_length(u64::try_from(total.as_millis()).unwrap_or(u64::MAX));
-        if let Ok(style) = ProgressStyle::with_template("{bar:40} {pos:>6}/{len} ms  {msg}") {
-            self.bar.set_style(style);
-        }
-        if self.bar.is_hidden() {
-            return;
-        }
-        let (bar, clock) = (self.bar.clone(), self.clock);
-        // Moves the bar with the act; ends with it.
-        tokio::spawn(async move {
-            while !bar.is_finished() && clock.now() < start + duration {
-                let played = (clock.now() - start).to_duration().min(total);
-                bar.set_position(u64::try_from(played.as_millis()).unwrap_or(u64::MAX));
-                tokio::time::sleep(Duration::from_millis(100)).await;
-            }
-        });
     }
 }
 

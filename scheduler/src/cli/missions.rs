@@ -316,10 +316,9 @@ async fn go_on(
     if let Err(error) = control::listen(&found.folder, said, report_told) {
         console::warn(&format!("`downbeat stop` will not reach this mission: {error}"));
     }
-    let live = super::live::Live::new(format, clock, robots.len());
+    let live = super::live::Live::new(format);
     let tell = |at, progress: &_| live.tell(at, progress);
     let report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
-    live.clear();
     let _nobody_waits = tell_report.send(serde_json::to_string(&report).ok());
     tokio::time::sleep(Duration::from_millis(20)).await;
     Ok((report, host.is_none_or(robot::stop)))

@@ -15,7 +15,7 @@ use super::{Exit, Format, ScenarioArgs, console, robot};
 use crate::fleet;
 use crate::journal::{self, Asked, Journal, Opened};
 use crate::mission::{Join, Mission, MissionOptions};
-use crate::recording::Recording;
+use crate::recording::{Recorder, Recording};
 use crate::report::{Outcome, Report, StopState, report_text};
 use crate::run::{Keep, Operator, control};
 use crate::server_clock::{self, NTP_WATCH_INTERVAL, NtpWatch, ServerClock};
@@ -223,7 +223,10 @@ impl Work<'_> {
         let mut keep = Keep { ntp, ..Keep::default() };
         let usage = |message: String| (message, Exit::Usage);
         if let Some(path) = self.record {
-            keep.recording = Some(Recording::create(path).map_err(|error| usage(error.to_string()))?);
+            let recording = Recording::create(path).map_err(|error| usage(error.to_string()))?;
+            let recorder = Recorder::start(recording);
+            keep.recording =
+                Some(recorder.map_err(|error| failed(format!("no thread for the recording: {error}")))?);
         }
         let folder = state.join(session.as_str());
         let (said, operator) = operator();
@@ -258,8 +261,8 @@ impl Work<'_> {
             .map_err(|error| failed(error.to_string()))?;
         // A preflight alone is told once, by its table.
         let told = if self.preflight_only { Format::Json } else { self.format };
-        let live = Live::new(told, clock, robots.len());
-        let report = crate::run::run_and_keep(
+        let live = Live::new(told);
+        let mut report = crate::run::run_and_keep(
             mission,
             endpoints,
             clock,
@@ -268,9 +271,8 @@ impl Work<'_> {
             &mut keep,
         )
         .await;
-        live.clear();
-        if let Some(recording) = keep.recording.take() {
-            recording.finish().map_err(|error| failed(error.to_string()))?;
+        if let Some(recorder) = keep.recording.take() {
+            report.recording = Some(recorder.finish().await);
         }
         let _nobody_waits = tell_report.send(serde_json::to_string(&report).ok());
         // Whoever said stop hears the report before the process ends.
@@ -335,7 +337,7 @@ fn taken_here(state: &std::path::Path, robots: &[&FleetRobot]) -> Result<(), Str
             }
         }
     }
-    if taken.is_empty() { Ok(()) } else { Err(taken.join("\n")) }
+    if taken.is_empty() { Ok(()) } else { Err(taken.join("; ")) }
 }
 
 /// The server's time: by NTP when the fleet file names a server, else the system's.
@@ -403,8 +405,10 @@ pub(super) fn finish(report: &Report, format: Format) -> Exit {
 /// How a mission ended, as scripts see it.
 pub(super) fn exit_of(report: &Report) -> Exit {
     let unconfirmed = report.robots.iter().any(|robot| matches!(robot.stop, StopState::Unconfirmed { .. }));
+    let recorded = report.recording.as_ref().is_none_or(|recording| recording.failure.is_none());
     match &report.outcome {
-        Outcome::Done | Outcome::Ready => Exit::Done,
+        Outcome::Done | Outcome::Ready if recorded => Exit::Done,
+        Outcome::Done | Outcome::Ready => Exit::Unwritten,
         _ if unconfirmed => Exit::Unconfirmed,
         Outcome::DoneWithout => Exit::DoneWithout,
         Outcome::Stopped => Exit::Stopped,

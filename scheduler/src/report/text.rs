@@ -234,6 +234,9 @@ fn closing_lines(report: &Report) -> String {
     }
     text.extend(report.robots.iter().filter_map(unaccounted_line));
     text.extend(report.robots.iter().filter_map(stop_line));
+    if let Some(failure) = report.recording.as_ref().and_then(|recording| recording.failure.as_ref()) {
+        let _infallible = writeln!(text, "the recording is not whole: {failure}");
+    }
     text
 }
 

@@ -1,5 +1,6 @@
 //! The real world of a mission: tokio's links and timers, the journal's thread, the recording's file.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::mpsc;
@@ -10,19 +11,16 @@ use crate::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use crate::journal::{Journal, Writer, Written};
 use crate::link::{Endpoint, Link};
 use crate::mission::{Event, Progress, Record};
-use crate::recording::Recording;
+use crate::recording::{Recorder, Recording};
 use crate::server_clock::{NtpState, NtpWatch, ServerClock};
 
 /// Events that may wait for the mission; links wait beyond that.
 const EVENTS_MAX: usize = 65_536;
 
-/// Something for the recording, written once nothing is left to do.
-type Note = Box<dyn FnOnce(&mut Recording, &[RobotId]) + Send>;
-
 pub(super) struct RealWorld<T> {
     clock: ServerClock,
     endpoints: Vec<Endpoint>,
-    ids: Vec<RobotId>,
+    ids: Arc<[RobotId]>,
     links: Vec<Option<Link>>,
     events: mpsc::Sender<Happened>,
     happened: mpsc::Receiver<Happened>,
@@ -30,8 +28,7 @@ pub(super) struct RealWorld<T> {
     ntp: Option<NtpWatch>,
     tell: T,
     journal: FileJournal,
-    recording: Option<Recording>,
-    notes: Vec<Note>,
+    recording: Option<Recorder>,
 }
 
 enum FileJournal {
@@ -59,7 +56,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
             clock,
             links: endpoints.iter().map(|_| None).collect(),
             endpoints,
-            ids,
+            ids: ids.into(),
             events,
             happened,
             operator,
@@ -67,13 +64,11 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
             tell,
             journal,
             recording: keep.recording,
-            notes: Vec::new(),
         }
     }
 
     /// Lets go of the links, gives their tasks a moment to write what is queued, and waits for the disk.
-    pub(super) async fn finish(mut self) -> Keep {
-        self.write_notes();
+    pub(super) async fn finish(self) -> Keep {
         drop(self.links);
         tokio::time::sleep(Duration::from_millis(20)).await;
         let journal: Option<Journal> = match self.journal {
@@ -83,16 +78,10 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         Keep { journal, recording: self.recording, ntp: self.ntp }
     }
 
-    /// The recording's file may make this wait, so nothing that has to be sent waits behind it.
-    fn write_notes(&mut self) {
-        if let Some(recording) = &mut self.recording {
-            self.notes.drain(..).for_each(|note| note(recording, &self.ids));
-        }
-    }
-
     fn note(&mut self, note: impl FnOnce(&mut Recording, &[RobotId]) + Send + 'static) {
-        if self.recording.is_some() {
-            self.notes.push(Box::new(note));
+        if let Some(recorder) = &mut self.recording {
+            let ids = Arc::clone(&self.ids);
+            recorder.note(move |recording| note(recording, &ids));
         }
     }
 
@@ -115,7 +104,6 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     }
 
     async fn next(&mut self, until: Option<Timestamp<Server>>) -> Option<Happened> {
-        self.write_notes();
         tokio::select! {
             biased;
             word = self.operator.recv() => match word {
