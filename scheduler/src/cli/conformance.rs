@@ -1,13 +1,14 @@
 //! `downbeat conformance`: does a robot do what the protocol demands?
 
 use std::fmt::Write as _;
-use std::net::{SocketAddr, ToSocketAddrs};
 use std::io::IsTerminal;
+use std::net::{SocketAddr, ToSocketAddrs};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anstyle::{AnsiColor, Style};
 use clap::ValueEnum;
+use downbeat_scripts::shown::shown;
 use serde_json::json;
 use urrcp::Span;
 
@@ -224,7 +225,7 @@ fn text(examined: &Examined) -> String {
         };
         let Judged { requirement, verdict, why, millis } = judged;
         let verdict = verdict.as_str();
-        let line = format!("{requirement:names$}  {style}{verdict:4}{style:#}  {millis:>5} ms  {why}");
+        let line = format!("{requirement:names$}  {style}{verdict:4}{style:#}  {millis:>5} ms  {}", shown(why));
         let _written = writeln!(text, "{}", line.trim_end());
     }
     let count = |verdict| examined.judged.iter().filter(|judged| judged.verdict == verdict).count();

@@ -12,6 +12,7 @@ use serde::Serialize;
 
 use super::Exit;
 use super::outlet::{self, Display, Outlet, Stream};
+use crate::report::UNBOUNDED;
 
 const BOLD: Style = Style::new().bold();
 const RED: Style = AnsiColor::Red.on_default().bold();
@@ -144,6 +145,12 @@ pub(super) fn print_json(value: &impl Serialize) {
         Ok(text) => print(&format!("{}\n", shown::json(&text))),
         Err(cause) => error(&format!("no JSON: {cause}")),
     }
+}
+
+/// The width of the terminal on standard output; elsewhere lines may be of any length.
+pub(super) fn columns() -> usize {
+    let size = rustix::termios::tcgetwinsize(rustix::stdio::stdout());
+    size.ok().map(|size| usize::from(size.ws_col)).filter(|columns| *columns > 0).unwrap_or(UNBOUNDED)
 }
 
 /// Whether findings on standard error may be coloured.

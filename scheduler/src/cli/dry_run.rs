@@ -83,7 +83,7 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         return Exit::Usage;
     }
     match format {
-        Format::Text => console::print(&report_text(&played.report)),
+        Format::Text => console::print(&report_text(&played.report, console::columns())),
         Format::Json => console::print_json(&played.report),
     }
     if let Some(cut) = &played.cut {

@@ -38,7 +38,7 @@ impl Live {
                 let plain = |verdict: &Verdict| matches!(verdict, Verdict::Pass(_) | Verdict::NotChecked);
                 if preflight.rows.iter().any(|row| !row.checks.iter().all(|(_, verdict)| plain(verdict))) {
                     // What is wrong with whom is told as it is found, and in the report.
-                    self.block(&preflight_table(preflight, false));
+                    self.block(&preflight_table(preflight, false, crate::report::UNBOUNDED));
                 }
             }
             Progress::Waiting { act, awaits } => self.line(&format!("`{act}` waits for {awaits}")),

@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
-use comfy_table::{Table, presets};
 use downbeat_robot::HostOptions;
+use downbeat_scripts::shown::shown;
 use downbeat_scripts::{FleetRobot, Handshake, counted};
 use serde::Serialize;
 use urrcp::{RobotId, SessionId, Span};
@@ -14,6 +14,7 @@ use super::{Exit, Format, ScenarioArgs, choice, console, load, robot};
 use crate::fleet;
 use crate::journal::{self, Fate, Found, Journal, Torn};
 use crate::mission::{Mission, MissionOptions};
+use crate::report::table::Rows;
 use crate::report::{Report, StopState};
 use crate::run::{Keep, control};
 
@@ -107,13 +108,11 @@ pub(super) fn missions(args: &MissionsArgs, format: Format) -> Exit {
         Format::Json => console::print_json(&rows),
         Format::Text if rows.is_empty() => console::note("no mission runs, none was cut off"),
         Format::Text => {
-            let mut table = Table::new();
-            table.load_style(presets::NOTHING);
-            table.set_header(["mission", "state", "process", "robots", "scenario"]);
+            let mut table = Rows::new(&["mission", "state", "process", "robots", "scenario"], 5);
             for row in rows {
                 let robots = counted(row.robots.len(), "robot");
                 let scenario = row.scenario.display().to_string();
-                table.add_row([
+                table.add([
                     row.mission.to_string(),
                     row.state.to_owned(),
                     row.pid.to_string(),
@@ -121,7 +120,7 @@ pub(super) fn missions(args: &MissionsArgs, format: Format) -> Exit {
                     scenario,
                 ]);
             }
-            console::print(&format!("{table}\n"));
+            console::print(&table.text(console::columns()));
         }
     }
     Exit::Done
@@ -217,7 +216,7 @@ async fn stop_running(found: &Found, patience: Span, format: Format) -> Exit {
             _ => "nothing had been sent to it".to_owned(),
         };
         if format == Format::Text {
-            console::print(&format!("{name}: {text}\n"));
+            console::print(&format!("{}\n", shown(&format!("{name}: {text}"))));
         }
     }
     if unconfirmed { Exit::Unconfirmed } else { Exit::Done }

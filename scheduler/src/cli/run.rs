@@ -397,7 +397,7 @@ pub(super) async fn interrupted() -> std::io::Result<()> {
 pub(super) fn finish(report: &Report, format: Format) -> Exit {
     match format {
         Format::Json => console::print_json(report),
-        Format::Text => console::print(&report_text(report)),
+        Format::Text => console::print(&report_text(report, console::columns())),
     }
     exit_of(report)
 }

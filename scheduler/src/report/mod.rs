@@ -1,6 +1,8 @@
 //! What really happened: for people (`text`), for machines (serde), in a picture (`picture`).
 
+pub mod local;
 pub mod picture;
+pub mod table;
 mod text;
 
 use serde::Serialize;
@@ -12,7 +14,9 @@ pub use crate::mission::{ActReport, ActRobot, DeviceReport, Outcome};
 use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight};
 use crate::recording::Recorded;
 use crate::server_clock::NtpState;
-pub use text::{choreography_figures, main_duration, plan_figures, plan_table, preflight_table, report_text};
+pub use text::{
+    UNBOUNDED, choreography_figures, main_duration, plan_figures, plan_table, preflight_table, report_text,
+};
 
 /// The JSON Schema of a report.
 pub const SCHEMA: &str = include_str!("schema.json");

@@ -1,0 +1,132 @@
+//! Tables that fit: where the columns would be wider than the terminal, each row becomes a few lines of its own. No cell is
+//! ever broken.
+
+use comfy_table::{CellAlignment, Table, presets};
+use downbeat_scripts::shown::within;
+use unicode_width::UnicodeWidthStr;
+
+/// Columns that one cell takes at most.
+const CELL_MAX: usize = 60;
+
+/// Rows under a header.
+#[derive(Clone, Debug)]
+pub struct Rows {
+    header: Vec<&'static str>,
+    /// Columns from this one on are aligned to the right.
+    numbers_from: usize,
+    rows: Vec<Vec<String>>,
+}
+
+impl Rows {
+    /// No rows yet; the columns from this one on hold numbers.
+    #[must_use]
+    pub fn new(header: &[&'static str], numbers_from: usize) -> Self {
+        Self { header: header.to_vec(), numbers_from, rows: Vec::new() }
+    }
+
+    /// Adds a row; what stands in it may come from outside.
+    pub fn add(&mut self, cells: impl IntoIterator<Item = impl AsRef<str>>) {
+        self.rows.push(cells.into_iter().map(|cell| within(cell.as_ref(), CELL_MAX).into_owned()).collect());
+    }
+
+    /// As lines of at most so many columns, unless a single cell is wider.
+    #[must_use]
+    pub fn text(&self, columns: usize) -> String {
+        let table = self.table();
+        match table.lines().all(|line| line.trim_end().width() <= columns) {
+            true => table.lines().map(|line| line.trim_end().to_owned() + "\n").collect(),
+            false => self.rows.iter().map(|row| self.stacked(row, columns)).collect(),
+        }
+    }
+
+    fn table(&self) -> Table {
+        let mut table = Table::new();
+        table.load_style(presets::NOTHING);
+        table.set_header(self.header.clone());
+        for column in table.column_iter_mut().skip(self.numbers_from) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+        for row in &self.rows {
+            table.add_row(row.clone());
+        }
+        table
+    }
+
+    /// The first cell alone, below it the others with their titles, several in a line where there is room.
+    fn stacked(&self, row: &[String], columns: usize) -> String {
+        let mut cells = row.iter();
+        let mut text = format!("{}\n", cells.next().map_or("", String::as_str));
+        let pieces = self.header.iter().skip(1).zip(cells).filter(|(_, cell)| *cell != "-");
+        let mut line = String::new();
+        for (title, cell) in pieces {
+            let piece = format!("{title} {cell}");
+            if !line.is_empty() && line.width() + piece.width() + 2 > columns {
+                text.push_str(&format!("{line},\n"));
+                line.clear();
+            }
+            line = if line.is_empty() { format!("  {piece}") } else { format!("{line}, {piece}") };
+        }
+        if line.is_empty() { text } else { format!("{text}{line}\n") }
+    }
+}
+
+/// Text in lines of at most so many columns, broken between words; further lines are set in by two columns.
+#[must_use]
+pub fn wrapped(text: &str, columns: usize) -> String {
+    let mut lines = String::new();
+    let mut used = 0;
+    for word in text.trim_end().split(' ') {
+        let width = word.width();
+        if used > 0 && used + 1 + width > columns {
+            lines.push_str("\n  ");
+            used = 2;
+        } else if used > 0 {
+            lines.push(' ');
+            used += 1;
+        }
+        lines.push_str(word);
+        used += width;
+    }
+    lines.push('\n');
+    lines
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rows() -> Rows {
+        let mut rows = Rows::new(&["robot", "steps", "start error", "clock offset"], 1);
+        rows.add(["arm-1", "120/120", "+0.412 ms", "-150.002 ms"]);
+        rows.add(["a\u{1b}[2Jb", "7/120", "-", "90 ms"]);
+        rows
+    }
+
+    #[test]
+    fn columns_stand_below_each_other_where_there_is_room() {
+        let text = rows().text(60);
+        assert!(text.lines().all(|line| line.width() <= 60), "{text}");
+        assert!(text.starts_with(" robot"), "{text}");
+        assert!(text.contains("a\\u{1b}[2Jb"), "{text}");
+    }
+
+    #[test]
+    fn rows_become_lines_of_their_own_where_there_is_none() {
+        let expected = "arm-1
+  steps 120/120,
+  start error +0.412 ms,
+  clock offset -150.002 ms
+a\\u{1b}[2Jb
+  steps 7/120,
+  clock offset 90 ms
+";
+        assert_eq!(rows().text(30), expected);
+    }
+
+    #[test]
+    fn sentences_are_broken_between_words() {
+        assert_eq!(wrapped("stop NOT confirmed; its lease ends at 19:30:00.412", 30),
+            "stop NOT confirmed; its lease\n  ends at 19:30:00.412\n");
+        assert_eq!(wrapped("short\n", 30), "short\n");
+    }
+}
