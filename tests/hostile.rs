@@ -119,8 +119,8 @@ fn unavailable(reason: &str) -> Session {
                 if !request.contains("availability_request") {
                     continue;
                 }
-                let answer =
-                    available(&request).replace(r#""status":"OK""#, &format!(r#""status":"Failed","error":{error}"#));
+                let answer = available(&request)
+                    .replace(r#""status":"OK""#, &format!(r#""status":"Failed","error":{error}"#));
                 if writeln!(stream, "{answer}").is_err() {
                     break;
                 }
@@ -140,7 +140,8 @@ fn unavailable(reason: &str) -> Session {
 #[test]
 fn no_text_of_a_robot_is_obeyed_by_a_terminal() {
     let session = unavailable(EVIL);
-    for args in [&["run", "both.yaml", "--log", "debug"][..], &["preflight", "both.yaml"], &["fleet", "ping"]] {
+    for args in [&["run", "both.yaml", "--log", "debug"][..], &["preflight", "both.yaml"], &["fleet", "ping"]]
+    {
         check_harmless(&on_terminal(&session, args), "]0;pwned");
     }
 }
@@ -152,9 +153,12 @@ fn no_description_of_a_robot_is_obeyed_by_a_terminal() {
     let block = serde_json::json!({"initialization_block":
         {"id": EVIL, "name": EVIL, "api_version": EVIL, "devices": [device]}});
     let session = beside(block.to_string());
-    for args in
-        [&["run", "both.yaml"][..], &["preflight", "both.yaml"], &["preflight", "both.yaml", "--format", "json"], &["fleet", "show"]]
-    {
+    for args in [
+        &["run", "both.yaml"][..],
+        &["preflight", "both.yaml"],
+        &["preflight", "both.yaml", "--format", "json"],
+        &["fleet", "show"],
+    ] {
         let watched = on_terminal(&session, args);
         check_harmless(&watched, "");
     }
@@ -163,13 +167,17 @@ fn no_description_of_a_robot_is_obeyed_by_a_terminal() {
 /// A scenario whose names are [`EVIL`].
 fn evil_names() -> Session {
     // YAML takes these characters only in escapes.
-    let evil = serde_json::json!(EVIL).to_string().replace('\u{9b}', "\\u009b").replace('\u{202e}', "\\u202e");
+    let evil =
+        serde_json::json!(EVIL).to_string().replace('\u{9b}', "\\u009b").replace('\u{202e}', "\\u202e");
     let session = Session::new();
     session.file(
         "evil.yaml",
         format!("scenario: {evil}\ncues:\n  - {{cue: {evil}, at: 0s, robots: arms, tracks: {{shoulder: [{{at: 1s, to: 45}}]}}}}\n"),
     );
-    session.file("bad.yaml", format!("scenario: bad\ncues:\n  - {{cue: {evil}, at: 0s, robots: {evil}, tracks: {{}}}}\n"));
+    session.file(
+        "bad.yaml",
+        format!("scenario: bad\ncues:\n  - {{cue: {evil}, at: 0s, robots: {evil}, tracks: {{}}}}\n"),
+    );
     session
 }
 
@@ -193,7 +201,8 @@ fn no_name_in_a_file_is_obeyed_by_a_terminal() {
 fn a_picture_with_control_characters_in_its_names_is_valid_xml() {
     let session = evil_names();
     let ran = session.run(&["dry-run", "evil.yaml", "--picture", "evil.svg"]);
-    let picture = std::fs::read_to_string(session.path("evil.svg")).unwrap_or_else(|_| panic!("{}", ran.text()));
+    let picture =
+        std::fs::read_to_string(session.path("evil.svg")).unwrap_or_else(|_| panic!("{}", ran.text()));
     let parsed = roxmltree::Document::parse(&picture);
     assert!(parsed.is_ok(), "{parsed:?}");
     assert!(picture.contains("]0;pwned"), "{picture}");

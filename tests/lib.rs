@@ -4,6 +4,7 @@
 
 mod conformance;
 mod diagnostics;
+mod display;
 mod documents;
 mod edges;
 mod encodings;

@@ -92,8 +92,11 @@ fn render_one(renderer: &Renderer, finding: &Finding) -> String {
         }
     };
     if !finding.related.is_empty() {
-        let chain: Vec<_> =
-            finding.related.iter().map(|place| format!("{} (line {})", shown(&place.message), place.line)).collect();
+        let chain: Vec<_> = finding
+            .related
+            .iter()
+            .map(|place| format!("{} (line {})", shown(&place.message), place.line))
+            .collect();
         group = group.element(Level::NOTE.message(chain.join(", ")));
     }
     if let Some(hint) = &finding.hint {

@@ -143,7 +143,10 @@ mod tests {
 
     #[test]
     fn plain_text_of_any_language_stays_as_it_is() {
-        check("arm-1: \"too hot\" 4 µm \\ Größe, рука, 腕, 🦾", "arm-1: \"too hot\" 4 µm \\ Größe, рука, 腕, 🦾");
+        check(
+            "arm-1: \"too hot\" 4 µm \\ Größe, рука, 腕, 🦾",
+            "arm-1: \"too hot\" 4 µm \\ Größe, рука, 腕, 🦾",
+        );
     }
 
     #[test]

@@ -225,7 +225,8 @@ fn text(examined: &Examined) -> String {
         };
         let Judged { requirement, verdict, why, millis } = judged;
         let verdict = verdict.as_str();
-        let line = format!("{requirement:names$}  {style}{verdict:4}{style:#}  {millis:>5} ms  {}", shown(why));
+        let line =
+            format!("{requirement:names$}  {style}{verdict:4}{style:#}  {millis:>5} ms  {}", shown(why));
         let _written = writeln!(text, "{}", line.trim_end());
     }
     let count = |verdict| examined.judged.iter().filter(|judged| judged.verdict == verdict).count();

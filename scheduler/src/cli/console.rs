@@ -13,6 +13,7 @@ use serde::Serialize;
 use super::Exit;
 use super::outlet::{self, Display, Outlet, Stream};
 use crate::report::UNBOUNDED;
+use crate::report::table::wrapped;
 
 const BOLD: Style = Style::new().bold();
 const RED: Style = AnsiColor::Red.on_default().bold();
@@ -70,9 +71,7 @@ pub(super) fn finish(exit: Exit) -> Exit {
     let failure = FAILURE.lock().unwrap_or_else(PoisonError::into_inner).take();
     let Some(failure) = failure else { return exit };
     error(&format!("cannot write to standard output: {failure}"));
-    if let Some(outlets) = OUTLETS.get() {
-        outlets.stderr.drain(IDLE_MAX);
-    }
+    drain(IDLE_MAX);
     match exit {
         Exit::Done => Exit::Unwritten,
         other => other,
@@ -81,6 +80,13 @@ pub(super) fn finish(exit: Exit) -> Exit {
 
 fn fail(reason: String) {
     FAILURE.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
+}
+
+/// Waits for standard error, while something can be written within this time.
+pub(super) fn drain(idle: Duration) {
+    if let Some(outlets) = OUTLETS.get() {
+        outlets.stderr.drain(idle);
+    }
 }
 
 /// Draws this below the lines on standard error until [`end_display`].
@@ -124,9 +130,15 @@ pub(super) fn note_block(text: &str) {
     }
 }
 
-/// Prints one line to standard error, whatever stands in the text.
-pub(super) fn note(line: &str) {
-    note_block(&shown::shown(line));
+/// Prints one sentence to standard error, whatever stands in it; on a terminal in lines that end between words.
+pub(super) fn note(sentence: &str) {
+    note_block(&fitted(sentence));
+}
+
+fn fitted(sentence: &str) -> String {
+    let size = rustix::termios::tcgetwinsize(rustix::stdio::stderr());
+    let columns = size.ok().map(|size| usize::from(size.ws_col)).filter(|columns| *columns > 0);
+    wrapped(&shown::shown(sentence), columns.unwrap_or(UNBOUNDED))
 }
 
 /// Prints something that went wrong, in one line.

@@ -1,6 +1,7 @@
 //! `downbeat missions`, `go`, `stop` and `resume`: missions that other processes run, or ran.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
 
 use downbeat_robot::HostOptions;
@@ -312,12 +313,15 @@ async fn go_on(
     let mut keep = Keep { journal: Some(journal), ..Keep::default() };
     let (said, operator) = operator();
     let (tell_report, report_told) = tokio::sync::watch::channel(None);
-    if let Err(error) = control::listen(&found.folder, said, report_told) {
+    if let Err(error) = control::listen(&found.folder, said.clone(), report_told) {
         console::warn(&format!("`downbeat stop` will not reach this mission: {error}"));
     }
-    let live = super::live::Live::new(format);
+    let choreography = Arc::new(mission.choreography().clone());
+    let ids = robots.iter().map(|robot| robot.id.clone());
+    let live = super::live::Live::start(format, clock, choreography, ids, said);
     let tell = |at, progress: &_| live.tell(at, progress);
     let report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
+    drop(live);
     let _nobody_waits = tell_report.send(serde_json::to_string(&report).ok());
     tokio::time::sleep(Duration::from_millis(20)).await;
     Ok((report, host.is_none_or(robot::stop)))

@@ -172,9 +172,8 @@ impl Outlet {
         self.0.changed.notify_all();
         while queue.busy || !queue.entries.is_empty() {
             let before = queue.progress;
-            let stands = |queue: &mut Queue| {
-                queue.progress == before && (queue.busy || !queue.entries.is_empty())
-            };
+            let stands =
+                |queue: &mut Queue| queue.progress == before && (queue.busy || !queue.entries.is_empty());
             let (next, waited) = self
                 .0
                 .changed

@@ -1,7 +1,7 @@
 //! `downbeat run`: a mission on the fleet.
 
-use std::io::{BufRead, IsTerminal};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use downbeat_robot::HostOptions;
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Wait};
@@ -250,18 +250,21 @@ impl Work<'_> {
                 ));
             }
         }
-        if choreography.acts.iter().any(|act| act.wait == Wait::Operator) {
-            go_by_enter(said);
-        }
         let host_options = HostOptions { realtime: self.how.realtime, ..HostOptions::default() };
         let (host, endpoints) =
             fleet::endpoints(&robots, fleet.handshake, host_options).map_err(|e| failed(e.to_string()))?;
         let participants = fleet::participants(&robots);
-        let mission = Mission::new(choreography, participants, options, clock.now())
+        let choreography = Arc::new(choreography);
+        let mission = Mission::new(Arc::clone(&choreography), participants, options, clock.now())
             .map_err(|error| failed(error.to_string()))?;
-        // A preflight alone is told once, by its table.
-        let told = if self.preflight_only { Format::Json } else { self.format };
-        let live = Live::new(told);
+        let live = match self.preflight_only {
+            // A preflight alone is told once, by its table.
+            true => Live::lines(Format::Json),
+            false => {
+                let ids = robots.iter().map(|robot| robot.id.clone());
+                Live::start(self.format, clock, choreography, ids, said)
+            }
+        };
         let mut report = crate::run::run_and_keep(
             mission,
             endpoints,
@@ -271,6 +274,7 @@ impl Work<'_> {
             &mut keep,
         )
         .await;
+        drop(live);
         if let Some(recorder) = keep.recording.take() {
             report.recording = Some(recorder.finish().await);
         }
@@ -369,20 +373,6 @@ pub(super) fn operator() -> (mpsc::Sender<Operator>, mpsc::Receiver<Operator>) {
         std::future::pending::<()>().await;
     });
     (said, heard)
-}
-
-/// Enter at the terminal is the operator's go. The thread ends with the process.
-fn go_by_enter(said: mpsc::Sender<Operator>) {
-    if !std::io::stdin().is_terminal() {
-        return;
-    }
-    std::thread::spawn(move || {
-        for line in std::io::stdin().lock().lines() {
-            if line.is_err() || said.blocking_send(Operator::Go).is_err() {
-                return;
-            }
-        }
-    });
 }
 
 /// Ctrl-C, or a supervisor's SIGTERM.

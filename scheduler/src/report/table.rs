@@ -70,25 +70,47 @@ impl Rows {
     }
 }
 
-/// Text in lines of at most so many columns, broken between words; further lines are set in by two columns.
+/// Units that stay on the line of their number.
+const UNITS: [&str; 4] = ["us", "ms", "s", "min"];
+
+/// Text in lines of at most so many columns, broken between words and never between a number and its unit; further lines are
+/// set in by two columns more than the first.
 #[must_use]
 pub fn wrapped(text: &str, columns: usize) -> String {
-    let mut lines = String::new();
-    let mut used = 0;
-    for word in text.trim_end().split(' ') {
+    let inset = text.len() - text.trim_start_matches(' ').len();
+    let mut lines = " ".repeat(inset);
+    let mut used = inset;
+    for word in words(text.trim()) {
         let width = word.width();
-        if used > 0 && used + 1 + width > columns {
-            lines.push_str("\n  ");
-            used = 2;
-        } else if used > 0 {
+        if used > inset && used + 1 + width > columns {
+            lines.push('\n');
+            lines.push_str(&" ".repeat(inset + 2));
+            used = inset + 2;
+        } else if used > inset {
             lines.push(' ');
             used += 1;
         }
-        lines.push_str(word);
+        lines.push_str(&word);
         used += width;
     }
     lines.push('\n');
     lines
+}
+
+/// The words of a text, a number together with its unit.
+fn words(text: &str) -> Vec<String> {
+    let mut words: Vec<String> = Vec::new();
+    for word in text.split(' ') {
+        let is_unit = UNITS.contains(&word.trim_end_matches([',', ';', ')', '.', ':']));
+        match words.last_mut().filter(|before| is_unit && before.ends_with(|c: char| c.is_ascii_digit())) {
+            Some(number) => {
+                number.push(' ');
+                number.push_str(word);
+            }
+            None => words.push(word.to_owned()),
+        }
+    }
+    words
 }
 
 #[cfg(test)]
@@ -125,8 +147,19 @@ a\\u{1b}[2Jb
 
     #[test]
     fn sentences_are_broken_between_words() {
-        assert_eq!(wrapped("stop NOT confirmed; its lease ends at 19:30:00.412", 30),
-            "stop NOT confirmed; its lease\n  ends at 19:30:00.412\n");
+        assert_eq!(
+            wrapped("stop NOT confirmed; its lease ends at 19:30:00.412", 30),
+            "stop NOT confirmed; its lease\n  ends at 19:30:00.412\n"
+        );
         assert_eq!(wrapped("short\n", 30), "short\n");
+        assert_eq!(wrapped("  arm: set in", 12), "  arm: set\n    in\n");
+    }
+
+    #[test]
+    fn no_line_ends_between_a_number_and_its_unit() {
+        assert_eq!(
+            wrapped("confirmed within 666.663 us (350 ms, late)", 25),
+            "confirmed within\n  666.663 us (350 ms,\n  late)\n"
+        );
     }
 }
