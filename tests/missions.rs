@@ -361,8 +361,7 @@ fn two_missions_play_at_once_on_robots_of_their_own() {
 #[test]
 fn a_start_that_has_passed_or_is_too_soon_is_refused_with_the_earliest_safe_one() {
     let session = evening("wait: done");
-    let refused =
-        ["not sent: a start at 2020-01-01T00:00:00.000000000Z has passed", "the earliest safe start was"];
+    let refused = ["not sent: a start at ", "has passed", "the earliest safe start was"];
     session.run(&["run", "evening.yaml", "--at", "2020-01-01T00:00:00Z"]).says(1, &refused);
     session.run(&["run", "evening.yaml", "--record", "no/such.mcap"]).says(2, &["No such file or directory"]);
     let no_sensor = ["no robot that takes part is called `left` and has a sensor `lid`"];

@@ -28,6 +28,7 @@ mod sarif;
 mod scenario;
 mod schema;
 mod scope;
+pub mod shown;
 mod source;
 mod tags;
 pub mod timing;

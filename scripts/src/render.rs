@@ -5,6 +5,7 @@ use annotate_snippets::{AnnotationKind, Group, Level, Renderer, Snippet};
 use std::collections::HashMap;
 
 use crate::finding::{Code, Finding, Severity};
+use crate::shown::shown;
 
 /// Most warnings of one code that are shown.
 const WARNINGS_MAX: usize = 20;
@@ -70,12 +71,13 @@ fn render_one(renderer: &Renderer, finding: &Finding) -> String {
         Severity::Error => Level::ERROR,
         Severity::Warning => Level::WARNING,
     };
-    let title = level.primary_title(finding.message.as_str()).id(finding.code.as_str());
+    let (message, file) = (shown(&finding.message), shown(&finding.file));
+    let title = level.primary_title(&*message).id(finding.code.as_str());
     let lines = shown_lines(finding);
     let mut group = match finding.line {
         0 => title
-            .element(annotate_snippets::Origin::path(finding.file.as_str()))
-            .element(Level::NOTE.message(format!("expected {}", finding.expected))),
+            .element(annotate_snippets::Origin::path(&*file))
+            .element(Level::NOTE.message(format!("expected {}", shown(&finding.expected)))),
         _ => {
             let mut group = Group::with_title(title);
             for (number, text, marks) in &lines {
@@ -83,19 +85,22 @@ fn render_one(renderer: &Renderer, finding: &Finding) -> String {
                     let kind = if mark.primary { AnnotationKind::Primary } else { AnnotationKind::Context };
                     kind.span(mark.span.clone()).label(mark.label.as_str())
                 });
-                let snippet = Snippet::source(text.as_str()).path(finding.file.as_str()).line_start(*number);
+                let snippet = Snippet::source(text.as_str()).path(&*file).line_start(*number);
                 group = group.element(snippet.annotations(marks));
             }
             group
         }
     };
     if !finding.related.is_empty() {
-        let chain: Vec<_> =
-            finding.related.iter().map(|place| format!("{} (line {})", place.message, place.line)).collect();
+        let chain: Vec<_> = finding
+            .related
+            .iter()
+            .map(|place| format!("{} (line {})", shown(&place.message), place.line))
+            .collect();
         group = group.element(Level::NOTE.message(chain.join(", ")));
     }
     if let Some(hint) = &finding.hint {
-        group = group.element(Level::HELP.message(hint.as_str()));
+        group = group.element(Level::HELP.message(shown(hint)));
     }
     renderer.render(&[group])
 }
@@ -111,7 +116,7 @@ struct Mark {
 fn shown_lines(finding: &Finding) -> Vec<(usize, String, Vec<Mark>)> {
     if finding.related.is_empty() {
         let (text, span) = shown_part(&finding.source_line, finding.column, finding.width);
-        let label = format!("expected {}", finding.expected);
+        let label = format!("expected {}", shown(&finding.expected));
         return vec![(finding.line, text, vec![Mark { span, label, primary: true }])];
     }
     let mut places: Vec<_> = finding.related.iter().enumerate().collect();
@@ -119,7 +124,7 @@ fn shown_lines(finding: &Finding) -> Vec<(usize, String, Vec<Mark>)> {
     let mut lines: Vec<(usize, String, Vec<Mark>)> = Vec::new();
     for (index, place) in places {
         let (text, span) = shown_part(&place.source_line, place.column, place.width);
-        let label = format!("{}: {}", index + 1, place.message);
+        let label = format!("{}: {}", index + 1, shown(&place.message));
         let mark = Mark { span, label, primary: index == 0 };
         match lines.last_mut().filter(|(number, shown, _)| *number == place.line && *shown == text) {
             Some((.., marks)) => marks.push(mark),

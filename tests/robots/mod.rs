@@ -251,6 +251,16 @@ pub fn nanos(text: &str) -> i64 {
     at.as_nanos()
 }
 
+/// A local time of day as nanoseconds since the epoch: today, or just before or after midnight.
+pub fn today(text: &str) -> i64 {
+    let time: chrono::NaiveTime = text.parse().unwrap_or_else(|_| panic!("no time of day: {text}"));
+    let now = chrono::DateTime::from_timestamp_nanos(epoch_nanos()).with_timezone(&chrono::Local);
+    let days = [-1, 0, 1].map(|days| now.date_naive() + chrono::TimeDelta::days(days));
+    let instants = days.map(|day| day.and_time(time).and_local_timezone(chrono::Local).earliest());
+    let nanos = instants.into_iter().flatten().filter_map(|instant| instant.timestamp_nanos_opt());
+    nanos.min_by_key(|instant| (instant - epoch_nanos()).abs()).unwrap()
+}
+
 /// Now, in nanoseconds since the epoch.
 pub fn epoch_nanos() -> i64 {
     let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).unwrap();
@@ -313,8 +323,8 @@ impl Running {
     /// The start of the act that it prepares next, in nanoseconds since the epoch.
     pub fn start(&mut self) -> Option<i64> {
         let line = self.line("start at ")?;
-        let instant = line.split("start at ").nth(1)?.split([' ', ',']).next()?;
-        Some(nanos(instant))
+        let time = line.split("start at ").nth(1)?.split([' ', ',']).next()?;
+        Some(today(time))
     }
 
     /// Waits for its end, a minute at most.

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use clap::ValueEnum;
+use downbeat_scripts::shown::shown;
 use serde::Serialize;
 
 use super::load::{self, Loaded};
@@ -62,7 +63,7 @@ pub(super) fn check(args: &CheckArgs, format: Format) -> Exit {
             if let Some(choreography) = &choreography {
                 let errors = if denied { "warnings denied" } else { "no errors" };
                 let figures = crate::report::choreography_figures(choreography);
-                console::print(&format!("{scenario}: {errors}, {figures}\n"));
+                console::print(&format!("{}: {errors}, {figures}\n", shown(&scenario)));
             }
         }
     }

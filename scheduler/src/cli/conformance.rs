@@ -1,17 +1,18 @@
 //! `downbeat conformance`: does a robot do what the protocol demands?
 
 use std::fmt::Write as _;
+use std::io::IsTerminal;
 use std::net::{SocketAddr, ToSocketAddrs};
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::Duration;
+use std::sync::{Arc, Mutex, PoisonError};
 
 use anstyle::{AnsiColor, Style};
 use clap::ValueEnum;
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use downbeat_scripts::shown::shown;
 use serde_json::json;
 use urrcp::Span;
 
+use super::outlet::Display;
 use super::run::parse_span;
 use super::{Exit, Format, console};
 use crate::conformance::{Examined, Judged, Options, Requirement, Verdict, examine, requirements};
@@ -152,26 +153,27 @@ fn width() -> usize {
     requirements().map(|requirement| requirement.name.len()).max().unwrap_or(0)
 }
 
-/// A spinner with the requirement that is being checked on a terminal; nothing elsewhere.
-struct Live(ProgressBar);
+/// On a terminal the requirement that is being checked, and what has failed so far; nothing elsewhere.
+struct Live {
+    checked: Arc<Mutex<&'static str>>,
+    on_terminal: bool,
+}
 
 impl Live {
     fn new(format: Format) -> Self {
-        let target = match format {
-            Format::Text => ProgressDrawTarget::stderr(),
-            Format::Json => ProgressDrawTarget::hidden(),
-        };
-        let bar = ProgressBar::with_draw_target(None, target);
-        bar.set_style(ProgressStyle::default_spinner());
-        bar.enable_steady_tick(Duration::from_millis(100));
-        Self(bar)
+        let on_terminal = format == Format::Text && std::io::stderr().is_terminal();
+        let checked = Arc::new(Mutex::new(""));
+        if on_terminal {
+            console::begin_display(Box::new(Checked(Arc::clone(&checked))));
+        }
+        Self { checked, on_terminal }
     }
 
     fn tell(&self, requirement: &Requirement, judged: Option<&Judged>) {
         match judged {
-            None => self.0.set_message(requirement.name),
-            Some(judged) if judged.verdict == Verdict::Fail && !self.0.is_hidden() => {
-                self.0.suspend(|| console::note(&format!("{}: fail", judged.requirement)));
+            None => *self.checked.lock().unwrap_or_else(PoisonError::into_inner) = requirement.name,
+            Some(judged) if judged.verdict == Verdict::Fail && self.on_terminal => {
+                console::note(&format!("{}: fail", judged.requirement));
             }
             Some(_) => {}
         }
@@ -180,7 +182,21 @@ impl Live {
 
 impl Drop for Live {
     fn drop(&mut self) {
-        self.0.finish_and_clear();
+        console::end_display();
+    }
+}
+
+/// The name of what is being checked, in the last line of the terminal.
+struct Checked(Arc<Mutex<&'static str>>);
+
+impl Display for Checked {
+    fn lift(&mut self) -> Vec<u8> {
+        b"\r\x1b[K".to_vec()
+    }
+
+    fn draw(&mut self) -> Vec<u8> {
+        let name = *self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        format!("\r\x1b[Kchecking {name}").into_bytes()
     }
 }
 
@@ -211,7 +227,8 @@ fn text(examined: &Examined) -> String {
         };
         let Judged { requirement, verdict, why, millis } = judged;
         let verdict = verdict.as_str();
-        let line = format!("{requirement:names$}  {style}{verdict:4}{style:#}  {millis:>5} ms  {why}");
+        let line =
+            format!("{requirement:names$}  {style}{verdict:4}{style:#}  {millis:>5} ms  {}", shown(why));
         let _written = writeln!(text, "{}", line.trim_end());
     }
     let count = |verdict| examined.judged.iter().filter(|judged| judged.verdict == verdict).count();

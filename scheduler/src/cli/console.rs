@@ -1,27 +1,138 @@
-//! Printing: colour only on a terminal, a closed pipe is no error.
+//! Printing. Colour only on a terminal and without NO_COLOR; a reader that has gone is no error, a full disk is one.
+//!
+//! While a mission runs everything goes through a thread of its own ([`super::outlet`]), so that a terminal that stands still
+//! holds up nothing else. Commands that move nothing write at once and wait for their reader, as `less` wants it.
 
-use std::io::Write;
+use std::sync::{Mutex, OnceLock, PoisonError};
+use std::time::Duration;
 
 use anstyle::{AnsiColor, Style};
+use downbeat_scripts::shown;
 use serde::Serialize;
+
+use super::Exit;
+use super::outlet::{self, Display, Outlet, Stream};
+use crate::report::UNBOUNDED;
+use crate::report::table::wrapped;
 
 const BOLD: Style = Style::new().bold();
 const RED: Style = AnsiColor::Red.on_default().bold();
 const YELLOW: Style = AnsiColor::Yellow.on_default().bold();
 
-/// Prints to standard output. Whoever reads it may have gone.
+/// At the end of a mission: for so long nobody may read before what is left is given up.
+const IDLE_MAX: Duration = Duration::from_secs(3);
+
+/// The threads that write, once there are any.
+static OUTLETS: OnceLock<Outlets> = OnceLock::new();
+/// Why standard output could not be written.
+static FAILURE: Mutex<Option<String>> = Mutex::new(None);
+
+struct Outlets {
+    stderr: Outlet,
+    /// `None` where both streams are one, so that one thread keeps their order.
+    stdout: Option<Outlet>,
+}
+
+impl Outlets {
+    fn start() -> std::io::Result<Self> {
+        let stderr = Outlet::start("stderr")?;
+        let stdout = match Stream::are_one() {
+            true => None,
+            false => Some(Outlet::start("stdout")?),
+        };
+        Ok(Self { stderr, stdout })
+    }
+
+    fn of(&self, stream: Stream) -> &Outlet {
+        match (stream, &self.stdout) {
+            (Stream::Stdout, Some(outlet)) => outlet,
+            _ => &self.stderr,
+        }
+    }
+}
+
+/// From here on nothing that is printed makes its caller wait.
+pub(super) fn never_wait() {
+    if OUTLETS.get().is_none()
+        && let Ok(outlets) = Outlets::start()
+    {
+        let _started_meanwhile = OUTLETS.set(outlets);
+    }
+}
+
+/// Waits for what has not been written yet, within bounds if a mission ran. Returns the exit code of the process: output
+/// that could not be written spoils a success.
+pub(super) fn finish(exit: Exit) -> Exit {
+    if let Some(outlets) = OUTLETS.get() {
+        for outlet in [Some(&outlets.stderr), outlets.stdout.as_ref()].into_iter().flatten() {
+            outlet.drain(IDLE_MAX).into_iter().for_each(fail);
+        }
+    }
+    let failure = FAILURE.lock().unwrap_or_else(PoisonError::into_inner).take();
+    let Some(failure) = failure else { return exit };
+    error(&format!("cannot write to standard output: {failure}"));
+    drain(IDLE_MAX);
+    match exit {
+        Exit::Done => Exit::Unwritten,
+        other => other,
+    }
+}
+
+fn fail(reason: String) {
+    FAILURE.lock().unwrap_or_else(PoisonError::into_inner).get_or_insert(reason);
+}
+
+/// Waits for standard error, while something can be written within this time.
+pub(super) fn drain(idle: Duration) {
+    if let Some(outlets) = OUTLETS.get() {
+        outlets.stderr.drain(idle);
+    }
+}
+
+/// Draws this below the lines on standard error until [`end_display`].
+pub(super) fn begin_display(display: Box<dyn Display>) {
+    if let Some(outlets) = OUTLETS.get() {
+        outlets.stderr.display(Some(display));
+    }
+}
+
+/// Takes the display off the screen.
+pub(super) fn end_display() {
+    if let Some(outlets) = OUTLETS.get() {
+        outlets.stderr.display(None);
+    }
+}
+
+/// Prints to standard output: text of lines whose pieces from outside went through [`shown::shown`].
 pub(super) fn print(text: &str) {
-    let _closed = anstream::stdout().lock().write_all(text.as_bytes());
+    let text = Stream::Stdout.coloured(&shown::block(text)).into_owned();
+    match OUTLETS.get() {
+        Some(outlets) => outlets.of(Stream::Stdout).keep(Stream::Stdout, text),
+        None => {
+            if let Err(error) = outlet::write_all(Stream::Stdout, text.as_bytes())
+                && error.kind() != std::io::ErrorKind::BrokenPipe
+            {
+                fail(error.to_string());
+            }
+        }
+    }
 }
 
-/// Prints a line to standard error.
-pub(super) fn note(text: &str) {
-    let _closed = writeln!(anstream::stderr().lock(), "{text}");
+/// Prints lines to standard error whose pieces from outside went through [`shown::shown`].
+pub(super) fn note_block(text: &str) {
+    let text = format!("{}\n", text.trim_end_matches('\n'));
+    let text = Stream::Stderr.coloured(&shown::block(&text)).into_owned();
+    match OUTLETS.get() {
+        Some(outlets) => outlets.stderr.offer(Stream::Stderr, text),
+        None => {
+            let _closed = outlet::write_all(Stream::Stderr, text.as_bytes());
+        }
+    }
 }
 
-/// Prints something that went wrong.
-pub(super) fn error(text: &str) {
-    note(&format!("{RED}error{RED:#}{BOLD}: {text}{BOLD:#}"));
+/// Prints one sentence to standard error, whatever stands in it; on a terminal in lines that end between words.
+pub(super) fn note(sentence: &str) {
+    note_block(&fitted(sentence));
 }
 
 /// A text that says that something is wrong.
@@ -29,20 +140,51 @@ pub(super) fn red(text: &str) -> String {
     format!("{RED}{text}{RED:#}")
 }
 
-/// Prints something to look at.
-pub(super) fn warn(text: &str) {
-    note(&format!("{YELLOW}warning{YELLOW:#}{BOLD}: {text}{BOLD:#}"));
+fn fitted(sentence: &str) -> String {
+    let size = rustix::termios::tcgetwinsize(rustix::stdio::stderr());
+    let columns = size.ok().map(|size| usize::from(size.ws_col)).filter(|columns| *columns > 0);
+    wrapped(&shown::shown(sentence), columns.unwrap_or(UNBOUNDED))
+}
+
+/// Prints something that went wrong, in one line.
+pub(super) fn error(line: &str) {
+    note_block(&format!("{RED}error{RED:#}{BOLD}: {}{BOLD:#}", shown::shown(line)));
+}
+
+/// Prints something to look at, in one line.
+pub(super) fn warn(line: &str) {
+    note_block(&format!("{YELLOW}warning{YELLOW:#}{BOLD}: {}{BOLD:#}", shown::shown(line)));
 }
 
 /// Prints one JSON document, indented.
 pub(super) fn print_json(value: &impl Serialize) {
     match serde_json::to_string_pretty(value) {
-        Ok(text) => print(&format!("{text}\n")),
+        Ok(text) => print(&format!("{}\n", shown::json(&text))),
         Err(cause) => error(&format!("no JSON: {cause}")),
     }
+}
+
+/// The width of the terminal on standard output; elsewhere lines may be of any length.
+pub(super) fn columns() -> usize {
+    let size = rustix::termios::tcgetwinsize(rustix::stdio::stdout());
+    size.ok().map(|size| usize::from(size.ws_col)).filter(|columns| *columns > 0).unwrap_or(UNBOUNDED)
 }
 
 /// Whether findings on standard error may be coloured.
 pub(super) fn stderr_has_colour() -> bool {
     anstream::AutoStream::choice(&std::io::stderr()) != anstream::ColorChoice::Never
+}
+
+/// The log of `--log`: an event is a line on standard error, without colours.
+pub(super) struct Log;
+
+impl std::io::Write for Log {
+    fn write(&mut self, event: &[u8]) -> std::io::Result<usize> {
+        note(String::from_utf8_lossy(event).trim_end_matches('\n'));
+        Ok(event.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
 }

@@ -6,6 +6,7 @@ use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use downbeat_scripts::shown::shown;
 use urrcp::SessionId;
 
 use super::{Exit, Format, console};
@@ -68,7 +69,7 @@ fn announce(session: &SessionId, process: u32, log: PathBuf, format: Format) {
         }
         Format::Text => console::print(&format!(
             "mission {session} runs in the background, process {process}\n  follow it: tail -f {}\n  stop it:   downbeat stop {session}\n",
-            log.display()
+            shown(&log.display().to_string())
         )),
     }
 }

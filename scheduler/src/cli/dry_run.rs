@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use downbeat_scripts::shown::within;
 use downbeat_scripts::{Choreography, Fleet, counted};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use urrcp::{DeviceId, RobotId, Server, Timestamp};
@@ -83,7 +84,7 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         return Exit::Usage;
     }
     match format {
-        Format::Text => console::print(&report_text(&played.report)),
+        Format::Text => console::print(&report_text(&played.report, console::columns())),
         Format::Json => console::print_json(&played.report),
     }
     if let Some(cut) = &played.cut {
@@ -128,7 +129,7 @@ impl Audience for Bar {
         if let Progress::Decided { act, start, duration, .. } = progress {
             let left = (*start + *duration - at).to_duration().as_secs();
             self.0.set_length(self.0.position() + left);
-            self.0.set_message(format!("`{act}`"));
+            self.0.set_message(format!("`{}`", within(act, 30)));
         }
     }
 

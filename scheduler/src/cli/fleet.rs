@@ -3,7 +3,6 @@
 use std::path::PathBuf;
 
 use clap::{Args, Subcommand};
-use comfy_table::{Table, presets};
 use downbeat_robot::HostOptions;
 use downbeat_robot::driver::describe_thrift;
 use downbeat_scripts::{Address, Fleet, FleetRobot, RobotClock, Source, init_of, init_text};
@@ -20,6 +19,7 @@ use crate::drive::{Happened, LinkNumber, Urgency};
 use crate::fleet;
 use crate::link::{Endpoint, Link, Speech};
 use crate::mission::Event;
+use crate::report::table::Rows;
 use crate::server_clock::ServerClock;
 
 /// Look at the fleet's robots.
@@ -269,15 +269,14 @@ fn ping(link: &Link, clock: &ServerClock) {
 }
 
 fn ping_table(fleet: &Fleet, answers: &[Answer]) -> String {
-    let mut table = Table::new();
-    table.load_style(presets::NOTHING);
-    table.set_header(["robot", "address", "answers", "least delay", "clock offset", "uncertainty"]);
+    let header = ["robot", "address", "answers", "least delay", "clock offset", "uncertainty"];
+    let mut table = Rows::new(&header, 3);
     for (answer, robot) in answers.iter().zip(&fleet.robots) {
         let state = answer.problem.clone().unwrap_or_else(|| "yes".to_owned());
         let clock = |value: fn(&ClockReading) -> Span| {
             answer.clock.as_ref().map_or_else(|| "-".to_owned(), |reading| value(reading).to_string())
         };
-        table.add_row([
+        table.add([
             answer.robot.to_string(),
             robot.address.to_string(),
             state,
@@ -286,28 +285,24 @@ fn ping_table(fleet: &Fleet, answers: &[Answer]) -> String {
             clock(|reading| reading.uncertainty),
         ]);
     }
-    // The first line is the header.
-    let wrong = answers.iter().map(|answer| answer.problem.is_some());
-    let table = table.to_string();
-    let rows = table.lines().zip(std::iter::once(false).chain(wrong));
-    rows.map(|(line, wrong)| if wrong { console::red(line) + "\n" } else { format!("{line}\n") }).collect()
+    let wrong = |row: usize| answers[row].problem.is_some();
+    table.painted(console::columns(), |row, line| if wrong(row) { console::red(&line) } else { line })
 }
 
 fn show_table(answers: &[Answer]) -> String {
-    let mut table = Table::new();
-    table.load_style(presets::NOTHING);
-    table.set_header(["robot", "device", "unit", "control type", "from", "to", "granularity", "steps"]);
+    let header = ["robot", "device", "unit", "control type", "from", "to", "granularity", "steps"];
+    let mut table = Rows::new(&header, 4);
     for answer in answers {
         let Some(block) = answer.block.as_ref().filter(|_| answer.problem.is_none()) else {
             let problem = answer.problem.clone().unwrap_or_default();
-            table.add_row([answer.robot.to_string(), problem]);
+            table.add([answer.robot.to_string(), problem]);
             continue;
         };
         for device in &block.devices {
             for (control_type, parameters) in device.available_control_types.iter() {
                 let json = serde_json::to_value(parameters).unwrap_or_default();
                 let cell = |key: &str| json.get(key).map_or_else(|| "-".to_owned(), ToString::to_string);
-                table.add_row([
+                table.add([
                     answer.robot.to_string(),
                     device.id.to_string(),
                     device.unit.as_ref().map_or_else(|| "-".to_owned(), ToString::to_string),
@@ -320,5 +315,5 @@ fn show_table(answers: &[Answer]) -> String {
             }
         }
     }
-    format!("{table}\n")
+    table.text(console::columns())
 }

@@ -98,6 +98,6 @@ pub(super) fn load_fleet(path: &Path, format: Format) -> Result<Fleet, Exit> {
 
 pub(super) fn show_findings(findings: &[Finding]) {
     if !findings.is_empty() {
-        console::note(&downbeat_scripts::render(findings, console::stderr_has_colour()));
+        console::note_block(&downbeat_scripts::render(findings, console::stderr_has_colour()));
     }
 }

@@ -1,12 +1,12 @@
 //! `downbeat missions`: missions that other processes run, or ran.
 
-use comfy_table::{Table, presets};
 use downbeat_scripts::counted;
 use serde::Serialize;
 use urrcp::{RobotId, SessionId};
 
 use super::{Exit, Format, console};
 use crate::journal::{self, Found, Life, Missions};
+use crate::report::table::Rows;
 
 /// List the missions of this machine: those that run, and those that were cut off.
 #[derive(Debug, clap::Args)]
@@ -54,13 +54,11 @@ pub(super) fn missions(args: &MissionsArgs, format: Format) -> Exit {
         Format::Json => console::print_json(&rows),
         Format::Text if rows.is_empty() => console::note("no mission runs, none was cut off"),
         Format::Text => {
-            let mut table = Table::new();
-            table.load_style(presets::NOTHING);
-            table.set_header(["mission", "state", "process", "robots", "scenario"]);
+            let mut table = Rows::new(&["mission", "state", "process", "robots", "scenario"], 5);
             for row in rows {
                 let robots = counted(row.robots.len(), "robot");
                 let scenario = row.scenario.display().to_string();
-                table.add_row([
+                table.add([
                     row.mission.to_string(),
                     row.state.to_owned(),
                     row.pid.to_string(),
@@ -68,7 +66,7 @@ pub(super) fn missions(args: &MissionsArgs, format: Format) -> Exit {
                     scenario,
                 ]);
             }
-            console::print(&format!("{table}\n"));
+            console::print(&table.text(console::columns()));
         }
     }
     Exit::Done

@@ -2,7 +2,7 @@
 //!
 //! Exit codes: 0 done; 1 findings, or the mission failed or did not start; 2 usage or unreadable input; 3 stopped by the
 //! operator, every robot confirmed; 4 ended with robots whose stop is not confirmed; 5 done without robots that failed; 6
-//! played to its end, but not as promised or not known.
+//! played to its end, but not as promised or not known; 7 done, but standard output or the recording could not be written.
 
 mod check;
 mod choice;
@@ -18,6 +18,7 @@ mod import;
 mod live;
 mod load;
 mod missions;
+mod outlet;
 mod plan;
 mod resume;
 mod robot;
@@ -52,7 +53,10 @@ Exit codes:
   3  stopped by the operator, every robot confirmed it
   4  ended with robots whose stop is not confirmed
   5  done, without robots that failed on the way
-  6  played to its end, but not as promised, or not known"
+  6  played to its end, but not as promised, or not known
+  7  done, but standard output or the recording could not be written
+
+A pipe whose reader has gone, as with `| head`, is no error."
 )]
 pub struct Cli {
     #[command(subcommand)]
@@ -141,6 +145,8 @@ pub enum Exit {
     /// Played to its end, and not all of it is known to be as promised: starts were too far apart, or robots cannot say what
     /// they did.
     Uncertain = 6,
+    /// Done, and what was to be written could not be: standard output, or the recording.
+    Unwritten = 7,
 }
 
 impl Exit {
@@ -184,12 +190,12 @@ pub fn main() -> ExitCode {
         Command::Schema(args) => schema::schema(&args),
         Command::Fleet(command) => fleet::fleet(&command, format),
     };
-    ExitCode::from(exit as u8)
+    ExitCode::from(console::finish(exit) as u8)
 }
 
 fn start_log(filter: &str) {
     let filter = tracing_subscriber::EnvFilter::new(filter);
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_writer(std::io::stderr);
+    let log = tracing_subscriber::fmt().with_env_filter(filter).with_ansi(false).with_writer(|| console::Log);
     if let Err(error) = log.try_init() {
         console::warn(&format!("no log: {error}"));
     }
@@ -198,6 +204,7 @@ fn start_log(filter: &str) {
 /// A runtime for the commands that talk to robots.
 fn with_runtime(work: impl Future<Output = Exit>) -> Exit {
     crate::open_files::raise_limit();
+    console::never_wait();
     match tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build() {
         Ok(runtime) => {
             let exit = runtime.block_on(work);

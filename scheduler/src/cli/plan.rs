@@ -33,7 +33,7 @@ pub(super) fn plan(args: &PlanArgs, format: Format) -> Exit {
     match format {
         Format::Text => {
             for act in &choreography.acts {
-                console::print(&plan_table(act));
+                console::print(&plan_table(act, console::columns()));
             }
         }
         Format::Json => console::print_json(&Planned {

@@ -1,9 +1,11 @@
 //! `downbeat resume`: takes up a mission whose scheduler was killed.
 
+use std::sync::Arc;
+
 use downbeat_robot::HostOptions;
 use downbeat_scripts::{Choreography, Fleet, FleetRobot};
 
-use super::live::Live;
+use super::live::{Live, Speaker};
 use super::missions::{failed, one};
 use super::run::{HowArgs, finish, listen, server_clock, stop_lane, utc_offset};
 use super::withdraw::{How, Scheduler, Taken, Unconfirmed, withdraw_and_record};
@@ -35,6 +37,7 @@ pub(super) struct ResumeArgs {
 }
 
 pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
+    console::never_wait();
     let found = match one(args.mission.as_deref(), Life::CutOff, "was cut off") {
         Ok(found) => found,
         Err(exit) => return exit,
@@ -85,7 +88,7 @@ impl<'a> Resumption<'a> {
         let (choreography, _) = choice::choose(choreography, &fleet, &found.opened.asked)?;
         let moved = moved(&found.opened.robots, &fleet);
         if !moved.is_empty() {
-            return Err(failed(&moved.join("\n")));
+            return Err(failed(&moved.join("; ")));
         }
         let (kept, journal) = taken.journal().map_err(|reason| failed(&reason))?;
         Ok(Self { found, kept, journal, choreography, fleet, how: &args.how, format })
@@ -154,11 +157,13 @@ async fn go_on(
         .map_err(|error| failed(&error.to_string()))?;
     let (lane, operator) = stop_lane(OnHangUp::End).map_err(|error| failed(&error))?;
     let control = listen(&found.folder, &lane);
+    let choreography = Arc::new(mission.choreography().clone());
+    let ids = robots.iter().map(|robot| robot.id.clone());
+    let live = Live::start(format, clock, choreography, ids, Speaker::of(&lane));
     let mut keep = Keep { journal: Some(journal), stop_lane: Some(lane), ..Keep::default() };
-    let live = Live::new(format, clock, robots.len());
     let tell = |at, progress: &_| live.tell(at, progress);
     let report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
-    live.clear();
+    drop(live);
     if let Some(control) = control {
         control.end(serde_json::to_string(&report).ok()).await;
     }

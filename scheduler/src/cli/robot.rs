@@ -5,6 +5,7 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostOptions, Hosted, serve};
+use downbeat_scripts::shown::{self, shown};
 use tokio::net::TcpListener;
 use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
@@ -169,10 +170,10 @@ pub(super) fn announce(host: &Host, index: usize, listener: &TcpListener, format
     let robot = host.handle().robots()[index].clone();
     let Ok(address) = listener.local_addr() else { return };
     match format {
-        Format::Text => console::print(&format!("robot {robot} listens on {address}\n")),
+        Format::Text => console::print(&format!("robot {} listens on {address}\n", shown(robot.as_str()))),
         Format::Json => console::print(&format!(
             "{}\n",
-            serde_json::json!({"robot": robot, "listens": address.to_string()})
+            shown::json(&serde_json::json!({"robot": robot, "listens": address.to_string()}).to_string())
         )),
     }
 }

@@ -1,21 +1,21 @@
 //! `downbeat run`: a mission on the fleet.
 
-use std::io::{BufRead, IsTerminal};
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use downbeat_robot::HostOptions;
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Wait};
-use tokio::sync::{mpsc, oneshot};
+use tokio::sync::mpsc;
 use urrcp::{Server, SessionId, Span, Timestamp};
 
 use super::choice::{self, ChoiceArgs};
-use super::live::Live;
+use super::live::{Live, Speaker};
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console, detach, robot};
 use crate::fleet;
 use crate::journal::{self, Asked, Journal, Life, Missions, Opened, OpenedRobot};
 use crate::mission::{Join, Mission, MissionOptions};
-use crate::recording::Recording;
+use crate::recording::{Recorder, Recording};
 use crate::report::{Outcome, Report, StopState, report_text};
 use crate::run::control::Control;
 use crate::run::{Keep, Operator};
@@ -254,7 +254,10 @@ impl Work<'_> {
         let mut keep = Keep { ntp, ..Keep::default() };
         let usage = |message: String| (message, Exit::Usage);
         if let Some(path) = self.record {
-            keep.recording = Some(Recording::create(path).map_err(|error| usage(error.to_string()))?);
+            let recording = Recording::create(path).map_err(|error| usage(error.to_string()))?;
+            let recorder = Recorder::start(recording);
+            keep.recording =
+                Some(recorder.map_err(|error| failed(format!("no thread for the recording: {error}")))?);
         }
         let folder = state.join(session.as_str());
         let on_hang_up = match self.place {
@@ -284,20 +287,24 @@ impl Work<'_> {
             keep.journal = Some(unless_stopped(&mut operator, opening).await?.map_err(usage)?);
             control = listen(&folder, &lane);
         }
-        if choreography.acts.iter().any(|act| act.wait == Wait::Operator) {
-            go_by_enter(&lane);
-        }
+        let speaker = Speaker::of(&lane);
         keep.stop_lane = Some(lane);
         let host_options = HostOptions { realtime: self.how.realtime, ..HostOptions::default() };
         let (host, endpoints) =
             fleet::endpoints(&robots, fleet.handshake, host_options).map_err(|e| failed(e.to_string()))?;
         let participants = fleet::participants(&robots);
-        let mission = Mission::new(choreography, participants, options, clock.now())
+        let choreography = Arc::new(choreography);
+        let mission = Mission::new(Arc::clone(&choreography), participants, options, clock.now())
             .map_err(|error| failed(error.to_string()))?;
-        // A preflight alone is told once, by its table.
-        let told = if self.preflight_only { Format::Json } else { self.format };
-        let live = Live::new(told, clock, robots.len());
-        let report = crate::run::run_and_keep(
+        let live = match self.preflight_only {
+            // A preflight alone is told once, by its table.
+            true => Live::lines(Format::Json),
+            false => {
+                let ids = robots.iter().map(|robot| robot.id.clone());
+                Live::start(self.format, clock, choreography, ids, speaker)
+            }
+        };
+        let mut report = crate::run::run_and_keep(
             mission,
             endpoints,
             clock,
@@ -306,9 +313,9 @@ impl Work<'_> {
             &mut keep,
         )
         .await;
-        live.clear();
-        if let Some(recording) = keep.recording.take() {
-            recording.finish().map_err(|error| failed(error.to_string()))?;
+        drop(live);
+        if let Some(recorder) = keep.recording.take() {
+            report.recording = Some(recorder.finish().await);
         }
         if let Some(control) = control {
             control.end(serde_json::to_string(&report).ok()).await;
@@ -410,7 +417,7 @@ fn taken_here(state: &std::path::Path, robots: &[&FleetRobot]) -> Result<(), Str
             }
         }
     }
-    if taken.is_empty() { Ok(()) } else { Err(taken.join("\n")) }
+    if taken.is_empty() { Ok(()) } else { Err(taken.join("; ")) }
 }
 
 /// The server's time: by NTP when the fleet file names a server, else the system's.
@@ -431,30 +438,10 @@ pub(super) fn stop_lane(on_hang_up: OnHangUp) -> Result<(StopLane, mpsc::Receive
     StopLane::start(on_hang_up).map_err(|error| format!("no robot could be stopped: {error}"))
 }
 
-/// Enter at the terminal is the operator's go. The thread ends with the process.
-fn go_by_enter(lane: &StopLane) {
-    if !std::io::stdin().is_terminal() {
-        return;
-    }
-    let (voice, lane) = (lane.voice(), lane.runtime().clone());
-    std::thread::spawn(move || {
-        for line in std::io::stdin().lock().lines() {
-            let (answer, answered) = oneshot::channel();
-            let go = Operator::Go { act: None, answer };
-            if line.is_err() || lane.block_on(voice.say(go)).is_err() {
-                return;
-            }
-            if let Ok(Err(reason)) = answered.blocking_recv() {
-                console::note(&format!("no go: {reason}"));
-            }
-        }
-    });
-}
-
 pub(super) fn finish(report: &Report, format: Format) -> Exit {
     match format {
         Format::Json => console::print_json(report),
-        Format::Text => console::print(&report_text(report)),
+        Format::Text => console::print(&report_text(report, console::columns())),
     }
     exit_of(report)
 }
@@ -462,8 +449,10 @@ pub(super) fn finish(report: &Report, format: Format) -> Exit {
 /// How a mission ended, as scripts see it.
 pub(super) fn exit_of(report: &Report) -> Exit {
     let unconfirmed = report.robots.iter().any(|robot| matches!(robot.stop, StopState::Unconfirmed { .. }));
+    let recorded = report.recording.as_ref().is_none_or(|recording| recording.failure.is_none());
     match &report.outcome {
-        Outcome::Done | Outcome::Ready => Exit::Done,
+        Outcome::Done | Outcome::Ready if recorded => Exit::Done,
+        Outcome::Done | Outcome::Ready => Exit::Unwritten,
         _ if unconfirmed => Exit::Unconfirmed,
         Outcome::DoneWithout | Outcome::DoneSkipping { .. } => Exit::DoneWithout,
         Outcome::Stopped => Exit::Stopped,

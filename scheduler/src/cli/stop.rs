@@ -2,10 +2,11 @@
 
 use std::path::Path;
 
+use downbeat_scripts::shown;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use tokio::task::{JoinSet, LocalSet};
-use urrcp::SessionId;
+use urrcp::{Server, SessionId};
 
 use super::missions::{is_called, listed, none};
 use super::run::HowArgs;
@@ -15,6 +16,7 @@ use super::withdraw::{
 };
 use super::{Exit, Format, console};
 use crate::journal::{Found, Kept, Life};
+use crate::report::local::time_of_day;
 use crate::run::control;
 
 /// Stop missions: every robot that can be reached comes to rest.
@@ -52,6 +54,7 @@ struct Stopped {
 }
 
 pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
+    console::never_wait();
     let missions = listed();
     let unreadable = if missions.damaged.is_empty() { Exit::Done } else { Exit::Failed };
     let named = args.mission.as_deref();
@@ -219,11 +222,13 @@ impl Stopped {
         let indent = if shown == Shown::Several { "  " } else { "" };
         let mut lines = String::new();
         if shown == Shown::Several {
-            lines.push_str(&format!("{}:\n", self.mission));
+            lines.push_str(&format!("{}:\n", shown::shown(self.mission.as_str())));
         }
         let robots = self.report.iter().filter_map(|report| report["robots"].as_array()).flatten();
-        robots.for_each(|robot| lines.push_str(&format!("{indent}{}\n", robot_line(robot))));
-        self.inside.iter().for_each(|inside| lines.push_str(&format!("{indent}{}\n", inside_line(inside))));
+        robots.for_each(|robot| lines.push_str(&format!("{indent}{}\n", shown::shown(&robot_line(robot)))));
+        self.inside
+            .iter()
+            .for_each(|inside| lines.push_str(&format!("{indent}{}\n", shown::shown(&inside_line(inside)))));
         match format {
             Format::Text => console::print(&lines),
             Format::Json => self.inside.iter().for_each(|inside| console::note(&inside_line(inside))),
@@ -250,8 +255,10 @@ fn robot_line(robot: &Value) -> String {
     match robot["stop"]["state"].as_str() {
         Some("confirmed") => format!("{name}: default state confirmed"),
         Some("held") => format!("{name}: held where it was, confirmed"),
-        Some("unconfirmed") => match robot["stop"]["lease_ends"].as_str() {
-            Some(ends) => format!("{name}: stop NOT confirmed; its lease ends at {ends}"),
+        Some("unconfirmed") => match serde_json::from_value(robot["stop"]["lease_ends"].clone()).ok() {
+            Some(ends) => {
+                format!("{name}: stop NOT confirmed; its lease ends at {}", time_of_day::<Server>(ends))
+            }
             None => format!("{name}: stop NOT confirmed, and it runs without a lease"),
         },
         _ => format!("{name}: nothing had been sent to it"),

@@ -188,11 +188,10 @@ async fn withdraw_as(
     let mission = Mission::withdraw(fleet::participants(&robots), options, &kept.left(), clock.now());
     let (host, endpoints) = fleet::endpoints_at_once(&robots, Handshake::Full, HostOptions::default())
         .map_err(|error| error.to_string())?;
-    let live = Live::new(how.told, clock, robots.len());
+    let live = Live::lines(how.told);
     let tell = |at, progress: &_| live.tell(at, progress);
     let mut keep = Keep::default();
     let report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
-    live.clear();
     Ok(Withdrawn { report, inside, at_rest: host.is_none_or(robot::stop) })
 }
 

@@ -176,6 +176,28 @@ pub enum Progress {
         #[serde(rename = "error_ms")]
         error: Option<Span>,
     },
+    /// What a robot says of itself while it plays, at most once a second.
+    Heard {
+        /// Which.
+        robot: RobotId,
+        /// Steps of the act under way that it has executed.
+        steps_done: u64,
+        /// Its clock's offset, robot minus server.
+        #[serde(rename = "clock_offset_ms")]
+        clock_offset: Option<Span>,
+    },
+    /// The sensor that an act waits for reads another value than before.
+    Reading {
+        /// Which act.
+        act: String,
+        /// What it reads.
+        value: Option<f64>,
+    },
+    /// A robot has confirmed its stop on every device.
+    AtRest {
+        /// Which.
+        robot: RobotId,
+    },
     /// A robot has ended all its scripts of an act.
     Finished {
         /// Which.

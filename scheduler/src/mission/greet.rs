@@ -164,7 +164,8 @@ impl Mission {
             Reading::Shown(device) => self.robots[robot].shown.push((device, value)),
             Reading::Wait(number) => {
                 let act = self.acts.iter_mut().find(|act| act.number() == number);
-                act.into_iter().for_each(|act| act.sensor_read(value));
+                let told = act.and_then(|act| act.sensor_read(value));
+                told.into_iter().for_each(|told| self.tell(told));
             }
             Reading::Planned(number, index) => {
                 let act = self.acts.iter_mut().find(|act| act.number() == number);

@@ -176,6 +176,8 @@ pub(crate) struct RobotState {
     pub(crate) shift: Span,
     pub(crate) clock: ClockEstimate,
     pub(crate) questions: Questions,
+    /// When the operator was last told what it says of itself.
+    pub(crate) told_at: Option<Timestamp<Server>>,
     /// When something last came from it.
     heard_at: Option<Timestamp<Server>>,
     pub(crate) requires: Vec<Requirement>,
@@ -218,6 +220,7 @@ impl RobotState {
             shift: Span::ZERO,
             clock: ClockEstimate::default(),
             questions: Questions::default(),
+            told_at: None,
             heard_at: None,
             readings: vec![None; participant.requires.len()],
             requires: participant.requires,

@@ -11,13 +11,15 @@ use urrcp::{
 use super::act::Act;
 use super::failure_kind::FailureKind;
 use super::lead::LeadTime;
-use super::{Mission, Phase, error_of_status};
+use super::{Mission, Phase, Progress, error_of_status};
 use crate::clock::ClockSample;
 
 /// Between two rounds where no lease asks for more.
 const KEEP_ALIVE: Span = Span::from_millis(1_000);
 /// A robot that owes an answer for so long has failed, where no lease of its own sets a bound.
 pub(super) const SILENCE_MAX: Span = Span::from_millis(3_000);
+/// Between two words to the operator of what a robot says of itself.
+const TOLD_INTERVAL: Span = Span::from_millis(900);
 /// A round that comes so late was held up on this machine, and says nothing about the robots.
 const HELD_UP: Span = Span::from_millis(100);
 
@@ -146,11 +148,26 @@ impl Mission {
                 act.reported(script, report, (asked_at, response.timestamp, self.arrived), &self.robots);
             self.carry_out(now, script.act, noted.actions);
         }
+        self.tell_heard(now, robot);
         if response.status == Status::Failed && !matches!(self.phase, Phase::Stopping { .. }) {
             let error = error_of_status(response.error.as_ref());
             self.fail(now, robot, FailureKind::NotAvailable { error });
         }
         self.goes_on(now);
+    }
+
+    /// Tells the operator what a robot says of itself, now and then.
+    fn tell_heard(&mut self, now: Timestamp<Server>, robot: usize) {
+        let state = &mut self.robots[robot];
+        if state.told_at.is_some_and(|told| now < told + TOLD_INTERVAL) {
+            return;
+        }
+        state.told_at = Some(now);
+        let (id, clock_offset) = (state.id.clone(), state.clock.reading().map(|reading| reading.offset));
+        let member = self.acts.first().and_then(|act| act.member(robot));
+        let scripts = member.into_iter().flat_map(|member| member.scripts());
+        let steps_done = scripts.map(|script| u64::from(script.steps_done())).sum();
+        self.tell(Progress::Heard { robot: id, steps_done, clock_offset });
     }
 
     /// How long a robot may owe an answer while it has scripts of an act that has started.

@@ -208,6 +208,7 @@ impl Mission {
     pub(super) fn stop_confirmed(&mut self, robot: usize) {
         if matches!(self.robots[robot].stop, Stop::Confirmed(_)) {
             let robot = self.robots[robot].id.clone();
+            self.tell(Progress::AtRest { robot: robot.clone() });
             self.record(Record::StopConfirmed { robot });
         }
     }

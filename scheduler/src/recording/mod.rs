@@ -1,6 +1,8 @@
 //! Everything that was said in a mission as an MCAP file, which Foxglove and others open: requests and responses, planned
 //! and reported values, clock offsets, decisions. All messages are JSON; `docs/recording.md` lists the topics.
 
+mod recorder;
+
 use std::collections::{BTreeMap, HashMap};
 use std::fs::File;
 use std::io::BufWriter;
@@ -18,6 +20,8 @@ use urrcp::{
 use crate::clock::ClockSample;
 use crate::mission::{Progress, Record};
 
+pub use recorder::{Recorded, Recorder};
+
 /// A recording could not be written.
 #[derive(Debug, thiserror::Error)]
 #[error("cannot write the recording {}: {}", path.display(), reason(error))]
@@ -26,6 +30,14 @@ pub struct RecordingError {
     pub path: PathBuf,
     /// Why.
     pub error: McapError,
+}
+
+impl RecordingError {
+    /// Why, without the file.
+    #[must_use]
+    pub fn reason(&self) -> String {
+        reason(&self.error)
+    }
 }
 
 /// What the system said, where it was the system.

@@ -1,7 +1,9 @@
 //! What really happened: for people (`text`), for machines (serde), in a picture (`picture`).
 
 mod course;
+pub mod local;
 pub mod picture;
+pub mod table;
 mod text;
 
 use serde::Serialize;
@@ -11,9 +13,12 @@ use crate::clock::ClockReading;
 use crate::mission::robot_state::{Rest, RobotState, Standing, Stop};
 pub use crate::mission::{ActCourse, ActFate, ActReport, ActRobot, DeviceReport, Outcome};
 use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight};
+use crate::recording::Recorded;
 use crate::server_clock::NtpState;
 pub use course::course_lines;
-pub use text::{choreography_figures, main_duration, plan_figures, plan_table, preflight_table, report_text};
+pub use text::{
+    UNBOUNDED, choreography_figures, main_duration, plan_figures, plan_table, preflight_table, report_text,
+};
 
 /// The JSON Schema of a report.
 pub const SCHEMA: &str = include_str!("schema.json");
@@ -55,6 +60,9 @@ pub struct Report {
     /// What NTP said of this machine's clock at last, where the fleet file names an NTP server.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ntp: Option<NtpState>,
+    /// What became of the recording, where there is one.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub recording: Option<Recorded>,
     /// What was checked before.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preflight: Option<Preflight>,
@@ -145,6 +153,7 @@ impl Report {
             robots: robots.iter().map(robot_report).collect(),
             failures: robots.iter().flat_map(|robot| robot.failures.iter().cloned()).collect(),
             ntp: mission.ntp(),
+            recording: None,
             preflight: mission.preflight().cloned(),
         }
     }

@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 
+use downbeat_scripts::shown::within;
 use downbeat_scripts::{Act, DeviceScript, FleetRobot};
 use urrcp::{DeviceId, Interpolation, RobotId};
 
@@ -18,6 +19,9 @@ const RIGHT: f64 = 110.0;
 const LANES_MAX: usize = 120;
 /// Cues beyond this are not drawn.
 const CUES_MAX: usize = 60;
+
+/// Columns of a name that are shown.
+const NAME_MAX: usize = 60;
 
 /// Everything that one device does.
 struct Track<'a> {
@@ -209,5 +213,5 @@ fn range(track: &Track<'_>) -> (f64, f64) {
 }
 
 fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+    within(text, NAME_MAX).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
 }

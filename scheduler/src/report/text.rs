@@ -1,26 +1,24 @@
 //! The report and the plan as tables for people.
 
-use std::fmt::Write;
-
 use anstyle::{AnsiColor, Style};
-use comfy_table::{CellAlignment, Table, presets};
+use downbeat_scripts::shown::shown;
 use downbeat_scripts::{Act, Choreography, Plan, RobotPlan, counted};
 use urrcp::Span;
 
+use super::local::{date_and_time, time_of_day};
+use super::table::{Rows, wrapped};
 use super::{ActReport, Outcome, Report, RobotReport, StopState, course_lines};
 use crate::mission::{Check, Greeting, Preflight, PreflightRow, Verdict};
 
 /// Removed by the printing end where that is no terminal.
 const RED: Style = AnsiColor::Red.on_default().bold();
 
-fn table(header: &[&str], numbers_from: usize) -> Table {
-    let mut table = Table::new();
-    table.load_style(presets::NOTHING);
-    table.set_header(header.to_vec());
-    for column in table.column_iter_mut().skip(numbers_from) {
-        column.set_cell_alignment(CellAlignment::Right);
-    }
-    table
+/// As wide as it comes: for files and pipes.
+pub const UNBOUNDED: usize = usize::MAX;
+
+/// A sentence in lines of its own; what stands in it may come from outside.
+fn say(text: &mut String, columns: usize, sentence: &str) {
+    text.push_str(&wrapped(&shown(sentence), columns));
 }
 
 fn or_dash<T: ToString>(value: Option<T>) -> String {
@@ -34,18 +32,18 @@ fn signed(span: Span) -> String {
     }
 }
 
-/// An act: its cues with their times, and a row a device.
+/// An act: its cues with their times, and a row a device, in so many columns.
 #[must_use]
-pub fn plan_table(act: &Act) -> String {
-    let mut cues = table(&["cue", "start", "end", "slack"], 1);
+pub fn plan_table(act: &Act, columns: usize) -> String {
+    let mut cues = Rows::new(&["cue", "start", "end", "slack"], 1);
     for cue in &act.cues {
         let times = [cue.start, cue.end, cue.slack].map(|time| time.to_string());
-        cues.add_row([vec![cue.name.clone()], times.to_vec()].concat());
+        cues.add([vec![cue.name.clone()], times.to_vec()].concat());
     }
     let header = ["robot", "device", "scripts", "steps", "at least", "budget", "worst error", "at"];
-    let mut rows = table(&header, 2);
+    let mut rows = Rows::new(&header, 2);
     for device in &act.devices {
-        rows.add_row(vec![
+        rows.add([
             device.robot.to_string(),
             device.device.to_string(),
             device.scripts.to_string(),
@@ -56,7 +54,8 @@ pub fn plan_table(act: &Act) -> String {
             device.worst_at.to_string(),
         ]);
     }
-    format!("{}: {}\n{cues}\n{rows}\n", act.plan.scenario, plan_figures(&act.plan))
+    let name = shown(&act.plan.scenario);
+    format!("{name}: {}\n{}\n{}\n", plan_figures(&act.plan), cues.text(columns), rows.text(columns))
 }
 
 /// How long the acts last one after another.
@@ -109,42 +108,43 @@ pub fn plan_figures(plan: &Plan) -> String {
 
 /// What was checked before a mission: a row a robot, a column a check; below it, if wanted, what was read and what is wrong.
 #[must_use]
-pub fn preflight_table(preflight: &Preflight, told: bool) -> String {
+pub fn preflight_table(preflight: &Preflight, told: bool, columns: usize) -> String {
     // Half of the checks at a time, so that a row fits a terminal of 80 columns.
     let (who, how) = Check::ALL.split_at(Check::ALL.len().div_ceil(2));
-    let mut text = format!("{}\n{}", checks_table(preflight, who), checks_table(preflight, how));
+    let tables = [who, how].map(|checks| checks_table(preflight, checks, columns));
+    let mut text = tables.join("\n");
     if told {
-        text.push_str(&readings_table(preflight));
-        text.extend(preflight.rows.iter().flat_map(wrong_lines));
+        text.push_str(&readings_table(preflight, columns));
+        let wrong = preflight.rows.iter().flat_map(wrong_lines);
+        wrong.for_each(|line| say(&mut text, columns, &line));
     }
     if preflight.greeting == Greeting::Skip {
-        text.push_str(
-            "with `handshake: skip` no robot is asked which one it is: `downbeat fleet ping` asks\n",
-        );
+        let asks = "with `handshake: skip` no robot is asked which one it is: `downbeat fleet ping` asks";
+        say(&mut text, columns, asks);
     }
     text
 }
 
-fn checks_table(preflight: &Preflight, shown: &[Check]) -> String {
-    let titles: Vec<_> = std::iter::once("robot").chain(shown.iter().map(|check| check.title())).collect();
-    let mut rows = table(&titles, 1);
+fn checks_table(preflight: &Preflight, checks: &[Check], columns: usize) -> String {
+    let titles: Vec<_> = std::iter::once("robot").chain(checks.iter().map(|check| check.title())).collect();
+    let mut rows = Rows::new(&titles, 1);
     for row in &preflight.rows {
-        let checks = row.checks.iter().filter(|(check, _)| shown.contains(check));
-        let cells = checks.map(|(_, verdict)| match verdict {
+        let verdicts = row.checks.iter().filter(|(check, _)| checks.contains(check));
+        let cells = verdicts.map(|(_, verdict)| match verdict {
             Verdict::Pass(seen) => seen.clone(),
             Verdict::Warning(_) => "warning".to_owned(),
             Verdict::Failure(_) => "FAILURE".to_owned(),
             Verdict::NotChecked => "-".to_owned(),
         });
-        rows.add_row(std::iter::once(row.robot.to_string()).chain(cells));
+        rows.add(std::iter::once(row.robot.to_string()).chain(cells));
     }
-    format!("{rows}\n").replace("FAILURE", &format!("{RED}FAILURE{RED:#}"))
+    rows.text(columns).replace("FAILURE", &format!("{RED}FAILURE{RED:#}"))
 }
 
 fn wrong_lines(row: &PreflightRow) -> Vec<String> {
     let wrong = row.checks.iter().filter_map(|(check, verdict)| match verdict {
         Verdict::Warning(why) | Verdict::Failure(why) => {
-            Some(format!("{} {}: {why}\n", row.robot, check.title()))
+            Some(format!("{} {}: {why}", row.robot, check.title()))
         }
         Verdict::Pass(_) | Verdict::NotChecked => None,
     });
@@ -152,58 +152,82 @@ fn wrong_lines(row: &PreflightRow) -> Vec<String> {
 }
 
 /// What sensors read and where devices stand: a row each.
-fn readings_table(preflight: &Preflight) -> String {
-    let mut rows = table(&["robot", "device", "reads", "expected"], 2);
+fn readings_table(preflight: &Preflight, columns: usize) -> String {
+    let mut rows = Rows::new(&["robot", "device", "reads", "expected"], 2);
     for row in &preflight.rows {
         for reading in &row.readings {
             let unit = reading.unit.as_ref().map(|unit| format!(" {unit}")).unwrap_or_default();
             let read = reading.reading.map_or("nothing".to_owned(), |value| format!("{value}{unit}"));
             let expected = reading.expected.as_ref().map(|expected| format!("{expected}{unit}"));
-            rows.add_row(vec![row.robot.to_string(), reading.device.to_string(), read, or_dash(expected)]);
+            rows.add([row.robot.to_string(), reading.device.to_string(), read, or_dash(expected)]);
         }
     }
-    if rows.is_empty() { String::new() } else { format!("\n{rows}\n") }
+    if rows.is_empty() { String::new() } else { format!("\n{}\n", rows.text(columns)) }
 }
 
-/// The report: a row a robot, failures with their reasons, and the figures that matter.
+/// The report for people, in so many columns: how it ended, what failed, a row a robot, and the figures that matter.
 #[must_use]
-pub fn report_text(report: &Report) -> String {
-    let mut text = format!("{}: {}\n", report.scenario, report.outcome);
+pub fn report_text(report: &Report, columns: usize) -> String {
+    let mut text = String::new();
+    say(&mut text, columns, &format!("{}: {}", report.scenario, outcome_text(&report.outcome)));
     if let Some(acts_max) = report.acts_max_reached {
         let acts = counted(acts_max as usize, "act");
-        let _infallible =
-            writeln!(text, "  ended because {acts} had begun, the bound; another would have followed");
+        let sentence = format!("  ended because {acts} had begun, the bound; another would have followed");
+        say(&mut text, columns, &sentence);
     }
     let alone = matches!(report.outcome, Outcome::Ready | Outcome::NotReady);
     if let Some(preflight) = report.preflight.as_ref().filter(|_| alone) {
-        return text + &preflight_table(preflight, true);
+        return text + &preflight_table(preflight, true, columns);
     }
     for line in course_lines(report) {
-        let _infallible = writeln!(text, "  {line}");
+        say(&mut text, columns, &format!("  {line}"));
     }
     for failure in &report.failures {
-        let _infallible = writeln!(text, "  {}: {}", failure.robot, failure.kind);
+        say(&mut text, columns, &format!("  {}: {}", failure.robot, failure.kind));
     }
     if report.acts.len() > 1 {
-        text.push_str(&acts_table(report));
+        text.push_str(&acts_table(report, columns));
     }
     if !report.acts.is_empty() {
-        text.push_str(&robots_table(report));
+        text.push_str(&robots_table(report, columns));
     }
+    let mut sentences = Vec::new();
     if let [act] = report.acts.as_slice() {
-        text.push_str(&act_lines(act));
+        sentences.extend(act_sentences(act));
     }
-    text.push_str(&closing_lines(report));
+    sentences.extend(closing_sentences(report));
+    sentences.iter().for_each(|sentence| say(&mut text, columns, sentence));
     text
 }
 
-fn acts_table(report: &Report) -> String {
-    let mut rows =
-        table(&["act", "start", "gap", "lead", "predicted spread", "spread", "margin left", "window"], 2);
+/// How it ended, with local times.
+fn outcome_text(outcome: &Outcome) -> String {
+    match outcome {
+        Outcome::StartTooSoon { start, safe_start } => format!(
+            "not sent: a start at {} has passed or is too soon, the earliest safe start was {}",
+            date_and_time(*start),
+            time_of_day(*safe_start)
+        ),
+        Outcome::LeadTooShort { lead, needed, safe_start } => format!(
+            "not sent: a lead of {lead} is too short, this fleet needs {} ({} to prepare, {} of lease, {} of margin); \
+             the earliest safe start was {}",
+            needed.total(),
+            needed.prepare,
+            needed.lease,
+            needed.margin,
+            time_of_day(*safe_start)
+        ),
+        other => other.to_string(),
+    }
+}
+
+fn acts_table(report: &Report, columns: usize) -> String {
+    let header = ["act", "start", "gap", "lead", "predicted spread", "spread", "margin left", "window"];
+    let mut rows = Rows::new(&header, 2);
     for act in &report.acts {
-        rows.add_row(vec![
+        rows.add([
             act.act.clone(),
-            act.start.to_string(),
+            time_of_day(act.start),
             or_dash(act.gap),
             act.lead.total().to_string(),
             or_dash(act.skew.as_ref().map(|skew| skew.predicted)),
@@ -212,86 +236,86 @@ fn acts_table(report: &Report) -> String {
             or_dash(act.window),
         ]);
     }
-    format!("{rows}\n")
+    rows.text(columns)
 }
 
-fn act_lines(act: &ActReport) -> String {
+fn act_sentences(act: &ActReport) -> Vec<String> {
     let lead = act.lead;
-    let mut text = format!(
-        "planned start {}, {} after sending ({} to prepare, {} of lease, {} of margin)\n",
-        act.start,
+    let mut sentences = vec![format!(
+        "planned start {}, {} after sending ({} to prepare, {} of lease, {} of margin)",
+        date_and_time(act.start),
         lead.total(),
         lead.prepare,
         lead.lease,
         lead.margin
-    );
+    )];
     if let Some(skew) = &act.skew {
-        let _infallible =
-            writeln!(text, "predicted start spread {} at most, {} allowed", skew.predicted, skew.tolerance);
+        sentences
+            .push(format!("predicted start spread {} at most, {} allowed", skew.predicted, skew.tolerance));
     }
     if let (Some(margin), Some(window)) = (act.margin_left, act.window) {
-        let _infallible = writeln!(
-            text,
-            "the last acceptance came {margin} before the decision; the leases were carried over the start within {window}"
-        );
+        sentences.push(format!(
+            "the last robot accepted {margin} before the decision; the leases were carried over the start within {window}"
+        ));
     }
-    text
+    sentences
 }
 
-fn robots_table(report: &Report) -> String {
-    let header = ["robot", "accepted", "started", "start error", "steps", "clock offset", "uncertainty"];
-    let mut rows = table(&header, 1);
+fn robots_table(report: &Report, columns: usize) -> String {
+    let header = ["robot", "accepted", "scripts started", "start error", "steps", "clock offset", "known to"];
+    let mut rows = Rows::new(&header, 1);
     for robot in &report.robots {
-        rows.add_row(vec![
+        rows.add([
             robot.robot.to_string(),
             if robot.accepted { "yes" } else { "no" }.to_owned(),
             format!("{}/{}", robot.started, robot.scripts),
             or_dash(robot.start_error.map(signed)),
             format!("{}/{}", robot.steps_done, robot.steps_planned),
             or_dash(robot.clock.map(|clock| signed(clock.offset))),
-            or_dash(robot.clock.map(|clock| clock.uncertainty)),
+            or_dash(robot.clock.map(|clock| format!("+-{}", clock.uncertainty))),
         ]);
     }
-    format!("{rows}\n")
+    rows.text(columns)
 }
 
-fn closing_lines(report: &Report) -> String {
-    let mut text = String::new();
+fn closing_sentences(report: &Report) -> Vec<String> {
+    let mut sentences = Vec::new();
     let started = report.robots.iter().filter(|robot| robot.started > 0).count();
     match report.spread {
-        Some(spread) => {
-            let _infallible = writeln!(
-                text,
-                "start spread {spread} over {}, by their own clocks, each known to the uncertainty above",
-                counted(started, "robot")
-            );
-        }
+        Some(spread) => sentences.push(format!(
+            "start spread {spread} over {}, by their own clocks, each known as well as shown above",
+            counted(started, "robot")
+        )),
         None if report.acts.is_empty() => {}
-        None => text.push_str("no robot reported a start\n"),
+        None => sentences.push("no robot reported a start".to_owned()),
     }
     if let Some(spread) = report.true_spread {
-        let _infallible = writeln!(text, "true start spread {spread}, by the one clock of the virtual world");
+        sentences.push(format!("true start spread {spread}, by the one clock of the virtual world"));
     }
-    text.extend(report.robots.iter().filter_map(unaccounted_line));
-    text.extend(report.robots.iter().filter_map(stop_line));
-    text
+    sentences.extend(report.robots.iter().filter_map(unaccounted));
+    sentences.extend(report.robots.iter().filter_map(stop));
+    if let Some(failure) = report.recording.as_ref().and_then(|recording| recording.failure.as_ref()) {
+        sentences.push(format!("the recording is not whole: {failure}"));
+    }
+    sentences
 }
 
-fn unaccounted_line(robot: &RobotReport) -> Option<String> {
+fn unaccounted(robot: &RobotReport) -> Option<String> {
     let scripts = counted(robot.unaccounted, "script");
-    (robot.unaccounted > 0).then(|| format!("{}: it has not said what became of {scripts}\n", robot.robot))
+    (robot.unaccounted > 0).then(|| format!("{}: it has not said what became of {scripts}", robot.robot))
 }
 
-fn stop_line(robot: &RobotReport) -> Option<String> {
-    match robot.stop {
-        StopState::NotSent => None,
-        StopState::Confirmed => Some(format!("{}: default state confirmed\n", robot.robot)),
-        StopState::Held => Some(format!("{}: held where it was, confirmed\n", robot.robot)),
+fn stop(robot: &RobotReport) -> Option<String> {
+    let rest = match robot.stop {
+        StopState::NotSent => return None,
+        StopState::Confirmed => "default state confirmed".to_owned(),
+        StopState::Held => "held where it was, confirmed".to_owned(),
         StopState::Unconfirmed { lease_ends: Some(at) } => {
-            Some(format!("{}: stop NOT confirmed; its lease ends at {at}\n", robot.robot))
+            format!("stop NOT confirmed; its lease ends at {}", time_of_day(at))
         }
         StopState::Unconfirmed { lease_ends: None } => {
-            Some(format!("{}: stop NOT confirmed, and it runs without a lease\n", robot.robot))
+            "stop NOT confirmed, and it runs without a lease".to_owned()
         }
-    }
+    };
+    Some(format!("{}: {rest}", robot.robot))
 }

@@ -11,7 +11,7 @@ use crate::drive::drive;
 use crate::journal::Journal;
 use crate::link::Endpoint;
 use crate::mission::{Mission, Progress};
-use crate::recording::Recording;
+use crate::recording::Recorder;
 use crate::report::Report;
 use crate::server_clock::{NtpWatch, ServerClock};
 use crate::stop_lane::{Before, StopLane};
@@ -38,7 +38,7 @@ pub struct Keep {
     /// What was promised to whom.
     pub journal: Option<Journal>,
     /// Everything that was said.
-    pub recording: Option<Recording>,
+    pub recording: Option<Recorder>,
     /// Follows NTP while the mission goes on.
     pub ntp: Option<NtpWatch>,
     /// Stops the robots whatever else stands still.

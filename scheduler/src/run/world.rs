@@ -1,6 +1,7 @@
 //! The real world of a mission: tokio's links and timers, the journal's thread, the recording's file.
 
 use std::collections::VecDeque;
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::sync::{mpsc, oneshot};
@@ -11,20 +12,17 @@ use crate::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use crate::journal::{Journal, Writer, Written};
 use crate::link::{Endpoint, Link};
 use crate::mission::{Event, Progress, Record};
-use crate::recording::Recording;
+use crate::recording::{Recorder, Recording};
 use crate::server_clock::{NtpState, NtpWatch, ServerClock};
 use crate::stop_lane::{Before, Passage, StopLane};
 
 /// Events that may wait for the mission; links wait beyond that.
 const EVENTS_MAX: usize = 65_536;
 
-/// Something for the recording, written once nothing is left to do.
-type Note = Box<dyn FnOnce(&mut Recording, &[RobotId]) + Send>;
-
 pub(super) struct RealWorld<T> {
     clock: ServerClock,
     endpoints: Vec<Endpoint>,
-    ids: Vec<RobotId>,
+    ids: Arc<[RobotId]>,
     links: Vec<Option<Link>>,
     events: mpsc::Sender<Happened>,
     happened: mpsc::Receiver<Happened>,
@@ -34,8 +32,7 @@ pub(super) struct RealWorld<T> {
     ntp: Option<NtpWatch>,
     tell: T,
     journal: FileJournal,
-    recording: Option<Recording>,
-    notes: Vec<Note>,
+    recording: Option<Recorder>,
     stop_lane: Option<StopLane>,
 }
 
@@ -68,7 +65,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
             clock,
             links: endpoints.iter().map(|_| None).collect(),
             endpoints,
-            ids,
+            ids: ids.into(),
             events,
             happened,
             operator,
@@ -77,17 +74,15 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
             tell,
             journal,
             recording: keep.recording,
-            notes: Vec::new(),
             stop_lane,
         }
     }
 
     /// Lets go of the links, gives their tasks a moment to write what is queued, and waits for the disk.
-    pub(super) async fn finish(mut self) -> Keep {
+    pub(super) async fn finish(self) -> Keep {
         if let Some(lane) = &self.stop_lane {
             lane.let_go();
         }
-        self.write_notes();
         drop(self.links);
         tokio::time::sleep(Duration::from_millis(20)).await;
         let journal: Option<Journal> = match self.journal {
@@ -97,16 +92,10 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         Keep { journal, recording: self.recording, ntp: self.ntp, stop_lane: self.stop_lane }
     }
 
-    /// The recording's file may make this wait, so nothing that has to be sent waits behind it.
-    fn write_notes(&mut self) {
-        if let Some(recording) = &mut self.recording {
-            self.notes.drain(..).for_each(|note| note(recording, &self.ids));
-        }
-    }
-
     fn note(&mut self, note: impl FnOnce(&mut Recording, &[RobotId]) + Send + 'static) {
-        if self.recording.is_some() {
-            self.notes.push(Box::new(note));
+        if let Some(recorder) = &mut self.recording {
+            let ids = Arc::clone(&self.ids);
+            recorder.note(move |recording| note(recording, &ids));
         }
     }
 
@@ -132,7 +121,6 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     }
 
     async fn next(&mut self, until: Option<Timestamp<Server>>) -> Option<Happened> {
-        self.write_notes();
         if let Some(lane) = &self.stop_lane {
             lane.turned();
         }

@@ -20,6 +20,8 @@ pub(super) struct Waiting {
     announced: bool,
     /// When its sensor is read next.
     poll: Option<Timestamp<Server>>,
+    /// What its sensor read last.
+    read: Option<f64>,
 }
 
 impl Act {
@@ -80,12 +82,15 @@ impl Act {
         over.into_iter().chain(waiting.poll).min()
     }
 
-    /// A reading came for which it may wait.
-    pub(crate) fn sensor_read(&mut self, value: Option<f64>) {
-        let Wait::Sensor { range, .. } = &self.written().wait else { return };
-        if matches!(self.stage, Stage::Waiting(_)) && value.is_some_and(|value| range.contains(value)) {
+    /// A reading came for which it may wait. Returns what there is to tell of it.
+    pub(crate) fn sensor_read(&mut self, value: Option<f64>) -> Option<Progress> {
+        let Wait::Sensor { range, .. } = &self.choreography.acts[self.index].wait else { return None };
+        let Stage::Waiting(waiting) = &mut self.stage else { return None };
+        let before = std::mem::replace(&mut waiting.read, value);
+        if value.is_some_and(|value| range.contains(value)) {
             self.stage = Stage::Ready { target: None, look: None };
         }
+        (before != value).then(|| Progress::Reading { act: self.name(), value })
     }
 
     /// Whether it waits for the operator and has no go yet, be it that another act plays before it.

@@ -1,0 +1,166 @@
+//! The operator's keys, and Ctrl-Z.
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use rustix::process::{Signal, getpid, kill_process};
+use tokio::runtime::Handle;
+use tokio::signal::unix::{SignalKind, signal};
+use tokio::sync::oneshot;
+
+use super::frame::Help;
+use super::{Scene, Shown, show, terminal};
+use crate::cli::console;
+use crate::run::Operator;
+use crate::stop_lane::{StopLane, Voice};
+
+/// For so long Ctrl-Z waits for the display to leave the screen.
+const LIFT_MAX: Duration = Duration::from_millis(200);
+
+/// What a key means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Key {
+    Go,
+    Stop,
+    Help,
+}
+
+impl Key {
+    const fn of(byte: u8) -> Option<Self> {
+        match byte {
+            b'g' | b'G' | b'\n' | b'\r' => Some(Self::Go),
+            b's' | b'S' => Some(Self::Stop),
+            b'?' | b'h' | b'H' => Some(Self::Help),
+            _ => None,
+        }
+    }
+}
+
+/// Says what keys mean to the mission, by the lane that hears a stop whatever else stands still.
+pub(in crate::cli) struct Speaker {
+    voice: Voice,
+    lane: Handle,
+}
+
+impl Speaker {
+    /// Speaks by this lane.
+    pub(in crate::cli) fn of(lane: &StopLane) -> Self {
+        Self { voice: lane.voice(), lane: lane.runtime().clone() }
+    }
+
+    /// Says go and shows why it does not count, if so. `false`: the mission is over.
+    fn go(&self) -> bool {
+        let (answer, answered) = oneshot::channel();
+        if self.lane.block_on(self.voice.say(Operator::Go { act: None, answer })).is_err() {
+            return false;
+        }
+        if let Ok(Err(reason)) = answered.blocking_recv() {
+            console::note(&format!("no go: {reason}"));
+        }
+        true
+    }
+}
+
+/// Single keys under the display. The thread ends with the process.
+pub(super) fn listen(scene: Arc<Mutex<Scene>>, speaker: Speaker) {
+    if !terminal::has_keys() {
+        return;
+    }
+    terminal::take_keys();
+    std::thread::spawn(move || {
+        let mut stopped = false;
+        while let Some(bytes) = terminal::next_keys() {
+            // Arrow keys and the like are sequences, which mean nothing here.
+            if bytes.first() == Some(&0x1b) {
+                continue;
+            }
+            for key in bytes.into_iter().filter_map(Key::of) {
+                match key {
+                    Key::Go => drop(speaker.go()),
+                    // Once: a second Ctrl-C would leave at once.
+                    Key::Stop if stopped => {}
+                    Key::Stop => {
+                        stopped = true;
+                        stop();
+                    }
+                    Key::Help => toggle_help(&scene),
+                }
+            }
+        }
+    });
+}
+
+/// Lines where there is no display: Enter is the operator's go. The thread ends with the process.
+pub(super) fn listen_to_lines(speaker: Speaker) {
+    if !terminal::has_keys() {
+        return;
+    }
+    std::thread::spawn(move || {
+        while terminal::next_keys().is_some() {
+            if !speaker.go() {
+                return;
+            }
+        }
+    });
+}
+
+/// As Ctrl-C does, by the same way.
+fn stop() {
+    let _own_process = kill_process(getpid(), Signal::INT);
+}
+
+fn toggle_help(scene: &Mutex<Scene>) {
+    let mut scene = scene.lock().unwrap_or_else(PoisonError::into_inner);
+    scene.help = match scene.help {
+        Help::Hidden => Help::Shown,
+        Help::Shown => Help::Hidden,
+    };
+}
+
+/// Ctrl-Z leaves the terminal as it was found, and `fg` brings the display back. The task ends with the process.
+pub(super) fn watch_suspension(scene: Arc<Mutex<Scene>>) {
+    let Ok(mut suspended) = signal(SignalKind::from_raw(Signal::TSTP.as_raw())) else { return };
+    tokio::spawn(async move {
+        while suspended.recv().await.is_some() {
+            // From here on: an earlier continuation does not count.
+            let Ok(mut continued) = signal(SignalKind::from_raw(Signal::CONT.as_raw())) else { return };
+            let _ended = tokio::task::spawn_blocking(leave_terminal).await;
+            let _own_process = kill_process(getpid(), Signal::STOP);
+            // The thread that asks for it may run on for a moment before the process stands still.
+            continued.recv().await;
+            let scene = Arc::clone(&scene);
+            let _ended = tokio::task::spawn_blocking(move || come_back(&scene)).await;
+        }
+    });
+}
+
+fn leave_terminal() {
+    console::end_display();
+    console::note(
+        "suspended: robots go on by their scripts until their leases end; `fg` takes the mission up again",
+    );
+    console::drain(LIFT_MAX);
+    terminal::restore();
+}
+
+fn come_back(scene: &Arc<Mutex<Scene>>) {
+    let shown = scene.lock().unwrap_or_else(PoisonError::into_inner).shown;
+    if shown == Shown::Yes {
+        terminal::take_keys();
+        show(scene);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn keys_that_mean_nothing_are_passed_over() {
+        assert_eq!(
+            [b'g', b'\r', b's', b'?'].map(Key::of),
+            [Some(Key::Go), Some(Key::Go), Some(Key::Stop), Some(Key::Help)]
+        );
+        assert_eq!([b'x', 0x1b, b' ', 0x13].map(Key::of), [None; 4]);
+    }
+}

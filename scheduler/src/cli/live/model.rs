@@ -1,0 +1,368 @@
+//! What the display knows: fed by the mission's events, read by the thread that draws. Reads no clock.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use downbeat_scripts::shown::{shown, within};
+use downbeat_scripts::{Choreography, Wait};
+use urrcp::{RobotId, Server, Span, Timestamp};
+
+use crate::mission::{Check, Preflight, Progress, Verdict};
+
+/// Columns of a robot's last word that are kept.
+const WORD_MAX: usize = 120;
+
+/// A mission as its events tell it.
+#[derive(Debug)]
+pub(super) struct Model {
+    pub(super) choreography: Arc<Choreography>,
+    pub(super) began: Timestamp<Server>,
+    /// Those under way and those that wait, in order.
+    pub(super) acts: Vec<ShownAct>,
+    pub(super) phase: Phase,
+    pub(super) rows: Vec<Row>,
+    index: HashMap<RobotId, usize>,
+    /// The act whose steps the rows show.
+    planned: Option<usize>,
+}
+
+/// Where the mission as a whole stands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) enum Phase {
+    /// Robots are reached and checked.
+    Greeting,
+    /// Acts wait, are prepared and play.
+    Performing,
+    /// All robots are stopped, and why.
+    Stopping(String),
+}
+
+/// An act that is not over.
+#[derive(Clone, Debug)]
+pub(super) struct ShownAct {
+    pub(super) name: String,
+    /// Its index in the choreography, where that has it.
+    pub(super) index: Option<usize>,
+    pub(super) stage: Stage,
+}
+
+#[derive(Clone, Debug)]
+pub(super) enum Stage {
+    Waiting {
+        awaits: String,
+        /// Since when nothing plays before it; `None`: an act still does.
+        since: Option<Timestamp<Server>>,
+        /// What its sensor reads; `None` before the first reading.
+        reading: Option<Option<f64>>,
+    },
+    Preparing {
+        start: Timestamp<Server>,
+    },
+    Decided(Decided),
+}
+
+/// The decision, and what may still become of it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Decided {
+    pub(super) start: Timestamp<Server>,
+    pub(super) duration: Span,
+    pub(super) no_return: Timestamp<Server>,
+    /// Every lease reaches over the start.
+    pub(super) committed: bool,
+}
+
+/// A robot.
+#[derive(Clone, Debug)]
+pub(super) struct Row {
+    pub(super) robot: String,
+    pub(super) state: RobotState,
+    pub(super) steps_done: u64,
+    /// Of the act under way; 0 where it plays no part in it.
+    pub(super) steps_planned: u64,
+    /// From the start of the act: when its first script begins, and when its last one ends.
+    pub(super) plays: (Span, Span),
+    pub(super) clock: String,
+    pub(super) word: String,
+}
+
+/// What a robot does, the worst first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) enum RobotState {
+    Failed,
+    LinkLost,
+    /// Stopped, and it has not confirmed that yet.
+    Stopping,
+    LeftOut,
+    Playing,
+    Accepted,
+    Greeting,
+    Ready,
+    Ended,
+    AtRest,
+}
+
+impl RobotState {
+    pub(super) const fn text(self) -> &'static str {
+        match self {
+            Self::Failed => "FAILED",
+            Self::LinkLost => "LINK LOST",
+            Self::Stopping => "stopping",
+            Self::LeftOut => "left out",
+            Self::Playing => "playing",
+            Self::Accepted => "accepted",
+            Self::Greeting => "connecting",
+            Self::Ready => "ready",
+            Self::Ended => "ended",
+            Self::AtRest => "at rest",
+        }
+    }
+
+    /// It takes no part any more, whatever the others do.
+    const fn is_out(self) -> bool {
+        matches!(self, Self::Failed | Self::LeftOut)
+    }
+}
+
+impl Model {
+    pub(super) fn new(
+        choreography: Arc<Choreography>,
+        robots: impl IntoIterator<Item = RobotId>,
+        began: Timestamp<Server>,
+    ) -> Self {
+        let robots: Vec<RobotId> = robots.into_iter().collect();
+        let row = |robot: &RobotId| Row {
+            robot: shown(robot.as_str()).into_owned(),
+            state: RobotState::Greeting,
+            steps_done: 0,
+            steps_planned: 0,
+            plays: (Span::ZERO, Span::ZERO),
+            clock: "-".to_owned(),
+            word: String::new(),
+        };
+        Self {
+            choreography,
+            began,
+            acts: Vec::new(),
+            phase: Phase::Greeting,
+            rows: robots.iter().map(row).collect(),
+            index: robots.into_iter().enumerate().map(|(index, robot)| (robot, index)).collect(),
+            planned: None,
+        }
+    }
+
+    /// An act waits for the operator, and nothing plays before it.
+    pub(super) fn awaits_go(&self) -> bool {
+        self.acts.iter().any(|act| {
+            let alone = matches!(act.stage, Stage::Waiting { since: Some(_), .. });
+            alone && act.index.is_some_and(|index| self.choreography.acts[index].wait == Wait::Operator)
+        })
+    }
+
+    pub(super) fn tell(&mut self, at: Timestamp<Server>, progress: &Progress) {
+        match progress {
+            Progress::Connected { .. } => self.rows.iter_mut().for_each(|row| row.be(RobotState::Ready)),
+            Progress::Greeted { preflight, .. } => self.greeted(preflight),
+            Progress::Waiting { act, awaits } => {
+                let since = self.acts.iter().all(|shown| shown.is_waiting()).then_some(at);
+                let awaits = shown(awaits).into_owned();
+                self.set(act, Stage::Waiting { awaits, since, reading: None });
+            }
+            Progress::Reading { act, value } => self.read(act, *value),
+            Progress::Preparing { act, start, .. } => self.set(act, Stage::Preparing { start: *start }),
+            Progress::Decided { act, start, duration, no_return, .. } => {
+                let (start, duration, no_return) = (*start, *duration, *no_return);
+                self.set(act, Stage::Decided(Decided { start, duration, no_return, committed: false }));
+                self.take_over(act);
+            }
+            Progress::Committed { act, .. } => {
+                let named = self.acts.iter_mut().find(|shown| shown.name == *act);
+                if let Some(ShownAct { stage: Stage::Decided(decided), .. }) = named {
+                    decided.committed = true;
+                }
+            }
+            Progress::ActEnded { act } => self.ended(at, act),
+            Progress::Stopping { reason } => {
+                self.phase = Phase::Stopping(shown(reason).into_owned());
+                self.acts.retain(|act| !act.is_waiting());
+                self.rows.iter_mut().for_each(Row::stopping);
+            }
+            _ => self.tell_of_robot(progress),
+        }
+    }
+
+    fn tell_of_robot(&mut self, progress: &Progress) {
+        match progress {
+            Progress::Accepted { robot } => self.say(robot, RobotState::Accepted, "accepted all"),
+            Progress::Started { robot, error } => {
+                let word =
+                    error.map_or_else(|| "started".to_owned(), |error| format!("started {}", millis(error)));
+                self.say(robot, RobotState::Playing, &word);
+            }
+            Progress::Heard { robot, steps_done, clock_offset } => {
+                if let Some(row) = self.row(robot) {
+                    row.steps_done = row.steps_done.max((*steps_done).min(row.steps_planned));
+                    if let Some(offset) = clock_offset {
+                        row.clock = millis(*offset);
+                    }
+                }
+            }
+            Progress::Finished { robot } => {
+                if let Some(row) = self.row(robot) {
+                    row.steps_done = row.steps_planned;
+                }
+                self.say(robot, RobotState::Ended, "ended all");
+            }
+            Progress::AtRest { robot } => {
+                // Why it failed is worth more than that it has come to rest.
+                match self.row(robot).filter(|row| row.state.is_out()) {
+                    Some(row) => row.word = format!("at rest; {}", row.word),
+                    None => self.say(robot, RobotState::AtRest, "stop confirmed"),
+                }
+            }
+            Progress::Failed(failure) => {
+                self.say(&failure.robot, RobotState::Failed, &failure.kind.to_string());
+            }
+            Progress::LinkLost { robot, reason, .. } => self.say(robot, RobotState::LinkLost, reason),
+            Progress::Reattached { robot } => self.say(robot, RobotState::Playing, "back on its link"),
+            Progress::Dropped { robot } => {
+                if let Some(row) = self.row(robot).filter(|row| row.state != RobotState::Failed) {
+                    row.state = RobotState::LeftOut;
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn row(&mut self, robot: &RobotId) -> Option<&mut Row> {
+        let index = *self.index.get(robot)?;
+        self.rows.get_mut(index)
+    }
+
+    fn say(&mut self, robot: &RobotId, state: RobotState, word: &str) {
+        let stopping = matches!(self.phase, Phase::Stopping(_));
+        let Some(row) = self.row(robot) else { return };
+        // What comes late from a robot that is being stopped does not make it play again.
+        let late = stopping && matches!(state, RobotState::Playing | RobotState::Accepted);
+        if !late && (!row.state.is_out() || state.is_out()) {
+            row.state = state;
+        }
+        row.word = within(word, WORD_MAX).into_owned();
+    }
+
+    fn greeted(&mut self, preflight: &Preflight) {
+        self.phase = Phase::Performing;
+        for checked in &preflight.rows {
+            let clock = checked.checks.iter().find(|(check, _)| *check == Check::Clock);
+            let Some(row) = self.row(&checked.robot) else { continue };
+            if let Some((_, Verdict::Pass(seen))) = clock {
+                row.clock =
+                    seen.split(" +-").next().map(|offset| shown(offset).into_owned()).unwrap_or_default();
+            }
+            row.be(RobotState::Ready);
+        }
+    }
+
+    /// The act takes its stage; one that waited and was not played gives way.
+    fn set(&mut self, name: &str, stage: Stage) {
+        self.phase = Phase::Performing;
+        self.acts.retain(|act| act.name == name || !act.is_waiting());
+        if let Some(act) = self.acts.iter_mut().rev().find(|act| act.name == name && !act.plays()) {
+            act.stage = stage;
+        } else {
+            let index = self.choreography.acts.iter().position(|act| act.is_named(name));
+            self.acts.push(ShownAct { name: name.to_owned(), index, stage });
+        }
+        self.plan_rows();
+    }
+
+    /// The robots' steps are those of the act in front, from when it is sent.
+    fn plan_rows(&mut self) {
+        let Some(front) = self.acts.first().filter(|act| !act.is_waiting()) else { return };
+        if front.index.is_none() || front.index == self.planned {
+            return;
+        }
+        self.planned = front.index;
+        let choreography = Arc::clone(&self.choreography);
+        for row in &mut self.rows {
+            (row.steps_done, row.steps_planned) = (0, 0);
+        }
+        for robot in self.planned.into_iter().flat_map(|index| &choreography.acts[index].plan.robots) {
+            let steps: usize = robot.scripts.iter().map(|script| script.script.steps().len()).sum();
+            let begins = robot.scripts.iter().map(|script| script.start.span()).min().unwrap_or_default();
+            let ends = robot.scripts.iter().map(|script| script.start.span() + script.script.duration());
+            let ends = ends.max().unwrap_or_default();
+            if let Some(row) = self.row(&robot.robot) {
+                (row.steps_planned, row.plays) = (steps as u64, (begins, ends));
+            }
+        }
+    }
+
+    /// A decided act that follows at once shows its robots only once the one before is over.
+    fn take_over(&mut self, name: &str) {
+        if self.acts.first().is_some_and(|act| act.name == name) {
+            for row in self.rows.iter_mut().filter(|row| row.steps_planned > 0) {
+                row.be(RobotState::Accepted);
+            }
+        }
+    }
+
+    fn read(&mut self, name: &str, value: Option<f64>) {
+        for act in self.acts.iter_mut().filter(|act| act.name == name) {
+            if let Stage::Waiting { reading, .. } = &mut act.stage {
+                *reading = Some(value);
+            }
+        }
+    }
+
+    fn ended(&mut self, at: Timestamp<Server>, name: &str) {
+        let Some(place) = self.acts.iter().position(|act| act.name == name) else { return };
+        self.acts.remove(place);
+        if place == 0 {
+            // The same act may come again.
+            self.planned = None;
+        }
+        if let Some(ShownAct { stage: Stage::Waiting { since, .. }, .. }) = self.acts.first_mut() {
+            since.get_or_insert(at);
+        }
+        if !matches!(self.phase, Phase::Stopping(_)) {
+            self.plan_rows();
+        }
+    }
+}
+
+impl ShownAct {
+    pub(super) const fn is_waiting(&self) -> bool {
+        matches!(self.stage, Stage::Waiting { .. })
+    }
+
+    const fn plays(&self) -> bool {
+        matches!(self.stage, Stage::Decided(_))
+    }
+}
+
+/// In milliseconds with two decimals, so that a column of them does not jump.
+fn millis(span: Span) -> String {
+    format!("{:+.2} ms", span.as_millis_f64())
+}
+
+impl Row {
+    /// Steps that it has surely executed, or should have by its plan.
+    pub(super) fn steps_by(&self, played: Span) -> u64 {
+        let (begins, ends) = self.plays;
+        let length = (ends - begins).as_millis_f64().max(1.0);
+        let part = ((played - begins).as_millis_f64() / length).clamp(0.0, 1.0);
+        self.steps_done.max((part * self.steps_planned as f64) as u64)
+    }
+
+    fn be(&mut self, state: RobotState) {
+        if !self.state.is_out() {
+            self.state = state;
+        }
+    }
+
+    fn stopping(&mut self) {
+        if matches!(self.state, RobotState::Playing | RobotState::Accepted | RobotState::LinkLost) {
+            self.state = RobotState::Stopping;
+        }
+    }
+}

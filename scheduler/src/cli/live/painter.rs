@@ -1,0 +1,139 @@
+//! Draws frames below the lines of a terminal: only what has changed, by movements relative to the frame's first line. So
+//! whatever else writes to the terminal, and however it is resized, the next lift clears the frame and nothing else.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use ratatui::buffer::{Buffer, Cell};
+use ratatui::layout::Rect;
+use ratatui::style::{Color, Modifier};
+
+use super::frame::Frame;
+use super::{Scene, terminal};
+use crate::cli::outlet::Display;
+
+/// Below so many columns there is no display, only lines.
+pub(super) const COLUMNS_MIN: u16 = 60;
+/// Lines above the frame that stay visible.
+const ABOVE: u16 = 4;
+
+/// Whether colours are wanted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Colours {
+    On,
+    Off,
+}
+
+pub(super) struct Painter {
+    scene: Arc<Mutex<Scene>>,
+    colours: Colours,
+    /// What stands on the screen; the cursor is at its first cell.
+    before: Option<Buffer>,
+}
+
+impl Painter {
+    pub(super) const fn new(scene: Arc<Mutex<Scene>>, colours: Colours) -> Self {
+        Self { scene, colours, before: None }
+    }
+}
+
+impl Display for Painter {
+    fn lift(&mut self) -> Vec<u8> {
+        match self.before.take() {
+            Some(_) => b"\r\x1b[J\x1b[?25h".to_vec(),
+            None => Vec::new(),
+        }
+    }
+
+    fn draw(&mut self) -> Vec<u8> {
+        let Some((columns, rows)) = terminal::size().filter(|(columns, _)| *columns >= COLUMNS_MIN) else {
+            return self.lift();
+        };
+        let frame = {
+            let scene = self.scene.lock().unwrap_or_else(PoisonError::into_inner);
+            // The last column stays free: some terminals go on to the next line after it.
+            scene.frame(columns - 1, rows.saturating_sub(ABOVE).max(4))
+        };
+        self.paint(&frame, columns - 1, rows)
+    }
+}
+
+impl Painter {
+    fn paint(&mut self, frame: &Frame, columns: u16, rows: u16) -> Vec<u8> {
+        let area = Rect::new(0, 0, columns, frame.height().min(rows.saturating_sub(1)).max(1));
+        let mut next = Buffer::empty(area);
+        frame.draw(area, &mut next);
+        let mut bytes = String::new();
+        let before = match self.before.take() {
+            Some(before) if before.area == area => before,
+            _ => {
+                bytes.push_str("\r\x1b[J\x1b[?25l");
+                make_room(&mut bytes, area.height);
+                Buffer::empty(area)
+            }
+        };
+        let changes = before.diff(&next);
+        write_changes(&mut bytes, &changes, self.colours);
+        self.before = Some(next);
+        bytes.into_bytes()
+    }
+}
+
+/// Scrolls until as many lines are free, and goes back to the first of them.
+fn make_room(bytes: &mut String, height: u16) {
+    for _ in 1..height {
+        bytes.push('\n');
+    }
+    up(bytes, height - 1);
+}
+
+fn up(bytes: &mut String, lines: u16) {
+    if lines > 0 {
+        bytes.push_str(&format!("\x1b[{lines}A"));
+    }
+}
+
+fn write_changes(bytes: &mut String, changes: &[(u16, u16, &Cell)], colours: Colours) {
+    let (mut line, mut style) = (0, String::new());
+    // Where the cursor is after the last cell; `None`: unknown.
+    let mut column = None;
+    for (x, y, cell) in changes {
+        if *y > line {
+            bytes.push_str(&format!("\x1b[{}B", y - line));
+            (line, column) = (*y, None);
+        }
+        if column != Some(*x) {
+            bytes.push_str(&format!("\x1b[{}G", x + 1));
+        }
+        let wanted = if colours == Colours::On { sequence(cell) } else { String::new() };
+        if wanted != style {
+            bytes.push_str("\x1b[0m");
+            bytes.push_str(&wanted);
+            style = wanted;
+        }
+        bytes.push_str(cell.symbol());
+        // A wide character may be drawn narrower than thought: the next one is placed by its column.
+        column = cell.symbol().is_ascii().then_some(x + 1);
+    }
+    if !style.is_empty() {
+        bytes.push_str("\x1b[0m");
+    }
+    if !changes.is_empty() {
+        bytes.push('\r');
+        up(bytes, line);
+    }
+}
+
+/// The sequence that begins a cell's style; empty for a plain one.
+fn sequence(cell: &Cell) -> String {
+    let colour = match cell.fg {
+        Color::Red => Some("31"),
+        Color::Green => Some("32"),
+        Color::Yellow => Some("33"),
+        Color::Cyan => Some("36"),
+        _ => None,
+    };
+    let bold = cell.modifier.contains(Modifier::BOLD).then_some("1");
+    let dim = cell.modifier.contains(Modifier::DIM).then_some("2");
+    let codes: Vec<&str> = [bold, dim, colour].into_iter().flatten().collect();
+    if codes.is_empty() { String::new() } else { format!("\x1b[{}m", codes.join(";")) }
+}

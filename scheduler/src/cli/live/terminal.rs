@@ -1,0 +1,103 @@
+//! The terminal while the display is on: keys without Enter and without an echo. Ctrl-C and Ctrl-Z stay the terminal's own,
+//! so that they work whatever this process does. The settings are restored on every way out of the process.
+
+use std::io::IsTerminal;
+use std::sync::{Mutex, Once, PoisonError};
+
+use rustix::event::{PollFd, PollFlags};
+use rustix::io::Errno;
+use rustix::stdio::stdin;
+use rustix::termios::{InputModes, LocalModes, OptionalActions, SpecialCodeIndex, Termios};
+
+/// The settings before this process changed them.
+static BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
+static ON_PANIC: Once = Once::new();
+
+/// Columns and rows of the terminal behind standard error.
+pub(super) fn size() -> Option<(u16, u16)> {
+    let size = rustix::termios::tcgetwinsize(rustix::stdio::stderr()).ok()?;
+    // A terminal that does not know its size, as behind a serial line, has this one.
+    let known = |value, default| if value == 0 { default } else { value };
+    Some((known(size.ws_col, 80), known(size.ws_row, 24)))
+}
+
+/// Whether lines can be overwritten: standard error is a terminal, and not a dumb one.
+pub(super) fn can_draw() -> bool {
+    let dumb = std::env::var_os("TERM").is_none_or(|term| term.is_empty() || term == "dumb");
+    std::io::stderr().is_terminal()
+        && !dumb
+        && size().is_some_and(|(columns, _)| columns >= super::painter::COLUMNS_MIN)
+}
+
+/// Whether keys come to this process: a process in the background that reads or changes its terminal is stopped.
+fn is_in_foreground() -> bool {
+    rustix::termios::tcgetpgrp(stdin()).is_ok_and(|group| group == rustix::process::getpgrp())
+}
+
+/// Whether somebody may type.
+pub(super) fn has_keys() -> bool {
+    std::io::stdin().is_terminal()
+}
+
+/// Hands over single keys from here on.
+pub(super) fn take_keys() {
+    // Without a controlling terminal there is no foreground, and nothing that would be stopped.
+    let controlled = rustix::termios::tcgetsid(stdin()).is_ok();
+    if !has_keys() || (controlled && !is_in_foreground()) {
+        return;
+    }
+    let Ok(before) = rustix::termios::tcgetattr(stdin()) else { return };
+    let mut settings = before.clone();
+    settings.local_modes -= LocalModes::ICANON | LocalModes::ECHO;
+    // Ctrl-S would freeze the display.
+    settings.input_modes -= InputModes::IXON;
+    settings.special_codes[SpecialCodeIndex::VMIN] = 1;
+    settings.special_codes[SpecialCodeIndex::VTIME] = 0;
+    ON_PANIC.call_once(|| {
+        let report = std::panic::take_hook();
+        std::panic::set_hook(Box::new(move |panic| {
+            restore();
+            report(panic);
+        }));
+    });
+    let mut kept = BEFORE.lock().unwrap_or_else(PoisonError::into_inner);
+    if rustix::termios::tcsetattr(stdin(), OptionalActions::Now, &settings).is_ok() {
+        kept.get_or_insert(before);
+    }
+}
+
+/// Restores the settings. Without effect if they were not changed.
+pub(super) fn restore() {
+    let before = BEFORE.lock().unwrap_or_else(PoisonError::into_inner).take();
+    if let Some(before) = before {
+        // At once: a terminal that stands still never takes what waits for it.
+        let _gone = rustix::termios::tcsetattr(stdin(), OptionalActions::Now, &before);
+    }
+}
+
+/// The next keys; `None` once there will be none.
+pub(super) fn next_keys() -> Option<Vec<u8>> {
+    loop {
+        let keyboard = stdin();
+        let mut ready = [PollFd::new(&keyboard, PollFlags::IN)];
+        match rustix::event::poll(&mut ready, None) {
+            Err(Errno::INTR) => continue,
+            Err(_) => return None,
+            Ok(_) => {}
+        }
+        let controlled = rustix::termios::tcgetsid(stdin()).is_ok();
+        if controlled && !is_in_foreground() {
+            // Somebody types into another program.
+            let pause = rustix::event::Timespec { tv_sec: 0, tv_nsec: 200_000_000 };
+            let _interrupted = rustix::event::poll(&mut [], Some(&pause));
+            continue;
+        }
+        let mut keys = [0; 64];
+        match rustix::io::read(stdin(), &mut keys) {
+            Ok(0) => return None,
+            Ok(read) => return Some(keys[..read].to_vec()),
+            Err(Errno::INTR | Errno::AGAIN) => {}
+            Err(_) => return None,
+        }
+    }
+}

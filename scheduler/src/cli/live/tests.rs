@@ -1,0 +1,141 @@
+//! Frames as they look, drawn on ratatui's test terminal.
+
+use std::sync::Arc;
+
+use downbeat_scripts::{Folder, Source, compile, read_fleet};
+use ratatui::Terminal;
+use ratatui::backend::TestBackend;
+use urrcp::{RobotId, Server, Span, Timestamp};
+
+use super::frame::{Frame, Help};
+use super::model::Model;
+use crate::mission::{Failure, FailureKind, Progress};
+
+const SECOND: Span = Span::from_millis(1_000);
+
+/// The example `meeting` on its fleet, its two arms and the rover.
+fn meeting() -> Model {
+    let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
+    let (fleet, findings) = read_fleet(&root.join("fleet.yaml"));
+    let source = Source::read(&root.join("scripts/examples/meeting.yaml")).unwrap();
+    let folder = Folder(root.join("scripts/examples"));
+    let compiled = compile(&source, &fleet.unwrap_or_else(|| panic!("{findings:?}")), &folder);
+    let choreography = compiled.choreography.unwrap();
+    let robots: Vec<RobotId> = ["arm-1", "arm-2", "rover-1"].map(|robot| robot.parse().unwrap()).into();
+    Model::new(Arc::new(choreography), robots, at(0))
+}
+
+fn at(millis: i64) -> Timestamp<Server> {
+    Timestamp::from_nanos(1_700_000_000_000_000_000) + Span::from_millis(millis)
+}
+
+fn robot(name: &str) -> RobotId {
+    name.parse().unwrap()
+}
+
+/// What stands on a terminal of so many columns and rows.
+fn drawn(model: &Model, now: i64, columns: u16, rows: u16) -> String {
+    let mut terminal = Terminal::new(TestBackend::new(columns, rows)).unwrap();
+    let frame = Frame::of(model, at(now), Help::Hidden, columns, rows);
+    terminal.draw(|target| frame.draw(target.area(), target.buffer_mut())).unwrap();
+    let buffer = terminal.backend().buffer().clone();
+    let line =
+        |y: u16| (0..columns).map(|x| buffer[(x, y)].symbol()).collect::<String>().trim_end().to_owned();
+    let text: Vec<_> = (0..rows).map(line).collect();
+    text.join("\n").trim_end().to_owned()
+}
+
+#[track_caller]
+fn check(text: &str, parts: &[&str]) {
+    for part in parts {
+        assert!(text.contains(part), "`{part}` is missing in\n{text}");
+    }
+}
+
+fn decided(model: &mut Model) {
+    let progress = Progress::Decided {
+        act: "arrival".to_owned(),
+        start: at(5_000),
+        duration: SECOND * 40,
+        no_return: at(4_700),
+        doubt: Span::from_millis(50),
+    };
+    model.tell(at(1_000), &progress);
+}
+
+#[test]
+fn a_decision_is_shown_with_its_point_of_no_return() {
+    let mut model = meeting();
+    decided(&mut model);
+    let text = drawn(&model, 2_000, 100, 20);
+    check(
+        &text,
+        &[
+            "meeting  act `arrival` (1 of 2)  starting",
+            "in 3.0 s",
+            "still withdraws it for 2.7 s",
+            "accepted",
+        ],
+    );
+    model.tell(at(4_800), &Progress::Committed { act: "arrival".to_owned(), window: None });
+    check(&drawn(&model, 4_900, 100, 20), &["committed, past the point of no return: it starts"]);
+}
+
+#[test]
+fn an_act_that_plays_shows_its_cues_and_what_the_robots_say() {
+    let mut model = meeting();
+    decided(&mut model);
+    model.tell(at(5_001), &Progress::Started { robot: robot("arm-1"), error: Some(Span::from_millis(2)) });
+    let heard =
+        Progress::Heard { robot: robot("arm-1"), steps_done: 3, clock_offset: Some(Span::from_millis(-150)) };
+    model.tell(at(6_000), &heard);
+    for columns in [60, 100, 160] {
+        let text = drawn(&model, 7_000, columns, 24);
+        check(&text, &["playing", "2.0 s of 40.0 s", "greeting (", "next ", "arm-1", "-150.00 ms", "s stop"]);
+        assert!(text.lines().all(|line| line.chars().count() <= usize::from(columns)), "{text}");
+    }
+    check(&drawn(&model, 7_000, 100, 24), &["started +2.00 ms", "running for 7.0 s"]);
+}
+
+#[test]
+fn a_wait_shows_what_the_sensor_reads_and_the_time_that_is_left() {
+    let mut model = meeting();
+    decided(&mut model);
+    let awaits = "`rover-1/range` below 0.5".to_owned();
+    model.tell(at(6_000), &Progress::Waiting { act: "bow".to_owned(), awaits });
+    check(&drawn(&model, 7_000, 100, 24), &["playing", "then    `bow` waits for"]);
+    model.tell(at(45_000), &Progress::ActEnded { act: "arrival".to_owned() });
+    model.tell(at(46_000), &Progress::Reading { act: "bow".to_owned(), value: Some(1.25) });
+    check(&drawn(&model, 48_000, 100, 24), &["waiting", "it reads 1.25; 17.0 s left, then the end"]);
+}
+
+#[test]
+fn failing_robots_come_first_where_not_all_fit() {
+    let mut model = meeting();
+    let choreography = Arc::clone(&model.choreography);
+    model = Model::new(choreography, (0..200).map(|i| robot(&format!("r{i}"))), at(0));
+    model.tell(at(1), &Progress::Connected { robots: 200 });
+    let kind = FailureKind::LinkDown { reason: "reset\u{1b}[2J".to_owned() };
+    model.tell(at(2), &Progress::Failed(Failure { robot: robot("r150"), kind }));
+    let text = drawn(&model, 10, 100, 16);
+    check(&text, &["r150", "FAILED", "link down: reset\\u{1b}[2J", "more: ", "ready"]);
+    assert!(text.find("r150").unwrap() < text.find("r0 ").unwrap(), "{text}");
+    assert!(text.lines().count() <= 16, "{text}");
+}
+
+#[test]
+fn a_stop_shows_which_robots_have_not_confirmed() {
+    let mut model = meeting();
+    decided(&mut model);
+    for name in ["arm-1", "arm-2"] {
+        model.tell(at(5_001), &Progress::Started { robot: robot(name), error: None });
+    }
+    model.tell(at(8_000), &Progress::Stopping { reason: "stopped by the operator".to_owned() });
+    model.tell(at(8_010), &Progress::AtRest { robot: robot("arm-1") });
+    let text = drawn(&model, 8_100, 100, 24);
+    check(
+        &text,
+        &["STOPPING", "stopped by the operator", "without a confirmation yet", "at rest", "stop confirmed"],
+    );
+    assert!(!text.contains("s stop"), "{text}");
+}

@@ -1,0 +1,276 @@
+//! A thread that writes to a terminal, a pipe or a file, so that nobody else waits for it.
+//!
+//! What a mission says while it runs waits in a bounded queue. A reader that stands still, as a terminal after Ctrl-S or a
+//! full pipe, holds up this thread alone; lines that find the queue full are dropped, and their number is written in their
+//! place once there is room again. On a terminal the thread also draws the live display below the lines.
+
+use std::borrow::Cow;
+use std::collections::VecDeque;
+use std::io;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use rustix::event::{PollFd, PollFlags};
+use rustix::fd::BorrowedFd;
+use rustix::io::Errno;
+
+/// Lines that may wait to be written.
+const WAITING_MAX: usize = 1_024;
+/// Bytes that are written at once: a pipe with room takes as many without making the writer wait.
+const CHUNK: usize = 4_096;
+/// Between two frames of the display.
+const FRAME_INTERVAL: Duration = Duration::from_millis(100);
+
+/// Where something is written.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Stream {
+    Stdout,
+    Stderr,
+}
+
+impl Stream {
+    fn fd(self) -> BorrowedFd<'static> {
+        match self {
+            Self::Stdout => rustix::stdio::stdout(),
+            Self::Stderr => rustix::stdio::stderr(),
+        }
+    }
+
+    /// Whether both are one terminal, one pipe or one file, where the order of what is written counts.
+    pub(super) fn are_one() -> bool {
+        let place = |stream: Self| {
+            rustix::fs::fstat(stream.fd()).ok().map(|stat| (stat.st_dev, stat.st_ino, stat.st_rdev))
+        };
+        place(Self::Stdout) == place(Self::Stderr)
+    }
+
+    /// The text with colours where they are wanted, otherwise without.
+    pub(super) fn coloured(self, text: &str) -> Cow<'_, str> {
+        let choice = match self {
+            Self::Stdout => anstream::AutoStream::choice(&io::stdout()),
+            Self::Stderr => anstream::AutoStream::choice(&io::stderr()),
+        };
+        match choice {
+            anstream::ColorChoice::Never => Cow::Owned(anstream::adapter::strip_str(text).to_string()),
+            _ => Cow::Borrowed(text),
+        }
+    }
+}
+
+/// What is drawn below the lines. Each call returns bytes to be written at once.
+pub(super) trait Display: Send {
+    /// Takes the last frame off the screen, so that lines can follow in its place.
+    fn lift(&mut self) -> Vec<u8>;
+    /// Draws what has changed since the last frame.
+    fn draw(&mut self) -> Vec<u8>;
+}
+
+enum Entry {
+    Text(Stream, String),
+    /// So many lines are missing here.
+    Dropped(usize),
+    /// The display begins or ends here.
+    Display(Option<Box<dyn Display>>),
+}
+
+#[derive(Default)]
+struct Queue {
+    entries: VecDeque<Entry>,
+    /// Lines that found no room since the last entry.
+    dropped: usize,
+    /// The thread is writing.
+    busy: bool,
+    /// A display is drawn.
+    drawing: bool,
+    /// Grows with every write that succeeds.
+    progress: u64,
+    /// Why standard output cannot be written.
+    failure: Option<String>,
+    /// Nobody reads any more.
+    closed: Vec<Stream>,
+}
+
+impl Queue {
+    fn mark_dropped(&mut self) {
+        if self.dropped > 0 {
+            self.entries.push_back(Entry::Dropped(std::mem::take(&mut self.dropped)));
+        }
+    }
+
+    fn note(&mut self, stream: Stream, written: io::Result<()>) {
+        match written {
+            Ok(()) => self.progress += 1,
+            Err(error) => {
+                self.closed.push(stream);
+                if stream == Stream::Stdout && error.kind() != io::ErrorKind::BrokenPipe {
+                    self.failure.get_or_insert(error.to_string());
+                }
+            }
+        }
+    }
+}
+
+#[derive(Default)]
+struct Shared {
+    queue: Mutex<Queue>,
+    changed: Condvar,
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The queue to a thread that writes. The thread ends with the process.
+#[derive(Clone)]
+pub(super) struct Outlet(Arc<Shared>);
+
+impl Outlet {
+    /// # Errors
+    /// No thread can be started.
+    pub(super) fn start(name: &str) -> io::Result<Self> {
+        let shared = Arc::new(Shared::default());
+        let written = Arc::clone(&shared);
+        std::thread::Builder::new().name(name.to_owned()).spawn(move || write_on(&written))?;
+        Ok(Self(shared))
+    }
+
+    /// Hands over text, whole lines. It is dropped if too much waits already.
+    pub(super) fn offer(&self, stream: Stream, text: String) {
+        let mut queue = self.0.lock();
+        if queue.entries.len() >= WAITING_MAX {
+            queue.dropped += 1;
+            return;
+        }
+        queue.mark_dropped();
+        queue.entries.push_back(Entry::Text(stream, text));
+        self.0.changed.notify_all();
+    }
+
+    /// Hands over text that is kept, however much waits: a report.
+    pub(super) fn keep(&self, stream: Stream, text: String) {
+        let mut queue = self.0.lock();
+        queue.mark_dropped();
+        queue.entries.push_back(Entry::Text(stream, text));
+        self.0.changed.notify_all();
+    }
+
+    /// Begins or ends a display below the lines.
+    pub(super) fn display(&self, display: Option<Box<dyn Display>>) {
+        let mut queue = self.0.lock();
+        queue.mark_dropped();
+        queue.entries.push_back(Entry::Display(display));
+        self.0.changed.notify_all();
+    }
+
+    /// Waits until everything is written, or until nothing could be written for this long. Returns why standard output
+    /// could not be written, if that is so.
+    pub(super) fn drain(&self, idle: Duration) -> Option<String> {
+        let mut queue = self.0.lock();
+        queue.mark_dropped();
+        self.0.changed.notify_all();
+        while queue.busy || !queue.entries.is_empty() {
+            let before = queue.progress;
+            let stands =
+                |queue: &mut Queue| queue.progress == before && (queue.busy || !queue.entries.is_empty());
+            let (next, waited) = self
+                .0
+                .changed
+                .wait_timeout_while(queue, idle, stands)
+                .unwrap_or_else(PoisonError::into_inner);
+            queue = next;
+            if waited.timed_out() {
+                break;
+            }
+        }
+        queue.failure.clone()
+    }
+}
+
+/// The thread: takes what waits, writes it, and draws the display in between.
+fn write_on(shared: &Shared) {
+    let mut display: Option<Box<dyn Display>> = None;
+    loop {
+        let entries = next_entries(shared);
+        if entries.is_empty() {
+            if let Some(display) = &mut display {
+                write(shared, Stream::Stderr, &display.draw());
+            }
+        } else {
+            if let Some(display) = &mut display {
+                write(shared, Stream::Stderr, &display.lift());
+            }
+            entries.into_iter().for_each(|entry| write_entry(shared, entry, &mut display));
+            if let Some(display) = &mut display {
+                write(shared, Stream::Stderr, &display.draw());
+            }
+        }
+        let mut queue = shared.lock();
+        queue.busy = false;
+        queue.drawing = display.is_some();
+        shared.changed.notify_all();
+    }
+}
+
+/// Waits for entries, or with a display for the next frame.
+fn next_entries(shared: &Shared) -> VecDeque<Entry> {
+    let mut queue = shared.lock();
+    while queue.entries.is_empty() {
+        queue = if queue.drawing {
+            let waited = shared.changed.wait_timeout(queue, FRAME_INTERVAL);
+            let (queue, waited) = waited.unwrap_or_else(PoisonError::into_inner);
+            if waited.timed_out() {
+                return VecDeque::new();
+            }
+            queue
+        } else {
+            shared.changed.wait(queue).unwrap_or_else(PoisonError::into_inner)
+        };
+    }
+    queue.busy = true;
+    std::mem::take(&mut queue.entries)
+}
+
+fn write_entry(shared: &Shared, entry: Entry, display: &mut Option<Box<dyn Display>>) {
+    match entry {
+        Entry::Text(stream, text) => write(shared, stream, text.as_bytes()),
+        Entry::Dropped(lines) => {
+            let lines = downbeat_scripts::counted(lines, "line");
+            let text = format!("({lines} dropped here, because nobody read this output)\n");
+            write(shared, Stream::Stderr, text.as_bytes());
+        }
+        Entry::Display(next) => *display = next,
+    }
+}
+
+fn write(shared: &Shared, stream: Stream, bytes: &[u8]) {
+    for chunk in bytes.chunks(CHUNK) {
+        if shared.lock().closed.contains(&stream) {
+            return;
+        }
+        let written = write_all(stream, chunk);
+        shared.lock().note(stream, written);
+        shared.changed.notify_all();
+    }
+}
+
+/// Writes past Rust's own buffers, whose locks would hold up others. Waits as long as nobody reads.
+///
+/// # Errors
+/// What the system says; a closed pipe is [`io::ErrorKind::BrokenPipe`].
+pub(super) fn write_all(stream: Stream, mut bytes: &[u8]) -> io::Result<()> {
+    while !bytes.is_empty() {
+        match rustix::io::write(stream.fd(), bytes) {
+            Ok(written) => bytes = bytes.get(written..).unwrap_or_default(),
+            Err(Errno::INTR) => {}
+            // Another process has set the terminal that it shares with this one so.
+            Err(Errno::AGAIN) => {
+                let mut room = [PollFd::from_borrowed_fd(stream.fd(), PollFlags::OUT)];
+                let _interrupted = rustix::event::poll(&mut room, None);
+            }
+            Err(error) => return Err(error.into()),
+        }
+    }
+    Ok(())
+}

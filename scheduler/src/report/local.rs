@@ -1,0 +1,26 @@
+//! Times as people read them: local, to the millisecond. Nanoseconds in UTC belong into JSON.
+
+use chrono::{DateTime, Local};
+use urrcp::Timestamp;
+
+fn local<C>(at: Timestamp<C>) -> DateTime<Local> {
+    DateTime::from_timestamp_nanos(at.as_nanos()).with_timezone(&Local)
+}
+
+/// The time of day on this machine's clocks: `19:30:00.412`.
+#[must_use]
+pub fn time_of_day<C>(at: Timestamp<C>) -> String {
+    local(at).format("%H:%M:%S%.3f").to_string()
+}
+
+/// The same to the second: `19:30:00`.
+#[must_use]
+pub fn seconds_of_day<C>(at: Timestamp<C>) -> String {
+    local(at).format("%H:%M:%S").to_string()
+}
+
+/// With its date: `22 Nov 2026, 19:30:00.412`.
+#[must_use]
+pub fn date_and_time<C>(at: Timestamp<C>) -> String {
+    local(at).format("%-d %b %Y, %H:%M:%S%.3f").to_string()
+}

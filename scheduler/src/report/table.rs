@@ -1,0 +1,184 @@
+//! Tables that fit: where the columns would be wider than the terminal, each row becomes a few lines of its own. No cell is
+//! ever broken.
+
+use comfy_table::{CellAlignment, Table, presets};
+use downbeat_scripts::shown::within;
+use unicode_width::UnicodeWidthStr;
+
+/// Columns that one cell takes at most.
+const CELL_MAX: usize = 60;
+
+/// Rows under a header.
+#[derive(Clone, Debug)]
+pub struct Rows {
+    header: Vec<&'static str>,
+    /// Columns from this one on are aligned to the right.
+    numbers_from: usize,
+    rows: Vec<Vec<String>>,
+}
+
+impl Rows {
+    /// No rows yet; the columns from this one on hold numbers.
+    #[must_use]
+    pub fn new(header: &[&'static str], numbers_from: usize) -> Self {
+        Self { header: header.to_vec(), numbers_from, rows: Vec::new() }
+    }
+
+    /// Adds a row; what stands in it may come from outside.
+    pub fn add(&mut self, cells: impl IntoIterator<Item = impl AsRef<str>>) {
+        self.rows.push(cells.into_iter().map(|cell| within(cell.as_ref(), CELL_MAX).into_owned()).collect());
+    }
+
+    /// As lines of at most so many columns, unless a single cell is wider.
+    #[must_use]
+    pub fn text(&self, columns: usize) -> String {
+        self.painted(columns, |_, line| line)
+    }
+
+    /// The same, each line of a row as it is painted; the row is counted from 0.
+    #[must_use]
+    pub fn painted(&self, columns: usize, paint: impl Fn(usize, String) -> String) -> String {
+        let table = self.table();
+        let mut lines = table.lines().map(|line| line.trim_end().to_owned());
+        if !table.lines().all(|line| line.trim_end().width() <= columns) {
+            let rows = self.rows.iter().enumerate();
+            let lines = rows.flat_map(|(row, cells)| {
+                let stacked = self.stacked(cells, columns);
+                stacked.lines().map(|line| paint(row, line.to_owned()) + "\n").collect::<Vec<_>>()
+            });
+            return lines.collect();
+        }
+        let header = lines.next().unwrap_or_default() + "\n";
+        lines.enumerate().fold(header, |text, (row, line)| text + &paint(row, line) + "\n")
+    }
+
+    /// Whether nothing was added.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.rows.is_empty()
+    }
+
+    fn table(&self) -> Table {
+        let mut table = Table::new();
+        table.load_style(presets::NOTHING);
+        table.set_header(self.header.clone());
+        for column in table.column_iter_mut().skip(self.numbers_from) {
+            column.set_cell_alignment(CellAlignment::Right);
+        }
+        for row in &self.rows {
+            table.add_row(row.clone());
+        }
+        table
+    }
+
+    /// The first cell alone, below it the others with their titles, several in a line where there is room.
+    fn stacked(&self, row: &[String], columns: usize) -> String {
+        let mut cells = row.iter();
+        let mut text = format!("{}\n", cells.next().map_or("", String::as_str));
+        let pieces = self.header.iter().skip(1).zip(cells).filter(|(_, cell)| *cell != "-");
+        let mut line = String::new();
+        for (title, cell) in pieces {
+            let piece = format!("{title} {cell}");
+            if !line.is_empty() && line.width() + piece.width() + 2 > columns {
+                text.push_str(&format!("{line},\n"));
+                line.clear();
+            }
+            line = if line.is_empty() { format!("  {piece}") } else { format!("{line}, {piece}") };
+        }
+        if line.is_empty() { text } else { format!("{text}{line}\n") }
+    }
+}
+
+/// Units that stay on the line of their number.
+const UNITS: [&str; 4] = ["us", "ms", "s", "min"];
+
+/// Text in lines of at most so many columns, broken between words and never between a number and its unit; further lines are
+/// set in by two columns more than the first.
+#[must_use]
+pub fn wrapped(text: &str, columns: usize) -> String {
+    let inset = text.len() - text.trim_start_matches(' ').len();
+    let mut lines = " ".repeat(inset);
+    let mut used = inset;
+    for word in words(text.trim()) {
+        let width = word.width();
+        if used > inset && used + 1 + width > columns {
+            lines.push('\n');
+            lines.push_str(&" ".repeat(inset + 2));
+            used = inset + 2;
+        } else if used > inset {
+            lines.push(' ');
+            used += 1;
+        }
+        lines.push_str(&word);
+        used += width;
+    }
+    lines.push('\n');
+    lines
+}
+
+/// The words of a text, a number together with its unit.
+fn words(text: &str) -> Vec<String> {
+    let mut words: Vec<String> = Vec::new();
+    for word in text.split(' ') {
+        let is_unit = UNITS.contains(&word.trim_end_matches([',', ';', ')', '.', ':']));
+        match words.last_mut().filter(|before| is_unit && before.ends_with(|c: char| c.is_ascii_digit())) {
+            Some(number) => {
+                number.push(' ');
+                number.push_str(word);
+            }
+            None => words.push(word.to_owned()),
+        }
+    }
+    words
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn rows() -> Rows {
+        let mut rows = Rows::new(&["robot", "steps", "start error", "clock offset"], 1);
+        rows.add(["arm-1", "120/120", "+0.412 ms", "-150.002 ms"]);
+        rows.add(["a\u{1b}[2Jb", "7/120", "-", "90 ms"]);
+        rows
+    }
+
+    #[test]
+    fn columns_stand_below_each_other_where_there_is_room() {
+        let text = rows().text(60);
+        assert!(text.lines().all(|line| line.width() <= 60), "{text}");
+        assert!(text.starts_with(" robot"), "{text}");
+        assert!(text.contains("a\\u{1b}[2Jb"), "{text}");
+    }
+
+    #[test]
+    fn rows_become_lines_of_their_own_where_there_is_none() {
+        let expected = "arm-1
+  steps 120/120,
+  start error +0.412 ms,
+  clock offset -150.002 ms
+a\\u{1b}[2Jb
+  steps 7/120,
+  clock offset 90 ms
+";
+        assert_eq!(rows().text(30), expected);
+    }
+
+    #[test]
+    fn sentences_are_broken_between_words() {
+        assert_eq!(
+            wrapped("stop NOT confirmed; its lease ends at 19:30:00.412", 30),
+            "stop NOT confirmed; its lease\n  ends at 19:30:00.412\n"
+        );
+        assert_eq!(wrapped("short\n", 30), "short\n");
+        assert_eq!(wrapped("  arm: set in", 12), "  arm: set\n    in\n");
+    }
+
+    #[test]
+    fn no_line_ends_between_a_number_and_its_unit() {
+        assert_eq!(
+            wrapped("confirmed within 666.663 us (350 ms, late)", 25),
+            "confirmed within\n  666.663 us (350 ms,\n  late)\n"
+        );
+    }
+}

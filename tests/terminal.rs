@@ -1,0 +1,123 @@
+//! A terminal for a process under test: what is written to it is read or left standing, and keys are typed.
+
+use std::fs::File;
+use std::io::{Read, Write};
+use std::os::fd::OwnedFd;
+use std::process::{Command, Stdio};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+use rustix::pty::{OpenptFlags, grantpt, openpt, ptsname, unlockpt};
+use rustix::termios::{Winsize, tcsetwinsize};
+
+/// Both ends of a terminal.
+pub struct Terminal {
+    ours: OwnedFd,
+    theirs: File,
+    size: (u16, u16),
+}
+
+impl Terminal {
+    /// Of so many columns and rows.
+    pub fn new(columns: u16, rows: u16) -> Self {
+        let ours = openpt(OpenptFlags::RDWR | OpenptFlags::NOCTTY | OpenptFlags::CLOEXEC).unwrap();
+        grantpt(&ours).unwrap();
+        unlockpt(&ours).unwrap();
+        let name = ptsname(&ours, Vec::new()).unwrap().into_string().unwrap();
+        let theirs = rustix::fs::open(
+            name,
+            OFlags::RDWR | OFlags::NOCTTY | OFlags::CLOEXEC,
+            rustix::fs::Mode::empty(),
+        );
+        let theirs = File::from(theirs.unwrap());
+        tcsetwinsize(&theirs, Winsize { ws_row: rows, ws_col: columns, ws_xpixel: 0, ws_ypixel: 0 }).unwrap();
+        Self { ours, theirs, size: (columns, rows) }
+    }
+
+    /// Writes to it until it takes no more, as after Ctrl-S.
+    pub fn stall(self) -> Self {
+        fill(&self.theirs);
+        self
+    }
+
+    pub fn end(&self) -> Stdio {
+        Stdio::from(self.theirs.try_clone().unwrap())
+    }
+
+    /// The settings of the line, which a program must restore.
+    pub fn settings(&self) -> String {
+        let settings = rustix::termios::tcgetattr(&self.theirs).unwrap();
+        format!("{:?} {:?} {:?}", settings.input_modes, settings.output_modes, settings.local_modes)
+    }
+
+    /// Gives it to a command as input and output, in a session of its own as under a terminal's shell.
+    pub fn attach(&self, command: &mut Command) {
+        command.stdin(self.end()).stdout(self.end()).stderr(self.end());
+        command.env("TERM", "xterm-256color").env_remove("NO_COLOR");
+    }
+
+    pub fn type_keys(&self, keys: &str) {
+        rustix::io::write(&self.ours, keys.as_bytes()).unwrap();
+    }
+
+    /// Reads what is written to it from here on.
+    pub fn watch(&self) -> Watched {
+        let mut reader = File::from(self.ours.try_clone().unwrap());
+        let bytes = Arc::new(Mutex::new(Vec::new()));
+        let taken = Arc::clone(&bytes);
+        std::thread::spawn(move || {
+            let mut buffer = [0; 4_096];
+            while let Ok(read @ 1..) = reader.read(&mut buffer) {
+                taken.lock().unwrap().extend_from_slice(&buffer[..read]);
+            }
+        });
+        Watched { bytes, size: self.size }
+    }
+}
+
+/// Writes to a pipe or a terminal until it takes no more.
+pub fn fill(file: &File) {
+    let flags = fcntl_getfl(file).unwrap();
+    fcntl_setfl(file, flags | OFlags::NONBLOCK).unwrap();
+    let mut writer = file;
+    while writer.write(&[b'x'; 512]).is_ok() {}
+    while writer.write(b"x").is_ok() {}
+    fcntl_setfl(file, flags).unwrap();
+}
+
+/// What was written to a terminal.
+pub struct Watched {
+    bytes: Arc<Mutex<Vec<u8>>>,
+    size: (u16, u16),
+}
+
+impl Watched {
+    pub fn raw(&self) -> String {
+        String::from_utf8_lossy(&self.bytes.lock().unwrap()).into_owned()
+    }
+
+    /// What a person sees on it now, also what has scrolled away.
+    pub fn screen(&self) -> String {
+        let (columns, _) = self.size;
+        // Tall enough that nothing has scrolled away.
+        let mut parser = vt100::Parser::new(2_000.try_into().unwrap(), columns.try_into().unwrap(), 0);
+        parser.process(&self.bytes.lock().unwrap());
+        let text = parser.screen().contents();
+        text.lines().map(str::trim_end).collect::<Vec<_>>().join("\n")
+    }
+
+    /// Waits until this text stands on the screen.
+    #[track_caller]
+    pub fn shows(&self, text: &str, within: Duration) -> String {
+        let began = Instant::now();
+        loop {
+            let screen = self.screen();
+            if screen.contains(text) {
+                return screen;
+            }
+            assert!(began.elapsed() < within, "`{text}` does not come:\n{screen}");
+            std::thread::sleep(Duration::from_millis(20));
+        }
+    }
+}
