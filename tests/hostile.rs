@@ -47,9 +47,11 @@ fn beside(line: String) -> Session {
 
 /// The robot's clock is the server's.
 fn available(request: &str) -> String {
-    let timestamp = request.split("\"timestamp\":\"").nth(1).and_then(|rest| rest.split('"').next()).unwrap();
+    let asked = request.split("\"timestamp\":\"").nth(1).and_then(|rest| rest.split('"').next());
+    let originate = asked.map(|asked| format!(r#""originate_timestamp":"{asked}","#)).unwrap_or_default();
+    let now = asked.unwrap_or("2026-01-01T00:00:00.000000000Z");
     format!(
-        r#"{{"availability_response":{{"originate_timestamp":"{timestamp}","receive_timestamp":"{timestamp}","timestamp":"{timestamp}","status":"OK"}}}}"#
+        r#"{{"availability_response":{{{originate}"receive_timestamp":"{now}","timestamp":"{now}","status":"OK"}}}}"#
     )
 }
 
@@ -108,6 +110,12 @@ fn check_harmless(watched: &Watched, seen: &str) {
 /// A robot whose answers to availability requests are failures with this reason.
 fn unavailable(reason: &str) -> Session {
     let error = serde_json::json!({"code": "internal", "message": reason});
+    let range =
+        serde_json::json!({"min_value": 0, "max_value": 90, "granularity": 0.5, "max_number_of_steps": 8});
+    let shoulder = serde_json::json!({"id": "shoulder", "name": "shoulder", "available_control_types":
+        {"position": {"min_value": 0, "max_value": 90, "granularity": 0.5}, "script": range}});
+    let block = serde_json::json!({"initialization_block":
+        {"id": "right", "api_version": "1", "devices": [shoulder]}});
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = listener.local_addr().unwrap().port();
     // Ends with the scheduler's connection.
@@ -116,11 +124,14 @@ fn unavailable(reason: &str) -> Session {
             let mut stream = stream.unwrap();
             for request in BufReader::new(stream.try_clone().unwrap()).lines() {
                 let Ok(request) = request else { break };
-                if !request.contains("availability_request") {
+                let answer = if request.contains("initialization_request") {
+                    block.to_string()
+                } else if request.contains("availability_request") {
+                    available(&request)
+                        .replace(r#""status":"OK""#, &format!(r#""status":"Failed","error":{error}"#))
+                } else {
                     continue;
-                }
-                let answer = available(&request)
-                    .replace(r#""status":"OK""#, &format!(r#""status":"Failed","error":{error}"#));
+                };
                 if writeln!(stream, "{answer}").is_err() {
                     break;
                 }
