@@ -352,19 +352,21 @@ impl DeviceMachine {
         self.queue.front().filter(|held| held.began)
     }
 
-    /// Shortens the pending lease of a command of this party that starts at `start` and has not begun.
-    pub(crate) fn shorten(
+    /// Limits the pending lease of a command of this party that starts at `start` and has not begun: how long it may be, and
+    /// until when.
+    pub(crate) fn limit(
         &mut self,
         id: &RequestId,
         start: Timestamp<Robot>,
         party: LinkId,
-        pending: Millis,
+        (pending, until): (Option<Millis>, Option<Timestamp<Robot>>),
     ) {
         let first = self.queue.partition_point(|held| held.start < start);
         let same_start = self.queue.iter_mut().skip(first).take_while(|held| held.start == start);
         let named = |held: &&mut Held| held.request_id.as_ref() == Some(id);
         if let Some(held) = same_start.filter(|held| !held.began && held.link == party).find(named) {
-            held.shorten_pending(pending);
+            pending.into_iter().for_each(|pending| held.shorten_pending(pending));
+            held.pending_until = until;
         }
     }
 
@@ -472,6 +474,7 @@ impl DeviceMachine {
             next_step: 0,
             late_steps: 0,
             began: false,
+            pending_until: None,
         };
         self.queue.insert(place, held);
         Ok(())

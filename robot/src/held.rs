@@ -18,6 +18,8 @@ pub(crate) struct Held {
     pub(crate) next_step: usize,
     pub(crate) late_steps: u32,
     pub(crate) began: bool,
+    /// Its pending lease ends then at the latest, whatever is heard.
+    pub(crate) pending_until: Option<Timestamp<Robot>>,
 }
 
 /// What a command does.
@@ -80,7 +82,8 @@ impl Held {
             let steps_done = if first_step_is_later { 0 } else { self.next_step + 1 };
             heard.ends(&self.running_lease(steps_done)).is_some_and(|end| end <= *at)
         });
-        heard.ends(&self.lease()).into_iter().chain(over_by_then).min()
+        let until = self.pending_until.filter(|_| !self.began);
+        heard.ends(&self.lease()).into_iter().chain(over_by_then).chain(until).min()
     }
 
     /// From now on it may wait for its start no longer than this without a word.

@@ -37,6 +37,11 @@ pub struct Inquiry {
     /// its own and this one; milliseconds.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub pending_lease: Option<Millis>,
+    /// The pending lease of each request in `requests` that is held and has not begun ends at this instant of the robot's clock
+    /// at the latest, whatever is heard until then. The next inquiry of the same party that names it replaces this instant, or
+    /// lifts it by having none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub pending_until: Option<Timestamp<Robot>>,
 }
 
 /// What the robot knows, at one instant.

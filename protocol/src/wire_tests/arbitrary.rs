@@ -166,13 +166,15 @@ fn availability_response() -> impl Strategy<Value = AvailabilityResponse> {
 
 fn inquiry() -> impl Strategy<Value = Inquiry> {
     let names = (vec(text(), 0..4), vec(text(), 0..4));
-    (option::of(timestamp()), option::of(text()), names, option::of(millis())).prop_map(
-        |(timestamp, session, (requests, devices), pending_lease)| Inquiry {
+    let limits = (option::of(millis()), option::of(timestamp()));
+    (option::of(timestamp()), option::of(text()), names, limits).prop_map(
+        |(timestamp, session, (requests, devices), (pending_lease, pending_until))| Inquiry {
             timestamp,
             session: session.map(|id| SessionId::new(id).unwrap()),
             requests: requests.into_iter().map(|id| RequestId::new(id).unwrap()).collect(),
             devices: devices.into_iter().map(|id| DeviceId::new(id).unwrap()).collect(),
             pending_lease,
+            pending_until,
         },
     )
 }

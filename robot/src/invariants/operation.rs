@@ -250,6 +250,7 @@ impl Question {
             requests,
             devices: device.or_else(|| DeviceId::new(NO_DEVICE).ok()).into_iter().collect(),
             pending_lease: self.pending_ticks.map(|ticks| Millis::from_span(TICK * i64::from(ticks % 24))),
+            pending_until: None,
         }
     }
 }

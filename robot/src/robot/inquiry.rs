@@ -2,7 +2,7 @@
 
 use urrcp::{
     ControlError, DeviceId, DeviceRoom, Inquiry, InquiryResponse, Message, Millis, RequestId, RequestReport,
-    RequestState, Status,
+    RequestState, Robot as Clock, Status, Timestamp,
 };
 
 use super::control::Owner;
@@ -18,9 +18,10 @@ impl Robot {
         let belongs = busy.is_none();
         let response = self.what_is_known(now, inquiry, busy);
         out.push(Output::Send { link, message: Message::InquiryResponse(response) });
-        if let Some(lease) = inquiry.pending_lease.filter(|_| belongs) {
+        if belongs && !inquiry.requests.is_empty() {
             let party = self.parties.party(link);
-            inquiry.requests.iter().for_each(|id| self.shorten(id, party, lease));
+            let limits = (inquiry.pending_lease, inquiry.pending_until);
+            inquiry.requests.iter().for_each(|id| self.limit(id, party, limits));
             // A lease of no length ends at once.
             self.advance(now, out);
         }
@@ -86,12 +87,12 @@ impl Robot {
     }
 
     /// Only what this party has sent itself: its message has just renewed those leases.
-    fn shorten(&mut self, id: &RequestId, party: LinkId, lease: Millis) {
+    fn limit(&mut self, id: &RequestId, party: LinkId, limits: (Option<Millis>, Option<Timestamp<Clock>>)) {
         let Some(known) = self.answers.known(id) else { return };
         let (Some(start), Some(&index)) = (known.start, self.index_of.get(&known.answer.device_id)) else {
             return;
         };
-        self.devices[index].shorten(id, start, party, lease);
+        self.devices[index].limit(id, start, party, limits);
         self.refresh_wakeup(index);
     }
 }

@@ -104,7 +104,8 @@ impl Mission {
         }
         for group in named {
             let pending_lease = group.lease.map(Millis::from_span);
-            let inquiry = Inquiry { requests: group.requests, pending_lease, ..plain.clone() };
+            let (requests, pending_until) = (group.requests, group.until);
+            let inquiry = Inquiry { requests, pending_lease, pending_until, ..plain.clone() };
             self.post(now, robot, Message::Inquiry(inquiry));
         }
     }

@@ -280,14 +280,17 @@ fn robots_table(report: &Report, columns: usize) -> String {
 
 fn closing_sentences(report: &Report) -> Vec<String> {
     let mut sentences = Vec::new();
-    let started = report.robots.iter().filter(|robot| robot.started > 0).count();
-    match report.spread {
-        Some(spread) => sentences.push(format!(
+    let told: Vec<_> = report.robots.iter().filter(|robot| robot.start_error.is_some()).collect();
+    match (report.spread, told.as_slice()) {
+        (_, [alone]) if report.robots.len() > 1 => {
+            sentences.push(format!("only {} said when it started", alone.robot));
+        }
+        (Some(spread), told) => sentences.push(format!(
             "start spread {spread} over {}, by their own clocks, each known as well as shown above",
-            counted(started, "robot")
+            counted(told.len(), "robot")
         )),
-        None if report.acts.is_empty() => {}
-        None => sentences.push("no robot reported a start".to_owned()),
+        (None, _) if report.acts.is_empty() => {}
+        (None, _) => sentences.push("no robot reported a start".to_owned()),
     }
     if let Some(spread) = report.true_spread {
         sentences.push(format!("true start spread {spread}, by the one clock of the virtual world"));

@@ -194,7 +194,6 @@ impl<'a> Check<'a> {
                 matches!(record, Record::Stopping { .. }) && *at >= returns && *at <= begun
             });
         late_stop
-            || self.outlived_by_a_late_question(promise)
             || self.ran.history.iter().any(|(at, happened)| match happened {
                 Happened::Lost(_) => within(*at),
                 Happened::Slow(_, lasts) => *at <= until && *at + *lasts >= from,
@@ -213,23 +212,6 @@ impl<'a> Check<'a> {
                 }
                 _ => false,
             })
-    }
-
-    /// A question that travelled longer than links do carried a lease that much further than the brink, and the scheduler
-    /// died before it could send another one.
-    fn outlived_by_a_late_question(&self, promise: &Promise) -> bool {
-        let approaches = |at: Timestamp<Server>| at >= promise.timestamp && at <= promise.start;
-        let slow = self.ran.history.iter().filter_map(|(at, happened)| match happened {
-            Happened::Slow(robot, _) if approaches(*at) => Some((*at, *robot)),
-            _ => None,
-        });
-        let takes_part =
-            |robot: usize| promise.scripts.iter().any(|script| self.index_of(&script.robot) == Some(robot));
-        let Some((sent, _)) = slow.into_iter().find(|(_, robot)| takes_part(*robot)) else { return false };
-        self.ran.history.iter().any(|(at, happened)| {
-            let dies = matches!(happened, Happened::Fault(Fault::SchedulerCrash { .. }));
-            dies && *at >= sent && *at <= promise.start
-        })
     }
 
     fn once_and_in_time(&mut self) {

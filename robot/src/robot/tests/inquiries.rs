@@ -156,6 +156,37 @@ fn a_pending_lease_is_shortened_for_what_is_named_and_never_lengthened() {
 }
 
 #[test]
+fn a_pending_lease_ends_at_the_instant_that_was_said_however_late_the_question_comes() {
+    let held = || {
+        let mut bench = Bench::new();
+        let request = timed("arm", "a", 1_000.0, paper());
+        bench.request(ControlRequest { stop_condition: lease(5_000.0, 9_000.0), ..request });
+        // Sent to carry a lease of 100 ms to 900, and 300 ms under way.
+        bench.until(800);
+        let pending_lease = Millis::new(400.0).ok();
+        bench.inquire(Inquiry { pending_lease, pending_until: Some(at(900)), ..about(&["a"]) });
+        bench
+    };
+    let mut silent = held();
+    silent.until(5_000);
+    assert_eq!(silent.values(), []);
+    let lost = silent.responses().into_iter().find(|response| response.status == Status::Failed).unwrap();
+    assert_eq!(lost.event_timestamp, Some(at(900)));
+
+    let mut heard = held();
+    heard.until(850);
+    heard.inquire(Inquiry::default());
+    heard.until(5_000);
+    assert_eq!(heard.values(), [], "a message that does not name it lifts nothing");
+
+    let mut committed = held();
+    committed.until(850);
+    committed.inquire(about(&["a"]));
+    committed.until(5_000);
+    assert_eq!(committed.values().len(), 3);
+}
+
+#[test]
 fn a_running_script_keeps_its_lease_whatever_an_inquiry_says() {
     let mut bench = Bench::new();
     bench.request(ControlRequest {

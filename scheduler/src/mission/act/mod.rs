@@ -17,7 +17,7 @@ use std::collections::{BTreeMap, HashMap};
 use std::sync::Arc;
 
 use downbeat_scripts::{Choreography, Way};
-use urrcp::{ControlRequest, DeviceId, RequestId, Server, SessionId, Span, Timestamp};
+use urrcp::{ControlRequest, DeviceId, RequestId, Robot, Server, SessionId, Span, Timestamp};
 
 use super::events::TakenReading;
 use super::failure_kind::FailureKind;
@@ -100,6 +100,8 @@ pub(crate) enum ActAction {
 pub(crate) struct NamedScripts {
     /// The pending lease that they have from then on, where that is shorter than theirs.
     pub(crate) lease: Option<Span>,
+    /// When the lease ends at the latest, however late the question arrives, by the robot's own clock.
+    pub(crate) until: Option<Timestamp<Robot>>,
     pub(crate) requests: Vec<RequestId>,
 }
 
@@ -352,10 +354,14 @@ impl Act {
         let mut groups: BTreeMap<(bool, Option<Span>), Vec<RequestId>> = BTreeMap::new();
         for (index, script) in member.under_way().filter(|(_, script)| script.is_unaccounted()) {
             let offset = member.shortened_offset(index, timing.lead.lease).filter(|_| shortens);
-            let lease = offset.map(|offset| timing.lease_at(now) + offset);
-            groups.entry((lease.is_none(), lease)).or_default().extend(script.request_id().cloned());
+            groups.entry((offset.is_none(), offset)).or_default().extend(script.request_id().cloned());
         }
-        groups.into_iter().map(|((_, lease), requests)| NamedScripts { lease, requests }).collect()
+        let named = |((_, offset), requests): ((bool, Option<Span>), _)| NamedScripts {
+            lease: offset.map(|offset| timing.lease_at(now) + offset),
+            until: offset.map(|offset| (timing.brink() + offset + member.shift()).assume_clock()),
+            requests,
+        };
+        groups.into_iter().map(named).collect()
     }
 
     /// Whether a robot may have a request of it.
