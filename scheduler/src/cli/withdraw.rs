@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use downbeat_robot::HostOptions;
 use downbeat_scripts::{Address, FleetRobot, Handshake, RobotClock, counted};
+use tokio::sync::mpsc;
 use urrcp::{Encoding, RobotId, Span};
 
 use super::live::Live;
@@ -14,9 +15,10 @@ use crate::fleet;
 use crate::journal::{FileDisk, Found, Journal, Kept, OpenedRobot, Torn, read};
 use crate::mission::{Mission, MissionOptions, Record};
 use crate::report::{Report, StopState};
-use crate::run::Keep;
+use crate::run::{Keep, Operator};
 use crate::server_clock::ServerClock;
 use crate::signals::OnHangUp;
+use crate::stop_lane::StopLane;
 
 /// So long the disk may take to write down that a mission was stopped.
 const RECORD_MAX: Duration = Duration::from_secs(5);
@@ -148,7 +150,7 @@ pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdr
     let (lane, operator) = stop_lane(OnHangUp::End)?;
     // Whoever says stop meanwhile hears what becomes of this one.
     let control = listen(&taken.folder, &lane);
-    let withdrawn = withdraw_as(&taken.kept, how, operator).await?;
+    let withdrawn = withdraw_as(&taken.kept, how, (lane, operator)).await?;
     let records = records_of(&withdrawn, how.unconfirmed);
     let recorded = tokio::task::spawn_blocking(move || write_down(taken, &records));
     match tokio::time::timeout(RECORD_MAX, recorded).await {
@@ -166,14 +168,13 @@ pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdr
 
 /// Stops what a mission left behind.
 pub(super) async fn withdraw(kept: &Kept, how: How) -> Result<Withdrawn, String> {
-    let (_lane, operator) = stop_lane(OnHangUp::End)?;
-    withdraw_as(kept, how, operator).await
+    withdraw_as(kept, how, stop_lane(OnHangUp::End)?).await
 }
 
 async fn withdraw_as(
     kept: &Kept,
     how: How,
-    operator: tokio::sync::mpsc::Receiver<crate::run::Operator>,
+    (lane, operator): (StopLane, mpsc::Receiver<Operator>),
 ) -> Result<Withdrawn, String> {
     let (robots, inside) = robots_of(&kept.opened.robots, how.scheduler);
     let robots: Vec<&FleetRobot> = robots.iter().collect();
@@ -190,7 +191,7 @@ async fn withdraw_as(
         .map_err(|error| error.to_string())?;
     let live = Live::lines(how.told);
     let tell = |at, progress: &_| live.tell(at, progress);
-    let mut keep = Keep::default();
+    let mut keep = Keep { stop_lane: Some(lane), ..Keep::default() };
     let report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
     Ok(Withdrawn { report, inside, at_rest: host.is_none_or(robot::stop) })
 }
