@@ -5,6 +5,7 @@ use std::time::Duration;
 
 use downbeat_robot::HostOptions;
 use downbeat_scripts::{Address, FleetRobot, Handshake, RobotClock, counted};
+use serde::Serialize;
 use tokio::sync::mpsc;
 use urrcp::{Encoding, RobotId, Span};
 
@@ -12,7 +13,7 @@ use super::live::Live;
 use super::run::{listen, stop_lane, utc_offset};
 use super::{Format, console, robot};
 use crate::fleet;
-use crate::journal::{FileDisk, Found, Journal, Kept, OpenedRobot, Torn, read};
+use crate::journal::{FileDisk, Found, Journal, Kept, Left, OpenedRobot, Torn, read};
 use crate::mission::{Mission, MissionOptions, Record};
 use crate::report::{Report, StopState};
 use crate::run::{Keep, Operator};
@@ -92,19 +93,22 @@ pub(super) enum Scheduler {
 }
 
 /// A robot that nothing can be said to, because it runs or ran in the scheduler's own process.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Inside {
     pub(super) robot: RobotId,
     pub(super) what: InsideWhat,
 }
 
 /// What ran in the scheduler's process.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub(super) enum InsideWhat {
     /// A simulated robot: it ended, or stands still, with the process.
     Simulated,
     /// A driver of hardware.
     Driver,
+    /// A driver of hardware to which the mission had sent nothing.
+    Unmoved,
 }
 
 /// What became of it.
@@ -176,7 +180,8 @@ async fn withdraw_as(
     how: How,
     (lane, operator): (StopLane, mpsc::Receiver<Operator>),
 ) -> Result<Withdrawn, String> {
-    let (robots, inside) = robots_of(&kept.opened.robots, how.scheduler);
+    let left = kept.left();
+    let (robots, inside) = robots_of(&kept.opened.robots, &left, how.scheduler);
     let robots: Vec<&FleetRobot> = robots.iter().collect();
     let clock = ServerClock::anchored(kept.opened.clock_offset);
     let options = MissionOptions {
@@ -186,7 +191,7 @@ async fn withdraw_as(
         utc_offset: utc_offset(),
         ..MissionOptions::default()
     };
-    let mission = Mission::withdraw(fleet::participants(&robots), options, &kept.left(), clock.now());
+    let mission = Mission::withdraw(fleet::participants(&robots), options, &left, clock.now());
     let (host, endpoints) = fleet::endpoints_at_once(&robots, Handshake::Full, HostOptions::default())
         .map_err(|error| error.to_string())?;
     let live = Live::lines(how.told);
@@ -197,7 +202,7 @@ async fn withdraw_as(
 }
 
 /// The robots of a journal as far as this process can reach them, and the others.
-fn robots_of(opened: &[OpenedRobot], scheduler: Scheduler) -> (Vec<FleetRobot>, Vec<Inside>) {
+fn robots_of(opened: &[OpenedRobot], left: &Left, scheduler: Scheduler) -> (Vec<FleetRobot>, Vec<Inside>) {
     let (mut reached, mut inside) = (Vec::new(), Vec::new());
     for opened in opened {
         let what = match (opened.address.parse(), scheduler) {
@@ -212,6 +217,7 @@ fn robots_of(opened: &[OpenedRobot], scheduler: Scheduler) -> (Vec<FleetRobot>, 
                 continue;
             }
             (Ok(Address::Simulated), _) => InsideWhat::Simulated,
+            _ if !left.robots.contains_key(&opened.robot) => InsideWhat::Unmoved,
             _ => InsideWhat::Driver,
         };
         inside.push(Inside { robot: opened.robot.clone(), what });
