@@ -201,8 +201,11 @@ impl Stopped {
         let report: Result<Value, String> = serde_json::from_str(report).map_err(|error| error.to_string());
         let unconfirmed = report.as_ref().map_or(true, |report| {
             let mut robots = report["robots"].as_array().into_iter().flatten();
-            robots.any(|robot| robot["stop"]["state"] == "unconfirmed")
+            let not_at_rest = report["not_at_rest"].as_array().is_some_and(|robots| !robots.is_empty());
+            not_at_rest || robots.any(|robot| robot["stop"]["state"] == "unconfirmed")
         });
+        let not_at_rest = report.iter().filter_map(|report| report["not_at_rest"].as_array()).flatten();
+        not_at_rest.filter_map(Value::as_str).for_each(console::error);
         let exit = if unconfirmed { Exit::Unconfirmed } else { Exit::Done };
         Self { mission: found.opened.session.clone(), report, inside: Vec::new(), exit }
     }

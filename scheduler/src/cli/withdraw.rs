@@ -115,8 +115,6 @@ pub(super) enum InsideWhat {
 pub(super) struct Withdrawn {
     pub(super) report: Report,
     pub(super) inside: Vec<Inside>,
-    /// Hardware that this process reached for it is in its default state.
-    pub(super) at_rest: bool,
 }
 
 impl Withdrawn {
@@ -125,7 +123,7 @@ impl Withdrawn {
         let unconfirmed =
             |robot: &crate::report::RobotReport| matches!(robot.stop, StopState::Unconfirmed { .. });
         let driven = self.inside.iter().any(|inside| inside.what == InsideWhat::Driver);
-        self.at_rest && !driven && !self.report.robots.iter().any(unconfirmed)
+        self.report.not_at_rest.is_empty() && !driven && !self.report.robots.iter().any(unconfirmed)
     }
 }
 
@@ -197,8 +195,9 @@ async fn withdraw_as(
     let live = Live::lines(how.told);
     let tell = |at, progress: &_| live.tell(at, progress);
     let mut keep = Keep { stop_lane: Some(lane), ..Keep::default() };
-    let report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
-    Ok(Withdrawn { report, inside, at_rest: host.is_none_or(robot::stop) })
+    let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
+    robot::stop_for(&mut report, host);
+    Ok(Withdrawn { report, inside })
 }
 
 /// The robots of a journal as far as this process can reach them, and the others.
