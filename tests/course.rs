@@ -1,8 +1,11 @@
 //! What becomes of acts that wait: the report names every act of the scenario, and what was skipped is no success.
 
+use std::time::Duration;
+
+use rustix::process::Signal;
 use serde_json::Value;
 
-use crate::robots::{Ended, Stage, Via};
+use crate::robots::{Ended, Stage, Via, one_device};
 
 const INIT: &str = "id: robot
 api_version: '1'
@@ -89,4 +92,22 @@ fn acts_that_are_all_played_are_done() {
     let (_stage, ended) = played("done");
     assert_eq!(ended.code, Some(0), "{ended}");
     assert_eq!(course(&ended), fates([("one", "played"), ("two", "played"), ("three", "played")]));
+}
+
+#[test]
+fn an_act_that_is_stopped_while_it_plays_is_not_called_withdrawn_though_its_robot_tells_nothing() {
+    let mut stage = Stage::new();
+    let steps: Vec<_> = (0..40).map(|step| format!("{{at: {}ms, to: {step}}}", step * 100)).collect();
+    let tracks = steps.join(", ");
+    stage.file("robot.yaml", one_device(1, 90, 50).replace("reports: true", "reports: false")).file(
+        "show.yaml",
+        format!("scenario: show\nstart_tolerance: 1s\ncues: [{{at: 0s, robots: all, tracks: {{d: [{tracks}]}}}}]\n"),
+    );
+    stage.robot("robot.yaml", Via::Direct);
+    let running = stage.start(&["run", "show.yaml", "--format", "json", "--patience", "1s"]);
+    stage.robots[0].await_sets(5, Duration::from_secs(20));
+    stage.robots[0].freeze();
+    running.process.signal(Signal::INT);
+    let ended = running.ended();
+    assert_eq!(ended.report()["course"][0]["fate"], "stopped", "{ended}");
 }

@@ -148,6 +148,10 @@ fn a_stop_after_a_crash_is_not_confirmed_by_another_robot() {
     let stopped = stage.run(&["stop", "--patience", "2s"]);
     says(&stopped, 4, &["r0", "another robot", "calls itself `stranger`", "r0: stop NOT confirmed"]);
     says(&stopped, 4, &["r1: default state confirmed"]);
+    // Also where several missions may be meant, with the missions' results.
+    let again = stage.run(&["stop", "--all", "--patience", "2s"]);
+    says(&again, 4, &["  r0: stop NOT confirmed"]);
+    assert!(again.out.contains("  r0: another robot answers at its address"), "{again}");
 }
 
 #[test]

@@ -136,6 +136,26 @@ fn a_mission_of_which_a_robot_did_not_confirm_can_be_stopped_again() {
 }
 
 #[test]
+fn a_stop_that_comes_while_another_one_waits_for_a_robot_waits_with_it() {
+    let stage = cut_off(2);
+    stage.robots[1].freeze();
+    let first = stage.start(&["stop", "--patience", "30s"]);
+    while !stage.run(&["missions"]).out.contains("running") {
+        std::thread::sleep(Duration::from_millis(50));
+    }
+    let second = stage.start(&["stop", "--patience", "30s"]);
+    // Longer than a mission may stand still.
+    std::thread::sleep(Duration::from_secs(4));
+    stage.robots[1].thaw();
+    for stop in [first, second] {
+        let ended = stop.ended();
+        says(&ended, 0, &BOTH);
+        assert!(!ended.told.contains("SIGTERM") && !ended.told.contains("directly"), "{ended}");
+    }
+    all_rest(&stage);
+}
+
+#[test]
 fn a_mission_of_which_a_robot_is_gone_for_good_can_be_forgotten() {
     let mut stage = cut_off(1);
     stage.robots[0].kill();

@@ -116,10 +116,7 @@ impl<'a> Resumption<'a> {
         };
         let format = self.format;
         match go_on(&self.found, self.journal, mission, &robots, &self.fleet, clock, format).await {
-            Ok((report, at_rest)) => {
-                let exit = finish(&report, format);
-                if at_rest { exit } else { Exit::Unconfirmed }
-            }
+            Ok(report) => finish(&report, format),
             Err(exit) => exit,
         }
     }
@@ -143,7 +140,7 @@ fn moved(opened: &[OpenedRobot], fleet: &Fleet) -> Vec<String> {
     opened.iter().filter_map(moved).collect()
 }
 
-/// Returns the report, and whether hardware in this process is known to be in its default state.
+/// Plays what is left of it; returns the report.
 async fn go_on(
     found: &Found,
     journal: Journal,
@@ -152,7 +149,7 @@ async fn go_on(
     fleet: &Fleet,
     clock: ServerClock,
     format: Format,
-) -> Result<(Report, bool), Exit> {
+) -> Result<Report, Exit> {
     let (host, endpoints) = fleet::endpoints(robots, fleet.handshake, HostOptions::default())
         .map_err(|error| failed(&error.to_string()))?;
     let (lane, operator) = stop_lane(OnHangUp::End).map_err(|error| failed(&error))?;
@@ -162,10 +159,11 @@ async fn go_on(
     let live = Live::start(format, clock, choreography, ids, Speaker::of(&lane));
     let mut keep = Keep { journal: Some(journal), stop_lane: Some(lane), ..Keep::default() };
     let tell = |at, progress: &_| live.tell(at, progress);
-    let report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
+    let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
     drop(live);
+    robot::stop_for(&mut report, host);
     if let Some(control) = control {
         control.end(serde_json::to_string(&report).ok()).await;
     }
-    Ok((report, host.is_none_or(robot::stop)))
+    Ok(report)
 }

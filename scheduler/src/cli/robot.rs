@@ -11,6 +11,7 @@ use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
 use super::run::parse_span;
 use super::{Exit, Format, console};
+use crate::report::Report;
 use crate::signals::{OnHangUp, Signals};
 
 /// Run one simulated robot as a process of its own.
@@ -163,6 +164,13 @@ pub(super) fn stop(host: Host) -> bool {
         console::error(&robot.to_string());
     }
     not_at_rest.is_empty()
+}
+
+/// Stops the host of a mission's own robots; the report says which of them may not have come to their default state.
+pub(super) fn stop_for(report: &mut Report, host: Option<Host>) {
+    let not_at_rest = host.map(Host::stop).unwrap_or_default();
+    report.not_at_rest = not_at_rest.iter().map(ToString::to_string).collect();
+    report.not_at_rest.iter().for_each(|robot| console::error(robot));
 }
 
 /// Says where a robot listens.

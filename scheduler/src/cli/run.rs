@@ -205,10 +205,7 @@ impl Work<'_> {
         }
         super::with_runtime(async {
             match self.play(choreography, first_act, &fleet, &fleet_path).await {
-                Ok((report, at_rest)) => {
-                    let exit = finish(&report, self.format);
-                    if at_rest { exit } else { Exit::Unconfirmed }
-                }
+                Ok(report) => finish(&report, self.format),
                 Err((message, exit)) => {
                     console::error(&message);
                     exit
@@ -217,14 +214,14 @@ impl Work<'_> {
         })
     }
 
-    /// Plays it; returns its report, and whether hardware in this process is known to be in its default state.
+    /// Plays it; returns its report.
     async fn play(
         &self,
         choreography: Choreography,
         first_act: usize,
         fleet: &Fleet,
         fleet_path: &std::path::Path,
-    ) -> Result<(Report, bool), (String, Exit)> {
+    ) -> Result<Report, (String, Exit)> {
         let failed = |message: String| (message, Exit::Failed);
         let (clock, server_uncertainty) = server_clock(fleet, self.format).await.map_err(failed)?;
         let robots = fleet::robots_in(fleet, &choreography);
@@ -317,10 +314,11 @@ impl Work<'_> {
         if let Some(recorder) = keep.recording.take() {
             report.recording = Some(recorder.finish().await);
         }
+        robot::stop_for(&mut report, host);
         if let Some(control) = control {
             control.end(serde_json::to_string(&report).ok()).await;
         }
-        Ok((report, host.is_none_or(robot::stop)))
+        Ok(report)
     }
 }
 
@@ -449,6 +447,9 @@ pub(super) fn finish(report: &Report, format: Format) -> Exit {
 /// How a mission ended, as scripts see it.
 pub(super) fn exit_of(report: &Report) -> Exit {
     let unconfirmed = report.robots.iter().any(|robot| matches!(robot.stop, StopState::Unconfirmed { .. }));
+    if !report.not_at_rest.is_empty() {
+        return Exit::Unconfirmed;
+    }
     let recorded = report.recording.as_ref().is_none_or(|recording| recording.failure.is_none());
     match &report.outcome {
         Outcome::Done | Outcome::Ready if recorded => Exit::Done,

@@ -201,8 +201,11 @@ impl Stopped {
         let report: Result<Value, String> = serde_json::from_str(report).map_err(|error| error.to_string());
         let unconfirmed = report.as_ref().map_or(true, |report| {
             let mut robots = report["robots"].as_array().into_iter().flatten();
-            robots.any(|robot| robot["stop"]["state"] == "unconfirmed")
+            let not_at_rest = report["not_at_rest"].as_array().is_some_and(|robots| !robots.is_empty());
+            not_at_rest || robots.any(|robot| robot["stop"]["state"] == "unconfirmed")
         });
+        let not_at_rest = report.iter().filter_map(|report| report["not_at_rest"].as_array()).flatten();
+        not_at_rest.filter_map(Value::as_str).for_each(console::error);
         let exit = if unconfirmed { Exit::Unconfirmed } else { Exit::Done };
         Self { mission: found.opened.session.clone(), report, inside: Vec::new(), exit }
     }
@@ -226,6 +229,10 @@ impl Stopped {
         }
         let robots = self.report.iter().filter_map(|report| report["robots"].as_array()).flatten();
         robots.for_each(|robot| lines.push_str(&format!("{indent}{}\n", shown::shown(&robot_line(robot)))));
+        let failures = self.report.iter().filter_map(|report| report["failures"].as_array()).flatten();
+        failures.for_each(|failure| {
+            lines.push_str(&format!("{indent}{}\n", shown::shown(&failure_line(failure))))
+        });
         self.inside
             .iter()
             .for_each(|inside| lines.push_str(&format!("{indent}{}\n", shown::shown(&inside_line(inside)))));
@@ -239,10 +246,13 @@ impl Stopped {
     }
 
     fn document(&self, shown: Shown) -> Value {
-        let report = match &self.report {
+        let mut report = match &self.report {
             Ok(report) => report.clone(),
             Err(reason) => json!({"error": reason}),
         };
+        if !self.inside.is_empty() {
+            report["inside"] = json!(self.inside);
+        }
         match shown {
             Shown::One => report,
             Shown::Several => json!({"mission": self.mission, "report": report}),
@@ -265,10 +275,17 @@ fn robot_line(robot: &Value) -> String {
     }
 }
 
+/// Why a robot has not confirmed, or has failed the mission before.
+fn failure_line(failure: &Value) -> String {
+    let text = |key: &str| failure[key].as_str().unwrap_or_default();
+    format!("{}: {}", text("robot"), text("text"))
+}
+
 fn inside_line(inside: &Inside) -> String {
     let robot = &inside.robot;
     match inside.what {
         InsideWhat::Simulated => format!("{robot}: was simulated in the scheduler's own process"),
+        InsideWhat::Unmoved => format!("{robot}: nothing had been sent to it"),
         InsideWhat::Driver => {
             format!(
                 "{robot}: stop NOT confirmed; the scheduler's own process drives it, end that and stop again"

@@ -5,18 +5,21 @@ use std::time::Duration;
 
 use downbeat_robot::HostOptions;
 use downbeat_scripts::{Address, FleetRobot, Handshake, RobotClock, counted};
+use serde::Serialize;
+use tokio::sync::mpsc;
 use urrcp::{Encoding, RobotId, Span};
 
 use super::live::Live;
 use super::run::{listen, stop_lane, utc_offset};
 use super::{Format, console, robot};
 use crate::fleet;
-use crate::journal::{FileDisk, Found, Journal, Kept, OpenedRobot, Torn, read};
+use crate::journal::{FileDisk, Found, Journal, Kept, Left, OpenedRobot, Torn, read};
 use crate::mission::{Mission, MissionOptions, Record};
 use crate::report::{Report, StopState};
-use crate::run::Keep;
+use crate::run::{Keep, Operator};
 use crate::server_clock::ServerClock;
 use crate::signals::OnHangUp;
+use crate::stop_lane::StopLane;
 
 /// So long the disk may take to write down that a mission was stopped.
 const RECORD_MAX: Duration = Duration::from_secs(5);
@@ -90,27 +93,28 @@ pub(super) enum Scheduler {
 }
 
 /// A robot that nothing can be said to, because it runs or ran in the scheduler's own process.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub(super) struct Inside {
     pub(super) robot: RobotId,
     pub(super) what: InsideWhat,
 }
 
 /// What ran in the scheduler's process.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub(super) enum InsideWhat {
     /// A simulated robot: it ended, or stands still, with the process.
     Simulated,
     /// A driver of hardware.
     Driver,
+    /// A driver of hardware to which the mission had sent nothing.
+    Unmoved,
 }
 
 /// What became of it.
 pub(super) struct Withdrawn {
     pub(super) report: Report,
     pub(super) inside: Vec<Inside>,
-    /// Hardware that this process reached for it is in its default state.
-    pub(super) at_rest: bool,
 }
 
 impl Withdrawn {
@@ -119,7 +123,7 @@ impl Withdrawn {
         let unconfirmed =
             |robot: &crate::report::RobotReport| matches!(robot.stop, StopState::Unconfirmed { .. });
         let driven = self.inside.iter().any(|inside| inside.what == InsideWhat::Driver);
-        self.at_rest && !driven && !self.report.robots.iter().any(unconfirmed)
+        self.report.not_at_rest.is_empty() && !driven && !self.report.robots.iter().any(unconfirmed)
     }
 }
 
@@ -148,7 +152,7 @@ pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdr
     let (lane, operator) = stop_lane(OnHangUp::End)?;
     // Whoever says stop meanwhile hears what becomes of this one.
     let control = listen(&taken.folder, &lane);
-    let withdrawn = withdraw_as(&taken.kept, how, operator).await?;
+    let withdrawn = withdraw_as(&taken.kept, how, (lane, operator)).await?;
     let records = records_of(&withdrawn, how.unconfirmed);
     let recorded = tokio::task::spawn_blocking(move || write_down(taken, &records));
     match tokio::time::timeout(RECORD_MAX, recorded).await {
@@ -166,16 +170,16 @@ pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdr
 
 /// Stops what a mission left behind.
 pub(super) async fn withdraw(kept: &Kept, how: How) -> Result<Withdrawn, String> {
-    let (_lane, operator) = stop_lane(OnHangUp::End)?;
-    withdraw_as(kept, how, operator).await
+    withdraw_as(kept, how, stop_lane(OnHangUp::End)?).await
 }
 
 async fn withdraw_as(
     kept: &Kept,
     how: How,
-    operator: tokio::sync::mpsc::Receiver<crate::run::Operator>,
+    (lane, operator): (StopLane, mpsc::Receiver<Operator>),
 ) -> Result<Withdrawn, String> {
-    let (robots, inside) = robots_of(&kept.opened.robots, how.scheduler);
+    let left = kept.left();
+    let (robots, inside) = robots_of(&kept.opened.robots, &left, how.scheduler);
     let robots: Vec<&FleetRobot> = robots.iter().collect();
     let clock = ServerClock::anchored(kept.opened.clock_offset);
     let options = MissionOptions {
@@ -185,18 +189,19 @@ async fn withdraw_as(
         utc_offset: utc_offset(),
         ..MissionOptions::default()
     };
-    let mission = Mission::withdraw(fleet::participants(&robots), options, &kept.left(), clock.now());
+    let mission = Mission::withdraw(fleet::participants(&robots), options, &left, clock.now());
     let (host, endpoints) = fleet::endpoints_at_once(&robots, Handshake::Full, HostOptions::default())
         .map_err(|error| error.to_string())?;
     let live = Live::lines(how.told);
     let tell = |at, progress: &_| live.tell(at, progress);
-    let mut keep = Keep::default();
-    let report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
-    Ok(Withdrawn { report, inside, at_rest: host.is_none_or(robot::stop) })
+    let mut keep = Keep { stop_lane: Some(lane), ..Keep::default() };
+    let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
+    robot::stop_for(&mut report, host);
+    Ok(Withdrawn { report, inside })
 }
 
 /// The robots of a journal as far as this process can reach them, and the others.
-fn robots_of(opened: &[OpenedRobot], scheduler: Scheduler) -> (Vec<FleetRobot>, Vec<Inside>) {
+fn robots_of(opened: &[OpenedRobot], left: &Left, scheduler: Scheduler) -> (Vec<FleetRobot>, Vec<Inside>) {
     let (mut reached, mut inside) = (Vec::new(), Vec::new());
     for opened in opened {
         let what = match (opened.address.parse(), scheduler) {
@@ -211,6 +216,7 @@ fn robots_of(opened: &[OpenedRobot], scheduler: Scheduler) -> (Vec<FleetRobot>, 
                 continue;
             }
             (Ok(Address::Simulated), _) => InsideWhat::Simulated,
+            _ if !left.robots.contains_key(&opened.robot) => InsideWhat::Unmoved,
             _ => InsideWhat::Driver,
         };
         inside.push(Inside { robot: opened.robot.clone(), what });

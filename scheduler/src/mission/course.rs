@@ -253,7 +253,7 @@ impl Mission {
     fn close_act(&mut self, now: Timestamp<Server>, index: usize) {
         let act = self.acts.remove(index);
         self.account(now, &act);
-        let fate = self.fate_of(&act);
+        let fate = self.fate_of(now, &act);
         if fate == ActFate::NobodyLeft {
             self.tell(Progress::ActSkipped { act: act.name(), fate: fate.clone() });
         }
@@ -283,9 +283,9 @@ impl Mission {
         }
     }
 
-    fn fate_of(&self, act: &Act) -> ActFate {
+    fn fate_of(&self, now: Timestamp<Server>, act: &Act) -> ActFate {
         let performs = self.phase == Phase::Performing;
-        match (act.was_sent(), act.has_begun()) {
+        match (act.was_sent(), may_have_moved(now, act)) {
             (true, _) if performs && act.is_over() => ActFate::Played,
             (_, true) => ActFate::Stopped,
             (true, false) => ActFate::Withdrawn,
@@ -332,4 +332,9 @@ impl Mission {
             }
         }
     }
+}
+
+/// Whether robots have begun an act, by their own words or because its start has passed: one that reports nothing moves, too.
+pub(super) fn may_have_moved(now: Timestamp<Server>, act: &Act) -> bool {
+    act.has_begun() || act.is_committed() && act.timing().is_some_and(|timing| now >= timing.start)
 }

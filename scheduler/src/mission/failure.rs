@@ -3,6 +3,7 @@
 use downbeat_scripts::OnFailure;
 use urrcp::{Server, Span, Timestamp};
 
+use super::course::may_have_moved;
 use super::failure_kind::{Failure, FailureKind};
 use super::record::Record;
 use super::robot_state::{Link, Lost, Rest, Standing};
@@ -227,10 +228,7 @@ impl Mission {
     }
 
     fn abort_for(&mut self, now: Timestamp<Server>, robots: &[usize], rest: Rest, then: Option<usize>) {
-        let started = |act: &super::act::Act| {
-            act.has_begun() || act.is_committed() && act.timing().is_some_and(|timing| now >= timing.start)
-        };
-        let moved = self.acts.iter().any(started) || !self.reports.is_empty();
+        let moved = self.acts.iter().any(|act| may_have_moved(now, act)) || !self.reports.is_empty();
         let outcome = if moved { Outcome::Failed } else { Outcome::NotStarted };
         robots.iter().for_each(|robot| self.robots[*robot].standing = Standing::Out);
         self.abort(now, outcome, rest, then);

@@ -1,20 +1,33 @@
 //! The ways in which a robot fails a mission.
 
 use downbeat_scripts::SensorRange;
-use serde::Serialize;
+use serde::{Serialize, Serializer};
 use urrcp::{ControlError, DeviceId, RobotId, Span};
 
 use super::claim::Claim;
 use crate::clock::ClockDoubt;
 
 /// A robot failed the mission.
-#[derive(Clone, Debug, PartialEq, Serialize)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Failure {
     /// Which robot.
     pub robot: RobotId,
     /// What happened.
-    #[serde(flatten)]
     pub kind: FailureKind,
+}
+
+impl Serialize for Failure {
+    /// With what people read of it.
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        #[derive(Serialize)]
+        struct Written<'a> {
+            robot: &'a RobotId,
+            #[serde(flatten)]
+            kind: &'a FailureKind,
+            text: String,
+        }
+        Written { robot: &self.robot, kind: &self.kind, text: self.kind.to_string() }.serialize(serializer)
+    }
 }
 
 /// Ways for a robot to fail the mission.

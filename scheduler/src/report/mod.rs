@@ -57,6 +57,9 @@ pub struct Report {
     pub robots: Vec<RobotReport>,
     /// All failures, in order.
     pub failures: Vec<Failure>,
+    /// Robots driven in this process whose hardware may not be in its default state, each with the reason.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub not_at_rest: Vec<String>,
     /// What NTP said of this machine's clock at last, where the fleet file names an NTP server.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub ntp: Option<NtpState>,
@@ -152,6 +155,7 @@ impl Report {
             acts_omitted,
             robots: robots.iter().map(robot_report).collect(),
             failures: robots.iter().flat_map(|robot| robot.failures.iter().cloned()).collect(),
+            not_at_rest: Vec::new(),
             ntp: mission.ntp(),
             recording: None,
             preflight: mission.preflight().cloned(),
