@@ -1,8 +1,8 @@
 //! The stop lane: a thread with a runtime of its own that stops the robots when the operator says so, whatever else has come
 //! to a standstill in this process: the mission's loop, the terminal, the disk, the other links.
 //!
-//! It keeps a connection to every robot, knows which of their devices were sent anything ([`sent`]), and sends nothing but
-//! stops. It hears the signals and the mission's socket ([`words`]), stops the robots first and hands the word on to the
+//! It keeps a connection to every robot, knows which of their devices were sent anything (`sent.rs`), and sends nothing but
+//! stops. It hears the signals and the mission's socket (`words.rs`), stops the robots first and hands the word on to the
 //! mission, which stops them in its own way: it asks for confirmations, decides and reports. Once the operator has said stop,
 //! nothing that moves leaves this process any more.
 
