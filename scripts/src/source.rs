@@ -9,6 +9,8 @@ use crate::finding::{Code, Finding};
 /// Largest file that is read, in bytes: 64 MiB.
 pub(crate) const FILE_BYTES_MAX: u64 = 64 * 1024 * 1024;
 
+const BYTE_ORDER_MARK: &[u8] = &[0xef, 0xbb, 0xbf];
+
 /// The text of a file with the name by which the user knows it.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Source {
@@ -49,6 +51,10 @@ impl Source {
         if bytes.len() as u64 > FILE_BYTES_MAX {
             return Err(too_large(bytes.len() as u64));
         }
+        // Some editors begin a file with a mark of its byte order, which says nothing here.
+        if bytes.starts_with(BYTE_ORDER_MARK) {
+            bytes.drain(..BYTE_ORDER_MARK.len());
+        }
         let text = String::from_utf8(bytes).map_err(|error| {
             let at = error.utf8_error().valid_up_to();
             unreadable(
@@ -57,5 +63,18 @@ impl Source {
             )
         })?;
         Ok(Self { name, text })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_byte_order_mark_is_no_text() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("show.yaml");
+        std::fs::write(&path, "\u{feff}scenario: show\n").unwrap();
+        assert_eq!(Source::read(&path).unwrap().text, "scenario: show\n");
     }
 }

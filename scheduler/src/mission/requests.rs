@@ -49,6 +49,7 @@ impl Mission {
             |device: &DeviceId| reports && open_without_name(acts, robot, device, response).is_some();
         if self.robots[robot].stop_answered(now, response, open_on) {
             self.stop_confirmed(robot);
+            self.stop_refused(robot, response);
             return self.stop_progress(now);
         }
         if self.reading_taken(now, robot, response) {
@@ -68,6 +69,16 @@ impl Mission {
             self.goes_on(now);
         } else if matches!(self.phase, Phase::Stopping { .. }) {
             self.stop_progress(now);
+        }
+    }
+
+    /// A robot that belongs to another session by now says which: it is told once.
+    fn stop_refused(&mut self, robot: usize, response: &ControlResponse) {
+        let busy = |error: &&urrcp::ControlError| error.code == urrcp::ErrorCode::Busy;
+        let told = |failure: &super::Failure| matches!(failure.kind, FailureKind::NotAvailable { .. });
+        let Some(error) = response.error.as_ref().filter(busy) else { return };
+        if response.status == Status::Failed && !self.robots[robot].failures.iter().any(told) {
+            self.note_failure(robot, FailureKind::NotAvailable { error: error.clone() });
         }
     }
 
