@@ -380,12 +380,12 @@ fn open_journal(folder: &std::path::Path, opened: &Opened, clock: &ServerClock) 
 /// A name that no other run bears: the scenario, this machine, this process, this moment.
 fn session_name(scenario: &str, clock: &ServerClock) -> SessionId {
     let plain: String =
-        scenario.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).take(40).collect();
+        scenario.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).take(20).collect();
     let uname = rustix::system::uname();
-    let host: String = uname.nodename().to_string_lossy().chars().take(40).collect();
+    let host: String = uname.nodename().to_string_lossy().chars().take(12).collect();
     let now = chrono::DateTime::from_timestamp_nanos(clock.now().as_nanos()).format("%Y%m%dT%H%M%S%3f");
     let name = format!("{plain}@{host}-{}-{now}", std::process::id());
-    // At most 40 + 40 characters and the numbers: below the limit, and never empty.
+    // Never empty, and so short that the mission's socket, whose path may have 107 bytes, has room below most state folders.
     name.parse().unwrap_or_else(|_| unnamed())
 }
 
