@@ -27,8 +27,8 @@ use crate::stop_lane::StopLane;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Ctrl-C stops: every robot returns to its default state and confirms it. A second Ctrl-C leaves at
-once and says what was left running. A closed terminal stops, too, unless the mission runs with --detach. From another terminal `downbeat stop` does the same, and
-`downbeat go` (or Enter here) lets an act begin that waits for the operator.
+once and says what was left running. A closed terminal stops, too, unless the mission runs with --detach. From another
+terminal `downbeat stop` does the same, and `downbeat go` (or Enter here) lets an act begin that waits for the operator.
 
 Examples:
   downbeat run scripts/examples/swap.yaml
