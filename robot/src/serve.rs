@@ -188,7 +188,9 @@ impl Chair {
 /// Whether it is taken from a connection without a place: a stop, or a question who the robot is.
 fn needs_no_place(message: &Message) -> bool {
     match message {
-        Message::AvailabilityRequest(_) | Message::InitializationRequest(_) => true,
+        Message::InitializationRequest(_) => true,
+        // With a session it claims the robot.
+        Message::AvailabilityRequest(request) => request.session.is_none(),
         Message::ControlRequest(request) => {
             let stops = matches!(&request.command, Command::Script(script) if script.is_empty());
             stops && request.starts_at().is_none()

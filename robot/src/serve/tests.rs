@@ -176,6 +176,21 @@ async fn no_more_than_the_limit_of_connections_is_obeyed_at_a_time() {
 }
 
 #[tokio::test]
+async fn nobody_claims_a_robot_without_a_place() {
+    let log = LogFile::new("claim");
+    let (_host, address) = served(&log).await;
+    let mut peers = all_places_taken(address).await;
+    let mut waiting = Peer::connected(address).await;
+    waiting.write(b"{\"availability_request\": {}}\n").await;
+    assert!(matches!(waiting.read().await, Message::AvailabilityResponse(_)), "a mere question is answered");
+    waiting.write(b"{\"availability_request\": {\"session\": \"show\"}}\n").await;
+    let answer = tokio::time::timeout(Duration::from_millis(100), waiting.read()).await;
+    assert!(answer.is_err(), "claimed although {PLACES} others are connected");
+    peers.pop();
+    assert!(matches!(waiting.read().await, Message::AvailabilityResponse(_)));
+}
+
+#[tokio::test]
 async fn a_stop_is_obeyed_however_many_are_connected() {
     let log = LogFile::new("stop-beyond");
     let (_host, address) = served(&log).await;

@@ -10,12 +10,15 @@ use downbeat_scripts::shown::shown;
 use urrcp::SessionId;
 
 use super::{Exit, Format, console};
+use crate::journal::Found;
 use crate::run::control;
 
 /// Tells the process in the background the name of its mission.
 const NAME: &str = "DOWNBEAT_DETACHED_AS";
 /// How often it is looked whether the mission has begun.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
+/// A mission that has begun has its socket within so many looks, or never: it plays without one, too.
+const LOOKS_FOR_SOCKET: u32 = 25;
 
 /// The mission's name, in the process that runs in the background. It leaves the terminal here.
 pub(super) fn detached_as() -> Option<SessionId> {
@@ -26,7 +29,7 @@ pub(super) fn detached_as() -> Option<SessionId> {
     Some(session)
 }
 
-/// Starts this very command again in the background, and waits until its mission can be stopped from other terminals.
+/// Starts this very command again in the background, and waits until its mission has begun and can be stopped from other terminals.
 pub(super) fn detach(session: &SessionId, folder: &Path, format: Format) -> Exit {
     let log = folder.join("log");
     let mut child = match start(session, folder, &log) {
@@ -40,13 +43,17 @@ pub(super) fn detach(session: &SessionId, folder: &Path, format: Format) -> Exit
         }
     };
     super::with_runtime(async {
+        let mut looks = 0;
         loop {
-            if control::socket(folder).exists() {
+            if let Ok(Some(_begun)) = Found::look_at(folder) {
+                looks += 1;
+            }
+            if looks > 0 && control::socket(folder).exists() || looks > LOOKS_FOR_SOCKET {
                 announce(session, child.id(), log, format);
                 return Exit::Done;
             }
             if let Ok(Some(status)) = child.try_wait() {
-                console::note(std::fs::read_to_string(&log).unwrap_or_default().trim_end());
+                console::note_block(&std::fs::read_to_string(&log).unwrap_or_default());
                 return status.code().map_or(Exit::Failed, Exit::of_code);
             }
             tokio::time::sleep(LOOK_EVERY).await;

@@ -159,6 +159,7 @@ impl Exit {
             4 => Self::Unconfirmed,
             5 => Self::DoneWithout,
             6 => Self::Uncertain,
+            7 => Self::Unwritten,
             _ => Self::Failed,
         }
     }

@@ -27,8 +27,8 @@ use crate::stop_lane::StopLane;
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Ctrl-C stops: every robot returns to its default state and confirms it. A second Ctrl-C leaves at
-once and says what was left running. A closed terminal stops, too, unless the mission runs with --detach. From another terminal `downbeat stop` does the same, and
-`downbeat go` (or Enter here) lets an act begin that waits for the operator.
+once and says what was left running. A closed terminal stops, too, unless the mission runs with --detach. From another
+terminal `downbeat stop` does the same, and `downbeat go` (or Enter here) lets an act begin that waits for the operator.
 
 Examples:
   downbeat run scripts/examples/swap.yaml
@@ -380,12 +380,12 @@ fn open_journal(folder: &std::path::Path, opened: &Opened, clock: &ServerClock) 
 /// A name that no other run bears: the scenario, this machine, this process, this moment.
 fn session_name(scenario: &str, clock: &ServerClock) -> SessionId {
     let plain: String =
-        scenario.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).take(40).collect();
+        scenario.chars().map(|c| if c.is_ascii_alphanumeric() { c } else { '-' }).take(20).collect();
     let uname = rustix::system::uname();
-    let host: String = uname.nodename().to_string_lossy().chars().take(40).collect();
+    let host: String = uname.nodename().to_string_lossy().chars().take(12).collect();
     let now = chrono::DateTime::from_timestamp_nanos(clock.now().as_nanos()).format("%Y%m%dT%H%M%S%3f");
     let name = format!("{plain}@{host}-{}-{now}", std::process::id());
-    // At most 40 + 40 characters and the numbers: below the limit, and never empty.
+    // Never empty, and so short that the mission's socket, whose path may have 107 bytes, has room below most state folders.
     name.parse().unwrap_or_else(|_| unnamed())
 }
 

@@ -137,7 +137,7 @@ async fn unanswered(found: &Found, unheard: &str, how: How) -> Stopped {
         }
         Life::Running => {}
     }
-    let pid = holder(&found.folder);
+    let pid = holder(found);
     let process = pid.map_or("its process".to_owned(), |pid| format!("process {}", pid.as_raw_nonzero()));
     let how = How { scheduler: Scheduler::Silent, ..how };
     let stopped =
@@ -168,16 +168,25 @@ async fn cut_off(found: &Found, how: How) -> Stopped {
 async fn directly(found: &Found, how: How, why: &str) -> Stopped {
     let mission = found.opened.session.clone();
     console::warn(&format!("{mission}: {why}"));
-    let kept: Result<Kept, String> = found.read().map_err(|error| error.to_string());
+    let journal = found.clone();
+    // The other missions are stopped meanwhile.
+    let read = tokio::task::spawn_blocking(move || journal.read().map_err(|error| error.to_string()));
+    let kept: Result<Kept, String> = read.await.map_err(|error| error.to_string()).flatten();
     match kept {
         Ok(kept) => Stopped::of(mission, withdraw(&kept, how).await),
         Err(reason) => Stopped::of(mission, Err(reason)),
     }
 }
 
-/// The process that holds the lock of a mission's journal, as far as this one may see it.
-fn holder(folder: &Path) -> Option<Pid> {
-    let journal = std::fs::canonicalize(folder.join("journal")).ok()?;
+/// The scheduler that holds the lock of a mission's journal, as far as this process may see it: the one that began it, or
+/// another process of this program that has taken it up.
+fn holder(found: &Found) -> Option<Pid> {
+    let journal = std::fs::canonicalize(found.folder.join("journal")).ok()?;
+    let program = std::env::current_exe().ok()?;
+    let is_scheduler = |pid: Pid, process: &Path| {
+        u32::try_from(pid.as_raw_nonzero().get()) == Ok(found.opened.pid)
+            || std::fs::read_link(process.join("exe")).is_ok_and(|exe| exe == program)
+    };
     let processes = std::fs::read_dir("/proc").ok()?.flatten();
     let holds = |process: &Path| {
         let files = std::fs::read_dir(process.join("fd")).into_iter().flatten().flatten();
@@ -190,7 +199,7 @@ fn holder(folder: &Path) -> Option<Pid> {
     processes
         .filter_map(|process| {
             let pid = Pid::from_raw(process.file_name().to_str()?.parse().ok()?)?;
-            holds(&process.path()).then_some(pid)
+            (is_scheduler(pid, &process.path()) && holds(&process.path())).then_some(pid)
         })
         .next()
 }

@@ -20,8 +20,8 @@ pub(crate) enum Link {
     /// It stands, and the robot behind it has not said yet which one it is: nothing but that question is sent, and stops.
     /// `unheard` as below.
     Unnamed { since: Timestamp<Server>, unheard: Option<Lost> },
-    /// It stands, and the robot behind it is the one that is meant. `unheard` is how it was lost before, until something is heard on it again: a link that is taken and closed
-    /// again and again is as good as none.
+    /// It stands, and the robot behind it is the one that is meant. `unheard` is how it was lost before, until
+    /// something is heard on it again: a link that is taken and closed again and again is as good as none.
     Up { unheard: Option<Lost> },
     /// It broke, or could not be made.
     Lost(Lost),

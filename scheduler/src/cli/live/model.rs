@@ -180,7 +180,7 @@ impl Model {
                     decided.committed = true;
                 }
             }
-            Progress::ActEnded { act } => self.ended(at, act),
+            Progress::ActEnded { act } | Progress::ActSkipped { act, .. } => self.ended(at, act),
             Progress::Stopping { reason } => {
                 self.phase = Phase::Stopping(shown(reason).into_owned());
                 self.acts.retain(|act| !act.is_waiting());

@@ -9,7 +9,7 @@ use urrcp::{RobotId, Server, Span, Timestamp};
 
 use super::frame::{Frame, Help};
 use super::model::Model;
-use crate::mission::{Failure, FailureKind, Progress};
+use crate::mission::{ActFate, Failure, FailureKind, Progress};
 
 const SECOND: Span = Span::from_millis(1_000);
 
@@ -107,6 +107,17 @@ fn a_wait_shows_what_the_sensor_reads_and_the_time_that_is_left() {
     model.tell(at(45_000), &Progress::ActEnded { act: "arrival".to_owned() });
     model.tell(at(46_000), &Progress::Reading { act: "bow".to_owned(), value: Some(1.25) });
     check(&drawn(&model, 48_000, 100, 24), &["waiting", "it reads 1.25; 17.0 s left, then the end"]);
+}
+
+#[test]
+fn an_act_that_is_skipped_is_not_shown_as_waiting_any_more() {
+    let mut model = meeting();
+    let awaits = "the operator's go".to_owned();
+    model.tell(at(1_000), &Progress::Waiting { act: "arrival".to_owned(), awaits });
+    check(&drawn(&model, 2_000, 100, 24), &["the operator's go"]);
+    model.tell(at(3_000), &Progress::ActSkipped { act: "arrival".to_owned(), fate: ActFate::NobodyLeft });
+    let text = drawn(&model, 4_000, 100, 24);
+    assert!(!text.contains("the operator's go"), "{text}");
 }
 
 #[test]
