@@ -139,7 +139,7 @@ pub enum Exit {
     Usage = 2,
     /// Stopped by the operator and confirmed by all.
     Stopped = 3,
-    /// Somebody's stop is not confirmed.
+    /// The stop of some robots is not confirmed.
     Unconfirmed = 4,
     /// Done, without robots that failed on the way, or without acts whose wait ran out.
     DoneWithout = 5,
