@@ -1,6 +1,6 @@
 //! What `downbeat check` prints, whole, for each scenario in `tests/diagnostics/`: the text beside it in a file of the same
 //! name. The fleet is `fleet.yaml`, or the file of the same name in `fleets/`. With `DOWNBEAT_BLESS=1` the texts are written
-//! anew; then read every change as a user would.
+//! again; then read every change as a user would.
 
 use std::path::PathBuf;
 use std::process::Command;

@@ -333,7 +333,7 @@ fn a_go_ahead_of_its_act_is_refused_and_one_that_counts_says_which_act_begins() 
 }
 
 #[test]
-fn whoever_looks_at_missions_or_locks_their_journals_keeps_no_stop_from_them() {
+fn looking_at_missions_or_locking_their_journals_keeps_no_stop_from_them() {
     let stage = cut_off(2);
     let folder = std::fs::read_dir(stage.path("state")).unwrap().next().unwrap().unwrap().path();
     let foreign = std::fs::File::open(folder.join("journal")).unwrap();

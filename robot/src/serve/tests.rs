@@ -214,7 +214,7 @@ async fn a_stop_is_obeyed_however_many_are_connected() {
 }
 
 #[tokio::test]
-async fn who_has_long_been_silent_makes_room_for_somebody_who_waits() {
+async fn a_peer_that_has_long_been_silent_makes_room_for_one_that_waits() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();

@@ -1,8 +1,9 @@
 //! The command line: one file a subcommand. The only room that prints.
 //!
 //! Exit codes: 0 done; 1 findings, or the mission failed or did not start; 2 usage or unreadable input; 3 stopped by the
-//! operator, every robot confirmed; 4 ended with robots whose stop is not confirmed; 5 done without robots that failed; 6
-//! played to its end, but not as promised or not known; 7 done, but standard output or the recording could not be written.
+//! operator, every robot confirmed; 4 ended with robots whose stop is not confirmed; 5 done without robots that failed,
+//! or without acts whose wait ran out; 6 played to its end, but not as promised or not known; 7 done, but standard output or
+//! the recording could not be written.
 
 mod check;
 mod choice;
@@ -52,7 +53,7 @@ Exit codes:
   2  usage, or input that cannot be read
   3  stopped by the operator, every robot confirmed it
   4  ended with robots whose stop is not confirmed
-  5  done, without robots that failed on the way
+  5  done, without robots that failed on the way, or without acts whose wait ran out
   6  played to its end, but not as promised, or not known
   7  done, but standard output or the recording could not be written
 
@@ -138,7 +139,7 @@ pub enum Exit {
     Usage = 2,
     /// Stopped by the operator and confirmed by all.
     Stopped = 3,
-    /// Somebody's stop is not confirmed.
+    /// The stop of some robots is not confirmed.
     Unconfirmed = 4,
     /// Done, without robots that failed on the way, or without acts whose wait ran out.
     DoneWithout = 5,

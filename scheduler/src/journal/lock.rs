@@ -1,5 +1,5 @@
 //! The lock of a journal: it tells whether its scheduler lives, and it can be asked for without being taken. A lock that
-//! whoever asks had to take for a moment would now and then keep a stop from the journal, and so would any other program
+//! had to be taken for a moment to ask for it would now and then keep a stop from the journal, and so would any other program
 //! that locks the file by `flock`, which this lock does not know.
 
 use std::fs::File;

@@ -114,7 +114,7 @@ fn whether_a_mission_lives_is_told_by_its_lock_and_whether_it_has_ended_by_its_l
     assert_eq!(life(folder.path()), Life::CutOff);
     let held = Journal::open(folder.path()).unwrap();
     assert_eq!(life(folder.path()), Life::Running);
-    assert!(Journal::open(folder.path()).is_err(), "whoever looks does not break the lock");
+    assert!(Journal::open(folder.path()).is_err(), "looking does not break the lock");
     drop(held);
     end(folder.path());
     assert_eq!(life(folder.path()), Life::Ended);

@@ -47,7 +47,7 @@ pub enum Claim {
         planned: u32,
     },
     /// A start before the script was sent.
-    #[error("started at {claimed} by its clock, {by} before the script was sent")]
+    #[error("started {by} before the script was sent")]
     BeforeSent {
         /// What it says.
         claimed: Timestamp<Robot>,
@@ -63,7 +63,7 @@ pub enum Claim {
         by: Span,
     },
     /// Something that has not happened yet.
-    #[error("{claimed} by its clock as the time of what it reports, {by} after it can have been")]
+    #[error("the time of what it reports is {by} after it can have been")]
     Ahead {
         /// What it says.
         claimed: Timestamp<Robot>,

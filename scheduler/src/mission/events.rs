@@ -13,7 +13,7 @@ use crate::server_clock::NtpState;
 pub enum Event {
     /// A link stands.
     LinkUp {
-        /// Whose.
+        /// Index of the robot.
         robot: usize,
     },
     /// A link broke or could not be made.
@@ -29,7 +29,7 @@ pub enum Event {
     Received {
         /// From whom.
         robot: usize,
-        /// What.
+        /// The message.
         message: Message,
     },
     /// Bytes arrived that are no message.
@@ -79,7 +79,7 @@ pub enum Action {
     Send {
         /// To whom.
         robot: usize,
-        /// What.
+        /// The message.
         message: Message,
         /// Ahead of everything that waits to be sent.
         urgent: bool,
@@ -119,7 +119,7 @@ pub enum Progress {
     },
     /// An act waits for its condition.
     Waiting {
-        /// Which.
+        /// Which act.
         act: String,
         /// For what, for people.
         awaits: String,
@@ -142,7 +142,7 @@ pub enum Progress {
     },
     /// A robot has accepted all its scripts.
     Accepted {
-        /// Which.
+        /// Which robot.
         robot: RobotId,
     },
     /// All have accepted: the act starts, unless a lease cannot be carried over the start.
@@ -178,7 +178,7 @@ pub enum Progress {
     },
     /// What a robot says of itself while it plays, at most once a second.
     Heard {
-        /// Which.
+        /// Which robot.
         robot: RobotId,
         /// Steps of the act under way that it has executed.
         steps_done: u64,
@@ -195,46 +195,46 @@ pub enum Progress {
     },
     /// A robot has confirmed its stop on every device.
     AtRest {
-        /// Which.
+        /// Which robot.
         robot: RobotId,
     },
     /// A robot has ended all its scripts of an act.
     Finished {
-        /// Which.
+        /// Which robot.
         robot: RobotId,
     },
     /// An act is not played, and the mission goes on.
     ActSkipped {
-        /// Which.
+        /// Which act.
         act: String,
-        /// Why.
+        /// Why it is not played.
         #[serde(flatten)]
         fate: ActFate,
     },
     /// An act has ended.
     ActEnded {
-        /// Which.
+        /// Which act.
         act: String,
     },
     /// Something failed.
     Failed(Failure),
     /// The link to a robot broke in mid-mission; it goes on by its script.
     LinkLost {
-        /// Which.
+        /// Which robot.
         robot: RobotId,
-        /// Why.
+        /// Why the link broke, for people.
         reason: String,
         /// When it is given up; `None` where it holds nothing that could still move it.
         until: Option<Timestamp<Server>>,
     },
     /// A robot is back.
     Reattached {
-        /// Which.
+        /// Which robot.
         robot: RobotId,
     },
     /// A robot is left out from here on.
     Dropped {
-        /// Which.
+        /// Which robot.
         robot: RobotId,
     },
     /// The NTP server answers no more: this machine's clock goes on by itself.
@@ -250,12 +250,12 @@ pub enum Progress {
     },
     /// The journal cannot be written: everything is stopped.
     JournalLost {
-        /// Why.
+        /// Why it cannot be written, for people.
         reason: String,
     },
     /// Stop requests are on their way.
     Stopping {
-        /// Why.
+        /// Why all are stopped, for people.
         reason: String,
     },
 }
@@ -263,9 +263,9 @@ pub enum Progress {
 /// A reading that the scenario asked for.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct TakenReading {
-    /// Whose.
+    /// The sensor's robot.
     pub robot: RobotId,
-    /// Which.
+    /// Which sensor.
     pub sensor: DeviceId,
     /// When it was asked for, from the act's start.
     #[serde(rename = "at_ms")]

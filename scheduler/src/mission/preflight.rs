@@ -83,6 +83,9 @@ pub struct PreflightRow {
     pub robot: RobotId,
     /// In the order of [`Check::ALL`].
     pub checks: Vec<(Check, Verdict)>,
+    /// Its clock's offset, robot minus server, where it is known. Machines read it of the robot itself.
+    #[serde(skip)]
+    pub clock_offset: Option<Span>,
     /// What its sensors read, and where its devices stand.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub readings: Vec<DeviceReading>,
@@ -116,7 +119,8 @@ pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
     let row = |index: usize| {
         let robot = mission.robots[index].id.clone();
         let checks = Check::ALL.map(|check| (check, verdict(mission, index, check, now)));
-        PreflightRow { robot, checks: checks.to_vec(), readings: readings(mission, index) }
+        let clock_offset = mission.robots[index].clock_at(now).map(|reading| reading.offset);
+        PreflightRow { robot, checks: checks.to_vec(), clock_offset, readings: readings(mission, index) }
     };
     Preflight { greeting: mission.options.greeting, rows: (0..mission.robots.len()).map(row).collect() }
 }

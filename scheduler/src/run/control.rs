@@ -1,8 +1,8 @@
 //! A mission's socket: other terminals say `go` or `stop` and hear what became of it. A line of text each way.
 //!
-//! The mission says `ready` to whoever connects. `go`, or `go ACT`, is answered by `started ACT` or `refused: REASON`. `stop`
+//! The mission says `ready` on every connection. `go`, or `go ACT`, is answered by `started ACT` or `refused: REASON`. `stop`
 //! is answered by `heard` once the mission has taken it, by `alive` four times a second as long as it stops, and in the end
-//! by its report, a line of JSON. So whoever says something knows within a second whether anybody listens.
+//! by its report, a line of JSON. So the one who says something knows within a second whether the mission listens.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -24,7 +24,7 @@ const LINE_MAX: u64 = 4_096;
 const SILENCE_MAX: Duration = Duration::from_secs(1);
 /// How often a mission that stops says that it is alive.
 const ALIVE_EVERY: Duration = Duration::from_millis(250);
-/// A mission whose loop has not turned for so long while it stops is given up: whoever said stop asks the robots then.
+/// A mission whose loop has not turned for so long while it stops is given up: the one who said stop asks the robots then.
 const STANDS_STILL: Duration = Duration::from_secs(2);
 /// How often it is looked whether the mission has taken a word.
 const TAKEN_RETRY: Duration = Duration::from_millis(2);
@@ -51,7 +51,7 @@ impl Control {
     /// The socket cannot be made, as where its path is too long.
     pub fn listen(folder: &Path, lane: &StopLane) -> io::Result<Self> {
         let path = socket(folder);
-        // Left behind by a process that was killed: whoever holds the journal's lock owns the folder.
+        // Left behind by a process that was killed: the process that holds the journal's lock owns the folder.
         let _absent = std::fs::remove_file(&path);
         // In the lane: nothing that stands still elsewhere keeps a stop from being heard.
         let _in_the_lane = lane.runtime().enter();
@@ -64,7 +64,7 @@ impl Control {
                 let (reader, writer) = stream.into_split();
                 let listener = Listener { writer, voice: voice.clone(), report: reported.clone() };
                 let telling = telling.clone();
-                // Ends when the mission does, or whoever speaks.
+                // Ends with the mission, or with the other process.
                 tokio::spawn(async move {
                     let _gone = listener.converse(reader).await;
                     drop(telling);

@@ -7,7 +7,7 @@ use downbeat_scripts::shown::{shown, within};
 use downbeat_scripts::{Choreography, Wait};
 use urrcp::{RobotId, Server, Span, Timestamp};
 
-use crate::mission::{Check, Preflight, Progress, Verdict};
+use crate::mission::{Preflight, Progress};
 
 /// Columns of a robot's last word that are kept.
 const WORD_MAX: usize = 120;
@@ -252,11 +252,9 @@ impl Model {
     fn greeted(&mut self, preflight: &Preflight) {
         self.phase = Phase::Performing;
         for checked in &preflight.rows {
-            let clock = checked.checks.iter().find(|(check, _)| *check == Check::Clock);
             let Some(row) = self.row(&checked.robot) else { continue };
-            if let Some((_, Verdict::Pass(seen))) = clock {
-                row.clock =
-                    seen.split(" +-").next().map(|offset| shown(offset).into_owned()).unwrap_or_default();
+            if let Some(offset) = checked.clock_offset {
+                row.clock = millis(offset);
             }
             row.be(RobotState::Ready);
         }

@@ -1,5 +1,6 @@
 //! The terminal while the display is on: keys without Enter and without an echo. Ctrl-C and Ctrl-Z stay the terminal's own,
-//! so that they work whatever this process does. The settings are restored on every way out of the process.
+//! so that they work whatever this process does. The settings are restored on every way out of the process but SIGKILL and the
+//! end of a process that something keeps after a second Ctrl-C.
 
 use std::io::IsTerminal;
 use std::sync::{Mutex, Once, PoisonError};
@@ -34,7 +35,7 @@ fn is_in_foreground() -> bool {
     rustix::termios::tcgetpgrp(stdin()).is_ok_and(|group| group == rustix::process::getpgrp())
 }
 
-/// Whether somebody may type.
+/// Whether there is a keyboard.
 pub(super) fn has_keys() -> bool {
     std::io::stdin().is_terminal()
 }
@@ -87,7 +88,7 @@ pub(super) fn next_keys() -> Option<Vec<u8>> {
         }
         let controlled = rustix::termios::tcgetsid(stdin()).is_ok();
         if controlled && !is_in_foreground() {
-            // Somebody types into another program.
+            // What is typed is for another program.
             let pause = rustix::event::Timespec { tv_sec: 0, tv_nsec: 200_000_000 };
             let _interrupted = rustix::event::poll(&mut [], Some(&pause));
             continue;

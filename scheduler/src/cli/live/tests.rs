@@ -9,7 +9,9 @@ use urrcp::{RobotId, Server, Span, Timestamp};
 
 use super::frame::{Frame, Help};
 use super::model::Model;
-use crate::mission::{ActFate, Failure, FailureKind, Progress};
+use crate::mission::{
+    ActFate, Check, Failure, FailureKind, Greeting, Preflight, PreflightRow, Progress, Verdict,
+};
 
 const SECOND: Span = Span::from_millis(1_000);
 
@@ -61,6 +63,22 @@ fn decided(model: &mut Model) {
         doubt: Span::from_millis(50),
     };
     model.tell(at(1_000), &progress);
+}
+
+#[test]
+fn a_robot_that_is_greeted_shows_its_clock_s_offset_as_it_does_later() {
+    let mut model = meeting();
+    let row = PreflightRow {
+        robot: robot("arm-1"),
+        checks: vec![(Check::Clock, Verdict::Pass("1.25 ±0.30 ms, measured".to_owned()))],
+        clock_offset: Some(Span::from_nanos(1_250_000)),
+        readings: Vec::new(),
+    };
+    let preflight = Preflight { greeting: Greeting::Full, rows: vec![row] };
+    model.tell(at(10), &Progress::Greeted { clock_offset_max: None, preflight });
+    let text = drawn(&model, 20, 100, 20);
+    check(&text, &["ready", "+1.25 ms"]);
+    assert!(!text.contains('±'), "{text}");
 }
 
 #[test]

@@ -6,6 +6,7 @@ use urrcp::{Server, Span, Timestamp};
 use super::{Act, ActAction, Stage, act_name};
 use crate::mission::robot_state::{Reading, RobotState};
 use crate::mission::{MissionOptions, Progress};
+use crate::report::local::time_of_day_at;
 
 /// Between two readings of a sensor that an act waits for.
 const POLL: Span = Span::from_millis(100);
@@ -118,7 +119,7 @@ impl Act {
         waiting.announced = true;
         let written = self.written();
         let awaits = match (fixed, &written.wait) {
-            (Some(at), _) => format!("{at}"),
+            (Some(at), _) => time_of_day_at(at, options.utc_offset),
             (None, Wait::Operator) => "the operator's go".to_owned(),
             (None, Wait::Sensor { robot, sensor, range }) => format!("`{robot}/{sensor}` {range}"),
             (None, _) => return None,
@@ -156,5 +157,6 @@ mod tests {
         assert_eq!(next_time_of_day(from, hour * 13, offset), from + hour);
         assert_eq!(next_time_of_day(from, hour * 12, offset), from);
         assert_eq!(next_time_of_day(from, hour * 11, offset), from + hour * 23);
+        assert_eq!(time_of_day_at(from, offset), "12:00:00.000");
     }
 }

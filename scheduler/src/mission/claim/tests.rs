@@ -67,9 +67,12 @@ fn steps_that_are_done_stay_done_but_an_older_answer_may_come_later() {
 
 #[test]
 fn a_start_lies_between_the_sending_and_its_report() {
-    check(told(Status::Started, 902, Some(-50), None, None), "before the script was sent");
+    check(told(Status::Started, 902, Some(-50), None, None), "started 125 ms before the script was sent");
     holds(told(Status::Started, 902, Some(90), None, None));
-    check(told(Status::Started, 902, Some(1_100), None, None), "after it can have been");
+    check(
+        told(Status::Started, 902, Some(1_100), None, None),
+        "the time of what it reports is 73 ms after it can have been",
+    );
     check(told(Status::Started, 700, Some(790), None, None), "started 125 ms before it can have");
     holds(told(Status::Started, 840, Some(930), None, None));
 }
