@@ -9,7 +9,7 @@ use ratatui::text::{Line, Span as Piece};
 use ratatui::widgets::{Cell, Row as TableRow, Table, Widget};
 use urrcp::{Server, Span, Timestamp};
 
-use super::model::{Decided, Model, Phase, RobotState, Row, ShownAct, Stage};
+use super::model::{Confirmed, Decided, Model, Phase, RobotState, Row, ShownAct, Stage};
 use crate::report::local::{seconds_of_day, time_of_day};
 
 const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
@@ -178,10 +178,14 @@ fn act_lines(model: &Model, now: Timestamp<Server>, columns: usize) -> Vec<Line<
     let mut lines = Vec::new();
     if let Phase::Stopping(reason) = &model.phase {
         lines.push(Line::from(vec![Piece::styled("reason  ", DIM), Piece::raw(reason.clone())]));
-        let left = model.rows.iter().filter(|row| row.state == RobotState::Stopping).count();
-        let text = match left {
-            0 => "every robot that was moving has confirmed, or has failed".to_owned(),
-            left => format!("{} without a confirmation yet", downbeat_scripts::counted(left, "robot")),
+        let failed = |row: &&Row| row.state == RobotState::Failed && row.stop == Confirmed::NotYet;
+        let left = model.rows.iter().filter(|row| row.state == RobotState::Stopping || failed(row)).count();
+        let text = match (left, model.rows.iter().find(failed)) {
+            (0, _) => "every robot that was moving has confirmed".to_owned(),
+            (1, Some(row)) => {
+                format!("{} has failed and has confirmed nothing: it may still move", row.robot)
+            }
+            (left, _) => format!("{} without a confirmation yet", downbeat_scripts::counted(left, "robot")),
         };
         lines.push(Line::from(vec![Piece::styled("stop    ", DIM), Piece::raw(text)]));
         return lines;
@@ -324,7 +328,7 @@ fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
         return vec![
             Line::raw("g or Enter  go: the act begins that waits for the operator"),
             Line::raw("s or Ctrl-C stop: every robot returns to its default state"),
-            Line::raw("Ctrl-C      again: leave at once, without waiting for confirmations"),
+            Line::raw("Ctrl-C      twice: leave at once, without waiting for confirmations"),
             Line::raw("~3/5        steps by the plan; without ~ as the robot says"),
             Line::raw("?           hide this help"),
         ];
@@ -338,7 +342,7 @@ fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
         key("g", "go", YELLOW);
     }
     match model.phase {
-        Phase::Stopping(_) => key("Ctrl-C", "leave at once", Style::new()),
+        Phase::Stopping(_) => key("Ctrl-C twice", "leave at once", Style::new()),
         _ => key("s", "stop", Style::new()),
     }
     key("?", "help", Style::new());

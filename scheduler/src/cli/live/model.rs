@@ -83,6 +83,15 @@ pub(super) struct Row {
     pub(super) plays: (Span, Span),
     pub(super) clock: String,
     pub(super) word: String,
+    /// Its stop was confirmed, also after it had failed.
+    pub(super) stop: Confirmed,
+}
+
+/// Whether a robot has confirmed its stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Confirmed {
+    NotYet,
+    Yes,
 }
 
 /// What a robot does, the worst first.
@@ -138,6 +147,7 @@ impl Model {
             plays: (Span::ZERO, Span::ZERO),
             clock: "-".to_owned(),
             word: String::new(),
+            stop: Confirmed::NotYet,
         };
         Self {
             choreography,
@@ -213,6 +223,9 @@ impl Model {
                 self.say(robot, RobotState::Ended, "ended all");
             }
             Progress::AtRest { robot } => {
+                if let Some(row) = self.row(robot) {
+                    row.stop = Confirmed::Yes;
+                }
                 // Why it failed is worth more than that it has come to rest.
                 match self.row(robot).filter(|row| row.state.is_out()) {
                     Some(row) => row.word = format!("at rest; {}", row.word),
