@@ -271,6 +271,7 @@ impl Work<'_> {
                 pid: std::process::id(),
                 scenario: absolute(&self.scenario.scenario),
                 fleet: absolute(fleet_path),
+                folder: std::env::current_dir().ok(),
                 asked: self.asked.clone(),
                 greeting: fleet::greeting(fleet),
                 clock_offset: clock.offset(),

@@ -1,6 +1,6 @@
 //! Takes back what a mission left on its robots, by its journal alone: files may have changed since it began.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use downbeat_robot::HostOptions;
@@ -13,7 +13,7 @@ use super::live::Live;
 use super::run::{listen, stop_lane, utc_offset};
 use super::{Format, console, robot};
 use crate::fleet;
-use crate::journal::{FileDisk, Found, Journal, Kept, Left, OpenedRobot, Torn, read};
+use crate::journal::{FileDisk, Found, Journal, Kept, Left, Opened, OpenedRobot, Torn, read};
 use crate::mission::{Mission, MissionOptions, Record};
 use crate::report::{Report, StopState};
 use crate::run::{Keep, Operator};
@@ -179,7 +179,7 @@ async fn withdraw_as(
     (lane, operator): (StopLane, mpsc::Receiver<Operator>),
 ) -> Result<Withdrawn, String> {
     let left = kept.left();
-    let (robots, inside) = robots_of(&kept.opened.robots, &left, how.scheduler);
+    let (robots, inside) = robots_of(&kept.opened, &left, how.scheduler);
     let robots: Vec<&FleetRobot> = robots.iter().collect();
     let clock = ServerClock::anchored(kept.opened.clock_offset);
     let options = MissionOptions {
@@ -201,9 +201,9 @@ async fn withdraw_as(
 }
 
 /// The robots of a journal as far as this process can reach them, and the others.
-fn robots_of(opened: &[OpenedRobot], left: &Left, scheduler: Scheduler) -> (Vec<FleetRobot>, Vec<Inside>) {
+fn robots_of(mission: &Opened, left: &Left, scheduler: Scheduler) -> (Vec<FleetRobot>, Vec<Inside>) {
     let (mut reached, mut inside) = (Vec::new(), Vec::new());
-    for opened in opened {
+    for opened in &mission.robots {
         let what = match (opened.address.parse(), scheduler) {
             (Ok(address @ Address::Tcp { .. }), _) => {
                 reached.push(fleet_robot(opened, address));
@@ -212,7 +212,7 @@ fn robots_of(opened: &[OpenedRobot], left: &Left, scheduler: Scheduler) -> (Vec<
             (Ok(address @ (Address::Thrift { .. } | Address::Program { .. })), Scheduler::Gone)
                 if opened.init.is_some() =>
             {
-                reached.push(fleet_robot(opened, address));
+                reached.push(fleet_robot(opened, started_in(mission.folder.as_deref(), address)));
                 continue;
             }
             (Ok(Address::Simulated), _) => InsideWhat::Simulated,
@@ -222,6 +222,17 @@ fn robots_of(opened: &[OpenedRobot], left: &Left, scheduler: Scheduler) -> (Vec<
         inside.push(Inside { robot: opened.robot.clone(), what });
     }
     (reached, inside)
+}
+
+/// A program that drives a robot is started in the folder in which its mission was: its command may name files there.
+fn started_in(folder: Option<&Path>, address: Address) -> Address {
+    match (folder.and_then(Path::to_str), address) {
+        (Some(folder), Address::Program { command }) => {
+            let quoted = folder.replace('\'', r"'\''");
+            Address::Program { command: format!("cd -- '{quoted}' || exit\n{command}") }
+        }
+        (_, address) => address,
+    }
 }
 
 /// As much of it as a stop needs. Every robot understands JSON.

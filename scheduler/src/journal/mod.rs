@@ -32,6 +32,9 @@ pub struct Opened {
     pub scenario: PathBuf,
     /// The fleet file.
     pub fleet: PathBuf,
+    /// The working directory, where programs that drive robots are started; `None` in journals of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub folder: Option<PathBuf>,
     /// What was asked for besides.
     pub asked: Asked,
     /// Whether robots are asked who they are.

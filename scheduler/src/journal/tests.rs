@@ -11,6 +11,7 @@ fn opened() -> Opened {
         pid: 1,
         scenario: "s.yaml".into(),
         fleet: "fleet.yaml".into(),
+        folder: Some("/show".into()),
         asked: Asked { speed: Some(0.5), ..Asked::default() },
         greeting: Greeting::Full,
         clock_offset: Span::from_millis(3),

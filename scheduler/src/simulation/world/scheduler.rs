@@ -58,6 +58,7 @@ impl Scheduler {
             pid: 0,
             scenario: "soak".into(),
             fleet: "soak".into(),
+            folder: None,
             asked: Asked::default(),
             greeting: Greeting::Full,
             clock_offset: Span::ZERO,
