@@ -66,14 +66,13 @@ fn a_full_pipe_behind_standard_output_holds_up_no_mission() {
 }
 
 #[test]
-fn lines_that_nobody_read_are_counted_once_somebody_reads_again() {
+fn lines_that_nobody_read_are_whole_once_the_output_is_read_again() {
     let stage = stage();
     let (reader, writer) = full_pipe();
     let mut command = stage.command(&["run", "play.yaml", "--patience", "2s", "--log", "trace"]);
     let mut scheduler = Process(command.stdout(Stdio::null()).stderr(writer).spawn().unwrap());
     // It holds the pipe open as well.
     drop(command);
-    // Several messages a step and a robot are logged: more than can wait.
     stage.robots[0].await_sets(5, SOON);
     let text = std::thread::spawn(move || std::io::read_to_string(reader).unwrap());
     scheduler.signal(Signal::INT);

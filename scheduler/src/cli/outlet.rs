@@ -274,3 +274,21 @@ pub(super) fn write_all(stream: Stream, mut bytes: &[u8]) -> io::Result<()> {
     }
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lines_that_find_no_room_are_counted_in_their_place() {
+        // Without its thread: nothing is read.
+        let outlet = Outlet(Arc::default());
+        let offer = |lines| (0..lines).for_each(|_| outlet.offer(Stream::Stderr, "line\n".to_owned()));
+        offer(WAITING_MAX + 7);
+        assert_eq!(std::mem::take(&mut outlet.0.lock().entries).len(), WAITING_MAX);
+        offer(2);
+        let queue = outlet.0.lock();
+        let entries: Vec<_> = queue.entries.iter().collect();
+        assert!(matches!(entries[..], [Entry::Dropped(7), Entry::Text(..), Entry::Text(..)]));
+    }
+}

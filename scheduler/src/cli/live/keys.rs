@@ -1,6 +1,7 @@
 //! The operator's keys, and Ctrl-Z.
 
 use std::sync::{Arc, Mutex, PoisonError};
+use std::thread::JoinHandle;
 use std::time::Duration;
 
 use rustix::process::{Signal, getpid, kill_process};
@@ -40,29 +41,35 @@ impl Key {
 pub(in crate::cli) struct Speaker {
     voice: Voice,
     lane: Handle,
+    /// Waits for the answer to the last go.
+    asking: Option<JoinHandle<()>>,
 }
 
 impl Speaker {
     /// Speaks by this lane.
     pub(in crate::cli) fn of(lane: &StopLane) -> Self {
-        Self { voice: lane.voice(), lane: lane.runtime().clone() }
+        Self { voice: lane.voice(), lane: lane.runtime().clone(), asking: None }
     }
 
-    /// Says go and shows why it does not count, if so. `false`: the mission is over.
-    fn go(&self) -> bool {
-        let (answer, answered) = oneshot::channel();
-        if self.lane.block_on(self.voice.say(Operator::Go { act: None, answer })).is_err() {
-            return false;
+    /// Says go, and shows why it does not count, if so. The answer is awaited elsewhere: a mission that stands still gives none,
+    /// and the next key may be a stop.
+    fn go(&mut self) {
+        if self.asking.as_ref().is_some_and(|asking| !asking.is_finished()) {
+            return;
         }
-        if let Ok(Err(reason)) = answered.blocking_recv() {
-            console::note(&format!("no go: {reason}"));
-        }
-        true
+        let (voice, lane) = (self.voice.clone(), self.lane.clone());
+        self.asking = Some(std::thread::spawn(move || {
+            let (answer, answered) = oneshot::channel();
+            let _over = lane.block_on(voice.say(Operator::Go { act: None, answer }));
+            if let Ok(Err(reason)) = answered.blocking_recv() {
+                console::note(&format!("no go: {reason}"));
+            }
+        }));
     }
 }
 
 /// Single keys under the display. The thread ends with the process.
-pub(super) fn listen(scene: Arc<Mutex<Scene>>, speaker: Speaker) {
+pub(super) fn listen(scene: Arc<Mutex<Scene>>, mut speaker: Speaker) {
     if !terminal::has_keys() {
         return;
     }
@@ -76,7 +83,7 @@ pub(super) fn listen(scene: Arc<Mutex<Scene>>, speaker: Speaker) {
             }
             for key in bytes.into_iter().filter_map(Key::of) {
                 match key {
-                    Key::Go => drop(speaker.go()),
+                    Key::Go => speaker.go(),
                     // Once: a second Ctrl-C would leave at once.
                     Key::Stop if stopped => {}
                     Key::Stop => {
@@ -91,15 +98,13 @@ pub(super) fn listen(scene: Arc<Mutex<Scene>>, speaker: Speaker) {
 }
 
 /// Lines where there is no display: Enter is the operator's go. The thread ends with the process.
-pub(super) fn listen_to_lines(speaker: Speaker) {
+pub(super) fn listen_to_lines(mut speaker: Speaker) {
     if !terminal::has_keys() {
         return;
     }
     std::thread::spawn(move || {
         while terminal::next_keys().is_some() {
-            if !speaker.go() {
-                return;
-            }
+            speaker.go();
         }
     });
 }
@@ -154,6 +159,23 @@ fn come_back(scene: &Arc<Mutex<Scene>>) {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::signals::OnHangUp;
+
+    #[test]
+    fn a_mission_that_answers_no_go_keeps_no_later_key_waiting() {
+        let (lane, mut operator) = StopLane::start(OnHangUp::End).unwrap();
+        let mut speaker = Speaker::of(&lane);
+        speaker.go();
+        let said = operator.blocking_recv();
+        let Some(Operator::Go { answer, .. }) = said else { panic!("{said:?}") };
+        // Pressed again: it waits for the same answer.
+        speaker.go();
+        assert!(operator.try_recv().is_err());
+        answer.send(Ok("one".to_owned())).unwrap();
+        speaker.asking.take().unwrap().join().unwrap();
+        speaker.go();
+        assert!(matches!(operator.blocking_recv(), Some(Operator::Go { .. })));
+    }
 
     #[test]
     fn keys_that_mean_nothing_are_passed_over() {
