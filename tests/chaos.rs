@@ -29,7 +29,7 @@ devices:
       script: {min_value: 0, max_value: 90, granularity: 0.5, max_number_of_steps: 8}
 ";
 const SCENARIO: &str = "scenario: chaos
-start_tolerance: 100ms
+start_tolerance: 1s
 stop_condition: {running: 700ms}
 cues:
   - {at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 10}, {at: 400ms, to: 20}, {at: 800ms, to: 30}, {at: 1200ms, to: 40}]}}

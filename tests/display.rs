@@ -10,6 +10,7 @@ use crate::session::Session;
 use crate::terminal::{Terminal, Watched};
 
 const ACTS: &str = "scenario: evening
+start_tolerance: 1s
 acts:
   - act: opening
     cues:

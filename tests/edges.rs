@@ -229,7 +229,7 @@ fn await_that(what: &str, holds: impl Fn() -> bool) {
 const LEAD: &str = "3s";
 
 const SCENARIO: &str = "scenario: tanks
-start_tolerance: 60ms
+start_tolerance: 1s
 cues:
   - at: 0s
     robots: tanks
@@ -474,7 +474,7 @@ fn a_shell_script_drives_a_robot_and_is_restarted_when_it_dies() {
     let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
     await_that("the default state", || driven().lines().count() >= 3);
     session.run(&["run", "tanks.yaml", "--lead", LEAD]).says(0, &["done"]);
-    session.file("tanks.yaml", "scenario: fatal\ncues: [{at: 0s, robots: tanks, tracks: {left: [{at: 0s, to: 66}, {at: 60s, to: 0}]}}]\n");
+    session.file("tanks.yaml", "scenario: fatal\nstart_tolerance: 1s\ncues: [{at: 0s, robots: tanks, tracks: {left: [{at: 0s, to: 66}, {at: 60s, to: 0}]}}]\n");
     let ran = session.run(&["run", "tanks.yaml", "--lead", LEAD]);
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
     assert!(ran.text().contains("the program `sh drive.sh driven.txt` has ended"), "{}", ran.text());
@@ -491,7 +491,7 @@ fn a_program_that_a_killed_scheduler_drove_is_stopped_from_another_folder() {
     let session = session();
     session
         .file("drive.sh", DRIVE)
-        .file("tanks.yaml", "scenario: tanks\ncues: [{at: 0s, robots: tanks, tracks: {left: [{at: 0s, to: 40}, {at: 300ms, to: -20}, {at: 60s, to: 0}]}}]\n")
+        .file("tanks.yaml", "scenario: tanks\nstart_tolerance: 1s\ncues: [{at: 0s, robots: tanks, tracks: {left: [{at: 0s, to: 40}, {at: 300ms, to: -20}, {at: 60s, to: 0}]}}]\n")
         .file("fleet.yaml", "robots: {tank-1: {init: tank.json, address: 'program:sh drive.sh driven.txt'}}\ngroups: {tanks: [tank-1]}\n");
     let mut run = session.command(&["run", "tanks.yaml", "--lead", LEAD]);
     let mut running = run.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
@@ -537,6 +537,7 @@ devices:
 ";
 
 const TURN: &str = "scenario: turn
+start_tolerance: 1s
 stop_condition: {running: none}
 cues: [{at: 0s, robots: wheel, tracks: {wheel: {control: speed, keyframes: [{at: 0s, to: 5}, {at: 60s, to: 0}]}}}]
 ";

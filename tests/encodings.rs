@@ -10,7 +10,7 @@ use urrcp::{Decoder, Encoding, Message};
 use crate::session::{ARM, PROGRAM, Session};
 
 const SCENARIO: &str = "scenario: test
-start_tolerance: 60ms
+start_tolerance: 1s
 cues:
   - at: 0s
     robots: all

@@ -7,6 +7,7 @@ use crate::session::Session;
 use crate::terminal::{Terminal, Watched};
 
 const BOTH: &str = "scenario: both
+start_tolerance: 1s
 cues:
   - at: 0s
     robots: arms
@@ -183,7 +184,7 @@ fn evil_names() -> Session {
     let session = Session::new();
     session.file(
         "evil.yaml",
-        format!("scenario: {evil}\ncues:\n  - {{cue: {evil}, at: 0s, robots: arms, tracks: {{shoulder: [{{at: 1s, to: 45}}]}}}}\n"),
+        format!("scenario: {evil}\nstart_tolerance: 1s\ncues:\n  - {{cue: {evil}, at: 0s, robots: arms, tracks: {{shoulder: [{{at: 1s, to: 45}}]}}}}\n"),
     );
     session.file(
         "bad.yaml",

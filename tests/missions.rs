@@ -8,7 +8,7 @@ use crate::robots::{Process, Proxy};
 use crate::session::{Ran, Session};
 
 const TWO_ACTS: &str = "scenario: evening
-start_tolerance: 100ms
+start_tolerance: 1s
 acts:
   - act: opening
     cues:
@@ -199,7 +199,7 @@ fn on_tcp(session: &Session) -> Process {
 }
 
 const LONG: &str = "scenario: long
-start_tolerance: 100ms
+start_tolerance: 1s
 stop_condition: {running: 20s}
 cues:
   - cue: up

@@ -85,6 +85,7 @@ fn lines_that_nobody_read_are_whole_once_the_output_is_read_again() {
 }
 
 const SCENARIO: &str = "scenario: hello
+start_tolerance: 1s
 cues:
   - at: 0s
     robots: arms

@@ -7,7 +7,7 @@ use std::time::Duration;
 use crate::session::{ARM, PROGRAM, Session};
 
 const SCENARIO: &str = "scenario: test
-start_tolerance: 60ms
+start_tolerance: 1s
 cues:
   - at: 0s
     robots: all

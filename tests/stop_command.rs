@@ -9,7 +9,7 @@ use crate::robots::{Ended, Running, Stage, Via, one_device};
 
 /// Robots without a lease play this for half a minute, a step every 300 ms.
 const PLAYS: &str = "scenario: NAME
-start_tolerance: 200ms
+start_tolerance: 1s
 stop_condition: STOP
 cues:
   - cue: up
@@ -302,7 +302,7 @@ fn a_go_to_a_scheduler_that_stands_still_fails_and_does_not_count_later() {
 }
 
 const ACTS: &str = "scenario: acts
-start_tolerance: 200ms
+start_tolerance: 1s
 acts:
   - act: one
     cues:
