@@ -368,3 +368,83 @@ fn a_robot_of_whose_connections_all_are_taken_is_stopped() {
     assert_eq!(taken.len(), 40);
     all_rest(&stage);
 }
+
+/// The name of the only mission that was cut off.
+fn cut_off_name(stage: &Stage) -> String {
+    let missions = stage.run(&["missions", "--format", "json"]);
+    let missions: serde_json::Value = serde_json::from_str(&missions.out).unwrap();
+    let cut_off = |mission: &&serde_json::Value| mission["state"] == "cut off";
+    let found = missions.as_array().unwrap().iter().find(cut_off);
+    found.unwrap()["mission"].as_str().unwrap().to_owned()
+}
+
+/// A mission that was cut off, with its name, and one that drives its robot by now.
+fn taken_over() -> (Stage, String, Running) {
+    let stage = stage(1);
+    let old = plays("old", "all").replace("{running: none}", "{running: 1s}");
+    stage.file("old.yaml", old).file("new.yaml", plays("new", "all"));
+    let mut old = playing(&stage, &["run", "old.yaml"], &[0]);
+    old.process.kill();
+    let name = cut_off_name(&stage);
+    for _ in 0..20 {
+        // Until the lease has run out the robot belongs to the old one.
+        let mut new = stage.start(&["run", "new.yaml"]);
+        if new.line("every lease reaches over the start").is_some() {
+            let before = stage.robots[0].sets().len();
+            stage.robots[0].await_sets(before + 2, Duration::from_secs(20));
+            return (stage, name, new);
+        }
+        std::thread::sleep(Duration::from_millis(500));
+    }
+    panic!("the robot never gets free")
+}
+
+#[test]
+fn a_robot_that_another_mission_drives_by_now_holds_no_lease_of_the_one_that_was_cut_off() {
+    let (stage, old, new) = taken_over();
+    let stopped = stage.run(&["stop", &old, "--patience", "1s"]);
+    let taken = ["r0: not stopped: another mission drives it by now", "r0: belongs to session `new@"];
+    let taken = taken.map(|part| part.replace("r0: belongs", "`r0` belongs"));
+    says(&stopped, 4, &[&taken[0], &taken[1]]);
+    assert!(!stopped.out.contains("lease"), "{stopped}");
+    let stopped = stage.run(&["stop", &old, "--patience", "1s", "--format", "json"]);
+    let stop = &stopped.report()["robots"][0]["stop"];
+    assert_eq!((stopped.code, stop), (Some(4), &serde_json::json!({"state": "taken_over"})), "{stopped}");
+    let resumed = stage.run(&["resume", &old, "--patience", "1s"]);
+    assert_ne!(resumed.code, Some(0), "{resumed}");
+    says(&resumed, resumed.code.unwrap(), &["belongs to session `new@"]);
+    assert!(!format!("{}{}", resumed.out, resumed.told).contains("its lease ends"), "{resumed}");
+    // The other mission is left alone.
+    let before = stage.robots[0].sets().len();
+    stage.robots[0].await_sets(before + 3, Duration::from_secs(5));
+    says(&stage.run(&["stop"]), 0, &["r0: default state confirmed"]);
+    new.ended();
+    all_rest(&stage);
+}
+
+#[test]
+fn a_mission_whose_robot_an_unfinished_one_names_says_so_and_goes_on() {
+    let stage = stage(2);
+    stage.file("old.yaml", plays("old", "[r0]").replace("{running: none}", "{running: 1s}"));
+    for (name, robots) in [("new", "[r0]"), ("other", "[r1]")] {
+        let steps = plays(name, robots).replace(&steps(100, 300), &steps(4, 100));
+        stage.file(&format!("{name}.yaml"), steps);
+    }
+    let mut old = playing(&stage, &["run", "old.yaml"], &[0]);
+    old.process.kill();
+    let warning = format!("mission `{}` was cut off and has not ended; it drove `r0`", cut_off_name(&stage));
+    let other = stage.run(&["run", "other.yaml"]);
+    says(&other, 0, &["other: done"]);
+    assert!(!other.told.contains("was cut off"), "{other}");
+    // As soon as its lease has run out.
+    let mut new = stage.run(&["run", "new.yaml"]);
+    for _ in 0..20 {
+        assert_eq!(new.told.matches(&warning).count(), 1, "{new}");
+        if new.code == Some(0) {
+            return;
+        }
+        std::thread::sleep(Duration::from_millis(500));
+        new = stage.run(&["run", "new.yaml"]);
+    }
+    panic!("{new}")
+}

@@ -6,17 +6,17 @@ use std::sync::Arc;
 use downbeat_robot::HostOptions;
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Wait};
 use tokio::sync::mpsc;
-use urrcp::{Server, SessionId, Span, Timestamp};
+use urrcp::{RobotId, Server, SessionId, Span, Timestamp};
 
 use super::choice::{self, ChoiceArgs};
 use super::live::{Live, Speaker};
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console, detach, robot};
 use crate::fleet;
-use crate::journal::{self, Asked, Journal, Life, Missions, Opened, OpenedRobot};
+use crate::journal::{self, Asked, Found, Journal, Life, Missions, Opened, OpenedRobot};
 use crate::mission::{Join, Mission, MissionOptions};
 use crate::recording::{Recorder, Recording};
-use crate::report::{Outcome, Report, StopState, report_text};
+use crate::report::{Outcome, Report, report_text};
 use crate::run::control::Control;
 use crate::run::{Keep, Operator};
 use crate::server_clock::{self, NTP_WATCH_INTERVAL, NtpWatch, ServerClock};
@@ -231,7 +231,9 @@ impl Work<'_> {
         };
         let state = journal::state_folder();
         if !self.preflight_only {
-            taken_here(&state, &robots).map_err(failed)?;
+            let missions = Missions::of(&state).found;
+            warn_of_unfinished(&missions, &robots);
+            taken_here(&missions, &robots).map_err(failed)?;
         }
         let utc_offset = utc_offset();
         let options = MissionOptions {
@@ -402,21 +404,41 @@ pub(super) fn utc_offset() -> Span {
 
 /// Robots that a mission of this machine drives already, each by its name. Robots tell so themselves, too, also to
 /// schedulers on other machines.
-fn taken_here(state: &std::path::Path, robots: &[&FleetRobot]) -> Result<(), String> {
-    let mut taken = Vec::new();
-    for mission in Missions::of(state).found.into_iter().filter(|mission| mission.life == Life::Running) {
-        let opened = &mission.opened;
-        for robot in robots.iter().filter(|robot| robot.address != Address::Simulated) {
-            if opened.robots.iter().any(|opened| opened.address == robot.address.to_string()) {
-                let text = format!(
-                    "robot `{}` is in mission `{}` (process {})",
-                    robot.id, opened.session, opened.pid
-                );
-                taken.push(text);
-            }
+fn taken_here(missions: &[Found], robots: &[&FleetRobot]) -> Result<(), String> {
+    let of_mission = |mission: &Found| {
+        let (session, pid) = (&mission.opened.session, mission.opened.pid);
+        let taken = driven_by(mission, robots).into_iter();
+        let told = taken.map(|robot| format!("robot `{robot}` is in mission `{session}` (process {pid})"));
+        told.collect::<Vec<_>>()
+    };
+    let running = missions.iter().filter(|mission| mission.life == Life::Running);
+    let taken: Vec<String> = running.flat_map(of_mission).collect();
+    if taken.is_empty() { Ok(()) } else { Err(taken.join("; ")) }
+}
+
+/// Says which of the robots a mission drove that was cut off and never stopped: they may still hold something of it.
+fn warn_of_unfinished(missions: &[Found], robots: &[&FleetRobot]) {
+    for mission in missions.iter().filter(|mission| mission.life == Life::CutOff) {
+        let drove: Vec<_> = driven_by(mission, robots).iter().map(|robot| format!("`{robot}`")).collect();
+        let session = &mission.opened.session;
+        if !drove.is_empty() {
+            console::warn(&format!(
+                "mission `{session}` was cut off and has not ended; it drove {}: `downbeat resume {session}` goes on \
+                 with it, `downbeat stop {session}` ends it",
+                drove.join(", ")
+            ));
         }
     }
-    if taken.is_empty() { Ok(()) } else { Err(taken.join("; ")) }
+}
+
+/// Those of the robots that a mission names, by their addresses.
+fn driven_by<'a>(mission: &Found, robots: &[&'a FleetRobot]) -> Vec<&'a RobotId> {
+    let named = |robot: &&&FleetRobot| {
+        let address = robot.address.to_string();
+        robot.address != Address::Simulated
+            && mission.opened.robots.iter().any(|opened| opened.address == address)
+    };
+    robots.iter().filter(named).map(|robot| &robot.id).collect()
 }
 
 /// The server's time: by NTP when the fleet file names a server, else the system's.
@@ -447,7 +469,7 @@ pub(super) fn finish(report: &Report, format: Format) -> Exit {
 
 /// How a mission ended, as scripts see it.
 pub(super) fn exit_of(report: &Report) -> Exit {
-    let unconfirmed = report.robots.iter().any(|robot| matches!(robot.stop, StopState::Unconfirmed { .. }));
+    let unconfirmed = report.robots.iter().any(|robot| robot.stop.is_unconfirmed());
     if !report.not_at_rest.is_empty() {
         return Exit::Unconfirmed;
     }

@@ -16,6 +16,7 @@ use super::withdraw::{
 };
 use super::{Exit, Format, console};
 use crate::journal::{Found, Kept, Life};
+use crate::report::TAKEN_OVER;
 use crate::report::local::time_of_day;
 use crate::run::control;
 
@@ -211,7 +212,8 @@ impl Stopped {
         let unconfirmed = report.as_ref().map_or(true, |report| {
             let mut robots = report["robots"].as_array().into_iter().flatten();
             let not_at_rest = report["not_at_rest"].as_array().is_some_and(|robots| !robots.is_empty());
-            not_at_rest || robots.any(|robot| robot["stop"]["state"] == "unconfirmed")
+            let unconfirmed = |robot: &Value| robot["stop"]["state"] == "unconfirmed" || robot["stop"]["state"] == "taken_over";
+            not_at_rest || robots.any(unconfirmed)
         });
         let not_at_rest = report.iter().filter_map(|report| report["not_at_rest"].as_array()).flatten();
         not_at_rest.filter_map(Value::as_str).for_each(console::error);
@@ -280,6 +282,7 @@ fn robot_line(robot: &Value) -> String {
             }
             None => format!("{name}: stop NOT confirmed, and it runs without a lease"),
         },
+        Some("taken_over") => format!("{name}: {TAKEN_OVER}"),
         _ => format!("{name}: nothing had been sent to it"),
     }
 }

@@ -120,8 +120,7 @@ pub(super) struct Withdrawn {
 impl Withdrawn {
     /// Whether every robot is known to be at rest.
     pub(super) fn is_confirmed(&self) -> bool {
-        let unconfirmed =
-            |robot: &crate::report::RobotReport| matches!(robot.stop, StopState::Unconfirmed { .. });
+        let unconfirmed = |robot: &crate::report::RobotReport| robot.stop.is_unconfirmed();
         let driven = self.inside.iter().any(|inside| inside.what == InsideWhat::Driver);
         self.report.not_at_rest.is_empty() && !driven && !self.report.robots.iter().any(unconfirmed)
     }

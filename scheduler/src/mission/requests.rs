@@ -5,6 +5,7 @@ use urrcp::{ControlResponse, DeviceId, Message, Server, Span, Status, Timestamp}
 use super::act::Act;
 use super::failure_kind::FailureKind;
 use super::record::Record;
+use super::robot_state::{SentStop, Stop};
 use super::script::{ScriptRef, ScriptState};
 use super::{Action, Mission, Phase, ledger};
 
@@ -49,7 +50,7 @@ impl Mission {
             |device: &DeviceId| reports && open_without_name(acts, robot, device, response).is_some();
         if self.robots[robot].stop_answered(now, response, open_on) {
             self.stop_confirmed(robot);
-            self.stop_refused(robot, response);
+            self.stop_refused(robot);
             return self.stop_progress(now);
         }
         if self.reading_taken(now, robot, response) {
@@ -73,12 +74,13 @@ impl Mission {
     }
 
     /// A robot that belongs to another session by now says which: it is told once.
-    fn stop_refused(&mut self, robot: usize, response: &ControlResponse) {
-        let busy = |error: &&urrcp::ControlError| error.code == urrcp::ErrorCode::Busy;
+    fn stop_refused(&mut self, robot: usize) {
+        let state = &self.robots[robot];
         let told = |failure: &super::Failure| matches!(failure.kind, FailureKind::NotAvailable { .. });
-        let Some(error) = response.error.as_ref().filter(busy) else { return };
-        if response.status == Status::Failed && !self.robots[robot].failures.iter().any(told) {
-            self.note_failure(robot, FailureKind::NotAvailable { error: error.clone() });
+        let Stop::Sent(SentStop { taken_over: Some(error), .. }) = &state.stop else { return };
+        if !state.failures.iter().any(told) {
+            let error = error.clone();
+            self.note_failure(robot, FailureKind::NotAvailable { error });
         }
     }
 

@@ -3,7 +3,7 @@
 use std::collections::{BTreeSet, HashMap, VecDeque};
 
 use urrcp::{
-    ControlResponse, DeviceId, Encoding, InitializationBlock, RequestId, Robot, RobotId, Server, Span,
+    ControlError, ControlResponse, DeviceId, ErrorCode, Encoding, InitializationBlock, RequestId, Robot, RobotId, Server, Span,
     Status, Timestamp,
 };
 
@@ -68,6 +68,8 @@ pub(crate) struct SentStop {
     pub(crate) at: Timestamp<Server>,
     pub(crate) rest: Rest,
     pub(crate) unconfirmed: HashMap<RequestId, DeviceId>,
+    /// Why the robot has refused it, where it belongs to another session: it holds nothing of this one any more.
+    pub(crate) taken_over: Option<ControlError>,
 }
 
 /// How a stopped device comes to rest.
@@ -399,6 +401,10 @@ impl RobotState {
                 }
             }
         };
+        let busy = response.error.as_ref().filter(|error| error.code == ErrorCode::Busy);
+        if let Some(error) = busy.filter(|_| response.status == Status::Failed) {
+            sent.taken_over.get_or_insert_with(|| error.clone());
+        }
         if confirms {
             sent.unconfirmed.remove(&id);
             if sent.unconfirmed.is_empty() {

@@ -83,7 +83,7 @@ impl Mission {
             Some((id.ok()?, device.clone()))
         };
         let unconfirmed: HashMap<_, _> = state.touched.iter().enumerate().filter_map(named).collect();
-        state.stop = Stop::Sent(SentStop { at: now, rest, unconfirmed });
+        state.stop = Stop::Sent(SentStop { at: now, rest, unconfirmed, taken_over: None });
         self.send_stops(now, robot);
     }
 

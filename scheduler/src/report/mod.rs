@@ -10,12 +10,13 @@ use serde::Serialize;
 use urrcp::{RobotId, Server, SessionId, Span, Timestamp};
 
 use crate::clock::ClockReading;
-use crate::mission::robot_state::{Rest, RobotState, Standing, Stop};
+use crate::mission::robot_state::{Rest, RobotState, SentStop, Standing, Stop};
 pub use crate::mission::{ActCourse, ActFate, ActReport, ActRobot, DeviceReport, Outcome};
 use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight};
 use crate::recording::Recorded;
 use crate::server_clock::NtpState;
 pub use course::course_lines;
+pub(crate) use text::TAKEN_OVER;
 pub use text::{
     UNBOUNDED, choreography_figures, main_duration, plan_figures, plan_table, preflight_table, report_text,
 };
@@ -117,11 +118,21 @@ pub enum StopState {
     Confirmed,
     /// The robot confirmed on every device that it rests where it was, as `on_failure: hold` asks.
     Held,
+    /// The robot refused it: it belongs to another session by now, whose commands it may execute, and holds nothing of this one.
+    TakenOver,
     /// No confirmation; it stops by itself when its longest lease ends.
     Unconfirmed {
         /// When, by the server's clock; `None` if a script runs on without a lease.
         lease_ends: Option<Timestamp<Server>>,
     },
+}
+
+impl StopState {
+    /// Whether the robot may move although it was to be stopped.
+    #[must_use]
+    pub const fn is_unconfirmed(&self) -> bool {
+        matches!(self, Self::TakenOver | Self::Unconfirmed { .. })
+    }
 }
 
 impl Report {
@@ -199,6 +210,7 @@ fn stop_state(robot: &RobotState) -> StopState {
         (Stop::Confirmed(Rest::Default), _) => StopState::Confirmed,
         (Stop::Confirmed(Rest::Hold), _) => StopState::Held,
         (Stop::None, true) => StopState::NotSent,
+        (Stop::Sent(SentStop { taken_over: Some(_), .. }), _) => StopState::TakenOver,
         (Stop::None | Stop::Sent(_), _) => {
             let ends: Option<Vec<_>> = robot.left.iter().copied().collect();
             StopState::Unconfirmed { lease_ends: ends.and_then(|ends| ends.into_iter().max()) }

@@ -13,6 +13,10 @@ use crate::mission::{Check, Greeting, Preflight, PreflightRow, Verdict};
 /// Removed by the printing end where that is no terminal.
 const RED: Style = AnsiColor::Red.on_default().bold();
 
+/// What became of the stop of a robot that belongs to another session by now.
+pub(crate) const TAKEN_OVER: &str =
+    "not stopped: another mission drives it by now, and it holds nothing of this one";
+
 /// As wide as it comes: for files and pipes.
 pub const UNBOUNDED: usize = usize::MAX;
 
@@ -313,6 +317,7 @@ fn stop(robot: &RobotReport) -> Option<String> {
         StopState::NotSent => return None,
         StopState::Confirmed => "default state confirmed".to_owned(),
         StopState::Held => "held where it was, confirmed".to_owned(),
+        StopState::TakenOver => TAKEN_OVER.to_owned(),
         StopState::Unconfirmed { lease_ends: Some(at) } => {
             format!("stop NOT confirmed; its lease ends at {}", time_of_day(at))
         }

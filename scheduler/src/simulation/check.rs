@@ -376,7 +376,7 @@ impl<'a> Check<'a> {
                 row.robot, row.steps_done
             ));
         }
-        let sure = !matches!(row.stop, StopState::Unconfirmed { .. }) && row.unaccounted == 0;
+        let sure = !row.stop.is_unconfirmed() && row.unaccounted == 0;
         if !resumed && reports && *outcome == Outcome::Done && row.steps_done != row.steps_planned {
             found.push(format!("done, and {} did {} of {}", row.robot, row.steps_done, row.steps_planned));
         }
