@@ -448,3 +448,30 @@ fn a_mission_whose_robot_an_unfinished_one_names_says_so_and_goes_on() {
     }
     panic!("{new}")
 }
+
+#[test]
+fn a_second_stop_names_the_same_instant_at_which_a_lease_ends() {
+    let stage = stage(1);
+    stage.file("long.yaml", plays("long", "all").replace("{running: none}", "{running: 2s}"));
+    let mut mission = playing(&stage, &["run", "long.yaml"], &[0]);
+    mission.process.kill();
+    stage.robots[0].freeze();
+    let stop = || stage.run(&["stop", "--patience", "500ms", "--format", "json"]);
+    let ends = |ended: &Ended| ended.report()["robots"][0]["stop"]["lease_ends"].as_str().unwrap().to_owned();
+    let first = ends(&stop());
+    std::thread::sleep(Duration::from_millis(300));
+    assert_eq!(ends(&stop()), first);
+    std::thread::sleep(Duration::from_secs(2));
+    assert_eq!(ends(&stop()), first);
+    says(&stage.run(&["stop", "--patience", "500ms"]), 4, &["r0: stop NOT confirmed; its lease ended at"]);
+    stage.robots[0].thaw();
+}
+
+#[test]
+fn a_robot_that_refuses_connections_is_told_as_the_reason_for_a_stop_that_is_not_confirmed() {
+    let mut stage = cut_off(1);
+    stage.robots[0].kill();
+    let stopped = stage.run(&["stop", "--patience", "1s"]);
+    says(&stopped, 4, &["r0: stop NOT confirmed", "r0: link down: ", "refused"]);
+    assert_eq!(stopped.out.matches("refused").count(), 1, "{stopped}");
+}

@@ -6,7 +6,7 @@ use downbeat_scripts::shown;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use tokio::task::{JoinSet, LocalSet};
-use urrcp::{Server, SessionId};
+use urrcp::{Server, SessionId, Timestamp};
 
 use super::missions::{is_called, listed, none};
 use super::run::HowArgs;
@@ -48,7 +48,9 @@ pub(super) struct StopArgs {
 /// What became of one mission.
 struct Stopped {
     mission: SessionId,
-    /// `None`: it was not stopped, and why.
+    /// Of a direct stop: when it began.
+    begun: Option<Timestamp<Server>>,
+    /// Otherwise why it was not stopped.
     report: Result<Value, String>,
     inside: Vec<Inside>,
     exit: Exit,
@@ -218,7 +220,7 @@ impl Stopped {
         let not_at_rest = report.iter().filter_map(|report| report["not_at_rest"].as_array()).flatten();
         not_at_rest.filter_map(Value::as_str).for_each(console::error);
         let exit = if unconfirmed { Exit::Unconfirmed } else { Exit::Done };
-        Self { mission: found.opened.session.clone(), report, inside: Vec::new(), exit }
+        Self { mission: found.opened.session.clone(), begun: None, report, inside: Vec::new(), exit }
     }
 
     pub(super) fn of(mission: SessionId, withdrawn: Result<Withdrawn, String>) -> Self {
@@ -226,9 +228,15 @@ impl Stopped {
             Ok(withdrawn) => {
                 let exit = if withdrawn.is_confirmed() { Exit::Done } else { Exit::Unconfirmed };
                 let report = serde_json::to_value(&withdrawn.report).map_err(|error| error.to_string());
-                Self { mission, report, inside: withdrawn.inside, exit }
+                Self { mission, begun: Some(withdrawn.begun), report, inside: withdrawn.inside, exit }
             }
-            Err(reason) => Self { mission, report: Err(reason), inside: Vec::new(), exit: Exit::Unconfirmed },
+            Err(reason) => Self {
+                mission,
+                begun: None,
+                report: Err(reason),
+                inside: Vec::new(),
+                exit: Exit::Unconfirmed,
+            },
         }
     }
 
@@ -239,7 +247,9 @@ impl Stopped {
             lines.push_str(&format!("{}:\n", shown::shown(self.mission.as_str())));
         }
         let robots = self.report.iter().filter_map(|report| report["robots"].as_array()).flatten();
-        robots.for_each(|robot| lines.push_str(&format!("{indent}{}\n", shown::shown(&robot_line(robot)))));
+        robots.for_each(|robot| {
+            lines.push_str(&format!("{indent}{}\n", shown::shown(&robot_line(robot, self.begun))))
+        });
         let failures = self.report.iter().filter_map(|report| report["failures"].as_array()).flatten();
         failures.for_each(|failure| {
             lines.push_str(&format!("{indent}{}\n", shown::shown(&failure_line(failure))))
@@ -271,14 +281,16 @@ impl Stopped {
     }
 }
 
-fn robot_line(robot: &Value) -> String {
+/// `begun`: when a direct stop began, of a mission whose leases may have run out long before.
+fn robot_line(robot: &Value, begun: Option<Timestamp<Server>>) -> String {
     let name = robot["robot"].as_str().unwrap_or_default();
     match robot["stop"]["state"].as_str() {
         Some("confirmed") => format!("{name}: default state confirmed"),
         Some("held") => format!("{name}: held where it was, confirmed"),
         Some("unconfirmed") => match serde_json::from_value(robot["stop"]["lease_ends"].clone()).ok() {
             Some(ends) => {
-                format!("{name}: stop NOT confirmed; its lease ends at {}", time_of_day::<Server>(ends))
+                let verb = if begun.is_some_and(|begun| ends < begun) { "ended" } else { "ends" };
+                format!("{name}: stop NOT confirmed; its lease {verb} at {}", time_of_day(ends))
             }
             None => format!("{name}: stop NOT confirmed, and it runs without a lease"),
         },

@@ -7,7 +7,7 @@ use downbeat_robot::HostOptions;
 use downbeat_scripts::{Address, FleetRobot, Handshake, RobotClock, counted};
 use serde::Serialize;
 use tokio::sync::mpsc;
-use urrcp::{Encoding, RobotId, Span};
+use urrcp::{Encoding, RobotId, Server, Span, Timestamp};
 
 use super::live::Live;
 use super::run::{listen, stop_lane, utc_offset};
@@ -113,6 +113,8 @@ pub(super) enum InsideWhat {
 
 /// What became of it.
 pub(super) struct Withdrawn {
+    /// When the stops were first sent.
+    pub(super) begun: Timestamp<Server>,
     pub(super) report: Report,
     pub(super) inside: Vec<Inside>,
 }
@@ -152,8 +154,8 @@ pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdr
     // Whoever says stop meanwhile hears what becomes of this one.
     let control = listen(&taken.folder, &lane);
     let withdrawn = withdraw_as(&taken.kept, how, (lane, operator)).await?;
-    let records = records_of(&withdrawn, how.unconfirmed);
-    let recorded = tokio::task::spawn_blocking(move || write_down(taken, &records));
+    let (begun, records) = (withdrawn.begun, records_of(&withdrawn, how.unconfirmed));
+    let recorded = tokio::task::spawn_blocking(move || write_down(taken, begun, &records));
     match tokio::time::timeout(RECORD_MAX, recorded).await {
         Ok(Ok(Ok(()))) => {}
         Ok(Ok(Err(reason))) => console::warn(&reason),
@@ -188,7 +190,8 @@ async fn withdraw_as(
         utc_offset: utc_offset(),
         ..MissionOptions::default()
     };
-    let mission = Mission::withdraw(fleet::participants(&robots), options, &left, clock.now());
+    let begun = clock.now();
+    let mission = Mission::withdraw(fleet::participants(&robots), options, &left, begun);
     let (host, endpoints) = fleet::endpoints_at_once(&robots, Handshake::Full, HostOptions::default())
         .map_err(|error| error.to_string())?;
     let live = Live::lines(how.told);
@@ -196,7 +199,7 @@ async fn withdraw_as(
     let mut keep = Keep { stop_lane: Some(lane), ..Keep::default() };
     let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
     robot::stop_for(&mut report, host);
-    Ok(Withdrawn { report, inside })
+    Ok(Withdrawn { begun, report, inside })
 }
 
 /// The robots of a journal as far as this process can reach them, and the others.
@@ -263,9 +266,14 @@ fn records_of(withdrawn: &Withdrawn, unconfirmed: Unconfirmed) -> Vec<Record> {
     records
 }
 
-fn write_down(taken: Taken, records: &[Record]) -> Result<(), String> {
+fn write_down(taken: Taken, begun: Timestamp<Server>, records: &[Record]) -> Result<(), String> {
     let clock = ServerClock::anchored(taken.kept.opened.clock_offset);
     let (_, mut journal) = taken.journal()?;
-    records.iter().try_for_each(|record| journal.append(clock.now(), record))?;
+    let at = |record: &Record| match record {
+        // Leases run out from then on.
+        Record::Stopping { .. } => begun,
+        _ => clock.now(),
+    };
+    records.iter().try_for_each(|record| journal.append(at(record), record))?;
     journal.sync().map(drop)
 }

@@ -29,6 +29,8 @@ pub struct Kept {
     pub unnamed: Vec<RobotId>,
     /// Stops were being sent.
     pub stopping: bool,
+    /// When they were first sent, unless something was promised after that: nothing has renewed a lease since.
+    pub stopping_since: Option<Timestamp<Server>>,
     /// Robots that have confirmed their stop.
     pub stopped: Vec<RobotId>,
     /// How it ended, as it stands in the report; `None` for a mission that was cut off.
@@ -48,6 +50,8 @@ pub struct Kept {
 pub struct Left {
     /// A robot that was sent nothing is not in it.
     pub robots: BTreeMap<RobotId, LeftOn>,
+    /// No lease has been renewed after this; `None`: one may have been until just now.
+    pub renewed_until: Option<Timestamp<Server>>,
 }
 
 /// What a mission left on a robot.
@@ -133,6 +137,7 @@ fn sound(line: &[u8]) -> Option<&[u8]> {
 /// As much of a line as is needed of most; the reports of acts, nearly all of a long journal, are passed over.
 #[derive(Deserialize)]
 struct Head {
+    at: Option<Timestamp<Server>>,
     record: String,
     number: Option<u32>,
     robot: Option<RobotId>,
@@ -211,6 +216,7 @@ impl Kept {
             dropped: Vec::new(),
             unnamed: Vec::new(),
             stopping: false,
+            stopping_since: None,
             stopped: Vec::new(),
             outcome: None,
             torn: None,
@@ -241,7 +247,7 @@ impl Kept {
     /// What it left on its robots.
     #[must_use]
     pub fn left(&self) -> Left {
-        let mut left = Left::default();
+        let mut left = Left { renewed_until: self.stopping_since, ..Left::default() };
         for (robot, devices) in &self.touched {
             let shift = self.shifts.get(robot).copied().unwrap_or_default();
             let on = LeftOn { devices: devices.clone(), shift, leases: Vec::new() };
@@ -270,6 +276,7 @@ impl Kept {
         if is_promise(json) {
             let Ok(promise) = serde_json::from_slice::<Touching<'_>>(json) else { return };
             self.touch(&promise);
+            self.stopping_since = None;
             return under_way.push((promise.number, json, Progressed::Prepared));
         }
         let Ok(head) = serde_json::from_slice::<Head>(json) else { return };
@@ -289,7 +296,10 @@ impl Kept {
                 self.ended_acts += 1;
             }
             "dropped" => self.dropped.extend(head.robot),
-            "stopping" => self.stopping = true,
+            "stopping" => {
+                self.stopping = true;
+                self.stopping_since = self.stopping_since.or(head.at);
+            }
             "stop_confirmed" => self.stopped.extend(head.robot),
             "ended" => self.outcome = head.outcome.or(Some(Value::Null)),
             _ => {}

@@ -66,14 +66,15 @@ impl Mission {
         let choreography = Choreography { scenario: "withdrawal".to_owned(), acts: Vec::new() };
         // No robot is asked for: there is none to miss.
         let mut mission = Self::with_robots(choreography.into(), participants, options, now);
+        let renewed_until = left.renewed_until.map_or(now, |until| until.min(now));
         for robot in &mut mission.robots {
             let Some(left) = left.robots.get(&robot.id) else { continue };
             robot.touched.clone_from(&left.devices);
             robot.shift = left.shift;
-            // A lease may have been renewed until just now.
-            robot.left = left.leases.iter().map(|lease| lease.map(|lease| now + lease.span())).collect();
+            robot.left =
+                left.leases.iter().map(|lease| lease.map(|lease| renewed_until + lease.span())).collect();
             if robot.left.is_empty() {
-                robot.left.push(Some(now));
+                robot.left.push(Some(renewed_until));
             }
         }
         mission.abort(now, Outcome::Stopped, Rest::Default, None);

@@ -168,6 +168,7 @@ impl Mission {
 
     /// The stop is over, confirmed or not: the end, or the act that a failure policy wants.
     pub(super) fn stopped(&mut self, now: Timestamp<Server>) {
+        self.tell_unreached();
         // Whatever was planned: what the robots say they did is what happened.
         let begun = self.acts.iter().any(Act::has_begun);
         let not_begun = |outcome: &Outcome| {
@@ -201,6 +202,21 @@ impl Mission {
                 self.goes_on(now);
             }
             None => self.end(),
+        }
+    }
+
+    /// Why robots could not be reached that have not confirmed their stop, where that has not been told.
+    fn tell_unreached(&mut self) {
+        for robot in 0..self.robots.len() {
+            let state = &self.robots[robot];
+            let told = state.failures.iter().any(|failure| {
+                matches!(failure.kind, FailureKind::LinkDown { .. } | FailureKind::AnotherRobot { .. })
+            });
+            let Link::Lost(lost) = &state.link else { continue };
+            if state.awaits_stop() && !told {
+                let reason = lost.reason.clone();
+                self.note_failure(robot, FailureKind::LinkDown { reason });
+            }
         }
     }
 
