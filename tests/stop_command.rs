@@ -475,3 +475,29 @@ fn a_robot_that_refuses_connections_is_told_as_the_reason_for_a_stop_that_is_not
     says(&stopped, 4, &["r0: stop NOT confirmed", "r0: link down: ", "refused"]);
     assert_eq!(stopped.out.matches("refused").count(), 1, "{stopped}");
 }
+
+#[test]
+fn a_direct_stop_says_in_json_what_it_knows_and_nothing_else() {
+    let stage = cut_off(1);
+    stage.robots[0].freeze();
+    let schema: serde_json::Value = serde_json::from_str(&stage.run(&["schema", "report"]).out).unwrap();
+    let schema = jsonschema::validator_for(&schema).unwrap();
+    for (args, code) in [(&["--patience", "500ms"][..], 4), (&[], 0)] {
+        let stopped = stage.run(&[&["stop", "--format", "json"], args].concat());
+        let document = stopped.report();
+        assert_eq!(stopped.code, Some(code), "{stopped}");
+        assert_eq!((&document["scenario"], &document["outcome"]), (&"long".into(), &"stopped".into()));
+        assert!(document["session"].as_str().unwrap().starts_with("long@"), "{document:#}");
+        for unknown in ["course", "acts", "acts_omitted", "start", "spread_ms", "lead"] {
+            assert!(document.get(unknown).is_none(), "{unknown}: {document:#}");
+        }
+        let robot = document["robots"][0].as_object().unwrap();
+        assert_eq!(robot["robot"], "r0");
+        for unknown in ["accepted", "started", "scripts", "steps_done", "steps_planned", "unaccounted"] {
+            assert!(!robot.contains_key(unknown), "{unknown}: {document:#}");
+        }
+        let faults: Vec<_> = schema.iter_errors(&document).map(|e| format!("{}: {e}", e.instance_path)).collect();
+        assert!(faults.is_empty(), "{faults:#?}\n{document:#}");
+        stage.robots[0].thaw();
+    }
+}

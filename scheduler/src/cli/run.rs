@@ -271,6 +271,7 @@ impl Work<'_> {
             let opened = Opened {
                 session,
                 pid: std::process::id(),
+                name: Some(choreography.scenario.clone()),
                 scenario: absolute(&self.scenario.scenario),
                 fleet: absolute(fleet_path),
                 folder: std::env::current_dir().ok(),

@@ -16,7 +16,7 @@ use super::withdraw::{
 };
 use super::{Exit, Format, console};
 use crate::journal::{Found, Kept, Life};
-use crate::report::TAKEN_OVER;
+use crate::report::{TAKEN_OVER, Withdrawal};
 use crate::report::local::time_of_day;
 use crate::run::control;
 
@@ -227,7 +227,7 @@ impl Stopped {
         match withdrawn {
             Ok(withdrawn) => {
                 let exit = if withdrawn.is_confirmed() { Exit::Done } else { Exit::Unconfirmed };
-                let report = serde_json::to_value(&withdrawn.report).map_err(|error| error.to_string());
+                let report = serde_json::to_value(Withdrawal::from(&withdrawn.report)).map_err(|error| error.to_string());
                 Self { mission, begun: Some(withdrawn.begun), report, inside: withdrawn.inside, exit }
             }
             Err(reason) => Self {

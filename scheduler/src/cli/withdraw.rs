@@ -15,7 +15,7 @@ use super::{Format, console, robot};
 use crate::fleet;
 use crate::journal::{FileDisk, Found, Journal, Kept, Left, Opened, OpenedRobot, Torn, read};
 use crate::mission::{Mission, MissionOptions, Record};
-use crate::report::{Report, StopState};
+use crate::report::{Report, StopState, Withdrawal};
 use crate::run::{Keep, Operator};
 use crate::server_clock::ServerClock;
 use crate::signals::OnHangUp;
@@ -164,7 +164,7 @@ pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdr
         }
     }
     if let Some(control) = control {
-        control.end(serde_json::to_string(&withdrawn.report).ok()).await;
+        control.end(serde_json::to_string(&Withdrawal::from(&withdrawn.report)).ok()).await;
     }
     Ok(withdrawn)
 }
@@ -191,7 +191,8 @@ async fn withdraw_as(
         ..MissionOptions::default()
     };
     let begun = clock.now();
-    let mission = Mission::withdraw(fleet::participants(&robots), options, &left, begun);
+    let scenario = scenario_of(&kept.opened);
+    let mission = Mission::withdraw(scenario, fleet::participants(&robots), options, &left, begun);
     let (host, endpoints) = fleet::endpoints_at_once(&robots, Handshake::Full, HostOptions::default())
         .map_err(|error| error.to_string())?;
     let live = Live::lines(how.told);
@@ -200,6 +201,13 @@ async fn withdraw_as(
     let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
     robot::stop_for(&mut report, host);
     Ok(Withdrawn { begun, report, inside })
+}
+
+/// The name of its scenario. Where the journal does not have it, the session begins with as much of it as it could keep.
+fn scenario_of(mission: &Opened) -> String {
+    let session = mission.session.as_str();
+    let kept = session.split_once('@').map_or(session, |(scenario, _)| scenario);
+    mission.name.clone().unwrap_or_else(|| kept.to_owned())
 }
 
 /// The robots of a journal as far as this process can reach them, and the others.

@@ -28,6 +28,9 @@ pub struct Opened {
     pub session: SessionId,
     /// The process that drives them.
     pub pid: u32,
+    /// The scenario's name; `None` in journals of earlier versions.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub name: Option<String>,
     /// The scenario file.
     pub scenario: PathBuf,
     /// The fleet file.

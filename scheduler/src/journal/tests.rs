@@ -9,6 +9,7 @@ fn opened() -> Opened {
     Opened {
         session: SessionId::new("s").unwrap(),
         pid: 1,
+        name: Some("show".to_owned()),
         scenario: "s.yaml".into(),
         fleet: "fleet.yaml".into(),
         folder: Some("/show".into()),

@@ -55,15 +55,17 @@ impl Mission {
         Ok(mission)
     }
 
-    /// A mission that does nothing but take back what another process left on its robots.
+    /// A mission that does nothing but take back what another process left on its robots. `scenario` is the name of what that
+    /// played.
     #[must_use]
     pub fn withdraw(
+        scenario: String,
         participants: Vec<Participant>,
         options: MissionOptions,
         left: &Left,
         now: Timestamp<Server>,
     ) -> Self {
-        let choreography = Choreography { scenario: "withdrawal".to_owned(), acts: Vec::new() };
+        let choreography = Choreography { scenario, acts: Vec::new() };
         // No robot is asked for: there is none to miss.
         let mut mission = Self::with_robots(choreography.into(), participants, options, now);
         let renewed_until = left.renewed_until.map_or(now, |until| until.min(now));

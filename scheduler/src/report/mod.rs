@@ -5,6 +5,7 @@ pub mod local;
 pub mod picture;
 pub mod table;
 mod text;
+mod withdrawal;
 
 use serde::Serialize;
 use urrcp::{RobotId, Server, SessionId, Span, Timestamp};
@@ -20,6 +21,7 @@ pub(crate) use text::TAKEN_OVER;
 pub use text::{
     UNBOUNDED, choreography_figures, main_duration, plan_figures, plan_table, preflight_table, report_text,
 };
+pub use withdrawal::Withdrawal;
 
 /// The JSON Schema of a report.
 pub const SCHEMA: &str = include_str!("schema.json");

@@ -56,6 +56,7 @@ impl Scheduler {
         let opened = Opened {
             session: session().unwrap_or_else(unreachable_session),
             pid: 0,
+            name: None,
             scenario: "soak".into(),
             fleet: "soak".into(),
             folder: None,
@@ -169,7 +170,7 @@ impl World {
         self.scheduler.disk = DiskState::Idle;
         self.scheduler.paused_until = self.now;
         self.note(Happened::TakenUp(if resumed.is_some() { "resumed" } else { "withdrawn" }));
-        resumed.unwrap_or_else(|| Mission::withdraw(participants, options(), &left, self.now))
+        resumed.unwrap_or_else(|| Mission::withdraw("soak".to_owned(), participants, options(), &left, self.now))
     }
 
     /// Something for the scheduler, which takes it when it can.
