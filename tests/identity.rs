@@ -145,6 +145,7 @@ fn left_behind() -> Stage {
 #[test]
 fn a_stop_after_a_crash_is_not_confirmed_by_another_robot() {
     let stage = left_behind();
+    let since = stage.robots[0].log().len();
     let stopped = stage.run(&["stop", "--patience", "2s"]);
     says(&stopped, 4, &["r0", "another robot", "calls itself `stranger`", "r0: stop NOT confirmed"]);
     says(&stopped, 4, &["r1: default state confirmed"]);
@@ -152,6 +153,44 @@ fn a_stop_after_a_crash_is_not_confirmed_by_another_robot() {
     let again = stage.run(&["stop", "--all", "--patience", "2s"]);
     says(&again, 4, &["  r0: stop NOT confirmed"]);
     assert!(again.out.contains("  r0: another robot answers at its address"), "{again}");
+    // It belongs to nobody and would take a stop: it was sent none.
+    assert!(stage.robots[0].log_since(since).is_empty(), "{:?}", stage.robots[0].log());
+}
+
+#[test]
+fn a_stop_after_a_crash_reaches_a_robot_that_does_not_say_which_one_it_is_and_is_not_confirmed_by_it() {
+    let stage = Play { running: "none", ..LONG }.stage(&[Via::Proxy, Via::Direct]);
+    let mut run = moving(&stage, &["run", "play.yaml"]);
+    run.process.kill();
+    stage.robots[0].link.as_ref().unwrap().rewrite(|message| {
+        if message.get("initialization_block").is_some() {
+            let at = "2026-11-20T19:00:00.000000000Z";
+            *message = serde_json::json!({"availability_response":
+                {"timestamp": at, "receive_timestamp": at, "originate_timestamp": null, "status": "OK"}});
+        }
+    });
+    let stopped = stage.run(&["stop", "--patience", "2s"]);
+    says(&stopped, 4, &["r0: stop NOT confirmed", "r1: default state confirmed"]);
+    let sets = stage.robots[0].sets().len();
+    assert!(sets < 100, "it played on to its end: {sets} of 120");
+    std::thread::sleep(Duration::from_millis(500));
+    assert_eq!(stage.robots[0].sets().len(), sets, "it plays on");
+}
+
+#[test]
+fn a_robot_that_takes_over_an_address_is_sent_no_stop_by_the_mission_that_has_lost_its_own() {
+    let stage = LONG.stage(&[Via::Proxy, Via::Direct, Via::Direct]);
+    let link = stage.robots[0].link.as_ref().unwrap();
+    let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
+    stage.file("fleet.yaml", fleet.replace("[r0, r1, r2]", "[r0, r1]"));
+    let run = moving(&stage, &["run", "play.yaml", "--patience", "2s", "--format", "json"]);
+    link.lead_to(stage.robots[2].port());
+    let since = stage.robots[2].log().len();
+    link.interrupt();
+    link.open();
+    let ended = run.ended();
+    has_another_robot(&ended, "r0", "r2");
+    assert!(stage.robots[2].log_since(since).is_empty(), "{:?}", stage.robots[2].log());
 }
 
 #[test]

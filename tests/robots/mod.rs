@@ -174,6 +174,11 @@ impl Robot {
         self.logs.iter().map(text).flat_map(lines).collect()
     }
 
+    /// What it logged after so many lines.
+    pub fn log_since(&self, lines: usize) -> Vec<Logged> {
+        self.log().split_off(lines)
+    }
+
     /// The values of scripts that it set.
     pub fn sets(&self) -> Vec<Logged> {
         self.log().into_iter().filter(|entry| entry.motion == "set").collect()

@@ -1,17 +1,18 @@
 //! Which robot answers on a link: asked on each new one, before anything else is sent on it.
 //!
 //! An address may lead to another robot than the one that is meant: two addresses were swapped in the fleet file, or another
-//! robot has taken over the address since. A robot says which one it is in its initialization block. Stops do not wait for
-//! that: they are sent at once, but only the robot that is meant can confirm them.
+//! robot has taken over the address since. A robot says which one it is in its initialization block. Stops wait for that only
+//! for a moment: a robot that says nothing is sent them nevertheless, but only the robot that is meant can confirm them, and one
+//! that says that it is another is sent none.
 
 use urrcp::{InitializationRequest, Message, RobotId, Server, Span, Timestamp};
 
-use super::failure_kind::FailureKind;
+use super::failure_kind::{Failure, FailureKind};
 use super::robot_state::{Link, Lost, RobotState, Standing};
 use super::rounds::SILENCE_MAX;
 use super::{Action, Greeting, Loss, Mission, Phase, Progress};
 
-/// A robot that has not said which one it is after so long is asked again.
+/// A robot that has not said which one it is after so long is asked again, and is sent the stops that are meant for it.
 const ASK_AGAIN: Span = Span::from_millis(250);
 
 impl Mission {
@@ -25,9 +26,14 @@ impl Mission {
             return self.link_serves(now, robot);
         }
         self.ask_name(now, robot);
-        if self.robots[robot].awaits_stop() {
-            self.stop_anew(now, robot);
-        }
+    }
+
+    /// Whether stops may be sent on a robot's link: it is the one that is meant, or has said nothing for a while.
+    pub(super) fn takes_stops(&self, now: Timestamp<Server>, robot: usize) -> bool {
+        let state = &self.robots[robot];
+        let another = |failure: &Failure| matches!(failure.kind, FailureKind::AnotherRobot { .. });
+        let said_nothing = state.unnamed_since().is_some_and(|since| now >= since + ASK_AGAIN);
+        state.is_up() || said_nothing && !state.failures.iter().any(another)
     }
 
     fn asks_names(&self) -> bool {
@@ -60,6 +66,9 @@ impl Mission {
                 self.link_down(now, robot, Loss::Unreachable, reason);
             } else {
                 self.ask_name(now, robot);
+                if self.robots[robot].awaits_stop() && self.takes_stops(now, robot) {
+                    self.stop_anew(now, robot);
+                }
             }
         }
     }
@@ -84,8 +93,6 @@ impl Mission {
             Phase::Greeting { .. } if self.asks_names() => self.greet(now, robot),
             Phase::Greeting { .. } => {}
             Phase::Performing => return self.reattach(now, robot),
-            // Its stop was sent when the link was made.
-            Phase::Stopping { .. } if self.asks_names() && self.robots[robot].awaits_stop() => return,
             Phase::Stopping { .. } => return self.stop_anew(now, robot),
             Phase::Ended => return,
         }

@@ -146,9 +146,7 @@ impl Mission {
     }
 
     fn post_by(&mut self, now: Timestamp<Server>, robot: usize, message: Message, urgent: bool) {
-        let state = &self.robots[robot];
-        // Stops do not wait until the robot has said which one it is.
-        if state.is_up() || urgent && state.unnamed_since().is_some() {
+        if self.robots[robot].is_up() || urgent && self.takes_stops(now, robot) {
             self.robots[robot].last_sent = Some(now);
             self.actions.push(Action::Send { robot, message, urgent });
         }

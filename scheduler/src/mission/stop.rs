@@ -114,8 +114,7 @@ impl Mission {
             *resend = now + interval;
         }
         for robot in 0..self.robots.len() {
-            let state = &self.robots[robot];
-            if state.is_up() || state.unnamed_since().is_some() {
+            if self.takes_stops(now, robot) {
                 self.stop_anew(now, robot);
             }
         }

@@ -3,13 +3,16 @@
 pub mod control;
 mod world;
 
+use std::collections::BTreeSet;
+
 use tokio::sync::{mpsc, oneshot};
-use urrcp::{Server, Timestamp};
+use urrcp::{DeviceId, Server, Timestamp};
 
 use self::world::RealWorld;
 use crate::drive::drive;
 use crate::journal::Journal;
 use crate::link::Endpoint;
+use crate::mission::robot_state::RobotState;
 use crate::mission::{Mission, Progress};
 use crate::recording::Recorder;
 use crate::report::Report;
@@ -45,6 +48,12 @@ pub struct Keep {
     pub stop_lane: Option<StopLane>,
 }
 
+/// What the lane has to stop that another process has moved. A mission that does nothing but stop asks first which robot it
+/// has reached, and the lane would not.
+fn to_be_stopped(robot: &RobotState) -> BTreeSet<DeviceId> {
+    if robot.stop_was_sent() { BTreeSet::new() } else { robot.touched.clone() }
+}
+
 /// Runs a mission to its end. `endpoints` stand in the order of the mission's robots.
 pub async fn run(
     mission: Mission,
@@ -69,7 +78,7 @@ pub async fn run_and_keep(
     let ids = (0..endpoints.len()).map(|robot| mission.robot_id(robot).clone()).collect();
     let before = Before {
         session: mission.options().session.clone(),
-        devices: mission.robots().iter().map(|robot| robot.touched.clone()).collect(),
+        devices: mission.robots().iter().map(to_be_stopped).collect(),
     };
     let mut world = RealWorld::new((endpoints, before), ids, clock, operator, tell, std::mem::take(keep));
     let report = drive(&mut mission, &mut world).await;
