@@ -255,3 +255,12 @@ fn a_robot_id_that_no_robot_can_have_is_found_at_its_place() {
             .says(1, &["DB0003", "fleet.yaml:2:50", "the id that the robot declares"]);
     }
 }
+
+#[test]
+fn after_a_crash_a_robot_is_stopped_that_calls_itself_as_the_fleet_file_says() {
+    let stage = LONG.stage(&[Via::Direct, Via::Direct]);
+    addresses(&stage, &[(0, 1, ", robot_id: r1"), (1, 0, ", robot_id: r0")]);
+    let mut run = moving(&stage, &["run", "play.yaml"]);
+    run.process.kill();
+    says(&stage.run(&["stop"]), 0, &["r0: default state confirmed", "r1: default state confirmed"]);
+}

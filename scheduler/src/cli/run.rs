@@ -369,7 +369,8 @@ fn opened_robot(robot: &FleetRobot) -> OpenedRobot {
         Address::Thrift { .. } | Address::Program { .. } => robot.init.clone(),
         Address::Tcp { .. } | Address::Simulated => None,
     };
-    OpenedRobot { robot: robot.id.clone(), address: robot.address.to_string(), init }
+    let own_id = robot.init.as_ref().map(|init| init.id.clone()).filter(|own_id| *own_id != robot.id);
+    OpenedRobot { robot: robot.id.clone(), own_id, address: robot.address.to_string(), init }
 }
 
 fn open_journal(folder: &std::path::Path, opened: &Opened, clock: &ServerClock) -> Result<Journal, String> {

@@ -52,8 +52,11 @@ pub struct Opened {
 /// A robot of a mission, and how it can be reached without the fleet file.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct OpenedRobot {
-    /// Its id in the fleet file, which is what it calls itself.
+    /// Its id in the fleet file.
     pub robot: RobotId,
+    /// What it calls itself, where that is not its id in the fleet file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub own_id: Option<RobotId>,
     /// Its address, as the fleet file writes it.
     pub address: String,
     /// What is known of its devices, where a driver of this machine has to know them to reach its hardware.

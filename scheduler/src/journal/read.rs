@@ -9,7 +9,7 @@ use serde::Deserialize;
 use serde_json::Value;
 use urrcp::{DeviceId, Millis, RobotId, Server, Span, Timestamp};
 
-use super::Opened;
+use super::{Opened, OpenedRobot};
 use crate::mission::Promise;
 
 /// What a journal says.
@@ -50,6 +50,8 @@ pub struct Kept {
 pub struct Left {
     /// A robot that was sent nothing is not in it.
     pub robots: BTreeMap<RobotId, LeftOn>,
+    /// What robots call themselves, where that is not their id.
+    pub own_ids: BTreeMap<RobotId, RobotId>,
     /// No lease has been renewed after this; `None`: one may have been until just now.
     pub renewed_until: Option<Timestamp<Server>>,
 }
@@ -247,7 +249,9 @@ impl Kept {
     /// What it left on its robots.
     #[must_use]
     pub fn left(&self) -> Left {
-        let mut left = Left { renewed_until: self.stopping_since, ..Left::default() };
+        let own_id = |opened: &OpenedRobot| Some((opened.robot.clone(), opened.own_id.clone()?));
+        let own_ids = self.opened.robots.iter().filter_map(own_id).collect();
+        let mut left = Left { own_ids, renewed_until: self.stopping_since, ..Left::default() };
         for (robot, devices) in &self.touched {
             let shift = self.shifts.get(robot).copied().unwrap_or_default();
             let on = LeftOn { devices: devices.clone(), shift, leases: Vec::new() };

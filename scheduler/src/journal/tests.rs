@@ -18,6 +18,7 @@ fn opened() -> Opened {
         clock_offset: Span::from_millis(3),
         robots: vec![OpenedRobot {
             robot: RobotId::new("arm").unwrap(),
+            own_id: Some(RobotId::new("UR5-1").unwrap()),
             address: "tcp://a:1".into(),
             init: None,
         }],

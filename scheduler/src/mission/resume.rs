@@ -70,6 +70,9 @@ impl Mission {
         let mut mission = Self::with_robots(choreography.into(), participants, options, now);
         let renewed_until = left.renewed_until.map_or(now, |until| until.min(now));
         for robot in &mut mission.robots {
+            if let Some(own_id) = left.own_ids.get(&robot.id) {
+                robot.own_id.clone_from(own_id);
+            }
             let Some(left) = left.robots.get(&robot.id) else { continue };
             robot.touched.clone_from(&left.devices);
             robot.shift = left.shift;

@@ -47,7 +47,7 @@ enum DiskState {
 }
 
 fn opened(robot: RobotId) -> OpenedRobot {
-    OpenedRobot { robot, address: "soak".to_owned(), init: None }
+    OpenedRobot { robot, own_id: None, address: "soak".to_owned(), init: None }
 }
 
 impl Scheduler {
