@@ -506,6 +506,29 @@ fn a_program_that_a_killed_scheduler_drove_is_stopped_from_another_folder() {
     assert!(after.contains("set left position 0\n"), "{after}");
 }
 
+#[test]
+fn a_program_that_a_killed_scheduler_drove_is_started_again_by_a_resume_from_another_folder() {
+    let session = session();
+    session
+        .file("drive.sh", DRIVE)
+        .file("tanks.yaml", "scenario: tanks\nstop_condition: {running: none}\ncues: [{at: 0s, robots: tanks, tracks: {left: [{at: 0s, to: 40}, {at: 300ms, to: -20}, {at: 60s, to: 0}]}}]\n")
+        .file("fleet.yaml", "robots: {tank-1: {init: tank.json, address: 'program:sh drive.sh driven.txt'}}\ngroups: {tanks: [tank-1]}\n");
+    let mut run = session.command(&["run", "tanks.yaml", "--lead", LEAD]);
+    let mut running = run.stdout(Stdio::null()).stderr(Stdio::null()).spawn().unwrap();
+    let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
+    await_that("the second step", || driven().contains("set left position -20\n"));
+    running.kill().unwrap();
+    running.wait().unwrap();
+    let elsewhere = tempfile::TempDir::new().unwrap();
+    let resumed = session.command(&["resume"]).current_dir(elsewhere.path()).output().unwrap();
+    let resumed = crate::session::Ran(resumed);
+    // What it held has ended with the process that drove it: the program is reached, and brought to rest.
+    assert!(!resumed.text().contains("cannot open drive.sh"), "{}", resumed.text());
+    resumed.says(1, &["tank-1: default state confirmed"]);
+    let after = driven().split_once("set left position -20\n").unwrap().1.to_owned();
+    assert!(after.contains("set left position 0\n"), "{after}");
+}
+
 /// A program drives a wheel, and the edge is sent these signals, one after another. What the program was told.
 fn driven_until(signals: &[&str]) -> (Option<i32>, String) {
     let session = Session::new();

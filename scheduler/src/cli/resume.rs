@@ -8,7 +8,7 @@ use downbeat_scripts::{Choreography, Fleet, FleetRobot};
 use super::live::{Live, Speaker};
 use super::missions::{failed, one};
 use super::run::{HowArgs, finish, listen, server_clock, stop_lane, utc_offset};
-use super::withdraw::{How, Scheduler, Taken, Unconfirmed, withdraw_and_record};
+use super::withdraw::{How, Scheduler, Taken, Unconfirmed, started_in, withdraw_and_record};
 use super::{Exit, Format, ScenarioArgs, choice, console, load, robot, stop};
 use crate::fleet;
 use crate::journal::{Fate, Found, Journal, Kept, Life, OpenedRobot};
@@ -99,7 +99,14 @@ impl<'a> Resumption<'a> {
             Ok((clock, _)) => clock,
             Err(error) => return failed(&error),
         };
-        let robots = fleet::robots_in(&self.fleet, &self.choreography);
+        let folder = self.found.opened.folder.as_deref();
+        let started_in_it = |robot: &FleetRobot| FleetRobot {
+            address: started_in(folder, robot.address.clone()),
+            ..robot.clone()
+        };
+        let robots: Vec<FleetRobot> =
+            fleet::robots_in(&self.fleet, &self.choreography).into_iter().map(started_in_it).collect();
+        let robots: Vec<&FleetRobot> = robots.iter().collect();
         let options = MissionOptions {
             greeting: fleet::greeting(&self.fleet),
             patience: self.how.patience,

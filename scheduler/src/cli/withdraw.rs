@@ -235,7 +235,7 @@ fn robots_of(mission: &Opened, left: &Left, scheduler: Scheduler) -> (Vec<FleetR
 }
 
 /// A program that drives a robot is started in the folder in which its mission was: its command may name files there.
-fn started_in(folder: Option<&Path>, address: Address) -> Address {
+pub(super) fn started_in(folder: Option<&Path>, address: Address) -> Address {
     match (folder.and_then(Path::to_str), address) {
         (Some(folder), Address::Program { command }) => {
             let quoted = folder.replace('\'', r"'\''");
