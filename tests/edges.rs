@@ -30,14 +30,20 @@ enum Tank {
 impl Tank {
     /// Logs to a file of the session. Port 0 takes any free one.
     fn start(session: &Session, log: &str, port: u16) -> (Self, u16) {
+        Self::start_as("tank-1", session, log, port)
+    }
+
+    /// With an id of its own.
+    fn start_as(id: &str, session: &Session, log: &str, port: u16) -> (Self, u16) {
         let log = session.path(log);
+        let tank = TANK.replace("\"tank-1\"", &format!("\"{id}\""));
         let Some(python) = std::env::var_os("DOWNBEAT_PYTHON") else {
-            let robot = thrift_robot::ThriftRobot::start(port, TANK, &log);
+            let robot = thrift_robot::ThriftRobot::start(port, &tank, &log);
             let port = robot.port();
             return (Self::Rust(robot), port);
         };
-        let schema = session.path("tank.json");
-        std::fs::write(&schema, TANK).unwrap();
+        let schema = session.path(&format!("{id}.json"));
+        std::fs::write(&schema, tank).unwrap();
         let mut command = Command::new(python);
         command.arg(root().join("tests/thrift/server.py")).arg(port.to_string()).arg(schema).arg(log);
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
@@ -266,7 +272,7 @@ fn session() -> Session {
 #[test]
 fn two_thrift_robots_start_together_and_are_sent_every_value_in_order() {
     let session = session();
-    let tanks = ["1.log", "2.log"].map(|log| Tank::start(&session, log, 0));
+    let tanks = [("tank-1", "1.log"), ("tank-2", "2.log")].map(|(id, log)| Tank::start_as(id, &session, log, 0));
     let addresses = tanks.each_ref().map(|(_, port)| format!("thrift://127.0.0.1:{port}"));
     session.file("fleet.yaml", fleet(&addresses, "above 12"));
     let ran = session.run(&["run", "tanks.yaml", "--lead", LEAD, "--format", "json"]);
@@ -282,6 +288,24 @@ fn two_thrift_robots_start_together_and_are_sent_every_value_in_order() {
         assert_eq!((way.first(), way.last(), rest), (Some(&0.0), Some(&10.0), [0.0].as_slice()), "{sets:?}");
         assert!(way.is_sorted() && way.len() > 3, "{sets:?}");
     }
+}
+
+#[test]
+fn with_the_addresses_of_two_thrift_robots_swapped_neither_moves() {
+    let session = session();
+    let tanks = [("tank-2", "2.log"), ("tank-1", "1.log")].map(|(id, log)| Tank::start_as(id, &session, log, 0));
+    let addresses = tanks.each_ref().map(|(_, port)| format!("thrift://127.0.0.1:{port}"));
+    session.file("fleet.yaml", fleet(&addresses, "above 12"));
+    let other = ["calls itself `tank-2`, expected `tank-1`", "calls itself `tank-1`, expected `tank-2`"];
+    session.run(&["run", "tanks.yaml", "--lead", LEAD]).says(1, &[other[0], other[1], "not started"]);
+    for log in ["1.log", "2.log"] {
+        assert_eq!(sets(&session, log), Vec::<String>::new());
+    }
+    let named = std::fs::read_to_string(session.path("fleet.yaml")).unwrap();
+    let named = named.replace("tank-1:\n", "tank-1:\n    robot_id: tank-2\n");
+    let named = named.replace("tank-2:\n", "tank-2:\n    robot_id: tank-1\n");
+    session.file("fleet.yaml", named);
+    session.run(&["run", "tanks.yaml", "--lead", LEAD]).says(0, &["tanks: done"]);
 }
 
 #[test]

@@ -5,7 +5,7 @@ use urrcp::{ControlParameters, Device, InitializationBlock};
 
 use super::worker::is_driven;
 
-/// Compares the devices that are driven with those that the robot names, and their ranges.
+/// Compares its id, where it tells one, the devices that are driven with those that the robot names, and their ranges.
 ///
 /// # Errors
 /// What does not fit. A description that cannot be read says nothing against the robot.
@@ -14,6 +14,9 @@ pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), Stri
         tracing::warn!(robot = %block.id, "it describes itself in no JSON: its devices are not compared");
         return Ok(());
     };
+    if let Some(told) = schema.get("id").and_then(Value::as_str).filter(|told| *told != block.id.as_str()) {
+        return Err(format!("it calls itself `{told}`, expected `{}`", block.id));
+    }
     let Some(devices) = schema.get("devices").and_then(Value::as_object) else { return Ok(()) };
     for device in block.devices.iter().filter(|device| range(device).is_some()) {
         let Some(told) = devices.get(device.id.as_str()) else {
@@ -57,6 +60,13 @@ mod tests {
             {"id": "eye", "name": "eye", "available_control_types":
                 {"sensor": {"min_value": 0, "max_value": 1}}}]}))
         .unwrap()
+    }
+
+    #[test]
+    fn a_robot_that_calls_itself_otherwise_is_not_the_one_expected() {
+        let told = |id: &str| fits(&format!(r#"{{"id": "{id}"}}"#), &block("left", 0.0, 1.0));
+        assert_eq!(told("r"), Ok(()));
+        assert_eq!(told("s"), Err("it calls itself `s`, expected `r`".into()));
     }
 
     #[test]
