@@ -163,7 +163,8 @@ fn a_mission_of_which_a_robot_is_gone_for_good_can_be_forgotten() {
     let missions: serde_json::Value = serde_json::from_str(&missions.out).unwrap();
     let name = missions[0]["mission"].as_str().unwrap();
     let args = ["stop", name, "--forget", "--patience", "500ms"];
-    says(&stage.run(&args), 4, &["r0: stop NOT confirmed"]);
+    let forgotten = "forgotten: the mission counts as ended, though r0 has not confirmed its stop";
+    says(&stage.run(&args), 4, &["r0: stop NOT confirmed", forgotten]);
     says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
 }
 
@@ -264,7 +265,8 @@ fn the_robots_of_a_scheduler_that_stands_still_are_stopped_directly() {
     let mission = playing(&stage, &["run", "long.yaml"], &[0, 1]);
     mission.process.signal(Signal::STOP);
     let began = Instant::now();
-    says(&stage.run(&["stop"]), 0, &["it does not answer within 1 s", BOTH[0], BOTH[1]]);
+    let sent = "was sent SIGTERM: if it goes on, it stops for good";
+    says(&stage.run(&["stop"]), 0, &["it does not answer within 1 s", sent, BOTH[0], BOTH[1]]);
     assert!(began.elapsed() < Duration::from_secs(20));
     all_rest(&stage);
     // Once it goes on, it does not move them again.

@@ -43,9 +43,11 @@ pub(super) fn choose(
     let mut chosen = choreography;
     let mut first = 0;
     if let Some(name) = asked.act.as_ref().or(asked.from.as_ref()) {
-        let Some(index) = chosen.acts.iter().position(|act| act.name == *name) else {
-            let known: Vec<_> = chosen.acts.iter().map(|act| format!("`{}`", act.name)).collect();
-            console::error(&format!("no act `{name}`, the scenario has {}", known.join(", ")));
+        let Some(index) = chosen.acts.iter().position(|act| act.is_named(name)) else {
+            let named = chosen.acts.iter().filter(|act| !act.name.is_empty());
+            let known: Vec<_> = named.map(|act| format!("`{}`", act.name)).collect();
+            let known = if known.is_empty() { "no acts of its own".to_owned() } else { known.join(", ") };
+            console::error(&format!("no act `{name}`, the scenario has {known}"));
             return Err(Exit::Usage);
         };
         match asked.act {

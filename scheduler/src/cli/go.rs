@@ -1,5 +1,7 @@
 //! `downbeat go`: the operator's word from another terminal.
 
+use urrcp::SessionId;
+
 use super::missions::{failed, one};
 use super::{Exit, Format, console};
 use crate::journal::Life;
@@ -25,7 +27,7 @@ pub(super) struct GoArgs {
 }
 
 pub(super) fn go(args: &GoArgs, format: Format) -> Exit {
-    let found = match one(args.mission.as_deref(), Life::Running, "runs") {
+    let found = match one(args.mission.as_deref(), Life::Running, format) {
         Ok(found) => found,
         Err(exit) => return exit,
     };
@@ -41,10 +43,21 @@ pub(super) fn go(args: &GoArgs, format: Format) -> Exit {
                 }
                 Exit::Done
             }
-            Ok(Err(reason)) => failed(&format!("no go: {reason}")),
+            Ok(Err(reason)) => refused(name, &reason, format),
             Err(unheard) => {
-                failed(&format!("no go: the scheduler of `{name}`, process {}: {unheard}", found.opened.pid))
+                let pid = found.opened.pid;
+                refused(name, &format!("the scheduler of `{name}`, process {pid}: {unheard}"), format)
             }
         }
     })
+}
+
+fn refused(mission: &SessionId, reason: &str, format: Format) -> Exit {
+    match format {
+        Format::Json => {
+            console::print_json(&serde_json::json!({"mission": mission, "error": reason}));
+            Exit::Failed
+        }
+        Format::Text => failed(&format!("no go: {reason}")),
+    }
 }

@@ -2,6 +2,7 @@
 
 use downbeat_scripts::counted;
 use serde::Serialize;
+use serde_json::json;
 use urrcp::{RobotId, SessionId};
 
 use super::{Exit, Format, console};
@@ -84,21 +85,30 @@ pub(super) fn listed() -> Missions {
     missions
 }
 
-/// The one mission that is meant.
-pub(super) fn one(named: Option<&str>, life: Life, what: &str) -> Result<Found, Exit> {
+/// The one mission that is meant, of those that run or were cut off.
+pub(super) fn one(named: Option<&str>, life: Life, format: Format) -> Result<Found, Exit> {
+    let (what, what_several) = match life {
+        Life::Running => ("runs", "run"),
+        Life::CutOff => ("was cut off", "were cut off"),
+        Life::Ended => ("has ended", "have ended"),
+    };
     let fits = |found: &Found| found.life == life && is_called(found, named);
     let mut fitting: Vec<Found> = listed().found.into_iter().filter(fits).collect();
     match (fitting.pop(), fitting.is_empty()) {
         (Some(found), true) => Ok(found),
         (Some(last), false) => {
-            console::error(&format!("several missions {what}, name one of them:"));
-            fitting
-                .iter()
-                .chain([&last])
-                .for_each(|found| console::note(&format!("  {}", found.opened.session)));
+            let text = format!("several missions {what_several}, name one of them");
+            let several: Vec<_> = fitting.iter().chain([&last]).map(|found| &found.opened.session).collect();
+            match format {
+                Format::Json => console::print_json(&json!({"error": text, "missions": several})),
+                Format::Text => {
+                    console::error(&format!("{text}:"));
+                    several.iter().for_each(|session| console::note(&format!("  {session}")));
+                }
+            }
             Err(Exit::Usage)
         }
-        (None, _) => Err(none(named, what)),
+        (None, _) => Err(none(named, what, format)),
     }
 }
 
@@ -108,11 +118,15 @@ pub(super) fn is_called(found: &Found, named: Option<&str>) -> bool {
 }
 
 /// Says that there is no such mission.
-pub(super) fn none(named: Option<&str>, what: &str) -> Exit {
-    console::error(&match named {
+pub(super) fn none(named: Option<&str>, what: &str, format: Format) -> Exit {
+    let text = match named {
         Some(name) => format!("no mission `{name}` {what}; `downbeat missions --all` lists them"),
         None => format!("no mission {what}"),
-    });
+    };
+    match format {
+        Format::Json => console::print_json(&json!({"error": text})),
+        Format::Text => console::error(&text),
+    }
     Exit::Usage
 }
 

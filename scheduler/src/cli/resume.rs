@@ -38,7 +38,7 @@ pub(super) struct ResumeArgs {
 
 pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
     console::never_wait();
-    let found = match one(args.mission.as_deref(), Life::CutOff, "was cut off") {
+    let found = match one(args.mission.as_deref(), Life::CutOff, format) {
         Ok(found) => found,
         Err(exit) => return exit,
     };

@@ -6,7 +6,7 @@ use downbeat_scripts::shown;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::{Value, json};
 use tokio::task::{JoinSet, LocalSet};
-use urrcp::{Server, SessionId, Timestamp};
+use urrcp::{RobotId, Server, SessionId, Timestamp};
 
 use super::missions::{is_called, listed, none};
 use super::run::HowArgs;
@@ -53,6 +53,8 @@ struct Stopped {
     /// Otherwise why it was not stopped.
     report: Result<Value, String>,
     inside: Vec<Inside>,
+    /// Robots that have not confirmed, of a mission that counts as ended all the same.
+    forgotten: Vec<RobotId>,
     exit: Exit,
 }
 
@@ -64,7 +66,11 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     let meant = |found: &Found| is_called(found, named) && (named.is_some() || found.life != Life::Ended);
     let found: Vec<Found> = missions.found.into_iter().filter(meant).collect();
     if found.is_empty() {
-        return none(named, "runs or was cut off");
+        if args.all && format == Format::Json {
+            console::print_json(&json!([]));
+            return Exit::Usage;
+        }
+        return none(named, "runs or was cut off", format);
     }
     let shown = if args.all || found.len() > 1 { Shown::Several } else { Shown::One };
     let told = if shown == Shown::One { format } else { Format::Json };
@@ -147,7 +153,8 @@ async fn unanswered(found: &Found, unheard: &str, how: How) -> Stopped {
         directly(found, how, &format!("{process}: {unheard}; its robots are stopped directly")).await;
     // Once it goes on, it stops for good.
     if pid.is_some_and(|pid| kill_process(pid, Signal::TERM).is_ok()) {
-        console::note(&format!("{}: {process} was sent SIGTERM, for when it goes on", found.opened.session));
+        let session = &found.opened.session;
+        console::note(&format!("{session}: {process} was sent SIGTERM: if it goes on, it stops for good"));
     }
     stopped
 }
@@ -220,7 +227,8 @@ impl Stopped {
         let not_at_rest = report.iter().filter_map(|report| report["not_at_rest"].as_array()).flatten();
         not_at_rest.filter_map(Value::as_str).for_each(console::error);
         let exit = if unconfirmed { Exit::Unconfirmed } else { Exit::Done };
-        Self { mission: found.opened.session.clone(), begun: None, report, inside: Vec::new(), exit }
+        let mission = found.opened.session.clone();
+        Self { mission, begun: None, report, inside: Vec::new(), forgotten: Vec::new(), exit }
     }
 
     pub(super) fn of(mission: SessionId, withdrawn: Result<Withdrawn, String>) -> Self {
@@ -228,13 +236,15 @@ impl Stopped {
             Ok(withdrawn) => {
                 let exit = if withdrawn.is_confirmed() { Exit::Done } else { Exit::Unconfirmed };
                 let report = serde_json::to_value(Withdrawal::from(&withdrawn.report)).map_err(|error| error.to_string());
-                Self { mission, begun: Some(withdrawn.begun), report, inside: withdrawn.inside, exit }
+                let (begun, forgotten) = (Some(withdrawn.begun), withdrawn.forgotten);
+                Self { mission, begun, report, inside: withdrawn.inside, forgotten, exit }
             }
             Err(reason) => Self {
                 mission,
                 begun: None,
                 report: Err(reason),
                 inside: Vec::new(),
+                forgotten: Vec::new(),
                 exit: Exit::Unconfirmed,
             },
         }
@@ -257,6 +267,9 @@ impl Stopped {
         self.inside
             .iter()
             .for_each(|inside| lines.push_str(&format!("{indent}{}\n", shown::shown(&inside_line(inside)))));
+        if !self.forgotten.is_empty() {
+            lines.push_str(&format!("{indent}{}\n", shown::shown(&forgotten_line(&self.forgotten))));
+        }
         match format {
             Format::Text => console::print(&lines),
             Format::Json => self.inside.iter().for_each(|inside| console::note(&inside_line(inside))),
@@ -273,6 +286,9 @@ impl Stopped {
         };
         if !self.inside.is_empty() {
             report["inside"] = json!(self.inside);
+        }
+        if !self.forgotten.is_empty() {
+            report["forgotten"] = json!(self.forgotten);
         }
         match shown {
             Shown::One => report,
@@ -303,6 +319,15 @@ fn robot_line(robot: &Value, begun: Option<Timestamp<Server>>) -> String {
 fn failure_line(failure: &Value) -> String {
     let text = |key: &str| failure[key].as_str().unwrap_or_default();
     format!("{}: {}", text("robot"), text("text"))
+}
+
+fn forgotten_line(robots: &[RobotId]) -> String {
+    let names: Vec<_> = robots.iter().map(RobotId::as_str).collect();
+    let (have, their) = if robots.len() == 1 { ("has", "its") } else { ("have", "their") };
+    format!(
+        "forgotten: the mission counts as ended, though {} {have} not confirmed {their} stop",
+        names.join(", ")
+    )
 }
 
 fn inside_line(inside: &Inside) -> String {

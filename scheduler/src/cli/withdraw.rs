@@ -117,14 +117,21 @@ pub(super) struct Withdrawn {
     pub(super) begun: Timestamp<Server>,
     pub(super) report: Report,
     pub(super) inside: Vec<Inside>,
+    /// Robots that have not confirmed, of a mission that counts as ended all the same.
+    pub(super) forgotten: Vec<RobotId>,
 }
 
 impl Withdrawn {
+    /// Robots that may still move.
+    fn unconfirmed(&self) -> Vec<RobotId> {
+        let robots = self.report.robots.iter().filter(|robot| robot.stop.is_unconfirmed());
+        let driven = self.inside.iter().filter(|inside| inside.what == InsideWhat::Driver);
+        robots.map(|robot| &robot.robot).chain(driven.map(|inside| &inside.robot)).cloned().collect()
+    }
+
     /// Whether every robot is known to be at rest.
     pub(super) fn is_confirmed(&self) -> bool {
-        let unconfirmed = |robot: &crate::report::RobotReport| robot.stop.is_unconfirmed();
-        let driven = self.inside.iter().any(|inside| inside.what == InsideWhat::Driver);
-        self.report.not_at_rest.is_empty() && !driven && !self.report.robots.iter().any(unconfirmed)
+        self.report.not_at_rest.is_empty() && self.unconfirmed().is_empty()
     }
 }
 
@@ -153,10 +160,13 @@ pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdr
     let (lane, operator) = stop_lane(OnHangUp::End)?;
     // Whoever says stop meanwhile hears what becomes of this one.
     let control = listen(&taken.folder, &lane);
-    let withdrawn = withdraw_as(&taken.kept, how, (lane, operator)).await?;
+    let mut withdrawn = withdraw_as(&taken.kept, how, (lane, operator)).await?;
     let (begun, records) = (withdrawn.begun, records_of(&withdrawn, how.unconfirmed));
     let recorded = tokio::task::spawn_blocking(move || write_down(taken, begun, &records));
     match tokio::time::timeout(RECORD_MAX, recorded).await {
+        Ok(Ok(Ok(()))) if how.unconfirmed == Unconfirmed::Forgotten => {
+            withdrawn.forgotten = withdrawn.unconfirmed();
+        }
         Ok(Ok(Ok(()))) => {}
         Ok(Ok(Err(reason))) => console::warn(&reason),
         Ok(Err(_)) | Err(_) => {
@@ -200,7 +210,7 @@ async fn withdraw_as(
     let mut keep = Keep { stop_lane: Some(lane), ..Keep::default() };
     let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
     robot::stop_for(&mut report, host);
-    Ok(Withdrawn { begun, report, inside })
+    Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
 }
 
 /// The name of its scenario. Where the journal does not have it, the session begins with as much of it as it could keep.
