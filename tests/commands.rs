@@ -59,3 +59,50 @@ fn a_scenario_without_acts_says_so_where_one_is_asked_for() {
     ran.says(2, &["no act `finale`, the scenario has no acts of its own"]);
     assert!(!ran.text().contains("``"), "{}", ran.text());
 }
+
+#[test]
+fn help_that_cannot_be_written_is_no_success() {
+    let session = Session::new();
+    for args in [&["--help"][..], &["run", "--help"], &["--version"]] {
+        let full = File::options().write(true).open("/dev/full").unwrap();
+        let ended = session.command(args).stdout(full).output().unwrap();
+        let told = String::from_utf8_lossy(&ended.stderr).into_owned();
+        assert_eq!(ended.status.code(), Some(7), "{args:?}: {told}");
+        assert!(told.contains("cannot write to standard output"), "{args:?}: {told}");
+        let (reader, writer) = rustix::pipe::pipe().unwrap();
+        drop(reader);
+        let ended = session.command(args).stdout(File::from(writer)).output().unwrap();
+        assert_eq!(ended.status.code(), Some(0), "a reader that has gone is no error");
+    }
+    session.run(&["--help"]).says(0, &["Usage:"]);
+    session.run(&["run"]).says(2, &["required"]);
+}
+
+#[test]
+fn a_robot_whose_log_cannot_be_written_says_so_at_once_and_is_no_success_in_the_end() {
+    let stage = SHORT.stage(&[]);
+    let told = stage.path("told");
+    let port = std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port();
+    let address = format!("127.0.0.1:{port}");
+    let mut robot = stage.command(&["robot", "--init", "robot.yaml", "--id", "r0", "--listen", &address]);
+    robot.args(["--log-file", "/dev/full"]).stderr(File::create(&told).unwrap());
+    let mut robot = Process(robot.spawn().unwrap());
+    stage.file("fleet.yaml", format!("robots:\n  r0: {{init: robot.yaml, address: 'tcp://{address}'}}\ngroups: {{all: [r0]}}\n"));
+    for _ in 0..50 {
+        if std::net::TcpStream::connect(&address).is_ok() {
+            break;
+        }
+        std::thread::sleep(Duration::from_millis(100));
+    }
+    let ran = stage.run(&["run", "play.yaml"]);
+    assert_eq!(ran.code, Some(0), "the robot goes on: {ran}");
+    let says = || std::fs::read_to_string(&told).unwrap();
+    let began = Instant::now();
+    while !says().contains("error: cannot write the log /dev/full: No space left") {
+        assert!(began.elapsed() < SOON, "{}", says());
+        std::thread::sleep(Duration::from_millis(20));
+    }
+    kill_process(Pid::from_child(&robot.0), Signal::TERM).unwrap();
+    assert_eq!(robot.0.wait().unwrap().code(), Some(7), "{}", says());
+    assert_eq!(says().matches("No space left").count(), 1, "{}", says());
+}

@@ -13,7 +13,7 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use serde::Serialize;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot};
 use urrcp::{Message, RobotId, Timestamp};
 
 use self::body::Body;
@@ -102,6 +102,7 @@ pub struct Host {
     handle: HostHandle,
     thread: Option<JoinHandle<()>>,
     writer: Option<JoinHandle<()>>,
+    log_lost: Option<oneshot::Receiver<HostError>>,
     /// With the index of their robot.
     drivers: Vec<(usize, DriverThread)>,
     mailboxes: Vec<Arc<Mailbox>>,
@@ -141,17 +142,22 @@ impl Host {
     pub fn start<R: Into<Hosted>>(robots: Vec<R>, options: HostOptions) -> Result<Self, HostError> {
         let hosted: Vec<Hosted> = robots.into_iter().map(Into::into).collect();
         let ids: Arc<[RobotId]> = hosted.iter().map(|hosted| hosted.id().clone()).collect();
-        let (log, writer) = match options.log {
-            None => (None, None),
+        let (log, writer, log_lost) = match options.log {
+            None => (None, None, None),
             Some(path) => {
-                let file = File::create(&path).map_err(|error| HostError::Log { path, error })?;
+                let lost = |path, error| HostError::Log { path, error };
+                let file = File::create(&path).map_err(|error| lost(path.clone(), error))?;
                 let (log, entries) = std_mpsc::channel();
+                let (tell, told) = oneshot::channel();
                 let ids = Arc::clone(&ids);
                 let writer = std::thread::Builder::new().name("set-log".into());
                 // Ends when the precise thread drops its sender.
-                let writer =
-                    writer.spawn(move || write_log(file, &ids, &entries)).map_err(HostError::Thread)?;
-                (Some(log), Some(writer))
+                let write = move || {
+                    if let Err(error) = write_log(file, &ids, &entries) {
+                        let _nobody_asked = tell.send(lost(path, error));
+                    }
+                };
+                (Some(log), Some(writer.spawn(write).map_err(HostError::Thread)?), Some(told))
             }
         };
         let (orders, inbox) = std_mpsc::channel();
@@ -171,7 +177,7 @@ impl Host {
                 Executor::new(robots, log).run(&inbox);
             })
             .map_err(HostError::Thread)?;
-        Ok(Self { handle, thread: Some(thread), writer, drivers, mailboxes })
+        Ok(Self { handle, thread: Some(thread), writer, log_lost, drivers, mailboxes })
     }
 
     /// Waits until every driver has tried to connect once, so that whoever asks next hears how it went.
@@ -185,6 +191,11 @@ impl Host {
     #[must_use]
     pub fn handle(&self) -> HostHandle {
         self.handle.clone()
+    }
+
+    /// Hears why the log ends ahead of the robots, which go on without it; nothing where it does not. To be taken once.
+    pub const fn log_lost(&mut self) -> Option<oneshot::Receiver<HostError>> {
+        self.log_lost.take()
     }
 
     /// Stops the robots where they are and completes the log. Hardware goes to its default state, if it was moved;
@@ -416,16 +427,15 @@ struct LogLine<'a> {
 }
 
 /// Writes what was set, away from the precise thread. Whenever nothing waits to be written all is on its way to the
-/// file, so that a killed process loses little. Ends when the precise thread has ended.
-fn write_log(file: File, ids: &[RobotId], entries: &std_mpsc::Receiver<LoggedBatch>) {
+/// file, so that a killed process loses little. Ends when the precise thread has ended, or where the file takes no more.
+fn write_log(file: File, ids: &[RobotId], entries: &std_mpsc::Receiver<LoggedBatch>) -> io::Result<()> {
     let mut file = io::BufWriter::new(file);
     while let Ok(first) = entries.recv() {
         let mut batches = std::iter::once(first).chain(entries.try_iter());
-        let written = batches.try_for_each(|(robot, batch)| write_batch(&mut file, &ids[robot], &batch));
-        if let Err(error) = written.and_then(|()| file.flush()) {
-            return tracing::error!("the set log ends here: {error}");
-        }
+        batches.try_for_each(|(robot, batch)| write_batch(&mut file, &ids[robot], &batch))?;
+        file.flush()?;
     }
+    Ok(())
 }
 
 fn write_batch(file: &mut impl Write, robot: &RobotId, batch: &[LogEntry]) -> io::Result<()> {

@@ -29,6 +29,7 @@ mod sim;
 mod stop;
 mod withdraw;
 
+use std::io::Write;
 use std::path::PathBuf;
 use std::process::ExitCode;
 
@@ -169,7 +170,10 @@ impl Exit {
 /// Reads the arguments, does what they say and tells the shell how it went.
 #[must_use]
 pub fn main() -> ExitCode {
-    let cli = Cli::parse();
+    let cli = match Cli::try_parse() {
+        Ok(cli) => cli,
+        Err(error) => return ExitCode::from(told_by_clap(&error) as u8),
+    };
     signals::take_harmless();
     start_log(&cli.log);
     let format = cli.format;
@@ -193,6 +197,18 @@ pub fn main() -> ExitCode {
         Command::Fleet(command) => fleet::fleet(&command, format),
     };
     ExitCode::from(console::finish(exit) as u8)
+}
+
+/// Prints help, a version or what is wrong with the arguments, and returns with which code that ends.
+fn told_by_clap(error: &clap::Error) -> Exit {
+    let exit = if error.use_stderr() { Exit::Usage } else { Exit::Done };
+    match error.print().and_then(|()| std::io::stdout().flush()) {
+        Err(error) if exit == Exit::Done && error.kind() != std::io::ErrorKind::BrokenPipe => {
+            console::error(&format!("cannot write to standard output: {error}"));
+            Exit::Unwritten
+        }
+        _ => exit,
+    }
 }
 
 fn start_log(filter: &str) {

@@ -4,9 +4,11 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
-use downbeat_robot::{Host, HostOptions, Hosted, serve};
+use downbeat_robot::{Host, HostError, HostOptions, Hosted, serve};
 use downbeat_scripts::shown::{self, shown};
 use tokio::net::TcpListener;
+use tokio::sync::oneshot;
+use tokio::task::JoinHandle;
 use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
 use super::run::parse_span;
@@ -93,14 +95,41 @@ impl ProcessArgs {
                 Ok(listener) => listener,
                 Err(error) => return failed(&format!("cannot listen on {}: {error}", self.listen)),
             };
-            let host = match Host::start(vec![robot], options) {
+            let mut host = match Host::start(vec![robot], options) {
                 Ok(host) => host,
                 Err(error) => return failed(&error.to_string()),
             };
+            let log = LogWatch::of(&mut host);
             announce(&host, 0, &listener, format);
             let exit = serve_until_asked_to_end(vec![(listener, 0)], &host, signals).await;
-            if stop(host) { exit } else { Exit::Unconfirmed }
+            if stop(host) { log.spoils(exit).await } else { Exit::Unconfirmed }
         })
+    }
+}
+
+/// Tells at once when the log of what robots set ends ahead of them.
+pub(super) struct LogWatch(Option<JoinHandle<bool>>);
+
+impl LogWatch {
+    pub(super) fn of(host: &mut Host) -> Self {
+        let watch = |lost: oneshot::Receiver<HostError>| {
+            // Ends with the host.
+            tokio::spawn(async move {
+                let lost = lost.await.ok();
+                lost.iter().for_each(|error| console::error(&error.to_string()));
+                lost.is_some()
+            })
+        };
+        Self(host.log_lost().map(watch))
+    }
+
+    /// The exit code once the host has stopped: a log that is not whole is no success.
+    pub(super) async fn spoils(self, exit: Exit) -> Exit {
+        let lost = match self.0 {
+            Some(watch) => watch.await.unwrap_or(false),
+            None => false,
+        };
+        if lost && exit == Exit::Done { Exit::Unwritten } else { exit }
     }
 }
 

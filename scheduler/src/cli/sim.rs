@@ -53,7 +53,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
         return Exit::Failed;
     }
     let options = HostOptions { realtime: args.realtime, log: args.log_file.clone() };
-    let host = match Host::start(machines, options) {
+    let mut host = match Host::start(machines, options) {
         Ok(host) => host,
         Err(error) => {
             console::error(&error.to_string());
@@ -65,6 +65,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
             Ok(signals) => signals,
             Err(error) => return robot::failed(&format!("no signal handlers: {error}")),
         };
+        let log = robot::LogWatch::of(&mut host);
         let mut listeners = Vec::new();
         for (index, (name, port)) in addresses.into_iter().enumerate() {
             match TcpListener::bind((name.as_str(), port)).await {
@@ -80,6 +81,6 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
         }
         let exit = robot::serve_until_asked_to_end(listeners, &host, signals).await;
         host.stop();
-        exit
+        log.spoils(exit).await
     })
 }
