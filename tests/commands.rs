@@ -106,3 +106,63 @@ fn a_robot_whose_log_cannot_be_written_says_so_at_once_and_is_no_success_in_the_
     assert_eq!(robot.0.wait().unwrap().code(), Some(7), "{}", says());
     assert_eq!(says().matches("No space left").count(), 1, "{}", says());
 }
+
+#[test]
+fn nothing_of_a_ping_is_cut_in_a_pipe() {
+    let session = Session::new();
+    let host = format!("{}.invalid", "a-long-name".repeat(6));
+    session.file(
+        "fleet.yaml",
+        format!("robots:\n  left: {{init: arm.yaml, address: 'tcp://{host}:7401'}}\n  right: {{init: arm.yaml, address: sim}}\n"),
+    );
+    let ran = session.run(&["fleet", "ping"]);
+    assert!(ran.out().contains(&format!("tcp://{host}:7401 ")), "{}", ran.out());
+    assert!(ran.out().contains(&format!("no connection to {host}:7401: ")), "{}", ran.out());
+    assert!(!ran.out().contains('…'), "{}", ran.out());
+}
+
+#[test]
+fn a_check_says_no_word_twice() {
+    let mut stage = SHORT.stage(&[Via::Direct, Via::Direct]);
+    stage.robots[1].kill();
+    let ran = stage.run(&["preflight", "play.yaml"]);
+    assert!(ran.out.contains("r1: link down: "), "{ran}");
+    assert!(!ran.out.contains("link: link"), "{ran}");
+}
+
+#[test]
+fn a_stop_because_of_a_failure_names_the_robot_and_its_reason() {
+    let mut stage = LONG.stage(&[Via::Direct, Via::Direct]);
+    let mut run = stage.start(&["run", "play.yaml", "--patience", "1s"]);
+    stage.robots[1].await_sets(3, SOON);
+    stage.robots[1].kill();
+    let line = run.line("stopping all robots: ");
+    let ended = run.ended();
+    assert!(line.is_some_and(|line| line.contains("stopping all robots: r1: link down: ")), "{ended}");
+}
+
+#[test]
+fn a_stop_because_of_a_wait_that_ran_out_names_the_act_and_its_wait() {
+    let stage = SHORT.stage(&[Via::Direct]);
+    let cues = "cues: [{robots: all, tracks: {d: [{at: 0s, to: 1}, {at: 100ms, to: 2}]}}]";
+    stage.file("show.yaml", format!("scenario: show\nstart_tolerance: 1s\nacts:\n  - {{act: one, {cues}}}\n  - {{act: two, wait: {{for: operator, timeout: 300ms}}, {cues}}}\n"));
+    let ended = stage.run(&["run", "show.yaml"]);
+    let stopping = "stopping all robots: `two` skipped: the operator's go did not come within 300 ms";
+    assert!(ended.told.contains(stopping), "{ended}");
+}
+
+#[test]
+fn a_start_that_was_claimed_and_is_not_believed_is_not_called_a_start() {
+    let stage = SHORT.stage(&[Via::Proxy]);
+    stage.robots[0].link.as_ref().unwrap().rewrite(|message| {
+        let response = message.get_mut("control_response").filter(|response| response["status"] == "Started");
+        if let Some(response) = response {
+            response["event_timestamp"] = Value::from("2026-01-01T00:00:00.000000000Z");
+        }
+    });
+    let ended = stage.run(&["run", "play.yaml", "--patience", "2s"]);
+    assert!(ended.out.contains("before the script was sent"), "{ended}");
+    assert!(ended.out.contains("1/1 claimed"), "{ended}");
+    assert!(ended.out.contains("r0: when it says that it started is not believed"), "{ended}");
+    assert!(!ended.out.contains("no robot reported a start"), "{ended}");
+}

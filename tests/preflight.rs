@@ -65,7 +65,7 @@ fn a_clock_that_is_a_minute_off_is_red_in_preflight_and_nobody_says_that_clocks_
     let session = session(SIM, A_MINUTE_AHEAD);
     let mut command = session.command(&["preflight", "test.yaml"]);
     let coloured = Ran(command.env("CLICOLOR_FORCE", "1").output().unwrap());
-    coloured.says(1, &["right clock: clock off by 60 s", "\u{1b}[31mFAILURE"]);
+    coloured.says(1, &["right: clock off by 60 s", "\u{1b}[31mFAILURE"]);
     let ran = session.run(&["preflight", "test.yaml", "--format", "json"]);
     assert_eq!(verdict(&ran, "right", "clock"), "failure");
     let ran = session.run(&["run", "test.yaml"]);

@@ -105,8 +105,12 @@ impl Mission {
         if let Some(at) = self.acts.iter().position(|act| act.number() == number) {
             let act = self.acts.remove(at);
             let fate = ActFate::timed_out(&act);
+            let reason = format!("`{}` {fate}", act.name());
             self.tell(Progress::ActSkipped { act: act.name(), fate: fate.clone() });
             self.fates[act.index()].note(fate);
+            if way == Way::Fail {
+                return self.abort_because(now, (Outcome::Failed, reason), Rest::Default, None);
+            }
         }
         self.go_way(now, way);
     }
@@ -162,7 +166,8 @@ impl Mission {
         if let Some(flaw) = &self.flaw_of_starts {
             return flaw.clone();
         }
-        let skipped = self.fates.iter().filter(|act| act.was_skipped()).map(|act| act.act.clone());
+        let fates = self.fates.iter().enumerate().filter(|(_, act)| act.was_skipped());
+        let skipped = fates.map(|(act, _)| act_name(&self.choreography, act));
         match skipped.collect::<Vec<_>>() {
             none if none.is_empty() => Outcome::Done,
             acts => Outcome::DoneSkipping { acts },

@@ -1,6 +1,6 @@
 //! What a robot's failure does to the others, and robots whose link breaks in mid-mission.
 
-use downbeat_scripts::OnFailure;
+use downbeat_scripts::{OnFailure, counted};
 use urrcp::{Server, Span, Timestamp};
 
 use super::course::may_have_moved;
@@ -196,7 +196,8 @@ impl Mission {
     /// The strictest policy of those that failed: abort, then hold, then going on without them.
     fn apply_policy(&mut self, now: Timestamp<Server>, robots: &[usize]) {
         let Some(current) = self.acts.first() else {
-            return self.abort(now, Outcome::Failed, Rest::Default, None);
+            let reason = self.reason_of(robots);
+            return self.abort_because(now, (Outcome::Failed, reason), Rest::Default, None);
         };
         let policies = robots.iter().map(|robot| {
             // That of the newest act that it takes part in.
@@ -221,7 +222,8 @@ impl Mission {
                 let sent = self.acts.iter().any(super::act::Act::was_sent);
                 let nobody = self.robots.iter().all(|robot| robot.standing == Standing::Out);
                 if nobody && sent {
-                    self.abort(now, Outcome::Failed, Rest::Default, None);
+                    let reason = self.reason_of(robots);
+                    self.abort_because(now, (Outcome::Failed, reason), Rest::Default, None);
                 }
             }
         }
@@ -231,7 +233,20 @@ impl Mission {
         let moved = self.acts.iter().any(|act| may_have_moved(now, act)) || !self.reports.is_empty();
         let outcome = if moved { Outcome::Failed } else { Outcome::NotStarted };
         robots.iter().for_each(|robot| self.robots[*robot].standing = Standing::Out);
-        self.abort(now, outcome, rest, then);
+        let reason = self.reason_of(robots);
+        self.abort_because(now, (outcome, reason), rest, then);
+    }
+
+    /// What has just failed, for people: the first of these robots, and how many more.
+    fn reason_of(&self, robots: &[usize]) -> String {
+        let failed = |robot: &usize| self.robots[*robot].failures.last();
+        match robots.iter().find_map(failed) {
+            None => Outcome::Failed.to_string(),
+            Some(Failure { robot, kind }) if robots.len() == 1 => format!("{robot}: {kind}"),
+            Some(Failure { robot, kind }) => {
+                format!("{robot}: {kind}; {} more failed", counted(robots.len() - 1, "robot"))
+            }
+        }
     }
 
     /// The others go on; it goes to its default state, if it can be reached.

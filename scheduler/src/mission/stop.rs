@@ -48,7 +48,19 @@ impl Mission {
         rest: Rest,
         then: Option<usize>,
     ) {
-        self.tell(Progress::Stopping { reason: outcome.to_string() });
+        let reason = outcome.to_string();
+        self.abort_because(now, (outcome, reason), rest, then);
+    }
+
+    /// The same, with a reason for people that says more than the outcome.
+    pub(super) fn abort_because(
+        &mut self,
+        now: Timestamp<Server>,
+        (outcome, reason): (Outcome, String),
+        rest: Rest,
+        then: Option<usize>,
+    ) {
+        self.tell(Progress::Stopping { reason });
         self.then = then;
         self.next_round = None;
         self.next_silence = None;

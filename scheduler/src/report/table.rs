@@ -2,10 +2,12 @@
 //! ever broken.
 
 use comfy_table::{CellAlignment, Table, presets};
-use downbeat_scripts::shown::within;
+use downbeat_scripts::shown::{shown, within};
 use unicode_width::UnicodeWidthStr;
 
-/// Columns that one cell takes at most.
+use super::UNBOUNDED;
+
+/// Columns that one cell takes at most, where columns are bounded.
 const CELL_MAX: usize = 60;
 
 /// Rows under a header.
@@ -26,7 +28,7 @@ impl Rows {
 
     /// Adds a row; what stands in it may come from outside.
     pub fn add(&mut self, cells: impl IntoIterator<Item = impl AsRef<str>>) {
-        self.rows.push(cells.into_iter().map(|cell| within(cell.as_ref(), CELL_MAX).into_owned()).collect());
+        self.rows.push(cells.into_iter().map(|cell| shown(cell.as_ref()).into_owned()).collect());
     }
 
     /// As lines of at most so many columns, unless a single cell is wider.
@@ -38,10 +40,11 @@ impl Rows {
     /// The same, each line of a row as it is painted; the row is counted from 0.
     #[must_use]
     pub fn painted(&self, columns: usize, paint: impl Fn(usize, String) -> String) -> String {
-        let table = self.table();
+        let rows: Vec<_> = self.rows.iter().map(|row| cut(row, columns)).collect();
+        let table = self.table(&rows);
         let mut lines = table.lines().map(|line| line.trim_end().to_owned());
         if !table.lines().all(|line| line.trim_end().width() <= columns) {
-            let rows = self.rows.iter().enumerate();
+            let rows = rows.iter().enumerate();
             let lines = rows.flat_map(|(row, cells)| {
                 let stacked = self.stacked(cells, columns);
                 stacked.lines().map(|line| paint(row, line.to_owned()) + "\n").collect::<Vec<_>>()
@@ -58,14 +61,14 @@ impl Rows {
         self.rows.is_empty()
     }
 
-    fn table(&self) -> Table {
+    fn table(&self, rows: &[Vec<String>]) -> Table {
         let mut table = Table::new();
         table.load_style(presets::NOTHING);
         table.set_header(self.header.clone());
         for column in table.column_iter_mut().skip(self.numbers_from) {
             column.set_cell_alignment(CellAlignment::Right);
         }
-        for row in &self.rows {
+        for row in rows {
             table.add_row(row.clone());
         }
         table
@@ -87,6 +90,12 @@ impl Rows {
         }
         if line.is_empty() { text } else { format!("{text}{line}\n") }
     }
+}
+
+/// The cells as they fit a terminal; in a file or a pipe nothing is cut.
+fn cut(row: &[String], columns: usize) -> Vec<String> {
+    let largest = if columns == UNBOUNDED { usize::MAX } else { CELL_MAX };
+    row.iter().map(|cell| within(cell, largest).into_owned()).collect()
 }
 
 /// Units that stay on the line of their number.

@@ -8,7 +8,7 @@ use urrcp::Span;
 use super::local::{date_and_time, time_of_day};
 use super::table::{Rows, wrapped};
 use super::{ActReport, Outcome, Report, RobotReport, StopState, course_lines};
-use crate::mission::{Check, Greeting, Preflight, PreflightRow, Verdict};
+use crate::mission::{Check, Failure, FailureKind, Greeting, Preflight, PreflightRow, Verdict};
 
 /// Removed by the printing end where that is no terminal.
 const RED: Style = AnsiColor::Red.on_default().bold();
@@ -147,6 +147,10 @@ fn checks_table(preflight: &Preflight, checks: &[Check], columns: usize) -> Stri
 
 fn wrong_lines(row: &PreflightRow) -> Vec<String> {
     let wrong = row.checks.iter().filter_map(|(check, verdict)| match verdict {
+        // The reason may begin with the word that names the check.
+        Verdict::Warning(why) | Verdict::Failure(why) if why.starts_with(check.title()) => {
+            Some(format!("{}: {why}", row.robot))
+        }
         Verdict::Warning(why) | Verdict::Failure(why) => {
             Some(format!("{} {}: {why}", row.robot, check.title()))
         }
@@ -272,7 +276,7 @@ fn robots_table(report: &Report, columns: usize) -> String {
         rows.add([
             robot.robot.to_string(),
             if robot.accepted { "yes" } else { "no" }.to_owned(),
-            format!("{}/{}", robot.started, robot.scripts),
+            format!("{}/{}{}", robot.started, robot.scripts, claimed(report, robot)),
             or_dash(robot.start_error.map(signed)),
             format!("{}/{}", robot.steps_done, robot.steps_planned),
             or_dash(robot.clock.map(|clock| signed(clock.offset))),
@@ -280,6 +284,14 @@ fn robots_table(report: &Report, columns: usize) -> String {
         ]);
     }
     rows.text(columns)
+}
+
+/// Behind a number of starts that rests on a claim which cannot be true.
+fn claimed(report: &Report, robot: &RobotReport) -> &'static str {
+    let doubted = |failure: &Failure| {
+        failure.robot == robot.robot && matches!(failure.kind, FailureKind::Claim { .. })
+    };
+    if robot.started > 0 && report.failures.iter().any(doubted) { " claimed" } else { "" }
 }
 
 fn closing_sentences(report: &Report) -> Vec<String> {
@@ -294,7 +306,16 @@ fn closing_sentences(report: &Report) -> Vec<String> {
             counted(told.len(), "robot")
         )),
         (None, _) if report.acts.is_empty() => {}
-        (None, _) => sentences.push("no robot reported a start".to_owned()),
+        (None, _) => {
+            let claims = report.robots.iter().filter(|robot| !claimed(report, robot).is_empty());
+            let claims = claims.map(|robot| {
+                format!("{}: when it says that it started is not believed", robot.robot)
+            });
+            sentences.extend(claims);
+            if sentences.is_empty() {
+                sentences.push("no robot reported a start".to_owned());
+            }
+        }
     }
     if let Some(spread) = report.true_spread {
         sentences.push(format!("true start spread {spread}, by the one clock of the virtual world"));
