@@ -166,3 +166,23 @@ fn a_start_that_was_claimed_and_is_not_believed_is_not_called_a_start() {
     assert!(ended.out.contains("r0: when it says that it started is not believed"), "{ended}");
     assert!(!ended.out.contains("no robot reported a start"), "{ended}");
 }
+
+#[test]
+fn a_mission_in_the_background_that_does_not_begin_ends_with_its_own_code_and_reason() {
+    let mut stage = SHORT.stage(&[Via::Direct, Via::Direct]);
+    stage.robots[1].kill();
+    let detached = stage.run(&["run", "play.yaml", "--detach", "--patience", "1s"]);
+    assert_eq!(detached.code, Some(1), "{detached}");
+    assert!(detached.told.contains("r1: link down: "), "{detached}");
+    assert!(!detached.out.contains("runs in the background"), "{detached}");
+}
+
+#[test]
+fn a_mission_in_the_background_that_waits_for_its_time_has_begun() {
+    let stage = SHORT.stage(&[Via::Direct]);
+    let detached = stage.run(&["run", "play.yaml", "--detach", "--at", "2100-01-01T00:00:00Z"]);
+    assert_eq!(detached.code, Some(0), "{detached}");
+    assert!(detached.out.contains("runs in the background"), "{detached}");
+    let stopped = stage.run(&["stop"]);
+    assert_eq!(stopped.code, Some(0), "{stopped}");
+}

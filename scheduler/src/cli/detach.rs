@@ -7,11 +7,13 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use downbeat_scripts::shown::shown;
+use rustix::process::{Pid, Signal, kill_process};
 use urrcp::SessionId;
 
 use super::{Exit, Format, console};
-use crate::journal::Found;
+use crate::journal::has_begun;
 use crate::run::control;
+use crate::signals::{OnHangUp, Signals};
 
 /// Tells the process in the background the name of its mission.
 const NAME: &str = "DOWNBEAT_DETACHED_AS";
@@ -29,7 +31,8 @@ pub(super) fn detached_as() -> Option<SessionId> {
     Some(session)
 }
 
-/// Starts this very command again in the background, and waits until its mission has begun and can be stopped from other terminals.
+/// Starts this very command again in the background, and waits until its fleet is checked and it can be stopped from other
+/// terminals. One that ends before that tells why, by what it printed and by its exit code.
 pub(super) fn detach(session: &SessionId, folder: &Path, format: Format) -> Exit {
     let log = folder.join("log");
     let mut child = match start(session, folder, &log) {
@@ -43,22 +46,34 @@ pub(super) fn detach(session: &SessionId, folder: &Path, format: Format) -> Exit
         }
     };
     super::with_runtime(async {
+        let mut signals = Signals::listen(OnHangUp::End).ok();
         let mut looks = 0;
         loop {
-            if let Ok(Some(_begun)) = Found::look_at(folder) {
-                looks += 1;
-            }
-            if looks > 0 && control::socket(folder).exists() || looks > LOOKS_FOR_SOCKET {
-                announce(session, child.id(), log, format);
-                return Exit::Done;
-            }
             if let Ok(Some(status)) = child.try_wait() {
                 console::note_block(&std::fs::read_to_string(&log).unwrap_or_default());
                 return status.code().map_or(Exit::Failed, Exit::of_code);
             }
-            tokio::time::sleep(LOOK_EVERY).await;
+            looks += u32::from(has_begun(folder));
+            if looks > 0 && control::socket(folder).exists() || looks > LOOKS_FOR_SOCKET {
+                announce(session, child.id(), log, format);
+                return Exit::Done;
+            }
+            if asked_to_stop(signals.as_mut()).await {
+                let _ended = kill_process(Pid::from_child(&child), Signal::TERM);
+            }
         }
     })
+}
+
+/// Waits a moment. Returns whether the operator wants the mission to stop, which nobody else can be told yet.
+async fn asked_to_stop(signals: Option<&mut Signals>) -> bool {
+    let asked = async {
+        match signals {
+            Some(signals) => drop(signals.next().await),
+            None => std::future::pending().await,
+        }
+    };
+    tokio::time::timeout(LOOK_EVERY, asked).await.is_ok()
 }
 
 fn start(session: &SessionId, folder: &Path, log: &Path) -> io::Result<Child> {

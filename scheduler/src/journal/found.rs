@@ -105,6 +105,14 @@ impl Found {
     }
 }
 
+/// Whether the mission of this folder has checked its fleet: it plays, or waits for its first act.
+#[must_use]
+pub fn has_begun(folder: &Path) -> bool {
+    let journal = std::fs::read(folder.join("journal")).unwrap_or_default();
+    let mut records = journal.split_inclusive(|byte| *byte == b'\n').filter_map(whole);
+    records.any(|line| line["record"].as_str() == Some("checked"))
+}
+
 /// So many bytes at the end of a journal are looked at: that a mission has ended is one of its last lines, and a short one.
 const TAIL: u64 = 64 * 1024;
 

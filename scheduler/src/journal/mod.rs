@@ -17,7 +17,7 @@ use urrcp::{InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
 use crate::mission::{Greeting, Record};
 pub use disk::{Disk, FileDisk};
-pub use found::{Found, Life, Missions, forget_old};
+pub use found::{Found, Life, Missions, forget_old, has_begun};
 pub use read::{Fate, Kept, Left, LeftOn, Progressed, Torn, Unreadable, read};
 pub use writer::{Writer, Written};
 

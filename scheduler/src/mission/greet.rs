@@ -8,6 +8,7 @@ use urrcp::{
 
 use super::failure_kind::FailureKind;
 use super::preflight;
+use super::record::Record;
 use super::robot_state::{Link, Reading, RobotState, Standing};
 use super::skew::SkewBudget;
 use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, act, error_of_status};
@@ -210,6 +211,7 @@ impl Mission {
             false if self.options.preflight_only => self.refuse(Outcome::Ready),
             false => {
                 self.phase = Phase::Performing;
+                self.record(Record::Checked);
                 self.line_up_act(now, self.options.first_act);
                 self.perform(now);
             }

@@ -11,6 +11,8 @@ use super::{ActReport, Outcome};
 pub enum Record {
     /// The mission has begun.
     Begun,
+    /// The fleet is checked: acts begin, or wait.
+    Checked,
     /// Requests of an act are about to be sent.
     Prepared(Promise),
     /// All have accepted.
@@ -68,7 +70,8 @@ impl Record {
             | Self::Committed { .. }
             | Self::Stopping { .. }
             | Self::Ended { .. } => true,
-            Self::Decided { .. }
+            Self::Checked
+            | Self::Decided { .. }
             | Self::Dropped { .. }
             | Self::StopConfirmed { .. }
             | Self::ActEnded { .. } => false,
