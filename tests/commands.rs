@@ -87,7 +87,10 @@ fn a_robot_whose_log_cannot_be_written_says_so_at_once_and_is_no_success_in_the_
     let mut robot = stage.command(&["robot", "--init", "robot.yaml", "--id", "r0", "--listen", &address]);
     robot.args(["--log-file", "/dev/full"]).stderr(File::create(&told).unwrap());
     let mut robot = Process(robot.spawn().unwrap());
-    stage.file("fleet.yaml", format!("robots:\n  r0: {{init: robot.yaml, address: 'tcp://{address}'}}\ngroups: {{all: [r0]}}\n"));
+    stage.file(
+        "fleet.yaml",
+        format!("robots:\n  r0: {{init: robot.yaml, address: 'tcp://{address}'}}\ngroups: {{all: [r0]}}\n"),
+    );
     for _ in 0..50 {
         if std::net::TcpStream::connect(&address).is_ok() {
             break;

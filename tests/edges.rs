@@ -272,7 +272,8 @@ fn session() -> Session {
 #[test]
 fn two_thrift_robots_start_together_and_are_sent_every_value_in_order() {
     let session = session();
-    let tanks = [("tank-1", "1.log"), ("tank-2", "2.log")].map(|(id, log)| Tank::start_as(id, &session, log, 0));
+    let tanks =
+        [("tank-1", "1.log"), ("tank-2", "2.log")].map(|(id, log)| Tank::start_as(id, &session, log, 0));
     let addresses = tanks.each_ref().map(|(_, port)| format!("thrift://127.0.0.1:{port}"));
     session.file("fleet.yaml", fleet(&addresses, "above 12"));
     let ran = session.run(&["run", "tanks.yaml", "--lead", LEAD, "--format", "json"]);
@@ -293,7 +294,8 @@ fn two_thrift_robots_start_together_and_are_sent_every_value_in_order() {
 #[test]
 fn with_the_addresses_of_two_thrift_robots_swapped_neither_moves() {
     let session = session();
-    let tanks = [("tank-2", "2.log"), ("tank-1", "1.log")].map(|(id, log)| Tank::start_as(id, &session, log, 0));
+    let tanks =
+        [("tank-2", "2.log"), ("tank-1", "1.log")].map(|(id, log)| Tank::start_as(id, &session, log, 0));
     let addresses = tanks.each_ref().map(|(_, port)| format!("thrift://127.0.0.1:{port}"));
     session.file("fleet.yaml", fleet(&addresses, "above 12"));
     let other = ["calls itself `tank-2`, expected `tank-1`", "calls itself `tank-1`, expected `tank-2`"];

@@ -16,8 +16,8 @@ use super::withdraw::{
 };
 use super::{Exit, Format, console};
 use crate::journal::{Found, Kept, Life};
-use crate::report::{TAKEN_OVER, Withdrawal};
 use crate::report::local::time_of_day;
+use crate::report::{TAKEN_OVER, Withdrawal};
 use crate::run::control;
 
 /// Stop missions: every robot that can be reached comes to rest.
@@ -221,7 +221,9 @@ impl Stopped {
         let unconfirmed = report.as_ref().map_or(true, |report| {
             let mut robots = report["robots"].as_array().into_iter().flatten();
             let not_at_rest = report["not_at_rest"].as_array().is_some_and(|robots| !robots.is_empty());
-            let unconfirmed = |robot: &Value| robot["stop"]["state"] == "unconfirmed" || robot["stop"]["state"] == "taken_over";
+            let unconfirmed = |robot: &Value| {
+                robot["stop"]["state"] == "unconfirmed" || robot["stop"]["state"] == "taken_over"
+            };
             not_at_rest || robots.any(unconfirmed)
         });
         let not_at_rest = report.iter().filter_map(|report| report["not_at_rest"].as_array()).flatten();
@@ -235,7 +237,8 @@ impl Stopped {
         match withdrawn {
             Ok(withdrawn) => {
                 let exit = if withdrawn.is_confirmed() { Exit::Done } else { Exit::Unconfirmed };
-                let report = serde_json::to_value(Withdrawal::from(&withdrawn.report)).map_err(|error| error.to_string());
+                let report = serde_json::to_value(Withdrawal::from(&withdrawn.report))
+                    .map_err(|error| error.to_string());
                 let (begun, forgotten) = (Some(withdrawn.begun), withdrawn.forgotten);
                 Self { mission, begun, report, inside: withdrawn.inside, forgotten, exit }
             }

@@ -3,8 +3,8 @@
 use std::collections::{BTreeSet, HashMap, VecDeque};
 
 use urrcp::{
-    ControlError, ControlResponse, DeviceId, ErrorCode, Encoding, InitializationBlock, RequestId, Robot, RobotId, Server, Span,
-    Status, Timestamp,
+    ControlError, ControlResponse, DeviceId, Encoding, ErrorCode, InitializationBlock, RequestId, Robot,
+    RobotId, Server, Span, Status, Timestamp,
 };
 
 use super::failure_kind::Failure;

@@ -288,9 +288,8 @@ fn robots_table(report: &Report, columns: usize) -> String {
 
 /// Behind a number of starts that rests on a claim which cannot be true.
 fn claimed(report: &Report, robot: &RobotReport) -> &'static str {
-    let doubted = |failure: &Failure| {
-        failure.robot == robot.robot && matches!(failure.kind, FailureKind::Claim { .. })
-    };
+    let doubted =
+        |failure: &Failure| failure.robot == robot.robot && matches!(failure.kind, FailureKind::Claim { .. });
     if robot.started > 0 && report.failures.iter().any(doubted) { " claimed" } else { "" }
 }
 
@@ -308,9 +307,8 @@ fn closing_sentences(report: &Report) -> Vec<String> {
         (None, _) if report.acts.is_empty() => {}
         (None, _) => {
             let claims = report.robots.iter().filter(|robot| !claimed(report, robot).is_empty());
-            let claims = claims.map(|robot| {
-                format!("{}: when it says that it started is not believed", robot.robot)
-            });
+            let claims =
+                claims.map(|robot| format!("{}: when it says that it started is not believed", robot.robot));
             sentences.extend(claims);
             if sentences.is_empty() {
                 sentences.push("no robot reported a start".to_owned());

@@ -42,11 +42,6 @@ impl<'a> From<&'a Report> for Withdrawal<'a> {
 
 impl<'a> From<&'a RobotReport> for WithdrawnRobot<'a> {
     fn from(robot: &'a RobotReport) -> Self {
-        Self {
-            robot: &robot.robot,
-            retries: robot.retries,
-            reconnects: robot.reconnects,
-            stop: robot.stop,
-        }
+        Self { robot: &robot.robot, retries: robot.retries, reconnects: robot.reconnects, stop: robot.stop }
     }
 }

@@ -170,7 +170,8 @@ impl World {
         self.scheduler.disk = DiskState::Idle;
         self.scheduler.paused_until = self.now;
         self.note(Happened::TakenUp(if resumed.is_some() { "resumed" } else { "withdrawn" }));
-        resumed.unwrap_or_else(|| Mission::withdraw("soak".to_owned(), participants, options(), &left, self.now))
+        resumed
+            .unwrap_or_else(|| Mission::withdraw("soak".to_owned(), participants, options(), &left, self.now))
     }
 
     /// Something for the scheduler, which takes it when it can.
