@@ -1,19 +1,22 @@
-//! `downbeat run`: a mission on the fleet.
+//! `downbeat run`: a mission on the fleet. `opening` begins its journal, `others` looks for missions that have its robots.
 
-use std::path::PathBuf;
+mod opening;
+mod others;
+
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use downbeat_robot::HostOptions;
-use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Wait};
+use downbeat_scripts::{Choreography, Fleet, FleetRobot, Wait};
 use tokio::sync::mpsc;
-use urrcp::{RobotId, Server, SessionId, Span, Timestamp};
+use urrcp::{Server, SessionId, Span, Timestamp};
 
 use super::choice::{self, ChoiceArgs};
 use super::live::{Live, Speaker};
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console, detach, robot};
 use crate::fleet;
-use crate::journal::{self, Asked, Found, Journal, Life, Missions, Opened, OpenedRobot};
+use crate::journal::{self, Asked, Opened};
 use crate::mission::{Join, Mission, MissionOptions};
 use crate::recording::{Recorder, Recording};
 use crate::report::{Outcome, Report, report_text};
@@ -174,6 +177,30 @@ enum Place {
     Background(SessionId),
 }
 
+/// Why a mission did not begin, and with which code that ends.
+type Stopped = (String, Exit);
+
+fn failed(message: String) -> Stopped {
+    (message, Exit::Failed)
+}
+
+fn usage(message: String) -> Stopped {
+    (message, Exit::Usage)
+}
+
+/// A mission that has its journal and whose robots have not been reached.
+struct Prepared<'a> {
+    choreography: Arc<Choreography>,
+    fleet: &'a Fleet,
+    robots: Vec<&'a FleetRobot>,
+    clock: ServerClock,
+    options: MissionOptions,
+    keep: Keep,
+    lane: StopLane,
+    operator: mpsc::Receiver<Operator>,
+    control: Option<Control>,
+}
+
 /// One mission as it was asked for.
 struct Work<'a> {
     scenario: &'a ScenarioArgs,
@@ -182,7 +209,7 @@ struct Work<'a> {
     at: Option<StartAt>,
     lead: Option<Span>,
     join: Join,
-    record: Option<&'a std::path::Path>,
+    record: Option<&'a Path>,
     journal: bool,
     preflight_only: bool,
     place: Place,
@@ -220,9 +247,8 @@ impl Work<'_> {
         choreography: Choreography,
         first_act: usize,
         fleet: &Fleet,
-        fleet_path: &std::path::Path,
-    ) -> Result<Report, (String, Exit)> {
-        let failed = |message: String| (message, Exit::Failed);
+        fleet_path: &Path,
+    ) -> Result<Report, Stopped> {
         let (clock, server_uncertainty) = server_clock(fleet, self.format).await.map_err(failed)?;
         let robots = fleet::robots_in(fleet, &choreography);
         let session = match &self.place {
@@ -231,70 +257,100 @@ impl Work<'_> {
         };
         let state = journal::state_folder();
         if !self.preflight_only {
-            let missions = Missions::of(&state).found;
-            warn_of_unfinished(&missions, &robots);
-            taken_here(&missions, &robots).map_err(failed)?;
+            others::look_for(&state, &robots).map_err(failed)?;
         }
+        let options = self.options(fleet, (clock, server_uncertainty), session.clone(), first_act);
+        let mut keep = self.keep(fleet, clock)?;
+        let (lane, mut operator) = stop_lane(self.on_hang_up()).map_err(failed)?;
+        let mut control = None;
+        if self.journal {
+            let opened = self.opened(session, &choreography.scenario, (fleet, fleet_path), clock, &robots);
+            let folder = state.join(opened.session.as_str());
+            keep.journal = Some(opening::begin(state, opened, clock, &mut operator).await?);
+            control = listen(&folder, &lane);
+        }
+        let choreography = Arc::new(choreography);
+        self.perform(Prepared { choreography, fleet, robots, clock, options, keep, lane, operator, control })
+            .await
+    }
+
+    fn options(
+        &self,
+        fleet: &Fleet,
+        (clock, server_uncertainty): (ServerClock, Span),
+        session: SessionId,
+        first_act: usize,
+    ) -> MissionOptions {
         let utc_offset = utc_offset();
-        let options = MissionOptions {
+        MissionOptions {
             greeting: fleet::greeting(fleet),
             lead: self.lead,
             patience: self.how.patience,
             server_uncertainty,
-            session: Some(session.clone()),
+            session: Some(session),
             start_at: self.at.map(|at| at.instant(clock.now(), utc_offset)),
             first_act,
             acts_max: None,
             join: self.join,
             preflight_only: self.preflight_only,
             utc_offset,
-        };
+        }
+    }
+
+    /// What goes with it, but for its journal and its stop lane.
+    fn keep(&self, fleet: &Fleet, clock: ServerClock) -> Result<Keep, Stopped> {
         let ntp = fleet.ntp.clone().map(|server| NtpWatch::start(server, clock, NTP_WATCH_INTERVAL));
         let mut keep = Keep { ntp, ..Keep::default() };
-        let usage = |message: String| (message, Exit::Usage);
         if let Some(path) = self.record {
             let recording = Recording::create(path).map_err(|error| usage(error.to_string()))?;
             let recorder = Recorder::start(recording);
             keep.recording =
                 Some(recorder.map_err(|error| failed(format!("no thread for the recording: {error}")))?);
         }
-        let folder = state.join(session.as_str());
-        let on_hang_up = match self.place {
+        Ok(keep)
+    }
+
+    const fn on_hang_up(&self) -> OnHangUp {
+        match self.place {
             Place::Background(_) => OnHangUp::Stay,
             Place::Terminal | Place::Detaching => OnHangUp::End,
-        };
-        let (lane, mut operator) = stop_lane(on_hang_up).map_err(failed)?;
-        let mut control = None;
-        if self.journal {
-            let absolute =
-                |path: &std::path::Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
-            let opened = Opened {
-                session,
-                pid: std::process::id(),
-                name: Some(choreography.scenario.clone()),
-                scenario: absolute(&self.scenario.scenario),
-                fleet: absolute(fleet_path),
-                folder: std::env::current_dir().ok(),
-                asked: self.asked.clone(),
-                greeting: fleet::greeting(fleet),
-                clock_offset: clock.offset(),
-                robots: robots.iter().map(|robot| opened_robot(robot)).collect(),
-            };
-            let of_mission = folder.clone();
-            let opening = move || {
-                journal::forget_old(&state);
-                open_journal(&of_mission, &opened, &clock)
-            };
-            keep.journal = Some(unless_stopped(&mut operator, opening).await?.map_err(usage)?);
-            control = listen(&folder, &lane);
         }
+    }
+
+    /// The first line of its journal.
+    fn opened(
+        &self,
+        session: SessionId,
+        scenario: &str,
+        (fleet, fleet_path): (&Fleet, &Path),
+        clock: ServerClock,
+        robots: &[&FleetRobot],
+    ) -> Opened {
+        let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
+        Opened {
+            session,
+            pid: std::process::id(),
+            name: Some(scenario.to_owned()),
+            scenario: absolute(&self.scenario.scenario),
+            fleet: absolute(fleet_path),
+            folder: std::env::current_dir().ok(),
+            asked: self.asked.clone(),
+            greeting: fleet::greeting(fleet),
+            clock_offset: clock.offset(),
+            robots: robots.iter().map(|robot| opening::opened_robot(robot)).collect(),
+        }
+    }
+
+    /// Reaches the robots, plays, and lets all go that went with it.
+    async fn perform(&self, prepared: Prepared<'_>) -> Result<Report, Stopped> {
+        let Prepared { choreography, fleet, robots, clock, options, mut keep, lane, operator, control } =
+            prepared;
         let speaker = Speaker::of(&lane);
         keep.stop_lane = Some(lane);
         let host_options = HostOptions { realtime: self.how.realtime, ..HostOptions::default() };
-        let (host, endpoints) =
-            fleet::endpoints(&robots, fleet.handshake, host_options).map_err(|e| failed(e.to_string()))?;
+        let (host, endpoints) = fleet::endpoints(&robots, fleet.handshake, host_options)
+            .map_err(|error| failed(error.to_string()))?;
         let participants = fleet::participants(&robots);
-        let choreography = Arc::new(choreography);
         let mission = Mission::new(Arc::clone(&choreography), participants, options, clock.now())
             .map_err(|error| failed(error.to_string()))?;
         let live = match self.preflight_only {
@@ -305,15 +361,8 @@ impl Work<'_> {
                 Live::start(self.format, clock, choreography, ids, speaker)
             }
         };
-        let mut report = crate::run::run_and_keep(
-            mission,
-            endpoints,
-            clock,
-            operator,
-            |at, progress| live.tell(at, progress),
-            &mut keep,
-        )
-        .await;
+        let tell = |at, progress: &_| live.tell(at, progress);
+        let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
         drop(live);
         if let Some(recorder) = keep.recording.take() {
             report.recording = Some(recorder.finish().await);
@@ -335,25 +384,8 @@ impl StartAt {
     }
 }
 
-/// Waits for a disk that may stand still, unless the operator stops before anything was sent.
-async fn unless_stopped<T: Send + 'static>(
-    operator: &mut mpsc::Receiver<Operator>,
-    work: impl FnOnce() -> T + Send + 'static,
-) -> Result<T, (String, Exit)> {
-    let mut working = tokio::task::spawn_blocking(work);
-    loop {
-        tokio::select! {
-            done = &mut working => return done.map_err(|error| (error.to_string(), Exit::Failed)),
-            Some(word) = operator.recv() => if matches!(word, Operator::Stop | Operator::Leave) {
-                let message = "stopped by the operator while the journal was opened; nothing was sent";
-                return Err((message.to_owned(), Exit::Stopped));
-            },
-        }
-    }
-}
-
 /// Where it fails, the mission still plays.
-pub(super) fn listen(folder: &std::path::Path, lane: &StopLane) -> Option<Control> {
+pub(super) fn listen(folder: &Path, lane: &StopLane) -> Option<Control> {
     let listening = Control::listen(folder, lane);
     let failed = |error: &std::io::Error| {
         console::warn(&format!(
@@ -361,25 +393,6 @@ pub(super) fn listen(folder: &std::path::Path, lane: &StopLane) -> Option<Contro
         ));
     };
     listening.inspect_err(failed).ok()
-}
-
-/// What a stop has to know of a robot when nothing but the journal is left.
-fn opened_robot(robot: &FleetRobot) -> OpenedRobot {
-    let init = match robot.address {
-        Address::Thrift { .. } | Address::Program { .. } => robot.init.clone(),
-        Address::Tcp { .. } | Address::Simulated => None,
-    };
-    let own_id = robot.init.as_ref().map(|init| init.id.clone()).filter(|own_id| *own_id != robot.id);
-    OpenedRobot { robot: robot.id.clone(), own_id, address: robot.address.to_string(), init }
-}
-
-fn open_journal(folder: &std::path::Path, opened: &Opened, clock: &ServerClock) -> Result<Journal, String> {
-    let hint = |error: journal::JournalError| {
-        format!("{error}; set DOWNBEAT_STATE to a folder that can be written, or run with --no-journal")
-    };
-    let mut journal = Journal::open(folder).map_err(hint)?;
-    journal.begin(clock.now(), opened).map_err(hint)?;
-    Ok(journal)
 }
 
 /// A name that no other run bears: the scenario, this machine, this process, this moment.
@@ -402,45 +415,6 @@ fn unnamed() -> SessionId {
 /// Local time minus UTC, now.
 pub(super) fn utc_offset() -> Span {
     Span::from_millis(i64::from(chrono::Local::now().offset().local_minus_utc()) * 1_000)
-}
-
-/// Robots that a mission of this machine drives already, each by its name. Robots tell so themselves, too, also to
-/// schedulers on other machines.
-fn taken_here(missions: &[Found], robots: &[&FleetRobot]) -> Result<(), String> {
-    let of_mission = |mission: &Found| {
-        let (session, pid) = (&mission.opened.session, mission.opened.pid);
-        let taken = driven_by(mission, robots).into_iter();
-        let told = taken.map(|robot| format!("robot `{robot}` is in mission `{session}` (process {pid})"));
-        told.collect::<Vec<_>>()
-    };
-    let running = missions.iter().filter(|mission| mission.life == Life::Running);
-    let taken: Vec<String> = running.flat_map(of_mission).collect();
-    if taken.is_empty() { Ok(()) } else { Err(taken.join("; ")) }
-}
-
-/// Says which of the robots a mission drove that was cut off and never stopped: they may still hold something of it.
-fn warn_of_unfinished(missions: &[Found], robots: &[&FleetRobot]) {
-    for mission in missions.iter().filter(|mission| mission.life == Life::CutOff) {
-        let drove: Vec<_> = driven_by(mission, robots).iter().map(|robot| format!("`{robot}`")).collect();
-        let session = &mission.opened.session;
-        if !drove.is_empty() {
-            console::warn(&format!(
-                "mission `{session}` was cut off and has not ended; it drove {}: `downbeat resume {session}` goes on \
-                 with it, `downbeat stop {session}` ends it",
-                drove.join(", ")
-            ));
-        }
-    }
-}
-
-/// Those of the robots that a mission names, by their addresses.
-fn driven_by<'a>(mission: &Found, robots: &[&'a FleetRobot]) -> Vec<&'a RobotId> {
-    let named = |robot: &&&FleetRobot| {
-        let address = robot.address.to_string();
-        robot.address != Address::Simulated
-            && mission.opened.robots.iter().any(|opened| opened.address == address)
-    };
-    robots.iter().filter(named).map(|robot| &robot.id).collect()
 }
 
 /// The server's time: by NTP when the fleet file names a server, else the system's.

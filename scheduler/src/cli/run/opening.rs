@@ -1,0 +1,65 @@
+//! The journal of a mission that begins: on a disk that may stand still while the operator stops.
+
+use std::path::{Path, PathBuf};
+
+use downbeat_scripts::{Address, FleetRobot};
+use tokio::sync::mpsc;
+
+use super::{Stopped, failed, usage};
+use crate::cli::Exit;
+use crate::journal::{self, Journal, Opened, OpenedRobot};
+use crate::run::Operator;
+use crate::server_clock::ServerClock;
+
+/// Removes old journals and begins this one.
+///
+/// # Errors
+/// The disk does not take it, or the operator stops before it has.
+pub(super) async fn begin(
+    state: PathBuf,
+    opened: Opened,
+    clock: ServerClock,
+    operator: &mut mpsc::Receiver<Operator>,
+) -> Result<Journal, Stopped> {
+    let opening = move || {
+        journal::forget_old(&state);
+        open_journal(&state.join(opened.session.as_str()), &opened, &clock)
+    };
+    unless_stopped(operator, opening).await?.map_err(usage)
+}
+
+/// Waits for a disk that may stand still, unless the operator stops before anything was sent.
+async fn unless_stopped<T: Send + 'static>(
+    operator: &mut mpsc::Receiver<Operator>,
+    work: impl FnOnce() -> T + Send + 'static,
+) -> Result<T, Stopped> {
+    let mut working = tokio::task::spawn_blocking(work);
+    loop {
+        tokio::select! {
+            done = &mut working => return done.map_err(|error| failed(error.to_string())),
+            Some(word) = operator.recv() => if matches!(word, Operator::Stop | Operator::Leave) {
+                let message = "stopped by the operator while the journal was opened; nothing was sent";
+                return Err((message.to_owned(), Exit::Stopped));
+            },
+        }
+    }
+}
+
+/// What a stop has to know of a robot when nothing but the journal is left.
+pub(super) fn opened_robot(robot: &FleetRobot) -> OpenedRobot {
+    let init = match robot.address {
+        Address::Thrift { .. } | Address::Program { .. } => robot.init.clone(),
+        Address::Tcp { .. } | Address::Simulated => None,
+    };
+    let own_id = robot.init.as_ref().map(|init| init.id.clone()).filter(|own_id| *own_id != robot.id);
+    OpenedRobot { robot: robot.id.clone(), own_id, address: robot.address.to_string(), init }
+}
+
+fn open_journal(folder: &Path, opened: &Opened, clock: &ServerClock) -> Result<Journal, String> {
+    let hint = |error: journal::JournalError| {
+        format!("{error}; set DOWNBEAT_STATE to a folder that can be written, or run with --no-journal")
+    };
+    let mut journal = Journal::open(folder).map_err(hint)?;
+    journal.begin(clock.now(), opened).map_err(hint)?;
+    Ok(journal)
+}

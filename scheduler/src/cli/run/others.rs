@@ -1,0 +1,57 @@
+//! Other missions of this machine that have robots of the one that is about to begin.
+
+use std::path::Path;
+
+use downbeat_scripts::{Address, FleetRobot};
+use urrcp::RobotId;
+
+use crate::cli::console;
+use crate::journal::{Found, Life, Missions};
+
+/// Refuses robots that a mission of this machine drives already, each by its name; robots tell so themselves, too, also to
+/// schedulers on other machines. Warns of missions that were cut off.
+///
+/// # Errors
+/// Which robots are taken, and by whom.
+pub(super) fn look_for(state: &Path, robots: &[&FleetRobot]) -> Result<(), String> {
+    let missions = Missions::of(state).found;
+    warn_of_unfinished(&missions, robots);
+    taken_here(&missions, robots)
+}
+
+fn taken_here(missions: &[Found], robots: &[&FleetRobot]) -> Result<(), String> {
+    let of_mission = |mission: &Found| {
+        let (session, pid) = (&mission.opened.session, mission.opened.pid);
+        let taken = driven_by(mission, robots).into_iter();
+        let told = taken.map(|robot| format!("robot `{robot}` is in mission `{session}` (process {pid})"));
+        told.collect::<Vec<_>>()
+    };
+    let running = missions.iter().filter(|mission| mission.life == Life::Running);
+    let taken: Vec<String> = running.flat_map(of_mission).collect();
+    if taken.is_empty() { Ok(()) } else { Err(taken.join("; ")) }
+}
+
+/// Says which of the robots a mission drove that was cut off and never stopped: they may still hold something of it.
+fn warn_of_unfinished(missions: &[Found], robots: &[&FleetRobot]) {
+    for mission in missions.iter().filter(|mission| mission.life == Life::CutOff) {
+        let drove: Vec<_> = driven_by(mission, robots).iter().map(|robot| format!("`{robot}`")).collect();
+        let session = &mission.opened.session;
+        if !drove.is_empty() {
+            console::warn(&format!(
+                "mission `{session}` was cut off and has not ended; it drove {}: `downbeat resume {session}` goes on \
+                 with it, `downbeat stop {session}` ends it",
+                drove.join(", ")
+            ));
+        }
+    }
+}
+
+/// Those of the robots that a mission names, by their addresses.
+fn driven_by<'a>(mission: &Found, robots: &[&'a FleetRobot]) -> Vec<&'a RobotId> {
+    let named = |robot: &&&FleetRobot| {
+        let address = robot.address.to_string();
+        robot.address != Address::Simulated
+            && mission.opened.robots.iter().any(|opened| opened.address == address)
+    };
+    robots.iter().filter(named).map(|robot| &robot.id).collect()
+}
