@@ -50,6 +50,8 @@ pub(super) struct ShownAct {
 pub(super) enum Stage {
     Waiting {
         awaits: String,
+        /// The time for which it waits, if that is what it waits for.
+        until: Option<Timestamp<Server>>,
         /// Since when nothing plays before it; `None`: an act still does.
         since: Option<Timestamp<Server>>,
         /// What its sensor reads; `None` before the first reading.
@@ -172,10 +174,10 @@ impl Model {
         match progress {
             Progress::Connected { .. } => self.rows.iter_mut().for_each(|row| row.be(RobotState::Ready)),
             Progress::Greeted { preflight, .. } => self.greeted(preflight),
-            Progress::Waiting { act, awaits } => {
+            Progress::Waiting { act, awaits, at: until } => {
                 let since = self.acts.iter().all(|shown| shown.is_waiting()).then_some(at);
                 let awaits = shown(awaits).into_owned();
-                self.set(act, Stage::Waiting { awaits, since, reading: None });
+                self.set(act, Stage::Waiting { awaits, until: *until, since, reading: None });
             }
             Progress::Reading { act, value } => self.read(act, *value),
             Progress::Preparing { act, start, .. } => self.set(act, Stage::Preparing { start: *start }),

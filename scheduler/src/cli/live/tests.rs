@@ -120,7 +120,7 @@ fn a_wait_shows_what_the_sensor_reads_and_the_time_that_is_left() {
     let mut model = meeting();
     decided(&mut model);
     let awaits = "`rover-1/range` below 0.5".to_owned();
-    model.tell(at(6_000), &Progress::Waiting { act: "bow".to_owned(), awaits });
+    model.tell(at(6_000), &Progress::Waiting { act: "bow".to_owned(), awaits, at: None });
     check(&drawn(&model, 7_000, 100, 24), &["playing", "then    `bow` waits for"]);
     model.tell(at(45_000), &Progress::ActEnded { act: "arrival".to_owned() });
     model.tell(at(46_000), &Progress::Reading { act: "bow".to_owned(), value: Some(1.25) });
@@ -128,10 +128,26 @@ fn a_wait_shows_what_the_sensor_reads_and_the_time_that_is_left() {
 }
 
 #[test]
+fn a_wait_for_a_time_counts_down_to_it() {
+    let mut model = meeting();
+    let waits = |act: &str, millis: i64| Progress::Waiting {
+        act: act.to_owned(),
+        awaits: "19:30:00.000".to_owned(),
+        at: Some(at(millis)),
+    };
+    model.tell(at(1_000), &waits("arrival", 7_506_000));
+    check(&drawn(&model, 2_000, 60, 24), &["waiting", "for 19:30:00.000", "start   in 2:05:04 h"]);
+    check(&drawn(&model, 7_500_700, 60, 24), &["start   in 5.3 s"]);
+    decided(&mut model);
+    model.tell(at(6_000), &waits("bow", 66_000));
+    check(&drawn(&model, 6_000, 100, 24), &["then    `bow` waits for 19:30:00.000, in 1:00 min"]);
+}
+
+#[test]
 fn an_act_that_is_skipped_is_not_shown_as_waiting_any_more() {
     let mut model = meeting();
     let awaits = "the operator's go".to_owned();
-    model.tell(at(1_000), &Progress::Waiting { act: "arrival".to_owned(), awaits });
+    model.tell(at(1_000), &Progress::Waiting { act: "arrival".to_owned(), awaits, at: None });
     check(&drawn(&model, 2_000, 100, 24), &["the operator's go"]);
     model.tell(at(3_000), &Progress::ActSkipped { act: "arrival".to_owned(), fate: ActFate::NobodyLeft });
     let text = drawn(&model, 4_000, 100, 24);
