@@ -26,7 +26,7 @@ impl Mission {
         }
         self.ask_name(now, robot);
         if self.robots[robot].awaits_stop() {
-            self.stop_anew(now, robot);
+            self.repeat_stop(now, robot);
         }
     }
 
@@ -86,7 +86,7 @@ impl Mission {
             Phase::Performing => return self.reattach(now, robot),
             // Its stop was sent when the link was made.
             Phase::Stopping { .. } if self.asks_names() && self.robots[robot].awaits_stop() => return,
-            Phase::Stopping { .. } => return self.stop_anew(now, robot),
+            Phase::Stopping { .. } => return self.repeat_stop(now, robot),
             Phase::Ended => return,
         }
         if self.robots.iter().all(RobotState::is_up) {

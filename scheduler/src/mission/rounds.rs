@@ -39,7 +39,7 @@ impl Mission {
             match (self.robots[robot].stop_was_sent(), self.robots[robot].awaits_stop()) {
                 (false, _) => self.ask(now, robot),
                 // A robot that was left out has not confirmed yet.
-                (true, true) => self.stop_anew(now, robot),
+                (true, true) => self.repeat_stop(now, robot),
                 (true, false) => {}
             }
         }

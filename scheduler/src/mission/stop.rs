@@ -116,12 +116,12 @@ impl Mission {
         for robot in 0..self.robots.len() {
             let state = &self.robots[robot];
             if state.is_up() || state.unnamed_since().is_some() {
-                self.stop_anew(now, robot);
+                self.repeat_stop(now, robot);
             }
         }
     }
 
-    pub(super) fn stop_anew(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn repeat_stop(&mut self, now: Timestamp<Server>, robot: usize) {
         if self.robots[robot].awaits_stop() {
             self.robots[robot].totals.retries += 1;
             self.send_stops(now, robot);
