@@ -3,6 +3,7 @@
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
 mod claims;
+mod compiled;
 mod conformance;
 mod course;
 mod diagnostics;
