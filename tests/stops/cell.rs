@@ -264,7 +264,10 @@ fn rested(robot: &Robot, log: &[Logged], stopped: &Stopped) -> Result<Duration, 
         let last = log.last().map_or(f64::NAN, |last| last.value);
         return Err(Deviation::Wrong(format!("{} is not at rest: its last value is {last}", robot.id)));
     };
-    Ok(since(stopped, after))
+    match after.at < stopped.at {
+        true => Err(Deviation::Wrong(format!("{} was at rest before the stop", robot.id))),
+        false => Ok(since(stopped, after)),
+    }
 }
 
 /// The wheel has slowed down to its default value, and in time.

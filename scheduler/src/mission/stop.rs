@@ -207,6 +207,7 @@ impl Mission {
     /// A stop was confirmed on all devices of a robot.
     pub(super) fn stop_confirmed(&mut self, robot: usize) {
         if matches!(self.robots[robot].stop, Stop::Confirmed(_)) {
+            self.tell_steps(robot);
             let robot = self.robots[robot].id.clone();
             self.tell(Progress::AtRest { robot: robot.clone() });
             self.record(Record::StopConfirmed { robot });

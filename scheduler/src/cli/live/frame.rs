@@ -99,6 +99,7 @@ fn robot_row(row: &Row, played: Option<Span>) -> TableRow<'_> {
         (planned, Some(played)) if row.state == RobotState::Playing => {
             format!("~{}/{planned}", row.steps_by(played))
         }
+        (planned, _) if row.may_have_done_more() => format!("{}+/{planned}", row.steps_done),
         (planned, _) => format!("{}/{planned}", row.steps_done),
     };
     TableRow::new([
@@ -338,7 +339,7 @@ fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
             Line::raw("g or Enter  go: the act begins that waits for the operator"),
             Line::raw("s or Ctrl-C stop: every robot returns to its default state"),
             Line::raw("Ctrl-C      twice: leave at once, without waiting for confirmations"),
-            Line::raw("~3/5        steps by the plan; without ~ as the robot says"),
+            Line::raw("~3/5        steps by the plan; without ~ as the robot says, 3+ at least"),
             Line::raw("?           hide this help"),
         ];
     }

@@ -176,11 +176,15 @@ fn a_stop_shows_which_robots_have_not_confirmed() {
         model.tell(at(5_001), &Progress::Started { robot: robot(name), error: None });
     }
     model.tell(at(8_000), &Progress::Stopping { reason: "stopped by the operator".to_owned() });
+    let heard = Progress::Heard { robot: robot("arm-1"), steps_done: 7, clock_offset: None };
+    model.tell(at(8_010), &heard);
     model.tell(at(8_010), &Progress::AtRest { robot: robot("arm-1") });
     let text = drawn(&model, 8_100, 100, 24);
     check(
         &text,
         &["STOPPING", "stopped by the operator", "without a confirmation yet", "at rest", "stop confirmed"],
     );
+    let row = |name: &str| text.lines().find(|line| line.starts_with(name)).unwrap().to_owned();
+    assert!(row("arm-1").contains(" 7/") && row("arm-2").contains(" 0+/"), "{text}");
     assert!(!text.contains("s stop"), "{text}");
 }
