@@ -71,7 +71,7 @@ fn compiled(folder: &Path) -> (Choreography, Fleet) {
     (compiled.choreography.unwrap(), fleet)
 }
 
-/// The robots with their scripts, each sent 200 ms before its start; no mission, no leases, nobody who listens.
+/// The robots with their scripts, each sent 200 ms before its start; no mission, no leases, no listener.
 fn bare_robots(folder: &Path) {
     let (choreography, fleet) = compiled(folder);
     let begin: Timestamp<True> = BEGIN.assume_clock();

@@ -1,6 +1,6 @@
 //! How long before the start can a robot fail without the others being withdrawn? One of six robot processes is killed,
 //! frozen, cut off or muted at instants from a second before the start to the start; the robots' own logs tell who started.
-//! Beside it, what a scheduler would give that decides once, when all have accepted. `false_withdrawals` counts missions
+//! Compared with it: what a scheduler would give that decides once, when all have accepted. `false_withdrawals` counts missions
 //! without a fault that were withdrawn while every core is busy.
 //!
 //! `cargo bench --bench kill_window -- MODE TRIALS EARLIEST_MS DOUBT`, each optional: `killed`, `frozen`, `cut`, `muted` or
@@ -23,7 +23,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use robots::busy::with_cores_busy;
-use robots::{Ended, Stage, Via, epoch_nanos, sleep_until};
+use robots::{Ended, Stage, Via, epoch_nanos, one_device, sleep_until};
 
 const ROBOTS: usize = 6;
 const TRIALS: usize = 200;
@@ -38,16 +38,6 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// The lease of the baseline, in nanoseconds.
 const CONSTANT_LEASE: i64 = 240_000_000;
 
-const ROBOT: &str = "id: robot
-api_version: '1'
-reports: true
-devices:
-  - id: d
-    name: d
-    available_control_types:
-      position: {min_value: 0, max_value: 90, granularity: 1}
-      script: {min_value: 0, max_value: 90, granularity: 1, max_number_of_steps: 8}
-";
 const SCENARIO: &str = "scenario: window
 start_tolerance: 1s
 on_failure: abort
@@ -58,7 +48,7 @@ cues:
 /// What befalls one robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Fault {
-    /// SIGKILL: its socket closes, and nobody listens any more.
+    /// SIGKILL: its socket closes, and no process listens any more.
     Killed,
     /// SIGSTOP: its socket stands, and it says and does nothing.
     Frozen,
@@ -143,7 +133,7 @@ fn stage(first: Via) -> Stage {
     let doubt = words().into_iter().find(|word| word == "start" || word == "withdraw");
     let doubt = doubt.map_or(String::new(), |word| format!("on_doubt: {word}\n"));
     let mut stage = Stage::new();
-    stage.file("robot.yaml", ROBOT).file("window.yaml", format!("{SCENARIO}{doubt}"));
+    stage.file("robot.yaml", one_device(1, 90, 8)).file("window.yaml", format!("{SCENARIO}{doubt}"));
     for id in 0..ROBOTS {
         stage.robot("robot.yaml", if id == 0 { first } else { Via::Direct });
     }

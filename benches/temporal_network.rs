@@ -1,5 +1,5 @@
-//! Temporal networks of 100,000 cues, beside petgraph's Bellman-Ford on the same graphs; one change beside solving anew;
-//! orders of job shops beside their proven optima.
+//! Temporal networks of 100,000 cues, compared with petgraph's Bellman-Ford on the same graphs; one change compared with solving again;
+//! orders of job shops compared with their proven optima.
 //!
 //! `cargo bench -p downbeat-scripts --bench temporal_network`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
@@ -190,7 +190,7 @@ fn conflict() {
 fn changes() {
     for shape in shapes(CUES) {
         let (network, ids) = shape.network();
-        let (_, anew) = timed(|| network.solve());
+        let (_, again) = timed(|| network.solve());
         let mut solved = Solved::new(network).unwrap();
         let mut worst = Duration::ZERO;
         let mut total = Duration::ZERO;
@@ -208,11 +208,11 @@ fn changes() {
             }
         }
         println!(
-            "{:<34} one change: mean {:.3} ms, worst {:.3} ms (bound 10); solving anew {:.1} ms",
+            "{:<34} one change: mean {:.3} ms, worst {:.3} ms (bound 10); solving again {:.1} ms",
             shape.name,
             total.as_secs_f64() * 1e3 / 80.0,
             worst.as_secs_f64() * 1e3,
-            anew.as_secs_f64() * 1e3
+            again.as_secs_f64() * 1e3
         );
     }
 }

@@ -7,17 +7,7 @@ use serde_json::Value;
 
 use crate::robots::{Ended, Stage, Via, one_device};
 
-const INIT: &str = "id: robot
-api_version: '1'
-reports: true
-inquiry: true
-devices:
-  - id: d
-    name: d
-    available_control_types:
-      position: {min_value: 0, max_value: 90, granularity: 1}
-      script: {min_value: 0, max_value: 90, granularity: 1, max_number_of_steps: 8}
-  - id: range
+const RANGE: &str = "  - id: range
     name: range
     available_control_types:
       sensor: {min_value: 0, max_value: 4}
@@ -27,7 +17,8 @@ devices:
 fn played(wait: &str) -> (Stage, Ended) {
     let cues = "cues: [{robots: all, tracks: {d: [{at: 0s, to: 1}, {at: 100ms, to: 2}]}}]";
     let mut stage = Stage::new();
-    stage.file("robot.yaml", INIT).file(
+    let init = one_device(1, 90, 8).replace("reports: true", "reports: true\ninquiry: true") + RANGE;
+    stage.file("robot.yaml", init).file(
         "show.yaml",
         format!(
             "scenario: show

@@ -1,9 +1,11 @@
 //! The live display on a terminal, with real missions.
 
+use std::os::unix::process::ExitStatusExt;
 use std::time::Duration;
 
 use rustix::process::Signal;
 
+use crate::compiled::{SHARED, compiled};
 use crate::robots::play::{LONG, Play, SOON};
 use crate::robots::{Process, Stage, Via};
 use crate::session::Session;
@@ -24,6 +26,8 @@ acts:
 /// A mission on a terminal.
 struct OnTerminal {
     terminal: Terminal,
+    /// The terminal's settings before it.
+    before: String,
     watched: Watched,
     process: Process,
 }
@@ -31,10 +35,26 @@ struct OnTerminal {
 impl OnTerminal {
     fn start(mut command: std::process::Command, columns: u16) -> Self {
         let terminal = Terminal::new(columns, 30);
+        let before = terminal.settings();
         let watched = terminal.watch();
         terminal.attach(&mut command);
         let process = Process(command.spawn().unwrap());
-        Self { terminal, watched, process }
+        Self { terminal, before, watched, process }
+    }
+
+    /// A mission of many seconds that plays.
+    fn playing(stage: &Stage) -> Self {
+        let mission = Self::start(stage.command(&["run", "play.yaml"]), 100);
+        mission.watched.shows("playing", SOON);
+        mission
+    }
+
+    /// Waits until the terminal is as before, or is not.
+    fn is_as_before(&self, wanted: bool) -> bool {
+        (0..500).any(|_| {
+            std::thread::sleep(Duration::from_millis(10));
+            (self.terminal.settings() == self.before) == wanted
+        })
     }
 
     /// Its exit code, and what stands on the terminal in the end.
@@ -57,9 +77,8 @@ fn an_act_that_waits_begins_with_a_key_and_the_report_stays_on_the_terminal() {
     for columns in [60, 100] {
         let session = evening();
         let mission = OnTerminal::start(session.command(&["run", "evening.yaml"]), columns);
-        let before = mission.terminal.settings();
         mission.watched.shows("g go", SOON);
-        assert_ne!(mission.terminal.settings(), before, "keys come without Enter");
+        assert_ne!(mission.terminal.settings(), mission.before, "keys come without Enter");
         mission.terminal.type_keys("g");
         mission.watched.shows("act `finale`", SOON);
         let (code, screen) = mission.ended();
@@ -77,45 +96,45 @@ fn long() -> Stage {
 #[test]
 fn a_key_stops_and_the_terminal_is_as_before() {
     let stage = long();
-    let terminal = Terminal::new(100, 30);
-    let before = terminal.settings();
-    let watched = terminal.watch();
-    let mut command = stage.command(&["run", "play.yaml"]);
-    terminal.attach(&mut command);
-    let mut process = Process(command.spawn().unwrap());
-    watched.shows("playing", SOON);
+    let mut mission = OnTerminal::playing(&stage);
     stage.robots[0].await_sets(3, SOON);
-    terminal.type_keys("s");
-    assert_eq!(process.0.wait().unwrap().code(), Some(3), "{}", watched.screen());
-    watched.shows("r1: default state confirmed", SOON);
-    assert_eq!(terminal.settings(), before);
-    assert!(watched.raw().ends_with('\n'), "nothing is drawn after the report");
+    mission.terminal.type_keys("s");
+    assert_eq!(mission.process.0.wait().unwrap().code(), Some(3), "{}", mission.watched.screen());
+    mission.watched.shows("r1: default state confirmed", SOON);
+    assert_eq!(mission.terminal.settings(), mission.before);
+    assert!(mission.watched.raw().ends_with('\n'), "nothing is drawn after the report");
+}
+
+#[test]
+fn a_scheduler_that_stands_still_is_ended_by_a_second_ctrl_c_and_the_terminal_is_as_before() {
+    let stage = long();
+    let mut command = stage.command(&["run", "play.yaml"]);
+    command.env("LD_PRELOAD", compiled("display/standstill.c", SHARED));
+    command.env("STAND_STILL", stage.path("stand-still"));
+    let mut mission = OnTerminal::start(command, 100);
+    mission.watched.shows("playing", SOON);
+    stage.file("stand-still", "");
+    std::thread::sleep(Duration::from_secs(1));
+    assert_ne!(mission.terminal.settings(), mission.before);
+    mission.process.signal(Signal::INT);
+    std::thread::sleep(Duration::from_millis(300));
+    mission.process.signal(Signal::INT);
+    assert_eq!(mission.process.0.wait().unwrap().signal(), Some(Signal::INT.as_raw()));
+    assert_eq!(mission.terminal.settings(), mission.before);
 }
 
 #[test]
 fn a_mission_that_is_suspended_leaves_the_terminal_as_it_was() {
     let stage = long();
-    let terminal = Terminal::new(100, 30);
-    let before = terminal.settings();
-    let watched = terminal.watch();
-    let mut command = stage.command(&["run", "play.yaml"]);
-    terminal.attach(&mut command);
-    let mut process = Process(command.spawn().unwrap());
-    watched.shows("playing", SOON);
-    process.signal(Signal::TSTP);
-    watched.shows("suspended", SOON);
-    let settled = |wanted: bool| {
-        (0..500).any(|_| {
-            std::thread::sleep(Duration::from_millis(10));
-            (terminal.settings() == before) == wanted
-        })
-    };
-    assert!(settled(true), "{}", terminal.settings());
-    process.signal(Signal::CONT);
-    assert!(settled(false), "the keys come without Enter again");
-    process.signal(Signal::INT);
-    process.0.wait().unwrap();
-    assert_eq!(terminal.settings(), before);
+    let mut mission = OnTerminal::playing(&stage);
+    mission.process.signal(Signal::TSTP);
+    mission.watched.shows("suspended", SOON);
+    assert!(mission.is_as_before(true), "{}", mission.terminal.settings());
+    mission.process.signal(Signal::CONT);
+    assert!(mission.is_as_before(false), "the keys come without Enter again");
+    mission.process.signal(Signal::INT);
+    mission.process.0.wait().unwrap();
+    assert_eq!(mission.terminal.settings(), mission.before);
 }
 
 #[test]

@@ -123,7 +123,7 @@ fn a_mission_speaks_message_pack_with_robots_that_list_it_and_json_until_they_ha
     let first = sent.iter().find(|(_, message)| !matches!(message, Message::AvailabilityRequest(_)));
     assert!(
         matches!(first, Some((Encoding::Json, Message::InitializationRequest(_)))),
-        "nobody has listed anything yet: {first:?}"
+        "no encoding was listed yet: {first:?}"
     );
     let scripts: Vec<_> = sent.iter().filter(|(_, m)| matches!(m, Message::ControlRequest(_))).collect();
     assert!(!scripts.is_empty());

@@ -15,8 +15,8 @@ cues:
       shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 0}]
 ";
 
-/// A fleet of a simulated arm and one that is available and then describes itself by this line.
-fn beside(line: String) -> Session {
+/// A fleet of a simulated arm and one that answers requests so; `None` is no answer.
+fn beside(answer: impl Fn(&str) -> Option<String> + Send + 'static) -> Session {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let port = listener.local_addr().unwrap().port();
     // Ends with the scheduler's connection.
@@ -25,11 +25,7 @@ fn beside(line: String) -> Session {
             let mut stream = stream.unwrap();
             for request in BufReader::new(stream.try_clone().unwrap()).lines() {
                 let Ok(request) = request else { break };
-                let answer = if request.contains("initialization_request") {
-                    line.clone()
-                } else {
-                    available(&request)
-                };
+                let Some(answer) = answer(&request) else { continue };
                 if writeln!(stream, "{answer}").is_err() {
                     break;
                 }
@@ -46,6 +42,14 @@ fn beside(line: String) -> Session {
     session
 }
 
+/// One that is available and then describes itself by this line.
+fn described(line: String) -> Session {
+    beside(move |request| match request.contains("initialization_request") {
+        true => Some(line.clone()),
+        false => Some(available(request)),
+    })
+}
+
 /// The robot's clock is the server's.
 fn available(request: &str) -> String {
     let asked = request.split("\"timestamp\":\"").nth(1).and_then(|rest| rest.split('"').next());
@@ -58,7 +62,7 @@ fn available(request: &str) -> String {
 
 #[track_caller]
 fn check_refused(line: String, says: &str) {
-    let session = beside(line);
+    let session = described(line);
     let ran = session.run(&["run", "both.yaml", "--format", "json"]);
     ran.says(1, &[says]);
     let report = ran.json();
@@ -117,36 +121,14 @@ fn unavailable(reason: &str) -> Session {
         {"position": {"min_value": 0, "max_value": 90, "granularity": 0.5}, "script": range}});
     let block = serde_json::json!({"initialization_block":
         {"id": "right", "api_version": "1", "devices": [shoulder]}});
-    let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-    let port = listener.local_addr().unwrap().port();
-    // Ends with the scheduler's connection.
-    std::thread::spawn(move || {
-        for stream in listener.incoming() {
-            let mut stream = stream.unwrap();
-            for request in BufReader::new(stream.try_clone().unwrap()).lines() {
-                let Ok(request) = request else { break };
-                let answer = if request.contains("initialization_request") {
-                    block.to_string()
-                } else if request.contains("availability_request") {
-                    available(&request)
-                        .replace(r#""status":"OK""#, &format!(r#""status":"Failed","error":{error}"#))
-                } else {
-                    continue;
-                };
-                if writeln!(stream, "{answer}").is_err() {
-                    break;
-                }
-            }
+    beside(move |request| match request {
+        _ if request.contains("initialization_request") => Some(block.to_string()),
+        _ if request.contains("availability_request") => {
+            let failed = format!(r#""status":"Failed","error":{error}"#);
+            Some(available(request).replace(r#""status":"OK""#, &failed))
         }
-    });
-    let session = Session::new();
-    session.file("both.yaml", BOTH).file(
-        "fleet.yaml",
-        format!(
-            "robots:\n  left: {{init: arm.yaml, address: sim}}\n  right: {{init: arm.yaml, address: 'tcp://127.0.0.1:{port}'}}\ngroups:\n  arms: [left, right]\n"
-        ),
-    );
-    session
+        _ => None,
+    })
 }
 
 #[test]
@@ -164,7 +146,7 @@ fn no_description_of_a_robot_is_obeyed_by_a_terminal() {
         {"position": {"min_value": 0, "max_value": 90, "granularity": 0.5}}});
     let block = serde_json::json!({"initialization_block":
         {"id": EVIL, "name": EVIL, "api_version": EVIL, "devices": [device]}});
-    let session = beside(block.to_string());
+    let session = described(block.to_string());
     for args in [
         &["run", "both.yaml"][..],
         &["preflight", "both.yaml"],

@@ -6,7 +6,7 @@ use crate::robots::play::{LONG, Play, SHORT};
 use crate::robots::{Ended, Running, Stage, Via};
 use crate::session::Session;
 
-/// A fleet file in which each robot of the stage is reached at the port of the one named beside it.
+/// A fleet file of robots, each with the index of the robot whose port it is given, and with further keys.
 fn addresses(stage: &Stage, places: &[(usize, usize, &str)]) {
     let row = |(robot, at, more): &(usize, usize, &str)| {
         let port = stage.robots[*at].port();
@@ -76,7 +76,7 @@ fn a_robot_that_calls_itself_as_the_fleet_file_says_is_the_one_that_was_meant() 
 }
 
 #[test]
-fn without_a_handshake_nobody_says_who_answers_and_preflight_says_so() {
+fn without_a_handshake_no_robot_says_its_id_and_preflight_says_so() {
     let stage = swapped(&SHORT);
     let fleet = std::fs::read_to_string(stage.path("fleet.yaml")).unwrap();
     stage.file("fleet.yaml", format!("handshake: skip\n{fleet}"));

@@ -4,6 +4,7 @@
 
 mod claims;
 mod commands;
+mod compiled;
 mod conformance;
 mod course;
 mod diagnostics;

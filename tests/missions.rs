@@ -131,7 +131,7 @@ fn a_rehearsal_is_slower_with_fewer_robots_from_a_later_act() {
 }
 
 #[test]
-fn at_another_speed_limits_are_checked_anew() {
+fn at_another_speed_limits_are_checked_again() {
     let session = evening("wait: done");
     session.file(
         "fleet.yaml",
@@ -327,7 +327,7 @@ fn a_late_joiner_is_refused_or_joins_at_the_next_act() {
 }
 
 #[test]
-fn a_link_that_breaks_in_mid_mission_is_made_anew_and_the_mission_goes_on() {
+fn a_link_that_breaks_in_mid_mission_is_made_again_and_the_mission_goes_on() {
     let session = Session::new();
     session.file("long.yaml", LONG);
     let (left, right) = ports(&session);

@@ -16,7 +16,7 @@ fn stage() -> Stage {
     Play { running: "none", ..LONG }.stage(&[Via::Direct, Via::Direct])
 }
 
-/// A mission whose output nobody reads plays, and stops when it is told to.
+/// A mission whose output is not read plays, and stops when it is told to.
 #[track_caller]
 fn check_that_it_plays_and_stops(out: Stdio, err: Stdio) {
     let stage = stage();
@@ -45,7 +45,7 @@ fn a_terminal_that_stands_still_holds_up_no_mission() {
     check_that_it_plays_and_stops(terminal.end(), terminal.end());
 }
 
-/// The writing end of a pipe that is full and that nobody reads, with its reading end.
+/// The writing end of a pipe that is full and is not read, with its reading end.
 fn full_pipe() -> (File, File) {
     let (reader, writer) = rustix::pipe::pipe().unwrap();
     let writer = File::from(writer);
@@ -66,7 +66,7 @@ fn a_full_pipe_behind_standard_output_holds_up_no_mission() {
 }
 
 #[test]
-fn lines_that_nobody_read_are_whole_once_the_output_is_read_again() {
+fn lines_that_were_not_read_are_whole_once_the_output_is_read_again() {
     let stage = stage();
     let (reader, writer) = full_pipe();
     let mut command = stage.command(&["run", "play.yaml", "--patience", "2s", "--log", "trace"]);

@@ -61,7 +61,7 @@ fn no_line_of_the_table_is_wider_than_a_terminal() {
 }
 
 #[test]
-fn a_clock_that_is_a_minute_off_is_red_in_preflight_and_nobody_says_that_clocks_agree() {
+fn a_clock_that_is_a_minute_off_is_red_in_preflight_and_no_line_says_that_clocks_agree() {
     let session = session(SIM, A_MINUTE_AHEAD);
     let mut command = session.command(&["preflight", "test.yaml"]);
     let coloured = Ran(command.env("CLICOLOR_FORCE", "1").output().unwrap());

@@ -294,7 +294,7 @@ fn a_mission_without_a_socket_is_stopped_directly_and_ends() {
     for folder in std::fs::read_dir(stage.path("state")).unwrap() {
         std::fs::remove_file(folder.unwrap().path().join("control")).unwrap();
     }
-    says(&stage.run(&["go"]), 1, &["nobody listens"]);
+    says(&stage.run(&["go"]), 1, &["no process listens"]);
     says(&stage.run(&["stop"]), 0, &BOTH);
     all_rest(&stage);
     assert_ne!(mission.ended().code, Some(0));

@@ -100,7 +100,7 @@ fn answer(stream: &mut TcpStream, schema: &str, log: &mut File, frozen: &AtomicB
         "set_device_double_value" => {
             assert_ne!(kind, CALL, "a one-way call");
             let time = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).unwrap().as_secs_f64();
-            // In one piece, for whoever reads along.
+            // In one piece, for tests that read meanwhile.
             return log.write_all(format!("{time:.6} {} {}\n", words[0], numbers[0]).as_bytes());
         }
         "get_sensor_double_value" if words[0] == "battery" => Ok((DOUBLE, 12.5_f64.to_be_bytes().to_vec())),

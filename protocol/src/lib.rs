@@ -1,7 +1,7 @@
 //! URRCP, the Universal Remote Robotics Control Protocol: its messages, their limits and their encoding.
 //!
 //! Here live the message types, the timestamps, the JSON-lines codec (bytes in, messages out) and the matching of
-//! answers to open requests. No I/O, no clock and no runtime: whoever carries the bytes and knows the time is outside.
+//! answers to open requests. No I/O, no clock and no runtime: the caller carries the bytes and knows the time.
 //!
 //! The protocol is that of Arkhipenka, Shilin, Naurotsky and Kuznetsov, "Methodology to identify robots given the type
 //! of control designation", Doklady BGUIR 18(6), 2020, 41-48, doi 10.35596/1729-7648-2020-18-6-41-48. Where the paper

@@ -100,7 +100,7 @@ bounded_string!(
     check_length
 );
 bounded_string!(
-    /// One run of a scheduler: whoever names it drives the robot, and nobody else until it ends (our extension).
+    /// One run of a scheduler: the robot belongs to the session that drives it until that ends (our extension).
     SessionId,
     check_identifier
 );

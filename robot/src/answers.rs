@@ -8,7 +8,7 @@ use urrcp::{ContentHash, ControlResponse, RequestId, Robot, Status, Timestamp};
 /// Requests that have ended and whose last answer is kept, at least; the oldest go first. Of those that have not ended
 /// every answer is kept: the devices' queues bound their number.
 pub(crate) const ENDED_KEPT: usize = 256;
-/// As many for each device: whoever asks what became of the last ones is told.
+/// As many for each device, so that a question about its last ones is answered.
 const ENDED_KEPT_A_DEVICE: usize = 4;
 
 /// What is known of each request that carried a `request_id`.

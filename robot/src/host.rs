@@ -180,7 +180,7 @@ impl Host {
         Ok(Self { handle, thread: Some(thread), writer, log_lost, drivers, mailboxes })
     }
 
-    /// Waits until every driver has tried to connect once, so that whoever asks next hears how it went.
+    /// Waits until every driver has tried to connect once, so that the next question is answered with how it went.
     #[expect(clippy::disallowed_methods, reason = "drivers connect in real time")]
     pub fn await_hardware(&self, patience: Duration) {
         let until = std::time::Instant::now() + patience;
@@ -279,7 +279,7 @@ impl RobotLink {
 impl LinkSender {
     /// Sends once the robot keeps up, so that a peer can never make the host hold more than [`WINDOW`] of its inputs.
     pub(crate) async fn send(&self, input: Input) {
-        // Nobody closes the window, so there always is a permit in the end.
+        // The window is never closed, so there always is a permit in the end.
         let permit = Arc::clone(&self.window).acquire_owned().await.ok();
         let _stopped = self.orders.send(Order::Input { robot: self.robot, link: self.link, input, permit });
     }

@@ -3,7 +3,7 @@
 //!
 //! After every operation: no value outside the limits or off the granularity is set; nothing starts before its time or
 //! late; no lease is outlived, and none ends early; no device holds more than its queue; every accepted request ends
-//! once, and sets nothing afterwards; every answer names its request; nobody touches what belongs to another session; an
+//! once, and sets nothing afterwards; every answer names its request; no session touches what belongs to another one; an
 //! inquiry is answered truthfully and changes nothing but leases.
 
 mod answers;
@@ -203,7 +203,7 @@ impl Bench {
 
     fn inquire(&mut self, question: &Question) -> Result<(), Violation> {
         let link = self.link(question.link);
-        let inquiry = question.written(&self.sent, &self.devices);
+        let inquiry = question.written(self.now, &self.sent, &self.devices);
         let out = self.handle(link, Input::Message(Message::Inquiry(inquiry.clone())))?;
         self.judge.inquired(self.now, link, &inquiry, &out)?;
         self.judge.check_settled(self.now, &self.robot)

@@ -46,7 +46,7 @@ impl Parties {
                 if self.of_session.len() >= SESSIONS_MAX {
                     self.forget_oldest();
                 }
-                // A link that spoke for another session before begins anew under a name that nobody else has or had.
+                // A link that spoke for another session before becomes a new party, under a name that no other one has or had.
                 let taken = self.of_session.values().any(|party| *party == link);
                 self.named += u64::from(taken);
                 let party = if taken { LinkId(u64::MAX - self.named) } else { link };
@@ -97,7 +97,7 @@ impl Parties {
         }
     }
 
-    /// It belongs to nobody any more.
+    /// It belongs to no session any more.
     pub(crate) fn release(&mut self) {
         self.owner = None;
     }

@@ -99,7 +99,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wait_ends_when_nobody_can_send_any_more() {
+    fn a_wait_ends_when_its_last_sender_is_gone() {
         let (sender, receiver) = channel::<()>();
         drop(sender);
         assert!(matches!(wait(&receiver, None), Woken::Closed));

@@ -1,4 +1,4 @@
-//! Messages over TCP round a robot of a host: lines of JSON, or frames of MessagePack to whoever writes them.
+//! Messages over TCP round a robot of a host: lines of JSON, or frames of MessagePack to a peer that writes these.
 
 use std::io;
 use std::net::SocketAddr;
@@ -21,7 +21,7 @@ const PLACES: usize = 16;
 const WAITING_MAX: usize = 8;
 /// Where all of these are taken and one more comes, one without a place gives way once it is so old.
 const WAITS_MIN: Duration = Duration::from_secs(1);
-/// Where somebody waits for a place, one that has been silent for so long gives its own up: its peer may be long gone.
+/// If another connection waits for a place, one that has been silent for this long is closed: its peer may be long gone.
 const SILENCE_MAX: Duration = Duration::from_secs(30);
 /// How often it is looked for one.
 const ROOM_RETRY: Duration = Duration::from_millis(50);
@@ -178,7 +178,7 @@ impl Chair {
     async fn take(&mut self) {
         if self.permit.is_none() {
             self.note(Seat::Wanted);
-            // Nobody closes the semaphore.
+            // The semaphore is never closed.
             self.permit = Arc::clone(&self.places).acquire_owned().await.ok();
             self.note(Seat::Taken);
         }
@@ -200,7 +200,7 @@ fn needs_no_place(message: &Message) -> bool {
 }
 
 /// The next connection. One that breaks before it is accepted, or a system short of file descriptors, is no reason to
-/// serve nobody any more.
+/// stop serving.
 async fn accept(listener: &TcpListener) -> io::Result<(TcpStream, SocketAddr)> {
     loop {
         match listener.accept().await {

@@ -178,7 +178,7 @@ pub(crate) fn default_of(spec: &Device, control_type: ControlType) -> Option<f64
 }
 
 /// Where the default state brings a signal: to its `default_value`, else to zero; `None` for what stays as it is, a
-/// position and a custom type that no command has `driven`, of which nobody knows what zero would do.
+/// position and a custom type that no command has `driven`, for which the meaning of zero is unknown.
 pub(crate) fn resting_value(default: Option<f64>, control_type: ControlType, driven: bool) -> Option<f64> {
     let stays = match control_type {
         ControlType::Position => true,

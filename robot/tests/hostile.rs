@@ -19,7 +19,7 @@ const ARM: &str = r#""name": "arm", "available_control_types": {
     "position": {"min_value": 0, "max_value": 90, "granularity": 1},
     "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 4}}"#;
 const ASK: &[u8] = b"{\"availability_request\": {}}\n";
-/// Nobody waits longer for an answer, however busy the machine.
+/// The longest wait for an answer, however busy the machine is.
 const PATIENCE: Duration = Duration::from_secs(60);
 const MIB: usize = 1024 * 1024;
 
@@ -102,7 +102,7 @@ impl Peer {
     }
 }
 
-/// Lets the peak begin anew.
+/// Resets the peak.
 fn forget_peak() {
     std::fs::write("/proc/self/clear_refs", "5").unwrap();
 }
@@ -226,7 +226,7 @@ async fn a_never_ending_line_is_refused_while_it_goes_on() {
 }
 
 #[tokio::test]
-async fn half_a_line_and_then_nothing_harms_nobody() {
+async fn half_a_line_and_then_nothing_does_no_harm() {
     let mut stage = Stage::set().await;
     let mut silent = stage.hostile().await;
     silent.write(b"{\"availability_requ").await;
@@ -248,7 +248,7 @@ async fn ten_thousand_questions_of_a_peer_that_does_not_read_take_no_more_than_t
     let mut deaf = Peer::connected(stage.addresses[1]).await;
     let growth = Growth::begins();
     let questions = b"{\"initialization_request\":{}}\n".repeat(10_000);
-    // Ends when the robot no longer reads, since nobody reads its answers of a megabyte each.
+    // Ends when the robot no longer reads, since its answers of a megabyte each are not read.
     let asking = tokio::spawn(async move { deaf.write(&questions).await });
     for _ in 0..20 {
         stage.others_notice_nothing().await;

@@ -202,7 +202,7 @@ pub fn endpoints_at_once(
     Ok((host, endpoints))
 }
 
-/// Where nobody is asked, the files are trusted.
+/// Without a handshake the files are trusted.
 fn speech(robot: &FleetRobot, handshake: Handshake) -> Speech {
     let listed = robot.init.as_ref().is_some_and(|block| block.understands(robot.encoding));
     match handshake {

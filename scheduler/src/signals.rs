@@ -4,8 +4,10 @@
 //! without effect; a file that has reached its limit then gives an error of writing. SIGPIPE is ignored by Rust itself.
 
 use std::io;
-use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
+use std::sync::mpsc::sync_channel;
+use std::sync::{Arc, OnceLock};
+use std::time::Duration;
 
 use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGUSR1, SIGUSR2, SIGXFSZ};
 use tokio::signal::unix::{Signal, SignalKind, signal};
@@ -45,8 +47,28 @@ fn take(number: i32) {
     }
 }
 
-/// Ends the process as the signal would have, had the program not taken it. Nothing is waited for.
+/// What a process that dies leaves behind as it found it.
+static BEFORE_DEATH: OnceLock<fn()> = OnceLock::new();
+/// How long that may take.
+const RESTORED_WITHIN: Duration = Duration::from_millis(500);
+
+/// Has this done before the process ends by [`die_of`]; the first call counts.
+pub fn restore_before_death(restore: fn()) {
+    let _already_set = BEFORE_DEATH.set(restore);
+}
+
+/// Ends the process as the signal would have, had the program not taken it. Half a second is waited at most, for what
+/// [`restore_before_death`] has named.
 pub fn die_of(asked: Asked) {
+    if let Some(restore) = BEFORE_DEATH.get() {
+        let (done, restored) = sync_channel(1);
+        // On a thread of its own: what keeps the process may keep this, too.
+        std::thread::spawn(move || {
+            restore();
+            let _given_up = done.send(());
+        });
+        let _too_late = restored.recv_timeout(RESTORED_WITHIN);
+    }
     if let Err(error) = signal_hook::low_level::emulate_default_handler(asked.number()) {
         tracing::error!("cannot end by a signal: {error}");
     }

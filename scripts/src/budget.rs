@@ -43,7 +43,7 @@ impl Budget {
         self.left
     }
 
-    /// Whether somebody has wanted more than there was: it has been told then, and what follows is left out.
+    /// Whether more was wanted than there was: it has been told then, and what follows is left out.
     pub(crate) const fn is_overdrawn(&self) -> bool {
         self.overdrawn
     }

@@ -37,7 +37,7 @@ pub struct Act {
     pub next: Way,
     /// What happens when a robot fails.
     pub on_failure: FailurePolicy,
-    /// What the others do when nobody can know whether a robot will start.
+    /// What the others do when it cannot be known whether a robot will start.
     pub on_doubt: OnDoubt,
 }
 

@@ -42,7 +42,7 @@ impl Choreography {
     }
 
     /// Played at `speed` times the speed as it is written: all times divided by it; speeds times it, accelerations times
-    /// its square, on the device's grid. Checked anew against what each device declares.
+    /// its square, on the device's grid. Checked again against what each device declares.
     ///
     /// # Errors
     /// What a device cannot do at that speed, each with its robot, device and step.

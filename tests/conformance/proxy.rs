@@ -76,7 +76,7 @@ pub enum Serving {
     AtMost(u64),
     /// What comes in one piece is taken for a line.
     WithoutBuffer,
-    /// While one peer does not read, nobody is served.
+    /// While one peer does not read, no other is served.
     UnderOneLock,
 }
 

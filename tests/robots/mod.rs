@@ -235,19 +235,20 @@ impl Logged {
 
 /// A robot that reports, with the device `d`: how many scripts it holds, its largest position, and the steps of a script.
 pub fn one_device(queue: impl fmt::Display, largest: u32, steps: impl fmt::Display) -> String {
-    format!(
-        "id: robot
-api_version: '1'
-reports: true
-devices:
-  - id: d
+    with_devices(&format!(
+        "  - id: d
     name: d
     script_queue: {queue}
     available_control_types:
       position: {{min_value: 0, max_value: {largest}, granularity: 1}}
       script: {{min_value: 0, max_value: {largest}, granularity: 1, max_number_of_steps: {steps}}}
 "
-    )
+    ))
+}
+
+/// A robot that reports, with these devices, in YAML.
+pub fn with_devices(devices: &str) -> String {
+    format!("id: robot\napi_version: '1'\nreports: true\ndevices:\n{devices}")
 }
 
 /// An instant in RFC 3339 as nanoseconds since the epoch.

@@ -18,7 +18,7 @@ enum Flow {
     Deaf,
     /// No connection stands; who connects waits.
     Interrupted,
-    /// No connection stands, and further ones are refused, as if nobody listened.
+    /// No connection stands, and further ones are refused, as if no process listened.
     Cut,
     /// The proxy has been let go.
     Ended,
@@ -85,7 +85,7 @@ impl Proxy {
         self.shared.set(Flow::Deaf);
     }
 
-    /// Every connection is closed; later ones stand and nothing passes, as if nobody were reached.
+    /// Every connection is closed; later ones stand and nothing passes, as if the robot were out of reach.
     pub fn interrupt(&self) {
         self.shared.set(Flow::Interrupted);
     }

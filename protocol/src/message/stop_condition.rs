@@ -1,4 +1,4 @@
-//! When to stop executing although nobody says so: the lease.
+//! When to stop executing without being told: the lease.
 
 use std::fmt;
 

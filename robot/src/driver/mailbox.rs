@@ -1,7 +1,7 @@
 //! What is still to be set, between the precise thread and a driver's own.
 //!
 //! For each signal of each device at most one value waits, and one movement that begins behind it: newer ones take their
-//! place. Whoever puts something in never waits for the driver.
+//! place. Putting a value in never waits for the driver.
 #![expect(clippy::disallowed_methods, reason = "waits until the next sample or ping is due")]
 
 use std::collections::hash_map::Entry;

@@ -34,7 +34,7 @@ use crate::signal::Signal;
 /// Hardware did not do what it should.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum DriverError {
-    /// It is not there, or no longer: it is connected anew before anything else is asked of it.
+    /// It is not there, or no longer: it is connected again before anything else is asked of it.
     #[error("{0}")]
     Away(String),
     /// It is there and says no. A reading fails alone; a refused value counts as [`DriverError::Away`], since the device

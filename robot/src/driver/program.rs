@@ -153,7 +153,7 @@ impl Running {
         let watched = output.as_fd().try_clone_to_owned()?;
         // One answer belongs to one line; a program that says more is soon out of step.
         let (sender, answers) = sync_channel(1);
-        // Ends with the program's output, or when nobody listens any more.
+        // Ends with the program's output, or when the receiver is gone.
         std::thread::Builder::new().name("program".into()).spawn(move || {
             let mut output = BufReader::new(output);
             loop {

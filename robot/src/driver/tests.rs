@@ -343,7 +343,7 @@ async fn hardware_that_hangs_up_while_nothing_is_asked_is_away_before_the_next_p
 }
 
 #[tokio::test]
-async fn hardware_that_fails_under_a_script_fails_it_and_starts_anew_from_its_default_state() {
+async fn hardware_that_fails_under_a_script_fails_it_and_starts_again_from_its_default_state() {
     let mut rig = Rig::new(Bench::default(), DriverOptions::default());
     rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
     rig.responses(&PLAYED[..2]).await;

@@ -51,7 +51,7 @@ pub(crate) struct Worker {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Touched {
     Never,
-    /// Not since it was connected anew.
+    /// Not since it was connected again.
     Before,
     Now,
 }

@@ -26,7 +26,7 @@ impl Judge {
         let request = asked.request;
         let echoes = answer.request_id == request.request_id && answer.device_id == request.device_id;
         hold(echoes && answer.timestamp == now, || format!("{answer:?} to {request:?}"))?;
-        // A reading is not kept: whoever asks again reads again.
+        // A reading is not kept: a request that comes again reads again.
         if let Some(id) = request.request_id.as_ref().filter(|_| answer.status != Status::Provide) {
             self.remember(id, answer);
         }

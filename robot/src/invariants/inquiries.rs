@@ -51,9 +51,8 @@ impl Judge {
             known.map(|device| (&device.spec.id, device.spec.script_queue as usize - device.queue.len()));
         let told = answer.devices.iter().map(|device| (&device.device_id, device.room as usize));
         hold(room.eq(told), || format!("the room {:?}", answer.devices))?;
-        if let Some(lease) = inquiry.pending_lease {
-            inquiry.requests.iter().for_each(|id| self.shorten(party, id, lease));
-        }
+        let limits = (inquiry.pending_lease, inquiry.pending_until);
+        inquiry.requests.iter().for_each(|id| self.limit(party, id, limits));
         Ok(())
     }
 
@@ -98,10 +97,10 @@ impl Judge {
         *report == ended || forgotten && *report == unknown
     }
 
-    fn shorten(&mut self, party: Party, id: &RequestId, lease: Millis) {
+    fn limit(&mut self, party: Party, id: &RequestId, (lease, until): (Option<Millis>, Option<Now>)) {
         let orders = self.devices.values_mut().flat_map(|device| &mut device.queue);
         let named =
             |order: &&mut Order| order.id.as_ref() == Some(id) && order.party == party && !order.began;
-        orders.filter(named).for_each(|order| order.shorten(lease));
+        orders.filter(named).for_each(|order| order.limit(lease, until));
     }
 }

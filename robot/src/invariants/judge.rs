@@ -85,7 +85,7 @@ impl Judge {
     /// Time has passed, and nothing else has happened.
     pub(super) fn passed(&mut self, now: Now, out: &[Output]) -> Result<(), Violation> {
         self.judge(now, out, None)?;
-        hold(self.cancelled.is_empty(), || "a command was cancelled by nobody".to_owned())
+        hold(self.cancelled.is_empty(), || "a command was cancelled without a request".to_owned())
     }
 
     /// A request came, after everything that was due.
@@ -131,7 +131,7 @@ impl Judge {
                     })?;
                     self.answered(now, asked, answer)?;
                 }
-                _ => return Err(Violation(format!("nobody asked for {output:?}"))),
+                _ => return Err(Violation(format!("no request asked for {output:?}"))),
             }
         }
         hold(answers == usize::from(asked.is_some()), || {

@@ -12,7 +12,7 @@ use crate::robot::LinkId;
 
 type Now = Timestamp<Robot>;
 
-/// Whoever a lease counts for: a link of its own, or a session on whatever links.
+/// For which a lease counts: a link without a session, or a session on any of its links.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(super) enum Party {
     Link(LinkId),
@@ -72,6 +72,8 @@ pub(super) struct Order {
     pub(super) steps: Vec<Step>,
     pub(super) is_script: bool,
     condition: Option<StopCondition>,
+    /// The lease before the start ends then at the latest.
+    pending_until: Option<Now>,
     /// Steps that were set.
     pub(super) done: usize,
     pub(super) began: bool,
@@ -96,6 +98,7 @@ impl Order {
             steps,
             is_script: matches!(request.command, Command::Script(_)),
             condition: request.stop_condition,
+            pending_until: None,
             done: 0,
             began: false,
         }
@@ -124,7 +127,8 @@ impl Order {
 
     /// When the lease before the start ends.
     pub(super) fn pending_ends(&self, heard: &Heard) -> Option<Now> {
-        heard.ends(self.party, self.accepted, self.condition.and_then(|lease| lease.pending))
+        let silent = heard.ends(self.party, self.accepted, self.condition.and_then(|lease| lease.pending));
+        silent.into_iter().chain(self.pending_until).min()
     }
 
     /// When the lease ends that holds once so many steps are done.
@@ -133,8 +137,10 @@ impl Order {
         heard.ends(self.party, self.accepted, own.or(self.condition).and_then(|lease| lease.running))
     }
 
-    /// It may wait for its start no longer than this without a word.
-    pub(super) fn shorten(&mut self, pending: Millis) {
+    /// It may wait for its start no longer than this without a word, and until this instant at the latest.
+    pub(super) fn limit(&mut self, pending: Option<Millis>, until: Option<Now>) {
+        self.pending_until = until;
+        let Some(pending) = pending else { return };
         let condition = self.condition.unwrap_or_default();
         let shortest = condition.pending.filter(|own| own.get() <= pending.get()).unwrap_or(pending);
         self.condition = Some(StopCondition { pending: Some(shortest), ..condition });
@@ -211,7 +217,7 @@ impl DeviceModel {
         self.queue.insert(place, order);
     }
 
-    /// A signal is driven: it is no longer under the lease of whoever drove it before.
+    /// A signal is driven: it is no longer under the lease of the command before.
     pub(super) fn drive(&mut self, control_type: ControlType, to: f64) {
         self.targets.insert(control_type, to);
         for guard in &mut self.guards {

@@ -86,6 +86,8 @@ pub struct Question {
     requests: [u8; 3],
     device: u8,
     pending_ticks: Option<u8>,
+    /// From now; not all of them lie ahead.
+    until_ticks: Option<i8>,
 }
 
 /// A control request before it is written out.
@@ -239,7 +241,12 @@ impl Pause {
 
 impl Question {
     /// Writes the inquiry out: about requests that were sent, and about one that was not.
-    pub(super) fn written(&self, sent: &[ControlRequest], devices: &[DeviceId]) -> Inquiry {
+    pub(super) fn written(
+        &self,
+        now: Timestamp<Robot>,
+        sent: &[ControlRequest],
+        devices: &[DeviceId],
+    ) -> Inquiry {
         let earlier = |which: &u8| sent.get(usize::from(*which) % sent.len().max(1))?.request_id.clone();
         let mut requests: Vec<_> = self.requests.iter().filter_map(earlier).collect();
         requests.extend(RequestId::new("never sent"));
@@ -250,7 +257,7 @@ impl Question {
             requests,
             devices: device.or_else(|| DeviceId::new(NO_DEVICE).ok()).into_iter().collect(),
             pending_lease: self.pending_ticks.map(|ticks| Millis::from_span(TICK * i64::from(ticks % 24))),
-            pending_until: None,
+            pending_until: self.until_ticks.map(|ticks| on_grid(now, i64::from(ticks % 24))),
         }
     }
 }

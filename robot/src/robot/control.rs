@@ -177,7 +177,7 @@ impl Robot {
             request_id: request.request_id.clone(),
             ..response(now, request.device_id.clone(), Status::Provide)
         };
-        // Not remembered: anybody may read, and whoever asks again reads again.
+        // Not remembered: a request that comes again reads again.
         tell(link, answer, out);
     }
 

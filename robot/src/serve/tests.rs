@@ -135,7 +135,7 @@ async fn a_peer_that_sends_without_reading_harms_only_itself() {
     let mut flood = TcpStream::connect(address).await.unwrap();
     let lines = b"{\"initialization_request\": {}}\n".repeat(1_000);
     let flooding = tokio::spawn(async move {
-        // Ends when the robot no longer reads, since nobody reads its answers.
+        // Ends when the robot no longer reads, since its answers are not read.
         while flood.write_all(&lines).await.is_ok() {}
     });
     let mut peer = Peer::connected(address).await;
@@ -176,7 +176,7 @@ async fn no_more_than_the_limit_of_connections_is_obeyed_at_a_time() {
 }
 
 #[tokio::test]
-async fn nobody_claims_a_robot_without_a_place() {
+async fn no_connection_claims_a_robot_without_a_place() {
     let log = LogFile::new("claim");
     let (_host, address) = served(&log).await;
     let mut peers = all_places_taken(address).await;

@@ -221,7 +221,7 @@ fn check_fault(fault: Fault, expected: &[&str], sets: usize) {
 fn faults_refuse_or_stay_silent_or_disconnect_right_after_the_acceptance() {
     check_fault(Fault::Refuse, &["Failed busy"], 0);
     check_fault(Fault::Silent, &[], 0);
-    // Its lease of five seconds still runs; whoever comes again is turned away.
+    // Its lease of five seconds still runs; a new connection is turned away.
     check_fault(Fault::Disconnect, &["Accepted", "closed", "closed", "Started"], 1);
 }
 

@@ -144,6 +144,7 @@ struct command {
     char content_hash[65];
     struct lease lease;
     int64_t start, end, heard, sampled;
+    int64_t until;                 /* by an inquiry's pending_until */
     int64_t from_offset;           /* where a linear device comes from */
     double from_value;
     enum kind from_kind;
@@ -644,6 +645,8 @@ static int64_t lease_ends(const struct command *c, int64_t shift)
     int64_t at = c->start + (c->begun ? c->steps[c->done].offset : 0), now = ends(c, shift, c->done, c->begun);
     int64_t then = ends(c, shift, c->done + (c->begun || !c->steps[0].offset), true);
     then = then > at ? then : at;
+    if (!c->begun && c->until < now)
+        now = c->until;
     return now < then ? now : then;
 }
 
@@ -1216,6 +1219,7 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
         c->start = r->has_start ? r->start : now;
         c->end = c->start + r->steps[r->size - 1].offset;
         c->heard = heard;
+        c->until = NEVER;
         c->size = r->size;
         memcpy(c->steps, r->steps, (size_t)r->size * sizeof *r->steps);
         passing.status = ACCEPTED;
@@ -1314,8 +1318,9 @@ static bool names_at(int body, const char *key, size_t least)
     return !fault;
 }
 
-/* A command of this connection's session, or without one of this connection, may wait for its start no longer than this. */
-static void shorten(struct link *link, const struct text *request_id, bool has_session, double limit)
+/* A command of this connection's session, or without one of this connection, may wait for its start no longer than `limit`,
+   which may be NaN, without a word, and until `until` at the latest. */
+static void shorten(struct link *link, const struct text *request_id, bool has_session, double limit, int64_t until)
 {
     struct device *device;
     struct answer *a = find_answer(request_id);
@@ -1327,6 +1332,7 @@ static void shorten(struct link *link, const struct text *request_id, bool has_s
                 continue;
             if (isnan(c->lease.pending) || limit < c->lease.pending)
                 c->lease.pending = limit;
+            c->until = until;
         }
 }
 
@@ -1336,7 +1342,11 @@ static void inquire(struct link *link, int body, int64_t received, bool mine, co
     int item, requests = json_get(&json, body, "requests"), asked = json_get(&json, body, "devices"), i, count = 0;
     static struct text name;
     double limit;
-    bool shortens = period_at(body, "pending_lease", &limit);
+    int64_t until;
+    if (!period_at(body, "pending_lease", &limit))
+        limit = (double)NAN;
+    if (!timestamp_at(body, "pending_until", &name, &until))
+        until = NEVER;
     begin_clock(link, "inquiry_response", received, sent, mine ? NULL : "busy", mine ? NULL : busy_message());
     put(link, ",\"requests\":[");
     item = mine && requests != JSON_NONE ? json.nodes[requests].first : JSON_NONE;
@@ -1357,10 +1367,10 @@ static void inquire(struct link *link, int body, int64_t received, bool mine, co
     }
     put(link, "]");
     send_end(link);
-    item = mine && shortens && requests != JSON_NONE ? json.nodes[requests].first : JSON_NONE;
+    item = mine && requests != JSON_NONE ? json.nodes[requests].first : JSON_NONE;
     for (; item != JSON_NONE; item = json.nodes[item].next) {
         text_of(item, 0, &name);
-        shorten(link, &name, has_session, limit);
+        shorten(link, &name, has_session, limit, until);
     }
 }
 
@@ -1384,7 +1394,7 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
     int name, body;
     bool control_request, ping, inquiry, mine, has_sent, has_session;
     double limit;
-    static struct text sent, session;
+    static struct text sent, session, until;
     int64_t at;
     if (!json_read(&json, line, length)) {
         malformed(link, received, JSON_NONE, json.error);
@@ -1420,8 +1430,9 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
     }
     has_sent = timestamp_at(body, "timestamp", &sent, &at);
     has_session = (ping || inquiry) && text_at(body, "session", 1, &session);
-    if (inquiry && names_at(body, "requests", 0) && names_at(body, "devices", 1))
-        period_at(body, "pending_lease", &limit);
+    if (inquiry && names_at(body, "requests", 0) && names_at(body, "devices", 1)
+        && (period_at(body, "pending_lease", &limit) || !fault))
+        timestamp_at(body, "pending_until", &until, &at);
     if (fault) {
         malformed(link, received, JSON_NONE, fault);
         return;

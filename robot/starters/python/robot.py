@@ -55,7 +55,7 @@ CONTROL = {"time_offset_to_start": period, "control_type": string, "stop_conditi
 REQUESTS = {"availability_request": {"timestamp": timestamp, "session": ident}, "control_request": CONTROL,
             "initialization_request": {"timestamp": timestamp},
             "inquiry": {"timestamp": timestamp, "session": ident, "pending_lease": period,
-                        "requests": names(string), "devices": names(ident)}}
+                        "pending_until": timestamp, "requests": names(string), "devices": names(ident)}}
 OF_ROBOTS = ["availability_response", "initialization_block", "control_response", "inquiry_response"]    # not for us
 
 def instant(value):
@@ -88,7 +88,7 @@ class Command(Fields):
     def __init__(self, body, line, link):
         super().__init__(body, CONTROL, "device_id", "control_type")
         self.link, self.sensor, self.script = link, self.control_type == "sensor", self.control_type == "script"
-        self.value, self.passed, self.done, self.late = body.get("control_value"), 0, 0, 0
+        self.value, self.passed, self.done, self.late, self.until = body.get("control_value"), 0, 0, 0, NEVER
         need(not self.script or isinstance(self.value, list) and not self.further, "a script's value is one list")
         steps = self.value if self.script else [] if self.sensor else [{**body, "time_offset_to_start": 0}]
         self.steps = [Fields(step, STEP, "time_offset_to_start", "control_type", "control_value") for step in steps]
@@ -108,7 +108,7 @@ class Command(Fields):
             return heard + ns(self.leases[-1])
         following = 2 if self.passed == 0 == self.offsets[0] else self.passed + 1
         now, then = heard + ns(self.leases[self.passed]), heard + ns(self.leases[following])
-        return min(now, max(self.times[self.passed], then))
+        return min(now, NEVER if self.passed else self.until, max(self.times[self.passed], then))
 
 class Device:
     def __init__(self, spec):
@@ -264,9 +264,11 @@ class Robot:
         found = [self.devices[key] for key in asked.devices or [] if key in self.devices]
         told = {"requests": [self.tell(key, held.get(key)) for key in asked.requests or []],
                 "devices": [{"device_id": device.id, "room": device.queue - len(device.held)} for device in found]}
-        for c in [held[key] for key in asked.requests or [] if key in held and asked.pending_lease is not None]:
+        for c in [held[key] for key in asked.requests or [] if key in held]:
             if not c.passed and (c.session == asked.session if c.session else c.link is link):
-                c.leases[0] = min(asked.pending_lease, math.inf if c.leases[0] is None else c.leases[0])
+                limits = [each for each in (asked.pending_lease, c.leases[0]) if each is not None]
+                c.leases[0] = min(limits, default=None)
+                c.until = instant(asked.pending_until) if asked.pending_until else NEVER
         return told
     def tell(self, key, c):
         told = {"request_id": key, "state": "ended" if key in self.answers else "unknown", **self.facts.get(key, {})}

@@ -18,7 +18,7 @@ pub(super) struct ChoiceArgs {
     /// Play with these robots alone, as arm-1,arm-2.
     #[arg(long, value_name = "ROBOTS", value_delimiter = ',')]
     only: Vec<RobotId>,
-    /// Play slower or faster than written, as 0.25; limits are checked anew.
+    /// Play slower or faster than written, as 0.25; limits are checked again.
     #[arg(long, value_name = "FACTOR", value_parser = speed)]
     speed: Option<f64>,
 }

@@ -19,7 +19,7 @@ const BOLD: Style = Style::new().bold();
 const RED: Style = AnsiColor::Red.on_default().bold();
 const YELLOW: Style = AnsiColor::Yellow.on_default().bold();
 
-/// At the end of a mission: for so long nobody may read before what is left is given up.
+/// At the end of a mission: if nothing can be written for this long, the rest of the output is given up.
 const IDLE_MAX: Duration = Duration::from_secs(3);
 
 /// The threads that write, once there are any.

@@ -149,7 +149,7 @@ fn describe(args: &DescribeArgs, format: Format) -> Exit {
             Err(error) => Err(error.to_string()),
         },
         Address::Simulated | Address::Program { .. } => {
-            console::error(&format!("`{}` describes itself to nobody", args.address));
+            console::error(&format!("`{}` cannot be asked to describe itself", args.address));
             return Exit::Usage;
         }
     };

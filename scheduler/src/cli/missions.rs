@@ -78,7 +78,7 @@ pub(super) fn listed() -> Missions {
     let missions = Missions::of(&journal::state_folder());
     for journal in &missions.damaged {
         console::warn(&format!(
-            "the first line of {} cannot be read: nobody knows which robots its mission drove",
+            "the first line of {} cannot be read: it is unknown which robots its mission drove",
             journal.display()
         ));
     }

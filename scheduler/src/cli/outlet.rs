@@ -1,4 +1,4 @@
-//! A thread that writes to a terminal, a pipe or a file, so that nobody else waits for it.
+//! A thread that writes to a terminal, a pipe or a file, so that nothing else waits for it.
 //!
 //! What a mission says while it runs waits in a bounded queue. A reader that stands still, as a terminal after Ctrl-S or a
 //! full pipe, holds up this thread alone; lines that find the queue full are dropped, and their number is written in their
@@ -86,7 +86,7 @@ struct Queue {
     progress: u64,
     /// Why standard output cannot be written.
     failure: Option<String>,
-    /// Nobody reads any more.
+    /// Streams whose reader is gone.
     closed: Vec<Stream>,
 }
 
@@ -229,6 +229,8 @@ fn next_entries(shared: &Shared) -> VecDeque<Entry> {
         };
     }
     queue.busy = true;
+    // Their place is behind what is written now, whether or not another line ever follows.
+    queue.mark_dropped();
     std::mem::take(&mut queue.entries)
 }
 
@@ -237,7 +239,7 @@ fn write_entry(shared: &Shared, entry: Entry, display: &mut Option<Box<dyn Displ
         Entry::Text(stream, text) => write(shared, stream, text.as_bytes()),
         Entry::Dropped(lines) => {
             let lines = downbeat_scripts::counted(lines, "line");
-            let text = format!("({lines} dropped here, because nobody read this output)\n");
+            let text = format!("({lines} dropped here, because this output was not read)\n");
             write(shared, Stream::Stderr, text.as_bytes());
         }
         Entry::Display(next) => *display = next,
@@ -255,7 +257,7 @@ fn write(shared: &Shared, stream: Stream, bytes: &[u8]) {
     }
 }
 
-/// Writes past Rust's own buffers, whose locks would hold up others. Waits as long as nobody reads.
+/// Writes past Rust's own buffers, whose locks would hold up others. Waits as long as the reader does.
 ///
 /// # Errors
 /// What the system says; a closed pipe is [`io::ErrorKind::BrokenPipe`].
@@ -290,5 +292,14 @@ mod tests {
         let queue = outlet.0.lock();
         let entries: Vec<_> = queue.entries.iter().collect();
         assert!(matches!(entries[..], [Entry::Dropped(7), Entry::Text(..), Entry::Text(..)]));
+    }
+
+    #[test]
+    fn dropped_lines_are_counted_as_soon_as_there_is_a_reader_though_no_line_follows() {
+        let outlet = Outlet(Arc::default());
+        (0..WAITING_MAX + 7).for_each(|_| outlet.offer(Stream::Stderr, "line\n".to_owned()));
+        let entries = next_entries(&outlet.0);
+        assert!(matches!(entries.back(), Some(Entry::Dropped(7))));
+        assert_eq!(outlet.0.lock().dropped, 0);
     }
 }

@@ -59,7 +59,7 @@ pub(super) struct RunArgs {
     /// Record everything that is said as an MCAP file, for Foxglove and others.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Keep no journal: after a crash nobody knows what was promised to whom.
+    /// Keep no journal: after a crash it is unknown what was promised to which robot.
     #[arg(long)]
     no_journal: bool,
     /// Go on in the background, away from this terminal, with a log of its own in the mission's folder.

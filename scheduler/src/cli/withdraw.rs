@@ -158,7 +158,7 @@ pub(super) struct How {
 /// Stops what a mission left behind, and writes that down afterwards, where the journal is taken: a stop waits for no disk.
 pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdrawn, String> {
     let (lane, operator) = stop_lane(OnHangUp::End)?;
-    // Whoever says stop meanwhile hears what becomes of this one.
+    // A stop from another terminal meanwhile is answered with the result of this one.
     let control = listen(&taken.folder, &lane);
     let mut withdrawn = withdraw_as(&taken.kept, how, (lane, operator)).await?;
     let (begun, records) = (withdrawn.begun, records_of(&withdrawn, how.unconfirmed));

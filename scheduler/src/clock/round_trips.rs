@@ -85,7 +85,7 @@ mod tests {
             let mut trips = RoundTrips::default();
             for (k, delay) in (0..).zip(delays) {
                 trips.add(Timestamp::from_nanos(0) + millis(2_100) * k, millis(delay));
-                // Of the first two exchanges nobody can tell which one is the outlier.
+                // Of the first two exchanges either may be the outlier.
                 assert!(k < 2 || trips.high() < millis(10), "pause at {slow}, exchange {k}: {trips:?}");
             }
         }

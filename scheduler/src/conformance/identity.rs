@@ -43,7 +43,7 @@ pub(super) const ALL: [Requirement; 6] = [
     },
     Requirement {
         name: "session-reading",
-        demands: "Somebody to whom the robot does not belong, and who asks a device that is no sensor for a reading, is refused with `busy` and ends nothing.",
+        demands: "A session to which the robot does not belong, and which asks a device that is no sensor for a reading, is refused with `busy` and ends nothing.",
         section: "Sensors",
         check: session_reading,
     },

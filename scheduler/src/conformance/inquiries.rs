@@ -10,7 +10,7 @@ use super::line::{Inquired, Line};
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
 use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 
-pub(super) const ALL: [Requirement; 10] = [
+pub(super) const ALL: [Requirement; 11] = [
     Requirement {
         name: "inquiry",
         demands: "An inquiry is answered `OK` with the clock of the exchange and one entry for each request, in their order, `unknown` for those that never came.",
@@ -70,6 +70,12 @@ pub(super) const ALL: [Requirement; 10] = [
         demands: "pending_lease shortens the lease of what is named and has not begun, lengthens none, and leaves alone what is not named.",
         section: "Inquiry (D)",
         check: pending_lease,
+    },
+    Requirement {
+        name: "lease-inquiry-until",
+        demands: "pending_until, which a robot need not know, ends the lease of what is named and has not begun at that instant of the robot's clock, whatever is heard until then, and the next inquiry that names it lifts that.",
+        section: "Inquiry (D)",
+        check: pending_until,
     },
 ];
 
@@ -387,4 +393,42 @@ fn pending_lease(trial: &Trial) -> Checked {
         return Err(differs(&asked, "nothing", &expected));
     }
     other.map_or_else(pass, |other| stays_held(trial, &mut line, other).and_then(|()| pass()))
+}
+
+fn pending_until(trial: &Trial) -> Checked {
+    answering(trial)?;
+    trial.reporting()?;
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let lifted = trial.pending(actor);
+    let ticket = line.held(&lifted)?;
+    line.inquire(&until_soon(trial, &lifted))?;
+    let lifting = line.inquire(&about(&[&lifted]))?;
+    let over = trial.now() + PERIOD + trial.slack();
+    line.listen(over, |line| line.asked(ticket).heard.len() > 1)?;
+    if let Some(more) = line.asked(ticket).heard.get(1) {
+        let sent = format!("{}, after one with pending_until", lifting.sent.trim_end());
+        return Err(differs(&sent, &more.text, "nothing: an inquiry without pending_until lifts it"));
+    }
+    let (asked, until) = (until_soon(trial, &lifted), trial.now() + PERIOD);
+    let inquired = line.inquire(&asked)?;
+    // What is heard until then renews leases and does not name the request.
+    while trial.now() < until + trial.slack() && line.asked(ticket).heard.len() < 2 {
+        line.inquire(&Inquiry { timestamp: Some(trial.stamp()), ..Inquiry::default() })?;
+        line.listen(trial.soon(50), |line| line.asked(ticket).heard.len() > 1)?;
+    }
+    match line.asked(ticket).heard.get(1) {
+        None => Err(not_applicable(
+            "the robot does not act on `pending_until`, which is optional: it keeps to `pending_lease` alone",
+        )),
+        Some(end) if end.at < until - ROUNDING => {
+            Err(differs(&inquired.sent, &end.text, "the end of that lease at this instant, and no earlier"))
+        }
+        Some(end) => Ok(format!("ended {} after that instant", end.at - until)),
+    }
+}
+
+/// Limits the lease of a request to an instant one period from now, by the robot's clock.
+fn until_soon(trial: &Trial, request: &ControlRequest) -> Inquiry {
+    Inquiry { pending_until: Some((trial.stamp() + PERIOD).assume_clock()), ..about(&[request]) }
 }

@@ -68,7 +68,7 @@ fn slow_reader(trial: &Trial) -> Checked {
     let mut other = trial.connect_beside()?;
     let deaf = trial.connect()?;
     let asked = deaf.overfill()?;
-    let what = format!("{asked} initialization requests on another connection, whose answers nobody reads,");
+    let what = format!("{asked} initialization requests on another connection, whose answers are not read,");
     // It takes a while until all that lies between the two is full.
     let until = trial.soon(1_000);
     while trial.now() < until {

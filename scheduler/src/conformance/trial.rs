@@ -117,7 +117,7 @@ impl Trial {
         }
     }
 
-    /// A new connection. A robot that serves nobody who has not greeted it is greeted, so that this alone fails.
+    /// A new connection. A robot that serves only connections that have greeted it is greeted, so that this alone fails.
     pub(super) fn connect(&self) -> Result<Line<'_>, Unmet> {
         let mut line = self.connect_silently()?;
         if self.greets {

@@ -59,7 +59,7 @@ impl VirtualOperator {
             return;
         }
         match progress {
-            Progress::Waiting { act, awaits } => {
+            Progress::Waiting { act, awaits, .. } => {
                 self.waiting = self.attended.contains_key(act).then(|| (act.clone(), awaits.clone()));
                 self.attend(now);
             }

@@ -43,7 +43,7 @@ pub enum Life {
 pub struct Missions {
     /// Those that can be read, the newest last.
     pub found: Vec<Found>,
-    /// Journals with lines of which the first one is damaged: nobody knows whose they are.
+    /// Journals with lines of which the first one is damaged: it is unknown whose they are.
     pub damaged: Vec<PathBuf>,
 }
 

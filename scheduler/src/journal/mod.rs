@@ -38,7 +38,7 @@ pub struct Opened {
     /// The working directory, where programs that drive robots are started; `None` in journals of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub folder: Option<PathBuf>,
-    /// What was asked for besides.
+    /// The further choices of the operator: acts, robots, speed.
     pub asked: Asked,
     /// Whether robots are asked who they are.
     pub greeting: Greeting,

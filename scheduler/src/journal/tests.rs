@@ -124,7 +124,7 @@ fn whether_a_mission_lives_is_told_by_its_lock_and_whether_it_has_ended_by_its_l
 }
 
 #[test]
-fn a_lock_of_another_kind_keeps_nobody_from_a_journal() {
+fn a_lock_of_another_kind_does_not_keep_a_journal_shut() {
     let folder = tempfile::tempdir().unwrap();
     let foreign = std::fs::File::open(written(folder.path())).unwrap();
     foreign.lock().unwrap();

@@ -6,7 +6,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use urrcp::{Encoding, Message};
 
 /// The encoding that the fleet file asks for, from when on the robot is known to understand it; JSON until then. Clones
-/// are of one robot and learn together, so that a link that is made anew need not ask again.
+/// are of one robot and learn together, so that a link that is made again need not ask again.
 #[derive(Clone, Debug)]
 pub struct Speech {
     wanted: Encoding,

@@ -151,7 +151,7 @@ struct EventSink {
 }
 
 impl EventSink {
-    /// The driver's end is gone only when the mission has ended; then nobody needs the event.
+    /// The driver's end is gone only when the mission has ended; then the event is not needed.
     async fn put(&self, event: Event) {
         let (at, robot, event) = (self.clock.now(), self.robot, Box::new(event));
         let happened = match self.link {

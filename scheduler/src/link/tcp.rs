@@ -134,7 +134,7 @@ impl Peer {
         }
         let mut peer = self.clone();
         peer.sink.link = None;
-        // Ends when the robot closes, or when nobody can be waiting for its answers any more.
+        // Ends when the robot closes, or when no request can be waiting for its answers any more.
         tokio::spawn(async move {
             let stream = TcpStream::connect((peer.host.as_str(), peer.port));
             let Ok(Ok(stream)) = tokio::time::timeout(CONNECT_TIMEOUT, stream).await else { return };

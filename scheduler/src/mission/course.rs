@@ -273,7 +273,7 @@ impl Mission {
         }
         let mut follow = act.follow();
         if !act.was_sent() {
-            // A round of acts that nobody is left to play would go on for ever.
+            // A round of acts without a robot left to play them would go on for ever.
             self.skipped += 1;
             if self.skipped > self.choreography.acts.len() {
                 follow = Way::End;

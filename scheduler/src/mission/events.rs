@@ -123,6 +123,9 @@ pub enum Progress {
         act: String,
         /// For what, for people.
         awaits: String,
+        /// The instant at which it is meant to start, if it waits for a time.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        at: Option<Timestamp<Server>>,
     },
     /// All requests of an act are on their way.
     Preparing {

@@ -123,7 +123,7 @@ impl Mission {
         }
         self.robots[robot].totals.reconnects += 1;
         if self.robots[robot].stop_was_sent() {
-            return self.stop_anew(now, robot);
+            return self.repeat_stop(now, robot);
         }
         match self.robots[robot].takes_inquiries() {
             true => self.inquire(now, robot),

@@ -67,7 +67,7 @@ impl Mission {
             } else {
                 self.ask_name(now, robot);
                 if self.robots[robot].awaits_stop() && self.takes_stops(now, robot) {
-                    self.stop_anew(now, robot);
+                    self.repeat_stop(now, robot);
                 }
             }
         }
@@ -93,7 +93,7 @@ impl Mission {
             Phase::Greeting { .. } if self.asks_names() => self.greet(now, robot),
             Phase::Greeting { .. } => {}
             Phase::Performing => return self.reattach(now, robot),
-            Phase::Stopping { .. } => return self.stop_anew(now, robot),
+            Phase::Stopping { .. } => return self.repeat_stop(now, robot),
             Phase::Ended => return,
         }
         if self.robots.iter().all(RobotState::is_up) {

@@ -15,7 +15,7 @@ const LEASE_MIN: Span = Span::from_millis(240);
 const ROUND_TRIP_MAX: Span = Span::from_millis(500);
 /// Bytes a second that any link and robot is trusted to take in, also on a host whose cores are all busy.
 const BYTES_A_SECOND: i64 = 10_000_000;
-/// Time to encode, send, check and answer one request, besides its bytes.
+/// Time to encode, send, check and answer one request, in addition to the time of its bytes.
 const EACH_REQUEST: Span = Span::from_micros(500);
 
 /// The parts of the lead time: requests travel and are answered (`prepare`), then the decision is due; from then on the

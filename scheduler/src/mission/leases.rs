@@ -1,4 +1,4 @@
-//! When a robot that nobody can reach comes to rest by its own leases.
+//! When a robot that cannot be reached comes to rest by its own leases.
 
 use urrcp::{Server, Span, Timestamp};
 

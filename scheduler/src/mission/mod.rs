@@ -116,7 +116,7 @@ pub struct Mission {
     recording: Recording,
     /// What became of each act of the scenario.
     fates: Vec<ActCourse>,
-    /// Acts in a row that nobody was left to play.
+    /// Acts in a row without a robot left to play them.
     skipped: usize,
     /// Until when clocks are sampled further, and when next.
     sampling: Option<(Timestamp<Server>, Timestamp<Server>)>,

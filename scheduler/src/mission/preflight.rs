@@ -25,7 +25,7 @@ pub enum Check {
     Position,
     /// What it drives is there.
     Hardware,
-    /// It belongs to nobody else and its queues are free.
+    /// It belongs to no other session and its queues are free.
     Free,
     /// Its sensors read what the fleet file requires.
     Sensors,

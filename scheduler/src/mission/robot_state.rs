@@ -106,7 +106,7 @@ pub(crate) struct Totals {
     pub(crate) steps_planned: u64,
     pub(crate) late_steps: u64,
     pub(crate) start_error: Option<Span>,
-    /// Scripts that were sent and of which nobody knows what became of them.
+    /// Scripts that were sent and whose fate is unknown.
     pub(crate) unaccounted: usize,
     pub(crate) retries: u32,
     pub(crate) reconnects: u32,
@@ -266,7 +266,7 @@ impl RobotState {
         self.questions.forgive();
     }
 
-    /// It is the one that is meant, or nobody asks. `false`: that was known of this link.
+    /// It is the one that is meant, or it is not asked. `false`: that was known of this link.
     pub(crate) fn named(&mut self) -> bool {
         let Link::Unnamed { unheard, .. } = &mut self.link else { return false };
         self.link = Link::Up { unheard: unheard.take() };

@@ -39,7 +39,7 @@ impl Mission {
             match (self.robots[robot].stop_was_sent(), self.robots[robot].awaits_stop()) {
                 (false, _) => self.ask(now, robot),
                 // A robot that was left out has not confirmed yet.
-                (true, true) => self.stop_anew(now, robot),
+                (true, true) => self.repeat_stop(now, robot),
                 (true, false) => {}
             }
         }
@@ -164,6 +164,12 @@ impl Mission {
             return;
         }
         state.told_at = Some(now);
+        self.tell_steps(robot);
+    }
+
+    /// Tells the operator what a robot has said of its steps and its clock.
+    pub(super) fn tell_steps(&mut self, robot: usize) {
+        let state = &self.robots[robot];
         let (id, clock_offset) = (state.id.clone(), state.clock.reading().map(|reading| reading.offset));
         let member = self.acts.first().and_then(|act| act.member(robot));
         let scripts = member.into_iter().flat_map(|member| member.scripts());

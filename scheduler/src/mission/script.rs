@@ -1,4 +1,4 @@
-//! One script of one device on its way: planned, sent, held, running, ended, or nobody knows.
+//! One script of one device on its way: planned, sent, held, running, ended, or unknown.
 
 use downbeat_scripts::DeviceScript;
 use urrcp::{
@@ -32,7 +32,7 @@ pub(crate) enum ScriptState {
     Running,
     /// The robot said how it ended.
     Ended(Ending),
-    /// It was sent, its time has passed, and nobody said what became of it.
+    /// It was sent, its time has passed, and no message said what became of it.
     Unknown,
 }
 
@@ -166,7 +166,7 @@ impl Script {
         matches!(self.state, ScriptState::Sent | ScriptState::Held | ScriptState::Running)
     }
 
-    /// Sent, and nobody said what became of it.
+    /// Sent, and no message said what became of it.
     pub(crate) const fn is_unaccounted(&self) -> bool {
         self.is_out() || matches!(self.state, ScriptState::Unknown)
     }
@@ -193,7 +193,7 @@ impl Script {
         self.sent_at = Some(now);
     }
 
-    /// Its time has passed on a robot that does not report: it is taken to have ended, and nobody knows how.
+    /// Its time has passed on a robot that does not report: it is taken to have ended, how is unknown.
     pub(super) fn lapse(&mut self) {
         if self.is_out() {
             self.state = ScriptState::Unknown;
@@ -290,7 +290,7 @@ impl Script {
             ScriptState::Held | ScriptState::Running | ScriptState::Unknown
                 if self.accepted_at.is_none_or(|at| at < said_at) =>
             {
-                // What it did of it before nobody can tell any more.
+                // What it did of it before cannot be known any more.
                 self.state = ScriptState::Unknown;
                 let message = "the robot has lost the script, as after a restart";
                 News::Failed(ControlError::new(ErrorCode::Internal, message))

@@ -127,12 +127,12 @@ impl Mission {
         }
         for robot in 0..self.robots.len() {
             if self.takes_stops(now, robot) {
-                self.stop_anew(now, robot);
+                self.repeat_stop(now, robot);
             }
         }
     }
 
-    pub(super) fn stop_anew(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn repeat_stop(&mut self, now: Timestamp<Server>, robot: usize) {
         if self.robots[robot].awaits_stop() {
             self.robots[robot].totals.retries += 1;
             self.send_stops(now, robot);
@@ -234,6 +234,7 @@ impl Mission {
     /// A stop was confirmed on all devices of a robot.
     pub(super) fn stop_confirmed(&mut self, robot: usize) {
         if matches!(self.robots[robot].stop, Stop::Confirmed(_)) {
+            self.tell_steps(robot);
             let robot = self.robots[robot].id.clone();
             self.tell(Progress::AtRest { robot: robot.clone() });
             self.record(Record::StopConfirmed { robot });

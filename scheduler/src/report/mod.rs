@@ -100,7 +100,7 @@ pub struct RobotReport {
     pub unaccounted: usize,
     /// Requests sent again.
     pub retries: u32,
-    /// Times its link was made anew.
+    /// How often its link was made again.
     pub reconnects: u32,
     /// How its time was brought to agree with the server's.
     pub clock_mode: ClockMode,

@@ -77,18 +77,21 @@ impl Rows {
     /// The first cell alone, below it the others with their titles, several in a line where there is room.
     fn stacked(&self, row: &[String], columns: usize) -> String {
         let mut cells = row.iter();
-        let mut text = format!("{}\n", cells.next().map_or("", String::as_str));
+        let mut text = wrapped(cells.next().map_or("", String::as_str), columns);
         let pieces = self.header.iter().skip(1).zip(cells).filter(|(_, cell)| *cell != "-");
+        let mut pieces: Vec<_> = pieces.map(|(title, cell)| format!("{title} {cell},")).collect();
+        if let Some(last) = pieces.last_mut() {
+            last.pop();
+        }
         let mut line = String::new();
-        for (title, cell) in pieces {
-            let piece = format!("{title} {cell}");
-            if !line.is_empty() && line.width() + piece.width() + 2 > columns {
-                text.push_str(&format!("{line},\n"));
+        for piece in pieces {
+            if !line.is_empty() && line.width() + 1 + piece.width() > columns {
+                text.push_str(&wrapped(&line, columns));
                 line.clear();
             }
-            line = if line.is_empty() { format!("  {piece}") } else { format!("{line}, {piece}") };
+            line = if line.is_empty() { format!("  {piece}") } else { format!("{line} {piece}") };
         }
-        if line.is_empty() { text } else { format!("{text}{line}\n") }
+        if line.is_empty() { text } else { text + &wrapped(&line, columns) }
     }
 }
 
@@ -171,6 +174,21 @@ a\\u{1b}[2Jb
   clock offset 90 ms
 ";
         assert_eq!(rows().text(30), expected);
+    }
+
+    #[test]
+    fn at_any_width_no_line_begins_with_a_comma_or_is_too_wide_and_no_number_is_broken() {
+        let cells = ["arm-1", "120/120", "+0.412 ms", "-150.002 ms"];
+        for columns in 15..=120 {
+            let text = rows().text(columns);
+            for line in text.lines() {
+                assert!(!line.trim_start().starts_with(','), "at {columns} columns:\n{text}");
+                assert!(line.width() <= columns, "at {columns} columns: `{line}`");
+            }
+            for cell in cells {
+                assert!(text.contains(cell), "`{cell}` is broken at {columns} columns:\n{text}");
+            }
+        }
     }
 
     #[test]

@@ -146,8 +146,8 @@ impl Listener {
 /// A scheduler did not do what it was told.
 #[derive(Debug, thiserror::Error)]
 pub enum Unheard {
-    /// Nobody listens.
-    #[error("nobody listens at its socket: {0}")]
+    /// No process listens.
+    #[error("no process listens at its socket: {0}")]
     NobodyListens(#[from] io::Error),
     /// It is silent.
     #[error("it does not answer within 1 s")]

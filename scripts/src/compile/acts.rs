@@ -1,4 +1,4 @@
-//! The graph of acts: where each way leads, which acts nobody reaches, which never come to an end.
+//! The graph of acts: where each way leads, which acts are never reached, which never come to an end.
 
 use std::collections::{HashMap, HashSet};
 

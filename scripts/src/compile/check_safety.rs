@@ -7,7 +7,7 @@ use crate::finding::{Code, Place};
 use crate::plan::Act;
 use crate::scenario::{self, Scenario};
 
-/// A lease that somebody asked for and that is longer than what it guards: when the link breaks, the script ends first.
+/// A lease that the scenario states and that is longer than what it guards: when the link breaks, the script ends first.
 pub(super) fn check(findings: &mut Reader, scenario: &Scenario, acts: &[Option<Act>]) {
     let longest = acts.iter().flatten().map(|act| act.plan.duration()).max();
     if let (Some(place), Some(longest)) = (&scenario.lease_place, longest) {

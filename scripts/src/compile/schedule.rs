@@ -116,7 +116,7 @@ impl<'a> Timetable<'a> {
         let events = act.cues.iter().map(|_| (network.event(), network.event())).collect();
         let mut by_name: HashMap<&str, Option<usize>> = HashMap::new();
         for (index, cue) in act.cues.iter().enumerate() {
-            // A name that stands twice may be referred to by nobody.
+            // A name that stands twice cannot be referred to.
             by_name.entry(&cue.name).and_modify(|known| *known = None).or_insert(Some(index));
         }
         Self { act, network, origins: HashMap::new(), events, by_name }

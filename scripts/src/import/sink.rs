@@ -87,7 +87,7 @@ impl Sink {
         }
     }
 
-    /// Whether a file has so many findings that more of them help nobody.
+    /// Whether a file has so many findings that more of them do not help.
     pub(super) fn is_full(&self, source: &Source) -> bool {
         self.of(&source.name) > FINDINGS_A_FILE_MAX
     }

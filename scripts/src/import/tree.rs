@@ -38,7 +38,7 @@ pub(super) fn read<T>(
     result.filter(|_| sound)
 }
 
-/// Whether more findings would help nobody.
+/// Whether more findings would not help.
 pub(super) fn is_full(findings: &Reader) -> bool {
     findings.found.len() > FINDINGS_A_FILE_MAX
 }

@@ -35,7 +35,7 @@ pub(crate) enum Shape {
     Eased(Easing),
     /// The new value at once.
     Early,
-    /// Linear between samples of a curve, which nobody asked to be kept each.
+    /// Linear between samples of a curve, which need not be kept each.
     Sampled,
     /// offset + gain * function, over s from 0 to 1 or, reversed, from 1 to 0.
     Function {

@@ -158,7 +158,7 @@ proptest! {
     }
 
     #[test]
-    fn a_change_gives_what_solving_anew_gives(
+    fn a_change_gives_what_solving_again_gives(
         small in small(),
         changes in prop::collection::vec((0usize..9, prop::option::of(-6i64..12), prop::option::of(-6i64..12)), 1..6),
     ) {
@@ -170,11 +170,11 @@ proptest! {
             let max = max.map(|max| max.max(min.unwrap_or(max)));
             let old = changed.constraints[index];
             (changed.constraints[index].2, changed.constraints[index].3) = (min, max);
-            let anew = changed.network().0.solve();
-            match (solved.change(ids[index], min.map(span), max.map(span)), anew) {
+            let solved_again = changed.network().0.solve();
+            match (solved.change(ids[index], min.map(span), max.map(span)), solved_again) {
                 (Ok(()), Ok(schedule)) => prop_assert_eq!(solved.schedule(), schedule),
                 (Err(_), Err(_)) => changed.constraints[index] = old,
-                (change, anew) => prop_assert!(false, "{:?} {:?}", change, anew),
+                (change, again) => prop_assert!(false, "{:?} {:?}", change, again),
             }
         }
     }

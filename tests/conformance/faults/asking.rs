@@ -128,6 +128,23 @@ pub fn of_leases() -> Vec<Mutant> {
                 Then::Pass
             },
         ),
+        Mutant {
+            only: &["lease-inquiry-until"],
+            ..mutant("pending_until is never lifted", &["lease-inquiry-until"], |memory, passing| {
+                if passing.way == Way::ToRobot
+                    && let Some(asked) = passing.json.get_mut("inquiry")
+                {
+                    match asked["pending_until"].as_str().map(str::to_owned) {
+                        Some(until) => drop(memory.seen.insert((1, until))),
+                        None => {
+                            let last = memory.seen.iter().map(|(_, until)| until).max();
+                            last.into_iter().for_each(|last| asked["pending_until"] = json!(last));
+                        }
+                    }
+                }
+                Then::Pass
+            })
+        },
         // The report of the queued one is lost as well.
         mutant("the end of a pending lease ends what runs", &["lease-queued"], |memory, passing| {
             let Some(report) = passing.response() else { return Then::Pass };

@@ -23,7 +23,7 @@ pub fn of_greeting() -> Vec<Mutant> {
             &["initialization"],
             |_, passing| declare(passing, |device| device["id"] = json!("x".repeat(300))),
         ),
-        mutant("whoever does not greet is hung up on", &["skip-handshake"], |memory, passing| {
+        mutant("a peer that does not greet is disconnected", &["skip-handshake"], |memory, passing| {
             if passing.way == Way::ToRobot && passing.json.get("initialization_request").is_some() {
                 memory.seen.insert((passing.link, String::new()));
             }

@@ -144,7 +144,7 @@ fn when_the_edge_ends_what_runs_is_told_and_devices_go_to_their_default_state() 
 }
 
 #[test]
-fn a_stop_is_not_confirmed_while_nobody_knows_where_the_devices_are() {
+fn a_stop_is_not_confirmed_while_it_is_unknown_where_the_devices_are() {
     let mut bench = ready();
     bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
     bench.until(10);

@@ -200,7 +200,7 @@ fn a_running_script_keeps_its_lease_whatever_an_inquiry_says() {
 }
 
 #[test]
-fn nobody_shortens_what_another_connection_has_sent() {
+fn no_connection_shortens_what_another_one_has_sent() {
     let mut bench = Bench::new();
     bench.request(timed("arm", "a", 1_000.0, paper()));
     bench.until(10);

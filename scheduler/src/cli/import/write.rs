@@ -43,7 +43,7 @@ impl Temporary {
 impl Drop for Temporary {
     fn drop(&mut self) {
         if let Some(path) = &self.0 {
-            // It may be gone already; nobody can do more about it.
+            // It may be gone already; there is no more to do about it.
             let _gone = fs::remove_file(path);
         }
     }

@@ -99,6 +99,7 @@ fn robot_row(row: &Row, played: Option<Span>) -> TableRow<'_> {
         (planned, Some(played)) if row.state == RobotState::Playing => {
             format!("~{}/{planned}", row.steps_by(played))
         }
+        (planned, _) if row.may_have_done_more() => format!("{}+/{planned}", row.steps_done),
         (planned, _) => format!("{}/{planned}", row.steps_done),
     };
     TableRow::new([
@@ -130,13 +131,14 @@ fn folded(rows: &[Row], room: usize) -> (Vec<Row>, Option<Line<'static>>) {
     (first.iter().map(|row| (*row).clone()).collect(), Some(Line::styled(text, DIM)))
 }
 
-/// `1.4 s`, `1:05 min`.
+/// `1.4 s`, `1:05 min`, `2:01:05 h`.
 fn length(span: Span) -> String {
-    let millis = span.as_millis_f64().max(0.0);
-    let seconds = millis / 1_000.0;
-    match seconds < 60.0 {
-        true => format!("{seconds:.1} s"),
-        false => format!("{}:{:02} min", (seconds / 60.0) as u64, (seconds % 60.0) as u64),
+    let seconds = span.as_millis_f64().max(0.0) / 1_000.0;
+    let whole = seconds as u64;
+    match whole {
+        0..60 => format!("{seconds:.1} s"),
+        60..3_600 => format!("{}:{:02} min", whole / 60, whole % 60),
+        _ => format!("{}:{:02}:{:02} h", whole / 3_600, whole / 60 % 60, whole % 60),
     }
 }
 
@@ -212,6 +214,9 @@ fn act_lines(model: &Model, now: Timestamp<Server>, columns: usize) -> Vec<Line<
 /// What a following act is about to do.
 fn outlook(act: &ShownAct, now: Timestamp<Server>) -> String {
     match &act.stage {
+        Stage::Waiting { awaits, until: Some(until), .. } => {
+            format!("waits for {awaits}, in {}", length(*until - now))
+        }
         Stage::Waiting { awaits, .. } => format!("waits for {awaits}"),
         Stage::Preparing { start } => format!("is being sent, starts in {}", length(*start - now)),
         Stage::Decided(decided) => format!("is decided, starts in {}", length(decided.start - now)),
@@ -224,11 +229,16 @@ fn waiting(
     act: Option<&Act>,
     now: Timestamp<Server>,
 ) -> Vec<Line<'static>> {
-    let Stage::Waiting { awaits, since, reading } = &shown_act.stage else { return Vec::new() };
+    let Stage::Waiting { awaits, until, since, reading } = &shown_act.stage else { return Vec::new() };
     // For how long it waits stands in the next line.
     let what = awaits.split(", for ").next().unwrap_or_default();
     let what = Piece::styled(format!("for {what}"), YELLOW);
     let mut lines = vec![Line::from(vec![Piece::styled("waits   ", DIM), what])];
+    if let Some(until) = until {
+        let text = format!("in {}", length(*until - now));
+        lines.push(Line::from(vec![Piece::styled("start   ", DIM), Piece::styled(text, BOLD)]));
+        return lines;
+    }
     let sensor = act.is_some_and(|act| matches!(act.wait, Wait::Sensor { .. }));
     let mut state = Vec::new();
     match reading {
@@ -329,7 +339,7 @@ fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
             Line::raw("g or Enter  go: the act begins that waits for the operator"),
             Line::raw("s or Ctrl-C stop: every robot returns to its default state"),
             Line::raw("Ctrl-C      twice: leave at once, without waiting for confirmations"),
-            Line::raw("~3/5        steps by the plan; without ~ as the robot says"),
+            Line::raw("~3/5        steps by the plan; without ~ as the robot says, 3+ at least"),
             Line::raw("?           hide this help"),
         ];
     }

@@ -165,7 +165,12 @@ mod tests {
     fn a_mission_that_answers_no_go_keeps_no_later_key_waiting() {
         let (lane, mut operator) = StopLane::start(OnHangUp::End).unwrap();
         let mut speaker = Speaker::of(&lane);
-        speaker.go();
+        let (done, is_done) = std::sync::mpsc::sync_channel(1);
+        std::thread::spawn(move || {
+            speaker.go();
+            done.send(speaker)
+        });
+        let mut speaker = is_done.recv_timeout(Duration::from_secs(30)).unwrap();
         let said = operator.blocking_recv();
         let Some(Operator::Go { answer, .. }) = said else { panic!("{said:?}") };
         // Pressed again: it waits for the same answer.

@@ -11,7 +11,7 @@ pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress) -> Option<Str
     Some(match progress {
         Progress::Connected { robots } => format!("{} connected", counted(*robots, "robot")),
         Progress::Greeted { clock_offset_max: Some(offset), .. } => format!("clocks agree to {offset}"),
-        Progress::Waiting { act, awaits } => format!("`{act}` waits for {awaits}"),
+        Progress::Waiting { act, awaits, .. } => format!("`{act}` waits for {awaits}"),
         Progress::Preparing { act, start, lead, skew, .. } => format!(
             "preparing `{act}`, start at {} (lead {}: {} to prepare, {} of lease, {} of margin{})",
             time_of_day(*start),

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 use std::sync::Arc;
 
 use downbeat_scripts::shown::{shown, within};
-use downbeat_scripts::{Choreography, Wait};
+use downbeat_scripts::{Choreography, DeviceScript, Wait};
 use urrcp::{RobotId, Server, Span, Timestamp};
 
 use crate::mission::{Preflight, Progress};
@@ -50,6 +50,8 @@ pub(super) struct ShownAct {
 pub(super) enum Stage {
     Waiting {
         awaits: String,
+        /// The time for which it waits, if that is what it waits for.
+        until: Option<Timestamp<Server>>,
         /// Since when nothing plays before it; `None`: an act still does.
         since: Option<Timestamp<Server>>,
         /// What its sensor reads; `None` before the first reading.
@@ -76,11 +78,14 @@ pub(super) struct Decided {
 pub(super) struct Row {
     pub(super) robot: String,
     pub(super) state: RobotState,
+    /// Of the act under way, as the robot has reported them.
     pub(super) steps_done: u64,
+    /// It has started in the act under way.
+    begun: bool,
     /// Of the act under way; 0 where it plays no part in it.
     pub(super) steps_planned: u64,
-    /// From the start of the act: when its first script begins, and when its last one ends.
-    pub(super) plays: (Span, Span),
+    /// When each step of its scripts is due, from the start of the act, in order.
+    due: Arc<[Span]>,
     pub(super) clock: String,
     pub(super) word: String,
     /// Its stop was confirmed, also after it had failed.
@@ -143,8 +148,9 @@ impl Model {
             robot: shown(robot.as_str()).into_owned(),
             state: RobotState::Greeting,
             steps_done: 0,
+            begun: false,
             steps_planned: 0,
-            plays: (Span::ZERO, Span::ZERO),
+            due: Arc::default(),
             clock: "-".to_owned(),
             word: String::new(),
             stop: Confirmed::NotYet,
@@ -172,10 +178,10 @@ impl Model {
         match progress {
             Progress::Connected { .. } => self.rows.iter_mut().for_each(|row| row.be(RobotState::Ready)),
             Progress::Greeted { preflight, .. } => self.greeted(preflight),
-            Progress::Waiting { act, awaits } => {
+            Progress::Waiting { act, awaits, at: until } => {
                 let since = self.acts.iter().all(|shown| shown.is_waiting()).then_some(at);
                 let awaits = shown(awaits).into_owned();
-                self.set(act, Stage::Waiting { awaits, since, reading: None });
+                self.set(act, Stage::Waiting { awaits, until: *until, since, reading: None });
             }
             Progress::Reading { act, value } => self.read(act, *value),
             Progress::Preparing { act, start, .. } => self.set(act, Stage::Preparing { start: *start }),
@@ -207,6 +213,9 @@ impl Model {
                 let word =
                     error.map_or_else(|| "started".to_owned(), |error| format!("started {}", millis(error)));
                 self.say(robot, RobotState::Playing, &word);
+                if let Some(row) = self.row(robot) {
+                    row.begun = true;
+                }
             }
             Progress::Heard { robot, steps_done, clock_offset } => {
                 if let Some(row) = self.row(robot) {
@@ -295,15 +304,17 @@ impl Model {
         self.planned = front.index;
         let choreography = Arc::clone(&self.choreography);
         for row in &mut self.rows {
-            (row.steps_done, row.steps_planned) = (0, 0);
+            (row.steps_done, row.steps_planned, row.begun) = (0, 0, false);
         }
         for robot in self.planned.into_iter().flat_map(|index| &choreography.acts[index].plan.robots) {
-            let steps: usize = robot.scripts.iter().map(|script| script.script.steps().len()).sum();
-            let begins = robot.scripts.iter().map(|script| script.start.span()).min().unwrap_or_default();
-            let ends = robot.scripts.iter().map(|script| script.start.span() + script.script.duration());
-            let ends = ends.max().unwrap_or_default();
+            let script_steps = |script: &DeviceScript| {
+                let start = script.start.span();
+                script.script.steps().iter().map(|step| start + step.offset.span()).collect::<Vec<_>>()
+            };
+            let mut due: Vec<Span> = robot.scripts.iter().flat_map(script_steps).collect();
+            due.sort_unstable();
             if let Some(row) = self.row(&robot.robot) {
-                (row.steps_planned, row.plays) = (steps as u64, (begins, ends));
+                (row.steps_planned, row.due) = (due.len() as u64, due.into());
             }
         }
     }
@@ -357,12 +368,17 @@ fn millis(span: Span) -> String {
 }
 
 impl Row {
-    /// Steps that it has surely executed, or should have by its plan.
+    /// Steps that it has reported, or should have executed by its plan.
     pub(super) fn steps_by(&self, played: Span) -> u64 {
-        let (begins, ends) = self.plays;
-        let length = (ends - begins).as_millis_f64().max(1.0);
-        let part = ((played - begins).as_millis_f64() / length).clamp(0.0, 1.0);
-        self.steps_done.max((part * self.steps_planned as f64) as u64)
+        let due = self.due.partition_point(|due| *due <= played);
+        self.steps_done.max(due as u64)
+    }
+
+    /// Whether it may have executed more steps than it has reported: it reports them with the end of a script.
+    pub(super) fn may_have_done_more(&self) -> bool {
+        let open = matches!(self.state, RobotState::Failed | RobotState::LinkLost | RobotState::Stopping);
+        let silent = self.state == RobotState::AtRest && self.steps_done == 0;
+        self.begun && (open || silent)
     }
 
     fn be(&mut self, state: RobotState) {

@@ -16,6 +16,10 @@ pub(super) const COLUMNS_MIN: u16 = 60;
 /// Lines above the frame that stay visible.
 const ABOVE: u16 = 4;
 
+/// Erases from the cursor's line to the end of the screen, and stays in that line. The line first, and the rest from its
+/// second column: tmux keeps a screen that is erased from its very first cell in the scrollback.
+const ERASE: &str = "\r\x1b[K\x1b[C\x1b[J\r";
+
 /// Whether colours are wanted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Colours {
@@ -39,7 +43,7 @@ impl Painter {
 impl Display for Painter {
     fn lift(&mut self) -> Vec<u8> {
         match self.before.take() {
-            Some(_) => b"\r\x1b[J\x1b[?25h".to_vec(),
+            Some(_) => format!("{ERASE}\x1b[?25h").into_bytes(),
             None => Vec::new(),
         }
     }
@@ -66,7 +70,8 @@ impl Painter {
         let before = match self.before.take() {
             Some(before) if before.area == area => before,
             _ => {
-                bytes.push_str("\r\x1b[J\x1b[?25l");
+                bytes.push_str(ERASE);
+                bytes.push_str("\x1b[?25l");
                 make_room(&mut bytes, area.height);
                 Buffer::empty(area)
             }
@@ -136,4 +141,52 @@ fn sequence(cell: &Cell) -> String {
     let dim = cell.modifier.contains(Modifier::DIM).then_some("2");
     let codes: Vec<&str> = [bold, dim, colour].into_iter().flatten().collect();
     if codes.is_empty() { String::new() } else { format!("\x1b[{}m", codes.join(";")) }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A frame of so many lines, and lines between two of them, on a terminal that was cleared.
+    fn on_a_clear_screen(frames: u16) -> vt100::Parser {
+        let mut parser = vt100::Parser::new(24.try_into().unwrap(), 80.try_into().unwrap(), 100);
+        let mut write = |bytes: &[u8]| {
+            let text = String::from_utf8(bytes.to_vec()).unwrap();
+            let mut pieces = text.split("\x1b[J");
+            parser.process(pieces.next().unwrap().as_bytes());
+            for piece in pieces {
+                // tmux would keep what is erased from there.
+                assert_ne!(parser.screen().cursor_position(), (0, 0), "{text:?}");
+                parser.process(b"\x1b[J");
+                parser.process(piece.as_bytes());
+            }
+        };
+        write(b"\x1b[H\x1b[2J");
+        for number in 0..frames {
+            let text = format!("frame {number}");
+            write(erased_and(&text).as_bytes());
+        }
+        write(ERASE.as_bytes());
+        write(b"the report\r\n");
+        parser
+    }
+
+    fn erased_and(text: &str) -> String {
+        let area = Rect::new(0, 0, 79, 3);
+        let mut next = Buffer::empty(area);
+        (0..3).for_each(|y| next.set_string(0, y, text, ratatui::style::Style::new()));
+        let mut bytes = ERASE.to_owned();
+        // As a terminal does with a line feed of a program.
+        make_room(&mut bytes, 3);
+        write_changes(&mut bytes, &Buffer::empty(area).diff(&next), Colours::Off);
+        bytes.replace('\n', "\r\n")
+    }
+
+    #[test]
+    fn no_frame_is_left_on_a_screen_or_erased_from_its_first_cell() {
+        for frames in [1, 2, 5] {
+            let parser = on_a_clear_screen(frames);
+            assert_eq!(parser.screen().contents(), "the report");
+        }
+    }
 }

@@ -1,6 +1,5 @@
 //! The terminal while the display is on: keys without Enter and without an echo. Ctrl-C and Ctrl-Z stay the terminal's own,
-//! so that they work whatever this process does. The settings are restored on every way out of the process but SIGKILL and the
-//! end of a process that something keeps after a second Ctrl-C.
+//! so that they work whatever this process does. The settings are restored on every way out of the process but SIGKILL.
 
 use std::io::IsTerminal;
 use std::sync::{Mutex, Once, PoisonError};
@@ -9,6 +8,8 @@ use rustix::event::{PollFd, PollFlags};
 use rustix::io::Errno;
 use rustix::stdio::stdin;
 use rustix::termios::{InputModes, LocalModes, OptionalActions, SpecialCodeIndex, Termios};
+
+use crate::signals::restore_before_death;
 
 /// The settings before this process changed them.
 static BEFORE: Mutex<Option<Termios>> = Mutex::new(None);
@@ -42,9 +43,7 @@ pub(super) fn has_keys() -> bool {
 
 /// Hands over single keys from here on.
 pub(super) fn take_keys() {
-    // Without a controlling terminal there is no foreground, and nothing that would be stopped.
-    let controlled = rustix::termios::tcgetsid(stdin()).is_ok();
-    if !has_keys() || (controlled && !is_in_foreground()) {
+    if !has_keys() || is_in_background() {
         return;
     }
     let Ok(before) = rustix::termios::tcgetattr(stdin()) else { return };
@@ -54,6 +53,7 @@ pub(super) fn take_keys() {
     settings.input_modes -= InputModes::IXON;
     settings.special_codes[SpecialCodeIndex::VMIN] = 1;
     settings.special_codes[SpecialCodeIndex::VTIME] = 0;
+    restore_before_death(restore);
     ON_PANIC.call_once(|| {
         let report = std::panic::take_hook();
         std::panic::set_hook(Box::new(move |panic| {
@@ -67,10 +67,16 @@ pub(super) fn take_keys() {
     }
 }
 
-/// Restores the settings. Without effect if they were not changed.
+/// Whether another program has the terminal by now. Without a controlling terminal there is no foreground.
+fn is_in_background() -> bool {
+    rustix::termios::tcgetsid(stdin()).is_ok() && !is_in_foreground()
+}
+
+/// Restores the settings. Without effect if they were not changed, or if another program has the terminal: its settings are
+/// that program's by then, and a process in the background that changes them is stopped.
 pub(super) fn restore() {
     let before = BEFORE.lock().unwrap_or_else(PoisonError::into_inner).take();
-    if let Some(before) = before {
+    if let Some(before) = before.filter(|_| !is_in_background()) {
         // At once: a terminal that stands still never takes what waits for it.
         let _gone = rustix::termios::tcsetattr(stdin(), OptionalActions::Now, &before);
     }
@@ -86,8 +92,7 @@ pub(super) fn next_keys() -> Option<Vec<u8>> {
             Err(_) => return None,
             Ok(_) => {}
         }
-        let controlled = rustix::termios::tcgetsid(stdin()).is_ok();
-        if controlled && !is_in_foreground() {
+        if is_in_background() {
             // What is typed is for another program.
             let pause = rustix::event::Timespec { tv_sec: 0, tv_nsec: 200_000_000 };
             let _interrupted = rustix::event::poll(&mut [], Some(&pause));

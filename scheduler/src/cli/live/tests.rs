@@ -120,7 +120,7 @@ fn a_wait_shows_what_the_sensor_reads_and_the_time_that_is_left() {
     let mut model = meeting();
     decided(&mut model);
     let awaits = "`rover-1/range` below 0.5".to_owned();
-    model.tell(at(6_000), &Progress::Waiting { act: "bow".to_owned(), awaits });
+    model.tell(at(6_000), &Progress::Waiting { act: "bow".to_owned(), awaits, at: None });
     check(&drawn(&model, 7_000, 100, 24), &["playing", "then    `bow` waits for"]);
     model.tell(at(45_000), &Progress::ActEnded { act: "arrival".to_owned() });
     model.tell(at(46_000), &Progress::Reading { act: "bow".to_owned(), value: Some(1.25) });
@@ -128,10 +128,26 @@ fn a_wait_shows_what_the_sensor_reads_and_the_time_that_is_left() {
 }
 
 #[test]
+fn a_wait_for_a_time_counts_down_to_it() {
+    let mut model = meeting();
+    let waits = |act: &str, millis: i64| Progress::Waiting {
+        act: act.to_owned(),
+        awaits: "19:30:00.000".to_owned(),
+        at: Some(at(millis)),
+    };
+    model.tell(at(1_000), &waits("arrival", 7_506_000));
+    check(&drawn(&model, 2_000, 60, 24), &["waiting", "for 19:30:00.000", "start   in 2:05:04 h"]);
+    check(&drawn(&model, 7_500_700, 60, 24), &["start   in 5.3 s"]);
+    decided(&mut model);
+    model.tell(at(6_000), &waits("bow", 66_000));
+    check(&drawn(&model, 6_000, 100, 24), &["then    `bow` waits for 19:30:00.000, in 1:00 min"]);
+}
+
+#[test]
 fn an_act_that_is_skipped_is_not_shown_as_waiting_any_more() {
     let mut model = meeting();
     let awaits = "the operator's go".to_owned();
-    model.tell(at(1_000), &Progress::Waiting { act: "arrival".to_owned(), awaits });
+    model.tell(at(1_000), &Progress::Waiting { act: "arrival".to_owned(), awaits, at: None });
     check(&drawn(&model, 2_000, 100, 24), &["the operator's go"]);
     model.tell(at(3_000), &Progress::ActSkipped { act: "arrival".to_owned(), fate: ActFate::NobodyLeft });
     let text = drawn(&model, 4_000, 100, 24);
@@ -160,11 +176,15 @@ fn a_stop_shows_which_robots_have_not_confirmed() {
         model.tell(at(5_001), &Progress::Started { robot: robot(name), error: None });
     }
     model.tell(at(8_000), &Progress::Stopping { reason: "stopped by the operator".to_owned() });
+    let heard = Progress::Heard { robot: robot("arm-1"), steps_done: 7, clock_offset: None };
+    model.tell(at(8_010), &heard);
     model.tell(at(8_010), &Progress::AtRest { robot: robot("arm-1") });
     let text = drawn(&model, 8_100, 100, 24);
     check(
         &text,
         &["STOPPING", "stopped by the operator", "without a confirmation yet", "at rest", "stop confirmed"],
     );
+    let row = |name: &str| text.lines().find(|line| line.starts_with(name)).unwrap().to_owned();
+    assert!(row("arm-1").contains(" 7/") && row("arm-2").contains(" 0+/"), "{text}");
     assert!(!text.contains("s stop"), "{text}");
 }

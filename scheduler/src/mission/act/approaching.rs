@@ -151,8 +151,8 @@ impl Act {
             return false;
         }
         let since = approach.rounds[0];
-        // Leases that were shortened end long before another process could read the record: whoever is still missing may
-        // be left out, and the others start.
+        // Leases that were shortened end long before another process could read the record: robots that are still missing
+        // may be left out, and the others start.
         let shortened = timing.pace.leases == Leases::Shortened;
         shortened || self.present().all(|member| member.holds_since(&robots[member.robot], since))
     }
@@ -249,8 +249,8 @@ impl Act {
         actions
     }
 
-    /// Robots that have not answered the commitment while it can still be withdrawn, where the scenario wants that: nobody
-    /// can know whether they will start.
+    /// Robots that have not answered the commitment while it can still be withdrawn, where the scenario wants that: it
+    /// cannot be known whether they will start.
     fn doubtful(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<(usize, FailureKind)> {
         let Stage::Committed(commitment) = &mut self.stage else { return Vec::new() };
         if commitment.doubt.take_if(|at| now >= *at).is_none() {

@@ -1,6 +1,6 @@
 //! One act as a machine: it waits, is prepared, decided, committed, plays and is over.
 //!
-//! It is told what happened and returns what is to be done; it sends nothing, and nobody else changes what it knows. One
+//! It is told what happened and returns what is to be done; it sends nothing, and nothing else changes what it knows. One
 //! file a stage. It reads of the robots what the mission knows of them.
 
 mod approaching;

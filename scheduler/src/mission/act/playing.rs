@@ -10,7 +10,7 @@ use crate::mission::failure_kind::FailureKind;
 use crate::mission::robot_state::{Reading, RobotState};
 use crate::mission::script::{News, Script, ScriptRef, ScriptState, error_of};
 
-/// How long after its instant a report may still arrive, besides the round trip.
+/// How long after its instant a report may still arrive, in addition to the round trip.
 const REPORT_GRACE: Span = Span::from_millis(500);
 /// A script whose planned end has passed by this much has ended on a robot that cannot say so.
 pub(crate) const LAPSE: Span = Span::from_millis(15);

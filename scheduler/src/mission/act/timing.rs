@@ -26,7 +26,7 @@ const DELIVERY_MIN: Span = Span::from_millis(8);
 const WITHDRAWN_BY: Span = Span::from_millis(5);
 /// What a process may still do after it was stopped, as on a busy host.
 const STANDS_STILL: Span = Span::from_millis(10);
-/// What a withdrawal takes on this machine and on the robot, besides its way.
+/// What a withdrawal takes on this machine and on the robot, in addition to its way.
 const WITHDRAWAL: Span = Span::from_millis(20);
 
 /// A robot whose clock was not measured is taken to start this much early or late, at most, if the tolerance allows.

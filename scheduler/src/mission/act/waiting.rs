@@ -132,7 +132,7 @@ impl Act {
                 format!("{awaits}, for {timeout} at most, then `{}`", act_name(&self.choreography, other))
             }
         };
-        Some(Progress::Waiting { act: self.name(), awaits })
+        Some(Progress::Waiting { act: self.name(), awaits, at: fixed })
     }
 }
 

@@ -19,7 +19,7 @@ enum Said {
     Unknown,
     /// It is sent again.
     Sent,
-    /// Its time has passed, and nobody said anything.
+    /// Its time has passed, and no message came.
     Lapses,
 }
 
@@ -138,7 +138,7 @@ fn an_unknown_script_was_never_received_lost_or_asked_about_too_early() {
         let mut lost = sent();
         let _ = take(&mut lost, first, 1);
         assert!(matches!(take(&mut lost, Said::Unknown, 2), News::Failed(_)), "{first:?}");
-        assert_eq!(*lost.state(), ScriptState::Unknown, "nobody can tell what it did");
+        assert_eq!(*lost.state(), ScriptState::Unknown, "what it did is unknown");
     }
     // A question that went ahead of the request in the same instant says nothing.
     let mut behind = sent();
@@ -149,7 +149,7 @@ fn an_unknown_script_was_never_received_lost_or_asked_about_too_early() {
 }
 
 #[test]
-fn a_script_that_nobody_spoke_of_becomes_unknown_and_may_still_be_heard_of() {
+fn a_script_without_a_report_becomes_unknown_and_may_still_be_heard_of() {
     let mut script = sent();
     script.lapse();
     assert_eq!(*script.state(), ScriptState::Unknown);

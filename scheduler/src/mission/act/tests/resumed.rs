@@ -77,7 +77,7 @@ fn an_act_that_was_committed_plays_on() {
 }
 
 #[test]
-fn what_ended_while_nobody_was_there_is_asked_for_before_anybody_has_failed() {
+fn what_ended_without_a_scheduler_is_asked_for_before_a_robot_has_failed() {
     let mut bench = taken_up(Reached::Commitment, ms(-10_000));
     bench.pump();
     bench.run_until(bench.now + ms(1));

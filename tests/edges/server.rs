@@ -1,0 +1,97 @@
+//! A server that speaks with one edge.
+
+use std::collections::VecDeque;
+use std::io::{BufRead, BufReader, Write};
+use std::net::TcpStream;
+use std::time::{Duration, SystemTime};
+
+use urrcp::{
+    AvailabilityRequest, AvailabilityResponse, Command as Controls, ControlError, ControlRequest,
+    ControlResponse, ControlType, DeviceId, Message, Millis, RequestId, Script, Setpoint, Status, Step,
+    Timestamp,
+};
+
+use super::processes::Edge;
+
+/// A server that speaks with one edge and does not look after its time.
+pub struct Server {
+    edge: BufReader<TcpStream>,
+    /// Said of the script while something else was waited for.
+    said: VecDeque<ControlResponse>,
+    /// When the script of this server starts.
+    start: SystemTime,
+}
+
+impl Server {
+    pub fn connected(edge: &Edge) -> Self {
+        let edge = TcpStream::connect(("127.0.0.1", edge.1)).unwrap();
+        edge.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+        Self { edge: BufReader::new(edge), said: VecDeque::new(), start: SystemTime::now() }
+    }
+
+    pub fn send(&mut self, message: &Message) {
+        let mut line = Vec::new();
+        urrcp::encode(message, &mut line);
+        self.edge.get_mut().write_all(&line).unwrap();
+    }
+
+    pub fn hear(&mut self) -> Message {
+        let mut line = String::new();
+        self.edge.read_line(&mut line).unwrap();
+        serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: `{line}`"))
+    }
+
+    /// What the edge says next of the script.
+    pub fn response(&mut self) -> ControlResponse {
+        if let Some(said) = self.said.pop_front() {
+            return said;
+        }
+        match self.hear() {
+            Message::ControlResponse(response) => response,
+            other => panic!("{other:?}"),
+        }
+    }
+
+    pub fn availability(&mut self) -> AvailabilityResponse {
+        self.send(&Message::AvailabilityRequest(AvailabilityRequest::default()));
+        loop {
+            match self.hear() {
+                Message::AvailabilityResponse(response) => return response,
+                Message::ControlResponse(response) => self.said.push_back(response),
+                other => panic!("{other:?}"),
+            }
+        }
+    }
+
+    /// Sends a script for `left`: these values at these milliseconds, from so many after now.
+    pub fn script(&mut self, lead: u64, steps: &[(f64, f64)]) {
+        let step = |(millis, value): &(f64, f64)| Step {
+            offset: Millis::new(*millis).unwrap(),
+            setpoint: Setpoint::new(ControlType::Position, *value),
+            stop_condition: None,
+        };
+        let script = Script::new(steps.iter().map(step).collect()).unwrap();
+        self.start = SystemTime::now() + Duration::from_millis(lead);
+        let start = self.start.duration_since(SystemTime::UNIX_EPOCH).unwrap();
+        self.send(&Message::ControlRequest(ControlRequest {
+            timestamp: Some(Timestamp::from_nanos(i64::try_from(start.as_nanos()).unwrap())),
+            time_offset_to_start: Some(Millis::new(0.0).unwrap()),
+            request_id: Some(RequestId::new("a").unwrap()),
+            ..ControlRequest::immediate(DeviceId::new("left").unwrap(), Controls::Script(script))
+        }));
+        assert_eq!(self.response().status, Status::Accepted);
+    }
+
+    /// Sleeps until so long before the start.
+    pub fn await_start_less(&self, millis: u64) {
+        let at = self.start - Duration::from_millis(millis);
+        std::thread::sleep(at.duration_since(SystemTime::now()).unwrap_or_default());
+    }
+
+    /// Why the script fails, which it has to, without a start.
+    pub fn fails_unstarted(&mut self) -> ControlError {
+        let failed = self.response();
+        assert_eq!(failed.status, Status::Failed, "{failed:?}");
+        failed.error.unwrap()
+    }
+}

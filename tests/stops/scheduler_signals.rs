@@ -1,0 +1,27 @@
+//! Signals to a scheduler other than those of the matrix.
+
+use std::time::Duration;
+
+use rustix::process::{Signal, kill_process};
+
+use super::Way;
+use super::cell::{check_row, stop};
+use super::show::{Show, Trouble};
+
+#[test]
+fn a_quit_from_the_keyboard_stops_every_robot_also_with_a_stalled_terminal_or_disk() {
+    check_row(Way::Quit, &[Trouble::Nothing, Trouble::Terminal, Trouble::DiskStalled]);
+}
+
+#[test]
+fn signals_that_ask_for_nothing_do_not_end_a_mission() {
+    let mut show = Show::begin(Trouble::Nothing);
+    for signal in [Signal::USR1, Signal::USR2, Signal::XFSZ, Signal::PIPE] {
+        kill_process(show.pid, signal).unwrap();
+        for robot in &show.stage.robots {
+            robot.await_sets(robot.sets().len() + 2, Duration::from_secs(5));
+        }
+    }
+    let stopped = stop(&mut show, Way::Terminate);
+    assert_eq!(stopped.code, Some(3), "{:?}", stopped.said);
+}
