@@ -101,6 +101,23 @@ fn what_a_mission_left_on_its_robots_is_known_with_their_clocks_and_their_leases
     assert_eq!((on.shift, on.leases.as_slice()), (Span::from_millis(40), [lease, None].as_slice()));
 }
 
+#[test]
+fn no_lease_is_renewed_after_the_first_stop_unless_something_is_promised_after_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let renewed_until = || read(&path).unwrap().left().renewed_until;
+    let append = |millis, record| Journal::open(folder.path()).unwrap().append(at(millis), &record).unwrap();
+    let stopping = || Record::Stopping { outcome: Outcome::Stopped };
+    assert_eq!(renewed_until(), None);
+    append(5, stopping());
+    append(9, stopping());
+    assert_eq!(renewed_until(), Some(at(5)));
+    append(12, prepared(2));
+    assert_eq!(renewed_until(), None);
+    append(15, stopping());
+    assert_eq!(renewed_until(), Some(at(15)));
+}
+
 fn life(folder: &Path) -> Life {
     Found::look_at(folder).unwrap().unwrap().life
 }
