@@ -5,13 +5,17 @@ use urrcp::{ControlType, InitializationBlock, Millis, RobotId, Script, Setpoint,
 
 use super::*;
 use crate::dry_run::BEGIN;
-use crate::mission::{MissionOptions, Participant};
+use crate::mission::{Greeting, MissionOptions, Participant};
 
 const ROBOT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [{"id": "d", "name": "d",
   "available_control_types": {"position": {"min_value": 0, "max_value": 90, "granularity": 1},
   "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
 
 fn mission() -> Mission {
+    mission_with(MissionOptions::default())
+}
+
+fn mission_with(options: MissionOptions) -> Mission {
     let block: InitializationBlock = serde_json::from_str(ROBOT).unwrap();
     let stop_condition = StopCondition { pending: None, running: Millis::new(2_000.0).ok() };
     let step = Step {
@@ -33,7 +37,7 @@ fn mission() -> Mission {
         robots: vec![RobotPlan { robot: RobotId::new("r").unwrap(), scripts: vec![script] }],
     };
     let participants = vec![Participant::new(block.id.clone(), Some(block))];
-    Mission::of_plan(plan, participants, MissionOptions::default(), BEGIN).unwrap()
+    Mission::of_plan(plan, participants, options, BEGIN).unwrap()
 }
 
 /// One robot that never answers, behind a link that takes so many messages.
@@ -148,4 +152,20 @@ fn without_a_journal_only_durable_records_are_counted() {
         })
         .collect();
     assert_eq!(counts, [1, 2]);
+}
+
+#[test]
+fn a_stop_is_sent_before_it_is_recorded() {
+    let mut mission = mission_with(MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() });
+    let mut actions = mission.handle(BEGIN, Event::LinkUp { robot: 0 });
+    let mut now = BEGIN;
+    let is_sent = |action: &Action| matches!(action, Action::Send { message: Message::ControlRequest(_), .. });
+    while !actions.iter().any(is_sent) {
+        now = mission.next_wakeup().unwrap();
+        actions = mission.advance(now);
+    }
+    let actions = mission.handle(now, Event::StopRequested);
+    let recorded = |action: &Action| matches!(action, Action::Record(Record::Stopping { .. }));
+    let (sent, recorded) = (actions.iter().position(is_sent), actions.iter().position(recorded));
+    assert!(sent.unwrap() < recorded.unwrap(), "{actions:?}");
 }
