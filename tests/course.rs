@@ -94,7 +94,9 @@ fn an_act_that_is_stopped_while_it_plays_is_not_called_withdrawn_though_its_robo
         "show.yaml",
         format!("scenario: show\nstart_tolerance: 1s\ncues: [{{at: 0s, robots: all, tracks: {{d: [{tracks}]}}}}]\n"),
     );
-    stage.robot("robot.yaml", Via::Direct);
+    stage.robot("robot.yaml", Via::Proxy);
+    // Nor can it be asked.
+    stage.robots[0].link.as_ref().unwrap().leave_out(&["inquiry"]);
     let running = stage.start(&["run", "show.yaml", "--format", "json", "--patience", "1s"]);
     stage.robots[0].await_sets(5, Duration::from_secs(20));
     stage.robots[0].freeze();

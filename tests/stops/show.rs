@@ -99,8 +99,21 @@ impl Show {
         Self::begin_by(trouble, &[])
     }
 
-    /// Started by another program, which becomes it.
+    /// Started by another program, which becomes it. A mission that a busy machine keeps from starting is begun again: nothing
+    /// has been stopped by then.
     pub fn begin_by(trouble: Trouble, starter: &[&str]) -> Self {
+        let mut told = Vec::new();
+        for _ in 0..3 {
+            match Self::try_to_begin(trouble, starter) {
+                Ok(show) => return show,
+                Err(why) => told.push(why),
+            }
+        }
+        panic!("no mission begins:\n{}", told.join("\n"))
+    }
+
+    /// What the scheduler said where no mission came of it.
+    fn try_to_begin(trouble: Trouble, starter: &[&str]) -> Result<Self, String> {
         let mut stage = Stage::new();
         stage.file("arm.yaml", one_device(1, 600, 600)).file("wheel.yaml", wheel());
         for robot in 0..6 {
@@ -149,9 +162,16 @@ impl Show {
             Trouble::Terminal => pid_in(&stage.path("pid")),
             _ => Pid::from_child(&started.0),
         };
-        let show = Self { stage, trouble, started, pid, flood, out, full };
-        show.stage.robots.iter().for_each(|robot| robot.await_sets(8, Duration::from_secs(30)));
-        show
+        let mut show = Self { stage, trouble, started, pid, flood, out, full };
+        let began = Instant::now();
+        while !show.stage.robots.iter().all(|robot| robot.sets().len() >= 8) {
+            let over = show.started.0.try_wait().unwrap().is_some();
+            if over || began.elapsed() > Duration::from_secs(30) {
+                return Err(super::text(&show.stage, "told"));
+            }
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        Ok(show)
     }
 
     /// The trouble begins.

@@ -1,17 +1,23 @@
 //! The loop in a world made for the purpose.
 
 use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
-use urrcp::{ControlType, InitializationBlock, Millis, RobotId, Script, Setpoint, Step, StopCondition};
+use urrcp::{
+    Command, ControlType, InitializationBlock, Millis, RobotId, Script, Setpoint, Step, StopCondition,
+};
 
 use super::*;
 use crate::dry_run::BEGIN;
-use crate::mission::{MissionOptions, Participant};
+use crate::mission::{Greeting, MissionOptions, Participant};
 
 const ROBOT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [{"id": "d", "name": "d",
   "available_control_types": {"position": {"min_value": 0, "max_value": 90, "granularity": 1},
   "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
 
 fn mission() -> Mission {
+    mission_with(MissionOptions::default())
+}
+
+fn mission_with(options: MissionOptions) -> Mission {
     let block: InitializationBlock = serde_json::from_str(ROBOT).unwrap();
     let stop_condition = StopCondition { pending: None, running: Millis::new(2_000.0).ok() };
     let step = Step {
@@ -33,7 +39,7 @@ fn mission() -> Mission {
         robots: vec![RobotPlan { robot: RobotId::new("r").unwrap(), scripts: vec![script] }],
     };
     let participants = vec![Participant::new(block.id.clone(), Some(block))];
-    Mission::of_plan(plan, participants, MissionOptions::default(), BEGIN).unwrap()
+    Mission::of_plan(plan, participants, options, BEGIN).unwrap()
 }
 
 /// One robot that never answers, behind a link that takes so many messages.
@@ -45,12 +51,23 @@ struct Silent {
     cut: Vec<LinkNumber>,
     connected: Vec<(LinkNumber, Span)>,
     told: Vec<Progress>,
+    /// Happens once a script has been sent.
+    once_it_sends: Option<Event>,
+    stops: Vec<Stopping>,
+}
+
+/// What the mission does to stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Stopping {
+    Sent,
+    Recorded,
 }
 
 impl Silent {
     fn new(room: usize, journal: Filed) -> Self {
         let (cut, connected, told) = (Vec::new(), Vec::new(), Vec::new());
-        Self { now: BEGIN, room, happens: VecDeque::new(), journal, cut, connected, told }
+        let (happens, stops) = (VecDeque::new(), Vec::new());
+        Self { now: BEGIN, room, happens, journal, cut, connected, told, once_it_sends: None, stops }
     }
 
     fn on_link(&mut self, link: LinkNumber, event: Event) {
@@ -77,7 +94,15 @@ impl World for Silent {
         self.on_link(link, Event::LinkUp { robot: 0 });
     }
 
-    fn send(&mut self, _: usize, _: LinkNumber, _: Message, _: Urgency) -> Result<(), QueueFull> {
+    fn send(&mut self, _: usize, _: LinkNumber, message: Message, _: Urgency) -> Result<(), QueueFull> {
+        if let Message::ControlRequest(request) = &message {
+            let happens = self.once_it_sends.take();
+            self.happens
+                .extend(happens.map(|event| Happened::Event { at: self.now, event: Box::new(event) }));
+            if matches!(&request.command, Command::Script(script) if script.is_empty()) {
+                self.stops.push(Stopping::Sent);
+            }
+        }
         self.room = self.room.checked_sub(1).ok_or(QueueFull { waiting: 3 })?;
         Ok(())
     }
@@ -86,7 +111,10 @@ impl World for Silent {
         self.cut.push(link);
     }
 
-    fn write(&mut self, _: Timestamp<Server>, _: Record) -> Filed {
+    fn write(&mut self, _: Timestamp<Server>, record: Record) -> Filed {
+        if matches!(record, Record::Stopping { .. }) {
+            self.stops.push(Stopping::Recorded);
+        }
         self.journal.clone()
     }
 
@@ -148,4 +176,13 @@ fn without_a_journal_only_durable_records_are_counted() {
         })
         .collect();
     assert_eq!(counts, [1, 2]);
+}
+
+#[test]
+fn a_stop_is_sent_before_it_is_recorded() {
+    let mut mission = mission_with(MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() });
+    let mut world = Silent::new(99, Filed::AtOnce);
+    world.once_it_sends = Some(Event::StopRequested);
+    at_once(drive(&mut mission, &mut world)).unwrap();
+    assert_eq!(world.stops.get(..2), Some(&[Stopping::Sent, Stopping::Recorded][..]), "{:?}", world.told);
 }
