@@ -48,7 +48,8 @@ enum Granted {
 
 impl Scheduling {
     /// Asks for this thread, and for the memory of its process.
-    pub(crate) fn of_this_thread(realtime: Realtime) -> Self {
+    #[must_use]
+    pub fn of_this_thread(realtime: Realtime) -> Self {
         if let Err(error) = rustix::thread::set_current_timer_slack(NonZeroU64::new(1)) {
             tracing::warn!("timer slack stays as it is: {error}");
         }
@@ -100,7 +101,10 @@ impl fmt::Display for Scheduling {
             Granted::Unasked => f.write_str("ordinary scheduling")?,
             Granted::Yes(policy) => write!(f, "real-time scheduling ({policy})")?,
             Granted::No(why) => {
-                write!(f, "no real-time scheduling ({why}), so that starts may be milliseconds late while cores are busy")?;
+                write!(
+                    f,
+                    "no real-time scheduling ({why}), so that starts may be milliseconds late while cores are busy"
+                )?;
             }
         }
         match &self.locked {
@@ -141,13 +145,21 @@ fn ask_first_in_first_out() -> Result<String, String> {
     if let Some(found) = policy_found() {
         return Ok(found);
     }
-    let highest = raise_limit(Resource::Rtprio).maximum.and_then(|limit| u32::try_from(limit).ok());
     // With the capability no limit counts, so the full priority comes first.
-    let allowed = highest.filter(|limit| *limit > 0 && *limit < PRIORITY);
-    let mut asked = [Some(PRIORITY), allowed].into_iter().flatten().map(set_first_in_first_out);
-    let first = asked.next().unwrap_or(Err(uapi::Errno(c::EPERM)));
-    let granted = asked.fold(first, |granted, next| granted.or(next));
-    granted.map(|()| policy_found().unwrap_or_default()).map_err(|error| std::io::Error::from(error).to_string())
+    let full = set_first_in_first_out(PRIORITY);
+    let granted = full.or_else(|error| match within(raise_limit(Resource::Rtprio)) {
+        Some(priority) => set_first_in_first_out(priority),
+        None => Err(error),
+    });
+    granted
+        .map(|()| policy_found().unwrap_or_default())
+        .map_err(|error| std::io::Error::from(error).to_string())
+}
+
+/// The highest priority that a limit allows, where that is not the full one.
+fn within(limit: Rlimit) -> Option<u32> {
+    let allowed = u32::try_from(limit.maximum?).ok();
+    allowed.filter(|allowed| *allowed > 0 && *allowed < PRIORITY)
 }
 
 fn set_first_in_first_out(priority: u32) -> Result<(), uapi::Errno> {
@@ -181,13 +193,15 @@ fn lock_memory() -> Result<String, String> {
         return Err(format!("the limit is {} KiB", limit / 1024));
     }
     let all = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT;
-    rustix::mm::mlockall(all).map(|()| "memory locked".to_owned()).map_err(|error| std::io::Error::from(error).to_string())
+    rustix::mm::mlockall(all)
+        .map(|()| "memory locked".to_owned())
+        .map_err(|error| std::io::Error::from(error).to_string())
 }
 
 /// Raises a limit as far as it may be; returns it.
 fn raise_limit(resource: Resource) -> Rlimit {
     let limit = getrlimit(resource);
-    let _always_allowed = setrlimit(resource, Rlimit { current: limit.maximum, ..limit.clone() });
+    let _always_allowed = setrlimit(resource, Rlimit { current: limit.maximum, ..limit });
     limit
 }
 
@@ -212,7 +226,13 @@ mod tests {
         let all = granted(yes("SCHED_FIFO, priority 50"), yes("memory locked"));
         assert_eq!(all, "real-time scheduling (SCHED_FIFO, priority 50), memory locked");
         let nothing = granted(no(), no());
-        for part in ["LimitRTPRIO=50", "LimitMEMLOCK=infinity", "setcap cap_sys_nice,cap_ipc_lock+ep", "`rtprio 50`", "limits.conf"] {
+        for part in [
+            "LimitRTPRIO=50",
+            "LimitMEMLOCK=infinity",
+            "setcap cap_sys_nice,cap_ipc_lock+ep",
+            "`rtprio 50`",
+            "limits.conf",
+        ] {
             assert!(nothing.contains(part), "{nothing}");
         }
         assert!(!nothing.contains('\n'));
@@ -220,6 +240,13 @@ mod tests {
         assert!(pageable.contains("LimitMEMLOCK") && !pageable.contains("LimitRTPRIO"), "{pageable}");
         let ordinary = granted(no(), yes("memory locked"));
         assert!(ordinary.contains("LimitRTPRIO") && !ordinary.contains("LimitMEMLOCK"), "{ordinary}");
+    }
+
+    #[test]
+    fn a_limit_below_the_full_priority_is_taken_as_far_as_it_goes() {
+        let within = |maximum| within(Rlimit { current: Some(0), maximum });
+        let limits = [Some(0), Some(20), Some(49), Some(50), Some(99), None];
+        assert_eq!(limits.map(within), [None, Some(20), Some(49), None, None, None]);
     }
 
     #[test]
@@ -248,6 +275,10 @@ mod tests {
         .unwrap();
         let is_realtime = attributes.sched_policy == c::SCHED_FIFO.unsigned_abs();
         assert_eq!(scheduling.is_realtime(), is_realtime, "{scheduling}");
-        assert_eq!(child.sched_policy, c::SCHED_OTHER.unsigned_abs(), "a thread that it starts inherits nothing");
+        assert_eq!(
+            child.sched_policy,
+            c::SCHED_OTHER.unsigned_abs(),
+            "a thread that it starts inherits nothing"
+        );
     }
 }

@@ -10,13 +10,14 @@ mod approach;
 use std::fs::File;
 use std::os::unix::fs::FileExt;
 use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
 use self::approach::{Approach, Cores, Scheduled};
 use crate::scheduling::Scheduling;
 
 /// Why a wait ended.
-pub(crate) enum Woken<T> {
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Woken<T> {
     /// A message came.
     Message(T),
     /// The deadline is here.
@@ -27,20 +28,21 @@ pub(crate) enum Woken<T> {
 
 /// Waits for one thread, and learns from how its waits went.
 #[derive(Debug)]
-pub(crate) struct PreciseWait {
+pub struct PreciseWait {
     approach: Approach,
     machine: Machine,
 }
 
 impl PreciseWait {
     /// For this thread, which was granted this.
-    pub(crate) fn new(scheduling: &Scheduling) -> Self {
+    #[must_use]
+    pub fn new(scheduling: &Scheduling) -> Self {
         let scheduled = if scheduling.is_realtime() { Scheduled::First } else { Scheduled::Fairly };
         Self { approach: Approach::new(scheduled), machine: Machine::watched() }
     }
 
     /// Waits for the next message, until the deadline if there is one.
-    pub(crate) fn wait<T>(&mut self, messages: &Receiver<T>, deadline: Option<Instant>) -> Woken<T> {
+    pub fn wait<T>(&mut self, messages: &Receiver<T>, deadline: Option<Instant>) -> Woken<T> {
         let Some(deadline) = deadline else {
             return messages.recv().map_or(Woken::Closed, Woken::Message);
         };
@@ -76,7 +78,7 @@ impl PreciseWait {
     }
 
     /// Lets other processes move their robots at the same instant, if that is known to take microseconds.
-    pub(crate) fn let_others_move(&mut self) {
+    pub fn let_others_move(&mut self) {
         self.pause(Instant::now());
     }
 
@@ -135,6 +137,7 @@ fn runnable(loads: &str) -> Option<usize> {
 #[cfg(test)]
 mod tests {
     use std::sync::mpsc::channel;
+    use std::time::Duration;
 
     use super::*;
     use crate::scheduling::{Realtime, Scheduling};
