@@ -1,7 +1,7 @@
 //! How late six processes that wait for one instant wake up, and how far apart: ways of waiting side by side with tokio's
 //! timer, in turn within one run, idle or with all cores busy.
 //!
-//! `cargo bench -p downbeat-robot --bench wait_strategies -- [busy] [rounds N] [NAME ...]`
+//! `cargo bench -p downbeat-robot --bench wait_strategies -- [busy] [rounds N] ['sleep' 'spin 200 us' ...]`
 #![expect(
     clippy::unwrap_used,
     clippy::panic,
@@ -215,7 +215,10 @@ fn main() {
             (0..cores).map(|_| Command::new("sh").args(["-c", "while :; do :; done"]).spawn().unwrap()),
         );
     }
-    let mut waiters: Vec<_> = STRATEGIES.iter().map(|(name, _)| Waiters::start(name)).collect();
+    let named = |name: &str| arguments.iter().any(|argument| argument == name);
+    let all = !STRATEGIES.iter().any(|(name, _)| named(name));
+    let chosen = STRATEGIES.iter().filter(|(name, _)| all || named(name));
+    let mut waiters: Vec<_> = chosen.map(|(name, _)| Waiters::start(name)).collect();
     for round in 0..rounds {
         for turn in 0..waiters.len() {
             let next = (round + turn) % waiters.len();

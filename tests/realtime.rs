@@ -23,7 +23,7 @@ fn session() -> Session {
     session.file("arm.yaml", ARM).file("test.yaml", SCENARIO);
     session.file(
         "tcp.yaml",
-        "robots:\n  left: {init: arm.yaml, address: 'tcp://127.0.0.1:0'}\ngroups: {arms: [left]}\n",
+        "robots:\n  left: {init: arm.yaml, address: 'tcp://127.0.0.1:9'}\ngroups: {arms: [left]}\n",
     );
     session
 }
