@@ -137,7 +137,10 @@ fn plan() -> Plan {
 /// One mission by Downbeat.
 async fn deferred(fleet: &Fleet) {
     let block: InitializationBlock = serde_json::from_str(ROBOT).unwrap();
-    let participant = |id| Participant::new(RobotId::new(format!("r{id}")).unwrap(), Some(block.clone()));
+    let participant = |id| {
+        let id = RobotId::new(format!("r{id}")).unwrap();
+        Participant::new(id.clone(), Some(InitializationBlock { id, ..block.clone() }))
+    };
     let clock = ServerClock::anchored(Span::ZERO);
     let participants = (0..ROBOTS).map(participant).collect();
     let mission = Mission::of_plan(plan(), participants, MissionOptions::default(), clock.now()).unwrap();

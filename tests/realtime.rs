@@ -3,6 +3,8 @@
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, Stdio};
 
+use rustix::process::{Pid, Signal};
+
 use crate::session::{ARM, PROGRAM, Ran, Session};
 
 const SCENARIO: &str = "scenario: test
@@ -73,9 +75,9 @@ impl Robot {
         (policy.unwrap(), locked)
     }
 
-    /// Ends it; returns what it wrote to standard error.
+    /// Ends it, as a service manager does; returns what it wrote to standard error.
     fn said(mut self) -> String {
-        self.child.kill().unwrap();
+        rustix::process::kill_process(Pid::from_child(&self.child), Signal::TERM).unwrap();
         let mut said = String::new();
         self.child.stderr.take().unwrap().read_to_string(&mut said).unwrap();
         said
