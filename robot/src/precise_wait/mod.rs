@@ -9,7 +9,7 @@ mod approach;
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
-use std::sync::mpsc::{Receiver, RecvTimeoutError, TryRecvError};
+use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Instant;
 
 use self::approach::{Approach, Cores, Scheduled};
@@ -54,27 +54,23 @@ impl PreciseWait {
             }
         }
         let lead = self.approach.lead(Instant::now());
-        match sleep(messages, deadline.checked_sub(lead).unwrap_or(deadline)) {
-            Woken::Deadline => self.spin(messages, deadline),
-            woken => woken,
+        let woken = sleep(messages, deadline.checked_sub(lead).unwrap_or(deadline));
+        if matches!(woken, Woken::Deadline) {
+            self.spin(deadline);
         }
+        woken
     }
 
-    fn spin<T>(&mut self, messages: &Receiver<T>, deadline: Instant) -> Woken<T> {
+    /// Messages wait meanwhile: what takes long to obey would make the start late.
+    fn spin(&mut self, deadline: Instant) {
         let begun = Instant::now();
-        let woken = loop {
+        loop {
             let now = Instant::now();
             if now >= deadline {
-                break Woken::Deadline;
+                return self.approach.spun(now, now - begun);
             }
-            match messages.try_recv() {
-                Ok(message) => break Woken::Message(message),
-                Err(TryRecvError::Disconnected) => break Woken::Closed,
-                Err(TryRecvError::Empty) => self.pause(now),
-            }
-        };
-        self.approach.spun(Instant::now(), begun.elapsed());
-        woken
+            self.pause(now);
+        }
     }
 
     /// Lets other processes move their robots at the same instant, if that is known to take microseconds.
@@ -166,6 +162,18 @@ mod tests {
         assert!(matches!(waits.wait(&receiver, Some(now + Duration::from_secs(3_600))), Woken::Message(1)));
         assert!(matches!(waits.wait(&receiver, Some(now)), Woken::Deadline));
         assert!(matches!(waits.wait(&receiver, None), Woken::Message(2)));
+    }
+
+    #[test]
+    fn a_message_that_comes_just_before_a_deadline_waits_until_after_it() {
+        let (sender, receiver) = channel();
+        let mut waits = waits();
+        waits.approach.looked(Instant::now(), Cores::Free);
+        // Sent in the time that is spun for.
+        let deadline = Instant::now() + Duration::from_micros(150);
+        sender.send(1).unwrap();
+        assert!(matches!(waits.wait(&receiver, Some(deadline)), Woken::Deadline));
+        assert!(matches!(waits.wait(&receiver, None), Woken::Message(1)));
     }
 
     #[test]
