@@ -90,7 +90,7 @@ fn be_a_waiter(strategy: Strategy) {
         }
         Strategy::Downbeat(realtime) => {
             let mut waits = PreciseWait::new(&Scheduling::of_this_thread(realtime));
-            let (_open, messages) = channel::<()>();
+            let (_open, messages) = flume::unbounded::<()>();
             for line in std::io::stdin().lock().lines() {
                 let target = line.unwrap().trim().parse().unwrap();
                 let deadline = Instant::now() + ahead(target);

@@ -115,7 +115,7 @@ pub struct Host {
 /// Opens links to the robots of a host.
 #[derive(Clone, Debug)]
 pub struct HostHandle {
-    orders: std_mpsc::Sender<Order>,
+    orders: flume::Sender<Order>,
     robots: Arc<[RobotId]>,
     next_link: Arc<AtomicU64>,
 }
@@ -123,7 +123,7 @@ pub struct HostHandle {
 /// A link to one robot. Dropping it breaks the link.
 #[derive(Debug)]
 pub struct RobotLink {
-    orders: std_mpsc::Sender<Order>,
+    orders: flume::Sender<Order>,
     robot: usize,
     link: LinkId,
     incoming: mpsc::Receiver<LinkEvent>,
@@ -132,7 +132,7 @@ pub struct RobotLink {
 /// The sending end of a link, for use beside the receiving one.
 #[derive(Clone, Debug)]
 pub(crate) struct LinkSender {
-    orders: std_mpsc::Sender<Order>,
+    orders: flume::Sender<Order>,
     robot: usize,
     link: LinkId,
     window: Arc<Semaphore>,
@@ -160,7 +160,8 @@ impl Host {
                 (Some(log), Some(writer))
             }
         };
-        let (orders, inbox) = std_mpsc::channel();
+        // Of a lock: on a lock-free channel a real-time thread could spin, and wait for ever, for a sender that it interrupted.
+        let (orders, inbox) = flume::unbounded();
         let handle = HostHandle { orders, robots: ids, next_link: Arc::new(AtomicU64::new(0)) };
         let (thread, ready, scheduling) = prepared_thread(options.realtime, log, inbox)?;
         let (mut robots, mut drivers) = (Vec::new(), Vec::new());
@@ -296,7 +297,7 @@ type Prepared = (JoinHandle<()>, std_mpsc::Sender<Vec<Body>>, Scheduling);
 fn prepared_thread(
     realtime: Realtime,
     log: Option<std_mpsc::Sender<LoggedBatch>>,
-    inbox: std_mpsc::Receiver<Order>,
+    inbox: flume::Receiver<Order>,
 ) -> Result<Prepared, HostError> {
     let (ready, robots) = std_mpsc::channel();
     let (tell, told) = std_mpsc::channel();
@@ -344,7 +345,7 @@ impl Executor {
         }
     }
 
-    fn run(mut self, inbox: &std_mpsc::Receiver<Order>) {
+    fn run(mut self, inbox: &flume::Receiver<Order>) {
         loop {
             let deadline = self.wakeups.first().map(|(at, _)| self.clock.instant_of(*at));
             match self.waits.wait(inbox, deadline) {

@@ -2,7 +2,6 @@
 #![expect(clippy::disallowed_methods, reason = "compares an instant with the one that was asked for")]
 
 use std::io;
-use std::sync::mpsc;
 use std::time::{Duration, Instant};
 
 use urrcp::Span;
@@ -55,7 +54,7 @@ impl WakeUp {
 
 fn lateness(scheduling: &Scheduling) -> Vec<Span> {
     // Nothing is ever sent; a sender keeps the channel open.
-    let (_open, messages) = mpsc::channel::<()>();
+    let (_open, messages) = flume::unbounded::<()>();
     let mut waits = PreciseWait::new(scheduling);
     let wait = |_| {
         let deadline = Instant::now() + INTERVAL;

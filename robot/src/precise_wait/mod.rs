@@ -9,8 +9,9 @@ mod approach;
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
-use std::sync::mpsc::{Receiver, RecvTimeoutError};
 use std::time::Instant;
+
+use flume::{Receiver, RecvTimeoutError};
 
 use self::approach::{Approach, Cores, Scheduled};
 use crate::scheduling::Scheduling;
@@ -132,8 +133,9 @@ fn runnable(loads: &str) -> Option<usize> {
 
 #[cfg(test)]
 mod tests {
-    use std::sync::mpsc::channel;
     use std::time::Duration;
+
+    use flume::unbounded as channel;
 
     use super::*;
     use crate::scheduling::{Realtime, Scheduling};
