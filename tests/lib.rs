@@ -26,6 +26,7 @@ mod output;
 mod preflight;
 mod processes;
 mod real_scenarios;
+mod realtime;
 mod refills;
 mod robots;
 mod schema;

@@ -21,6 +21,7 @@ mod load;
 mod missions;
 mod outlet;
 mod plan;
+mod realtime;
 mod resume;
 mod robot;
 mod run;

@@ -1,0 +1,224 @@
+//! How the last microseconds before a deadline are spent: when to wake, and whether other threads may run meanwhile. Reads no
+//! clock and asks nobody.
+//!
+//! `sched_yield` lets other robots that wait for the same instant have their turn within microseconds. On a core that
+//! something else keeps busy it gives the core away for milliseconds. So a thread yields only while the machine has a core
+//! for everything that wants to run, and while its latest yields returned soon.
+
+use std::time::{Duration, Instant};
+
+/// How long before a deadline to wake where the cores are free. A sleeper on an idle core of a virtual machine wakes that late.
+const LEAD_FREE: Duration = Duration::from_micros(200);
+/// The same where they are busy: spinning uses up the right to run next, which is needed at the deadline.
+const LEAD_BUSY: Duration = Duration::from_micros(100);
+/// A yield that takes longer gave the core to something else than another robot.
+const YIELD_MAX: Duration = Duration::from_micros(500);
+/// For so long after such a yield the cores count as busy, whatever a look at them says.
+const DISTRUST: Duration = Duration::from_secs(1);
+/// A look at the cores holds for so long.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+/// A look is taken between these two times before a deadline, so that it disturbs no start.
+const LOOK_EARLIEST: Duration = Duration::from_millis(12);
+const LOOK_LATEST: Duration = Duration::from_millis(4);
+/// Spinning takes at most this part of all time, one in so many, so that even a thread under real-time scheduling with a
+/// deadline every few microseconds leaves its core to others.
+const SPIN_SHARE: u32 = 4;
+/// Spinning that may be done at once after a pause.
+const SPIN_CREDIT_MAX: Duration = Duration::from_millis(2);
+
+/// What else runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Cores {
+    /// There is a core for everything that wants to run.
+    Free,
+    /// More wants to run than there are cores.
+    Busy,
+}
+
+/// How the kernel chooses when this thread runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Scheduled {
+    /// Like all others.
+    Fairly,
+    /// Before all others: a yield reaches only threads of the same priority.
+    First,
+}
+
+/// Decides how a thread waits, from what happened to it before.
+#[derive(Debug)]
+pub(super) struct Approach {
+    scheduled: Scheduled,
+    cores: Cores,
+    looked: Option<Instant>,
+    distrusted_until: Option<Instant>,
+    credit: Duration,
+    credited: Option<Instant>,
+}
+
+impl Approach {
+    pub(super) const fn new(scheduled: Scheduled) -> Self {
+        Self {
+            scheduled,
+            cores: Cores::Free,
+            looked: None,
+            distrusted_until: None,
+            credit: SPIN_CREDIT_MAX,
+            credited: None,
+        }
+    }
+
+    /// When to look at the cores before this deadline; `None`: not before this one. `chance` from 0 to 1 keeps processes
+    /// that wait for one instant from looking, and so counting each other, at the same time.
+    pub(super) fn look_at(&self, now: Instant, deadline: Instant, chance: f64) -> Option<Instant> {
+        let recently = |looked: Instant| now.saturating_duration_since(looked) < LOOK_EVERY;
+        if self.scheduled == Scheduled::First || self.looked.is_some_and(recently) {
+            return None;
+        }
+        let before = LOOK_LATEST + (LOOK_EARLIEST - LOOK_LATEST).mul_f64(chance.clamp(0.0, 1.0));
+        let before = before.min(deadline.saturating_duration_since(now));
+        if before >= LOOK_LATEST { deadline.checked_sub(before) } else { None }
+    }
+
+    /// What a look showed.
+    pub(super) const fn looked(&mut self, now: Instant, cores: Cores) {
+        self.looked = Some(now);
+        self.cores = cores;
+    }
+
+    /// How long before the next deadline to wake.
+    pub(super) fn lead(&mut self, now: Instant) -> Duration {
+        self.earn(now);
+        let lead = if self.yields(now) { LEAD_FREE } else { LEAD_BUSY };
+        lead.min(self.credit)
+    }
+
+    /// Whether to let other threads run, now or while spinning.
+    pub(super) fn yields(&self, now: Instant) -> bool {
+        let trusted = || self.distrusted_until.is_none_or(|until| now >= until);
+        self.scheduled == Scheduled::First || (self.cores == Cores::Free && trusted())
+    }
+
+    /// A yield took so long.
+    pub(super) fn yielded(&mut self, now: Instant, took: Duration) {
+        if took > YIELD_MAX {
+            self.distrusted_until = Some(now + DISTRUST);
+        }
+    }
+
+    /// The thread span for so long, until now.
+    pub(super) fn spun(&mut self, now: Instant, took: Duration) {
+        self.earn(now);
+        self.credit = self.credit.saturating_sub(took);
+    }
+
+    fn earn(&mut self, now: Instant) {
+        let since = self.credited.map_or(Duration::ZERO, |at| now.saturating_duration_since(at));
+        self.credit = SPIN_CREDIT_MAX.min(self.credit + since / SPIN_SHARE);
+        self.credited = Some(now);
+    }
+}
+
+#[cfg(test)]
+#[expect(clippy::disallowed_methods, reason = "an instant to count from; no time passes")]
+mod tests {
+    use super::*;
+
+    const fn millis(count: u64) -> Duration {
+        Duration::from_millis(count)
+    }
+
+    const fn micros(count: u64) -> Duration {
+        Duration::from_micros(count)
+    }
+
+    fn fair() -> (Approach, Instant) {
+        (Approach::new(Scheduled::Fairly), Instant::now())
+    }
+
+    #[test]
+    fn on_free_cores_a_thread_wakes_early_and_lets_others_run() {
+        let (mut approach, now) = fair();
+        approach.looked(now, Cores::Free);
+        assert!(approach.yields(now));
+        assert_eq!(approach.lead(now), LEAD_FREE);
+    }
+
+    #[test]
+    fn on_busy_cores_a_thread_spins_for_a_shorter_time_and_gives_its_core_to_nobody() {
+        let (mut approach, now) = fair();
+        approach.looked(now, Cores::Busy);
+        assert!(!approach.yields(now));
+        assert_eq!(approach.lead(now), LEAD_BUSY);
+    }
+
+    #[test]
+    fn a_slow_yield_ends_all_yields_for_a_second_whatever_a_look_says() {
+        let (mut approach, now) = fair();
+        approach.yielded(now, micros(500));
+        assert!(approach.yields(now));
+        approach.yielded(now, micros(501));
+        approach.looked(now, Cores::Free);
+        assert!(!approach.yields(now + millis(999)));
+        assert_eq!(approach.lead(now + millis(999)), LEAD_BUSY);
+        assert!(approach.yields(now + millis(1_000)));
+    }
+
+    #[test]
+    fn under_real_time_scheduling_a_thread_yields_whatever_else_runs_and_never_looks() {
+        let (_, now) = fair();
+        let mut approach = Approach::new(Scheduled::First);
+        approach.looked(now, Cores::Busy);
+        approach.yielded(now, millis(5));
+        assert!(approach.yields(now));
+        assert_eq!(approach.lead(now), LEAD_FREE);
+        assert_eq!(approach.look_at(now, now + millis(500), 0.5), None);
+    }
+
+    #[test]
+    fn a_look_comes_milliseconds_before_the_deadline_and_holds_for_a_while() {
+        let (mut approach, now) = fair();
+        let deadline = now + millis(100);
+        assert_eq!(approach.look_at(now, deadline, 0.0), Some(deadline - LOOK_LATEST));
+        assert_eq!(approach.look_at(now, deadline, 1.0), Some(deadline - LOOK_EARLIEST));
+        approach.looked(now, Cores::Free);
+        assert_eq!(approach.look_at(now + millis(49), deadline, 0.0), None);
+        assert_eq!(approach.look_at(now + millis(50), deadline, 0.0), Some(deadline - LOOK_LATEST));
+    }
+
+    #[test]
+    fn no_look_is_taken_just_before_a_deadline() {
+        let (approach, now) = fair();
+        assert_eq!(approach.look_at(now, now + LOOK_LATEST, 1.0), Some(now));
+        assert_eq!(approach.look_at(now, now + LOOK_LATEST - micros(1), 0.0), None);
+        assert_eq!(approach.look_at(now, now, 0.0), None);
+    }
+
+    #[test]
+    fn a_thread_whose_deadlines_never_end_spins_for_a_quarter_of_the_time() {
+        for scheduled in [Scheduled::Fairly, Scheduled::First] {
+            let begin = Instant::now();
+            let (mut approach, mut now, mut spun) = (Approach::new(scheduled), begin, Duration::ZERO);
+            while now < begin + millis(1_000) {
+                let lead = approach.lead(now);
+                // A deadline every 200 us, or as soon as the spinning is over.
+                now += lead.max(micros(1));
+                approach.spun(now, lead);
+                spun += lead;
+                now += micros(200).saturating_sub(lead);
+            }
+            let share = spun.as_secs_f64() / (now - begin).as_secs_f64();
+            assert!(share > 0.24 && share < 0.26, "{scheduled:?}: {share}");
+        }
+    }
+
+    #[test]
+    fn after_a_pause_ten_deadlines_in_a_row_are_spun_for() {
+        let (mut approach, now) = fair();
+        for _ in 0..10 {
+            assert_eq!(approach.lead(now), LEAD_FREE);
+            approach.spun(now, LEAD_FREE);
+        }
+        assert_eq!(approach.lead(now), Duration::ZERO);
+        assert_eq!(approach.lead(now + 4 * LEAD_FREE), LEAD_FREE);
+    }
+}

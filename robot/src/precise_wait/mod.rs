@@ -1,0 +1,204 @@
+//! The one door to the operating system's timer: waits for a message or a deadline, to microseconds.
+//!
+//! The thread sleeps on its channel until shortly before the deadline and spins the rest, since the system wakes a
+//! sleeper tens of microseconds late even with the least timer slack, and a millisecond late from an asynchronous
+//! runtime's timer wheel. How it spins depends on what else runs ([`approach`]).
+#![expect(clippy::disallowed_methods, reason = "spins on the monotonic clock")]
+
+mod approach;
+
+use std::fs::File;
+use std::os::unix::fs::FileExt;
+use std::time::Instant;
+
+use flume::{Receiver, RecvTimeoutError};
+
+use self::approach::{Approach, Cores, Scheduled};
+use crate::scheduling::Scheduling;
+
+/// Why a wait ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Woken<T> {
+    /// A message came.
+    Message(T),
+    /// The deadline is here.
+    Deadline,
+    /// All senders are gone.
+    Closed,
+}
+
+/// Waits for one thread, and learns from how its waits went.
+#[derive(Debug)]
+pub struct PreciseWait {
+    approach: Approach,
+    machine: Machine,
+}
+
+impl PreciseWait {
+    /// For this thread, which was granted this.
+    #[must_use]
+    pub fn new(scheduling: &Scheduling) -> Self {
+        let scheduled = if scheduling.is_realtime() { Scheduled::First } else { Scheduled::Fairly };
+        Self { approach: Approach::new(scheduled), machine: Machine::watched() }
+    }
+
+    /// Waits for the next message, until the deadline if there is one.
+    pub fn wait<T>(&mut self, messages: &Receiver<T>, deadline: Option<Instant>) -> Woken<T> {
+        let Some(deadline) = deadline else {
+            return messages.recv().map_or(Woken::Closed, Woken::Message);
+        };
+        let chance = fastrand::f64();
+        if let Some(look_at) = self.approach.look_at(Instant::now(), deadline, chance) {
+            match sleep(messages, look_at) {
+                Woken::Deadline => self.approach.looked(Instant::now(), self.machine.cores()),
+                woken => return woken,
+            }
+        }
+        let lead = self.approach.lead(Instant::now());
+        let woken = sleep(messages, deadline.checked_sub(lead).unwrap_or(deadline));
+        if matches!(woken, Woken::Deadline) {
+            self.spin(deadline);
+        }
+        woken
+    }
+
+    /// Messages wait meanwhile: what takes long to obey would make the start late.
+    fn spin(&mut self, deadline: Instant) {
+        let begun = Instant::now();
+        loop {
+            let now = Instant::now();
+            if now >= deadline {
+                return self.approach.spun(now, now - begun);
+            }
+            self.pause(now);
+        }
+    }
+
+    /// Lets other processes move their robots at the same instant, if that is known to take microseconds.
+    pub fn let_others_move(&mut self) {
+        self.pause(Instant::now());
+    }
+
+    fn pause(&mut self, now: Instant) {
+        if self.approach.yields(now) {
+            std::thread::yield_now();
+            self.approach.yielded(Instant::now(), now.elapsed());
+        } else {
+            std::hint::spin_loop();
+        }
+    }
+}
+
+fn sleep<T>(messages: &Receiver<T>, until: Instant) -> Woken<T> {
+    let sleep = until.saturating_duration_since(Instant::now());
+    if sleep.is_zero() {
+        return Woken::Deadline;
+    }
+    match messages.recv_timeout(sleep) {
+        Ok(message) => Woken::Message(message),
+        Err(RecvTimeoutError::Disconnected) => Woken::Closed,
+        Err(RecvTimeoutError::Timeout) => Woken::Deadline,
+    }
+}
+
+/// What the kernel says of the machine's cores.
+#[derive(Debug)]
+struct Machine {
+    /// Kept open: a look is one read.
+    loads: Option<File>,
+    cores: usize,
+}
+
+impl Machine {
+    fn watched() -> Self {
+        let cores = std::thread::available_parallelism().map_or(1, Into::into);
+        Self { loads: File::open("/proc/loadavg").ok(), cores }
+    }
+
+    /// Where nothing can be seen, cores count as free until a yield shows that they are not.
+    fn cores(&self) -> Cores {
+        let mut text = [0; 64];
+        let read = self.loads.as_ref().and_then(|loads| loads.read_at(&mut text, 0).ok()).unwrap_or(0);
+        match std::str::from_utf8(&text[..read]).ok().and_then(runnable) {
+            Some(runnable) if runnable > self.cores => Cores::Busy,
+            _ => Cores::Free,
+        }
+    }
+}
+
+/// How many threads want to run, this one included: the fourth word of `/proc/loadavg`, as in `0.20 0.18 0.12 1/80 11206`.
+fn runnable(loads: &str) -> Option<usize> {
+    loads.split(' ').nth(3)?.split_once('/')?.0.parse().ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use std::time::Duration;
+
+    use flume::unbounded as channel;
+
+    use super::*;
+    use crate::scheduling::{Realtime, Scheduling};
+
+    fn waits() -> PreciseWait {
+        PreciseWait::new(&Scheduling::of_this_thread(Realtime::Off))
+    }
+
+    #[test]
+    fn a_deadline_is_never_met_early() {
+        let (_sender, receiver) = channel::<()>();
+        let mut waits = waits();
+        for micros in [0, 1, 150, 1_000, 5_000, 20_000] {
+            let deadline = Instant::now() + Duration::from_micros(micros);
+            assert!(matches!(waits.wait(&receiver, Some(deadline)), Woken::Deadline));
+            assert!(Instant::now() >= deadline);
+        }
+    }
+
+    #[test]
+    fn a_message_ends_a_wait_and_a_deadline_that_is_here_comes_before_it() {
+        let (sender, receiver) = channel();
+        sender.send(1).unwrap();
+        sender.send(2).unwrap();
+        let (mut waits, now) = (waits(), Instant::now());
+        assert!(matches!(waits.wait(&receiver, Some(now + Duration::from_secs(3_600))), Woken::Message(1)));
+        assert!(matches!(waits.wait(&receiver, Some(now)), Woken::Deadline));
+        assert!(matches!(waits.wait(&receiver, None), Woken::Message(2)));
+    }
+
+    #[test]
+    fn a_message_that_comes_just_before_a_deadline_waits_until_after_it() {
+        let (sender, receiver) = channel();
+        let mut waits = waits();
+        waits.approach.looked(Instant::now(), Cores::Free);
+        // Sent in the time that is spun for.
+        let deadline = Instant::now() + Duration::from_micros(150);
+        sender.send(1).unwrap();
+        assert!(matches!(waits.wait(&receiver, Some(deadline)), Woken::Deadline));
+        assert!(matches!(waits.wait(&receiver, None), Woken::Message(1)));
+    }
+
+    #[test]
+    fn a_wait_ends_when_nobody_can_send_any_more() {
+        let (sender, receiver) = channel::<()>();
+        let mut waits = waits();
+        drop(sender);
+        assert!(matches!(waits.wait(&receiver, None), Woken::Closed));
+        let far = Instant::now() + Duration::from_secs(3_600);
+        assert!(matches!(waits.wait(&receiver, Some(far)), Woken::Closed));
+    }
+
+    #[test]
+    fn more_threads_than_cores_make_a_machine_busy() {
+        assert_eq!(runnable("0.20 0.18 0.12 3/80 11206\n"), Some(3));
+        assert_eq!(runnable("0.20 0.18"), None);
+        let folder = std::env::temp_dir().join(format!("downbeat-loads-{}", std::process::id()));
+        for (runnable, expected) in [(1, Cores::Free), (2, Cores::Free), (3, Cores::Busy)] {
+            std::fs::write(&folder, format!("9.00 9.00 9.00 {runnable}/80 11206\n")).unwrap();
+            let machine = Machine { loads: File::open(&folder).ok(), cores: 2 };
+            assert_eq!(machine.cores(), expected, "{runnable}");
+        }
+        std::fs::remove_file(&folder).unwrap();
+        assert_eq!(Machine { loads: None, cores: 2 }.cores(), Cores::Free);
+    }
+}

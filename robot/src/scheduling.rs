@@ -1,0 +1,284 @@
+//! What the system grants to the thread that wakes robots: real-time scheduling, locked memory, a short time slice.
+//!
+//! Real-time scheduling and locked memory need permission; the short slice and the least timer slack need none. What was
+//! granted is told in one sentence, with what would allow the rest.
+
+use std::fmt;
+use std::num::NonZeroU64;
+
+use rustix::mm::MlockAllFlags;
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
+use rustix::thread::CapabilitySet;
+use uapi::c;
+
+/// Above ordinary programs, and no higher than the threads of interrupts on real-time kernels.
+const PRIORITY: u32 = 50;
+/// A woken thread with a short slice runs before those in the middle of a long one. The kernel takes no shorter slice.
+const SLICE_NANOS: u64 = 100_000;
+
+/// Whether to ask for real-time scheduling (SCHED_FIFO) and locked memory.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Realtime {
+    /// Do not ask.
+    #[default]
+    Off,
+    /// Take what is permitted, and go on without the rest.
+    Auto,
+    /// Do not start without both.
+    Required,
+}
+
+/// What a thread was granted. Displays as one sentence, without a full stop.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Scheduling {
+    realtime: Granted,
+    locked: Granted,
+}
+
+/// Whether something was granted.
+#[derive(Clone, Debug, PartialEq, Eq)]
+enum Granted {
+    /// Nobody asked.
+    Unasked,
+    /// It was, in these words.
+    Yes(String),
+    /// It was not, for this reason.
+    No(String),
+}
+
+impl Scheduling {
+    /// Asks for this thread, and for the memory of its process.
+    #[must_use]
+    pub fn of_this_thread(realtime: Realtime) -> Self {
+        if let Err(error) = rustix::thread::set_current_timer_slack(NonZeroU64::new(1)) {
+            tracing::warn!("timer slack stays as it is: {error}");
+        }
+        let asked = realtime != Realtime::Off;
+        let granted = Self {
+            realtime: if asked { Granted::of(ask_first_in_first_out()) } else { Granted::as_found() },
+            locked: if asked { Granted::of(lock_memory()) } else { Granted::Unasked },
+        };
+        if !granted.is_realtime()
+            && let Err(error) = shorten_slice()
+        {
+            tracing::warn!("the time slice stays as it is: {error}");
+        }
+        granted
+    }
+
+    /// Whether the thread runs before all ordinary ones.
+    #[must_use]
+    pub const fn is_realtime(&self) -> bool {
+        matches!(self.realtime, Granted::Yes(_))
+    }
+
+    /// Whether anything that was asked for was refused.
+    #[must_use]
+    pub const fn lacks_something(&self) -> bool {
+        matches!(self.realtime, Granted::No(_)) || matches!(self.locked, Granted::No(_))
+    }
+
+    /// What would allow what was refused: nothing where all was granted.
+    fn remedy(&self) -> Option<String> {
+        let (systemd, limits) = match (&self.realtime, &self.locked) {
+            (Granted::No(_), Granted::No(_)) => {
+                ("LimitRTPRIO=50 and LimitMEMLOCK=infinity", "`rtprio 50` and `memlock unlimited`")
+            }
+            (Granted::No(_), _) => ("LimitRTPRIO=50", "`rtprio 50`"),
+            (_, Granted::No(_)) => ("LimitMEMLOCK=infinity", "`memlock unlimited`"),
+            _ => return None,
+        };
+        Some(format!(
+            "to allow it: {systemd} in a systemd unit, `setcap cap_sys_nice,cap_ipc_lock+ep` on the program, or {limits} in \
+             /etc/security/limits.conf"
+        ))
+    }
+}
+
+impl fmt::Display for Scheduling {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.realtime {
+            Granted::Unasked => f.write_str("ordinary scheduling")?,
+            Granted::Yes(policy) => write!(f, "real-time scheduling ({policy})")?,
+            Granted::No(why) => {
+                write!(
+                    f,
+                    "no real-time scheduling ({why}), so that starts may be milliseconds late while cores are busy"
+                )?;
+            }
+        }
+        match &self.locked {
+            Granted::Unasked => {}
+            Granted::Yes(what) => write!(f, ", {what}")?,
+            Granted::No(why) => write!(f, ", memory not locked ({why})")?,
+        }
+        self.remedy().map_or(Ok(()), |remedy| write!(f, "; {remedy}"))
+    }
+}
+
+impl Granted {
+    fn of(asked: Result<String, String>) -> Self {
+        match asked {
+            Ok(what) => Self::Yes(what),
+            Err(why) => Self::No(why),
+        }
+    }
+
+    /// The process may have been started under real-time scheduling.
+    fn as_found() -> Self {
+        policy_found().map_or(Self::Unasked, Self::Yes)
+    }
+}
+
+fn policy_found() -> Option<String> {
+    let attributes = uapi::sched_getattr(0, 0).ok()?;
+    let name = match c::c_int::try_from(attributes.sched_policy).ok()? {
+        c::SCHED_FIFO => "SCHED_FIFO",
+        c::SCHED_RR => "SCHED_RR",
+        _ => return None,
+    };
+    Some(format!("{name}, priority {}", attributes.sched_priority))
+}
+
+/// Threads and programs that this thread starts do not inherit it.
+fn ask_first_in_first_out() -> Result<String, String> {
+    if let Some(found) = policy_found() {
+        return Ok(found);
+    }
+    // With the capability no limit counts, so the full priority comes first.
+    let full = set_first_in_first_out(PRIORITY);
+    let granted = full.or_else(|error| match within(raise_limit(Resource::Rtprio)) {
+        Some(priority) => set_first_in_first_out(priority),
+        None => Err(error),
+    });
+    granted
+        .map(|()| policy_found().unwrap_or_default())
+        .map_err(|error| std::io::Error::from(error).to_string())
+}
+
+/// The highest priority that a limit allows, where that is not the full one.
+fn within(limit: Rlimit) -> Option<u32> {
+    let allowed = u32::try_from(limit.maximum?).ok();
+    allowed.filter(|allowed| *allowed > 0 && *allowed < PRIORITY)
+}
+
+fn set_first_in_first_out(priority: u32) -> Result<(), uapi::Errno> {
+    let mut attributes = uapi::sched_getattr(0, 0)?;
+    attributes.sched_policy = c::SCHED_FIFO.unsigned_abs();
+    attributes.sched_flags = c::SCHED_FLAG_RESET_ON_FORK;
+    attributes.sched_nice = 0;
+    attributes.sched_priority = priority;
+    attributes.sched_runtime = 0;
+    uapi::sched_setattr(0, &attributes, 0)
+}
+
+/// Kernels before 6.12 take it and change nothing.
+fn shorten_slice() -> Result<(), uapi::Errno> {
+    let mut attributes = uapi::sched_getattr(0, 0)?;
+    if c::c_int::try_from(attributes.sched_policy) != Ok(c::SCHED_OTHER) {
+        return Ok(());
+    }
+    attributes.sched_flags = 0;
+    attributes.sched_runtime = SLICE_NANOS;
+    uapi::sched_setattr(0, &attributes, 0)
+}
+
+/// Pages are locked once they are touched, so that no more memory is used than without.
+fn lock_memory() -> Result<String, String> {
+    let limit = raise_limit(Resource::Memlock).maximum;
+    let capable = rustix::thread::capabilities(None)
+        .is_ok_and(|capabilities| capabilities.effective.contains(CapabilitySet::IPC_LOCK));
+    // Within a limit, memory that is needed later could not be had at all.
+    if let (Some(limit), false) = (limit, capable) {
+        return Err(format!("the limit is {} KiB", limit / 1024));
+    }
+    let all = MlockAllFlags::CURRENT | MlockAllFlags::FUTURE | MlockAllFlags::ONFAULT;
+    rustix::mm::mlockall(all)
+        .map(|()| "memory locked".to_owned())
+        .map_err(|error| std::io::Error::from(error).to_string())
+}
+
+/// Raises a limit as far as it may be; returns it.
+fn raise_limit(resource: Resource) -> Rlimit {
+    let limit = getrlimit(resource);
+    let _always_allowed = setrlimit(resource, Rlimit { current: limit.maximum, ..limit });
+    limit
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn granted(realtime: Granted, locked: Granted) -> String {
+        Scheduling { realtime, locked }.to_string()
+    }
+
+    fn yes(what: &str) -> Granted {
+        Granted::Yes(what.to_owned())
+    }
+
+    fn no() -> Granted {
+        Granted::No("Operation not permitted".to_owned())
+    }
+
+    #[test]
+    fn what_was_granted_is_told_in_one_line_and_what_was_not_with_what_would_allow_it() {
+        let all = granted(yes("SCHED_FIFO, priority 50"), yes("memory locked"));
+        assert_eq!(all, "real-time scheduling (SCHED_FIFO, priority 50), memory locked");
+        let nothing = granted(no(), no());
+        for part in [
+            "LimitRTPRIO=50",
+            "LimitMEMLOCK=infinity",
+            "setcap cap_sys_nice,cap_ipc_lock+ep",
+            "`rtprio 50`",
+            "limits.conf",
+        ] {
+            assert!(nothing.contains(part), "{nothing}");
+        }
+        assert!(!nothing.contains('\n'));
+        let pageable = granted(yes("SCHED_FIFO, priority 50"), no());
+        assert!(pageable.contains("LimitMEMLOCK") && !pageable.contains("LimitRTPRIO"), "{pageable}");
+        let ordinary = granted(no(), yes("memory locked"));
+        assert!(ordinary.contains("LimitRTPRIO") && !ordinary.contains("LimitMEMLOCK"), "{ordinary}");
+    }
+
+    #[test]
+    fn a_limit_below_the_full_priority_is_taken_as_far_as_it_goes() {
+        let within = |maximum| within(Rlimit { current: Some(0), maximum });
+        let limits = [Some(0), Some(20), Some(49), Some(50), Some(99), None];
+        assert_eq!(limits.map(within), [None, Some(20), Some(49), None, None, None]);
+    }
+
+    #[test]
+    fn a_thread_that_asks_for_nothing_gets_a_short_slice_alone() {
+        let (scheduling, attributes) = std::thread::spawn(|| {
+            (Scheduling::of_this_thread(Realtime::Off), uapi::sched_getattr(0, 0).unwrap())
+        })
+        .join()
+        .unwrap();
+        assert!(!scheduling.lacks_something());
+        if !scheduling.is_realtime() {
+            assert_eq!(attributes.sched_policy, c::SCHED_OTHER.unsigned_abs());
+            // Kernels before 6.12 tell no slice.
+            assert!([0, SLICE_NANOS].contains(&attributes.sched_runtime), "{}", attributes.sched_runtime);
+        }
+    }
+
+    #[test]
+    fn a_thread_that_asks_is_granted_what_it_says() {
+        let (scheduling, attributes, child) = std::thread::spawn(|| {
+            let scheduling = Scheduling::of_this_thread(Realtime::Auto);
+            let child = std::thread::spawn(|| uapi::sched_getattr(0, 0).unwrap()).join().unwrap();
+            (scheduling, uapi::sched_getattr(0, 0).unwrap(), child)
+        })
+        .join()
+        .unwrap();
+        let is_realtime = attributes.sched_policy == c::SCHED_FIFO.unsigned_abs();
+        assert_eq!(scheduling.is_realtime(), is_realtime, "{scheduling}");
+        assert_eq!(
+            child.sched_policy,
+            c::SCHED_OTHER.unsigned_abs(),
+            "a thread that it starts inherits nothing"
+        );
+    }
+}
