@@ -67,7 +67,7 @@ impl Act {
         }
         act.timing = Some(act.timing_of(promise));
         act.stage = match reached {
-            Reached::Decision => Stage::Approaching(Approach::beginning(now)),
+            Reached::Decision => Stage::Approaching(Approach::taken_up(now)),
             Reached::Commitment => {
                 act.begin(now);
                 act.stage
