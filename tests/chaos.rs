@@ -5,6 +5,8 @@
 #![expect(clippy::unwrap_used, clippy::panic, clippy::print_stdout, reason = "a test in a binary of its own")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
+#[path = "chaos/doctored.rs"]
+mod doctored;
 #[path = "chaos/draw.rs"]
 mod draw;
 #[path = "chaos/held_up.rs"]
@@ -19,6 +21,7 @@ use std::collections::BTreeMap;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
 
+use draw::Drawn;
 use judge::{Verdict, judge};
 use play::{Kind, Played, play};
 
@@ -53,6 +56,7 @@ impl Tally {
         self.busy += u32::from(busy);
         if !verdict.wrong.is_empty() {
             let wrong = verdict.wrong.join("\n  ");
+            println!("mission {}: {wrong}", played.drawn.seed);
             self.violations.push(format!("mission {}:\n  {wrong}\n{}", played.drawn.seed, story(played)));
         }
     }
@@ -127,7 +131,7 @@ fn whatever_befalls_processes_and_links_reports_and_exit_codes_agree_with_the_ro
                     if seed >= first + missions {
                         return;
                     }
-                    let played = play(seed);
+                    let played = play(Drawn::of(seed));
                     let verdict = judge(&played);
                     tally.lock().unwrap().count(&played, verdict);
                 }

@@ -6,8 +6,6 @@ use std::time::Duration;
 pub const STEPS: usize = 4;
 /// Values that one act has to itself.
 pub const VALUES: usize = 20;
-/// Under which scripts run, in milliseconds.
-pub const LEASE_MS: usize = 700;
 /// Largest delay that a robot adds to each message, each way.
 pub const DELAY_MS: u64 = 20;
 
@@ -69,6 +67,8 @@ pub enum Strike {
     Stop {
         again: Option<Duration>,
     },
+    /// `downbeat resume` while the scheduler lives.
+    ResumeTooSoon,
     /// `downbeat stop` while the scheduler is frozen, so long after and for so long.
     StopWhileFrozen(Duration, Duration),
 }
@@ -90,10 +90,32 @@ pub enum Clock {
     Measured(u64),
 }
 
-#[derive(Debug)]
+/// What a robot tells of its scripts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Tells {
+    Everything,
+    /// It answers inquiries, and reports nothing by itself.
+    WhenAsked,
+    /// It reports, and answers no inquiries.
+    ByItself,
+    Nothing,
+}
+
+impl Tells {
+    pub const fn reports(self) -> bool {
+        matches!(self, Self::Everything | Self::ByItself)
+    }
+
+    pub const fn answers_inquiries(self) -> bool {
+        matches!(self, Self::Everything | Self::WhenAsked)
+    }
+}
+
+#[derive(Clone, Debug)]
 pub struct Drawn {
     pub seed: u64,
     pub clocks: Vec<Clock>,
+    pub tells: Vec<Tells>,
     pub queue: usize,
     pub on_failure: &'static str,
     pub on_doubt: &'static str,
@@ -101,6 +123,10 @@ pub struct Drawn {
     pub acts: Vec<usize>,
     /// Between two steps.
     pub every_ms: usize,
+    /// Under which scripts run, in milliseconds.
+    pub lease_ms: u64,
+    /// Of the mission, in milliseconds: a shorter one ends while leases may still run.
+    pub patience_ms: u64,
     pub strikes: Vec<(When, Strike)>,
 }
 
@@ -121,9 +147,24 @@ impl Drawn {
         let clocks: Vec<Clock> = (0..robots).map(|_| clock(&mut rng)).collect();
         let on_failure = *rng.choice(&["abort", "abort", "without", "hold"]).unwrap_or(&"abort");
         let on_doubt = if rng.u8(0..3) == 0 { "withdraw" } else { "start" };
-        let mut drawn =
-            Self { seed, clocks, queue, on_failure, on_doubt, acts, every_ms, strikes: Vec::new() };
+        let mut drawn = Self {
+            seed,
+            tells: vec![Tells::Everything; clocks.len()],
+            clocks,
+            queue,
+            on_failure,
+            on_doubt,
+            acts,
+            every_ms,
+            lease_ms: if rng.u8(0..3) == 0 { 1_500 } else { 700 },
+            patience_ms: if rng.u8(0..3) == 0 { 600 } else { 2_000 },
+            strikes: Vec::new(),
+        };
         drawn.strikes = drawn.draw_strikes(&mut rng);
+        if rng.u8(0..3) == 0 {
+            let odd = rng.usize(0..robots);
+            drawn.tells[odd] = *rng.choice(&[Tells::WhenAsked, Tells::ByItself, Tells::Nothing]).unwrap();
+        }
         drawn
     }
 
@@ -166,12 +207,14 @@ impl Drawn {
         self.acts.iter().enumerate().flat_map(of_act).collect()
     }
 
-    pub fn init(&self) -> String {
-        super::robots::one_device(self.queue, 90, STEPS)
+    /// What a robot says of itself.
+    pub fn init(&self, robot: usize) -> String {
+        let init = super::robots::one_device(self.queue, 90, STEPS);
+        init.replace("reports: true", &format!("reports: {}", self.tells[robot].reports()))
     }
 
     pub fn scenario(&self) -> String {
-        let Self { on_failure, on_doubt, every_ms, .. } = self;
+        let Self { on_failure, on_doubt, every_ms, lease_ms, .. } = self;
         let act = |(act, scripts): (usize, &usize)| {
             let keyframe = |step| format!("{{at: {}ms, to: {}}}", step * every_ms, value(act, step));
             let track = (0..scripts * STEPS).map(keyframe).collect::<Vec<_>>().join(", ");
@@ -181,7 +224,7 @@ impl Drawn {
         };
         let acts: String = self.acts.iter().enumerate().map(act).collect();
         format!(
-            "scenario: chaos\nstart_tolerance: 1s\non_failure: {on_failure}\non_doubt: {on_doubt}\nstop_condition: {{running: {LEASE_MS}ms}}\nacts:\n{acts}"
+            "scenario: chaos\nstart_tolerance: 1s\non_failure: {on_failure}\non_doubt: {on_doubt}\nstop_condition: {{running: {lease_ms}ms}}\nacts:\n{acts}"
         )
     }
 
@@ -225,13 +268,14 @@ fn draw_fault(rng: &mut fastrand::Rng) -> Fault {
 
 fn draw_scheduler(rng: &mut fastrand::Rng) -> Strike {
     let soon = |rng: &mut fastrand::Rng| millis(rng, 0..600);
-    match rng.u8(0..8) {
+    match rng.u8(0..9) {
         0 | 1 => Strike::SchedulerFrozen(millis(rng, 50..1_500)),
         2 => Strike::SchedulerKilled(Then::Nothing),
         3 => Strike::SchedulerKilled(Then::Resume(soon(rng))),
         4 => Strike::SchedulerKilled(Then::Stop(soon(rng))),
         5 => Strike::SchedulerKilled(Then::ResumeAndStop(soon(rng), millis(rng, 100..2_000))),
         6 => Strike::StopWhileFrozen(soon(rng), millis(rng, 500..3_500)),
+        7 => Strike::ResumeTooSoon,
         _ => Strike::Stop { again: rng.bool().then(|| soon(rng)) },
     }
 }

@@ -4,13 +4,12 @@ use std::collections::{BTreeMap, HashSet};
 
 use serde_json::Value;
 
-use super::draw::{DELAY_MS, Fault, LEASE_MS, STEPS, VALUES, value};
+use super::draw::{DELAY_MS, Fault, STEPS, VALUES, value};
 use super::held_up;
 use super::play::{Kind, Played, Struck, Told, What};
 use super::robots::{Logged, nanos};
 
 const MILLIS: i64 = 1_000_000;
-const LEASE: i64 = LEASE_MS as i64 * MILLIS;
 /// A robot that is held up longer over a start does not start.
 const START_LATE: i64 = 51 * MILLIS;
 /// Messages that are under way, both ways, and what a process takes to handle them.
@@ -22,8 +21,8 @@ const NO_RETURN: i64 = 3 * UNDER_WAY + 40 * MILLIS;
 const AT_REST: i64 = 3_000 * MILLIS;
 /// When a scheduler that does not answer is given up by `downbeat stop`.
 const GIVEN_UP: i64 = 1_000 * MILLIS;
-/// So late the silence of a dead link is noticed.
-const NOTICED: i64 = 2 * LEASE;
+/// What starting a process takes on a busy machine.
+const PROCESS: i64 = 500 * MILLIS;
 
 /// What is found of a mission.
 #[derive(Default)]
@@ -57,6 +56,7 @@ pub fn judge(played: &Played) -> Verdict {
 /// An act as it was promised.
 struct Promise {
     act: usize,
+    sent: i64,
     start: i64,
     lease: i64,
     /// Before the start: silence that begins later may be noticed too late.
@@ -85,6 +85,7 @@ fn promises(journal: &[(i64, Value)]) -> Vec<Promise> {
         let scripts = record["scripts"].as_array().unwrap();
         Promise {
             act: record["act"].as_u64().unwrap() as usize,
+            sent: nanos(record["timestamp"].as_str().unwrap()),
             start,
             lease,
             doubt: decided.map_or(lease, |(_, decided)| span(&decided["doubt_ms"])),
@@ -107,6 +108,10 @@ struct Judge<'a> {
 }
 
 impl Judge<'_> {
+    const fn lease(&self) -> i64 {
+        self.played.drawn.lease_ms as i64 * MILLIS
+    }
+
     fn say(&mut self, is_wrong: bool, what: impl FnOnce() -> String) {
         if is_wrong {
             self.verdict.wrong.push(what());
@@ -176,8 +181,18 @@ impl Judge<'_> {
         match told.kind {
             // Stopped before anything was sent.
             Kind::Run => told.code() == Some(3),
-            Kind::Stop | Kind::Resume => matches!(told.code(), Some(1 | 2)) && (before || over),
+            Kind::Stop | Kind::Resume => {
+                matches!(told.code(), Some(1 | 2))
+                    && (before || over || (told.kind == Kind::Resume && self.lives(told)))
+            }
         }
+    }
+
+    /// A mission whose scheduler lives is not there to be resumed.
+    fn lives(&self, resume: &Told) -> bool {
+        let killed = self.faults(None).filter(|struck| matches!(struck.what, What::SchedulerKilled));
+        let killed = killed.map(|struck| struck.from).min().unwrap_or(i64::MAX);
+        resume.began < killed
     }
 
     /// All robots of an act start, or none does.
@@ -210,7 +225,13 @@ impl Judge<'_> {
             return Ok("left out before the start, as on_failure says");
         }
         let (from, until) = (promise.start - promise.doubt - UNDER_WAY / 2, promise.start + START_LATE);
-        let own = |robot: usize| self.struck_within(Some(robot), from, until);
+        // Where a robot answers no inquiries, nobody notices that it has restarted.
+        let forgot = |robot: usize| {
+            !self.played.drawn.tells[robot].answers_inquiries()
+                && self.lost_its_memory(robot)
+                && self.struck_within(Some(robot), promise.sent, until)
+        };
+        let own = |robot: usize| self.struck_within(Some(robot), from, until) || forgot(robot);
         if missed.iter().all(|robot| own(*robot)) {
             return Ok("a fault of the robots that did not start");
         }
@@ -237,7 +258,7 @@ impl Judge<'_> {
             .journal
             .iter()
             .any(|(at, record)| record["record"] == "stopping" && (from..=until).contains(at));
-        let asked = |told: &&Told| told.kind == Kind::Stop && told.began <= until && told.gone >= from;
+        let asked = |told: &&Told| told.kind == Kind::Stop && (from - PROCESS..=until).contains(&told.began);
         recorded || self.played.told.iter().any(|told| asked(&told))
     }
 
@@ -317,7 +338,7 @@ impl Judge<'_> {
     /// Times in which nothing that the mission says reaches a robot.
     fn unheard(&self, robot: usize) -> Vec<(i64, i64)> {
         let own = self.faults(Some(robot)).filter(|struck| {
-            let deaf = [Fault::Cut, Fault::Interrupted, Fault::Muted, Fault::Deaf];
+            let deaf = [Fault::Cut, Fault::Interrupted, Fault::Muted, Fault::Deaf, Fault::Frozen];
             matches!(struck.what, What::Robot(fault) if deaf.iter().any(|d| std::mem::discriminant(d) == std::mem::discriminant(&fault)))
         });
         let scheduler = self.faults(None);
@@ -341,8 +362,8 @@ impl Judge<'_> {
             let beyond = self.played.sets[robot].iter().find(|entry| {
                 let due = entry.at - (entry.set_at - entry.due).max(0);
                 let pending = self.promises.iter().find(|promise| promise.scripts.contains(&entry.request));
-                let pending = pending.map_or(0, |promise| promise.lease).max(LEASE);
-                let lease = if entry.step == Some(0) { pending } else { LEASE };
+                let pending = pending.map_or(0, |promise| promise.lease).max(self.lease());
+                let lease = if entry.step == Some(0) { pending } else { self.lease() };
                 due > from + lease + under_way && due < until
             });
             let beyond = beyond.map(|entry| ((entry.at - from) / MILLIS, entry.clone()));
@@ -373,7 +394,7 @@ impl Judge<'_> {
                 + if frozen { GIVEN_UP } else { 0 }
                 + held_up::longest(told.began, told.gone);
             for robot in 0..self.played.drawn.robots() {
-                if self.struck_within(Some(robot), told.began - NOTICED, rest) {
+                if self.struck_within(Some(robot), told.began - 2 * self.lease(), rest) {
                     continue;
                 }
                 let after = self.played.sets[robot].iter().filter(|entry| entry.at > rest).count();
@@ -415,18 +436,15 @@ impl Judge<'_> {
         self.say(!moves.is_empty() && stop["state"] != "unconfirmed", || {
             format!("(named) r{robot} did {} steps after {:?} had said of it {stop}", moves.len(), told.kind)
         });
-        // What was under way, or lay in a link that stood, renews a lease when it arrives.
+        // What was under way, or lay in a link that stood, renews a lease that still runs when it arrives.
         let held = self.faults(Some(robot)).map(|struck| match struck.what {
-            What::Robot(Fault::Frozen | Fault::Muted | Fault::Deaf) => {
-                struck.until.saturating_sub(struck.from)
-            }
+            What::Robot(Fault::Muted | Fault::Deaf) => (struck.until - struck.from).min(self.lease()),
             What::Robot(Fault::Slow(delay)) => i64::try_from(delay.as_nanos()).unwrap(),
             _ => 0,
         });
-        let held = held.max().unwrap_or(0).saturating_add(UNDER_WAY);
+        let held = held.max().unwrap_or(0) + UNDER_WAY;
         let ends = stop["lease_ends"].as_str().map(nanos);
-        let beyond =
-            ends.map(|ends| moves.iter().filter(|at| **at > ends.saturating_add(held)).count()).unwrap_or(0);
+        let beyond = ends.map(|ends| moves.iter().filter(|at| **at > ends + held).count()).unwrap_or(0);
         self.say(beyond > 0, || {
             format!("(named) r{robot} did {beyond} steps after the end of its lease as told: {stop}")
         });
@@ -475,12 +493,14 @@ impl Judge<'_> {
         });
     }
 
-    /// Only robots that something befell have failed; all may seem to when this machine or the scheduler stood still.
+    /// Only robots that something befell have failed, or lost their scripts with the scheduler; all may seem to when this
+    /// machine stood still.
     fn blame(&mut self, told: &Told, failure: &Value) {
         let robot = index(&failure["robot"]);
         let struck = self.faults(Some(robot)).any(|struck| struck.from <= told.gone);
         let scheduler = self.faults(None).any(|struck| struck.from <= told.gone);
-        if struck || scheduler {
+        // Leases run out while the scheduler stands still.
+        if struck || (scheduler && failure["failure"] == "script") {
             return;
         }
         let first = self.played.told.iter().map(|told| told.began).min().unwrap_or(0);

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 use rustix::process::{Pid, Signal, WaitId, WaitIdOptions, kill_process, waitid};
 use serde_json::Value;
 
-use super::draw::{Back, Drawn, Fault, LEASE_MS, Strike, Then, When};
+use super::draw::{Back, Drawn, Fault, Strike, Then, When};
 use super::robots::{Ended, Logged, Running, Stage, Via, epoch_nanos, nanos, sleep_until};
 
 /// A program may take so much longer than the mission and its faults.
@@ -24,6 +24,7 @@ pub enum Kind {
 }
 
 /// A program that was started, and how it ended.
+#[derive(Clone)]
 pub struct Told {
     pub kind: Kind,
     pub began: i64,
@@ -61,6 +62,7 @@ pub enum What {
     SchedulerKilled,
 }
 
+#[derive(Clone)]
 pub struct Played {
     pub drawn: Drawn,
     pub struck: Vec<Struck>,
@@ -81,9 +83,10 @@ struct Program {
 }
 
 impl Program {
-    fn start(kind: Kind, stage: &Stage, args: &[&str]) -> Self {
+    fn start(kind: Kind, stage: &Stage, drawn: &Drawn, args: &[&str]) -> Self {
         let began = epoch_nanos();
-        let running = stage.start(&[args, &["--format", "json", "--patience", "2s"]].concat());
+        let patience = format!("{}ms", drawn.patience_ms);
+        let running = stage.start(&[args, &["--format", "json", "--patience", &patience]].concat());
         let pid = Pid::from_child(&running.process.0);
         let gone = std::thread::spawn(move || {
             let _status = waitid(WaitId::Pid(pid), WaitIdOptions::EXITED | WaitIdOptions::NOWAIT);
@@ -110,19 +113,23 @@ struct Show<'a> {
     state: std::path::PathBuf,
 }
 
-pub fn play(seed: u64) -> Played {
-    let drawn = Drawn::of(seed);
+pub fn play(drawn: Drawn) -> Played {
     let mut stage = Stage::new();
-    stage.file("robot.yaml", drawn.init()).file("chaos.yaml", drawn.scenario());
+    stage.file("chaos.yaml", drawn.scenario());
     for robot in 0..drawn.robots() {
         let (args, keys) = drawn.setup(robot, false);
-        stage.robot_with("robot.yaml", Via::Proxy, args, keys);
+        let init = format!("robot-{robot}.yaml");
+        stage.file(&init, drawn.init(robot));
+        stage.robot_with(&init, Via::Proxy, args, keys);
+        if !drawn.tells[robot].answers_inquiries() {
+            stage.robots[robot].link.as_ref().unwrap().leave_out(&["inquiry"]);
+        }
     }
     let began = Instant::now();
-    let run = Program::start(Kind::Run, &stage, &["run", "chaos.yaml"]);
+    let run = Program::start(Kind::Run, &stage, &drawn, &["run", "chaos.yaml"]);
     let scheduler = Pid::from_child(&run.running.process.0);
     let state = stage.path("state");
-    let show = Show {
+    let mut show = Show {
         drawn: &drawn,
         stage: Mutex::new(stage),
         programs: Mutex::new(vec![run]),
@@ -142,10 +149,11 @@ pub fn play(seed: u64) -> Played {
         }
     });
     let bound = Duration::from_millis(drawn.plays_ms() as u64) + SLACK;
-    let programs = show.programs.into_inner().unwrap();
+    let programs = std::mem::take(show.programs.get_mut().unwrap());
     let told: Vec<Told> = programs.into_iter().map(|program| program.told(bound)).collect();
-    // Whatever a lease still allows is over then; who is frozen for ever does nothing more.
-    std::thread::sleep(Duration::from_millis(LEASE_MS as u64 + 300));
+    show.end_all_faults();
+    // Whatever a lease still allows is over then.
+    std::thread::sleep(Duration::from_millis(drawn.lease_ms + 300));
     let stage = show.stage.into_inner().unwrap();
     let (mut sets, mut strangers) = (Vec::new(), 0);
     for robot in &stage.robots {
@@ -194,7 +202,7 @@ impl Show<'_> {
     }
 
     fn begin(&self, kind: Kind, word: &str) {
-        let program = Program::start(kind, &self.stage.lock().unwrap(), &[word]);
+        let program = Program::start(kind, &self.stage.lock().unwrap(), self.drawn, &[word]);
         self.programs.lock().unwrap().push(program);
     }
 
@@ -217,6 +225,7 @@ impl Show<'_> {
                 self.note(None, What::SchedulerKilled, at, i64::MAX);
                 self.follow(then);
             }
+            Strike::ResumeTooSoon => self.begin(Kind::Resume, "resume"),
             Strike::Stop { again } => {
                 self.begin(Kind::Stop, "stop");
                 if let Some(after) = again {
@@ -270,6 +279,25 @@ impl Show<'_> {
         };
         let until = if matches!(fault, Fault::Killed | Fault::Stranded) { i64::MAX } else { until };
         self.note(Some(robot), What::Robot(fault), from, until);
+    }
+
+    /// When all has been said, who was cut off or frozen for good goes on: with what it still may do.
+    fn end_all_faults(&mut self) {
+        let lasting = |struck: &Struck| match struck.what {
+            What::Robot(fault) if struck.until == i64::MAX => Some((struck.robot?, fault)),
+            _ => None,
+        };
+        let lasting: Vec<_> = self.struck.get_mut().unwrap().iter().filter_map(lasting).collect();
+        lasting.into_iter().for_each(|(robot, fault)| self.fault_ends(robot, fault));
+        let now = epoch_nanos();
+        let ends = |struck: &&mut Struck| {
+            struck.until == i64::MAX
+                && !matches!(
+                    struck.what,
+                    What::Robot(Fault::Killed | Fault::Stranded) | What::SchedulerKilled
+                )
+        };
+        self.struck.get_mut().unwrap().iter_mut().filter(ends).for_each(|struck| struck.until = now);
     }
 
     fn fault_begins(&self, robot: usize, fault: Fault) {

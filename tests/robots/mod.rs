@@ -301,6 +301,7 @@ pub struct Running {
 }
 
 /// How it ended.
+#[derive(Clone)]
 pub struct Ended {
     pub code: Option<i32>,
     pub out: String,
