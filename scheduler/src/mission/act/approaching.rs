@@ -75,9 +75,10 @@ impl Approach {
         Self { taken_up: Some(now), ..Self::beginning(now) }
     }
 
-    /// Whether a robot that has not said that it holds its scripts has failed, or had no time to.
+    /// Whether a robot that has not said that it holds its scripts has failed. Where this process comes too late itself, its
+    /// word may not have been read, or it was not asked in time.
     fn blames_silence(&self, now: Timestamp<Server>, timing: &Timing) -> bool {
-        self.taken_up.is_none_or(|at| now - at >= timing.lead.lease)
+        now <= self.commit_by(timing) && self.taken_up.is_none_or(|at| now - at >= timing.lead.lease)
     }
 
     pub(super) const fn recorded(&mut self) {
