@@ -62,7 +62,7 @@ impl Act {
                 };
                 let (shift, id) = (promised.shift, promised.request_id.clone());
                 member.shift = shift;
-                member.name(index, Some(id));
+                member.taken_up(index, id);
             }
         }
         act.timing = Some(act.timing_of(promise));
