@@ -38,6 +38,7 @@ struct Tally {
     outcomes: BTreeMap<String, u32>,
     acts: BTreeMap<&'static str, u32>,
     busy: u32,
+    greetings: u32,
     violations: Vec<String>,
 }
 
@@ -54,6 +55,7 @@ impl Tally {
         verdict.acts.iter().for_each(|how| *self.acts.entry(how).or_default() += 1);
         let busy = !verdict.busy.is_empty() || verdict.acts.contains(&"the machine was busy");
         self.busy += u32::from(busy);
+        self.greetings += verdict.greetings;
         if !verdict.wrong.is_empty() {
             let wrong = verdict.wrong.join("\n  ");
             println!("mission {}: {wrong}", played.drawn.seed);
@@ -67,6 +69,7 @@ impl Tally {
         println!("acts that were promised:");
         self.acts.iter().for_each(|(what, count)| println!("{count:5}  {what}"));
         println!("{:5}  missions with something late or silent because the machine was busy", self.busy);
+        println!("{:5}  robots blamed because the scheduler stood still in the greeting", self.greetings);
     }
 
     /// The share of acts that some robots started and others, that were not left out before, did not.

@@ -12,6 +12,8 @@ use super::robots::{Logged, nanos};
 const MILLIS: i64 = 1_000_000;
 /// A robot that is held up longer over a start does not start.
 const START_LATE: i64 = 51 * MILLIS;
+/// A step that comes so late on a busy machine, and is reported as late, is excused and counted.
+const STEP_LATE: i64 = 500 * MILLIS;
 /// Messages that are under way, both ways, and what a process takes to handle them.
 const UNDER_WAY: i64 = (2 * DELAY_MS as i64 + 20) * MILLIS;
 /// A message that is later than so much before the start may take back the start of some robots and not of others: three
@@ -21,6 +23,9 @@ const NO_RETURN: i64 = 3 * UNDER_WAY + 40 * MILLIS;
 const AT_REST: i64 = 3_000 * MILLIS;
 /// When a scheduler that does not answer is given up by `downbeat stop`.
 const GIVEN_UP: i64 = 1_000 * MILLIS;
+/// A machine that was busy for so long, and so shortly before the end, may make a robot seem silent.
+const HELD_UP: i64 = 30 * MILLIS;
+const SHORTLY: i64 = 3_000 * MILLIS;
 /// What starting a process takes on a busy machine.
 const PROCESS: i64 = 500 * MILLIS;
 
@@ -32,6 +37,8 @@ pub struct Verdict {
     pub acts: Vec<&'static str>,
     /// What the machine's being busy excused otherwise.
     pub busy: Vec<String>,
+    /// How many robots were blamed because the scheduler stood still before anything was promised.
+    pub greetings: u32,
 }
 
 pub fn judge(played: &Played) -> Verdict {
@@ -308,7 +315,7 @@ impl Judge<'_> {
                     && struck.until >= due
             });
             let behind = off > late + 10 * MILLIS && !frozen;
-            match behind && off > late + held_up::longest(due, entry.at) + START_LATE {
+            match behind && off > late + held_up::longest(due, entry.at) + STEP_LATE {
                 true => self.say(true, || format!("(late) {}", what())),
                 false if behind => self.verdict.busy.push(what()),
                 false => {}
@@ -503,8 +510,13 @@ impl Judge<'_> {
         if struck || (scheduler && failure["failure"] == "script") {
             return;
         }
-        let first = self.played.told.iter().map(|told| told.began).min().unwrap_or(0);
-        match held_up::longest(first, told.gone) > 0 {
+        // Before anything was promised the scheduler's own standing still counts as the robots' silence.
+        let promised = self.promises.iter().any(|promise| promise.sent <= told.gone);
+        if scheduler && !promised {
+            self.verdict.greetings += 1;
+            return;
+        }
+        match held_up::longest(told.gone - SHORTLY, told.gone) > HELD_UP {
             true => self.verdict.busy.push(format!("r{robot} was blamed")),
             false => self.verdict.wrong.push(format!("(blame) nothing befell it: {failure}")),
         }
