@@ -165,10 +165,13 @@ enum Way {
     FromRobot,
 }
 
+/// Lines under way, each with the instant at which it arrives.
+type UnderWay = (Sender<(Instant, Vec<u8>)>, std::thread::JoinHandle<()>);
+
 /// One way of a connection: at once, or from the first delay on by a thread that keeps the order.
 struct Outlet {
     to: TcpStream,
-    later: Option<(Sender<(Instant, Vec<u8>)>, std::thread::JoinHandle<()>)>,
+    later: Option<UnderWay>,
 }
 
 impl Outlet {
