@@ -28,9 +28,9 @@ use play::{Kind, Played, play};
 /// Missions that are played at once: they sleep most of the time.
 const AT_ONCE: usize = 4;
 /// Of the acts that were promised, so many may start on a part of their robots, for whatever reason.
-const MIXED_MAX: f64 = 0.15;
+const MIXED_MAX: f64 = 0.12;
 /// Of the missions, so many may be excused somewhere by a machine that was too busy.
-const BUSY_MAX: f64 = 0.25;
+const BUSY_MAX: f64 = 0.15;
 
 /// What came of all missions.
 #[derive(Default)]
