@@ -140,8 +140,13 @@ impl DeviceMachine {
     }
 
     fn lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
+        self.pending_lease_end(heard).into_iter().chain(self.running_lease_end(heard)).min()
+    }
+
+    /// When the first lease of what has not begun ends.
+    fn pending_lease_end(&self, heard: &LastHeard) -> Option<Timestamp<Robot>> {
         let pending = self.queue.iter().filter(|held| !held.began);
-        pending.filter_map(|held| held.lease_end(heard)).chain(self.running_lease_end(heard)).min()
+        pending.filter_map(|held| held.lease_end(heard)).min()
     }
 
     /// When the first lease of what runs, or of a rate left on, ends.
@@ -151,12 +156,17 @@ impl DeviceMachine {
         running.filter_map(|held| held.lease_end(heard)).chain(guards).min()
     }
 
-    /// Does everything due at or before `now`, in the order of its time.
+    /// Does everything due at or before `now`, in the order of its time. Only the lease of what runs comes first once it has
+    /// ended: a robot that was held up would do now what was due before.
     pub(crate) fn advance(&mut self, now: Timestamp<Robot>, heard: &LastHeard, effects: &mut Vec<Effect>) {
         loop {
-            let lease_end = self.lease_end(heard).filter(|end| *end <= now);
+            if let Some(end) = self.running_lease_end(heard).filter(|end| *end <= now) {
+                self.lease_ended(end, heard, effects);
+                continue;
+            }
+            let pending_end = self.pending_lease_end(heard).filter(|end| *end <= now);
             let event = self.queue.front().and_then(Held::next_event).filter(|at| *at <= now);
-            match (lease_end, event) {
+            match (pending_end, event) {
                 (Some(end), event) if event.is_none_or(|event| end <= event) => {
                     self.lease_ended(end, heard, effects);
                 }

@@ -55,6 +55,10 @@ pub struct Robot {
     pub link: Option<Proxy>,
     process: Process,
     init: String,
+    /// What its process is told besides.
+    args: Vec<String>,
+    /// What the fleet file says of it besides.
+    keys: &'static str,
     port: u16,
     logs: Vec<PathBuf>,
 }
@@ -81,11 +85,17 @@ impl Stage {
 
     /// Starts a robot of this initialization block and adds it to the fleet file; returns its index.
     pub fn robot(&mut self, init: &str, via: Via) -> usize {
+        self.robot_with(init, via, Vec::new(), "")
+    }
+
+    /// The same, with further arguments of its process, and further keys in the fleet file.
+    pub fn robot_with(&mut self, init: &str, via: Via, args: Vec<String>, keys: &'static str) -> usize {
         let id = format!("r{}", self.robots.len());
         let log = self.path(&format!("{id}-0.jsonl"));
-        let (process, port) = start(self.folder.path(), init, &id, 0, &log);
+        let (process, port) = start(self.folder.path(), init, &args, &id, 0, &log);
         let link = (via == Via::Proxy).then(|| Proxy::to(port));
-        self.robots.push(Robot { id, link, process, init: init.to_owned(), port, logs: vec![log] });
+        let (init, logs) = (init.to_owned(), vec![log]);
+        self.robots.push(Robot { id, link, process, init, args, keys, port, logs });
         self.write_fleet();
         self.robots.len() - 1
     }
@@ -93,7 +103,8 @@ impl Stage {
     fn write_fleet(&self) {
         let row = |robot: &Robot| {
             let port = robot.link.as_ref().map_or(robot.port, |link| link.port);
-            format!("  {}: {{init: {}, address: \"tcp://127.0.0.1:{port}\"}}\n", robot.id, robot.init)
+            let Robot { id, init, keys, .. } = robot;
+            format!("  {id}: {{init: {init}, address: \"tcp://127.0.0.1:{port}\"{keys}}}\n")
         };
         let rows: String = self.robots.iter().map(row).collect();
         let ids: Vec<_> = self.robots.iter().map(|robot| robot.id.as_str()).collect();
@@ -108,12 +119,18 @@ impl Stage {
 
     /// Ends a robot's process; a robot with an id of its own takes over its port. Its log is the newest of the old one's.
     pub fn replace(&mut self, index: usize, id: &str) {
+        let args = self.robots[index].args.clone();
+        self.replace_with(index, id, args);
+    }
+
+    /// The same, with other arguments of its process.
+    pub fn replace_with(&mut self, index: usize, id: &str, args: Vec<String>) {
         self.robots[index].kill();
         let robot = &self.robots[index];
         let log = self.path(&format!("{}-{}.jsonl", robot.id, robot.logs.len()));
-        let (process, _) = start(self.folder.path(), &robot.init, id, robot.port, &log);
+        let (process, _) = start(self.folder.path(), &robot.init, &args, id, robot.port, &log);
         let robot = &mut self.robots[index];
-        robot.process = process;
+        (robot.process, robot.args) = (process, args);
         robot.logs.push(log);
     }
 
@@ -136,9 +153,9 @@ impl Stage {
     }
 }
 
-fn start(folder: &Path, init: &str, id: &str, port: u16, log: &Path) -> (Process, u16) {
+fn start(folder: &Path, init: &str, args: &[String], id: &str, port: u16, log: &Path) -> (Process, u16) {
     let mut command = Command::new(PROGRAM);
-    command.args(["robot", "--init", init, "--id", id, "--listen", &format!("127.0.0.1:{port}")]);
+    command.args(["robot", "--init", init, "--id", id, "--listen", &format!("127.0.0.1:{port}")]).args(args);
     command.arg("--log-file").arg(log).current_dir(folder).stdout(Stdio::piped()).stderr(Stdio::null());
     let mut process = Process(command.spawn().unwrap());
     let mut line = String::new();
@@ -203,6 +220,8 @@ impl Robot {
 /// One line of a robot's log.
 #[derive(Clone, Debug)]
 pub struct Logged {
+    /// What the process calls itself.
+    pub robot: String,
     /// By the one clock of the host, in nanoseconds since the Unix epoch.
     pub at: i64,
     /// By the robot's own clock, as `due` is.
@@ -221,6 +240,7 @@ impl Logged {
         let entry: Value = serde_json::from_str(line).ok()?;
         let text = |key: &str| entry[key].as_str().unwrap_or_default().to_owned();
         Some(Self {
+            robot: text("robot"),
             at: entry["true_ns"].as_i64()?,
             set_at: nanos(entry["set_at"].as_str()?),
             due: nanos(entry["due"].as_str()?),
@@ -287,6 +307,7 @@ pub struct Running {
 }
 
 /// How it ended.
+#[derive(Clone)]
 pub struct Ended {
     pub code: Option<i32>,
     pub out: String,

@@ -2,8 +2,9 @@
 
 use std::io::{BufRead, BufReader, ErrorKind, Write};
 use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
@@ -16,6 +17,8 @@ enum Flow {
     Frozen,
     /// Connections stand; what the robot says passes, and nothing reaches it.
     Deaf,
+    /// Connections stand; what is said to the robot reaches it, and nothing that it says passes.
+    Dumb,
     /// No connection stands; who connects waits.
     Interrupted,
     /// No connection stands, and further ones are refused, as if no process listened.
@@ -34,6 +37,8 @@ struct Link {
     /// So many connections are still reset as soon as the robot has been written to.
     resets: u32,
     lines_lost: u32,
+    /// Connections of earlier generations stand and carry nothing any more.
+    generation: u32,
     /// Keys that the robot's answers lose.
     without: &'static [&'static str],
     /// How long each line takes, either way.
@@ -65,6 +70,7 @@ impl Proxy {
             lose: None,
             resets: 0,
             lines_lost: 0,
+            generation: 0,
             without: &[],
             delay: Duration::ZERO,
             rewrite: None,
@@ -83,6 +89,16 @@ impl Proxy {
     /// Nothing reaches the robot from now on; what it says passes.
     pub fn deafen(&self) {
         self.shared.set(Flow::Deaf);
+    }
+
+    /// Nothing that the robot says passes from now on; what is said to it does.
+    pub fn silence(&self) {
+        self.shared.set(Flow::Dumb);
+    }
+
+    /// What stands now is dead for good: what is sent on it is lost, and neither end hears that. Later connections work.
+    pub fn strand(&self) {
+        self.shared.lock().generation += 1;
     }
 
     /// Every connection is closed; later ones stand and nothing passes, as if the robot were out of reach.
@@ -149,6 +165,53 @@ enum Way {
     FromRobot,
 }
 
+/// Lines under way, each with the instant at which it arrives.
+type UnderWay = (Sender<(Instant, Vec<u8>)>, std::thread::JoinHandle<()>);
+
+/// One way of a connection: at once, or from the first delay on by a thread that keeps the order.
+struct Outlet {
+    to: TcpStream,
+    later: Option<UnderWay>,
+}
+
+impl Outlet {
+    const fn new(to: TcpStream) -> Self {
+        Self { to, later: None }
+    }
+
+    /// Whether the connection still stands, as far as is known.
+    fn write(&mut self, line: Vec<u8>, delay: Duration) -> bool {
+        if self.later.is_none() && delay.is_zero() {
+            return self.to.write_all(&line).is_ok();
+        }
+        let to = &self.to;
+        let (sender, _) = self.later.get_or_insert_with(|| {
+            let (sender, lines) = channel();
+            let to = to.try_clone().unwrap();
+            (sender, std::thread::spawn(move || deliver(&lines, to)))
+        });
+        sender.send((Instant::now() + delay, line)).is_ok()
+    }
+
+    /// What is under way still arrives.
+    fn end(self) {
+        if let Some((sender, thread)) = self.later {
+            drop(sender);
+            thread.join().unwrap();
+        }
+    }
+}
+
+fn deliver(lines: &Receiver<(Instant, Vec<u8>)>, mut to: TcpStream) {
+    for (due, line) in lines {
+        std::thread::sleep(due.saturating_duration_since(Instant::now()));
+        if to.write_all(&line).is_err() {
+            let _closed = to.shutdown(Shutdown::Both);
+            return;
+        }
+    }
+}
+
 /// What to do with a line.
 enum Pass {
     On,
@@ -190,12 +253,14 @@ impl Shared {
                     Err(error) => assert_eq!(error.kind(), ErrorKind::WouldBlock, "{error}"),
                 }
             }
-            std::thread::sleep(Duration::from_millis(1));
+            std::thread::sleep(Duration::from_millis(3));
         }
     }
 
     fn carry(self: &Arc<Self>, client: &TcpStream) {
-        let robot = self.lock().robot;
+        let link = self.lock();
+        let (robot, generation) = (link.robot, link.generation);
+        drop(link);
         client.set_nonblocking(false).unwrap();
         let Ok(robot) = TcpStream::connect(("127.0.0.1", robot)) else { return };
         let copy = |stream: &TcpStream| stream.try_clone().unwrap();
@@ -206,19 +271,24 @@ impl Shared {
         let (to, back) = (Arc::clone(self), Arc::clone(self));
         let (client_in, robot_out) = (copy(client), copy(&robot));
         let (robot_in, client_out) = (copy(&robot), copy(client));
-        std::thread::spawn(move || to.pump(Way::ToRobot, client_in, robot_out));
-        std::thread::spawn(move || back.pump(Way::FromRobot, robot_in, client_out));
+        std::thread::spawn(move || to.pump(Way::ToRobot, generation, client_in, robot_out));
+        std::thread::spawn(move || back.pump(Way::FromRobot, generation, robot_in, client_out));
     }
 
-    fn pump(self: &Arc<Self>, way: Way, from: TcpStream, mut to: TcpStream) {
+    fn pump(self: &Arc<Self>, way: Way, generation: u32, from: TcpStream, to: TcpStream) {
         let ends = [from.try_clone().unwrap(), to.try_clone().unwrap()];
         let mut lines = BufReader::new(from);
         let mut line = Vec::new();
+        let mut outlet = Outlet::new(to);
         while lines.read_until(b'\n', &mut line).is_ok_and(|n| n > 0) {
             let link = self.lock();
             let mut link = self.changed.wait_while(link, |link| link.holds_back(way)).unwrap();
             if matches!(link.flow, Flow::Interrupted | Flow::Cut | Flow::Ended) {
                 break;
+            }
+            if link.generation != generation {
+                line.clear();
+                continue;
             }
             let pass = match way {
                 Way::ToRobot => link.said_to_robot(&line),
@@ -226,9 +296,8 @@ impl Shared {
             };
             let delay = link.delay;
             drop(link);
-            std::thread::sleep(delay);
             match pass {
-                Pass::On if to.write_all(&line).is_ok() => line.clear(),
+                Pass::On if outlet.write(std::mem::take(&mut line), delay) => {}
                 Pass::On | Pass::Break => break,
                 Pass::Lose(away) => {
                     self.interrupt_for(away);
@@ -236,8 +305,12 @@ impl Shared {
                 }
             }
         }
-        for end in ends {
-            let _closed = end.shutdown(Shutdown::Both);
+        outlet.end();
+        // The other end of a dead connection does not hear that this one has closed it.
+        if self.lock().generation == generation {
+            for end in ends {
+                let _closed = end.shutdown(Shutdown::Both);
+            }
         }
     }
 
@@ -257,7 +330,7 @@ impl Link {
     fn holds_back(&self, way: Way) -> bool {
         match way {
             Way::ToRobot => matches!(self.flow, Flow::Frozen | Flow::Deaf),
-            Way::FromRobot => self.flow == Flow::Frozen,
+            Way::FromRobot => matches!(self.flow, Flow::Frozen | Flow::Dumb),
         }
     }
 

@@ -699,7 +699,8 @@ static void go_on(struct device *device, struct command *c, int64_t now)
     }
 }
 
-/* Does what is due in the order of time, at one instant leases before steps; returns when the next thing is due. */
+/* Does what is due in the order of time, at one instant leases before steps; returns when the next thing is due. The lease of
+   what runs comes first once it has ended: whoever was held up would do now what was due before. */
 static int64_t run(void)
 {
     for (;;) {
@@ -711,6 +712,8 @@ static int64_t run(void)
         for (device = devices; device < devices + device_count; device++) {
             for (i = 0; i < KINDS; i++) {
                 at = device->tails[i].there ? device->tails[i].heard + shift + device->tails[i].limit : NEVER;
+                if (at <= now)
+                    at = INT64_MIN;
                 if (at < due || (at == due && at < NEVER && what != LEASE))
                     due = at, what = LEASE, of = device;
             }
@@ -718,6 +721,8 @@ static int64_t run(void)
                 if (!c->held)
                     continue;
                 at = lease_ends(c, shift);
+                if (c->begun && at <= now)
+                    at = INT64_MIN;
                 if (at < due || (at == due && at < NEVER && what > (c->begun ? LEASE : PENDING)))
                     due = at, what = c->begun ? LEASE : PENDING, of = device, with = c;
                 at = c->begun ? c->start + c->steps[c->done].offset : c->start;

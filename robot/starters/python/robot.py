@@ -146,14 +146,16 @@ class Robot:
         self.devices = {spec["id"]: Device(spec) for spec in BLOCK["devices"]}
         self.timer = asyncio.get_running_loop().call_soon(self.run)
     def run(self):
-        """Does what is due, by time, at one instant leases before steps; comes back when the next thing is due."""
+        """Does what is due, by time, at one instant leases before steps; comes back when the next thing is due. Once the
+        lease of what runs has ended it comes first: a robot that was held up would do now what was due before."""
         while True:
             now, due = time.time_ns(), [(NEVER, 0, [], None)]
             shift = now - time.monotonic_ns()   # leases count silence, whatever the clock is set to
             for device in self.devices.values():
                 for c in device.held + device.left_on:
                     ends = c.lease_ends(shift + (self.owner_heard if c.session else c.link.heard))
-                    due.append((ends, int(c.passed == 0), c.times, self.lose, device, c))
+                    over = c.passed > 0 and ends <= now
+                    due.append((0 if over else ends, int(c.passed == 0), c.times, self.lose, device, c))
                 due += [(c.times[c.passed], 2, c.times, self.go_on, device, c) for c in device.held]
             at, _, _, act, *what = min(due, key=lambda each: each[:3])
             if at > now:

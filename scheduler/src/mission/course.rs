@@ -10,7 +10,7 @@ use super::act::{Act, ActAction, act_name};
 use super::facts::ActReport;
 use super::fates::ActFate;
 use super::record::Record;
-use super::robot_state::{Reading, Rest, Standing};
+use super::robot_state::{Reading, Rest, RobotState, Standing};
 use super::{Action, Mission, Outcome, Phase, Progress};
 
 /// Reports of acts are kept as long as they have no more rows than this in all.
@@ -157,11 +157,13 @@ impl Mission {
 
     /// What may be said of a mission that came to its end.
     fn outcome_at_the_end(&self) -> Outcome {
-        if self.robots.iter().any(|robot| robot.standing == Standing::Out) {
-            return Outcome::DoneWithout;
-        }
-        if self.robots.iter().any(|robot| robot.totals.unaccounted > 0) {
+        let is_out = |robot: &RobotState| robot.standing == Standing::Out;
+        // Of those that were left out nothing is promised.
+        if self.robots.iter().any(|robot| !is_out(robot) && robot.totals.unaccounted > 0) {
             return Outcome::Unknown;
+        }
+        if self.robots.iter().any(is_out) {
+            return Outcome::DoneWithout;
         }
         if let Some(flaw) = &self.flaw_of_starts {
             return flaw.clone();

@@ -21,7 +21,10 @@ impl Act {
         let state = &member.scripts()[script];
         let begins = timing.start + state.plan.start.span();
         let plays = state.is_unaccounted() && now < begins + state.plan.script.duration();
-        let nothing = matches!(state.state(), ScriptState::Planned | ScriptState::Ended(Ending::Failed(_)));
+        let nothing = match state.state() {
+            ScriptState::Planned => !state.is_unaccounted(),
+            state => matches!(state, ScriptState::Ended(Ending::Failed(_))),
+        };
         if nothing || !(plays || robot.stop_was_sent()) {
             return None;
         }

@@ -86,6 +86,8 @@ pub(crate) struct Script {
     /// When the question was sent that it last answered with "held".
     held_at: Option<Timestamp<Server>>,
     sent_at: Option<Timestamp<Server>>,
+    /// Another process may have sent it before this one took over, and its robot has not said.
+    perhaps_sent: bool,
 }
 
 impl Script {
@@ -106,6 +108,7 @@ impl Script {
             accepted_at: None,
             held_at: None,
             sent_at: None,
+            perhaps_sent: false,
         }
     }
 
@@ -166,9 +169,11 @@ impl Script {
         matches!(self.state, ScriptState::Sent | ScriptState::Held | ScriptState::Running)
     }
 
-    /// Sent, and no message said what became of it.
+    /// Sent, or perhaps sent by another process, and no message said what became of it.
     pub(crate) const fn is_unaccounted(&self) -> bool {
-        self.is_out() || matches!(self.state, ScriptState::Unknown)
+        self.is_out()
+            || matches!(self.state, ScriptState::Unknown)
+            || (self.is_planned() && self.perhaps_sent)
     }
 
     pub(crate) const fn has_completed(&self) -> bool {
@@ -188,6 +193,11 @@ impl Script {
         self.request_id = id;
     }
 
+    /// This process takes over from another one, which may have sent it.
+    pub(super) const fn taken_up(&mut self) {
+        self.perhaps_sent = true;
+    }
+
     pub(super) fn sent(&mut self, now: Timestamp<Server>) {
         self.state = ScriptState::Sent;
         self.sent_at = Some(now);
@@ -204,6 +214,7 @@ impl Script {
     /// it answered to this one.
     pub(super) fn refused_for_now(&mut self) {
         self.state = ScriptState::Planned;
+        self.perhaps_sent = false;
         let again = self.request_id.as_ref().map(|id| RequestId::new(format!("{id}+")));
         self.request_id = again.and_then(Result::ok);
     }
@@ -287,6 +298,10 @@ impl Script {
     fn unknown_to_the_robot(&mut self, asked_at: Timestamp<Server>, said_at: Timestamp<Robot>) -> News {
         match self.state {
             ScriptState::Sent if self.sent_at.is_none_or(|sent| sent < asked_at) => News::NeverReceived,
+            ScriptState::Planned => {
+                self.perhaps_sent = false;
+                News::None
+            }
             ScriptState::Held | ScriptState::Running | ScriptState::Unknown
                 if self.accepted_at.is_none_or(|at| at < said_at) =>
             {

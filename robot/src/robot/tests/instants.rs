@@ -87,6 +87,23 @@ fn a_robot_that_was_held_up_over_a_start_lets_it_be() {
 }
 
 #[test]
+fn a_robot_that_was_held_up_beyond_its_lease_does_no_step_that_was_due_before() {
+    for (woke, set) in [(2_499, vec![(1_000, 45.0), (2_000, 0.0)]), (2_500, vec![(1_000, 45.0)])] {
+        let mut bench = Bench::new();
+        let mut request = timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER));
+        request.stop_condition = lease(2_500.0, 2_500.0);
+        bench.request(request);
+        bench.until(1_500);
+        bench.now = at(woke);
+        let Bench { robot, now, out } = &mut bench;
+        robot.advance(*now, out);
+        assert_eq!(bench.values(), set, "woke up at {woke}");
+        let lost = bench.statuses().last().is_some_and(|status| status == "Failed link_lost");
+        assert_eq!(lost, woke == 2_500, "{:?}", bench.statuses());
+    }
+}
+
+#[test]
 fn what_a_stop_has_overtaken_is_taken_back_when_it_arrives() {
     let mut bench = Bench::new();
     let mut stop = at_once("arm", "stop", Command::Script(Script::cancel()));

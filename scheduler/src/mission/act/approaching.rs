@@ -38,6 +38,8 @@ pub(crate) struct Approach {
     on_disk: OnDisk,
     /// Members before it have answered one of the last two rounds.
     heard: usize,
+    /// When this process took over from the one that decided.
+    taken_up: Option<Timestamp<Server>>,
 }
 
 /// A committed act that has not started everywhere.
@@ -65,7 +67,18 @@ enum Told {
 impl Approach {
     /// The first round is sent at once.
     pub(super) const fn beginning(now: Timestamp<Server>) -> Self {
-        Self { wakeup: now, rounds: [now, now], on_disk: OnDisk::Nothing, heard: 0 }
+        Self { wakeup: now, rounds: [now, now], on_disk: OnDisk::Nothing, heard: 0, taken_up: None }
+    }
+
+    /// Another process has decided: robots may not have been asked by this one before it is too late.
+    pub(super) const fn taken_up(now: Timestamp<Server>) -> Self {
+        Self { taken_up: Some(now), ..Self::beginning(now) }
+    }
+
+    /// Whether a robot that has not said that it holds its scripts has failed. Where this process comes too late itself, its
+    /// word may not have been read, or it was not asked in time.
+    fn blames_silence(&self, now: Timestamp<Server>, timing: &Timing) -> bool {
+        now <= self.commit_by(timing) && self.taken_up.is_none_or(|at| now - at >= timing.lead.lease)
     }
 
     pub(super) const fn recorded(&mut self) {
@@ -198,16 +211,21 @@ impl Act {
         since: Timestamp<Server>,
         robots: &[RobotState],
     ) -> Vec<(usize, FailureKind)> {
+        let blamed = match (&self.stage, &self.timing) {
+            (Stage::Approaching(approach), Some(timing)) => approach.blames_silence(now, timing),
+            _ => true,
+        };
         let short = self.present().filter(|member| !member.holds_since(&robots[member.robot], since));
-        let short = short.map(|member| {
+        let short = short.filter_map(|member| {
             let kind = match robots[member.robot].broken() {
                 Some(reason) => FailureKind::LinkDown { reason: reason.to_owned() },
-                None => {
+                None if blamed => {
                     let awaited = "word shortly before the start that it holds its scripts".to_owned();
                     FailureKind::Silent { awaited, within: now - since }
                 }
+                None => return None,
             };
-            (member.robot, kind)
+            Some((member.robot, kind))
         });
         let tolerance = self.written().plan.start_tolerance;
         let skew = SkewBudget::of_sent(self.present(), robots, tolerance, now);

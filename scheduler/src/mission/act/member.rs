@@ -72,6 +72,12 @@ impl Member {
         self.scripts[script].name(id);
     }
 
+    /// Another process named it, and may have sent it.
+    pub(super) fn taken_up(&mut self, script: usize, id: RequestId) {
+        self.scripts[script].name(Some(id));
+        self.scripts[script].taken_up();
+    }
+
     /// The scripts that are under way: those that were sent and have not completed, and the next one of each device.
     pub(crate) fn under_way(&self) -> impl Iterator<Item = (usize, &Script)> {
         let of_chain = |chain: &Chain| chain.completed..chain.end.min(chain.unsent + 1);

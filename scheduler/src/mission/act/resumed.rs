@@ -62,12 +62,12 @@ impl Act {
                 };
                 let (shift, id) = (promised.shift, promised.request_id.clone());
                 member.shift = shift;
-                member.name(index, Some(id));
+                member.taken_up(index, id);
             }
         }
         act.timing = Some(act.timing_of(promise));
         act.stage = match reached {
-            Reached::Decision => Stage::Approaching(Approach::beginning(now)),
+            Reached::Decision => Stage::Approaching(Approach::taken_up(now)),
             Reached::Commitment => {
                 act.begin(now);
                 act.stage

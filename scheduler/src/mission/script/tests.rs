@@ -149,6 +149,23 @@ fn an_unknown_script_was_never_received_lost_or_asked_about_too_early() {
 }
 
 #[test]
+fn a_script_that_another_process_may_have_sent_is_unaccounted_until_its_robot_has_said() {
+    let taken_up = || {
+        let mut script = Script::new(&bench::device_script(("a", 0, 400)));
+        script.name(RequestId::new("id").ok());
+        script.taken_up();
+        assert!(script.is_planned() && script.is_unaccounted());
+        script
+    };
+    let mut never_sent = taken_up();
+    assert_eq!(take(&mut never_sent, Said::Unknown, 1), News::None);
+    assert!(never_sent.is_planned() && !never_sent.is_unaccounted());
+    let mut played = taken_up();
+    assert_eq!(take(&mut played, Said::EndedWell(Some(2)), 1), News::Completed);
+    assert!(!played.is_unaccounted());
+}
+
+#[test]
 fn a_script_without_a_report_becomes_unknown_and_may_still_be_heard_of() {
     let mut script = sent();
     script.lapse();

@@ -118,6 +118,19 @@ fn a_slow_disk_withdraws_the_act_while_nothing_has_moved() {
 }
 
 #[test]
+fn a_process_that_stood_still_over_the_commitment_blames_no_robot_whose_word_it_has_not_read() {
+    for leases in [Leases::Shortened, Leases::Fixed] {
+        let mut bench = Bench::of_three(Policy::Without);
+        bench.decide(leases);
+        bench.run_until(bench.timing().critical() - ms(30));
+        bench.now = bench.timing().brink();
+        bench.pump();
+        assert!(bench.failed.is_empty(), "{leases:?} {:?}", bench.failed);
+        assert!(matches!(bench.withdrawn, Some((_, Outcome::CommitmentLate { .. }))), "{leases:?}");
+    }
+}
+
+#[test]
 fn a_clock_that_was_set_after_the_decision_is_a_failure_before_the_commitment() {
     let mut bench = Bench::of_three(Policy::Abort);
     bench.decide(Leases::Shortened);

@@ -49,6 +49,17 @@ fn an_act_that_was_only_decided_is_committed_if_there_is_time_and_else_withdrawn
 }
 
 #[test]
+fn no_robot_is_blamed_for_a_process_that_took_over_too_late_to_ask_it() {
+    for before_start in [200, 69, 20, -500] {
+        let mut bench = taken_up(Reached::Decision, ms(before_start));
+        bench.run_until(bench.start().max(bench.now));
+        assert!(bench.failed.is_empty(), "{before_start}: {:?}", bench.failed);
+        let withdrawn = bench.withdrawn.as_ref().map(|(_, outcome)| outcome);
+        assert!(matches!(withdrawn, Some(Outcome::CommitmentLate { .. })), "{before_start}: {withdrawn:?}");
+    }
+}
+
+#[test]
 fn an_act_that_was_only_decided_is_sent_again_where_it_never_came_and_not_committed_where_it_is_lost() {
     let mut bench = taken_up(Reached::Decision, ms(330));
     bench.sent.clear();
