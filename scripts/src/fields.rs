@@ -5,6 +5,7 @@ use std::cell::Cell;
 
 use crate::budget::{Budget, COMPARISONS_MAX, FINDINGS_MAX, KNOTS_MAX, longest};
 use crate::duration;
+use crate::exact::{Exact, Laps};
 use crate::finding::{Code, Part, Pending, Place, Severity, names, nearest};
 use crate::music::Music;
 use crate::node::{Node, shortened};
@@ -338,10 +339,15 @@ impl Reader {
         }
     }
 
-    /// A length of time, in seconds and their kind or in beats and bars.
+    /// A length of time, in seconds and their kind or in beats and bars, as it is on the clock from the cue's start on.
     pub(crate) fn duration(&mut self, at: &At<'_>) -> Option<Span> {
+        self.exact(at).map(|length| self.music.start.lay(length))
+    }
+
+    /// The same before it is rounded.
+    pub(crate) fn exact(&mut self, at: &At<'_>) -> Option<Exact> {
         let (found, hint) = match self.scalar(at)?.as_ref() {
-            Node::Text(text) => return self.time(at, text),
+            Node::Text(text) => return self.exact_time(at, text),
             Node::Number(value) => {
                 let hint = format!("add the unit: `{value}s` or `{value}ms`");
                 (format!("the time {value} has no unit"), Some(hint))
@@ -352,21 +358,31 @@ impl Reader {
         None
     }
 
-    /// The same from a part of a text.
+    /// So long a time again and again, from the cue's start on.
+    pub(crate) fn laps(&self, length: Exact) -> Laps {
+        Laps { length, from: self.music.start }
+    }
+
+    /// A length of time from a part of a text.
     pub(crate) fn time(&mut self, at: &At<'_>, text: &str) -> Option<Span> {
+        self.exact_time(at, text).map(|length| self.music.start.lay(length))
+    }
+
+    /// The same before it is rounded.
+    pub(crate) fn exact_time(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
         let text = text.trim();
         if let Some(name) = text.strip_prefix('$') {
             let value = self.scope.get(name).cloned();
             return match value {
-                Some(node @ (Node::Text(_) | Node::Number(_))) => self.duration(&At { node: &node, ..*at }),
+                Some(node @ (Node::Text(_) | Node::Number(_))) => self.exact(&At { node: &node, ..*at }),
                 _ => self.variable(at, text).and(None),
             };
         }
         if let Some(span) = duration::parse_duration(text) {
-            return Some(span);
+            return Some(span.into());
         }
         match self.music.span(text) {
-            Some(Ok(span)) => return self.no_longer(at, text, span),
+            Some(Ok(length)) => return self.no_longer(at, text, length),
             Some(Err(why)) => {
                 let expected = "a `tempo`, and a fixed start where it changes";
                 self.add(Code::Music, at.place(), why.message(text), expected, Some(why.hint().to_owned()));
@@ -380,9 +396,9 @@ impl Reader {
     }
 
     /// Beats and bars may be more than a time can hold.
-    pub(crate) fn no_longer(&mut self, at: &At<'_>, text: &str, span: Span) -> Option<Span> {
-        if span <= longest() {
-            return Some(span);
+    pub(crate) fn no_longer(&mut self, at: &At<'_>, text: &str, length: Exact) -> Option<Exact> {
+        if length.rounded_down() <= longest() {
+            return Some(length);
         }
         let message = format!("`{}` is too long a time", shortened(text));
         let hint = Some("write less, or a faster `tempo`".to_owned());

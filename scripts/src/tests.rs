@@ -219,3 +219,5 @@ proptest! {
         check_laws(&text);
     }
 }
+
+mod numbers;

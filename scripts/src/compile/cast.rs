@@ -5,6 +5,7 @@ use std::collections::{HashMap, HashSet};
 
 use urrcp::{ControlType, Device, RobotId, Span};
 
+use crate::exact::Laps;
 use crate::fields::Reader;
 use crate::finding::{Code, names};
 use crate::fleet::{Fleet, FleetRobot, RateLimits};
@@ -166,7 +167,7 @@ impl<'a> Cast<'a> {
         let mut members = Members::default();
         for (index, &robot) in robots.iter().enumerate() {
             let movement = overridden.get(&robot).copied().unwrap_or(0);
-            let stagger = canon * i64::try_from(index).unwrap_or(i64::MAX);
+            let stagger = canon.begin(u32::try_from(index).unwrap_or(u32::MAX));
             let mut member = Member { robot, movement, delay: stagger };
             let movement = cue.movement_of(&member);
             member.delay += movement.delay;
@@ -203,17 +204,17 @@ impl<'a> Cast<'a> {
 }
 
 /// How much later each robot begins, if the last of them begins in time.
-fn canon(findings: &mut Reader, cue: &Cue, robots: usize, horizon: Span) -> Span {
-    let after = i64::try_from(robots).unwrap_or(i64::MAX).saturating_sub(1).max(1);
-    let last = cue.canon * after;
+fn canon(findings: &mut Reader, cue: &Cue, robots: usize, horizon: Span) -> Laps {
+    let after = u32::try_from(robots).unwrap_or(u32::MAX).saturating_sub(1).max(1);
+    let last = cue.canon.begin(after);
     if last <= horizon {
         return cue.canon;
     }
     let message = format!("the last of {} begins {last} after the cue", counted(robots, "robot"));
-    let hint = Some(format!("a canon of {} or less", horizon / after));
+    let hint = Some(format!("a canon of {} or less", horizon / i64::from(after)));
     let place = cue.place.of_key("canon");
     findings.add(Code::TooMuch, place, message, format!("at most {horizon}"), hint);
-    Span::ZERO
+    Laps::default()
 }
 
 pub(super) fn devices_of(robot: &FleetRobot) -> &[Device] {

@@ -12,7 +12,7 @@ use crate::budget::{Budget, STEPS_MAX, USES_MAX};
 use crate::fields::Reader;
 use crate::finding::{Code, Place, Severity, names};
 use crate::fleet::RateLimits;
-use crate::motion::{Actuator, Curve, Fits, Value};
+use crate::motion::{Actuator, Curve, Fits, Stretch, Value};
 use crate::node::shortened;
 use crate::plan::PlannedReading;
 use crate::scenario::{Cue, Motion, OffGrid, Reading, Track};
@@ -221,7 +221,7 @@ impl<'c, 'a> Performer<'c, 'a> {
             for class in self.classes(track, groups) {
                 let robots: Vec<usize> = class.members.iter().map(|member| member.robot).collect();
                 let on = OnDevice { cue, track, device: class.device, robots: &robots, cast: self.cast };
-                let Some(part) = self.part(&on, time.factor) else { continue };
+                let Some(part) = self.part(&on, time.stretch) else { continue };
                 if !self.used(cue, class.members.len()) {
                     return;
                 }
@@ -275,13 +275,13 @@ impl<'c, 'a> Performer<'c, 'a> {
         classes
     }
 
-    fn part(&mut self, on: &OnDevice<'_>, factor: f64) -> Option<Part> {
+    fn part(&mut self, on: &OnDevice<'_>, stretch: Stretch) -> Option<Part> {
         if self.steps.is_overdrawn() {
             return None;
         }
         let control_type = self.control_type(on)?;
         let curve = match &on.track.motion {
-            Motion::Vectors(vectors) => return self.vectors(on, control_type, vectors, factor),
+            Motion::Vectors(vectors) => return self.vectors(on, control_type, vectors, stretch),
             Motion::Curve(curve) => curve,
         };
         if let ControlType::Custom(_) = control_type
@@ -293,9 +293,7 @@ impl<'c, 'a> Performer<'c, 'a> {
             return None;
         }
         let mut curve = curve.clone();
-        if factor != 1.0 {
-            curve.stretch(factor);
-        }
+        curve.stretch(stretch);
         let actuator = Actuator::new(on.device, control_type, self.room(on.device));
         let before = self.findings.found.len();
         check_values::check(self.findings, on, control_type, &mut curve);
@@ -444,7 +442,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         on: &OnDevice<'_>,
         control_type: ControlType,
         vectors: &[crate::scenario::Vector],
-        factor: f64,
+        stretch: Stretch,
     ) -> Option<Part> {
         if !matches!(control_type, ControlType::Custom(_))
             && vectors.iter().any(|vector| vector.values.len() > 1)
@@ -455,7 +453,7 @@ impl<'c, 'a> Performer<'c, 'a> {
             return None;
         }
         let steps = vectors.iter().map(|vector| {
-            let at = Span::from_millis_f64(vector.at.as_millis_f64() * factor);
+            let at = stretch.of(vector.at);
             let mut setpoint = Setpoint::new(control_type, vector.values[0]);
             setpoint.more = vector.values[1..].into();
             (at, setpoint)

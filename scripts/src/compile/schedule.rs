@@ -9,6 +9,7 @@ use super::cast::{Cast, Members};
 use super::conflict::{self, Origin};
 use crate::fields::Reader;
 use crate::finding::{Code, names};
+use crate::motion::Stretch;
 use crate::node::shortened;
 use crate::plan::PlannedCue;
 use crate::scenario::{Act, Anchor, Cue, Motion, Name, Order, Relation};
@@ -19,8 +20,8 @@ use crate::timing::{ConstraintId, Effort, Event, Network, Ordering, Schedule, Ta
 pub(super) struct CueTime {
     pub(super) start: Span,
     pub(super) end: Span,
-    /// How much longer its movement is than as it is written.
-    pub(super) factor: f64,
+    /// What becomes of the length of its movement.
+    pub(super) stretch: Stretch,
     /// How much later it could start without the act ending later.
     pub(super) slack: Span,
 }
@@ -69,17 +70,10 @@ fn natural(act: &Act, members: &[Members]) -> Vec<CueTime> {
             Some(bounds) => members.length.max(bounds.min),
             None => members.length,
         };
-        let factor = factor(length, members.length);
-        CueTime { start: Span::ZERO, end: length + members.delay, factor, slack: Span::ZERO }
+        let stretch = Stretch { from: members.length, to: length };
+        CueTime { start: Span::ZERO, end: length + members.delay, stretch, slack: Span::ZERO }
     };
     act.cues.iter().zip(members).map(time).collect()
-}
-
-fn factor(length: Span, natural: Span) -> f64 {
-    match natural > Span::ZERO && length != natural {
-        true => length.as_millis_f64() / natural.as_millis_f64(),
-        false => 1.0,
-    }
 }
 
 /// The cues as they are shown.
@@ -373,9 +367,9 @@ impl<'a> Timetable<'a> {
         let latest = self.network.latest(schedule.makespan());
         let time = |((first, last), members): (&(Event, Event), &Members)| {
             let (start, end) = (schedule.time(*first), schedule.time(*last));
-            let factor = factor(end - start - members.delay, members.length);
+            let stretch = Stretch { from: members.length, to: end - start - members.delay };
             let slack = latest.as_ref().map_or(Span::ZERO, |latest| latest.time(*first) - start);
-            CueTime { start, end, factor, slack }
+            CueTime { start, end, stretch, slack }
         };
         self.events.iter().zip(members).map(time).collect()
     }

@@ -5,6 +5,26 @@ use std::sync::Arc;
 use urrcp::Span;
 
 use super::{Easing, Function};
+use crate::exact::Laps;
+
+/// One length that becomes another, and everything in it with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Stretch {
+    pub(crate) from: Span,
+    pub(crate) to: Span,
+}
+
+impl Stretch {
+    /// To the nearest nanosecond, so that the whole length becomes exactly the other.
+    pub(crate) fn of(self, at: Span) -> Span {
+        let (from, to) = (i128::from(self.from.as_nanos()), i128::from(self.to.as_nanos()));
+        if from == to || from <= 0 {
+            return at;
+        }
+        let doubled = 2 * i128::from(at.as_nanos()) * to + from;
+        Span::from_nanos(i64::try_from(doubled.div_euclid(2 * from)).unwrap_or(i64::MAX))
+    }
+}
 
 /// A movement over time, counted from its cue's start.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -99,10 +119,10 @@ impl Curve {
         }
     }
 
-    /// All times by a factor.
-    pub(crate) fn stretch(&mut self, factor: f64) {
+    /// All times, so that one length becomes another.
+    pub(crate) fn stretch(&mut self, stretch: Stretch) {
         for knot in &mut self.knots {
-            knot.at = Span::from_millis_f64(knot.at.as_millis_f64() * factor);
+            knot.at = stretch.of(knot.at);
         }
     }
 
@@ -119,14 +139,17 @@ impl Curve {
         }
     }
 
-    /// The movement `times` times, a new one every `cycle`. Where it does not end as it begins, it jumps.
-    pub(crate) fn repeat(&mut self, times: u32, cycle: Span) {
+    /// The movement `times` times, a new one every lap. Where it does not end as it begins, it jumps.
+    pub(crate) fn repeat(&mut self, times: u32, laps: &Laps) {
+        let cycle = laps.begin(1);
         let once = self.knots.clone();
         let (Some(first), Some(last)) = (once.first().copied(), once.last().copied()) else { return };
         self.knots.reserve_exact(self.added_by_repeating(times, cycle));
         let (waits, joined) = Self::seam(&first, &last, cycle);
         for turn in 1..times {
-            let begin = cycle * i64::from(turn);
+            let (begin, end) = (laps.begin(turn), laps.begin(turn.saturating_add(1)));
+            // Laps differ by a nanosecond.
+            let lay = |at: Span| if at == cycle { end } else { (begin + at).min(end) };
             if waits {
                 self.knots.push(Knot { at: begin, shape: Shape::Eased(Easing::Step), ..last });
             }
@@ -134,7 +157,7 @@ impl Curve {
                 let shape = if first.at == Span::ZERO { Shape::Early } else { first.shape };
                 self.knots.push(Knot { at: begin + first.at, shape, ..first });
             }
-            self.knots.extend(once[1..].iter().map(|knot| Knot { at: begin + knot.at, ..*knot }));
+            self.knots.extend(once[1..].iter().map(|knot| Knot { at: lay(knot.at), ..*knot }));
         }
     }
 
@@ -229,10 +252,10 @@ mod tests {
     #[test]
     fn a_closed_movement_repeats_without_a_seam_and_an_open_one_jumps() {
         let mut closed = curve(&[(0, 0.0, Shape::Own), (10, 5.0, Shape::Own), (20, 0.0, Shape::Own)]);
-        closed.repeat(2, Span::from_millis(20));
+        closed.repeat(2, &Span::from_millis(20).into());
         assert_eq!(shown(&closed), [(0.0, 0.0), (10.0, 5.0), (20.0, 0.0), (30.0, 5.0), (40.0, 0.0)]);
         let mut open = curve(&[(0, 0.0, Shape::Own), (10, 5.0, Shape::Own)]);
-        open.repeat(2, Span::from_millis(15));
+        open.repeat(2, &Span::from_millis(15).into());
         assert_eq!(shown(&open), [(0.0, 0.0), (10.0, 5.0), (15.0, 5.0), (15.0, 0.0), (25.0, 5.0)]);
     }
 

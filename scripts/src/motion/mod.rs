@@ -10,7 +10,7 @@ mod function;
 mod spline;
 
 pub(crate) use actuator::{Actuator, Fits, Fitted, Value};
-pub(crate) use curve::{Curve, Knot, Shape};
+pub(crate) use curve::{Curve, Knot, Shape, Stretch};
 pub(crate) use easing::Easing;
 pub(crate) use function::Function;
 pub(crate) use spline::spline;

@@ -17,6 +17,7 @@ use std::sync::Arc;
 use urrcp::{ControlType, Millis, Span, StopCondition};
 
 use crate::budget::{LEADS, longest};
+use crate::exact::{Exact, Laps};
 use crate::fields::{At, Reader};
 use crate::files::Files;
 use crate::finding::{Code, Finding, Place};
@@ -100,7 +101,7 @@ pub(crate) struct Cue {
     pub(crate) movement: Movement,
     pub(crate) overrides: Vec<(Name, Movement)>,
     /// How much later each robot begins than the one before.
-    pub(crate) canon: Span,
+    pub(crate) canon: Laps,
     pub(crate) uses: Vec<Name>,
     pub(crate) apart: Vec<Name>,
     pub(crate) stop_condition: Option<StopCondition>,
@@ -131,6 +132,8 @@ pub(crate) struct Track {
     pub(crate) device: String,
     pub(crate) control: Option<ControlType>,
     pub(crate) motion: Motion,
+    /// How long it is, before it is laid on the clock.
+    pub(crate) length: Exact,
     pub(crate) tolerance: Option<f64>,
     pub(crate) steps_max: Option<u32>,
     /// Of the track's key.

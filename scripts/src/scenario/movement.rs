@@ -8,6 +8,7 @@ use super::track::read_tracks;
 use super::when::instant;
 use super::{Motion, Movement, Name, Track};
 use crate::budget::longest;
+use crate::exact::Exact;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, names};
 use crate::node::{Node, shortened};
@@ -65,17 +66,13 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
     if let Some(at) = shaping.mirror {
         mirror(reader, &at, &mut tracks);
     }
-    let length =
-        |tracks: &[Track]| tracks.iter().map(|track| track.motion.length()).max().unwrap_or_default();
     if let Some(at) = shaping.reverse
         && reader.truth(&at) == Some(true)
     {
-        let length = length(&tracks);
-        curves(&mut tracks, &at, reader, |curve| curve.reverse(length));
+        reverse(reader, &at, &mut tracks);
     }
     if let Some(at) = shaping.repeat {
-        let length = length(&tracks);
-        repeat(reader, &at, &mut tracks, length);
+        repeat(reader, &at, &mut tracks);
     }
     let delay = shaping.delay.and_then(|at| reader.duration(&at)).unwrap_or_default();
     let length = length(&tracks);
@@ -86,6 +83,21 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
         return Movement::default();
     }
     Movement { tracks, delay, length }
+}
+
+fn length(tracks: &[Track]) -> Span {
+    tracks.iter().map(|track| track.motion.length()).max().unwrap_or_default()
+}
+
+/// Backwards within the length of the longest track.
+fn reverse(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
+    let longest = length(tracks);
+    let exact = tracks.iter().map(|track| track.length).max().unwrap_or_default();
+    curves(tracks, at, reader, |curve| curve.reverse(longest));
+    for track in tracks {
+        let own = track.motion.length();
+        track.length = if own == longest { exact } else { own.into() };
+    }
 }
 
 /// Whether there is room for the tracks: every cue has its own copy of a move.
@@ -284,10 +296,12 @@ fn curves(
     }
 }
 
-fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track], cycle: Span) {
-    let Some(times) = repeats(reader, at, cycle) else { return };
-    if cycle * i64::from(times) > longest() {
-        let message = format!("{times} times a movement of {cycle} lasts {}", cycle * i64::from(times));
+fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
+    let laps = reader.laps(tracks.iter().map(|track| track.length).max().unwrap_or_default());
+    let Some(times) = repeats(reader, at, laps.length) else { return };
+    let (cycle, whole) = (laps.begin(1), laps.begin(times));
+    if whole > longest() {
+        let message = format!("{times} times a movement of {cycle} lasts {whole}");
         let hint = Some("repeat it less often".to_owned());
         reader.add(Code::TooMuch, at.place(), message, format!("at most {}", longest()), hint);
         return;
@@ -303,37 +317,38 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track], cycle: Span) {
         reader.add(Code::TooMuch, at.place(), message, expected, Some("repeat it less often".to_owned()));
         return;
     }
-    curves(tracks, at, reader, |curve| curve.repeat(times, cycle));
+    curves(tracks, at, reader, |curve| curve.repeat(times, &laps));
+    tracks.iter_mut().for_each(|track| track.length = track.motion.length().into());
 }
 
 /// A number of times, or as many whole cycles as fit.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
-fn repeats(reader: &mut Reader, at: &At<'_>, cycle: Span) -> Option<u32> {
+fn repeats(reader: &mut Reader, at: &At<'_>, cycle: Exact) -> Option<u32> {
     let Node::Map(_) = at.node else { return reader.count(at, 1, REPEATS_MAX) };
     let [until, during] = reader.map(at, "`repeat`", ["until", "for"], &[])?;
     let time = match (until, during) {
         (Some(until), None) => {
             let text = reader.text(&until, "a time of the act, such as 20s or `bar 9`")?;
             let end = instant(reader, &until, &text)?;
-            let Some(start) = reader.music.start else {
+            let Some(start) = reader.music.start.0 else {
                 let message = "how often it fits depends on when the cue begins";
                 let hint = Some("give the cue a fixed `at`, or use `for`".to_owned());
                 reader.add(Code::BadMotion, until.place(), message, "a cue with a fixed start", hint);
                 return None;
             };
-            end - start
+            end.minus(start)
         }
-        (None, Some(during)) => reader.duration(&during)?,
+        (None, Some(during)) => reader.exact(&during)?,
         _ => {
             let expected = "a number of times, {until: 20s} or {for: 8s}";
             reader.add(Code::WrongType, at.place(), "found both or neither of until and for", expected, None);
             return None;
         }
     };
-    let times = (time.as_millis_f64() / cycle.as_millis_f64() + 1e-9).floor();
-    if times >= 1.0 && times <= f64::from(REPEATS_MAX) {
-        return Some(times as u32);
+    let times = time.divided_by(cycle).and_then(|times| u32::try_from(times.to_integer()).ok());
+    if let Some(times) = times.filter(|times| (1..=REPEATS_MAX).contains(times)) {
+        return Some(times);
     }
+    let (time, cycle) = (time.rounded(), cycle.rounded());
     let message = format!("{time} is not enough for a movement of {cycle}, or far too much");
     reader.add(Code::BadMotion, at.place(), message, "time for at least one whole cycle", None);
     None

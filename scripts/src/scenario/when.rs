@@ -3,6 +3,7 @@
 use urrcp::Span;
 
 use crate::duration;
+use crate::exact::{Beginning, Exact};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
 use crate::node::{Node, shortened};
@@ -42,7 +43,7 @@ pub(super) struct When<'a> {
 
 impl When<'_> {
     /// All relations; and the start, where it is one fixed time.
-    pub(super) fn read(&self, reader: &mut Reader) -> (Vec<Relation>, Option<Span>) {
+    pub(super) fn read(&self, reader: &mut Reader) -> (Vec<Relation>, Beginning) {
         let mut relations = Vec::new();
         let mut fixed = None;
         if let Some(at) = self.at
@@ -50,13 +51,15 @@ impl When<'_> {
         {
             fixed = (max == Some(min)).then_some(min);
             let (from, to) = (Anchor::Origin, Anchor::Start);
-            relations.push(Relation { from, to, min: Some(min), max, place: at.place() });
+            let (min, max) = (Some(min.rounded()), max.map(Exact::rounded));
+            relations.push(Relation { from, to, min, max, place: at.place() });
         }
         if let Some(at) = self.end_by
             && let Some((last, _)) = instants(reader, &at)
         {
             let (from, to) = (Anchor::Origin, Anchor::End);
-            relations.push(Relation { from, to, min: None, max: Some(last), place: at.place() });
+            let max = Some(last.rounded());
+            relations.push(Relation { from, to, min: None, max, place: at.place() });
         }
         each(reader, self.after, '+', &mut relations, |target, gap, place| {
             let (min, max) = gap.unwrap_or((Span::ZERO, None));
@@ -71,7 +74,7 @@ impl When<'_> {
             let (min, max) = gap.unwrap_or((Span::ZERO, None));
             Relation { from: Anchor::End, to: target.or_start(), min: Some(min), max, place }
         });
-        (relations, fixed)
+        (relations, Beginning(fixed))
     }
 }
 
@@ -138,41 +141,48 @@ pub(super) fn range(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Gap>
     match text.split_once("..") {
         None => Some((reader.time(at, text)?, None)),
         Some((least, largest)) => {
-            let (least, largest) = (reader.time(at, least), reader.time(at, largest));
-            in_order(reader, at, least?, largest?)
+            let (least, largest) = (reader.time(at, least)?, reader.time(at, largest)?);
+            in_order(reader, at, (least, least), (largest, largest))
         }
     }
 }
 
-fn in_order(reader: &mut Reader, at: &At<'_>, least: Span, largest: Span) -> Option<Gap> {
+/// Two times as bounds, each with what is shown of it.
+fn in_order<T: PartialOrd>(
+    reader: &mut Reader,
+    at: &At<'_>,
+    (least, shown): (T, Span),
+    (largest, largest_shown): (T, Span),
+) -> Option<(T, Option<T>)> {
     if least <= largest {
         return Some((least, Some(largest)));
     }
-    let message = format!("{least} lies above {largest}");
+    let message = format!("{shown} lies above {largest_shown}");
     reader.add(Code::TimeOrder, at.place(), message, "the smaller time first", None);
     None
 }
 
 /// One time, or a range of them; each a length from the act's start or a position in the music.
-fn instants(reader: &mut Reader, at: &At<'_>) -> Option<Gap> {
+fn instants(reader: &mut Reader, at: &At<'_>) -> Option<(Exact, Option<Exact>)> {
     let Some(text) = reader.scalar(at).and_then(|node| match node.as_ref() {
         Node::Text(text) => Some(text.clone()),
         _ => None,
     }) else {
-        return reader.duration(at).map(|span| (span, Some(span)));
+        return reader.exact(at).map(|time| (time, Some(time)));
     };
     match text.split_once("..") {
         Some((least, largest)) => {
             let (least, largest) = (instant(reader, at, least.trim()), instant(reader, at, largest.trim()));
-            in_order(reader, at, least?, largest?)
+            let (least, largest) = (least?, largest?);
+            in_order(reader, at, (least, least.rounded()), (largest, largest.rounded()))
         }
-        None => instant(reader, at, &text).map(|span| (span, Some(span))),
+        None => instant(reader, at, &text).map(|time| (time, Some(time))),
     }
 }
 
-pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Span> {
+pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Exact> {
     match reader.music.position(text) {
-        Some(Ok(span)) => reader.no_longer(at, text, span),
+        Some(Ok(time)) => reader.no_longer(at, text, time),
         Some(Err(why)) => {
             let hint = Some(why.hint().to_owned());
             reader.add(Code::Music, at.place(), why.message(text), "a `tempo`", hint);
@@ -186,13 +196,13 @@ pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Sp
         }
         None => {
             // From the act's start, whenever the cue itself begins.
-            let start = reader.music.start.replace(Span::ZERO);
-            let span = match duration::parse_duration(text) {
-                Some(span) => Some(span),
-                None => reader.time(at, text),
+            let start = std::mem::replace(&mut reader.music.start, Beginning(Some(Exact::ZERO)));
+            let time = match duration::parse_duration(text) {
+                Some(span) => Some(span.into()),
+                None => reader.exact_time(at, text),
             };
             reader.music.start = start;
-            span
+            time
         }
     }
 }
