@@ -220,4 +220,6 @@ proptest! {
     }
 }
 
+mod hints;
 mod numbers;
+mod told;

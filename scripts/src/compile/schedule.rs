@@ -8,7 +8,7 @@ use urrcp::{ControlType, Span};
 use super::cast::{Cast, Members};
 use super::conflict::{self, Origin};
 use crate::fields::Reader;
-use crate::finding::{Code, names};
+use crate::finding::{Code, names, one_of};
 use crate::motion::Stretch;
 use crate::node::shortened;
 use crate::plan::PlannedCue;
@@ -135,7 +135,12 @@ impl<'a> Timetable<'a> {
             None => (members.length, Some(members.length), &cue.place),
         };
         let bounds = (Some(min + members.delay), max.map(|max| max + members.delay));
-        self.constrain(start, end, bounds, Origin::Length { cue: index, place: place.clone() });
+        self.constrain(
+            start,
+            end,
+            bounds,
+            Origin::Length { cue: index, delay: members.delay, place: place.clone() },
+        );
     }
 
     /// Where a cue may be stretched, it is no shorter than its devices' speed and acceleration allow.
@@ -223,7 +228,7 @@ impl<'a> Timetable<'a> {
                 let known = || self.act.cues.iter().map(|cue| cue.name.as_str());
                 let hint = findings.did_you_mean(&name.text, known());
                 let message = format!("no cue `{}`", shortened(&name.text));
-                let expected = format!("one of {}", names(known()));
+                let expected = one_of(known());
                 findings.add(Code::UnknownCue, name.place.clone(), message, expected, hint);
                 None
             }
@@ -245,7 +250,7 @@ impl<'a> Timetable<'a> {
                     let hint = findings
                         .did_you_mean(&zone.text, known())
                         .or(Some("list it under `zones` at the top of the scenario".to_owned()));
-                    let expected = format!("one of {}", names(known()));
+                    let expected = one_of(known());
                     findings.add(Code::UnknownZone, zone.place.clone(), message, expected, hint);
                     continue;
                 };

@@ -55,8 +55,10 @@ pub(crate) enum Shape {
     Eased(Easing),
     /// The new value at once.
     Early,
-    /// Linear between samples of a curve, which nobody asked to be kept each.
-    Sampled,
+    /// Between samples of a curve, which nobody asked to be kept each.
+    Sampled(Between),
+    /// No way at all: where pieces meet, or a repeated movement begins again, but for a gap.
+    Meets,
     /// offset + gain * function, over s from 0 to 1 or, reversed, from 1 to 0.
     Function {
         index: u32,
@@ -66,9 +68,41 @@ pub(crate) enum Shape {
     },
 }
 
-impl Shape {
+/// The way between two samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Between {
+    /// As the device moves by itself.
+    Own,
+    /// The same backwards.
+    OwnReversed,
+    Linear,
+    /// The old value until the next sample.
+    Step,
+    /// The new value at once.
+    Early,
+}
+
+impl Between {
     fn reversed(self) -> Self {
         match self {
+            Self::Own => Self::OwnReversed,
+            Self::OwnReversed => Self::Own,
+            Self::Linear => Self::Linear,
+            Self::Step => Self::Early,
+            Self::Early => Self::Step,
+        }
+    }
+}
+
+impl Shape {
+    /// Whether the value at its end stands in the file, or follows from one by scaling and mirroring.
+    pub(crate) fn is_written(self) -> bool {
+        matches!(self, Self::Own | Self::OwnReversed | Self::Eased(_) | Self::Early)
+    }
+
+    fn reversed(self) -> Self {
+        match self {
+            Self::Sampled(between) => Self::Sampled(between.reversed()),
             Self::Own => Self::OwnReversed,
             Self::OwnReversed => Self::Own,
             Self::Eased(Easing::Step) => Self::Early,
@@ -154,7 +188,11 @@ impl Curve {
                 self.knots.push(Knot { at: begin, shape: Shape::Eased(Easing::Step), ..last });
             }
             if !joined {
-                let shape = if first.at == Span::ZERO { Shape::Early } else { first.shape };
+                let shape = match first.shape {
+                    Shape::Sampled(_) if first.at == Span::ZERO => Shape::Meets,
+                    _ if first.at == Span::ZERO => Shape::Early,
+                    shape => shape,
+                };
                 self.knots.push(Knot { at: begin + first.at, shape, ..first });
             }
             self.knots.extend(once[1..].iter().map(|knot| Knot { at: lay(knot.at), ..*knot }));
@@ -193,8 +231,8 @@ impl Curve {
                 .functions
                 .get(index as usize)
                 .map_or((0.0, 0.0), |f| (gain.abs() * f.slope_max(), gain.abs() * f.curvature_max())),
-            Shape::Own | Shape::OwnReversed | Shape::Sampled => (change, 0.0),
-            Shape::Early => (0.0, 0.0),
+            Shape::Sampled(Between::Step | Between::Early) | Shape::Early | Shape::Meets => (0.0, 0.0),
+            Shape::Own | Shape::OwnReversed | Shape::Sampled(_) => (change, 0.0),
         };
         (slope / seconds, curvature / (seconds * seconds))
     }
@@ -224,8 +262,8 @@ impl Curve {
         let from = index.checked_sub(1).map_or(knot.to, |before| self.knots[before].to);
         let change = knot.to - from;
         match knot.shape {
-            Shape::Own | Shape::OwnReversed | Shape::Sampled => from + change * s,
-            Shape::Early => knot.to,
+            Shape::Early | Shape::Meets => knot.to,
+            Shape::Own | Shape::OwnReversed | Shape::Sampled(_) => from + change * s,
             Shape::Eased(easing) => from + change * easing.at(s),
             Shape::Function { index, gain, offset, reversed } => {
                 let s = if reversed { 1.0 - s } else { s };

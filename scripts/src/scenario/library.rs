@@ -8,7 +8,7 @@ use super::Name;
 use crate::exact::{Fraction, fraction};
 use crate::fields::{At, Reader};
 use crate::files::Files;
-use crate::finding::{Code, Finding, Place, names};
+use crate::finding::{Code, Finding, Place, one_of};
 use crate::locate::locate;
 use crate::music::{Section, Tempo, position};
 use crate::node::{self, Node, shortened};
@@ -183,7 +183,7 @@ impl<'a> Library<'a> {
             let known = || self.names.get_or_init(sorted).iter().map(String::as_str);
             let hint = reader.did_you_mean(name, known());
             let message = format!("no move `{}`", shortened(name));
-            reader.add(Code::UnknownMove, at.place(), message, format!("one of {}", names(known())), hint);
+            reader.add(Code::UnknownMove, at.place(), message, one_of(known()), hint);
         }
         found
     }

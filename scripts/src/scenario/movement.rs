@@ -6,11 +6,11 @@ use super::cue::name_list;
 use super::library::Library;
 use super::track::read_tracks;
 use super::when::instant;
-use super::{Motion, Movement, Name, Track};
+use super::{Motion, Movement, Name, Track, Unset};
 use crate::budget::longest;
 use crate::exact::Exact;
 use crate::fields::{At, Reader};
-use crate::finding::{Code, names};
+use crate::finding::{Code, one_of};
 use crate::node::{Node, shortened};
 
 /// Most times that a movement is repeated.
@@ -33,6 +33,7 @@ pub(super) struct Shaping<'a> {
 
 /// Reads the tracks of a move and of the cue itself, then maps, scales, mirrors, reverses and repeats them.
 pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> Movement {
+    reader.unset.clear();
     if reader.knots.is_overdrawn() || reader.is_full() {
         return Movement::default();
     }
@@ -82,7 +83,7 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
         reader.add(Code::TooMuch, at.place(), message, format!("at most {}", longest()), hint);
         return Movement::default();
     }
-    Movement { tracks, delay, length }
+    Movement { tracks, delay, length, unset: std::mem::take(&mut reader.unset) }
 }
 
 fn length(tracks: &[Track]) -> Span {
@@ -151,6 +152,7 @@ pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, name: &st
         let own = Node::Text(name.to_owned());
         let at = body.entry("tracks", 0, &own);
         drop(of_move(reader, library, &at, None));
+        reader.unset.clear();
     }
 }
 
@@ -171,7 +173,7 @@ fn arguments(
             let hint = reader.did_you_mean(parameter, known());
             let message =
                 format!("the move `{}` has no parameter `{}`", shortened(name), shortened(parameter));
-            reader.add(Code::UnknownKey, at.key_place(), message, format!("one of {}", names(known())), hint);
+            reader.add(Code::UnknownKey, at.key_place(), message, one_of(known()), hint);
         }
     }
     let mut values = Vec::new();
@@ -179,9 +181,8 @@ fn arguments(
         let value = match given.iter().find(|(known, _)| known == parameter) {
             Some((_, at)) => super::library::scalar(reader, at),
             None if *default.node == Node::Null => {
-                let message = format!("the move `{}` needs a value for `{parameter}`", shortened(name));
-                let hint = Some(format!("add `parameters: {{{parameter}: ...}}`"));
-                reader.add(Code::Variable, at.place(), message, "every parameter without default", hint);
+                let (place, of_move) = (at.place(), name.to_owned());
+                reader.unset.push(Unset { place, of_move, parameter: (*parameter).to_owned() });
                 None
             }
             None => super::library::scalar(reader, default),
@@ -202,7 +203,7 @@ fn rename(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
             None => {
                 let known = || tracks.iter().map(|track| track.device.as_str());
                 let message = format!("no track is called `{}`", shortened(from));
-                let expected = format!("one of {}", names(known()));
+                let expected = one_of(known());
                 let hint = reader.did_you_mean(from, known());
                 reader.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
             }
@@ -264,7 +265,7 @@ fn affine(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track], aim: &Aim, fac
         if !tracks.iter().any(|track| track.device == device.text) {
             let known = || tracks.iter().map(|track| track.device.as_str());
             let message = format!("the cue has no track `{}`", shortened(&device.text));
-            let expected = format!("one of {}", names(known()));
+            let expected = one_of(known());
             let hint = reader.did_you_mean(&device.text, known());
             reader.add(Code::UnknownDevice, device.place.clone(), message, expected, hint);
         }
@@ -318,7 +319,9 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
         return;
     }
     curves(tracks, at, reader, |curve| curve.repeat(times, &laps));
-    tracks.iter_mut().for_each(|track| track.length = track.motion.length().into());
+    for track in tracks {
+        (track.length, track.turns) = (track.motion.length().into(), times);
+    }
 }
 
 /// A number of times, or as many whole cycles as fit.

@@ -3,11 +3,11 @@
 use urrcp::{ControlType, Span};
 
 use super::library::Library;
-use super::{Motion, Track, Vector, data, nothing};
+use super::{Items, Motion, Track, Vector, data, nothing};
 use crate::exact::{Exact, fraction, to_f64};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Part};
-use crate::motion::{Curve, Easing, Function, Knot, Shape, spline};
+use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
 use crate::node::{self, Node};
 
 pub(crate) const TRACK_KEYS: [&str; 9] =
@@ -54,6 +54,8 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
         length,
         tolerance: None,
         steps_max: None,
+        turns: 1,
+        items: Items::Keyframes,
         place: at.key_place(),
         list: list.place(),
     };
@@ -81,6 +83,13 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
     Some(Track {
         control: control.and_then(|at| control_type(reader, &at)),
         tolerance: tolerance.and_then(|at| reader.positive(&at, "an error above 0, in the device's unit")),
+        items: match (keys, points, pieces, samples) {
+            (Some(_), ..) => Items::Keyframes,
+            (_, Some(_), ..) => Items::Points,
+            (_, _, Some(_), _) => Items::Pieces,
+            (.., Some(_)) => Items::Rows,
+            _ => Items::Whole,
+        },
         steps_max: steps_max.and_then(|at| reader.count(&at, 2, 1_000_000_000)),
         ..new(motion?, form)
     })
@@ -121,18 +130,25 @@ fn keyframes(reader: &mut Reader, at: &At<'_>) -> Written {
         if let Some((knot, time)) = keyframe(reader, &at.item(index, node), item(index)) {
             length = time;
             let before = knots.last().map(|last| last.at);
-            in_order(reader, at, index, before, knot.at);
+            in_order(reader, at, (Items::Keyframes, index), before, knot.at);
             knots.push(knot);
         }
     }
     Written::new(Curve::new(knots, Vec::new()), length)
 }
 
-fn in_order(reader: &mut Reader, list: &At<'_>, index: usize, before: Option<Span>, at: Span) {
+fn in_order(
+    reader: &mut Reader,
+    list: &At<'_>,
+    (items, index): (Items, usize),
+    before: Option<Span>,
+    at: Span,
+) {
     if let Some(before) = before.filter(|before| at <= *before) {
         let place = list.place().below(Part::Index(index)).of_key("at");
-        let message = format!("the keyframe at {at} stands after the one at {before}");
-        let hint = Some("keyframes of one track stand in order, each later than the one before".to_owned());
+        let message = format!("the {} at {at} stands after the one at {before}", items.one());
+        let hint =
+            Some(format!("{}s of one track stand in order, each later than the one before", items.one()));
         reader.add(Code::TimeOrder, place, message, format!("a time after {before}"), hint);
     }
 }
@@ -169,7 +185,7 @@ fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Written {
         let (Some(time), Some(values)) = (time, values.filter(|values| !values.is_empty())) else { continue };
         let at = reader.music.start.lay(time);
         length = time;
-        in_order(reader, list, index, vectors.last().map(|last| last.at), at);
+        in_order(reader, list, (Items::Keyframes, index), vectors.last().map(|last| last.at), at);
         vectors.push(Vector { at, values, item: item(index) });
     }
     Written { motion: Motion::Vectors(vectors), length }
@@ -186,10 +202,10 @@ fn points(reader: &mut Reader, at: &At<'_>, least: usize) -> (Vec<Knot>, Exact) 
         let (Some(exact), Some(to)) = (exact, to) else { continue };
         let time = reader.music.start.lay(exact);
         let before = knots.last().map(|last| last.at);
-        in_order(reader, at, index, before, time);
+        in_order(reader, at, (Items::Points, index), before, time);
         // Out of order is found; the curve is made of what is in order.
         if before.is_none_or(|before| time > before) {
-            knots.push(Knot { at: time, to, shape: Shape::Sampled, item: item(index) });
+            knots.push(Knot { at: time, to, shape: Shape::Sampled(Between::Linear), item: item(index) });
             length = exact;
         }
     }
@@ -266,7 +282,7 @@ fn add_function(
     let begin = knots.last().map_or(Span::ZERO, |last| last.at);
     let first = function.at(0.0);
     if knots.last().is_none_or(|last| (last.to - first).abs() > 1e-9 * (1.0 + first.abs())) {
-        let shape = if knots.is_empty() { Shape::Sampled } else { Shape::Early };
+        let shape = if knots.is_empty() { Shape::Sampled(Between::Linear) } else { Shape::Meets };
         knots.push(Knot { at: begin, to: first, shape, item });
     }
     let index = u32::try_from(functions.len()).unwrap_or(u32::MAX);
@@ -335,8 +351,8 @@ fn wave(amplitude: f64, center: f64, phase: f64, cycles: f64, length: Span) -> C
     let value = |function: &Function, s: f64| center + amplitude * function.at(s);
     let together = WAVE_CYCLES.min(cycles);
     let whole = Function::Sine { cycles: together, phase };
-    let mut knots =
-        vec![Knot { at: Span::ZERO, to: value(&whole, 0.0), shape: Shape::Sampled, item: NO_ITEM }];
+    let begin = Shape::Sampled(Between::Linear);
+    let mut knots = vec![Knot { at: Span::ZERO, to: value(&whole, 0.0), shape: begin, item: NO_ITEM }];
     let mut done = together;
     while done <= cycles {
         let rest = cycles - done;

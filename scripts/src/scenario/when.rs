@@ -117,11 +117,16 @@ fn each(
     }
 }
 
-/// `[start of|end of] CUE [+ GAP]`, where a cue may bear any name.
+/// `[start of|end of] CUE [+ GAP]`, where a cue may bear any name. With the other sign the gap is negative.
 fn target(reader: &mut Reader, at: &At<'_>, text: &str, sign: char) -> Option<(Target, Option<Gap>)> {
-    let (name, gap) = match text.rsplit_once(&format!(" {sign} ")) {
-        Some((name, gap)) if looks_like_time(gap) => (name, Some(range(reader, at, gap)?)),
-        _ => (text, None),
+    let last = text.rmatch_indices([' ']).find_map(|(space, _)| {
+        let (name, rest) = (&text[..space], &text[space + 1..]);
+        let (found, gap) = (rest.chars().next()?, rest.get(1..)?.strip_prefix(' ')?);
+        (matches!(found, '+' | '-') && looks_like_time(gap)).then_some((name, found, gap))
+    });
+    let (name, gap) = match last {
+        Some((name, found, gap)) => (name, Some(lag(reader, at, gap, found != sign)?)),
+        None => (text, None),
     };
     let name = name.trim();
     let (end, name) = match (name.strip_prefix("start of "), name.strip_prefix("end of ")) {
@@ -133,7 +138,31 @@ fn target(reader: &mut Reader, at: &At<'_>, text: &str, sign: char) -> Option<(T
 }
 
 fn looks_like_time(text: &str) -> bool {
-    text.trim_start().starts_with(|c: char| c.is_ascii_digit() || c == '$' || c == '.')
+    let text = text.trim_start();
+    let text = text.strip_prefix(['-', '+']).unwrap_or(text);
+    text.starts_with(|c: char| c.is_ascii_digit() || c == '$' || c == '.')
+}
+
+/// A gap that may be negative, `-2s` or `-2s..3s`; of the other sign its negative.
+fn lag(reader: &mut Reader, at: &At<'_>, text: &str, negated: bool) -> Option<Gap> {
+    let turned = |span: Span| if negated { -span } else { span };
+    let Some((least, largest)) = text.split_once("..") else {
+        return Some((turned(signed(reader, at, text)?), None));
+    };
+    let (least, largest) = (signed(reader, at, least)?, signed(reader, at, largest)?);
+    let (least, largest) = in_order(reader, at, (least, least), (largest, largest))?;
+    Some(match (negated, largest) {
+        (true, Some(largest)) => (-largest, Some(-least)),
+        _ => (least, largest),
+    })
+}
+
+fn signed(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Span> {
+    let text = text.trim();
+    match text.strip_prefix('-') {
+        Some(rest) => reader.time(at, rest).map(|span| -span),
+        None => reader.time(at, text.strip_prefix('+').unwrap_or(text)),
+    }
 }
 
 /// `500ms` as a least gap, `0s..1s` as bounds.

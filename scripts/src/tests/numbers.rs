@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use super::robot;
-use crate::{Act, Compiled, Files, Finding, Fleet, FleetRobot, Source, compile};
+use crate::{Act, Code, Compiled, DeviceUse, Files, Finding, Fleet, FleetRobot, Source, compile};
 
 const DEVICES: &str = r#"{"id": "bot", "api_version": "1", "devices": [
   {"id": "pole", "name": "pole", "interpolation": "linear", "available_control_types": {
@@ -16,6 +16,12 @@ const DEVICES: &str = r#"{"id": "bot", "api_version": "1", "devices": [
   {"id": "lamp", "name": "lamp", "available_control_types": {
      "position": {"min_value": 0, "max_value": 255, "granularity": 1},
      "script": {"min_value": 0, "max_value": 255, "granularity": 1, "max_number_of_steps": 100000}}},
+  {"id": "valve", "name": "valve", "available_control_types": {
+     "position": {"min_value": -1000, "max_value": 1000, "granularity": 0.5},
+     "script": {"min_value": -1000, "max_value": 1000, "granularity": 0.5, "max_number_of_steps": 100000}}},
+  {"id": "crane", "name": "crane", "interpolation": "linear", "available_control_types": {
+     "position": {"min_value": -1000, "max_value": 1000, "granularity": 0.5, "max_error": 0.5},
+     "script": {"min_value": -1000, "max_value": 1000, "granularity": 0.5, "max_number_of_steps": 100000}}},
   {"id": "rgb", "name": "rgb", "available_control_types": {
      "custom_1": {"values": 3},
      "script": {"min_value": 0, "max_value": 255, "granularity": 1, "max_number_of_steps": 100000}}}]}"#;
@@ -54,8 +60,12 @@ fn act_with(text: &str, csv: &'static str) -> Act {
     choreography.acts.into_iter().next().unwrap()
 }
 
+pub(super) fn used<'a>(act: &'a Act, device: &str) -> &'a DeviceUse {
+    act.devices.iter().find(|used| used.device.as_str() == device).unwrap()
+}
+
 /// Nanoseconds from the act's start, and values.
-fn steps(act: &Act, device: &str) -> Vec<(i64, Vec<f64>)> {
+pub(super) fn steps(act: &Act, device: &str) -> Vec<(i64, Vec<f64>)> {
     let scripts = act.plan.robots.iter().flat_map(|robot| &robot.scripts);
     let own = scripts.filter(|script| script.device.as_str() == device);
     let steps = own.flat_map(|script| {
@@ -66,6 +76,14 @@ fn steps(act: &Act, device: &str) -> Vec<(i64, Vec<f64>)> {
         })
     });
     steps.collect()
+}
+
+fn track(track: &str) -> Act {
+    act(&format!("cues: [{{at: 0s, robots: bot, tracks: {{{track}}}}}]\n"))
+}
+
+fn values(act: &Act, device: &str) -> Vec<(i64, f64)> {
+    steps(act, device).into_iter().map(|(at, values)| (at / 1_000_000, values[0])).collect()
 }
 
 #[test]
@@ -144,4 +162,140 @@ fn cues_that_follow_each_other_in_beats_are_never_later_than_the_bar() {
         let findings = compiled(&music).findings;
         assert!(findings.is_empty(), "{bpm}: {findings:?}");
     }
+}
+
+/// Pieces of a straight line or a curve with gaps between them, and how many of the steps are at one instant.
+fn polynomial(gap: f64, curve: f64) -> String {
+    let piece = |i: usize| {
+        let begin = 0.471 * i as f64 + if i % 2 == 1 { gap } else { 0.0 };
+        format!("{{for: 1s, coefficients: [{begin}, {}, {curve}]}}", 0.471 - curve)
+    };
+    let pieces: Vec<_> = (0..12).map(piece).collect();
+    format!("pole: {{polynomial: [{}]}}", pieces.join(", "))
+}
+
+#[test]
+fn gaps_below_the_tolerance_are_closed() {
+    for (gap, curve) in [(0.0, 0.0), (1e-6, 0.0), (8e-5, 0.0), (-3e-5, 0.0), (1e-6, 0.3), (8e-5, 0.3)] {
+        let act = track(&polynomial(gap, curve));
+        let (closed, with) = (track(&polynomial(0.0, curve)), used(&act, "pole"));
+        let without = used(&closed, "pole");
+        assert_eq!((with.steps, with.at_least), (without.steps, without.at_least), "{gap} {curve}");
+        assert!(with.worst_error <= 0.01 + 1e-9, "{}", with.worst_error);
+        let steps = steps(&act, "pole");
+        assert!(steps.windows(2).all(|pair| pair[0].0 < pair[1].0), "{steps:?}");
+        assert!(
+            steps.iter().all(|(_, v)| (v[0] * 1_000.0 - (v[0] * 1_000.0).round()).abs() < 1e-9),
+            "{steps:?}"
+        );
+    }
+}
+
+#[test]
+fn a_repeated_movement_that_closes_but_for_rounding_has_one_step_at_each_seam() {
+    let act = act(
+        "cues: [{at: 0s, robots: bot, repeat: 3, tracks: {pole: {tolerance: 0.5, wave: {amplitude: 20, period: 2s, for: 2s}}}}]\n",
+    );
+    let steps = steps(&act, "pole");
+    assert!(steps.windows(2).all(|pair| pair[0].0 < pair[1].0), "{steps:?}");
+}
+
+#[test]
+fn a_device_that_holds_takes_the_fewest_steps_within_a_tolerance() {
+    let keyframes =
+        "[{at: 0s, to: 10}, {at: 1s, to: 10}, {at: 2s, to: 80}, {at: 3s, to: 82}, {at: 4s, to: 10}]";
+    let with = |wish: &str| track(&format!("lamp: {{{wish}keyframes: {keyframes}}}"));
+    assert_eq!(values(&with(""), "lamp").len(), 5);
+    let exact = with("tolerance: 0.5, ");
+    assert_eq!(values(&exact, "lamp"), [(0, 10.0), (2_000, 80.0), (3_000, 82.0), (4_000, 10.0)]);
+    let near = with("tolerance: 1, ");
+    assert_eq!(values(&near, "lamp"), [(0, 10.0), (2_000, 81.0), (4_000, 10.0)]);
+    assert_eq!((used(&near, "lamp").at_least, used(&near, "lamp").worst_error), (3, 1.0));
+    let few = with("max_steps: 3, tolerance: 5, ");
+    assert_eq!((values(&few, "lamp").len(), used(&few, "lamp").worst_error), (3, 1.0));
+}
+
+#[test]
+fn several_values_take_the_fewest_steps_within_a_tolerance() {
+    let keyframes = "[{at: 0s, to: [1, 2, 3]}, {at: 1s, to: [1, 2, 3]}, {at: 2s, to: [9, 2, 3]}, {at: 3s, to: [9, 4, 3]}, {at: 4s, to: [0, 0, 0]}]";
+    let with = |wish: &str| track(&format!("rgb: {{{wish}keyframes: {keyframes}}}"));
+    assert_eq!(steps(&with(""), "rgb").len(), 5);
+    let near = with("tolerance: 1, ");
+    let shown: Vec<_> = steps(&near, "rgb").into_iter().map(|(at, v)| (at / 1_000_000_000, v)).collect();
+    assert_eq!(shown, [(0, vec![1.0, 2.0, 3.0]), (2, vec![9.0, 3.0, 3.0]), (4, vec![0.0; 3])]);
+    assert_eq!((used(&near, "rgb").at_least, used(&near, "rgb").worst_error), (3, 1.0));
+    let few = with("tolerance: 1, max_steps: 3, ");
+    assert_eq!(steps(&few, "rgb").len(), 3);
+}
+
+const SWITCHED: &str = "t,v\n0,0\n1,0\n2,255\n3,255\n4,255\n5,0\n6,0\n";
+
+fn sampled(device: &str, keys: &str) -> Act {
+    let text = format!(
+        "cues: [{{at: 0s, robots: bot, tracks: {{{device}: {{samples: {{file: c.csv, time: t, value: v{keys}}}}}}}}}]\n"
+    );
+    act_with(&text, SWITCHED)
+}
+
+#[test]
+fn samples_of_a_device_that_holds_are_steps_unless_they_are_said_to_be_linear() {
+    let steps = [(0, 0.0), (2_000, 255.0), (5_000, 0.0), (6_000, 0.0)];
+    let act = sampled("lamp", "");
+    assert_eq!(values(&act, "lamp"), steps);
+    assert_eq!((used(&act, "lamp").at_least, used(&act, "lamp").worst_error), (4, 0.0));
+    assert_eq!(values(&sampled("lamp", ", ease: step"), "lamp"), steps);
+    assert!(values(&sampled("lamp", ", ease: linear"), "lamp").len() > 100);
+}
+
+#[test]
+fn the_worst_error_is_the_distance_from_what_was_written() {
+    let keyframes = "[{at: 0s, to: 1.0005}, {at: 1s, to: 2}, {at: 2s, to: 3.0005}]";
+    let with = |wish: &str| {
+        act(&format!(
+            "off_grid: snap\ncues: [{{at: 0s, robots: bot, tracks: {{pole: {{{wish}keyframes: {keyframes}}}}}}}]\n"
+        ))
+    };
+    assert!((used(&with(""), "pole").worst_error - 0.0005).abs() < 1e-9);
+    let text = "[{at: 0s, to: 0}, {at: 1s, to: 10.0012}, {at: 2s, to: 20.0004}, {at: 3s, to: 29.9985}, {at: 4s, to: 40.0005}]";
+    let written = [0.0, 10.0012, 20.0004, 29.9985, 40.0005];
+    let act = act(&format!(
+        "off_grid: snap\ncues: [{{at: 0s, robots: bot, tracks: {{pole: {{tolerance: 0.001, keyframes: {text}}}}}}}]\n"
+    ));
+    let (steps, mut worst) = (values(&act, "pole"), 0.0f64);
+    for (second, value) in written.iter().enumerate() {
+        let at = 1_000 * second as i64;
+        let after = steps.iter().position(|step| step.0 >= at).unwrap();
+        let (b, a) = (steps[after], steps[after.saturating_sub(1)]);
+        let played = if b.0 > a.0 { a.1 + (b.1 - a.1) * (at - a.0) as f64 / (b.0 - a.0) as f64 } else { b.1 };
+        worst = worst.max((played - value).abs());
+    }
+    assert!(worst <= 0.001 + 1e-9, "{worst}");
+    assert!(
+        (used(&act, "pole").worst_error - worst).abs() < 1e-9,
+        "{} {worst}",
+        used(&act, "pole").worst_error
+    );
+}
+
+#[test]
+fn every_jump_of_a_track_is_told_and_is_an_error_where_there_is_a_limit_of_speed() {
+    let jumps = |device: &str| {
+        let pieces =
+            "[{for: 1s, coefficients: [0]}, {for: 1s, coefficients: [5]}, {for: 1s, coefficients: [9]}]";
+        let text =
+            format!("cues: [{{at: 0s, robots: bot, tracks: {{{device}: {{polynomial: {pieces}}}}}}}]\n");
+        compiled(&text).findings.iter().map(|found| found.code).collect::<Vec<_>>()
+    };
+    assert_eq!(jumps("pole"), [Code::Jump, Code::Jump]);
+    assert_eq!(jumps("arm"), [Code::TooFast, Code::TooFast]);
+    let between = "cues:\n  - {at: 0s, robots: bot, tracks: {arm: [{at: 0s, to: 0}, {at: 1s, to: 5}]}}\n  - {at: 2s, robots: bot, tracks: {arm: [{at: 0s, to: 40}, {at: 1s, to: 45}]}}\n";
+    assert_eq!(
+        compiled(between).findings.iter().map(|found| found.code).collect::<Vec<_>>(),
+        [Code::TooFast]
+    );
+    let hurried = between.replace("{at: 0s, to: 40}, {at: 1s", "{at: 1ms, to: 40}, {at: 1s");
+    assert_eq!(
+        compiled(&hurried).findings.iter().map(|found| found.code).collect::<Vec<_>>(),
+        [Code::TooFast]
+    );
 }
