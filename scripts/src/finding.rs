@@ -269,7 +269,15 @@ pub(crate) fn nearest<'a>(
     let like = compared.filter(|name| name.len() <= 4 * (length + near));
     let like = like.filter(|name| name.chars().count().abs_diff(length) <= near);
     let scored = like.map(|name| (strsim::osa_distance(&wrong, name), name));
-    let alike = |name: &str| if name.chars().next() == first { near } else { length / 4 };
+    let letters = |name: &str| {
+        let mut letters: Vec<char> = name.chars().collect();
+        letters.sort_unstable();
+        letters
+    };
+    let alike = |name: &str| {
+        let close = name.chars().next() == first || letters(name) == letters(&wrong);
+        if close { near } else { length / 4 }
+    };
     let (_, name) =
         scored.filter(|(distance, name)| *distance <= alike(name)).min_by_key(|(distance, _)| *distance)?;
     Some(format!("did you mean `{name}`?"))

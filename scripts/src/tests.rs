@@ -223,3 +223,4 @@ proptest! {
 mod hints;
 mod numbers;
 mod told;
+mod verified;

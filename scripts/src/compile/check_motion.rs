@@ -135,7 +135,11 @@ impl Jump {
         times: usize,
     ) {
         let (from, to, at) = (tidy(self.from), tidy(self.to), self.at);
-        let often = if times > 1 { format!(" and {} times more", times - 1) } else { String::new() };
+        let often = match times {
+            1 => String::new(),
+            2 => " and once more".to_owned(),
+            _ => format!(" and {} times more", times - 1),
+        };
         let who = on.who(control_type);
         let message = format!(
             "{}the movement jumps from {from} to {to} at {at}{often}, for {who}",

@@ -92,6 +92,8 @@ fn taken(
 /// Where a device is when a cue begins.
 struct Position {
     value: f64,
+    /// Since when.
+    since: Span,
     whence: String,
     sure: Sure,
 }
@@ -165,7 +167,8 @@ impl Lane<'_> {
     /// A device that moves linearly, told to be somewhere else at once.
     fn check_jumps(&self, together: &mut Together, begin: Option<f64>) {
         let whence = "where it is when the act begins".to_owned();
-        let mut position = begin.map(|value| Position { value, whence, sure: Sure::Assumed });
+        let mut position =
+            begin.map(|value| Position { value, since: Span::ZERO, whence, sure: Sure::Assumed });
         for segment in self.segments {
             let Steps::One(values) = &segment.part.steps else { return };
             let position_control = segment.part.control_type == ControlType::Position;
@@ -173,7 +176,8 @@ impl Lane<'_> {
                 return;
             }
             let (Some(first), Some(last)) = (values.first(), values.last()) else { continue };
-            if let Some(from) = &position {
+            // Of one that overlaps the one before that is told already.
+            if let Some(from) = position.as_ref().filter(|from| segment.start() >= from.since) {
                 let way = (first.to - from.value).abs();
                 match segment.part.moves_from_anywhere {
                     true => self.check_way_there(together, segment, from, first),
@@ -184,7 +188,7 @@ impl Lane<'_> {
                 }
             }
             let whence = format!("where `{}` leaves it", segment.cue);
-            position = Some(Position { value: last.to, whence, sure: Sure::Told });
+            position = Some(Position { value: last.to, since: segment.end(), whence, sure: Sure::Told });
         }
     }
 

@@ -174,7 +174,8 @@ impl<'a> Actuator<'a> {
                 }
                 Means::Early => {
                     fitted.put(before.at, set, knot.to);
-                    if self.moves() {
+                    // The last step is where the movement ends.
+                    if self.moves() || end == knots.len() {
                         fitted.put(knot.at, set, knot.to);
                     }
                 }

@@ -21,6 +21,7 @@ fn says(text: &str, expected: &[&str]) {
 fn only_words_that_are_alike_are_suggested() {
     assert_eq!(did_you_mean("spread", ["read", "at"]), None);
     assert_eq!(did_you_mean("if", ["at", "of", "cue"]), None);
+    assert_eq!(did_you_mean("sm", ["ms", "s"]).as_deref(), Some("did you mean `ms`?"));
     assert_eq!(did_you_mean("cues", ["cue"]).as_deref(), Some("did you mean `cue`?"));
     assert_eq!(did_you_mean("shoulder", ["shuolder", "elbow"]).as_deref(), Some("did you mean `shuolder`?"));
     says("cues: [{robots: bot, move: x}]\n", &["one that there is: there are none"]);
