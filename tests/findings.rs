@@ -113,7 +113,7 @@ fn overlapping_cues_on_one_device_are_found() {
             "DB0015",
             "test.yaml:12:14",
             "`again` moves `shoulder` of `right` from 1 s on, but `cue 1`",
-            "1 s later",
+            "1s later",
         ],
     );
 }

@@ -5,23 +5,43 @@ use urrcp::Span;
 /// What a duration looks like, for messages.
 pub(crate) const EXPECTED: &str = "a time with its unit, such as 250ms, 2s or 1m30s";
 
-/// Reads a time: numbers with h, m, s, ms or us, added up. `None` if it is anything else or longer than 1e11 ms.
+/// Most digits of a number on either side of its point that count.
+const DIGITS_MAX: usize = 15;
+/// Parts of a nanosecond that are told apart before a time is rounded.
+const PARTS: i128 = 1_000_000_000;
+
+/// Reads a time: numbers with h, m, s, ms or us, added up, to the nearest nanosecond. `None` if it is anything else or longer
+/// than 1e11 ms.
 #[must_use]
 pub fn parse_duration(text: &str) -> Option<Span> {
     let mut rest = text.trim();
-    let mut millis = 0.0;
+    let mut parts: i128 = 0;
     if rest.is_empty() {
         return None;
     }
     while !rest.is_empty() {
         let digits = rest.find(|c: char| !c.is_ascii_digit() && c != '.')?;
-        let number: f64 = rest[..digits].parse().ok()?;
+        let number = &rest[..digits];
         rest = &rest[digits..];
         let letters = rest.find(|c: char| !c.is_ascii_alphabetic()).unwrap_or(rest.len());
-        millis += number * unit_millis(&rest[..letters])?;
+        parts = parts.checked_add(parts_of(number, unit_nanos(&rest[..letters])?)?)?;
         rest = &rest[letters..];
     }
-    (millis <= urrcp::OFFSET_MS_MAX).then(|| Span::from_millis_f64(millis))
+    let span = Span::from_nanos(i64::try_from((parts + PARTS / 2) / PARTS).ok()?);
+    (span.as_millis_f64() <= urrcp::OFFSET_MS_MAX).then_some(span)
+}
+
+/// So many units, in parts of a nanosecond.
+fn parts_of(number: &str, unit_nanos: i128) -> Option<i128> {
+    let (whole, fraction) = number.split_once('.').unwrap_or((number, ""));
+    let plain = |digits: &str| digits.bytes().all(|byte| byte.is_ascii_digit());
+    if whole.len() + fraction.len() == 0 || whole.len() > DIGITS_MAX || !plain(fraction) {
+        return None;
+    }
+    let value = |digits: &str| if digits.is_empty() { Some(0) } else { digits.parse::<i128>().ok() };
+    let fraction = &fraction[..fraction.len().min(DIGITS_MAX)];
+    let scale = 10i128.pow(u32::try_from(fraction.len()).ok()?);
+    Some(value(whole)? * unit_nanos * PARTS + value(fraction)? * unit_nanos * PARTS / scale)
 }
 
 /// The same with an optional sign ahead.
@@ -32,13 +52,30 @@ pub(crate) fn parse_signed(text: &str) -> Option<Span> {
     }
 }
 
-fn unit_millis(unit: &str) -> Option<f64> {
+/// A time as it is written in a scenario, exactly: `1.5s`, `250ms`, `-2us`.
+pub(crate) fn written(span: Span) -> String {
+    let (sign, nanos) = (if span < Span::ZERO { "-" } else { "" }, span.as_nanos().unsigned_abs());
+    let (per_unit, digits, unit) = match nanos {
+        1_000_000_000.. => (1_000_000_000, 9, "s"),
+        1_000_000.. | 0 => (1_000_000, 6, "ms"),
+        _ => (1_000, 3, "us"),
+    };
+    let text = format!("{}.{:0digits$}", nanos / per_unit, nanos % per_unit);
+    format!("{sign}{}{unit}", text.trim_end_matches('0').trim_end_matches('.'))
+}
+
+/// A number of seconds as a time of a scenario that is no shorter, in milliseconds.
+pub(crate) fn seconds(seconds: f64) -> String {
+    written(Span::from_millis_f64((seconds * 1_000.0 - 1e-9).ceil()))
+}
+
+fn unit_nanos(unit: &str) -> Option<i128> {
     match unit {
-        "h" => Some(3_600_000.0),
-        "m" | "min" => Some(60_000.0),
-        "s" => Some(1_000.0),
-        "ms" => Some(1.0),
-        "us" => Some(0.001),
+        "h" => Some(3_600_000_000_000),
+        "m" | "min" => Some(60_000_000_000),
+        "s" => Some(1_000_000_000),
+        "ms" => Some(1_000_000),
+        "us" => Some(1_000),
         _ => None,
     }
 }
@@ -46,6 +83,17 @@ fn unit_millis(unit: &str) -> Option<f64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_time_is_written_so_that_it_reads_back_as_the_same() {
+        let nanos = [0, 1, 999, 1_000, 420_123, 1_000_000, 999_999_999, 1_000_000_000, 216_810_420_123];
+        for nanos in nanos.into_iter().chain([9_007_199_254_740_991, 99_999_999_999_999_999]) {
+            let span = Span::from_nanos(nanos);
+            assert_eq!(parse_signed(&written(span)), Some(span), "{}", written(span));
+            assert_eq!(parse_signed(&written(-span)), Some(-span));
+        }
+        assert_eq!((written(Span::from_millis(1_500)), seconds(0.333_4)), ("1.5s".into(), "334ms".into()));
+    }
 
     #[test]
     fn times_are_read_as_people_write_them() {

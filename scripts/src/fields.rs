@@ -5,9 +5,11 @@ use std::cell::Cell;
 
 use crate::budget::{Budget, COMPARISONS_MAX, FINDINGS_MAX, KNOTS_MAX, longest};
 use crate::duration;
-use crate::finding::{Code, Part, Pending, Place, Severity, names, nearest};
+use crate::exact::{Exact, Laps};
+use crate::finding::{Code, Part, Pending, Place, Severity, names, nearest, one_of};
 use crate::music::Music;
-use crate::node::{Node, shortened};
+use crate::node::{self, Node, shortened};
+use crate::scenario::Unset;
 use crate::scope::Scope;
 use urrcp::Span;
 
@@ -75,6 +77,8 @@ pub(crate) struct Reader {
     pub(crate) music: Music,
     /// For the movements of all cues.
     pub(crate) knots: Budget,
+    /// Parameters without a value in the movement that is being read.
+    pub(crate) unset: Vec<Unset>,
     /// Comparisons of names that are left.
     comparisons: Cell<usize>,
     /// By severity.
@@ -97,6 +101,7 @@ impl Default for Reader {
             scope: Scope::default(),
             music: Music::default(),
             knots: Budget::new(KNOTS_MAX),
+            unset: Vec::new(),
             comparisons: Cell::new(COMPARISONS_MAX),
             told: [Told::default(); 2],
         }
@@ -137,6 +142,12 @@ impl Reader {
         self.found.iter_mut().skip(before).for_each(|found| found.related.clone_from(&related));
     }
 
+    /// Takes back some of the findings since there were so many.
+    pub(crate) fn keep_from(&mut self, before: usize, keep: impl Fn(Code) -> bool) {
+        let since = self.found.split_off(before.min(self.found.len()));
+        self.found.extend(since.into_iter().filter(|found| keep(found.code)));
+    }
+
     /// Everything that is told; the last of very many says how many more there are.
     pub(crate) fn finish(mut self) -> Vec<Pending> {
         for told in self.told.iter().filter(|told| told.more > 0) {
@@ -165,8 +176,11 @@ impl Reader {
     }
 
     pub(crate) fn wrong_type(&mut self, at: &At<'_>, expected: &str) {
-        let hint =
-            matches!(at.node, Node::Tagged(_)).then(|| "remove the tag: no tags are supported".to_owned());
+        let hint = match at.node {
+            Node::Tagged(_) => Some("remove the tag: no tags are supported".to_owned()),
+            Node::Text(text) if expected.contains(": a map") => node::without_space_at_all(text),
+            _ => None,
+        };
         self.add(Code::WrongType, at.place(), format!("found {}", at.node.kind()), expected, hint);
     }
 
@@ -190,11 +204,12 @@ impl Reader {
                 None => {
                     let hint = match key.as_str() {
                         "<<" => Some("merge keys are not supported: write the keys out".to_owned()),
+                        _ if node::without_space(key, &known).is_some() => node::without_space(key, &known),
                         _ => self.did_you_mean(key, known),
                     };
                     let message = format!("unknown key `{}` in {what}", shortened(key));
                     let place = at.entry(key, 0, node).key_place();
-                    self.add(Code::UnknownKey, place, message, format!("one of {}", names(known)), hint);
+                    self.add(Code::UnknownKey, place, message, one_of(known), hint);
                 }
             }
         }
@@ -338,10 +353,15 @@ impl Reader {
         }
     }
 
-    /// A length of time, in seconds and their kind or in beats and bars.
+    /// A length of time, in seconds and their kind or in beats and bars, as it is on the clock from the cue's start on.
     pub(crate) fn duration(&mut self, at: &At<'_>) -> Option<Span> {
+        self.exact(at).map(|length| self.music.start.lay(length))
+    }
+
+    /// The same before it is rounded.
+    pub(crate) fn exact(&mut self, at: &At<'_>) -> Option<Exact> {
         let (found, hint) = match self.scalar(at)?.as_ref() {
-            Node::Text(text) => return self.time(at, text),
+            Node::Text(text) => return self.exact_time(at, text),
             Node::Number(value) => {
                 let hint = format!("add the unit: `{value}s` or `{value}ms`");
                 (format!("the time {value} has no unit"), Some(hint))
@@ -352,21 +372,31 @@ impl Reader {
         None
     }
 
-    /// The same from a part of a text.
+    /// So long a time again and again, from the cue's start on.
+    pub(crate) fn laps(&self, length: Exact) -> Laps {
+        Laps { length, from: self.music.start }
+    }
+
+    /// A length of time from a part of a text.
     pub(crate) fn time(&mut self, at: &At<'_>, text: &str) -> Option<Span> {
+        self.exact_time(at, text).map(|length| self.music.start.lay(length))
+    }
+
+    /// The same before it is rounded.
+    pub(crate) fn exact_time(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
         let text = text.trim();
         if let Some(name) = text.strip_prefix('$') {
             let value = self.scope.get(name).cloned();
             return match value {
-                Some(node @ (Node::Text(_) | Node::Number(_))) => self.duration(&At { node: &node, ..*at }),
+                Some(node @ (Node::Text(_) | Node::Number(_))) => self.exact(&At { node: &node, ..*at }),
                 _ => self.variable(at, text).and(None),
             };
         }
         if let Some(span) = duration::parse_duration(text) {
-            return Some(span);
+            return Some(span.into());
         }
         match self.music.span(text) {
-            Some(Ok(span)) => return self.no_longer(at, text, span),
+            Some(Ok(length)) => return self.no_longer(at, text, length),
             Some(Err(why)) => {
                 let expected = "a `tempo`, and a fixed start where it changes";
                 self.add(Code::Music, at.place(), why.message(text), expected, Some(why.hint().to_owned()));
@@ -380,9 +410,9 @@ impl Reader {
     }
 
     /// Beats and bars may be more than a time can hold.
-    pub(crate) fn no_longer(&mut self, at: &At<'_>, text: &str, span: Span) -> Option<Span> {
-        if span <= longest() {
-            return Some(span);
+    pub(crate) fn no_longer(&mut self, at: &At<'_>, text: &str, length: Exact) -> Option<Exact> {
+        if length.rounded_down() <= longest() {
+            return Some(length);
         }
         let message = format!("`{}` is too long a time", shortened(text));
         let hint = Some("write less, or a faster `tempo`".to_owned());
@@ -402,12 +432,12 @@ impl Reader {
     /// One of a few words.
     pub(crate) fn word<T: Copy>(&mut self, at: &At<'_>, words: &[(&'static str, T)]) -> Option<T> {
         let known = || words.iter().map(|(word, _)| *word);
-        let text = self.text(at, &format!("one of {}", names(known())))?;
+        let text = self.text(at, &one_of(known()))?;
         if let Some((_, value)) = words.iter().find(|(word, _)| *word == text) {
             return Some(*value);
         }
         let message = format!("unknown word `{}`", shortened(&text));
-        let expected = format!("one of {}", names(known()));
+        let expected = one_of(known());
         let hint = self.did_you_mean(&text, known());
         self.add(Code::UnknownWord, at.place(), message, expected, hint);
         None

@@ -261,14 +261,34 @@ pub(crate) fn nearest<'a>(
     // Long names are compared by their beginning, so that a huge one costs nothing.
     let wrong: String = wrong.chars().take(64).collect();
     let length = wrong.chars().count();
-    let near = 2.max(length / 3);
+    // Of a short word every second letter may be wrong by chance.
+    let near = 1.max(length / 3);
+    let first = wrong.chars().next();
     let compared = known.into_iter().take(*left).inspect(|_| *left -= 1);
     // Names differ by no less than their lengths do.
     let like = compared.filter(|name| name.len() <= 4 * (length + near));
     let like = like.filter(|name| name.chars().count().abs_diff(length) <= near);
     let scored = like.map(|name| (strsim::osa_distance(&wrong, name), name));
-    let (distance, name) = scored.min_by_key(|(distance, _)| *distance)?;
-    (distance <= near).then(|| format!("did you mean `{name}`?"))
+    let letters = |name: &str| {
+        let mut letters: Vec<char> = name.chars().collect();
+        letters.sort_unstable();
+        letters
+    };
+    let alike = |name: &str| {
+        let close = name.chars().next() == first || letters(name) == letters(&wrong);
+        if close { near } else { length / 4 }
+    };
+    let (_, name) =
+        scored.filter(|(distance, name)| *distance <= alike(name)).min_by_key(|(distance, _)| *distance)?;
+    Some(format!("did you mean `{name}`?"))
+}
+
+/// What is expected where a name is not known.
+pub(crate) fn one_of<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
+    match names(all).as_str() {
+        "none" => "one that there is: there are none".to_owned(),
+        names => format!("one of {names}"),
+    }
 }
 
 /// A list of names for a message, shortened.

@@ -29,6 +29,19 @@ pub struct Samples<'a> {
     pub values: &'a [f64],
     /// Between two samples the curve lies off their chord by at most this.
     pub slack: f64,
+    /// Half of what the curve jumps by at each sample, whose value is the middle of the jump. Empty: it jumps nowhere.
+    pub gaps: &'a [f64],
+}
+
+impl Samples<'_> {
+    /// What is left of the room at a sample.
+    fn room_at(&self, sample: usize, room: f64) -> f64 {
+        room - self.gap(sample)
+    }
+
+    fn gap(&self, sample: usize) -> f64 {
+        self.gaps.get(sample).copied().unwrap_or(0.0)
+    }
 }
 
 /// The values that a device can take: the multiples of the granularity from `min` to `max`.
@@ -79,7 +92,7 @@ pub struct Fit {
 /// use downbeat_scripts::fit::{Ends, Grid, Samples, fewest};
 /// use urrcp::Interpolation;
 ///
-/// let curve = Samples { times: &[0.0, 10.0, 20.0, 30.0], values: &[0.0, 5.2, 9.8, 0.0], slack: 0.0 };
+/// let curve = Samples { times: &[0.0, 10.0, 20.0, 30.0], values: &[0.0, 5.2, 9.8, 0.0], slack: 0.0, gaps: &[] };
 /// let grid = Grid { min: 0.0, max: 10.0, granularity: 1.0 };
 /// let fit = fewest(&curve, Interpolation::Linear, &grid, 0.5, Ends::default())?;
 /// assert_eq!(fit.steps, [(0.0, 0.0), (20.0, 10.0), (30.0, 0.0)]);
@@ -126,6 +139,21 @@ pub fn lower_bound(curve: &Samples, tolerance: f64) -> Option<usize> {
     problem::check(curve).ok()?;
     let room = (tolerance - curve.slack).min(4.0 * problem::EXTREME);
     (room >= 0.0).then(|| tube::steps_at_least(curve, room + problem::dust(curve, Ends::default())))
+}
+
+/// Steps that any device needs at least, wherever in time and at whichever values they lie: a proof that holds for every way
+/// of following the curve, not only for steps at samples.
+///
+/// The fewest groups of samples that one straight line, or one held value, can serve. `None` as for [`lower_bound`].
+#[must_use]
+pub fn steps_at_least(curve: &Samples, interpolation: Interpolation, tolerance: f64) -> Option<usize> {
+    problem::check(curve).ok()?;
+    let room = tolerance.min(4.0 * problem::EXTREME) + problem::dust(curve, Ends::default());
+    (room >= 0.0).then(|| match interpolation {
+        _ if curve.times.len() == 1 => 1,
+        Interpolation::Linear => tube::groups(curve, room) + 1,
+        Interpolation::Hold => hold::groups(curve, room),
+    })
 }
 
 #[cfg(test)]

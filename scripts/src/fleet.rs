@@ -388,7 +388,7 @@ impl FleetReader {
 
     fn read_init(&mut self, at: &At<'_>, path: &Path) -> Option<Init> {
         match Source::read(path) {
-            Ok(source) => Init::read(source).map_err(|finding| self.elsewhere.push(finding)).ok(),
+            Ok(source) => Init::read(source).map_err(|findings| self.elsewhere.extend(findings)).ok(),
             Err(finding) => {
                 let message = format!("cannot read the init file `{}`: {}", path.display(), finding.message);
                 let hint = Some("the path counts from the folder of the fleet file".to_owned());

@@ -1,6 +1,7 @@
 //! A robot's description: an initialization block, or the dictionary of devices that Thrift robots tell of themselves.
 
 mod dictionary;
+mod faults;
 mod supplement;
 
 use std::path::Path;
@@ -17,6 +18,9 @@ use crate::source::Source;
 pub(crate) use self::supplement::DEVICE_KEYS;
 pub(crate) use self::supplement::{Supplement, read as read_supplements};
 
+/// What a description is, for messages.
+const EXPECTED: &str = "an initialization block: id, api_version, devices with their available_control_types";
+
 /// Reads a robot's description from a YAML or JSON file.
 ///
 /// # Errors
@@ -30,7 +34,7 @@ pub fn read_init(path: &Path) -> Result<InitializationBlock, Vec<Finding>> {
 /// # Errors
 /// Findings when it describes no robot.
 pub fn init_of(source: &Source) -> Result<InitializationBlock, Vec<Finding>> {
-    Init::read(source.clone()).map_err(|finding| vec![finding])?.block(&Supplement::none())
+    Init::read(source.clone())?.block(&Supplement::none())
 }
 
 /// A description as the text of an init file, YAML. [`init_of`] reads it back.
@@ -50,14 +54,17 @@ pub(crate) enum Init {
 }
 
 impl Init {
-    pub(crate) fn read(source: Source) -> Result<Self, Finding> {
+    pub(crate) fn read(source: Source) -> Result<Self, Vec<Finding>> {
         let wrong = match block_of(&source) {
             Ok(block) => return Ok(Self::Block(Box::new(block))),
             Err(finding) => finding,
         };
         match node::parse(&source) {
             Ok(document) if dictionary::is_one(&document) => Ok(Self::Dictionary(source, document)),
-            _ => Err(wrong),
+            _ => {
+                let found = faults::of(&source);
+                Err(if found.is_empty() { vec![wrong] } else { found })
+            }
         }
     }
 
@@ -89,8 +96,7 @@ fn block_of(source: &Source) -> Result<InitializationBlock, Finding> {
     serde_yaml::from_str(&source.text).map_err(|error| {
         let mut finding = node::syntax_finding(source, &error);
         finding.code = Code::InitializationBlock;
-        finding.expected =
-            "an initialization block: id, api_version, devices with their available_control_types".into();
+        finding.expected = EXPECTED.into();
         finding
     })
 }

@@ -9,6 +9,7 @@ mod address;
 mod budget;
 mod compile;
 mod duration;
+mod exact;
 mod fields;
 mod files;
 mod finding;

@@ -1,19 +1,23 @@
 //! Musical time: beats and bars, and how long they last.
 //!
 //! A tempo counts beats a minute; a beat is the lower number of the time signature, a bar has as many beats as the upper
-//! one says. Bars and beats count from 1.
+//! one says. Bars and beats count from 1. Musical time is kept exactly: a beat is seldom a whole number of nanoseconds.
 
 use std::sync::Arc;
 
 use urrcp::Span;
 
+use crate::exact::{Beginning, Exact, Fraction, decimal, sum, within};
+
+const MINUTE: Span = Span::from_millis(60_000);
+
 /// Tempo and time signature from some bar on.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Section {
     /// In bars from the beginning, 0 for bar 1.
-    pub(crate) bar: f64,
-    pub(crate) beats_a_minute: f64,
-    pub(crate) beats_a_bar: f64,
+    pub(crate) bar: u32,
+    pub(crate) beats_a_minute: Fraction,
+    pub(crate) beats_a_bar: u8,
 }
 
 /// The tempo of a whole act.
@@ -23,14 +27,20 @@ pub(crate) struct Tempo(Vec<Anchored>);
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Anchored {
     section: Section,
-    /// Where it begins, in beats and in milliseconds.
-    beat: f64,
-    millis: f64,
+    /// Where it begins, in beats and in time.
+    beat: Fraction,
+    at: Exact,
 }
 
 impl Section {
-    fn beat_millis(&self) -> f64 {
-        60_000.0 / self.beats_a_minute
+    /// How long so many beats last.
+    fn beats(&self, beats: Fraction) -> Exact {
+        Exact::from(MINUTE).times(beats).times(self.beats_a_minute.recip())
+    }
+
+    /// So many bars, in beats.
+    fn bars(&self, bars: Fraction) -> Fraction {
+        bars * i128::from(self.beats_a_bar)
     }
 }
 
@@ -39,11 +49,11 @@ impl Tempo {
     pub(crate) fn new(sections: &[Section]) -> Self {
         let mut anchored: Vec<Anchored> = Vec::with_capacity(sections.len());
         for &section in sections {
-            let (beat, millis) = anchored.last().map_or((0.0, 0.0), |last| {
-                let beats = (section.bar - last.section.bar) * last.section.beats_a_bar;
-                (last.beat + beats, last.millis + beats * last.section.beat_millis())
+            let (beat, at) = anchored.last().map_or((Fraction::ZERO, Exact::ZERO), |last| {
+                let beats = last.section.bars(whole(section.bar - last.section.bar));
+                (sum(last.beat, beats), last.at.plus(last.section.beats(beats)))
             });
-            anchored.push(Anchored { section, beat, millis });
+            anchored.push(Anchored { section, beat, at });
         }
         Self(anchored)
     }
@@ -53,26 +63,32 @@ impl Tempo {
     }
 
     /// The section that holds where `key` has reached `value`.
-    fn section(&self, key: impl Fn(&Anchored) -> f64, value: f64) -> Option<&Anchored> {
+    fn section<T: PartialOrd>(&self, key: impl Fn(&Anchored) -> T, value: T) -> Option<&Anchored> {
         let after = self.0.partition_point(|section| key(section) <= value);
         self.0.get(after.saturating_sub(1))
     }
 
     /// The time of a position, both counted from the beginning.
-    fn position(&self, bar: f64, beat: f64) -> Option<f64> {
+    fn position(&self, bar: u32, beat: Fraction) -> Option<Exact> {
         let section = self.section(|s| s.section.bar, bar)?;
-        self.millis_of_beat(section.beat + (bar - section.section.bar) * section.section.beats_a_bar + beat)
+        let bars = section.section.bars(whole(bar - section.section.bar));
+        self.time_of_beat(sum(sum(section.beat, bars), beat))
     }
 
-    fn millis_of_beat(&self, beat: f64) -> Option<f64> {
+    fn time_of_beat(&self, beat: Fraction) -> Option<Exact> {
         let section = self.section(|s| s.beat, beat)?;
-        Some(section.millis + (beat - section.beat) * section.section.beat_millis())
+        Some(section.at.plus(section.section.beats(sum(beat, -section.beat))))
     }
 
-    fn beat_of_millis(&self, millis: f64) -> Option<f64> {
-        let section = self.section(|s| s.millis, millis)?;
-        Some(section.beat + (millis - section.millis) / section.section.beat_millis())
+    fn beat_of_time(&self, at: Exact) -> Option<Fraction> {
+        let section = self.section(|s| s.at, at)?;
+        let beats = at.minus(section.at).divided_by(section.section.beats(whole(1)))?;
+        Some(sum(section.beat, beats))
     }
+}
+
+fn whole(number: u32) -> Fraction {
+    Fraction::from_integer(i128::from(number))
 }
 
 /// How beats are counted at the place that is being read.
@@ -80,7 +96,7 @@ impl Tempo {
 pub(crate) struct Music {
     pub(crate) tempo: Option<Arc<Tempo>>,
     /// When the cue begins, where that is fixed.
-    pub(crate) start: Option<Span>,
+    pub(crate) start: Beginning,
 }
 
 /// Why a musical time has no length.
@@ -113,7 +129,7 @@ impl Unmusical {
 
 impl Music {
     /// A length such as `4 beats` or `1 bar 2 beats`; `None` if the text is nothing of the kind.
-    pub(crate) fn span(&self, text: &str) -> Option<Result<Span, Unmusical>> {
+    pub(crate) fn span(&self, text: &str) -> Option<Result<Exact, Unmusical>> {
         if position(text).is_some() {
             return Some(Err(Unmusical::Position));
         }
@@ -121,48 +137,50 @@ impl Music {
         Some(self.length(bars, beats))
     }
 
-    fn length(&self, bars: f64, beats: f64) -> Result<Span, Unmusical> {
+    fn length(&self, bars: Fraction, beats: Fraction) -> Result<Exact, Unmusical> {
         let tempo = self.tempo.as_ref().ok_or(Unmusical::WithoutTempo)?;
-        let start = match (self.start, tempo.changes()) {
-            (Some(start), _) => start.as_millis_f64(),
-            (None, false) => 0.0,
+        let start = match (self.start.0, tempo.changes()) {
+            (Some(start), _) => start,
+            (None, false) => Exact::ZERO,
             (None, true) => return Err(Unmusical::StartNotFixed),
         };
-        let millis = || {
-            let section = tempo.section(|s| s.millis, start)?;
-            let beat = tempo.beat_of_millis(start)? + bars * section.section.beats_a_bar + beats;
-            Some(tempo.millis_of_beat(beat)? - start)
+        let time = || {
+            let section = tempo.section(|s| s.at, start)?.section;
+            if !tempo.changes() {
+                return Some(section.beats(sum(section.bars(bars), beats)));
+            }
+            let beat = sum(tempo.beat_of_time(start)?, sum(section.bars(bars), beats));
+            Some(tempo.time_of_beat(beat)?.minus(start))
         };
-        Ok(Span::from_millis_f64(millis().unwrap_or(0.0)))
+        Ok(time().unwrap_or(Exact::ZERO))
     }
 
     /// A position such as `bar 3 beat 2`, as time from the beginning; `None` if the text is no position.
-    pub(crate) fn position(&self, text: &str) -> Option<Result<Span, Unmusical>> {
+    pub(crate) fn position(&self, text: &str) -> Option<Result<Exact, Unmusical>> {
         let (bar, beat) = position(text)?;
         let Some(tempo) = self.tempo.as_ref() else { return Some(Err(Unmusical::WithoutTempo)) };
-        Some(Ok(Span::from_millis_f64(tempo.position(bar, beat).unwrap_or(0.0))))
+        Some(Ok(tempo.position(bar, beat).unwrap_or(Exact::ZERO)))
     }
 }
 
 /// `bar 3 beat 2` or `bar 3`, as bars and beats from 0.
-pub(crate) fn position(text: &str) -> Option<(f64, f64)> {
+pub(crate) fn position(text: &str) -> Option<(u32, Fraction)> {
     let words: Vec<_> = text.split_whitespace().collect();
     let (bar, beat) = match words.as_slice() {
-        ["bar", bar] => (bar.parse::<u32>().ok()?, 1.0),
-        ["bar", bar, "beat", beat] => (bar.parse::<u32>().ok()?, beat.parse::<f64>().ok()?),
+        ["bar", bar] => (bar.parse::<u32>().ok()?, whole(1)),
+        ["bar", bar, "beat", beat] => (bar.parse::<u32>().ok()?, decimal(beat)?),
         _ => return None,
     };
-    ((1..=1_000_000).contains(&bar) && (1.0..=1_000.0).contains(&beat))
-        .then(|| (f64::from(bar) - 1.0, beat - 1.0))
+    ((1..=1_000_000).contains(&bar) && within(beat, 1, 1_000)).then(|| (bar - 1, beat - 1))
 }
 
 /// `4 beats`, `1 bar`, `1 bar 2 beats`, as bars and beats.
-fn length(text: &str) -> Option<(f64, f64)> {
+fn length(text: &str) -> Option<(Fraction, Fraction)> {
     let words: Vec<_> = text.split_whitespace().collect();
-    let number = |word: &str| word.parse::<f64>().ok().filter(|value| *value >= 0.0 && *value <= 1e6);
+    let number = |word: &str| decimal(word).filter(|value| within(*value, 0, 1_000_000));
     match words.as_slice() {
-        [n, "beat" | "beats"] => Some((0.0, number(n)?)),
-        [n, "bar" | "bars"] => Some((number(n)?, 0.0)),
+        [n, "beat" | "beats"] => Some((Fraction::ZERO, number(n)?)),
+        [n, "bar" | "bars"] => Some((number(n)?, Fraction::ZERO)),
         [bars, "bar" | "bars", beats, "beat" | "beats"] => Some((number(bars)?, number(beats)?)),
         _ => None,
     }
@@ -174,15 +192,18 @@ mod tests {
 
     fn music(start: Option<i64>) -> Music {
         let sections = [
-            Section { bar: 0.0, beats_a_minute: 120.0, beats_a_bar: 4.0 },
-            Section { bar: 2.0, beats_a_minute: 60.0, beats_a_bar: 3.0 },
+            Section { bar: 0, beats_a_minute: whole(120), beats_a_bar: 4 },
+            Section { bar: 2, beats_a_minute: whole(60), beats_a_bar: 3 },
         ];
-        Music { tempo: Some(Arc::new(Tempo::new(&sections))), start: start.map(Span::from_millis) }
+        Music {
+            tempo: Some(Arc::new(Tempo::new(&sections))),
+            start: Beginning(start.map(|millis| Span::from_millis(millis).into())),
+        }
     }
 
     #[test]
     fn positions_follow_the_changes_of_tempo_and_signature() {
-        let millis = |text| music(None).position(text).unwrap().unwrap().as_millis_f64();
+        let millis = |text| music(None).position(text).unwrap().unwrap().rounded().as_millis_f64();
         assert_eq!(millis("bar 1"), 0.0);
         assert_eq!(millis("bar 1 beat 2.5"), 750.0);
         assert_eq!(millis("bar 3"), 4_000.0);
@@ -192,7 +213,7 @@ mod tests {
 
     #[test]
     fn a_length_across_a_change_counts_the_beats_of_both_tempos() {
-        let millis = |start, text| music(Some(start)).span(text).unwrap().unwrap().as_millis_f64();
+        let millis = |start, text| music(Some(start)).span(text).unwrap().unwrap().rounded().as_millis_f64();
         assert_eq!(millis(0, "4 beats"), 2_000.0);
         assert_eq!(millis(3_000, "4 beats"), 3_000.0);
         assert_eq!(millis(4_000, "1 bar 1 beat"), 4_000.0);

@@ -9,6 +9,9 @@ use crate::finding::{Code, Finding};
 use crate::render::{line_of, line_starts};
 use crate::source::Source;
 
+/// What some editors begin a file with.
+pub(crate) const BYTE_ORDER_MARK: char = '\u{feff}';
+
 /// Any YAML value.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Node {
@@ -48,8 +51,8 @@ pub(crate) fn shortened(text: &str) -> String {
 /// # Errors
 /// A finding of kind [`Code::Syntax`] with the place where the text stops being YAML.
 pub(crate) fn parse(source: &Source) -> Result<Node, Finding> {
-    let text = source.text.as_str();
-    if text.trim_start_matches('\u{feff}').trim().is_empty() {
+    let text = source.text.trim_start_matches(BYTE_ORDER_MARK);
+    if text.trim().is_empty() {
         let hint = Some("see `docs/scenario.md` for what goes into it".to_owned());
         let message = "the file is empty".to_owned();
         return Err(Finding::about_file(Code::Syntax, &source.name, message, "a YAML map", hint));
@@ -67,7 +70,9 @@ pub(crate) fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Find
         finding.width = 1;
         finding.source_line = line_of(&source.text, finding.line).to_owned();
     }
-    if whole.contains("repetition limit") {
+    if let Some(hint) = slip(source, &finding) {
+        finding.hint = Some(hint);
+    } else if whole.contains("repetition limit") {
         finding.hint = Some("the aliases multiply beyond all measure: write less with them".into());
     } else if whole.contains("recursion limit") {
         finding.hint = Some("nothing here nests deeper than a handful of levels".into());
@@ -75,6 +80,41 @@ pub(crate) fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Find
         finding.hint = Some("keep one document a file: remove the `---` between them".into());
     }
     finding
+}
+
+/// What people most often write where YAML stumbles: marks of editors, tabs, a colon without a space.
+fn slip(source: &Source, finding: &Finding) -> Option<String> {
+    let marked = source.text.trim_start_matches(BYTE_ORDER_MARK).contains(BYTE_ORDER_MARK);
+    if marked {
+        let hint = "a byte order mark stands within the file, as where two files were joined: remove it";
+        return Some(hint.to_owned());
+    }
+    let lines = [finding.line, finding.line.saturating_sub(1)];
+    let near = || lines.into_iter().filter(|line| *line > 0).map(|line| line_of(&source.text, line));
+    let indented = |line: &str| line[..line.len() - line.trim_start().len()].contains('\t');
+    if near().any(indented) {
+        return Some("YAML is indented by spaces: replace each tab by some".to_owned());
+    }
+    near().find_map(|line| without_space_at_all(line.trim_start().trim_start_matches("- ")))
+}
+
+/// A hint for `at:0s`, which YAML reads as one word.
+pub(crate) fn without_space(key: &str, known: &[&str]) -> Option<String> {
+    let (name, rest) = key.split_once(':')?;
+    known.contains(&name.trim()).then(|| spaced(name, rest))
+}
+
+/// The same where any word may be the key.
+pub(crate) fn without_space_at_all(text: &str) -> Option<String> {
+    let (name, rest) = text.split_once(':')?;
+    let word = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_' || c == '-');
+    let joined = rest.starts_with(|c: char| !c.is_whitespace());
+    (word && joined).then(|| spaced(name, rest))
+}
+
+fn spaced(name: &str, rest: &str) -> String {
+    let value = rest.split_whitespace().next().unwrap_or_default();
+    format!("write a space after the colon: `{}: {}`", shortened(name), shortened(value))
 }
 
 /// Of a byte, both from 1. The parser's own lines also end where those of YAML 1.1 do, which no editor shows so.

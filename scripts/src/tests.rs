@@ -219,3 +219,8 @@ proptest! {
         check_laws(&text);
     }
 }
+
+mod hints;
+mod numbers;
+mod told;
+mod verified;

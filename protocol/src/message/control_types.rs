@@ -134,16 +134,85 @@ impl Limits {
 
 /// What a script adds to the parameters that it inherits.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct ScriptParameters {
-    /// Inherited from the control type that the script supports.
+    /// Inherited from the control type that the script supports, for each of them that is left out.
     #[serde(flatten)]
+    #[cfg_attr(feature = "schema", schemars(with = "InheritedLimits"))]
     pub limits: Limits,
     /// Largest number of steps in one script.
     pub max_number_of_steps: u32,
     /// Control types that steps may use; without it all of the device but script and sensor (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub control_types: Option<Vec<ControlType>>,
+}
+
+/// What the schema says of limits that may be inherited.
+#[cfg(feature = "schema")]
+#[derive(schemars::JsonSchema)]
+#[expect(dead_code, reason = "only its schema is used")]
+struct InheritedLimits {
+    /// Smallest value that steps can take.
+    min_value: Option<f64>,
+    /// Largest value that steps can take.
+    max_value: Option<f64>,
+    /// Smallest step; above 0.
+    #[schemars(extend("exclusiveMinimum" = 0))]
+    granularity: Option<f64>,
+    /// Largest error by construction or conditions of use.
+    #[schemars(range(min = 0))]
+    max_error: Option<f64>,
+}
+
+/// The parameters of a script as they are written.
+#[derive(Deserialize)]
+struct WrittenScript {
+    #[serde(default, with = "number::optional")]
+    min_value: Option<f64>,
+    #[serde(default, with = "number::optional")]
+    max_value: Option<f64>,
+    #[serde(default, with = "number::optional")]
+    granularity: Option<f64>,
+    #[serde(default, with = "number::optional")]
+    max_error: Option<f64>,
+    max_number_of_steps: u32,
+    #[serde(default)]
+    control_types: Option<Vec<ControlType>>,
+}
+
+impl WrittenScript {
+    /// With what it leaves out taken from the control type that it supports. Of several with different limits none is meant.
+    fn inherit(self, types: &BTreeMap<ControlType, ControlParameters>) -> Result<ScriptParameters, String> {
+        let Self { min_value, max_value, granularity, max_error, max_number_of_steps, control_types } = self;
+        let supported = |control_type: &ControlType| {
+            control_types.as_ref().is_none_or(|listed| listed.contains(control_type))
+        };
+        let mut all = types.iter().filter_map(|(control_type, parameters)| match parameters {
+            ControlParameters::Motion(limits) if supported(control_type) => Some(limits),
+            _ => None,
+        });
+        let first = all.next();
+        let ambiguous = all.any(|other| Some(other) != first);
+        let from = |key: &str, own: Option<f64>, inherited: fn(&Limits) -> f64| match (own, first) {
+            (Some(own), _) => Ok(own),
+            (None, Some(_)) if ambiguous => Err(format!(
+                "missing field `{key}` of script: the control types that it supports differ, so that none is inherited"
+            )),
+            (None, Some(limits)) => Ok(inherited(limits)),
+            (None, None) => {
+                Err(format!("missing field `{key}` of script: there is nothing to inherit it from"))
+            }
+        };
+        let complete = min_value.is_some() && max_value.is_some() && granularity.is_some();
+        let raw = RawLimits {
+            min_value: from("min_value", min_value, |limits| limits.min_value)?,
+            max_value: from("max_value", max_value, |limits| limits.max_value)?,
+            granularity: from("granularity", granularity, |limits| limits.granularity)?,
+            max_error: max_error.or_else(|| first.filter(|_| !complete).and_then(|limits| limits.max_error)),
+        };
+        let limits = Limits::try_from(Object(raw)).map_err(|error| error.to_string())?;
+        Ok(ScriptParameters { limits, max_number_of_steps, control_types })
+    }
 }
 
 /// Properties of a sensor (paper, table 4).
@@ -267,9 +336,17 @@ impl<'de> Visitor<'de> for ControlTypesVisitor {
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ControlTypes, A::Error> {
         let mut types = BTreeMap::new();
+        let mut script: Option<WrittenScript> = None;
         while let Some(control_type) = map.next_key::<ControlType>()? {
             let parameters = match control_type {
-                ControlType::Script => ControlParameters::Script(map.next_value()?),
+                // What it inherits may stand behind it.
+                ControlType::Script if script.is_none() => {
+                    script = Some(map.next_value::<Object<WrittenScript>>()?.0);
+                    continue;
+                }
+                ControlType::Script => {
+                    return Err(de::Error::custom(format!("duplicate control type `{control_type}`")));
+                }
                 ControlType::Sensor => ControlParameters::Sensor(map.next_value()?),
                 ControlType::Custom(_) => ControlParameters::Custom(map.next_value::<Parameters>()?.0),
                 _ => ControlParameters::Motion(map.next_value()?),
@@ -277,6 +354,10 @@ impl<'de> Visitor<'de> for ControlTypesVisitor {
             if types.insert(control_type, parameters).is_some() {
                 return Err(de::Error::custom(format!("duplicate control type `{control_type}`")));
             }
+        }
+        if let Some(script) = script {
+            let script = script.inherit(&types).map_err(de::Error::custom)?;
+            types.insert(ControlType::Script, ControlParameters::Script(script));
         }
         Ok(ControlTypes(types))
     }

@@ -133,7 +133,7 @@ fn check_sensor(findings: &mut Reader, cast: &Cast<'_>, act: &Act, robot: &str, 
         .iter()
         .any(|device| device.id.as_str() == sensor && device.available_control_types.sensor().is_some());
     if !has {
-        unknown_sensor(findings, cast, &robots, sensor, &name.place);
+        unknown_sensor(findings, cast, &robots, (&format!("{}/", name.text), sensor), &name.place);
     }
 }
 

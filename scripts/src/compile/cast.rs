@@ -5,13 +5,14 @@ use std::collections::{HashMap, HashSet};
 
 use urrcp::{ControlType, Device, RobotId, Span};
 
+use crate::exact::Laps;
 use crate::fields::Reader;
-use crate::finding::{Code, names};
+use crate::finding::{Code, names, one_of};
 use crate::fleet::{Fleet, FleetRobot, RateLimits};
 use crate::node::shortened;
 use crate::plan::{Act, Way};
 use crate::render::counted;
-use crate::scenario::{Cue, Movement, Name};
+use crate::scenario::{Cue, Movement, Name, Unset};
 
 /// The fleet with the scenario's roles.
 pub(super) struct Cast<'a> {
@@ -125,7 +126,7 @@ impl<'a> Cast<'a> {
         let known = || self.known().iter().map(String::as_str);
         let hint = findings.did_you_mean(&name.text, known());
         let message = format!("no robot or group `{}` in the fleet", shortened(&name.text));
-        let expected = format!("one of {}", names(known()));
+        let expected = one_of(known());
         findings.add(Code::UnknownRobot, name.place.clone(), message, expected, hint);
         Vec::new()
     }
@@ -164,11 +165,15 @@ impl<'a> Cast<'a> {
         let overridden = self.overridden(findings, cue, &seen);
         let canon = canon(findings, cue, robots.len(), horizon);
         let mut members = Members::default();
+        let mut unset = HashSet::new();
         for (index, &robot) in robots.iter().enumerate() {
             let movement = overridden.get(&robot).copied().unwrap_or(0);
-            let stagger = canon * i64::try_from(index).unwrap_or(i64::MAX);
+            let stagger = canon.begin(u32::try_from(index).unwrap_or(u32::MAX));
             let mut member = Member { robot, movement, delay: stagger };
             let movement = cue.movement_of(&member);
+            if unset.insert(member.movement) {
+                movement.unset.iter().for_each(|unset| unset_parameter(findings, unset));
+            }
             member.delay += movement.delay;
             members.delay = members.delay.max(member.delay);
             members.length = members.length.max(movement.length);
@@ -202,18 +207,25 @@ impl<'a> Cast<'a> {
     }
 }
 
+fn unset_parameter(findings: &mut Reader, unset: &Unset) {
+    let Unset { place, of_move, parameter } = unset;
+    let message = format!("the move `{}` needs a value for `{parameter}`", shortened(of_move));
+    let hint = Some(format!("add `parameters: {{{parameter}: ...}}`"));
+    findings.add(Code::Variable, place.clone(), message, "every parameter without default", hint);
+}
+
 /// How much later each robot begins, if the last of them begins in time.
-fn canon(findings: &mut Reader, cue: &Cue, robots: usize, horizon: Span) -> Span {
-    let after = i64::try_from(robots).unwrap_or(i64::MAX).saturating_sub(1).max(1);
-    let last = cue.canon * after;
+fn canon(findings: &mut Reader, cue: &Cue, robots: usize, horizon: Span) -> Laps {
+    let after = u32::try_from(robots).unwrap_or(u32::MAX).saturating_sub(1).max(1);
+    let last = cue.canon.begin(after);
     if last <= horizon {
         return cue.canon;
     }
     let message = format!("the last of {} begins {last} after the cue", counted(robots, "robot"));
-    let hint = Some(format!("a canon of {} or less", horizon / after));
+    let hint = Some(format!("a canon of {} or less", horizon / i64::from(after)));
     let place = cue.place.of_key("canon");
     findings.add(Code::TooMuch, place, message, format!("at most {horizon}"), hint);
-    Span::ZERO
+    Laps::default()
 }
 
 pub(super) fn devices_of(robot: &FleetRobot) -> &[Device] {

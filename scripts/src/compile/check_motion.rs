@@ -1,14 +1,15 @@
 //! Speed and acceleration of a movement against what the device can do.
 
-use std::collections::HashSet;
+use std::collections::{HashMap, HashSet};
 
-use urrcp::{ControlType, Interpolation};
+use urrcp::{ControlType, Interpolation, Span};
 
-use super::check_values::{item_place, tidy};
+use super::check_values::{item_place, named, tidy};
 use super::perform::OnDevice;
+use crate::duration;
 use crate::fields::Reader;
 use crate::finding::Code;
-use crate::motion::{Curve, Shape};
+use crate::motion::{Between, Curve, Easing, Knot, Shape};
 
 /// What rounding may add to a rate.
 const DUST: f64 = 1.0 + 1e-6;
@@ -34,7 +35,7 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
             continue;
         }
         let (speed, mut acceleration) = curve.peak_rates(index, &peaks);
-        let linear = matches!(knot.shape, Shape::Own | Shape::Sampled);
+        let linear = matches!(knot.shape, Shape::Own | Shape::Sampled(Between::Own | Between::Linear));
         let own = ((knot.to - last.to) / seconds, seconds);
         if let (true, Some((speed_before, seconds_before))) = (linear, before) {
             acceleration = (own.0 - speed_before).abs() / ((own.1 + seconds_before) / 2.0);
@@ -53,7 +54,7 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
             }
             let message = format!(
                 "{}from {} to {} in {} needs {name} of {:.4}, for {}",
-                if knot.item == u32::MAX { String::new() } else { format!("keyframe {}: ", knot.item) },
+                named(on.track, knot.item),
                 tidy(last.to),
                 tidy(knot.to),
                 knot.at - last.at,
@@ -61,7 +62,11 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
                 on.who(control_type)
             );
             let longer = if code == Code::TooFast { found / limit } else { (found / limit).sqrt() };
-            let hint = format!("give it {:.3} s instead of {seconds} s, or less way", seconds * longer);
+            let hint = format!(
+                "give it {} instead of {}, or less way",
+                duration::seconds(seconds * longer),
+                duration::written(knot.at - last.at)
+            );
             findings.add(
                 code,
                 item_place(on.track, knot.item),
@@ -74,26 +79,85 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
 }
 
 /// Where a device that moves linearly is told to be at two places at once: a movement that is repeated and does not end as
-/// it begins, or pieces that do not meet. Told once for each track.
+/// it begins, or pieces that do not meet. Each is told once, however often it is repeated.
 fn jumps(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, curve: &Curve) {
     if on.device.interpolation != Interpolation::Linear || control_type != ControlType::Position {
         return;
     }
     let own = on.device.available_control_types.limits(control_type);
     let small = own.map_or(0.0, |limits| limits.max_error.unwrap_or(0.0).max(limits.granularity));
-    let jump = curve
-        .knots
-        .windows(2)
-        .find(|pair| pair[0].at == pair[1].at && (pair[1].to - pair[0].to).abs() > small);
-    if let Some([before, after]) = jump {
+    let small = on.track.tolerance.map_or(small, |tolerance| tolerance.max(small));
+    let steps = curve.knots.windows(2).filter_map(|pair| Jump::of(&pair[0], &pair[1], small));
+    let mut seen: HashMap<(u32, u64, u64), usize> = HashMap::new();
+    let mut jumps: Vec<(Jump, usize)> = Vec::new();
+    for jump in steps {
+        let key = (jump.item, jump.from.to_bits(), jump.to.to_bits());
+        match seen.get(&key) {
+            Some(known) => jumps[*known].1 += 1,
+            None => {
+                seen.insert(key, jumps.len());
+                jumps.push((jump, 1));
+            }
+        }
+    }
+    let limit = on.cast.limits(on.robots[0], on.device, control_type).speed;
+    for (jump, times) in jumps {
+        jump.tell(findings, on, control_type, limit, times);
+    }
+}
+
+/// A change of value in no time.
+struct Jump {
+    from: f64,
+    to: f64,
+    at: Span,
+    item: u32,
+}
+
+impl Jump {
+    fn of(before: &Knot, after: &Knot, small: f64) -> Option<Self> {
+        let (from, to, item) = (before.to, after.to, after.item);
+        let at = match after.shape {
+            Shape::Early | Shape::Sampled(Between::Early) => before.at,
+            Shape::Eased(Easing::Step) | Shape::Sampled(Between::Step) => after.at,
+            _ if before.at == after.at => after.at,
+            _ => return None,
+        };
+        ((to - from).abs() > small).then_some(Self { from, to, at, item })
+    }
+
+    fn tell(
+        &self,
+        findings: &mut Reader,
+        on: &OnDevice<'_>,
+        control_type: ControlType,
+        limit: Option<f64>,
+        times: usize,
+    ) {
+        let (from, to, at) = (tidy(self.from), tidy(self.to), self.at);
+        let often = match times {
+            1 => String::new(),
+            2 => " and once more".to_owned(),
+            _ => format!(" and {} times more", times - 1),
+        };
+        let who = on.who(control_type);
         let message = format!(
-            "the movement jumps from {} to {} at {}, for {}",
-            tidy(before.to),
-            tidy(after.to),
-            after.at,
-            on.who(control_type)
+            "{}the movement jumps from {from} to {to} at {at}{often}, for {who}",
+            named(on.track, self.item)
         );
-        let hint = Some("let what is repeated end where it begins, and pieces meet".to_owned());
-        findings.add(Code::Jump, item_place(on.track, after.item), message, "a movement without jumps", hint);
+        let place = item_place(on.track, self.item);
+        match limit {
+            Some(limit) => {
+                let seconds = (self.to - self.from).abs() / limit;
+                let hint =
+                    Some(format!("give it {}, or let both values be the same", duration::seconds(seconds)));
+                let expected = format!("a speed of at most {limit}");
+                findings.add(Code::TooFast, place, message, expected, hint);
+            }
+            None => {
+                let hint = Some("let what is repeated end where it begins, and pieces meet".to_owned());
+                findings.add(Code::Jump, place, message, "a movement without jumps", hint);
+            }
+        }
     }
 }

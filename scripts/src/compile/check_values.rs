@@ -34,16 +34,18 @@ pub(super) fn tidy(value: f64) -> f64 {
     if rounded.is_finite() { rounded } else { value }
 }
 
-/// Whether the value of a knot stands in the file, or follows from one by scaling and mirroring.
-fn is_written(knot: &Knot) -> bool {
-    matches!(knot.shape, Shape::Own | Shape::OwnReversed | Shape::Eased(_) | Shape::Early)
-}
-
-/// Checks every value; where the cue says so, moves values to the grid.
-pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, curve: &mut Curve) {
+/// Checks every value; where the cue says so, moves values to the grid. What the device is set to at each knot, nothing if
+/// that is what is written.
+pub(super) fn check(
+    findings: &mut Reader,
+    on: &OnDevice<'_>,
+    control_type: ControlType,
+    curve: &Curve,
+) -> Vec<f64> {
     let limits: Vec<&Limits> = limits_of(on.device, control_type).collect();
+    let mut set = Vec::new();
     if limits.is_empty() {
-        return;
+        return set;
     }
     // Repeated movements come from the same items again and again.
     let (mut seen, mut ways) = (HashSet::new(), HashSet::new());
@@ -55,7 +57,7 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
             let beyond = |limits: &&&Limits| {
                 // What rounding to the grid takes back is none.
                 let nearest = limits.nearest(knot.to);
-                let rounded = snaps(on.cue) && is_written(&knot) && limits.contains(nearest);
+                let rounded = snaps(on.cue) && knot.shape.is_written() && limits.contains(nearest);
                 !limits.contains(knot.to) && !rounded
             };
             if let Some(broken) = limits.iter().find(beyond) {
@@ -63,10 +65,15 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
                     out_of_range(findings, on, control_type, &knot, broken);
                 }
             } else if let Some(broken) =
-                limits.iter().find(|limits| is_written(&knot) && !limits.on_grid(knot.to))
+                limits.iter().find(|limits| knot.shape.is_written() && !limits.on_grid(knot.to))
             {
                 match snaps(on.cue) {
-                    true => curve.knots[index].to = snap(findings, on, control_type, &knot, broken, first),
+                    true => {
+                        if set.is_empty() {
+                            set.extend(curve.knots.iter().map(|knot| knot.to));
+                        }
+                        set[index] = snap(findings, on, control_type, &knot, broken, first);
+                    }
                     false if first => off_grid(findings, on, control_type, &knot, broken),
                     false => {}
                 }
@@ -79,6 +86,7 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
             reaches(findings, on, control_type, curve, index, &limits);
         }
     }
+    set
 }
 
 fn out_of_range(
@@ -89,7 +97,7 @@ fn out_of_range(
     limits: &Limits,
 ) {
     let value = tidy(knot.to);
-    let which = named(knot);
+    let which = named(on.track, knot.item);
     let message = format!("{which}{value} lies outside the limits for {}", on.who(control_type));
     let expected = format!("{} to {}", limits.min_value, limits.max_value);
     let nearest = limits.nearest(value.clamp(limits.min_value, limits.max_value));
@@ -109,7 +117,12 @@ fn off_grid(
     limits: &Limits,
 ) {
     let (value, granularity) = (knot.to, limits.granularity);
-    let message = format!("{}{} lies off the grid for {}", named(knot), tidy(value), on.who(control_type));
+    let message = format!(
+        "{}{} lies off the grid for {}",
+        named(on.track, knot.item),
+        tidy(value),
+        on.who(control_type)
+    );
     let below = tidy((value / granularity).floor() * granularity);
     let above = tidy((value / granularity).ceil() * granularity);
     let hint = format!(
@@ -141,7 +154,7 @@ fn snap(
     let (value, nearest_shown, error_shown) = (tidy(knot.to), tidy(nearest), tidy(error));
     let message = format!(
         "{}{value} becomes {nearest_shown}, {error_shown} off, for {}",
-        named(knot),
+        named(on.track, knot.item),
         on.who(control_type)
     );
     if error <= allowed {
@@ -159,11 +172,11 @@ fn snap(
     nearest
 }
 
-/// `keyframe 3: `, where the file has keyframes.
-fn named(knot: &Knot) -> String {
-    match knot.item {
+/// `keyframe 3: `, where the file has items.
+pub(super) fn named(track: &Track, item: u32) -> String {
+    match item {
         u32::MAX => String::new(),
-        item => format!("keyframe {item}: "),
+        item => format!("{} {item}: ", track.items.one()),
     }
 }
 
@@ -192,7 +205,8 @@ fn reaches(
     if let Some((_, value, s, limits)) = worst {
         let at = from + Span::from_millis_f64((to - from).as_millis_f64() * s);
         let message = format!(
-            "the movement reaches {:.4} at {at}, outside the limits for {}",
+            "{}the movement reaches {:.4} at {at}, outside the limits for {}",
+            named(on.track, curve.knots[index].item),
             value,
             on.who(control_type)
         );
@@ -215,8 +229,8 @@ pub(super) fn check_inherited(findings: &mut Reader, on: &OnDevice<'_>, vectors:
         for value in &vector.values {
             if !script.limits.contains(*value) {
                 let message = format!(
-                    "keyframe {}: {value} lies outside the limits for scripts of `{}` on {}",
-                    vector.item,
+                    "{}{value} lies outside the limits for scripts of `{}` on {}",
+                    named(on.track, vector.item),
                     on.device.id,
                     on.cast.names(on.robots)
                 );

@@ -4,8 +4,9 @@ use std::collections::HashMap;
 
 use urrcp::Span;
 
-use crate::finding::{Code, Pending, Place};
-use crate::scenario::{Act, Anchor, Relation};
+use crate::duration::written;
+use crate::finding::{Code, Part, Pending, Place};
+use crate::scenario::{Act, Anchor, Bounds, Relation};
 use crate::timing::{Bound, Conflict, ConstraintId, Link};
 
 /// Most links of a chain that are told.
@@ -14,37 +15,55 @@ const LINKS_MAX: usize = 24;
 /// Why a constraint is there.
 #[derive(Clone, Debug)]
 pub(super) enum Origin {
-    Relation { cue: usize, relation: Relation },
-    Length { cue: usize, place: Place },
-    Limit { cue: usize, robot: String, device: String, place: Place },
-    Zone { zone: Option<String>, first: usize, second: usize, auto: bool },
+    Relation {
+        cue: usize,
+        relation: Relation,
+    },
+    /// The last robot begins so much later, and the cue lasts as much longer.
+    Length {
+        cue: usize,
+        delay: Span,
+        place: Place,
+    },
+    Limit {
+        cue: usize,
+        robot: String,
+        device: String,
+        place: Place,
+    },
+    Zone {
+        zone: Option<String>,
+        first: usize,
+        second: usize,
+        auto: bool,
+    },
 }
 
 pub(super) fn finding(act: &Act, origins: &HashMap<ConstraintId, Origin>, conflict: &Conflict) -> Pending {
     let teller = Teller { act };
     let links: Vec<(&Link, Option<&Origin>)> =
         conflict.chain.iter().map(|link| (link, link.constraint.and_then(|id| origins.get(&id)))).collect();
-    let told = links.iter().filter_map(|(link, origin)| Some((*link, (*origin)?))).take(LINKS_MAX);
+    let known = links.iter().filter_map(|(link, origin)| Some((*link, (*origin)?))).take(LINKS_MAX);
     let related: Vec<(Place, String)> =
-        told.map(|(link, origin)| (teller.place(origin), teller.says(origin, link))).collect();
+        known.map(|(link, origin)| (teller.place(origin), teller.says(origin, link))).collect();
     let place = related.first().map_or_else(|| act.place.clone(), |(place, _)| place.clone());
     let fixes: Vec<String> = conflict
         .corrections
         .iter()
         .filter_map(|correction| {
             let (link, origin) = links.get(correction.link)?;
-            Some(teller.fixes((*origin)?, link, correction.by))
+            teller.fixes((*origin)?, link, correction.by)
         })
         .collect();
     let hint = match fixes.as_slice() {
-        [] => "no single change is enough: there are other contradictions beside this one".to_owned(),
+        [] => "no single change is enough: there are other contradictions besides this one".to_owned(),
         [only] => only.clone(),
         several => format!("any one of: {}", several.join("; ")),
     };
     Pending {
         code: Code::Conflict,
         place,
-        message: format!("these times contradict each other: {} too tight", conflict.excess),
+        message: format!("these times contradict each other: {} too tight", told(conflict.excess)),
         expected: "times that can all be kept".to_owned(),
         hint: Some(hint),
         related,
@@ -80,7 +99,7 @@ impl Teller<'_> {
     }
 
     fn says(&self, origin: &Origin, link: &Link) -> String {
-        let span = link.span;
+        let span = told(link.span);
         match (origin, link.bound) {
             (Origin::Length { cue, .. }, Bound::Min) => format!("{} lasts {span} or more", self.name(*cue)),
             (Origin::Length { cue, .. }, Bound::Max) => format!("{} lasts {span} at most", self.name(*cue)),
@@ -100,12 +119,14 @@ impl Teller<'_> {
                     self.name(*first)
                 )
             }
-            (Origin::Relation { cue, relation }, bound) => self.relation(*cue, relation, bound, span),
+            (Origin::Relation { cue, relation }, bound) => self.relation(*cue, relation, bound, link.span),
         }
     }
 
     fn relation(&self, cue: usize, relation: &Relation, bound: Bound, span: Span) -> String {
         let to = self.anchor(&relation.to, cue);
+        let together = span == Span::ZERO;
+        let span = told(span);
         if relation.from == Anchor::Origin {
             return match (relation.min == relation.max, bound) {
                 (true, _) => format!("{to} at {span}"),
@@ -114,7 +135,7 @@ impl Teller<'_> {
             };
         }
         let from = self.anchor(&relation.from, cue);
-        match (relation.min == relation.max, bound, span == Span::ZERO) {
+        match (relation.min == relation.max, bound, together) {
             (true, _, true) => format!("{to} when {from}"),
             (true, _, false) => format!("{to} {span} after {from}"),
             (false, Bound::Min, true) => format!("{to} not before {from}"),
@@ -123,50 +144,117 @@ impl Teller<'_> {
         }
     }
 
-    /// What loosening a bound by so much means.
-    fn fixes(&self, origin: &Origin, link: &Link, by: Span) -> String {
-        match (origin, link.bound) {
-            (Origin::Length { cue, .. }, Bound::Min) => format!("shorten {} by {by}", self.name(*cue)),
-            (Origin::Length { cue, .. }, Bound::Max) => format!("lengthen {} by {by}", self.name(*cue)),
-            (Origin::Limit { robot, device, .. }, _) => {
-                let needed = link.span - by;
+    /// What loosening a bound by so much means, as an edit where one is enough; none where nothing is left of it.
+    fn fixes(&self, origin: &Origin, link: &Link, by: Span) -> Option<String> {
+        Some(match origin {
+            Origin::Length { cue, delay, .. } => return self.fixes_length(*cue, *delay, link, by),
+            Origin::Limit { robot, device, .. } => {
+                let needed = written(link.span - by);
                 format!("let `{device}` of `{robot}` move as fast as {needed} needs")
             }
-            (Origin::Zone { zone, second, first, .. }, _) => match zone {
-                Some(zone) => format!(
-                    "let {} begin {by} before {} leaves the zone `{zone}`",
-                    self.name(*second),
-                    self.name(*first)
-                ),
-                None => format!("let {} and {} overlap by {by}", self.name(*first), self.name(*second)),
-            },
-            (Origin::Relation { cue, relation }, bound) => {
-                self.mends_relation(*cue, relation, bound, link.span, by)
+            Origin::Zone { zone, second, first, .. } => {
+                let (first, second, by) = (self.name(*first), self.name(*second), written(by));
+                match zone {
+                    Some(zone) => format!("let {second} begin {by} before {first} leaves the zone `{zone}`"),
+                    None => format!("let {first} and {second} overlap by {by}"),
+                }
             }
-        }
+            Origin::Relation { cue, relation } => self.fixes_relation(*cue, relation, link, by),
+        })
     }
 
-    fn mends_relation(&self, cue: usize, relation: &Relation, bound: Bound, span: Span, by: Span) -> String {
+    fn fixes_length(&self, cue: usize, delay: Span, link: &Link, by: Span) -> Option<String> {
+        let (verb, length) = match link.bound {
+            Bound::Min => ("shorten", link.span - by - delay),
+            Bound::Max => ("lengthen", link.span + by - delay),
+        };
+        let duration = match (&self.act.cues[cue].duration, link.bound) {
+            (Some(Bounds { max: Some(max), min, .. }), Bound::Min) if min != max => {
+                format!("{}..{}", written(length), written(*max))
+            }
+            (Some(Bounds { max: Some(max), min, .. }), Bound::Max) if min != max => {
+                format!("{}..{}", written(*min), written(length))
+            }
+            _ => written(length),
+        };
+        let name = self.name(cue);
+        (length > Span::ZERO).then(|| format!("{verb} {name} by {}: `duration: {duration}`", written(by)))
+    }
+
+    fn fixes_relation(&self, cue: usize, relation: &Relation, link: &Link, by: Span) -> String {
         let fixed = relation.min == relation.max;
         let name = match &relation.to {
             Anchor::StartOf(name) | Anchor::EndOf(name) => format!("`{name}`"),
             _ => self.name(cue),
         };
         let verb = if matches!(relation.to, Anchor::End | Anchor::EndOf(_)) { "end" } else { "start" };
+        let new = if link.bound == Bound::Max { link.span + by } else { link.span - by };
+        let (min, max) = match link.bound {
+            _ if fixed => (Some(new), Some(new)),
+            Bound::Min => (Some(new), relation.max),
+            Bound::Max => (relation.min, Some(new)),
+        };
+        let edit = edit(relation, (min, max));
+        let by = written(by);
         if relation.from == Anchor::Origin {
-            let new = if bound == Bound::Max { span + by } else { span - by };
-            return match (bound, fixed) {
-                (Bound::Max, true) => format!("delay {name} by {by}, to {new}"),
-                (Bound::Min, true) => format!("start {name} {by} earlier, at {new}"),
-                (Bound::Max, false) => format!("let {name} {verb} as late as {new}"),
-                (Bound::Min, false) => format!("let {name} {verb} as early as {new}"),
+            return match (link.bound, fixed) {
+                (Bound::Max, true) => format!("delay {name} by {by}: `{edit}`"),
+                (Bound::Min, true) => format!("start {name} {by} earlier: `{edit}`"),
+                (Bound::Max, false) => format!("let {name} {verb} {by} later: `{edit}`"),
+                (Bound::Min, false) => format!("let {name} {verb} {by} earlier: `{edit}`"),
             };
         }
         let from = self.anchor(&relation.from, cue);
-        match bound {
-            Bound::Max => format!("let {name} {verb} {} after {from}", span + by),
-            Bound::Min if span - by >= Span::ZERO => format!("let {name} {verb} {} after {from}", span - by),
-            Bound::Min => format!("let {name} {verb} {} before {from}", by - span),
-        }
+        let lag = match new >= Span::ZERO {
+            true => format!("{} after", written(new)),
+            false => format!("{} before", written(-new)),
+        };
+        format!("let {name} {verb} {lag} {from}: `{edit}`")
     }
+}
+
+/// The key of a relation with other bounds, as it is written.
+fn edit(relation: &Relation, (min, max): (Option<Span>, Option<Span>)) -> String {
+    let of_key = |part: &Part| match part {
+        Part::Key(key, _) => Some(key.clone()),
+        Part::Index(_) => None,
+    };
+    let key = relation.place.path.iter().rev().find_map(of_key).unwrap_or_default();
+    let range = match (min, max) {
+        (Some(min), Some(max)) if min != max => format!("{}..{}", written(min), written(max)),
+        (Some(one), _) | (None, Some(one)) => written(one),
+        (None, None) => String::new(),
+    };
+    let (other, unsaid, sign) = match key.as_str() {
+        "after" => (&relation.from, End::End, '+'),
+        "before" => (&relation.to, End::Start, '-'),
+        "with" => (&relation.from, End::Start, '+'),
+        _ => return format!("{key}: {range}"),
+    };
+    let target = match (other, unsaid) {
+        (Anchor::StartOf(name), End::Start) | (Anchor::EndOf(name), End::End) => name.clone(),
+        (Anchor::StartOf(name), End::End) => format!("start of {name}"),
+        (Anchor::EndOf(name), End::Start) => format!("end of {name}"),
+        _ => String::new(),
+    };
+    match range.as_str() {
+        "0ms" => format!("{key}: {target}"),
+        _ => format!("{key}: {target} {sign} {range}"),
+    }
+}
+
+/// Which end of a cue a key means if it says nothing.
+enum End {
+    Start,
+    End,
+}
+
+/// A time for people; where rounding would hide something, exactly.
+pub(super) fn told(span: Span) -> String {
+    let unit = match span.abs().as_nanos() {
+        1_000_000_000.. => 1_000_000,
+        1_000_000.. => 1_000,
+        _ => 1,
+    };
+    if span.as_nanos() % unit == 0 { span.to_string() } else { written(span) }
 }

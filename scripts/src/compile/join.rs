@@ -7,14 +7,17 @@ use urrcp::{
 };
 
 use super::cast::{Cast, Positions, Rest};
-use super::perform::{Segment, Steps, capacity};
+use super::conflict::told;
+use super::perform::{Excess, Segment, Steps, capacity};
+use super::together::{Together, Told};
 use crate::budget::Budget;
+use crate::duration::{seconds, written};
 use crate::fields::Reader;
 use crate::finding::Code;
 use crate::motion::Value;
 use crate::plan::{DeviceScript, DeviceUse, RobotPlan, is_rate};
 use crate::render::counted;
-use crate::scenario::Scenario;
+use crate::scenario::{Items, Scenario};
 
 /// An act's scripts, how they came about, and where they leave the devices.
 pub(super) struct Joined {
@@ -36,14 +39,15 @@ pub(super) fn join(
         return joined;
     }
     let mut last_robot = None;
+    let mut together = Together::default();
     for ((robot, index), mut segments) in segments {
         segments.sort_by_key(Segment::start);
         let device = &cast.devices(robot)[index];
         let speed = cast.limits(robot, device, ControlType::Position).speed;
         let lane = Lane { scenario, robot: cast.id(robot), device, speed, segments: &segments };
-        lane.check_overlaps(findings);
-        lane.check_jumps(findings, positions.of(robot, index));
-        lane.check_left_in_motion(findings);
+        lane.check_overlaps(&mut together);
+        lane.check_jumps(&mut together, positions.of(robot, index));
+        lane.check_left_in_motion(&mut together);
         let Some((scripts, used)) = lane.scripts(findings) else { continue };
         if let Some(value) = lane.last_value() {
             joined.rest.insert((robot, index), value);
@@ -57,6 +61,7 @@ pub(super) fn join(
         }
         joined.devices.push(used);
     }
+    together.tell(findings);
     joined
 }
 
@@ -84,6 +89,24 @@ fn taken(
     sound
 }
 
+/// Where a device is when a cue begins.
+struct Position {
+    value: f64,
+    /// Since when.
+    since: Span,
+    whence: String,
+    sure: Sure,
+}
+
+/// How sure that is.
+#[derive(Clone, Copy)]
+enum Sure {
+    /// A cue of the same act has moved it there.
+    Told,
+    /// Its description says so, or the act before.
+    Assumed,
+}
+
 /// One device of one robot, with everything that it does in an act.
 struct Lane<'a> {
     scenario: &'a Scenario,
@@ -99,32 +122,53 @@ impl Lane<'_> {
         self.device.interpolation == Interpolation::Linear
     }
 
-    fn check_overlaps(&self, findings: &mut Reader) {
+    /// `elbow` of `left`, as a name in a list.
+    fn who(&self) -> String {
+        format!("{}` of `{}", self.device.id, self.robot)
+    }
+
+    fn check_overlaps(&self, together: &mut Together) {
         let mut latest: Option<&Segment> = None;
         for segment in self.segments {
             if let Some(before) = latest.filter(|before| segment.start() < before.end()) {
-                let message = format!(
-                    "`{}` moves `{}` of `{}` from {} on, but `{}` moves it until {}",
-                    segment.cue,
-                    self.device.id,
-                    self.robot,
-                    segment.start(),
-                    before.cue,
-                    before.end()
-                );
-                let expected = format!("a start at {} or later", before.end());
-                let later = before.end() - segment.start();
-                let hint =
-                    Some(format!("start `{}` {later} later, as with `after: {}`", segment.cue, before.cue));
-                findings.add(Code::Overlap, segment.part.place.clone(), message, expected, hint);
+                self.overlap(together, segment, before);
             }
             latest = latest.filter(|before| before.end() > segment.end()).or(Some(segment));
         }
     }
 
+    fn overlap(&self, together: &mut Together, segment: &Segment, before: &Segment) {
+        let later = before.end() - segment.start();
+        together.add(Told {
+            code: Code::Overlap,
+            cause: format!("{}\n{}", segment.cue, before.cue),
+            size: later.as_millis_f64(),
+            who: self.who(),
+            place: segment.part.place.clone(),
+            message: format!(
+                "`{}` moves `{}` of `{}` from {} on, but `{}` moves it until {}",
+                segment.cue,
+                self.device.id,
+                self.robot,
+                told(segment.start()),
+                before.cue,
+                told(before.end())
+            ),
+            expected: format!("a start at {} or later", told(before.end())),
+            hint: Some(format!(
+                "start `{}` {} later, as with `after: {}`",
+                segment.cue,
+                written(later),
+                before.cue
+            )),
+        });
+    }
+
     /// A device that moves linearly, told to be somewhere else at once.
-    fn check_jumps(&self, findings: &mut Reader, begin: Option<f64>) {
-        let mut position = begin.map(|value| (value, "where it is when the act begins".to_owned()));
+    fn check_jumps(&self, together: &mut Together, begin: Option<f64>) {
+        let whence = "where it is when the act begins".to_owned();
+        let mut position =
+            begin.map(|value| Position { value, since: Span::ZERO, whence, sure: Sure::Assumed });
         for segment in self.segments {
             let Steps::One(values) = &segment.part.steps else { return };
             let position_control = segment.part.control_type == ControlType::Position;
@@ -132,44 +176,90 @@ impl Lane<'_> {
                 return;
             }
             let (Some(first), Some(last)) = (values.first(), values.last()) else { continue };
-            if let Some((from, whence)) = &position {
-                let way = (first.to - from).abs();
+            // Of one that overlaps the one before that is told already.
+            if let Some(from) = position.as_ref().filter(|from| segment.start() >= from.since) {
+                let way = (first.to - from.value).abs();
                 match segment.part.moves_from_anywhere {
-                    true => self.check_way_there(findings, segment, *from, first),
+                    true => self.check_way_there(together, segment, from, first),
                     false if way > segment.part.tolerance.max(1e-9) => {
-                        self.jump(findings, segment, *from, whence, first);
+                        self.jump(together, segment, from, first);
                     }
                     false => {}
                 }
             }
-            position = Some((last.to, format!("where `{}` leaves it", segment.cue)));
+            let whence = format!("where `{}` leaves it", segment.cue);
+            position = Some(Position { value: last.to, since: segment.end(), whence, sure: Sure::Told });
         }
     }
 
-    fn jump(&self, findings: &mut Reader, segment: &Segment, from: f64, whence: &str, first: &Value) {
+    /// Where the device is moved to by a cue of the act it has to be in time; of where it is at the act's start only what
+    /// its description says is known.
+    fn code_of(&self, from: &Position) -> Code {
+        match from.sure {
+            Sure::Told if self.speed.is_some() => Code::TooFast,
+            _ => Code::Jump,
+        }
+    }
+
+    fn jump(&self, together: &mut Together, segment: &Segment, position: &Position, first: &Value) {
         let at = segment.begin + first.at;
-        let (device, robot, to) = (&self.device.id, self.robot, first.to);
-        let message = format!("`{device}` of `{robot}` has to jump from {from}, {whence}, to {to} at {at}");
-        let expected = format!("a first keyframe of {from}, or one later than 0s");
-        let hint = Some("a first keyframe later than 0s is reached by moving there".to_owned());
-        findings.add(Code::Jump, segment.part.place.clone(), message, expected, hint);
+        let (device, robot, to, from) = (&self.device.id, self.robot, first.to, position.value);
+        let whence = &position.whence;
+        let needed = self.speed.map(|speed| seconds((to - from).abs() / speed));
+        let hint = match (segment.part.items, needed) {
+            (Items::Keyframes, Some(needed)) => {
+                format!("put the first keyframe at {needed} or later: it is reached by moving there")
+            }
+            (Items::Keyframes, None) => {
+                "a first keyframe later than 0s is reached by moving there".to_owned()
+            }
+            (_, Some(needed)) => format!("let a cue before it move there, which takes {needed} or more"),
+            (_, None) => "let a cue before it move there".to_owned(),
+        };
+        let expected = match segment.part.items {
+            Items::Keyframes => format!("a first keyframe of {from}, or one later than 0s"),
+            _ => format!("a movement that begins at {from}"),
+        };
+        together.add(Told {
+            code: self.code_of(position),
+            cause: format!("{:?}\n{from} {to} {whence}", segment.part.place),
+            size: (to - from).abs(),
+            who: self.who(),
+            place: segment.part.place.clone(),
+            message: format!("`{device}` of `{robot}` has to jump from {from}, {whence}, to {to} at {at}"),
+            expected,
+            hint: Some(hint),
+        });
     }
 
     /// The way to a first keyframe later than 0s, from where the device is.
-    fn check_way_there(&self, findings: &mut Reader, segment: &Segment, from: f64, first: &Value) {
-        let seconds = first.at.as_millis_f64() / 1_000.0;
-        let needed = (first.to - from).abs() / seconds;
+    fn check_way_there(
+        &self,
+        together: &mut Together,
+        segment: &Segment,
+        position: &Position,
+        first: &Value,
+    ) {
+        let (from, length) = (position.value, first.at.as_millis_f64() / 1_000.0);
+        let needed = (first.to - from).abs() / length;
         let Some(speed) = self.speed.filter(|speed| needed > speed * (1.0 + 1e-6)) else { return };
-        let message = format!(
-            "`{}` of `{}` has {} to get from {from} to its first keyframe, {}: a speed of {needed:.4}",
-            self.device.id, self.robot, first.at, first.to
-        );
-        let hint = Some(format!("put the first keyframe at {:.3} s or later", seconds * needed / speed));
-        findings.add(Code::Jump, segment.part.place.clone(), message, format!("at most {speed}"), hint);
+        together.add(Told {
+            code: self.code_of(position),
+            cause: format!("{:?}\n{from} {} way", segment.part.place, first.to),
+            size: needed,
+            who: self.who(),
+            place: segment.part.place.clone(),
+            message: format!(
+                "`{}` of `{}` has {} to get from {from} to its first keyframe, {}: a speed of {needed:.4}",
+                self.device.id, self.robot, first.at, first.to
+            ),
+            expected: format!("at most {speed}"),
+            hint: Some(format!("put the first keyframe at {} or later", seconds(length * needed / speed))),
+        });
     }
 
     /// A rate that nothing ends: neither a last step of the resting value nor a lease.
-    fn check_left_in_motion(&self, findings: &mut Reader) {
+    fn check_left_in_motion(&self, together: &mut Together) {
         let Some(last) = self.segments.last() else { return };
         let value = match &last.part.steps {
             Steps::One(values) => values.last().map(|value| value.to),
@@ -181,18 +271,19 @@ impl Lane<'_> {
             && is_rate(last.part.control_type)
             && lease.is_none()
         {
-            let message = format!(
-                "`{}` of `{}` is left at {} {value} at the end, and no stop_condition ends it",
-                self.device.id, self.robot, last.part.control_type
-            );
-            let hint = Some(format!("end with {resting}, or give the cue a `stop_condition`"));
-            findings.add(
-                Code::LeftInMotion,
-                last.part.place.clone(),
-                message,
-                format!("a last value of {resting}"),
-                hint,
-            );
+            together.add(Told {
+                code: Code::LeftInMotion,
+                cause: format!("{:?}\n{value} {resting}", last.part.place),
+                size: 0.0,
+                who: self.who(),
+                place: last.part.place.clone(),
+                message: format!(
+                    "`{}` of `{}` is left at {} {value} at the end, and no stop_condition ends it",
+                    self.device.id, self.robot, last.part.control_type
+                ),
+                expected: format!("a last value of {resting}"),
+                hint: Some(format!("end with {resting}, or give the cue a `stop_condition`")),
+            });
         }
     }
 
@@ -316,10 +407,13 @@ impl Lane<'_> {
         let queue = self.device.script_queue.max(1);
         let place = self.segments[0].part.place.clone();
         let over = steps - most * queue as usize;
-        let hint = format!(
-            "take out {}, allow a larger error with `tolerance`, or cut the scenario into acts",
-            counted(over, "keyframe")
-        );
+        let longest = self.segments.iter().max_by_key(|segment| segment.part.steps.len());
+        let less = match longest.map(|segment| (segment.part.excess, &segment.cue)) {
+            Some((Excess::Turns, cue)) => format!("`{cue}` repeats it: repeat it less often"),
+            Some((Excess::Curve, _)) => format!("save {}", counted(over, "step")),
+            _ => format!("take out {}", counted(over, "keyframe")),
+        };
+        let hint = format!("{less}, allow a larger error with `tolerance`, or cut the scenario into acts");
         let (code, message, expected) = match queue {
             1 => (
                 Code::TooManySteps,

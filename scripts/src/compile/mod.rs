@@ -13,13 +13,15 @@ mod conflict;
 mod join;
 mod perform;
 mod schedule;
+mod together;
+mod vectors;
 
 use std::collections::HashMap;
 
 use crate::budget::{Budget, KNOTS_MAX, STEPS_MAX};
 use crate::fields::Reader;
 use crate::files::Files;
-use crate::finding::{Finding, Severity};
+use crate::finding::{Code, Finding, Severity};
 use crate::fleet::Fleet;
 use crate::locate::locate;
 use crate::plan::{Act, Choreography, Plan};
@@ -86,7 +88,13 @@ impl Compiler {
             let positions = cast::Positions::after(fleet, &before, &rests, index == 0);
             let members: Vec<_> =
                 act.cues.iter().map(|cue| cast.members(&mut self.findings, cue, horizon)).collect();
+            let before = self.findings.found.len();
             let (times, consistent) = schedule::schedule(&mut self.findings, act, &members, &cast, horizon);
+            // Of cues that could not be read as a whole, the times are not known.
+            let consistent = consistent && act.faults == 0;
+            if act.faults > 0 {
+                self.findings.keep_from(before, |code| !matches!(code, Code::Conflict | Code::NoOrder));
+            }
             let mut performer = perform::Performer::new(&mut self.findings, &cast, &mut fits, horizon);
             for ((cue, members), time) in act.cues.iter().zip(&members).zip(&times) {
                 performer.cue(cue, members, time);

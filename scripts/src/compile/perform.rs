@@ -7,18 +7,22 @@ use urrcp::{ControlParameters, ControlType, Device, Limits, Setpoint, Span, Stop
 
 use super::cast::{Cast, Member, Members};
 use super::schedule::CueTime;
+use super::vectors::{self, Thinned};
 use super::{check_motion, check_values};
 use crate::budget::{Budget, STEPS_MAX, USES_MAX};
 use crate::fields::Reader;
-use crate::finding::{Code, Place, Severity, names};
+use crate::finding::{Code, Place, Severity, names, one_of};
 use crate::fleet::RateLimits;
-use crate::motion::{Actuator, Curve, Fits, Value};
+use crate::motion::{Actuator, Curve, Fits, Played, Stretch, Value};
 use crate::node::shortened;
 use crate::plan::PlannedReading;
-use crate::scenario::{Cue, Motion, OffGrid, Reading, Track};
+use crate::scenario::{Cue, Items, Motion, OffGrid, Reading, Track};
 
 /// Up to so many steps the exact number of a movement is told, whatever its device takes.
 const TOLD_MAX: usize = 1_000_000;
+
+/// Most tolerances that are tried for a hint.
+const TOLERANCES_MAX: usize = 16;
 
 /// A stretch of one device's time that a cue has taken.
 #[derive(Clone, Debug)]
@@ -42,7 +46,31 @@ pub(super) struct Part {
     pub(super) moves_from_anywhere: bool,
     /// The budget and tolerance within which it was made.
     pub(super) tolerance: f64,
+    /// What is less of it where there is too much.
+    pub(super) excess: Excess,
+    pub(super) items: Items,
     pub(super) place: Place,
+}
+
+/// What makes many steps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Excess {
+    /// Written one by one.
+    Keyframes,
+    /// It is repeated.
+    Turns,
+    /// A curve that is followed closely.
+    Curve,
+}
+
+impl Excess {
+    fn of(track: &Track) -> Self {
+        match track.items {
+            _ if track.turns > 1 => Self::Turns,
+            Items::Keyframes => Self::Keyframes,
+            _ => Self::Curve,
+        }
+    }
 }
 
 /// Values at times from the cue's start.
@@ -209,7 +237,7 @@ impl<'c, 'a> Performer<'c, 'a> {
             let known = || self.cast.devices(robots[0]).iter().map(|device| device.id.as_str());
             let message = format!("{} no device `{}`", self.cast.have(&robots), shortened(&track.device));
             let hint = self.findings.did_you_mean(&track.device, known());
-            let expected = format!("one of {}", names(known()));
+            let expected = one_of(known());
             self.findings.add(Code::UnknownDevice, track.place.clone(), message, expected, hint);
         }
     }
@@ -221,7 +249,7 @@ impl<'c, 'a> Performer<'c, 'a> {
             for class in self.classes(track, groups) {
                 let robots: Vec<usize> = class.members.iter().map(|member| member.robot).collect();
                 let on = OnDevice { cue, track, device: class.device, robots: &robots, cast: self.cast };
-                let Some(part) = self.part(&on, time.factor) else { continue };
+                let Some(part) = self.part(&on, time.stretch) else { continue };
                 if !self.used(cue, class.members.len()) {
                     return;
                 }
@@ -275,13 +303,13 @@ impl<'c, 'a> Performer<'c, 'a> {
         classes
     }
 
-    fn part(&mut self, on: &OnDevice<'_>, factor: f64) -> Option<Part> {
+    fn part(&mut self, on: &OnDevice<'_>, stretch: Stretch) -> Option<Part> {
         if self.steps.is_overdrawn() {
             return None;
         }
         let control_type = self.control_type(on)?;
         let curve = match &on.track.motion {
-            Motion::Vectors(vectors) => return self.vectors(on, control_type, vectors, factor),
+            Motion::Vectors(vectors) => return self.vectors(on, control_type, vectors, stretch),
             Motion::Curve(curve) => curve,
         };
         if let ControlType::Custom(_) = control_type
@@ -293,18 +321,17 @@ impl<'c, 'a> Performer<'c, 'a> {
             return None;
         }
         let mut curve = curve.clone();
-        if factor != 1.0 {
-            curve.stretch(factor);
-        }
+        curve.stretch(stretch);
         let actuator = Actuator::new(on.device, control_type, self.room(on.device));
         let before = self.findings.found.len();
-        check_values::check(self.findings, on, control_type, &mut curve);
+        let set = check_values::check(self.findings, on, control_type, &curve);
+        let played = Played::new(&curve, set);
         let errors = self.findings.found[before..].iter();
         let sound = !errors.clone().any(|finding| finding.code.severity() == Severity::Error);
-        check_motion::check(self.findings, on, control_type, &curve);
+        check_motion::check(self.findings, on, control_type, &played.as_set());
         self.check_beginning(on, &actuator, &curve);
         curve.knots.first()?;
-        self.fitted(on, &actuator, &curve, sound)
+        self.fitted(on, &actuator, &played, sound)
     }
 
     /// The fewest steps within the tolerance; or the least error with so many steps, where the track asks for that.
@@ -313,26 +340,27 @@ impl<'c, 'a> Performer<'c, 'a> {
         &mut self,
         on: &OnDevice<'_>,
         actuator: &Actuator<'_>,
-        curve: &Curve,
+        played: &Played<'_>,
         sound: bool,
     ) -> Option<Part> {
         let own = actuator.tolerance();
         let thinned = on.track.tolerance.is_some() || on.track.steps_max.is_some();
         let mut tolerance = on.track.tolerance.unwrap_or(own);
-        let mut fitted = actuator.steps(curve, tolerance, thinned, self.fits);
+        let mut fitted = actuator.steps(played, tolerance, thinned, self.fits);
         let steps_max = on.track.steps_max.map(|most| most as usize);
         if let Some(most) = steps_max {
-            (tolerance, fitted) = actuator.least_error(curve, tolerance, most, self.fits);
+            (tolerance, fitted) = actuator.least_error(played, tolerance, most, self.fits);
         }
         if !self.taken(on, fitted.steps.len(), fitted.steps.len()) {
             return None;
         }
         if let Some(most) = steps_max {
-            if fitted.steps.len() > most || (fitted.worst > own && on.track.tolerance.is_none()) {
-                self.too_few_steps(on, most, &fitted, own);
+            let allowed = on.track.tolerance.unwrap_or(own);
+            if fitted.steps.len() > most || fitted.worst > allowed * (1.0 + 1e-9) {
+                self.too_few_steps(on, most, fitted.steps.len(), (fitted.worst, fitted.worst_at), allowed);
             }
         } else if let Some(needed) = fitted.needed.filter(|_| sound) {
-            let needed = rounded_up(needed);
+            let needed = self.enough(actuator, played, thinned, needed);
             let message = format!(
                 "no steps on the grid of {} keep the movement within {tolerance}",
                 on.who(actuator.control_type)
@@ -343,14 +371,28 @@ impl<'c, 'a> Performer<'c, 'a> {
         }
         Some(Part {
             control_type: actuator.control_type,
-            moves_from_anywhere: actuator.moves_from_anywhere(curve),
+            // Of one that lacks a beginning that is told already.
+            moves_from_anywhere: actuator.moves_from_anywhere(played.curve)
+                || actuator.lacks_beginning(played.curve),
             at_least: fitted.at_least,
             worst: fitted.worst,
             worst_at: fitted.worst_at,
             tolerance,
+            excess: Excess::of(on.track),
+            items: on.track.items,
             place: on.track.place.clone(),
             steps: Steps::One(fitted.steps),
         })
+    }
+
+    /// A tolerance that some steps keep to: with a larger one the movement is sampled less densely, which may take more.
+    fn enough(&mut self, actuator: &Actuator<'_>, played: &Played<'_>, thinned: bool, needed: f64) -> f64 {
+        let mut tolerance = rounded_up(needed);
+        for _ in 0..TOLERANCES_MAX {
+            let Some(more) = actuator.steps(played, tolerance, thinned, self.fits).needed else { break };
+            tolerance = rounded_up(more.max(tolerance * 1.001));
+        }
+        tolerance
     }
 
     /// How many steps a movement may have here: some more than the device takes, so that the number can be told.
@@ -383,10 +425,17 @@ impl<'c, 'a> Performer<'c, 'a> {
         sound
     }
 
-    fn too_few_steps(&mut self, on: &OnDevice<'_>, most: usize, fitted: &crate::motion::Fitted, own: f64) {
+    fn too_few_steps(
+        &mut self,
+        on: &OnDevice<'_>,
+        most: usize,
+        steps: usize,
+        (worst, worst_at): (f64, Span),
+        allowed: f64,
+    ) {
         let place = on.track.place.clone();
-        if fitted.steps.len() > most {
-            let message = format!("the movement takes {} steps at least", fitted.steps.len());
+        if steps > most {
+            let message = format!("the movement takes {steps} steps at least");
             let hint = Some("allow more steps, or take keyframes out".to_owned());
             self.findings.add(
                 Code::ToleranceTooTight,
@@ -397,10 +446,17 @@ impl<'c, 'a> Performer<'c, 'a> {
             );
             return;
         }
-        let worst = rounded_up(fitted.worst);
-        let message = format!("with {most} steps the movement is off by {worst} at {}", fitted.worst_at);
-        let expected = format!("at most {own} (max_error of `{}`)", on.device.id);
-        let hint = Some(format!("allow more steps, or add `tolerance: {worst}` to the track"));
+        let worst = rounded_up(worst);
+        let message = format!("with {most} steps the movement is off by {worst} at {worst_at}");
+        let whose = match on.track.tolerance {
+            Some(_) => "the track's `tolerance`".to_owned(),
+            None => format!("max_error of `{}`", on.device.id),
+        };
+        let expected = format!("at most {allowed} ({whose})");
+        let hint = Some(match on.track.tolerance {
+            Some(_) => format!("allow more steps, or a `tolerance` of {worst}"),
+            None => format!("allow more steps, or add `tolerance: {worst}` to the track"),
+        });
         self.findings.add(Code::ToleranceTooTight, place, message, expected, hint);
     }
 
@@ -444,7 +500,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         on: &OnDevice<'_>,
         control_type: ControlType,
         vectors: &[crate::scenario::Vector],
-        factor: f64,
+        stretch: Stretch,
     ) -> Option<Part> {
         if !matches!(control_type, ControlType::Custom(_))
             && vectors.iter().any(|vector| vector.values.len() > 1)
@@ -454,25 +510,25 @@ impl<'c, 'a> Performer<'c, 'a> {
             self.findings.add(Code::WrongType, on.track.list.clone(), message, expected, None);
             return None;
         }
-        let steps = vectors.iter().map(|vector| {
-            let at = Span::from_millis_f64(vector.at.as_millis_f64() * factor);
-            let mut setpoint = Setpoint::new(control_type, vector.values[0]);
-            setpoint.more = vector.values[1..].into();
-            (at, setpoint)
-        });
         let size = vectors.iter().map(|vector| 3 + vector.values.len() / 2).sum();
         if !self.taken(on, vectors.len(), size) {
             return None;
         }
-        let steps: Vec<_> = steps.collect();
         check_values::check_inherited(self.findings, on, vectors);
+        let Thinned { steps, worst, worst_at } = vectors::thinned(on, control_type, vectors, stretch);
+        let (most, allowed) = (on.track.steps_max.map(|most| most as usize), vectors::tolerance(on));
+        if let Some(most) = most.filter(|most| steps.len() > *most || worst > allowed) {
+            self.too_few_steps(on, most, steps.len(), (worst, worst_at), allowed);
+        }
         Some(Part {
             control_type,
             at_least: steps.len(),
-            worst: 0.0,
-            worst_at: Span::ZERO,
+            worst,
+            worst_at,
             moves_from_anywhere: false,
             tolerance: 0.0,
+            excess: Excess::of(on.track),
+            items: on.track.items,
             place: on.track.place.clone(),
             steps: Steps::Several(steps),
         })
@@ -507,29 +563,32 @@ impl<'c, 'a> Performer<'c, 'a> {
                 }
             }
             if !without.is_empty() {
-                unknown_sensor(self.findings, self.cast, &without, &reading.sensor, &reading.place);
+                unknown_sensor(self.findings, self.cast, &without, ("", &reading.sensor), &reading.place);
             }
         }
     }
 }
 
+/// A sensor that is not there, with what stands ahead of its name.
 pub(super) fn unknown_sensor(
     findings: &mut Reader,
     cast: &Cast<'_>,
     robots: &[usize],
-    sensor: &str,
+    sensor: (&str, &str),
     place: &Place,
 ) {
+    let (ahead, sensor) = sensor;
     let devices = cast.devices(robots[0]).iter();
     let sensors: Vec<_> = devices
         .filter(|device| device.available_control_types.sensor().is_some())
         .map(|device| device.id.as_str())
         .collect();
     let message = format!("{} no sensor `{}`", cast.have(robots), shortened(sensor));
-    let hint = findings.did_you_mean(sensor, sensors.iter().copied());
+    let named: Vec<String> = sensors.iter().map(|known| format!("{ahead}{known}")).collect();
+    let hint = findings.did_you_mean(&format!("{ahead}{sensor}"), named.iter().map(String::as_str));
     let expected = match sensors.is_empty() {
         true => "a robot that has sensors".to_owned(),
-        false => format!("one of {}", names(sensors)),
+        false => one_of(sensors),
     };
     findings.add(Code::UnknownSensor, place.clone(), message, expected, hint);
 }

@@ -8,7 +8,8 @@ use urrcp::{ControlType, Span};
 use super::cast::{Cast, Members};
 use super::conflict::{self, Origin};
 use crate::fields::Reader;
-use crate::finding::{Code, names};
+use crate::finding::{Code, names, one_of};
+use crate::motion::Stretch;
 use crate::node::shortened;
 use crate::plan::PlannedCue;
 use crate::scenario::{Act, Anchor, Cue, Motion, Name, Order, Relation};
@@ -19,8 +20,8 @@ use crate::timing::{ConstraintId, Effort, Event, Network, Ordering, Schedule, Ta
 pub(super) struct CueTime {
     pub(super) start: Span,
     pub(super) end: Span,
-    /// How much longer its movement is than as it is written.
-    pub(super) factor: f64,
+    /// What becomes of the length of its movement.
+    pub(super) stretch: Stretch,
     /// How much later it could start without the act ending later.
     pub(super) slack: Span,
 }
@@ -69,17 +70,10 @@ fn natural(act: &Act, members: &[Members]) -> Vec<CueTime> {
             Some(bounds) => members.length.max(bounds.min),
             None => members.length,
         };
-        let factor = factor(length, members.length);
-        CueTime { start: Span::ZERO, end: length + members.delay, factor, slack: Span::ZERO }
+        let stretch = Stretch { from: members.length, to: length };
+        CueTime { start: Span::ZERO, end: length + members.delay, stretch, slack: Span::ZERO }
     };
     act.cues.iter().zip(members).map(time).collect()
-}
-
-fn factor(length: Span, natural: Span) -> f64 {
-    match natural > Span::ZERO && length != natural {
-        true => length.as_millis_f64() / natural.as_millis_f64(),
-        false => 1.0,
-    }
 }
 
 /// The cues as they are shown.
@@ -141,7 +135,12 @@ impl<'a> Timetable<'a> {
             None => (members.length, Some(members.length), &cue.place),
         };
         let bounds = (Some(min + members.delay), max.map(|max| max + members.delay));
-        self.constrain(start, end, bounds, Origin::Length { cue: index, place: place.clone() });
+        self.constrain(
+            start,
+            end,
+            bounds,
+            Origin::Length { cue: index, delay: members.delay, place: place.clone() },
+        );
     }
 
     /// Where a cue may be stretched, it is no shorter than its devices' speed and acceleration allow.
@@ -229,7 +228,7 @@ impl<'a> Timetable<'a> {
                 let known = || self.act.cues.iter().map(|cue| cue.name.as_str());
                 let hint = findings.did_you_mean(&name.text, known());
                 let message = format!("no cue `{}`", shortened(&name.text));
-                let expected = format!("one of {}", names(known()));
+                let expected = one_of(known());
                 findings.add(Code::UnknownCue, name.place.clone(), message, expected, hint);
                 None
             }
@@ -251,7 +250,7 @@ impl<'a> Timetable<'a> {
                     let hint = findings
                         .did_you_mean(&zone.text, known())
                         .or(Some("list it under `zones` at the top of the scenario".to_owned()));
-                    let expected = format!("one of {}", names(known()));
+                    let expected = one_of(known());
                     findings.add(Code::UnknownZone, zone.place.clone(), message, expected, hint);
                     continue;
                 };
@@ -373,9 +372,9 @@ impl<'a> Timetable<'a> {
         let latest = self.network.latest(schedule.makespan());
         let time = |((first, last), members): (&(Event, Event), &Members)| {
             let (start, end) = (schedule.time(*first), schedule.time(*last));
-            let factor = factor(end - start - members.delay, members.length);
+            let stretch = Stretch { from: members.length, to: end - start - members.delay };
             let slack = latest.as_ref().map_or(Span::ZERO, |latest| latest.time(*first) - start);
-            CueTime { start, end, factor, slack }
+            CueTime { start, end, stretch, slack }
         };
         self.events.iter().zip(members).map(time).collect()
     }

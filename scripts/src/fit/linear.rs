@@ -32,8 +32,7 @@ pub(super) fn steps(problem: &Problem, room: f64, most: usize) -> Option<(Path, 
         }
         path => path,
     }?;
-    let thinned =
-        sparse || problem.curve.values.iter().any(|value| problem.lattice.near(*value, room).thinned);
+    let thinned = sparse || search.candidates.iter().any(|candidates| candidates.thinned);
     let at_least = if thinned { pieces_min as usize + 1 } else { path.len() };
     Some((path, at_least))
 }
@@ -63,12 +62,12 @@ struct Search<'a> {
 impl<'a> Search<'a> {
     fn new(problem: &'a Problem<'a>, room: f64, left: Vec<u32>) -> Self {
         let values = problem.curve.values;
-        let near = |value: &f64| problem.lattice.near(*value, room);
-        let mut candidates: Vec<_> = values.iter().map(near).collect();
+        let near = |(k, value): (usize, &f64)| problem.lattice.near(*value, problem.curve.room_at(k, room));
+        let mut candidates: Vec<_> = values.iter().enumerate().map(near).collect();
         let last = values.len() - 1;
         for (end, sample) in [(problem.ends.first, 0), (problem.ends.last, last)] {
             if let Some(value) = end {
-                let close = (value - values[sample]).abs() <= room;
+                let close = (value - values[sample]).abs() <= problem.curve.room_at(sample, room);
                 candidates[sample] = if close { Candidates::only(value) } else { Candidates::NONE };
             }
         }
@@ -141,8 +140,9 @@ impl<'a> Search<'a> {
                     false => self.cut |= fresh != 0,
                 }
             }
-            flattest = flattest.max((values[next] - self.room - value) / duration);
-            steepest = steepest.min((values[next] + self.room - value) / duration);
+            let room = self.problem.curve.room_at(next, self.room);
+            flattest = flattest.max((values[next] - room - value) / duration);
+            steepest = steepest.min((values[next] + room - value) / duration);
             if flattest > steepest {
                 break;
             }

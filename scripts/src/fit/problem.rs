@@ -131,7 +131,7 @@ impl<'a> Problem<'a> {
         let linear = self.interpolation == Interpolation::Linear;
         let off = |end: Option<f64>, sample: usize| match end {
             None if !linear => 0.0,
-            end => (self.end(end, sample) - self.curve.values[sample]).abs(),
+            end => (self.end(end, sample) - self.curve.values[sample]).abs() + self.curve.gap(sample),
         };
         if last == 0 { self.shortest().off } else { off(self.ends.first, 0).max(off(self.ends.last, last)) }
     }
@@ -142,7 +142,7 @@ impl<'a> Problem<'a> {
         for (i, &from) in path.iter().enumerate() {
             let to = path.get(i + 1).copied().unwrap_or((last, from.1));
             for k in from.0..=to.0 {
-                let off = (self.follows(from, to, k) - self.curve.values[k]).abs();
+                let off = (self.follows(from, to, k) - self.curve.values[k]).abs() + self.curve.gap(k);
                 if off > worst.0 {
                     worst = (off, k);
                 }
@@ -175,7 +175,7 @@ impl<'a> Problem<'a> {
 
 /// Whether the samples are numbers in the order of time.
 pub(super) fn check(curve: &Samples) -> Result<(), Unfit> {
-    let Samples { times, values, slack } = *curve;
+    let Samples { times, values, slack, gaps } = *curve;
     if times.is_empty() && values.is_empty() {
         return Err(Unfit::Empty);
     }
@@ -183,6 +183,9 @@ pub(super) fn check(curve: &Samples) -> Result<(), Unfit> {
     let later = |i: usize| i == 0 || times[i] - times[i - 1] >= 1.0 / EXTREME;
     let usable = |i: &usize| number(times, *i) && number(values, *i) && later(*i);
     if let Some(broken) = (0..times.len().max(values.len())).find(|i| !usable(i)) {
+        return Err(Unfit::Sample(broken));
+    }
+    if let Some(broken) = gaps.iter().position(|gap| !(0.0..=EXTREME).contains(gap)) {
         return Err(Unfit::Sample(broken));
     }
     if (0.0..=EXTREME).contains(&slack) { Ok(()) } else { Err(Unfit::Slack(slack)) }

@@ -53,7 +53,7 @@ impl<'a> BruteForce<'a> {
     }
 
     fn piece(&self, from: (usize, f64), to: (usize, f64)) -> f64 {
-        let Samples { times, values, slack } = self.curve;
+        let Samples { times, values, slack, .. } = self.curve;
         let off = |k: usize| {
             let part = match self.interpolation {
                 Interpolation::Linear if k > from.0 => {
@@ -61,7 +61,7 @@ impl<'a> BruteForce<'a> {
                 }
                 _ => 0.0,
             };
-            (from.1 * (1.0 - part) + to.1 * part - values[k]).abs() + slack
+            (from.1 * (1.0 - part) + to.1 * part - values[k]).abs() + slack + self.curve.gap(k)
         };
         (from.0..=to.0).map(off).fold(0.0, f64::max)
     }
@@ -80,13 +80,14 @@ struct Case {
     times: Vec<f64>,
     values: Vec<f64>,
     slack: f64,
+    gaps: Vec<f64>,
     interpolation: Interpolation,
     ends: Ends,
 }
 
 impl Case {
     fn curve(&self) -> Samples<'_> {
-        Samples { times: &self.times, values: &self.values, slack: self.slack }
+        Samples { times: &self.times, values: &self.values, slack: self.slack, gaps: &self.gaps }
     }
 
     fn brute_force(&self) -> BruteForce<'_> {
@@ -108,21 +109,24 @@ fn eighths(range: std::ops::Range<i32>) -> impl Strategy<Value = f64> {
 }
 
 fn cases() -> impl Strategy<Value = Case> {
-    let samples = prop::collection::vec((1i32..5, eighths(-28..28)), 1..8);
+    // Gaps as of pieces that do not quite meet: none, microscopic, or not small.
+    let gap = prop_oneof![4 => Just(0.0), 1 => Just(1.0 / 1024.0), 1 => eighths(0..4)];
+    let samples = prop::collection::vec((1i32..5, eighths(-28..28), gap), 1..8);
     let interpolation = prop_oneof![Just(Interpolation::Hold), Just(Interpolation::Linear)];
     let end = || prop::option::weighted(0.3, -3i32..4);
     (samples, eighths(0..2), interpolation, end(), end()).prop_map(
         |(samples, slack, interpolation, first, last)| {
             let mut now = 0;
-            let times = samples.iter().map(|(after, _)| {
+            let times = samples.iter().map(|(after, ..)| {
                 now += after;
                 f64::from(now)
             });
             let times: Vec<_> = times.collect();
             let last = if times.len() == 1 { first } else { last };
             let ends = Ends { first: first.map(f64::from), last: last.map(f64::from) };
-            let values = samples.iter().map(|(_, value)| *value).collect();
-            Case { times, values, slack, interpolation, ends }
+            let values = samples.iter().map(|(_, value, _)| *value).collect();
+            let gaps = samples.iter().map(|(.., gap)| *gap).collect();
+            Case { times, values, slack, gaps, interpolation, ends }
         },
     )
 }
@@ -139,6 +143,8 @@ proptest! {
                 prop_assert_eq!(fit.at_least, fewest);
                 prop_assert!(fit.worst <= tolerance + CLOSE);
                 prop_assert!(fit.worst <= all.least_error(fewest) + tolerance / 100.0 + CLOSE);
+                let anywhere = steps_at_least(&case.curve(), case.interpolation, tolerance);
+                prop_assert!(anywhere.is_some_and(|bound| bound <= fewest));
                 if case.interpolation == Interpolation::Linear {
                     let bound = lower_bound(&case.curve(), tolerance);
                     prop_assert!(bound.is_some_and(|bound| bound <= fewest));
@@ -169,6 +175,57 @@ proptest! {
                 prop_assert!(too_few, "{:?}", error);
                 prop_assert!(least.is_infinite());
             }
+        }
+    }
+}
+
+/// The fewest steps at the times of samples or between two of them, with values from -1 to 1, that are within the tolerance
+/// at all samples.
+fn fewest_anywhere(curve: &Samples, interpolation: Interpolation, tolerance: f64) -> Option<usize> {
+    let between = curve.times.windows(2).map(|pair| f64::midpoint(pair[0], pair[1]));
+    let mut times: Vec<f64> = curve.times.iter().copied().chain(between).collect();
+    times.sort_by(f64::total_cmp);
+    let follows = |steps: &[(f64, f64)], at: f64| {
+        let after = steps.iter().position(|step| step.0 > at);
+        let before = steps[after.unwrap_or(steps.len()) - 1];
+        match (interpolation, after) {
+            (Interpolation::Linear, Some(after)) => {
+                let after = steps[after];
+                before.1 + (after.1 - before.1) * (at - before.0) / (after.0 - before.0)
+            }
+            _ => before.1,
+        }
+    };
+    let mut fewest: Option<usize> = None;
+    for choice in 0..4u32.pow(times.len() as u32) {
+        let value = |k: usize| (choice / 4u32.pow(k as u32)) % 4;
+        let set = (0..times.len()).filter(|k| value(*k) > 0);
+        let steps: Vec<_> = set.map(|k| (times[k], f64::from(value(k)) - 2.0)).collect();
+        let ends = interpolation == Interpolation::Hold || value(times.len() - 1) > 0;
+        if value(0) == 0 || !ends || fewest.is_some_and(|known| steps.len() >= known) {
+            continue;
+        }
+        let off = |k: usize| (follows(&steps, curve.times[k]) - curve.values[k]).abs();
+        if (0..curve.times.len()).all(|k| off(k) <= tolerance + CLOSE) {
+            fewest = Some(steps.len());
+        }
+    }
+    fewest
+}
+
+proptest! {
+    #[test]
+    fn no_steps_between_samples_are_fewer_than_the_bound(
+        samples in prop::collection::vec((1i32..4, eighths(-12..12)), 2..5),
+        linear in any::<bool>(),
+        tolerance in eighths(0..12),
+    ) {
+        let times: Vec<_> = samples.iter().scan(0, |now, (after, _)| { *now += after; Some(f64::from(*now)) }).collect();
+        let values: Vec<_> = samples.iter().map(|(_, value)| *value).collect();
+        let curve = Samples { times: &times, values: &values, slack: 0.0, gaps: &[] };
+        let interpolation = if linear { Interpolation::Linear } else { Interpolation::Hold };
+        if let Some(fewest) = fewest_anywhere(&curve, interpolation, tolerance) {
+            prop_assert!(steps_at_least(&curve, interpolation, tolerance).unwrap() <= fewest);
         }
     }
 }
@@ -207,13 +264,13 @@ fn walks() -> impl Strategy<Value = (Vec<f64>, Vec<f64>)> {
 proptest! {
     #[test]
     fn the_bound_is_the_fewest_straight_pieces((times, values) in walks(), room in eighths(0..80)) {
-        let curve = Samples { times: &times, values: &values, slack: 0.0 };
+        let curve = Samples { times: &times, values: &values, slack: 0.0, gaps: &[] };
         prop_assert_eq!(lower_bound(&curve, room), Some(pieces_by_pairs(&curve, room) + 1));
     }
 
     #[test]
     fn a_fine_grid_keeps_the_tolerance_and_the_bound((times, values) in walks(), room in eighths(1..80)) {
-        let curve = Samples { times: &times, values: &values, slack: 0.25 };
+        let curve = Samples { times: &times, values: &values, slack: 0.25, gaps: &[] };
         let grid = Grid { min: -1e4, max: 1e4, granularity: 1e-4 };
         let tolerance = room + 0.25;
         let fit = fewest(&curve, Interpolation::Linear, &grid, tolerance, Ends::default()).unwrap();
@@ -252,7 +309,7 @@ fn never_panics(
     ends: Ends,
     budget: usize,
 ) {
-    let curve = Samples { times, values, slack };
+    let curve = Samples { times, values, slack, gaps: &[] };
     let _ = lower_bound(&curve, tolerance);
     for interpolation in [Interpolation::Hold, Interpolation::Linear] {
         for tolerance in [tolerance, f64::INFINITY, f64::NAN] {
@@ -268,7 +325,7 @@ fn never_panics(
 fn a_long_curve_is_as_good_as_its_bound() {
     let times: Vec<_> = (0..20_000).map(f64::from).collect();
     let values: Vec<_> = times.iter().map(|time| 40.0 * (time / 3_000.0).sin()).collect();
-    let curve = Samples { times: &times, values: &values, slack: 0.0 };
+    let curve = Samples { times: &times, values: &values, slack: 0.0, gaps: &[] };
     let grid = Grid { min: -90.0, max: 90.0, granularity: 0.5 };
     let fit = fewest(&curve, Interpolation::Linear, &grid, 2.0, Ends::default()).unwrap();
     assert!(fit.worst <= 2.0 + CLOSE && fit.steps.len() <= fit.at_least + 1, "{fit:?}");

@@ -12,7 +12,7 @@ pub(super) fn steps_at_least(curve: &Samples, room: f64) -> usize {
 /// Longest pieces from the end backwards: a part of what one line can follow, one line can follow.
 pub(super) fn pieces_left(curve: &Samples, room: f64) -> Vec<u32> {
     let mut left = vec![0; curve.times.len()];
-    let at = |i: usize| (-curve.times[i], curve.values[i] - room, curve.values[i] + room);
+    let at = |i: usize| gap(curve, i, room);
     let mut tube = Tube::default();
     let mut pieces = 1;
     for i in (0..curve.times.len()).rev() {
@@ -28,6 +28,27 @@ pub(super) fn pieces_left(curve: &Samples, room: f64) -> Vec<u32> {
         *last = 0;
     }
     left
+}
+
+/// The fewest groups of samples that follow each other and each of which one line can pass.
+pub(super) fn groups(curve: &Samples, room: f64) -> usize {
+    let mut tube = Tube::default();
+    let mut groups = 1;
+    // A step right at a jump needs to be close to one side of it only.
+    for i in (0..curve.times.len()).rev().filter(|i| curve.gap(*i) == 0.0) {
+        if !tube.add(gap(curve, i, room)) {
+            groups += 1;
+            tube = Tube::default();
+            tube.add(gap(curve, i, room));
+        }
+    }
+    groups
+}
+
+/// Where a line may pass a sample, by time backwards.
+fn gap(curve: &Samples, sample: usize, room: f64) -> (f64, f64, f64) {
+    let (value, room) = (curve.values[sample], curve.room_at(sample, room));
+    (-curve.times[sample], value - room, value + room)
 }
 
 /// The lines that pass through a growing sequence of vertical gaps (O'Rourke 1981).

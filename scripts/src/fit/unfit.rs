@@ -59,7 +59,7 @@ mod tests {
 
     #[track_caller]
     fn check_unfit(times: &[f64], values: &[f64], grid: Grid, ends: Ends, expected: Unfit) {
-        let curve = Samples { times, values, slack: 0.0 };
+        let curve = Samples { times, values, slack: 0.0, gaps: &[] };
         for interpolation in [Interpolation::Hold, Interpolation::Linear] {
             assert_eq!(fewest(&curve, interpolation, &grid, 1.0, ends), Err(expected));
             assert_eq!(least_error(&curve, interpolation, &grid, 9, ends), Err(expected));

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use urrcp::{DeviceId, InitializationBlock, RobotId};
 
-use crate::finding::{Code, did_you_mean, names};
+use crate::finding::{Code, did_you_mean, names, one_of};
 use crate::node::shortened;
 
 use super::input::stem;
@@ -126,7 +126,7 @@ fn select(scenes: &mut Vec<Scene>, options: &ImportOptions, file: &str, sink: &m
         if !scenes.iter().any(|scene| scene.name == *wanted) {
             let known = || scenes.iter().map(|scene| scene.name.as_str());
             let message = format!("no scene `{}`", shortened(wanted));
-            let expected = format!("one of {}", names(known()));
+            let expected = one_of(known());
             let hint = did_you_mean(wanted, known());
             sink.about(file, Code::ImportNames, message, &expected, hint.as_deref());
         }
@@ -220,7 +220,7 @@ fn fit(scenes: &mut [Scene], init: &InitializationBlock, sink: &mut Sink) {
     for (device, hint) in missing {
         let message =
             format!("the initialization block `{}` has no device `{}`", init.id, shortened(&device));
-        let expected = format!("one of {}", names(known()));
+        let expected = one_of(known());
         sink.about(init.id.as_str(), Code::UnknownDevice, message, &expected, hint.as_deref());
     }
     converted.into_values().take(20).for_each(|text| sink.note(text));

@@ -28,8 +28,34 @@ pub(super) struct Cell<'a> {
 /// The lines of a table.
 pub(super) fn rows(source: &Source, separator: char) -> impl Iterator<Item = Row<'_>> {
     let text = source.text.strip_prefix('\u{feff}').unwrap_or(&source.text);
+    let header = commented_header(text, separator);
     let lines = text.lines().enumerate().filter(|(_, line)| is_row(line));
-    lines.map(move |(index, text)| Row { line: index + 1, text, cells: cells(text, separator) })
+    let rows =
+        lines.map(move |(index, text)| Row { line: index + 1, text, cells: cells(text, 0, separator) });
+    header.into_iter().chain(rows)
+}
+
+/// A header that is written as a comment, `# duration,x^0`: the last one ahead of numbers, of as many columns.
+fn commented_header(text: &str, separator: char) -> Option<Row<'_>> {
+    let (line, first) = text.lines().enumerate().find(|(_, line)| is_row(line))?;
+    let mut first = cells(first, 0, separator);
+    let number = |cell: &Cell<'_>| cell.text.parse::<f64>().is_ok();
+    if first.last().is_some_and(|cell| cell.text.is_empty()) {
+        first.pop();
+    }
+    if first.len() < 2 || !first.iter().all(number) {
+        return None;
+    }
+    let names = |(index, text): (usize, &'_ str)| {
+        let behind = text.find('#').filter(|at| text[..*at].trim().is_empty())? + 1;
+        let count = cells(text, behind, separator).len();
+        let named = count == first.len() && !cells(text, behind, separator).iter().any(number);
+        named.then_some((index, behind))
+    };
+    let (index, behind) = text.lines().enumerate().take(line).filter_map(names).last()?;
+    let text = text.lines().nth(index)?;
+    let cells = cells(text, behind, separator);
+    Some(Row { line: index + 1, text, cells })
 }
 
 /// The separator that the first line uses most: comma, semicolon or tab.
@@ -44,9 +70,9 @@ fn is_row(line: &str) -> bool {
     !trimmed.is_empty() && !trimmed.starts_with('#')
 }
 
-fn cells(line: &str, separator: char) -> Vec<Cell<'_>> {
+/// The cells of a line from a byte on.
+fn cells(line: &str, mut from: usize, separator: char) -> Vec<Cell<'_>> {
     let mut cells = Vec::new();
-    let mut from = 0;
     loop {
         let end = cell_end(&line[from..], separator).map_or(line.len(), |end| from + end);
         cells.push(cell(line, from, end));
@@ -130,6 +156,16 @@ impl Row<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_header_behind_a_hash_keeps_its_places() {
+        let text = "# made by hand\n# duration, x\n1,2\n# t,u\n3,4\n";
+        let source = Source { name: "t.csv".into(), text: text.into() };
+        let rows: Vec<_> = rows(&source, ',').collect();
+        let texts: Vec<_> = rows[0].cells.iter().map(|cell| cell.text.as_ref()).collect();
+        assert_eq!((texts, rows[0].line, rows.len()), (vec!["duration", "x"], 2, 3));
+        assert_eq!((rows[0].spot(0).start, rows[0].spot(1).start), (2, 12));
+    }
 
     #[test]
     fn cells_keep_their_places_and_lose_their_quotes() {

@@ -3,7 +3,7 @@
 use urrcp::{ControlType, Interpolation};
 
 use crate::fields::{At, Reader};
-use crate::finding::{Code, did_you_mean, names};
+use crate::finding::{Code, did_you_mean, one_of};
 use crate::node::shortened;
 
 pub(crate) const DEVICE_KEYS: [&str; 10] = [
@@ -46,7 +46,7 @@ pub(crate) fn read(findings: &mut Reader, at: &At<'_>, known: &[&str]) -> Vec<(S
     for (device, at) in findings.entries(at, "device to what its description lacks") {
         if !known.contains(&device) {
             let message = format!("the robot has no device `{}`", shortened(device));
-            let expected = format!("one of {}", names(known.iter().copied()));
+            let expected = one_of(known.iter().copied());
             let hint = did_you_mean(device, known.iter().copied());
             findings.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
             continue;

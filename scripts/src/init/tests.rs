@@ -75,3 +75,46 @@ fn the_default_granularity_is_a_power_of_ten_of_which_a_thousand_fit() {
         assert!((limits.granularity - expected).abs() < 1e-12, "{range}: {}", limits.granularity);
     }
 }
+
+const SHORT: &str = "id: r
+api_version: \"1\"
+devices:
+  - id: arm
+    name: arm
+    available_control_types:
+      position: {min_value: -90, max_value: 90, granularity: 0.5, max_error: 0.25}
+      script: {max_number_of_steps: 8}
+  - id: leg
+    name: leg
+    available_control_types:
+      position: {min_value: 0, max_value: 45, granularity: 1}
+      speed: {min_value: -9, max_value: 9, granularity: 1}
+      script: {max_number_of_steps: 8, control_types: [speed], granularity: 3}
+";
+
+#[test]
+fn a_script_inherits_the_limits_that_it_leaves_out() {
+    let block = init_of(&source(SHORT)).unwrap();
+    let script = |device: &str| {
+        let limits = &block.device(device).unwrap().available_control_types.script().unwrap().limits;
+        (limits.min_value, limits.max_value, limits.granularity, limits.max_error)
+    };
+    assert_eq!(script("arm"), (-90.0, 90.0, 0.5, Some(0.25)));
+    assert_eq!(script("leg"), (-9.0, 9.0, 3.0, None));
+    let ambiguous = SHORT.replace(", control_types: [speed], granularity: 3", "");
+    check_finding(&ambiguous, "the control types that it supports differ", 14);
+    let nothing = SHORT
+        .replace("      position: {min_value: -90, max_value: 90, granularity: 0.5, max_error: 0.25}\n", "");
+    check_finding(&nothing, "there is nothing to inherit it from", 7);
+}
+
+#[test]
+fn all_faults_of_a_block_are_found_where_they_stand() {
+    let wrong = SHORT
+        .replace("granularity: 0.5", "granularity: 0")
+        .replace("max_value: 45, ", "")
+        .replace("api_version: \"1\"\n", "");
+    let findings = init_of(&source(&wrong)).unwrap_err();
+    let places: Vec<_> = findings.iter().map(|finding| (finding.line, finding.column)).collect();
+    assert_eq!(places, [(1, 1), (6, 62), (11, 7)], "{findings:#?}");
+}

@@ -1,12 +1,14 @@
 //! From a movement to the steps of a device: what the device moves by itself as it is written, the rest with the fewest
 //! steps within the tolerance.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::Arc;
 
 use urrcp::{ControlType, Device, Interpolation, Limits, Span};
 
-use super::{Curve, Easing, Function, Shape};
+use super::held::runs;
+use super::{Between, Curve, Easing, Function, Knot, Shape};
 use crate::fit::{self, Ends, Fit, Grid, Samples};
 
 /// Most samples that are fitted together: longer curves are cut at a knot, and each part is fitted by itself.
@@ -37,6 +39,7 @@ pub(crate) struct Value {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Fitted {
     pub(crate) steps: Vec<Value>,
+    interpolation: Interpolation,
     /// The largest difference from the movement as it is written, and when.
     pub(crate) worst: f64,
     pub(crate) worst_at: Span,
@@ -63,6 +66,44 @@ enum Means {
     Alone,
     /// Fitted together with its neighbours of the same kind.
     Joined,
+    /// Steps of a device that holds, merged with their neighbours.
+    Held,
+    /// Nothing changes.
+    Still,
+}
+
+/// A movement, and what the device is set to at its knots.
+pub(crate) struct Played<'a> {
+    pub(crate) curve: &'a Curve,
+    /// For each knot; empty if that is what is written.
+    set: Vec<f64>,
+}
+
+impl<'a> Played<'a> {
+    pub(crate) fn new(curve: &'a Curve, set: Vec<f64>) -> Self {
+        Self { curve, set }
+    }
+
+    fn set(&self, index: usize) -> f64 {
+        self.set.get(index).copied().unwrap_or(self.curve.knots[index].to)
+    }
+
+    /// The movement through what the device is set to.
+    pub(crate) fn as_set(&self) -> Cow<'a, Curve> {
+        if self.set.is_empty() {
+            return Cow::Borrowed(self.curve);
+        }
+        let mut curve = self.curve.clone();
+        curve.knots.iter_mut().zip(&self.set).for_each(|(knot, set)| knot.to = *set);
+        Cow::Owned(curve)
+    }
+}
+
+/// A movement with what is asked of its steps.
+struct Tracked<'a> {
+    played: &'a Played<'a>,
+    tolerance: f64,
+    thinned: bool,
 }
 
 impl<'a> Actuator<'a> {
@@ -103,78 +144,145 @@ impl<'a> Actuator<'a> {
 
     /// The fewest steps within the tolerance. Keyframes that the device can play as they are stay as they are, unless
     /// `thinned` allows to leave some out.
-    pub(crate) fn steps(&self, curve: &Curve, tolerance: f64, thinned: bool, fits: &mut Fits) -> Fitted {
-        let knots = &curve.knots;
-        let steps = Vec::with_capacity(knots.len().min(self.room));
-        let mut fitted = Fitted { steps, ..Fitted::default() };
-        if let Some(first) = knots.first() {
-            let to = if first.shape == Shape::Sampled { self.on_grid(first.to) } else { first.to };
-            fitted.steps.push(Value { at: first.at, to });
-            fitted.at_least = 1;
+    pub(crate) fn steps(
+        &self,
+        played: &Played<'_>,
+        tolerance: f64,
+        thinned: bool,
+        fits: &mut Fits,
+    ) -> Fitted {
+        let knots = &played.curve.knots;
+        let track = Tracked { played, tolerance, thinned };
+        let mut fitted = Fitted::new(self.interpolation, knots.len().min(self.room));
+        if !knots.is_empty() {
+            fitted.put(knots[0].at, self.settled(played, 0), knots[0].to);
         }
         let mut index = 1;
         let mut cut = false;
         while index < knots.len() && fitted.steps.len() <= self.room {
             let (before, knot) = (&knots[index - 1], &knots[index]);
-            let means = if knot.at == before.at { Means::Own } else { self.means(knot.shape, thinned) };
+            let (set_before, set) = (self.settled(played, index - 1), self.settled(played, index));
+            let means = self.way(&track, index);
             let mut end = index + 1;
             match means {
-                Means::Own => fitted.direct(&[Value { at: knot.at, to: knot.to }]),
-                Means::Jump if self.moves() && knot.to != before.to => {
-                    fitted
-                        .direct(&[Value { at: knot.at, to: before.to }, Value { at: knot.at, to: knot.to }]);
+                Means::Own => fitted.put(knot.at, set, knot.to),
+                Means::Jump => {
+                    if self.moves() && set != set_before {
+                        fitted.put(knot.at, set_before, before.to);
+                    }
+                    fitted.put(knot.at, set, knot.to);
                 }
-                Means::Jump => fitted.direct(&[Value { at: knot.at, to: knot.to }]),
                 Means::Early => {
-                    fitted.direct(&[Value { at: before.at, to: knot.to }]);
-                    if self.moves() {
-                        fitted.direct(&[Value { at: knot.at, to: knot.to }]);
+                    fitted.put(before.at, set, knot.to);
+                    // The last step is where the movement ends.
+                    if self.moves() || end == knots.len() {
+                        fitted.put(knot.at, set, knot.to);
                     }
                 }
-                Means::Alone => self.fit(curve, index..end, tolerance, &mut fitted, fits),
+                Means::Still => {}
+                Means::Alone => self.fit(&track, index..end, &mut fitted, fits),
                 Means::Joined => {
-                    end = self.run_end(curve, index, tolerance, thinned);
-                    self.fit(curve, index..end, tolerance, &mut fitted, fits);
+                    end = self.run_end(&track, index);
+                    self.fit(&track, index..end, &mut fitted, fits);
                     // A straight piece may reach across a cut.
                     fitted.at_least -= usize::from(cut);
                 }
+                Means::Held => {
+                    end = (index + 1..knots.len())
+                        .find(|next| self.way(&track, *next) != Means::Held)
+                        .unwrap_or(knots.len());
+                    self.hold(&track, index..end, &mut fitted);
+                }
             }
-            cut = means == Means::Joined && end < knots.len() && self.joins(curve, end, thinned);
+            cut = means == Means::Joined && end < knots.len() && self.way(&track, end) == Means::Joined;
             index = end;
         }
         fitted
     }
 
-    /// Whether the way to a knot may be fitted together with the one before.
-    fn joins(&self, curve: &Curve, index: usize, thinned: bool) -> bool {
-        let (before, knot) = (&curve.knots[index - 1], &curve.knots[index]);
-        knot.at > before.at && self.means(knot.shape, thinned) == Means::Joined
+    /// How the way to a knot becomes steps. Where there is no time for it, but the gap is within the tolerance, the
+    /// movement goes on.
+    fn way(&self, track: &Tracked<'_>, index: usize) -> Means {
+        let knots = &track.played.curve.knots;
+        let means = |index: usize| self.means(knots, index, track.thinned);
+        if knots[index].at > knots[index - 1].at {
+            return means(index);
+        }
+        let lasts = |index: &usize| knots[*index].at > knots[*index - 1].at;
+        let (before, after) = ((1..index).rev().find(lasts), (index..knots.len()).find(lasts));
+        let both = before.zip(after).map(|(before, after)| (means(before), means(after)));
+        let gap = (knots[index].to - knots[index - 1].to).abs();
+        let granularity = self.limits.map_or(0.0, |limits| limits.granularity);
+        // Of the room that the samples between leave, a value on the grid has to be left.
+        let closes = gap <= track.tolerance && 1.9 * track.tolerance - gap >= granularity;
+        match both {
+            Some((Means::Joined, Means::Joined)) if closes => Means::Joined,
+            Some((Means::Held, Means::Held)) => Means::Held,
+            _ => Means::Own,
+        }
     }
 
     /// Where the ways that begin with the one to `index` are no longer fitted together.
-    fn run_end(&self, curve: &Curve, index: usize, tolerance: f64, thinned: bool) -> usize {
-        let mut samples = self.parts(curve, index, tolerance);
-        let mut end = index + 1;
-        while end < curve.knots.len() && self.joins(curve, end, thinned) {
-            samples += self.parts(curve, end, tolerance);
-            if samples > RUN_SAMPLES_MAX {
-                break;
+    fn run_end(&self, track: &Tracked<'_>, index: usize) -> usize {
+        let knots = &track.played.curve.knots;
+        let mut samples = 0.0;
+        let mut end = index;
+        while end < knots.len() && self.way(track, end) == Means::Joined {
+            if knots[end].at > knots[end - 1].at {
+                samples += self.parts(track.played.curve, end, track.tolerance);
+                if samples > RUN_SAMPLES_MAX && end > index {
+                    break;
+                }
             }
             end += 1;
         }
         end
     }
 
+    /// What the device is set to at a knot, which is on its grid unless something else is written.
+    fn settled(&self, played: &Played<'_>, index: usize) -> f64 {
+        match played.curve.knots[index].shape.is_written() {
+            true => played.set(index),
+            false => self.on_grid(played.set(index)),
+        }
+    }
+
+    /// The longest runs of the values that a movement made of steps holds. It ends with a step, as it is written.
+    fn hold(&self, track: &Tracked<'_>, run: std::ops::Range<usize>, fitted: &mut Fitted) {
+        let (knots, last) = (&track.played.curve.knots, run.end - 1);
+        let lasting = run.clone().filter(|index| knots[*index].at > knots[*index - 1].at);
+        let level = |index: usize| match knots[index].shape {
+            Shape::OwnReversed | Shape::Early => knots[index].to,
+            Shape::Sampled(Between::OwnReversed | Between::Early) => knots[index].to,
+            _ => knots[index - 1].to,
+        };
+        let levels: Vec<(Span, f64)> = lasting.map(|index| (knots[index - 1].at, level(index))).collect();
+        let values = levels.iter().map(|(_, level)| std::slice::from_ref(level));
+        // The first level may be set to another value than its own.
+        fitted.take_back(knots[run.start - 1].at);
+        for found in runs(values, |value| self.on_grid(value), track.tolerance) {
+            let (at, value) = (levels[found.first].0, found.values[0]);
+            fitted.put(at, value, value);
+            fitted.off_by(found.worst, at);
+            if found.worst > track.tolerance * (1.0 + 1e-9) {
+                fitted.needs(found.worst);
+            }
+        }
+        let end = self.on_grid(track.played.set(last));
+        fitted.put(knots[last].at, end, knots[last].to);
+    }
+
     /// The smallest error with at most `most` steps, no smaller than the tolerance, by bisecting it; and that tolerance.
     /// With too few steps for anything, the fewest there can be.
     pub(crate) fn least_error(
         &self,
-        curve: &Curve,
+        played: &Played<'_>,
         tolerance: f64,
         most: usize,
         fits: &mut Fits,
     ) -> (f64, Fitted) {
-        let fit = |tolerance: f64, fits: &mut Fits| self.steps(curve, tolerance, true, fits);
+        let curve = played.curve;
+        let fit = |tolerance: f64, fits: &mut Fits| self.steps(played, tolerance, true, fits);
         let enough = |fitted: &Fitted| fitted.steps.len() <= most.min(self.room) && fitted.needed.is_none();
         let finest = self.limits.map_or(0.0, |limits| limits.granularity / 2.0).min(tolerance);
         let values = curve.knots.iter().map(|knot| knot.to);
@@ -210,67 +318,95 @@ impl<'a> Actuator<'a> {
         })
     }
 
-    fn means(&self, shape: Shape, thinned: bool) -> Means {
-        match (shape, self.interpolation) {
-            (Shape::Own | Shape::OwnReversed | Shape::Eased(Easing::Linear), Interpolation::Linear)
-                if thinned =>
-            {
-                Means::Joined
-            }
+    /// How a way becomes steps that lasts for some time.
+    fn means(&self, knots: &[Knot], index: usize, thinned: bool) -> Means {
+        use Between::{Linear, OwnReversed, Step};
+        let knot = &knots[index];
+        // Of samples that stay the same, only the last is needed.
+        let still = || knot.to == knots[index - 1].to && index + 1 < knots.len();
+        match (knot.shape, self.interpolation) {
+            (Shape::Meets, _) => Means::Own,
+            (Shape::Eased(Easing::Smooth | Easing::Cubic), _)
+            | (Shape::Eased(Easing::Linear), Interpolation::Hold) => match thinned {
+                true => Means::Joined,
+                false => Means::Alone,
+            },
             (Shape::Own | Shape::OwnReversed | Shape::Eased(Easing::Linear), Interpolation::Linear) => {
-                Means::Own
+                if thinned {
+                    Means::Joined
+                } else {
+                    Means::Own
+                }
             }
-            (Shape::Own | Shape::Eased(Easing::Step), _) => Means::Jump,
-            (Shape::OwnReversed | Shape::Early, _) => Means::Early,
-            (Shape::Eased(_), _) if thinned => Means::Joined,
-            (Shape::Eased(_), _) => Means::Alone,
-            (Shape::Sampled | Shape::Function { .. }, _) => Means::Joined,
+            (Shape::Function { .. } | Shape::Sampled(Linear), _) => Means::Joined,
+            (Shape::Sampled(Between::Own | OwnReversed), Interpolation::Linear) => Means::Joined,
+            (Shape::Sampled(_), Interpolation::Hold) => Means::Held,
+            (
+                Shape::Own | Shape::OwnReversed | Shape::Early | Shape::Eased(Easing::Step),
+                Interpolation::Hold,
+            ) if thinned => Means::Held,
+            (Shape::Sampled(_), Interpolation::Linear) if still() => Means::Still,
+            (Shape::Eased(Easing::Step), Interpolation::Linear) if thinned && still() => Means::Still,
+            (Shape::Own | Shape::Eased(Easing::Step) | Shape::Sampled(Step), _) => Means::Jump,
+            (Shape::OwnReversed | Shape::Early | Shape::Sampled(_), _) => Means::Early,
         }
     }
 
     /// Fits the ways to the knots of `run` and adds the steps after the first, which is there already.
-    fn fit(
-        &self,
-        curve: &Curve,
-        run: std::ops::Range<usize>,
-        tolerance: f64,
-        fitted: &mut Fitted,
-        fits: &mut Fits,
-    ) {
-        let (begin, last) = (curve.knots[run.start - 1].at, run.end - 1);
+    fn fit(&self, track: &Tracked<'_>, run: std::ops::Range<usize>, fitted: &mut Fitted, fits: &mut Fits) {
+        let (played, tolerance) = (track.played, track.tolerance);
+        let knots = &played.curve.knots;
+        let (begin, last) = (knots[run.start - 1].at, run.end - 1);
         let Some(limits) = self.limits else {
-            let knots = curve.knots[run].iter().map(|knot| Value { at: knot.at, to: knot.to });
-            return fitted.direct(&knots.collect::<Vec<_>>());
+            return run.for_each(|index| fitted.put(knots[index].at, played.set(index), knots[index].to));
         };
-        let key = self.key(curve, run.clone(), tolerance);
+        let ends = Ends {
+            first: Some(self.on_grid(played.set(run.start - 1))),
+            last: Some(self.on_grid(played.set(last))),
+        };
+        let key = self.key(played.curve, run.clone(), tolerance, ends);
         let fit = fits.0.entry(key).or_insert_with(|| {
-            let sampled = self.sample(curve, run.clone(), tolerance);
-            let samples = Samples { times: &sampled.times, values: &sampled.values, slack: sampled.slack };
+            let sampled = self.sample(played.curve, run.clone(), tolerance);
+            let Sampled { times, values, gaps, slack } = &sampled;
+            let samples = Samples { times, values, slack: *slack, gaps };
             let grid = Grid { min: limits.min_value, max: limits.max_value, granularity: limits.granularity };
-            let ends = Ends {
-                first: Some(self.on_grid(curve.knots[run.start - 1].to)),
-                last: Some(self.on_grid(curve.knots[last].to)),
-            };
             let fit = fit::fewest(&samples, self.interpolation, &grid, tolerance, ends);
-            Arc::new(fit.map_err(|unfit| match unfit {
-                fit::Unfit::Tolerance { smallest, .. } => smallest,
-                _ => f64::INFINITY,
+            let at_least = self.steps_at_least(&samples, tolerance);
+            Arc::new(fit.map(|fit| Fit { at_least: at_least.min(fit.steps.len()), ..fit }).map_err(|unfit| {
+                match unfit {
+                    fit::Unfit::Tolerance { smallest, .. } => smallest,
+                    _ => f64::INFINITY,
+                }
             }))
         });
         match fit.as_ref() {
             Ok(fit) => fitted.add(begin, fit, limits.granularity),
             Err(needed) => {
-                fitted.needed = Some(fitted.needed.map_or(*needed, |known| known.max(*needed)));
-                fitted.direct(&[Value { at: curve.knots[last].at, to: curve.knots[last].to }]);
+                fitted.needs(*needed);
+                fitted.put(knots[last].at, self.settled(played, last), knots[last].to);
             }
         }
     }
 
+    /// Both ends have a step: of a device that holds, the last one besides those that hold what is before.
+    fn steps_at_least(&self, samples: &Samples<'_>, tolerance: f64) -> usize {
+        let ahead = samples.times.len() - usize::from(!self.moves() && samples.times.len() > 1);
+        let samples =
+            Samples { times: &samples.times[..ahead], values: &samples.values[..ahead], ..*samples };
+        let bound = fit::steps_at_least(&samples, self.interpolation, tolerance).unwrap_or(0);
+        (bound + usize::from(!self.moves())).max(2)
+    }
+
     fn sample(&self, curve: &Curve, run: std::ops::Range<usize>, tolerance: f64) -> Sampled {
         let begin = curve.knots[run.start - 1].at;
-        let mut sampled = Sampled { times: vec![0.0], values: vec![curve.value(run.start, 0.0)], slack: 0.0 };
+        let first = curve.value(run.start, 0.0);
+        let mut sampled = Sampled { times: vec![0.0], values: vec![first], gaps: Vec::new(), slack: 0.0 };
         for index in run {
             let (from, to) = (curve.knots[index - 1].at, curve.knots[index].at);
+            if from == to {
+                sampled.meets(curve.knots[index - 1].to, curve.knots[index].to);
+                continue;
+            }
             let parts = self.parts(curve, index, tolerance);
             let (_, curvature) = curve.rates(index);
             let seconds = (to - from).as_millis_f64() / 1_000.0;
@@ -309,16 +445,19 @@ impl<'a> Actuator<'a> {
     }
 
     /// Everything on which the fit of a run depends.
-    fn key(&self, curve: &Curve, run: std::ops::Range<usize>, tolerance: f64) -> Vec<u64> {
+    fn key(&self, curve: &Curve, run: std::ops::Range<usize>, tolerance: f64, ends: Ends) -> Vec<u64> {
         let limits = self.limits.map_or([0.0; 3], |l| [l.min_value, l.max_value, l.granularity]);
         let mut key =
             vec![u64::from(self.moves()), tolerance.to_bits(), curve.knots[run.start - 1].to.to_bits()];
         key.extend(limits.map(f64::to_bits));
+        key.extend([ends.first, ends.last].map(|end| end.unwrap_or(f64::NAN).to_bits()));
         for index in run {
             let knot = &curve.knots[index];
             key.extend([(knot.at - curve.knots[index - 1].at).as_nanos().cast_unsigned(), knot.to.to_bits()]);
             match knot.shape {
-                Shape::Own | Shape::OwnReversed | Shape::Sampled | Shape::Early => key.push(0),
+                Shape::Own | Shape::OwnReversed | Shape::Sampled(_) | Shape::Early | Shape::Meets => {
+                    key.push(0)
+                }
                 Shape::Eased(easing) => key.push(1 + easing as u64),
                 Shape::Function { index, gain, offset, reversed } => {
                     key.extend([9 + u64::from(reversed), gain.to_bits(), offset.to_bits()]);
@@ -352,18 +491,56 @@ fn tidy(value: f64, scale: f64) -> f64 {
 struct Sampled {
     times: Vec<f64>,
     values: Vec<f64>,
+    gaps: Vec<f64>,
     slack: f64,
 }
 
-impl Fitted {
-    /// Steps as they are written. Of two at one time that set the same value, one is enough.
-    fn direct(&mut self, steps: &[Value]) {
-        for step in steps {
-            if self.steps.last() != Some(step) {
-                self.steps.push(*step);
-                self.at_least += 1;
-            }
+impl Sampled {
+    /// Two pieces meet at the last sample but for a gap.
+    fn meets(&mut self, before: f64, after: f64) {
+        let Some(last) = self.values.last_mut().filter(|_| before != after) else { return };
+        *last = f64::midpoint(before, after);
+        self.gaps.resize(self.values.len(), 0.0);
+        if let Some(gap) = self.gaps.last_mut() {
+            *gap = gap.max((after - before).abs() / 2.0);
         }
+    }
+}
+
+impl Fitted {
+    fn new(interpolation: Interpolation, room: usize) -> Self {
+        Self { steps: Vec::with_capacity(room), interpolation, ..Self::default() }
+    }
+
+    /// A step, and what is written for it. Of two at one time that set the same value, one is enough; of a device that
+    /// holds its values, the later one.
+    fn put(&mut self, at: Span, to: f64, written: f64) {
+        self.off_by((to - written).abs(), at);
+        if self.interpolation == Interpolation::Hold {
+            self.take_back(at);
+        }
+        if self.steps.last() != Some(&Value { at, to }) {
+            self.steps.push(Value { at, to });
+            self.at_least += 1;
+        }
+    }
+
+    /// Drops a last step at this time.
+    fn take_back(&mut self, at: Span) {
+        if self.steps.last().is_some_and(|last| last.at == at) {
+            self.steps.pop();
+            self.at_least = self.at_least.saturating_sub(1);
+        }
+    }
+
+    fn off_by(&mut self, error: f64, at: Span) {
+        if error > self.worst {
+            (self.worst, self.worst_at) = (error, at);
+        }
+    }
+
+    fn needs(&mut self, tolerance: f64) {
+        self.needed = Some(self.needed.map_or(tolerance, |known| known.max(tolerance)));
     }
 
     fn add(&mut self, begin: Span, fit: &Fit, granularity: f64) {
@@ -372,8 +549,6 @@ impl Fitted {
         let value = |&(time, to): &(f64, f64)| Value { at: at(time), to: tidy(to, scale) };
         self.steps.extend(fit.steps.iter().skip(1).map(value));
         self.at_least += fit.at_least.saturating_sub(1);
-        if fit.worst > self.worst {
-            (self.worst, self.worst_at) = (fit.worst, at(fit.worst_at));
-        }
+        self.off_by(fit.worst, at(fit.worst_at));
     }
 }

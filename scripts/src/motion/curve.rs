@@ -5,6 +5,26 @@ use std::sync::Arc;
 use urrcp::Span;
 
 use super::{Easing, Function};
+use crate::exact::Laps;
+
+/// One length that becomes another, and everything in it with it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Stretch {
+    pub(crate) from: Span,
+    pub(crate) to: Span,
+}
+
+impl Stretch {
+    /// To the nearest nanosecond, so that the whole length becomes exactly the other.
+    pub(crate) fn of(self, at: Span) -> Span {
+        let (from, to) = (i128::from(self.from.as_nanos()), i128::from(self.to.as_nanos()));
+        if from == to || from <= 0 {
+            return at;
+        }
+        let doubled = 2 * i128::from(at.as_nanos()) * to + from;
+        Span::from_nanos(i64::try_from(doubled.div_euclid(2 * from)).unwrap_or(i64::MAX))
+    }
+}
 
 /// A movement over time, counted from its cue's start.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -35,8 +55,10 @@ pub(crate) enum Shape {
     Eased(Easing),
     /// The new value at once.
     Early,
-    /// Linear between samples of a curve, which need not be kept each.
-    Sampled,
+    /// Between samples of a curve, which need not be kept each.
+    Sampled(Between),
+    /// No way at all: where pieces meet, or a repeated movement begins again, but for a gap.
+    Meets,
     /// offset + gain * function, over s from 0 to 1 or, reversed, from 1 to 0.
     Function {
         index: u32,
@@ -46,9 +68,41 @@ pub(crate) enum Shape {
     },
 }
 
-impl Shape {
+/// The way between two samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Between {
+    /// As the device moves by itself.
+    Own,
+    /// The same backwards.
+    OwnReversed,
+    Linear,
+    /// The old value until the next sample.
+    Step,
+    /// The new value at once.
+    Early,
+}
+
+impl Between {
     fn reversed(self) -> Self {
         match self {
+            Self::Own => Self::OwnReversed,
+            Self::OwnReversed => Self::Own,
+            Self::Linear => Self::Linear,
+            Self::Step => Self::Early,
+            Self::Early => Self::Step,
+        }
+    }
+}
+
+impl Shape {
+    /// Whether the value at its end stands in the file, or follows from one by scaling and mirroring.
+    pub(crate) fn is_written(self) -> bool {
+        matches!(self, Self::Own | Self::OwnReversed | Self::Eased(_) | Self::Early)
+    }
+
+    fn reversed(self) -> Self {
+        match self {
+            Self::Sampled(between) => Self::Sampled(between.reversed()),
             Self::Own => Self::OwnReversed,
             Self::OwnReversed => Self::Own,
             Self::Eased(Easing::Step) => Self::Early,
@@ -99,10 +153,10 @@ impl Curve {
         }
     }
 
-    /// All times by a factor.
-    pub(crate) fn stretch(&mut self, factor: f64) {
+    /// All times, so that one length becomes another.
+    pub(crate) fn stretch(&mut self, stretch: Stretch) {
         for knot in &mut self.knots {
-            knot.at = Span::from_millis_f64(knot.at.as_millis_f64() * factor);
+            knot.at = stretch.of(knot.at);
         }
     }
 
@@ -119,22 +173,29 @@ impl Curve {
         }
     }
 
-    /// The movement `times` times, a new one every `cycle`. Where it does not end as it begins, it jumps.
-    pub(crate) fn repeat(&mut self, times: u32, cycle: Span) {
+    /// The movement `times` times, a new one every lap. Where it does not end as it begins, it jumps.
+    pub(crate) fn repeat(&mut self, times: u32, laps: &Laps) {
+        let cycle = laps.begin(1);
         let once = self.knots.clone();
         let (Some(first), Some(last)) = (once.first().copied(), once.last().copied()) else { return };
         self.knots.reserve_exact(self.added_by_repeating(times, cycle));
         let (waits, joined) = Self::seam(&first, &last, cycle);
         for turn in 1..times {
-            let begin = cycle * i64::from(turn);
+            let (begin, end) = (laps.begin(turn), laps.begin(turn.saturating_add(1)));
+            // Laps differ by a nanosecond.
+            let lay = |at: Span| if at == cycle { end } else { (begin + at).min(end) };
             if waits {
                 self.knots.push(Knot { at: begin, shape: Shape::Eased(Easing::Step), ..last });
             }
             if !joined {
-                let shape = if first.at == Span::ZERO { Shape::Early } else { first.shape };
+                let shape = match first.shape {
+                    Shape::Sampled(_) if first.at == Span::ZERO => Shape::Meets,
+                    _ if first.at == Span::ZERO => Shape::Early,
+                    shape => shape,
+                };
                 self.knots.push(Knot { at: begin + first.at, shape, ..first });
             }
-            self.knots.extend(once[1..].iter().map(|knot| Knot { at: begin + knot.at, ..*knot }));
+            self.knots.extend(once[1..].iter().map(|knot| Knot { at: lay(knot.at), ..*knot }));
         }
     }
 
@@ -170,8 +231,8 @@ impl Curve {
                 .functions
                 .get(index as usize)
                 .map_or((0.0, 0.0), |f| (gain.abs() * f.slope_max(), gain.abs() * f.curvature_max())),
-            Shape::Own | Shape::OwnReversed | Shape::Sampled => (change, 0.0),
-            Shape::Early => (0.0, 0.0),
+            Shape::Sampled(Between::Step | Between::Early) | Shape::Early | Shape::Meets => (0.0, 0.0),
+            Shape::Own | Shape::OwnReversed | Shape::Sampled(_) => (change, 0.0),
         };
         (slope / seconds, curvature / (seconds * seconds))
     }
@@ -201,8 +262,8 @@ impl Curve {
         let from = index.checked_sub(1).map_or(knot.to, |before| self.knots[before].to);
         let change = knot.to - from;
         match knot.shape {
-            Shape::Own | Shape::OwnReversed | Shape::Sampled => from + change * s,
-            Shape::Early => knot.to,
+            Shape::Early | Shape::Meets => knot.to,
+            Shape::Own | Shape::OwnReversed | Shape::Sampled(_) => from + change * s,
             Shape::Eased(easing) => from + change * easing.at(s),
             Shape::Function { index, gain, offset, reversed } => {
                 let s = if reversed { 1.0 - s } else { s };
@@ -229,10 +290,10 @@ mod tests {
     #[test]
     fn a_closed_movement_repeats_without_a_seam_and_an_open_one_jumps() {
         let mut closed = curve(&[(0, 0.0, Shape::Own), (10, 5.0, Shape::Own), (20, 0.0, Shape::Own)]);
-        closed.repeat(2, Span::from_millis(20));
+        closed.repeat(2, &Span::from_millis(20).into());
         assert_eq!(shown(&closed), [(0.0, 0.0), (10.0, 5.0), (20.0, 0.0), (30.0, 5.0), (40.0, 0.0)]);
         let mut open = curve(&[(0, 0.0, Shape::Own), (10, 5.0, Shape::Own)]);
-        open.repeat(2, Span::from_millis(15));
+        open.repeat(2, &Span::from_millis(15).into());
         assert_eq!(shown(&open), [(0.0, 0.0), (10.0, 5.0), (15.0, 5.0), (15.0, 0.0), (25.0, 5.0)]);
     }
 

@@ -7,10 +7,12 @@ mod actuator;
 mod curve;
 mod easing;
 mod function;
+mod held;
 mod spline;
 
-pub(crate) use actuator::{Actuator, Fits, Fitted, Value};
-pub(crate) use curve::{Curve, Knot, Shape};
+pub(crate) use actuator::{Actuator, Fits, Played, Value};
+pub(crate) use curve::{Between, Curve, Knot, Shape, Stretch};
 pub(crate) use easing::Easing;
 pub(crate) use function::Function;
+pub(crate) use held::runs;
 pub(crate) use spline::spline;

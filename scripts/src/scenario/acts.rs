@@ -146,10 +146,13 @@ pub(super) fn read(
     match (cues, acts) {
         (Some(cues), None) => {
             let zones = defaults.zones.map(|at| zones(reader, &at, defaults.order)).unwrap_or_default();
+            let before = reader.found.len();
+            let read = read_cues(reader, library, defaults, &cues, "the scenario");
             vec![Act {
                 name: String::new(),
                 place: cues.place(),
-                cues: read_cues(reader, library, defaults, &cues, "the scenario"),
+                cues: read,
+                faults: reader.found.len() - before,
                 zones: zones.into(),
                 order: defaults.order,
                 wait: WrittenWait::default(),
@@ -230,9 +233,12 @@ fn act(
     let mut rule = failure.map(|at| on_failure(reader, &at)).unwrap_or_default();
     rule.default = rule.default.or(defaults.on_failure.default);
     rule.inherited = shared.rules.clone();
+    let before = reader.found.len();
+    let cues = cues.map(|at| read_cues(reader, library, defaults, &at, &whose)).unwrap_or_default();
     Some(Act {
         place: at.place(),
-        cues: cues.map(|at| read_cues(reader, library, defaults, &at, &whose)).unwrap_or_default(),
+        cues,
+        faults: reader.found.len() - before,
         zones: all,
         order,
         wait: wait.map(|at| read_wait(reader, &at)).unwrap_or_default(),

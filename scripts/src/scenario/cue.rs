@@ -7,6 +7,7 @@ use super::library::Library;
 use super::movement::{Shaping, movement};
 use super::when::{When, range};
 use super::{Bounds, Cue, Movement, Name, OffGrid, Order, Reading, nothing};
+use crate::exact::{Beginning, Laps};
 use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::node::Node;
@@ -114,14 +115,16 @@ pub(super) fn read(
         robots_place: robots.map_or_else(|| at.place(), |at| at.place()),
         movement,
         overrides,
-        canon: canon.and_then(|at| reader.duration(&at)).unwrap_or_default(),
+        canon: canon
+            .and_then(|at| reader.exact(&at))
+            .map_or_else(Laps::default, |length| reader.laps(length)),
         uses: uses.map(|at| name_list(reader, &at, "a zone, or a list of them")).unwrap_or_default(),
         apart: apart.map(|at| name_list(reader, &at, "a cue, or a list of them")).unwrap_or_default(),
         stop_condition: stop_condition.and_then(|at| lease(reader, &at, defaults.lease)),
         off_grid: off_grid.and_then(|at| reader.word(&at, &OFF_GRID)).unwrap_or(defaults.off_grid),
         readings: readings.map(|at| read_readings(reader, &at)).unwrap_or_default(),
     };
-    reader.music.start = None;
+    reader.music.start = Beginning::default();
     Some(cue)
 }
 

@@ -4,24 +4,26 @@ use urrcp::Span;
 
 use crate::fields::{At, Reader};
 use crate::files::Files;
-use crate::finding::{Code, names};
-use crate::motion::{Curve, Knot, Shape};
+use crate::finding::{Code, one_of};
+use crate::motion::{Between, Curve, Knot, Shape};
 use crate::node::{Node, shortened};
 
-pub(crate) const SAMPLES_KEYS: [&str; 5] = ["file", "time", "value", "time_unit", "scale"];
+pub(crate) const SAMPLES_KEYS: [&str; 6] = ["file", "time", "value", "time_unit", "scale", "ease"];
+const EASES: [(&str, Between); 2] = [("linear", Between::Linear), ("step", Between::Step)];
 
 /// Most faults of one file that are listed; the last says how many more there are.
 const FAULTS_MAX: usize = 20;
 
-/// `{file: arm.csv, time: t, value: elbow, time_unit: s, scale: 1}`
+/// `{file: arm.csv, time: t, value: elbow, time_unit: s, scale: 1, ease: step}`
 pub(super) fn samples(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Option<Curve> {
-    let [file, time, value, unit, scale] =
+    let [file, time, value, unit, scale, ease] =
         reader.map(at, "`samples`", SAMPLES_KEYS, &["file", "time", "value"])?;
     let name =
         file.and_then(|at| reader.text(&at, "the path of a CSV file").map(std::borrow::Cow::into_owned));
     let units = [("s", 1_000.0), ("ms", 1.0), ("us", 0.001)];
     let millis = unit.map_or(Some(1_000.0), |at| reader.word(&at, &units))?;
     let scale = scale.map_or(Some(1.0), |at| reader.number(&at, "a factor"))?;
+    let between = ease.map_or(Some(Between::Own), |at| reader.word(&at, &EASES))?;
     let (file, name) = (file?, name?);
     let source = match files.read(&name) {
         Ok(source) => source,
@@ -34,15 +36,33 @@ pub(super) fn samples(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Op
     };
     let mut table = Table { reader, file, name: &name, faults: 0 };
     let (time, value) = (time?, value?);
-    let rows = table.rows(&source.text);
+    let mut rows = table.rows(&source.text);
+    if let Some(header) = commented_header(&source.text, rows.first()) {
+        rows.insert(0, header);
+    }
     let header = rows.first().map(|(_, cells)| cells.clone()).unwrap_or_default();
     let columns = (table.column(&time, &header), table.column(&value, &header));
     let (Some((time, named)), Some((value, also_named))) = columns else { return None };
     let body = &rows[usize::from(named || also_named).min(rows.len())..];
-    table.curve(body, time, value, millis, scale)
+    table.curve(body, [time, value], [millis, scale], Shape::Sampled(between))
 }
 
 type Row<'t> = (usize, Vec<&'t str>);
+
+/// A header that is written as a comment, `# t,elbow`: the last one ahead of numbers, of as many columns.
+fn commented_header<'t>(text: &'t str, first: Option<&Row<'t>>) -> Option<Row<'t>> {
+    let (line, cells) = first.filter(|(_, cells)| cells.iter().all(|cell| cell.parse::<f64>().is_ok()))?;
+    let comment = |(index, line): (usize, &'t str)| {
+        let names = cut(line.trim().trim_start_matches('\u{feff}').strip_prefix('#')?);
+        let named = names.len() == cells.len() && names.iter().all(|name| name.parse::<f64>().is_err());
+        named.then_some((index + 1, names))
+    };
+    text.lines().enumerate().take(*line - 1).filter_map(comment).last()
+}
+
+fn cut(line: &str) -> Vec<&str> {
+    line.split(',').map(|cell| cell.trim().trim_matches('"')).collect()
+}
 
 struct Table<'r, 'a> {
     reader: &'r mut Reader,
@@ -57,10 +77,7 @@ impl Table<'_, '_> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let lines = text.lines().enumerate().map(|(index, line)| (index + 1, line.trim()));
         let full = lines.filter(|(_, line)| !line.is_empty() && !line.starts_with('#'));
-        full.map(|(number, line)| {
-            (number, line.split(',').map(|cell| cell.trim().trim_matches('"')).collect())
-        })
-        .collect()
+        full.map(|(number, line)| (number, cut(line))).collect()
     }
 
     /// A column by its name in the header, or by its number from 1; and whether there is a header.
@@ -79,7 +96,7 @@ impl Table<'_, '_> {
         if found.is_none() {
             let message = format!("`{}` has no column `{}`", shortened(self.name), shortened(&name));
             let hint = self.reader.did_you_mean(&name, header.iter().copied());
-            let expected = format!("one of {}", names(header.iter().copied()));
+            let expected = one_of(header.iter().copied());
             self.reader.add(Code::BadData, at.place(), message, expected, hint);
         }
         found.map(|index| (index, true))
@@ -96,10 +113,9 @@ impl Table<'_, '_> {
     fn curve(
         &mut self,
         rows: &[Row<'_>],
-        time: usize,
-        value: usize,
-        millis: f64,
-        scale: f64,
+        [time, value]: [usize; 2],
+        [millis, scale]: [f64; 2],
+        shape: Shape,
     ) -> Option<Curve> {
         let mut knots: Vec<Knot> = Vec::with_capacity(rows.len());
         for (index, (line, cells)) in rows.iter().enumerate() {
@@ -121,7 +137,7 @@ impl Table<'_, '_> {
                 continue;
             }
             let item = u32::try_from(index).unwrap_or(u32::MAX);
-            knots.push(Knot { at, to: to * scale, shape: Shape::Sampled, item });
+            knots.push(Knot { at, to: to * scale, shape, item });
         }
         if self.faults > FAULTS_MAX {
             let message = format!("`{}`: {} more faults", shortened(self.name), self.faults - FAULTS_MAX);

@@ -5,9 +5,10 @@ use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use super::Name;
+use crate::exact::{Fraction, fraction};
 use crate::fields::{At, Reader};
 use crate::files::Files;
-use crate::finding::{Code, Finding, Place, names};
+use crate::finding::{Code, Finding, Place, one_of};
 use crate::locate::locate;
 use crate::music::{Section, Tempo, position};
 use crate::node::{self, Node, shortened};
@@ -182,7 +183,7 @@ impl<'a> Library<'a> {
             let known = || self.names.get_or_init(sorted).iter().map(String::as_str);
             let hint = reader.did_you_mean(name, known());
             let message = format!("no move `{}`", shortened(name));
-            reader.add(Code::UnknownMove, at.place(), message, format!("one of {}", names(known())), hint);
+            reader.add(Code::UnknownMove, at.place(), message, one_of(known()), hint);
         }
         found
     }
@@ -229,12 +230,12 @@ pub(super) fn scalar(reader: &mut Reader, at: &At<'_>) -> Option<Node> {
 
 /// Sets the tempo for what is read from now on.
 pub(super) fn music(reader: &mut Reader, tempo: Option<At<'_>>, signature: Option<At<'_>>) {
-    let beats_a_bar = signature.and_then(|at| read_signature(reader, &at)).unwrap_or(4.0);
+    let beats_a_bar = signature.and_then(|at| read_signature(reader, &at)).unwrap_or(4);
     let Some(at) = tempo else { return };
     let sections = match at.node {
         Node::List(_) => tempo_list(reader, &at, beats_a_bar),
         _ => bpm(reader, &at)
-            .map(|beats_a_minute| vec![Section { bar: 0.0, beats_a_minute, beats_a_bar }])
+            .map(|beats_a_minute| vec![Section { bar: 0, beats_a_minute, beats_a_bar }])
             .unwrap_or_default(),
     };
     if !sections.is_empty() {
@@ -242,7 +243,7 @@ pub(super) fn music(reader: &mut Reader, tempo: Option<At<'_>>, signature: Optio
     }
 }
 
-fn tempo_list(reader: &mut Reader, at: &At<'_>, mut beats_a_bar: f64) -> Vec<Section> {
+fn tempo_list(reader: &mut Reader, at: &At<'_>, mut beats_a_bar: u8) -> Vec<Section> {
     let mut sections: Vec<Section> = Vec::new();
     for item in reader.list(at, "a list of tempos such as {at: bar 1, bpm: 120}") {
         let known = ["at", "bpm", "signature"];
@@ -253,12 +254,12 @@ fn tempo_list(reader: &mut Reader, at: &At<'_>, mut beats_a_bar: f64) -> Vec<Sec
         let bar = place.and_then(|at| whole_bar(reader, &at));
         let beats_a_minute = tempo.and_then(|at| bpm(reader, &at));
         let (Some(bar), Some(beats_a_minute)) = (bar, beats_a_minute) else { continue };
-        let least = sections.last().map_or(0.0, |last| last.bar + 1.0);
-        if bar < least || (sections.is_empty() && bar > 0.0) {
-            let message = format!("a tempo at bar {}", bar + 1.0);
+        let least = sections.last().map_or(0, |last| last.bar + 1);
+        if bar < least || (sections.is_empty() && bar > 0) {
+            let message = format!("a tempo at bar {}", bar + 1);
             let expected = match sections.is_empty() {
                 true => "the first tempo at bar 1".to_owned(),
-                false => format!("bar {} or later", least + 1.0),
+                false => format!("bar {} or later", least + 1),
             };
             let place = place.map_or_else(|| item.place(), |at| at.place());
             reader.add(Code::TimeOrder, place, message, expected, None);
@@ -269,10 +270,10 @@ fn tempo_list(reader: &mut Reader, at: &At<'_>, mut beats_a_bar: f64) -> Vec<Sec
     sections
 }
 
-fn whole_bar(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
+fn whole_bar(reader: &mut Reader, at: &At<'_>) -> Option<u32> {
     let expected = "the beginning of a bar, such as `bar 9`";
     let text = reader.text(at, expected)?;
-    let found = position(&text).filter(|(_, beat)| *beat == 0.0).map(|(bar, _)| bar);
+    let found = position(&text).filter(|(_, beat)| *beat == Fraction::ZERO).map(|(bar, _)| bar);
     if found.is_none() {
         let message = format!("`{}` is no beginning of a bar", shortened(&text));
         reader.add(Code::BadDuration, at.place(), message, expected, None);
@@ -280,24 +281,24 @@ fn whole_bar(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
     found
 }
 
-fn bpm(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
+fn bpm(reader: &mut Reader, at: &At<'_>) -> Option<Fraction> {
     let expected = "beats a minute, from 1 to 10000";
     let value = reader.positive(at, expected)?;
     if (1.0..=10_000.0).contains(&value) {
-        return Some(value);
+        return Some(fraction(value));
     }
     reader.add(Code::WrongType, at.place(), format!("a tempo of {value}"), expected, None);
     None
 }
 
 /// `3/4`: the beats of a bar.
-fn read_signature(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
+fn read_signature(reader: &mut Reader, at: &At<'_>) -> Option<u8> {
     let expected = "a time signature such as 3/4";
     let text = reader.text(at, expected)?;
     let parsed = text.split_once('/').and_then(|(beats, unit)| {
         let beats = beats.trim().parse::<u8>().ok().filter(|beats| *beats > 0)?;
         unit.trim().parse::<u8>().ok().filter(|unit| unit.is_power_of_two())?;
-        Some(f64::from(beats))
+        Some(beats)
     });
     if parsed.is_none() {
         let message = format!("`{}` is no time signature", shortened(&text));

@@ -17,6 +17,7 @@ use std::sync::Arc;
 use urrcp::{ControlType, Millis, Span, StopCondition};
 
 use crate::budget::{LEADS, longest};
+use crate::exact::{Exact, Laps};
 use crate::fields::{At, Reader};
 use crate::files::Files;
 use crate::finding::{Code, Finding, Place};
@@ -66,6 +67,8 @@ pub(crate) struct Act {
     pub(crate) name: String,
     pub(crate) place: Place,
     pub(crate) cues: Vec<Cue>,
+    /// Faults that reading its cues has found: what they would have said of its times is missing.
+    pub(crate) faults: usize,
     /// Zones with the way their cues are ordered, the act's own last. Acts without own ones share a list.
     pub(crate) zones: Arc<[(String, Order)]>,
     /// For cues that are kept apart.
@@ -100,7 +103,7 @@ pub(crate) struct Cue {
     pub(crate) movement: Movement,
     pub(crate) overrides: Vec<(Name, Movement)>,
     /// How much later each robot begins than the one before.
-    pub(crate) canon: Span,
+    pub(crate) canon: Laps,
     pub(crate) uses: Vec<Name>,
     pub(crate) apart: Vec<Name>,
     pub(crate) stop_condition: Option<StopCondition>,
@@ -115,6 +118,16 @@ pub(crate) struct Movement {
     /// Later than the cue.
     pub(crate) delay: Span,
     pub(crate) length: Span,
+    /// Parameters without a value: faults only if some robot does it.
+    pub(crate) unset: Vec<Unset>,
+}
+
+/// A parameter that has neither a default nor a value.
+#[derive(Clone, Debug)]
+pub(crate) struct Unset {
+    pub(crate) place: Place,
+    pub(crate) of_move: String,
+    pub(crate) parameter: String,
 }
 
 /// A least and a largest length.
@@ -131,12 +144,42 @@ pub(crate) struct Track {
     pub(crate) device: String,
     pub(crate) control: Option<ControlType>,
     pub(crate) motion: Motion,
+    /// How long it is, before it is laid on the clock.
+    pub(crate) length: Exact,
     pub(crate) tolerance: Option<f64>,
     pub(crate) steps_max: Option<u32>,
     /// Of the track's key.
     pub(crate) place: Place,
+    /// How often it has been repeated in all.
+    pub(crate) turns: u32,
+    /// What its items are called: keyframes, points, pieces, rows.
+    pub(crate) items: Items,
     /// Of the list of its keyframes.
     pub(crate) list: Place,
+}
+
+/// What a movement is written in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Items {
+    Keyframes,
+    Points,
+    Pieces,
+    Rows,
+    /// It has no items.
+    Whole,
+}
+
+impl Items {
+    /// One of them, for messages.
+    pub(crate) const fn one(self) -> &'static str {
+        match self {
+            Self::Keyframes => "keyframe",
+            Self::Points => "point",
+            Self::Pieces => "piece",
+            Self::Rows => "row",
+            Self::Whole => "movement",
+        }
+    }
 }
 
 /// One value over time, or several at times.

@@ -6,10 +6,11 @@ use super::cue::name_list;
 use super::library::Library;
 use super::track::read_tracks;
 use super::when::instant;
-use super::{Motion, Movement, Name, Track};
+use super::{Motion, Movement, Name, Track, Unset};
 use crate::budget::longest;
+use crate::exact::Exact;
 use crate::fields::{At, Reader};
-use crate::finding::{Code, names};
+use crate::finding::{Code, one_of};
 use crate::node::{Node, shortened};
 
 /// Most times that a movement is repeated.
@@ -32,6 +33,7 @@ pub(super) struct Shaping<'a> {
 
 /// Reads the tracks of a move and of the cue itself, then maps, scales, mirrors, reverses and repeats them.
 pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> Movement {
+    reader.unset.clear();
     if reader.knots.is_overdrawn() || reader.is_full() {
         return Movement::default();
     }
@@ -65,17 +67,13 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
     if let Some(at) = shaping.mirror {
         mirror(reader, &at, &mut tracks);
     }
-    let length =
-        |tracks: &[Track]| tracks.iter().map(|track| track.motion.length()).max().unwrap_or_default();
     if let Some(at) = shaping.reverse
         && reader.truth(&at) == Some(true)
     {
-        let length = length(&tracks);
-        curves(&mut tracks, &at, reader, |curve| curve.reverse(length));
+        reverse(reader, &at, &mut tracks);
     }
     if let Some(at) = shaping.repeat {
-        let length = length(&tracks);
-        repeat(reader, &at, &mut tracks, length);
+        repeat(reader, &at, &mut tracks);
     }
     let delay = shaping.delay.and_then(|at| reader.duration(&at)).unwrap_or_default();
     let length = length(&tracks);
@@ -85,7 +83,22 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
         reader.add(Code::TooMuch, at.place(), message, format!("at most {}", longest()), hint);
         return Movement::default();
     }
-    Movement { tracks, delay, length }
+    Movement { tracks, delay, length, unset: std::mem::take(&mut reader.unset) }
+}
+
+fn length(tracks: &[Track]) -> Span {
+    tracks.iter().map(|track| track.motion.length()).max().unwrap_or_default()
+}
+
+/// Backwards within the length of the longest track.
+fn reverse(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
+    let longest = length(tracks);
+    let exact = tracks.iter().map(|track| track.length).max().unwrap_or_default();
+    curves(tracks, at, reader, |curve| curve.reverse(longest));
+    for track in tracks {
+        let own = track.motion.length();
+        track.length = if own == longest { exact } else { own.into() };
+    }
 }
 
 /// Whether there is room for the tracks: every cue has its own copy of a move.
@@ -139,6 +152,7 @@ pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, name: &st
         let own = Node::Text(name.to_owned());
         let at = body.entry("tracks", 0, &own);
         drop(of_move(reader, library, &at, None));
+        reader.unset.clear();
     }
 }
 
@@ -159,7 +173,7 @@ fn arguments(
             let hint = reader.did_you_mean(parameter, known());
             let message =
                 format!("the move `{}` has no parameter `{}`", shortened(name), shortened(parameter));
-            reader.add(Code::UnknownKey, at.key_place(), message, format!("one of {}", names(known())), hint);
+            reader.add(Code::UnknownKey, at.key_place(), message, one_of(known()), hint);
         }
     }
     let mut values = Vec::new();
@@ -167,9 +181,8 @@ fn arguments(
         let value = match given.iter().find(|(known, _)| known == parameter) {
             Some((_, at)) => super::library::scalar(reader, at),
             None if *default.node == Node::Null => {
-                let message = format!("the move `{}` needs a value for `{parameter}`", shortened(name));
-                let hint = Some(format!("add `parameters: {{{parameter}: ...}}`"));
-                reader.add(Code::Variable, at.place(), message, "every parameter without default", hint);
+                let (place, of_move) = (at.place(), name.to_owned());
+                reader.unset.push(Unset { place, of_move, parameter: (*parameter).to_owned() });
                 None
             }
             None => super::library::scalar(reader, default),
@@ -190,7 +203,7 @@ fn rename(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
             None => {
                 let known = || tracks.iter().map(|track| track.device.as_str());
                 let message = format!("no track is called `{}`", shortened(from));
-                let expected = format!("one of {}", names(known()));
+                let expected = one_of(known());
                 let hint = reader.did_you_mean(from, known());
                 reader.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
             }
@@ -252,7 +265,7 @@ fn affine(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track], aim: &Aim, fac
         if !tracks.iter().any(|track| track.device == device.text) {
             let known = || tracks.iter().map(|track| track.device.as_str());
             let message = format!("the cue has no track `{}`", shortened(&device.text));
-            let expected = format!("one of {}", names(known()));
+            let expected = one_of(known());
             let hint = reader.did_you_mean(&device.text, known());
             reader.add(Code::UnknownDevice, device.place.clone(), message, expected, hint);
         }
@@ -284,10 +297,12 @@ fn curves(
     }
 }
 
-fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track], cycle: Span) {
-    let Some(times) = repeats(reader, at, cycle) else { return };
-    if cycle * i64::from(times) > longest() {
-        let message = format!("{times} times a movement of {cycle} lasts {}", cycle * i64::from(times));
+fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
+    let laps = reader.laps(tracks.iter().map(|track| track.length).max().unwrap_or_default());
+    let Some(times) = repeats(reader, at, laps.length) else { return };
+    let (cycle, whole) = (laps.begin(1), laps.begin(times));
+    if whole > longest() {
+        let message = format!("{times} times a movement of {cycle} lasts {whole}");
         let hint = Some("repeat it less often".to_owned());
         reader.add(Code::TooMuch, at.place(), message, format!("at most {}", longest()), hint);
         return;
@@ -303,37 +318,40 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track], cycle: Span) {
         reader.add(Code::TooMuch, at.place(), message, expected, Some("repeat it less often".to_owned()));
         return;
     }
-    curves(tracks, at, reader, |curve| curve.repeat(times, cycle));
+    curves(tracks, at, reader, |curve| curve.repeat(times, &laps));
+    for track in tracks {
+        (track.length, track.turns) = (track.motion.length().into(), times);
+    }
 }
 
 /// A number of times, or as many whole cycles as fit.
-#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "clamped")]
-fn repeats(reader: &mut Reader, at: &At<'_>, cycle: Span) -> Option<u32> {
+fn repeats(reader: &mut Reader, at: &At<'_>, cycle: Exact) -> Option<u32> {
     let Node::Map(_) = at.node else { return reader.count(at, 1, REPEATS_MAX) };
     let [until, during] = reader.map(at, "`repeat`", ["until", "for"], &[])?;
     let time = match (until, during) {
         (Some(until), None) => {
             let text = reader.text(&until, "a time of the act, such as 20s or `bar 9`")?;
             let end = instant(reader, &until, &text)?;
-            let Some(start) = reader.music.start else {
+            let Some(start) = reader.music.start.0 else {
                 let message = "how often it fits depends on when the cue begins";
                 let hint = Some("give the cue a fixed `at`, or use `for`".to_owned());
                 reader.add(Code::BadMotion, until.place(), message, "a cue with a fixed start", hint);
                 return None;
             };
-            end - start
+            end.minus(start)
         }
-        (None, Some(during)) => reader.duration(&during)?,
+        (None, Some(during)) => reader.exact(&during)?,
         _ => {
             let expected = "a number of times, {until: 20s} or {for: 8s}";
             reader.add(Code::WrongType, at.place(), "found both or neither of until and for", expected, None);
             return None;
         }
     };
-    let times = (time.as_millis_f64() / cycle.as_millis_f64() + 1e-9).floor();
-    if times >= 1.0 && times <= f64::from(REPEATS_MAX) {
-        return Some(times as u32);
+    let times = time.divided_by(cycle).and_then(|times| u32::try_from(times.to_integer()).ok());
+    if let Some(times) = times.filter(|times| (1..=REPEATS_MAX).contains(times)) {
+        return Some(times);
     }
+    let (time, cycle) = (time.rounded(), cycle.rounded());
     let message = format!("{time} is not enough for a movement of {cycle}, or far too much");
     reader.add(Code::BadMotion, at.place(), message, "time for at least one whole cycle", None);
     None

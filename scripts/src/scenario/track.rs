@@ -3,10 +3,11 @@
 use urrcp::{ControlType, Span};
 
 use super::library::Library;
-use super::{Motion, Track, Vector, data, nothing};
+use super::{Items, Motion, Track, Vector, data, nothing};
+use crate::exact::{Exact, fraction, to_f64};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Part};
-use crate::motion::{Curve, Easing, Function, Knot, Shape, spline};
+use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
 use crate::node::{self, Node};
 
 pub(crate) const TRACK_KEYS: [&str; 9] =
@@ -28,13 +29,33 @@ pub(super) fn read_tracks(reader: &mut Reader, library: &Library<'_>, at: &At<'_
     entries.iter().filter_map(|(device, at)| track(reader, library, device, at)).collect()
 }
 
+/// A movement with its length before it is laid on the clock.
+struct Written {
+    motion: Motion,
+    length: Exact,
+}
+
+impl Written {
+    fn new(curve: Curve, length: Exact) -> Self {
+        Self { motion: Motion::Curve(curve), length }
+    }
+
+    fn of(curve: Curve) -> Self {
+        let length = curve.length().into();
+        Self::new(curve, length)
+    }
+}
+
 fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) -> Option<Track> {
-    let new = |motion: Motion, list: &At<'_>| Track {
+    let new = |Written { motion, length }, list: &At<'_>| Track {
         device: device.to_owned(),
         control: None,
         motion,
+        length,
         tolerance: None,
         steps_max: None,
+        turns: 1,
+        items: Items::Keyframes,
         place: at.key_place(),
         list: list.place(),
     };
@@ -52,16 +73,23 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
     };
     let motion = match (keys, points, pieces, wave, travel, samples) {
         (Some(at), ..) => Some(keyframes(reader, &at)),
-        (_, Some(at), ..) => Some(Motion::Curve(splined(reader, &at))),
-        (_, _, Some(at), ..) => Some(Motion::Curve(polynomial(reader, &at))),
-        (_, _, _, Some(at), ..) => waved(reader, &at).map(Motion::Curve),
-        (_, _, _, _, Some(at), _) => travelled(reader, &at).map(Motion::Curve),
-        (_, _, _, _, _, Some(at)) => data::samples(reader, library.files, &at).map(Motion::Curve),
+        (_, Some(at), ..) => Some(splined(reader, &at)),
+        (_, _, Some(at), ..) => Some(polynomial(reader, &at)),
+        (_, _, _, Some(at), ..) => waved(reader, &at),
+        (_, _, _, _, Some(at), _) => travelled(reader, &at),
+        (_, _, _, _, _, Some(at)) => data::samples(reader, library.files, &at).map(Written::of),
         _ => None,
     };
     Some(Track {
         control: control.and_then(|at| control_type(reader, &at)),
         tolerance: tolerance.and_then(|at| reader.positive(&at, "an error above 0, in the device's unit")),
+        items: match (keys, points, pieces, samples) {
+            (Some(_), ..) => Items::Keyframes,
+            (_, Some(_), ..) => Items::Points,
+            (_, _, Some(_), _) => Items::Pieces,
+            (.., Some(_)) => Items::Rows,
+            _ => Items::Whole,
+        },
         steps_max: steps_max.and_then(|at| reader.count(&at, 2, 1_000_000_000)),
         ..new(motion?, form)
     })
@@ -83,48 +111,60 @@ const fn item(index: usize) -> u32 {
     index as u32
 }
 
-fn keyframes(reader: &mut Reader, at: &At<'_>) -> Motion {
+fn keyframes(reader: &mut Reader, at: &At<'_>) -> Written {
     let expected = "a list of keyframes such as {at: 1s, to: 45}";
     let Node::List(items) = at.node else {
         reader.wrong_type(at, expected);
-        return Motion::Curve(Curve::default());
+        return Written::of(Curve::default());
     };
     if items.is_empty() {
         nothing(reader, at, "the track has no keyframes", "at least one keyframe");
     }
     let several = |node: &Node| matches!(node, Node::Map(entries) if entries.iter().any(|(key, node)| key == "to" && matches!(node, Node::List(_))));
     if items.first().is_some_and(several) {
-        return Motion::Vectors(vectors(reader, at, items));
+        return vectors(reader, at, items);
     }
+    let mut length = Exact::ZERO;
     let mut knots: Vec<Knot> = Vec::with_capacity(items.len());
     for (index, node) in items.iter().enumerate() {
-        if let Some(knot) = keyframe(reader, &at.item(index, node), item(index)) {
+        if let Some((knot, time)) = keyframe(reader, &at.item(index, node), item(index)) {
+            length = time;
             let before = knots.last().map(|last| last.at);
-            in_order(reader, at, index, before, knot.at);
+            in_order(reader, at, (Items::Keyframes, index), before, knot.at);
             knots.push(knot);
         }
     }
-    Motion::Curve(Curve::new(knots, Vec::new()))
+    Written::new(Curve::new(knots, Vec::new()), length)
 }
 
-fn in_order(reader: &mut Reader, list: &At<'_>, index: usize, before: Option<Span>, at: Span) {
+fn in_order(
+    reader: &mut Reader,
+    list: &At<'_>,
+    (items, index): (Items, usize),
+    before: Option<Span>,
+    at: Span,
+) {
     if let Some(before) = before.filter(|before| at <= *before) {
         let place = list.place().below(Part::Index(index)).of_key("at");
-        let message = format!("the keyframe at {at} stands after the one at {before}");
-        let hint = Some("keyframes of one track stand in order, each later than the one before".to_owned());
+        let message = format!("the {} at {at} stands after the one at {before}", items.one());
+        let hint =
+            Some(format!("{}s of one track stand in order, each later than the one before", items.one()));
         reader.add(Code::TimeOrder, place, message, format!("a time after {before}"), hint);
     }
 }
 
-fn keyframe(reader: &mut Reader, at: &At<'_>, item: u32) -> Option<Knot> {
+fn keyframe(reader: &mut Reader, at: &At<'_>, item: u32) -> Option<(Knot, Exact)> {
     let [time, to, ease] = reader.map(at, "a keyframe", KEYFRAME_KEYS, &["at", "to"])?;
-    let time = time.and_then(|at| reader.duration(&at));
+    let time = time.and_then(|at| reader.exact(&at));
     let to = to.and_then(|at| reader.number(&at, "a finite number"));
     let easing = ease.and_then(|at| reader.word(&at, &Easing::WORDS));
-    Some(Knot { at: time?, to: to?, shape: easing.map_or(Shape::Own, Shape::Eased), item })
+    let (time, to) = (time?, to?);
+    let at = reader.music.start.lay(time);
+    Some((Knot { at, to, shape: easing.map_or(Shape::Own, Shape::Eased), item }, time))
 }
 
-fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Vec<Vector> {
+fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Written {
+    let mut length = Exact::ZERO;
     let mut vectors: Vec<Vector> = Vec::new();
     for (index, node) in items.iter().enumerate() {
         let at = list.item(index, node);
@@ -132,7 +172,7 @@ fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Vec<Vector> {
         else {
             continue;
         };
-        let time = time.and_then(|at| reader.duration(&at));
+        let time = time.and_then(|at| reader.exact(&at));
         let values: Option<Vec<f64>> = to.and_then(|at| {
             let values = reader.list(&at, "a list of finite numbers");
             let most = urrcp::CONTROL_VALUES_MAX;
@@ -142,37 +182,42 @@ fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Vec<Vector> {
             }
             values.iter().map(|at| reader.number(at, "a finite number")).collect()
         });
-        let (Some(at), Some(values)) = (time, values.filter(|values| !values.is_empty())) else { continue };
-        in_order(reader, list, index, vectors.last().map(|last| last.at), at);
+        let (Some(time), Some(values)) = (time, values.filter(|values| !values.is_empty())) else { continue };
+        let at = reader.music.start.lay(time);
+        length = time;
+        in_order(reader, list, (Items::Keyframes, index), vectors.last().map(|last| last.at), at);
         vectors.push(Vector { at, values, item: item(index) });
     }
-    vectors
+    Written { motion: Motion::Vectors(vectors), length }
 }
 
-/// Points in order of time, through which a curve goes.
-fn points(reader: &mut Reader, at: &At<'_>, least: usize) -> Vec<Knot> {
+/// Points in order of time, through which a curve goes, and the time of the last.
+fn points(reader: &mut Reader, at: &At<'_>, least: usize) -> (Vec<Knot>, Exact) {
+    let mut length = Exact::ZERO;
     let mut knots: Vec<Knot> = Vec::new();
     for (index, point) in reader.list(at, "a list of points such as {at: 1s, to: 45}").iter().enumerate() {
         let Some([time, to]) = reader.map(point, "a point", ["at", "to"], &["at", "to"]) else { continue };
-        let time = time.and_then(|at| reader.duration(&at));
+        let exact = time.and_then(|at| reader.exact(&at));
         let to = to.and_then(|at| reader.number(&at, "a finite number"));
-        let (Some(time), Some(to)) = (time, to) else { continue };
+        let (Some(exact), Some(to)) = (exact, to) else { continue };
+        let time = reader.music.start.lay(exact);
         let before = knots.last().map(|last| last.at);
-        in_order(reader, at, index, before, time);
+        in_order(reader, at, (Items::Points, index), before, time);
         // Out of order is found; the curve is made of what is in order.
         if before.is_none_or(|before| time > before) {
-            knots.push(Knot { at: time, to, shape: Shape::Sampled, item: item(index) });
+            knots.push(Knot { at: time, to, shape: Shape::Sampled(Between::Linear), item: item(index) });
+            length = exact;
         }
     }
     if knots.len() < least && matches!(at.node, Node::List(_)) {
         let message = format!("found {} points in order", knots.len());
         reader.add(Code::BadMotion, at.place(), message, format!("at least {least} points"), None);
     }
-    knots
+    (knots, length)
 }
 
-fn splined(reader: &mut Reader, at: &At<'_>) -> Curve {
-    let mut knots = points(reader, at, 2);
+fn splined(reader: &mut Reader, at: &At<'_>) -> Written {
+    let (mut knots, length) = points(reader, at, 2);
     let times: Vec<_> = knots.iter().map(|knot| knot.at.as_millis_f64()).collect();
     let values: Vec<_> = knots.iter().map(|knot| knot.to).collect();
     let functions: Vec<_> =
@@ -180,17 +225,18 @@ fn splined(reader: &mut Reader, at: &At<'_>) -> Curve {
     for (index, knot) in knots.iter_mut().enumerate().skip(1) {
         knot.shape = Shape::Function { index: item(index - 1), gain: 1.0, offset: 0.0, reversed: false };
     }
-    Curve::new(knots, functions)
+    Written::new(Curve::new(knots, functions), length)
 }
 
 /// Pieces one after another, each with its coefficients in seconds from its own start.
-fn polynomial(reader: &mut Reader, at: &At<'_>) -> Curve {
+fn polynomial(reader: &mut Reader, at: &At<'_>) -> Written {
     let expected = "a list of pieces such as {for: 2s, coefficients: [0, 10, -2]}";
     let pieces = match at.node {
         Node::Map(_) => vec![*at],
         _ => reader.list(at, expected),
     };
     let (mut knots, mut functions): (Vec<Knot>, Vec<Function>) = (Vec::new(), Vec::new());
+    let mut done = Exact::ZERO;
     for (index, piece) in pieces.iter().enumerate() {
         let known = ["for", "coefficients"];
         let Some([length, coefficients]) = reader.map(piece, "a polynomial", known, &known) else { continue };
@@ -205,11 +251,14 @@ fn polynomial(reader: &mut Reader, at: &At<'_>) -> Curve {
             list.iter().map(|at| reader.number(at, "a finite number")).collect()
         });
         if let (Some(length), Some(coefficients)) = (length, coefficients) {
-            let seconds = length.as_millis_f64() / 1_000.0;
-            add_function(&mut knots, &mut functions, item(index), length, in_s(&coefficients, seconds));
+            let begin = reader.music.start.lay(done);
+            done = done.plus(length);
+            let end = reader.music.start.lay(done);
+            let seconds = (end - begin).as_millis_f64() / 1_000.0;
+            add_function(&mut knots, &mut functions, item(index), end, in_s(&coefficients, seconds));
         }
     }
-    Curve::new(knots, functions)
+    Written::new(Curve::new(knots, functions), done)
 }
 
 /// The coefficients for a time that runs from 0 to 1 instead of to `seconds`.
@@ -227,24 +276,24 @@ fn add_function(
     knots: &mut Vec<Knot>,
     functions: &mut Vec<Function>,
     item: u32,
-    length: Span,
+    end: Span,
     function: Function,
 ) {
     let begin = knots.last().map_or(Span::ZERO, |last| last.at);
     let first = function.at(0.0);
     if knots.last().is_none_or(|last| (last.to - first).abs() > 1e-9 * (1.0 + first.abs())) {
-        let shape = if knots.is_empty() { Shape::Sampled } else { Shape::Early };
+        let shape = if knots.is_empty() { Shape::Sampled(Between::Linear) } else { Shape::Meets };
         knots.push(Knot { at: begin, to: first, shape, item });
     }
     let index = u32::try_from(functions.len()).unwrap_or(u32::MAX);
     let shape = Shape::Function { index, gain: 1.0, offset: 0.0, reversed: false };
-    knots.push(Knot { at: begin + length, to: function.at(1.0), shape, item });
+    knots.push(Knot { at: end, to: function.at(1.0), shape, item });
     functions.push(function);
 }
 
-fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Span> {
-    let length = reader.duration(at)?;
-    if length > Span::ZERO {
+fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
+    let length = reader.exact(at)?;
+    if length.rounded_down() > Span::ZERO {
         return Some(length);
     }
     reader.add(Code::BadMotion, at.place(), "a movement of no length", "a time above 0", None);
@@ -252,14 +301,14 @@ fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Span> {
 }
 
 /// center + amplitude * sin(2 pi (frequency t + phase / 360))
-fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Curve> {
+fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
     let [amplitude, frequency, period, phase, center, length] =
         reader.map(at, "a wave", WAVE_KEYS, &["amplitude", "for"])?;
     let amplitude = amplitude.and_then(|at| reader.number(&at, "a number in the device's unit"));
     let length = length.and_then(|at| positive_time(reader, &at));
     let hertz = match (frequency, period) {
-        (Some(at), None) => reader.positive(&at, "a frequency above 0, in hertz"),
-        (None, Some(at)) => positive_time(reader, &at).map(|period| 1_000.0 / period.as_millis_f64()),
+        (Some(at), None) => reader.positive(&at, "a frequency above 0, in hertz").map(Hertz::Frequency),
+        (None, Some(at)) => positive_time(reader, &at).map(Hertz::Period),
         _ => {
             let message = "a wave with both or neither of frequency and period";
             reader.add(Code::MissingKey, at.place(), message, "one of `frequency` and `period`", None);
@@ -269,14 +318,31 @@ fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Curve> {
     let phase = phase.and_then(|at| reader.number(&at, "a phase in degrees")).unwrap_or(0.0);
     let center = center.and_then(|at| reader.number(&at, "a value in the device's unit")).unwrap_or(0.0);
     let (amplitude, length, hertz) = (amplitude?, length?, hertz?);
-    let cycles = hertz * length.as_millis_f64() / 1_000.0;
+    let exact = length;
+    let length = reader.music.start.lay(exact);
+    let cycles = hertz.cycles(exact);
     if cycles > 10_000.0 {
         let message = format!("{cycles:.0} cycles in one wave");
         let hint = Some("write fewer cycles and `repeat` them".to_owned());
         reader.add(Code::TooMuch, at.place(), message, "at most 10000 cycles", hint);
         return None;
     }
-    Some(wave(amplitude, center, phase / 360.0, cycles, length))
+    Some(Written::new(wave(amplitude, center, phase / 360.0, cycles, length), exact))
+}
+
+/// How fast a wave is.
+enum Hertz {
+    Frequency(f64),
+    Period(Exact),
+}
+
+impl Hertz {
+    fn cycles(&self, length: Exact) -> f64 {
+        match self {
+            Self::Frequency(hertz) => length.times(fraction(*hertz)).seconds(),
+            Self::Period(period) => length.divided_by(*period).map_or(0.0, to_f64),
+        }
+    }
 }
 
 /// Knots after every so many whole cycles, alike, so that a long wave is fitted once for all of them.
@@ -285,11 +351,13 @@ fn wave(amplitude: f64, center: f64, phase: f64, cycles: f64, length: Span) -> C
     let value = |function: &Function, s: f64| center + amplitude * function.at(s);
     let together = WAVE_CYCLES.min(cycles);
     let whole = Function::Sine { cycles: together, phase };
-    let mut knots =
-        vec![Knot { at: Span::ZERO, to: value(&whole, 0.0), shape: Shape::Sampled, item: NO_ITEM }];
+    let begin = Shape::Sampled(Between::Linear);
+    let mut knots = vec![Knot { at: Span::ZERO, to: value(&whole, 0.0), shape: begin, item: NO_ITEM }];
     let mut done = together;
     while done <= cycles {
-        let at = Span::from_millis_f64(length.as_millis_f64() * done / cycles);
+        let rest = cycles - done;
+        let part = || Span::from_millis_f64(length.as_millis_f64() * done / cycles);
+        let at = if rest > 1e-9 { part() } else { length };
         knots.push(Knot { at, to: value(&whole, 1.0), shape: shape(0), item: NO_ITEM });
         done += together;
     }
@@ -304,7 +372,7 @@ fn wave(amplitude: f64, center: f64, phase: f64, cycles: f64, length: Span) -> C
 }
 
 /// from + speed t + acceleration t^2 / 2
-fn travelled(reader: &mut Reader, at: &At<'_>) -> Option<Curve> {
+fn travelled(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
     let [from, speed, acceleration, length] = reader.map(at, "`travel`", TRAVEL_KEYS, &["from", "for"])?;
     if speed.is_none() && acceleration.is_none() {
         let expected = "at least one of `speed` and `acceleration`";
@@ -321,9 +389,10 @@ fn travelled(reader: &mut Reader, at: &At<'_>) -> Option<Curve> {
     let from = number(from, "a value in the device's unit");
     let speed = number(speed, "a speed in units a second");
     let acceleration = number(acceleration, "an acceleration in units a second squared");
-    let length = length.and_then(|at| positive_time(reader, &at))?;
+    let exact = length.and_then(|at| positive_time(reader, &at))?;
+    let length = reader.music.start.lay(exact);
     let function = in_s(&[from?, speed?, acceleration? / 2.0], length.as_millis_f64() / 1_000.0);
     let (mut knots, mut functions) = (Vec::new(), Vec::new());
     add_function(&mut knots, &mut functions, NO_ITEM, length, function);
-    Some(Curve::new(knots, functions))
+    Some(Written::new(Curve::new(knots, functions), exact))
 }

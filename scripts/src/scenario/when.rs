@@ -3,6 +3,7 @@
 use urrcp::Span;
 
 use crate::duration;
+use crate::exact::{Beginning, Exact};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
 use crate::node::{Node, shortened};
@@ -42,7 +43,7 @@ pub(super) struct When<'a> {
 
 impl When<'_> {
     /// All relations; and the start, where it is one fixed time.
-    pub(super) fn read(&self, reader: &mut Reader) -> (Vec<Relation>, Option<Span>) {
+    pub(super) fn read(&self, reader: &mut Reader) -> (Vec<Relation>, Beginning) {
         let mut relations = Vec::new();
         let mut fixed = None;
         if let Some(at) = self.at
@@ -50,13 +51,15 @@ impl When<'_> {
         {
             fixed = (max == Some(min)).then_some(min);
             let (from, to) = (Anchor::Origin, Anchor::Start);
-            relations.push(Relation { from, to, min: Some(min), max, place: at.place() });
+            let (min, max) = (Some(min.rounded()), max.map(Exact::rounded));
+            relations.push(Relation { from, to, min, max, place: at.place() });
         }
         if let Some(at) = self.end_by
             && let Some((last, _)) = instants(reader, &at)
         {
             let (from, to) = (Anchor::Origin, Anchor::End);
-            relations.push(Relation { from, to, min: None, max: Some(last), place: at.place() });
+            let max = Some(last.rounded());
+            relations.push(Relation { from, to, min: None, max, place: at.place() });
         }
         each(reader, self.after, '+', &mut relations, |target, gap, place| {
             let (min, max) = gap.unwrap_or((Span::ZERO, None));
@@ -71,7 +74,7 @@ impl When<'_> {
             let (min, max) = gap.unwrap_or((Span::ZERO, None));
             Relation { from: Anchor::End, to: target.or_start(), min: Some(min), max, place }
         });
-        (relations, fixed)
+        (relations, Beginning(fixed))
     }
 }
 
@@ -114,11 +117,16 @@ fn each(
     }
 }
 
-/// `[start of|end of] CUE [+ GAP]`, where a cue may bear any name.
+/// `[start of|end of] CUE [+ GAP]`, where a cue may bear any name. With the other sign the gap is negative.
 fn target(reader: &mut Reader, at: &At<'_>, text: &str, sign: char) -> Option<(Target, Option<Gap>)> {
-    let (name, gap) = match text.rsplit_once(&format!(" {sign} ")) {
-        Some((name, gap)) if looks_like_time(gap) => (name, Some(range(reader, at, gap)?)),
-        _ => (text, None),
+    let last = text.rmatch_indices([' ']).find_map(|(space, _)| {
+        let (name, rest) = (&text[..space], &text[space + 1..]);
+        let (found, gap) = (rest.chars().next()?, rest.get(1..)?.strip_prefix(' ')?);
+        (matches!(found, '+' | '-') && looks_like_time(gap)).then_some((name, found, gap))
+    });
+    let (name, gap) = match last {
+        Some((name, found, gap)) => (name, Some(lag(reader, at, gap, found != sign)?)),
+        None => (text, None),
     };
     let name = name.trim();
     let (end, name) = match (name.strip_prefix("start of "), name.strip_prefix("end of ")) {
@@ -130,7 +138,31 @@ fn target(reader: &mut Reader, at: &At<'_>, text: &str, sign: char) -> Option<(T
 }
 
 fn looks_like_time(text: &str) -> bool {
-    text.trim_start().starts_with(|c: char| c.is_ascii_digit() || c == '$' || c == '.')
+    let text = text.trim_start();
+    let text = text.strip_prefix(['-', '+']).unwrap_or(text);
+    text.starts_with(|c: char| c.is_ascii_digit() || c == '$' || c == '.')
+}
+
+/// A gap that may be negative, `-2s` or `-2s..3s`; of the other sign its negative.
+fn lag(reader: &mut Reader, at: &At<'_>, text: &str, negated: bool) -> Option<Gap> {
+    let turned = |span: Span| if negated { -span } else { span };
+    let Some((least, largest)) = text.split_once("..") else {
+        return Some((turned(signed(reader, at, text)?), None));
+    };
+    let (least, largest) = (signed(reader, at, least)?, signed(reader, at, largest)?);
+    let (least, largest) = in_order(reader, at, (least, least), (largest, largest))?;
+    Some(match (negated, largest) {
+        (true, Some(largest)) => (-largest, Some(-least)),
+        _ => (least, largest),
+    })
+}
+
+fn signed(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Span> {
+    let text = text.trim();
+    match text.strip_prefix('-') {
+        Some(rest) => reader.time(at, rest).map(|span| -span),
+        None => reader.time(at, text.strip_prefix('+').unwrap_or(text)),
+    }
 }
 
 /// `500ms` as a least gap, `0s..1s` as bounds.
@@ -138,41 +170,48 @@ pub(super) fn range(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Gap>
     match text.split_once("..") {
         None => Some((reader.time(at, text)?, None)),
         Some((least, largest)) => {
-            let (least, largest) = (reader.time(at, least), reader.time(at, largest));
-            in_order(reader, at, least?, largest?)
+            let (least, largest) = (reader.time(at, least)?, reader.time(at, largest)?);
+            in_order(reader, at, (least, least), (largest, largest))
         }
     }
 }
 
-fn in_order(reader: &mut Reader, at: &At<'_>, least: Span, largest: Span) -> Option<Gap> {
+/// Two times as bounds, each with what is shown of it.
+fn in_order<T: PartialOrd>(
+    reader: &mut Reader,
+    at: &At<'_>,
+    (least, shown): (T, Span),
+    (largest, largest_shown): (T, Span),
+) -> Option<(T, Option<T>)> {
     if least <= largest {
         return Some((least, Some(largest)));
     }
-    let message = format!("{least} lies above {largest}");
+    let message = format!("{shown} lies above {largest_shown}");
     reader.add(Code::TimeOrder, at.place(), message, "the smaller time first", None);
     None
 }
 
 /// One time, or a range of them; each a length from the act's start or a position in the music.
-fn instants(reader: &mut Reader, at: &At<'_>) -> Option<Gap> {
+fn instants(reader: &mut Reader, at: &At<'_>) -> Option<(Exact, Option<Exact>)> {
     let Some(text) = reader.scalar(at).and_then(|node| match node.as_ref() {
         Node::Text(text) => Some(text.clone()),
         _ => None,
     }) else {
-        return reader.duration(at).map(|span| (span, Some(span)));
+        return reader.exact(at).map(|time| (time, Some(time)));
     };
     match text.split_once("..") {
         Some((least, largest)) => {
             let (least, largest) = (instant(reader, at, least.trim()), instant(reader, at, largest.trim()));
-            in_order(reader, at, least?, largest?)
+            let (least, largest) = (least?, largest?);
+            in_order(reader, at, (least, least.rounded()), (largest, largest.rounded()))
         }
-        None => instant(reader, at, &text).map(|span| (span, Some(span))),
+        None => instant(reader, at, &text).map(|time| (time, Some(time))),
     }
 }
 
-pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Span> {
+pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Exact> {
     match reader.music.position(text) {
-        Some(Ok(span)) => reader.no_longer(at, text, span),
+        Some(Ok(time)) => reader.no_longer(at, text, time),
         Some(Err(why)) => {
             let hint = Some(why.hint().to_owned());
             reader.add(Code::Music, at.place(), why.message(text), "a `tempo`", hint);
@@ -186,13 +225,13 @@ pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Sp
         }
         None => {
             // From the act's start, whenever the cue itself begins.
-            let start = reader.music.start.replace(Span::ZERO);
-            let span = match duration::parse_duration(text) {
-                Some(span) => Some(span),
-                None => reader.time(at, text),
+            let start = std::mem::replace(&mut reader.music.start, Beginning(Some(Exact::ZERO)));
+            let time = match duration::parse_duration(text) {
+                Some(span) => Some(span.into()),
+                None => reader.exact_time(at, text),
             };
             reader.music.start = start;
-            span
+            time
         }
     }
 }

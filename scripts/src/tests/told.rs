@@ -1,0 +1,129 @@
+//! What findings say, and when they are kept.
+
+use super::numbers::{compiled, compiled_with};
+use super::robot;
+use crate::{Code, Compiled, Fleet, FleetRobot, NoFiles, Source, compile, did_you_mean};
+
+fn codes(compiled: &Compiled) -> Vec<Code> {
+    compiled.findings.iter().map(|finding| finding.code).collect()
+}
+
+#[track_caller]
+fn says(text: &str, expected: &[&str]) {
+    let compiled = compiled(text);
+    let shown = crate::render(&compiled.findings, false);
+    for part in expected {
+        assert!(shown.contains(part), "{part:?} is not in\n{shown}");
+    }
+}
+
+#[test]
+fn only_words_that_are_alike_are_suggested() {
+    assert_eq!(did_you_mean("spread", ["read", "at"]), None);
+    assert_eq!(did_you_mean("if", ["at", "of", "cue"]), None);
+    assert_eq!(did_you_mean("sm", ["ms", "s"]).as_deref(), Some("did you mean `ms`?"));
+    assert_eq!(did_you_mean("cues", ["cue"]).as_deref(), Some("did you mean `cue`?"));
+    assert_eq!(did_you_mean("shoulder", ["shuolder", "elbow"]).as_deref(), Some("did you mean `shuolder`?"));
+    says("cues: [{robots: bot, move: x}]\n", &["one that there is: there are none"]);
+}
+
+const PARAMETERS: &str = "moves:\n  go:\n    parameters: {to: ~}\n    tracks: {lamp: [{at: 0s, to: $to}]}\n";
+
+#[test]
+fn parameters_may_be_set_by_overrides_alone() {
+    let cue = "cues: [{robots: bot, move: go, overrides: {bot: {parameters: {to: 5}}}}]\n";
+    assert_eq!(codes(&compiled(&format!("{PARAMETERS}{cue}"))), []);
+    let without = "cues: [{robots: bot, move: go}]\n";
+    assert_eq!(codes(&compiled(&format!("{PARAMETERS}{without}"))), [Code::Variable]);
+}
+
+#[test]
+fn a_time_that_cannot_be_read_makes_nothing_overlap() {
+    let track = "robots: bot, tracks: {lamp: [{at: 0s, to: 1}, {at: 2s, to: 2}]}";
+    let text = format!("cues:\n  - {{cue: a, {track}}}\n  - {{cue: b, at: 5 parsecs, {track}}}\n");
+    assert_eq!(codes(&compiled(&text)), [Code::BadDuration]);
+    let late = format!("cues:\n  - {{cue: a, {track}, duration: 2 parsecs, end_by: 1s}}\n");
+    assert_eq!(codes(&compiled(&late)), [Code::BadDuration]);
+}
+
+#[test]
+fn what_is_wrong_with_many_robots_for_one_reason_is_one_finding() {
+    let robots: Vec<FleetRobot> =
+        (0..8).map(|n| FleetRobot { id: format!("r{n}").parse().unwrap(), ..robot() }).collect();
+    let fleet = Fleet { robots, ..Fleet::default() };
+    let names = (0..8).map(|n| format!("r{n}")).collect::<Vec<_>>().join(", ");
+    let cue = |at: &str| {
+        format!(
+            "  - {{cue: c{at}, at: {at}, robots: [{names}], tracks: {{d: [{{at: 0s, to: 0}}, {{at: 3s, to: 9}}]}}}}\n"
+        )
+    };
+    let text = format!("scenario: s\ncues:\n{}{}", cue("0s"), cue("2s"));
+    let compiled = compile(&Source { name: "s.yaml".into(), text }, &fleet, &NoFiles);
+    let overlaps: Vec<_> = compiled.findings.iter().filter(|finding| finding.code == Code::Overlap).collect();
+    assert_eq!(overlaps.len(), 1, "{overlaps:?}");
+    assert!(overlaps[0].message.contains("the same for `d` of `r1`, `d` of `r2`"), "{}", overlaps[0].message);
+}
+
+#[test]
+fn lags_may_be_negative() {
+    let start = |keys: &str| {
+        let track = "robots: bot, tracks: {lamp: [{at: 0s, to: 1}, {at: 1s, to: 2}]}";
+        let text = format!("cues:\n  - {{cue: a, at: 5s, duration: 2s}}\n  - {{cue: b, {keys}, {track}}}\n");
+        let compiled = compiled(&text);
+        let choreography = compiled.choreography.unwrap_or_else(|| panic!("{keys} {:?}", compiled.findings));
+        choreography.acts[0].cues[1].start.as_millis_f64()
+    };
+    assert_eq!(start("with: a + -2s..3s"), 3_000.0);
+    assert_eq!(start("with: a - 2s"), 3_000.0);
+    assert_eq!(start("after: a + -500ms"), 6_500.0);
+    assert_eq!(start("after: a - 500ms"), 6_500.0);
+    assert_eq!(start("before: a + 1s, with: end of a - 2s"), 5_000.0);
+    assert_eq!(start("before: a - -1s, with: end of a - 2s"), 5_000.0);
+}
+
+#[test]
+fn findings_call_the_parts_of_a_movement_by_their_names() {
+    let track = |track: &str| format!("cues: [{{robots: bot, tracks: {{arm: {track}}}}}]\n");
+    says(
+        &track("{polynomial: [{for: 1s, coefficients: [0]}, {for: 1s, coefficients: [0, 900]}]}"),
+        &["piece 1: "],
+    );
+    says(&track("{spline: [{at: 0s, to: 0}, {at: 1s, to: 900}]}"), &["point 1: "]);
+    says(
+        &track("{spline: [{at: 1s, to: 0}, {at: 0s, to: 9}]}"),
+        &["the point at 0 ms stands after the one at 1 s", "points of one"],
+    );
+    says(&track("[{at: 0s, to: 0}, {at: 1s, to: 900}]"), &["keyframe 1: "]);
+}
+
+#[test]
+fn a_loop_with_too_many_steps_is_to_be_repeated_less() {
+    let track = |keys: &str| {
+        format!(
+            "cues: [{{cue: c, robots: bot, {keys} tracks: {{lamp: [{{at: 0s, to: 0}}, {{at: 1ms, to: 1}}, {{at: 2ms, to: 0}}]}}}}]\n"
+        )
+    };
+    says(&track("repeat: 90000,"), &["repeat it less often"]);
+}
+
+#[test]
+fn what_yaml_stumbles_over_is_explained() {
+    says("cues:\n\t- {robots: bot}\n", &["spaces", "tab"]);
+    says("cues:\n  - at:0s\n    robots: bot\n", &["a space after the colon"]);
+    says("cues: [{at:0s, robots: bot}]\n", &["a space after the colon: `at: 0s`"]);
+    says("fleet:f.yaml\ncues: []\n", &["a space after the colon"]);
+    says("cues: []\n\u{feff}scenario: s\n", &["byte order mark"]);
+    let compiled = compile(
+        &Source { name: "s.yaml".into(), text: "\u{feff}scenario: s\ncues: [{cue: mark}]\n".into() },
+        &Fleet { robots: vec![robot()], ..Fleet::default() },
+        &NoFiles,
+    );
+    assert_eq!(codes(&compiled), []);
+}
+
+#[test]
+fn a_header_behind_a_hash_is_a_header() {
+    let csv = "# recorded in May\n# t, v\n0,0\n1,5\n";
+    let text = "cues: [{robots: bot, tracks: {lamp: {samples: {file: c.csv, time: t, value: v}}}}]\n";
+    assert_eq!(codes(&compiled_with(text, csv)), []);
+}

@@ -1,0 +1,333 @@
+//! A second, slow reading of movements: what a track means is evaluated point by point from what was written, and compared
+//! with the steps and the numbers of the plan.
+//!
+//! With `PROPTEST_CASES` it looks at as many movements.
+
+use proptest::prelude::*;
+
+use super::numbers::{compiled_with, steps, used};
+use crate::{Act, Code};
+
+/// Milliseconds around a jump in which either side of it counts.
+const NEAR: f64 = 1e-3;
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Ease {
+    Own,
+    Linear,
+    Smooth,
+    Cubic,
+    Step,
+}
+
+/// A way in time from one value to the next; times in milliseconds.
+#[derive(Clone, Debug)]
+struct Way {
+    begin: f64,
+    end: f64,
+    form: Form,
+}
+
+#[derive(Clone, Debug)]
+enum Form {
+    Eased(Ease, f64, f64),
+    /// Coefficients in seconds from the way's start.
+    Polynomial(Vec<f64>),
+    /// Amplitude, period in seconds, phase in turns, center.
+    Wave([f64; 4]),
+}
+
+impl Form {
+    /// At a part of the way, which lasts so many seconds.
+    fn at(&self, s: f64, seconds: f64) -> f64 {
+        match self {
+            Self::Eased(ease, from, to) => {
+                let part = match ease {
+                    Ease::Own | Ease::Linear => s,
+                    Ease::Smooth => 10.0 * s.powi(3) - 15.0 * s.powi(4) + 6.0 * s.powi(5),
+                    Ease::Cubic => 3.0 * s * s - 2.0 * s.powi(3),
+                    Ease::Step => 0.0,
+                };
+                from * (1.0 - part) + to * part
+            }
+            Self::Polynomial(c) => c.iter().enumerate().map(|(k, c)| c * (s * seconds).powi(k as i32)).sum(),
+            Self::Wave([amplitude, period, phase, center]) => {
+                center + amplitude * (std::f64::consts::TAU * (s * seconds / period + phase)).sin()
+            }
+        }
+    }
+}
+
+/// A movement as it is written, and as it is meant.
+#[derive(Clone, Debug)]
+struct Movement {
+    yaml: String,
+    csv: String,
+    ways: Vec<Way>,
+}
+
+fn length(ways: &[Way]) -> f64 {
+    ways.last().map_or(0.0, |way| way.end)
+}
+
+/// What is done with a movement.
+#[derive(Clone, Debug)]
+struct Change {
+    yaml: String,
+    scale: f64,
+    about: f64,
+    backwards: bool,
+    turns: u32,
+    /// Milliseconds.
+    duration: Option<i64>,
+}
+
+/// A value at a time of a movement after all changes; before or after a jump at that time.
+fn meant(movement: &Movement, change: &Change, millis: f64) -> f64 {
+    let once = length(&movement.ways);
+    let whole = once * f64::from(change.turns);
+    let stretch = change.duration.map_or(1.0, |duration| duration as f64 / whole);
+    let written = millis / stretch;
+    let turn = (written / once).floor().min(f64::from(change.turns) - 1.0);
+    let within = written - turn * once;
+    let at = if change.backwards { once - within } else { within };
+    let way =
+        movement.ways.iter().find(|way| at <= way.end).unwrap_or(&movement.ways[movement.ways.len() - 1]);
+    let s = ((at - way.begin) / (way.end - way.begin)).clamp(0.0, 1.0);
+    let value = way.form.at(s, (way.end - way.begin) / 1_000.0);
+    change.about + change.scale * (value - change.about)
+}
+
+/// What the device does at a time.
+fn played(steps: &[(f64, f64)], linear: bool, millis: f64) -> f64 {
+    let after = steps.partition_point(|step| step.0 <= millis);
+    let before = steps[after.saturating_sub(1)];
+    match steps.get(after) {
+        Some(next) if linear && after > 0 => {
+            before.1 + (next.1 - before.1) * (millis - before.0) / (next.0 - before.0)
+        }
+        _ => before.1,
+    }
+}
+
+/// Times at which to look: all over, and on both sides of everything that may jump.
+fn looked_at(movement: &Movement, change: &Change, steps: &[(f64, f64)]) -> Vec<f64> {
+    let whole = steps[steps.len() - 1].0;
+    let once = length(&movement.ways);
+    let stretch = change.duration.map_or(1.0, |duration| duration as f64 / (once * f64::from(change.turns)));
+    let mut times: Vec<f64> = (0..400).map(|i| whole * (f64::from(i) + 0.37) / 400.0).collect();
+    let bounds = movement.ways.iter().flat_map(|way| [way.begin, way.end]);
+    let bounds = bounds.map(|at| if change.backwards { once - at } else { at });
+    let all = (0..change.turns)
+        .flat_map(|turn| bounds.clone().map(move |at| (at + once * f64::from(turn)) * stretch));
+    times.extend(all.chain(steps.iter().map(|step| step.0)).flat_map(|at| [at - NEAR, at + NEAR]));
+    times.retain(|at| *at > 0.0 && *at < whole);
+    times
+}
+
+fn eases() -> impl Strategy<Value = Ease> {
+    prop_oneof![
+        3 => Just(Ease::Own), 1 => Just(Ease::Linear), 1 => Just(Ease::Smooth), 1 => Just(Ease::Cubic), 1 => Just(Ease::Step)
+    ]
+}
+
+fn keyframes(linear: bool) -> impl Strategy<Value = Movement> {
+    prop::collection::vec((1i32..2_000, -80i32..80, eases()), 2..8).prop_map(move |all| {
+        let (mut now, mut yaml, mut ways) = (0, Vec::new(), Vec::new());
+        let mut before = 0.0;
+        for (index, (after, halves, ease)) in all.into_iter().enumerate() {
+            let value = f64::from(halves) / 2.0;
+            let begin = f64::from(now);
+            now += if index == 0 { 0 } else { after };
+            let word = match ease {
+                Ease::Own => "",
+                Ease::Linear => ", ease: linear",
+                Ease::Smooth => ", ease: smooth",
+                Ease::Cubic => ", ease: cubic",
+                Ease::Step => ", ease: step",
+            };
+            yaml.push(format!("{{at: {now}ms, to: {value}{word}}}"));
+            if index > 0 {
+                let ease = if ease == Ease::Own && !linear { Ease::Step } else { ease };
+                ways.push(Way { begin, end: f64::from(now), form: Form::Eased(ease, before, value) });
+            }
+            before = value;
+        }
+        Movement { yaml: format!("keyframes: [{}]", yaml.join(", ")), csv: String::new(), ways }
+    })
+}
+
+fn samples(linear: bool) -> impl Strategy<Value = Movement> {
+    let ease = prop_oneof![Just(Ease::Own), Just(Ease::Linear), Just(Ease::Step)];
+    (prop::collection::vec((1i32..900, -80i32..80), 2..12), ease).prop_map(move |(rows, ease)| {
+        let (mut now, mut csv, mut ways) = (0, "t,v\n".to_owned(), Vec::new());
+        let mut before = 0.0;
+        let meant = if ease == Ease::Own && !linear { Ease::Step } else { ease };
+        for (index, (after, value)) in rows.into_iter().enumerate() {
+            let begin = f64::from(now);
+            now += if index == 0 { 0 } else { after };
+            let value = f64::from(value) / 8.0;
+            csv.push_str(&format!("{now},{value}\n"));
+            if index > 0 {
+                ways.push(Way { begin, end: f64::from(now), form: Form::Eased(meant, before, value) });
+            }
+            before = value;
+        }
+        let word = match ease {
+            Ease::Linear => ", ease: linear",
+            Ease::Step => ", ease: step",
+            _ => "",
+        };
+        Movement {
+            yaml: format!("samples: {{file: c.csv, time: t, value: v, time_unit: ms{word}}}"),
+            csv,
+            ways,
+        }
+    })
+}
+
+/// Pieces that meet, but for gaps of about a microscopic size, or for jumps.
+fn polynomial() -> impl Strategy<Value = Movement> {
+    let gap = prop_oneof![2 => Just(0.0), 2 => (-80i32..80).prop_map(|gap| f64::from(gap) * 1e-6), 1 => (-8i32..8).prop_map(f64::from)];
+    let piece = (50i32..1_500, prop::collection::vec(-40i32..40, 1..5), gap);
+    prop::collection::vec(piece, 1..6).prop_map(|pieces| {
+        let (mut now, mut end, mut yaml, mut ways) = (0, 0.0, Vec::new(), Vec::new());
+        for (millis, coefficients, gap) in pieces {
+            let mut c = vec![end + gap];
+            c.extend(coefficients.iter().map(|c| f64::from(*c) / 8.0));
+            yaml.push(format!("{{for: {millis}ms, coefficients: {c:?}}}"));
+            let form = Form::Polynomial(c);
+            end = form.at(1.0, f64::from(millis) / 1_000.0);
+            ways.push(Way { begin: f64::from(now), end: f64::from(now + millis), form });
+            now += millis;
+        }
+        Movement { yaml: format!("polynomial: [{}]", yaml.join(", ")), csv: String::new(), ways }
+    })
+}
+
+fn wave() -> impl Strategy<Value = Movement> {
+    (1i32..30, 300i32..4_000, 0i32..8, -20i32..20, 200i32..9_000).prop_map(|(amplitude, period, phase, center, millis)| {
+        let yaml = format!(
+            "wave: {{amplitude: {amplitude}, period: {period}ms, phase: {}, center: {center}, for: {millis}ms}}",
+            45 * phase
+        );
+        let form = Form::Wave([f64::from(amplitude), f64::from(period) / 1_000.0, f64::from(phase) / 8.0, f64::from(center)]);
+        Movement { yaml, csv: String::new(), ways: vec![Way { begin: 0.0, end: f64::from(millis), form }] }
+    })
+}
+
+fn movements(linear: bool) -> impl Strategy<Value = Movement> {
+    prop_oneof![2 => keyframes(linear).boxed(), 1 => samples(linear).boxed(), 2 => polynomial().boxed(), 1 => wave().boxed()]
+}
+
+fn changes() -> impl Strategy<Value = Change> {
+    let scale = prop_oneof![3 => Just(None), 1 => (-8i32..9, -10i32..11).prop_map(Some)];
+    let duration = prop_oneof![3 => Just(None), 1 => (700i64..20_000).prop_map(Some)];
+    (scale, prop::bool::weighted(0.25), 1u32..4, duration).prop_map(|(scale, backwards, turns, duration)| {
+        let mut yaml = String::new();
+        if let Some((quarters, about)) = scale {
+            yaml.push_str(&format!(", scale: {{by: {}, about: {about}}}", f64::from(quarters) / 4.0));
+        }
+        yaml.push_str(if backwards { ", reverse: true" } else { "" });
+        yaml.push_str(&if turns > 1 { format!(", repeat: {turns}") } else { String::new() });
+        yaml.push_str(&duration.map_or(String::new(), |duration| format!(", duration: {duration}ms")));
+        let (scale, about) =
+            scale.map_or((1.0, 0.0), |(scale, about)| (f64::from(scale) / 4.0, f64::from(about)));
+        Change { yaml, scale, about, backwards, turns, duration }
+    })
+}
+
+/// Compares the steps of a plan with what was meant.
+fn verify(
+    act: &Act,
+    (device, linear): (&str, bool),
+    movement: &Movement,
+    change: &Change,
+    tolerance: f64,
+    granularity: f64,
+) -> Result<(), TestCaseError> {
+    let steps: Vec<(f64, f64)> =
+        steps(act, device).into_iter().map(|(at, v)| (at as f64 / 1e6, v[0])).collect();
+    let used = used(act, device);
+    let whole = change.duration.map_or(length(&movement.ways) * f64::from(change.turns), |d| d as f64);
+    prop_assert!(
+        (steps[steps.len() - 1].0 - whole).abs() < 2e-6,
+        "{} ms, not {whole}",
+        steps[steps.len() - 1].0
+    );
+    prop_assert!((act.cues[0].end.as_millis_f64() - whole).abs() < 2e-6);
+    prop_assert!(used.at_least <= used.steps && used.steps == steps.len());
+    for (index, step) in steps.iter().enumerate() {
+        let on_grid = (step.1 / granularity - (step.1 / granularity).round()).abs() < 1e-6;
+        prop_assert!(on_grid, "{step:?} is off the grid");
+        prop_assert!(
+            index == 0 || steps[index - 1].0 < step.0 || (linear && steps[index - 1].1 != step.1),
+            "{step:?} twice"
+        );
+    }
+    let mut worst: (f64, f64) = (0.0, 0.0);
+    for at in looked_at(movement, change, &steps) {
+        // Steps nearer to each other than that have no two sides.
+        let crowded = steps.iter().filter(|step| (step.0 - at).abs() < 2.0 * NEAR).count() > 2;
+        let off = (played(&steps, linear, at) - meant(movement, change, at)).abs();
+        if !crowded && off > worst.0 {
+            worst = (off, at);
+        }
+    }
+    // A thousandth of a millisecond beside a bound moves a value a little.
+    let dust = 2e-3;
+    prop_assert!(
+        worst.0 <= used.worst_error + dust,
+        "off by {} at {} ms, not {}",
+        worst.0,
+        worst.1,
+        used.worst_error
+    );
+    prop_assert!(
+        used.worst_error <= tolerance * (1.0 + 1e-9),
+        "{} is more than {tolerance}",
+        used.worst_error
+    );
+    prop_assert!(
+        used.worst_error <= worst.0 + tolerance / 4.0 + dust,
+        "off by {} only, not {}",
+        worst.0,
+        used.worst_error
+    );
+    Ok(())
+}
+
+proptest! {
+    #[test]
+    fn steps_and_numbers_are_what_a_second_reading_finds(
+        (linear, movement) in any::<bool>().prop_flat_map(|linear| (Just(linear), movements(linear))),
+        change in changes(),
+        tolerance in prop_oneof![Just(None), (1i32..12).prop_map(|t| Some(f64::from(t) / 2.0))],
+        fine in any::<bool>(),
+    ) {
+        let (device, granularity, own) = match (linear, fine) {
+            (true, true) => ("pole", 0.001, 0.01),
+            (true, false) => ("crane", 0.5, 0.5),
+            (false, _) => ("valve", 0.5, 0.5),
+        };
+        let wish = tolerance.map_or(String::new(), |tolerance: f64| format!("tolerance: {tolerance}, "));
+        let text = format!(
+            "off_grid: snap\ncues: [{{at: 0s, robots: bot, tracks: {{{device}: {{{wish}{}}}}}{}}}]\n",
+            movement.yaml, change.yaml
+        );
+        let csv: &'static str = Box::leak(movement.csv.clone().into_boxed_str());
+        let compiled = compiled_with(&text, csv);
+        let known = [Code::OutOfRange, Code::ToleranceTooTight];
+        match compiled.choreography {
+            Some(choreography) => {
+                let act = &choreography.acts[0];
+                verify(act, (device, linear), &movement, &change, tolerance.unwrap_or(own), granularity)
+                    .map_err(|error| TestCaseError::fail(format!("{text}\n{}\n{error}", movement.csv)))?;
+            }
+            None => {
+                let codes: Vec<_> = compiled.findings.iter().map(|finding| finding.code).filter(|code| code.severity() == crate::Severity::Error).collect();
+                prop_assert!(codes.iter().all(|code| known.contains(code)), "{text}\n{codes:?}");
+            }
+        }
+    }
+}
