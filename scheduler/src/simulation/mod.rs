@@ -5,16 +5,18 @@
 pub mod baseline;
 mod check;
 mod draw;
+mod shrink;
 mod trace;
 mod world;
 
 use downbeat_robot::LogEntry;
 use urrcp::{Message, Server, Span, Timestamp};
 
-use crate::mission::Record;
+use crate::mission::{Progress, Record};
 use crate::report::Report;
-pub use check::{Starts, Verdict, Violation};
+pub use check::{ActStarts, Cause, Excuse, Starts, Verdict, Violation};
 pub use draw::{Drawn, DrawnDisk, DrawnRobot, Fault, Lie, Network, draw};
+pub use shrink::{Shrunk, shrunk};
 pub use trace::trace;
 
 /// What happened to a seed.
@@ -41,8 +43,8 @@ pub enum Happened {
     ToRobot(usize, Message),
     /// A message from the scheduler arrived at a robot.
     AtRobot(usize, Message),
-    /// A message from a robot arrived at the scheduler.
-    FromRobot(usize, Message),
+    /// The scheduler took a message from a robot, which is kept only for a trace.
+    FromRobot(usize, Option<Message>),
     /// A message was lost on the way to or from a robot.
     Lost(usize),
     /// A message to or from a robot travelled for so long.
@@ -58,7 +60,9 @@ pub enum Happened {
     /// The mission was taken up by its journal.
     TakenUp(&'static str),
     /// The operator was told.
-    Told(String),
+    Told(Box<Progress>),
+    /// The mission will never end, and this is what it waits for.
+    Stuck(String),
 }
 
 /// Plays a seed to its end and watches what the robots still do.
@@ -67,7 +71,32 @@ pub fn run(seed: u64) -> Ran {
     world::play(draw(seed), false)
 }
 
+/// Plays what was drawn.
+#[must_use]
+pub fn play(drawn: Drawn) -> Ran {
+    world::play(drawn, false)
+}
+
 /// The same, keeping every message.
+#[must_use]
+pub fn play_verbosely(drawn: Drawn) -> Ran {
+    world::play(drawn, true)
+}
+
+/// Everything that is held against a mission, the comparison with the same mission without its faults included, which plays
+/// that one as well.
+#[must_use]
+pub fn judge(ran: &Ran) -> Verdict {
+    let mut verdict = ran.verdict();
+    let sent = ran.records.iter().any(|(_, record)| matches!(record, Record::Prepared(_)));
+    if sent && !ran.drawn.faults.is_empty() && !ran.hung {
+        let undisturbed = play(ran.drawn.clone().without_faults());
+        verdict.violations.extend(ran.compared_with(&undisturbed).violations);
+    }
+    verdict
+}
+
+/// The same as [`run`], keeping every message.
 #[must_use]
 pub fn run_verbosely(seed: u64) -> Ran {
     world::play(draw(seed), true)

@@ -27,6 +27,9 @@ const CONNECT_FAILS: Span = Span::from_millis(300);
 /// After the mission's end robots are watched for so long: whatever they still do is seen.
 const AFTERMATH: Span = Span::from_millis(8_000);
 
+/// How long the operator waits for links, greetings and stop confirmations.
+pub(super) const PATIENCE: Span = Span::from_millis(2_000);
+
 enum Item {
     ToRobot {
         robot: usize,
@@ -105,7 +108,7 @@ fn session() -> Option<SessionId> {
 }
 
 fn options() -> MissionOptions {
-    MissionOptions { patience: Span::from_millis(2_000), session: session(), ..MissionOptions::default() }
+    MissionOptions { patience: PATIENCE, session: session(), ..MissionOptions::default() }
 }
 
 fn participants(drawn: &Drawn) -> Vec<Participant> {
@@ -128,7 +131,7 @@ pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
             let (wakeup, due) = (mission.next_wakeup(), mission.due());
             let robots: Vec<_> =
                 world.robots.iter().map(|robot| robot.machine.as_ref()?.next_wakeup()).collect();
-            world.note(Happened::Told(format!("stuck: robots {robots:?}, mission {wakeup:?}: {due}")));
+            world.note(Happened::Stuck(format!("robots {robots:?}, mission {wakeup:?}: {due}")));
         } else if report.is_none() {
             next = world.taken_up();
         }

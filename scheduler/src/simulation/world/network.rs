@@ -3,7 +3,7 @@
 use downbeat_robot::simulated::SimulatedRobot;
 use downbeat_robot::{Input, LinkId};
 use urrcp::{
-    AvailabilityResponse, Command, ContentHash, ControlResponse, Message, Server, Span, Status, Timestamp,
+    AvailabilityResponse, Command, ContentHash, ControlResponse, Inquiry, Message, Server, Span, Status, Timestamp,
 };
 
 use super::{CONNECT_FAILS, Item, Machine, World};
@@ -165,6 +165,12 @@ fn brief(message: &Message) -> Message {
                 brief.command = Command::ReadSensor;
             }
             Message::ControlRequest(brief)
+        }
+        Message::Inquiry(inquiry) => {
+            let Inquiry { pending_lease, pending_until, .. } = *inquiry;
+            // Whether it names any is what counts: only such a one lifts the end of a lease.
+            let requests = inquiry.requests.iter().take(1).cloned().collect();
+            Message::Inquiry(Inquiry { requests, pending_lease, pending_until, ..Inquiry::default() })
         }
         other => other.clone(),
     }

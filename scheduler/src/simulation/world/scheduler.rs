@@ -227,8 +227,9 @@ impl World {
         match &**event {
             Event::LinkUp { robot } => self.note(Happened::LinkUp(*robot)),
             Event::LinkDown { robot, .. } => self.note(Happened::LinkDown(*robot)),
-            Event::Received { robot, message } if self.verbose => {
-                self.note(Happened::FromRobot(*robot, message.clone()));
+            Event::Received { robot, message } => {
+                let message = self.verbose.then(|| message.clone());
+                self.note(Happened::FromRobot(*robot, message));
             }
             _ => {}
         }
@@ -295,9 +296,9 @@ impl drive::World for World {
     }
 
     fn tell(&mut self, _: Timestamp<Server>, progress: Progress) {
-        if self.verbose {
-            let text = serde_json::to_string(&progress).unwrap_or_default();
-            self.note(Happened::Told(text));
+        let often = matches!(progress, Progress::Heard { .. } | Progress::Reading { .. });
+        if self.verbose || !often {
+            self.note(Happened::Told(Box::new(progress)));
         }
     }
 }
