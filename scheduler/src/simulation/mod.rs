@@ -11,10 +11,12 @@ mod world;
 use downbeat_robot::LogEntry;
 use urrcp::{Message, Server, Span, Timestamp};
 
-use crate::mission::Record;
+use crate::mission::{Progress, Record};
 use crate::report::Report;
 pub use check::{Starts, Verdict, Violation};
-pub use draw::{Drawn, DrawnDisk, DrawnRobot, Fault, Lie, Network, draw};
+pub use draw::{
+    Connections, Direction, Drawn, DrawnDisk, DrawnRobot, Fault, Hands, Lie, Names, Network, draw,
+};
 pub use trace::trace;
 
 /// What happened to a seed.
@@ -28,6 +30,10 @@ pub struct Ran {
     pub records: Vec<(Timestamp<Server>, Record)>,
     /// What each robot really set.
     pub logs: Vec<Vec<LogEntry>>,
+    /// What other robots did that answered at the addresses of these.
+    pub logs_of_strangers: Vec<Vec<LogEntry>>,
+    /// The clock of the last process minus the true time: times in the report are by that clock, all others are true.
+    pub server_ahead: Span,
     /// Everything that happened, for the trace and for the checks.
     pub history: Vec<(Timestamp<Server>, Happened)>,
     /// The mission never came to an end.
@@ -41,8 +47,8 @@ pub enum Happened {
     ToRobot(usize, Message),
     /// A message from the scheduler arrived at a robot.
     AtRobot(usize, Message),
-    /// A message from a robot arrived at the scheduler.
-    FromRobot(usize, Message),
+    /// The scheduler took a message from a robot, which is kept only for a trace.
+    FromRobot(usize, Option<Message>),
     /// A message was lost on the way to or from a robot.
     Lost(usize),
     /// A message to or from a robot travelled for so long.
@@ -58,7 +64,9 @@ pub enum Happened {
     /// The mission was taken up by its journal.
     TakenUp(&'static str),
     /// The operator was told.
-    Told(String),
+    Told(Box<Progress>),
+    /// The mission will never end, and this is what it waits for.
+    Stuck(String),
 }
 
 /// Plays a seed to its end and watches what the robots still do.

@@ -1,5 +1,5 @@
 use super::*;
-use crate::mission::{Failure, FailureKind};
+use crate::mission::{Failure, FailureKind, Progress};
 use crate::report::Outcome;
 
 #[test]
@@ -61,8 +61,8 @@ fn seeds_that_found_something_once_find_nothing_any_more() {
 fn the_journal_of_some_seeds_is_lost_and_the_mission_is_stopped() {
     let full = (0..2_000).filter(|seed| draw(*seed).disk.capacity.is_some());
     let lost = |ran: &Ran| {
-        let told =
-            |happened: &Happened| matches!(happened, Happened::Told(text) if text.contains("journal_lost"));
+        let lost = |progress: &Progress| matches!(progress, Progress::JournalLost { .. });
+        let told = |happened: &Happened| matches!(happened, Happened::Told(progress) if lost(progress));
         ran.history.iter().any(|(_, happened)| told(happened))
     };
     let lost: Vec<Ran> = full.map(run_verbosely).filter(lost).collect();

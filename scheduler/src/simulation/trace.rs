@@ -89,7 +89,7 @@ fn line(happened: &Happened) -> Option<String> {
     Some(match happened {
         Happened::ToRobot(robot, message) => format!("  -> r{robot}  {}", told(message)),
         Happened::AtRobot(robot, message) => format!("  => r{robot}  {}", told(message)),
-        Happened::FromRobot(robot, message) => format!("  <= r{robot}  {}", told(message)),
+        Happened::FromRobot(robot, message) => format!("  <= r{robot}  {}", told(message.as_ref()?)),
         Happened::Lost(robot) => format!("lost     a message to or from r{robot}"),
         Happened::Slow(robot, lasts) => format!("slow     a message to or from r{robot} travels for {lasts}"),
         Happened::Fault(fault) => format!("FAULT    {fault:?}"),
@@ -97,7 +97,11 @@ fn line(happened: &Happened) -> Option<String> {
         Happened::LinkUp(robot) => format!("link up  r{robot}"),
         Happened::LinkDown(robot) => format!("link down r{robot}"),
         Happened::TakenUp(how) => format!("taken up {how}"),
-        Happened::Told(text) => format!("told     {}", text.chars().take(200).collect::<String>()),
+        Happened::Told(progress) => {
+            let json = serde_json::to_string(progress).unwrap_or_default();
+            format!("told     {}", json.chars().take(200).collect::<String>())
+        }
+        Happened::Stuck(due) => format!("STUCK    {due}"),
     })
 }
 
