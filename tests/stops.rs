@@ -619,9 +619,10 @@ fn what_a_killed_scheduler_has_moved_is_stopped_while_the_one_that_takes_over_st
 #[test]
 fn what_keeps_a_mission_from_running_in_the_background_is_told_at_once() {
     let mut stage = Stage::new();
-    stage
-        .file("arm.yaml", one_device(1, 600, 600))
-        .file("play.yaml", "scenario: play\nstart_tolerance: 1s\ncues: [{at: 0s, robots: r0, tracks: {d: [{at: 0s, to: 1}]}}]\n");
+    stage.file("arm.yaml", one_device(1, 600, 600)).file(
+        "play.yaml",
+        "scenario: play\nstart_tolerance: 1s\ncues: [{at: 0s, robots: r0, tracks: {d: [{at: 0s, to: 1}]}}]\n",
+    );
     stage.robot("arm.yaml", Via::Direct);
     stage.file("state", "no folder");
     let detached = stage.run(&["run", "play.yaml", "--detach"]);

@@ -4,7 +4,7 @@ use fastrand::Rng;
 use urrcp::Span;
 
 use super::check::{ActStarts, Starts};
-use super::draw::{Drawn, Fault, Network};
+use super::draw::{Direction, Drawn, Fault, Network};
 use crate::dry_run::BEGIN;
 
 /// How the word is passed on.
@@ -57,7 +57,7 @@ pub fn starts(drawn: &Drawn, go: Go, act: &ActStarts) -> Starts {
 /// Its process ended, and nobody has taken the mission up by then.
 fn scheduler_is_gone(drawn: &Drawn, now: Span) -> bool {
     drawn.faults.iter().any(|(at, fault)| match fault {
-        Fault::SchedulerCrash { resumed_after } => {
+        Fault::SchedulerCrash { resumed_after } | Fault::SchedulerCrashAmid { resumed_after, .. } => {
             *at <= now && resumed_after.is_none_or(|after| *at + after > now)
         }
         _ => false,
@@ -68,28 +68,55 @@ fn scheduler_is_gone(drawn: &Drawn, now: Span) -> bool {
 fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Span> {
     let (least, largest) = drawn.delay;
     let mut arrival = now + Span::from_nanos(rng.i64(least.as_nanos()..=largest.as_nanos()));
+    let lost = match drawn.network {
+        Network::Stream => false,
+        Network::Datagram { loss, .. } => rng.f64() < loss,
+    };
     for (at, fault) in &drawn.faults {
-        match fault {
-            Fault::Partition { robot: r, lasts, breaks }
-                if *r == robot && *at <= now && now < *at + *lasts =>
-            {
-                match drawn.network {
-                    Network::Stream if !breaks => arrival = arrival.max(*at + *lasts),
-                    _ => return None,
-                }
-            }
+        if *at > arrival {
+            break;
+        }
+        match meets(fault, robot) {
+            // What waits comes out at the end, on a connection that holds.
+            Some(Meets::Wait(lasts)) if *at <= now && now < *at + lasts => match drawn.network {
+                Network::Stream => arrival = arrival.max(*at + lasts),
+                Network::Datagram { .. } => return None,
+            },
+            Some(Meets::Nothing(lasts)) if *at <= now && lasts.is_none_or(|lasts| now < *at + lasts) => return None,
+            // What it had been sent before is gone, too, when it comes back.
+            Some(Meets::Gone) => return None,
             _ => {}
         }
     }
-    if let Network::Datagram { loss, .. } = drawn.network
-        && rng.f64() < loss
-    {
-        return None;
+    (!lost).then_some(arrival)
+}
+
+/// What a message to a robot meets.
+enum Meets {
+    /// It has to wait for so long.
+    Wait(Span),
+    /// It is lost, for so long or for ever.
+    Nothing(Option<Span>),
+    /// The robot is gone with all that it held.
+    Gone,
+}
+
+/// What a fault does to messages to a robot.
+fn meets(fault: &Fault, to: usize) -> Option<Meets> {
+    match *fault {
+        Fault::Partition { robot, lasts, breaks: false }
+        | Fault::OneWay { robot, way: Direction::ToRobot, lasts }
+            if robot == to =>
+        {
+            Some(Meets::Wait(lasts))
+        }
+        Fault::Partition { robot, lasts, breaks: true } | Fault::DeadLink { robot, lasts } if robot == to => {
+            Some(Meets::Nothing(Some(lasts)))
+        }
+        // Nobody makes the connection again.
+        Fault::HalfOpen { robot } if robot == to => Some(Meets::Nothing(None)),
+        Fault::HardwareDies { robot, back_after, .. } if robot == to => Some(Meets::Nothing(back_after)),
+        Fault::RobotCrash { robot, .. } | Fault::AnotherRobot { robot, .. } if robot == to => Some(Meets::Gone),
+        _ => None,
     }
-    let gone = drawn.faults.iter().any(|(at, fault)| match fault {
-        // What a crashed robot had been sent before it is gone, too, when it comes back.
-        Fault::RobotCrash { robot: r, .. } => *r == robot && *at <= arrival,
-        _ => false,
-    });
-    (!gone).then_some(arrival)
 }

@@ -15,7 +15,9 @@ use urrcp::{Message, Server, Span, Timestamp};
 use crate::mission::{Progress, Record};
 use crate::report::Report;
 pub use check::{ActStarts, Cause, Excuse, Starts, Verdict, Violation};
-pub use draw::{Drawn, DrawnDisk, DrawnRobot, Fault, Lie, Network, draw};
+pub use draw::{
+    Connections, Direction, Drawn, DrawnDisk, DrawnRobot, Fault, Hands, Lie, Names, Network, draw,
+};
 pub use shrink::{Shrunk, shrunk};
 pub use trace::trace;
 
@@ -30,6 +32,10 @@ pub struct Ran {
     pub records: Vec<(Timestamp<Server>, Record)>,
     /// What each robot really set.
     pub logs: Vec<Vec<LogEntry>>,
+    /// What other robots did that answered at the addresses of these.
+    pub logs_of_strangers: Vec<Vec<LogEntry>>,
+    /// The clock of the last process minus the true time: times in the report are by that clock, all others are true.
+    pub server_ahead: Span,
     /// Everything that happened, for the trace and for the checks.
     pub history: Vec<(Timestamp<Server>, Happened)>,
     /// The mission never came to an end.

@@ -98,6 +98,9 @@ fn simpler(drawn: &Drawn) -> Vec<Drawn> {
 
 /// The acts behind it move up; who wanted to go to it goes on behind it.
 fn without_act(drawn: &mut Drawn, act: usize) {
+    if act < drawn.comes_after.len() {
+        let _taken_away = drawn.comes_after.remove(act);
+    }
     let acts = &mut drawn.choreography.acts;
     let follow = acts.remove(act).next;
     let moved = |to: usize| if to > act { to - 1 } else { to };

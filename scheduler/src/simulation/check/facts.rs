@@ -8,7 +8,7 @@ use urrcp::{RobotId, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit, hits_of};
 use crate::mission::{Progress, Promise, PromisedScript, Record, SkewBudget};
-use crate::simulation::{Drawn, Happened, Ran};
+use crate::simulation::{Drawn, Fault, Happened, Ran};
 
 /// A run as the invariants look at it.
 pub(super) struct Facts<'a> {
@@ -21,6 +21,8 @@ pub(super) struct Facts<'a> {
     pub(super) dropped: Vec<Option<Timestamp<Server>>>,
     /// When everything was being stopped.
     pub(super) stopping: Vec<Timestamp<Server>>,
+    /// From when on the clock of the scheduler's process was ahead of the true time by how much.
+    ahead: Vec<(Timestamp<Server>, Span)>,
 }
 
 /// An act that was sent.
@@ -28,6 +30,10 @@ pub(super) struct SentAct<'a> {
     pub(super) promise: &'a Promise,
     /// When it was promised.
     pub(super) at: Timestamp<Server>,
+    /// The clock by which it was promised minus the true time. The promise is by the true time.
+    pub(super) ahead: Span,
+    /// Another act was promised under its number by a process that took the mission up: it is forgotten.
+    pub(super) superseded: bool,
     /// How far apart its robots may start, as the operator was told before anything was sent.
     pub(super) skew: Option<&'a SkewBudget>,
     /// What the operator was told at the decision.
@@ -70,6 +76,7 @@ impl<'a> Facts<'a> {
             hits: hits_of(ran),
             dropped: vec![None; ran.drawn.robots.len()],
             stopping: Vec::new(),
+            ahead: ahead_of(ran),
         };
         for (at, record) in &ran.records {
             facts.take(*at, record, &logs);
@@ -80,16 +87,23 @@ impl<'a> Facts<'a> {
 
     fn take(&mut self, at: Timestamp<Server>, record: &'a Record, logs: &HashMap<&str, Vec<&'a LogEntry>>) {
         match record {
-            Record::Prepared(promise) => self.acts.push(SentAct {
-                promise,
-                at,
-                skew: None,
-                decided: None,
-                committed: None,
-                scripts: promise.scripts.iter().filter_map(|script| self.sent(promise, script, logs)).collect(),
-            }),
+            Record::Prepared(promise) => {
+                let before = self.acts.iter_mut().filter(|act| act.promise.number == promise.number);
+                before.for_each(|act| act.superseded = true);
+                let scripts = promise.scripts.iter().filter_map(|script| self.sent(promise, script, logs));
+                self.acts.push(SentAct {
+                    promise,
+                    at,
+                    ahead: self.ahead_at(at),
+                    superseded: false,
+                    skew: None,
+                    decided: None,
+                    committed: None,
+                    scripts: scripts.collect(),
+                });
+            }
             Record::Committed { number } => {
-                let act = self.acts.iter_mut().find(|act| act.promise.number == *number);
+                let act = self.acts.iter_mut().rfind(|act| act.promise.number == *number);
                 act.into_iter().for_each(|act| act.committed = act.committed.or(Some(at)));
             }
             Record::Dropped { robot } => {
@@ -122,23 +136,30 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// What the operator was told of the acts.
+    /// What the operator was told of the acts, by the clock of the process that told it.
     fn take_words(&mut self) {
-        for (_, happened) in &self.ran.history {
+        for (at, happened) in &self.ran.history {
             let Happened::Told(progress) = happened else { continue };
+            let ahead = self.ahead_at(*at);
+            let mut acts = self.acts.iter_mut().filter(|act| act.at <= *at);
             match &**progress {
                 Progress::Preparing { timestamp, skew, .. } => {
-                    let act = self.acts.iter_mut().find(|act| act.promise.timestamp == *timestamp);
+                    let act = acts.rfind(|act| act.promise.timestamp + ahead == *timestamp);
                     act.into_iter().for_each(|act| act.skew = skew.as_ref());
                 }
                 Progress::Decided { start, no_return, doubt, .. } => {
-                    let decision = Decision { no_return: *no_return, doubt: *doubt };
-                    let act = self.acts.iter_mut().find(|act| act.promise.start == *start);
+                    let decision = Decision { no_return: *no_return - ahead, doubt: *doubt };
+                    let act = acts.rfind(|act| act.promise.start + act.ahead == *start);
                     act.into_iter().for_each(|act| act.decided = Some(decision));
                 }
                 _ => {}
             }
         }
+    }
+
+    /// The clock of the scheduler's process minus the true time.
+    pub(super) fn ahead_at(&self, at: Timestamp<Server>) -> Span {
+        self.ahead.iter().rev().find(|(from, _)| *from <= at).map_or(Span::ZERO, |(_, ahead)| *ahead)
     }
 
     pub(super) const fn drawn(&self) -> &'a Drawn {
@@ -189,6 +210,20 @@ impl<'a> Facts<'a> {
     }
 }
 
+/// A process begins with the clock of its machine, and keeps it.
+fn ahead_of(ran: &Ran) -> Vec<(Timestamp<Server>, Span)> {
+    let mut of_machine = Span::ZERO;
+    let mut ahead = Vec::new();
+    for (at, happened) in &ran.history {
+        match happened {
+            Happened::Fault(Fault::ServerClockStep { by }) => of_machine += *by,
+            Happened::TakenUp(_) => ahead.push((*at, of_machine)),
+            _ => {}
+        }
+    }
+    ahead
+}
+
 impl<'a> SentAct<'a> {
     /// The scripts of one robot.
     pub(super) fn of(&self, robot: usize) -> impl Iterator<Item = &SentScript<'a>> {
@@ -222,8 +257,14 @@ impl<'a> SentAct<'a> {
         self.promise.scripts.iter().map(|script| script.start.span()).max().unwrap_or_default()
     }
 
+    /// Its planned start by the true time.
     pub(super) fn start_of(&self, script: &SentScript<'_>) -> Timestamp<Server> {
         self.promise.start + script.promised.start.span()
+    }
+
+    /// The same by the clock of the process that promised it, as robots and reports have it.
+    pub(super) fn start_as_told(&self, script: &SentScript<'_>) -> Timestamp<Server> {
+        self.start_of(script) + self.ahead
     }
 
     /// From then on silence may be noticed too late, as was told at the decision; without one, for a pending lease.

@@ -6,7 +6,7 @@ use std::iter;
 use urrcp::{Command, Message, Server, Span, Timestamp};
 
 use super::Verdict;
-use super::cause::Cause;
+use super::cause::{Cause, Hit};
 use super::facts::{Facts, SentAct};
 use crate::mission::{Progress, Record};
 use crate::simulation::world::PATIENCE;
@@ -34,23 +34,23 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     operator_is_heard(facts, verdict);
 }
 
-/// The first instant from `from` on at which nothing more is expected of a robot: it has failed, everything is being stopped
-/// or has ended, or the scheduler's process is gone.
-fn excused_from(facts: &Facts<'_>, robot: usize, from: Timestamp<Server>) -> Timestamp<Server> {
+/// When nothing more is expected of a robot since an act was sent: it has failed, everything is being stopped or has ended.
+fn settled(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Timestamp<Server> {
     let name = facts.name(robot);
-    let words = facts.ran.history.iter().filter(|(at, _)| *at >= from).find(|(_, happened)| match happened {
+    let words = facts.ran.history.iter().filter(|(at, _)| *at >= act.at).find(|(_, happened)| match happened {
         Happened::Told(progress) => match &**progress {
             Progress::Failed(failure) => failure.robot == *name,
             Progress::Stopping { .. } => true,
             _ => false,
         },
-        Happened::LinkDown(r) => *r == robot,
         _ => false,
     });
-    let ended = facts.ran.records.iter().find(|(at, record)| *at >= from && matches!(record, Record::Ended { .. }));
-    let scheduler = facts.hits.iter().filter(|hit| hit.robot.is_none() && hit.until >= from).map(|hit| hit.from);
-    let words = words.map(|(at, _)| *at).into_iter().chain(ended.map(|(at, _)| *at));
-    words.chain(scheduler).chain(facts.dropped[robot]).min().unwrap_or(Timestamp::from_nanos(i64::MAX))
+    let ends = |(at, record): &&(Timestamp<Server>, Record)| {
+        *at >= act.at && matches!(record, Record::Ended { .. })
+    };
+    let ended = facts.ran.records.iter().find(ends).map(|(at, _)| *at);
+    let words = words.map(|(at, _)| *at).into_iter().chain(ended);
+    words.chain(facts.dropped[robot]).min().unwrap_or(Timestamp::from_nanos(i64::MAX))
 }
 
 /// The longest that a round trip of a robot took, or takes without faults.
@@ -77,8 +77,14 @@ fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Ver
         _ => None,
     });
     let instants: Vec<_> = iter::once(start).chain(heard).chain(iter::once(end)).collect();
+    let settled = settled(facts, act, robot);
     for two in instants.windows(2).filter(|two| two[1] - two[0] > bound) {
-        if excused_from(facts, robot, start - bound) > two[0] + bound {
+        // A link that is down is given up in its own time, and a scheduler that was away forgives what it missed.
+        let down = |hit: &Hit| hit.is_of(robot) && hit.cause == Cause::LinkDown;
+        let otherwise = facts.hits.iter().any(|hit| {
+            (down(hit) || hit.robot.is_none()) && hit.overlaps(two[0] - bound, two[0] + bound)
+        });
+        if settled > two[0] + bound && !otherwise {
             let silent = two[1] - two[0];
             let what = format!("r{robot} was silent for {silent} while it played, and {bound} after that nobody was told");
             return verdict.violated('h', what);
@@ -134,13 +140,13 @@ fn stops_arrive(facts: &Facts<'_>, verdict: &mut Verdict) {
 /// When the operator says stop, everything is stopped at once, or nothing was under way any more.
 fn operator_is_heard(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, happened) in &facts.ran.history {
-        if !matches!(happened, Happened::Fault(Fault::Stop)) {
+        if !matches!(happened, Happened::Fault(Fault::Stop | Fault::StopByJournal)) {
             continue;
         }
         let over = facts.ran.records.iter().any(|(when, record)| {
             matches!(record, Record::Stopping { .. } | Record::Ended { .. }) && *when <= *at + AT_ONCE
         });
-        let crashed = |hit: &super::cause::Hit| hit.cause == Cause::SchedulerCrash && hit.from <= *at;
+        let crashed = |hit: &Hit| hit.cause == Cause::SchedulerCrash && hit.from <= *at;
         let away = facts.hits.iter().any(crashed) || scheduler_was_away(facts, *at, *at + AT_ONCE);
         if !over && !away {
             verdict.violated('h', format!("the operator said stop at {at}, and nothing was stopped"));

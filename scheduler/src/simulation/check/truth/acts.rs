@@ -14,9 +14,12 @@ const LATE: Span = Span::from_millis(1);
 impl Said<'_> {
     pub(super) fn acts(&self, wrong: &mut Vec<String>) {
         for said in &self.report.acts {
-            match self.facts.acts.iter().find(|act| act.promise.number == said.number) {
+            let same = |act: &&SentAct<'_>| {
+                act.promise.number == said.number && act.promise.timestamp + act.ahead == said.timestamp
+            };
+            match self.facts.acts.iter().rfind(same) {
                 Some(act) => self.act(act, said, wrong),
-                None => wrong.push(format!("act {} is reported, and was never promised", said.number)),
+                None => wrong.push(format!("act {} is reported, and was not promised so", said.number)),
             }
         }
         let numbers: Vec<u32> = self.report.acts.iter().map(|act| act.number).collect();
@@ -29,7 +32,7 @@ impl Said<'_> {
     fn act(&self, act: &SentAct<'_>, said: &ActReport, wrong: &mut Vec<String>) {
         let number = said.number;
         let promise = act.promise;
-        if (said.timestamp, said.start) != (promise.timestamp, promise.start) {
+        if said.start != promise.start + act.ahead {
             wrong.push(format!("act {number} is said to start at {}, {} was promised", said.start, promise.start));
         }
         if (said.lead.total() - (promise.start - promise.timestamp)).abs() > GRAIN {
@@ -57,15 +60,17 @@ impl Said<'_> {
     /// The robots of which a window is told have heard of the commitment within it.
     fn window(&self, act: &SentAct<'_>, said: &ActReport, wrong: &mut Vec<String>) {
         let number = said.number;
-        let told = self.facts.ran.history.iter().rev().find_map(|(at, happened)| match happened {
+        let Some(window) = said.window else { return };
+        let told = self.facts.ran.history.iter().find_map(|(at, happened)| match happened {
             Happened::Told(progress) => match &**progress {
-                Progress::Committed { act, window: Some(window) } if *act == said.act => Some((*at, *window)),
+                Progress::Committed { act: name, window: told } if *name == said.act && *told == Some(window) => {
+                    Some(*at).filter(|at| *at >= act.at)
+                }
                 _ => None,
             },
             _ => None,
         });
-        let Some(window) = said.window else { return };
-        let Some((at, _)) = told.filter(|(_, told)| *told == window) else {
+        let Some(at) = told else {
             return wrong.push(format!("act {number} is reported with a window of {window}, not as was told"));
         };
         for robot in act.robots() {
@@ -95,10 +100,12 @@ impl Said<'_> {
         }
         for device in &said.devices {
             let same = |script: &&SentScript<'_>| {
-                script.promised.device == device.device && Some(act.start_of(script)) == device.planned_start
+                script.promised.device == device.device && Some(act.start_as_told(script)) == device.planned_start
             };
             match act.of(robot).find(same) {
                 Some(script) => self.script(act, script, device, wrong),
+                // It was left out before anything was promised to it.
+                None if said.left_out && device.state == "planned" => {}
                 None => wrong.push(format!("r{robot} is reported with a script that act {number} has not")),
             }
         }
@@ -154,7 +161,7 @@ fn wrong_start(act: &SentAct<'_>, script: &SentScript<'_>, said: &DeviceReport) 
 
 /// Actual minus planned start, by the robot's own clock.
 pub(super) fn error_by_its_clock(act: &SentAct<'_>, script: &SentScript<'_>, first: &LogEntry) -> Span {
-    let planned: Timestamp<urrcp::Robot> = (act.start_of(script) + script.promised.shift).assume_clock();
+    let planned: Timestamp<urrcp::Robot> = (act.start_as_told(script) + script.promised.shift).assume_clock();
     first.set_at - planned
 }
 

@@ -23,7 +23,7 @@ impl Said<'_> {
     /// Every step of every script of every act was set once, and on time: the start within the tolerance, by the robot's own
     /// clock, and later steps on time or counted as late. That nothing is set twice is an invariant of its own.
     fn all_done(&self, wrong: &mut Vec<String>) {
-        for act in &self.facts.acts {
+        for act in self.facts.acts.iter().filter(|act| !act.superseded) {
             for script in act.scripts.iter().filter(|script| self.facts.honest(script.robot)) {
                 self.script_done(act, script, wrong);
             }
@@ -48,7 +48,7 @@ impl Said<'_> {
     }
 
     fn done_but_for_those_left_out(&self, wrong: &mut Vec<String>) {
-        for act in &self.facts.acts {
+        for act in self.facts.acts.iter().filter(|act| !act.superseded) {
             for script in act.scripts.iter().filter(|script| self.facts.honest(script.robot)) {
                 let knows = self.facts.drawn().robots[script.robot].block.reports;
                 if self.facts.dropped[script.robot].is_none() && knows && !self.resumed {

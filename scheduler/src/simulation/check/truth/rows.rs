@@ -103,6 +103,7 @@ impl Said<'_> {
             StopState::Unconfirmed { lease_ends } => {
                 let grace = DRIFT + self.slowest(robot);
                 let ends = lease_ends.filter(|_| !self.facts.clock_was_set(robot));
+                let ends = ends.map(|ends| ends - self.facts.ran.server_ahead);
                 (ends.map(|ends| ends + grace), "the end of its lease as reported")
             }
         };
