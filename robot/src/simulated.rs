@@ -70,17 +70,10 @@ struct Hands {
     readings: HashMap<DeviceId, f64>,
 }
 
-/// Before that nobody can know that hardware has died without a word, and what it is given counts as done.
-const DEATH_KNOWN: Span = Span::from_millis(200);
-
 impl Hands {
     fn silence(&self, now: Timestamp<True>) -> Option<Span> {
         let silence = now - self.dead_since?;
         (silence > SILENCE_MAX.into()).then_some(silence)
-    }
-
-    fn takes_values(&self, now: Timestamp<True>) -> bool {
-        self.dead_since.is_none_or(|since| now - since <= DEATH_KNOWN)
     }
 }
 
@@ -331,7 +324,6 @@ impl SimulatedRobot {
             match output {
                 Output::Read { reading, sensor } => self.hardware_reads(now, reading, &sensor),
                 Output::Set(set) if !self.kept.keeps(&set) => {}
-                Output::Set(_) if self.hands.as_ref().is_some_and(|hands| !hands.takes_values(now)) => {}
                 Output::Set(set) => {
                     let at = self.robot_from_true(now);
                     self.log.push(LogEntry::new(now.assume_clock(), at, set));

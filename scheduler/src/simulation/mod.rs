@@ -34,6 +34,8 @@ pub struct Ran {
     pub logs: Vec<Vec<LogEntry>>,
     /// What other robots did that answered at the addresses of these.
     pub logs_of_strangers: Vec<Vec<LogEntry>>,
+    /// For each robot the scripts that it began although its hardware had been dead for so long that it had to know.
+    pub starts_of_dead: Vec<Vec<String>>,
     /// The clock of the last process minus the true time: times in the report are by that clock, all others are true.
     pub server_ahead: Span,
     /// Everything that happened, for the trace and for the checks.

@@ -89,3 +89,23 @@ fn a_disk_that_stands_still_ends_the_mission_before_anything_moves() {
     }
     assert!(seeds.len() > 10, "{}", seeds.len());
 }
+
+#[test]
+fn a_stop_that_is_confirmed_without_a_name_ends_no_script_that_has_not_begun() {
+    let unnamed = |drawn: &Drawn| drawn.robots.iter().any(|robot| robot.names == Names::LeftOut);
+    let mut stopped = 0;
+    for mut drawn in (0..400).map(draw).filter(unnamed) {
+        let ready = world::play(Drawn { faults: Vec::new(), ..drawn.clone() }, false);
+        let promise = ready.records.iter().find_map(|(_, record)| match record {
+            crate::mission::Record::Prepared(promise) => Some(promise.start),
+            _ => None,
+        });
+        let Some(start) = promise else { continue };
+        let before = start - crate::dry_run::BEGIN - Span::from_millis(150);
+        drawn.faults = vec![(before, Fault::Stop)];
+        let seed = drawn.seed;
+        assert_eq!(world::play(drawn, false).verdict().violations, [], "seed {seed}");
+        stopped += 1;
+    }
+    assert!(stopped > 30, "{stopped}");
+}

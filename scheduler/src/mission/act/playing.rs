@@ -17,6 +17,9 @@ pub(crate) const LAPSE: Span = Span::from_millis(15);
 /// Before a robot that does not report by itself is asked again what became of a script that should have ended.
 const ASK_AGAIN: Span = Span::from_millis(50);
 
+/// What coarse clocks may take from a time.
+const GRAIN: Span = Span::from_millis(5);
+
 /// An act that has started.
 #[derive(Clone, Debug)]
 pub(super) struct Playing {
@@ -158,6 +161,18 @@ impl Act {
     pub(crate) fn start_error(&self, member: &Member, script: &Script) -> Option<Span> {
         let planned = self.timing.as_ref()?.start + script.plan.start.span() + member.shift;
         Some(script.started_at()? - planned.assume_clock())
+    }
+
+    /// Whether a script can have come to its end when its robot's clock shows this, as far as clocks go.
+    pub(crate) fn can_have_ended(&self, script: ScriptRef, shown: Timestamp<Robot>) -> bool {
+        let (member, planned) = (&self.members[script.member], self.script(script));
+        let end = self.timing.as_ref().map(|timing| planned_end(timing.start, planned) + member.shift);
+        end.is_some_and(|end| shown + GRAIN >= end.assume_clock())
+    }
+
+    /// Nobody knows any more what becomes of a script.
+    pub(crate) fn lose_sight_of(&mut self, script: ScriptRef) {
+        self.members[script.member].change(script.script, Script::lapse);
     }
 
     /// Ends the act when all is done, and finds reports that are overdue.

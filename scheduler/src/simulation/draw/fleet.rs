@@ -86,12 +86,15 @@ pub(super) enum Show {
 pub(super) fn draw_robot(rng: &mut Rng, index: usize, show: Show) -> DrawnRobot {
     let measured = one_in(rng, 5);
     let inquires = !one_in(rng, 5);
-    let names = if !inquires && rng.bool() { Names::LeftOut } else { Names::Echoed };
+    let lie = one_in(rng, 12).then(|| draw_lie(rng));
+    // One that leaves out what it did cannot lie about that.
+    let leaves_out = !inquires && rng.bool() && lie != Some(Lie::TooManySteps);
+    let names = if leaves_out { Names::LeftOut } else { Names::Echoed };
     DrawnRobot {
         block: draw_block(rng, index, inquires, show),
         settings: draw_settings(rng, measured),
         clock: if measured { ClockMode::Measured } else { ClockMode::Ntp },
-        lie: one_in(rng, 12).then(|| draw_lie(rng)),
+        lie,
         slow: if one_in(rng, 8) { millis(rng, 0, 60) } else { Span::ZERO },
         names,
         connections: if one_in(rng, 6) { Connections::One } else { Connections::Newest },

@@ -71,6 +71,10 @@ pub fn draw(seed: u64) -> Drawn {
     let show = if one_in(rng, 100) { fleet::Show::Large } else { fleet::Show::Small };
     let count = rng.usize(2..=5);
     let mut robots: Vec<DrawnRobot> = (0..count).map(|index| fleet::draw_robot(rng, index, show)).collect();
+    if network != Network::Stream {
+        // Whose answers nothing tells apart is only ever reached on a stream.
+        robots.iter_mut().for_each(|robot| robot.names = Names::Echoed);
+    }
     let join = if one_in(rng, 12) { Join::NextAct } else { Join::Refuse };
     if join == Join::NextAct {
         // Not all of them, or there is nobody to begin.

@@ -147,6 +147,8 @@ pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
     for robot in &mut world.robots {
         robot.collect();
     }
+    let starts_of_dead = world.robots.iter_mut().map(|robot| std::mem::take(&mut robot.starts_of_dead));
+    let starts_of_dead = starts_of_dead.collect();
     let (logs, logs_of_strangers) =
         world.robots.into_iter().map(|robot| (robot.log, robot.log_of_stranger)).unzip();
     Ran {
@@ -154,6 +156,7 @@ pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
         records: world.records,
         logs,
         logs_of_strangers,
+        starts_of_dead,
         server_ahead: world.scheduler.ahead,
         history: world.history,
         hung: world.hung,

@@ -16,6 +16,8 @@ use crate::simulation::{Connections, DrawnRobot, Hands, Happened, Lie, Names};
 
 /// Hardware that only stops to answer is given up by its driver after so long.
 const HARDWARE_GIVEN_UP: Span = Span::from_millis(2_000);
+/// Before that nobody can know that hardware has died without a word.
+const DEATH_KNOWN: Span = Span::from_millis(200);
 /// Links of other sessions, far from the scheduler's.
 const FOREIGN: u64 = 1 << 63;
 /// Another session's script starts so long after it was sent.
@@ -55,6 +57,9 @@ pub(super) struct RobotSide {
     pub(super) clock_steps: Span,
     /// What its sensor reads from now on.
     pub(super) reading: Option<f64>,
+    hardware_dead_since: Option<Timestamp<Server>>,
+    /// Scripts that it began although its hardware was dead, by their names.
+    pub(super) starts_of_dead: Vec<String>,
 }
 
 impl RobotSide {
@@ -77,6 +82,8 @@ impl RobotSide {
             busy: [BEGIN; 2],
             clock_steps: Span::ZERO,
             reading: None,
+            hardware_dead_since: None,
+            starts_of_dead: Vec::new(),
         }
     }
 
@@ -85,9 +92,24 @@ impl RobotSide {
         let foreign = |entry: &LogEntry| entry.request_id.as_deref() == Some("foreign");
         let entries = machine.take_log().into_iter().filter(|entry| !foreign(entry));
         match self.who {
-            Who::Itself => self.log.extend(entries),
+            Who::Itself => {
+                let before = self.log.len();
+                self.log.extend(entries);
+                self.note_starts_of_dead(before);
+            }
             Who::Stranger => self.log_of_stranger.extend(entries),
         }
+    }
+}
+
+impl RobotSide {
+    /// What its hardware cannot have begun, since it was dead.
+    fn note_starts_of_dead(&mut self, from: usize) {
+        let Some(since) = self.hardware_dead_since else { return };
+        let known = (since + DEATH_KNOWN).as_nanos();
+        let starts = |entry: &&LogEntry| entry.step == Some(0) && entry.motion == "set";
+        let dead = self.log[from..].iter().filter(starts).filter(|entry| entry.true_ns > known);
+        self.starts_of_dead.extend(dead.filter_map(|entry| entry.request_id.clone()));
     }
 }
 
@@ -122,6 +144,8 @@ impl World {
         let who = if block.id == drawn.block.id { Who::Itself } else { Who::Stranger };
         let mut machine = machine(drawn, block, self.now);
         let side = &mut self.robots[robot];
+        // A new process looks for its hardware first; here it is there.
+        side.hardware_dead_since = None;
         machine.step_clock(side.clock_steps);
         if let (Some(reading), Ok(eye)) = (side.reading, "eye".parse()) {
             machine.set_reading(eye, reading);
@@ -166,7 +190,12 @@ impl World {
         let drawn = &self.drawn.robots[robot];
         match &mut message {
             Message::InitializationBlock(block) => block.inquiry = drawn.block.inquiry,
-            Message::ControlResponse(response) if drawn.names == Names::LeftOut => response.request_id = None,
+            Message::ControlResponse(response) if drawn.names == Names::LeftOut => {
+                // It knows no extension at all.
+                let ControlResponse { request_id, content_hash, event_timestamp, .. } = response;
+                (*request_id, *content_hash, *event_timestamp) = (None, None, None);
+                (response.steps_done, response.late_steps) = (None, None);
+            }
             _ => {}
         }
         match (drawn.lie, &mut message) {
@@ -200,7 +229,12 @@ impl World {
 
     pub(super) fn hardware_dies(&mut self, robot: usize, back_after: Option<Span>, told: bool) {
         let now = self.now;
-        let Some(machine) = &mut self.robots[robot].machine else { return };
+        let side = &mut self.robots[robot];
+        if self.drawn.robots[robot].hands == Hands::Own {
+            return;
+        }
+        side.hardware_dead_since.get_or_insert(now);
+        let Some(machine) = &mut side.machine else { return };
         match told {
             true => machine.hardware_lost(now.assume_clock(), "its connection has ended"),
             false => {
@@ -224,6 +258,7 @@ impl World {
 
     pub(super) fn hardware_back(&mut self, robot: usize) {
         let now = self.now.assume_clock();
+        self.robots[robot].hardware_dead_since = None;
         if let Some(machine) = &mut self.robots[robot].machine {
             machine.hardware_found(now);
         }
