@@ -6,14 +6,10 @@ use urrcp::{Robot as RobotClock, Span, Timestamp};
 
 use crate::clock::{HostClock, HostTime};
 use crate::device::Motion;
-use crate::driver::{AtStart, Demand, Mailbox, News, STALE, START_NEAR, Wanted};
+use crate::driver::{AtStart, Demand, Mailbox, News, Wanted};
 use crate::outgoing::Outgoing;
 use crate::robot::{Input, LinkId, Output, Robot, SetValue};
 use crate::set_log::LogEntry;
-
-/// A command that was accepted at least so long before its start does not start while the hardware is silent: there was
-/// time to ask it.
-const NOTICE: Span = Span::from_millis(200);
 
 /// A robot whose values drive hardware.
 pub(crate) struct Edge {
@@ -77,12 +73,9 @@ impl Edge {
 
     /// Before anything is done: whether the hardware answers, where a start is near, and whether the edge was held up.
     fn look_after(&mut self, now: Timestamp<HostTime>) {
-        let near = now.assume_clock() + START_NEAR.into();
-        let start = self.machine.next_start(NOTICE).filter(|start| *start <= near);
-        let silence = start.and_then(|_| self.mailbox.silence()).map(Span::from);
+        let mailbox = Arc::clone(&self.mailbox);
         self.tell(now, |machine, now, out| {
-            machine.give_up_overdue(now, STALE.into(), out);
-            machine.hardware_silent(now, silence, NOTICE, out);
+            machine.look_after(now, || mailbox.silence().map(Span::from), out);
         });
     }
 

@@ -7,6 +7,8 @@ use urrcp::{
     Message, Robot as RobotClock, Span, Status, StatusValue, Timestamp,
 };
 
+use crate::driver::SILENCE_MAX;
+use crate::hardware::ReadingId;
 use crate::robot::{Input, LinkId, Output, Robot};
 use crate::set_log::{Kept, LogEntry};
 
@@ -60,6 +62,21 @@ pub enum Fault {
     Disconnect,
 }
 
+/// Simulated hardware behind the machine, as behind an edge.
+#[derive(Clone, Debug, Default)]
+struct Hands {
+    /// It does nothing and answers nothing any more.
+    dead_since: Option<Timestamp<True>>,
+    readings: HashMap<DeviceId, f64>,
+}
+
+impl Hands {
+    fn silence(&self, now: Timestamp<True>) -> Option<Span> {
+        let silence = now - self.dead_since?;
+        (silence > SILENCE_MAX.into()).then_some(silence)
+    }
+}
+
 #[derive(Clone, Debug)]
 enum InFlight {
     In(LinkId, Input),
@@ -99,6 +116,8 @@ pub struct SimulatedRobot {
     outputs: Vec<Output>,
     /// It has hung up for good.
     gone: bool,
+    /// `None`: the robot itself moves.
+    hands: Option<Hands>,
 }
 
 impl SimulatedRobot {
@@ -120,6 +139,42 @@ impl SimulatedRobot {
             kept: Kept::default(),
             outputs: Vec::new(),
             gone: false,
+            hands: None,
+        }
+    }
+
+    /// A robot whose values drive simulated hardware, which is there at `now`.
+    #[must_use]
+    pub fn with_hardware(block: InitializationBlock, settings: Settings, now: Timestamp<True>) -> Self {
+        let mut robot = Self::new(block, settings);
+        robot.robot = Robot::driven(robot.robot.block().clone());
+        robot.hands = Some(Hands::default());
+        robot.hardware_found(now);
+        robot
+    }
+
+    /// The hardware answers nothing any more, and nobody is told.
+    pub fn hardware_dies(&mut self, now: Timestamp<True>) {
+        if let Some(hands) = &mut self.hands {
+            hands.dead_since.get_or_insert(now);
+        }
+    }
+
+    /// Its connection with the hardware has ended.
+    pub fn hardware_lost(&mut self, now: Timestamp<True>, reason: &str) {
+        self.hardware_dies(now);
+        if self.hands.is_some() {
+            self.robot.hardware_lost(self.robot_from_true(now), reason, &mut self.outputs);
+            self.perform(now);
+        }
+    }
+
+    /// The hardware is there, or there again.
+    pub fn hardware_found(&mut self, now: Timestamp<True>) {
+        if let Some(hands) = &mut self.hands {
+            hands.dead_since = None;
+            self.robot.hardware_found(self.robot_from_true(now), &mut self.outputs);
+            self.perform(now);
         }
     }
 
@@ -131,6 +186,9 @@ impl SimulatedRobot {
 
     /// What a sensor reads from now on.
     pub fn set_reading(&mut self, sensor: DeviceId, reading: f64) {
+        if let Some(hands) = &mut self.hands {
+            hands.readings.insert(sensor.clone(), reading);
+        }
         self.robot.set_reading(sensor, reading);
     }
 
@@ -167,6 +225,7 @@ impl SimulatedRobot {
     /// Does everything due at or before `now`: first what the machine does by itself, then deliveries.
     pub fn advance(&mut self, now: Timestamp<True>, out: &mut Vec<Outgoing>) {
         self.epoch.get_or_insert(now);
+        self.look_after_hardware(now);
         self.robot.send_reports(self.robot_from_true(now), &mut self.outputs);
         self.perform(now);
         loop {
@@ -190,6 +249,15 @@ impl SimulatedRobot {
         let mine = self.due_movement(now);
         if mine.is_some_and(|mine| travelling.is_none_or(|at| mine <= at)) {
             self.robot.advance_movements(self.robot_from_true(now), &mut self.outputs);
+            self.perform(now);
+        }
+    }
+
+    /// As an edge does, before anything else.
+    fn look_after_hardware(&mut self, now: Timestamp<True>) {
+        if let Some(hands) = &self.hands {
+            let at = self.robot_from_true(now);
+            self.robot.look_after(at, || hands.silence(now), &mut self.outputs);
             self.perform(now);
         }
     }
@@ -254,8 +322,7 @@ impl SimulatedRobot {
         let mut outputs = std::mem::take(&mut self.outputs);
         for output in outputs.drain(..) {
             match output {
-                // It answers readings by itself.
-                Output::Read { .. } => {}
+                Output::Read { reading, sensor } => self.hardware_reads(now, reading, &sensor),
                 Output::Set(set) if !self.kept.keeps(&set) => {}
                 Output::Set(set) => {
                     let at = self.robot_from_true(now);
@@ -273,6 +340,19 @@ impl SimulatedRobot {
         }
         // Back goes the empty vector, so that its memory serves again.
         self.outputs = outputs;
+    }
+
+    /// Living hardware answers at once. A robot without any answers readings by itself.
+    fn hardware_reads(&mut self, now: Timestamp<True>, reading: ReadingId, sensor: &DeviceId) {
+        let Some(hands) = self.hands.as_ref().filter(|hands| hands.dead_since.is_none()) else { return };
+        let value = hands.readings.get(sensor).copied().unwrap_or(0.0);
+        let mut answers = Vec::new();
+        self.robot.reading_came(self.robot_from_true(now), reading, Ok(value), &mut answers);
+        for answer in answers {
+            if let Output::Send { link, message } = answer {
+                self.send(now, link, message);
+            }
+        }
     }
 
     fn send(&mut self, now: Timestamp<True>, link: LinkId, mut message: Message) {

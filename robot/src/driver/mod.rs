@@ -21,7 +21,7 @@ use urrcp::{ControlType, DeviceId, Robot, Setpoint, Timestamp};
 pub use self::lifeline::Lifeline;
 pub(crate) use self::mailbox::{Key, Mailbox, STALE};
 pub use self::program::Program;
-pub(crate) use self::pulse::{Demand, START_NEAR};
+pub(crate) use self::pulse::{Demand, SILENCE_MAX, START_NEAR};
 pub use self::simulated::SimulatedDriver;
 pub use self::spec::{DriverSpec, DriverSpecError};
 pub use self::thrift::{ThriftRobot, describe as describe_thrift};

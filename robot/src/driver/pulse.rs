@@ -15,7 +15,7 @@ const NEAR: Duration = Duration::from_millis(25);
 /// A start is near from so long before it on.
 pub(crate) const START_NEAR: Duration = Duration::from_secs(1);
 /// Silence that counts as such where something is held, beyond twice what its calls take.
-const SILENCE_MAX: Duration = Duration::from_millis(150);
+pub(crate) const SILENCE_MAX: Duration = Duration::from_millis(150);
 /// A question is not begun so shortly before a movement, or less where the answers come fast.
 pub(crate) const QUIET: Duration = Duration::from_millis(20);
 const QUIET_LEAST: Duration = Duration::from_millis(2);

@@ -6,8 +6,13 @@ use urrcp::{
 };
 
 use super::{LinkId, Now, Output, Robot, refusal, response, tell};
+use crate::driver::{STALE, START_NEAR};
 use crate::hardware::{Hardware, OpenReading, ReadingId, unanswered};
 use crate::signal::Signal;
+
+/// A command that was accepted at least so long before its start does not start while the hardware is silent: there was
+/// time to ask it.
+const NOTICE: Span = Span::from_millis(200);
 
 impl Robot {
     /// A robot whose values drive hardware. Until [`Robot::hardware_found`] it refuses everything.
@@ -44,6 +49,20 @@ impl Robot {
         for open in self.hardware.abandon() {
             tell(open.link, refusal(now, &open.request, error.clone()), out);
         }
+    }
+
+    /// Before anything is done: whether the robot was held up, and whether the hardware answers, where a start is near.
+    /// `silence` tells for how long it has not answered, where that is too long.
+    pub(crate) fn look_after(
+        &mut self,
+        now: Now,
+        silence: impl FnOnce() -> Option<Span>,
+        out: &mut Vec<Output>,
+    ) {
+        let near = now + START_NEAR.into();
+        let start = self.next_start(NOTICE).filter(|start| *start <= near);
+        self.give_up_overdue(now, STALE.into(), out);
+        self.hardware_silent(now, start.and_then(|_| silence()), NOTICE, out);
     }
 
     /// When the next command starts, of those that were accepted at least so long before their start.

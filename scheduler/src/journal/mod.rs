@@ -19,6 +19,7 @@ use crate::mission::{Greeting, Record};
 pub use disk::{Disk, FileDisk};
 pub use found::{Found, Life, Missions, forget_old, has_begun};
 pub use read::{Fate, Kept, Left, LeftOn, Progressed, Torn, Unreadable, read};
+pub(crate) use writer::{WAITING_MAX, append_all};
 pub use writer::{Writer, Written};
 
 /// The first line: who drives whom with what. It has all that a stop needs, because files may change while a mission plays.

@@ -11,7 +11,7 @@ use super::{Disk, FileDisk, Journal};
 use crate::mission::Record;
 
 /// Records that may wait for the disk; with one more the journal counts as lost.
-const WAITING_MAX: usize = 4_096;
+pub(crate) const WAITING_MAX: usize = 4_096;
 /// So long the disk may take at the end of a mission.
 const FINISH_MAX: Duration = Duration::from_secs(5);
 
@@ -84,11 +84,8 @@ fn write_all<D: Disk>(
     records: &Receiver<(Timestamp<Server>, Record)>,
     tell: &watch::Sender<Written>,
 ) -> Journal<D> {
-    while let Ok((at, record)) = records.recv() {
-        let mut appended = journal.append(at, &record);
-        while let Ok((at, record)) = records.try_recv() {
-            appended = appended.and_then(|()| journal.append(at, &record));
-        }
+    while let Ok(first) = records.recv() {
+        let appended = append_all(&mut journal, std::iter::once(first).chain(records.try_iter()));
         let synced = appended.and_then(|()| journal.sync());
         tell.send_if_modified(|written| {
             let before = written.clone();
@@ -100,4 +97,12 @@ fn write_all<D: Disk>(
         });
     }
     journal
+}
+
+/// Writes all that waits, for one sync.
+pub(crate) fn append_all<D: Disk>(
+    journal: &mut Journal<D>,
+    mut waiting: impl Iterator<Item = (Timestamp<Server>, Record)>,
+) -> Result<(), String> {
+    waiting.try_for_each(|(at, record)| journal.append(at, &record))
 }

@@ -45,9 +45,17 @@ impl Mission {
 
     fn control_response(&mut self, now: Timestamp<Server>, robot: usize, response: &ControlResponse) {
         let acts = &self.acts;
-        let reports = self.robots[robot].reports();
-        let open_on =
-            |device: &DeviceId| reports && open_without_name(acts, robot, device, response).is_some();
+        let (reports, stopped) = (self.robots[robot].reports(), self.robots[robot].stop_was_sent());
+        // What a stop ends says OK as well: of a script it is the end only once that can have come.
+        let meant = |script: &ScriptRef| {
+            !stopped || response.status != Status::Ok || {
+                let act = acts.iter().find(|act| act.number() == script.act);
+                act.is_some_and(|act| act.can_have_ended(*script, response.timestamp))
+            }
+        };
+        let open = |device: &DeviceId| open_without_name(acts, robot, device, response).filter(meant);
+        let open_on = |device: &DeviceId| reports && open(device).is_some();
+        let unnamed = open(&response.device_id);
         if self.robots[robot].stop_answered(now, response, open_on) {
             self.stop_confirmed(robot);
             self.stop_refused(robot);
@@ -58,12 +66,17 @@ impl Mission {
         }
         let script = match &response.request_id {
             Some(id) => self.robots[robot].requests.get(id).copied(),
-            None => open_without_name(&self.acts, robot, &response.device_id, response),
+            None => unnamed,
         };
         let Some(script) = script else {
             return tracing::debug!(robot = %self.robots[robot].id, "answer to no open request: {response:?}");
         };
         let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
+        if stopped && response.status == Status::Ok && names_nothing(response) {
+            // Its own end or that of the stop: nobody can know.
+            act.lose_sight_of(script);
+            return self.goes_on(now);
+        }
         let noted = act.answered(script, response, self.arrived, &self.robots);
         if noted.news != super::script::News::None {
             self.carry_out(now, script.act, noted.actions);
@@ -187,7 +200,8 @@ impl Mission {
             self.recording.awaited.pop_front();
             // Slowly forgotten, so that one slow moment does not delay the rest of the show.
             let before = self.recording.longest.unwrap_or_default() * 3 / 4;
-            self.recording.longest = Some((now - asked).max(before));
+            // What was held up on this machine says nothing of the disk.
+            self.recording.longest = Some((self.arrived - asked).max(before));
             let Some(number) = number else {
                 self.acts.iter_mut().for_each(|act| act.look_again_at(None));
                 continue;
@@ -203,6 +217,11 @@ impl Mission {
     pub(super) fn recording_time(&self) -> Span {
         (self.recording.longest.unwrap_or_default() * 2).max(RECORDING).min(RECORDING_MAX)
     }
+}
+
+/// Whether an answer says neither which request it is for nor what came of it.
+const fn names_nothing(response: &ControlResponse) -> bool {
+    response.request_id.is_none() && response.steps_done.is_none()
 }
 
 /// The script that an answer without a name belongs to: answers of a device come in the order of its scripts.

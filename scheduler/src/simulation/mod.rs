@@ -5,16 +5,20 @@
 pub mod baseline;
 mod check;
 mod draw;
+mod shrink;
 mod trace;
 mod world;
 
 use downbeat_robot::LogEntry;
 use urrcp::{Message, Server, Span, Timestamp};
 
-use crate::mission::Record;
+use crate::mission::{Progress, Record};
 use crate::report::Report;
-pub use check::{Starts, Verdict, Violation};
-pub use draw::{Drawn, DrawnDisk, DrawnRobot, Fault, Lie, Network, draw};
+pub use check::{ActStarts, Cause, Excuse, Starts, Verdict, Violation};
+pub use draw::{
+    Connections, Direction, Drawn, DrawnDisk, DrawnRobot, Fault, Hands, Lie, Names, Network, draw,
+};
+pub use shrink::{Shrunk, shrunk};
 pub use trace::trace;
 
 /// What happened to a seed.
@@ -28,6 +32,12 @@ pub struct Ran {
     pub records: Vec<(Timestamp<Server>, Record)>,
     /// What each robot really set.
     pub logs: Vec<Vec<LogEntry>>,
+    /// What other robots did that answered at the addresses of these.
+    pub logs_of_strangers: Vec<Vec<LogEntry>>,
+    /// For each robot the scripts that it began although its hardware had been dead for so long that it had to know.
+    pub starts_of_dead: Vec<Vec<String>>,
+    /// The clock of the last process minus the true time: times in the report are by that clock, all others are true.
+    pub server_ahead: Span,
     /// Everything that happened, for the trace and for the checks.
     pub history: Vec<(Timestamp<Server>, Happened)>,
     /// The mission never came to an end.
@@ -41,8 +51,8 @@ pub enum Happened {
     ToRobot(usize, Message),
     /// A message from the scheduler arrived at a robot.
     AtRobot(usize, Message),
-    /// A message from a robot arrived at the scheduler.
-    FromRobot(usize, Message),
+    /// The scheduler took a message from a robot, which is kept only for a trace.
+    FromRobot(usize, Option<Message>),
     /// A message was lost on the way to or from a robot.
     Lost(usize),
     /// A message to or from a robot travelled for so long.
@@ -58,7 +68,9 @@ pub enum Happened {
     /// The mission was taken up by its journal.
     TakenUp(&'static str),
     /// The operator was told.
-    Told(String),
+    Told(Box<Progress>),
+    /// The mission will never end, and this is what it waits for.
+    Stuck(String),
 }
 
 /// Plays a seed to its end and watches what the robots still do.
@@ -67,7 +79,32 @@ pub fn run(seed: u64) -> Ran {
     world::play(draw(seed), false)
 }
 
+/// Plays what was drawn.
+#[must_use]
+pub fn play(drawn: Drawn) -> Ran {
+    world::play(drawn, false)
+}
+
 /// The same, keeping every message.
+#[must_use]
+pub fn play_verbosely(drawn: Drawn) -> Ran {
+    world::play(drawn, true)
+}
+
+/// Everything that is held against a mission, the comparison with the same mission without its faults included, which plays
+/// that one as well.
+#[must_use]
+pub fn judge(ran: &Ran) -> Verdict {
+    let mut verdict = ran.verdict();
+    let sent = ran.records.iter().any(|(_, record)| matches!(record, Record::Prepared(_)));
+    if sent && !ran.drawn.faults.is_empty() && !ran.hung {
+        let undisturbed = play(ran.drawn.clone().without_faults());
+        verdict.violations.extend(ran.compared_with(&undisturbed).violations);
+    }
+    verdict
+}
+
+/// The same as [`run`], keeping every message.
 #[must_use]
 pub fn run_verbosely(seed: u64) -> Ran {
     world::play(draw(seed), true)

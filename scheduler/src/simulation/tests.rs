@@ -1,5 +1,5 @@
 use super::*;
-use crate::mission::{Failure, FailureKind};
+use crate::mission::{Failure, FailureKind, Progress};
 use crate::report::Outcome;
 
 #[test]
@@ -8,8 +8,8 @@ fn thousands_of_seeds_of_faults_violate_nothing() {
     let mut violated = Vec::new();
     let mut mixed = 0;
     for seed in 0..seeds {
-        let verdict = run(seed).verdict();
-        mixed += verdict.starts.iter().filter(|starts| **starts == Starts::Mixed).count();
+        let verdict = judge(&run(seed));
+        mixed += verdict.acts.iter().filter(|act| act.starts == Starts::Mixed).count();
         violated.extend(verdict.violations.into_iter().map(|violation| (seed, violation)));
     }
     let first: Vec<_> =
@@ -61,8 +61,8 @@ fn seeds_that_found_something_once_find_nothing_any_more() {
 fn the_journal_of_some_seeds_is_lost_and_the_mission_is_stopped() {
     let full = (0..2_000).filter(|seed| draw(*seed).disk.capacity.is_some());
     let lost = |ran: &Ran| {
-        let told =
-            |happened: &Happened| matches!(happened, Happened::Told(text) if text.contains("journal_lost"));
+        let lost = |progress: &Progress| matches!(progress, Progress::JournalLost { .. });
+        let told = |happened: &Happened| matches!(happened, Happened::Told(progress) if lost(progress));
         ran.history.iter().any(|(_, happened)| told(happened))
     };
     let lost: Vec<Ran> = full.map(run_verbosely).filter(lost).collect();
@@ -88,4 +88,24 @@ fn a_disk_that_stands_still_ends_the_mission_before_anything_moves() {
         assert!(ran.logs.iter().flatten().all(|entry| entry.request_id.is_none()), "seed {seed}");
     }
     assert!(seeds.len() > 10, "{}", seeds.len());
+}
+
+#[test]
+fn a_stop_that_is_confirmed_without_a_name_ends_no_script_that_has_not_begun() {
+    let unnamed = |drawn: &Drawn| drawn.robots.iter().any(|robot| robot.names == Names::LeftOut);
+    let mut stopped = 0;
+    for mut drawn in (0..400).map(draw).filter(unnamed) {
+        let ready = world::play(Drawn { faults: Vec::new(), ..drawn.clone() }, false);
+        let promise = ready.records.iter().find_map(|(_, record)| match record {
+            crate::mission::Record::Prepared(promise) => Some(promise.start),
+            _ => None,
+        });
+        let Some(start) = promise else { continue };
+        let before = start - crate::dry_run::BEGIN - Span::from_millis(150);
+        drawn.faults = vec![(before, Fault::Stop)];
+        let seed = drawn.seed;
+        assert_eq!(world::play(drawn, false).verdict().violations, [], "seed {seed}");
+        stopped += 1;
+    }
+    assert!(stopped > 30, "{stopped}");
 }

@@ -60,7 +60,7 @@ pub fn trace(ran: &Ran) -> String {
     lines.extend(ran.history.iter().filter_map(|(at, happened)| Some((*at, line(happened)?))));
     lines.extend(ran.records.iter().map(|(at, record)| {
         let json = serde_json::to_string(record).unwrap_or_default();
-        (*at, format!("record   {}", json.chars().take(160).collect::<String>()))
+        (*at, format!("record   {}", json.chars().take(700).collect::<String>()))
     }));
     for (robot, log) in ran.logs.iter().enumerate() {
         lines.extend(log.iter().map(|entry| {
@@ -79,7 +79,7 @@ pub fn trace(ran: &Ran) -> String {
     if let Some(report) = &ran.report {
         let _infallible = writeln!(text, "{}", crate::report::report_text(report, crate::report::UNBOUNDED));
     }
-    for violation in ran.verdict().violations {
+    for violation in super::judge(ran).violations {
         let _infallible = writeln!(text, "VIOLATED {violation}");
     }
     text
@@ -89,7 +89,7 @@ fn line(happened: &Happened) -> Option<String> {
     Some(match happened {
         Happened::ToRobot(robot, message) => format!("  -> r{robot}  {}", told(message)),
         Happened::AtRobot(robot, message) => format!("  => r{robot}  {}", told(message)),
-        Happened::FromRobot(robot, message) => format!("  <= r{robot}  {}", told(message)),
+        Happened::FromRobot(robot, message) => format!("  <= r{robot}  {}", told(message.as_ref()?)),
         Happened::Lost(robot) => format!("lost     a message to or from r{robot}"),
         Happened::Slow(robot, lasts) => format!("slow     a message to or from r{robot} travels for {lasts}"),
         Happened::Fault(fault) => format!("FAULT    {fault:?}"),
@@ -97,7 +97,11 @@ fn line(happened: &Happened) -> Option<String> {
         Happened::LinkUp(robot) => format!("link up  r{robot}"),
         Happened::LinkDown(robot) => format!("link down r{robot}"),
         Happened::TakenUp(how) => format!("taken up {how}"),
-        Happened::Told(text) => format!("told     {}", text.chars().take(200).collect::<String>()),
+        Happened::Told(progress) => {
+            let json = serde_json::to_string(progress).unwrap_or_default();
+            format!("told     {}", json.chars().take(700).collect::<String>())
+        }
+        Happened::Stuck(due) => format!("STUCK    {due}"),
     })
 }
 

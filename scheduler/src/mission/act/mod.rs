@@ -345,11 +345,18 @@ impl Act {
     }
 
     /// The requests that a robot may have, in the groups in which it is asked for them, each with the pending lease that
-    /// the question carries: while the act approaches its start, one that ends before the script would begin.
-    pub(crate) fn names_of(&self, robot: usize, now: Timestamp<Server>) -> Vec<NamedScripts> {
+    /// the question carries: while the act approaches its start, one that ends before the script would begin. `ahead` is what
+    /// the robot's clock is ahead of the server's, if that is known: all leases end at one instant, whatever a clock shows.
+    pub(crate) fn names_of(
+        &self,
+        robot: usize,
+        now: Timestamp<Server>,
+        ahead: Option<Span>,
+    ) -> Vec<NamedScripts> {
         let (Some(place), Some(timing)) = (self.place_of(robot), &self.timing) else { return Vec::new() };
         let shortens = matches!(self.stage, Stage::Approaching(_));
         let member = &self.members[place];
+        let ahead = ahead.unwrap_or(member.shift());
         // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
         let mut groups: BTreeMap<(bool, Option<Span>), Vec<RequestId>> = BTreeMap::new();
         for (index, script) in member.under_way().filter(|(_, script)| script.is_unaccounted()) {
@@ -358,7 +365,7 @@ impl Act {
         }
         let named = |((_, offset), requests): ((bool, Option<Span>), _)| NamedScripts {
             lease: offset.map(|offset| timing.lease_at(now) + offset),
-            until: offset.map(|offset| (timing.brink() + offset + member.shift()).assume_clock()),
+            until: offset.map(|offset| (timing.brink() + offset + ahead).assume_clock()),
             requests,
         };
         groups.into_iter().map(named).collect()

@@ -3,7 +3,7 @@
 use urrcp::{ControlResponse, ErrorCode, RequestReport, Robot, Server, Span, Timestamp};
 
 use super::timing::CLOCK_UNKNOWN;
-use super::{Act, ActAction, Member, Stage};
+use super::{Act, ActAction, Member, Stage, Timing};
 use crate::mission::Progress;
 use crate::mission::claim::{Possible, Times, Told};
 use crate::mission::failure_kind::FailureKind;
@@ -16,6 +16,9 @@ const REPORT_GRACE: Span = Span::from_millis(500);
 pub(crate) const LAPSE: Span = Span::from_millis(15);
 /// Before a robot that does not report by itself is asked again what became of a script that should have ended.
 const ASK_AGAIN: Span = Span::from_millis(50);
+
+/// What coarse clocks may take from a time.
+const GRAIN: Span = Span::from_millis(5);
 
 /// An act that has started.
 #[derive(Clone, Debug)]
@@ -86,6 +89,13 @@ impl Act {
         }
         let member = &mut self.members[script.member];
         let news = member.change(script.script, |script| script.reported(report, asked_at, said_at));
+        let begins = self
+            .timing
+            .as_ref()
+            .map(|timing| timing.start + member.scripts()[script.script].plan.start.span());
+        // It may have come, and been played, before the robot forgot it.
+        let over = news == News::NeverReceived && begins.is_some_and(|begins| arrived >= begins);
+        let news = if over { member.change(script.script, Script::lose) } else { news };
         self.noted(script, news, robots)
     }
 
@@ -160,6 +170,18 @@ impl Act {
         Some(script.started_at()? - planned.assume_clock())
     }
 
+    /// Whether a script can have come to its end when its robot's clock shows this, as far as clocks go.
+    pub(crate) fn can_have_ended(&self, script: ScriptRef, shown: Timestamp<Robot>) -> bool {
+        let (member, planned) = (&self.members[script.member], self.script(script));
+        let end = self.timing.as_ref().map(|timing| planned_end(timing.start, planned) + member.shift);
+        end.is_some_and(|end| shown + GRAIN >= end.assume_clock())
+    }
+
+    /// Nobody knows any more what becomes of a script.
+    pub(crate) fn lose_sight_of(&mut self, script: ScriptRef) {
+        self.members[script.member].change(script.script, Script::lapse);
+    }
+
     /// Ends the act when all is done, and finds reports that are overdue.
     pub(super) fn watch(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let mut actions = self.read_what_is_due(now, robots);
@@ -187,12 +209,13 @@ impl Act {
     /// Scripts whose time has passed on robots that cannot say so. Returns those robots.
     fn lapse(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<usize> {
         let Some(timing) = &self.timing else { return Vec::new() };
-        let (start, grace) = (timing.start, timing.pace.late + LAPSE);
+        let start = timing.start;
         let mut lapsed = Vec::new();
         for member in self.members.iter_mut().filter(|member| member.takes_part()) {
             if !lapses(&robots[member.robot]) {
                 continue;
             }
+            let grace = late_of(timing, &robots[member.robot]) + LAPSE;
             let over = |(index, script): (usize, &Script)| {
                 (script.is_out() && now >= planned_end(start, script) + grace).then_some(index)
             };
@@ -263,7 +286,7 @@ impl Act {
     ) -> Option<Timestamp<Server>> {
         let timing = self.timing.as_ref()?;
         let start = timing.start + script.plan.start.span();
-        let end = planned_end(timing.start, script) + timing.pace.late;
+        let end = planned_end(timing.start, script) + late_of(timing, robot);
         match script.state() {
             // Sent when its device has room.
             ScriptState::Planned if member.under_way().any(|(_, script)| script.is_out()) => None,
@@ -284,8 +307,8 @@ impl Act {
                 let asked = self.report_due(member, script, robot, grace)?;
                 // A report that stays out is a failure after as long again.
                 Some([asked, asked + grace]).filter(|_| robot.tells_fates()).or_else(|| {
-                    let lapses = planned_end(self.timing.as_ref()?.start, script) + LAPSE;
-                    Some([lapses + self.timing.as_ref()?.pace.late; 2])
+                    let timing = self.timing.as_ref()?;
+                    Some([planned_end(timing.start, script) + LAPSE + late_of(timing, robot); 2])
                 })
             })
         });
@@ -387,6 +410,11 @@ impl Act {
             self.readings.push(super::TakenReading { robot, sensor, at: planned.at, value });
         }
     }
+}
+
+/// How much later than planned a robot may be by its own clock; where that is not known, as the latest of the fleet.
+fn late_of(timing: &Timing, robot: &RobotState) -> Span {
+    timing.skew.as_ref().and_then(|skew| skew.late_of(&robot.id)).unwrap_or(timing.pace.late)
 }
 
 /// What became of its scripts cannot be learned from it.

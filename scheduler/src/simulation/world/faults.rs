@@ -2,41 +2,32 @@
 
 use super::{Item, Machine, World};
 use crate::mission::{Event, Loss};
-use crate::simulation::{Fault, Happened};
+use crate::simulation::draw::stranger;
+use crate::simulation::{Direction, Fault, Happened};
 
 impl World {
     pub(super) fn go_wrong(&mut self, fault: Fault) {
-        self.note(Happened::Fault(fault));
+        if !matches!(fault, Fault::SchedulerCrashAmid { .. }) {
+            self.note(Happened::Fault(fault));
+        }
         let now = self.now;
         match fault {
             Fault::RobotCrash { robot, back_after, told } => {
-                let side = &mut self.robots[robot];
-                side.collect();
-                if side.machine.take().is_none() {
-                    return;
-                }
-                side.runs_on = if told { Machine::Up } else { Machine::Down };
-                let link = side.link.take();
-                if let Some(link) = link.filter(|_| told) {
-                    let reason = "the robot closed the connection".to_owned();
-                    self.send_event(robot, link, Event::LinkDown { robot, loss: Loss::Closed, reason });
-                }
-                if let Some(after) = back_after {
+                if self.robot_dies(robot, if told { Machine::Up } else { Machine::Down })
+                    && let Some(after) = back_after
+                {
                     self.put(now + after, Item::RobotBack(robot));
                 }
             }
             Fault::RobotPause { robot, lasts } => self.robots[robot].paused_until = now + lasts,
-            Fault::Partition { robot, lasts, breaks } => {
-                let side = &mut self.robots[robot];
-                side.partitioned_until = side.partitioned_until.max(now + lasts);
-                if let Some(link) = side.link.filter(|_| breaks) {
-                    let end = side.partitioned_until;
-                    self.put(end, Item::RobotLinkDown { robot, link });
-                    let (loss, reason) = (Loss::Unreachable, "connection timed out".to_owned());
-                    let event = Box::new(Event::LinkDown { robot, loss, reason });
-                    self.put(end, Item::ToScheduler { robot, link, event });
-                }
+            Fault::AnotherRobot { robot, lasts } => {
+                self.robot_dies(robot, Machine::Up);
+                let block = stranger(&self.drawn.robots[robot].block);
+                self.robot_begins(robot, block);
+                self.put(now + lasts, Item::RobotBack(robot));
             }
+            Fault::HardwareDies { robot, back_after, told } => self.hardware_dies(robot, back_after, told),
+            Fault::ForeignSession { robot, lasts } => self.foreign_session(robot, lasts),
             Fault::ClockStep { robot, by } => {
                 let side = &mut self.robots[robot];
                 side.clock_steps += by;
@@ -44,17 +35,57 @@ impl World {
                     machine.step_clock(by);
                 }
             }
-            Fault::SchedulerCrash { resumed_after } => {
-                if !self.scheduler.is_running() {
-                    return;
-                }
-                self.kill_scheduler();
-                if let Some(after) = resumed_after {
-                    self.put(now + after, Item::Resume);
-                }
+            Fault::ServerClockStep { by } => self.scheduler.clock_of_machine += by,
+            Fault::SchedulerCrash { resumed_after } => self.crash_scheduler(fault, resumed_after),
+            Fault::SchedulerCrashAmid { actions, resumed_after } => {
+                self.scheduler.light_fuse(actions, resumed_after);
             }
             Fault::SchedulerPause { lasts } => self.scheduler.paused_until = now + lasts,
+            Fault::DiskStalls { lasts } => self.scheduler.disk_stands_still_until = now + lasts,
             Fault::Stop => self.tell(Event::StopRequested),
+            Fault::StopByJournal => self.stop_by_journal(),
+            Fault::Partition { .. }
+            | Fault::OneWay { .. }
+            | Fault::DeadLink { .. }
+            | Fault::HalfOpen { .. }
+            | Fault::SlowLink { .. } => self.link_goes_wrong(fault),
+        }
+    }
+
+    fn link_goes_wrong(&mut self, fault: Fault) {
+        let now = self.now;
+        match fault {
+            Fault::Partition { robot, lasts, breaks } => {
+                let side = &mut self.robots[robot];
+                side.blocked_until.iter_mut().for_each(|until| *until = (*until).max(now + lasts));
+                let end = side.blocked_until[0].max(side.blocked_until[1]);
+                if let Some(link) = side.link.filter(|_| breaks) {
+                    self.put(end, Item::RobotLinkDown { robot, link });
+                    self.link_breaks(robot, link, end, (Loss::Unreachable, "connection timed out"));
+                }
+            }
+            Fault::OneWay { robot, way, lasts } => {
+                let way = usize::from(way == Direction::FromRobot);
+                let until = &mut self.robots[robot].blocked_until[way];
+                *until = (*until).max(now + lasts);
+            }
+            Fault::DeadLink { robot, lasts } => {
+                let side = &mut self.robots[robot];
+                side.dead_until = side.dead_until.max(now + lasts);
+                side.dead.extend(side.link);
+                self.put(now + lasts, Item::DeadLinksEnd(robot));
+            }
+            Fault::HalfOpen { robot } => {
+                let side = &mut self.robots[robot];
+                side.dead.extend(side.link);
+                if let Some(link) = side.link {
+                    self.robot_link_down(robot, link);
+                }
+            }
+            Fault::SlowLink { robot, bandwidth, lasts } => {
+                self.robots[robot].slow = Some((bandwidth, now + lasts));
+            }
+            _ => {}
         }
     }
 }

@@ -1,17 +1,20 @@
 //! The virtual world of one seed: what is due next, and which side does it. What becomes of messages is in `network`, what
-//! goes wrong in `faults`; `scheduler` is the process that runs the loop of every mission.
+//! goes wrong in `faults`; `scheduler` is the process that runs the loop of every mission, `robots` are the others, and
+//! `operator` is who sits before it.
 
 mod faults;
 mod network;
+mod operator;
+mod robots;
 mod scheduler;
 
 use std::collections::BTreeMap;
 
-use downbeat_robot::simulated::{Outgoing, SimulatedRobot, True};
-use downbeat_robot::{Input, LinkId, LogEntry};
+use downbeat_robot::LinkId;
 use fastrand::Rng;
 use urrcp::{Message, Server, SessionId, Span, Timestamp};
 
+use self::robots::RobotSide;
 use self::scheduler::{Process, Scheduler};
 use super::{Drawn, DrawnRobot, Fault, Happened, Ran};
 use crate::drive::{at_once, drive};
@@ -26,6 +29,9 @@ const ROUNDS_MAX: u32 = 20_000;
 const CONNECT_FAILS: Span = Span::from_millis(300);
 /// After the mission's end robots are watched for so long: whatever they still do is seen.
 const AFTERMATH: Span = Span::from_millis(8_000);
+
+/// How long the operator waits for links, greetings and stop confirmations.
+pub(super) const PATIENCE: Span = Span::from_millis(2_000);
 
 enum Item {
     ToRobot {
@@ -48,6 +54,16 @@ enum Item {
     },
     Fault(Fault),
     RobotBack(usize),
+    HardwareLost(usize),
+    HardwareBack(usize),
+    DeadLinksEnd(usize),
+    /// The connection of another session ends.
+    ForeignEnd {
+        robot: usize,
+        link: LinkId,
+    },
+    /// What this act waits for comes.
+    Comes(usize),
     Resume,
     Answer {
         robot: usize,
@@ -67,19 +83,6 @@ enum Machine {
     Up,
     /// It is gone itself.
     Down,
-}
-
-struct RobotSide {
-    machine: Option<SimulatedRobot>,
-    runs_on: Machine,
-    /// The connection with the scheduler, as this side sees it.
-    link: Option<LinkId>,
-    paused_until: Timestamp<Server>,
-    partitioned_until: Timestamp<Server>,
-    log: Vec<LogEntry>,
-    /// Last arrivals, so that a stream keeps its order: there and back.
-    last: [Timestamp<Server>; 2],
-    clock_steps: Span,
 }
 
 struct World {
@@ -104,8 +107,8 @@ fn session() -> Option<SessionId> {
     SessionId::new("soak").ok()
 }
 
-fn options() -> MissionOptions {
-    MissionOptions { patience: Span::from_millis(2_000), session: session(), ..MissionOptions::default() }
+fn options(drawn: &Drawn) -> MissionOptions {
+    MissionOptions { patience: PATIENCE, session: session(), join: drawn.join, ..MissionOptions::default() }
 }
 
 fn participants(drawn: &Drawn) -> Vec<Participant> {
@@ -118,7 +121,7 @@ fn participants(drawn: &Drawn) -> Vec<Participant> {
 
 /// Plays a world to its end.
 pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
-    let mission = Mission::new(drawn.choreography.clone(), participants(&drawn), options(), BEGIN).ok();
+    let mission = Mission::new(drawn.choreography.clone(), participants(&drawn), options(&drawn), BEGIN).ok();
     let mut world = World::new(drawn, verbose);
     let mut report = None;
     let mut next = mission;
@@ -128,8 +131,10 @@ pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
             let (wakeup, due) = (mission.next_wakeup(), mission.due());
             let robots: Vec<_> =
                 world.robots.iter().map(|robot| robot.machine.as_ref()?.next_wakeup()).collect();
-            world.note(Happened::Told(format!("stuck: robots {robots:?}, mission {wakeup:?}: {due}")));
-        } else if report.is_none() {
+            world.note(Happened::Stuck(format!("robots {robots:?}, mission {wakeup:?}: {due}")));
+        } else if !world.scheduler.is_running() {
+            // A process that dies with its last record tells nobody.
+            report = None;
             next = world.taken_up();
         }
     }
@@ -137,10 +142,17 @@ pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
     for robot in &mut world.robots {
         robot.collect();
     }
+    let starts_of_dead = world.robots.iter_mut().map(|robot| std::mem::take(&mut robot.starts_of_dead));
+    let starts_of_dead = starts_of_dead.collect();
+    let (logs, logs_of_strangers) =
+        world.robots.into_iter().map(|robot| (robot.log, robot.log_of_stranger)).unzip();
     Ran {
         report,
         records: world.records,
-        logs: world.robots.into_iter().map(|robot| robot.log).collect(),
+        logs,
+        logs_of_strangers,
+        starts_of_dead,
+        server_ahead: world.scheduler.ahead,
         history: world.history,
         hung: world.hung,
         drawn: world.drawn,
@@ -149,22 +161,12 @@ pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
 
 impl World {
     fn new(drawn: Drawn, verbose: bool) -> Self {
-        let robots = drawn.robots.iter().map(|robot| RobotSide {
-            machine: Some(SimulatedRobot::new(robot.block.clone(), robot.settings.clone())),
-            runs_on: Machine::Up,
-            link: None,
-            paused_until: BEGIN,
-            partitioned_until: BEGIN,
-            log: Vec::new(),
-            last: [BEGIN; 2],
-            clock_steps: Span::ZERO,
-        });
         let mut world = Self {
             rng: Rng::with_seed(drawn.seed ^ 0x5eed),
             now: BEGIN,
             items: BTreeMap::new(),
             sequence: 0,
-            robots: robots.collect(),
+            robots: drawn.robots.iter().map(RobotSide::new).collect(),
             scheduler: Scheduler::new(&drawn),
             rounds: 0,
             hung: false,
@@ -175,6 +177,12 @@ impl World {
         };
         for (at, fault) in world.drawn.faults.clone() {
             world.put(BEGIN + at, Item::Fault(fault));
+        }
+        for robot in 0..world.robots.len() {
+            let there_from = world.drawn.robots[robot].there_from;
+            if there_from > Span::ZERO {
+                world.put(BEGIN + there_from, Item::RobotBack(robot));
+            }
         }
         world
     }
@@ -225,62 +233,22 @@ impl World {
         }
     }
 
-    fn advance_robots(&mut self) {
-        for robot in 0..self.robots.len() {
-            let side = &mut self.robots[robot];
-            if self.now < side.paused_until {
-                continue;
-            }
-            let Some(machine) = &mut side.machine else { continue };
-            let mut out = Vec::new();
-            machine.advance(self.now.assume_clock::<True>(), &mut out);
-            side.collect();
-            for outgoing in out {
-                if let Outgoing::Message { link, message } = outgoing {
-                    let slow = self.drawn.robots[robot].slow;
-                    if let Some(message) = self.lie(robot, message) {
-                        self.put(self.now + slow, Item::Answer { robot, link, message: Box::new(message) });
-                    }
-                }
-            }
-        }
-    }
-
     fn happen(&mut self, item: Item) {
         match item {
             Item::ToRobot { robot, link, message } => self.arrive_at_robot(robot, link, *message),
             Item::Answer { robot, link, message } => self.answer(robot, link, &message),
             Item::ToScheduler { robot, link, event } => self.arrive_at_scheduler(robot, link, event),
-            Item::RobotLinkDown { robot, link } => {
-                let side = &mut self.robots[robot];
-                if side.link == Some(link) {
-                    side.link = None;
-                    let now = self.now.assume_clock();
-                    if let Some(machine) = &mut side.machine {
-                        machine.receive(now, link, Input::LinkDown);
-                    }
-                }
-            }
+            Item::RobotLinkDown { robot, link } => self.robot_link_down(robot, link),
             Item::Connect { robot, link } => self.connect(robot, link),
             Item::Fault(fault) => self.go_wrong(fault),
-            Item::RobotBack(robot) => {
-                let drawn = &self.drawn.robots[robot];
-                let mut machine = SimulatedRobot::new(drawn.block.clone(), drawn.settings.clone());
-                machine.step_clock(self.robots[robot].clock_steps);
-                self.robots[robot].machine = Some(machine);
-                self.robots[robot].runs_on = Machine::Up;
-                self.note(Happened::Back(robot));
-            }
+            Item::RobotBack(robot) => self.robot_back(robot),
+            Item::HardwareLost(robot) => self.hardware_lost(robot),
+            Item::HardwareBack(robot) => self.hardware_back(robot),
+            Item::DeadLinksEnd(robot) => self.dead_links_end(robot),
+            Item::ForeignEnd { robot, link } => self.foreign_end(robot, link),
+            Item::Comes(act) => self.comes(act),
             Item::Resume => self.resume(),
             Item::Synced { life } => self.synced(life),
-        }
-    }
-}
-
-impl RobotSide {
-    fn collect(&mut self) {
-        if let Some(machine) = &mut self.machine {
-            self.log.append(&mut machine.take_log());
         }
     }
 }

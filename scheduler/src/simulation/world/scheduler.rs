@@ -9,9 +9,9 @@ use urrcp::{Message, RobotId, Server, SessionId, Span, Timestamp};
 use super::{BEGIN, Item, LASTS_MAX, World, options, participants, session};
 use crate::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use crate::journal::simulated::SimulatedDisk;
-use crate::journal::{Asked, Fate, Journal, Kept, Opened, OpenedRobot};
-use crate::mission::{Event, Greeting, Mission, Progress, Record};
-use crate::simulation::{Drawn, Happened};
+use crate::journal::{Asked, Fate, Journal, Kept, Opened, OpenedRobot, WAITING_MAX, append_all};
+use crate::mission::{Event, Greeting, Mission, Progress, Promise, Record};
+use crate::simulation::{Drawn, Fault, Happened};
 
 /// Whether the process is there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -19,7 +19,23 @@ pub(super) enum Process {
     Running,
     Gone,
     /// Another one is about to take up what it left.
-    TakenUp,
+    TakenUp(Intention),
+}
+
+/// What somebody says who finds a mission cut off.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Intention {
+    /// `downbeat resume`.
+    Resume,
+    /// `downbeat stop`.
+    Stop,
+}
+
+/// When a process dies amid what it does.
+#[derive(Clone, Copy, Debug)]
+struct Fuse {
+    actions: u32,
+    resumed_after: Option<Span>,
 }
 
 pub(super) struct Scheduler {
@@ -36,6 +52,12 @@ pub(super) struct Scheduler {
     /// Records that wait for the disk.
     unwritten: VecDeque<(Timestamp<Server>, Record)>,
     disk: DiskState,
+    pub(super) disk_stands_still_until: Timestamp<Server>,
+    fuse: Option<Fuse>,
+    /// The clock of the machine minus the true time.
+    pub(super) clock_of_machine: Span,
+    /// The process's own clock minus the true time: it began with that of the machine.
+    pub(super) ahead: Span,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,6 +66,8 @@ enum DiskState {
     Syncing,
     /// The mission has been told.
     Lost,
+    /// Nothing is written before the mission is over: a stop waits for no disk.
+    Unused,
 }
 
 fn opened(robot: RobotId) -> OpenedRobot {
@@ -77,6 +101,17 @@ impl Scheduler {
             journal,
             unwritten: VecDeque::new(),
             disk: DiskState::Idle,
+            disk_stands_still_until: BEGIN,
+            fuse: None,
+            clock_of_machine: Span::ZERO,
+            ahead: Span::ZERO,
+        }
+    }
+
+    /// It dies after so many more actions.
+    pub(super) fn light_fuse(&mut self, actions: u32, resumed_after: Option<Span>) {
+        if self.is_running() {
+            self.fuse.get_or_insert(Fuse { actions, resumed_after });
         }
     }
 
@@ -120,6 +155,7 @@ impl World {
         let side = &mut self.scheduler;
         side.process = Process::Gone;
         side.life += 1;
+        side.fuse = None;
         side.arrived.clear();
         side.unwritten.clear();
         if let Some(journal) = side.journal.take() {
@@ -138,46 +174,90 @@ impl World {
         }
     }
 
+    /// The process dies, and somebody may find that and say `resume`.
+    pub(super) fn crash_scheduler(&mut self, fault: Fault, resumed_after: Option<Span>) {
+        if !self.scheduler.is_running() {
+            return;
+        }
+        self.kill_scheduler();
+        if let Fault::SchedulerCrashAmid { .. } = fault {
+            self.note(Happened::Fault(fault));
+        }
+        if let Some(after) = resumed_after {
+            self.put(self.now + after, Item::Resume);
+        }
+    }
+
+    /// Whether the process lives to do one thing more.
+    fn acts(&mut self) -> bool {
+        match &mut self.scheduler.fuse {
+            Some(Fuse { actions: 0, resumed_after }) => {
+                let resumed_after = *resumed_after;
+                self.crash_scheduler(Fault::SchedulerCrashAmid { actions: 0, resumed_after }, resumed_after);
+            }
+            Some(fuse) => fuse.actions -= 1,
+            None => {}
+        }
+        self.scheduler.is_running()
+    }
+
     /// Waits until another process takes the mission up, if one will, and returns what it makes of the journal.
     pub(super) fn taken_up(&mut self) -> Option<Mission> {
-        while self.items.values().any(|item| matches!(item, Item::Resume)) {
+        let takes_up = |item: &Item| matches!(item, Item::Resume | Item::Fault(Fault::StopByJournal));
+        while self.items.values().any(takes_up) {
             let next = self.next_instant().filter(|_| !self.hung)?;
             self.step(next);
-            if self.scheduler.process == Process::TakenUp {
+            if let Process::TakenUp(intention) = self.scheduler.process {
                 self.scheduler.process = Process::Running;
-                return Some(self.mission_by_journal());
+                return Some(self.mission_by_journal(intention));
             }
         }
         None
     }
 
     pub(super) fn resume(&mut self) {
-        let kept = self.scheduler.journal.as_ref().and_then(Journal::kept);
-        if !self.scheduler.is_running() && kept.is_some_and(|kept| kept.outcome.is_none()) {
-            self.scheduler.process = Process::TakenUp;
+        self.take_up(Intention::Resume);
+    }
+
+    /// Of a mission that runs, its scheduler is asked to stop; one that was cut off is withdrawn.
+    pub(super) fn stop_by_journal(&mut self) {
+        match self.scheduler.is_running() {
+            true => self.tell(Event::StopRequested),
+            false => self.take_up(Intention::Stop),
         }
     }
 
-    /// What `downbeat resume` does.
-    fn mission_by_journal(&mut self) -> Mission {
+    fn take_up(&mut self, intention: Intention) {
         let kept = self.scheduler.journal.as_ref().and_then(Journal::kept);
-        let participants = participants(&self.drawn);
+        if self.scheduler.process == Process::Gone && kept.is_some_and(|kept| kept.outcome.is_none()) {
+            self.scheduler.process = Process::TakenUp(intention);
+        }
+    }
+
+    /// What `downbeat resume` and `downbeat stop` do.
+    fn mission_by_journal(&mut self, intention: Intention) -> Mission {
+        let side = &mut self.scheduler;
+        side.ahead = side.clock_of_machine;
+        side.paused_until = self.now;
+        let now = self.now + side.ahead;
+        let kept = self.scheduler.journal.as_ref().and_then(Journal::kept);
+        let (participants, options) = (participants(&self.drawn), options(&self.drawn));
         let choreography = self.drawn.choreography.clone();
-        let resumed = kept.filter(|kept| kept.fate() == Fate::Resume).and_then(|kept| {
-            Mission::resume(choreography, participants.clone(), options(), kept, self.now).ok()
+        let goes_on = |kept: &&Kept| intention == Intention::Resume && kept.fate() == Fate::Resume;
+        let resumed = kept.filter(goes_on).and_then(|kept| {
+            Mission::resume(choreography, participants.clone(), options.clone(), kept, now).ok()
         });
         let left = kept.map(Kept::left).unwrap_or_default();
-        self.scheduler.disk = DiskState::Idle;
-        self.scheduler.paused_until = self.now;
-        self.note(Happened::TakenUp(if resumed.is_some() { "resumed" } else { "withdrawn" }));
-        resumed
-            .unwrap_or_else(|| Mission::withdraw("soak".to_owned(), participants, options(), &left, self.now))
+        let how = if resumed.is_some() { "resumed" } else { "withdrawn" };
+        self.scheduler.disk = if resumed.is_some() { DiskState::Idle } else { DiskState::Unused };
+        self.note(Happened::TakenUp(how));
+        resumed.unwrap_or_else(|| Mission::withdraw("soak".to_owned(), participants, options, &left, now))
     }
 
     /// Something for the scheduler, which takes it when it can.
     pub(super) fn tell(&mut self, event: Event) {
-        let event = Box::new(event);
-        self.scheduler.arrived.push_back(drive::Happened::Event { at: self.now, event });
+        let at = self.now + self.scheduler.ahead;
+        self.scheduler.arrived.push_back(drive::Happened::Event { at, event: Box::new(event) });
     }
 
     pub(super) fn tell_on_link(&mut self, robot: usize, link: LinkId, event: Event) {
@@ -186,7 +266,8 @@ impl World {
 
     pub(super) fn arrive_at_scheduler(&mut self, robot: usize, link: LinkId, event: Box<Event>) {
         if let Some(link) = self.scheduler.number_of(link).filter(|_| self.scheduler.is_running()) {
-            self.scheduler.arrived.push_back(drive::Happened::OnLink { at: self.now, robot, link, event });
+            let at = self.now + self.scheduler.ahead;
+            self.scheduler.arrived.push_back(drive::Happened::OnLink { at, robot, link, event });
         }
     }
 
@@ -197,10 +278,8 @@ impl World {
         if side.disk != DiskState::Idle || side.unwritten.is_empty() {
             return;
         }
-        for (at, record) in side.unwritten.drain(..) {
-            // A failure is found again by the sync.
-            let _broken = journal.append(at, &record);
-        }
+        // A failure is found again by the sync.
+        let _broken = append_all(journal, side.unwritten.drain(..));
         side.disk = DiskState::Syncing;
         let (at, life) = (self.now + self.drawn.disk.sync, side.life);
         self.put(at, Item::Synced { life });
@@ -210,6 +289,10 @@ impl World {
         let side = &mut self.scheduler;
         if life != side.life || !side.is_running() {
             return;
+        }
+        if self.now < side.disk_stands_still_until {
+            let later = side.disk_stands_still_until;
+            return self.put(later, Item::Synced { life });
         }
         let Some(journal) = &mut side.journal else { return };
         let (disk, event) = match journal.sync() {
@@ -229,8 +312,9 @@ impl World {
         match &**event {
             Event::LinkUp { robot } => self.note(Happened::LinkUp(*robot)),
             Event::LinkDown { robot, .. } => self.note(Happened::LinkDown(*robot)),
-            Event::Received { robot, message } if self.verbose => {
-                self.note(Happened::FromRobot(*robot, message.clone()));
+            Event::Received { robot, message } => {
+                let message = self.verbose.then(|| message.clone());
+                self.note(Happened::FromRobot(*robot, message));
             }
             _ => {}
         }
@@ -239,7 +323,7 @@ impl World {
 
 impl drive::World for World {
     fn now(&self) -> Timestamp<Server> {
-        self.now
+        self.now + self.scheduler.ahead
     }
 
     async fn next(&mut self, until: Option<Timestamp<Server>>) -> Option<drive::Happened> {
@@ -252,7 +336,8 @@ impl drive::World for World {
                 self.note_taken(&happened);
                 return Some(happened);
             }
-            let until = until.map(|until| until.max(self.scheduler.paused_until).max(self.now));
+            let ahead = self.scheduler.ahead;
+            let until = until.map(|until| (until - ahead).max(self.scheduler.paused_until).max(self.now));
             match (self.next_instant(), until) {
                 (Some(next), until) if until.is_none_or(|until| next <= until) => self.step(next),
                 (_, Some(until)) => {
@@ -267,6 +352,9 @@ impl drive::World for World {
     }
 
     fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
+        if !self.acts() {
+            return;
+        }
         let link = self.scheduler.id_of(link);
         self.scheduler.links[robot] = None;
         self.put(self.now + after, Item::Connect { robot, link });
@@ -279,7 +367,9 @@ impl drive::World for World {
         message: Message,
         _: Urgency,
     ) -> Result<(), QueueFull> {
-        self.send_to_robot(robot, self.scheduler.id_of(link), &message);
+        if self.acts() {
+            self.send_to_robot(robot, self.scheduler.id_of(link), &message);
+        }
         Ok(())
     }
 
@@ -290,17 +380,43 @@ impl drive::World for World {
     }
 
     fn write(&mut self, at: Timestamp<Server>, record: Record) -> Filed {
-        self.records.push((at, record.clone()));
-        self.scheduler.unwritten.push_back((at, record));
+        if !self.acts() {
+            return Filed::Waiting;
+        }
+        self.records.push((at - self.scheduler.ahead, by_true_time(record.clone(), self.scheduler.ahead)));
+        let side = &mut self.scheduler;
+        if side.disk == DiskState::Unused {
+            return Filed::AtOnce;
+        }
+        if side.unwritten.len() >= WAITING_MAX {
+            return Filed::Lost("the journal's disk is too slow".to_owned());
+        }
+        side.unwritten.push_back((at, record));
         self.begin_writing();
         Filed::Waiting
     }
 
     fn tell(&mut self, _: Timestamp<Server>, progress: Progress) {
-        if self.verbose {
-            let text = serde_json::to_string(&progress).unwrap_or_default();
-            self.note(Happened::Told(text));
+        if !self.scheduler.is_running() {
+            return;
         }
+        self.hears(&progress);
+        let often = matches!(progress, Progress::Heard { .. } | Progress::Reading { .. });
+        if self.verbose || !often {
+            self.note(Happened::Told(Box::new(progress)));
+        }
+    }
+}
+
+/// What a process promises by its own clock, as it is by the true time.
+fn by_true_time(record: Record, ahead: Span) -> Record {
+    match record {
+        Record::Prepared(promise) => Record::Prepared(Promise {
+            timestamp: promise.timestamp - ahead,
+            start: promise.start - ahead,
+            ..promise
+        }),
+        other => other,
     }
 }
 

@@ -1,0 +1,114 @@
+//! What a seed stands for: a fleet, a choreography, what happens around it, and what goes wrong when.
+
+mod choreography;
+mod faults;
+mod fleet;
+mod network;
+
+use downbeat_scripts::{Choreography, Wait};
+use fastrand::Rng;
+use urrcp::Span;
+
+use crate::mission::Join;
+
+pub(crate) use choreography::BRIGHT;
+pub use faults::Fault;
+pub(crate) use fleet::stranger;
+pub use fleet::{Connections, DrawnRobot, Hands, Lie, Names};
+pub use network::{Direction, DrawnDisk, Network};
+
+/// Everything that a seed stands for.
+#[derive(Clone, Debug)]
+pub struct Drawn {
+    /// Of which it was drawn.
+    pub seed: u64,
+    /// How messages travel.
+    pub network: Network,
+    /// Least and largest delay one way.
+    pub delay: (Span, Span),
+    /// The probability of a delay up to twenty times as long.
+    pub tail: f64,
+    /// Each robot's description, behaviour and clock.
+    pub robots: Vec<DrawnRobot>,
+    /// What is played.
+    pub choreography: Choreography,
+    /// For each act how long after it was said to wait for it the operator says go, or its sensor reads what it waits for;
+    /// `None`: never.
+    pub comes_after: Vec<Option<Span>>,
+    /// What becomes of a robot that is not there at first.
+    pub join: Join,
+    /// What goes wrong, in order.
+    pub faults: Vec<(Span, Fault)>,
+    /// Where the scheduler keeps its journal.
+    pub disk: DrawnDisk,
+}
+
+impl Drawn {
+    /// The same mission if nothing goes wrong at an instant of its own; its network and its liars stay.
+    #[must_use]
+    pub fn without_faults(mut self) -> Self {
+        self.faults.clear();
+        self.disk.capacity = None;
+        self
+    }
+}
+
+fn millis(rng: &mut Rng, least: i64, largest: i64) -> Span {
+    Span::from_micros(rng.i64(least * 1_000..=largest * 1_000))
+}
+
+fn one_in(rng: &mut Rng, count: u8) -> bool {
+    rng.u8(0..count) == 0
+}
+
+/// The world of a seed.
+#[must_use]
+pub fn draw(seed: u64) -> Drawn {
+    let mut rng = Rng::with_seed(seed);
+    let rng = &mut rng;
+    let network = network::draw_network(rng);
+    let (delay, tail) = network::draw_delay(rng);
+    let show = if one_in(rng, 100) { fleet::Show::Large } else { fleet::Show::Small };
+    let count = rng.usize(2..=5);
+    let mut robots: Vec<DrawnRobot> = (0..count).map(|index| fleet::draw_robot(rng, index, show)).collect();
+    if network != Network::Stream {
+        // Whose answers nothing tells apart is only ever reached on a stream.
+        robots.iter_mut().for_each(|robot| robot.names = Names::Echoed);
+    }
+    let join = if one_in(rng, 12) { Join::NextAct } else { Join::Refuse };
+    if join == Join::NextAct {
+        // Not all of them, or there is nobody to begin.
+        robots[count - 1].there_from = millis(rng, 500, 6_000);
+    }
+    let choreography = choreography::draw_choreography(rng, &robots, show);
+    let comes_after = draw_what_comes(rng, &choreography);
+    let disk = network::draw_disk(rng);
+    let drawn = Drawn {
+        seed,
+        network,
+        delay,
+        tail,
+        robots,
+        choreography,
+        comes_after,
+        join,
+        faults: Vec::new(),
+        disk,
+    };
+    let faults = faults::draw_faults(rng, &drawn);
+    Drawn { faults, ..drawn }
+}
+
+/// In time, too late, or never.
+fn draw_what_comes(rng: &mut Rng, choreography: &Choreography) -> Vec<Option<Span>> {
+    let comes = choreography.acts.iter().map(|act| {
+        let waits = matches!(act.wait, Wait::Operator | Wait::Sensor { .. });
+        let timeout = act.timeout.filter(|_| waits)?;
+        match rng.u8(0..10) {
+            0 => None,
+            1 => Some(timeout + millis(rng, -20, 500)),
+            _ => Some(Span::from_nanos(rng.i64(0..=timeout.as_nanos()))),
+        }
+    });
+    comes.collect()
+}

@@ -1,0 +1,31 @@
+//! Who sits before the mission, and what it waits for: the word "go", a reading, a stop from another terminal.
+
+use downbeat_scripts::Wait;
+
+use super::{Item, World};
+use crate::mission::{Event, Progress};
+use crate::simulation::draw::BRIGHT;
+
+impl World {
+    /// What an act waits for comes so long after that was told, if ever.
+    pub(super) fn hears(&mut self, progress: &Progress) {
+        let Progress::Waiting { act, .. } = progress else { return };
+        let acts = &self.drawn.choreography.acts;
+        let Some(index) = acts.iter().position(|written| written.name == *act) else { return };
+        if let Some(after) = self.drawn.comes_after[index] {
+            self.put(self.now + after, Item::Comes(index));
+        }
+    }
+
+    pub(super) fn comes(&mut self, act: usize) {
+        match &self.drawn.choreography.acts[act].wait {
+            Wait::Operator => self.tell(Event::Go { act: None }),
+            Wait::Sensor { robot, .. } => {
+                let robots = self.drawn.robots.iter();
+                let read = robots.map(|drawn| drawn.block.id.as_str()).position(|id| id == robot);
+                read.into_iter().for_each(|robot| self.reads(robot, BRIGHT + 1.0));
+            }
+            Wait::Done | Wait::TimeOfDay(_) | Wait::Instant(_) => {}
+        }
+    }
+}

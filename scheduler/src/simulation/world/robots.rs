@@ -1,0 +1,317 @@
+//! The robots' processes in a simulated world, what they say, and the hardware behind them.
+
+use std::collections::BTreeSet;
+
+use downbeat_robot::simulated::{Outgoing, SimulatedRobot, True};
+use downbeat_robot::{Input, LinkId, LogEntry};
+use urrcp::{
+    AvailabilityRequest, AvailabilityResponse, Command, ContentHash, ControlRequest, ControlResponse,
+    ControlType, InitializationBlock, Message, Millis, Script, Server, SessionId, Setpoint, Span, Status,
+    Step, Timestamp,
+};
+
+use super::{BEGIN, Item, Machine, World};
+use crate::mission::Loss;
+use crate::simulation::{Connections, DrawnRobot, Hands, Happened, Lie, Names};
+
+/// Hardware that only stops to answer is given up by its driver after so long.
+const HARDWARE_GIVEN_UP: Span = Span::from_millis(2_000);
+/// Before that nobody can know that hardware has died without a word.
+const DEATH_KNOWN: Span = Span::from_millis(200);
+/// Links of other sessions, far from the scheduler's.
+const FOREIGN: u64 = 1 << 63;
+/// Another session's script starts so long after it was sent.
+const FOREIGN_AHEAD: f64 = 80.0;
+
+/// Who answers at a robot's address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Who {
+    Itself,
+    Stranger,
+}
+
+pub(super) struct RobotSide {
+    pub(super) machine: Option<SimulatedRobot>,
+    pub(super) who: Who,
+    pub(super) runs_on: Machine,
+    /// The connection with the scheduler that the robot reads.
+    pub(super) link: Option<LinkId>,
+    /// A connection that it will read once that one has ended, and what has come on it.
+    pub(super) waiting: Option<(LinkId, Vec<Message>)>,
+    pub(super) paused_until: Timestamp<Server>,
+    /// Until when nothing passes there and back.
+    pub(super) blocked_until: [Timestamp<Server>; 2],
+    /// Until then connections stand and carry nothing.
+    pub(super) dead_until: Timestamp<Server>,
+    /// Connections that carry nothing any more.
+    pub(super) dead: BTreeSet<LinkId>,
+    /// It carries only so many bytes a second until then.
+    pub(super) slow: Option<(u32, Timestamp<Server>)>,
+    pub(super) log: Vec<LogEntry>,
+    /// What another robot at its address did.
+    pub(super) log_of_stranger: Vec<LogEntry>,
+    /// Last arrivals, so that a stream keeps its order: there and back.
+    pub(super) last: [Timestamp<Server>; 2],
+    /// Until when the link is busy with what was sent: there and back.
+    pub(super) busy: [Timestamp<Server>; 2],
+    pub(super) clock_steps: Span,
+    /// What its sensor reads from now on.
+    pub(super) reading: Option<f64>,
+    hardware_dead_since: Option<Timestamp<Server>>,
+    /// Scripts that it began although its hardware was dead, by their names.
+    pub(super) starts_of_dead: Vec<String>,
+}
+
+impl RobotSide {
+    pub(super) fn new(drawn: &DrawnRobot) -> Self {
+        let there = drawn.there_from == Span::ZERO;
+        Self {
+            machine: there.then(|| machine(drawn, drawn.block.clone(), BEGIN)),
+            who: Who::Itself,
+            runs_on: Machine::Up,
+            link: None,
+            waiting: None,
+            paused_until: BEGIN,
+            blocked_until: [BEGIN; 2],
+            dead_until: BEGIN,
+            dead: BTreeSet::new(),
+            slow: None,
+            log: Vec::new(),
+            log_of_stranger: Vec::new(),
+            last: [BEGIN; 2],
+            busy: [BEGIN; 2],
+            clock_steps: Span::ZERO,
+            reading: None,
+            hardware_dead_since: None,
+            starts_of_dead: Vec::new(),
+        }
+    }
+
+    pub(super) fn collect(&mut self) {
+        let Some(machine) = &mut self.machine else { return };
+        let foreign = |entry: &LogEntry| entry.request_id.as_deref() == Some("foreign");
+        let entries = machine.take_log().into_iter().filter(|entry| !foreign(entry));
+        match self.who {
+            Who::Itself => {
+                let before = self.log.len();
+                self.log.extend(entries);
+                self.note_starts_of_dead(before);
+            }
+            Who::Stranger => self.log_of_stranger.extend(entries),
+        }
+    }
+}
+
+impl RobotSide {
+    /// What its hardware cannot have begun, since it was dead.
+    fn note_starts_of_dead(&mut self, from: usize) {
+        let Some(since) = self.hardware_dead_since else { return };
+        let known = (since + DEATH_KNOWN).as_nanos();
+        let starts = |entry: &&LogEntry| entry.step == Some(0) && entry.motion == "set";
+        let dead = self.log[from..].iter().filter(starts).filter(|entry| entry.true_ns > known);
+        self.starts_of_dead.extend(dead.filter_map(|entry| entry.request_id.clone()));
+    }
+}
+
+fn machine(drawn: &DrawnRobot, block: InitializationBlock, now: Timestamp<Server>) -> SimulatedRobot {
+    match drawn.hands {
+        Hands::Own => SimulatedRobot::new(block, drawn.settings.clone()),
+        Hands::Hardware => SimulatedRobot::with_hardware(block, drawn.settings.clone(), now.assume_clock()),
+    }
+}
+
+impl World {
+    /// The process of whoever answers at a robot's address ends. `false`: there was none.
+    pub(super) fn robot_dies(&mut self, robot: usize, runs_on: Machine) -> bool {
+        let side = &mut self.robots[robot];
+        side.collect();
+        if side.machine.take().is_none() {
+            return false;
+        }
+        side.runs_on = runs_on;
+        let links = [side.link.take(), side.waiting.take().map(|(link, _)| link)];
+        if runs_on == Machine::Up {
+            for link in links.into_iter().flatten() {
+                self.link_breaks(robot, link, self.now, (Loss::Closed, "the robot closed the connection"));
+            }
+        }
+        true
+    }
+
+    /// A process begins at a robot's address.
+    pub(super) fn robot_begins(&mut self, robot: usize, block: InitializationBlock) {
+        let drawn = &self.drawn.robots[robot];
+        let who = if block.id == drawn.block.id { Who::Itself } else { Who::Stranger };
+        let mut machine = machine(drawn, block, self.now);
+        let side = &mut self.robots[robot];
+        // A new process looks for its hardware first; here it is there.
+        side.hardware_dead_since = None;
+        machine.step_clock(side.clock_steps);
+        if let (Some(reading), Ok(eye)) = (side.reading, "eye".parse()) {
+            machine.set_reading(eye, reading);
+        }
+        side.collect();
+        (side.machine, side.who, side.runs_on) = (Some(machine), who, Machine::Up);
+    }
+
+    pub(super) fn robot_back(&mut self, robot: usize) {
+        if self.robots[robot].who == Who::Stranger {
+            self.robot_dies(robot, Machine::Up);
+        }
+        if self.robots[robot].machine.is_none() {
+            let block = self.drawn.robots[robot].block.clone();
+            self.robot_begins(robot, block);
+            self.note(Happened::Back(robot));
+        }
+    }
+
+    pub(super) fn advance_robots(&mut self) {
+        for robot in 0..self.robots.len() {
+            let side = &mut self.robots[robot];
+            if self.now < side.paused_until {
+                continue;
+            }
+            let Some(machine) = &mut side.machine else { continue };
+            let mut out = Vec::new();
+            machine.advance(self.now.assume_clock::<True>(), &mut out);
+            side.collect();
+            for outgoing in out {
+                if let Outgoing::Message { link, message } = outgoing {
+                    let slow = self.drawn.robots[robot].slow;
+                    let message = self.as_said(robot, message);
+                    self.put(self.now + slow, Item::Answer { robot, link, message: Box::new(message) });
+                }
+            }
+        }
+    }
+
+    /// What a robot makes of its answer: it may lie, or leave out what it does not know.
+    fn as_said(&mut self, robot: usize, mut message: Message) -> Message {
+        let drawn = &self.drawn.robots[robot];
+        match &mut message {
+            Message::InitializationBlock(block) => block.inquiry = drawn.block.inquiry,
+            Message::ControlResponse(response) if drawn.names == Names::LeftOut => {
+                // It knows no extension at all.
+                let ControlResponse { request_id, content_hash, event_timestamp, .. } = response;
+                (*request_id, *content_hash, *event_timestamp) = (None, None, None);
+                (response.steps_done, response.late_steps) = (None, None);
+            }
+            _ => {}
+        }
+        match (drawn.lie, &mut message) {
+            (Some(Lie::WrongTime(by)), Message::AvailabilityResponse(response)) => {
+                let AvailabilityResponse { receive_timestamp, timestamp, .. } = response;
+                *receive_timestamp = *receive_timestamp + by;
+                *timestamp = *timestamp + by;
+            }
+            (Some(Lie::WrongHash), Message::ControlResponse(response)) if response.content_hash.is_some() => {
+                response.content_hash = Some(ContentHash::of(b"something else"));
+            }
+            (Some(Lie::TooManySteps), Message::ControlResponse(response)) => {
+                response.steps_done = response.steps_done.map(|_| u32::MAX);
+            }
+            (Some(Lie::TooManySteps), Message::InquiryResponse(response)) => {
+                for report in &mut response.requests {
+                    report.steps_done = report.steps_done.map(|_| u32::MAX);
+                }
+            }
+            (
+                Some(Lie::Forgets),
+                Message::ControlResponse(ControlResponse { status: Status::Accepted, .. }),
+            ) => {
+                let block = drawn.block.clone();
+                self.robot_begins(robot, block);
+            }
+            _ => {}
+        }
+        message
+    }
+
+    pub(super) fn hardware_dies(&mut self, robot: usize, back_after: Option<Span>, told: bool) {
+        let now = self.now;
+        let side = &mut self.robots[robot];
+        if self.drawn.robots[robot].hands == Hands::Own {
+            return;
+        }
+        side.hardware_dead_since.get_or_insert(now);
+        let Some(machine) = &mut side.machine else { return };
+        match told {
+            true => machine.hardware_lost(now.assume_clock(), "its connection has ended"),
+            false => {
+                machine.hardware_dies(now.assume_clock());
+                if back_after.is_none_or(|after| after > HARDWARE_GIVEN_UP) {
+                    self.put(now + HARDWARE_GIVEN_UP, Item::HardwareLost(robot));
+                }
+            }
+        }
+        if let Some(after) = back_after {
+            self.put(now + after, Item::HardwareBack(robot));
+        }
+    }
+
+    pub(super) fn hardware_lost(&mut self, robot: usize) {
+        let now = self.now.assume_clock();
+        if let Some(machine) = &mut self.robots[robot].machine {
+            machine.hardware_lost(now, "it does not answer");
+        }
+    }
+
+    pub(super) fn hardware_back(&mut self, robot: usize) {
+        let now = self.now.assume_clock();
+        self.robots[robot].hardware_dead_since = None;
+        if let Some(machine) = &mut self.robots[robot].machine {
+            machine.hardware_found(now);
+        }
+    }
+
+    /// Another session claims a robot and sends it a script, as far as the robot lets it.
+    pub(super) fn foreign_session(&mut self, robot: usize, lasts: Span) {
+        let now = self.now;
+        let link = LinkId(FOREIGN + robot as u64);
+        let side = &mut self.robots[robot];
+        let taken = side.link.is_some() && self.drawn.robots[robot].connections == Connections::One;
+        let Some(machine) = side.machine.as_mut().filter(|_| !taken) else { return };
+        let session = SessionId::new("another").ok();
+        let ask = AvailabilityRequest { timestamp: Some(now), session: session.clone() };
+        machine.receive(now.assume_clock(), link, Input::Message(Message::AvailabilityRequest(ask)));
+        if let Some(request) = foreign_script(&self.drawn.robots[robot].block, now, session) {
+            machine.receive(now.assume_clock(), link, Input::Message(Message::ControlRequest(request)));
+        }
+        self.put(now + lasts, Item::ForeignEnd { robot, link });
+    }
+
+    pub(super) fn foreign_end(&mut self, robot: usize, link: LinkId) {
+        let now = self.now.assume_clock();
+        if let Some(machine) = &mut self.robots[robot].machine {
+            machine.receive(now, link, Input::LinkDown);
+        }
+    }
+
+    /// What an act waits for has come: the sensor reads it.
+    pub(super) fn reads(&mut self, robot: usize, reading: f64) {
+        let side = &mut self.robots[robot];
+        side.reading = Some(reading);
+        if let (Some(machine), Ok(eye)) = (&mut side.machine, "eye".parse()) {
+            machine.set_reading(eye, reading);
+        }
+    }
+}
+
+fn foreign_script(
+    block: &InitializationBlock,
+    now: Timestamp<Server>,
+    session: Option<SessionId>,
+) -> Option<ControlRequest> {
+    let step = Step {
+        offset: Millis::ZERO,
+        setpoint: Setpoint::new(ControlType::Position, 1.0),
+        stop_condition: None,
+    };
+    let command = Command::Script(Script::new(vec![step]).ok()?);
+    let mut request = ControlRequest::immediate(block.devices.first()?.id.clone(), command);
+    request.timestamp = Some(now);
+    request.time_offset_to_start = Millis::new(FOREIGN_AHEAD).ok();
+    request.request_id = "foreign".parse().ok();
+    request.session = session;
+    Some(request)
+}
