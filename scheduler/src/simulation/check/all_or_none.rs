@@ -127,7 +127,8 @@ fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<C
     let window = (act.doubtful_from(), latest_start(facts, act, robot)?);
     // The lease of a script that comes later has to be kept until then.
     let with_the_others = act.first_start(robot) == Some(act.promise.start);
-    let heard_in_time = with_the_others && heard_the_commitment(facts, act, robot);
+    let heard_in_time =
+        with_the_others && heard_the_commitment(facts, act, robot) && heard_lately(facts, act, robot);
     own_fault(facts, robot, window, |hit| !(hit.cause.is_of_link() && heard_in_time))
 }
 
@@ -159,6 +160,13 @@ fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> b
         }
     }
     false
+}
+
+/// The lease under which it would play had not run out at its start either.
+fn heard_lately(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
+    let running = act.of(robot).filter_map(|script| script.promised.running).map(urrcp::Millis::span).min();
+    let last = facts.heard(robot).take_while(|at| *at <= act.promise.start).last();
+    running.zip(last).is_none_or(|(lease, last)| last + lease > act.promise.start + START_LATE_MAX)
 }
 
 /// The scheduler ended or stood still after the commitment was written down and before every robot had started.

@@ -138,7 +138,9 @@ impl Said<'_> {
             wrongly(format!("{} steps are said to be planned of {written}", said.steps_planned));
         }
         let over = matches!(said.state, "ended" | "failed");
-        let known = over && !self.is_discredited(robot) && self.facts.counts_steps(robot);
+        // By a clock that was set between two processes what a robot says of its script may seem impossible.
+        let by_its_clock = act.ahead == self.facts.ran.server_ahead;
+        let known = over && by_its_clock && !self.is_discredited(robot) && self.facts.counts_steps(robot);
         if done > set || (known && done != set) {
             wrongly(format!("{done} steps are said to be done, {set} were set"));
         }
