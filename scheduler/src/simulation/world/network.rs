@@ -46,7 +46,9 @@ impl World {
             }
         };
         let travelled = arrival - self.now;
-        if travelled > largest + usual {
+        // Waiting behind other messages for a link as it usually is, is nothing that goes wrong.
+        let queued = if takes == usual && side.slow.is_none() { side.busy[way] - self.now } else { usual };
+        if travelled > largest + queued.max(Span::ZERO) {
             self.note(Happened::Slow(robot, travelled));
         }
         Some(arrival)
