@@ -1,17 +1,23 @@
-//! Any number of seeds of faults on all cores: what is violated, how often starts are mixed within the stated window, and
-//! how a broadcast or a sequential "go" fares under the same faults.
+//! Any number of seeds of faults on all cores: what is violated, how often starts are mixed and why, and how a broadcast or a
+//! sequential "go" fares with the same acts under the same faults.
 //!
-//! `cargo run --release --bin soak -- --seeds 1000000`; `--trace SEED` prints the story of one.
+//! `cargo run --release --bin soak -- --seeds 1000000`; `--seed N` tells the shortest story of what is wrong with one, `--trace N`
+//! all of it.
 #![expect(clippy::print_stdout, reason = "a program that reports to a terminal")]
 
+use std::collections::BTreeMap;
 use std::process::ExitCode;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::time::Duration;
 
 use clap::Parser;
 use downbeat::simulation::baseline::{self, Go};
-use downbeat::simulation::{self, Starts, Violation};
-use urrcp::Span;
+use downbeat::simulation::{self, Cause, Excuse, Starts, Verdict, Violation};
+use indicatif::{ProgressBar, ProgressStyle};
+
+/// Stories of violations that are told without being asked for.
+const STORIES_MAX: usize = 1;
 
 /// Plays seeds of faults and holds the invariants against what the robots really did.
 #[derive(Parser)]
@@ -22,9 +28,15 @@ struct Args {
     /// The first one.
     #[arg(long, default_value_t = 0)]
     from: u64,
-    /// Print the story of this seed instead.
+    /// Play this seed alone, and print the shortest story that shows what it violates, or that it violates nothing.
+    #[arg(long, value_name = "SEED")]
+    seed: Option<u64>,
+    /// Print the whole story of this seed instead.
     #[arg(long, value_name = "SEED")]
     trace: Option<u64>,
+    /// How many violations are listed.
+    #[arg(long, default_value_t = 20)]
+    list: usize,
     /// Threads; otherwise one a core.
     #[arg(long)]
     threads: Option<usize>,
@@ -56,21 +68,81 @@ impl Counts {
     }
 
     fn row(&self, name: &str) {
-        let part = |count: u64| 100.0 * count as f64 / self.acts.max(1) as f64;
         println!(
             "{name:<22} {:>10} {:>9.3} % {:>9.3} % {:>9.3} %",
             self.acts,
-            part(self.all),
-            part(self.none),
-            part(self.mixed)
+            percent(self.all, self.acts),
+            percent(self.none, self.acts),
+            percent(self.mixed, self.acts)
         );
     }
+}
+
+fn percent(count: u64, of: u64) -> f64 {
+    100.0 * count as f64 / of.max(1) as f64
 }
 
 #[derive(Default)]
 struct Found {
     counts: [Counts; 3],
+    excuses: BTreeMap<(char, Cause), u64>,
     violations: Vec<(u64, Violation)>,
+}
+
+impl Found {
+    fn add(&mut self, other: Self) {
+        for (sum, counts) in self.counts.iter_mut().zip(&other.counts) {
+            sum.add(counts);
+        }
+        for (excuse, count) in other.excuses {
+            *self.excuses.entry(excuse).or_default() += count;
+        }
+        self.violations.extend(other.violations);
+    }
+
+    fn look_at(&mut self, seed: u64) {
+        let ran = simulation::run(seed);
+        let verdict = simulation::judge(&ran);
+        for act in &verdict.acts {
+            self.counts[0].take(act.starts);
+            self.counts[1].take(baseline::starts(&ran.drawn, Go::Broadcast, act));
+            self.counts[2].take(baseline::starts(&ran.drawn, Go::Sequential, act));
+        }
+        for Excuse { invariant, cause } in verdict.excuses {
+            *self.excuses.entry((invariant, cause)).or_default() += 1;
+        }
+        self.violations.extend(verdict.violations.into_iter().map(|violation| (seed, violation)));
+    }
+
+    fn print(&self, seeds: u64, list: usize) {
+        println!("{seeds} seeds");
+        println!("{:<22} {:>10} {:>11} {:>11} {:>11}", "", "starts", "all", "none", "mixed");
+        for (name, counts) in ["downbeat", "broadcast go", "sequential go"].iter().zip(&self.counts) {
+            counts.row(name);
+        }
+        let causes = "why starts were mixed, each by a fault within its window";
+        self.print_excuses('a', causes, self.counts[0].acts);
+        self.print_excuses('f', "why robots started beyond the skew budget", self.counts[0].acts);
+        println!();
+        for (invariant, name) in Verdict::INVARIANTS {
+            let of = self.violations.iter().filter(|(_, violation)| violation.invariant == invariant);
+            println!("({invariant}) {name:<36} violated {} times", of.count());
+        }
+        for (seed, violation) in self.violations.iter().take(list) {
+            println!("seed {seed}: {violation}");
+        }
+    }
+
+    /// What was excused of an invariant: a line a cause, and their sum.
+    fn print_excuses(&self, invariant: char, title: &str, acts: u64) {
+        println!("\n{title:<58} {:>8} {:>11}", "", "of acts");
+        let count = |cause: &Cause| self.excuses.get(&(invariant, *cause)).copied().unwrap_or_default();
+        for cause in Cause::ALL.iter().filter(|cause| count(cause) > 0) {
+            println!("  {:<56} {:>8} {:>9.3} %", cause.to_string(), count(cause), percent(count(cause), acts));
+        }
+        let sum: u64 = Cause::ALL.iter().map(count).sum();
+        println!("  {:<56} {sum:>8} {:>9.3} %", "in all", percent(sum, acts));
+    }
 }
 
 fn main() -> ExitCode {
@@ -79,11 +151,27 @@ fn main() -> ExitCode {
         print!("{}", simulation::trace(&simulation::run_verbosely(seed)));
         return ExitCode::SUCCESS;
     }
+    if let Some(seed) = args.seed {
+        return tell(seed);
+    }
+    let mut found = play_all(&args);
+    found.violations.sort_by_key(|(seed, _)| *seed);
+    found.print(args.seeds, args.list);
+    let mut seeds: Vec<u64> = found.violations.iter().map(|(seed, _)| *seed).collect();
+    seeds.dedup();
+    seeds.into_iter().take(STORIES_MAX).for_each(|seed| {
+        let _failure = tell(seed);
+    });
+    if found.violations.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+}
+
+fn play_all(args: &Args) -> Found {
     let threads =
         args.threads.or_else(|| std::thread::available_parallelism().ok().map(Into::into)).unwrap_or(1);
     let next = AtomicU64::new(args.from);
     let end = args.from + args.seeds;
     let all = Mutex::new(Found::default());
+    let progress = progress(args.seeds);
     std::thread::scope(|scope| {
         for _ in 0..threads {
             scope.spawn(|| {
@@ -93,45 +181,38 @@ fn main() -> ExitCode {
                     if seed >= end {
                         break;
                     }
-                    look_at(seed, &mut mine);
+                    mine.look_at(seed);
+                    progress.inc(1);
                 }
                 if let Ok(mut all) = all.lock() {
-                    for (sum, counts) in all.counts.iter_mut().zip(&mine.counts) {
-                        sum.add(counts);
-                    }
-                    all.violations.append(&mut mine.violations);
+                    all.add(mine);
                 }
             });
         }
     });
-    let mut found = all.into_inner().unwrap_or_default();
-    found.violations.sort_by_key(|(seed, _)| *seed);
-    println!("{} seeds", args.seeds);
-    println!("{:<22} {:>10} {:>11} {:>11} {:>11}", "", "starts", "all", "none", "mixed");
-    for (name, counts) in ["downbeat", "broadcast go", "sequential go"].iter().zip(&found.counts) {
-        counts.row(name);
-    }
-    for invariant in 'a'..='e' {
-        let of = found.violations.iter().filter(|(_, violation)| violation.invariant == invariant);
-        println!("({invariant}) violated {} times", of.count());
-    }
-    for (seed, violation) in found.violations.iter().take(20) {
-        println!("seed {seed}: {violation}");
-    }
-    if found.violations.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE }
+    progress.finish_and_clear();
+    all.into_inner().unwrap_or_default()
 }
 
-fn look_at(seed: u64, found: &mut Found) {
-    let ran = simulation::run(seed);
-    let verdict = ran.verdict();
-    verdict.starts.iter().for_each(|starts| found.counts[0].take(*starts));
-    found.violations.extend(verdict.violations.into_iter().map(|violation| (seed, violation)));
-    // The word is given when the first act would have started, or where that never came, after a second and a half.
-    let start = ran.records.iter().find_map(|(_, record)| match record {
-        downbeat::mission::Record::Prepared(promise) => Some(promise.start - downbeat::dry_run::BEGIN),
-        _ => None,
-    });
-    let at = start.unwrap_or(Span::from_millis(1_500));
-    found.counts[1].take(baseline::starts(&ran.drawn, Go::Broadcast, at));
-    found.counts[2].take(baseline::starts(&ran.drawn, Go::Sequential, at));
+/// Shown on a terminal only.
+fn progress(seeds: u64) -> ProgressBar {
+    let progress = ProgressBar::new(seeds);
+    let style = ProgressStyle::with_template("{bar:40} {human_pos} of {human_len} seeds, {per_sec}, {eta} left");
+    if let Ok(style) = style {
+        progress.set_style(style);
+    }
+    progress.enable_steady_tick(Duration::from_millis(200));
+    progress
+}
+
+/// The shortest story that shows what a seed violates, and how to hear it again.
+fn tell(seed: u64) -> ExitCode {
+    let Some(shrunk) = simulation::shrunk(seed) else {
+        println!("\nseed {seed} violates nothing; `soak --trace {seed}` tells its story");
+        return ExitCode::SUCCESS;
+    };
+    println!("\nThe shortest story of seed {seed} that violates ({}):\n", shrunk.invariant);
+    print!("{}", simulation::trace(&simulation::play_verbosely(shrunk.drawn)));
+    println!("\nTo hear it again: `soak --seed {seed}`; all of it: `soak --trace {seed}`");
+    ExitCode::FAILURE
 }

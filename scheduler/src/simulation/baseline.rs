@@ -1,10 +1,11 @@
-//! What people do without a decision: the same fleets, networks and faults, with a word "go" that starts on receipt.
+//! What people do without a decision: the same acts and robots, networks and faults, with a word "go" that starts on receipt.
 
 use fastrand::Rng;
 use urrcp::Span;
 
-use super::check::Starts;
-use super::draw::{Drawn, Fault, Network};
+use super::check::{ActStarts, Starts};
+use super::draw::{Direction, Drawn, Fault, Network};
+use crate::dry_run::BEGIN;
 
 /// How the word is passed on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -20,19 +21,19 @@ const EACH: Span = Span::from_micros(50);
 /// How long an answer is awaited.
 const ANSWER: Span = Span::from_millis(500);
 
-/// Whether all, none or some robots start when the word is given at `at`, counted from the begin, and every script has
-/// arrived long before. Robots that lie count as those that do not.
+/// Whether all, none or some of the robots start that Downbeat's own act counts, when the word is given at its planned start
+/// and every script has arrived before the mission began. A robot that Downbeat had left out by then is left out here as well,
+/// and one that lies counts in neither.
 #[must_use]
-pub fn starts(drawn: &Drawn, go: Go, at: Span) -> Starts {
-    let mut rng = Rng::with_seed(drawn.seed ^ 0xba5e);
-    let mut now = at;
-    let mut started = 0;
-    let mut asked = 0;
-    for robot in 0..drawn.robots.len() {
+pub fn starts(drawn: &Drawn, go: Go, act: &ActStarts) -> Starts {
+    let mut rng = Rng::with_seed(drawn.seed ^ 0xba5e ^ u64::from(act.number));
+    let mut now = act.start - BEGIN;
+    let (mut started, mut reached) = (0, 0);
+    for robot in act.robots.iter().copied() {
         if scheduler_is_gone(drawn, now) {
             break;
         }
-        asked += 1;
+        reached += 1;
         let heard = heard_at(drawn, &mut rng, robot, now);
         started += usize::from(heard.is_some());
         match go {
@@ -48,41 +49,74 @@ pub fn starts(drawn: &Drawn, go: Go, at: Span) -> Starts {
     }
     match started {
         0 => Starts::None,
-        all if all == drawn.robots.len() && asked == all => Starts::All,
+        all if all == act.robots.len() && reached == all => Starts::All,
         _ => Starts::Mixed,
     }
 }
 
+/// Its process ended, and nobody has taken the mission up by then.
 fn scheduler_is_gone(drawn: &Drawn, now: Span) -> bool {
-    drawn.faults.iter().any(|(at, fault)| matches!(fault, Fault::SchedulerCrash { .. }) && *at <= now)
+    drawn.faults.iter().any(|(at, fault)| match fault {
+        Fault::SchedulerCrash { resumed_after } | Fault::SchedulerCrashAmid { resumed_after, .. } => {
+            *at <= now && resumed_after.is_none_or(|after| *at + after > now)
+        }
+        _ => false,
+    })
 }
 
 /// When a message that is sent now arrives; `None` where it is lost or nobody is there.
 fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Span> {
     let (least, largest) = drawn.delay;
     let mut arrival = now + Span::from_nanos(rng.i64(least.as_nanos()..=largest.as_nanos()));
+    let lost = match drawn.network {
+        Network::Stream => false,
+        Network::Datagram { loss, .. } => rng.f64() < loss,
+    };
     for (at, fault) in &drawn.faults {
-        match fault {
-            Fault::Partition { robot: r, lasts, breaks }
-                if *r == robot && *at <= now && now < *at + *lasts =>
-            {
-                match drawn.network {
-                    Network::Stream if !breaks => arrival = arrival.max(*at + *lasts),
-                    _ => return None,
-                }
-            }
+        if *at > arrival {
+            break;
+        }
+        match meets(fault, robot) {
+            // What waits comes out at the end, on a connection that holds.
+            Some(Meets::Wait(lasts)) if *at <= now && now < *at + lasts => match drawn.network {
+                Network::Stream => arrival = arrival.max(*at + lasts),
+                Network::Datagram { .. } => return None,
+            },
+            Some(Meets::Nothing(lasts)) if *at <= now && lasts.is_none_or(|lasts| now < *at + lasts) => return None,
+            // What it had been sent before is gone, too, when it comes back.
+            Some(Meets::Gone) => return None,
             _ => {}
         }
     }
-    if let Network::Datagram { loss, .. } = drawn.network
-        && rng.f64() < loss
-    {
-        return None;
+    (!lost).then_some(arrival)
+}
+
+/// What a message to a robot meets.
+enum Meets {
+    /// It has to wait for so long.
+    Wait(Span),
+    /// It is lost, for so long or for ever.
+    Nothing(Option<Span>),
+    /// The robot is gone with all that it held.
+    Gone,
+}
+
+/// What a fault does to messages to a robot.
+fn meets(fault: &Fault, to: usize) -> Option<Meets> {
+    match *fault {
+        Fault::Partition { robot, lasts, breaks: false }
+        | Fault::OneWay { robot, way: Direction::ToRobot, lasts }
+            if robot == to =>
+        {
+            Some(Meets::Wait(lasts))
+        }
+        Fault::Partition { robot, lasts, breaks: true } | Fault::DeadLink { robot, lasts } if robot == to => {
+            Some(Meets::Nothing(Some(lasts)))
+        }
+        // Nobody makes the connection again.
+        Fault::HalfOpen { robot } if robot == to => Some(Meets::Nothing(None)),
+        Fault::HardwareDies { robot, back_after, .. } if robot == to => Some(Meets::Nothing(back_after)),
+        Fault::RobotCrash { robot, .. } | Fault::AnotherRobot { robot, .. } if robot == to => Some(Meets::Gone),
+        _ => None,
     }
-    let gone = drawn.faults.iter().any(|(at, fault)| match fault {
-        // What a crashed robot had been sent before it is gone, too, when it comes back.
-        Fault::RobotCrash { robot: r, .. } => *r == robot && *at <= arrival,
-        _ => false,
-    });
-    (!gone).then_some(arrival)
 }

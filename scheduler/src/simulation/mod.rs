@@ -5,6 +5,7 @@
 pub mod baseline;
 mod check;
 mod draw;
+mod shrink;
 mod trace;
 mod world;
 
@@ -13,10 +14,11 @@ use urrcp::{Message, Server, Span, Timestamp};
 
 use crate::mission::{Progress, Record};
 use crate::report::Report;
-pub use check::{Starts, Verdict, Violation};
+pub use check::{ActStarts, Cause, Excuse, Starts, Verdict, Violation};
 pub use draw::{
     Connections, Direction, Drawn, DrawnDisk, DrawnRobot, Fault, Hands, Lie, Names, Network, draw,
 };
+pub use shrink::{Shrunk, shrunk};
 pub use trace::trace;
 
 /// What happened to a seed.
@@ -79,7 +81,32 @@ pub fn run(seed: u64) -> Ran {
     world::play(draw(seed), false)
 }
 
+/// Plays what was drawn.
+#[must_use]
+pub fn play(drawn: Drawn) -> Ran {
+    world::play(drawn, false)
+}
+
 /// The same, keeping every message.
+#[must_use]
+pub fn play_verbosely(drawn: Drawn) -> Ran {
+    world::play(drawn, true)
+}
+
+/// Everything that is held against a mission, the comparison with the same mission without its faults included, which plays
+/// that one as well.
+#[must_use]
+pub fn judge(ran: &Ran) -> Verdict {
+    let mut verdict = ran.verdict();
+    let sent = ran.records.iter().any(|(_, record)| matches!(record, Record::Prepared(_)));
+    if sent && !ran.drawn.faults.is_empty() && !ran.hung {
+        let undisturbed = play(ran.drawn.clone().without_faults());
+        verdict.violations.extend(ran.compared_with(&undisturbed).violations);
+    }
+    verdict
+}
+
+/// The same as [`run`], keeping every message.
 #[must_use]
 pub fn run_verbosely(seed: u64) -> Ran {
     world::play(draw(seed), true)

@@ -8,8 +8,8 @@ fn thousands_of_seeds_of_faults_violate_nothing() {
     let mut violated = Vec::new();
     let mut mixed = 0;
     for seed in 0..seeds {
-        let verdict = run(seed).verdict();
-        mixed += verdict.starts.iter().filter(|starts| **starts == Starts::Mixed).count();
+        let verdict = judge(&run(seed));
+        mixed += verdict.acts.iter().filter(|act| act.starts == Starts::Mixed).count();
         violated.extend(verdict.violations.into_iter().map(|violation| (seed, violation)));
     }
     let first: Vec<_> =

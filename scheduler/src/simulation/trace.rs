@@ -79,7 +79,7 @@ pub fn trace(ran: &Ran) -> String {
     if let Some(report) = &ran.report {
         let _infallible = writeln!(text, "{}", crate::report::report_text(report, crate::report::UNBOUNDED));
     }
-    for violation in ran.verdict().violations {
+    for violation in super::judge(ran).violations {
         let _infallible = writeln!(text, "VIOLATED {violation}");
     }
     text

@@ -43,6 +43,16 @@ pub struct Drawn {
     pub disk: DrawnDisk,
 }
 
+impl Drawn {
+    /// The same mission if nothing goes wrong at an instant of its own; its network and its liars stay.
+    #[must_use]
+    pub fn without_faults(mut self) -> Self {
+        self.faults.clear();
+        self.disk.capacity = None;
+        self
+    }
+}
+
 fn millis(rng: &mut Rng, least: i64, largest: i64) -> Span {
     Span::from_micros(rng.i64(least * 1_000..=largest * 1_000))
 }

@@ -30,6 +30,9 @@ const CONNECT_FAILS: Span = Span::from_millis(300);
 /// After the mission's end robots are watched for so long: whatever they still do is seen.
 const AFTERMATH: Span = Span::from_millis(8_000);
 
+/// How long the operator waits for links, greetings and stop confirmations.
+pub(super) const PATIENCE: Span = Span::from_millis(2_000);
+
 enum Item {
     ToRobot {
         robot: usize,
@@ -106,7 +109,7 @@ fn session() -> Option<SessionId> {
 
 fn options(drawn: &Drawn) -> MissionOptions {
     MissionOptions {
-        patience: Span::from_millis(2_000),
+        patience: PATIENCE,
         session: session(),
         join: drawn.join,
         ..MissionOptions::default()

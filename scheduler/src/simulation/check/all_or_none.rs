@@ -1,0 +1,187 @@
+//! (a) An act starts on all of its robots or on none.
+//!
+//! A robot is excused only by a fault of its own link, process or clock that begins within the window that was stated at the
+//! decision of this very act. The robots that are left have to agree. If they do not, only two things excuse the whole act: the
+//! scheduler's own end or standstill between the commitment and the last start, and a stop after the point of no return.
+
+use std::collections::HashMap;
+
+use urrcp::{Message, RequestId, Server, Span, Timestamp};
+
+use super::cause::{Cause, Hit};
+use super::facts::{Facts, SentAct};
+use super::{ActStarts, DRIFT, Starts, Verdict};
+use crate::dry_run::BEGIN;
+use crate::mission::ClockMode;
+use crate::simulation::{DrawnRobot, Happened};
+
+/// A robot lets a start be that comes later than this, and starts until then.
+const START_LATE_MAX: Span = Span::from_millis(50);
+
+/// When an act that was never sent counts as started where nobody decides.
+const NEVER_SENT: Span = Span::from_millis(1_500);
+
+/// What a robot did about its start.
+struct Started {
+    robot: usize,
+    began: bool,
+    /// A fault of its own that made it do so.
+    excuse: Option<Cause>,
+}
+
+pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
+    if facts.acts.is_empty() {
+        verdict.acts.extend(never_sent(facts));
+    }
+    for act in &facts.acts {
+        let robots: Vec<usize> = act.robots().into_iter().filter(|robot| counts(facts, act, *robot)).collect();
+        let started: Vec<Started> = robots.iter().map(|robot| started(facts, act, *robot)).collect();
+        let began = started.iter().filter(|robot| robot.began).count();
+        let starts = match began {
+            0 => Starts::None,
+            all if all == started.len() => Starts::All,
+            _ => Starts::Mixed,
+        };
+        let (number, start) = (act.promise.number, act.promise.start);
+        verdict.acts.push(ActStarts { number, start, robots, starts });
+        if starts == Starts::Mixed {
+            match excuse(facts, act, &started) {
+                Some(cause) => verdict.excused('a', cause),
+                None => {
+                    let missed = started.iter().filter(|robot| !robot.began && robot.excuse.is_none());
+                    let missed: Vec<String> = missed.map(|robot| format!("r{}", robot.robot)).collect();
+                    let what = format!(
+                        "act {number} started on {began} of {} robots, and nothing excuses {}",
+                        started.len(),
+                        if missed.is_empty() { "those that did".to_owned() } else { missed.join(", ") }
+                    );
+                    verdict.violated('a', what);
+                }
+            }
+        }
+    }
+}
+
+/// The first act of a mission that sent none: it started nowhere.
+fn never_sent(facts: &Facts<'_>) -> Option<ActStarts> {
+    let plan = &facts.drawn().choreography.acts.first()?.plan;
+    let robots = plan.robots.iter().filter_map(|robot| facts.index_of(&robot.robot));
+    let robots = robots.filter(|robot| facts.honest(*robot)).collect();
+    let start = BEGIN + NEVER_SENT;
+    Some(ActStarts { number: 0, start, robots, starts: Starts::None })
+}
+
+/// Whether a robot has a part in the act at its start. One that was left out before has none, unless it moves all the same;
+/// one that was left out because it missed its start has. One that comes later in an act that was stopped on the way has
+/// not missed its start.
+fn counts(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
+    let Some(first) = act.first_start(robot).filter(|_| facts.honest(robot)) else { return false };
+    let began = act.of(robot).any(super::facts::SentScript::began);
+    let left_out = facts.dropped[robot].is_some_and(|at| at < act.promise.start);
+    let stopped = facts.stopping.iter().any(|at| *at > act.at && *at >= act.promise.start && *at <= first);
+    began || !(left_out || stopped)
+}
+
+fn started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Started {
+    let began = act.of(robot).any(super::facts::SentScript::began);
+    let excuse = match began {
+        true => why_it_started(facts, act, robot),
+        false => why_it_missed(facts, act, robot),
+    };
+    Started { robot, began, excuse }
+}
+
+fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started]) -> Option<Cause> {
+    let left: Vec<bool> = started.iter().filter(|robot| robot.excuse.is_none()).map(|robot| robot.began).collect();
+    let agree = left.windows(2).all(|two| two[0] == two[1]);
+    if agree {
+        // Whoever differs from those that need no excuse; the others may have one that they do not need.
+        let common = left.first().copied();
+        let differs = |robot: &&Started| common.is_none_or(|common| robot.began != common);
+        return started.iter().filter(differs).filter_map(|robot| robot.excuse).min();
+    }
+    why_the_scheduler(facts, act).or_else(|| late_stop(facts, act))
+}
+
+/// When a robot has surely started, if it does.
+fn latest_start(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Timestamp<Server>> {
+    let (_, late) = early_and_late(facts, robot);
+    Some(act.first_start(robot)? + late + START_LATE_MAX)
+}
+
+/// The first fault of a robot that begins between two instants, of those that count.
+fn own_fault(
+    facts: &Facts<'_>,
+    robot: usize,
+    (from, until): (Timestamp<Server>, Timestamp<Server>),
+    counts: impl Fn(&Hit) -> bool,
+) -> Option<Cause> {
+    let begins = |hit: &&Hit| hit.is_of(robot) && hit.from >= from && hit.from <= until;
+    facts.hits.iter().filter(begins).filter(|hit| counts(hit)).map(|hit| hit.cause).min()
+}
+
+/// A fault of the robot itself within the window of the act, for which it missed its start.
+fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
+    let window = (act.doubtful_from(), latest_start(facts, act, robot)?);
+    let heard_in_time = heard_the_commitment(facts, act, robot);
+    own_fault(facts, robot, window, |hit| !(hit.cause.is_of_link() && heard_in_time))
+}
+
+/// A fault of the robot itself for which it started although the others did not: its clock was set, or a stop did not reach it
+/// before.
+fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
+    let until = latest_start(facts, act, robot)?;
+    let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet);
+    let dropped = facts.dropped[robot].filter(|at| *at >= act.at);
+    let stop = facts.stopping.iter().copied().filter(|at| *at >= act.at).chain(dropped).min()?;
+    let missed_the_stop = |hit: &&Hit| hit.is_of(robot) && hit.cause != Cause::RobotCrash && hit.overlaps(stop, until);
+    set.or_else(|| facts.hits.iter().filter(missed_the_stop).map(|hit| hit.cause).min())
+}
+
+/// A message that lets the robot start arrived while the end of its lease still lay well ahead: its link is no excuse.
+fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
+    let offset = facts.drawn().robots[robot].settings.clock_offset;
+    let mut leases_end: HashMap<&RequestId, Timestamp<Server>> = HashMap::new();
+    for (at, happened) in facts.between(act.at, act.promise.start) {
+        let Happened::AtRobot(r, Message::Inquiry(inquiry)) = happened else { continue };
+        let Some(named) = inquiry.requests.first().filter(|_| *r == robot) else { continue };
+        match inquiry.pending_until {
+            Some(until) => {
+                leases_end.insert(named, (until - offset).assume_clock::<Server>() - DRIFT * 2);
+            }
+            None if leases_end.get(named).is_some_and(|ends| at < ends) => return true,
+            None => {}
+        }
+    }
+    false
+}
+
+/// The scheduler ended or stood still after the commitment was written down and before every robot had started.
+fn why_the_scheduler(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
+    let committed = act.committed?;
+    let last = act.robots().into_iter().filter_map(|robot| latest_start(facts, act, robot)).max()?;
+    let own = |hit: &&Hit| hit.robot.is_none() && hit.from >= committed && hit.from <= last;
+    facts.hits.iter().filter(own).map(|hit| hit.cause).min()
+}
+
+/// A stop that was sent after the point of no return may reach some before their start and others after it.
+fn late_stop(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Cause> {
+    let no_return = act.decided?.no_return;
+    let last = act.robots().into_iter().filter_map(|robot| latest_start(facts, act, robot)).max()?;
+    let late = facts.stopping.iter().any(|at| *at >= no_return && *at <= last);
+    late.then_some(Cause::LateStop)
+}
+
+/// How much earlier and how much later than planned a robot starts at most, as its clock was drawn: off by its offset,
+/// or where the offset is measured by what the paths there and back may differ.
+fn early_and_late(facts: &Facts<'_>, robot: usize) -> (Span, Span) {
+    let DrawnRobot { clock, settings, slow, .. } = &facts.drawn().robots[robot];
+    let paths = (facts.drawn().delay.1 + *slow) / 2;
+    let (early, late) = match clock {
+        ClockMode::Measured => (paths, paths),
+        ClockMode::Ntp => {
+            (settings.clock_offset.max(Span::ZERO), (Span::ZERO - settings.clock_offset).max(Span::ZERO))
+        }
+    };
+    (early + DRIFT, late + DRIFT)
+}

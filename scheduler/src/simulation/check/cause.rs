@@ -1,0 +1,196 @@
+//! What went wrong, when, for how long, and to whom: a robot's own link, process or clock, the scheduler, or nobody's fault but
+//! the operator's stop. An excuse has to be one of these, of the robot that is excused.
+
+use std::fmt;
+
+use urrcp::{Server, Span, Timestamp};
+
+use crate::simulation::{Fault, Happened, Ran};
+
+/// Why something was excused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Cause {
+    /// The robot's own process ended.
+    RobotCrash,
+    /// The robot's own process stood still.
+    RobotPause,
+    /// The robot's own clock was set.
+    ClockSet,
+    /// Another robot answered at the robot's own address, or another session asked for it.
+    Stranger,
+    /// The robot's own hardware died.
+    Hardware,
+    /// Nothing passed on the robot's own link, at least one way, or next to nothing.
+    Partition,
+    /// The robot's own link was down, or being made again.
+    LinkDown,
+    /// A message on the robot's own link took longer than any should.
+    Slow,
+    /// A message on the robot's own link was lost.
+    Lost,
+    /// The scheduler's process ended between the commitment and the last start.
+    SchedulerCrash,
+    /// The scheduler's process stood still between the commitment and the last start.
+    SchedulerPause,
+    /// The scheduler's disk stood still between the commitment and the last start.
+    Disk,
+    /// A stop was sent after the point of no return.
+    LateStop,
+}
+
+impl Cause {
+    /// All of them, in the order in which one is chosen where several apply.
+    pub const ALL: [Self; 13] = [
+        Self::RobotCrash,
+        Self::RobotPause,
+        Self::ClockSet,
+        Self::Stranger,
+        Self::Hardware,
+        Self::Partition,
+        Self::LinkDown,
+        Self::Slow,
+        Self::Lost,
+        Self::SchedulerCrash,
+        Self::SchedulerPause,
+        Self::Disk,
+        Self::LateStop,
+    ];
+
+    /// Of the robot's link.
+    pub(super) const fn is_of_link(self) -> bool {
+        matches!(self, Self::Partition | Self::LinkDown | Self::Slow | Self::Lost)
+    }
+}
+
+impl fmt::Display for Cause {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::RobotCrash => "its process ended",
+            Self::RobotPause => "its process stood still",
+            Self::ClockSet => "its clock was set",
+            Self::Stranger => "another robot at its address, or session",
+            Self::Hardware => "its hardware died",
+            Self::Partition => "its link carried nothing, or one way",
+            Self::LinkDown => "its link was down",
+            Self::Slow => "its link was slow",
+            Self::Lost => "its link lost a message",
+            Self::SchedulerCrash => "the scheduler ended",
+            Self::SchedulerPause => "the scheduler stood still",
+            Self::Disk => "the scheduler's disk stood still",
+            Self::LateStop => "stop after the point of no return",
+        })
+    }
+}
+
+/// Something that went wrong.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Hit {
+    pub(super) cause: Cause,
+    /// To which robot; `None`: to the scheduler.
+    pub(super) robot: Option<usize>,
+    pub(super) from: Timestamp<Server>,
+    /// Until when it lasted.
+    pub(super) until: Timestamp<Server>,
+}
+
+impl Hit {
+    pub(super) fn is_of(&self, robot: usize) -> bool {
+        self.robot == Some(robot)
+    }
+
+    /// It lasts into the time between two instants, both included.
+    pub(super) fn overlaps(&self, from: Timestamp<Server>, until: Timestamp<Server>) -> bool {
+        self.from <= until && self.until >= from
+    }
+}
+
+/// Everything that went wrong in a run.
+pub(super) fn hits_of(ran: &Ran) -> Vec<Hit> {
+    let mut hits = Hits { all: Vec::new(), open: Vec::new() };
+    for (at, happened) in &ran.history {
+        let hit = |cause, robot, lasts| Hit { cause, robot, from: *at, until: *at + lasts };
+        match happened {
+            Happened::Lost(robot) => hits.all.push(hit(Cause::Lost, Some(*robot), Span::ZERO)),
+            Happened::Slow(robot, lasts) => hits.all.push(hit(Cause::Slow, Some(*robot), *lasts)),
+            Happened::Fault(fault) => match of_fault(fault) {
+                Some((cause, robot, Lasts::For(lasts))) => hits.all.push(hit(cause, robot, lasts)),
+                Some((cause, robot, Lasts::Until(end))) => hits.begin(hit(cause, robot, Span::ZERO), end),
+                None => {}
+            },
+            Happened::LinkDown(robot) => hits.begin(hit(Cause::LinkDown, Some(*robot), Span::ZERO), End::Heard),
+            Happened::FromRobot(robot, _) => hits.end(*at, Some(*robot), End::Heard),
+            Happened::Back(robot) => hits.end(*at, Some(*robot), End::Back),
+            Happened::TakenUp(_) => hits.end(*at, None, End::Back),
+            _ => {}
+        }
+    }
+    hits.all
+}
+
+/// What went wrong so far, and what of it goes on.
+struct Hits {
+    all: Vec<Hit>,
+    /// What ends what goes on, and where it stands.
+    open: Vec<(End, usize)>,
+}
+
+/// What ends something that goes on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    /// Something is heard of the robot again.
+    Heard,
+    /// It is back.
+    Back,
+}
+
+enum Lasts {
+    For(Span),
+    Until(End),
+}
+
+impl Hits {
+    fn begin(&mut self, hit: Hit, end: End) {
+        let goes_on = |(open, index): &(End, usize)| {
+            *open == end && self.all[*index].robot == hit.robot && self.all[*index].cause == hit.cause
+        };
+        if !self.open.iter().any(goes_on) {
+            self.open.push((end, self.all.len()));
+            self.all.push(Hit { until: Timestamp::from_nanos(i64::MAX), ..hit });
+        }
+    }
+
+    fn end(&mut self, at: Timestamp<Server>, robot: Option<usize>, end: End) {
+        let all = &mut self.all;
+        self.open.retain(|(open, index)| {
+            let ends = *open == end && all[*index].robot == robot;
+            if ends {
+                all[*index].until = at;
+            }
+            !ends
+        });
+    }
+}
+
+/// What a fault does to whom, and for how long; `None` where it is nobody's fault.
+const fn of_fault(fault: &Fault) -> Option<(Cause, Option<usize>, Lasts)> {
+    Some(match *fault {
+        Fault::RobotCrash { robot, .. } => (Cause::RobotCrash, Some(robot), Lasts::Until(End::Back)),
+        Fault::AnotherRobot { robot, .. } => (Cause::Stranger, Some(robot), Lasts::Until(End::Back)),
+        Fault::RobotPause { robot, lasts } => (Cause::RobotPause, Some(robot), Lasts::For(lasts)),
+        Fault::ForeignSession { robot, lasts } => (Cause::Stranger, Some(robot), Lasts::For(lasts)),
+        Fault::HardwareDies { robot, .. } => (Cause::Hardware, Some(robot), Lasts::Until(End::Back)),
+        Fault::Partition { robot, lasts, .. }
+        | Fault::OneWay { robot, lasts, .. }
+        | Fault::DeadLink { robot, lasts }
+        | Fault::SlowLink { robot, lasts, .. } => (Cause::Partition, Some(robot), Lasts::For(lasts)),
+        Fault::HalfOpen { robot } => (Cause::Partition, Some(robot), Lasts::Until(End::Heard)),
+        Fault::ClockStep { robot, .. } => (Cause::ClockSet, Some(robot), Lasts::For(Span::ZERO)),
+        Fault::SchedulerCrash { .. } | Fault::SchedulerCrashAmid { .. } => {
+            (Cause::SchedulerCrash, None, Lasts::Until(End::Back))
+        }
+        Fault::SchedulerPause { lasts } => (Cause::SchedulerPause, None, Lasts::For(lasts)),
+        Fault::DiskStalls { lasts } => (Cause::Disk, None, Lasts::For(lasts)),
+        // The next process alone has that clock, and its promises are counted by it.
+        Fault::ServerClockStep { .. } | Fault::Stop | Fault::StopByJournal => return None,
+    })
+}

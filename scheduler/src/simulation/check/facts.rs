@@ -1,0 +1,304 @@
+//! What happened in a run, ordered by act, robot and script, as the invariants look at it.
+
+use std::collections::HashMap;
+
+use downbeat_robot::LogEntry;
+use downbeat_scripts::DeviceScript;
+use urrcp::{RobotId, Server, Span, Timestamp};
+
+use super::cause::{Cause, Hit, hits_of};
+use crate::mission::{Progress, Promise, PromisedScript, Record, SkewBudget};
+use crate::simulation::{Drawn, Fault, Happened, Ran};
+
+/// A run as the invariants look at it.
+pub(super) struct Facts<'a> {
+    pub(super) ran: &'a Ran,
+    /// The acts that were sent, in order.
+    pub(super) acts: Vec<SentAct<'a>>,
+    /// What went wrong, in order.
+    pub(super) hits: Vec<Hit>,
+    /// When each robot was left out.
+    pub(super) dropped: Vec<Option<Timestamp<Server>>>,
+    /// When everything was being stopped.
+    pub(super) stopping: Vec<Timestamp<Server>>,
+    /// From when on the clock of the scheduler's process was ahead of the true time by how much.
+    ahead: Vec<(Timestamp<Server>, Span)>,
+}
+
+/// An act that was sent.
+pub(super) struct SentAct<'a> {
+    pub(super) promise: &'a Promise,
+    /// When it was promised.
+    pub(super) at: Timestamp<Server>,
+    /// The clock by which it was promised minus the true time. The promise is by the true time.
+    pub(super) ahead: Span,
+    /// Another act was promised under its number by a process that took the mission up: it is forgotten.
+    pub(super) superseded: bool,
+    /// How far apart its robots may start, as the operator was told before anything was sent.
+    pub(super) skew: Option<&'a SkewBudget>,
+    /// What the operator was told at the decision.
+    pub(super) decided: Option<Decision>,
+    /// When the commitment was first written down.
+    pub(super) committed: Option<Timestamp<Server>>,
+    pub(super) scripts: Vec<SentScript<'a>>,
+}
+
+/// What the operator was told at the decision.
+#[derive(Clone, Copy)]
+pub(super) struct Decision {
+    /// A failure that is known by then is withdrawn.
+    pub(super) no_return: Timestamp<Server>,
+    /// Silence that begins later than so long before the start may be noticed too late.
+    pub(super) doubt: Span,
+}
+
+/// A script of an act that was sent, and what the robot did of it.
+pub(super) struct SentScript<'a> {
+    pub(super) robot: usize,
+    pub(super) promised: &'a PromisedScript,
+    /// `None` where the choreography has no such script.
+    pub(super) written: Option<&'a DeviceScript>,
+    /// What its robot logged of it, in order.
+    pub(super) log: Vec<&'a LogEntry>,
+}
+
+impl<'a> Facts<'a> {
+    pub(super) fn of(ran: &'a Ran) -> Self {
+        let mut logs: HashMap<&str, Vec<&LogEntry>> = HashMap::new();
+        for entry in ran.logs.iter().flatten() {
+            if let Some(id) = entry.request_id.as_deref() {
+                logs.entry(id).or_default().push(entry);
+            }
+        }
+        let mut facts = Self {
+            ran,
+            acts: Vec::new(),
+            hits: hits_of(ran),
+            dropped: vec![None; ran.drawn.robots.len()],
+            stopping: Vec::new(),
+            ahead: ahead_of(ran),
+        };
+        for (at, record) in &ran.records {
+            facts.take(*at, record, &logs);
+        }
+        facts.take_words();
+        facts
+    }
+
+    fn take(&mut self, at: Timestamp<Server>, record: &'a Record, logs: &HashMap<&str, Vec<&'a LogEntry>>) {
+        match record {
+            Record::Prepared(promise) => {
+                let before = self.acts.iter_mut().filter(|act| act.promise.number == promise.number);
+                before.for_each(|act| act.superseded = true);
+                let scripts = promise.scripts.iter().filter_map(|script| self.sent(promise, script, logs));
+                self.acts.push(SentAct {
+                    promise,
+                    at,
+                    ahead: self.ahead_at(at),
+                    superseded: false,
+                    skew: None,
+                    decided: None,
+                    committed: None,
+                    scripts: scripts.collect(),
+                });
+            }
+            Record::Committed { number } => {
+                let act = self.acts.iter_mut().rfind(|act| act.promise.number == *number);
+                act.into_iter().for_each(|act| act.committed = act.committed.or(Some(at)));
+            }
+            Record::Dropped { robot } => {
+                if let Some(robot) = self.index_of(robot) {
+                    self.dropped[robot].get_or_insert(at);
+                }
+            }
+            Record::Stopping { .. } => self.stopping.push(at),
+            _ => {}
+        }
+    }
+
+    fn sent(
+        &self,
+        promise: &Promise,
+        promised: &'a PromisedScript,
+        logs: &HashMap<&str, Vec<&'a LogEntry>>,
+    ) -> Option<SentScript<'a>> {
+        let plan = &self.drawn().choreography.acts.get(promise.act)?.plan;
+        let of_robot = plan.robots.iter().find(|robot| robot.robot == promised.robot);
+        let scripts = of_robot.map(|robot| robot.scripts.as_slice()).unwrap_or_default();
+        let same = |written: &&DeviceScript| {
+            written.device == promised.device && written.start.get() == promised.start.get()
+        };
+        Some(SentScript {
+            robot: self.index_of(&promised.robot)?,
+            promised,
+            written: scripts.iter().find(same),
+            log: logs.get(promised.request_id.as_str()).cloned().unwrap_or_default(),
+        })
+    }
+
+    /// What the operator was told of the acts, by the clock of the process that told it.
+    fn take_words(&mut self) {
+        for (at, happened) in &self.ran.history {
+            let Happened::Told(progress) = happened else { continue };
+            let ahead = self.ahead_at(*at);
+            let mut acts = self.acts.iter_mut().filter(|act| act.at <= *at);
+            match &**progress {
+                Progress::Preparing { timestamp, skew, .. } => {
+                    let act = acts.rfind(|act| act.promise.timestamp + ahead == *timestamp);
+                    act.into_iter().for_each(|act| act.skew = skew.as_ref());
+                }
+                Progress::Decided { start, no_return, doubt, .. } => {
+                    let decision = Decision { no_return: *no_return - ahead, doubt: *doubt };
+                    let act = acts.rfind(|act| act.promise.start + act.ahead == *start);
+                    act.into_iter().for_each(|act| act.decided = Some(decision));
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// The clock of the scheduler's process minus the true time.
+    pub(super) fn ahead_at(&self, at: Timestamp<Server>) -> Span {
+        self.ahead.iter().rev().find(|(from, _)| *from <= at).map_or(Span::ZERO, |(_, ahead)| *ahead)
+    }
+
+    pub(super) const fn drawn(&self) -> &'a Drawn {
+        &self.ran.drawn
+    }
+
+    /// It does not lie.
+    pub(super) fn honest(&self, robot: usize) -> bool {
+        self.drawn().robots[robot].lie.is_none()
+    }
+
+    pub(super) fn index_of(&self, id: &RobotId) -> Option<usize> {
+        self.drawn().robots.iter().position(|robot| robot.block.id == *id)
+    }
+
+    pub(super) fn name(&self, robot: usize) -> &'a RobotId {
+        &self.drawn().robots[robot].block.id
+    }
+
+    /// Its clock was set within the run: what it does by its clock says nothing of true time.
+    pub(super) fn clock_was_set(&self, robot: usize) -> bool {
+        self.hits.iter().any(|hit| hit.cause == Cause::ClockSet && hit.is_of(robot))
+    }
+
+    /// Another process took the mission up.
+    pub(super) fn was_taken_up(&self) -> bool {
+        self.ran.history.iter().any(|(_, happened)| matches!(happened, Happened::TakenUp(_)))
+    }
+
+    /// What happened between two instants, both included.
+    pub(super) fn between(
+        &self,
+        from: Timestamp<Server>,
+        until: Timestamp<Server>,
+    ) -> &'a [(Timestamp<Server>, Happened)] {
+        let history = &self.ran.history;
+        let first = history.partition_point(|(at, _)| *at < from);
+        let end = history.partition_point(|(at, _)| *at <= until);
+        &history[first..end.max(first)]
+    }
+
+    /// When messages from the scheduler arrived at a robot.
+    pub(super) fn heard(&self, robot: usize) -> impl Iterator<Item = Timestamp<Server>> + '_ {
+        self.ran.history.iter().filter_map(move |(at, happened)| match happened {
+            Happened::AtRobot(r, _) if *r == robot => Some(*at),
+            _ => None,
+        })
+    }
+}
+
+/// A process begins with the clock of its machine, and keeps it.
+fn ahead_of(ran: &Ran) -> Vec<(Timestamp<Server>, Span)> {
+    let mut of_machine = Span::ZERO;
+    let mut ahead = Vec::new();
+    for (at, happened) in &ran.history {
+        match happened {
+            Happened::Fault(Fault::ServerClockStep { by }) => of_machine += *by,
+            Happened::TakenUp(_) => ahead.push((*at, of_machine)),
+            _ => {}
+        }
+    }
+    ahead
+}
+
+impl<'a> SentAct<'a> {
+    /// The scripts of one robot.
+    pub(super) fn of(&self, robot: usize) -> impl Iterator<Item = &SentScript<'a>> {
+        self.scripts.iter().filter(move |script| script.robot == robot)
+    }
+
+    /// The robots of the act, each once.
+    pub(super) fn robots(&self) -> Vec<usize> {
+        let mut robots: Vec<_> = self.scripts.iter().map(|script| script.robot).collect();
+        robots.sort_unstable();
+        robots.dedup();
+        robots
+    }
+
+    /// When a robot is to start, if it has a script.
+    pub(super) fn first_start(&self, robot: usize) -> Option<Timestamp<Server>> {
+        self.of(robot).map(|script| self.start_of(script)).min()
+    }
+
+    /// The script that comes before one on its device.
+    pub(super) fn before(&self, script: &SentScript<'_>) -> Option<&SentScript<'a>> {
+        let ahead = |other: &&SentScript<'_>| {
+            other.promised.device == script.promised.device
+                && other.promised.start.get() < script.promised.start.get()
+        };
+        self.of(script.robot).filter(ahead).max_by(|a, b| a.promised.start.get().total_cmp(&b.promised.start.get()))
+    }
+
+    /// From the start of the act to that of its last script.
+    pub(super) fn starts_within(&self) -> Span {
+        self.promise.scripts.iter().map(|script| script.start.span()).max().unwrap_or_default()
+    }
+
+    /// Its planned start by the true time.
+    pub(super) fn start_of(&self, script: &SentScript<'_>) -> Timestamp<Server> {
+        self.promise.start + script.promised.start.span()
+    }
+
+    /// The same by the clock of the process that promised it, as robots and reports have it.
+    pub(super) fn start_as_told(&self, script: &SentScript<'_>) -> Timestamp<Server> {
+        self.start_of(script) + self.ahead
+    }
+
+    /// From then on silence may be noticed too late, as was told at the decision; without one, for a pending lease.
+    pub(super) fn doubtful_from(&self) -> Timestamp<Server> {
+        self.promise.start - self.decided.map_or(self.promise.lease, |decided| decided.doubt)
+    }
+}
+
+impl<'a> SentScript<'a> {
+    /// The steps that were set, in order.
+    pub(super) fn steps(&self) -> impl Iterator<Item = &'a LogEntry> + '_ {
+        self.log.iter().copied().filter(|entry| entry.motion == "set" && entry.step.is_some())
+    }
+
+    /// How many of its steps were set.
+    pub(super) fn steps_set(&self) -> usize {
+        let mut steps: Vec<_> = self.steps().filter_map(|entry| entry.step).collect();
+        steps.sort_unstable();
+        steps.dedup();
+        steps.len()
+    }
+
+    pub(super) fn steps_written(&self) -> usize {
+        self.written.map_or(0, |written| written.script.steps().len())
+    }
+
+    /// It moved its device.
+    pub(super) fn began(&self) -> bool {
+        !self.log.is_empty()
+    }
+
+    /// From its start to its first step.
+    pub(super) fn first_offset(&self) -> Span {
+        let first = self.written.and_then(|written| written.script.steps().first());
+        first.map_or(Span::ZERO, |step| step.offset.span())
+    }
+}

@@ -1,0 +1,192 @@
+//! (h) Nothing waits for ever: silence is reported within its bound, a stop reaches every robot that can be reached, it ends
+//! within the operator's patience, and after a fault acts follow each other nearly as soon as without it.
+
+use std::iter;
+
+use urrcp::{Command, Message, Server, Span, Timestamp};
+
+use super::Verdict;
+use super::cause::{Cause, Hit};
+use super::facts::{Facts, SentAct};
+use crate::mission::{Progress, Record};
+use crate::simulation::world::PATIENCE;
+use crate::simulation::{Fault, Happened};
+
+/// A robot without a running lease may owe an answer for so long.
+const SILENCE_MAX: Span = Span::from_millis(3_000);
+/// What the scheduler takes to act on what it has.
+const AT_ONCE: Span = Span::from_millis(2);
+/// A lead or a gap may be so many times that of the same mission without faults, and `MORE` beyond it.
+const TIMES: i64 = 3;
+const MORE: Span = Span::from_millis(500);
+
+pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
+    if facts.ran.hung {
+        verdict.violated('h', "the mission never ended".to_owned());
+    }
+    for act in &facts.acts {
+        for robot in act.robots() {
+            silence(facts, act, robot, verdict);
+        }
+    }
+    stops_end(facts, verdict);
+    stops_arrive(facts, verdict);
+    operator_is_heard(facts, verdict);
+}
+
+/// When nothing more is expected of a robot since an act was sent: it has failed, everything is being stopped or has ended.
+fn settled(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Timestamp<Server> {
+    let name = facts.name(robot);
+    let words = facts.ran.history.iter().filter(|(at, _)| *at >= act.at).find(|(_, happened)| match happened {
+        Happened::Told(progress) => match &**progress {
+            Progress::Failed(failure) => failure.robot == *name,
+            Progress::Stopping { .. } => true,
+            _ => false,
+        },
+        _ => false,
+    });
+    let ends = |(at, record): &&(Timestamp<Server>, Record)| {
+        *at >= act.at && matches!(record, Record::Ended { .. })
+    };
+    let ended = facts.ran.records.iter().find(ends).map(|(at, _)| *at);
+    let words = words.map(|(at, _)| *at).into_iter().chain(ended);
+    words.chain(facts.dropped[robot]).min().unwrap_or(Timestamp::from_nanos(i64::MAX))
+}
+
+/// The longest that a round trip of a robot took, or takes without faults.
+fn round_trip(facts: &Facts<'_>, robot: usize) -> Span {
+    let drawn = facts.drawn();
+    let slow = facts.hits.iter().filter(|hit| hit.is_of(robot) && hit.cause == Cause::Slow);
+    let slow = slow.map(|hit| hit.until - hit.from).max().unwrap_or_default();
+    drawn.delay.1 * 2 + drawn.robots[robot].slow + slow
+}
+
+/// While a robot plays, the scheduler hears of it at least once within its running lease and a round trip, or says that it has
+/// failed.
+fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Verdict) {
+    if act.committed.is_none() {
+        return;
+    }
+    let leases = act.of(robot).map(|script| script.promised.running.map(urrcp::Millis::span));
+    let lease = leases.map(|lease| lease.unwrap_or(SILENCE_MAX)).max().unwrap_or(SILENCE_MAX);
+    let bound = lease + round_trip(facts, robot) + AT_ONCE;
+    let ends = act.of(robot).map(|script| act.start_of(script) + script.promised.duration).max();
+    let (Some(start), Some(end)) = (act.first_start(robot), ends) else { return };
+    let heard = facts.between(start, end).iter().filter_map(|(at, happened)| match happened {
+        Happened::FromRobot(r, _) if *r == robot => Some(*at),
+        _ => None,
+    });
+    let instants: Vec<_> = iter::once(start).chain(heard).chain(iter::once(end)).collect();
+    let settled = settled(facts, act, robot);
+    for two in instants.windows(2).filter(|two| two[1] - two[0] > bound) {
+        // A link that is down is given up in its own time, and a scheduler that was away forgives what it missed.
+        let down = |hit: &Hit| hit.is_of(robot) && hit.cause == Cause::LinkDown;
+        let otherwise = facts.hits.iter().any(|hit| {
+            (down(hit) || hit.robot.is_none()) && hit.overlaps(two[0] - bound, two[0] + bound)
+        });
+        if settled > two[0] + bound && !otherwise {
+            let silent = two[1] - two[0];
+            let what = format!("r{robot} was silent for {silent} while it played, and {bound} after that nobody was told");
+            return verdict.violated('h', what);
+        }
+    }
+}
+
+/// The scheduler's own end or standstill between two instants.
+fn scheduler_was_away(facts: &Facts<'_>, from: Timestamp<Server>, until: Timestamp<Server>) -> bool {
+    facts.hits.iter().any(|hit| hit.robot.is_none() && hit.overlaps(from, until))
+}
+
+/// A stop ends, confirmed or not, when the operator's patience does.
+fn stops_end(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for stopping in &facts.stopping {
+        let by = *stopping + PATIENCE + AT_ONCE;
+        let goes_on = facts.ran.records.iter().any(|(at, record)| {
+            let ends = matches!(record, Record::Ended { .. } | Record::Prepared(_) | Record::ActEnded { .. });
+            ends && *at >= *stopping && *at <= by
+        });
+        if !goes_on && !scheduler_was_away(facts, *stopping, by) {
+            verdict.violated('h', format!("the stop at {stopping} did not end within {PATIENCE}"));
+        }
+    }
+}
+
+/// A robot that was sent something and can be reached hears of a stop within the longest delay of its link.
+fn stops_arrive(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for stopping in &facts.stopping {
+        let by = *stopping + facts.drawn().delay.1 + AT_ONCE;
+        for robot in 0..facts.drawn().robots.len() {
+            let reached = |cancel: bool, from, until| {
+                facts.between(from, until).iter().any(|(_, happened)| match happened {
+                    Happened::AtRobot(r, Message::ControlRequest(request)) if *r == robot => {
+                        matches!(&request.command, Command::Script(script) if script.is_empty()) == cancel
+                    }
+                    _ => false,
+                })
+            };
+            let from = facts.acts.first().map_or(*stopping, |act| act.at);
+            let earlier = facts.stopping.iter().filter(|at| *at < stopping).max().copied();
+            let sent = reached(false, earlier.unwrap_or(from), *stopping - Span::from_nanos(1));
+            let out = facts.dropped[robot].is_some_and(|at| at <= *stopping);
+            let was_hit = facts.hits.iter().any(|hit| hit.is_of(robot) && hit.overlaps(*stopping - PATIENCE, by));
+            let away = scheduler_was_away(facts, *stopping - PATIENCE, by);
+            if sent && !out && !was_hit && !away && facts.honest(robot) && !reached(true, *stopping, by) {
+                verdict.violated('h', format!("r{robot} can be reached, and did not hear of the stop at {stopping}"));
+            }
+        }
+    }
+}
+
+/// When the operator says stop, everything is stopped at once, or nothing was under way any more.
+fn operator_is_heard(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for (at, happened) in &facts.ran.history {
+        if !matches!(happened, Happened::Fault(Fault::Stop | Fault::StopByJournal)) {
+            continue;
+        }
+        let over = facts.ran.records.iter().any(|(when, record)| {
+            matches!(record, Record::Stopping { .. } | Record::Ended { .. }) && *when <= *at + AT_ONCE
+        });
+        let crashed = |hit: &Hit| hit.cause == Cause::SchedulerCrash && hit.from <= *at;
+        let away = facts.hits.iter().any(crashed) || scheduler_was_away(facts, *at, *at + AT_ONCE);
+        if !over && !away {
+            verdict.violated('h', format!("the operator said stop at {at}, and nothing was stopped"));
+        }
+    }
+}
+
+/// Leads and gaps of acts that the same robots play in both missions.
+pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut Verdict) {
+    for act in &facts.acts {
+        let same = |other: &&SentAct<'_>| {
+            other.promise.number == act.promise.number
+                && other.promise.act == act.promise.act
+                && other.robots() == act.robots()
+        };
+        let Some(other) = undisturbed.acts.iter().find(same) else { continue };
+        let number = act.promise.number;
+        let lead = |act: &SentAct<'_>| act.promise.start - act.promise.timestamp;
+        if lead(act) > lead(other) * TIMES + MORE {
+            let what = format!("act {number} had a lead of {}, without faults it has {}", lead(act), lead(other));
+            verdict.violated('h', what);
+        }
+        let Some((gap, other_gap)) = gap(facts, act).zip(gap(undisturbed, other)) else { continue };
+        if gap > other_gap.max(Span::ZERO) * TIMES + MORE + lasted(facts, act) {
+            verdict.violated('h', format!("act {number} came after a gap of {gap}, without faults after {other_gap}"));
+        }
+    }
+}
+
+/// From the planned end of the act before to the start of this one.
+fn gap(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Span> {
+    let before = facts.acts.iter().rfind(|before| before.promise.number < act.promise.number)?;
+    let ends = before.scripts.iter().map(|script| before.start_of(script) + script.promised.duration);
+    Some(act.promise.start - ends.max()?)
+}
+
+/// How long faults lasted between the start of the act before and that of this one: an act waits for its robots.
+fn lasted(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
+    let before = facts.acts.iter().rfind(|before| before.promise.number < act.promise.number);
+    let from = before.map_or(act.at, |before| before.promise.start);
+    let hits = facts.hits.iter().filter(|hit| hit.overlaps(from, act.promise.start));
+    hits.map(|hit| hit.until.min(act.promise.start) - hit.from).fold(Span::ZERO, |sum, lasts| sum + lasts)
+}

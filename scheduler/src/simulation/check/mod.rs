@@ -1,0 +1,130 @@
+//! The invariants, held against what the robots really set. A file for each; `docs/simulation.md` has them as sentences.
+
+mod all_or_none;
+mod cause;
+mod facts;
+mod limits;
+mod liveness;
+mod once;
+mod rest;
+mod synchrony;
+#[cfg(test)]
+mod tests;
+mod truth;
+
+use std::fmt;
+
+use urrcp::{Server, Span, Timestamp};
+
+pub use self::cause::Cause;
+use self::facts::Facts;
+use super::Ran;
+
+/// What a drifting clock may add to a lease or a start within a mission.
+const DRIFT: Span = Span::from_millis(1);
+
+/// Something that must not happen.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Violation {
+    /// Which invariant: one of [`Verdict::INVARIANTS`].
+    pub invariant: char,
+    /// What happened.
+    pub what: String,
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "({}) {}", self.invariant, self.what)
+    }
+}
+
+/// How an act's starts came out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Starts {
+    /// Every robot started.
+    All,
+    /// None did.
+    None,
+    /// Some did, and others did not.
+    Mixed,
+}
+
+/// An act that was sent, or the first one of a mission that sent none, and how its starts came out.
+#[derive(Clone, Debug)]
+pub struct ActStarts {
+    /// Its number in the mission.
+    pub number: u32,
+    /// When its first cue was to start.
+    pub start: Timestamp<Server>,
+    /// The honest robots that had a part in it at its start.
+    pub robots: Vec<usize>,
+    /// On how many of them it started.
+    pub starts: Starts,
+}
+
+/// Something that would be a violation if a fault did not excuse it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Excuse {
+    /// Of which invariant.
+    pub invariant: char,
+    /// The fault.
+    pub cause: Cause,
+}
+
+/// What is found of a run.
+#[derive(Clone, Debug, Default)]
+pub struct Verdict {
+    /// What must not have happened.
+    pub violations: Vec<Violation>,
+    /// What was excused: one for each act whose starts were mixed, and one for each robot that is excused of another invariant.
+    pub excuses: Vec<Excuse>,
+    /// Each act that was sent, or the first one if none was.
+    pub acts: Vec<ActStarts>,
+}
+
+impl Verdict {
+    /// What the invariants are called, and in short what they say.
+    pub const INVARIANTS: [(char, &str); 8] = [
+        ('a', "all or none"),
+        ('b', "nothing late, nothing twice"),
+        ('c', "rest after a stop and beyond a lease"),
+        ('d', "no value outside limits"),
+        ('e', "every mission ends in a report"),
+        ('f', "starts within the skew budget"),
+        ('g', "reports that are true"),
+        ('h', "silence, gaps and stops in time"),
+    ];
+
+    fn violated(&mut self, invariant: char, what: String) {
+        self.violations.push(Violation { invariant, what });
+    }
+
+    fn excused(&mut self, invariant: char, cause: Cause) {
+        self.excuses.push(Excuse { invariant, cause });
+    }
+}
+
+impl Ran {
+    /// Holds the invariants against what happened.
+    #[must_use]
+    pub fn verdict(&self) -> Verdict {
+        let facts = Facts::of(self);
+        let mut verdict = Verdict::default();
+        all_or_none::check(&facts, &mut verdict);
+        once::check(&facts, &mut verdict);
+        rest::check(&facts, &mut verdict);
+        limits::check(&facts, &mut verdict);
+        synchrony::check(&facts, &mut verdict);
+        truth::check(&facts, &mut verdict);
+        liveness::check(&facts, &mut verdict);
+        verdict
+    }
+
+    /// Compares what became of a mission under faults with the same one without them.
+    #[must_use]
+    pub fn compared_with(&self, undisturbed: &Self) -> Verdict {
+        let mut verdict = Verdict::default();
+        liveness::compare(&Facts::of(self), &Facts::of(undisturbed), &mut verdict);
+        verdict
+    }
+}

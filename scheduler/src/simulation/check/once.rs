@@ -1,0 +1,27 @@
+//! (b) Nothing starts late, and nothing happens twice.
+
+use std::collections::HashSet;
+
+use urrcp::Span;
+
+use super::Verdict;
+use super::facts::Facts;
+
+/// A robot that was held up for so long over a start lets it be.
+const START_LATE_MAX: Span = Span::from_millis(51);
+
+pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for (robot, log) in facts.ran.logs.iter().enumerate().filter(|(robot, _)| facts.honest(*robot)) {
+        let mut done: HashSet<(&str, u32)> = HashSet::new();
+        for entry in log.iter().filter(|entry| entry.motion == "set") {
+            let (Some(id), Some(step)) = (entry.request_id.as_deref(), entry.step) else { continue };
+            if !done.insert((id, step)) {
+                verdict.violated('b', format!("r{robot} did step {step} of {id} twice"));
+            }
+            let late = entry.set_at - entry.due;
+            if step == 0 && late > START_LATE_MAX && !facts.clock_was_set(robot) {
+                verdict.violated('b', format!("r{robot} started {id} {late} late"));
+            }
+        }
+    }
+}

@@ -1,0 +1,99 @@
+//! (f) Robots start when the operator was told that they would: relative to the plan and to each other within the skew budget
+//! that was printed before anything was sent.
+//!
+//! The true start counts, by the one clock of the simulated world, not what a robot says of itself. A clock that is set, or a
+//! process that stands still, excuses its own robot alone. A clock that was set before the act became doubtful has to be noticed:
+//! then the start is still within the scenario's tolerance, or there is none.
+
+use urrcp::{Server, Span, Timestamp};
+
+use super::Verdict;
+use super::cause::Cause;
+use super::facts::{Facts, SentAct, SentScript};
+use crate::mission::RobotSkew;
+
+/// The simulated world counts in nanoseconds, and clocks are read by dividing.
+const GRAIN: Span = Span::from_micros(1);
+/// A clock that was set is seen at the next question, a second later where no lease asks for more.
+const SEEN_AFTER: Span = Span::from_millis(1_100);
+/// A robot that was held up for longer lets its start be.
+const START_LATE_MAX: Span = Span::from_millis(50);
+/// How far a robot's own instant may be from the plan.
+const CLOCKS: Span = Span::from_millis(20);
+/// What a clock may drift that was good when the act began, as a fraction: the bound that the clock estimate works with.
+const DRIFT_BOUND: f64 = crate::clock::DRIFT_BOUND;
+
+/// A start, and how far it was from its plan.
+struct Start {
+    robot: usize,
+    error: Span,
+}
+
+pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for act in &facts.acts {
+        let Some(skew) = act.skew else { continue };
+        let mut starts = Vec::new();
+        for script in act.scripts.iter().filter(|script| facts.honest(script.robot)) {
+            let Some(error) = error_of(act, script) else { continue };
+            let robot = script.robot;
+            let told = skew.robots.iter().find(|told| told.robot == *facts.name(robot));
+            let drift = Span::from_millis_f64(script.promised.start.get() * DRIFT_BOUND);
+            let fits = told.is_some_and(|told| within(told, error, drift + GRAIN));
+            match excuse(facts, act, script).filter(|_| !fits) {
+                Some(cause) => verdict.excused('f', cause),
+                None if fits => starts.push(Start { robot, error }),
+                None => verdict.violated('f', beyond(act, told, robot, error)),
+            }
+        }
+        let grain = Span::from_millis_f64(act.starts_within().as_millis_f64() * DRIFT_BOUND) + GRAIN;
+        apart(skew.predicted + grain, act, &starts, verdict);
+    }
+}
+
+fn within(told: &RobotSkew, error: Span, grain: Span) -> bool {
+    let earliest = Span::ZERO - told.offset - told.uncertainty;
+    let latest = told.uncertainty + told.wake_up - told.offset;
+    error >= earliest - grain && error <= latest + grain
+}
+
+fn beyond(act: &SentAct<'_>, told: Option<&RobotSkew>, robot: usize, error: Span) -> String {
+    let number = act.promise.number;
+    match told {
+        Some(told) => format!(
+            "r{robot} started {error} from the plan of act {number}, its clock was told to be ahead by {} +- {}",
+            told.offset, told.uncertainty
+        ),
+        None => format!("r{robot} started act {number}, and nothing was told of its clock"),
+    }
+}
+
+/// Robots that are within their own budget are within that of the fleet.
+fn apart(budget: Span, act: &SentAct<'_>, starts: &[Start], verdict: &mut Verdict) {
+    let least = starts.iter().min_by_key(|start| start.error);
+    let Some((least, most)) = least.zip(starts.iter().max_by_key(|start| start.error)) else { return };
+    // The devices of one robot share its clock.
+    if least.robot != most.robot && most.error - least.error > budget {
+        let (apart, number) = (most.error - least.error, act.promise.number);
+        let what = format!("act {number} started {apart} apart, between r{} and r{}", least.robot, most.robot);
+        verdict.violated('f', format!("{what}, and {budget} was told"));
+    }
+}
+
+/// True start minus plan; `None` where it did not start.
+fn error_of(act: &SentAct<'_>, script: &SentScript<'_>) -> Option<Span> {
+    let first = script.steps().find(|entry| entry.step == Some(0))?;
+    let planned = act.start_of(script) + script.first_offset();
+    Some(Timestamp::<Server>::from_nanos(first.true_ns) - planned)
+}
+
+/// A fault of the robot's own clock since it was measured, or of its own process at the start.
+fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, script: &SentScript<'_>) -> Option<Cause> {
+    let due = act.start_of(script) + script.first_offset();
+    let own = facts.hits.iter().filter(|hit| hit.is_of(script.robot));
+    let excuses = own.filter(|hit| match hit.cause {
+        Cause::ClockSet => hit.from >= act.at - SEEN_AFTER && hit.from <= due + START_LATE_MAX,
+        Cause::RobotPause => hit.overlaps(due - CLOCKS, due + CLOCKS),
+        _ => false,
+    });
+    excuses.map(|hit| hit.cause).min()
+}

@@ -1,0 +1,68 @@
+//! (e) Every mission ends in a report. (g) What it says is true.
+//!
+//! Each number of the report is compared with what the robots logged themselves, robot by robot and script by script; sums with
+//! what they sum up; what was said before with what is said at the end. Times are equal within [`GRAIN`], counts exactly. What
+//! nobody could know has to be called unknown.
+
+mod acts;
+mod blame;
+mod outcome;
+mod rows;
+
+use urrcp::{Server, Span, Timestamp};
+
+use super::Verdict;
+use super::cause::Cause;
+use super::facts::Facts;
+use crate::mission::{Progress, Record};
+use crate::report::Report;
+use crate::simulation::Happened;
+
+/// How exactly times have to agree.
+const GRAIN: Span = Span::from_micros(1);
+
+pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
+    let Some(report) = &facts.ran.report else {
+        let killed = facts.hits.iter().any(|hit| hit.cause == Cause::SchedulerCrash);
+        if !facts.ran.hung && !killed {
+            verdict.violated('e', "the mission ended without a report".to_owned());
+        }
+        return;
+    };
+    let said = Said { facts, report, resumed: facts.was_taken_up() };
+    let mut wrong = Vec::new();
+    said.acts(&mut wrong);
+    said.rows(&mut wrong);
+    said.blame(&mut wrong);
+    said.outcome(&mut wrong);
+    wrong.into_iter().for_each(|what| verdict.violated('g', what));
+}
+
+/// What a report says, and what happened.
+struct Said<'a> {
+    facts: &'a Facts<'a>,
+    report: &'a Report,
+    /// By a process that took the mission up: it tells of what it took up.
+    resumed: bool,
+}
+
+impl Said<'_> {
+    /// The robot failed by a claim that cannot be true, as one does whose clock is set: nothing more of it was believed.
+    fn is_discredited(&self, robot: usize) -> bool {
+        let name = self.facts.name(robot);
+        let claim = |happened: &Happened| match happened {
+            Happened::Told(progress) => matches!(&**progress, Progress::Failed(failure)
+                if failure.robot == *name && matches!(failure.kind, crate::mission::FailureKind::Claim { .. })),
+            _ => false,
+        };
+        self.facts.ran.history.iter().any(|(_, happened)| claim(happened))
+    }
+
+    /// When the mission ended.
+    fn ended(&self) -> Option<Timestamp<Server>> {
+        let ended = |(at, record): &(Timestamp<Server>, Record)| {
+            matches!(record, Record::Ended { .. }).then_some(*at)
+        };
+        self.facts.ran.records.iter().rev().find_map(ended)
+    }
+}

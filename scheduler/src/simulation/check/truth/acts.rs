@@ -1,0 +1,175 @@
+//! What a report says of acts and scripts.
+
+use downbeat_robot::LogEntry;
+use urrcp::{Span, Timestamp};
+
+use super::{GRAIN, Said};
+use crate::mission::{ActReport, ActRobot, DeviceReport, Progress, Record};
+use crate::simulation::Happened;
+use crate::simulation::check::facts::{SentAct, SentScript};
+
+/// A step that is set later than this after its deadline is counted as late.
+const LATE: Span = Span::from_millis(1);
+
+impl Said<'_> {
+    pub(super) fn acts(&self, wrong: &mut Vec<String>) {
+        for said in &self.report.acts {
+            let same = |act: &&SentAct<'_>| {
+                act.promise.number == said.number && act.promise.timestamp + act.ahead == said.timestamp
+            };
+            match self.facts.acts.iter().rfind(same) {
+                Some(act) => self.act(act, said, wrong),
+                None => wrong.push(format!("act {} is reported, and was not promised so", said.number)),
+            }
+        }
+        let numbers: Vec<u32> = self.report.acts.iter().map(|act| act.number).collect();
+        let missing = self.facts.acts.iter().map(|act| act.promise.number).filter(|number| !numbers.contains(number));
+        if !self.resumed && self.report.acts_omitted == 0 {
+            wrong.extend(missing.map(|number| format!("act {number} was promised, and is not reported")));
+        }
+    }
+
+    fn act(&self, act: &SentAct<'_>, said: &ActReport, wrong: &mut Vec<String>) {
+        let number = said.number;
+        let promise = act.promise;
+        if said.start != promise.start + act.ahead {
+            wrong.push(format!("act {number} is said to start at {}, {} was promised", said.start, promise.start));
+        }
+        if (said.lead.total() - (promise.start - promise.timestamp)).abs() > GRAIN {
+            wrong.push(format!("act {number} is said to have a lead of {}", said.lead.total()));
+        }
+        if !self.resumed {
+            if said.skew.as_ref() != act.skew {
+                wrong.push(format!("act {number} is reported with another skew budget than was told"));
+            }
+            if act.decided.is_some_and(|decided| decided.doubt != said.doubt) {
+                wrong.push(format!("act {number} is reported with {} of doubt, not as was told", said.doubt));
+            }
+        }
+        self.window(act, said, wrong);
+        let errors = || said.robots.iter().flat_map(firsts).filter_map(|script| script.start_error);
+        let spread = errors().max().zip(errors().min()).map(|(most, least)| most - least);
+        if spread != said.spread {
+            wrong.push(format!("act {number} has a spread of {:?}, its starts have {spread:?}", said.spread));
+        }
+        for robot in &said.robots {
+            self.robot(act, robot, wrong);
+        }
+    }
+
+    /// The robots of which a window is told have heard of the commitment within it.
+    fn window(&self, act: &SentAct<'_>, said: &ActReport, wrong: &mut Vec<String>) {
+        let number = said.number;
+        let Some(window) = said.window else { return };
+        let told = self.facts.ran.history.iter().find_map(|(at, happened)| match happened {
+            Happened::Told(progress) => match &**progress {
+                Progress::Committed { act: name, window: told } if *name == said.act && *told == Some(window) => {
+                    Some(*at).filter(|at| *at >= act.at)
+                }
+                _ => None,
+            },
+            _ => None,
+        });
+        let Some(at) = told else {
+            return wrong.push(format!("act {number} is reported with a window of {window}, not as was told"));
+        };
+        for robot in act.robots() {
+            let out = self.facts.dropped[robot].is_some_and(|dropped| dropped <= at);
+            let heard = self.facts.between(at - window, at).iter();
+            let heard = heard.filter(|(_, what)| matches!(what, Happened::AtRobot(r, _) if *r == robot)).count();
+            if heard == 0 && !out && self.facts.honest(robot) && !self.facts.clock_was_set(robot) {
+                wrong.push(format!("r{robot} heard nothing in the window of act {number}"));
+            }
+        }
+    }
+
+    fn robot(&self, act: &SentAct<'_>, said: &ActRobot, wrong: &mut Vec<String>) {
+        let Some(robot) = self.facts.index_of(&said.robot) else { return };
+        let number = act.promise.number;
+        let ended = self.facts.ran.records.iter().find_map(|(at, record)| match record {
+            Record::ActEnded { report } if report.number == number => Some(*at),
+            _ => None,
+        });
+        let dropped = self.facts.dropped[robot].filter(|at| ended.is_none_or(|ended| *at <= ended));
+        if !self.resumed && said.left_out != dropped.is_some() {
+            let was = if said.left_out { "was not" } else { "was" };
+            wrong.push(format!("r{robot} {was} left out of act {number}, and the report says otherwise"));
+        }
+        if !self.facts.honest(robot) {
+            return;
+        }
+        for device in &said.devices {
+            let same = |script: &&SentScript<'_>| {
+                script.promised.device == device.device && Some(act.start_as_told(script)) == device.planned_start
+            };
+            match act.of(robot).find(same) {
+                Some(script) => self.script(act, script, device, wrong),
+                // It was left out before anything was promised to it.
+                None if said.left_out && device.state == "planned" => {}
+                None => wrong.push(format!("r{robot} is reported with a script that act {number} has not")),
+            }
+        }
+    }
+
+    /// One script, against what its robot logged of it.
+    fn script(&self, act: &SentAct<'_>, script: &SentScript<'_>, said: &DeviceReport, wrong: &mut Vec<String>) {
+        let robot = script.robot;
+        let name = script.promised.request_id.as_str();
+        let mut wrongly = |what: String| wrong.push(format!("{what}: r{robot}, {name}, `{}`", said.state));
+        let (set, written) = (script.steps_set(), script.steps_written());
+        let done = said.steps_done as usize;
+        if said.steps_planned != written {
+            wrongly(format!("{} steps are said to be planned of {written}", said.steps_planned));
+        }
+        let known = matches!(said.state, "ended" | "failed") && !self.is_discredited(robot);
+        if done > set || (known && done != set) {
+            wrongly(format!("{done} steps are said to be done, {set} were set"));
+        }
+        if said.state == "ended" && set != written {
+            wrongly(format!("said to have ended, {set} of {written} steps were set"));
+        }
+        if said.state == "planned" && script.began() {
+            wrongly("said not to be sent, and it moved".to_owned());
+        }
+        if said.state == "started" && !script.began() {
+            wrongly("said to have started, and it did not move".to_owned());
+        }
+        let late = script.steps().filter(|entry| entry.set_at - entry.due > LATE).count();
+        let said_late = said.late_steps as usize;
+        if said_late > late || (said.state == "ended" && known && said_late != late) {
+            wrongly(format!("{said_late} late steps are said, {late} were late"));
+        }
+        if let Some(what) = wrong_start(act, script, said) {
+            wrongly(what);
+        }
+    }
+}
+
+/// A start is what the robot logged, by its own clock.
+fn wrong_start(act: &SentAct<'_>, script: &SentScript<'_>, said: &DeviceReport) -> Option<String> {
+    let started = said.started_at?;
+    let Some(first) = script.log.first().filter(|_| script.first_offset() == Span::ZERO) else {
+        return script.log.is_empty().then(|| format!("said to have started at {started}, and it did not move"));
+    };
+    if (first.set_at - started).abs() > GRAIN {
+        return Some(format!("said to have started at {started}, it did at {}", first.set_at));
+    }
+    let error = error_by_its_clock(act, script, first);
+    let differs = said.start_error.is_none_or(|said| (said - error).abs() > GRAIN);
+    differs.then(|| format!("said to have started {:?} from its plan, it did {error}", said.start_error))
+}
+
+/// Actual minus planned start, by the robot's own clock.
+pub(super) fn error_by_its_clock(act: &SentAct<'_>, script: &SentScript<'_>, first: &LogEntry) -> Span {
+    let planned: Timestamp<urrcp::Robot> = (act.start_as_told(script) + script.promised.shift).assume_clock();
+    first.set_at - planned
+}
+
+/// The first script of every device: those start together.
+fn firsts(robot: &ActRobot) -> impl Iterator<Item = &DeviceReport> {
+    let devices = robot.devices.iter().enumerate();
+    let first = |(index, script): &(usize, &DeviceReport)| {
+        index.checked_sub(1).is_none_or(|before| robot.devices[before].device != script.device)
+    };
+    devices.filter(first).map(|(_, script)| script)
+}

@@ -1,0 +1,47 @@
+//! Who is said to have failed, and why: no robot is blamed for what it and its link had no part in.
+
+use super::Said;
+use crate::mission::{FailureKind, Progress};
+use crate::simulation::{Happened, Network};
+
+impl Said<'_> {
+    pub(super) fn blame(&self, wrong: &mut Vec<String>) {
+        self.no_innocent(wrong);
+        for robot in 0..self.facts.drawn().robots.len() {
+            let Some(dropped) = self.facts.dropped[robot] else { continue };
+            let why = self.facts.ran.history.iter().any(|(at, happened)| {
+                *at <= dropped
+                    && matches!(happened, Happened::Told(progress) if matches!(&**progress,
+                        Progress::Failed(failure) if failure.robot == *self.facts.name(robot)))
+            });
+            if !why {
+                wrong.push(format!("r{robot} was left out, and nobody was told why"));
+            }
+        }
+        for row in self.report.robots.iter().filter(|row| row.standing == "out") {
+            let failed = self.report.failures.iter().any(|failure| failure.robot == row.robot);
+            if !failed && !self.resumed {
+                wrong.push(format!("{} is out, and the report does not say why", row.robot));
+            }
+        }
+    }
+
+    /// Of a robot that is honest, on a link that loses and delays nothing, and that met no fault, only the clock and the time to
+    /// send may be wrong.
+    fn no_innocent(&self, wrong: &mut Vec<String>) {
+        let drawn = self.facts.drawn();
+        let steady = drawn.network == Network::Stream && drawn.tail == 0.0;
+        let scheduler = self.facts.hits.iter().any(|hit| hit.robot.is_none());
+        if !steady || scheduler || self.resumed {
+            return;
+        }
+        for failure in &self.report.failures {
+            let measured = matches!(failure.kind, FailureKind::Clock { .. } | FailureKind::NoTimeToSend { .. });
+            let Some(robot) = self.facts.index_of(&failure.robot).filter(|_| !measured) else { continue };
+            let hit = self.facts.hits.iter().any(|hit| hit.is_of(robot));
+            if self.facts.honest(robot) && !hit {
+                wrong.push(format!("r{robot} is blamed, and nothing was wrong with it: {}", failure.kind));
+            }
+        }
+    }
+}

@@ -1,0 +1,106 @@
+//! How a mission is said to have ended, and what is said to have become of its acts.
+
+use urrcp::Span;
+
+use super::Said;
+use super::acts::error_by_its_clock;
+use crate::mission::{ActFate, Outcome, Progress};
+use crate::report::StopState;
+use crate::simulation::Happened;
+use crate::simulation::check::facts::{SentAct, SentScript};
+
+impl Said<'_> {
+    pub(super) fn outcome(&self, wrong: &mut Vec<String>) {
+        match self.report.outcome {
+            Outcome::Done => self.all_done(wrong),
+            Outcome::DoneWithout => self.done_but_for_those_left_out(wrong),
+            Outcome::NotStarted => self.nothing_moved(wrong),
+            _ => {}
+        }
+        self.course(wrong);
+    }
+
+    /// Every step of every script of every act was set once, and on time: the start within the tolerance, by the robot's own
+    /// clock, and later steps on time or counted as late. That nothing is set twice is an invariant of its own.
+    fn all_done(&self, wrong: &mut Vec<String>) {
+        for act in self.facts.acts.iter().filter(|act| !act.superseded) {
+            for script in act.scripts.iter().filter(|script| self.facts.honest(script.robot)) {
+                self.script_done(act, script, wrong);
+            }
+        }
+        if let Some(row) = self.report.robots.iter().find(|row| row.standing != "in" || row.unaccounted > 0) {
+            wrong.push(format!("done, and {} is {} with {} unknown", row.robot, row.standing, row.unaccounted));
+        }
+    }
+
+    fn script_done(&self, act: &SentAct<'_>, script: &SentScript<'_>, wrong: &mut Vec<String>) {
+        let (robot, name) = (script.robot, script.promised.request_id.as_str());
+        let (set, written) = (script.steps_set(), script.steps_written());
+        if set != written {
+            wrong.push(format!("done, and r{robot} set {set} of {written} steps of {name}"));
+        }
+        let Some(first) = script.log.first().filter(|_| script.first_offset() == Span::ZERO) else { return };
+        let tolerance = self.facts.drawn().choreography.acts[act.promise.act].plan.start_tolerance;
+        let error = error_by_its_clock(act, script, first);
+        if error.abs() > tolerance {
+            wrong.push(format!("done, and r{robot} started {name} {error} from its plan"));
+        }
+    }
+
+    fn done_but_for_those_left_out(&self, wrong: &mut Vec<String>) {
+        for act in self.facts.acts.iter().filter(|act| !act.superseded) {
+            for script in act.scripts.iter().filter(|script| self.facts.honest(script.robot)) {
+                let knows = self.facts.drawn().robots[script.robot].block.reports;
+                if self.facts.dropped[script.robot].is_none() && knows && !self.resumed {
+                    self.script_done(act, script, wrong);
+                }
+            }
+        }
+        if self.facts.dropped.iter().all(Option::is_none) {
+            wrong.push("done without robots that failed, and none was left out".to_owned());
+        }
+    }
+
+    /// Unless it says itself of a robot that nobody knows what it did.
+    fn nothing_moved(&self, wrong: &mut Vec<String>) {
+        for row in &self.report.robots {
+            let Some(robot) = self.facts.index_of(&row.robot).filter(|robot| self.facts.honest(*robot)) else {
+                continue;
+            };
+            let sure = !matches!(row.stop, StopState::Unconfirmed { .. }) && row.unaccounted == 0;
+            let moved = self.facts.ran.logs[robot].iter().any(|entry| entry.request_id.is_some());
+            if moved && sure && !self.resumed {
+                wrong.push(format!("not started, it says, and {} moved and is accounted for", row.robot));
+            }
+        }
+    }
+
+    fn course(&self, wrong: &mut Vec<String>) {
+        if self.resumed {
+            return;
+        }
+        for (index, course) in self.report.course.iter().enumerate() {
+            let sent: Vec<&SentAct<'_>> = self.facts.acts.iter().filter(|act| act.promise.act == index).collect();
+            let began = sent.iter().flat_map(|act| &act.scripts).any(|script| {
+                self.facts.honest(script.robot) && !self.facts.clock_was_set(script.robot) && script.began()
+            });
+            let ended = self.facts.ran.history.iter().filter(|(_, happened)| match happened {
+                Happened::Told(progress) => matches!(&**progress, Progress::ActEnded { act } if *act == course.act),
+                _ => false,
+            });
+            let ended = ended.count();
+            let truth = match &course.fate {
+                ActFate::NotReached | ActFate::StillWaiting | ActFate::NobodyLeft | ActFate::TimedOut { .. } => {
+                    sent.is_empty()
+                }
+                ActFate::Withdrawn => !sent.is_empty() && !began,
+                ActFate::Stopped => !sent.is_empty(),
+                ActFate::Played => ended > 0 && course.played as usize <= ended,
+            };
+            if !truth {
+                let sent = sent.len();
+                wrong.push(format!("`{}` is {:?}, it was sent {sent} times, began: {began}", course.act, course.fate));
+            }
+        }
+    }
+}

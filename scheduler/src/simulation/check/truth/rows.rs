@@ -1,0 +1,148 @@
+//! What a report says of each robot over all acts, and of its stop.
+
+use urrcp::{Server, Timestamp};
+
+use super::Said;
+use crate::mission::{DeviceReport, FailureKind, Outcome, Progress, Record};
+use crate::report::{RobotReport, StopState};
+use crate::simulation::check::DRIFT;
+use crate::simulation::check::cause::Cause;
+use crate::simulation::{Happened, Lie};
+
+impl Said<'_> {
+    pub(super) fn rows(&self, wrong: &mut Vec<String>) {
+        for row in &self.report.robots {
+            let Some(robot) = self.facts.index_of(&row.robot) else { continue };
+            self.sums(row, wrong);
+            self.claims(robot, row, wrong);
+            if self.facts.honest(robot) {
+                self.stop(robot, row, wrong);
+            }
+        }
+        self.totals(wrong);
+    }
+
+    /// A row sums up what the acts say of the robot.
+    fn sums(&self, row: &RobotReport, wrong: &mut Vec<String>) {
+        if self.report.acts_omitted > 0 {
+            return;
+        }
+        let of_robot = |robot: &&crate::mission::ActRobot| robot.robot == row.robot;
+        let robots = self.report.acts.iter().flat_map(|act| &act.robots).filter(of_robot);
+        let scripts: Vec<&DeviceReport> = robots.flat_map(|robot| &robot.devices).collect();
+        let sum = |what: fn(&DeviceReport) -> u64| scripts.iter().map(|script| what(script)).sum::<u64>();
+        let open = |state: &str| matches!(state, "sent" | "accepted" | "started" | "unknown");
+        let unaccounted = scripts.iter().filter(|script| open(script.state)).count();
+        let error = scripts.iter().filter_map(|script| script.start_error).map(|error| error.abs()).max();
+        let (planned, steps) = self.never_sent(row);
+        let scripts_planned = (row.scripts as u64).saturating_sub(planned)..=row.scripts as u64;
+        let steps_planned = row.steps_planned.saturating_sub(steps)..=row.steps_planned;
+        if !scripts_planned.contains(&(scripts.len() as u64))
+            || !steps_planned.contains(&sum(|script| script.steps_planned as u64))
+        {
+            wrong.push(format!("{} has {} scripts of {} steps planned in all", row.robot, row.scripts, row.steps_planned));
+        }
+        let said = [
+            ("steps done", row.steps_done, sum(|script| u64::from(script.steps_done))),
+            ("late steps", row.late_steps, sum(|script| u64::from(script.late_steps))),
+            ("scripts unaccounted for", row.unaccounted as u64, unaccounted as u64),
+        ];
+        for (what, said, truth) in said.into_iter().filter(|(_, said, truth)| said != truth) {
+            wrong.push(format!("{} has {said} {what} in all, its acts have {truth}", row.robot));
+        }
+        if row.start_error.map(urrcp::Span::abs) != error {
+            wrong.push(format!("{} started {:?} off at most, its acts say {error:?}", row.robot, row.start_error));
+        }
+    }
+
+    /// How many scripts and steps the robot has in acts that were never sent, which its row may count as planned.
+    fn never_sent(&self, row: &RobotReport) -> (u64, u64) {
+        let acts = self.facts.drawn().choreography.acts.iter().enumerate();
+        let unsent = acts.filter(|(index, _)| !self.facts.acts.iter().any(|act| act.promise.act == *index));
+        let plans = unsent.flat_map(|(_, act)| &act.plan.robots).filter(|plan| plan.robot == row.robot);
+        plans.flat_map(|plan| &plan.scripts).fold((0, 0), |(scripts, steps), script| {
+            (scripts + 1, steps + script.script.steps().len() as u64)
+        })
+    }
+
+    /// Nobody is believed to have done more than there is to do, and no number is certain of what did not happen.
+    fn claims(&self, robot: usize, row: &RobotReport, wrong: &mut Vec<String>) {
+        let drawn = &self.facts.drawn().robots[robot];
+        let lies = drawn.lie == Some(Lie::TooManySteps) && drawn.block.reports;
+        if lies && row.scripts > 0 && self.report.outcome == Outcome::Done {
+            wrong.push(format!("done, by the word of {} for more steps than there are", row.robot));
+        }
+        if !self.facts.honest(robot) {
+            return;
+        }
+        let began = |script: &&super::super::facts::SentScript<'_>| script.began();
+        let truth = self.facts.acts.iter().flat_map(|act| act.of(robot)).filter(began).count();
+        if row.started > truth {
+            wrong.push(format!("{} is said to have started {} scripts, and did {truth}", row.robot, row.started));
+        }
+        let sure = !matches!(row.stop, StopState::Unconfirmed { .. }) && row.unaccounted == 0;
+        if sure && !self.resumed && !self.is_discredited(robot) && row.started != truth {
+            wrong.push(format!("{} started {truth} scripts, and the report is sure of {}", row.robot, row.started));
+        }
+    }
+
+    /// What is said of a stop holds for what the robot does afterwards.
+    fn stop(&self, robot: usize, row: &RobotReport, wrong: &mut Vec<String>) {
+        let ended = self.ended();
+        let (rests_from, what) = match row.stop {
+            StopState::Confirmed | StopState::Held => {
+                let confirmed = self.facts.ran.records.iter().any(|(_, record)| {
+                    matches!(record, Record::StopConfirmed { robot } if *robot == row.robot)
+                });
+                if !confirmed {
+                    wrong.push(format!("{} has confirmed its stop, it says, and never did", row.robot));
+                }
+                (ended, "the stop that it is said to have confirmed")
+            }
+            StopState::NotSent => (ended, "the end, and no stop is said to be needed"),
+            StopState::Unconfirmed { lease_ends } => {
+                let grace = DRIFT + self.slowest(robot);
+                let ends = lease_ends.filter(|_| !self.facts.clock_was_set(robot));
+                let ends = ends.map(|ends| ends - self.facts.ran.server_ahead);
+                (ends.map(|ends| ends + grace), "the end of its lease as reported")
+            }
+        };
+        let Some(rests_from) = rests_from else { return };
+        let beyond = self.facts.ran.logs[robot].iter().find(|entry| {
+            let at = Timestamp::<Server>::from_nanos(entry.true_ns);
+            matches!(entry.motion, "set" | "ramp") && at > rests_from
+        });
+        if let Some(entry) = beyond {
+            wrong.push(format!("{} moved after {what}, {rests_from}: {entry:?}", row.robot));
+        }
+    }
+
+    /// The longest that a message to this robot was under way, or that it stood still: a lease counts from what it heard.
+    fn slowest(&self, robot: usize) -> urrcp::Span {
+        let slow = |cause| matches!(cause, Cause::Slow | Cause::RobotPause | Cause::Partition);
+        let hits = self.facts.hits.iter().filter(|hit| hit.is_of(robot) && slow(hit.cause));
+        hits.map(|hit| hit.until - hit.from).max().unwrap_or_default() + self.facts.drawn().delay.1
+    }
+
+    /// What the report says of the whole is what its acts say.
+    fn totals(&self, wrong: &mut Vec<String>) {
+        let report = self.report;
+        let first = report.acts.first();
+        if report.start != first.map(|act| act.start) || report.lead != first.map(|act| act.lead) {
+            wrong.push("start and lead of the report are not those of its first act".to_owned());
+        }
+        if report.spread != report.acts.iter().filter_map(|act| act.spread).max() {
+            wrong.push(format!("the largest spread is said to be {:?}", report.spread));
+        }
+        let told = self.facts.ran.history.iter().filter(|(_, happened)| match happened {
+            Happened::Told(progress) => matches!(&**progress, Progress::Failed(_)),
+            _ => false,
+        });
+        let garbled = |kind: &FailureKind| matches!(kind, FailureKind::Garbled { .. });
+        let failures = report.failures.iter().filter(|failure| !garbled(&failure.kind)).count();
+        let told = told.count();
+        if !self.resumed && failures != told {
+            wrong.push(format!("{failures} failures are reported, {told} were told"));
+        }
+    }
+}
