@@ -108,12 +108,7 @@ fn session() -> Option<SessionId> {
 }
 
 fn options(drawn: &Drawn) -> MissionOptions {
-    MissionOptions {
-        patience: PATIENCE,
-        session: session(),
-        join: drawn.join,
-        ..MissionOptions::default()
-    }
+    MissionOptions { patience: PATIENCE, session: session(), join: drawn.join, ..MissionOptions::default() }
 }
 
 fn participants(drawn: &Drawn) -> Vec<Participant> {
