@@ -25,6 +25,33 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     hands_were_there(facts, verdict);
     what_was_written_is_read(facts, verdict);
     those_who_return_hear(facts, verdict);
+    those_who_start_are_awaited(facts, verdict);
+}
+
+/// While robots are greeted, one that refuses connections may still be starting.
+fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
+    /// For so long.
+    const STARTS_WITHIN: Span = Span::from_millis(500);
+    let first_act = facts.acts.first().map(|act| act.at);
+    let mut lost: Vec<Option<Timestamp<Server>>> = vec![None; facts.drawn().robots.len()];
+    for (at, happened) in &facts.ran.history {
+        match happened {
+            Happened::LinkDown(robot) => {
+                lost[*robot].get_or_insert(*at);
+            }
+            Happened::TakenUp(_) => return,
+            Happened::Told(progress) => {
+                let Progress::Failed(failure) = &**progress else { continue };
+                let robot = facts.index_of(&failure.robot).filter(|_| first_act.is_none_or(|act| *at < act));
+                let Some((robot, since)) = robot.and_then(|robot| Some((robot, lost[robot]?))) else { continue };
+                if matches!(failure.kind, FailureKind::LinkDown { .. }) && *at - since < STARTS_WITHIN {
+                    let what = format!("r{robot} was given up {} after its first connection failed", *at - since);
+                    return verdict.violated('h', what);
+                }
+            }
+            _ => {}
+        }
+    }
 }
 
 /// An empty script comes to a robot only once it was left out or everything was being stopped.
