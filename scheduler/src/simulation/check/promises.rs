@@ -8,8 +8,10 @@ use urrcp::{Command, Message, Server, Span, Timestamp};
 use super::cause::{Cause, Hit};
 use super::facts::{Facts, SentAct};
 use super::{DRIFT, Verdict};
+use crate::dry_run::BEGIN;
 use crate::mission::{FailureKind, Progress, Record};
 use crate::simulation::Happened;
+use crate::simulation::world::PATIENCE;
 
 /// What the scheduler and a robot take to go on where neither waits for anything.
 const AT_ONCE: Span = Span::from_millis(2);
@@ -43,6 +45,8 @@ fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
             Happened::Told(progress) => {
                 let Progress::Failed(failure) = &**progress else { continue };
                 let robot = facts.index_of(&failure.robot).filter(|_| first_act.is_none_or(|act| *at < act));
+                // Patience may end before.
+                let robot = robot.filter(|_| *at < BEGIN + PATIENCE);
                 let Some((robot, since)) = robot.and_then(|robot| Some((robot, lost[robot]?))) else { continue };
                 if matches!(failure.kind, FailureKind::LinkDown { .. }) && *at - since < STARTS_WITHIN {
                     let what = format!("r{robot} was given up {} after its first connection failed", *at - since);
