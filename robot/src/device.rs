@@ -10,11 +10,11 @@
 use std::collections::{BTreeMap, VecDeque};
 
 use urrcp::{
-    Command, ControlError, ControlType, Device, ErrorCode, Interpolation, Millis, RequestId, Robot, Script,
-    Server, Setpoint, Span, Timestamp,
+    Command, ControlError, ControlType, Device, ErrorCode, Interpolation, RequestId, Robot, Script, Server,
+    Setpoint, Span, Timestamp,
 };
 
-use crate::held::{Held, Steps};
+use crate::held::{Held, Limit, Steps};
 use crate::lease::{LastHeard, Lease};
 use crate::robot::LinkId;
 use crate::signal::{Rates, Signal, default_of, first_value, is_rate, resting_value};
@@ -352,21 +352,13 @@ impl DeviceMachine {
         self.queue.front().filter(|held| held.began)
     }
 
-    /// Limits the pending lease of a command of this party that starts at `start` and has not begun: how long it may be, and
-    /// until when.
-    pub(crate) fn limit(
-        &mut self,
-        id: &RequestId,
-        start: Timestamp<Robot>,
-        party: LinkId,
-        (pending, until): (Option<Millis>, Option<Timestamp<Robot>>),
-    ) {
+    /// Limits the pending lease of a command of this party that starts at `start` and has not begun.
+    pub(crate) fn limit(&mut self, id: &RequestId, start: Timestamp<Robot>, party: LinkId, limit: Limit) {
         let first = self.queue.partition_point(|held| held.start < start);
         let same_start = self.queue.iter_mut().skip(first).take_while(|held| held.start == start);
         let named = |held: &&mut Held| held.request_id.as_ref() == Some(id);
         if let Some(held) = same_start.filter(|held| !held.began && held.link == party).find(named) {
-            pending.into_iter().for_each(|pending| held.shorten_pending(pending));
-            held.pending_until = until;
+            held.limit(limit);
         }
     }
 
@@ -475,6 +467,7 @@ impl DeviceMachine {
             late_steps: 0,
             began: false,
             pending_until: None,
+            limited_by: None,
         };
         self.queue.insert(place, held);
         Ok(())

@@ -1,6 +1,6 @@
 //! A command that a device has accepted and that has not ended: its steps, their absolute times, its lease.
 
-use urrcp::{ControlType, Millis, RequestId, Robot, Script, Setpoint, StopCondition, Timestamp};
+use urrcp::{ControlType, Millis, RequestId, Robot, Script, Server, Setpoint, StopCondition, Timestamp};
 
 use crate::lease::{self, LastHeard, Lease};
 use crate::robot::LinkId;
@@ -20,6 +20,17 @@ pub(crate) struct Held {
     pub(crate) began: bool,
     /// Its pending lease ends then at the latest, whatever is heard.
     pub(crate) pending_until: Option<Timestamp<Robot>>,
+    /// The question that limited its lease last: on which link, and when it was sent.
+    pub(crate) limited_by: Option<(LinkId, Timestamp<Server>)>,
+}
+
+/// A question that limits the pending lease of what it names.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Limit {
+    pub(crate) pending: Option<Millis>,
+    pub(crate) until: Option<Timestamp<Robot>>,
+    /// On which link it came, and when it was sent.
+    pub(crate) asked: Option<(LinkId, Timestamp<Server>)>,
 }
 
 /// What a command does.
@@ -86,8 +97,21 @@ impl Held {
         heard.ends(&self.lease()).into_iter().chain(over_by_then).chain(until).min()
     }
 
+    /// Takes a limit of its pending lease. One that was overtaken on its link by a later one changes nothing.
+    pub(crate) fn limit(&mut self, limit: Limit) {
+        if let (Some((link, asked)), Some((before_on, before))) = (limit.asked, self.limited_by)
+            && link == before_on
+            && asked < before
+        {
+            return;
+        }
+        limit.pending.into_iter().for_each(|pending| self.shorten_pending(pending));
+        self.pending_until = limit.until;
+        self.limited_by = limit.asked.or(self.limited_by);
+    }
+
     /// From now on it may wait for its start no longer than this without a word.
-    pub(crate) fn shorten_pending(&mut self, silence: Millis) {
+    fn shorten_pending(&mut self, silence: Millis) {
         let condition = self.stop_condition.get_or_insert_default();
         let shorter = condition.pending.is_none_or(|own| silence.get() < own.get());
         condition.pending = if shorter { Some(silence) } else { condition.pending };

@@ -1,13 +1,14 @@
 //! What a robot answers to an inquiry: a question that neither starts, stops nor moves anything, and claims nothing.
 
 use urrcp::{
-    ControlError, DeviceId, DeviceRoom, Inquiry, InquiryResponse, Message, Millis, RequestId, RequestReport,
-    RequestState, Robot as Clock, Status, Timestamp,
+    ControlError, DeviceId, DeviceRoom, Inquiry, InquiryResponse, Message, RequestId, RequestReport,
+    RequestState, Status,
 };
 
 use super::control::Owner;
 use super::{LinkId, Now, Output, Robot};
 use crate::answers::Known;
+use crate::held::Limit;
 
 impl Robot {
     pub(super) fn inquire(&mut self, now: Now, link: LinkId, inquiry: &Inquiry, out: &mut Vec<Output>) {
@@ -20,8 +21,9 @@ impl Robot {
         out.push(Output::Send { link, message: Message::InquiryResponse(response) });
         if belongs && !inquiry.requests.is_empty() {
             let party = self.parties.party(link);
-            let limits = (inquiry.pending_lease, inquiry.pending_until);
-            inquiry.requests.iter().for_each(|id| self.limit(id, party, limits));
+            let (pending, until) = (inquiry.pending_lease, inquiry.pending_until);
+            let limit = Limit { pending, until, asked: inquiry.timestamp.map(|asked| (link, asked)) };
+            inquiry.requests.iter().for_each(|id| self.limit(id, party, limit));
             // A lease of no length ends at once.
             self.advance(now, out);
         }
@@ -87,12 +89,12 @@ impl Robot {
     }
 
     /// Only what this party has sent itself: its message has just renewed those leases.
-    fn limit(&mut self, id: &RequestId, party: LinkId, limits: (Option<Millis>, Option<Timestamp<Clock>>)) {
+    fn limit(&mut self, id: &RequestId, party: LinkId, limit: Limit) {
         let Some(known) = self.answers.known(id) else { return };
         let (Some(start), Some(&index)) = (known.start, self.index_of.get(&known.answer.device_id)) else {
             return;
         };
-        self.devices[index].limit(id, start, party, limits);
+        self.devices[index].limit(id, start, party, limit);
         self.refresh_wakeup(index);
     }
 }

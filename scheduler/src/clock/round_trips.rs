@@ -26,7 +26,11 @@ impl RoundTrips {
     /// another was under way tell of the same moment of the link and count as one with it, the longest of them.
     pub(super) fn add(&mut self, at: Timestamp<Server>, delay: Span) {
         match self.latest.back_mut() {
-            Some((ended, longest)) if at - delay < *ended => *longest = delay.max(*longest),
+            Some((ended, longest)) if at - delay < *ended => {
+                if delay > *longest {
+                    (*ended, *longest) = (at, delay);
+                }
+            }
             _ => self.latest.push_back((at, delay)),
         }
         while self.latest.len() > EXCHANGES_MAX
@@ -98,6 +102,16 @@ mod tests {
         for k in 0..19 {
             trips.add(pause_ends, millis(1_950 - 100 * k));
         }
+        assert_eq!(trips.high(), millis(1), "{trips:?}");
+    }
+
+    #[test]
+    fn a_pause_counts_as_one_also_where_it_began_under_a_question_that_is_answered() {
+        let (mut trips, at) = after(millis(100), std::iter::repeat_n(1, 5));
+        // Asked before the last answer came, and after it: both are answered when the pause ends.
+        let pause_ends = at + millis(2_000);
+        trips.add(pause_ends, millis(2_000) + Span::from_micros(500));
+        trips.add(pause_ends + millis(1), millis(1_900));
         assert_eq!(trips.high(), millis(1), "{trips:?}");
     }
 

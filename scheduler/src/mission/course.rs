@@ -124,6 +124,17 @@ impl Mission {
         }
     }
 
+    /// A failure leads to another act. One that waits behind the one that plays, and was not sent, gives way to it.
+    pub(super) fn lead_elsewhere(&mut self, act: usize) {
+        self.detour = Some(act);
+        if let [.., _, waiting] = self.acts.as_slice()
+            && !waiting.was_sent()
+        {
+            self.acts.pop();
+            self.acts_begun -= 1;
+        }
+    }
+
     /// After an act has ended with none behind it.
     fn go_on_from(&mut self, now: Timestamp<Server>, follow: Way) {
         let way = self.detour.take().map_or(follow, Way::Act);
@@ -252,7 +263,9 @@ impl Mission {
     /// Puts an act's story into its report and forgets the rest.
     fn close_act(&mut self, now: Timestamp<Server>, index: usize) {
         let act = self.acts.remove(index);
-        self.account(now, &act);
+        if act.was_sent() {
+            self.account(now, &act);
+        }
         let fate = self.fate_of(now, &act);
         if fate == ActFate::NobodyLeft {
             self.tell(Progress::ActSkipped { act: act.name(), fate: fate.clone() });
@@ -325,7 +338,7 @@ impl Mission {
                 totals.steps_planned += script.plan.script.steps().len() as u64;
                 totals.late_steps += u64::from(script.late_steps());
                 totals.start_error = totals.start_error.into_iter().chain(error).max_by_key(|e| e.abs());
-                totals.unaccounted += usize::from(script.is_unaccounted());
+                totals.unaccounted += usize::from(act.is_unaccounted(script));
                 if let Some(id) = script.request_id() {
                     robot.requests.remove(id);
                 }

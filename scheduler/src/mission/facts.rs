@@ -137,6 +137,7 @@ fn device_report(act: &Act, member: &Member, script: &Script) -> DeviceReport {
     DeviceReport {
         device: script.plan.device.clone(),
         state: match script.state() {
+            ScriptState::Planned if act.may_have_been_sent(script) => "unknown",
             ScriptState::Planned => "planned",
             ScriptState::Sent => "sent",
             ScriptState::Held => "accepted",

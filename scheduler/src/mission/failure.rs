@@ -216,7 +216,9 @@ impl Mission {
             OnFailure::Abort => self.abort_for(now, robots, Rest::Default, then),
             OnFailure::Hold => self.abort_for(now, robots, Rest::Hold, then),
             OnFailure::Without => {
-                self.detour = then.or(self.detour);
+                if let Some(then) = then {
+                    self.lead_elsewhere(then);
+                }
                 robots.iter().for_each(|robot| self.drop_robot(now, *robot));
                 let sent = self.acts.iter().any(super::act::Act::was_sent);
                 let nobody = self.robots.iter().all(|robot| robot.standing == Standing::Out);

@@ -195,7 +195,7 @@ impl Mission {
         }
         self.check_clocks(now);
         self.check_sensors();
-        self.check_refills();
+        self.check_refills(now);
         let preflight = preflight::table(self, now);
         self.preflight = Some(preflight.clone());
         let failed = self.robots.iter().any(RobotState::has_failed);

@@ -50,13 +50,14 @@ impl Mission {
         if let Some(from) = from.filter(|from| now < *from) {
             return self.acts[index].look_again_at(Some(from));
         }
-        let offenders = skew.as_ref().map(SkewBudget::offenders).unwrap_or_default();
+        let start = (now + need.lead.total()).max(act.target().unwrap_or(now));
+        let offenders = self.skew_ahead(act, now, start).map(|skew| skew.offenders()).unwrap_or_default();
         if !offenders.is_empty() {
             let at = |id| self.robots.iter().position(|robot| robot.id == id);
             let failing = offenders.into_iter().filter_map(|(id, kind)| Some((at(id)?, kind))).collect();
             return self.fail_all(now, failing);
         }
-        self.send_act(now, index, need, skew);
+        self.send_act(now, index, need);
     }
 
     /// What is promised has to be on the disk first: one that stands still is not waited for.
@@ -70,6 +71,12 @@ impl Mission {
 
     fn skew_of(&self, act: &Act, now: Timestamp<Server>) -> Option<SkewBudget> {
         SkewBudget::of(act.present(), &self.robots, act.written().plan.start_tolerance, now)
+    }
+
+    /// What may be said now of the starts of an act that is sent now.
+    fn skew_ahead(&self, act: &Act, now: Timestamp<Server>, start: Timestamp<Server>) -> Option<SkewBudget> {
+        let tolerance = act.written().plan.start_tolerance;
+        SkewBudget::ahead(act.present(), &self.robots, tolerance, (now, start))
     }
 
     /// Members whose clock has not been measured, as after a resumption, where it has to be.
@@ -180,7 +187,7 @@ impl Mission {
         }
     }
 
-    fn send_act(&mut self, now: Timestamp<Server>, index: usize, need: Need, skew: Option<SkewBudget>) {
+    fn send_act(&mut self, now: Timestamp<Server>, index: usize, need: Need) {
         // Later than any stop: those take back what was sent before them.
         let now = self.stopped_at.map_or(now, |stopped| now.max(stopped + Span::from_nanos(1)));
         let act = &self.acts[index];
@@ -189,6 +196,7 @@ impl Mission {
         let lead = need.lead.stretched_to(target.unwrap_or(now) + slip - now);
         let timing = Timing::new(now, lead, need.pace, act.written().plan.duration());
         let gap = target.map(|target| timing.start - target);
+        let skew = self.skew_ahead(act, now, timing.start);
         let timing = Timing { skew, slowest: need.slowest, gap, ..timing };
         let shift_of = |robot: &RobotState| {
             let measured = robot.clock_at(now).filter(|_| robot.clock_mode == ClockMode::Measured);

@@ -4,17 +4,17 @@
 //! today cannot do is found here, before anything has moved.
 
 use downbeat_scripts::{Refill, RefillKind, refills};
-use urrcp::{DeviceId, RobotId, Span};
+use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
-use super::Mission;
 use super::act::LAPSE;
 use super::failure_kind::FailureKind;
 use super::robot_state::RobotState;
+use super::{ClockMode, Mission};
 
 impl Mission {
     /// Refuses robots whose devices cannot be sent one of their scripts in time.
-    pub(super) fn check_refills(&mut self) {
-        let sending = self.robots.iter().map(sending).max().unwrap_or_default();
+    pub(super) fn check_refills(&mut self, now: Timestamp<Server>) {
+        let sending = self.robots.iter().map(|robot| sending(robot, now)).max().unwrap_or_default();
         let queue = |robot: &RobotId, device: &DeviceId| {
             let state = self.robots.iter().find(|state| state.id == *robot)?;
             let described = state.block.as_ref()?.device(device.as_str())?;
@@ -23,7 +23,7 @@ impl Mission {
         let later = |refill: &Refill| refill.kind == RefillKind::Later;
         for refill in refills(&self.choreography, queue, sending).into_iter().filter(later) {
             let Some(robot) = self.robots.iter().position(|robot| robot.id == refill.robot) else { continue };
-            let needed = self::sending(&self.robots[robot]);
+            let needed = self::sending(&self.robots[robot], now);
             if refill.time < needed {
                 let act =
                     Some(self.choreography.acts[refill.act].name.clone()).filter(|name| !name.is_empty());
@@ -35,12 +35,22 @@ impl Mission {
 }
 
 /// How long it takes at least until a robot holds a script for which it has room: the end of the one before is reported and
-/// the next one sent, or, where the robot does not report by itself, its end is awaited and asked for.
-fn sending(robot: &RobotState) -> Span {
+/// the next one sent, or, where the robot does not report by itself, its end is awaited, as late as its clock may be, and asked
+/// for.
+fn sending(robot: &RobotState, now: Timestamp<Server>) -> Span {
     let round_trip = robot.round_trip();
     match (robot.reports(), robot.takes_inquiries()) {
         (true, _) => round_trip,
-        (false, true) => round_trip * 2 + LAPSE,
-        (false, false) => round_trip + LAPSE,
+        (false, true) => round_trip * 2 + LAPSE + late(robot, now),
+        (false, false) => round_trip + LAPSE + late(robot, now),
     }
+}
+
+/// How much later than planned a script may end, by the robot's own clock.
+fn late(robot: &RobotState, now: Timestamp<Server>) -> Span {
+    let late = robot.clock_at(now).map(|reading| match robot.clock_mode {
+        ClockMode::Ntp => reading.uncertainty - reading.offset,
+        ClockMode::Measured => reading.uncertainty,
+    });
+    late.unwrap_or_default().max(Span::ZERO) + robot.wake_up
 }

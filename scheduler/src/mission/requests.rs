@@ -200,7 +200,8 @@ impl Mission {
             self.recording.awaited.pop_front();
             // Slowly forgotten, so that one slow moment does not delay the rest of the show.
             let before = self.recording.longest.unwrap_or_default() * 3 / 4;
-            self.recording.longest = Some((now - asked).max(before));
+            // What was held up on this machine says nothing of the disk.
+            self.recording.longest = Some((self.arrived - asked).max(before));
             let Some(number) = number else {
                 self.acts.iter_mut().for_each(|act| act.look_again_at(None));
                 continue;

@@ -83,7 +83,8 @@ impl Mission {
 
     /// The same ahead of a message that cannot wait.
     pub(super) fn inquire_now(&mut self, now: Timestamp<Server>, robot: usize) {
-        let named = self.acts.iter().flat_map(|act| act.names_of(robot, now)).collect();
+        let ahead = self.robots[robot].clock_at(now).map(|reading| reading.offset);
+        let named = self.acts.iter().flat_map(|act| act.names_of(robot, now, ahead)).collect();
         self.ask_about(now, robot, named);
     }
 

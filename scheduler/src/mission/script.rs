@@ -290,13 +290,17 @@ impl Script {
             ScriptState::Held | ScriptState::Running | ScriptState::Unknown
                 if self.accepted_at.is_none_or(|at| at < said_at) =>
             {
-                // What it did of it before nobody can tell any more.
-                self.state = ScriptState::Unknown;
-                let message = "the robot has lost the script, as after a restart";
-                News::Failed(ControlError::new(ErrorCode::Internal, message))
+                self.lose()
             }
             _ => News::None,
         }
+    }
+
+    /// The robot does not know it any more. What it did of it before nobody can tell.
+    pub(super) fn lose(&mut self) -> News {
+        self.state = ScriptState::Unknown;
+        let message = "the robot has lost the script, as after a restart";
+        News::Failed(ControlError::new(ErrorCode::Internal, message))
     }
 
     fn accept(&mut self, said_at: Timestamp<Robot>) -> News {

@@ -49,6 +49,12 @@ impl RobotSkew {
 }
 
 impl SkewBudget {
+    /// How much later than planned one robot may start.
+    pub(crate) fn late_of(&self, robot: &RobotId) -> Option<Span> {
+        let skew = self.robots.iter().find(|skew| skew.robot == *robot)?;
+        Some(skew.range().1.max(Span::ZERO))
+    }
+
     /// Of these members; `None` as long as the clock of one is unknown.
     pub(crate) fn of<'a>(
         members: impl Iterator<Item = &'a Member>,
@@ -57,6 +63,19 @@ impl SkewBudget {
         at: Timestamp<urrcp::Server>,
     ) -> Option<Self> {
         Self::with(members, robots, tolerance, at, |_, _| Span::ZERO)
+    }
+
+    /// Of members that are sent an act now which starts then: clocks drift until then, and what is translated into a robot's time
+    /// is translated now.
+    pub(crate) fn ahead<'a>(
+        members: impl Iterator<Item = &'a Member>,
+        robots: &[RobotState],
+        tolerance: Span,
+        (now, start): (Timestamp<urrcp::Server>, Timestamp<urrcp::Server>),
+    ) -> Option<Self> {
+        Self::with(members, robots, tolerance, start, |member, offset| {
+            robots[member.robot].clock_at(now).map_or(Span::ZERO, |reading| offset - reading.offset)
+        })
     }
 
     /// Of members that have been sent an act: what was translated into a robot's time is off by what that time has strayed
@@ -129,5 +148,31 @@ impl SkewBudget {
             (robot.robot.clone(), FailureKind::Clock { offset, uncertainty, tolerance: self.tolerance })
         };
         self.robots.iter().filter(far).map(failure).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::ClockSample;
+    use crate::mission::bench::{self, Tells, at, ms};
+
+    #[test]
+    fn a_budget_for_a_later_start_is_wider_by_what_clocks_drift_until_then() {
+        let scripts: [&[bench::Planned]; 2] = [&[("a", 0, 400)]; 2];
+        let choreography = bench::played(&scripts);
+        let mut robots = ["r0", "r1"].map(|name| bench::robot(name, Tells::Everything, 2));
+        for robot in &mut robots {
+            let instant = at(10).assume_clock();
+            robot.clock.add(ClockSample::from_exchange(at(9), instant, instant, at(11)));
+        }
+        robots[1].clock_mode = ClockMode::Measured;
+        let members = crate::mission::act::members(&choreography.acts[0].plan, &robots);
+        let budget = |start| SkewBudget::ahead(members.iter(), &robots, ms(60), (at(11), start)).unwrap();
+        let (now, later) = (budget(at(11)), budget(at(2_011)));
+        for (now, later) in now.robots.iter().zip(&later.robots) {
+            assert_eq!(later.uncertainty - now.uncertainty, Span::from_micros(200), "100 ppm of 2 s");
+        }
+        assert_eq!(later.predicted - now.predicted, Span::from_micros(400));
     }
 }

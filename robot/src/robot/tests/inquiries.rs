@@ -187,6 +187,25 @@ fn a_pending_lease_ends_at_the_instant_that_was_said_however_late_the_question_c
 }
 
 #[test]
+fn a_question_that_was_overtaken_on_its_link_takes_back_nothing_of_the_later_one() {
+    for (overtaken_on, plays) in [(LINK, true), (LinkId(9), false)] {
+        let mut bench = Bench::new();
+        let of_session = ControlRequest { session: session("show"), ..timed("arm", "a", 1_000.0, paper()) };
+        bench.request(of_session);
+        let asked = |millis: i64| Inquiry {
+            timestamp: Some(urrcp::Timestamp::from_nanos(millis * 1_000_000)),
+            session: session("show"),
+            ..about(&["a"])
+        };
+        bench.inquire(asked(20));
+        let earlier = Inquiry { pending_until: Some(at(900)), ..asked(10) };
+        bench.inquire_on(overtaken_on, earlier);
+        bench.until(5_000);
+        assert_eq!(!bench.values().is_empty(), plays, "{overtaken_on:?}");
+    }
+}
+
+#[test]
 fn a_running_script_keeps_its_lease_whatever_an_inquiry_says() {
     let mut bench = Bench::new();
     bench.request(ControlRequest {

@@ -124,6 +124,16 @@ pub(crate) struct Act {
     place: HashMap<usize, usize>,
     readings_asked: usize,
     readings: Vec<TakenReading>,
+    origin: Origin,
+}
+
+/// Which process sent an act.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Origin {
+    /// This one.
+    Own,
+    /// Another one, which had committed it: what it sent later nobody can know.
+    TakenUp,
 }
 
 impl Act {
@@ -150,6 +160,7 @@ impl Act {
             members,
             readings_asked: 0,
             readings: Vec::new(),
+            origin: Origin::Own,
             choreography,
         }
     }
@@ -209,6 +220,16 @@ impl Act {
     /// The place of a robot that still takes part.
     pub(crate) fn place_of(&self, robot: usize) -> Option<usize> {
         self.place.get(&robot).copied().filter(|place| self.members[*place].takes_part())
+    }
+
+    /// Nobody knows what became of a script, or whether it was sent at all.
+    pub(crate) fn is_unaccounted(&self, script: &Script) -> bool {
+        script.is_unaccounted() || self.may_have_been_sent(script)
+    }
+
+    /// This process has not sent it. Another one may have.
+    pub(crate) fn may_have_been_sent(&self, script: &Script) -> bool {
+        script.is_planned() && self.origin == Origin::TakenUp
     }
 
     pub(crate) fn script(&self, script: ScriptRef) -> &Script {
@@ -345,11 +366,18 @@ impl Act {
     }
 
     /// The requests that a robot may have, in the groups in which it is asked for them, each with the pending lease that
-    /// the question carries: while the act approaches its start, one that ends before the script would begin.
-    pub(crate) fn names_of(&self, robot: usize, now: Timestamp<Server>) -> Vec<NamedScripts> {
+    /// the question carries: while the act approaches its start, one that ends before the script would begin. `ahead` is what
+    /// the robot's clock is ahead of the server's, if that is known: all leases end at one instant, whatever a clock shows.
+    pub(crate) fn names_of(
+        &self,
+        robot: usize,
+        now: Timestamp<Server>,
+        ahead: Option<Span>,
+    ) -> Vec<NamedScripts> {
         let (Some(place), Some(timing)) = (self.place_of(robot), &self.timing) else { return Vec::new() };
         let shortens = matches!(self.stage, Stage::Approaching(_));
         let member = &self.members[place];
+        let ahead = ahead.unwrap_or(member.shift());
         // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
         let mut groups: BTreeMap<(bool, Option<Span>), Vec<RequestId>> = BTreeMap::new();
         for (index, script) in member.under_way().filter(|(_, script)| script.is_unaccounted()) {
@@ -358,7 +386,7 @@ impl Act {
         }
         let named = |((_, offset), requests): ((bool, Option<Span>), _)| NamedScripts {
             lease: offset.map(|offset| timing.lease_at(now) + offset),
-            until: offset.map(|offset| (timing.brink() + offset + member.shift()).assume_clock()),
+            until: offset.map(|offset| (timing.brink() + offset + ahead).assume_clock()),
             requests,
         };
         groups.into_iter().map(named).collect()

@@ -3,7 +3,7 @@
 use urrcp::{ControlResponse, ErrorCode, RequestReport, Robot, Server, Span, Timestamp};
 
 use super::timing::CLOCK_UNKNOWN;
-use super::{Act, ActAction, Member, Stage};
+use super::{Act, ActAction, Member, Stage, Timing};
 use crate::mission::Progress;
 use crate::mission::claim::{Possible, Times, Told};
 use crate::mission::failure_kind::FailureKind;
@@ -89,6 +89,13 @@ impl Act {
         }
         let member = &mut self.members[script.member];
         let news = member.change(script.script, |script| script.reported(report, asked_at, said_at));
+        let begins = self
+            .timing
+            .as_ref()
+            .map(|timing| timing.start + member.scripts()[script.script].plan.start.span());
+        // It may have come, and been played, before the robot forgot it.
+        let over = news == News::NeverReceived && begins.is_some_and(|begins| arrived >= begins);
+        let news = if over { member.change(script.script, Script::lose) } else { news };
         self.noted(script, news, robots)
     }
 
@@ -202,12 +209,13 @@ impl Act {
     /// Scripts whose time has passed on robots that cannot say so. Returns those robots.
     fn lapse(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<usize> {
         let Some(timing) = &self.timing else { return Vec::new() };
-        let (start, grace) = (timing.start, timing.pace.late + LAPSE);
+        let start = timing.start;
         let mut lapsed = Vec::new();
         for member in self.members.iter_mut().filter(|member| member.takes_part()) {
             if !lapses(&robots[member.robot]) {
                 continue;
             }
+            let grace = late_of(timing, &robots[member.robot]) + LAPSE;
             let over = |(index, script): (usize, &Script)| {
                 (script.is_out() && now >= planned_end(start, script) + grace).then_some(index)
             };
@@ -278,7 +286,7 @@ impl Act {
     ) -> Option<Timestamp<Server>> {
         let timing = self.timing.as_ref()?;
         let start = timing.start + script.plan.start.span();
-        let end = planned_end(timing.start, script) + timing.pace.late;
+        let end = planned_end(timing.start, script) + late_of(timing, robot);
         match script.state() {
             // Sent when its device has room.
             ScriptState::Planned if member.under_way().any(|(_, script)| script.is_out()) => None,
@@ -299,8 +307,8 @@ impl Act {
                 let asked = self.report_due(member, script, robot, grace)?;
                 // A report that stays out is a failure after as long again.
                 Some([asked, asked + grace]).filter(|_| robot.tells_fates()).or_else(|| {
-                    let lapses = planned_end(self.timing.as_ref()?.start, script) + LAPSE;
-                    Some([lapses + self.timing.as_ref()?.pace.late; 2])
+                    let timing = self.timing.as_ref()?;
+                    Some([planned_end(timing.start, script) + LAPSE + late_of(timing, robot); 2])
                 })
             })
         });
@@ -402,6 +410,11 @@ impl Act {
             self.readings.push(super::TakenReading { robot, sensor, at: planned.at, value });
         }
     }
+}
+
+/// How much later than planned a robot may be by its own clock; where that is not known, as the latest of the fleet.
+fn late_of(timing: &Timing, robot: &RobotState) -> Span {
+    timing.skew.as_ref().and_then(|skew| skew.late_of(&robot.id)).unwrap_or(timing.pace.late)
 }
 
 /// What became of its scripts cannot be learned from it.

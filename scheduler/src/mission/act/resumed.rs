@@ -8,7 +8,7 @@ use urrcp::{RequestId, Server, Span, Timestamp};
 
 use super::approaching::Approach;
 use super::timing::{CLOCK_UNKNOWN, Leases, Measured, Pace};
-use super::{Act, Stage, Timing};
+use super::{Act, Origin, Stage, Timing};
 use crate::mission::lead::LeadTime;
 use crate::mission::record::{Promise, PromisedScript};
 use crate::mission::resume::Changed;
@@ -69,6 +69,7 @@ impl Act {
         act.stage = match reached {
             Reached::Decision => Stage::Approaching(Approach::beginning(now)),
             Reached::Commitment => {
+                act.origin = Origin::TakenUp;
                 act.begin(now);
                 act.stage
             }

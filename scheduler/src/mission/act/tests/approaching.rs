@@ -222,10 +222,10 @@ fn outside_the_approach_no_lease_is_shortened() {
     let mut bench = Bench { silent: vec![1], ..Bench::pair() };
     bench.promise(Leases::Shortened);
     bench.run_until(at(10));
-    assert!(bench.act.names_of(0, bench.now).iter().all(|group| group.lease.is_none()));
+    assert!(bench.act.names_of(0, bench.now, None).iter().all(|group| group.lease.is_none()));
     let mut bench = Bench::pair();
     bench.play(Leases::Shortened);
-    assert!(bench.act.names_of(0, bench.now).iter().all(|group| group.lease.is_none()));
+    assert!(bench.act.names_of(0, bench.now, None).iter().all(|group| group.lease.is_none()));
 }
 
 fn with_doubt(on_doubt: OnDoubt, policy: Policy) -> Bench {
@@ -282,4 +282,16 @@ impl Bench {
         self.run_until(self.start() - ms(1));
         assert_eq!(self.act.progress(), Progressed::Committed);
     }
+}
+
+#[test]
+fn the_lease_of_a_robot_whose_clock_is_ahead_ends_when_those_of_the_others_do() {
+    let mut bench = Bench::pair();
+    bench.promise(Leases::Shortened);
+    bench.run_until(bench.timing().critical() - ms(20));
+    assert_eq!(bench.act.progress(), Progressed::Approaching);
+    let brink = bench.timing().brink();
+    let until = |ahead| bench.act.names_of(0, bench.now, ahead)[0].until.unwrap();
+    assert_eq!(until(Some(ms(35))), (brink + ms(35)).assume_clock());
+    assert_eq!(until(None), brink.assume_clock());
 }

@@ -48,7 +48,7 @@ fn a_robot_that_is_left_out_in_any_stage_gets_nothing_any_more_and_the_others_pl
             bench.act.member(0).unwrap().is_done() && bench.act.member(2).unwrap().is_done(),
             "{stage:?}"
         );
-        assert!(bench.act.names_of(1, bench.now).is_empty());
+        assert!(bench.act.names_of(1, bench.now, None).is_empty());
         assert_eq!(bench.act.place_of(1), None);
     }
 }

@@ -270,7 +270,7 @@ impl Bench {
         let hushed = self.act.hushes(robot, self.now);
         assert!(!hushed, "{robot} is asked at {}, {} before the start", self.now, self.start() - self.now);
         self.robots[robot].questions.asked(self.now);
-        let (stage, named) = (self.act.progress(), self.act.names_of(robot, self.now));
+        let (stage, named) = (self.act.progress(), self.act.names_of(robot, self.now, None));
         self.asked.push(Question { at: self.now, stage, robot, named });
         self.arrivals.push((self.now + ROUND_TRIP, Arrival::Answer { robot, asked: self.now }));
     }

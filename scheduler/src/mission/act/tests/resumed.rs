@@ -2,6 +2,7 @@
 
 use super::super::Reached;
 use super::*;
+use crate::mission::ActReport;
 use crate::mission::record::Promise;
 
 fn promised(scripts: &[&[Planned]]) -> (Bench, Promise) {
@@ -86,6 +87,32 @@ fn what_ended_while_nobody_was_there_is_asked_for_before_anybody_has_failed() {
     bench.ask(1);
     bench.run_until(bench.now + ms(5_000));
     assert!(bench.act.is_over() && bench.failed.is_empty(), "{:?}", bench.failed);
+}
+
+#[test]
+fn what_a_robot_does_not_know_after_its_start_is_lost_and_never_sent_late() {
+    let mut bench = taken_up(Reached::Commitment, ms(-1_000));
+    bench.sent.clear();
+    let script = bench.scripts_of(1)[0];
+    bench.report(script, bench.now, RequestState::Unknown);
+    assert_eq!(bench.state(1, 0), &ScriptState::Unknown, "it may have played");
+    assert_eq!(bench.sent, []);
+    assert!(matches!(bench.failed.as_slice(), [(_, 1, FailureKind::Script { .. })]), "{:?}", bench.failed);
+}
+
+#[test]
+fn of_a_script_that_another_process_may_have_sent_nobody_says_that_it_was_not() {
+    let scripts: [&[Planned]; 1] = [&[("a", 0, 400), ("a", 500, 400), ("a", 1_000, 400)]];
+    let (other, promise) = promised(&scripts);
+    let robots = robots(&[Tells::Everything], 2);
+    let choreography = Arc::clone(&other.act.choreography);
+    let take_up =
+        |reached| Act::take_up(Arc::clone(&choreography), &promise, reached, &robots, promise.start).unwrap();
+    for (reached, state) in [(Reached::Commitment, "unknown"), (Reached::Decision, "planned")] {
+        let report = ActReport::new(&take_up(reached), &robots).unwrap();
+        let states: Vec<_> = report.robots[0].devices.iter().map(|script| script.state).collect();
+        assert_eq!(states, [state; 3], "{reached:?}");
+    }
 }
 
 #[test]
