@@ -1,4 +1,5 @@
-//! What the scheduler promises to do and not to do on the way, held against what reached the robots: (c) only a stop cancels,
+//! What the scheduler promises to do and not to do on the way, held against what reached the robots: (a) nothing starts that
+//! was not committed; (c) only a stop cancels,
 //! and only the end of a lease ends what plays; (d) nobody but the robots that are meant moves; (f) nothing is sent whose skew
 //! budget is beyond the tolerance; (g) what was decided was accepted, what is said to have begun had hands to begin with, and
 //! what was on the disk is read again; (h) a robot that is reached again is spoken to at once.
@@ -28,6 +29,26 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     what_was_written_is_read(facts, verdict);
     those_who_return_hear(facts, verdict);
     those_who_start_are_awaited(facts, verdict);
+    starts_are_committed(facts, verdict);
+}
+
+/// No robot starts an act unless the commitment was written down, but for one that what was sent before reached too late.
+fn starts_are_committed(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for act in facts.acts.iter().filter(|act| act.committed.is_none()) {
+        for script in act.scripts.iter().filter(|script| script.began() && facts.honest(script.robot)) {
+            let robot = script.robot;
+            let by = act.start_of(script) + START_LATE_MAX;
+            let hit = facts
+                .hits
+                .iter()
+                .any(|hit| hit.is_of(robot) && hit.cause != Cause::LinkDown && hit.overlaps(act.at, by));
+            if !hit && !facts.clock_was_set(robot) {
+                let number = act.promise.number;
+                return verdict
+                    .violated('a', format!("r{robot} started act {number}, which was never committed"));
+            }
+        }
+    }
 }
 
 /// While robots are greeted, one that refuses connections may still be starting.
@@ -47,9 +68,12 @@ fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
                 let robot = facts.index_of(&failure.robot).filter(|_| first_act.is_none_or(|act| *at < act));
                 // Patience may end before.
                 let robot = robot.filter(|_| *at < BEGIN + PATIENCE);
-                let Some((robot, since)) = robot.and_then(|robot| Some((robot, lost[robot]?))) else { continue };
+                let Some((robot, since)) = robot.and_then(|robot| Some((robot, lost[robot]?))) else {
+                    continue;
+                };
                 if matches!(failure.kind, FailureKind::LinkDown { .. }) && *at - since < STARTS_WITHIN {
-                    let what = format!("r{robot} was given up {} after its first connection failed", *at - since);
+                    let what =
+                        format!("r{robot} was given up {} after its first connection failed", *at - since);
                     return verdict.violated('h', what);
                 }
             }
