@@ -138,7 +138,12 @@ impl Found {
         println!("\n{title:<58} {:>8} {:>11}", "", "of acts");
         let count = |cause: &Cause| self.excuses.get(&(invariant, *cause)).copied().unwrap_or_default();
         for cause in Cause::ALL.iter().filter(|cause| count(cause) > 0) {
-            println!("  {:<56} {:>8} {:>9.3} %", cause.to_string(), count(cause), percent(count(cause), acts));
+            println!(
+                "  {:<56} {:>8} {:>9.3} %",
+                cause.to_string(),
+                count(cause),
+                percent(count(cause), acts)
+            );
         }
         let sum: u64 = Cause::ALL.iter().map(count).sum();
         println!("  {:<56} {sum:>8} {:>9.3} %", "in all", percent(sum, acts));
@@ -197,7 +202,8 @@ fn play_all(args: &Args) -> Found {
 /// Shown on a terminal only.
 fn progress(seeds: u64) -> ProgressBar {
     let progress = ProgressBar::new(seeds);
-    let style = ProgressStyle::with_template("{bar:40} {human_pos} of {human_len} seeds, {per_sec}, {eta} left");
+    let style =
+        ProgressStyle::with_template("{bar:40} {human_pos} of {human_len} seeds, {per_sec}, {eta} left");
     if let Ok(style) = style {
         progress.set_style(style);
     }

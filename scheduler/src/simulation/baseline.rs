@@ -82,7 +82,9 @@ fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Spa
                 Network::Stream => arrival = arrival.max(*at + lasts),
                 Network::Datagram { .. } => return None,
             },
-            Some(Meets::Nothing(lasts)) if *at <= now && lasts.is_none_or(|lasts| now < *at + lasts) => return None,
+            Some(Meets::Nothing(lasts)) if *at <= now && lasts.is_none_or(|lasts| now < *at + lasts) => {
+                return None;
+            }
             // What it had been sent before is gone, too, when it comes back.
             Some(Meets::Gone) => return None,
             _ => {}
@@ -116,7 +118,9 @@ fn meets(fault: &Fault, to: usize) -> Option<Meets> {
         // Nobody makes the connection again.
         Fault::HalfOpen { robot } if robot == to => Some(Meets::Nothing(None)),
         Fault::HardwareDies { robot, back_after, .. } if robot == to => Some(Meets::Nothing(back_after)),
-        Fault::RobotCrash { robot, .. } | Fault::AnotherRobot { robot, .. } if robot == to => Some(Meets::Gone),
+        Fault::RobotCrash { robot, .. } | Fault::AnotherRobot { robot, .. } if robot == to => {
+            Some(Meets::Gone)
+        }
         _ => None,
     }
 }

@@ -56,12 +56,16 @@ fn simpler(drawn: &Drawn) -> Vec<Drawn> {
     };
     let acts = drawn.choreography.acts.len();
     (0..acts).filter(|_| acts > 1).for_each(|act| with(&|drawn| without_act(drawn, act)));
-    (0..drawn.faults.len()).for_each(|fault| with(&|drawn| {
-        let _taken_away = drawn.faults.remove(fault);
-    }));
+    (0..drawn.faults.len()).for_each(|fault| {
+        with(&|drawn| {
+            let _taken_away = drawn.faults.remove(fault);
+        })
+    });
     for act in 0..acts {
         let robots = drawn.choreography.acts[act].plan.robots.len();
-        let without = |robot: usize| move |drawn: &mut Drawn| drop(drawn.choreography.acts[act].plan.robots.remove(robot));
+        let without = |robot: usize| {
+            move |drawn: &mut Drawn| drop(drawn.choreography.acts[act].plan.robots.remove(robot))
+        };
         (0..robots).filter(|_| robots > 1).for_each(|robot| with(&without(robot)));
     }
     for act in 0..acts {

@@ -40,9 +40,12 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
         matches!(failure.kind, FailureKind::Clock { .. } | FailureKind::NoTimeToSend { .. })
     };
     for seed in (0..2_000).filter(|seed| clean(&draw(*seed))) {
-        let Some(report) = run(seed).report else { panic!("seed {seed} has no report") };
+        let ran = run(seed);
+        let mute = ran.drawn.robots.iter().any(|robot| !robot.block.reports && !robot.block.inquiry);
+        let Some(report) = ran.report else { panic!("seed {seed} has no report") };
         match report.outcome {
             Outcome::Done => done += 1,
+            Outcome::Unknown if mute => done += 1,
             Outcome::NotStarted if report.failures.iter().all(unplayable) => refused += 1,
             outcome => panic!("seed {seed}: {outcome}, {:?}", report.failures),
         }

@@ -60,7 +60,7 @@ pub fn trace(ran: &Ran) -> String {
     lines.extend(ran.history.iter().filter_map(|(at, happened)| Some((*at, line(happened)?))));
     lines.extend(ran.records.iter().map(|(at, record)| {
         let json = serde_json::to_string(record).unwrap_or_default();
-        (*at, format!("record   {}", json.chars().take(160).collect::<String>()))
+        (*at, format!("record   {}", json.chars().take(700).collect::<String>()))
     }));
     for (robot, log) in ran.logs.iter().enumerate() {
         lines.extend(log.iter().map(|entry| {
@@ -100,7 +100,7 @@ fn line(happened: &Happened) -> Option<String> {
         Happened::TakenUp(how) => format!("taken up {how}"),
         Happened::Told(progress) => {
             let json = serde_json::to_string(progress).unwrap_or_default();
-            format!("told     {}", json.chars().take(200).collect::<String>())
+            format!("told     {}", json.chars().take(700).collect::<String>())
         }
         Happened::Stuck(due) => format!("STUCK    {due}"),
     })

@@ -34,7 +34,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
         verdict.acts.extend(never_sent(facts));
     }
     for act in &facts.acts {
-        let robots: Vec<usize> = act.robots().into_iter().filter(|robot| counts(facts, act, *robot)).collect();
+        let robots: Vec<usize> =
+            act.robots().into_iter().filter(|robot| counts(facts, act, *robot)).collect();
         let started: Vec<Started> = robots.iter().map(|robot| started(facts, act, *robot)).collect();
         let began = started.iter().filter(|robot| robot.began).count();
         let starts = match began {
@@ -92,7 +93,8 @@ fn started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Started {
 }
 
 fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started]) -> Option<Cause> {
-    let left: Vec<bool> = started.iter().filter(|robot| robot.excuse.is_none()).map(|robot| robot.began).collect();
+    let left: Vec<bool> =
+        started.iter().filter(|robot| robot.excuse.is_none()).map(|robot| robot.began).collect();
     let agree = left.windows(2).all(|two| two[0] == two[1]);
     if agree {
         // Whoever differs from those that need no excuse; the others may have one that they do not need.
@@ -123,7 +125,9 @@ fn own_fault(
 /// A fault of the robot itself within the window of the act, for which it missed its start.
 fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let window = (act.doubtful_from(), latest_start(facts, act, robot)?);
-    let heard_in_time = heard_the_commitment(facts, act, robot);
+    // The lease of a script that comes later has to be kept until then.
+    let with_the_others = act.first_start(robot) == Some(act.promise.start);
+    let heard_in_time = with_the_others && heard_the_commitment(facts, act, robot);
     own_fault(facts, robot, window, |hit| !(hit.cause.is_of_link() && heard_in_time))
 }
 
@@ -134,7 +138,8 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
     let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet);
     let dropped = facts.dropped[robot].filter(|at| *at >= act.at);
     let stop = facts.stopping.iter().copied().filter(|at| *at >= act.at).chain(dropped).min()?;
-    let missed_the_stop = |hit: &&Hit| hit.is_of(robot) && hit.cause != Cause::RobotCrash && hit.overlaps(stop, until);
+    let missed_the_stop =
+        |hit: &&Hit| hit.is_of(robot) && hit.cause != Cause::RobotCrash && hit.overlaps(stop, until);
     set.or_else(|| facts.hits.iter().filter(missed_the_stop).map(|hit| hit.cause).min())
 }
 

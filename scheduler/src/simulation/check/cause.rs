@@ -91,6 +91,8 @@ pub(super) struct Hit {
     pub(super) from: Timestamp<Server>,
     /// Until when it lasted.
     pub(super) until: Timestamp<Server>,
+    /// By how much a clock was set.
+    pub(super) by: Span,
 }
 
 impl Hit {
@@ -108,18 +110,35 @@ impl Hit {
 pub(super) fn hits_of(ran: &Ran) -> Vec<Hit> {
     let mut hits = Hits { all: Vec::new(), open: Vec::new() };
     for (at, happened) in &ran.history {
-        let hit = |cause, robot, lasts| Hit { cause, robot, from: *at, until: *at + lasts };
+        let hit = |cause, robot, lasts| Hit { cause, robot, from: *at, until: *at + lasts, by: Span::ZERO };
         match happened {
             Happened::Lost(robot) => hits.all.push(hit(Cause::Lost, Some(*robot), Span::ZERO)),
             Happened::Slow(robot, lasts) => hits.all.push(hit(Cause::Slow, Some(*robot), *lasts)),
+            Happened::Fault(Fault::ClockStep { robot, by }) => {
+                hits.all.push(Hit { by: *by, ..hit(Cause::ClockSet, Some(*robot), Span::ZERO) });
+            }
+            // What is left of the connections of a machine that is gone nobody knows.
+            Happened::Fault(Fault::RobotCrash { robot, told: false, .. }) => {
+                hits.begin(hit(Cause::RobotCrash, Some(*robot), Span::ZERO), End::Back);
+                hits.begin(hit(Cause::Partition, Some(*robot), Span::ZERO), End::Linked(*at));
+            }
+            Happened::Fault(Fault::DeadLink { robot, lasts }) => {
+                hits.begin(hit(Cause::Partition, Some(*robot), Span::ZERO), End::Linked(*at + *lasts));
+            }
+            Happened::Fault(Fault::HalfOpen { robot }) => {
+                hits.begin(hit(Cause::Partition, Some(*robot), Span::ZERO), End::Linked(*at));
+            }
             Happened::Fault(fault) => match of_fault(fault) {
                 Some((cause, robot, Lasts::For(lasts))) => hits.all.push(hit(cause, robot, lasts)),
                 Some((cause, robot, Lasts::Until(end))) => hits.begin(hit(cause, robot, Span::ZERO), end),
                 None => {}
             },
-            Happened::LinkDown(robot) => hits.begin(hit(Cause::LinkDown, Some(*robot), Span::ZERO), End::Heard),
+            Happened::LinkDown(robot) => {
+                hits.begin(hit(Cause::LinkDown, Some(*robot), Span::ZERO), End::Heard)
+            }
             Happened::FromRobot(robot, _) => hits.end(*at, Some(*robot), End::Heard),
             Happened::Back(robot) => hits.end(*at, Some(*robot), End::Back),
+            Happened::LinkUp(robot) => hits.end(*at, Some(*robot), End::Linked(*at)),
             Happened::TakenUp(_) => hits.end(*at, None, End::Back),
             _ => {}
         }
@@ -139,6 +158,8 @@ struct Hits {
 enum End {
     /// Something is heard of the robot again.
     Heard,
+    /// A connection with it stands that was made from then on.
+    Linked(Timestamp<Server>),
     /// It is back.
     Back,
 }
@@ -162,7 +183,11 @@ impl Hits {
     fn end(&mut self, at: Timestamp<Server>, robot: Option<usize>, end: End) {
         let all = &mut self.all;
         self.open.retain(|(open, index)| {
-            let ends = *open == end && all[*index].robot == robot;
+            let same = match (*open, end) {
+                (End::Linked(from), End::Linked(at)) => at > from,
+                (open, end) => open == end,
+            };
+            let ends = same && all[*index].robot == robot;
             if ends {
                 all[*index].until = at;
             }
@@ -181,10 +206,7 @@ const fn of_fault(fault: &Fault) -> Option<(Cause, Option<usize>, Lasts)> {
         Fault::HardwareDies { robot, .. } => (Cause::Hardware, Some(robot), Lasts::Until(End::Back)),
         Fault::Partition { robot, lasts, .. }
         | Fault::OneWay { robot, lasts, .. }
-        | Fault::DeadLink { robot, lasts }
         | Fault::SlowLink { robot, lasts, .. } => (Cause::Partition, Some(robot), Lasts::For(lasts)),
-        Fault::HalfOpen { robot } => (Cause::Partition, Some(robot), Lasts::Until(End::Heard)),
-        Fault::ClockStep { robot, .. } => (Cause::ClockSet, Some(robot), Lasts::For(Span::ZERO)),
         Fault::SchedulerCrash { .. } | Fault::SchedulerCrashAmid { .. } => {
             (Cause::SchedulerCrash, None, Lasts::Until(End::Back))
         }
@@ -192,5 +214,7 @@ const fn of_fault(fault: &Fault) -> Option<(Cause, Option<usize>, Lasts)> {
         Fault::DiskStalls { lasts } => (Cause::Disk, None, Lasts::For(lasts)),
         // The next process alone has that clock, and its promises are counted by it.
         Fault::ServerClockStep { .. } | Fault::Stop | Fault::StopByJournal => return None,
+        // Taken above, with what else there is to them.
+        Fault::ClockStep { .. } | Fault::DeadLink { .. } | Fault::HalfOpen { .. } => return None,
     })
 }

@@ -8,7 +8,7 @@ use urrcp::{RobotId, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit, hits_of};
 use crate::mission::{Progress, Promise, PromisedScript, Record, SkewBudget};
-use crate::simulation::{Drawn, Fault, Happened, Ran};
+use crate::simulation::{Drawn, Fault, Happened, Names, Ran};
 
 /// A run as the invariants look at it.
 pub(super) struct Facts<'a> {
@@ -171,6 +171,12 @@ impl<'a> Facts<'a> {
         self.drawn().robots[robot].lie.is_none()
     }
 
+    /// It says how many steps of a script it has done, and how many of them were late.
+    pub(super) fn counts_steps(&self, robot: usize) -> bool {
+        let drawn = &self.drawn().robots[robot];
+        drawn.names == Names::Echoed || drawn.block.inquiry
+    }
+
     pub(super) fn index_of(&self, id: &RobotId) -> Option<usize> {
         self.drawn().robots.iter().position(|robot| robot.block.id == *id)
     }
@@ -249,7 +255,9 @@ impl<'a> SentAct<'a> {
             other.promised.device == script.promised.device
                 && other.promised.start.get() < script.promised.start.get()
         };
-        self.of(script.robot).filter(ahead).max_by(|a, b| a.promised.start.get().total_cmp(&b.promised.start.get()))
+        self.of(script.robot)
+            .filter(ahead)
+            .max_by(|a, b| a.promised.start.get().total_cmp(&b.promised.start.get()))
     }
 
     /// From the start of the act to that of its last script.

@@ -69,7 +69,9 @@ fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
             && at - last > lease + DRIFT
         {
             let silent = at - last;
-            return Some(format!("r{robot} moved {silent} after it was last heard of, its lease was {lease}"));
+            return Some(format!(
+                "r{robot} moved {silent} after it was last heard of, its lease was {lease}"
+            ));
         }
     }
     None

@@ -5,16 +5,17 @@
 //! process that stands still, excuses its own robot alone. A clock that was set before the act became doubtful has to be noticed:
 //! then the start is still within the scenario's tolerance, or there is none.
 
-use urrcp::{Server, Span, Timestamp};
+use urrcp::{Message, Server, Span, Timestamp};
 
 use super::Verdict;
 use super::cause::Cause;
 use super::facts::{Facts, SentAct, SentScript};
 use crate::mission::RobotSkew;
+use crate::simulation::{Happened, Network};
 
 /// The simulated world counts in nanoseconds, and clocks are read by dividing.
 const GRAIN: Span = Span::from_micros(1);
-/// A clock that was set is seen at the next question, a second later where no lease asks for more.
+/// On a link that loses answers a clock that was set is seen a second later, at the next question.
 const SEEN_AFTER: Span = Span::from_millis(1_100);
 /// A robot that was held up for longer lets its start be.
 const START_LATE_MAX: Span = Span::from_millis(50);
@@ -74,7 +75,8 @@ fn apart(budget: Span, act: &SentAct<'_>, starts: &[Start], verdict: &mut Verdic
     // The devices of one robot share its clock.
     if least.robot != most.robot && most.error - least.error > budget {
         let (apart, number) = (most.error - least.error, act.promise.number);
-        let what = format!("act {number} started {apart} apart, between r{} and r{}", least.robot, most.robot);
+        let what =
+            format!("act {number} started {apart} apart, between r{} and r{}", least.robot, most.robot);
         verdict.violated('f', format!("{what}, and {budget} was told"));
     }
 }
@@ -86,14 +88,34 @@ fn error_of(act: &SentAct<'_>, script: &SentScript<'_>) -> Option<Span> {
     Some(Timestamp::<Server>::from_nanos(first.true_ns) - planned)
 }
 
-/// A fault of the robot's own clock since it was measured, or of its own process at the start.
+/// A fault of the robot's own clock since it was measured, or of its own process at the start. A clock that was set by less than
+/// a round trip takes no exchange shows to be another one than before.
 fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, script: &SentScript<'_>) -> Option<Cause> {
     let due = act.start_of(script) + script.first_offset();
     let own = facts.hits.iter().filter(|hit| hit.is_of(script.robot));
+    let hidden = facts.drawn().delay.1 * 2 + facts.drawn().robots[script.robot].slow;
     let excuses = own.filter(|hit| match hit.cause {
-        Cause::ClockSet => hit.from >= act.at - SEEN_AFTER && hit.from <= due + START_LATE_MAX,
+        Cause::ClockSet => {
+            let unseen = hit.by.abs() <= hidden || !was_asked(facts, act, script.robot, hit.from);
+            unseen && hit.from <= due + START_LATE_MAX
+        }
         Cause::RobotPause => hit.overlaps(due - CLOCKS, due + CLOCKS),
         _ => false,
     });
     excuses.map(|hit| hit.cause).min()
+}
+
+/// Whether the robot was asked for its times since then, early enough for its answer to be there when the budget was told.
+fn was_asked(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, since: Timestamp<Server>) -> bool {
+    let drawn = facts.drawn();
+    let until = match drawn.network {
+        Network::Stream => act.at - drawn.delay.1 - drawn.robots[robot].slow,
+        Network::Datagram { .. } => act.at - SEEN_AFTER,
+    };
+    facts.between(since, until).iter().any(|(_, happened)| match happened {
+        Happened::AtRobot(r, message) => {
+            *r == robot && matches!(message, Message::Inquiry(_) | Message::AvailabilityRequest(_))
+        }
+        _ => false,
+    })
 }

@@ -1,0 +1,348 @@
+//! Each invariant can fail: histories and reports of sound missions are made wrong by hand.
+
+use urrcp::{Message, Span};
+
+use super::*;
+use crate::mission::{Outcome, Record};
+use crate::report::StopState;
+use crate::simulation::{Drawn, Fault, Happened, Lie, Names, Network, draw, run};
+
+/// The first seed of missions like this.
+#[track_caller]
+fn first(like: impl Fn(&Drawn) -> bool, sound: impl Fn(&Ran) -> bool) -> Ran {
+    let found = (0..3_000).filter(|seed| like(&draw(*seed))).map(run).find(|ran| sound(ran));
+    let ran = found.expect("there are such missions");
+    assert_eq!(ran.verdict().violations, []);
+    ran
+}
+
+/// Two robots or more play one act to its end, and nothing goes wrong.
+fn calm(drawn: &Drawn) -> bool {
+    let sound = |robot: &crate::simulation::DrawnRobot| {
+        robot.lie.is_none() && robot.names == Names::Echoed && robot.block.reports && robot.block.inquiry
+    };
+    drawn.network == Network::Stream
+        && drawn.tail == 0.0
+        && drawn.faults.is_empty()
+        && drawn.disk.capacity.is_none()
+        && drawn.choreography.acts.len() == 1
+        && drawn.choreography.acts[0].plan.robots.len() > 1
+        && drawn.robots.iter().all(sound)
+        && drawn.choreography.acts[0].plan.robots.iter().all(|robot| robot.scripts[0].start.get() == 0.0)
+}
+
+fn done(ran: &Ran) -> bool {
+    ran.report.as_ref().is_some_and(|report| report.outcome == Outcome::Done)
+}
+
+fn played() -> Ran {
+    first(calm, done)
+}
+
+/// Which invariants are violated.
+fn violated(ran: &Ran) -> String {
+    let mut all: Vec<char> = ran.verdict().violations.iter().map(|violation| violation.invariant).collect();
+    all.dedup();
+    all.into_iter().collect()
+}
+
+#[track_caller]
+fn finds(invariant: char, wrong: impl Fn(&mut Ran)) {
+    let mut ran = played();
+    wrong(&mut ran);
+    assert!(violated(&ran).contains(invariant), "{:?}", ran.verdict().violations);
+}
+
+fn promised(ran: &Ran) -> crate::mission::Promise {
+    let promise = |(_, record): &(_, Record)| match record {
+        Record::Prepared(promise) => Some(promise.clone()),
+        _ => None,
+    };
+    ran.records.iter().find_map(promise).unwrap()
+}
+
+/// A robot of the act, by its index.
+fn member(ran: &Ran) -> usize {
+    let robot = &promised(ran).scripts[0].robot;
+    ran.drawn.robots.iter().position(|drawn| drawn.block.id == *robot).unwrap()
+}
+
+/// What is said of the first script of the first robot.
+fn said(ran: &mut Ran) -> &mut crate::mission::DeviceReport {
+    &mut ran.report.as_mut().unwrap().acts[0].robots[0].devices[0]
+}
+
+/// A fault of a robot, just before the start.
+fn hit(ran: &mut Ran, before_start: Span, fault: Fault) {
+    let at = promised(ran).start - before_start;
+    let place = ran.history.partition_point(|(when, _)| *when <= at);
+    ran.history.insert(place, (at, Happened::Fault(fault)));
+}
+
+fn crash(robot: usize) -> Fault {
+    Fault::RobotCrash { robot, back_after: None, told: true }
+}
+
+/// A robot of the act sets nothing, and the report knows.
+fn one_misses(ran: &mut Ran) -> usize {
+    let robot = member(ran);
+    ran.logs[robot].clear();
+    robot
+}
+
+#[test]
+fn a_start_on_some_robots_is_found_and_excused_only_by_a_fault_of_the_robot_that_missed_it() {
+    let with = |before: i64, fault: fn(usize, usize) -> Fault| {
+        let mut ran = played();
+        let missing = one_misses(&mut ran);
+        let other = (0..ran.drawn.robots.len()).find(|robot| *robot != missing).unwrap();
+        hit(&mut ran, Span::from_millis(before), fault(missing, other));
+        let verdict = ran.verdict();
+        let found = verdict.violations.iter().any(|violation| violation.invariant == 'a');
+        (found, verdict.excuses.iter().map(|excuse| excuse.cause).collect::<Vec<_>>())
+    };
+    assert_eq!(with(1, |missing, _| crash(missing)), (false, vec![Cause::RobotCrash]), "its own");
+    assert_eq!(with(1, |_, other| crash(other)), (true, vec![]), "that of another robot");
+    assert_eq!(with(3_000, |missing, _| crash(missing)), (true, vec![]), "long before the window");
+    assert_eq!(with(-3_000, |missing, _| crash(missing)), (true, vec![]), "after its start");
+    assert_eq!(with(1, |_, _| Fault::Stop), (true, vec![]), "the word alone stops nobody");
+    let pause = |_, _| Fault::SchedulerPause { lasts: Span::from_millis(5) };
+    assert_eq!(with(1, pause), (false, vec![Cause::SchedulerPause]), "after the commitment");
+    assert_eq!(with(3_000, pause), (true, vec![]), "before the commitment");
+}
+
+#[test]
+fn a_link_is_no_excuse_for_a_robot_that_heard_the_commitment_in_time() {
+    let mut ran = played();
+    let missing = one_misses(&mut ran);
+    hit(
+        &mut ran,
+        Span::from_millis(1),
+        Fault::Partition { robot: missing, lasts: Span::from_millis(5), breaks: false },
+    );
+    assert!(violated(&ran).contains('a'));
+    // As if the commitment had not come.
+    ran.history.retain(|(_, happened)| match happened {
+        Happened::AtRobot(robot, Message::Inquiry(inquiry)) => {
+            *robot != missing || inquiry.pending_until.is_some()
+        }
+        _ => true,
+    });
+    assert!(!violated(&ran).contains('a'), "{:?}", ran.verdict().violations);
+}
+
+#[test]
+fn a_robot_that_was_left_out_because_it_missed_its_start_has_missed_it() {
+    for (after_start, found) in [(10, true), (-10, false)] {
+        let mut ran = played();
+        let missing = one_misses(&mut ran);
+        let at = promised(&ran).start + Span::from_millis(after_start);
+        let robot = ran.drawn.robots[missing].block.id.clone();
+        ran.records.push((at, Record::Dropped { robot }));
+        assert_eq!(violated(&ran).contains('a'), found, "{after_start}");
+    }
+}
+
+#[test]
+fn a_step_that_is_done_twice_and_a_start_that_is_late_are_found() {
+    finds('b', |ran| {
+        let robot = member(ran);
+        let again = ran.logs[robot].iter().find(|entry| entry.motion == "set").unwrap().clone();
+        ran.logs[robot].push(again);
+    });
+    finds('b', |ran| {
+        let robot = member(ran);
+        let entry = ran.logs[robot].iter_mut().find(|entry| entry.step == Some(0)).unwrap();
+        entry.set_at = entry.due + Span::from_millis(60);
+    });
+}
+
+#[test]
+fn a_movement_after_a_stop_or_beyond_the_shorter_lease_is_found() {
+    finds('c', |ran| {
+        let robot = ran.drawn.robots[member(ran)].block.id.clone();
+        let at = promised(ran).start;
+        ran.records.push((at, Record::StopConfirmed { robot }));
+    });
+    let leased = |drawn: &Drawn| {
+        calm(drawn)
+            && drawn.choreography.acts[0]
+                .plan
+                .stop_condition
+                .running
+                .is_some_and(|lease| lease.get() > 1_000.0)
+    };
+    let mut ran = first(leased, done);
+    let robot = member(&ran);
+    let promise = promised(&ran);
+    // Nothing is heard for longer than the pending lease, and for less than the running one.
+    let silent_from = promise.start - promise.lease - Span::from_millis(20);
+    ran.history.retain(
+        |(at, happened)| !matches!(happened, Happened::AtRobot(r, _) if *r == robot && *at >= silent_from),
+    );
+    assert!(violated(&ran).contains('c'), "{:?}", ran.verdict().violations);
+}
+
+#[test]
+fn a_value_outside_the_limits_is_found() {
+    for value in [91.0, -0.5, f64::NAN] {
+        finds('d', |ran| {
+            let robot = member(ran);
+            ran.logs[robot].iter_mut().find(|entry| entry.control_type == "position").unwrap().value = value;
+        });
+    }
+}
+
+#[test]
+fn a_mission_without_a_report_and_one_that_hangs_are_found() {
+    finds('e', |ran| ran.report = None);
+    finds('h', |ran| ran.hung = true);
+}
+
+#[test]
+fn a_start_two_milliseconds_beyond_its_budget_is_found_and_excused_only_by_its_own_clock() {
+    let late = |fault: Option<fn(usize, usize) -> Fault>| {
+        let mut ran = played();
+        let robot = member(&ran);
+        let other = (0..ran.drawn.robots.len()).find(|other| *other != robot).unwrap();
+        let skew = ran.report.as_ref().unwrap().acts[0].skew.clone().unwrap();
+        let name = ran.drawn.robots[robot].block.id.clone();
+        let told = skew.robots.iter().find(|told| told.robot == name).unwrap();
+        let latest = told.uncertainty + told.wake_up - told.offset;
+        let at = promised(&ran).start + latest + Span::from_millis(2);
+        for entry in ran.logs[robot].iter_mut().filter(|entry| entry.step == Some(0) && entry.motion == "set")
+        {
+            entry.true_ns = at.as_nanos();
+        }
+        fault.into_iter().for_each(|fault| hit(&mut ran, Span::from_millis(5), fault(robot, other)));
+        violated(&ran).contains('f')
+    };
+    assert!(late(None));
+    assert!(!late(Some(|robot, _| Fault::ClockStep { robot, by: Span::from_millis(-2) })));
+    assert!(late(Some(|_, other| Fault::ClockStep { robot: other, by: Span::from_millis(-2) })));
+    assert!(late(Some(|robot, _| crash(robot))), "a process that ended starts nothing late");
+}
+
+#[test]
+fn a_report_that_claims_one_step_more_or_less_is_found() {
+    finds('g', |ran| said(ran).steps_done += 1);
+    finds('g', |ran| said(ran).steps_done -= 1);
+    finds('g', |ran| ran.report.as_mut().unwrap().robots[0].steps_done += 1);
+    finds('g', |ran| ran.report.as_mut().unwrap().robots[0].scripts += 1);
+    finds('g', |ran| ran.report.as_mut().unwrap().robots[0].started += 1);
+    finds('g', |ran| said(ran).steps_planned += 1);
+    finds('g', |ran| said(ran).late_steps += 1);
+    finds('g', |ran| said(ran).state = "planned");
+    finds('g', |ran| {
+        let robot = member(ran);
+        ran.logs[robot].pop();
+    });
+}
+
+#[test]
+fn a_report_of_another_start_window_lead_or_doubt_is_found() {
+    let grain = Span::from_micros(2);
+    finds('g', |ran| {
+        let said = said(ran);
+        said.started_at = said.started_at.map(|at| at + Span::from_micros(2));
+    });
+    finds('g', |ran| {
+        let said = said(ran);
+        said.start_error = said.start_error.map(|error| error + Span::from_micros(2));
+    });
+    finds('g', |ran| ran.report.as_mut().unwrap().acts[0].lead.margin += grain);
+    finds('g', |ran| ran.report.as_mut().unwrap().acts[0].doubt += grain);
+    finds('g', |ran| ran.report.as_mut().unwrap().acts[0].start = promised(ran).start + grain);
+    finds('g', |ran| ran.report.as_mut().unwrap().acts[0].spread = Some(Span::from_millis(99)));
+    finds('g', |ran| {
+        let act = &mut ran.report.as_mut().unwrap().acts[0];
+        act.window = act.window.map(|window| window + Span::from_micros(2));
+    });
+    finds('g', |ran| ran.report.as_mut().unwrap().acts[0].skew = None);
+}
+
+#[test]
+fn an_outcome_or_a_fate_that_is_not_so_is_found() {
+    finds('g', |ran| ran.report.as_mut().unwrap().outcome = Outcome::NotStarted);
+    finds('g', |ran| ran.report.as_mut().unwrap().outcome = Outcome::DoneWithout);
+    finds('g', |ran| ran.report.as_mut().unwrap().course[0].fate = crate::mission::ActFate::Withdrawn);
+    finds('g', |ran| ran.report.as_mut().unwrap().course[0].fate = crate::mission::ActFate::NotReached);
+    finds('g', |ran| ran.report.as_mut().unwrap().robots[0].stop = StopState::Confirmed);
+    finds('g', |ran| ran.report.as_mut().unwrap().robots[0].standing = "out");
+    finds('g', |ran| ran.report.as_mut().unwrap().acts[0].robots[0].left_out = true);
+}
+
+#[test]
+fn a_robot_that_is_blamed_for_nothing_and_one_that_is_left_out_without_a_reason_are_found() {
+    let blame = |ran: &mut Ran| {
+        let robot = ran.drawn.robots[member(ran)].block.id.clone();
+        let kind = crate::mission::FailureKind::LinkDown { reason: "connection reset".to_owned() };
+        ran.report.as_mut().unwrap().failures.push(crate::mission::Failure { robot, kind });
+    };
+    finds('g', blame);
+    finds('g', |ran| {
+        let robot = ran.drawn.robots[member(ran)].block.id.clone();
+        ran.records.push((promised(ran).start, Record::Dropped { robot }));
+    });
+}
+
+#[test]
+fn silence_that_nobody_was_told_of_is_found() {
+    let long = |drawn: &Drawn| {
+        let plan = &drawn.choreography.acts[0].plan;
+        let lease = plan.stop_condition.running.map(urrcp::Millis::span);
+        calm(drawn) && lease.is_some_and(|lease| plan.duration() > lease + Span::from_millis(300))
+    };
+    let mut ran = first(long, done);
+    let start = promised(&ran).start;
+    ran.history.retain(|(at, happened)| !matches!(happened, Happened::FromRobot(..) if *at >= start));
+    assert!(violated(&ran).contains('h'), "{:?}", ran.verdict().violations);
+}
+
+#[test]
+fn a_stop_that_is_not_heard_of_or_does_not_arrive_is_found() {
+    let stopped = |drawn: &Drawn| {
+        let by_the_operator = matches!(drawn.faults.as_slice(), [(_, Fault::Stop)]);
+        by_the_operator && calm(&Drawn { faults: Vec::new(), ..drawn.clone() })
+    };
+    let confirmed =
+        |ran: &Ran| ran.report.as_ref().is_some_and(|report| report.robots[0].stop == StopState::Confirmed);
+    let ran = || first(stopped, confirmed);
+    let mut deaf = ran();
+    deaf.records.retain(|(_, record)| !matches!(record, Record::Stopping { .. } | Record::Ended { .. }));
+    assert!(violated(&deaf).contains('h'), "{:?}", deaf.verdict().violations);
+    let mut lost = ran();
+    let stopping = lost.records.iter().find_map(|(at, record)| match record {
+        Record::Stopping { .. } => Some(*at),
+        _ => None,
+    });
+    let stopping = stopping.unwrap();
+    lost.history.retain(|(at, happened)| !matches!(happened, Happened::AtRobot(..) if *at >= stopping));
+    assert!(violated(&lost).contains('h'), "{:?}", lost.verdict().violations);
+    let mut endless = ran();
+    endless.records.retain(|(_, record)| matches!(record, Record::Prepared(_) | Record::Stopping { .. }));
+    assert!(violated(&endless).contains('h'), "{:?}", endless.verdict().violations);
+}
+
+#[test]
+fn a_lead_or_a_gap_far_beyond_that_of_the_same_mission_without_faults_is_found() {
+    let ran = played();
+    let mut slow = played();
+    assert_eq!(slow.compared_with(&ran).violations, []);
+    for (_, record) in &mut slow.records {
+        if let Record::Prepared(promise) = record {
+            promise.start = promise.start + Span::from_millis(10_000);
+        }
+    }
+    let found = slow.compared_with(&ran).violations;
+    assert!(found.iter().all(|violation| violation.invariant == 'h') && found.len() == 1, "{found:?}");
+}
+
+#[test]
+fn a_robot_that_lies_is_held_to_its_limits_and_believed_nothing_else() {
+    let mut ran = played();
+    let robot = member(&ran);
+    ran.drawn.robots[robot].lie = Some(Lie::NeverMoves);
+    ran.logs[robot].clear();
+    assert!(!violated(&ran).contains('a'), "{:?}", ran.verdict().violations);
+}

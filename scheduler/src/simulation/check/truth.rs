@@ -55,7 +55,7 @@ impl Said<'_> {
                 if failure.robot == *name && matches!(failure.kind, crate::mission::FailureKind::Claim { .. })),
             _ => false,
         };
-        self.facts.ran.history.iter().any(|(_, happened)| claim(happened))
+        self.facts.clock_was_set(robot) || self.facts.ran.history.iter().any(|(_, happened)| claim(happened))
     }
 
     /// When the mission ended.

@@ -23,7 +23,8 @@ impl Said<'_> {
             }
         }
         let numbers: Vec<u32> = self.report.acts.iter().map(|act| act.number).collect();
-        let missing = self.facts.acts.iter().map(|act| act.promise.number).filter(|number| !numbers.contains(number));
+        let missing =
+            self.facts.acts.iter().map(|act| act.promise.number).filter(|number| !numbers.contains(number));
         if !self.resumed && self.report.acts_omitted == 0 {
             wrong.extend(missing.map(|number| format!("act {number} was promised, and is not reported")));
         }
@@ -33,7 +34,10 @@ impl Said<'_> {
         let number = said.number;
         let promise = act.promise;
         if said.start != promise.start + act.ahead {
-            wrong.push(format!("act {number} is said to start at {}, {} was promised", said.start, promise.start));
+            wrong.push(format!(
+                "act {number} is said to start at {}, {} was promised",
+                said.start, promise.start
+            ));
         }
         if (said.lead.total() - (promise.start - promise.timestamp)).abs() > GRAIN {
             wrong.push(format!("act {number} is said to have a lead of {}", said.lead.total()));
@@ -63,7 +67,9 @@ impl Said<'_> {
         let Some(window) = said.window else { return };
         let told = self.facts.ran.history.iter().find_map(|(at, happened)| match happened {
             Happened::Told(progress) => match &**progress {
-                Progress::Committed { act: name, window: told } if *name == said.act && *told == Some(window) => {
+                Progress::Committed { act: name, window: told }
+                    if *name == said.act && *told == Some(window) =>
+                {
                     Some(*at).filter(|at| *at >= act.at)
                 }
                 _ => None,
@@ -71,12 +77,14 @@ impl Said<'_> {
             _ => None,
         });
         let Some(at) = told else {
-            return wrong.push(format!("act {number} is reported with a window of {window}, not as was told"));
+            return wrong
+                .push(format!("act {number} is reported with a window of {window}, not as was told"));
         };
         for robot in act.robots() {
             let out = self.facts.dropped[robot].is_some_and(|dropped| dropped <= at);
             let heard = self.facts.between(at - window, at).iter();
-            let heard = heard.filter(|(_, what)| matches!(what, Happened::AtRobot(r, _) if *r == robot)).count();
+            let heard =
+                heard.filter(|(_, what)| matches!(what, Happened::AtRobot(r, _) if *r == robot)).count();
             if heard == 0 && !out && self.facts.honest(robot) && !self.facts.clock_was_set(robot) {
                 wrong.push(format!("r{robot} heard nothing in the window of act {number}"));
             }
@@ -90,8 +98,9 @@ impl Said<'_> {
             Record::ActEnded { report } if report.number == number => Some(*at),
             _ => None,
         });
-        let dropped = self.facts.dropped[robot].filter(|at| ended.is_none_or(|ended| *at <= ended));
-        if !self.resumed && said.left_out != dropped.is_some() {
+        let at_the_end = self.facts.dropped[robot].is_some() && self.facts.dropped[robot] == ended;
+        let dropped = self.facts.dropped[robot].filter(|at| ended.is_none_or(|ended| *at < ended));
+        if !self.resumed && !at_the_end && said.left_out != dropped.is_some() {
             let was = if said.left_out { "was not" } else { "was" };
             wrong.push(format!("r{robot} {was} left out of act {number}, and the report says otherwise"));
         }
@@ -100,7 +109,8 @@ impl Said<'_> {
         }
         for device in &said.devices {
             let same = |script: &&SentScript<'_>| {
-                script.promised.device == device.device && Some(act.start_as_told(script)) == device.planned_start
+                script.promised.device == device.device
+                    && Some(act.start_as_told(script)) == device.planned_start
             };
             match act.of(robot).find(same) {
                 Some(script) => self.script(act, script, device, wrong),
@@ -112,7 +122,13 @@ impl Said<'_> {
     }
 
     /// One script, against what its robot logged of it.
-    fn script(&self, act: &SentAct<'_>, script: &SentScript<'_>, said: &DeviceReport, wrong: &mut Vec<String>) {
+    fn script(
+        &self,
+        act: &SentAct<'_>,
+        script: &SentScript<'_>,
+        said: &DeviceReport,
+        wrong: &mut Vec<String>,
+    ) {
         let robot = script.robot;
         let name = script.promised.request_id.as_str();
         let mut wrongly = |what: String| wrong.push(format!("{what}: r{robot}, {name}, `{}`", said.state));
@@ -121,7 +137,8 @@ impl Said<'_> {
         if said.steps_planned != written {
             wrongly(format!("{} steps are said to be planned of {written}", said.steps_planned));
         }
-        let known = matches!(said.state, "ended" | "failed") && !self.is_discredited(robot);
+        let over = matches!(said.state, "ended" | "failed");
+        let known = over && !self.is_discredited(robot) && self.facts.counts_steps(robot);
         if done > set || (known && done != set) {
             wrongly(format!("{done} steps are said to be done, {set} were set"));
         }
@@ -139,7 +156,9 @@ impl Said<'_> {
         if said_late > late || (said.state == "ended" && known && said_late != late) {
             wrongly(format!("{said_late} late steps are said, {late} were late"));
         }
-        if let Some(what) = wrong_start(act, script, said) {
+        // An answer without a name counts for the next script that it fits; where one is lost it is the wrong one.
+        let named = self.facts.counts_steps(robot);
+        if let Some(what) = wrong_start(act, script, said).filter(|_| named) {
             wrongly(what);
         }
     }
@@ -149,7 +168,10 @@ impl Said<'_> {
 fn wrong_start(act: &SentAct<'_>, script: &SentScript<'_>, said: &DeviceReport) -> Option<String> {
     let started = said.started_at?;
     let Some(first) = script.log.first().filter(|_| script.first_offset() == Span::ZERO) else {
-        return script.log.is_empty().then(|| format!("said to have started at {started}, and it did not move"));
+        return script
+            .log
+            .is_empty()
+            .then(|| format!("said to have started at {started}, and it did not move"));
     };
     if (first.set_at - started).abs() > GRAIN {
         return Some(format!("said to have started at {started}, it did at {}", first.set_at));

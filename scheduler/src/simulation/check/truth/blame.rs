@@ -36,7 +36,8 @@ impl Said<'_> {
             return;
         }
         for failure in &self.report.failures {
-            let measured = matches!(failure.kind, FailureKind::Clock { .. } | FailureKind::NoTimeToSend { .. });
+            let measured =
+                matches!(failure.kind, FailureKind::Clock { .. } | FailureKind::NoTimeToSend { .. });
             let Some(robot) = self.facts.index_of(&failure.robot).filter(|_| !measured) else { continue };
             let hit = self.facts.hits.iter().any(|hit| hit.is_of(robot));
             if self.facts.honest(robot) && !hit {

@@ -4,8 +4,8 @@ use urrcp::Span;
 
 use super::Said;
 use super::acts::error_by_its_clock;
-use crate::mission::{ActFate, Outcome, Progress};
-use crate::report::StopState;
+use crate::mission::{ActFate, Join, Outcome, Progress};
+use crate::report::{RobotReport, StopState};
 use crate::simulation::Happened;
 use crate::simulation::check::facts::{SentAct, SentScript};
 
@@ -28,8 +28,17 @@ impl Said<'_> {
                 self.script_done(act, script, wrong);
             }
         }
-        if let Some(row) = self.report.robots.iter().find(|row| row.standing != "in" || row.unaccounted > 0) {
-            wrong.push(format!("done, and {} is {} with {} unknown", row.robot, row.standing, row.unaccounted));
+        // One that never came, and may come when it likes, was sent nothing.
+        let may_be_absent = self.facts.drawn().join == Join::NextAct;
+        let ill = |row: &&RobotReport| {
+            let there = row.standing == "in" || (row.standing == "absent" && may_be_absent);
+            !there || row.unaccounted > 0
+        };
+        if let Some(row) = self.report.robots.iter().find(ill) {
+            wrong.push(format!(
+                "done, and {} is {} with {} unknown",
+                row.robot, row.standing, row.unaccounted
+            ));
         }
     }
 
@@ -56,7 +65,7 @@ impl Said<'_> {
                 }
             }
         }
-        if self.facts.dropped.iter().all(Option::is_none) {
+        if self.facts.dropped.iter().all(Option::is_none) && self.report.failures.is_empty() {
             wrong.push("done without robots that failed, and none was left out".to_owned());
         }
     }
@@ -64,7 +73,8 @@ impl Said<'_> {
     /// Unless it says itself of a robot that nobody knows what it did.
     fn nothing_moved(&self, wrong: &mut Vec<String>) {
         for row in &self.report.robots {
-            let Some(robot) = self.facts.index_of(&row.robot).filter(|robot| self.facts.honest(*robot)) else {
+            let Some(robot) = self.facts.index_of(&row.robot).filter(|robot| self.facts.honest(*robot))
+            else {
                 continue;
             };
             let sure = !matches!(row.stop, StopState::Unconfirmed { .. }) && row.unaccounted == 0;
@@ -80,26 +90,33 @@ impl Said<'_> {
             return;
         }
         for (index, course) in self.report.course.iter().enumerate() {
-            let sent: Vec<&SentAct<'_>> = self.facts.acts.iter().filter(|act| act.promise.act == index).collect();
+            let sent: Vec<&SentAct<'_>> =
+                self.facts.acts.iter().filter(|act| act.promise.act == index).collect();
             let began = sent.iter().flat_map(|act| &act.scripts).any(|script| {
                 self.facts.honest(script.robot) && !self.facts.clock_was_set(script.robot) && script.began()
             });
             let ended = self.facts.ran.history.iter().filter(|(_, happened)| match happened {
-                Happened::Told(progress) => matches!(&**progress, Progress::ActEnded { act } if *act == course.act),
+                Happened::Told(progress) => {
+                    matches!(&**progress, Progress::ActEnded { act } if *act == course.act)
+                }
                 _ => false,
             });
             let ended = ended.count();
             let truth = match &course.fate {
-                ActFate::NotReached | ActFate::StillWaiting | ActFate::NobodyLeft | ActFate::TimedOut { .. } => {
-                    sent.is_empty()
-                }
+                ActFate::NotReached
+                | ActFate::StillWaiting
+                | ActFate::NobodyLeft
+                | ActFate::TimedOut { .. } => sent.is_empty(),
                 ActFate::Withdrawn => !sent.is_empty() && !began,
                 ActFate::Stopped => !sent.is_empty(),
                 ActFate::Played => ended > 0 && course.played as usize <= ended,
             };
             if !truth {
                 let sent = sent.len();
-                wrong.push(format!("`{}` is {:?}, it was sent {sent} times, began: {began}", course.act, course.fate));
+                wrong.push(format!(
+                    "`{}` is {:?}, it was sent {sent} times, began: {began}",
+                    course.act, course.fate
+                ));
             }
         }
     }

@@ -34,15 +34,9 @@ impl Said<'_> {
         let open = |state: &str| matches!(state, "sent" | "accepted" | "started" | "unknown");
         let unaccounted = scripts.iter().filter(|script| open(script.state)).count();
         let error = scripts.iter().filter_map(|script| script.start_error).map(|error| error.abs()).max();
-        let (planned, steps) = self.never_sent(row);
-        let scripts_planned = (row.scripts as u64).saturating_sub(planned)..=row.scripts as u64;
-        let steps_planned = row.steps_planned.saturating_sub(steps)..=row.steps_planned;
-        if !scripts_planned.contains(&(scripts.len() as u64))
-            || !steps_planned.contains(&sum(|script| script.steps_planned as u64))
-        {
-            wrong.push(format!("{} has {} scripts of {} steps planned in all", row.robot, row.scripts, row.steps_planned));
-        }
         let said = [
+            ("scripts", row.scripts as u64, scripts.len() as u64),
+            ("steps planned", row.steps_planned, sum(|script| script.steps_planned as u64)),
             ("steps done", row.steps_done, sum(|script| u64::from(script.steps_done))),
             ("late steps", row.late_steps, sum(|script| u64::from(script.late_steps))),
             ("scripts unaccounted for", row.unaccounted as u64, unaccounted as u64),
@@ -51,18 +45,11 @@ impl Said<'_> {
             wrong.push(format!("{} has {said} {what} in all, its acts have {truth}", row.robot));
         }
         if row.start_error.map(urrcp::Span::abs) != error {
-            wrong.push(format!("{} started {:?} off at most, its acts say {error:?}", row.robot, row.start_error));
+            wrong.push(format!(
+                "{} started {:?} off at most, its acts say {error:?}",
+                row.robot, row.start_error
+            ));
         }
-    }
-
-    /// How many scripts and steps the robot has in acts that were never sent, which its row may count as planned.
-    fn never_sent(&self, row: &RobotReport) -> (u64, u64) {
-        let acts = self.facts.drawn().choreography.acts.iter().enumerate();
-        let unsent = acts.filter(|(index, _)| !self.facts.acts.iter().any(|act| act.promise.act == *index));
-        let plans = unsent.flat_map(|(_, act)| &act.plan.robots).filter(|plan| plan.robot == row.robot);
-        plans.flat_map(|plan| &plan.scripts).fold((0, 0), |(scripts, steps), script| {
-            (scripts + 1, steps + script.script.steps().len() as u64)
-        })
     }
 
     /// Nobody is believed to have done more than there is to do, and no number is certain of what did not happen.
@@ -78,11 +65,17 @@ impl Said<'_> {
         let began = |script: &&super::super::facts::SentScript<'_>| script.began();
         let truth = self.facts.acts.iter().flat_map(|act| act.of(robot)).filter(began).count();
         if row.started > truth {
-            wrong.push(format!("{} is said to have started {} scripts, and did {truth}", row.robot, row.started));
+            wrong.push(format!(
+                "{} is said to have started {} scripts, and did {truth}",
+                row.robot, row.started
+            ));
         }
         let sure = !matches!(row.stop, StopState::Unconfirmed { .. }) && row.unaccounted == 0;
         if sure && !self.resumed && !self.is_discredited(robot) && row.started != truth {
-            wrong.push(format!("{} started {truth} scripts, and the report is sure of {}", row.robot, row.started));
+            wrong.push(format!(
+                "{} started {truth} scripts, and the report is sure of {}",
+                row.robot, row.started
+            ));
         }
     }
 
@@ -91,9 +84,9 @@ impl Said<'_> {
         let ended = self.ended();
         let (rests_from, what) = match row.stop {
             StopState::Confirmed | StopState::Held => {
-                let confirmed = self.facts.ran.records.iter().any(|(_, record)| {
-                    matches!(record, Record::StopConfirmed { robot } if *robot == row.robot)
-                });
+                let confirmed = self.facts.ran.records.iter().any(
+                    |(_, record)| matches!(record, Record::StopConfirmed { robot } if *robot == row.robot),
+                );
                 if !confirmed {
                     wrong.push(format!("{} has confirmed its stop, it says, and never did", row.robot));
                 }
