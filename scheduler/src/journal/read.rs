@@ -228,6 +228,11 @@ impl Kept {
         }
     }
 
+    /// Bytes of its whole lines at the beginning.
+    pub(crate) const fn whole(&self) -> usize {
+        self.whole
+    }
+
     /// What becomes of it, if it was cut off here.
     #[must_use]
     pub fn fate(&self) -> Fate {

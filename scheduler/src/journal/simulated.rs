@@ -29,6 +29,11 @@ impl SimulatedDisk {
         self.bytes.len() - self.synced
     }
 
+    /// Bytes from the beginning that survive a loss of power.
+    pub(crate) const fn synced(&self) -> usize {
+        self.synced
+    }
+
     /// The power fails: of what was not synced only the first `survive` bytes are still there.
     pub(crate) fn lose_power(&mut self, survive: usize) {
         self.bytes.truncate(self.synced + survive);

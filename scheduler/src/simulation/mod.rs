@@ -67,6 +67,8 @@ pub enum Happened {
     LinkDown(usize),
     /// The mission was taken up by its journal.
     TakenUp(&'static str),
+    /// So many bytes of records were on the disk and are not read again.
+    Forgotten(usize),
     /// The operator was told.
     Told(Box<Progress>),
     /// The mission will never end, and this is what it waits for.

@@ -112,3 +112,22 @@ fn a_stop_that_is_confirmed_without_a_name_ends_no_script_that_has_not_begun() {
     }
     assert!(stopped > 30, "{stopped}");
 }
+
+#[test]
+fn a_robot_whose_clock_is_ahead_within_the_tolerance_keeps_its_lease_until_the_commitment() {
+    let steady = |drawn: &Drawn| drawn.network == Network::Stream && drawn.tail == 0.0;
+    let mut played = 0;
+    for mut drawn in (0..400).map(draw).filter(steady) {
+        drawn.robots.iter_mut().for_each(|robot| robot.lie = None);
+        drawn.robots[0].clock = crate::mission::ClockMode::Ntp;
+        drawn.robots[0].settings.clock_offset = Span::from_millis(35);
+        drawn.choreography.acts.iter_mut().for_each(|act| act.plan.start_tolerance = Span::from_millis(60));
+        let ran = world::play(drawn.without_faults(), false);
+        let Some(report) = ran.report else { continue };
+        let lost = |failure: &&Failure| failure.kind.to_string().contains("link_lost");
+        let lost: Vec<_> = report.failures.iter().filter(lost).collect();
+        assert!(lost.is_empty(), "seed {}: {lost:?}", ran.drawn.seed);
+        played += usize::from(report.outcome == Outcome::Done);
+    }
+    assert!(played > 30, "{played}");
+}

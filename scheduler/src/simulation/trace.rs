@@ -96,6 +96,7 @@ fn line(happened: &Happened) -> Option<String> {
         Happened::Back(robot) => format!("back     r{robot}"),
         Happened::LinkUp(robot) => format!("link up  r{robot}"),
         Happened::LinkDown(robot) => format!("link down r{robot}"),
+        Happened::Forgotten(bytes) => format!("FORGOTTEN {bytes} bytes of the journal"),
         Happened::TakenUp(how) => format!("taken up {how}"),
         Happened::Told(progress) => {
             let json = serde_json::to_string(progress).unwrap_or_default();

@@ -6,6 +6,7 @@ mod facts;
 mod limits;
 mod liveness;
 mod once;
+mod promises;
 mod rest;
 mod synchrony;
 #[cfg(test)]
@@ -117,6 +118,7 @@ impl Ran {
         synchrony::check(&facts, &mut verdict);
         truth::check(&facts, &mut verdict);
         liveness::check(&facts, &mut verdict);
+        promises::check(&facts, &mut verdict);
         verdict
     }
 

@@ -182,7 +182,11 @@ fn draw_fault(rng: &mut Rng, robots: usize) -> Fault {
             let back_after = (!one_in(rng, 3)).then(|| millis(rng, 20, 1_500));
             Fault::RobotCrash { robot, back_after, told: !one_in(rng, 3) }
         }
-        7..=8 => Fault::RobotPause { robot, lasts: millis(rng, 1, 1_500) },
+        7..=8 => {
+            // Also so short that a start is late and not left out.
+            let longest = if rng.bool() { 70 } else { 1_500 };
+            Fault::RobotPause { robot, lasts: millis(rng, 1, longest) }
+        }
         9 => Fault::AnotherRobot { robot, lasts: millis(rng, 100, 2_000) },
         10..=11 => {
             let back_after = rng.bool().then(|| millis(rng, 20, 1_500));

@@ -160,11 +160,16 @@ impl World {
         side.unwritten.clear();
         if let Some(journal) = side.journal.take() {
             let mut disk = journal.into_disk();
+            let synced = disk.synced();
             if self.drawn.disk.loses_power {
                 let survive = self.rng.usize(0..=disk.at_risk());
                 disk.lose_power(survive);
             }
             side.journal = on(disk);
+            let read = side.journal.as_ref().and_then(Journal::kept).map_or(0, Kept::whole);
+            if read < synced {
+                self.note(Happened::Forgotten(synced - read));
+            }
         }
         for robot in 0..self.robots.len() {
             if let Some(link) = self.scheduler.links[robot].take() {

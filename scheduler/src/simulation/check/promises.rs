@@ -1,0 +1,269 @@
+//! What the scheduler promises to do and not to do on the way, held against what reached the robots: (a) nothing starts that
+//! was not committed; (c) only a stop cancels,
+//! and only the end of a lease ends what plays; (d) nobody but the robots that are meant moves; (f) nothing is sent whose skew
+//! budget is beyond the tolerance; (g) what was decided was accepted, what is said to have begun had hands to begin with, and
+//! what was on the disk is read again; (h) a robot that is reached again is spoken to at once.
+
+use urrcp::{Command, Message, Server, Span, Timestamp};
+
+use super::cause::{Cause, Hit};
+use super::facts::{Facts, SentAct};
+use super::{DRIFT, Verdict};
+use crate::dry_run::BEGIN;
+use crate::mission::{FailureKind, Progress, Record};
+use crate::simulation::Happened;
+use crate::simulation::world::PATIENCE;
+
+/// What the scheduler and a robot take to go on where neither waits for anything.
+const AT_ONCE: Span = Span::from_millis(2);
+/// A robot that is held up for longer lets its start be.
+const START_LATE_MAX: Span = Span::from_millis(50);
+
+pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
+    only_stops_cancel(facts, verdict);
+    leases_are_left_to_run(facts, verdict);
+    strangers_rest(facts, verdict);
+    budgets_fit(facts, verdict);
+    decisions_are_accepted(facts, verdict);
+    hands_were_there(facts, verdict);
+    what_was_written_is_read(facts, verdict);
+    those_who_return_hear(facts, verdict);
+    those_who_start_are_awaited(facts, verdict);
+    starts_are_committed(facts, verdict);
+}
+
+/// No robot starts an act unless the commitment was written down, but for one that what was sent before reached too late.
+fn starts_are_committed(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for act in facts.acts.iter().filter(|act| act.committed.is_none()) {
+        for script in act.scripts.iter().filter(|script| script.began() && facts.honest(script.robot)) {
+            let robot = script.robot;
+            let by = act.start_of(script) + START_LATE_MAX;
+            let hit = facts
+                .hits
+                .iter()
+                .any(|hit| hit.is_of(robot) && hit.cause != Cause::LinkDown && hit.overlaps(act.at, by));
+            if !hit && !facts.clock_was_set(robot) {
+                let number = act.promise.number;
+                return verdict
+                    .violated('a', format!("r{robot} started act {number}, which was never committed"));
+            }
+        }
+    }
+}
+
+/// While robots are greeted, one that refuses connections may still be starting.
+fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
+    /// For so long.
+    const STARTS_WITHIN: Span = Span::from_millis(500);
+    let first_act = facts.acts.first().map(|act| act.at);
+    let mut lost: Vec<Option<Timestamp<Server>>> = vec![None; facts.drawn().robots.len()];
+    for (at, happened) in &facts.ran.history {
+        match happened {
+            Happened::LinkDown(robot) => {
+                lost[*robot].get_or_insert(*at);
+            }
+            Happened::TakenUp(_) => return,
+            Happened::Told(progress) => {
+                let Progress::Failed(failure) = &**progress else { continue };
+                let robot = facts.index_of(&failure.robot).filter(|_| first_act.is_none_or(|act| *at < act));
+                // Patience may end before.
+                let robot = robot.filter(|_| *at < BEGIN + PATIENCE);
+                let Some((robot, since)) = robot.and_then(|robot| Some((robot, lost[robot]?))) else {
+                    continue;
+                };
+                if matches!(failure.kind, FailureKind::LinkDown { .. }) && *at - since < STARTS_WITHIN {
+                    let what =
+                        format!("r{robot} was given up {} after its first connection failed", *at - since);
+                    return verdict.violated('h', what);
+                }
+            }
+            _ => {}
+        }
+    }
+}
+
+/// An empty script comes to a robot only once it was left out or everything was being stopped.
+fn only_stops_cancel(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for (at, happened) in &facts.ran.history {
+        let Happened::AtRobot(robot, Message::ControlRequest(request)) = happened else { continue };
+        let cancels = matches!(&request.command, Command::Script(script) if script.is_empty());
+        let dropped = facts.dropped[*robot].is_some_and(|dropped| dropped <= *at);
+        // A stop is sent first and written down afterwards, in the same instant, unless the process dies between the two.
+        let stopped = facts.stopping.iter().any(|stopping| stopping <= at);
+        let died = facts.hits.iter().any(|hit| hit.cause == Cause::SchedulerCrash && hit.from <= *at);
+        if cancels && !dropped && !stopped && !died {
+            return verdict
+                .violated('c', format!("r{robot} was sent a cancel at {at}, and nothing was being stopped"));
+        }
+    }
+}
+
+/// A robot says that the server was silent for longer than its lease only if nothing came to it for so long.
+fn leases_are_left_to_run(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for (at, happened) in &facts.ran.history {
+        let Happened::Told(progress) = happened else { continue };
+        let Progress::Failed(failure) = &**progress else { continue };
+        let FailureKind::Script { error, .. } = &failure.kind else { continue };
+        let Some(robot) = facts.index_of(&failure.robot).filter(|robot| facts.honest(*robot)) else {
+            continue;
+        };
+        if error.code != urrcp::ErrorCode::LinkLost || facts.clock_was_set(robot) {
+            continue;
+        }
+        let Some((from, lease)) = least_lease(facts, robot, *at) else { continue };
+        let last = facts.heard(robot).filter(|heard| *heard <= from).last().unwrap_or(from);
+        let heard = facts.heard(robot).filter(|heard| *heard > from && heard <= at);
+        let instants: Vec<_> = std::iter::once(last).chain(heard).chain(std::iter::once(*at)).collect();
+        let longest = instants.windows(2).map(|two| two[1] - two[0]).max().unwrap_or_default();
+        if longest + DRIFT < lease {
+            let what = format!(
+                "r{robot} says that it heard nothing for a lease of {lease}, and heard after {longest}"
+            );
+            return verdict.violated('c', what);
+        }
+    }
+}
+
+/// Of a robot that has begun all that it was sent: since when, and the shortest lease under which it plays. `None` where it
+/// may have lost something that had not begun.
+fn least_lease(facts: &Facts<'_>, robot: usize, at: Timestamp<Server>) -> Option<(Timestamp<Server>, Span)> {
+    let mut acts = facts.acts.iter().filter(|act| act.at <= at && act.of(robot).next().is_some());
+    let act = acts.next_back()?;
+    let mut devices: Vec<_> = act.of(robot).map(|script| &script.promised.device).collect();
+    devices.dedup();
+    let first = |device: &urrcp::DeviceId| {
+        act.of(robot)
+            .filter(move |script| script.promised.device == *device)
+            .map(|script| act.start_of(script))
+            .min()
+    };
+    if act.of(robot).any(|script| act.before(script).is_none() && !script.began()) {
+        return None;
+    }
+    let begun = devices.into_iter().filter_map(first).max()? + START_LATE_MAX;
+    let leases: Option<Vec<Span>> =
+        act.of(robot).map(|script| script.promised.running.map(urrcp::Millis::span)).collect();
+    (begun < at).then_some((begun, leases?.into_iter().min()?))
+}
+
+/// Another robot at the address of one that is meant gets nothing that moves it.
+fn strangers_rest(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for (robot, log) in facts.ran.logs_of_strangers.iter().enumerate() {
+        if let Some(entry) = log.iter().find(|entry| entry.request_id.is_some()) {
+            verdict.violated('d', format!("another robot at the address of r{robot} moved: {entry:?}"));
+        }
+    }
+}
+
+fn budgets_fit(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for act in &facts.acts {
+        if let Some(skew) = act.skew.filter(|skew| skew.predicted > skew.tolerance) {
+            let (number, predicted, tolerance) = (act.promise.number, skew.predicted, skew.tolerance);
+            let what = format!(
+                "act {number} was sent, its starts may be {predicted} apart of {tolerance} tolerated"
+            );
+            verdict.violated('f', what);
+        }
+    }
+}
+
+/// When an act is decided, the first script of each device has come to its robot.
+fn decisions_are_accepted(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for (at, record) in &facts.ran.records {
+        let Record::Decided { number, .. } = record else { continue };
+        let of_number = |act: &&SentAct<'_>| act.promise.number == *number && act.at <= *at;
+        let Some(act) = facts.acts.iter().rfind(of_number) else { continue };
+        for script in
+            act.scripts.iter().filter(|script| facts.honest(script.robot) && act.before(script).is_none())
+        {
+            let robot = script.robot;
+            let came = facts.between(act.at, *at).iter().any(|(_, happened)| match happened {
+                Happened::AtRobot(r, Message::ControlRequest(request)) if *r == robot => {
+                    request.request_id.as_ref() == Some(&script.promised.request_id)
+                }
+                _ => false,
+            });
+            let out = facts.dropped[robot].is_some_and(|dropped| dropped <= *at);
+            if !came && !out {
+                let (device, number) = (&script.promised.device, act.promise.number);
+                let what = format!("act {number} was decided, and `{device}` of r{robot} had not come to it");
+                return verdict.violated('g', what);
+            }
+        }
+    }
+}
+
+/// A script begins only if the hardware is not known to be dead, where there was time to ask.
+fn hands_were_there(facts: &Facts<'_>, verdict: &mut Verdict) {
+    /// A script that came so shortly before its start is begun unasked.
+    const NOTICE: Span = Span::from_millis(250);
+    for (robot, names) in
+        facts.ran.starts_of_dead.iter().enumerate().filter(|(robot, _)| facts.honest(*robot))
+    {
+        for act in &facts.acts {
+            for script in act
+                .of(robot)
+                .filter(|script| names.iter().any(|name| *name == *script.promised.request_id.as_str()))
+            {
+                let came = facts.ran.history.iter().find_map(|(at, happened)| match happened {
+                    Happened::AtRobot(r, Message::ControlRequest(request)) if *r == robot => {
+                        (request.request_id.as_ref() == Some(&script.promised.request_id)).then_some(*at)
+                    }
+                    _ => None,
+                });
+                let due = act.start_of(script);
+                if came.is_some_and(|came| due - came > NOTICE) && !facts.clock_was_set(robot) {
+                    let device = &script.promised.device;
+                    verdict.violated('g', format!("r{robot} began `{device}` with dead hardware"));
+                }
+            }
+        }
+    }
+}
+
+fn what_was_written_is_read(facts: &Facts<'_>, verdict: &mut Verdict) {
+    for (at, happened) in &facts.ran.history {
+        if let Happened::Forgotten(bytes) = happened {
+            verdict.violated(
+                'g',
+                format!("{bytes} bytes of records were on the disk at {at}, and are not read again"),
+            );
+        }
+    }
+}
+
+/// A robot that holds something and is reached again hears more than the question for its name as soon as that is answered.
+fn those_who_return_hear(facts: &Facts<'_>, verdict: &mut Verdict) {
+    let drawn = facts.drawn();
+    for (at, happened) in &facts.ran.history {
+        let Happened::LinkUp(robot) = happened else { continue };
+        let by = *at + drawn.delay.1 * 3 + drawn.robots[*robot].slow + AT_ONCE;
+        let holds = facts.acts.iter().any(|act| {
+            let ends = act.of(*robot).map(|script| act.start_of(script) + script.promised.duration).max();
+            act.at < *at && ends.is_some_and(|ends| by < ends)
+        });
+        let over = |until: Timestamp<Server>| until <= by;
+        let done = facts.stopping.iter().any(|at| over(*at)) || facts.dropped[*robot].is_some_and(over);
+        let links = |hit: &Hit| hit.cause == Cause::LinkDown && hit.from < *at;
+        let hit = facts.hits.iter().any(|hit| {
+            let counts = hit.is_of(*robot) || hit.robot.is_none();
+            counts && !links(hit) && hit.overlaps(*at - Span::from_nanos(1), by)
+        });
+        let failed = facts.between(*at, by).iter().any(|(_, happened)| {
+            matches!(happened, Happened::Told(progress) if matches!(&**progress, Progress::Failed(_)))
+        });
+        let bounded = drawn.robots[*robot].bandwidth.is_none() && drawn.tail == 0.0 && facts.honest(*robot);
+        let heard = facts.between(*at, by).iter().any(|(_, happened)| match happened {
+            Happened::AtRobot(r, message) => {
+                r == robot && !matches!(message, Message::InitializationRequest(_))
+            }
+            _ => false,
+        });
+        if holds && bounded && !done && !hit && !failed && !heard {
+            return verdict.violated(
+                'h',
+                format!("r{robot} was reached again at {at}, and hears nothing of its scripts"),
+            );
+        }
+    }
+}
