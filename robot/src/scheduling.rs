@@ -38,7 +38,7 @@ pub struct Scheduling {
 /// Whether something was granted.
 #[derive(Clone, Debug, PartialEq, Eq)]
 enum Granted {
-    /// Nobody asked.
+    /// It was not asked for.
     Unasked,
     /// It was, in these words.
     Yes(String),

@@ -86,7 +86,7 @@ pub enum When {
 pub enum Clock {
     /// It follows NTP up to so much, in microseconds.
     Ntp(u64),
-    /// It shows so many milliseconds more, and nobody corrects it.
+    /// It shows so many milliseconds more, and is not corrected.
     Measured(u64),
 }
 

@@ -232,7 +232,7 @@ impl Judge<'_> {
             return Ok("left out before the start, as on_failure says");
         }
         let (from, until) = (promise.start - promise.doubt - UNDER_WAY / 2, promise.start + START_LATE);
-        // Where a robot answers no inquiries, nobody notices that it has restarted.
+        // Where a robot answers no inquiries, that it has restarted goes unnoticed.
         let forgot = |robot: usize| {
             !self.played.drawn.tells[robot].answers_inquiries()
                 && self.lost_its_memory(robot)
@@ -434,7 +434,7 @@ impl Judge<'_> {
         }
     }
 
-    /// Whoever still moves when this was said is named, with an instant by which it is at rest.
+    /// A robot that still moves when this was said is named, with an instant by which it is at rest.
     fn at_rest(&mut self, told: &Told, row: &Value) {
         let robot = index(&row["robot"]);
         let moves: Vec<i64> =

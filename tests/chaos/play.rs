@@ -74,7 +74,7 @@ pub struct Played {
     pub journal: Vec<(i64, Value)>,
 }
 
-/// A program that runs. It is reaped by nobody but its owner, so its process id stays its own.
+/// A program that runs. Only its owner reaps it, so its process id stays its own.
 struct Program {
     kind: Kind,
     began: i64,

@@ -1,5 +1,5 @@
 //! How the last microseconds before a deadline are spent: when to wake, and whether other threads may run meanwhile. Reads no
-//! clock and asks nobody.
+//! clock of its own.
 //!
 //! `sched_yield` lets other robots that wait for the same instant have their turn within microseconds. On a core that
 //! something else keeps busy it gives the core away for milliseconds. So a thread yields only while the machine has a core
