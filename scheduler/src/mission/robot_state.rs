@@ -387,7 +387,8 @@ impl RobotState {
     ) -> bool {
         let said_at = self.said_at(now, response.timestamp);
         let Stop::Sent(sent) = &mut self.stop else { return false };
-        let confirms = matches!(response.status, Status::Ok | Status::Accepted);
+        // An acceptance says that something will be done, and without a name perhaps that a script will.
+        let confirms = response.status == Status::Ok;
         let id = match &response.request_id {
             Some(id) if !sent.unconfirmed.contains_key(id) => return false,
             Some(id) => id.clone(),

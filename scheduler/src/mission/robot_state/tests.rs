@@ -70,7 +70,8 @@ fn a_stop_is_confirmed_when_every_device_has_confirmed_it_by_name() {
         let response = response(&device.parse().unwrap(), Some(&id(device)), status, at(STOPPED + 1));
         robot.stop_answered(at(STOPPED + 2), &response, |_| false)
     };
-    assert!(confirmed(&mut robot, "a", Status::Accepted));
+    assert!(confirmed(&mut robot, "a", Status::Accepted), "it is an answer, and no confirmation");
+    assert!(confirmed(&mut robot, "a", Status::Ok));
     assert!(robot.awaits_stop() && !robot.is_settled());
     assert!(confirmed(&mut robot, "b", Status::Failed), "it is an answer, and no confirmation");
     assert!(robot.awaits_stop());
@@ -95,9 +96,7 @@ fn an_answer_without_a_name_confirms_the_stop_of_its_device_alone() {
     let Stop::Sent(sent) = &robot.stop else { panic!("b has not confirmed") };
     assert_eq!(sent.unconfirmed.keys().collect::<Vec<_>>(), [&id("b")]);
     assert!(!robot.stop_answered(at(STOPPED + 3), &without_name("a", Status::Ok, STOPPED + 2), |_| false));
-    assert!(
-        robot.stop_answered(at(STOPPED + 4), &without_name("b", Status::Accepted, STOPPED + 3), |_| false)
-    );
+    assert!(robot.stop_answered(at(STOPPED + 4), &without_name("b", Status::Ok, STOPPED + 3), |_| false));
     assert!(robot.is_settled());
 }
 
@@ -108,7 +107,7 @@ fn an_answer_without_a_name_confirms_nothing_if_a_script_may_be_meant_or_it_was_
     assert!(!robot.stop_answered(at(STOPPED + 2), &after, |device| device.as_str() == "a"));
     let before = without_name("a", Status::Ok, STOPPED - 1);
     assert!(!robot.stop_answered(at(STOPPED + 2), &before, |_| false));
-    for status in [Status::Started, Status::Failed, Status::Provide] {
+    for status in [Status::Accepted, Status::Started, Status::Failed, Status::Provide] {
         let response = ControlResponse {
             error: bench::refusal(ErrorCode::Cancelled),
             ..without_name("a", status, STOPPED + 1)

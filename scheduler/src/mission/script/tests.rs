@@ -157,9 +157,9 @@ fn a_script_that_another_process_may_have_sent_is_unaccounted_until_its_robot_ha
         assert!(script.is_planned() && script.is_unaccounted());
         script
     };
-    let mut never_sent = taken_up();
-    assert_eq!(take(&mut never_sent, Said::Unknown, 1), News::None);
-    assert!(never_sent.is_planned() && !never_sent.is_unaccounted());
+    let mut unknown = taken_up();
+    assert_eq!(take(&mut unknown, Said::Unknown, 1), News::None);
+    assert!(unknown.is_planned() && unknown.is_unaccounted(), "its robot may have been restarted since");
     let mut played = taken_up();
     assert_eq!(take(&mut played, Said::EndedWell(Some(2)), 1), News::Completed);
     assert!(!played.is_unaccounted());
