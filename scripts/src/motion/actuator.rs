@@ -175,6 +175,9 @@ impl<'a> Actuator<'a> {
                     fitted.put(knot.at, set, knot.to);
                 }
                 Means::Early => {
+                    if self.moves() && set != set_before {
+                        fitted.put(before.at, set_before, before.to);
+                    }
                     fitted.put(before.at, set, knot.to);
                     // The last step is where the movement ends.
                     if self.moves() || end == knots.len() {
