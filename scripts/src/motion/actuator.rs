@@ -160,12 +160,17 @@ impl<'a> Actuator<'a> {
             fitted.put(knots[0].at, self.settled(played, 0), knots[0].to);
         }
         let mut index = 1;
-        let mut cut = false;
+        let (mut cut, mut was_still) = (false, false);
         while index < knots.len() && fitted.steps.len() <= self.room {
             let (before, knot) = (&knots[index - 1], &knots[index]);
             let (set_before, set) = (self.settled(played, index - 1), self.settled(played, index));
             let means = self.way(&track, index);
             let mut end = index + 1;
+            // What has stayed ends here with a step, unless the next one says that itself.
+            if was_still && !matches!(means, Means::Still | Means::Jump) {
+                fitted.put(before.at, set_before, before.to);
+            }
+            was_still = means == Means::Still;
             match means {
                 Means::Own => fitted.put(knot.at, set, knot.to),
                 Means::Jump => {
