@@ -56,8 +56,8 @@ pub(crate) fn parse_signed(text: &str) -> Option<Span> {
 pub(crate) fn written(span: Span) -> String {
     let (sign, nanos) = (if span < Span::ZERO { "-" } else { "" }, span.as_nanos().unsigned_abs());
     let (per_unit, digits, unit) = match nanos {
-        1_000_000_000.. => (1_000_000_000, 9, "s"),
-        1_000_000.. | 0 => (1_000_000, 6, "ms"),
+        1_000_000_000.. | 0 => (1_000_000_000, 9, "s"),
+        1_000_000.. => (1_000_000, 6, "ms"),
         _ => (1_000, 3, "us"),
     };
     let text = format!("{}.{:0digits$}", nanos / per_unit, nanos % per_unit);

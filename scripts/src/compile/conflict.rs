@@ -238,7 +238,7 @@ fn edit(relation: &Relation, (min, max): (Option<Span>, Option<Span>)) -> String
         _ => String::new(),
     };
     match range.as_str() {
-        "0ms" => format!("{key}: {target}"),
+        "0s" => format!("{key}: {target}"),
         _ => format!("{key}: {target} {sign} {range}"),
     }
 }

@@ -40,6 +40,8 @@ pub(crate) struct Value {
 pub(crate) struct Fitted {
     pub(crate) steps: Vec<Value>,
     interpolation: Interpolation,
+    /// The error of the last step, which may be taken back.
+    last_off: f64,
     /// The largest difference from the movement as it is written, and when.
     pub(crate) worst: f64,
     pub(crate) worst_at: Span,
@@ -158,12 +160,17 @@ impl<'a> Actuator<'a> {
             fitted.put(knots[0].at, self.settled(played, 0), knots[0].to);
         }
         let mut index = 1;
-        let mut cut = false;
+        let (mut cut, mut was_still) = (false, false);
         while index < knots.len() && fitted.steps.len() <= self.room {
             let (before, knot) = (&knots[index - 1], &knots[index]);
             let (set_before, set) = (self.settled(played, index - 1), self.settled(played, index));
             let means = self.way(&track, index);
             let mut end = index + 1;
+            // What has stayed ends here with a step, unless the next one says that itself.
+            if was_still && !matches!(means, Means::Still | Means::Jump) {
+                fitted.put(before.at, set_before, before.to);
+            }
+            was_still = means == Means::Still;
             match means {
                 Means::Own => fitted.put(knot.at, set, knot.to),
                 Means::Jump => {
@@ -173,6 +180,9 @@ impl<'a> Actuator<'a> {
                     fitted.put(knot.at, set, knot.to);
                 }
                 Means::Early => {
+                    if self.moves() && set != set_before {
+                        fitted.put(before.at, set_before, before.to);
+                    }
                     fitted.put(before.at, set, knot.to);
                     // The last step is where the movement ends.
                     if self.moves() || end == knots.len() {
@@ -197,6 +207,7 @@ impl<'a> Actuator<'a> {
             cut = means == Means::Joined && end < knots.len() && self.way(&track, end) == Means::Joined;
             index = end;
         }
+        fitted.settle();
         fitted
     }
 
@@ -515,10 +526,11 @@ impl Fitted {
     /// A step, and what is written for it. Of two at one time that set the same value, one is enough; of a device that
     /// holds its values, the later one.
     fn put(&mut self, at: Span, to: f64, written: f64) {
-        self.off_by((to - written).abs(), at);
         if self.interpolation == Interpolation::Hold {
             self.take_back(at);
         }
+        self.settle();
+        self.last_off = (to - written).abs();
         if self.steps.last() != Some(&Value { at, to }) {
             self.steps.push(Value { at, to });
             self.at_least += 1;
@@ -529,7 +541,16 @@ impl Fitted {
     fn take_back(&mut self, at: Span) {
         if self.steps.last().is_some_and(|last| last.at == at) {
             self.steps.pop();
+            self.last_off = 0.0;
             self.at_least = self.at_least.saturating_sub(1);
+        }
+    }
+
+    /// The last step is not taken back any more: its error counts.
+    fn settle(&mut self) {
+        if let Some(at) = self.steps.last().map(|last| last.at) {
+            let off = std::mem::take(&mut self.last_off);
+            self.off_by(off, at);
         }
     }
 
@@ -544,6 +565,7 @@ impl Fitted {
     }
 
     fn add(&mut self, begin: Span, fit: &Fit, granularity: f64) {
+        self.settle();
         let at = |millis: f64| begin + Span::from_millis_f64(millis);
         let scale = tidy_scale(granularity);
         let value = |&(time, to): &(f64, f64)| Value { at: at(time), to: tidy(to, scale) };
