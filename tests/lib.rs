@@ -14,6 +14,7 @@ mod edges;
 mod encodings;
 mod examples;
 mod findings;
+mod hold;
 mod hostile;
 mod identity;
 mod import;

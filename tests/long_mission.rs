@@ -1,7 +1,7 @@
 //! An hour of virtual time with a hundred robots and a thousand acts: the scheduler's memory does not grow.
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test fails by panicking and may print")]
 
-use downbeat::mission::{Action, Event, Mission, MissionOptions, Participant, Progress};
+use downbeat::mission::{Action, Event, Mission, MissionOptions, Participant, Progress, Rest};
 use downbeat_robot::simulated::{Outgoing, Settings, SimulatedRobot};
 use downbeat_robot::{Input, LinkId};
 use downbeat_scripts::{Choreography, DeviceScript, Plan, RobotPlan, Way};
@@ -133,7 +133,7 @@ fn an_hour_with_a_hundred_robots_and_a_thousand_acts_takes_no_more_memory_than_h
         if now >= BEGIN + HOUR && after.is_none() {
             // Before the report is made.
             after = Some(resident());
-            world.tell(now, Event::StopRequested);
+            world.tell(now, Event::StopRequested { rest: Rest::Default });
         }
         world.round(now);
         now = world.next().map_or(now, |next| next.max(now));

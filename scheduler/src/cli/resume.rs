@@ -14,7 +14,7 @@ use super::{Exit, Format, ScenarioArgs, choice, console, load, robot, stop};
 use crate::fleet::{self, EndpointError};
 use crate::journal::{Fate, Found, Journal, Kept, Life, OpenedRobot};
 use crate::link::Endpoint;
-use crate::mission::{Mission, MissionOptions};
+use crate::mission::{Mission, MissionOptions, Rest};
 use crate::report::Report;
 use crate::run::Keep;
 use crate::server_clock::ServerClock;
@@ -56,6 +56,7 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
             let how = How {
                 scheduler: Scheduler::Gone,
                 unconfirmed: Unconfirmed::Kept,
+                rest: Rest::Default,
                 patience: args.how.patience,
                 told: format,
             };

@@ -16,6 +16,7 @@ use super::withdraw::{
 };
 use super::{Exit, Format, console};
 use crate::journal::{Found, Kept, Life};
+use crate::mission::Rest;
 use crate::report::local::time_of_day;
 use crate::report::{TAKEN_OVER, Withdrawal};
 use crate::run::control;
@@ -30,6 +31,7 @@ their leases end. A mission of which a robot has not confirmed can be stopped ag
 
 Examples:
   downbeat stop
+  downbeat stop --hold
   downbeat stop swap@stage-4711-20261121T193000000 --patience 2s"
 )]
 pub(super) struct StopArgs {
@@ -41,6 +43,9 @@ pub(super) struct StopArgs {
     /// Count a mission that was cut off as ended even if robots do not confirm, as when one is gone for good.
     #[arg(long, requires = "mission")]
     forget: bool,
+    /// Leave every robot where it is instead of sending it to its default state, as to go on by hand.
+    #[arg(long)]
+    hold: bool,
     #[command(flatten)]
     how: HowArgs,
 }
@@ -75,7 +80,9 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     let shown = if args.all || found.len() > 1 { Shown::Several } else { Shown::One };
     let told = if shown == Shown::One { format } else { Format::Json };
     let forgotten = if args.forget { Unconfirmed::Forgotten } else { Unconfirmed::Kept };
-    let how = How { scheduler: Scheduler::Gone, unconfirmed: forgotten, patience: args.how.patience, told };
+    let rest = if args.hold { Rest::Hold } else { Rest::Default };
+    let patience = args.how.patience;
+    let how = How { scheduler: Scheduler::Gone, unconfirmed: forgotten, rest, patience, told };
     let stops = stop_all(found, how, shown, format);
     worst(unreadable, super::with_runtime(LocalSet::new().run_until(stops)))
 }
@@ -127,7 +134,7 @@ fn worst(one: Exit, other: Exit) -> Exit {
 
 async fn stop_one(found: Found, how: How) -> Stopped {
     match found.life {
-        Life::Running => match control::stop(&found.folder).await {
+        Life::Running => match control::stop(&found.folder, how.rest).await {
             Ok(report) => Stopped::by_itself(&found, &report),
             Err(unheard) => unanswered(&found, &unheard.to_string(), how).await,
         },
@@ -164,7 +171,7 @@ async fn cut_off(found: &Found, how: How) -> Stopped {
     match Taken::of(found) {
         Ok(taken) => Stopped::of(mission, withdraw_and_record(taken, how).await),
         // By another stop, most likely, which is told of by its socket.
-        Err(NotTaken::Held) => match control::stop(&found.folder).await {
+        Err(NotTaken::Held) => match control::stop(&found.folder, how.rest).await {
             Ok(report) => Stopped::by_itself(found, &report),
             Err(unheard) => {
                 directly(found, how, &format!("another process has its journal: {unheard}")).await

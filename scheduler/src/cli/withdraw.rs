@@ -14,7 +14,7 @@ use super::run::{listen, stop_lane, utc_offset};
 use super::{Format, console, robot};
 use crate::fleet;
 use crate::journal::{FileDisk, Found, Journal, Kept, Left, Opened, OpenedRobot, Torn, read};
-use crate::mission::{Mission, MissionOptions, Record};
+use crate::mission::{Mission, MissionOptions, Record, Rest};
 use crate::report::{Report, StopState, Withdrawal};
 use crate::run::{Keep, Operator};
 use crate::server_clock::ServerClock;
@@ -150,6 +150,8 @@ pub(super) struct How {
     pub(super) scheduler: Scheduler,
     /// What becomes of the mission then.
     pub(super) unconfirmed: Unconfirmed,
+    /// How robots come to rest.
+    pub(super) rest: Rest,
     pub(super) patience: Span,
     /// What is told meanwhile: nothing with JSON.
     pub(super) told: Format,
@@ -202,7 +204,7 @@ async fn withdraw_as(
     };
     let begun = clock.now();
     let scenario = scenario_of(&kept.opened);
-    let mission = Mission::withdraw(scenario, fleet::participants(&robots), options, &left, begun);
+    let mission = Mission::withdraw(scenario, fleet::participants(&robots), options, &left, how.rest, begun);
     let (host, endpoints) = fleet::endpoints_at_once(&robots, Handshake::Full, HostOptions::default())
         .map_err(|error| error.to_string())?;
     let live = Live::lines(how.told);

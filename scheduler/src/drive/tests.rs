@@ -7,7 +7,7 @@ use urrcp::{
 
 use super::*;
 use crate::dry_run::BEGIN;
-use crate::mission::{Greeting, MissionOptions, Participant};
+use crate::mission::{Greeting, MissionOptions, Participant, Rest};
 
 const ROBOT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [{"id": "d", "name": "d",
   "available_control_types": {"position": {"min_value": 0, "max_value": 90, "granularity": 1},
@@ -182,7 +182,7 @@ fn without_a_journal_only_durable_records_are_counted() {
 fn a_stop_is_sent_before_it_is_recorded() {
     let mut mission = mission_with(MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() });
     let mut world = Silent::new(99, Filed::AtOnce);
-    world.once_it_sends = Some(Event::StopRequested);
+    world.once_it_sends = Some(Event::StopRequested { rest: Rest::Default });
     at_once(drive(&mut mission, &mut world)).unwrap();
     assert_eq!(world.stops.get(..2), Some(&[Stopping::Sent, Stopping::Recorded][..]), "{:?}", world.told);
 }

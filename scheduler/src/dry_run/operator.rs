@@ -6,7 +6,7 @@ use downbeat_scripts::{Choreography, Wait};
 use urrcp::{Server, Span, Timestamp};
 
 use super::Cut;
-use crate::mission::{Event, Progress};
+use crate::mission::{Event, Progress, Rest};
 
 /// So long after an act has begun to wait, with nothing else playing, the operator says go; and again, as long as it waits.
 const THINKS: Span = Span::from_millis(1_000);
@@ -91,7 +91,7 @@ impl VirtualOperator {
         let timeout = self.attended.get(act).copied().unwrap_or_default();
         if now >= self.alone_since + timeout + WAITS_MAX {
             self.cut = Some(Cut { act: act.clone(), awaits: awaits.clone() });
-            return Some(Event::StopRequested);
+            return Some(Event::StopRequested { rest: Rest::Default });
         }
         self.speaks = Some(now + THINKS);
         Some(Event::Go { act: None })

@@ -5,6 +5,7 @@ use urrcp::{DeviceId, Message, RobotId, Server, Span, Timestamp};
 
 use super::failure_kind::Failure;
 use super::fates::ActFate;
+use super::robot_state::Rest;
 use super::{LeadTime, Preflight, Record, SkewBudget};
 use crate::server_clock::NtpState;
 
@@ -40,7 +41,10 @@ pub enum Event {
         reason: String,
     },
     /// The operator wants everything to stop.
-    StopRequested,
+    StopRequested {
+        /// How the robots come to rest.
+        rest: Rest,
+    },
     /// The operator lets the act begin that waits for it. Answered by [`Action::Answer`].
     Go {
         /// Which act is meant; `None`: whichever waits.

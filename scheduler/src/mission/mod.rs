@@ -60,6 +60,7 @@ pub use skew::{RobotSkew, SkewBudget};
 
 use crate::server_clock::NtpState;
 use act::Act;
+pub use robot_state::Rest;
 use robot_state::RobotState;
 
 /// Where the mission stands. Timers of each phase are in its file.
@@ -227,7 +228,7 @@ impl Mission {
             Event::LinkDown { robot, loss, reason } => self.link_down(now, robot, loss, reason),
             Event::Received { robot, message } => self.receive(now, robot, message),
             Event::Garbled { robot, reason } => self.fail(now, robot, FailureKind::Garbled { reason }),
-            Event::StopRequested => self.request_stop(now),
+            Event::StopRequested { rest } => self.request_stop(now, rest),
             Event::Go { act } => self.go(now, act.as_deref()),
             Event::ServerTime(state) => self.server_time(state),
             Event::Recorded { count } => self.recorded(now, count),

@@ -63,6 +63,7 @@ impl Mission {
         participants: Vec<Participant>,
         options: MissionOptions,
         left: &Left,
+        rest: Rest,
         now: Timestamp<Server>,
     ) -> Self {
         let choreography = Choreography { scenario, acts: Vec::new() };
@@ -82,7 +83,7 @@ impl Mission {
                 robot.left.push(Some(renewed_until));
             }
         }
-        mission.abort(now, Outcome::Stopped, Rest::Default, None);
+        mission.abort(now, Outcome::Stopped, rest, None);
         mission
     }
 

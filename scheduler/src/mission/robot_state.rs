@@ -74,7 +74,7 @@ pub(crate) struct SentStop {
 
 /// How a stopped device comes to rest.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Rest {
+pub enum Rest {
     /// In its default state.
     Default,
     /// Where it is.

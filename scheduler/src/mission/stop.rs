@@ -15,10 +15,10 @@ use super::{Mission, Outcome, Phase, Progress};
 const STOP_AGAIN: Span = Span::from_millis(200);
 
 impl Mission {
-    pub(super) fn request_stop(&mut self, now: Timestamp<Server>) {
+    pub(super) fn request_stop(&mut self, now: Timestamp<Server>, rest: Rest) {
         match self.phase {
             Phase::Greeting { .. } => self.refuse(Outcome::Stopped),
-            Phase::Performing => self.abort(now, Outcome::Stopped, Rest::Default, None),
+            Phase::Performing => self.abort(now, Outcome::Stopped, rest, None),
             // Whatever was to follow the stop does not.
             Phase::Stopping { .. } => {
                 self.then = None;

@@ -1,7 +1,7 @@
 //! A mission's socket: other terminals say `go` or `stop` and hear what became of it. A line of text each way.
 //!
-//! The mission says `ready` on every connection. `go`, or `go ACT`, is answered by `started ACT` or `refused: REASON`. `stop`
-//! is answered by `heard` once the mission has taken it, by `alive` four times a second as long as it stops, and in the end
+//! The mission says `ready` on every connection. `go`, or `go ACT`, is answered by `started ACT` or `refused: REASON`. `stop`,
+//! or `hold`, which leaves robots where they are, is answered by `heard` once the mission has taken it, by `alive` four times a second as long as it stops, and in the end
 //! by its report, a line of JSON. So the one who says something knows within a second whether the mission listens.
 
 use std::io;
@@ -16,6 +16,7 @@ use tokio::task::AbortHandle;
 use tokio::time::timeout;
 
 use super::Operator;
+use crate::mission::Rest;
 use crate::stop_lane::{StopLane, Voice};
 
 /// Longest line that is listened to, in bytes: a word and the name of an act.
@@ -97,7 +98,8 @@ impl Listener {
         BufReader::new(reader.take(LINE_MAX)).read_line(&mut line).await?;
         match line.trim().split_once(' ').unwrap_or((line.trim(), "")) {
             ("go", act) => self.go(act).await,
-            ("stop", "") => self.stop().await,
+            ("stop", "") => self.stop(Rest::Default).await,
+            ("hold", "") => self.stop(Rest::Hold).await,
             _ => self.say("unknown").await,
         }
     }
@@ -117,8 +119,8 @@ impl Listener {
         }
     }
 
-    async fn stop(&mut self) -> io::Result<()> {
-        let _over = self.voice.say(Operator::Stop).await;
+    async fn stop(&mut self, rest: Rest) -> io::Result<()> {
+        let _over = self.voice.say(Operator::Stop(rest)).await;
         while !self.voice.is_heard() {
             tokio::time::sleep(TAKEN_RETRY).await;
         }
@@ -181,9 +183,13 @@ pub async fn go(folder: &Path, act: Option<&str>) -> Result<Result<String, Strin
 ///
 /// # Errors
 /// [`Unheard`], as soon as it is silent for 1 s. What was said to it may still count then.
-pub async fn stop(folder: &Path) -> Result<String, Unheard> {
+pub async fn stop(folder: &Path, rest: Rest) -> Result<String, Unheard> {
     let mut speaker = Speaker::to(folder).await?;
-    speaker.say("stop").await?;
+    let word = match rest {
+        Rest::Default => "stop",
+        Rest::Hold => "hold",
+    };
+    speaker.say(word).await?;
     loop {
         let line = speaker.hear().await?;
         if line.starts_with('{') {

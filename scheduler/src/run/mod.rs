@@ -13,7 +13,7 @@ use crate::drive::drive;
 use crate::journal::Journal;
 use crate::link::Endpoint;
 use crate::mission::robot_state::RobotState;
-use crate::mission::{Mission, Progress};
+use crate::mission::{Mission, Progress, Rest};
 use crate::recording::Recorder;
 use crate::report::Report;
 use crate::server_clock::{NtpWatch, ServerClock};
@@ -30,7 +30,7 @@ pub enum Operator {
         answer: oneshot::Sender<Result<String, String>>,
     },
     /// Stop all robots and wait for their confirmation.
-    Stop,
+    Stop(Rest),
     /// Leave at once.
     Leave,
 }

@@ -127,7 +127,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
         tokio::select! {
             biased;
             word = self.operator.recv() => match word {
-                Some(Operator::Stop) => self.event(Event::StopRequested),
+                Some(Operator::Stop(rest)) => self.event(Event::StopRequested { rest }),
                 Some(Operator::Go { act, answer }) => {
                     self.unanswered.push_back(answer);
                     self.event(Event::Go { act })

@@ -25,6 +25,7 @@ use self::stopping::Guard;
 pub use self::words::{MissionOver, Voice};
 use crate::drive::Happened;
 use crate::link::{Endpoint, Link};
+use crate::mission::Rest;
 use crate::run::Operator;
 use crate::server_clock::ServerClock;
 use crate::signals::OnHangUp;
@@ -36,7 +37,8 @@ const WORDS_MAX: usize = 64;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Alarm {
     Quiet,
-    Ringing,
+    /// It is said; the first word says how the robots come to rest.
+    Ringing(Rest),
 }
 
 /// What an earlier process of the mission has moved.
@@ -161,7 +163,7 @@ impl StopLane {
         match self.robots[robot].note(message) {
             sent::Moves::Nothing => Passage::Open,
             // It is noted first and looked second: either the lane knows of it, or it is not sent.
-            sent::Moves::Devices if *self.alarm.borrow() == Alarm::Ringing => Passage::Closed,
+            sent::Moves::Devices if *self.alarm.borrow() != Alarm::Quiet => Passage::Closed,
             sent::Moves::Devices => Passage::Open,
         }
     }

@@ -95,10 +95,16 @@ impl Sent {
         }
     }
 
-    /// A stop of every device that was sent anything, each under a name of its own.
-    pub(super) fn stops(&self, now: Timestamp<Server>, robot: usize) -> Vec<(RequestId, Message)> {
+    /// A stop of every device that was sent anything, each under a name of its own. With `rest` they come to rest, but for
+    /// what a failure has stopped where it was: that stays there.
+    pub(super) fn stops(
+        &self,
+        now: Timestamp<Server>,
+        robot: usize,
+        rest: Rest,
+    ) -> Vec<(RequestId, Message)> {
         let session = self.session.as_ref().map(|session| format!("{session}/")).unwrap_or_default();
-        let stop = |(index, (device, rest)): (usize, (&DeviceId, &Rest))| {
+        let stop = |(index, (device, stopped)): (usize, (&DeviceId, &Rest))| {
             let name = format!("{session}stop/{}/lane/{robot}/{index}", now.as_nanos() / 1_000);
             // Sessions are named by this program, far below the limit.
             let id = RequestId::new(name).ok()?;
@@ -106,7 +112,7 @@ impl Sent {
             request.request_id = Some(id.clone());
             request.timestamp = self.latest;
             request.session.clone_from(&self.session);
-            request.hold = *rest == Rest::Hold;
+            request.hold = [rest, *stopped].contains(&Rest::Hold);
             Some((id, Message::ControlRequest(request)))
         };
         self.devices.iter().enumerate().filter_map(stop).collect()
@@ -136,7 +142,7 @@ mod tests {
         assert_eq!(book.note(&request("arm", set(), 7)), Moves::Devices);
         assert_eq!(book.note(&request("leg", set(), 9)), Moves::Devices);
         assert_eq!(book.note(&request("arm", set(), 5)), Moves::Devices);
-        let stops = book.0.borrow().stops(Timestamp::from_nanos(1_000), 3);
+        let stops = book.0.borrow().stops(Timestamp::from_nanos(1_000), 3, Rest::Default);
         let told = |(id, message): &(RequestId, Message)| {
             let Message::ControlRequest(request) = message else { panic!("{message:?}") };
             assert_eq!(request.command, Command::Script(Script::cancel()));
@@ -156,7 +162,7 @@ mod tests {
     fn what_a_failure_has_stopped_where_it_was_stays_there_until_it_is_moved_again() {
         let book = Book::new(watch::Sender::new(Sent::default()));
         let holds = |book: &Book| {
-            let stops = book.0.borrow().stops(Timestamp::from_nanos(0), 0);
+            let stops = book.0.borrow().stops(Timestamp::from_nanos(0), 0, Rest::Default);
             matches!(&stops[..], [(_, Message::ControlRequest(request))] if request.hold)
         };
         let mut hold = request("arm", Command::Script(Script::cancel()), 7);
@@ -176,6 +182,6 @@ mod tests {
         let book = Book::new(watch::Sender::new(Sent::default()));
         assert_eq!(book.note(&request("eye", Command::ReadSensor, 7)), Moves::Nothing);
         assert_eq!(book.note(&request("arm", Command::Script(Script::cancel()), 7)), Moves::Nothing);
-        assert!(book.0.borrow().stops(Timestamp::from_nanos(0), 0).is_empty());
+        assert!(book.0.borrow().stops(Timestamp::from_nanos(0), 0, Rest::Default).is_empty());
     }
 }

@@ -14,7 +14,7 @@ use super::connection::Connection;
 use super::sent::Sent;
 use crate::drive::Happened;
 use crate::link::Endpoint;
-use crate::mission::Event;
+use crate::mission::{Event, Rest};
 use crate::server_clock::ServerClock;
 
 /// Between two tries to keep a connection, at first and at most; it doubles.
@@ -41,49 +41,49 @@ impl Guard {
     /// Ends when nothing is left to do.
     pub(super) async fn keep(mut self) {
         let mut known = None;
-        let connection = self.until_alarm(&mut known).await;
-        self.stop(connection, known).await;
+        let (connection, rest) = self.until_alarm(&mut known).await;
+        self.stop(connection, known, rest).await;
     }
 
-    /// Returns with a connection, if one stands, once the operator has said stop.
-    async fn until_alarm(&mut self, known: &mut Option<SocketAddr>) -> Option<Connection> {
+    /// Returns with a connection, if one stands, once the operator has said stop, and how.
+    async fn until_alarm(&mut self, known: &mut Option<SocketAddr>) -> (Option<Connection>, Rest) {
         let mut ringing = pin!(rings(self.alarm.clone()));
         tokio::select! {
             biased;
-            () = &mut ringing => return None,
+            rest = &mut ringing => return (None, rest),
             () = reached(&mut self.sent) => {}
         }
         let mut pause = TRY_EVERY.0;
         loop {
             let opened = tokio::select! {
                 biased;
-                () = &mut ringing => return None,
+                rest = &mut ringing => return (None, rest),
                 opened = Connection::open(&self.endpoint, known) => opened,
             };
             match opened {
                 // Nothing comes between this process and itself.
                 Ok(connection @ Connection::InProcess(_)) => {
-                    ringing.await;
-                    return Some(connection);
+                    return (Some(connection), ringing.await);
                 }
                 Ok(mut connection) => tokio::select! {
                     biased;
-                    () = &mut ringing => return Some(connection),
+                    rest = &mut ringing => return (Some(connection), rest),
                     () = connection.stay() => {}
                 },
                 Err(error) => tracing::debug!("no connection for stops: {error}"),
             }
             tokio::select! {
                 biased;
-                () = &mut ringing => return None,
+                rest = &mut ringing => return (None, rest),
                 () = tokio::time::sleep(pause) => {}
             }
             pause = (pause * 2).min(TRY_EVERY.1);
         }
     }
 
-    async fn stop(&self, mut connection: Option<Connection>, mut known: Option<SocketAddr>) {
-        let mut open: Open = self.sent.borrow().stops(self.clock.now(), self.robot).into_iter().collect();
+    async fn stop(&self, mut connection: Option<Connection>, mut known: Option<SocketAddr>, rest: Rest) {
+        let stops = self.sent.borrow().stops(self.clock.now(), self.robot, rest);
+        let mut open: Open = stops.into_iter().collect();
         if open.is_empty() {
             return;
         }
@@ -179,17 +179,18 @@ impl Guard {
     }
 }
 
-const fn confirms(response: &ControlResponse) -> bool {
-    matches!(response.status, Status::Ok | Status::Accepted)
+fn confirms(response: &ControlResponse) -> bool {
+    response.status == Status::Ok
 }
 
 fn is_for(stop: &Message, response: &ControlResponse) -> bool {
     matches!(stop, Message::ControlRequest(request) if request.device_id == response.device_id)
 }
 
-async fn rings(mut alarm: watch::Receiver<Alarm>) {
-    if alarm.wait_for(|alarm| *alarm == Alarm::Ringing).await.is_err() {
-        std::future::pending::<()>().await;
+async fn rings(mut alarm: watch::Receiver<Alarm>) -> Rest {
+    match alarm.wait_for(|alarm| *alarm != Alarm::Quiet).await.map(|alarm| *alarm) {
+        Ok(Alarm::Ringing(rest)) => rest,
+        Ok(Alarm::Quiet) | Err(_) => std::future::pending().await,
     }
 }
 

@@ -8,6 +8,7 @@ use tokio::sync::mpsc::error::TrySendError;
 use tokio::sync::{mpsc, watch};
 
 use super::Alarm;
+use crate::mission::Rest;
 use crate::run::Operator;
 use crate::signals::{Asked, Signals, die_of};
 
@@ -56,10 +57,19 @@ impl Voice {
     /// # Errors
     /// [`MissionOver`].
     pub async fn say(&self, word: Operator) -> Result<(), MissionOver> {
-        let stops = matches!(word, Operator::Stop);
+        let rest = match word {
+            Operator::Stop(rest) => Some(rest),
+            _ => None,
+        };
         let tried = self.mission.try_send(word);
-        if stops {
-            self.alarm.send_replace(Alarm::Ringing);
+        if let Some(rest) = rest {
+            self.alarm.send_if_modified(|alarm| {
+                let quiet = *alarm == Alarm::Quiet;
+                if quiet {
+                    *alarm = Alarm::Ringing(rest);
+                }
+                quiet
+            });
         }
         match tried {
             Ok(()) => Ok(()),
@@ -104,7 +114,7 @@ async fn die_soon(asked: Asked) {
 const fn word_of(asked: Asked, before: Option<Asked>) -> Operator {
     match (before, asked) {
         (Some(_), Asked::Interrupt) => Operator::Leave,
-        _ => Operator::Stop,
+        _ => Operator::Stop(Rest::Default),
     }
 }
 
@@ -130,12 +140,12 @@ mod tests {
             let voice = Voice::new(mission, alarm);
             voice.say(Operator::Leave).await.unwrap();
             assert_eq!(*ringing.borrow(), Alarm::Quiet);
-            let speaking = tokio::spawn(async move { voice.say(Operator::Stop).await });
+            let speaking = tokio::spawn(async move { voice.say(Operator::Stop(Rest::Hold)).await });
             tokio::task::yield_now().await;
-            assert_eq!(*ringing.borrow(), Alarm::Ringing);
+            assert_eq!(*ringing.borrow(), Alarm::Ringing(Rest::Hold));
             assert!(!speaking.is_finished());
             assert!(matches!(words.recv().await, Some(Operator::Leave)));
-            assert!(matches!(words.recv().await, Some(Operator::Stop)));
+            assert!(matches!(words.recv().await, Some(Operator::Stop(Rest::Hold))));
             assert_eq!(speaking.await.unwrap(), Ok(()));
         });
     }

@@ -338,6 +338,7 @@ fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
         return vec![
             Line::raw("g or Enter  go: the act begins that waits for the operator"),
             Line::raw("s or Ctrl-C stop: every robot returns to its default state"),
+            Line::raw("h           hold: every robot stops where it is, and stays there"),
             Line::raw("Ctrl-C      twice: leave at once, without waiting for confirmations"),
             Line::raw("~3/5        steps by the plan; without ~ as the robot says, 3+ at least"),
             Line::raw("?           hide this help"),
@@ -353,7 +354,10 @@ fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
     }
     match model.phase {
         Phase::Stopping(_) => key("Ctrl-C twice", "leave at once", Style::new()),
-        _ => key("s", "stop", Style::new()),
+        _ => {
+            key("s", "stop", Style::new());
+            key("h", "hold", Style::new());
+        }
     }
     key("?", "help", Style::new());
     vec![Line::from(pieces)]

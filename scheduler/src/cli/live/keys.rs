@@ -12,6 +12,7 @@ use tokio::sync::oneshot;
 use super::frame::Help;
 use super::{Scene, Shown, show, terminal};
 use crate::cli::console;
+use crate::mission::Rest;
 use crate::run::Operator;
 use crate::stop_lane::{StopLane, Voice};
 
@@ -23,6 +24,7 @@ const LIFT_MAX: Duration = Duration::from_millis(200);
 enum Key {
     Go,
     Stop,
+    Hold,
     Help,
 }
 
@@ -31,7 +33,8 @@ impl Key {
         match byte {
             b'g' | b'G' | b'\n' | b'\r' => Some(Self::Go),
             b's' | b'S' => Some(Self::Stop),
-            b'?' | b'h' | b'H' => Some(Self::Help),
+            b'h' | b'H' => Some(Self::Hold),
+            b'?' => Some(Self::Help),
             _ => None,
         }
     }
@@ -68,6 +71,15 @@ impl Speaker {
     }
 }
 
+impl Speaker {
+    /// Stops all robots where they are. The lane has the word at once; a mission that stands still takes it later.
+    fn hold(&self) {
+        let (voice, lane) = (self.voice.clone(), self.lane.clone());
+        let _until_it_is_taken =
+            std::thread::spawn(move || lane.block_on(voice.say(Operator::Stop(Rest::Hold))));
+    }
+}
+
 /// Single keys under the display. The thread ends with the process.
 pub(super) fn listen(scene: Arc<Mutex<Scene>>, mut speaker: Speaker) {
     if !terminal::has_keys() {
@@ -89,6 +101,11 @@ pub(super) fn listen(scene: Arc<Mutex<Scene>>, mut speaker: Speaker) {
                     Key::Stop => {
                         stopped = true;
                         stop();
+                    }
+                    Key::Hold if stopped => {}
+                    Key::Hold => {
+                        stopped = true;
+                        speaker.hold();
                     }
                     Key::Help => toggle_help(&scene),
                 }
@@ -185,8 +202,8 @@ mod tests {
     #[test]
     fn keys_that_mean_nothing_are_passed_over() {
         assert_eq!(
-            [b'g', b'\r', b's', b'?'].map(Key::of),
-            [Some(Key::Go), Some(Key::Go), Some(Key::Stop), Some(Key::Help)]
+            [b'g', b'\r', b's', b'h', b'?'].map(Key::of),
+            [Some(Key::Go), Some(Key::Go), Some(Key::Stop), Some(Key::Hold), Some(Key::Help)]
         );
         assert_eq!([b'x', 0x1b, b' ', 0x13].map(Key::of), [None; 4]);
     }

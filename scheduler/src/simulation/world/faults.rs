@@ -1,7 +1,7 @@
 //! What goes wrong.
 
 use super::{Item, Machine, World};
-use crate::mission::{Event, Loss};
+use crate::mission::{Event, Loss, Rest};
 use crate::simulation::draw::stranger;
 use crate::simulation::{Direction, Fault, Happened};
 
@@ -42,7 +42,7 @@ impl World {
             }
             Fault::SchedulerPause { lasts } => self.scheduler.paused_until = now + lasts,
             Fault::DiskStalls { lasts } => self.scheduler.disk_stands_still_until = now + lasts,
-            Fault::Stop => self.tell(Event::StopRequested),
+            Fault::Stop => self.tell(Event::StopRequested { rest: Rest::Default }),
             Fault::StopByJournal => self.stop_by_journal(),
             Fault::Partition { .. }
             | Fault::OneWay { .. }

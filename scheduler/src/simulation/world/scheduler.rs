@@ -10,7 +10,7 @@ use super::{BEGIN, Item, LASTS_MAX, World, options, participants, session};
 use crate::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use crate::journal::simulated::SimulatedDisk;
 use crate::journal::{Asked, Fate, Journal, Kept, Opened, OpenedRobot, WAITING_MAX, append_all};
-use crate::mission::{Event, Greeting, Mission, Progress, Promise, Record};
+use crate::mission::{Event, Greeting, Mission, Progress, Promise, Record, Rest};
 use crate::simulation::{Drawn, Fault, Happened};
 
 /// Whether the process is there.
@@ -227,7 +227,7 @@ impl World {
     /// Of a mission that runs, its scheduler is asked to stop; one that was cut off is withdrawn.
     pub(super) fn stop_by_journal(&mut self) {
         match self.scheduler.is_running() {
-            true => self.tell(Event::StopRequested),
+            true => self.tell(Event::StopRequested { rest: Rest::Default }),
             false => self.take_up(Intention::Stop),
         }
     }
@@ -256,7 +256,9 @@ impl World {
         let how = if resumed.is_some() { "resumed" } else { "withdrawn" };
         self.scheduler.disk = if resumed.is_some() { DiskState::Idle } else { DiskState::Unused };
         self.note(Happened::TakenUp(how));
-        resumed.unwrap_or_else(|| Mission::withdraw("soak".to_owned(), participants, options, &left, now))
+        resumed.unwrap_or_else(|| {
+            Mission::withdraw("soak".to_owned(), participants, options, &left, Rest::Default, now)
+        })
     }
 
     /// Something for the scheduler, which takes it when it can.
