@@ -60,6 +60,11 @@ pub fn judge(played: &Played) -> Verdict {
     judge.verdict
 }
 
+/// Of a direct stop, which knows nothing of what was played before.
+fn is_withdrawal(report: &Value) -> bool {
+    report["acts"].is_null()
+}
+
 /// An act as it was promised.
 struct Promise {
     act: usize,
@@ -166,7 +171,7 @@ impl Judge<'_> {
         let unconfirmed = rows.clone().any(|row| row["stop"]["state"] == "unconfirmed");
         let outcome =
             report["outcome"].as_str().or_else(|| report["outcome"].as_object()?.keys().next().map(|k| &**k));
-        let stopped = told.kind == Kind::Stop || report["scenario"] == "withdrawal";
+        let stopped = told.kind == Kind::Stop || is_withdrawal(report);
         let expected = match (outcome, unconfirmed) {
             (None, _) => return false,
             (Some("done"), _) => 0,
@@ -416,7 +421,7 @@ impl Judge<'_> {
         let outcome = report["outcome"].as_str().unwrap_or_default().to_owned();
         for row in report["robots"].as_array().into_iter().flatten() {
             self.at_rest(told, row);
-            if report["scenario"] == "chaos" {
+            if !is_withdrawal(report) {
                 self.row(&outcome, report, row);
             }
         }

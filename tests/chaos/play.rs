@@ -35,8 +35,10 @@ pub struct Told {
 }
 
 impl Told {
+    /// What it said of robots; where there was nothing to do it says that alone.
     pub fn report(&self) -> Option<Value> {
-        self.ended.as_ref().ok().and_then(|ended| serde_json::from_str(&ended.out).ok())
+        let said: Value = serde_json::from_str(&self.ended.as_ref().ok()?.out).ok()?;
+        Some(said).filter(|said| said["robots"].is_array())
     }
 
     pub fn code(&self) -> Option<i32> {
