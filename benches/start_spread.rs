@@ -1,5 +1,5 @@
-//! How closely six robots start, and how late: deferred start with and without real-time scheduling, start on receipt, and
-//! tokio's timer, in turn within one run, idle and with all cores busy.
+//! How closely six robots start: deferred start against start on receipt and tokio's timer, side by side in one run, idle and
+//! with all cores busy.
 //!
 //! Six robot processes on TCP, each with a clock of its own up to 300 ms off. True starts are read from the robots' own
 //! logs, by the one clock of the host.
@@ -13,8 +13,7 @@
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
-use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use downbeat::drive::{Happened, LinkNumber, Urgency};
@@ -29,13 +28,7 @@ use urrcp::{
 };
 
 const ROBOTS: usize = 6;
-/// Starts that are further apart belong to two missions.
-const BETWEEN_MISSIONS_NS: i64 = 100_000_000;
-/// Missions that were played again.
-static REPEATED: AtomicUsize = AtomicUsize::new(0);
 const MISSIONS: usize = 100;
-/// A robot that has nothing else to write has written its log by then.
-const LOGS_WRITTEN: Duration = Duration::from_millis(200);
 
 const ROBOT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
   {"id": "d", "name": "d", "available_control_types": {
@@ -47,7 +40,7 @@ const ROBOT: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
 struct Settings {
     delay: &'static str,
     ntp_error: &'static str,
-    realtime: &'static str,
+    realtime: bool,
 }
 
 struct Fleet {
@@ -66,8 +59,8 @@ impl Fleet {
             command.arg(folder.join("robot.json")).arg("--log-file").arg(fleet.log(id));
             command.args(["--clock-offset", &format!("{}ms", id * 60), "--ntp-error", settings.ntp_error]);
             command.args(["--delay-max", settings.delay, "--seed", &id.to_string()]);
-            command.args(["--realtime", settings.realtime]);
-            let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+            command.args(settings.realtime.then_some("--realtime"));
+            let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
             let mut line = String::new();
             BufReader::new(child.stdout.take().unwrap()).read_line(&mut line).unwrap();
             fleet.ports.push(line.trim().rsplit(':').next().unwrap().parse().unwrap());
@@ -84,31 +77,24 @@ impl Fleet {
         Endpoint::Tcp { host: "127.0.0.1".into(), port: self.ports[id], speech: Speech::default() }
     }
 
-    /// When a robot began its scripts.
-    fn starts(&self, id: usize) -> Vec<Start> {
+    /// True instants at which a robot began a script, in nanoseconds.
+    fn starts(&self, id: usize) -> Vec<i64> {
         let log = std::fs::read_to_string(self.log(id)).unwrap();
         let entries = log.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).unwrap());
         let first = entries.filter(|entry| entry["motion"] == "set" && entry["step"] == 0);
-        let at = |time: &serde_json::Value| {
-            let time = chrono::DateTime::parse_from_rfc3339(time.as_str().unwrap()).unwrap();
-            time.timestamp_nanos_opt().unwrap()
-        };
-        first
-            .map(|entry| Start {
-                true_ns: entry["true_ns"].as_i64().unwrap(),
-                late_ms: (at(&entry["set_at"]) - at(&entry["due"])) as f64 / 1e6,
-            })
-            .collect()
+        first.map(|entry| entry["true_ns"].as_i64().unwrap()).collect()
     }
 
-    /// What became of its missions: those that all robots started.
-    fn measured(&self) -> Measured {
-        let mut starts: Vec<_> = (0..ROBOTS).flat_map(|id| self.starts(id)).collect();
-        starts.sort_by_key(|start| start.true_ns);
-        let missions = starts.chunk_by(|a, b| b.true_ns - a.true_ns < BETWEEN_MISSIONS_NS);
-        let whole = missions.filter(|starts| starts.len() == ROBOTS);
-        let late = starts.iter().map(|start| start.late_ms).collect();
-        Measured::of(late, whole.map(|starts| starts.iter().map(|start| start.true_ns).collect()))
+    /// Spread of each mission's starts in milliseconds, sorted.
+    fn spreads(&self, missions: std::ops::Range<usize>) -> Vec<f64> {
+        let starts: Vec<_> = (0..ROBOTS).map(|id| self.starts(id)).collect();
+        let spread = |mission: usize| {
+            let instants = || starts.iter().map(|starts| starts[mission]);
+            (instants().max().unwrap() - instants().min().unwrap()) as f64 / 1e6
+        };
+        let mut spreads: Vec<_> = missions.map(spread).collect();
+        spreads.sort_by(f64::total_cmp);
+        spreads
     }
 }
 
@@ -141,28 +127,17 @@ fn plan() -> Plan {
     Plan { scenario: "spread".into(), start_tolerance, lead: None, stop_condition, robots }
 }
 
-/// One mission by Downbeat; one that was not done, because the scheduler was held up, is played again.
+/// One mission by Downbeat.
 async fn deferred(fleet: &Fleet) {
-    while !was_played(fleet).await {
-        REPEATED.fetch_add(1, Ordering::Relaxed);
-    }
-}
-
-async fn was_played(fleet: &Fleet) -> bool {
     let block: InitializationBlock = serde_json::from_str(ROBOT).unwrap();
-    let participant = |id| {
-        let id = RobotId::new(format!("r{id}")).unwrap();
-        Participant::new(id.clone(), Some(InitializationBlock { id, ..block.clone() }))
-    };
+    let participant = |id| Participant::new(RobotId::new(format!("r{id}")).unwrap(), Some(block.clone()));
     let clock = ServerClock::anchored(Span::ZERO);
     let participants = (0..ROBOTS).map(participant).collect();
     let mission = Mission::of_plan(plan(), participants, MissionOptions::default(), clock.now()).unwrap();
     let endpoints = (0..ROBOTS).map(|id| fleet.endpoint(id)).collect();
     let (_operator, said) = mpsc::channel(1);
     let report = downbeat::run::run(mission, endpoints, clock, said, |_, _| {}).await;
-    let again = REPEATED.load(Ordering::Relaxed);
-    assert!(report.is_done() || again < MISSIONS, "{}: {:?}", report.outcome, report.failures);
-    report.is_done()
+    assert!(report.is_done(), "{}: {:?}", report.outcome, report.failures);
 }
 
 /// The same script sent to all at once, each starting when it receives it.
@@ -200,57 +175,15 @@ fn send_at_once(link: &Link) {
     link.send(Message::ControlRequest(request), Urgency::InOrder).unwrap();
 }
 
-/// When a robot began a script, and how late that was by its own clock.
-struct Start {
-    true_ns: i64,
-    late_ms: f64,
-}
-
-/// In milliseconds, each sorted.
-struct Measured {
-    /// Of every robot in every mission; empty where nothing was due.
-    late: Vec<f64>,
-    /// First start to last of every mission.
-    spreads: Vec<f64>,
-}
-
-impl Measured {
-    fn of(mut late: Vec<f64>, rounds: impl Iterator<Item = Vec<i64>>) -> Self {
-        let spread = |instants: Vec<i64>| {
-            (instants.iter().max().unwrap() - instants.iter().min().unwrap()) as f64 / 1e6
-        };
-        let mut spreads: Vec<_> = rounds.map(spread).collect();
-        spreads.sort_by(f64::total_cmp);
-        late.sort_by(f64::total_cmp);
-        Self { late, spreads }
-    }
-
-    fn row(&self, name: &str) {
-        println!("{name:<36}{}   {}", percentiles(&self.spreads), percentiles(&self.late));
-    }
-
-    fn middle(&self) -> f64 {
-        self.spreads[self.spreads.len() / 2]
-    }
-}
-
-fn percentiles(sorted: &[f64]) -> String {
-    if sorted.is_empty() {
-        return format!("{:>36}", "-");
-    }
+fn row(name: &str, spreads: &[f64]) {
+    let count = spreads.len();
     // Nearest rank: the p99 of 100 is the largest but one.
-    let rank = |percent: usize| sorted[(sorted.len() * percent).div_ceil(100) - 1];
-    [50, 90, 99, 100].map(|percent| format!("{:>9.3}", rank(percent))).concat()
+    let rank = |percent: usize| spreads[(count * percent).div_ceil(100) - 1];
+    println!("{name:<44}{:>12.3}{:>12.3}{:>12.3}", rank(50), rank(99), rank(100));
 }
 
 /// Six processes that wait for an instant by tokio's timer, as one would without a thread of one's own.
-struct Timers {
-    children: Vec<Child>,
-    inputs: Vec<ChildStdin>,
-    outputs: Vec<BufReader<ChildStdout>>,
-    late: Vec<f64>,
-    rounds: Vec<Vec<i64>>,
-}
+struct Timers(Vec<Child>);
 
 impl Timers {
     fn start() -> Self {
@@ -258,33 +191,36 @@ impl Timers {
             let mut command = Command::new(std::env::current_exe().unwrap());
             command.env("TIMER", "1").stdin(Stdio::piped()).stdout(Stdio::piped()).spawn().unwrap()
         };
-        let mut children: Vec<_> = (0..ROBOTS).map(start).collect();
-        let inputs = children.iter_mut().map(|child| child.stdin.take().unwrap()).collect();
-        let outputs = children.iter_mut().map(|child| BufReader::new(child.stdout.take().unwrap())).collect();
-        Self { children, inputs, outputs, late: Vec::new(), rounds: Vec::new() }
+        Self((0..ROBOTS).map(start).collect())
     }
 
-    fn round(&mut self) {
-        let target = epoch_nanos() + 150_000_000;
-        self.inputs.iter_mut().for_each(|input| writeln!(input, "{target}").unwrap());
-        let woken = self.outputs.iter_mut().map(|output| {
-            let mut line = String::new();
-            output.read_line(&mut line).unwrap();
-            line.trim().parse().unwrap()
-        });
-        let woken: Vec<i64> = woken.collect();
-        self.late.extend(woken.iter().map(|woken| (woken - target) as f64 / 1e6));
-        self.rounds.push(woken);
-    }
-
-    fn measured(&mut self) -> Measured {
-        Measured::of(std::mem::take(&mut self.late), std::mem::take(&mut self.rounds).into_iter())
+    /// Spread of each round's wake-ups in milliseconds, sorted.
+    fn spreads(&mut self) -> Vec<f64> {
+        let mut inputs: Vec<_> = self.0.iter_mut().map(|child| child.stdin.take().unwrap()).collect();
+        let mut outputs: Vec<_> =
+            self.0.iter_mut().map(|child| BufReader::new(child.stdout.take().unwrap())).collect();
+        let mut spreads = Vec::new();
+        for _ in 0..MISSIONS {
+            let target = epoch_nanos() + 150_000_000;
+            inputs.iter_mut().for_each(|input| writeln!(input, "{target}").unwrap());
+            let woken: Vec<i64> = outputs
+                .iter_mut()
+                .map(|output| {
+                    let mut line = String::new();
+                    output.read_line(&mut line).unwrap();
+                    line.trim().parse().unwrap()
+                })
+                .collect();
+            spreads.push((woken.iter().max().unwrap() - woken.iter().min().unwrap()) as f64 / 1e6);
+        }
+        spreads.sort_by(f64::total_cmp);
+        spreads
     }
 }
 
 impl Drop for Timers {
     fn drop(&mut self) {
-        for child in &mut self.children {
+        for child in &mut self.0 {
             let _gone = child.kill();
             let _reaped = child.wait();
         }
@@ -328,68 +264,52 @@ impl Drop for Load {
     }
 }
 
-fn runtime() -> tokio::runtime::Runtime {
-    tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap()
-}
-
-/// Over a network that delays: starts by time and on receipt.
-fn over_a_network() {
-    let network = Settings { delay: "80ms", ntp_error: "40us", realtime: "auto" };
-    let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
-    let fleets = folders.each_ref().map(|folder| Fleet::start(folder.path(), network));
-    runtime().block_on(async {
+/// So many missions of a fleet, and their spreads.
+fn missions(settings: Settings, deferred_start: bool) -> Vec<f64> {
+    let folder = tempfile::tempdir().unwrap();
+    let fleet = Fleet::start(folder.path(), settings);
+    let runtime = tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().unwrap();
+    runtime.block_on(async {
         for _ in 0..MISSIONS {
-            deferred(&fleets[0]).await;
-            on_receipt(&fleets[1]).await;
+            match deferred_start {
+                true => deferred(&fleet).await,
+                false => on_receipt(&fleet).await,
+            }
         }
     });
-    std::thread::sleep(LOGS_WRITTEN);
-    let [by_time, by_receipt] = fleets.each_ref().map(|fleet| fleet.measured());
-    by_time.row("  deferred start");
-    Measured { late: Vec::new(), ..by_receipt }.row("  start on receipt (baseline)");
-}
-
-/// On one host: with real-time scheduling where it is permitted, without it, on receipt, and by tokio's timer, in turn, so that
-/// whatever else runs meets all of them alike.
-fn on_one_host() {
-    let settings = |realtime| Settings { delay: "1ms", ntp_error: "0s", realtime };
-    let folders: Vec<_> = (0..3).map(|_| tempfile::tempdir().unwrap()).collect();
-    let auto = Fleet::start(folders[0].path(), settings("auto"));
-    let off = Fleet::start(folders[1].path(), settings("off"));
-    let receiving = Fleet::start(folders[2].path(), settings("auto"));
-    let mut timers = Timers::start();
-    let runtime = runtime();
-    for _ in 0..MISSIONS {
-        runtime.block_on(deferred(&auto));
-        runtime.block_on(deferred(&off));
-        runtime.block_on(on_receipt(&receiving));
-        timers.round();
-    }
-    std::thread::sleep(LOGS_WRITTEN);
-    let (off, timers) = (off.measured(), timers.measured());
-    auto.measured().row("  deferred start, --realtime auto");
-    off.row("  deferred start, --realtime off");
-    Measured { late: Vec::new(), ..receiving.measured() }.row("  start on receipt (baseline)");
-    timers.row("  tokio's timer (baseline)");
-    println!("  not done and played again: {}", REPEATED.swap(0, Ordering::Relaxed));
-    println!("  ratio of medians, tokio's timer / --realtime off: {:.1}", timers.middle() / off.middle());
+    // The logs are written within 50 ms.
+    std::thread::sleep(Duration::from_millis(200));
+    fleet.spreads(0..MISSIONS)
 }
 
 fn main() {
     if std::env::var_os("TIMER").is_some() {
         return be_a_timer();
     }
-    println!("{ROBOTS} processes, {MISSIONS} missions, ms");
-    println!("{:<36}{:>36}   {:>36}", "", "apart: p50, p90, p99, max", "late: p50, p90, p99, max");
+    println!("spread of true starts of {ROBOTS} processes over {MISSIONS} missions, ms");
+    println!("{:<44}{:>12}{:>12}{:>12}", "", "p50", "p99", "max");
+    let middle = |spreads: &[f64]| spreads[spreads.len() / 2];
     // `-- one-host` leaves the slow part out.
     if !std::env::args().any(|arg| arg == "one-host") {
+        let network = Settings { delay: "80ms", ntp_error: "40us", realtime: false };
         println!("clocks known to 40 us, answers up to 80 ms late");
-        over_a_network();
+        let by_time = missions(network, true);
+        let by_receipt = missions(network, false);
+        row("  deferred start", &by_time);
+        row("  start on receipt (baseline)", &by_receipt);
+        println!("  ratio of medians, receipt / deferred: {:.0}", middle(&by_receipt) / middle(&by_time));
     }
+    let one_host = Settings { delay: "1ms", ntp_error: "0s", realtime: false };
     let loads: &[bool] = if std::env::args().any(|arg| arg == "idle") { &[false] } else { &[false, true] };
     for &loaded in loads {
         println!("one clock, {}", if loaded { "all cores busy" } else { "idle" });
         let _load = loaded.then(Load::start);
-        on_one_host();
+        let ours = missions(one_host, true);
+        row("  deferred start", &ours);
+        row("  deferred start, --realtime", &missions(Settings { realtime: true, ..one_host }, true));
+        row("  start on receipt (baseline)", &missions(one_host, false));
+        let timers = Timers::start().spreads();
+        row("  tokio's timer (baseline)", &timers);
+        println!("  ratio of medians, tokio's timer / deferred: {:.1}", middle(&timers) / middle(&ours));
     }
 }

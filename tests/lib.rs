@@ -26,7 +26,6 @@ mod output;
 mod preflight;
 mod processes;
 mod real_scenarios;
-mod realtime;
 mod refills;
 mod robots;
 mod schema;

@@ -22,9 +22,8 @@ pub use self::hosted::Hosted;
 use crate::clock::{HostClock, HostTime};
 use crate::driver::{Mailbox, News};
 use crate::outgoing::Outgoing;
-use crate::precise_wait::{PreciseWait, Woken};
+use crate::precise_wait::{self, Woken};
 use crate::robot::{Input, LinkId};
-use crate::scheduling::{Realtime, Scheduling};
 use crate::set_log::LogEntry;
 
 /// Messages that may wait for a peer; one that does not read is hung up on.
@@ -35,8 +34,8 @@ const WINDOW: usize = 32;
 /// How robots are run.
 #[derive(Clone, Debug, Default)]
 pub struct HostOptions {
-    /// Whether the precise thread asks for real-time scheduling, and for the process's memory to be locked.
-    pub realtime: Realtime,
+    /// Ask for real-time scheduling of the precise thread.
+    pub realtime: bool,
     /// Write everything that is set to this file, a JSON line each.
     pub log: Option<PathBuf>,
 }
@@ -55,9 +54,6 @@ pub enum HostError {
     /// The system gives no thread.
     #[error("no thread for the robots: {0}")]
     Thread(io::Error),
-    /// What is required was not granted.
-    #[error("{0}")]
-    Realtime(Scheduling),
 }
 
 /// A robot whose hardware was moved and, when its host stopped, may not have come to its default state.
@@ -104,7 +100,6 @@ enum Order {
 #[derive(Debug)]
 pub struct Host {
     handle: HostHandle,
-    scheduling: Scheduling,
     thread: Option<JoinHandle<()>>,
     writer: Option<JoinHandle<()>>,
     log_lost: Option<oneshot::Receiver<HostError>>,
@@ -116,7 +111,7 @@ pub struct Host {
 /// Opens links to the robots of a host.
 #[derive(Clone, Debug)]
 pub struct HostHandle {
-    orders: flume::Sender<Order>,
+    orders: std_mpsc::Sender<Order>,
     robots: Arc<[RobotId]>,
     next_link: Arc<AtomicU64>,
 }
@@ -124,7 +119,7 @@ pub struct HostHandle {
 /// A link to one robot. Dropping it breaks the link.
 #[derive(Debug)]
 pub struct RobotLink {
-    orders: flume::Sender<Order>,
+    orders: std_mpsc::Sender<Order>,
     robot: usize,
     link: LinkId,
     incoming: mpsc::Receiver<LinkEvent>,
@@ -133,7 +128,7 @@ pub struct RobotLink {
 /// The sending end of a link, for use beside the receiving one.
 #[derive(Clone, Debug)]
 pub(crate) struct LinkSender {
-    orders: flume::Sender<Order>,
+    orders: std_mpsc::Sender<Order>,
     robot: usize,
     link: LinkId,
     window: Arc<Semaphore>,
@@ -143,8 +138,7 @@ impl Host {
     /// Starts the robots.
     ///
     /// # Errors
-    /// [`HostError`] when the log cannot be written, or the system gives no thread or not what is required. Then nothing
-    /// was connected to or moved.
+    /// [`HostError`] when the log cannot be written or the system gives no thread.
     pub fn start<R: Into<Hosted>>(robots: Vec<R>, options: HostOptions) -> Result<Self, HostError> {
         let hosted: Vec<Hosted> = robots.into_iter().map(Into::into).collect();
         let ids: Arc<[RobotId]> = hosted.iter().map(|hosted| hosted.id().clone()).collect();
@@ -166,10 +160,8 @@ impl Host {
                 (Some(log), Some(writer.spawn(write).map_err(HostError::Thread)?), Some(told))
             }
         };
-        // Of a lock: on a lock-free channel a real-time thread could spin, and wait for ever, for a sender that it interrupted.
-        let (orders, inbox) = flume::unbounded();
+        let (orders, inbox) = std_mpsc::channel();
         let handle = HostHandle { orders, robots: ids, next_link: Arc::new(AtomicU64::new(0)) };
-        let (thread, ready, scheduling) = prepared_thread(options.realtime, log, inbox)?;
         let (mut robots, mut drivers) = (Vec::new(), Vec::new());
         for (index, hosted) in hosted.into_iter().enumerate() {
             let (robot, thread) = hosted.attach(index, &handle.orders).map_err(HostError::Thread)?;
@@ -177,9 +169,15 @@ impl Host {
             drivers.extend(thread.map(|thread| (index, thread)));
         }
         let mailboxes: Vec<_> = robots.iter().filter_map(Body::mailbox).collect();
-        // The thread waits for nothing else.
-        let _always_taken = ready.send(robots);
-        Ok(Self { handle, scheduling, thread: Some(thread), writer, log_lost, drivers, mailboxes })
+        let thread = std::thread::Builder::new().name("robots".into());
+        // Ends by `Order::Stop`, or when every handle is gone.
+        let thread = thread
+            .spawn(move || {
+                precise_wait::prepare_thread(options.realtime);
+                Executor::new(robots, log).run(&inbox);
+            })
+            .map_err(HostError::Thread)?;
+        Ok(Self { handle, thread: Some(thread), writer, log_lost, drivers, mailboxes })
     }
 
     /// Waits until every driver has tried to connect once, so that the next question is answered with how it went.
@@ -187,12 +185,6 @@ impl Host {
     pub fn await_hardware(&self, patience: Duration) {
         let until = std::time::Instant::now() + patience;
         self.mailboxes.iter().for_each(|mailbox| mailbox.await_tried(until));
-    }
-
-    /// What the precise thread was granted.
-    #[must_use]
-    pub const fn scheduling(&self) -> &Scheduling {
-        &self.scheduling
     }
 
     /// Opens links to these robots.
@@ -300,33 +292,6 @@ impl Drop for RobotLink {
 }
 
 type LoggedBatch = (usize, Vec<LogEntry>);
-/// The precise thread, the channel on which it takes its robots, and what it was granted.
-type Prepared = (JoinHandle<()>, std_mpsc::Sender<Vec<Body>>, Scheduling);
-
-/// Starts the precise thread before there are robots, so that nothing moves if it is not granted what is required. Ends by
-/// [`Order::Stop`], when every handle is gone, or when it is given no robots.
-fn prepared_thread(
-    realtime: Realtime,
-    log: Option<std_mpsc::Sender<LoggedBatch>>,
-    inbox: flume::Receiver<Order>,
-) -> Result<Prepared, HostError> {
-    let (ready, robots) = std_mpsc::channel();
-    let (tell, told) = std_mpsc::channel();
-    let run = move || {
-        let scheduling = Scheduling::of_this_thread(realtime);
-        let waits = PreciseWait::new(&scheduling);
-        let _given_up = tell.send(scheduling);
-        if let Ok(robots) = robots.recv() {
-            Executor::new(robots, log, waits).run(&inbox);
-        }
-    };
-    let thread = std::thread::Builder::new().name("robots".into()).spawn(run).map_err(HostError::Thread)?;
-    let scheduling = told.recv().map_err(|error| HostError::Thread(io::Error::other(error)))?;
-    if realtime == Realtime::Required && scheduling.lacks_something() {
-        return Err(HostError::Realtime(scheduling));
-    }
-    Ok((thread, ready, scheduling))
-}
 
 /// The precise thread's state.
 struct Executor {
@@ -335,31 +300,29 @@ struct Executor {
     wakeup_of: Vec<Option<Timestamp<HostTime>>>,
     peers: HashMap<LinkId, mpsc::Sender<LinkEvent>>,
     clock: HostClock,
-    waits: PreciseWait,
     log: Option<std_mpsc::Sender<LoggedBatch>>,
     out: Vec<Outgoing>,
     due: Vec<usize>,
 }
 
 impl Executor {
-    fn new(robots: Vec<Body>, log: Option<std_mpsc::Sender<LoggedBatch>>, waits: PreciseWait) -> Self {
+    fn new(robots: Vec<Body>, log: Option<std_mpsc::Sender<LoggedBatch>>) -> Self {
         Self {
             wakeup_of: vec![None; robots.len()],
             robots,
             wakeups: BTreeSet::new(),
             peers: HashMap::new(),
             clock: HostClock::anchored(),
-            waits,
             log,
             out: Vec::new(),
             due: Vec::new(),
         }
     }
 
-    fn run(mut self, inbox: &flume::Receiver<Order>) {
+    fn run(mut self, inbox: &std_mpsc::Receiver<Order>) {
         loop {
             let deadline = self.wakeups.first().map(|(at, _)| self.clock.instant_of(*at));
-            match self.waits.wait(inbox, deadline) {
+            match precise_wait::wait(inbox, deadline) {
                 Woken::Deadline => self.advance_due(),
                 Woken::Message(Order::Stop) | Woken::Closed => return self.shut_down(),
                 Woken::Message(order) => self.obey(order),
@@ -413,7 +376,7 @@ impl Executor {
             self.robots[*robot].post(&self.clock);
         }
         // Another process may wait for this core to move its robots at the same instant.
-        self.waits.let_others_move();
+        std::thread::yield_now();
         for robot in due.drain(..) {
             self.advance(robot);
         }

@@ -80,8 +80,6 @@ impl Edge {
     pub fn start(session: &Session, init: &str, driver: &str) -> Self {
         let mut command = Command::new(PROGRAM);
         command.args(["edge", "--listen", "127.0.0.1:0", "--init", init, "--driver", driver]);
-        // What permission there is differs from machine to machine, and is told.
-        command.args(["--realtime", "off"]);
         let command = command.current_dir(session.path(".")).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().unwrap();
         let line = first_line(&mut child);

@@ -1,7 +1,7 @@
 //! What a host is given to run: a robot with hardware behind a driver, or one in a simulated world.
 
 use std::io;
-use std::sync::Arc;
+use std::sync::{Arc, mpsc as std_mpsc};
 use std::thread::JoinHandle;
 
 use urrcp::{InitializationBlock, RobotId};
@@ -51,7 +51,7 @@ impl Hosted {
     pub(super) fn attach(
         self,
         index: usize,
-        orders: &flume::Sender<Order>,
+        orders: &std_mpsc::Sender<Order>,
     ) -> io::Result<(Body, Option<DriverThread>)> {
         let (block, driver, options) = match self.0 {
             Surroundings::World(robot) => return Ok((Body::Simulated(robot), None)),

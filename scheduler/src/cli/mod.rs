@@ -21,7 +21,6 @@ mod load;
 mod missions;
 mod outlet;
 mod plan;
-mod realtime;
 mod resume;
 mod robot;
 mod run;

@@ -2,18 +2,16 @@
 
 use std::sync::Arc;
 
-use downbeat_robot::{Host, HostOptions};
+use downbeat_robot::HostOptions;
 use downbeat_scripts::{Choreography, Fleet, FleetRobot};
 
 use super::live::{Live, Speaker};
 use super::missions::{failed, one};
-use super::realtime::{self, RealtimeArgs};
 use super::run::{HowArgs, finish, listen, server_clock, stop_lane, utc_offset};
 use super::withdraw::{How, Scheduler, Taken, Unconfirmed, started_in, withdraw_and_record};
 use super::{Exit, Format, ScenarioArgs, choice, console, load, robot, stop};
-use crate::fleet::{self, EndpointError};
+use crate::fleet;
 use crate::journal::{Fate, Found, Journal, Kept, Life, OpenedRobot};
-use crate::link::Endpoint;
 use crate::mission::{Mission, MissionOptions};
 use crate::report::Report;
 use crate::run::Keep;
@@ -36,8 +34,6 @@ pub(super) struct ResumeArgs {
     mission: Option<String>,
     #[command(flatten)]
     how: HowArgs,
-    #[command(flatten)]
-    realtime: RealtimeArgs,
 }
 
 pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
@@ -81,7 +77,6 @@ struct Resumption<'a> {
     choreography: Choreography,
     fleet: Fleet,
     how: &'a HowArgs,
-    realtime: RealtimeArgs,
     format: Format,
 }
 
@@ -96,16 +91,7 @@ impl<'a> Resumption<'a> {
             return Err(failed(&moved.join("; ")));
         }
         let (kept, journal) = taken.journal().map_err(|reason| failed(&reason))?;
-        Ok(Self {
-            found,
-            kept,
-            journal,
-            choreography,
-            fleet,
-            how: &args.how,
-            realtime: args.realtime,
-            format,
-        })
+        Ok(Self { found, kept, journal, choreography, fleet, how: &args.how, format })
     }
 
     async fn play(self) -> Exit {
@@ -136,27 +122,10 @@ impl<'a> Resumption<'a> {
             Err(changed) => return failed(&changed.to_string()),
         };
         let format = self.format;
-        let (host, endpoints) = match self.endpoints(&robots) {
-            Ok(reached) => reached,
-            Err(error) => {
-                let exit = realtime::exit_of(&error);
-                console::error(&error.to_string());
-                return exit;
-            }
-        };
-        match go_on(&self.found, self.journal, mission, (host, endpoints), clock, format).await {
+        match go_on(&self.found, self.journal, mission, &robots, &self.fleet, clock, format).await {
             Ok(report) => finish(&report, format),
             Err(exit) => exit,
         }
-    }
-
-    fn endpoints(&self, robots: &[&FleetRobot]) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
-        let options = HostOptions { realtime: self.realtime.realtime(), ..HostOptions::default() };
-        let (host, endpoints) = fleet::endpoints(robots, self.fleet.handshake, options)?;
-        if let Some(host) = &host {
-            self.realtime.tell(host, self.format);
-        }
-        Ok((host, endpoints))
     }
 }
 
@@ -183,14 +152,17 @@ async fn go_on(
     found: &Found,
     journal: Journal,
     mission: Mission,
-    (host, endpoints): (Option<Host>, Vec<Endpoint>),
+    robots: &[&FleetRobot],
+    fleet: &Fleet,
     clock: ServerClock,
     format: Format,
 ) -> Result<Report, Exit> {
+    let (host, endpoints) = fleet::endpoints(robots, fleet.handshake, HostOptions::default())
+        .map_err(|error| failed(&error.to_string()))?;
     let (lane, operator) = stop_lane(OnHangUp::End).map_err(|error| failed(&error))?;
     let control = listen(&found.folder, &lane);
     let choreography = Arc::new(mission.choreography().clone());
-    let ids: Vec<_> = mission.robots().iter().map(|robot| robot.id.clone()).collect();
+    let ids = robots.iter().map(|robot| robot.id.clone());
     let live = Live::start(format, clock, choreography, ids, Speaker::of(&lane));
     let mut keep = Keep { journal: Some(journal), stop_lane: Some(lane), ..Keep::default() };
     let tell = |at, progress: &_| live.tell(at, progress);

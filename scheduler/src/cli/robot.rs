@@ -11,7 +11,6 @@ use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
 use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 
-use super::realtime::RealtimeArgs;
 use super::run::parse_span;
 use super::{Exit, Format, console};
 use crate::report::Report;
@@ -65,8 +64,9 @@ pub(super) struct ProcessArgs {
     /// Write everything that it sets to this file, a JSON line each.
     #[arg(long, value_name = "FILE")]
     log_file: Option<PathBuf>,
-    #[command(flatten)]
-    realtime: RealtimeArgs,
+    /// Ask for real-time scheduling (needs the right to).
+    #[arg(long)]
+    realtime: bool,
 }
 
 impl ProcessArgs {
@@ -84,7 +84,7 @@ impl ProcessArgs {
 
     /// Runs the robot until it is interrupted. Moves nothing before it has its socket.
     pub(super) fn run(&self, robot: Hosted, format: Format) -> Exit {
-        let options = HostOptions { realtime: self.realtime.realtime(), log: self.log_file.clone() };
+        let options = HostOptions { realtime: self.realtime, log: self.log_file.clone() };
         super::with_runtime(async {
             // Before anything moves.
             let signals = match Signals::listen(OnHangUp::End) {
@@ -100,7 +100,6 @@ impl ProcessArgs {
                 Err(error) => return failed(&error.to_string()),
             };
             let log = LogWatch::of(&mut host);
-            self.realtime.tell(&host, format);
             announce(&host, 0, &listener, format);
             let exit = serve_until_asked_to_end(vec![(listener, 0)], &host, signals).await;
             if stop(host) { log.spoils(exit).await } else { Exit::Unconfirmed }

@@ -6,7 +6,7 @@ mod others;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use downbeat_robot::{HostOptions, WakeUp};
+use downbeat_robot::HostOptions;
 use downbeat_scripts::{Choreography, Fleet, FleetRobot, Wait};
 use tokio::sync::mpsc;
 use urrcp::{Server, SessionId, Span, Timestamp};
@@ -14,13 +14,12 @@ use urrcp::{Server, SessionId, Span, Timestamp};
 use super::choice::{self, ChoiceArgs};
 use super::live::{Live, Speaker};
 use super::load;
-use super::realtime::{self, RealtimeArgs};
 use super::{Exit, Format, ScenarioArgs, console, detach, robot};
 use crate::fleet;
 use crate::journal::{self, Asked, Opened};
 use crate::mission::{Join, Mission, MissionOptions};
 use crate::recording::{Recorder, Recording};
-use crate::report::{HostWakeUp, Outcome, Report, report_text};
+use crate::report::{Outcome, Report, report_text};
 use crate::run::control::Control;
 use crate::run::{Keep, Operator};
 use crate::server_clock::{self, NTP_WATCH_INTERVAL, NtpWatch, ServerClock};
@@ -48,8 +47,6 @@ pub(super) struct RunArgs {
     choice: ChoiceArgs,
     #[command(flatten)]
     how: HowArgs,
-    #[command(flatten)]
-    realtime: RealtimeArgs,
     /// Start at this time of day, as 19:30 or 19:30:00.5, or at this instant in RFC 3339.
     #[arg(long, value_parser = parse_start, value_name = "TIME")]
     at: Option<StartAt>,
@@ -74,7 +71,7 @@ pub(super) struct RunArgs {
 #[derive(Debug, clap::Args)]
 #[command(
     after_help = "Asks every robot of the scenario who it is, what its clock shows, where its devices stand and what its
-sensors read, and shows a table: a row a robot, a column a check. Measures how late this host wakes its own robots, too.
+sensors read, and shows a table: a row a robot, a column a check.
 
 Examples:
   downbeat preflight scripts/examples/swap.yaml
@@ -87,8 +84,6 @@ pub(super) struct PreflightArgs {
     choice: ChoiceArgs,
     #[command(flatten)]
     how: HowArgs,
-    #[command(flatten)]
-    realtime: RealtimeArgs,
 }
 
 /// How the fleet is talked to.
@@ -97,6 +92,9 @@ pub(super) struct HowArgs {
     /// How long to wait for connections, greetings and stop confirmations.
     #[arg(long, value_parser = parse_span, default_value = "5s", value_name = "TIME")]
     pub(super) patience: Span,
+    /// Run robots with `address: sim` under real-time scheduling (needs the right to).
+    #[arg(long)]
+    realtime: bool,
 }
 
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
@@ -138,7 +136,6 @@ pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
         scenario: &args.scenario,
         asked: args.choice.asked(),
         how: &args.how,
-        realtime: args.realtime,
         at: args.at,
         lead: args.lead,
         join: match args.join {
@@ -159,7 +156,6 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
         scenario: &args.scenario,
         asked: args.choice.asked(),
         how: &args.how,
-        realtime: args.realtime,
         at: None,
         lead: None,
         join: Join::Refuse,
@@ -210,7 +206,6 @@ struct Work<'a> {
     scenario: &'a ScenarioArgs,
     asked: Asked,
     how: &'a HowArgs,
-    realtime: RealtimeArgs,
     at: Option<StartAt>,
     lead: Option<Span>,
     join: Join,
@@ -352,14 +347,9 @@ impl Work<'_> {
             prepared;
         let speaker = Speaker::of(&lane);
         keep.stop_lane = Some(lane);
-        let wake_up = if self.preflight_only { measured_wake_up(self.realtime).await } else { None };
-        let host_options = HostOptions { realtime: self.realtime.realtime(), ..HostOptions::default() };
+        let host_options = HostOptions { realtime: self.how.realtime, ..HostOptions::default() };
         let (host, endpoints) = fleet::endpoints(&robots, fleet.handshake, host_options)
-            .map_err(|error| (error.to_string(), realtime::exit_of(&error)))?;
-        let tolerance = choreography.acts.get(options.first_act).map(|act| act.plan.start_tolerance);
-        if let (Some(host), false) = (&host, self.preflight_only) {
-            self.realtime.tell(host, self.format);
-        }
+            .map_err(|error| failed(error.to_string()))?;
         let participants = fleet::participants(&robots);
         let mission = Mission::new(Arc::clone(&choreography), participants, options, clock.now())
             .map_err(|error| failed(error.to_string()))?;
@@ -377,7 +367,6 @@ impl Work<'_> {
         if let Some(recorder) = keep.recording.take() {
             report.recording = Some(recorder.finish().await);
         }
-        report.wake_up = wake_up.map(|wake_up| HostWakeUp::of(&wake_up, host.as_ref().and(tolerance)));
         robot::stop_for(&mut report, host);
         if let Some(control) = control {
             control.end(serde_json::to_string(&report).ok()).await;
@@ -426,12 +415,6 @@ fn unnamed() -> SessionId {
 /// Local time minus UTC, now.
 pub(super) fn utc_offset() -> Span {
     Span::from_millis(i64::from(chrono::Local::now().offset().local_minus_utc()) * 1_000)
-}
-
-/// How late this host wakes its robots; takes a moment.
-async fn measured_wake_up(realtime: RealtimeArgs) -> Option<WakeUp> {
-    let measure = move || WakeUp::measure(realtime.realtime());
-    tokio::task::spawn_blocking(measure).await.ok()?.ok()
 }
 
 /// The server's time: by NTP when the fleet file names a server, else the system's.

@@ -6,7 +6,6 @@ use downbeat_robot::{Host, HostOptions};
 use downbeat_scripts::Address;
 use tokio::net::TcpListener;
 
-use super::realtime::RealtimeArgs;
 use super::{Exit, Format, console, load, robot};
 use crate::fleet;
 use crate::signals::{OnHangUp, Signals};
@@ -24,8 +23,9 @@ pub(super) struct SimArgs {
     /// Write everything that they set to this file, a JSON line each.
     #[arg(long, value_name = "FILE")]
     log_file: Option<PathBuf>,
-    #[command(flatten)]
-    realtime: RealtimeArgs,
+    /// Ask for real-time scheduling (needs the right to).
+    #[arg(long)]
+    realtime: bool,
 }
 
 pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
@@ -52,7 +52,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
         );
         return Exit::Failed;
     }
-    let options = HostOptions { realtime: args.realtime.realtime(), log: args.log_file.clone() };
+    let options = HostOptions { realtime: args.realtime, log: args.log_file.clone() };
     let mut host = match Host::start(machines, options) {
         Ok(host) => host,
         Err(error) => {
@@ -60,7 +60,6 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
             return Exit::Usage;
         }
     };
-    args.realtime.tell(&host, format);
     super::with_runtime(async {
         let signals = match Signals::listen(OnHangUp::End) {
             Ok(signals) => signals,

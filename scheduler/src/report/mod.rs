@@ -5,7 +5,6 @@ pub mod local;
 pub mod picture;
 pub mod table;
 mod text;
-mod wake_up;
 mod withdrawal;
 
 use serde::Serialize;
@@ -22,7 +21,6 @@ pub(crate) use text::TAKEN_OVER;
 pub use text::{
     UNBOUNDED, choreography_figures, main_duration, plan_figures, plan_table, preflight_table, report_text,
 };
-pub use wake_up::HostWakeUp;
 pub use withdrawal::Withdrawal;
 
 /// The JSON Schema of a report.
@@ -71,9 +69,6 @@ pub struct Report {
     /// What became of the recording, where there is one.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub recording: Option<Recorded>,
-    /// How late this host wakes its robots, where a preflight measured it.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    pub wake_up: Option<HostWakeUp>,
     /// What was checked before.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub preflight: Option<Preflight>,
@@ -176,7 +171,6 @@ impl Report {
             not_at_rest: Vec::new(),
             ntp: mission.ntp(),
             recording: None,
-            wake_up: None,
             preflight: mission.preflight().cloned(),
         }
     }

@@ -7,7 +7,7 @@ use urrcp::Span;
 
 use super::local::{date_and_time, time_of_day};
 use super::table::{Rows, wrapped};
-use super::{ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState, course_lines};
+use super::{ActReport, Outcome, Report, RobotReport, StopState, course_lines};
 use crate::mission::{Check, Failure, FailureKind, Greeting, Preflight, PreflightRow, Verdict};
 
 /// Removed by the printing end where that is no terminal.
@@ -185,10 +185,7 @@ pub fn report_text(report: &Report, columns: usize) -> String {
     }
     let alone = matches!(report.outcome, Outcome::Ready | Outcome::NotReady);
     if let Some(preflight) = report.preflight.as_ref().filter(|_| alone) {
-        text.push_str(&preflight_table(preflight, true, columns));
-        let wake_up = report.wake_up.iter().flat_map(HostWakeUp::sentences);
-        wake_up.for_each(|sentence| say(&mut text, columns, &sentence));
-        return text;
+        return text + &preflight_table(preflight, true, columns);
     }
     for line in course_lines(report) {
         say(&mut text, columns, &format!("  {line}"));
