@@ -88,6 +88,8 @@ fn driven_until(signals: &[&str]) -> (Option<i32>, String) {
     let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
     let fleet = format!("robots: {{wheel: {{init: wheel.yaml, address: 'tcp://127.0.0.1:{}'}}}}\n", edge.1);
     session.file("fleet.yaml", fleet).file("turn.yaml", TURN);
+    // A mission is not started on hardware that has yet to answer.
+    await_that("the default state", || driven().ends_with("set wheel speed 0\n"));
     let mut running = session.command(&["run", "turn.yaml"]).spawn().unwrap();
     await_that("the wheel", || driven().ends_with("set wheel speed 5\n"));
     signals[..signals.len() - 1].iter().for_each(|name| signal(&edge.0, name));
