@@ -87,3 +87,26 @@ fn the_key_h_holds() {
     watched.shows("r1: held where it was, confirmed", SOON);
     stand_where_they_were(&stage);
 }
+
+#[test]
+fn a_stop_while_the_mission_still_waits_for_a_hold_sends_to_the_default_state_what_holds() {
+    let mut stage = stage();
+    let terminal = Terminal::new(100, 30);
+    let watched = terminal.watch();
+    let mut command = stage.command(&["run", "play.yaml", "--patience", "10s"]);
+    terminal.attach(&mut command);
+    let mut process = Process(command.spawn().unwrap());
+    stage.robots.iter().for_each(|robot| robot.await_sets(5, SOON));
+    stage.robots[1].freeze();
+    terminal.type_keys("h");
+    watched.shows("hold confirmed", SOON);
+    terminal.type_keys("s");
+    watched.shows("stop confirmed", SOON);
+    stage.robots[1].thaw();
+    let code = process.0.wait().unwrap().code();
+    assert_eq!(code, Some(3), "{}", watched.screen());
+    for robot in &mut stage.robots {
+        watched.shows(&format!("{}: default state confirmed", robot.id), SOON);
+        assert_eq!(robot.log().last().unwrap().value, 0.0, "{}", robot.id);
+    }
+}

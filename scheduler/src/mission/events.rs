@@ -264,6 +264,8 @@ pub enum Progress {
     Stopping {
         /// Why all are stopped, for people.
         reason: String,
+        /// How they come to rest.
+        rest: Rest,
     },
 }
 

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeSet, HashMap, VecDeque};
 
+use serde::Serialize;
 use urrcp::{
     ControlError, ControlResponse, DeviceId, Encoding, ErrorCode, InitializationBlock, RequestId, Robot,
     RobotId, Server, Span, Status, Timestamp,
@@ -73,7 +74,8 @@ pub(crate) struct SentStop {
 }
 
 /// How a stopped device comes to rest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
 pub enum Rest {
     /// In its default state.
     Default,
@@ -370,6 +372,15 @@ impl RobotState {
     /// Whether a stop is on its way that has not been confirmed.
     pub(crate) const fn awaits_stop(&self) -> bool {
         matches!(self.stop, Stop::Sent(_))
+    }
+
+    /// Whether it was stopped to come to rest in another way than this.
+    pub(crate) fn stops_otherwise(&self, rest: Rest) -> bool {
+        match &self.stop {
+            Stop::None => false,
+            Stop::Sent(sent) => sent.rest != rest,
+            Stop::Confirmed(confirmed) => *confirmed != rest,
+        }
     }
 
     /// Nothing that this mission sent can still move it: it was sent nothing, or has confirmed its stop.

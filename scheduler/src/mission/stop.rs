@@ -22,10 +22,33 @@ impl Mission {
             // Whatever was to follow the stop does not.
             Phase::Stopping { .. } => {
                 self.then = None;
-                self.outcome = Some(Outcome::Stopped);
+                let before = self.outcome.replace(Outcome::Stopped);
+                // What a failure has stopped where it was stays there.
+                if before == Some(Outcome::Stopped) {
+                    self.stop_otherwise(now, rest);
+                }
             }
             Phase::Ended => {}
         }
+    }
+
+    /// The operator's latest word counts: what holds is sent to its default state, and what is on its way there holds.
+    fn stop_otherwise(&mut self, now: Timestamp<Server>, rest: Rest) {
+        let other: Vec<_> =
+            (0..self.robots.len()).filter(|robot| self.robots[*robot].stops_otherwise(rest)).collect();
+        if other.is_empty() {
+            return;
+        }
+        self.tell(Progress::Stopping { reason: Outcome::Stopped.to_string(), rest });
+        self.phase = self.stopping_from(now);
+        for robot in other {
+            self.robots[robot].stop = Stop::None;
+            self.stop_robot(now, robot, rest);
+        }
+    }
+
+    fn stopping_from(&self, now: Timestamp<Server>) -> Phase {
+        Phase::Stopping { deadline: now + self.options.patience, resend: now + self.stop_interval() }
     }
 
     /// Nothing more may be promised.
@@ -60,13 +83,12 @@ impl Mission {
         rest: Rest,
         then: Option<usize>,
     ) {
-        self.tell(Progress::Stopping { reason });
+        self.tell(Progress::Stopping { reason, rest });
         self.then = then;
         self.next_round = None;
         self.next_silence = None;
         self.deferred.clear();
-        self.phase =
-            Phase::Stopping { deadline: now + self.options.patience, resend: now + self.stop_interval() };
+        self.phase = self.stopping_from(now);
         for robot in 0..self.robots.len() {
             self.stop_robot(now, robot, rest);
         }

@@ -37,7 +37,7 @@ const WORDS_MAX: usize = 64;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Alarm {
     Quiet,
-    /// It is said; the first word says how the robots come to rest.
+    /// It is said; the latest word says how the robots come to rest.
     Ringing(Rest),
 }
 
@@ -160,7 +160,7 @@ impl StopLane {
 
     /// Notes what the mission is about to send, and says whether it may.
     pub(crate) fn passes(&self, robot: usize, message: &Message) -> Passage {
-        match self.robots[robot].note(message) {
+        match self.robots[robot].note(message, *self.alarm.borrow()) {
             sent::Moves::Nothing => Passage::Open,
             // It is noted first and looked second: either the lane knows of it, or it is not sent.
             sent::Moves::Devices if *self.alarm.borrow() != Alarm::Quiet => Passage::Closed,

@@ -6,6 +6,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use tokio::sync::{mpsc, watch};
 use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, SessionId, Timestamp};
 
+use super::Alarm;
 use crate::link::Link;
 use crate::mission::robot_state::Rest;
 
@@ -57,12 +58,15 @@ impl Book {
     }
 
     /// Notes a message that is about to be sent.
-    pub(super) fn note(&self, message: &Message) -> Moves {
+    pub(super) fn note(&self, message: &Message, alarm: Alarm) -> Moves {
         let Message::ControlRequest(request) = message else { return Moves::Nothing };
         match &request.command {
             Command::ReadSensor => Moves::Nothing,
             Command::Script(script) if script.is_empty() => {
-                self.0.send_modify(|sent| sent.stopped(request));
+                // What the operator wants is the alarm's to say, again and otherwise too.
+                if alarm == Alarm::Quiet {
+                    self.0.send_modify(|sent| sent.stopped(request));
+                }
                 Moves::Nothing
             }
             Command::Set(_) | Command::Script(_) | Command::Unknown(_) => {
@@ -139,9 +143,9 @@ mod tests {
     #[test]
     fn a_stop_goes_to_every_device_that_was_sent_anything_and_takes_back_all_of_it() {
         let book = Book::new(watch::Sender::new(Sent::default()));
-        assert_eq!(book.note(&request("arm", set(), 7)), Moves::Devices);
-        assert_eq!(book.note(&request("leg", set(), 9)), Moves::Devices);
-        assert_eq!(book.note(&request("arm", set(), 5)), Moves::Devices);
+        assert_eq!(book.note(&request("arm", set(), 7), Alarm::Quiet), Moves::Devices);
+        assert_eq!(book.note(&request("leg", set(), 9), Alarm::Quiet), Moves::Devices);
+        assert_eq!(book.note(&request("arm", set(), 5), Alarm::Quiet), Moves::Devices);
         let stops = book.0.borrow().stops(Timestamp::from_nanos(1_000), 3, Rest::Default);
         let told = |(id, message): &(RequestId, Message)| {
             let Message::ControlRequest(request) = message else { panic!("{message:?}") };
@@ -169,19 +173,25 @@ mod tests {
         if let Message::ControlRequest(request) = &mut hold {
             request.hold = true;
         }
-        book.note(&request("arm", set(), 5));
+        book.note(&request("arm", set(), 5), Alarm::Quiet);
         assert!(!holds(&book));
-        book.note(&hold);
+        // The operator's hold, which another word of the operator may end.
+        book.note(&hold, Alarm::Ringing(Rest::Hold));
+        assert!(!holds(&book));
+        book.note(&hold, Alarm::Quiet);
         assert!(holds(&book));
-        book.note(&request("arm", set(), 9));
+        book.note(&request("arm", set(), 9), Alarm::Quiet);
         assert!(!holds(&book));
     }
 
     #[test]
     fn readings_and_stops_leave_nothing_to_stop() {
         let book = Book::new(watch::Sender::new(Sent::default()));
-        assert_eq!(book.note(&request("eye", Command::ReadSensor, 7)), Moves::Nothing);
-        assert_eq!(book.note(&request("arm", Command::Script(Script::cancel()), 7)), Moves::Nothing);
+        assert_eq!(book.note(&request("eye", Command::ReadSensor, 7), Alarm::Quiet), Moves::Nothing);
+        assert_eq!(
+            book.note(&request("arm", Command::Script(Script::cancel()), 7), Alarm::Quiet),
+            Moves::Nothing
+        );
         assert!(book.0.borrow().stops(Timestamp::from_nanos(0), 0, Rest::Default).is_empty());
     }
 }

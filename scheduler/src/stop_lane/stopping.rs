@@ -27,6 +27,14 @@ const TRY_WITHIN: (Duration, Duration) = (Duration::from_millis(250), Duration::
 /// Stops that a robot has not confirmed.
 type Open = BTreeMap<RequestId, Message>;
 
+/// How a try to stop a robot ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Attempt {
+    Over,
+    /// The operator has said something else.
+    Otherwise(Rest),
+}
+
 /// What stops one robot.
 pub(super) struct Guard {
     pub(super) robot: usize,
@@ -47,7 +55,7 @@ impl Guard {
 
     /// Returns with a connection, if one stands, once the operator has said stop, and how.
     async fn until_alarm(&mut self, known: &mut Option<SocketAddr>) -> (Option<Connection>, Rest) {
-        let mut ringing = pin!(rings(self.alarm.clone()));
+        let mut ringing = pin!(rings(self.alarm.clone(), None));
         tokio::select! {
             biased;
             rest = &mut ringing => return (None, rest),
@@ -81,9 +89,8 @@ impl Guard {
         }
     }
 
-    async fn stop(&self, mut connection: Option<Connection>, mut known: Option<SocketAddr>, rest: Rest) {
-        let stops = self.sent.borrow().stops(self.clock.now(), self.robot, rest);
-        let mut open: Open = stops.into_iter().collect();
+    async fn stop(&self, mut connection: Option<Connection>, mut known: Option<SocketAddr>, mut rest: Rest) {
+        let mut open = self.stops(rest);
         if open.is_empty() {
             return;
         }
@@ -93,10 +100,16 @@ impl Guard {
         let mut within = TRY_WITHIN.0;
         loop {
             let kept = connection.is_some();
-            let attempt = self.attempt(&mut connection, &mut known, &mut open);
+            let attempt = self.attempt(&mut connection, &mut known, &mut open, rest);
             let ended = tokio::time::timeout(within, attempt).await;
             if open.is_empty() {
                 break;
+            }
+            if let Ok(Attempt::Otherwise(latest)) = ended {
+                // By the same connection: the robot hears it last there, too.
+                rest = latest;
+                open = self.stops(rest);
+                continue;
             }
             connection = None;
             if !kept {
@@ -115,13 +128,18 @@ impl Guard {
         }
     }
 
-    /// Sends what is not confirmed, and hears until all is; ends early where the connection does.
+    fn stops(&self, rest: Rest) -> Open {
+        self.sent.borrow().stops(self.clock.now(), self.robot, rest).into_iter().collect()
+    }
+
+    /// Sends what is not confirmed, and hears until all is; ends early where the connection does, or by another word.
     async fn attempt(
         &self,
         connection: &mut Option<Connection>,
         known: &mut Option<SocketAddr>,
         open: &mut Open,
-    ) {
+        rest: Rest,
+    ) -> Attempt {
         let begun = match connection {
             Some(connection) => connection,
             None => match Connection::open(&self.endpoint, known).await {
@@ -133,20 +151,27 @@ impl Guard {
             return self.failed(&error, open);
         }
         let mut soon = pin!(tokio::time::sleep(ANSWERS_SOON));
+        let mut otherwise = pin!(rings(self.alarm.clone(), Some(rest)));
         while !open.is_empty() {
             tokio::select! {
                 message = begun.next() => match message {
                     Some(message) => self.hear(message, open),
-                    None => return self.overtake(open),
+                    None => {
+                        self.overtake(open);
+                        return Attempt::Over;
+                    }
                 },
+                latest = &mut otherwise => return Attempt::Otherwise(latest),
                 () = &mut soon, if !soon.is_elapsed() => self.overtake(open),
             }
         }
+        Attempt::Over
     }
 
-    fn failed(&self, error: &std::io::Error, open: &Open) {
+    fn failed(&self, error: &std::io::Error, open: &Open) -> Attempt {
         tracing::debug!(robot = self.robot, "the stop was not sent: {error}");
         self.overtake(open);
+        Attempt::Over
     }
 
     fn hear(&self, message: Message, open: &mut Open) {
@@ -187,8 +212,10 @@ fn is_for(stop: &Message, response: &ControlResponse) -> bool {
     matches!(stop, Message::ControlRequest(request) if request.device_id == response.device_id)
 }
 
-async fn rings(mut alarm: watch::Receiver<Alarm>) -> Rest {
-    match alarm.wait_for(|alarm| *alarm != Alarm::Quiet).await.map(|alarm| *alarm) {
+/// The operator's word, once it is another one than this.
+async fn rings(mut alarm: watch::Receiver<Alarm>, known: Option<Rest>) -> Rest {
+    let known = known.map_or(Alarm::Quiet, Alarm::Ringing);
+    match alarm.wait_for(|alarm| *alarm != known).await.map(|alarm| *alarm) {
         Ok(Alarm::Ringing(rest)) => rest,
         Ok(Alarm::Quiet) | Err(_) => std::future::pending().await,
     }

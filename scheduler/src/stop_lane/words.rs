@@ -64,11 +64,7 @@ impl Voice {
         let tried = self.mission.try_send(word);
         if let Some(rest) = rest {
             self.alarm.send_if_modified(|alarm| {
-                let quiet = *alarm == Alarm::Quiet;
-                if quiet {
-                    *alarm = Alarm::Ringing(rest);
-                }
-                quiet
+                std::mem::replace(alarm, Alarm::Ringing(rest)) != Alarm::Ringing(rest)
             });
         }
         match tried {

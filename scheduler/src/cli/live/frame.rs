@@ -10,6 +10,7 @@ use ratatui::widgets::{Cell, Row as TableRow, Table, Widget};
 use urrcp::{Server, Span, Timestamp};
 
 use super::model::{Confirmed, Decided, Model, Phase, RobotState, Row, ShownAct, Stage};
+use crate::mission::Rest;
 use crate::report::local::{seconds_of_day, time_of_day};
 
 const BOLD: Style = Style::new().add_modifier(Modifier::BOLD);
@@ -89,7 +90,7 @@ fn robot_row(row: &Row, played: Option<Span>) -> TableRow<'_> {
     let style = match row.state {
         RobotState::Failed | RobotState::LinkLost => RED,
         RobotState::Stopping | RobotState::LeftOut => YELLOW,
-        RobotState::Playing | RobotState::AtRest => GREEN,
+        RobotState::Playing | RobotState::AtRest | RobotState::Held => GREEN,
         RobotState::Accepted => CYAN,
         RobotState::Greeting | RobotState::Ready | RobotState::Ended => Style::new(),
     };
@@ -166,7 +167,8 @@ fn title(model: &Model, now: Timestamp<Server>, columns: usize) -> Line<'static>
 
 fn doing(model: &Model, now: Timestamp<Server>) -> (&'static str, Style) {
     match (&model.phase, model.acts.first().map(|act| &act.stage)) {
-        (Phase::Stopping(_), _) => ("STOPPING", RED),
+        (Phase::Stopping(_, Rest::Default), _) => ("STOPPING", RED),
+        (Phase::Stopping(_, Rest::Hold), _) => ("HOLDING", RED),
         (Phase::Greeting, _) => ("checking the robots", CYAN),
         (Phase::Performing, None) => ("between acts", Style::new()),
         (Phase::Performing, Some(Stage::Waiting { .. })) => ("waiting", YELLOW),
@@ -178,8 +180,12 @@ fn doing(model: &Model, now: Timestamp<Server>) -> (&'static str, Style) {
 
 fn act_lines(model: &Model, now: Timestamp<Server>, columns: usize) -> Vec<Line<'static>> {
     let mut lines = Vec::new();
-    if let Phase::Stopping(reason) = &model.phase {
+    if let Phase::Stopping(reason, rest) = &model.phase {
         lines.push(Line::from(vec![Piece::styled("reason  ", DIM), Piece::raw(reason.clone())]));
+        let word = match rest {
+            Rest::Default => "stop    ",
+            Rest::Hold => "hold    ",
+        };
         let failed = |row: &&Row| row.state == RobotState::Failed && row.stop == Confirmed::NotYet;
         let left = model.rows.iter().filter(|row| row.state == RobotState::Stopping || failed(row)).count();
         let text = match (left, model.rows.iter().find(failed)) {
@@ -189,7 +195,7 @@ fn act_lines(model: &Model, now: Timestamp<Server>, columns: usize) -> Vec<Line<
             }
             (left, _) => format!("{} without a confirmation yet", downbeat_scripts::counted(left, "robot")),
         };
-        lines.push(Line::from(vec![Piece::styled("stop    ", DIM), Piece::raw(text)]));
+        lines.push(Line::from(vec![Piece::styled(word, DIM), Piece::raw(text)]));
         return lines;
     }
     for (place, shown_act) in model.acts.iter().take(2).enumerate() {
@@ -338,9 +344,9 @@ fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
         return vec![
             Line::raw("g or Enter  go: the act begins that waits for the operator"),
             Line::raw("s or Ctrl-C stop: every robot returns to its default state"),
-            Line::raw("h           hold: every robot stops where it is, and stays there"),
-            Line::raw("Ctrl-C      twice: leave at once, without waiting for confirmations"),
-            Line::raw("~3/5        steps by the plan; without ~ as the robot says, 3+ at least"),
+            Line::raw("h           hold: every robot stops where it is, and stays"),
+            Line::raw("Ctrl-C      twice: leave at once, confirmed or not"),
+            Line::raw("~3/5        steps by the plan; 3/5 as reported, 3+ at least"),
             Line::raw("?           hide this help"),
         ];
     }
@@ -353,7 +359,13 @@ fn keys(model: &Model, help: Help) -> Vec<Line<'static>> {
         key("g", "go", YELLOW);
     }
     match model.phase {
-        Phase::Stopping(_) => key("Ctrl-C twice", "leave at once", Style::new()),
+        Phase::Stopping(_, rest) => {
+            match rest {
+                Rest::Default => key("h", "hold", Style::new()),
+                Rest::Hold => key("s", "stop", Style::new()),
+            }
+            key("Ctrl-C twice", "leave at once", Style::new());
+        }
         _ => {
             key("s", "stop", Style::new());
             key("h", "hold", Style::new());

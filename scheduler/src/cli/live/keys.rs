@@ -72,11 +72,10 @@ impl Speaker {
 }
 
 impl Speaker {
-    /// Stops all robots where they are. The lane has the word at once; a mission that stands still takes it later.
-    fn hold(&self) {
+    /// Stops all robots. The lane has the first such word at once; a mission that stands still takes it later.
+    fn stop(&self, rest: Rest) {
         let (voice, lane) = (self.voice.clone(), self.lane.clone());
-        let _until_it_is_taken =
-            std::thread::spawn(move || lane.block_on(voice.say(Operator::Stop(Rest::Hold))));
+        let _until_it_is_taken = std::thread::spawn(move || lane.block_on(voice.say(Operator::Stop(rest))));
     }
 }
 
@@ -87,7 +86,7 @@ pub(super) fn listen(scene: Arc<Mutex<Scene>>, mut speaker: Speaker) {
     }
     terminal::take_keys();
     std::thread::spawn(move || {
-        let mut stopped = false;
+        let mut last = None;
         while let Some(bytes) = terminal::next_keys() {
             // Arrow keys and the like are sequences, which mean nothing here.
             if bytes.first() == Some(&0x1b) {
@@ -96,18 +95,15 @@ pub(super) fn listen(scene: Arc<Mutex<Scene>>, mut speaker: Speaker) {
             for key in bytes.into_iter().filter_map(Key::of) {
                 match key {
                     Key::Go => speaker.go(),
-                    // Once: a second Ctrl-C would leave at once.
-                    Key::Stop if stopped => {}
-                    Key::Stop => {
-                        stopped = true;
-                        stop();
-                    }
-                    Key::Hold if stopped => {}
-                    Key::Hold => {
-                        stopped = true;
-                        speaker.hold();
-                    }
+                    // A second Ctrl-C would leave at once, so only the first word is said as one.
+                    Key::Stop | Key::Hold if last == Some(key) => {}
+                    Key::Stop if last.is_none() => stop(),
+                    Key::Stop => speaker.stop(Rest::Default),
+                    Key::Hold => speaker.stop(Rest::Hold),
                     Key::Help => toggle_help(&scene),
+                }
+                if matches!(key, Key::Stop | Key::Hold) {
+                    last = Some(key);
                 }
             }
         }

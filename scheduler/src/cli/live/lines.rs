@@ -3,7 +3,7 @@
 use downbeat_scripts::counted;
 use urrcp::{Server, Timestamp};
 
-use crate::mission::{Preflight, Progress, SkewBudget, Verdict};
+use crate::mission::{Preflight, Progress, Rest, SkewBudget, Verdict};
 use crate::report::local::time_of_day;
 
 /// The sentence of an event, if there is one.
@@ -47,7 +47,10 @@ pub(super) fn sentence(at: Timestamp<Server>, progress: &Progress) -> Option<Str
             format!("the NTP server answers again; this machine's clock has strayed by {offset_change}")
         }
         Progress::JournalLost { reason } => format!("{reason}; stopping"),
-        Progress::Stopping { reason } => format!("stopping all robots: {reason}"),
+        Progress::Stopping { reason, rest: Rest::Default } => format!("stopping all robots: {reason}"),
+        Progress::Stopping { reason, rest: Rest::Hold } => {
+            format!("stopping all robots where they are: {reason}")
+        }
         _ => return None,
     })
 }

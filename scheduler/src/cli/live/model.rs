@@ -7,7 +7,7 @@ use downbeat_scripts::shown::{shown, within};
 use downbeat_scripts::{Choreography, DeviceScript, Wait};
 use urrcp::{RobotId, Server, Span, Timestamp};
 
-use crate::mission::{Preflight, Progress};
+use crate::mission::{Preflight, Progress, Rest};
 
 /// Columns of a robot's last word that are kept.
 const WORD_MAX: usize = 120;
@@ -33,8 +33,8 @@ pub(super) enum Phase {
     Greeting,
     /// Acts wait, are prepared and play.
     Performing,
-    /// All robots are stopped, and why.
-    Stopping(String),
+    /// All robots are stopped, why, and how they come to rest.
+    Stopping(String, Rest),
 }
 
 /// An act that is not over.
@@ -113,6 +113,8 @@ pub(super) enum RobotState {
     Ready,
     Ended,
     AtRest,
+    /// At rest where it was.
+    Held,
 }
 
 impl RobotState {
@@ -128,6 +130,7 @@ impl RobotState {
             Self::Ready => "ready",
             Self::Ended => "ended",
             Self::AtRest => "at rest",
+            Self::Held => "held",
         }
     }
 
@@ -197,10 +200,11 @@ impl Model {
                 }
             }
             Progress::ActEnded { act } | Progress::ActSkipped { act, .. } => self.ended(at, act),
-            Progress::Stopping { reason } => {
-                self.phase = Phase::Stopping(shown(reason).into_owned());
+            Progress::Stopping { reason, rest } => {
                 self.acts.retain(|act| !act.is_waiting());
-                self.rows.iter_mut().for_each(Row::stopping);
+                let again = matches!(self.phase, Phase::Stopping(..));
+                self.phase = Phase::Stopping(shown(reason).into_owned(), *rest);
+                self.rows.iter_mut().filter(|row| again || !row.rests()).for_each(Row::stopping);
             }
             _ => self.tell_of_robot(progress),
         }
@@ -232,13 +236,17 @@ impl Model {
                 self.say(robot, RobotState::Ended, "ended all");
             }
             Progress::AtRest { robot } => {
+                let (state, word) = match self.phase {
+                    Phase::Stopping(_, Rest::Hold) => (RobotState::Held, "hold confirmed"),
+                    _ => (RobotState::AtRest, "stop confirmed"),
+                };
                 if let Some(row) = self.row(robot) {
                     row.stop = Confirmed::Yes;
                 }
                 // Why it failed is worth more than that it has come to rest.
                 match self.row(robot).filter(|row| row.state.is_out()) {
-                    Some(row) => row.word = format!("at rest; {}", row.word),
-                    None => self.say(robot, RobotState::AtRest, "stop confirmed"),
+                    Some(row) => row.word = format!("{}; {}", state.text(), row.word),
+                    None => self.say(robot, state, word),
                 }
             }
             Progress::Failed(failure) => {
@@ -261,7 +269,7 @@ impl Model {
     }
 
     fn say(&mut self, robot: &RobotId, state: RobotState, word: &str) {
-        let stopping = matches!(self.phase, Phase::Stopping(_));
+        let stopping = matches!(self.phase, Phase::Stopping(..));
         let Some(row) = self.row(robot) else { return };
         // What comes late from a robot that is being stopped does not make it play again.
         let late = stopping && matches!(state, RobotState::Playing | RobotState::Accepted);
@@ -346,7 +354,7 @@ impl Model {
         if let Some(ShownAct { stage: Stage::Waiting { since, .. }, .. }) = self.acts.first_mut() {
             since.get_or_insert(at);
         }
-        if !matches!(self.phase, Phase::Stopping(_)) {
+        if !matches!(self.phase, Phase::Stopping(..)) {
             self.plan_rows();
         }
     }
@@ -387,8 +395,13 @@ impl Row {
         }
     }
 
+    const fn rests(&self) -> bool {
+        matches!(self.state, RobotState::AtRest | RobotState::Held)
+    }
+
     fn stopping(&mut self) {
-        if matches!(self.state, RobotState::Playing | RobotState::Accepted | RobotState::LinkLost) {
+        let moves = matches!(self.state, RobotState::Playing | RobotState::Accepted | RobotState::LinkLost);
+        if moves || self.rests() {
             self.state = RobotState::Stopping;
         }
     }

@@ -10,7 +10,7 @@ use urrcp::{RobotId, Server, Span, Timestamp};
 use super::frame::{Frame, Help};
 use super::model::Model;
 use crate::mission::{
-    ActFate, Check, Failure, FailureKind, Greeting, Preflight, PreflightRow, Progress, Verdict,
+    ActFate, Check, Failure, FailureKind, Greeting, Preflight, PreflightRow, Progress, Rest, Verdict,
 };
 
 const SECOND: Span = Span::from_millis(1_000);
@@ -175,7 +175,10 @@ fn a_stop_shows_which_robots_have_not_confirmed() {
     for name in ["arm-1", "arm-2"] {
         model.tell(at(5_001), &Progress::Started { robot: robot(name), error: None });
     }
-    model.tell(at(8_000), &Progress::Stopping { reason: "stopped by the operator".to_owned() });
+    model.tell(
+        at(8_000),
+        &Progress::Stopping { reason: "stopped by the operator".to_owned(), rest: Rest::Default },
+    );
     let heard = Progress::Heard { robot: robot("arm-1"), steps_done: 7, clock_offset: None };
     model.tell(at(8_010), &heard);
     model.tell(at(8_010), &Progress::AtRest { robot: robot("arm-1") });
@@ -187,4 +190,26 @@ fn a_stop_shows_which_robots_have_not_confirmed() {
     let row = |name: &str| text.lines().find(|line| line.starts_with(name)).unwrap().to_owned();
     assert!(row("arm-1").contains(" 7/") && row("arm-2").contains(" 0+/"), "{text}");
     assert!(!text.contains("s stop"), "{text}");
+}
+
+#[test]
+fn a_hold_shows_as_such_and_a_stop_after_it_as_one() {
+    let mut model = meeting();
+    decided(&mut model);
+    let (started, at_rest) = (
+        |name: &str| Progress::Started { robot: robot(name), error: None },
+        |name: &str| Progress::AtRest { robot: robot(name) },
+    );
+    ["arm-1", "arm-2"].iter().for_each(|name| model.tell(at(5_001), &started(name)));
+    let reason = || "stopped by the operator".to_owned();
+    model.tell(at(8_000), &Progress::Stopping { reason: reason(), rest: Rest::Hold });
+    model.tell(at(8_010), &at_rest("arm-1"));
+    let text = drawn(&model, 8_100, 100, 24);
+    check(&text, &["HOLDING", "hold    ", "held", "hold confirmed", "s stop"]);
+    assert!(!text.contains("STOPPING") && !text.contains("at rest"), "{text}");
+    model.tell(at(8_200), &Progress::Stopping { reason: reason(), rest: Rest::Default });
+    let text = drawn(&model, 8_300, 100, 24);
+    check(&text, &["STOPPING", "3 robots without a confirmation yet", "h hold"]);
+    model.tell(at(8_310), &at_rest("arm-1"));
+    check(&drawn(&model, 8_400, 100, 24), &["2 robots without", "at rest", "stop confirmed"]);
 }
