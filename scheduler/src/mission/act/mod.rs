@@ -8,6 +8,7 @@ mod member;
 mod playing;
 mod preparing;
 mod resumed;
+mod strayed;
 #[cfg(test)]
 mod tests;
 pub(crate) mod timing;
