@@ -61,8 +61,8 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
 
 #[test]
 fn seeds_that_found_something_once_find_nothing_any_more() {
-    for seed in [300, 876, 1_440, 2_117, 3_695, 9_687, 14_909, 51_973, 81_677, 229_698, 1_295_971] {
-        assert_eq!(run(seed).verdict().violations, [], "seed {seed}");
+    for seed in [472, 4_923, 9_343, 10_660, 11_569, 11_967, 12_824, 19_295] {
+        assert_eq!(judge(&run(seed)).violations, [], "seed {seed}");
     }
 }
 

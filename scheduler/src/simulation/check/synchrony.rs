@@ -19,8 +19,8 @@ const GRAIN: Span = Span::from_micros(1);
 const SEEN_AFTER: Span = Span::from_millis(1_100);
 /// A robot that was held up for longer lets its start be.
 const START_LATE_MAX: Span = Span::from_millis(50);
-/// How far a robot's own instant may be from the plan.
-const CLOCKS: Span = Span::from_millis(20);
+/// How far a robot's own instant may be from the one that follows from what was told of its clock.
+const CLOCKS: Span = Span::from_millis(1);
 /// What a clock may drift that was good when the act began, as a fraction: the bound that the clock estimate works with.
 const DRIFT_BOUND: f64 = crate::clock::DRIFT_BOUND;
 
@@ -40,7 +40,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
             let told = skew.robots.iter().find(|told| told.robot == *facts.name(robot));
             let drift = Span::from_millis_f64(script.promised.start.get() * DRIFT_BOUND);
             let fits = told.is_some_and(|told| within(told, error, drift + GRAIN));
-            match excuse(facts, act, script).filter(|_| !fits) {
+            match excuse(facts, act, script, told).filter(|_| !fits) {
                 Some(cause) => verdict.excused('f', cause),
                 None if fits => starts.push(Start { robot, error }),
                 None => verdict.violated('f', beyond(act, told, robot, error)),
@@ -52,9 +52,13 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
 }
 
 fn within(told: &RobotSkew, error: Span, grain: Span) -> bool {
-    let earliest = Span::ZERO - told.offset - told.uncertainty;
-    let latest = told.uncertainty + told.wake_up - told.offset;
+    let (earliest, latest) = range(told);
     error >= earliest - grain && error <= latest + grain
+}
+
+/// How far from the plan a robot may start, as was told.
+fn range(told: &RobotSkew) -> (Span, Span) {
+    (Span::ZERO - told.offset - told.uncertainty, told.uncertainty + told.wake_up - told.offset)
 }
 
 fn beyond(act: &SentAct<'_>, told: Option<&RobotSkew>, robot: usize, error: Span) -> String {
@@ -90,7 +94,12 @@ fn error_of(act: &SentAct<'_>, script: &SentScript<'_>) -> Option<Span> {
 
 /// A fault of the robot's own clock since it was measured, or of its own process at the start. A clock that was set by less than
 /// a round trip takes no exchange shows to be another one than before.
-fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, script: &SentScript<'_>) -> Option<Cause> {
+fn excuse(
+    facts: &Facts<'_>,
+    act: &SentAct<'_>,
+    script: &SentScript<'_>,
+    told: Option<&RobotSkew>,
+) -> Option<Cause> {
     let due = act.start_of(script) + script.first_offset();
     let own = facts.hits.iter().filter(|hit| hit.is_of(script.robot));
     let hidden = facts.drawn().delay.1 * 2 + facts.drawn().robots[script.robot].slow;
@@ -99,7 +108,10 @@ fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, script: &SentScript<'_>) -> Opti
             let unseen = hit.by.abs() <= hidden || !was_asked(facts, act, script.robot, hit.from);
             unseen && hit.from <= due + START_LATE_MAX
         }
-        Cause::RobotPause => hit.overlaps(due - CLOCKS, due + CLOCKS),
+        Cause::RobotPause => told.is_some_and(|told| {
+            let (earliest, latest) = range(told);
+            hit.overlaps(due + earliest - CLOCKS, due + latest + CLOCKS)
+        }),
         _ => false,
     });
     excuses.map(|hit| hit.cause).min()
