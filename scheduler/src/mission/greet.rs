@@ -66,7 +66,8 @@ impl Mission {
                 }
                 self.perform(now);
             }
-            Phase::Stopping { .. } | Phase::Ended => {}
+            Phase::Stopping { .. } => self.stop_progress(now),
+            Phase::Ended => {}
         }
     }
 

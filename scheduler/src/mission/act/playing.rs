@@ -177,6 +177,17 @@ impl Act {
         end.is_some_and(|end| shown + GRAIN >= end.assume_clock())
     }
 
+    /// How far an answer that a script has begun or ended is from the time that it was to begin or end at, by its robot's clock.
+    pub(crate) fn off_its_time(&self, script: ScriptRef, response: &ControlResponse) -> Option<Span> {
+        let (member, planned) = (&self.members[script.member], self.script(script));
+        let start = self.timing.as_ref()?.start;
+        let due = match response.status {
+            urrcp::Status::Started => start + planned.plan.start.span(),
+            _ => planned_end(start, planned),
+        };
+        Some((response.timestamp - (due + member.shift).assume_clock()).abs())
+    }
+
     /// Nobody knows any more what becomes of a script.
     pub(crate) fn lose_sight_of(&mut self, script: ScriptRef) {
         self.members[script.member].change(script.script, Script::lapse);
@@ -369,8 +380,16 @@ impl Act {
     pub(crate) fn running_lease(&self, robot: usize, now: Timestamp<Server>) -> Option<Span> {
         let timing = self.timing.as_ref().filter(|timing| now >= timing.start)?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
-        let begun = |script: &&Script| script.is_out() && now >= timing.start + script.plan.start.span();
-        member.under_way().map(|(_, script)| script).filter(begun).filter_map(Script::shortest_lease).min()
+        let begins = |script: &Script| timing.start + script.plan.start.span();
+        if member.firsts().map(begins).min().is_none_or(|first| now < first) {
+            return None;
+        }
+        let lease = |(index, script): (usize, &Script)| match now >= begins(script) {
+            true => script.shortest_lease(),
+            // Between two of its scripts the next one waits, and is lost when the longer of its leases has run out.
+            false => script.shortest_lease().max(member.pending_lease_now(index, timing)),
+        };
+        member.under_way().filter(|(_, script)| script.is_out()).filter_map(lease).min()
     }
 
     /// The shortest of the leases that a script has from now on.
@@ -420,9 +439,12 @@ impl Act {
     }
 }
 
-/// How much later than planned a robot may be by its own clock; where that is not known, as the latest of the fleet.
+/// How much later than planned a robot may be by its own clock, as was told or as it shows by now; where that is not known, as
+/// the latest of the fleet.
 fn late_of(timing: &Timing, robot: &RobotState) -> Span {
-    timing.skew.as_ref().and_then(|skew| skew.late_of(&robot.id)).unwrap_or(timing.pace.late)
+    let told = timing.skew.as_ref().and_then(|skew| skew.late_of(&robot.id));
+    let shown = robot.clock.reading().map(|reading| robot.shift - reading.offset + reading.uncertainty);
+    told.max(shown).unwrap_or(timing.pace.late)
 }
 
 /// What became of its scripts cannot be learned from it.

@@ -108,6 +108,11 @@ fn stops_end(facts: &Facts<'_>, verdict: &mut Verdict) {
             let ends = matches!(record, Record::Ended { .. } | Record::Prepared(_) | Record::ActEnded { .. });
             ends && *at >= *stopping && *at <= by
         });
+        let waits = facts.between(*stopping, by).iter().any(|(_, happened)| match happened {
+            Happened::Told(progress) => matches!(**progress, Progress::Waiting { .. }),
+            _ => false,
+        });
+        let goes_on = goes_on || waits;
         if !goes_on && !scheduler_was_away(facts, *stopping, by) {
             verdict.violated('h', format!("the stop at {stopping} did not end within {PATIENCE}"));
         }
@@ -208,20 +213,32 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         // What the disk took of late is awaited twice, and links are as slow as they were.
         let faults = disk_stood_still(facts, act) * 2 + lasted(facts, act);
         let (with, without) = (lead(act), lead(other));
-        if with > without * TIMES + MORE + faults && Some(with) != asked_for(facts, act) {
+        let set = clocks_set(facts, act);
+        if with > without * TIMES + MORE + faults + set * 2 && Some(with) != asked_for(facts, act) {
             let what = format!("act {number} had a lead of {with}, without faults it has {without}");
             verdict.violated('h', what);
         }
         let Some((gap, other_gap)) = gap(facts, act).zip(gap(undisturbed, other)) else { continue };
-        // An act is sent as soon as its devices have room. What its lead is longer by, which is bounded above, it starts later.
+        // An act is sent as soon as its devices have room, later by what a clock was set back. What its lead is longer by, which
+        // is bounded above, it starts later.
         let longer = (with - without).max(Span::ZERO);
-        if gap > other_gap.max(Span::ZERO) * TIMES + MORE + longer + faults {
+        if gap > other_gap.max(Span::ZERO) * TIMES + MORE + longer + faults + set {
             verdict.violated(
                 'h',
                 format!("act {number} came after a gap of {gap}, without faults after {other_gap}"),
             );
         }
     }
+}
+
+/// By how much the clocks of an act's robots were set before it was sent. How early a robot may start by its clock is in the
+/// lead twice: within the last lease, and after it.
+fn clocks_set(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
+    let robots = act.robots();
+    let of_act = |hit: &&Hit| {
+        hit.cause == Cause::ClockSet && hit.from <= act.at && robots.iter().any(|robot| hit.is_of(*robot))
+    };
+    facts.hits.iter().filter(of_act).fold(Span::ZERO, |sum, hit| sum + hit.by.abs())
 }
 
 fn lead(act: &SentAct<'_>) -> Span {
@@ -242,8 +259,9 @@ fn disk_stood_still(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
 /// From the planned end of the act before to the start of this one.
 fn gap(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Span> {
     let before = facts.acts.iter().rfind(|before| before.promise.number < act.promise.number)?;
-    let ends = before.scripts.iter().map(|script| before.start_of(script) + script.promised.duration);
-    Some(act.promise.start - ends.max()?)
+    // As written: what a robot would have played that was left out leaves a gap of its own.
+    let written = facts.drawn().choreography.acts.get(before.promise.act)?;
+    Some(act.promise.start - (before.promise.start + written.plan.duration()))
 }
 
 /// How long faults lasted between the start of the act before and that of this one: an act waits for its robots.

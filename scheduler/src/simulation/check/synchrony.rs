@@ -5,18 +5,15 @@
 //! process that stands still, excuses its own robot alone. A clock that was set before the act became doubtful has to be noticed:
 //! then the start is still within the scenario's tolerance, or there is none.
 
-use urrcp::{Message, Server, Span, Timestamp};
+use urrcp::{Server, Span, Timestamp};
 
 use super::Verdict;
 use super::cause::Cause;
 use super::facts::{Facts, SentAct, SentScript};
 use crate::mission::RobotSkew;
-use crate::simulation::{Happened, Network};
 
 /// The simulated world counts in nanoseconds, and clocks are read by dividing.
 const GRAIN: Span = Span::from_micros(1);
-/// On a link that loses answers a clock that was set is seen a second later, at the next question.
-const SEEN_AFTER: Span = Span::from_millis(1_100);
 /// A robot that was held up for longer lets its start be.
 const START_LATE_MAX: Span = Span::from_millis(50);
 /// How far a robot's own instant may be from the one that follows from what was told of its clock.
@@ -119,15 +116,5 @@ fn excuse(
 
 /// Whether the robot was asked for its times since then, early enough for its answer to be there when the budget was told.
 fn was_asked(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, since: Timestamp<Server>) -> bool {
-    let drawn = facts.drawn();
-    let until = match drawn.network {
-        Network::Stream => act.at - drawn.delay.1 - drawn.robots[robot].slow,
-        Network::Datagram { .. } => act.at - SEEN_AFTER,
-    };
-    facts.between(since, until).iter().any(|(_, happened)| match happened {
-        Happened::AtRobot(r, message) => {
-            *r == robot && matches!(message, Message::Inquiry(_) | Message::AvailabilityRequest(_))
-        }
-        _ => false,
-    })
+    facts.was_asked(robot, since, act.at)
 }
