@@ -48,7 +48,9 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
         match report.outcome {
             Outcome::Done => done += 1,
             Outcome::Unknown if mute => done += 1,
-            Outcome::NotStarted if report.failures.iter().all(unplayable) => refused += 1,
+            Outcome::NotStarted | Outcome::DoneWithout if report.failures.iter().all(unplayable) => {
+                refused += 1;
+            }
             // What the scenario asks for is kept or refused.
             Outcome::LeadTooShort { .. } | Outcome::LeaseTooShort { .. } => refused += 1,
             Outcome::Failed | Outcome::DoneSkipping { .. }

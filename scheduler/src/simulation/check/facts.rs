@@ -225,9 +225,11 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// When messages from the scheduler arrived at a robot.
+    /// When messages from the scheduler arrived at a robot that renew its leases. The question who it is does not: anybody may ask
+    /// it.
     pub(super) fn heard(&self, robot: usize) -> impl Iterator<Item = Timestamp<Server>> + '_ {
         self.ran.history.iter().filter_map(move |(at, happened)| match happened {
+            Happened::AtRobot(_, Message::InitializationRequest(_)) => None,
             Happened::AtRobot(r, _) if *r == robot => Some(*at),
             _ => None,
         })
