@@ -4,14 +4,27 @@ use std::fmt::Write;
 
 use urrcp::{Command, Message, Server, Timestamp};
 
-use super::{Happened, Ran};
+use super::{Drawn, Happened, Ran};
 use crate::dry_run::BEGIN;
 
 /// The whole story of a run: what was drawn, what happened, what the robots set, and what is wrong with it.
 #[must_use]
 pub fn trace(ran: &Ran) -> String {
+    let mut text = what_was_drawn(&ran.drawn);
+    for (at, line) in events(ran) {
+        let _infallible = writeln!(text, "{:>12.3} ms  {line}", (at - BEGIN).as_millis_f64());
+    }
+    if let Some(report) = &ran.report {
+        let _infallible = writeln!(text, "{}", crate::report::report_text(report, crate::report::UNBOUNDED));
+    }
+    for violation in super::judge(ran).violations {
+        let _infallible = writeln!(text, "VIOLATED {violation}");
+    }
+    text
+}
+
+fn what_was_drawn(drawn: &Drawn) -> String {
     let mut text = String::new();
-    let drawn = &ran.drawn;
     let _infallible = writeln!(
         text,
         "seed {}: {} robots, {} acts, {:?}, delay {} to {}, tail {:.3}",
@@ -56,6 +69,11 @@ pub fn trace(ran: &Ran) -> String {
             act.plan.stop_condition.running
         );
     }
+    text
+}
+
+/// What happened, was written down and set, in the order of time.
+fn events(ran: &Ran) -> Vec<(Timestamp<Server>, String)> {
     let mut lines: Vec<(Timestamp<Server>, String)> = Vec::new();
     lines.extend(ran.history.iter().filter_map(|(at, happened)| Some((*at, line(happened)?))));
     lines.extend(ran.records.iter().map(|(at, record)| {
@@ -73,16 +91,7 @@ pub fn trace(ran: &Ran) -> String {
         }));
     }
     lines.sort_by_key(|(at, _)| *at);
-    for (at, line) in lines {
-        let _infallible = writeln!(text, "{:>12.3} ms  {line}", (at - BEGIN).as_millis_f64());
-    }
-    if let Some(report) = &ran.report {
-        let _infallible = writeln!(text, "{}", crate::report::report_text(report, crate::report::UNBOUNDED));
-    }
-    for violation in super::judge(ran).violations {
-        let _infallible = writeln!(text, "VIOLATED {violation}");
-    }
-    text
+    lines
 }
 
 fn line(happened: &Happened) -> Option<String> {
