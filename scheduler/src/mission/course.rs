@@ -356,5 +356,6 @@ impl Mission {
 
 /// Whether robots have begun an act, by their own words or because its start has passed: one that reports nothing moves, too.
 pub(super) fn may_have_moved(now: Timestamp<Server>, act: &Act) -> bool {
-    act.has_begun() || act.is_committed() && act.timing().is_some_and(|timing| now >= timing.start)
+    let due = act.timing().is_some_and(|timing| now >= timing.start);
+    act.has_begun() || due && (act.is_committed() || act.is_unaccounted())
 }

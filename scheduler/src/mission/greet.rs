@@ -50,7 +50,8 @@ impl Mission {
                 response.timestamp,
                 self.arrived,
             );
-            self.take_times(robot, sample);
+            self.take_times(now, robot, sample);
+            self.question_reached(now, robot, response.receive_timestamp);
         }
         match self.phase {
             Phase::Greeting { .. } if self.robots[robot].clock.samples() < CLOCK_SAMPLES => {
@@ -65,7 +66,8 @@ impl Mission {
                 }
                 self.perform(now);
             }
-            Phase::Stopping { .. } | Phase::Ended => {}
+            Phase::Stopping { .. } => self.stop_progress(now),
+            Phase::Ended => {}
         }
     }
 

@@ -240,11 +240,29 @@ fn open_without_name(
         Status::Ok => matches!(state, ScriptState::Held | ScriptState::Running),
         _ => matches!(state, ScriptState::Sent | ScriptState::Held | ScriptState::Running),
     };
-    let found = |act: &Act| {
-        let place = act.place_of(robot)?;
-        let mut scripts = act.members()[place].on(device);
-        let (script, _) = scripts.find(|(_, script)| fits(script.state()))?;
-        Some(ScriptRef { act: act.number(), member: place, script })
+    let mut open =
+        acts.iter().flat_map(|act| of_device(act, robot, device)).filter(|(.., state)| fits(state));
+    // What it was sent earlier may be lost, as after a restart: what it begins or ends now is what is due now.
+    let off = |(act, script, state): &(&Act, ScriptRef, &ScriptState)| {
+        (**state != ScriptState::Running, act.off_its_time(*script, response))
     };
-    acts.iter().find_map(found)
+    let found = match response.status {
+        Status::Started | Status::Ok => open.min_by_key(off),
+        _ => open.next(),
+    };
+    found.map(|(_, script, _)| script)
+}
+
+/// The scripts of an act on a robot's device, in order of time, and where they stand.
+fn of_device<'a>(
+    act: &'a Act,
+    robot: usize,
+    device: &'a DeviceId,
+) -> impl Iterator<Item = (&'a Act, ScriptRef, &'a ScriptState)> {
+    let places = act.place_of(robot).into_iter();
+    places.flat_map(move |member| {
+        let scripts = act.members()[member].on(device);
+        scripts
+            .map(move |(script, state)| (act, ScriptRef { act: act.number(), member, script }, state.state()))
+    })
 }

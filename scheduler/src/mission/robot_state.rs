@@ -184,6 +184,8 @@ pub(crate) struct RobotState {
     pub(crate) told_at: Option<Timestamp<Server>>,
     /// When something last came from it.
     heard_at: Option<Timestamp<Server>>,
+    /// When a question last reached it that it has answered, by its own clock.
+    reached_at: Option<Timestamp<Robot>>,
     pub(crate) requires: Vec<Requirement>,
     /// Of `requires`, in its order.
     pub(crate) readings: Vec<Option<f64>>,
@@ -226,6 +228,7 @@ impl RobotState {
             questions: Questions::default(),
             told_at: None,
             heard_at: None,
+            reached_at: None,
             readings: vec![None; participant.requires.len()],
             requires: participant.requires,
             positions: Vec::new(),
@@ -259,6 +262,18 @@ impl RobotState {
             Link::Up { unheard } => unheard.take().is_some(),
             Link::Connecting | Link::Unnamed { .. } | Link::Lost(_) => false,
         }
+    }
+
+    /// A question reached it at that time by its own clock. Returns when the one before did, unless that was later.
+    pub(crate) fn reached(&mut self, at: Timestamp<Robot>) -> Option<Timestamp<Robot>> {
+        let before = self.reached_at;
+        self.reached_at = before.max(Some(at));
+        before.filter(|before| *before < at)
+    }
+
+    /// Its clock was set: times by it from before and after do not compare.
+    pub(crate) fn clock_was_set(&mut self) {
+        self.reached_at = None;
     }
 
     /// A link to its address stands. Which robot answers there it has to say first.

@@ -5,7 +5,7 @@
 //! the lease, and between the critical instant and the commitment nothing at all but stops.
 
 use urrcp::{
-    AvailabilityRequest, Inquiry, InquiryResponse, Message, Millis, Server, Span, Status, Timestamp,
+    AvailabilityRequest, Inquiry, InquiryResponse, Message, Millis, Robot, Server, Span, Status, Timestamp,
 };
 
 use super::act::Act;
@@ -120,10 +120,43 @@ impl Mission {
     }
 
     /// Takes the times in an answer.
-    pub(super) fn take_times(&mut self, robot: usize, sample: ClockSample) {
+    pub(super) fn take_times(&mut self, now: Timestamp<Server>, robot: usize, sample: ClockSample) {
         let state = &mut self.robots[robot];
+        let steps = state.clock.steps();
         state.clock.add(sample);
         state.questions.answer(sample.sent);
+        // A process that takes a mission up does not know by which clock the robot was sent what it has.
+        if state.clock.steps() > steps || state.clock.samples() == 1 {
+            self.clock_is_new(now, robot);
+        }
+    }
+
+    /// A robot whose clock was set since it was sent an act may start long before the others.
+    fn clock_is_new(&mut self, now: Timestamp<Server>, robot: usize) {
+        self.robots[robot].clock_was_set();
+        let plays = |act: &&Act| act.place_of(robot).is_some();
+        let mut failing: Vec<(usize, FailureKind)> = Vec::new();
+        for (robot, kind) in self.acts.iter().filter(plays).flat_map(|act| act.strayed(now, &self.robots)) {
+            if !failing.iter().any(|(other, _)| *other == robot) {
+                failing.push((robot, kind));
+            }
+        }
+        if !failing.is_empty() {
+            self.fail_all(now, failing);
+        }
+    }
+
+    /// A question reached a robot that takes no inquiries, at that time by its clock. After a longer silence than its lease
+    /// it has dropped its scripts, and does not say so when it is asked.
+    pub(super) fn question_reached(&mut self, now: Timestamp<Server>, robot: usize, at: Timestamp<Robot>) {
+        let Some(before) = self.robots[robot].reached(at) else { return };
+        if self.robots[robot].takes_inquiries() {
+            return;
+        }
+        let ran_out = self.acts.iter().find_map(|act| act.ran_out(now, robot, (before, at)));
+        if let Some(kind) = ran_out {
+            self.fail(now, robot, kind);
+        }
     }
 
     /// A robot says what became of its scripts.
@@ -142,7 +175,7 @@ impl Mission {
             response.timestamp,
             self.arrived,
         );
-        self.take_times(robot, sample);
+        self.take_times(now, robot, sample);
         for report in &response.requests {
             let Some(&script) = self.robots[robot].requests.get(&report.request_id) else { continue };
             let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { continue };

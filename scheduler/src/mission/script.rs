@@ -155,6 +155,11 @@ impl Script {
         self.late_steps
     }
 
+    /// By the robot's clock: when it first said that it holds it.
+    pub(crate) const fn accepted_at(&self) -> Option<Timestamp<Robot>> {
+        self.accepted_at
+    }
+
     /// When the question was sent that it last answered with "held".
     pub(crate) const fn held_at(&self) -> Option<Timestamp<Server>> {
         self.held_at
@@ -174,6 +179,13 @@ impl Script {
         self.is_out()
             || matches!(self.state, ScriptState::Unknown)
             || (self.is_planned() && self.perhaps_sent)
+    }
+
+    /// Another process may have sent it, and its robot has not said a word of it to this one.
+    pub(crate) const fn is_unheard_since_taken_up(&self) -> bool {
+        self.perhaps_sent
+            && !self.accepted
+            && matches!(self.state, ScriptState::Planned | ScriptState::Sent | ScriptState::Unknown)
     }
 
     pub(crate) const fn has_completed(&self) -> bool {

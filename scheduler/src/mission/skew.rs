@@ -129,15 +129,28 @@ impl SkewBudget {
         self.predicted <= self.tolerance
     }
 
+    /// What the clocks of the fleet are ahead by, those in the middle of it. Of an even number two are: of two robots whose
+    /// clocks are far apart the one that is nearer to this machine's is right.
+    fn middle(&self) -> Span {
+        let mut offsets: Vec<Span> = self.robots.iter().map(|robot| robot.offset).collect();
+        offsets.sort_unstable();
+        let (low, high) = (offsets.len().saturating_sub(1) / 2, offsets.len() / 2);
+        offsets
+            .get(low..=high)
+            .unwrap_or_default()
+            .iter()
+            .copied()
+            .min_by_key(|at| at.abs())
+            .unwrap_or_default()
+    }
+
     /// The robots that keep it from fitting: those that may start further than half the tolerance from the middle of the
     /// fleet.
     pub(crate) fn offenders(&self) -> Vec<(RobotId, FailureKind)> {
         if self.fits() {
             return Vec::new();
         }
-        let mut offsets: Vec<Span> = self.robots.iter().map(|robot| robot.offset).collect();
-        offsets.sort_unstable();
-        let middle = offsets.get(offsets.len() / 2).copied().unwrap_or_default();
+        let middle = self.middle();
         let half = self.tolerance / 2;
         let far = |robot: &&RobotSkew| {
             let (earliest, latest) = robot.range();
@@ -156,6 +169,25 @@ mod tests {
     use super::*;
     use crate::clock::ClockSample;
     use crate::mission::bench::{self, Tells, at, ms};
+
+    #[test]
+    fn of_two_robots_whose_clocks_are_far_apart_the_one_that_is_off_is_named() {
+        let scripts: [&[bench::Planned]; 2] = [&[("a", 0, 400)]; 2];
+        let choreography = bench::played(&scripts);
+        for (first, second, off) in
+            [(-1, 1_800, "r1"), (1_800, -1, "r0"), (-1_800, 1, "r0"), (1, -1_800, "r1")]
+        {
+            let mut robots = ["r0", "r1"].map(|name| bench::robot(name, Tells::Everything, 2));
+            for (robot, ahead) in robots.iter_mut().zip([first, second]) {
+                let instant = at(10 + ahead).assume_clock();
+                robot.clock.add(ClockSample::from_exchange(at(9), instant, instant, at(11)));
+            }
+            let members = crate::mission::act::members(&choreography.acts[0].plan, &robots);
+            let budget = SkewBudget::of(members.iter(), &robots, ms(60), at(11)).unwrap();
+            let offenders: Vec<_> = budget.offenders().into_iter().map(|(id, _)| id.to_string()).collect();
+            assert_eq!(offenders, [off], "{first} and {second} ms ahead");
+        }
+    }
 
     #[test]
     fn a_budget_for_a_later_start_is_wider_by_what_clocks_drift_until_then() {

@@ -159,7 +159,8 @@ impl Mission {
             self.robots[robot].totals.retries += 1;
             self.send_stops(now, robot);
         } else if self.owes_a_fate(robot) {
-            self.inquire(now, robot);
+            // It has confirmed its stop: no lease of it is left that a question could carry over a start.
+            self.inquire_now(now, robot);
         }
     }
 
@@ -172,7 +173,10 @@ impl Mission {
             let scripts = act.member(robot).into_iter().flat_map(|member| member.scripts());
             scripts.into_iter().any(|script| script.is_out())
         };
-        state.tells_fates() && !garbled && !state.is_gone() && self.acts.iter().any(out)
+        // A robot that takes no inquiries reported before it answered what it was asked after its stop, or its report is lost.
+        let answered = |at| self.stopped_at.is_some_and(|stopped| at > stopped);
+        let lost = !state.takes_inquiries() && state.questions.answered().is_some_and(answered);
+        state.tells_fates() && !garbled && !lost && !state.is_gone() && self.acts.iter().any(out)
     }
 
     fn stop_interval(&self) -> Span {
@@ -193,7 +197,7 @@ impl Mission {
             // What became of their scripts is asked for at once, once.
             for robot in 0..self.robots.len() {
                 if self.owes_a_fate(robot) && self.robots[robot].questions.last_unanswered().is_none() {
-                    self.inquire(now, robot);
+                    self.inquire_now(now, robot);
                 }
             }
         }

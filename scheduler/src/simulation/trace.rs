@@ -4,14 +4,27 @@ use std::fmt::Write;
 
 use urrcp::{Command, Message, Server, Timestamp};
 
-use super::{Happened, Ran};
+use super::{Drawn, Happened, Ran};
 use crate::dry_run::BEGIN;
 
 /// The whole story of a run: what was drawn, what happened, what the robots set, and what is wrong with it.
 #[must_use]
 pub fn trace(ran: &Ran) -> String {
+    let mut text = what_was_drawn(&ran.drawn);
+    for (at, line) in events(ran) {
+        let _infallible = writeln!(text, "{:>12.3} ms  {line}", (at - BEGIN).as_millis_f64());
+    }
+    if let Some(report) = &ran.report {
+        let _infallible = writeln!(text, "{}", crate::report::report_text(report, crate::report::UNBOUNDED));
+    }
+    for violation in super::judge(ran).violations {
+        let _infallible = writeln!(text, "VIOLATED {violation}");
+    }
+    text
+}
+
+fn what_was_drawn(drawn: &Drawn) -> String {
     let mut text = String::new();
-    let drawn = &ran.drawn;
     let _infallible = writeln!(
         text,
         "seed {}: {} robots, {} acts, {:?}, delay {} to {}, tail {:.3}",
@@ -56,6 +69,11 @@ pub fn trace(ran: &Ran) -> String {
             act.plan.stop_condition.running
         );
     }
+    text
+}
+
+/// What happened, was written down and set, in the order of time.
+fn events(ran: &Ran) -> Vec<(Timestamp<Server>, String)> {
     let mut lines: Vec<(Timestamp<Server>, String)> = Vec::new();
     lines.extend(ran.history.iter().filter_map(|(at, happened)| Some((*at, line(happened)?))));
     lines.extend(ran.records.iter().map(|(at, record)| {
@@ -73,16 +91,7 @@ pub fn trace(ran: &Ran) -> String {
         }));
     }
     lines.sort_by_key(|(at, _)| *at);
-    for (at, line) in lines {
-        let _infallible = writeln!(text, "{:>12.3} ms  {line}", (at - BEGIN).as_millis_f64());
-    }
-    if let Some(report) = &ran.report {
-        let _infallible = writeln!(text, "{}", crate::report::report_text(report, crate::report::UNBOUNDED));
-    }
-    for violation in super::judge(ran).violations {
-        let _infallible = writeln!(text, "VIOLATED {violation}");
-    }
-    text
+    lines
 }
 
 fn line(happened: &Happened) -> Option<String> {
@@ -91,6 +100,7 @@ fn line(happened: &Happened) -> Option<String> {
         Happened::AtRobot(robot, message) => format!("  => r{robot}  {}", told(message)),
         Happened::FromRobot(robot, message) => format!("  <= r{robot}  {}", told(message.as_ref()?)),
         Happened::Lost(robot) => format!("lost     a message to or from r{robot}"),
+        Happened::StopQueued(robot, lasts) => format!("queued   a stop of r{robot} waits for {lasts}"),
         Happened::Slow(robot, lasts) => format!("slow     a message to or from r{robot} travels for {lasts}"),
         Happened::Fault(fault) => format!("FAULT    {fault:?}"),
         Happened::Back(robot) => format!("back     r{robot}"),

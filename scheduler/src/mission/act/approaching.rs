@@ -14,7 +14,6 @@ use super::{Act, ActAction, Stage, Timing};
 use crate::mission::failure_kind::FailureKind;
 use crate::mission::record::Record;
 use crate::mission::robot_state::RobotState;
-use crate::mission::skew::SkewBudget;
 use crate::mission::{Outcome, Progress};
 
 /// A failure is noted so long before the last instant for the commitment, so that the others can still be committed.
@@ -227,12 +226,7 @@ impl Act {
             };
             Some((member.robot, kind))
         });
-        let tolerance = self.written().plan.start_tolerance;
-        let skew = SkewBudget::of_sent(self.present(), robots, tolerance, now);
-        let strayed = skew.map(|skew| skew.offenders()).unwrap_or_default();
-        let index_of = |id| self.present().map(|m| m.robot).find(|robot| robots[*robot].id == id);
-        let strayed = strayed.into_iter().filter_map(|(id, kind)| Some((index_of(id)?, kind)));
-        short.chain(strayed).collect()
+        short.chain(self.strayed(now, robots)).collect()
     }
 
     fn commit(&mut self, now: Timestamp<Server>) -> Vec<ActAction> {

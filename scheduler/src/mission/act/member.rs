@@ -157,7 +157,7 @@ impl Member {
     }
 
     /// The pending lease of a script that waits while its act plays: it may have been shortened.
-    fn pending_lease_now(&self, script: usize, timing: &Timing) -> Option<Span> {
+    pub(super) fn pending_lease_now(&self, script: usize, timing: &Timing) -> Option<Span> {
         let shortened = timing.pace.leases == Leases::Shortened;
         let offset = self.shortened_offset(script, timing.lead.lease).filter(|_| shortened);
         match offset {

@@ -8,6 +8,7 @@ mod member;
 mod playing;
 mod preparing;
 mod resumed;
+mod strayed;
 #[cfg(test)]
 mod tests;
 pub(crate) mod timing;
@@ -246,6 +247,11 @@ impl Act {
         self.members.iter().flat_map(Member::scripts).any(Script::has_begun)
     }
 
+    /// A robot may have something of it that it has not spoken of.
+    pub(crate) fn is_unaccounted(&self) -> bool {
+        self.members.iter().flat_map(Member::scripts).any(Script::is_unaccounted)
+    }
+
     /// How far it is, to tell whether it went on.
     pub(crate) const fn progress(&self) -> Progressed {
         match self.stage {
@@ -263,6 +269,8 @@ impl Act {
     /// Nothing before it plays any more.
     pub(crate) fn comes_next(&mut self, now: Timestamp<Server>) {
         self.alone_since.get_or_insert(now);
+        // It may have waited for room that the act before it has left without a word.
+        self.look_again();
     }
 
     pub(crate) const fn is_alone(&self) -> bool {

@@ -177,6 +177,17 @@ impl Act {
         end.is_some_and(|end| shown + GRAIN >= end.assume_clock())
     }
 
+    /// How far an answer that a script has begun or ended is from the time that it was to begin or end at, by its robot's clock.
+    pub(crate) fn off_its_time(&self, script: ScriptRef, response: &ControlResponse) -> Option<Span> {
+        let (member, planned) = (&self.members[script.member], self.script(script));
+        let start = self.timing.as_ref()?.start;
+        let due = match response.status {
+            urrcp::Status::Started => start + planned.plan.start.span(),
+            _ => planned_end(start, planned),
+        };
+        Some((response.timestamp - (due + member.shift).assume_clock()).abs())
+    }
+
     /// Nobody knows any more what becomes of a script.
     pub(crate) fn lose_sight_of(&mut self, script: ScriptRef) {
         self.members[script.member].change(script.script, Script::lapse);
@@ -190,7 +201,9 @@ impl Act {
             return actions;
         }
         let lapsed = self.lapse(now, robots);
-        let over = |member: &Member| member.is_done() || (lapses(&robots[member.robot]) && member.is_over());
+        let over = |member: &Member| {
+            member.is_done() || (self.may_lapse(member, &robots[member.robot]) && member.is_over())
+        };
         if self.present().all(over) {
             self.stage = Stage::Over;
             return actions;
@@ -209,15 +222,13 @@ impl Act {
     /// Scripts whose time has passed on robots that cannot say so. Returns those robots.
     fn lapse(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<usize> {
         let Some(timing) = &self.timing else { return Vec::new() };
-        let start = timing.start;
+        let grace = self.report_grace(robots);
         let mut lapsed = Vec::new();
         for member in self.members.iter_mut().filter(|member| member.takes_part()) {
-            if !lapses(&robots[member.robot]) {
-                continue;
-            }
-            let grace = late_of(timing, &robots[member.robot]) + LAPSE;
+            let robot = &robots[member.robot];
             let over = |(index, script): (usize, &Script)| {
-                (script.is_out() && now >= planned_end(start, script) + grace).then_some(index)
+                let at = lapses_at(timing, script, robot, grace);
+                (script.is_out() && at.is_some_and(|at| now >= at)).then_some(index)
             };
             let over: Vec<usize> = member.under_way().filter_map(over).collect();
             for script in over {
@@ -225,12 +236,17 @@ impl Act {
                 lapsed.push(member.robot);
             }
             // Refused because the queue was full for a moment longer.
-            if member.under_way().any(|(_, script)| script.is_planned()) {
+            if lapses(robot) && member.under_way().any(|(_, script)| script.is_planned()) {
                 lapsed.push(member.robot);
             }
         }
         lapsed.dedup();
         lapsed
+    }
+
+    /// What became of a script of it may be left unknown when its time has passed.
+    fn may_lapse(&self, member: &Member, robot: &RobotState) -> bool {
+        lapses(robot) || member.under_way().any(|(_, script)| lost_with_its_process(script, robot))
     }
 
     /// Asks for reports that are overdue; robots that do not answer for as long again have failed.
@@ -285,6 +301,9 @@ impl Act {
         grace: Span,
     ) -> Option<Timestamp<Server>> {
         let timing = self.timing.as_ref()?;
+        if lost_with_its_process(script, robot) {
+            return None;
+        }
         let start = timing.start + script.plan.start.span();
         let end = planned_end(timing.start, script) + late_of(timing, robot);
         match script.state() {
@@ -304,12 +323,12 @@ impl Act {
         let due = self.present().flat_map(|member| {
             let robot = &robots[member.robot];
             member.under_way().filter_map(move |(_, script)| {
+                if let Some(at) = lapses_at(self.timing.as_ref()?, script, robot, grace) {
+                    return Some([at; 2]);
+                }
                 let asked = self.report_due(member, script, robot, grace)?;
                 // A report that stays out is a failure after as long again.
-                Some([asked, asked + grace]).filter(|_| robot.tells_fates()).or_else(|| {
-                    let timing = self.timing.as_ref()?;
-                    Some([planned_end(timing.start, script) + LAPSE + late_of(timing, robot); 2])
-                })
+                Some([asked, asked + grace])
             })
         });
         let next = due.flatten().filter(|at| *at > now).min().unwrap_or(now + grace);
@@ -361,8 +380,16 @@ impl Act {
     pub(crate) fn running_lease(&self, robot: usize, now: Timestamp<Server>) -> Option<Span> {
         let timing = self.timing.as_ref().filter(|timing| now >= timing.start)?;
         let member = self.member(robot).filter(|member| member.takes_part())?;
-        let begun = |script: &&Script| script.is_out() && now >= timing.start + script.plan.start.span();
-        member.under_way().map(|(_, script)| script).filter(begun).filter_map(Script::shortest_lease).min()
+        let begins = |script: &Script| timing.start + script.plan.start.span();
+        if member.firsts().map(begins).min().is_none_or(|first| now < first) {
+            return None;
+        }
+        let lease = |(index, script): (usize, &Script)| match now >= begins(script) {
+            true => script.shortest_lease(),
+            // Between two of its scripts the next one waits, and is lost when the longer of its leases has run out.
+            false => script.shortest_lease().max(member.pending_lease_now(index, timing)),
+        };
+        member.under_way().filter(|(_, script)| script.is_out()).filter_map(lease).min()
     }
 
     /// The shortest of the leases that a script has from now on.
@@ -412,14 +439,34 @@ impl Act {
     }
 }
 
-/// How much later than planned a robot may be by its own clock; where that is not known, as the latest of the fleet.
+/// How much later than planned a robot may be by its own clock, as was told or as it shows by now; where that is not known, as
+/// the latest of the fleet.
 fn late_of(timing: &Timing, robot: &RobotState) -> Span {
-    timing.skew.as_ref().and_then(|skew| skew.late_of(&robot.id)).unwrap_or(timing.pace.late)
+    let told = timing.skew.as_ref().and_then(|skew| skew.late_of(&robot.id));
+    let shown = robot.clock.reading().map(|reading| robot.shift - reading.offset + reading.uncertainty);
+    told.max(shown).unwrap_or(timing.pace.late)
 }
 
 /// What became of its scripts cannot be learned from it.
 fn lapses(robot: &RobotState) -> bool {
     !robot.tells_fates()
+}
+
+/// Its robot reports by itself and cannot be asked, and reported to a process that has died: nothing more may be heard of it.
+fn lost_with_its_process(script: &Script, robot: &RobotState) -> bool {
+    robot.reports() && !robot.takes_inquiries() && script.is_unheard_since_taken_up()
+}
+
+/// When nobody can tell any more what became of a script that is out; `None` where its robot tells.
+fn lapses_at(timing: &Timing, script: &Script, robot: &RobotState, grace: Span) -> Option<Timestamp<Server>> {
+    if script.is_final() {
+        return None;
+    }
+    let end = planned_end(timing.start, script) + late_of(timing, robot);
+    match lapses(robot) {
+        true => Some(end + LAPSE),
+        false => lost_with_its_process(script, robot).then(|| end + grace),
+    }
 }
 
 fn is_full(response: &ControlResponse) -> bool {

@@ -136,12 +136,23 @@ fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<C
 /// before.
 fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let until = latest_start(facts, act, robot)?;
-    let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet);
+    let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet)
+        .or_else(|| set_unseen(facts, act, robot));
     let dropped = facts.dropped[robot].filter(|at| *at >= act.at);
     let stop = facts.stopping.iter().copied().filter(|at| *at >= act.at).chain(dropped).min()?;
     let missed_the_stop =
         |hit: &&Hit| hit.is_of(robot) && hit.cause != Cause::RobotCrash && hit.overlaps(stop, until);
     set.or_else(|| facts.hits.iter().filter(missed_the_stop).map(|hit| hit.cause).min())
+}
+
+/// Its clock was set so short a time before it started by it that no question showed it: the answer and a stop after it would
+/// have come too late.
+fn set_unseen(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
+    let first = act.of(robot).flat_map(|script| script.log.first()).map(|entry| entry.true_ns).min()?;
+    let began = Timestamp::<Server>::from_nanos(first);
+    let stopped_by = began - facts.drawn().delay.1;
+    let unseen = |hit: &Hit| hit.cause == Cause::ClockSet && !facts.was_asked(robot, hit.from, stopped_by);
+    own_fault(facts, robot, (Timestamp::from_nanos(0), began), unseen)
 }
 
 /// A message that lets the robot start arrived while the end of its lease still lay well ahead: its link is no excuse.

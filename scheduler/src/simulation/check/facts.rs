@@ -4,11 +4,14 @@ use std::collections::HashMap;
 
 use downbeat_robot::LogEntry;
 use downbeat_scripts::DeviceScript;
-use urrcp::{RobotId, Server, Span, Timestamp};
+use urrcp::{Message, RobotId, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit, hits_of};
 use crate::mission::{Progress, Promise, PromisedScript, Record, SkewBudget};
-use crate::simulation::{Drawn, Fault, Happened, Names, Ran};
+use crate::simulation::{Drawn, Fault, Happened, Names, Network, Ran};
+
+/// On a link that loses answers a clock that was set is seen a second later, at the next question.
+const SEEN_AFTER: Span = Span::from_millis(1_100);
 
 /// A run as the invariants look at it.
 pub(super) struct Facts<'a> {
@@ -207,9 +210,26 @@ impl<'a> Facts<'a> {
         &history[first..end.max(first)]
     }
 
-    /// When messages from the scheduler arrived at a robot.
+    /// Whether a robot was asked for its times since an instant, early enough for its answer to be there at another.
+    pub(super) fn was_asked(&self, robot: usize, since: Timestamp<Server>, by: Timestamp<Server>) -> bool {
+        let drawn = self.drawn();
+        let until = match drawn.network {
+            Network::Stream => by - drawn.delay.1 - drawn.robots[robot].slow,
+            Network::Datagram { .. } => by - SEEN_AFTER,
+        };
+        self.between(since, until).iter().any(|(_, happened)| match happened {
+            Happened::AtRobot(r, message) => {
+                *r == robot && matches!(message, Message::Inquiry(_) | Message::AvailabilityRequest(_))
+            }
+            _ => false,
+        })
+    }
+
+    /// When messages from the scheduler arrived at a robot that renew its leases. The question who it is does not: anybody may ask
+    /// it.
     pub(super) fn heard(&self, robot: usize) -> impl Iterator<Item = Timestamp<Server>> + '_ {
         self.ran.history.iter().filter_map(move |(at, happened)| match happened {
+            Happened::AtRobot(_, Message::InitializationRequest(_)) => None,
             Happened::AtRobot(r, _) if *r == robot => Some(*at),
             _ => None,
         })

@@ -108,6 +108,11 @@ fn stops_end(facts: &Facts<'_>, verdict: &mut Verdict) {
             let ends = matches!(record, Record::Ended { .. } | Record::Prepared(_) | Record::ActEnded { .. });
             ends && *at >= *stopping && *at <= by
         });
+        let waits = facts.between(*stopping, by).iter().any(|(_, happened)| match happened {
+            Happened::Told(progress) => matches!(**progress, Progress::Waiting { .. }),
+            _ => false,
+        });
+        let goes_on = goes_on || waits;
         if !goes_on && !scheduler_was_away(facts, *stopping, by) {
             verdict.violated('h', format!("the stop at {stopping} did not end within {PATIENCE}"));
         }
@@ -117,8 +122,8 @@ fn stops_end(facts: &Facts<'_>, verdict: &mut Verdict) {
 /// A robot that was sent something and can be reached hears of a stop within the longest delay of its link.
 fn stops_arrive(facts: &Facts<'_>, verdict: &mut Verdict) {
     for stopping in &facts.stopping {
-        let by = *stopping + facts.drawn().delay.1 + AT_ONCE;
         for robot in 0..facts.drawn().robots.len() {
+            let by = *stopping + facts.drawn().delay.1 + queued(facts, robot, *stopping) + AT_ONCE;
             let reached = |cancel: bool, from, until| {
                 facts.between(from, until).iter().any(|(_, happened)| match happened {
                     Happened::AtRobot(r, Message::ControlRequest(request)) if *r == robot => {
@@ -131,8 +136,12 @@ fn stops_arrive(facts: &Facts<'_>, verdict: &mut Verdict) {
             let earlier = facts.stopping.iter().filter(|at| *at < stopping).max().copied();
             let sent = reached(false, earlier.unwrap_or(from), *stopping - Span::from_nanos(1));
             let out = facts.dropped[robot].is_some_and(|at| at <= *stopping);
-            let sent = sent
-                && facts.acts.iter().any(|act| is_open(facts, act, *stopping) && act.of(robot).count() > 0);
+            let has = |act: &SentAct<'_>| {
+                is_open(facts, act, *stopping)
+                    && act.of(robot).count() > 0
+                    && !came_to_rest(facts, act, robot, *stopping)
+            };
+            let sent = sent && facts.acts.iter().any(has);
             let was_hit =
                 facts.hits.iter().any(|hit| hit.is_of(robot) && hit.overlaps(*stopping - PATIENCE, by));
             let away = scheduler_was_away(facts, *stopping - PATIENCE, by);
@@ -144,6 +153,25 @@ fn stops_arrive(facts: &Facts<'_>, verdict: &mut Verdict) {
             }
         }
     }
+}
+
+/// How long a stop waited behind other messages for a link that carries little even without faults.
+fn queued(facts: &Facts<'_>, robot: usize, stopping: Timestamp<Server>) -> Span {
+    let of_stops =
+        facts.between(stopping, stopping + AT_ONCE).iter().filter_map(|(_, happened)| match happened {
+            Happened::StopQueued(r, queued) if *r == robot => Some(*queued),
+            _ => None,
+        });
+    of_stops.max().unwrap_or_default()
+}
+
+/// An earlier stop has confirmed that nothing of an act moves a robot any more.
+fn came_to_rest(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, by: Timestamp<Server>) -> bool {
+    let name = facts.name(robot);
+    facts.between(act.at, by).iter().any(|(_, happened)| match happened {
+        Happened::Told(progress) => matches!(&**progress, Progress::AtRest { robot } if robot == name),
+        _ => false,
+    })
 }
 
 /// An act that has not ended by then: its robots may still have something of it.
@@ -182,24 +210,44 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         };
         let Some(other) = undisturbed.acts.iter().find(same) else { continue };
         let number = act.promise.number;
-        let lead = |act: &SentAct<'_>| act.promise.start - act.promise.timestamp;
         // What the disk took of late is awaited twice, and links are as slow as they were.
         let faults = disk_stood_still(facts, act) * 2 + lasted(facts, act);
-        if lead(act) > lead(other) * TIMES + MORE + faults {
-            let what =
-                format!("act {number} had a lead of {}, without faults it has {}", lead(act), lead(other));
+        let (with, without) = (lead(act), lead(other));
+        let set = clocks_set(facts, act);
+        if with > without * TIMES + MORE + faults + set * 2 && Some(with) != asked_for(facts, act) {
+            let what = format!("act {number} had a lead of {with}, without faults it has {without}");
             verdict.violated('h', what);
         }
         let Some((gap, other_gap)) = gap(facts, act).zip(gap(undisturbed, other)) else { continue };
-        if gap
-            > other_gap.max(Span::ZERO) * TIMES + MORE + lasted(facts, act) + disk_stood_still(facts, act) * 2
-        {
+        // An act is sent as soon as its devices have room, later by what a clock was set back. What its lead is longer by, which
+        // is bounded above, it starts later.
+        let longer = (with - without).max(Span::ZERO);
+        if gap > other_gap.max(Span::ZERO) * TIMES + MORE + longer + faults + set {
             verdict.violated(
                 'h',
                 format!("act {number} came after a gap of {gap}, without faults after {other_gap}"),
             );
         }
     }
+}
+
+/// By how much the clocks of an act's robots were set before it was sent. How early a robot may start by its clock is in the
+/// lead twice: within the last lease, and after it.
+fn clocks_set(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
+    let robots = act.robots();
+    let of_act = |hit: &&Hit| {
+        hit.cause == Cause::ClockSet && hit.from <= act.at && robots.iter().any(|robot| hit.is_of(*robot))
+    };
+    facts.hits.iter().filter(of_act).fold(Span::ZERO, |sum, hit| sum + hit.by.abs())
+}
+
+fn lead(act: &SentAct<'_>) -> Span {
+    act.promise.start - act.promise.timestamp
+}
+
+/// The lead that the scenario asks for: it is kept where no act before it still plays.
+fn asked_for(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Span> {
+    facts.drawn().choreography.acts.get(act.promise.act)?.plan.lead
 }
 
 /// For how long the disk stood still before an act was sent.
@@ -211,8 +259,9 @@ fn disk_stood_still(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
 /// From the planned end of the act before to the start of this one.
 fn gap(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Span> {
     let before = facts.acts.iter().rfind(|before| before.promise.number < act.promise.number)?;
-    let ends = before.scripts.iter().map(|script| before.start_of(script) + script.promised.duration);
-    Some(act.promise.start - ends.max()?)
+    // As written: what a robot would have played that was left out leaves a gap of its own.
+    let written = facts.drawn().choreography.acts.get(before.promise.act)?;
+    Some(act.promise.start - (before.promise.start + written.plan.duration()))
 }
 
 /// How long faults lasted between the start of the act before and that of this one: an act waits for its robots.

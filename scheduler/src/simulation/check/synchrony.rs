@@ -5,22 +5,19 @@
 //! process that stands still, excuses its own robot alone. A clock that was set before the act became doubtful has to be noticed:
 //! then the start is still within the scenario's tolerance, or there is none.
 
-use urrcp::{Message, Server, Span, Timestamp};
+use urrcp::{Server, Span, Timestamp};
 
 use super::Verdict;
 use super::cause::Cause;
 use super::facts::{Facts, SentAct, SentScript};
 use crate::mission::RobotSkew;
-use crate::simulation::{Happened, Network};
 
 /// The simulated world counts in nanoseconds, and clocks are read by dividing.
 const GRAIN: Span = Span::from_micros(1);
-/// On a link that loses answers a clock that was set is seen a second later, at the next question.
-const SEEN_AFTER: Span = Span::from_millis(1_100);
 /// A robot that was held up for longer lets its start be.
 const START_LATE_MAX: Span = Span::from_millis(50);
-/// How far a robot's own instant may be from the plan.
-const CLOCKS: Span = Span::from_millis(20);
+/// How far a robot's own instant may be from the one that follows from what was told of its clock.
+const CLOCKS: Span = Span::from_millis(1);
 /// What a clock may drift that was good when the act began, as a fraction: the bound that the clock estimate works with.
 const DRIFT_BOUND: f64 = crate::clock::DRIFT_BOUND;
 
@@ -40,7 +37,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
             let told = skew.robots.iter().find(|told| told.robot == *facts.name(robot));
             let drift = Span::from_millis_f64(script.promised.start.get() * DRIFT_BOUND);
             let fits = told.is_some_and(|told| within(told, error, drift + GRAIN));
-            match excuse(facts, act, script).filter(|_| !fits) {
+            match excuse(facts, act, script, told).filter(|_| !fits) {
                 Some(cause) => verdict.excused('f', cause),
                 None if fits => starts.push(Start { robot, error }),
                 None => verdict.violated('f', beyond(act, told, robot, error)),
@@ -52,9 +49,13 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
 }
 
 fn within(told: &RobotSkew, error: Span, grain: Span) -> bool {
-    let earliest = Span::ZERO - told.offset - told.uncertainty;
-    let latest = told.uncertainty + told.wake_up - told.offset;
+    let (earliest, latest) = range(told);
     error >= earliest - grain && error <= latest + grain
+}
+
+/// How far from the plan a robot may start, as was told.
+fn range(told: &RobotSkew) -> (Span, Span) {
+    (Span::ZERO - told.offset - told.uncertainty, told.uncertainty + told.wake_up - told.offset)
 }
 
 fn beyond(act: &SentAct<'_>, told: Option<&RobotSkew>, robot: usize, error: Span) -> String {
@@ -90,7 +91,12 @@ fn error_of(act: &SentAct<'_>, script: &SentScript<'_>) -> Option<Span> {
 
 /// A fault of the robot's own clock since it was measured, or of its own process at the start. A clock that was set by less than
 /// a round trip takes no exchange shows to be another one than before.
-fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, script: &SentScript<'_>) -> Option<Cause> {
+fn excuse(
+    facts: &Facts<'_>,
+    act: &SentAct<'_>,
+    script: &SentScript<'_>,
+    told: Option<&RobotSkew>,
+) -> Option<Cause> {
     let due = act.start_of(script) + script.first_offset();
     let own = facts.hits.iter().filter(|hit| hit.is_of(script.robot));
     let hidden = facts.drawn().delay.1 * 2 + facts.drawn().robots[script.robot].slow;
@@ -99,7 +105,10 @@ fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, script: &SentScript<'_>) -> Opti
             let unseen = hit.by.abs() <= hidden || !was_asked(facts, act, script.robot, hit.from);
             unseen && hit.from <= due + START_LATE_MAX
         }
-        Cause::RobotPause => hit.overlaps(due - CLOCKS, due + CLOCKS),
+        Cause::RobotPause => told.is_some_and(|told| {
+            let (earliest, latest) = range(told);
+            hit.overlaps(due + earliest - CLOCKS, due + latest + CLOCKS)
+        }),
         _ => false,
     });
     excuses.map(|hit| hit.cause).min()
@@ -107,15 +116,5 @@ fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, script: &SentScript<'_>) -> Opti
 
 /// Whether the robot was asked for its times since then, early enough for its answer to be there when the budget was told.
 fn was_asked(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, since: Timestamp<Server>) -> bool {
-    let drawn = facts.drawn();
-    let until = match drawn.network {
-        Network::Stream => act.at - drawn.delay.1 - drawn.robots[robot].slow,
-        Network::Datagram { .. } => act.at - SEEN_AFTER,
-    };
-    facts.between(since, until).iter().any(|(_, happened)| match happened {
-        Happened::AtRobot(r, message) => {
-            *r == robot && matches!(message, Message::Inquiry(_) | Message::AvailabilityRequest(_))
-        }
-        _ => false,
-    })
+    facts.was_asked(robot, since, act.at)
 }

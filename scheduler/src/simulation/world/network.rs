@@ -48,8 +48,12 @@ impl World {
         let travelled = arrival - self.now;
         // Waiting behind other messages for a link as it usually is, is nothing that goes wrong.
         let queued = if takes == usual && side.slow.is_none() { side.busy[way] - self.now } else { usual };
-        if travelled > largest + queued.max(Span::ZERO) {
+        let queued = queued.max(Span::ZERO);
+        if travelled > largest + queued {
             self.note(Happened::Slow(robot, travelled));
+        }
+        if queued > Span::ZERO && is_stop(message) {
+            self.note(Happened::StopQueued(robot, queued));
         }
         Some(arrival)
     }
@@ -228,6 +232,11 @@ impl World {
     }
 }
 
+fn is_stop(message: &Message) -> bool {
+    let Message::ControlRequest(request) = message else { return false };
+    matches!(&request.command, Command::Script(script) if script.is_empty())
+}
+
 fn bytes_of(message: &Message) -> usize {
     let steps = |command: &Command| match command {
         Command::Script(script) => script.steps().len(),
@@ -250,7 +259,7 @@ fn bytes_of(message: &Message) -> usize {
 fn brief(message: &Message) -> Message {
     match message {
         Message::ControlRequest(request) => {
-            let cancels = matches!(&request.command, Command::Script(script) if script.is_empty());
+            let cancels = is_stop(message);
             let command = if cancels { request.command.clone() } else { Command::ReadSensor };
             Message::ControlRequest(ControlRequest {
                 timestamp: request.timestamp,

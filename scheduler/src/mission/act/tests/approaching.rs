@@ -308,3 +308,31 @@ fn the_lease_of_a_robot_whose_clock_is_ahead_ends_when_those_of_the_others_do() 
     assert_eq!(until(Some(ms(35))), (brink + ms(35)).assume_clock());
     assert_eq!(until(None), brink.assume_clock());
 }
+
+#[test]
+fn a_clock_that_was_set_shows_as_soon_as_the_robot_has_answered() {
+    for leases in [Leases::Shortened, Leases::Fixed] {
+        let mut bench = Bench::of_three(Policy::Abort);
+        bench.decide(leases);
+        bench.run_until(bench.now + ms(10));
+        assert_eq!(bench.act.strayed(bench.now, &bench.robots), []);
+        let (now, there) = (bench.now, by_robot(bench.now) + ms(500));
+        bench.robots[1].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
+        let strayed = bench.act.strayed(now, &bench.robots);
+        assert!(matches!(strayed.as_slice(), [(1, FailureKind::Clock { .. })]), "{leases:?}: {strayed:?}");
+    }
+}
+
+#[test]
+fn a_robot_that_no_question_reached_for_longer_than_its_lease_has_lost_its_script() {
+    let mut bench = Bench::new(&[Tells::Everything, Tells::Nothing], &[&[("a", 0, 400)], &[("a", 0, 400)]]);
+    bench.decide(Leases::Fixed);
+    let now = bench.now;
+    let held = by_robot(now);
+    let ran_out = |before, at| bench.act.ran_out(now, 1, (before, at));
+    assert_eq!(ran_out(held, held + LEASE), None);
+    assert!(matches!(ran_out(held, held + LEASE + ms(1)), Some(FailureKind::Script { .. })));
+    assert_eq!(ran_out(held - LEASE, held + ms(10)), None, "it had nothing before it accepted it");
+    let late = bench.timing().no_return() + ms(1);
+    assert_eq!(bench.act.ran_out(late, 1, (held, held + LEASE * 2)), None);
+}

@@ -140,3 +140,25 @@ fn what_was_promised_has_to_be_what_the_choreography_says() {
     assert!(take_up(bench::played(&[&[("a", 10, 400)]]), &promise).is_err(), "another time");
     assert!(take_up(Arc::clone(&other.act.choreography), &Promise { act: 1, ..promise.clone() }).is_err());
 }
+
+#[test]
+fn what_a_robot_that_cannot_be_asked_reported_to_the_process_before_ends_unknown_by_its_time() {
+    let scripts: [&[Planned]; 1] = [&[("a", 0, 400)]];
+    let mut other = Bench::new(&[Tells::Reports], &scripts);
+    other.promise(Leases::Fixed);
+    let Some((_, Record::Prepared(promise))) = other.recorded.first().cloned() else { panic!("no promise") };
+    for after_start in [100, 450, 10_000] {
+        let robots = robots(&[Tells::Reports], 2);
+        let now = promise.start + ms(after_start);
+        let choreography = Arc::clone(&other.act.choreography);
+        let act = Act::take_up(choreography, &promise, Reached::Commitment, &robots, now).unwrap();
+        let mut bench = Bench { now, ..Bench::around(act, robots) };
+        let script = bench.scripts_of(0)[0];
+        bench.act.sent(now, script);
+        bench.ask(0);
+        bench.run_until(now + ms(60_000));
+        assert!(bench.failed.is_empty(), "{after_start}: {:?}", bench.failed);
+        assert_eq!(bench.state(0, 0), &ScriptState::Unknown, "{after_start}");
+        assert!(bench.act.is_over(), "{after_start}");
+    }
+}
