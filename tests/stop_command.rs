@@ -5,7 +5,7 @@ use std::time::{Duration, Instant};
 
 use rustix::process::Signal;
 
-use crate::robots::{Ended, Running, Stage, Via, one_device};
+use crate::robots::{Ended, Running, Stage, Via, epoch_nanos, one_device};
 
 /// Robots without a lease play this for half a minute, a step every 300 ms.
 const PLAYS: &str = "scenario: NAME
@@ -231,6 +231,18 @@ fn a_simulated_robot_that_died_with_its_scheduler_is_not_called_confirmed() {
 }
 
 #[test]
+fn a_stop_ends_at_once_where_all_robots_died_with_their_scheduler() {
+    let stage = stage(0);
+    stage.file("fleet.yaml", "robots: {s: {init: robot.yaml, address: sim}}\n");
+    stage.file("long.yaml", plays("long", "s"));
+    let mut mission = stage.start(&["run", "long.yaml"]);
+    assert!(mission.line("every lease reaches over the start").is_some());
+    mission.process.kill();
+    says(&stage.run(&["stop"]), 0, &["s: was simulated in the scheduler's own process"]);
+    says(&stage.run(&["stop"]), 2, &["no mission runs or was cut off"]);
+}
+
+#[test]
 fn a_stop_without_a_name_stops_what_runs_and_what_was_cut_off_each_under_its_name() {
     let stage = stage(4);
     for (name, robots) in [("one", "[r0]"), ("two", "[r1]"), ("three", "[r2, r3]")] {
@@ -336,9 +348,10 @@ fn a_go_ahead_of_its_act_is_refused_and_one_that_counts_says_which_act_begins() 
     says(&stage.run(&["go", "three"]), 1, &["no act is called `three`"]);
     assert!(mission.line("`two` waits for the operator's go").is_some());
     // Said once the act before has ended, and not while it plays.
-    let sets = stage.robots[0].sets().len();
+    let said = epoch_nanos();
     std::thread::sleep(Duration::from_millis(300));
-    assert_eq!(stage.robots[0].sets().len(), sets);
+    let sets = stage.robots[0].sets();
+    assert!(sets.len() == 20 && sets.iter().all(|set| set.at <= said), "{said}: {sets:?}");
     let started = stage.run(&["go", "two", "--format", "json"]);
     let started: serde_json::Value = serde_json::from_str(&started.out).unwrap();
     assert_eq!(started["started"], "two");

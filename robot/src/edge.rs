@@ -6,7 +6,7 @@ use urrcp::{Robot as RobotClock, Span, Timestamp};
 
 use crate::clock::{HostClock, HostTime};
 use crate::device::Motion;
-use crate::driver::{AtStart, Demand, Mailbox, News, Wanted};
+use crate::driver::{AtEnd, AtStart, Demand, Mailbox, News, Wanted};
 use crate::outgoing::Outgoing;
 use crate::robot::{Input, LinkId, Output, Robot, SetValue};
 use crate::set_log::LogEntry;
@@ -79,9 +79,9 @@ impl Edge {
         });
     }
 
-    /// The edge ends: hardware that was moved goes to its default state.
-    pub(crate) fn shut_down(&mut self, now: Timestamp<HostTime>) {
-        self.tell(now, Robot::shut_down);
+    /// The edge ends: hardware that was moved goes to its default state, or stays.
+    pub(crate) fn shut_down(&mut self, now: Timestamp<HostTime>, at_end: AtEnd) {
+        self.tell(now, |machine, now, out| machine.shut_down(now, at_end, out));
     }
 
     /// Takes what its driver's thread says.

@@ -20,7 +20,7 @@ use self::body::Body;
 use self::hosted::DriverThread;
 pub use self::hosted::Hosted;
 use crate::clock::{HostClock, HostTime};
-use crate::driver::{Mailbox, News};
+use crate::driver::{AtEnd, Mailbox, News};
 use crate::outgoing::Outgoing;
 use crate::precise_wait::{PreciseWait, Woken};
 use crate::robot::{Input, LinkId};
@@ -97,7 +97,10 @@ enum Order {
         robot: usize,
         news: News,
     },
-    Stop,
+    /// The host ends; these robots, by their indices, were told to stay where they are.
+    Stop {
+        held: Vec<usize>,
+    },
 }
 
 /// Robots running on a precise thread.
@@ -208,12 +211,19 @@ impl Host {
 
     /// Stops the robots where they are and completes the log. Hardware goes to its default state, if it was moved;
     /// returns the robots of which that is not certain.
-    pub fn stop(mut self) -> Vec<NotAtRest> {
-        self.shut_down()
+    pub fn stop(self) -> Vec<NotAtRest> {
+        self.stop_but(&[])
     }
 
-    fn shut_down(&mut self) -> Vec<NotAtRest> {
-        let _already_gone = self.handle.orders.send(Order::Stop);
+    /// The same, but hardware of these robots stays where it is, as they were told before.
+    pub fn stop_but(mut self, held: &[RobotId]) -> Vec<NotAtRest> {
+        self.shut_down(held)
+    }
+
+    fn shut_down(&mut self, held: &[RobotId]) -> Vec<NotAtRest> {
+        let stays = |(index, id)| held.contains(id).then_some(index);
+        let held = self.handle.robots.iter().enumerate().filter_map(stays).collect();
+        let _already_gone = self.handle.orders.send(Order::Stop { held });
         for thread in [self.thread.take(), self.writer.take()].into_iter().flatten() {
             if thread.join().is_err() {
                 tracing::error!("a thread of the robots' host panicked");
@@ -231,7 +241,7 @@ impl Host {
 
 impl Drop for Host {
     fn drop(&mut self) {
-        for robot in self.shut_down() {
+        for robot in self.shut_down(&[]) {
             tracing::error!("{robot}");
         }
     }
@@ -361,7 +371,8 @@ impl Executor {
             let deadline = self.wakeups.first().map(|(at, _)| self.clock.instant_of(*at));
             match self.waits.wait(inbox, deadline) {
                 Woken::Deadline => self.advance_due(),
-                Woken::Message(Order::Stop) | Woken::Closed => return self.shut_down(),
+                Woken::Message(Order::Stop { held }) => return self.shut_down(&held),
+                Woken::Closed => return self.shut_down(&[]),
                 Woken::Message(order) => self.obey(order),
             }
         }
@@ -390,14 +401,15 @@ impl Executor {
                 self.robots[robot].hear(self.clock.now(), news);
                 self.advance(robot);
             }
-            Order::Stop => {}
+            Order::Stop { .. } => {}
         }
     }
 
     /// Hardware goes to its default state; the drivers' threads end when they have seen to that, as their ends here are gone.
-    fn shut_down(mut self) {
+    fn shut_down(mut self, held: &[usize]) {
         for robot in 0..self.robots.len() {
-            self.robots[robot].shut_down(self.clock.now());
+            let at_end = if held.contains(&robot) { AtEnd::Held } else { AtEnd::Default };
+            self.robots[robot].shut_down(self.clock.now(), at_end);
             self.advance(robot);
         }
     }

@@ -1,7 +1,8 @@
 //! Which signals end the program in good order, and which it ignores.
 //!
-//! Ctrl-C, SIGTERM, SIGQUIT and SIGHUP ask it to end. SIGUSR1, SIGUSR2 and SIGXFSZ would kill it by default and are taken
-//! without effect; a file that has reached its limit then gives an error of writing. SIGPIPE is ignored by Rust itself.
+//! Ctrl-C, SIGTERM, SIGQUIT and SIGHUP ask it to end, as do SIGPWR and SIGXCPU; SIGRTMIN+1 asks a scheduler to hold. SIGUSR1,
+//! SIGUSR2, SIGXFSZ, SIGIO, SIGSTKFLT and those of timers would kill it by default and are taken without effect; a file that has
+//! reached its limit then gives an error of writing. SIGPIPE is ignored by Rust itself.
 
 use std::io;
 use std::sync::atomic::AtomicBool;
@@ -9,8 +10,13 @@ use std::sync::mpsc::sync_channel;
 use std::sync::{Arc, OnceLock};
 use std::time::Duration;
 
-use signal_hook::consts::{SIGHUP, SIGINT, SIGQUIT, SIGTERM, SIGUSR1, SIGUSR2, SIGXFSZ};
+use rustix::process::{Pid, kill_process};
+use signal_hook::consts::{
+    SIGALRM, SIGHUP, SIGINT, SIGIO, SIGPROF, SIGQUIT, SIGTERM, SIGUSR1, SIGUSR2, SIGVTALRM, SIGXCPU, SIGXFSZ,
+};
 use tokio::signal::unix::{Signal, SignalKind, signal};
+
+use crate::mission::Rest;
 
 /// A signal that asks the program to end.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -23,6 +29,8 @@ pub enum Asked {
     Quit,
     /// The terminal was closed, or the connection to it lost.
     HangUp,
+    /// Another process asks a scheduler to have its robots stay where they are.
+    Hold,
 }
 
 /// Whether the end of the terminal is the end of the program.
@@ -36,7 +44,8 @@ pub enum OnHangUp {
 
 /// Takes the signals that would kill the program for no good reason. Programs that it starts have them as usual.
 pub fn take_harmless() {
-    for harmless in [SIGUSR1, SIGUSR2, SIGXFSZ] {
+    let timers = [SIGALRM, SIGVTALRM, SIGPROF];
+    for harmless in [SIGUSR1, SIGUSR2, SIGXFSZ, SIGIO, uapi::c::SIGSTKFLT].into_iter().chain(timers) {
         take(harmless);
     }
 }
@@ -78,7 +87,7 @@ impl Asked {
     const fn number(self) -> i32 {
         match self {
             Self::Interrupt => SIGINT,
-            Self::Terminate => SIGTERM,
+            Self::Terminate | Self::Hold => SIGTERM,
             Self::Quit => SIGQUIT,
             Self::HangUp => SIGHUP,
         }
@@ -92,6 +101,9 @@ pub struct Signals {
     terminate: Signal,
     quit: Signal,
     hang_up: Option<Signal>,
+    /// The supply fails, or the time of the processor is used up: more will not be said before the process is killed.
+    last: [Signal; 2],
+    hold: Option<Signal>,
 }
 
 impl Signals {
@@ -109,27 +121,56 @@ impl Signals {
             }
         };
         let (interrupt, terminate) = (signal(SignalKind::interrupt())?, signal(SignalKind::terminate())?);
-        Ok(Self { interrupt, terminate, quit: signal(SignalKind::quit())?, hang_up })
+        let raw = |number| signal(SignalKind::from_raw(number));
+        let last = [raw(uapi::c::SIGPWR)?, raw(SIGXCPU)?];
+        Ok(Self { interrupt, terminate, quit: signal(SignalKind::quit())?, hang_up, last, hold: None })
+    }
+
+    /// Those of a scheduler, which can be asked to hold, too.
+    ///
+    /// # Errors
+    /// The system gives no handler.
+    pub fn of_scheduler(on_hang_up: OnHangUp) -> io::Result<Self> {
+        let hold = Some(signal(SignalKind::from_raw(hold_number()))?);
+        Ok(Self { hold, ..Self::listen(on_hang_up)? })
     }
 
     /// The next one.
     pub async fn next(&mut self) -> Asked {
+        let [power, processor] = &mut self.last;
         tokio::select! {
+            () = received(&mut self.hold) => Asked::Hold,
             _ = self.interrupt.recv() => Asked::Interrupt,
             _ = self.terminate.recv() => Asked::Terminate,
             _ = self.quit.recv() => Asked::Quit,
-            () = hung_up(&mut self.hang_up) => Asked::HangUp,
+            () = received(&mut self.hang_up) => Asked::HangUp,
+            _ = power.recv() => Asked::Terminate,
+            _ = processor.recv() => Asked::Terminate,
         }
     }
 }
 
-async fn hung_up(signal: &mut Option<Signal>) {
+async fn received(signal: &mut Option<Signal>) {
     match signal {
         Some(signal) => {
             let _never_ends = signal.recv().await;
         }
         None => std::future::pending().await,
     }
+}
+
+/// The signal that asks a scheduler to hold.
+fn hold_number() -> i32 {
+    uapi::c::SIGRTMIN() + 1
+}
+
+/// Has a scheduler stop its robots once it goes on; returns the signal's name, if it could be sent.
+pub fn stop(scheduler: Pid, rest: Rest) -> Option<&'static str> {
+    let (name, sent) = match rest {
+        Rest::Default => ("SIGTERM", kill_process(scheduler, rustix::process::Signal::TERM).is_ok()),
+        Rest::Hold => ("SIGRTMIN+1", uapi::kill(scheduler.as_raw_nonzero().get(), hold_number()).is_ok()),
+    };
+    sent.then_some(name)
 }
 
 /// Whether a signal was ignored when the program began, as its parent wanted.

@@ -141,6 +141,15 @@ pub enum AtStart {
     Untouched,
 }
 
+/// What the devices of a robot do when its host stops.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum AtEnd {
+    /// They go to their default state.
+    Default,
+    /// They stay where they are, as they were told before; speeds go to zero.
+    Held,
+}
+
 /// How a driver is used.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriverOptions {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use urrcp::Timestamp;
 
 use crate::clock::{HostClock, HostTime};
-use crate::driver::{Mailbox, News};
+use crate::driver::{AtEnd, Mailbox, News};
 use crate::edge::Edge;
 use crate::outgoing::Outgoing;
 use crate::robot::{Input, LinkId};
@@ -82,10 +82,10 @@ impl Body {
         }
     }
 
-    /// Hardware goes to its default state, because the host ends. A simulated robot stays where it is.
-    pub(super) fn shut_down(&mut self, now: Timestamp<HostTime>) {
+    /// Hardware goes to its default state, because the host ends, or stays. A simulated robot stays where it is.
+    pub(super) fn shut_down(&mut self, now: Timestamp<HostTime>, at_end: AtEnd) {
         if let Self::Edge(edge) = self {
-            edge.shut_down(now);
+            edge.shut_down(now, at_end);
         }
     }
 

@@ -6,7 +6,7 @@ use urrcp::{
 };
 
 use super::{LinkId, Now, Output, Robot, refusal, response, tell};
-use crate::driver::{STALE, START_NEAR};
+use crate::driver::{AtEnd, STALE, START_NEAR};
 use crate::hardware::{Hardware, OpenReading, ReadingId, unanswered};
 use crate::signal::Signal;
 
@@ -144,14 +144,14 @@ impl Robot {
         }
     }
 
-    /// Ends everything and sends every device to its default state, as it can, because the edge ends. Nothing, if
-    /// nothing was ever set.
-    pub fn shut_down(&mut self, now: Now, out: &mut Vec<Output>) {
+    /// Ends everything and sends every device to its default state, as it can, because the edge ends, or lets it stay where
+    /// it is. Nothing, if nothing was ever set.
+    pub fn shut_down(&mut self, now: Now, at_end: AtEnd, out: &mut Vec<Output>) {
         if !self.moved || self.hardware.away().is_some() {
             return;
         }
         for index in 0..self.devices.len() {
-            self.stop(now, index, "the edge was ended", false, out);
+            self.stop(now, index, "the edge was ended", at_end == AtEnd::Held, out);
         }
     }
 

@@ -14,7 +14,7 @@ use super::{Exit, Format, ScenarioArgs, choice, console, load, robot, stop};
 use crate::fleet::{self, EndpointError};
 use crate::journal::{Fate, Found, Journal, Kept, Life, OpenedRobot};
 use crate::link::Endpoint;
-use crate::mission::{Mission, MissionOptions, Rest};
+use crate::mission::{Mission, MissionOptions};
 use crate::report::Report;
 use crate::run::Keep;
 use crate::server_clock::ServerClock;
@@ -52,11 +52,12 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
     };
     if let Fate::Withdraw(why) = taken.kept.fate() {
         console::note(&format!("{why}: withdrawing what was promised"));
+        let rest = taken.kept.stopping.unwrap_or_default();
         return super::with_runtime(async {
             let how = How {
                 scheduler: Scheduler::Gone,
                 unconfirmed: Unconfirmed::Kept,
-                rest: Rest::Default,
+                rest,
                 patience: args.how.patience,
                 told: format,
             };

@@ -14,7 +14,7 @@ use urrcp::{DeviceId, InitializationBlock, RobotId, Span};
 use super::realtime::RealtimeArgs;
 use super::run::parse_span;
 use super::{Exit, Format, console};
-use crate::report::Report;
+use crate::report::{Report, StopState};
 use crate::signals::{OnHangUp, Signals};
 
 /// Run one simulated robot as a process of its own.
@@ -196,9 +196,12 @@ pub(super) fn stop(host: Host) -> bool {
     not_at_rest.is_empty()
 }
 
-/// Stops the host of a mission's own robots; the report says which of them may not have come to their default state.
+/// Stops the host of a mission's own robots: those that were held stay where they are. The report says which of the others may
+/// not have come to their default state.
 pub(super) fn stop_for(report: &mut Report, host: Option<Host>) {
-    let not_at_rest = host.map(Host::stop).unwrap_or_default();
+    let held = report.robots.iter().filter(|robot| robot.stop == StopState::Held);
+    let held: Vec<_> = held.map(|robot| robot.robot.clone()).collect();
+    let not_at_rest = host.map(|host| host.stop_but(&held)).unwrap_or_default();
     report.not_at_rest = not_at_rest.iter().map(ToString::to_string).collect();
     report.not_at_rest.iter().for_each(|robot| console::error(robot));
 }

@@ -62,7 +62,7 @@ pub(super) struct RunArgs {
     /// Record everything that is said as an MCAP file, for Foxglove and others.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Keep no journal: after a crash it is unknown what was promised to which robot.
+    /// Keep no journal: `downbeat stop`, `go`, `missions` and `resume` do not find the mission then, not even after a crash.
     #[arg(long)]
     no_journal: bool,
     /// Go on in the background, away from this terminal, with a log of its own in the mission's folder.
@@ -129,6 +129,11 @@ fn parse_start(text: &str) -> Result<StartAt, String> {
 }
 
 pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
+    if args.no_journal {
+        console::warn(
+            "no journal is kept: no other terminal can stop this mission or say go, and it cannot be resumed; Ctrl-C here stops it",
+        );
+    }
     let place = match (args.detach, args.detach.then(detach::detached_as).flatten()) {
         (false, _) => Place::Terminal,
         (true, None) => Place::Detaching,

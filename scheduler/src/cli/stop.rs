@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use downbeat_scripts::shown;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Pid;
 use serde_json::{Value, json};
 use tokio::task::{JoinSet, LocalSet};
 use urrcp::{RobotId, Server, SessionId, Timestamp};
@@ -20,6 +20,7 @@ use crate::mission::Rest;
 use crate::report::local::time_of_day;
 use crate::report::{TAKEN_OVER, Withdrawal};
 use crate::run::control;
+use crate::signals;
 
 /// Stop missions: every robot that can be reached comes to rest.
 #[derive(Debug, clap::Args)]
@@ -159,9 +160,9 @@ async fn unanswered(found: &Found, unheard: &str, how: How) -> Stopped {
     let stopped =
         directly(found, how, &format!("{process}: {unheard}; its robots are stopped directly")).await;
     // Once it goes on, it stops for good.
-    if pid.is_some_and(|pid| kill_process(pid, Signal::TERM).is_ok()) {
+    if let Some(sent) = pid.and_then(|pid| signals::stop(pid, how.rest)) {
         let session = &found.opened.session;
-        console::note(&format!("{session}: {process} was sent SIGTERM: if it goes on, it stops for good"));
+        console::note(&format!("{session}: {process} was sent {sent}: if it goes on, it stops for good"));
     }
     stopped
 }
@@ -345,6 +346,9 @@ fn inside_line(inside: &Inside) -> String {
     match inside.what {
         InsideWhat::Simulated => format!("{robot}: was simulated in the scheduler's own process"),
         InsideWhat::Unmoved => format!("{robot}: nothing had been sent to it"),
+        InsideWhat::Ended => format!(
+            "{robot}: NOT held; what drove it ended with the scheduler, and nothing was sent to it. `downbeat stop` without --hold brings it to its default state"
+        ),
         InsideWhat::Driver => {
             format!(
                 "{robot}: stop NOT confirmed; the scheduler's own process drives it, end that and stop again"

@@ -107,6 +107,8 @@ pub(super) enum InsideWhat {
     Simulated,
     /// A driver of hardware.
     Driver,
+    /// A driver of hardware that ended with the process, while a hold is wanted.
+    Ended,
     /// A driver of hardware to which the mission had sent nothing.
     Unmoved,
 }
@@ -125,7 +127,8 @@ impl Withdrawn {
     /// Robots that may still move.
     fn unconfirmed(&self) -> Vec<RobotId> {
         let robots = self.report.robots.iter().filter(|robot| robot.stop.is_unconfirmed());
-        let driven = self.inside.iter().filter(|inside| inside.what == InsideWhat::Driver);
+        let driven = |inside: &&Inside| matches!(inside.what, InsideWhat::Driver | InsideWhat::Ended);
+        let driven = self.inside.iter().filter(driven);
         robots.map(|robot| &robot.robot).chain(driven.map(|inside| &inside.robot)).cloned().collect()
     }
 
@@ -163,7 +166,7 @@ pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdr
     // A stop from another terminal meanwhile is answered with the result of this one.
     let control = listen(&taken.folder, &lane);
     let mut withdrawn = withdraw_as(&taken.kept, how, (lane, operator)).await?;
-    let (begun, records) = (withdrawn.begun, records_of(&withdrawn, how.unconfirmed));
+    let (begun, records) = (withdrawn.begun, records_of(&withdrawn, how));
     let recorded = tokio::task::spawn_blocking(move || write_down(taken, begun, &records));
     match tokio::time::timeout(RECORD_MAX, recorded).await {
         Ok(Ok(Ok(()))) if how.unconfirmed == Unconfirmed::Forgotten => {
@@ -192,7 +195,7 @@ async fn withdraw_as(
     (lane, operator): (StopLane, mpsc::Receiver<Operator>),
 ) -> Result<Withdrawn, String> {
     let left = kept.left();
-    let (robots, inside) = robots_of(&kept.opened, &left, how.scheduler);
+    let (robots, inside) = robots_of(&kept.opened, &left, how);
     let robots: Vec<&FleetRobot> = robots.iter().collect();
     let clock = ServerClock::anchored(kept.opened.clock_offset);
     let options = MissionOptions {
@@ -223,22 +226,24 @@ fn scenario_of(mission: &Opened) -> String {
 }
 
 /// The robots of a journal as far as this process can reach them, and the others.
-fn robots_of(mission: &Opened, left: &Left, scheduler: Scheduler) -> (Vec<FleetRobot>, Vec<Inside>) {
+fn robots_of(mission: &Opened, left: &Left, how: How) -> (Vec<FleetRobot>, Vec<Inside>) {
     let (mut reached, mut inside) = (Vec::new(), Vec::new());
     for opened in &mission.robots {
-        let what = match (opened.address.parse(), scheduler) {
+        let what = match (opened.address.parse(), how.scheduler) {
             (Ok(address @ Address::Tcp { .. }), _) => {
                 reached.push(fleet_robot(opened, address));
                 continue;
             }
             (Ok(address @ (Address::Thrift { .. } | Address::Program { .. })), Scheduler::Gone)
-                if opened.init.is_some() =>
+                if opened.init.is_some() && how.rest == Rest::Default =>
             {
                 reached.push(fleet_robot(opened, started_in(mission.folder.as_deref(), address)));
                 continue;
             }
             (Ok(Address::Simulated), _) => InsideWhat::Simulated,
             _ if !left.robots.contains_key(&opened.robot) => InsideWhat::Unmoved,
+            // A new driver does not know where its devices stand, so it cannot have them stay there.
+            _ if how.scheduler == Scheduler::Gone && how.rest == Rest::Hold => InsideWhat::Ended,
             _ => InsideWhat::Driver,
         };
         inside.push(Inside { robot: opened.robot.clone(), what });
@@ -273,11 +278,11 @@ fn fleet_robot(opened: &OpenedRobot, address: Address) -> FleetRobot {
 }
 
 /// A mission of which a robot may still move has not ended: it can be stopped again.
-fn records_of(withdrawn: &Withdrawn, unconfirmed: Unconfirmed) -> Vec<Record> {
+fn records_of(withdrawn: &Withdrawn, How { unconfirmed, rest, .. }: How) -> Vec<Record> {
     let report = &withdrawn.report;
     let confirmed =
         |robot: &&crate::report::RobotReport| matches!(robot.stop, StopState::Confirmed | StopState::Held);
-    let mut records = vec![Record::Stopping { outcome: report.outcome.clone() }];
+    let mut records = vec![Record::Stopping { outcome: report.outcome.clone(), rest }];
     let robots = report.robots.iter().filter(confirmed);
     records.extend(robots.map(|robot| Record::StopConfirmed { robot: robot.robot.clone() }));
     if withdrawn.is_confirmed() || unconfirmed == Unconfirmed::Forgotten {

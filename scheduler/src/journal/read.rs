@@ -10,7 +10,7 @@ use serde_json::Value;
 use urrcp::{DeviceId, Millis, RobotId, Server, Span, Timestamp};
 
 use super::{Opened, OpenedRobot};
-use crate::mission::Promise;
+use crate::mission::{Promise, Rest};
 
 /// What a journal says.
 #[derive(Clone, Debug)]
@@ -27,8 +27,8 @@ pub struct Kept {
     pub dropped: Vec<RobotId>,
     /// Robots that do not know requests by their names.
     pub unnamed: Vec<RobotId>,
-    /// Stops were being sent.
-    pub stopping: bool,
+    /// Stops were being sent, and how the latest of them brings robots to rest.
+    pub stopping: Option<Rest>,
     /// When they were first sent, unless something was promised after that: nothing has renewed a lease since.
     pub stopping_since: Option<Timestamp<Server>>,
     /// Robots that have confirmed their stop.
@@ -147,6 +147,8 @@ struct Head {
     unnamed: Vec<RobotId>,
     report: Option<Numbered>,
     outcome: Option<Value>,
+    #[serde(default)]
+    rest: Rest,
 }
 
 #[derive(Deserialize)]
@@ -217,7 +219,7 @@ impl Kept {
             ended_acts: 0,
             dropped: Vec::new(),
             unnamed: Vec::new(),
-            stopping: false,
+            stopping: None,
             stopping_since: None,
             stopped: Vec::new(),
             outcome: None,
@@ -236,7 +238,7 @@ impl Kept {
     /// What becomes of it, if it was cut off here.
     #[must_use]
     pub fn fate(&self) -> Fate {
-        if self.stopping {
+        if self.stopping.is_some() {
             return Fate::Withdraw("it was being stopped");
         }
         if self.torn.is_some_and(|torn| torn.whole_after > 0) {
@@ -306,7 +308,7 @@ impl Kept {
             }
             "dropped" => self.dropped.extend(head.robot),
             "stopping" => {
-                self.stopping = true;
+                self.stopping = Some(head.rest);
                 self.stopping_since = self.stopping_since.or(head.at);
             }
             "stop_confirmed" => self.stopped.extend(head.robot),

@@ -2,7 +2,7 @@ use urrcp::Span;
 
 use super::simulated::SimulatedDisk;
 use super::*;
-use crate::mission::{Promise, PromisedScript};
+use crate::mission::{Promise, PromisedScript, Rest};
 use crate::report::Outcome;
 
 fn opened() -> Opened {
@@ -107,7 +107,7 @@ fn no_lease_is_renewed_after_the_first_stop_unless_something_is_promised_after_i
     let path = written(folder.path());
     let renewed_until = || read(&path).unwrap().left().renewed_until;
     let append = |millis, record| Journal::open(folder.path()).unwrap().append(at(millis), &record).unwrap();
-    let stopping = || Record::Stopping { outcome: Outcome::Stopped };
+    let stopping = || Record::Stopping { outcome: Outcome::Stopped, rest: Rest::Default };
     assert_eq!(renewed_until(), None);
     append(5, stopping());
     append(9, stopping());

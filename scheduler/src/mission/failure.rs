@@ -174,7 +174,8 @@ impl Mission {
         // What a stop ends is no failure.
         let stopping = matches!(self.phase, Phase::Stopping { .. } | Phase::Ended);
         for (robot, kind) in failing {
-            if !stopping || matches!(kind, FailureKind::Garbled { .. }) {
+            if !stopping || (matches!(kind, FailureKind::Garbled { .. }) && !self.robots[robot].is_garbled())
+            {
                 self.note_failure(robot, kind);
             }
         }

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use urrcp::{ContentHash, DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
 
-use super::{ActReport, Outcome};
+use super::{ActReport, Outcome, Rest};
 
 /// A line of the journal.
 #[derive(Clone, Debug, Serialize)]
@@ -41,8 +41,10 @@ pub enum Record {
     Stopping {
         /// Why.
         outcome: Outcome,
+        /// How robots come to rest.
+        rest: Rest,
     },
-    /// A robot has confirmed its default state.
+    /// A robot has confirmed its stop.
     StopConfirmed {
         /// Which.
         robot: RobotId,

@@ -2,13 +2,13 @@
 
 use std::collections::{BTreeSet, HashMap, VecDeque};
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::{
     ControlError, ControlResponse, DeviceId, Encoding, ErrorCode, InitializationBlock, RequestId, Robot,
     RobotId, Server, Span, Status, Timestamp,
 };
 
-use super::failure_kind::Failure;
+use super::failure_kind::{Failure, FailureKind};
 use super::script::ScriptRef;
 use super::{ClockMode, Loss, Participant, Requirement};
 use crate::clock::{ClockEstimate, ClockReading};
@@ -74,10 +74,11 @@ pub(crate) struct SentStop {
 }
 
 /// How a stopped device comes to rest.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Rest {
     /// In its default state.
+    #[default]
     Default,
     /// Where it is.
     Hold,
@@ -387,6 +388,11 @@ impl RobotState {
     /// Whether a stop is on its way that has not been confirmed.
     pub(crate) const fn awaits_stop(&self) -> bool {
         matches!(self.stop, Stop::Sent(_))
+    }
+
+    /// What it said could not be read.
+    pub(crate) fn is_garbled(&self) -> bool {
+        self.failures.iter().any(|failure| matches!(failure.kind, FailureKind::Garbled { .. }))
     }
 
     /// Whether it was stopped to come to rest in another way than this.

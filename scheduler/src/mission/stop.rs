@@ -45,6 +45,7 @@ impl Mission {
             self.robots[robot].stop = Stop::None;
             self.stop_robot(now, robot, rest);
         }
+        self.record(Record::Stopping { outcome: Outcome::Stopped, rest });
     }
 
     fn stopping_from(&self, now: Timestamp<Server>) -> Phase {
@@ -93,7 +94,7 @@ impl Mission {
             self.stop_robot(now, robot, rest);
         }
         // A stop promises nothing: it is sent first and recorded afterwards.
-        self.record(Record::Stopping { outcome: outcome.clone() });
+        self.record(Record::Stopping { outcome: outcome.clone(), rest });
         self.outcome = Some(outcome);
         for robot in 0..self.robots.len() {
             if matches!(self.robots[robot].link, Link::Lost(_)) && self.robots[robot].awaits_stop() {
@@ -167,8 +168,6 @@ impl Mission {
     /// A robot has not said what became of one of its scripts, and will if it is asked.
     fn owes_a_fate(&self, robot: usize) -> bool {
         let state = &self.robots[robot];
-        let garbled =
-            state.failures.iter().any(|failure| matches!(failure.kind, FailureKind::Garbled { .. }));
         let out = |act: &Act| {
             let scripts = act.member(robot).into_iter().flat_map(|member| member.scripts());
             scripts.into_iter().any(|script| script.is_out())
@@ -176,7 +175,7 @@ impl Mission {
         // A robot that takes no inquiries reported before it answered what it was asked after its stop, or its report is lost.
         let answered = |at| self.stopped_at.is_some_and(|stopped| at > stopped);
         let lost = !state.takes_inquiries() && state.questions.answered().is_some_and(answered);
-        state.tells_fates() && !garbled && !lost && !state.is_gone() && self.acts.iter().any(out)
+        state.tells_fates() && !state.is_garbled() && !lost && !state.is_gone() && self.acts.iter().any(out)
     }
 
     fn stop_interval(&self) -> Span {

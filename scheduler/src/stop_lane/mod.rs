@@ -78,7 +78,7 @@ impl StopLane {
                 Err(error) => return drop(ready.send(Err(error))),
             };
             runtime.block_on(async {
-                match crate::signals::Signals::listen(on_hang_up) {
+                match crate::signals::Signals::of_scheduler(on_hang_up) {
                     Ok(signals) => {
                         let _waited_for = ready.send(Ok(Handle::current()));
                         words::hear(signals, of_signals).await;

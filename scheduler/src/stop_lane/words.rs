@@ -80,6 +80,11 @@ impl Voice {
         self.mission.is_closed() || self.mission.capacity() == self.mission.max_capacity()
     }
 
+    /// The operator has said hold.
+    fn holds(&self) -> bool {
+        *self.alarm.borrow() == Alarm::Ringing(Rest::Hold)
+    }
+
     fn is_over(&self) -> bool {
         self.mission.is_closed()
     }
@@ -95,8 +100,11 @@ pub(super) async fn hear(mut signals: Signals, voice: Voice) {
             // Nothing that still keeps the process, as a terminal that takes no report, keeps the operator.
             tokio::spawn(die_soon(asked));
         }
-        let voice = voice.clone();
-        tokio::spawn(async move { voice.say(word).await });
+        // A terminal that closes, or a supervisor, sends no robot on its way that was told to stay.
+        if !(voice.holds() && matches!(word, Operator::Stop(_))) {
+            let voice = voice.clone();
+            tokio::spawn(async move { voice.say(word).await });
+        }
     }
 }
 
@@ -109,6 +117,7 @@ async fn die_soon(asked: Asked) {
 /// closes.
 const fn word_of(asked: Asked, before: Option<Asked>) -> Operator {
     match (before, asked) {
+        (_, Asked::Hold) => Operator::Stop(Rest::Hold),
         (Some(_), Asked::Interrupt) => Operator::Leave,
         _ => Operator::Stop(Rest::Default),
     }

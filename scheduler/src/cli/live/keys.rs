@@ -4,6 +4,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use downbeat_scripts::shown::shown;
 use rustix::process::{Signal, getpid, kill_process};
 use tokio::runtime::Handle;
 use tokio::signal::unix::{SignalKind, signal};
@@ -110,17 +111,28 @@ pub(super) fn listen(scene: Arc<Mutex<Scene>>, mut speaker: Speaker) {
     });
 }
 
-/// Lines where there is no display: Enter is the operator's go. The thread ends with the process.
+/// Lines where there is no display: an empty one is the operator's go. The thread ends with the process.
 pub(super) fn listen_to_lines(mut speaker: Speaker) {
     if !terminal::has_keys() {
         return;
     }
     std::thread::spawn(move || {
-        while terminal::next_keys().is_some() {
-            speaker.go();
+        while let Some(typed) = terminal::next_keys() {
+            let typed = String::from_utf8_lossy(&typed);
+            for line in typed.lines() {
+                match line.trim() {
+                    "" | "g" | "go" => speaker.go(),
+                    "s" | "stop" => speaker.stop(Rest::Default),
+                    "h" | "hold" => speaker.stop(Rest::Hold),
+                    "?" | "help" => console::note(LINES),
+                    other => console::note(&format!("`{}` is no word here: {LINES}", shown(other))),
+                }
+            }
         }
     });
 }
+
+const LINES: &str = "Enter or go begins the act that waits, stop stops all robots, hold has them stay where they are, Ctrl-C stops";
 
 /// As Ctrl-C does, by the same way.
 fn stop() {
