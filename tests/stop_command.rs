@@ -243,6 +243,23 @@ fn a_stop_ends_at_once_where_all_robots_died_with_their_scheduler() {
 }
 
 #[test]
+fn a_mission_that_runs_is_stopped_though_its_journal_cannot_be_read() {
+    for damage in [|journal: &mut Vec<u8>| journal[15] ^= 1, |journal: &mut Vec<u8>| journal.clear()] {
+        let stage = stage(1);
+        let mission = playing(&stage, &["run", "long.yaml"], &[0]);
+        let folder = std::fs::read_dir(stage.path("state")).unwrap().flatten().next().unwrap().path();
+        let mut journal = std::fs::read(folder.join("journal")).unwrap();
+        damage(&mut journal);
+        std::fs::write(folder.join("journal"), journal).unwrap();
+        says(&stage.run(&["missions"]), 0, &["cannot be read", "no other mission runs"]);
+        let stopped = stage.run(&["stop"]);
+        says(&stopped, 1, &["r0: default state confirmed"]);
+        assert_eq!(mission.ended().code, Some(3));
+        all_rest(&stage);
+    }
+}
+
+#[test]
 fn a_stop_without_a_name_stops_what_runs_and_what_was_cut_off_each_under_its_name() {
     let stage = stage(4);
     for (name, robots) in [("one", "[r0]"), ("two", "[r1]"), ("three", "[r2, r3]")] {

@@ -49,10 +49,14 @@ impl From<Found> for Row {
 }
 
 pub(super) fn missions(args: &MissionsArgs, format: Format) -> Exit {
-    let shown = listed().found.into_iter().filter(|found| args.all || found.life != Life::Ended);
+    let listed = listed();
+    let shown = listed.found.into_iter().filter(|found| args.all || found.life != Life::Ended);
     let rows: Vec<Row> = shown.map(Row::from).collect();
     match format {
         Format::Json => console::print_json(&rows),
+        Format::Text if rows.is_empty() && !listed.damaged.is_empty() => {
+            console::note("no other mission runs, none was cut off");
+        }
         Format::Text if rows.is_empty() => console::note("no mission runs, none was cut off"),
         Format::Text => {
             let mut table = Rows::new(&["mission", "state", "process", "robots", "scenario"], 5);

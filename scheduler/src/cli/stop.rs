@@ -1,6 +1,6 @@
 //! `downbeat stop`: missions that run, from any terminal; those whose scheduler is gone or does not answer, by their journals.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use downbeat_scripts::shown;
 use rustix::process::Pid;
@@ -71,21 +71,51 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     let named = args.mission.as_deref();
     let meant = |found: &Found| is_called(found, named) && (named.is_some() || found.life != Life::Ended);
     let found: Vec<Found> = missions.found.into_iter().filter(meant).collect();
-    if found.is_empty() {
+    let unread: Vec<Unread> =
+        missions.damaged.iter().filter_map(|journal| Unread::of(journal, named)).collect();
+    if found.is_empty() && unread.is_empty() {
         if args.all && format == Format::Json {
             console::print_json(&json!([]));
             return Exit::Usage;
         }
-        return none(named, "runs or was cut off", format);
+        let none = none(named, "runs or was cut off", format);
+        return if unreadable == Exit::Done { none } else { unreadable };
     }
-    let shown = if args.all || found.len() > 1 { Shown::Several } else { Shown::One };
+    let shown = if args.all || found.len() + unread.len() > 1 { Shown::Several } else { Shown::One };
     let told = if shown == Shown::One { format } else { Format::Json };
     let forgotten = if args.forget { Unconfirmed::Forgotten } else { Unconfirmed::Kept };
     let rest = if args.hold { Rest::Hold } else { Rest::Default };
     let patience = args.how.patience;
     let how = How { scheduler: Scheduler::Gone, unconfirmed: forgotten, rest, patience, told };
-    let stops = stop_all(found, how, shown, format);
+    let stops = stop_all(found, unread, how, shown, format);
     worst(unreadable, super::with_runtime(LocalSet::new().run_until(stops)))
+}
+
+/// A mission whose journal cannot be read, and whose scheduler may hear all the same.
+struct Unread {
+    mission: SessionId,
+    folder: PathBuf,
+}
+
+impl Unread {
+    /// Nothing where it is another one than was named, or left nothing to speak to.
+    fn of(journal: &Path, named: Option<&str>) -> Option<Self> {
+        let folder = journal.parent()?.to_path_buf();
+        let name = folder.file_name()?.to_str()?;
+        let meant = named.is_none_or(|named| named == name) && control::socket(&folder).exists();
+        Some(Self { mission: SessionId::new(name).ok().filter(|_| meant)?, folder })
+    }
+
+    async fn stop(self, rest: Rest) -> Stopped {
+        match control::stop(&self.folder, rest).await {
+            Ok(report) => Stopped::by_itself(self.mission, &report),
+            Err(unheard) => {
+                let reason =
+                    format!("its journal cannot be read, and its process does not answer: {unheard}");
+                Stopped::of(self.mission, Err(reason))
+            }
+        }
+    }
 }
 
 /// Whether one mission was meant, or however many there are.
@@ -95,8 +125,11 @@ enum Shown {
     Several,
 }
 
-async fn stop_all(found: Vec<Found>, how: How, shown: Shown, format: Format) -> Exit {
+async fn stop_all(found: Vec<Found>, unread: Vec<Unread>, how: How, shown: Shown, format: Format) -> Exit {
     let mut stops = JoinSet::new();
+    for unread in unread {
+        stops.spawn_local(unread.stop(how.rest));
+    }
     for found in found {
         stops.spawn_local(stop_one(found, how));
     }
@@ -136,7 +169,7 @@ fn worst(one: Exit, other: Exit) -> Exit {
 async fn stop_one(found: Found, how: How) -> Stopped {
     match found.life {
         Life::Running => match control::stop(&found.folder, how.rest).await {
-            Ok(report) => Stopped::by_itself(&found, &report),
+            Ok(report) => Stopped::by_itself(found.opened.session.clone(), &report),
             Err(unheard) => unanswered(&found, &unheard.to_string(), how).await,
         },
         Life::CutOff => cut_off(&found, how).await,
@@ -173,7 +206,7 @@ async fn cut_off(found: &Found, how: How) -> Stopped {
         Ok(taken) => Stopped::of(mission, withdraw_and_record(taken, how).await),
         // By another stop, most likely, which is told of by its socket.
         Err(NotTaken::Held) => match control::stop(&found.folder, how.rest).await {
-            Ok(report) => Stopped::by_itself(found, &report),
+            Ok(report) => Stopped::by_itself(mission, &report),
             Err(unheard) => {
                 directly(found, how, &format!("another process has its journal: {unheard}")).await
             }
@@ -224,7 +257,7 @@ fn holder(found: &Found) -> Option<Pid> {
 
 impl Stopped {
     /// The mission has stopped itself and says so.
-    fn by_itself(found: &Found, report: &str) -> Self {
+    fn by_itself(mission: SessionId, report: &str) -> Self {
         let report: Result<Value, String> = serde_json::from_str(report).map_err(|error| error.to_string());
         let unconfirmed = report.as_ref().map_or(true, |report| {
             let mut robots = report["robots"].as_array().into_iter().flatten();
@@ -237,7 +270,6 @@ impl Stopped {
         let not_at_rest = report.iter().filter_map(|report| report["not_at_rest"].as_array()).flatten();
         not_at_rest.filter_map(Value::as_str).for_each(console::error);
         let exit = if unconfirmed { Exit::Unconfirmed } else { Exit::Done };
-        let mission = found.opened.session.clone();
         Self { mission, begun: None, report, inside: Vec::new(), forgotten: Vec::new(), exit }
     }
 

@@ -81,8 +81,9 @@ impl Found {
             Some((Opened::deserialize(&line).ok()?, Timestamp::deserialize(&line["at"]).ok()?))
         });
         let Some((opened, opened_at)) = begun else {
-            // Cut off while it began: nothing had been sent yet.
-            return if size == first.len() as u64 {
+            // Cut off while it began: nothing had been sent yet, unless it is there and hears words.
+            let hears = running && folder.join("control").exists();
+            return if size == first.len() as u64 && !hears {
                 Err(io::ErrorKind::UnexpectedEof.into())
             } else {
                 Ok(None)

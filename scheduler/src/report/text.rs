@@ -281,12 +281,18 @@ fn robots_table(report: &Report, columns: usize) -> String {
             if robot.accepted { "yes" } else { "no" }.to_owned(),
             format!("{}/{}{}", robot.started, robot.scripts, claimed(report, robot)),
             or_dash(robot.start_error.map(signed)),
-            format!("{}/{}", robot.steps_done, robot.steps_planned),
+            steps(robot),
             or_dash(robot.clock.map(|clock| signed(clock.offset))),
             or_dash(robot.clock.map(|clock| format!("+-{}", clock.uncertainty))),
         ]);
     }
     rows.text(columns)
+}
+
+/// At least so many, where the robot has not said what became of all its scripts.
+fn steps(robot: &RobotReport) -> String {
+    let at_least = if robot.unaccounted > 0 { "+" } else { "" };
+    format!("{}{at_least}/{}", robot.steps_done, robot.steps_planned)
 }
 
 /// Behind a number of starts that rests on a claim which cannot be true.
