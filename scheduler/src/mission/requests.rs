@@ -53,7 +53,8 @@ impl Mission {
                 act.is_some_and(|act| act.can_have_ended(*script, response.timestamp))
             }
         };
-        let open = |device: &DeviceId| open_without_name(acts, robot, device, response).filter(meant);
+        let says = if reports { Says::ByItself } else { Says::Answers };
+        let open = |device: &DeviceId| open_without_name(acts, (robot, says), device, response).filter(meant);
         let open_on = |device: &DeviceId| reports && open(device).is_some();
         let unnamed = open(&response.device_id);
         if self.robots[robot].stop_answered(now, response, open_on) {
@@ -219,6 +220,13 @@ impl Mission {
     }
 }
 
+/// Whether a robot says what becomes of its scripts, or only answers what it is sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Says {
+    ByItself,
+    Answers,
+}
+
 /// Whether an answer says neither which request it is for nor what came of it.
 const fn names_nothing(response: &ControlResponse) -> bool {
     response.request_id.is_none() && response.steps_done.is_none()
@@ -227,7 +235,7 @@ const fn names_nothing(response: &ControlResponse) -> bool {
 /// The script that an answer without a name belongs to: answers of a device come in the order of its scripts.
 fn open_without_name(
     acts: &[Act],
-    robot: usize,
+    (robot, says): (usize, Says),
     device: &DeviceId,
     response: &ControlResponse,
 ) -> Option<ScriptRef> {
@@ -238,6 +246,8 @@ fn open_without_name(
         Status::Accepted => *state == ScriptState::Sent,
         Status::Started => matches!(state, ScriptState::Sent | ScriptState::Held),
         Status::Ok => matches!(state, ScriptState::Held | ScriptState::Running),
+        // What it has accepted fails without a word.
+        _ if says == Says::Answers => *state == ScriptState::Sent,
         _ => matches!(state, ScriptState::Sent | ScriptState::Held | ScriptState::Running),
     };
     let mut open =

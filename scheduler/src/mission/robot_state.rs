@@ -299,6 +299,14 @@ impl RobotState {
         }
     }
 
+    /// The same on the first link of this process: one that was lost before is given up in its own time.
+    pub(crate) const fn owes_its_name_since(&self) -> Option<Timestamp<Server>> {
+        match self.link {
+            Link::Unnamed { since, unheard: None } => Some(since),
+            _ => None,
+        }
+    }
+
     pub(crate) const fn is_up(&self) -> bool {
         matches!(self.link, Link::Up { .. })
     }
@@ -306,7 +314,7 @@ impl RobotState {
     /// When it has been silent for so long that it has failed: it owes an answer, and this time has passed since anything came
     /// from it.
     pub(crate) fn silent_at(&self, bound: Span) -> Option<Timestamp<Server>> {
-        let asked = self.questions.unanswered()?;
+        let asked = self.questions.unanswered().or(self.owes_its_name_since())?;
         // After this machine was held up, a question must have had its time.
         let answerable = asked + bound * 2 / 3;
         Some(self.heard_at.map_or(asked + bound, |heard| (heard + bound).max(answerable)))

@@ -215,16 +215,21 @@ impl Mission {
     fn silence_bound(&self, now: Timestamp<Server>, robot: usize) -> Option<Span> {
         let state = &self.robots[robot];
         let plays = |act: &&Act| act.is_committed() && act.has_something_on(robot);
-        if state.stop_was_sent() || !state.is_up() || !self.acts.iter().any(|act| plays(&act)) {
+        let linked = state.is_up() || state.owes_its_name_since().is_some();
+        if state.stop_was_sent() || !linked || !self.acts.iter().any(|act| plays(&act)) {
             return None;
         }
         let lease = self.acts.iter().filter_map(|act| act.running_lease(robot, now)).min();
         Some(lease.unwrap_or(SILENCE_MAX) + state.round_trip())
     }
 
-    /// When the first robot will have been silent for too long, as things are now.
+    /// When the first robot will have been silent for too long, or another lease counts with its next script.
     fn silence_due(&self, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
-        let due = |robot: usize| self.robots[robot].silent_at(self.silence_bound(now, robot)?);
+        let due = |robot: usize| {
+            let silent = self.robots[robot].silent_at(self.silence_bound(now, robot)?)?;
+            let begins = self.acts.iter().filter_map(|act| act.next_begin(robot, now));
+            begins.chain([silent]).min()
+        };
         (0..self.robots.len()).filter_map(due).min()
     }
 

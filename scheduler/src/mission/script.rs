@@ -86,6 +86,7 @@ pub(crate) struct Script {
     /// When the question was sent that it last answered with "held".
     held_at: Option<Timestamp<Server>>,
     sent_at: Option<Timestamp<Server>>,
+    first_sent_at: Option<Timestamp<Server>>,
     /// Another process may have sent it before this one took over, and its robot has not said.
     perhaps_sent: bool,
 }
@@ -108,6 +109,7 @@ impl Script {
             accepted_at: None,
             held_at: None,
             sent_at: None,
+            first_sent_at: None,
             perhaps_sent: false,
         }
     }
@@ -213,6 +215,12 @@ impl Script {
     pub(super) fn sent(&mut self, now: Timestamp<Server>) {
         self.state = ScriptState::Sent;
         self.sent_at = Some(now);
+        self.first_sent_at.get_or_insert(now);
+    }
+
+    /// Whether it was sent for the first time at an instant or later.
+    pub(super) fn was_sent_since(&self, since: Timestamp<Server>) -> bool {
+        self.first_sent_at.is_some_and(|at| at >= since)
     }
 
     /// Its time has passed on a robot that does not report: it is taken to have ended, how is unknown.

@@ -57,6 +57,8 @@ pub enum Happened {
     Lost(usize),
     /// A message to or from a robot travelled for so long.
     Slow(usize, Span),
+    /// A message to or from a robot waited for so long behind others, on a link as it usually is.
+    Queued(usize, Span),
     /// A stop waits for so long behind what was sent to a robot before it, on a link as it usually is.
     StopQueued(usize, Span),
     /// Something went wrong.

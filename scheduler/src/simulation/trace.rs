@@ -100,6 +100,7 @@ fn line(happened: &Happened) -> Option<String> {
         Happened::AtRobot(robot, message) => format!("  => r{robot}  {}", told(message)),
         Happened::FromRobot(robot, message) => format!("  <= r{robot}  {}", told(message.as_ref()?)),
         Happened::Lost(robot) => format!("lost     a message to or from r{robot}"),
+        Happened::Queued(..) => return None,
         Happened::StopQueued(robot, lasts) => format!("queued   a stop of r{robot} waits for {lasts}"),
         Happened::Slow(robot, lasts) => format!("slow     a message to or from r{robot} travels for {lasts}"),
         Happened::Fault(fault) => format!("FAULT    {fault:?}"),

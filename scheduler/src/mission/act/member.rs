@@ -103,14 +103,17 @@ impl Member {
         self.shift
     }
 
-    /// The first script of every device and every other one that was sent is accepted.
-    pub(super) fn has_accepted(&self) -> bool {
-        self.unaccepted().next().is_none()
+    /// The first script of every device and every other one that was sent in time is accepted.
+    pub(super) fn has_accepted(&self, timing: &Timing) -> bool {
+        self.unaccepted(timing).next().is_none()
     }
 
-    /// Scripts that it still has to accept.
-    pub(super) fn unaccepted(&self) -> impl Iterator<Item = (usize, &Script)> {
-        let open = |index: usize, script: &Script| script.is_out() || self.before(index).is_none();
+    /// Scripts that it still has to accept by the decision. One that got room behind another so late that it is not asked for
+    /// again may be answered later.
+    pub(super) fn unaccepted(&self, timing: &Timing) -> impl Iterator<Item = (usize, &Script)> {
+        let late = timing.ask_again();
+        let follows = move |script: &Script| script.is_out() && !script.was_sent_since(late);
+        let open = move |index: usize, script: &Script| self.before(index).is_none() || follows(script);
         self.under_way().filter(move |(index, script)| !script.was_accepted() && open(*index, script))
     }
 

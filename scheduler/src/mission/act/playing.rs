@@ -137,9 +137,10 @@ impl Act {
         let member = &self.members[script.member];
         let robot = member.robot;
         let id = robots[robot].id.clone();
+        let accepted = |member: &Member| self.timing.as_ref().is_some_and(|it| member.has_accepted(it));
         let mut actions = Vec::new();
         match &news {
-            News::Accepted if matches!(self.stage, Stage::Preparing(_)) && member.has_accepted() => {
+            News::Accepted if matches!(self.stage, Stage::Preparing(_)) && accepted(member) => {
                 actions.push(ActAction::Tell(Progress::Accepted { robot: id }));
             }
             News::Started => {
@@ -390,6 +391,13 @@ impl Act {
             false => script.shortest_lease().max(member.pending_lease_now(index, timing)),
         };
         member.under_way().filter(|(_, script)| script.is_out()).filter_map(lease).min()
+    }
+
+    /// When the next of the scripts that a robot holds begins.
+    pub(crate) fn next_begin(&self, robot: usize, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
+        let start = self.timing.as_ref()?.start;
+        let out = self.member(robot)?.under_way().filter(|(_, script)| script.is_out());
+        out.map(|(_, script)| start + script.plan.start.span()).filter(|begins| *begins > now).min()
     }
 
     /// The shortest of the leases that a script has from now on.

@@ -153,7 +153,7 @@ impl Act {
             return Vec::new();
         };
         // Each event looks at the first that has not accepted.
-        let accepted = |member: &&Member| !member.takes_part() || member.has_accepted();
+        let accepted = |member: &&Member| !member.takes_part() || member.has_accepted(timing);
         preparing.accepted += self.members[preparing.accepted..].iter().take_while(accepted).count();
         let all = preparing.accepted == self.members.len();
         if !all && now < timing.decision {
@@ -161,16 +161,15 @@ impl Act {
                 return Vec::new();
             }
             preparing.asked = Asked::Again;
-            return unanswered(self.number, &self.members, robots);
+            return unanswered(self.number, timing, &self.members, robots);
         }
         if self.present().next().is_none() {
             self.stage = Stage::Over;
             return Vec::new();
         }
         if !all {
-            let within = timing.lead.prepare;
-            let slow = self.present().filter(|member| !member.has_accepted());
-            let failure = |member: &Member| (member.robot, unaccepted(&robots[member.robot], member, within));
+            let slow = self.present().filter(|member| !member.has_accepted(timing));
+            let failure = |member: &Member| (member.robot, unaccepted(&robots[member.robot], member, timing));
             return vec![ActAction::Fail(slow.map(failure).collect())];
         }
         // A decision that comes late would shorten what the leases need to run out before the start.
@@ -196,23 +195,26 @@ impl Act {
 }
 
 /// What has not been answered is sent again, in case it was lost.
-fn unanswered(act: u32, members: &[Member], robots: &[RobotState]) -> Vec<ActAction> {
+fn unanswered(act: u32, timing: &Timing, members: &[Member], robots: &[RobotState]) -> Vec<ActAction> {
     let waits =
-        |member: &Member| member.takes_part() && !member.has_accepted() && robots[member.robot].is_up();
+        |member: &Member| member.takes_part() && !member.has_accepted(timing) && robots[member.robot].is_up();
     let waiting = members.iter().enumerate().filter(|(_, member)| waits(member));
-    let open = waiting.flat_map(|(m, member)| member.unaccepted().map(move |(s, _)| (m, s)));
+    let open = waiting.flat_map(|(m, member)| member.unaccepted(timing).map(move |(s, _)| (m, s)));
     open.map(|(member, script)| ActAction::Send(ScriptRef { act, member, script })).collect()
 }
 
-fn unaccepted(robot: &RobotState, member: &Member, within: Span) -> FailureKind {
+fn unaccepted(robot: &RobotState, member: &Member, timing: &Timing) -> FailureKind {
     match robot.broken() {
         Some(reason) => FailureKind::LinkDown { reason: reason.to_owned() },
-        None => FailureKind::Silent { awaited: awaited_acceptance(member), within },
+        None => {
+            FailureKind::Silent { awaited: awaited_acceptance(member, timing), within: timing.lead.prepare }
+        }
     }
 }
 
-fn awaited_acceptance(member: &Member) -> String {
-    let open: Vec<_> = member.unaccepted().map(|(_, script)| format!("`{}`", script.plan.device)).collect();
+fn awaited_acceptance(member: &Member, timing: &Timing) -> String {
+    let open: Vec<_> =
+        member.unaccepted(timing).map(|(_, script)| format!("`{}`", script.plan.device)).collect();
     match open.len() {
         0..=4 => format!("acceptance by {}", open.join(", ")),
         n => format!("acceptance by {} and {} more devices", open[..3].join(", "), n - 3),

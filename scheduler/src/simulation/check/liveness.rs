@@ -19,6 +19,10 @@ const AT_ONCE: Span = Span::from_millis(2);
 /// A lead or a gap may be so many times that of the same mission without faults, and `MORE` beyond it.
 const TIMES: i64 = 3;
 const MORE: Span = Span::from_millis(500);
+/// So many of the round trips that its links keep to nearly always are in a lead, of which the longest counts as this one: three
+/// for the answers, six for the lease, and one and a half for the margin.
+const ROUND_TRIPS: i64 = 11;
+const ROUND_TRIP_MAX: Span = Span::from_millis(500);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     if facts.ran.hung {
@@ -58,7 +62,16 @@ fn round_trip(facts: &Facts<'_>, robot: usize) -> Span {
     let drawn = facts.drawn();
     let slow = facts.hits.iter().filter(|hit| hit.is_of(robot) && hit.cause == Cause::Slow);
     let slow = slow.map(|hit| hit.until - hit.from).max().unwrap_or_default();
-    drawn.delay.1 * 2 + drawn.robots[robot].slow + slow
+    drawn.delay.1 * 2 + drawn.robots[robot].slow + slow + waited(facts, robot) * 2
+}
+
+/// The longest that a message waited behind others on a link that carries little: a round trip as measured waits there and back.
+fn waited(facts: &Facts<'_>, robot: usize) -> Span {
+    let waited = facts.ran.history.iter().filter_map(|(_, happened)| match happened {
+        Happened::Queued(r, waited) if *r == robot => Some(*waited),
+        _ => None,
+    });
+    waited.max().unwrap_or_default()
 }
 
 /// While a robot plays, the scheduler hears of it at least once within its running lease and a round trip, or says that it has
@@ -124,28 +137,23 @@ fn stops_arrive(facts: &Facts<'_>, verdict: &mut Verdict) {
     for stopping in &facts.stopping {
         for robot in 0..facts.drawn().robots.len() {
             let by = *stopping + facts.drawn().delay.1 + queued(facts, robot, *stopping) + AT_ONCE;
-            let reached = |cancel: bool, from, until| {
-                facts.between(from, until).iter().any(|(_, happened)| match happened {
-                    Happened::AtRobot(r, Message::ControlRequest(request)) if *r == robot => {
-                        matches!(&request.command, Command::Script(script) if script.is_empty()) == cancel
-                    }
-                    _ => false,
-                })
-            };
-            let from = facts.acts.first().map_or(*stopping, |act| act.at);
-            let earlier = facts.stopping.iter().filter(|at| *at < stopping).max().copied();
-            let sent = reached(false, earlier.unwrap_or(from), *stopping - Span::from_nanos(1));
+            let stopped = facts.between(*stopping, by).iter().any(|(_, happened)| match happened {
+                Happened::AtRobot(r, Message::ControlRequest(request)) if *r == robot => {
+                    matches!(&request.command, Command::Script(script) if script.is_empty())
+                }
+                _ => false,
+            });
             let out = facts.dropped[robot].is_some_and(|at| at <= *stopping);
             let has = |act: &SentAct<'_>| {
                 is_open(facts, act, *stopping)
-                    && act.of(robot).count() > 0
+                    && was_sent(facts, act, robot, *stopping)
                     && !came_to_rest(facts, act, robot, *stopping)
             };
-            let sent = sent && facts.acts.iter().any(has);
+            let sent = facts.acts.iter().any(has);
             let was_hit =
                 facts.hits.iter().any(|hit| hit.is_of(robot) && hit.overlaps(*stopping - PATIENCE, by));
             let away = scheduler_was_away(facts, *stopping - PATIENCE, by);
-            if sent && !out && !was_hit && !away && facts.honest(robot) && !reached(true, *stopping, by) {
+            if sent && !out && !was_hit && !away && facts.honest(robot) && !stopped {
                 verdict.violated(
                     'h',
                     format!("r{robot} can be reached, and did not hear of the stop at {stopping}"),
@@ -153,6 +161,16 @@ fn stops_arrive(facts: &Facts<'_>, verdict: &mut Verdict) {
             }
         }
     }
+}
+
+/// A script of an act has reached a robot before an instant.
+fn was_sent(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, before: Timestamp<Server>) -> bool {
+    facts.between(act.at, before - Span::from_nanos(1)).iter().any(|(_, happened)| match happened {
+        Happened::AtRobot(r, Message::ControlRequest(request)) if *r == robot => {
+            act.of(robot).any(|script| request.request_id.as_ref() == Some(&script.promised.request_id))
+        }
+        _ => false,
+    })
 }
 
 /// How long a stop waited behind other messages for a link that carries little even without faults.
@@ -214,14 +232,25 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         let faults = disk_stood_still(facts, act) * 2 + lasted(facts, act);
         let (with, without) = (lead(act), lead(other));
         let set = clocks_set(facts, act);
-        if with > without * TIMES + MORE + faults + set * 2 && Some(with) != asked_for(facts, act) {
+        let slow = slow_again(facts, act).min(ROUND_TRIP_MAX) * ROUND_TRIPS;
+        if with > without * TIMES + MORE + faults + set * 2 + slow && Some(with) != asked_for(facts, act) {
             let what = format!("act {number} had a lead of {with}, without faults it has {without}");
             verdict.violated('h', what);
         }
-        let Some((gap, other_gap)) = gap(facts, act).zip(gap(undisturbed, other)) else { continue };
+        let (before, other_before) = (before(facts, act), before(undisturbed, other));
+        let Some((before, other_before)) = before.zip(other_before) else { continue };
+        if before.promise.act != other_before.promise.act {
+            continue;
+        }
+        let gaps = gap(facts, before, act).zip(gap(undisturbed, other_before, other));
+        let Some((gap, other_gap)) = gaps else { continue };
         // An act is sent as soon as its devices have room, later by what a clock was set back. What its lead is longer by, which
-        // is bounded above, it starts later.
-        let longer = (with - without).max(Span::ZERO);
+        // is bounded above, it starts later. After a stop the whole lead lies behind it, not beside the act before.
+        let longer = match was_stopped(facts, before, act) {
+            true => with,
+            false => (with - without).max(Span::ZERO),
+        };
+        let set = set + clocks_set(facts, before);
         if gap > other_gap.max(Span::ZERO) * TIMES + MORE + longer + faults + set {
             verdict.violated(
                 'h',
@@ -231,14 +260,49 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
     }
 }
 
-/// By how much the clocks of an act's robots were set before it was sent. How early a robot may start by its clock is in the
+/// Everything was being stopped between two acts.
+fn was_stopped(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> bool {
+    facts.stopping.iter().any(|at| *at > before.at && *at <= act.at)
+}
+
+/// The act that was sent before another.
+fn before<'f, 'a>(facts: &'f Facts<'a>, act: &SentAct<'_>) -> Option<&'f SentAct<'a>> {
+    facts.acts.iter().rfind(|before| before.promise.number < act.promise.number)
+}
+
+/// By how much the clocks of an act's robots, and of the process that sent it, were set before it was sent. How early a robot may start by its clock is in the
 /// lead twice: within the last lease, and after it.
 fn clocks_set(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let robots = act.robots();
     let of_act = |hit: &&Hit| {
         hit.cause == Cause::ClockSet && hit.from <= act.at && robots.iter().any(|robot| hit.is_of(*robot))
     };
-    facts.hits.iter().filter(of_act).fold(Span::ZERO, |sum, hit| sum + hit.by.abs())
+    let of_robots = facts.hits.iter().filter(of_act).fold(Span::ZERO, |sum, hit| sum + hit.by.abs());
+    of_robots + act.ahead.abs()
+}
+
+/// How long a link of an act's robots was slow the second time, if it was slow at two moments before the act was sent: one alone
+/// leaves the lead as it is, two are what its link is like.
+fn slow_again(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
+    let of_robot = |robot: usize| {
+        let slow = |hit: &&Hit| {
+            hit.is_of(robot) && hit.from <= act.at && matches!(hit.cause, Cause::Slow | Cause::RobotPause)
+        };
+        let mut moments: Vec<(Timestamp<Server>, Span)> = Vec::new();
+        for hit in facts.hits.iter().filter(slow) {
+            let lasts = hit.until - hit.from;
+            match moments.last_mut() {
+                Some((until, longest)) if hit.from < *until => {
+                    (*until, *longest) = (hit.until.max(*until), lasts.max(*longest));
+                }
+                _ => moments.push((hit.until, lasts)),
+            }
+        }
+        let mut lasted: Vec<Span> = moments.into_iter().map(|(_, longest)| longest).collect();
+        lasted.sort_unstable();
+        lasted.into_iter().rev().nth(1)
+    };
+    act.robots().into_iter().filter_map(of_robot).max().unwrap_or_default()
 }
 
 fn lead(act: &SentAct<'_>) -> Span {
@@ -257,8 +321,7 @@ fn disk_stood_still(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
 }
 
 /// From the planned end of the act before to the start of this one.
-fn gap(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Span> {
-    let before = facts.acts.iter().rfind(|before| before.promise.number < act.promise.number)?;
+fn gap(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Option<Span> {
     // As written: what a robot would have played that was left out leaves a gap of its own.
     let written = facts.drawn().choreography.acts.get(before.promise.act)?;
     Some(act.promise.start - (before.promise.start + written.plan.duration()))
@@ -266,8 +329,7 @@ fn gap(facts: &Facts<'_>, act: &SentAct<'_>) -> Option<Span> {
 
 /// How long faults lasted between the start of the act before and that of this one: an act waits for its robots.
 fn lasted(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
-    let before = facts.acts.iter().rfind(|before| before.promise.number < act.promise.number);
-    let from = before.map_or(act.at, |before| before.promise.start);
+    let from = before(facts, act).map_or(act.at, |before| before.promise.start);
     let hits = facts.hits.iter().filter(|hit| hit.overlaps(from, act.promise.start));
     hits.map(|hit| hit.until.min(act.promise.start) - hit.from).fold(Span::ZERO, |sum, lasts| sum + lasts)
 }

@@ -16,6 +16,8 @@ use crate::simulation::world::PATIENCE;
 
 /// What the scheduler and a robot take to go on where neither waits for anything.
 const AT_ONCE: Span = Span::from_millis(2);
+/// What clocks, and the way of a question that nothing was measured of, are taken to be before a lease of a process that took over.
+const HUSHED_AHEAD: Span = Span::from_millis(30);
 /// A robot that is held up for longer lets its start be.
 const START_LATE_MAX: Span = Span::from_millis(50);
 
@@ -232,6 +234,14 @@ fn what_was_written_is_read(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
+/// A process that takes an act up knows no shorter lease than that with which it was sent: from a lease before the start on a
+/// question would carry scripts over it, and nothing is sent until the commitment. Clocks and the way are in that lease as well.
+fn is_hushed(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>, by: Timestamp<Server>) -> bool {
+    let taken_up = facts.between(act.at, at).iter().any(|(_, what)| matches!(what, Happened::TakenUp(_)));
+    let committed = act.committed.is_some_and(|committed| committed <= by);
+    taken_up && !committed && by >= act.promise.start - act.promise.lease - HUSHED_AHEAD
+}
+
 /// A robot that holds something and is reached again hears more than the question for its name as soon as that is answered.
 fn those_who_return_hear(facts: &Facts<'_>, verdict: &mut Verdict) {
     let drawn = facts.drawn();
@@ -240,7 +250,7 @@ fn those_who_return_hear(facts: &Facts<'_>, verdict: &mut Verdict) {
         let by = *at + drawn.delay.1 * 3 + drawn.robots[*robot].slow + AT_ONCE;
         let holds = facts.acts.iter().any(|act| {
             let ends = act.of(*robot).map(|script| act.start_of(script) + script.promised.duration).max();
-            act.at < *at && ends.is_some_and(|ends| by < ends)
+            act.at < *at && ends.is_some_and(|ends| by < ends) && !is_hushed(facts, act, *at, by)
         });
         let over = |until: Timestamp<Server>| until <= by;
         let done = facts.stopping.iter().any(|at| over(*at)) || facts.dropped[*robot].is_some_and(over);

@@ -52,6 +52,9 @@ impl World {
         if travelled > largest + queued {
             self.note(Happened::Slow(robot, travelled));
         }
+        if queued > Span::ZERO {
+            self.note(Happened::Queued(robot, queued));
+        }
         if queued > Span::ZERO && is_stop(message) {
             self.note(Happened::StopQueued(robot, queued));
         }

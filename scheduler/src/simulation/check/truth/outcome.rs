@@ -1,6 +1,6 @@
 //! How a mission is said to have ended, and what is said to have become of its acts.
 
-use urrcp::Span;
+use urrcp::{Server, Span, Timestamp};
 
 use super::Said;
 use super::acts::error_by_its_clock;
@@ -92,23 +92,29 @@ impl Said<'_> {
         for (index, course) in self.report.course.iter().enumerate() {
             let sent: Vec<&SentAct<'_>> =
                 self.facts.acts.iter().filter(|act| act.promise.act == index).collect();
-            let began = sent.iter().flat_map(|act| &act.scripts).any(|script| {
+            // Of one that came several times the last time counts.
+            let last = sent.last();
+            let began = last.into_iter().flat_map(|act| &act.scripts).any(|script| {
                 self.facts.honest(script.robot) && !self.facts.clock_was_set(script.robot) && script.began()
             });
-            let ended = self.facts.ran.history.iter().filter(|(_, happened)| match happened {
-                Happened::Told(progress) => {
-                    matches!(&**progress, Progress::ActEnded { act } if *act == course.act)
-                }
-                _ => false,
-            });
-            let ended = ended.count();
+            let told = |what: &dyn Fn(&Progress) -> bool| {
+                let after = last.map_or(Timestamp::from_nanos(0), |act| act.at);
+                let told = |(at, happened): &&(Timestamp<Server>, Happened)| match happened {
+                    Happened::Told(progress) => *at >= after && what(progress),
+                    _ => false,
+                };
+                self.facts.ran.history.iter().filter(told).count()
+            };
+            let ended = self.acts_ended(&course.act);
+            let skipped = told(
+                &|progress| matches!(progress, Progress::ActSkipped { act, fate } if *act == course.act && *fate == course.fate),
+            );
             let truth = match &course.fate {
-                ActFate::NotReached
-                | ActFate::StillWaiting
-                | ActFate::NobodyLeft
-                | ActFate::TimedOut { .. } => sent.is_empty(),
-                ActFate::Withdrawn => !sent.is_empty() && !began,
-                ActFate::Stopped => !sent.is_empty(),
+                ActFate::NotReached => sent.is_empty(),
+                ActFate::StillWaiting => sent.len() == ended,
+                ActFate::NobodyLeft | ActFate::TimedOut { .. } => sent.len() == ended && skipped > 0,
+                ActFate::Withdrawn => last.is_some() && !began,
+                ActFate::Stopped => last.is_some(),
                 ActFate::Played => ended > 0 && course.played as usize <= ended,
             };
             if !truth {
@@ -119,5 +125,16 @@ impl Said<'_> {
                 ));
             }
         }
+    }
+
+    /// How often an act is told to have ended.
+    fn acts_ended(&self, name: &str) -> usize {
+        let ended = self.facts.ran.history.iter().filter(|(_, happened)| match happened {
+            Happened::Told(progress) => {
+                matches!(&**progress, Progress::ActEnded { act } if *act == name)
+            }
+            _ => false,
+        });
+        ended.count()
     }
 }

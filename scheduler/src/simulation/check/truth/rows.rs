@@ -6,7 +6,7 @@ use super::Said;
 use crate::mission::{DeviceReport, FailureKind, Outcome, Progress, Record};
 use crate::report::{RobotReport, StopState};
 use crate::simulation::check::DRIFT;
-use crate::simulation::check::cause::Cause;
+use crate::simulation::check::cause::{Cause, Hit};
 use crate::simulation::{Happened, Lie};
 
 impl Said<'_> {
@@ -95,6 +95,11 @@ impl Said<'_> {
             StopState::TakenOver => {
                 (ended, "another mission had it, and it is said to hold nothing of this one")
             }
+            // A process that stood still goes on with what nobody is said to know of.
+            StopState::NotSent if row.unaccounted > 0 => {
+                let later = self.stood_still(robot) + DRIFT;
+                (ended.map(|ended| ended + later), "the end, and all that its process stood still")
+            }
             StopState::NotSent => (ended, "the end, and no stop is said to be needed"),
             StopState::Unconfirmed { lease_ends } => {
                 let grace = DRIFT + self.slowest(robot);
@@ -118,6 +123,13 @@ impl Said<'_> {
         let slow = |cause| matches!(cause, Cause::Slow | Cause::RobotPause | Cause::Partition);
         let hits = self.facts.hits.iter().filter(|hit| hit.is_of(robot) && slow(hit.cause));
         hits.map(|hit| hit.until - hit.from).max().unwrap_or_default() + self.facts.drawn().delay.1
+    }
+
+    /// The longest that its process stood still.
+    fn stood_still(&self, robot: usize) -> urrcp::Span {
+        let stood = |hit: &&Hit| hit.is_of(robot) && hit.cause == Cause::RobotPause;
+        let hits = self.facts.hits.iter().filter(stood);
+        hits.map(|hit| hit.until - hit.from).max().unwrap_or_default()
     }
 
     /// What the report says of the whole is what its acts say.
