@@ -5,7 +5,9 @@ mod write;
 use std::path::PathBuf;
 
 use clap::builder::PossibleValue;
-use downbeat_scripts::import::{self, ImportFormat, ImportOptions, ImportOutcome, Imported, Scenes};
+use downbeat_scripts::import::{
+    self, ImportFormat, ImportOptions, ImportOutcome, Imported, Scenes, TimeUnit,
+};
 use downbeat_scripts::{Finding, Source, counted};
 use serde::Serialize;
 
@@ -20,6 +22,7 @@ use super::{Exit, Format, console};
   joint-trajectory  YAML or JSON with the fields of ROS trajectory_msgs/JointTrajectory
   play-motion2      motions of PAL Robotics' robots, YAML; a scene a motion
   bitbots           keyframe animations of the Bit-Bots, JSON
+  skybrush          compiled drone shows, .skyc
   csv               any CSV with times, with --time and --map
 
 Several scenes become an act each, or with --join one list of cues.
@@ -29,7 +32,9 @@ Examples:
   downbeat import crazyswarm sequence_trajectories --rate 10 --join --output sequence
   downbeat import bitbots schnup_dance.json --init robots/wolfgang.yaml --robots wolf-1
   downbeat import play-motion2 tiago_motions.yaml --only wave,offer --output wave
-  downbeat import csv log.csv --time t --map arm-1/elbow=q2 --scale elbow=57.29578")]
+  downbeat import csv log.csv --time t --time-unit s --map arm-1/elbow=q2 --scale elbow=57.29578
+  downbeat import csv 'Drone 1.csv' 'Drone 2.csv' --time 'Time [msec]' --map 'x=x [m]' --map lamp=Red,Green,Blue
+  downbeat import csv log.csv --time 'Time [s]' --map 'arm/ch*=channel *' --unwrap heading=360")]
 pub(super) struct ImportArgs {
     /// Whose files they are.
     #[arg(value_name = "FORMAT")]
@@ -70,9 +75,19 @@ pub(super) struct ImportArgs {
     /// The column of times of a csv, by name or number.
     #[arg(long, value_name = "COLUMN")]
     time: Option<String>,
-    /// A column of a csv that moves a device.
-    #[arg(long, value_name = "ROBOT/DEVICE=COLUMN", value_parser = column)]
+    /// What the times of a csv mean where its header does not say it: h, min, s, ms, us, ns, 25fps, hh:mm:ss, mm:ss, mm:ss:ms.
+    #[arg(long, value_name = "UNIT")]
+    time_unit: Option<TimeUnit>,
+    /// A column of a csv that moves a device, or several with commas for one that takes several values; * stands for what
+    /// differs. Without a robot each file is a robot.
+    #[arg(long, value_name = "[ROBOT/]DEVICE=COLUMN", value_parser = column)]
     map: Vec<(String, String)>,
+    /// A device of a csv that stays at each value until the next.
+    #[arg(long, value_name = "DEVICE")]
+    hold: Vec<String>,
+    /// A device whose values begin again at a period, such as heading=360, goes on instead.
+    #[arg(long, value_name = "DEVICE=PERIOD", value_parser = period)]
+    unwrap: Vec<(String, f64)>,
     /// A factor for a device's values.
     #[arg(long, value_name = "DEVICE=FACTOR", value_parser = factor)]
     scale: Vec<(String, f64)>,
@@ -108,12 +123,19 @@ fn rate(text: &str) -> Result<f64, String> {
 
 fn column(text: &str) -> Result<(String, String), String> {
     let parts = text.split_once('=').filter(|(to, column)| {
-        let device =
-            to.split_once('/').map_or("", |(robot, device)| if robot.is_empty() { "" } else { device });
-        !device.is_empty() && !column.is_empty()
+        let (robot, device) = to.split_once('/').unwrap_or(("-", to));
+        !robot.is_empty()
+            && !device.is_empty()
+            && !column.is_empty()
+            && (!to.contains('*') || column.contains('*'))
     });
-    let (to, column) = parts.ok_or("a column as robot/device=column")?;
+    let (to, column) = parts.ok_or("a column as robot/device=column, with a * in both or in none")?;
     Ok((to.to_owned(), column.to_owned()))
+}
+
+fn period(text: &str) -> Result<(String, f64), String> {
+    let (device, period) = factor(text).map_err(|_| "a period as device=360")?;
+    if period > 0.0 { Ok((device, period)) } else { Err("a period above 0".to_owned()) }
 }
 
 fn factor(text: &str) -> Result<(String, f64), String> {
@@ -143,11 +165,20 @@ struct Done<'a> {
 
 pub(super) fn import(args: &ImportArgs, format: Format) -> Exit {
     if args.from.0 == ImportFormat::Csv && args.map.is_empty() {
-        console::error("csv needs at least one --map robot/device=column");
+        console::error(
+            "csv needs at least one --map robot/device=column, or device=column where each file is a robot",
+        );
         return Exit::Usage;
     }
-    if args.from.0 != ImportFormat::Csv && (args.time.is_some() || !args.map.is_empty()) {
-        console::error("--time and --map are for csv");
+    let for_csv =
+        [args.time.is_some(), !args.map.is_empty(), args.time_unit.is_some(), !args.hold.is_empty()];
+    if args.from.0 != ImportFormat::Csv && for_csv.contains(&true) {
+        console::error("--time, --time-unit, --map and --hold are for csv");
+        return Exit::Usage;
+    }
+    let whose = |(to, _): &(String, String)| to.contains('/');
+    if args.map.iter().any(whose) && !args.map.iter().all(whose) {
+        console::error("every --map names a robot, or none does and each file is a robot");
         return Exit::Usage;
     }
     let (init, mut outcome) = read(args);
@@ -202,6 +233,9 @@ fn read(args: &ImportArgs) -> (Option<Init>, ImportOutcome) {
         only: args.only.clone(),
         scales: args.scale.clone(),
         time_column: args.time.clone(),
+        time_unit: args.time_unit,
+        holds: args.hold.clone(),
+        unwraps: args.unwrap.clone(),
         columns: args.map.clone(),
         init: init.as_ref().map(|init| init.block.clone()),
     };

@@ -120,6 +120,7 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
         ImportFormat::Crazyswarm | ImportFormat::Waypoints | ImportFormat::Csv => &["csv"],
         ImportFormat::JointTrajectory | ImportFormat::PlayMotion2 => &["yaml", "yml", "json"],
         ImportFormat::Bitbots => &["json"],
+        ImportFormat::Skybrush => &["skyc"],
     };
     let mut files = Vec::new();
     for path in paths {
@@ -141,6 +142,14 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
             false => files.push(path.clone()),
         }
     }
+    if format == ImportFormat::Csv && robot_a_file(options) {
+        files.sort_by(|a, b| natural_order(&stem(a), &stem(b)));
+        if files.len() > 1 {
+            sink.note(format!("{} files, a robot each, named by them", files.len()));
+        }
+        let own = |path: PathBuf| Input { robot: stem(&path), path, scene: String::new() };
+        return files.into_iter().map(own).collect();
+    }
     if files.len() > 1 && files.iter().all(|file| is_number(&stem(file))) {
         files.sort_by(|a, b| natural_order(&stem(a), &stem(b)));
         sink.note(format!("sorted {} scenes by number", files.len()));
@@ -156,6 +165,11 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
         Input { path, robot, scene }
     });
     inputs.collect()
+}
+
+/// Whether each CSV moves a robot of its own: so it is where no column is told whose it is.
+fn robot_a_file(options: &ImportOptions) -> bool {
+    !options.columns.is_empty() && options.columns.iter().all(|(to, _)| !to.contains('/'))
 }
 
 /// Files with one of the extensions, and folders; both in the order of their numbers.

@@ -26,6 +26,7 @@ struct JointPoint {
 pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink: &mut Sink) -> Vec<Motion> {
     let read = tree::read(source, sink, |root, findings, _| read_points(root, findings));
     let Some((joints, points)) = read else { return Vec::new() };
+    points.iter().for_each(|point| sink.moved(point.at_s, point.at_ms));
     let curved = !points.is_empty() && points.iter().all(|point| point.velocities.is_some());
     if points.first().is_some_and(|point| point.at_ms == 0) {
         sink.note(format!(
@@ -47,13 +48,13 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     let times = times(&points, rate_hz, joints.len(), source, sink);
     let device = |(index, device): (usize, String)| DeviceMotion {
         device,
-        unit: String::new(),
         keyframes: match rate_hz {
             Some(_) => curve(&points, index, &times),
             None => {
                 points.iter().map(|p| Keyframe { at_ms: p.at_ms, value: p.positions[index] + 0.0 }).collect()
             }
         },
+        ..DeviceMotion::default()
     };
     let devices = joints.into_iter().enumerate().map(device).collect();
     vec![Motion { scene: input.scene.clone(), robot: RobotMotion { robot: input.robot.clone(), devices } }]

@@ -9,12 +9,21 @@ use crate::tags::foreign_tags;
 
 use super::sink::{FINDINGS_A_FILE_MAX, Sink};
 
+/// Most brackets that may be open at once.
+const DEPTH_MAX: usize = 500;
+
 /// Parses a file, refuses foreign tags, and hands its tree to a reader whose findings get their places.
 pub(super) fn read<T>(
     source: &Source,
     sink: &mut Sink,
     read: impl FnOnce(&At<'_>, &mut Reader, &mut Sink) -> Option<T>,
 ) -> Option<T> {
+    if is_too_deep(&source.text) {
+        let message = format!("brackets within brackets, more than {DEPTH_MAX} deep");
+        let hint = "nothing here nests deeper than a handful of levels";
+        sink.about(&source.name, Code::Syntax, message, "a YAML or JSON document", Some(hint));
+        return None;
+    }
     let document = match node::parse(source) {
         Ok(document) => document,
         Err(mut finding) => {
@@ -26,16 +35,53 @@ pub(super) fn read<T>(
             return None;
         }
     };
-    let mut findings = Reader::default();
     let tags = foreign_tags(source);
     if !tags.is_empty() {
         sink.findings.extend(tags);
         return None;
     }
-    let result = read(&At::document(&document, 0), &mut findings, sink);
+    read_document(&document, source, sink, read)
+}
+
+/// The same for what can only be JSON.
+pub(super) fn read_json<T>(
+    source: &Source,
+    sink: &mut Sink,
+    read: impl FnOnce(&At<'_>, &mut Reader, &mut Sink) -> Option<T>,
+) -> Option<T> {
+    match serde_json::from_str::<Node>(&source.text) {
+        Ok(document) => read_document(&document, source, sink, read),
+        Err(error) => {
+            sink.found_json(source, &error);
+            None
+        }
+    }
+}
+
+fn read_document<T>(
+    document: &Node,
+    source: &Source,
+    sink: &mut Sink,
+    read: impl FnOnce(&At<'_>, &mut Reader, &mut Sink) -> Option<T>,
+) -> Option<T> {
+    let mut findings = Reader::default();
+    let result = read(&At::document(document, 0), &mut findings, sink);
     let sound = findings.found.is_empty();
     sink.located(source, findings);
     result.filter(|_| sound)
+}
+
+/// Whether more brackets are open at once than any file of these formats has: the time to parse them grows with their square.
+fn is_too_deep(text: &str) -> bool {
+    let mut depth = 0_usize;
+    text.bytes().any(|byte| {
+        match byte {
+            b'[' | b'{' => depth += 1,
+            b']' | b'}' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        depth > DEPTH_MAX
+    })
 }
 
 /// Whether more findings would not help.

@@ -40,6 +40,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
         row.drop_trailing(COLUMNS.len());
         if let Some((robot, waypoint)) = read_waypoint(&row, &factors, source, sink) {
             let own = robots.entry(robot).or_default();
+            sink.moved(waypoint.at_s, waypoint.at_ms);
             if own.last().is_none_or(|last| is_later(last, &waypoint, &row, source, sink)) {
                 own.push(waypoint);
             }
@@ -144,6 +145,7 @@ fn robot_motion(robot: String, own: &[Waypoint]) -> RobotMotion {
         device: COLUMNS[axis + 1].0.to_owned(),
         unit: "m".to_owned(),
         keyframes: own.iter().map(|w| Keyframe { at_ms: w.at_ms, value: w.position[axis] + 0.0 }).collect(),
+        ..DeviceMotion::default()
     };
     RobotMotion { robot, devices: (0..3).map(device).collect() }
 }
