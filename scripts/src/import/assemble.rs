@@ -17,7 +17,7 @@ use super::{
 
 /// Most robots of an import, and devices of a robot in a scene.
 const ROBOTS_MAX: usize = 10_000;
-const DEVICES_MAX: usize = 1_000;
+pub(super) const DEVICES_MAX: usize = 1_000;
 /// Longest name of a kind of robot, in characters: it becomes a file name.
 const KIND_CHARS_MAX: usize = 48;
 /// Most names in a note about the origin.
@@ -150,10 +150,7 @@ fn rename(scenes: &mut [Scene], format: ImportFormat, options: &ImportOptions, f
     if old.len() != options.robots.len() && !scenes.is_empty() {
         let message = format!("--robots has {} names for {} robots", options.robots.len(), old.len());
         let expected = format!("{} names, in the order {}", old.len(), names(old.iter().map(String::as_str)));
-        let one = matches!(
-            format,
-            ImportFormat::JointTrajectory | ImportFormat::PlayMotion2 | ImportFormat::Bitbots
-        );
+        let one = format.is_single();
         let hint = one.then_some(
             "as many names as files make each file a robot of its own, one name makes them scenes",
         );

@@ -4,6 +4,7 @@ use crate::finding::{Code, did_you_mean, names};
 use crate::node::shortened;
 use crate::source::Source;
 
+use super::assemble::DEVICES_MAX;
 use super::sink::Sink;
 use super::table::Row;
 use super::units::name_and_unit;
@@ -100,6 +101,17 @@ impl<'a> Header<'a> {
         let stars = self.stars(columns, time);
         if stars.is_empty() {
             self.unknown(columns, source, sink);
+            return None;
+        }
+        if stars.len() > DEVICES_MAX {
+            let message = format!("{} columns fit `{}`", stars.len(), shortened(columns));
+            sink.about(
+                &source.name,
+                Code::ImportLimit,
+                message,
+                &format!("at most {DEVICES_MAX} columns"),
+                None,
+            );
             return None;
         }
         let chosen = stars.iter().map(|star| {

@@ -95,6 +95,13 @@ fn read_pieces(source: &Source, pieces_max: usize, sink: &mut Sink) -> Vec<Piece
         if pieces.len() == pieces_max + 1 {
             too_many_pieces(pieces_max, &row, source, sink);
         }
+        if pieces.len() > pieces_max || sink.is_full(source) {
+            break;
+        }
+        if !sink.has_room_for((pieces.len() * AXES.len()) as f64) {
+            sink.too_many(&source.name, (pieces.len() * AXES.len()) as f64);
+            break;
+        }
     }
     if pieces.is_empty() && sink.findings.len() == before {
         sink.about(

@@ -121,6 +121,11 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
         ImportFormat::JointTrajectory | ImportFormat::PlayMotion2 => &["yaml", "yml", "json"],
         ImportFormat::Bitbots => &["json"],
         ImportFormat::Skybrush => &["skyc"],
+        ImportFormat::Webots => &["motion"],
+        ImportFormat::Bvh => &["bvh"],
+        ImportFormat::Midi => &["mid", "midi"],
+        ImportFormat::Fseq => &["fseq"],
+        ImportFormat::Mcap => &["mcap"],
     };
     let mut files = Vec::new();
     for path in paths {
@@ -155,9 +160,7 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
         sink.note(format!("sorted {} scenes by number", files.len()));
     }
     let kind = options.kind.clone().unwrap_or_else(|| format.kind().to_owned());
-    let single =
-        matches!(format, ImportFormat::JointTrajectory | ImportFormat::PlayMotion2 | ImportFormat::Bitbots);
-    let apart = single && files.len() > 1 && files.len() == options.robots.len();
+    let apart = format.is_single() && files.len() > 1 && files.len() == options.robots.len();
     let alone = files.len() == 1;
     let inputs = files.into_iter().enumerate().map(|(index, path)| {
         let scene = if alone || apart { String::new() } else { scene_name(&stem(&path)) };

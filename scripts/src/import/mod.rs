@@ -5,15 +5,19 @@ mod archive;
 mod assemble;
 mod bernstein;
 mod bitbots;
+mod bvh;
 mod columns;
 mod crazyswarm;
 mod fleet_part;
+mod fseq;
 mod grid;
 mod hermite;
 mod input;
+mod joint_states;
 mod joint_trajectory;
 mod keyframes;
 mod light_program;
+mod midi;
 mod moments;
 mod natural;
 mod play_motion2;
@@ -25,7 +29,9 @@ mod table;
 mod timed_csv;
 mod tree;
 mod units;
+mod urdf;
 mod waypoints;
+mod webots;
 mod yaml;
 
 use std::path::PathBuf;
@@ -39,6 +45,8 @@ use sink::Sink;
 
 pub use fleet_part::{FilePart, files_of};
 pub use moments::TimeUnit;
+pub use urdf::{UrdfOutcome, urdf};
+pub(crate) use yaml::scalar;
 pub use yaml::{Scenes, scenario_text, steps_written};
 
 /// Most keyframes of one import: two million, far beyond what any device takes.
@@ -59,19 +67,34 @@ pub enum ImportFormat {
     Bitbots,
     /// Compiled drone shows of Skybrush, `.skyc`.
     Skybrush,
+    /// Motions of Webots, `.motion`.
+    Webots,
+    /// Motion capture, `.bvh`.
+    Bvh,
+    /// Standard MIDI files.
+    Midi,
+    /// Light sequences of xLights and Falcon Player, `.fseq`.
+    Fseq,
+    /// Recordings of ROS with joint states, `.mcap`.
+    Mcap,
     /// Any CSV with a column of times.
     Csv,
 }
 
 impl ImportFormat {
     /// All of them with the names that people type.
-    pub const WORDS: [(&'static str, Self); 7] = [
+    pub const WORDS: [(&'static str, Self); 12] = [
         ("crazyswarm", Self::Crazyswarm),
         ("waypoints", Self::Waypoints),
         ("joint-trajectory", Self::JointTrajectory),
         ("play-motion2", Self::PlayMotion2),
         ("bitbots", Self::Bitbots),
         ("skybrush", Self::Skybrush),
+        ("webots", Self::Webots),
+        ("bvh", Self::Bvh),
+        ("midi", Self::Midi),
+        ("fseq", Self::Fseq),
+        ("mcap", Self::Mcap),
         ("csv", Self::Csv),
     ];
 
@@ -79,6 +102,18 @@ impl ImportFormat {
     #[must_use]
     pub fn word(self) -> &'static str {
         Self::WORDS.iter().find(|(_, format)| *format == self).map_or("", |(word, _)| word)
+    }
+
+    /// Whether its files are of one robot each.
+    fn is_single(self) -> bool {
+        use ImportFormat::{Bitbots, Bvh, JointTrajectory, Midi, PlayMotion2, Webots};
+        matches!(self, JointTrajectory | PlayMotion2 | Bitbots | Webots | Bvh | Midi)
+    }
+
+    /// Whether the user says what moves what.
+    #[must_use]
+    pub fn is_mapped(self) -> bool {
+        matches!(self, Self::Csv | Self::Fseq)
     }
 
     fn has_curves(self) -> bool {
@@ -89,7 +124,10 @@ impl ImportFormat {
     fn kind(self) -> &'static str {
         match self {
             Self::Crazyswarm | Self::Waypoints => "crazyflie",
-            Self::JointTrajectory | Self::Csv => "robot",
+            Self::JointTrajectory | Self::Webots | Self::Mcap | Self::Csv => "robot",
+            Self::Bvh => "skeleton",
+            Self::Midi => "midi",
+            Self::Fseq => "lamps",
             Self::Skybrush => "drone",
             Self::PlayMotion2 => "tiago",
             Self::Bitbots => "humanoid",
@@ -361,6 +399,9 @@ fn read(
     let name = input.path.display().to_string();
     let motions = match format {
         ImportFormat::Skybrush => skybrush::read(input, &name, &bytes, options, sink),
+        ImportFormat::Midi => midi::read(input, &name, &bytes, sink),
+        ImportFormat::Fseq => fseq::read(input, &name, &bytes, options, sink),
+        ImportFormat::Mcap => joint_states::read(input, &name, &bytes, sink),
         _ => match Source::of_bytes(&name, bytes) {
             Ok(source) => read_text(format, input, &source, options, sink),
             Err(finding) => {
@@ -387,7 +428,9 @@ fn read_text(
         ImportFormat::PlayMotion2 => play_motion2::read(input, source, sink),
         ImportFormat::Bitbots => bitbots::read(input, source, sink),
         ImportFormat::Csv => timed_csv::read(input, source, options, sink),
-        ImportFormat::Skybrush => Vec::new(),
+        ImportFormat::Webots => webots::read(input, source, sink),
+        ImportFormat::Bvh => bvh::read(input, source, sink),
+        ImportFormat::Skybrush | ImportFormat::Midi | ImportFormat::Fseq | ImportFormat::Mcap => Vec::new(),
     }
 }
 

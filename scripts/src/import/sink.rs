@@ -113,7 +113,7 @@ impl Sink {
         let mut pending = findings.found;
         pending.truncate(FINDINGS_A_FILE_MAX + 1);
         for finding in locate(std::slice::from_ref(source), pending) {
-            self.push(finding);
+            self.push(with_short_line(finding));
         }
     }
 
@@ -166,6 +166,12 @@ impl Sink {
             _ => {}
         }
     }
+}
+
+/// The same with its line as far as it matters.
+pub(super) fn with_short_line(mut finding: Finding) -> Finding {
+    finding.source_line = shown(&finding.source_line, finding.column);
+    finding
 }
 
 /// The line as far as it matters.

@@ -8,7 +8,33 @@ use proptest::prelude::*;
 use super::*;
 use crate::node::{self, Node};
 
+mod bvh;
+mod fseq;
+mod joint_states;
+mod midi;
 mod skybrush;
+mod urdf;
+mod webots;
+
+fn fixture_of(name: &str) -> Vec<u8> {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/import").join(name);
+    fs::read(path).unwrap()
+}
+
+/// The keyframes of the first device of this name.
+fn keyframes_of(imported: &Imported, name: &str) -> Vec<(u64, f64)> {
+    let mut devices = imported.devices();
+    let (_, device) = devices.find(|(_, device)| device.device == name).unwrap();
+    device.keyframes.iter().map(|keyframe| (keyframe.at_ms, keyframe.value)).collect()
+}
+
+#[track_caller]
+fn refused(format: ImportFormat, bytes: &[u8], parts: &[&str]) {
+    let outcome = import_bytes(format, "test", bytes, &ImportOptions::default());
+    let text = crate::render(&outcome.findings, false);
+    assert!(outcome.imported.is_none(), "{:?}", outcome.notes);
+    assert!(parts.iter().all(|part| text.contains(part)), "{text}");
+}
 
 const CRAZYSWARM: &str = "duration,x^0,x^1,x^2,x^3,x^4,x^5,x^6,x^7,y^0,y^1,y^2,y^3,y^4,y^5,y^6,y^7,\
 z^0,z^1,z^2,z^3,z^4,z^5,z^6,z^7,yaw^0,yaw^1,yaw^2,yaw^3,yaw^4,yaw^5,yaw^6,yaw^7\n\

@@ -45,7 +45,9 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     for mut row in rows {
         row.drop_trailing(header.width);
         read_row(&row, header.width, &time, &mut before, &mut mapped, source, sink);
-        if sink.is_full(source) {
+        let keyframes =
+            mapped.iter().map(|mapped| mapped.motion.keyframes.len() * mapped.indices.len()).sum::<usize>();
+        if sink.is_full(source) || !sink.has_room_for(keyframes as f64) {
             break;
         }
     }

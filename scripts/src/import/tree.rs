@@ -7,8 +7,11 @@ use crate::node::{self, Node, shortened};
 use crate::source::Source;
 use crate::tags::foreign_tags;
 
-use super::sink::{FINDINGS_A_FILE_MAX, Sink};
+use super::sink::{FINDINGS_A_FILE_MAX, Sink, with_short_line};
 
+/// Largest texts that become trees, which take many times their room.
+const YAML_BYTES_MAX: usize = 2 << 20;
+const JSON_BYTES_MAX: usize = 8 << 20;
 /// Most brackets that may be open at once.
 const DEPTH_MAX: usize = 500;
 
@@ -18,6 +21,18 @@ pub(super) fn read<T>(
     sink: &mut Sink,
     read: impl FnOnce(&At<'_>, &mut Reader, &mut Sink) -> Option<T>,
 ) -> Option<T> {
+    if source.text.trim_start().starts_with('{')
+        && source.text.len() <= JSON_BYTES_MAX
+        && let Ok(document) = serde_json::from_str::<Node>(&source.text)
+    {
+        return read_document(&document, source, sink, read);
+    }
+    if source.text.len() > YAML_BYTES_MAX {
+        let message = format!("the file has {} bytes", source.text.len());
+        let expected = format!("at most {YAML_BYTES_MAX} bytes, or {JSON_BYTES_MAX} of JSON");
+        sink.about(&source.name, Code::ImportLimit, message, &expected, Some("split it into several files"));
+        return None;
+    }
     if is_too_deep(&source.text) {
         let message = format!("brackets within brackets, more than {DEPTH_MAX} deep");
         let hint = "nothing here nests deeper than a handful of levels";
@@ -31,7 +46,7 @@ pub(super) fn read<T>(
             if finding.hint.as_deref().is_some_and(|hint| hint.contains("scenario.md")) {
                 finding.hint = Some("see `docs/import.md` for what goes into it".into());
             }
-            sink.findings.push(finding);
+            sink.findings.push(with_short_line(finding));
             return None;
         }
     };

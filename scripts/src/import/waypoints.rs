@@ -36,8 +36,10 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
     let Some(factors) = factors(&header, source, sink) else { return Vec::new() };
     let before = sink.findings.len();
     let mut robots: HashMap<String, Vec<Waypoint>> = HashMap::new();
+    let mut count = 0_usize;
     for mut row in rows {
         row.drop_trailing(COLUMNS.len());
+        count += 3;
         if let Some((robot, waypoint)) = read_waypoint(&row, &factors, source, sink) {
             let own = robots.entry(robot).or_default();
             sink.moved(waypoint.at_s, waypoint.at_ms);
@@ -45,7 +47,7 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
                 own.push(waypoint);
             }
         }
-        if sink.is_full(source) {
+        if sink.is_full(source) || !sink.has_room_for(count as f64) {
             break;
         }
     }

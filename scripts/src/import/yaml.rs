@@ -203,7 +203,7 @@ fn list(values: &[f64]) -> String {
 }
 
 /// A text as a YAML scalar: plain where it cannot be taken for anything else, in double quotes otherwise.
-pub(super) fn scalar(text: &str) -> Cow<'_, str> {
+pub(crate) fn scalar(text: &str) -> Cow<'_, str> {
     if is_plain(text) {
         return Cow::Borrowed(text);
     }

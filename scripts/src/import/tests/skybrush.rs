@@ -9,8 +9,7 @@ use zip::write::SimpleFileOptions;
 use super::*;
 
 fn fixture() -> Vec<u8> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/import/two_drones.skyc");
-    fs::read(path).unwrap()
+    fixture_of("two_drones.skyc")
 }
 
 fn archive(files: &[(&str, &[u8])]) -> Vec<u8> {
