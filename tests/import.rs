@@ -286,7 +286,13 @@ fn joint_trajectories_are_sampled_where_velocities_say_how_they_curve() {
     let yaml = "joint_names: [elbow]\npoints:\n- {positions: [0], velocities: [0], time_from_start: 0}\n- {positions: [1], velocities: [0], time_from_start: {sec: 1, nanosec: 0}}\n";
     session.file("move.yaml", yaml);
     let straight = import(&session, &["joint-trajectory", "move.yaml"]);
-    straight.says(0, &["velocities are left out", "the robot must be there when it starts"]);
+    straight
+        .says(0, &["the cubic of its positions and velocities", "the robot must be there when it starts"]);
+    straight.says(0, &["polynomial:\n          - {for: 1s, coefficients: [0, 0, 3, -2]}"]);
+    session
+        .file("late.yaml", yaml.replace("time_from_start: 0}", "time_from_start: 0.5, accelerations: [1]}"));
+    let late = import(&session, &["joint-trajectory", "late.yaml"]);
+    late.says(0, &["velocities are left out", "left out accelerations and efforts of 1 point"]);
     let curved = import(&session, &["joint-trajectory", "move.yaml", "--rate", "4"]);
     curved.says(0, &["- {at: 250ms, to: 0.15625}", "- {at: 500ms, to: 0.5}", "- {at: 750ms, to: 0.84375}"]);
     session.file("move.json", "{\"joint_names\": [\"elbow\"], \"points\": [{\"positions\": [0.5], \"time_from_start\": {\"secs\": 1, \"nsecs\": 500000000}}]}");

@@ -62,7 +62,7 @@ pub(super) struct ImportArgs {
     /// The initialization block of the robots; otherwise one is made from the data's range.
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
-    /// Sample curves so many times a second; otherwise at the pieces' boundaries or the points.
+    /// Sample curves so many times a second; otherwise they are kept as curves where that can be.
     #[arg(long, value_name = "HZ", value_parser = rate)]
     rate: Option<f64>,
     /// Most polynomial pieces a robot and scene: a Crazyflie has 4 KB for pieces of 132 bytes.

@@ -291,7 +291,7 @@ impl Frames<'_> {
                 .map(|mapped| mapped.motion.keyframes.len() * mapped.places.len())
                 .sum::<usize>()
         };
-        match self.index % 64 != 0 || self.sink.has_room_for(all() as f64) {
+        match !self.index.is_multiple_of(64) || self.sink.has_room_for(all() as f64) {
             true => Ok(()),
             false => Err("the mapped channels change more than two million times".into()),
         }

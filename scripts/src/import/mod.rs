@@ -338,7 +338,7 @@ impl DeviceMotion {
     /// Every value that stands in it; of pieces bounds that hold all of them.
     fn values(&self) -> Vec<f64> {
         match &self.course {
-            Course::Pieces(pieces) => pieces.iter().flat_map(|piece| bernstein::bounds(piece)).collect(),
+            Course::Pieces(pieces) => pieces.iter().flat_map(bernstein::bounds).collect(),
             Course::Several(values) => values.concat(),
             Course::Straight | Course::Held => self.keyframes.iter().map(|keyframe| keyframe.value).collect(),
         }
