@@ -92,6 +92,7 @@ fn the_swap_of_six_drones() {
     let folder = drones(&data).join("swap6v_pps");
     let swap = imported(ImportFormat::Crazyswarm, &folder, &ImportOptions::default());
     assert_eq!((swap.robots().len(), swap.steps(), swap.duration_ms()), (6, 432, 4_250));
+    assert_eq!(steps_written(&swap, Scenes::Acts), 6 * 4 * 17, "a piece each, not a straight way");
     assert!(swap.devices().all(|(_, d)| d.keyframes.len() == 18 && d.keyframes[17].at_ms == 4_250));
     for (name, least, most) in [("x", -3.67, -3.01), ("y", -2.0, 0.0), ("z", 1.13, 2.87), ("yaw", 0.0, 0.0)] {
         check_range(&swap, name, least, most);
@@ -144,10 +145,10 @@ fn the_trajectory_that_is_too_long() {
     assert!(refused.findings[0].message.contains("32 pieces, one robot holds 31"));
     assert!(refused.findings[0].file.ends_with("traj0.csv"));
     let one = imported(ImportFormat::Crazyswarm, &both.join("traj1.csv"), &ImportOptions::default());
-    assert_eq!((one.steps(), one.duration_ms()), (17 * 4, 24_984));
+    assert_eq!((one.steps(), one.duration_ms()), (17 * 4, 24_985));
     let options = ImportOptions { pieces_max: Some(32), ..ImportOptions::default() };
     let taken = outcome(ImportFormat::Crazyswarm, &both, &options);
-    assert_eq!(taken.imported.unwrap().duration_ms(), 56_528);
+    assert_eq!(taken.imported.unwrap().duration_ms(), 56_529);
     assert!(
         taken.notes.iter().any(|note| note.contains("robots end at different times")),
         "{:?}",

@@ -13,6 +13,7 @@ mod documents;
 mod edges;
 mod encodings;
 mod examples;
+mod export;
 mod findings;
 mod hold;
 mod hostile;

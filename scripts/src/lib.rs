@@ -10,6 +10,7 @@ mod budget;
 mod compile;
 mod duration;
 mod exact;
+pub mod export;
 mod fields;
 mod files;
 mod finding;

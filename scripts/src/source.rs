@@ -26,44 +26,56 @@ impl Source {
     /// # Errors
     /// A finding when it cannot be read, is larger, or is not UTF-8 text.
     pub fn read(path: &Path) -> Result<Self, Finding> {
-        let name = path.display().to_string();
-        let unreadable = |message: String, hint: Option<&str>| {
-            let hint = hint.map(str::to_owned);
-            Finding::about_file(Code::Unreadable, &name, message, "a readable YAML file", hint)
-        };
-        let file = File::open(path).map_err(|error| unreadable(error.to_string(), None))?;
-        let metadata = file.metadata().map_err(|error| unreadable(error.to_string(), None))?;
-        if metadata.is_dir() {
-            return Err(unreadable("this is a directory".into(), Some("name a file in it")));
-        }
-        let size = metadata.len();
-        let too_large = |size: u64| {
-            let message = format!("the file has {size} bytes, the limit is {FILE_BYTES_MAX}");
-            unreadable(message, Some("split the scenario into several"))
-        };
-        if size > FILE_BYTES_MAX {
-            return Err(too_large(size));
-        }
-        let mut bytes = Vec::new();
-        // A pipe has no size to ask for beforehand.
-        let read = file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes);
-        read.map_err(|error| unreadable(error.to_string(), None))?;
-        if bytes.len() as u64 > FILE_BYTES_MAX {
-            return Err(too_large(bytes.len() as u64));
-        }
+        Self::of_bytes(&path.display().to_string(), read_bytes(path)?)
+    }
+
+    /// The text that some bytes are.
+    ///
+    /// # Errors
+    /// A finding when they are not UTF-8 text.
+    pub(crate) fn of_bytes(name: &str, mut bytes: Vec<u8>) -> Result<Self, Finding> {
         // Some editors begin a file with a mark of its byte order, which says nothing here.
         if bytes.starts_with(BYTE_ORDER_MARK) {
             bytes.drain(..BYTE_ORDER_MARK.len());
         }
         let text = String::from_utf8(bytes).map_err(|error| {
             let at = error.utf8_error().valid_up_to();
-            unreadable(
-                format!("byte {} is not UTF-8: this is no text", at + 1),
-                Some("save the file as UTF-8 text"),
-            )
+            let hint = Some("save the file as UTF-8 text".to_owned());
+            let message = format!("byte {} is not UTF-8: this is no text", at + 1);
+            Finding::about_file(Code::Unreadable, name, message, "a readable YAML file", hint)
         })?;
-        Ok(Self { name, text })
+        Ok(Self { name: name.to_owned(), text })
     }
+}
+
+/// The bytes of a file of at most 64 MiB, or a finding when it cannot be read or is larger.
+pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>, Finding> {
+    let name = path.display().to_string();
+    let unreadable = |message: String, hint: Option<&str>| {
+        let hint = hint.map(str::to_owned);
+        Finding::about_file(Code::Unreadable, &name, message, "a readable file", hint)
+    };
+    let file = File::open(path).map_err(|error| unreadable(error.to_string(), None))?;
+    let metadata = file.metadata().map_err(|error| unreadable(error.to_string(), None))?;
+    if metadata.is_dir() {
+        return Err(unreadable("this is a directory".into(), Some("name a file in it")));
+    }
+    let size = metadata.len();
+    let too_large = |size: u64| {
+        let message = format!("the file has {size} bytes, the limit is {FILE_BYTES_MAX}");
+        unreadable(message, Some("split the scenario into several"))
+    };
+    if size > FILE_BYTES_MAX {
+        return Err(too_large(size));
+    }
+    let mut bytes = Vec::new();
+    // A pipe has no size to ask for beforehand.
+    let read = file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes);
+    read.map_err(|error| unreadable(error.to_string(), None))?;
+    if bytes.len() as u64 > FILE_BYTES_MAX {
+        return Err(too_large(bytes.len() as u64));
+    }
+    Ok(bytes)
 }
 
 #[cfg(test)]

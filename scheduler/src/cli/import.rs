@@ -1,11 +1,16 @@
 //! `downbeat import`: other people's choreography files become a scenario and its fleet.
 
+mod describe;
 mod write;
+
+pub(super) use write::write_all;
 
 use std::path::PathBuf;
 
 use clap::builder::PossibleValue;
-use downbeat_scripts::import::{self, ImportFormat, ImportOptions, ImportOutcome, Imported, Scenes};
+use downbeat_scripts::import::{
+    self, ImportFormat, ImportOptions, ImportOutcome, Imported, Scenes, TimeUnit,
+};
 use downbeat_scripts::{Finding, Source, counted};
 use serde::Serialize;
 
@@ -20,7 +25,14 @@ use super::{Exit, Format, console};
   joint-trajectory  YAML or JSON with the fields of ROS trajectory_msgs/JointTrajectory
   play-motion2      motions of PAL Robotics' robots, YAML; a scene a motion
   bitbots           keyframe animations of the Bit-Bots, JSON
+  skybrush          compiled drone shows, .skyc
+  webots            motions of Webots, .motion
+  bvh               motion capture, .bvh
+  midi              notes and controllers, .mid
+  fseq              light sequences of xLights and Falcon Player, .fseq, with --map
+  mcap              recordings of ROS with JointState, .mcap
   csv               any CSV with times, with --time and --map
+  urdf              a robot's description: its initialization block and limits
 
 Several scenes become an act each, or with --join one list of cues.
 
@@ -29,7 +41,11 @@ Examples:
   downbeat import crazyswarm sequence_trajectories --rate 10 --join --output sequence
   downbeat import bitbots schnup_dance.json --init robots/wolfgang.yaml --robots wolf-1
   downbeat import play-motion2 tiago_motions.yaml --only wave,offer --output wave
-  downbeat import csv log.csv --time t --map arm-1/elbow=q2 --scale elbow=57.29578")]
+  downbeat import fseq star.fseq --map star/lamp=1,2,3 --map 'px*/lamp=4-303/3' --output star
+  downbeat import urdf arm.urdf --output arm
+  downbeat import csv log.csv --time t --time-unit s --map arm-1/elbow=q2 --scale elbow=57.29578
+  downbeat import csv 'Drone 1.csv' 'Drone 2.csv' --time 'Time [msec]' --map 'x=x [m]' --map lamp=Red,Green,Blue
+  downbeat import csv log.csv --time 'Time [s]' --map 'arm/ch*=channel *' --unwrap heading=360")]
 pub(super) struct ImportArgs {
     /// Whose files they are.
     #[arg(value_name = "FORMAT")]
@@ -46,7 +62,7 @@ pub(super) struct ImportArgs {
     /// The initialization block of the robots; otherwise one is made from the data's range.
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
-    /// Sample curves so many times a second; otherwise at the pieces' boundaries or the points.
+    /// Sample curves so many times a second; otherwise they are kept as curves where that can be.
     #[arg(long, value_name = "HZ", value_parser = rate)]
     rate: Option<f64>,
     /// Most polynomial pieces a robot and scene: a Crazyflie has 4 KB for pieces of 132 bytes.
@@ -70,9 +86,19 @@ pub(super) struct ImportArgs {
     /// The column of times of a csv, by name or number.
     #[arg(long, value_name = "COLUMN")]
     time: Option<String>,
-    /// A column of a csv that moves a device.
-    #[arg(long, value_name = "ROBOT/DEVICE=COLUMN", value_parser = column)]
+    /// What the times of a csv mean where its header does not say it: h, min, s, ms, us, ns, 25fps, hh:mm:ss, mm:ss, mm:ss:ms.
+    #[arg(long, value_name = "UNIT")]
+    time_unit: Option<TimeUnit>,
+    /// A column of a csv or a channel of an fseq that moves a device, or several with commas for one that takes several values; * stands for what
+    /// differs. Without a robot each file is a robot.
+    #[arg(long, value_name = "[ROBOT/]DEVICE=COLUMN", value_parser = column)]
     map: Vec<(String, String)>,
+    /// A device of a csv that stays at each value until the next.
+    #[arg(long, value_name = "DEVICE")]
+    hold: Vec<String>,
+    /// A device whose values begin again at a period, such as heading=360, goes on instead.
+    #[arg(long, value_name = "DEVICE=PERIOD", value_parser = period)]
+    unwrap: Vec<(String, f64)>,
     /// A factor for a device's values.
     #[arg(long, value_name = "DEVICE=FACTOR", value_parser = factor)]
     scale: Vec<(String, f64)>,
@@ -80,15 +106,20 @@ pub(super) struct ImportArgs {
 
 /// A format as it is typed.
 #[derive(Clone, Copy, Debug)]
-struct From(ImportFormat);
+enum From {
+    /// A choreography.
+    Motions(ImportFormat),
+    /// The description of a robot.
+    Urdf,
+}
 
 impl clap::ValueEnum for From {
     fn value_variants<'a>() -> &'a [Self] {
-        const ALL: [From; ImportFormat::WORDS.len()] = {
-            let mut all = [From(ImportFormat::Csv); ImportFormat::WORDS.len()];
+        const ALL: [From; ImportFormat::WORDS.len() + 1] = {
+            let mut all = [From::Urdf; ImportFormat::WORDS.len() + 1];
             let mut index = 0;
-            while index < all.len() {
-                all[index] = From(ImportFormat::WORDS[index].1);
+            while index < ImportFormat::WORDS.len() {
+                all[index] = From::Motions(ImportFormat::WORDS[index].1);
                 index += 1;
             }
             all
@@ -97,23 +128,31 @@ impl clap::ValueEnum for From {
     }
 
     fn to_possible_value(&self) -> Option<PossibleValue> {
-        Some(PossibleValue::new(self.0.word()))
+        Some(PossibleValue::new(match self {
+            Self::Motions(format) => format.word(),
+            Self::Urdf => "urdf",
+        }))
     }
 }
 
-fn rate(text: &str) -> Result<f64, String> {
+/// How many a second.
+pub(super) fn rate(text: &str) -> Result<f64, String> {
     let rate = text.parse::<f64>().ok().filter(|rate| *rate >= 0.001 && *rate <= 1_000.0);
     rate.ok_or_else(|| "a rate from 0.001 to 1000 Hz".to_owned())
 }
 
 fn column(text: &str) -> Result<(String, String), String> {
     let parts = text.split_once('=').filter(|(to, column)| {
-        let device =
-            to.split_once('/').map_or("", |(robot, device)| if robot.is_empty() { "" } else { device });
-        !device.is_empty() && !column.is_empty()
+        let (robot, device) = to.split_once('/').unwrap_or(("-", to));
+        !robot.is_empty() && !device.is_empty() && !column.is_empty()
     });
     let (to, column) = parts.ok_or("a column as robot/device=column")?;
     Ok((to.to_owned(), column.to_owned()))
+}
+
+fn period(text: &str) -> Result<(String, f64), String> {
+    let (device, period) = factor(text).map_err(|_| "a period as device=360")?;
+    if period > 0.0 { Ok((device, period)) } else { Err("a period above 0".to_owned()) }
 }
 
 fn factor(text: &str) -> Result<(String, f64), String> {
@@ -142,15 +181,18 @@ struct Done<'a> {
 }
 
 pub(super) fn import(args: &ImportArgs, format: Format) -> Exit {
-    if args.from.0 == ImportFormat::Csv && args.map.is_empty() {
-        console::error("csv needs at least one --map robot/device=column");
+    match args.from {
+        From::Motions(from) => import_motions(from, args, format),
+        From::Urdf => describe::describe(args, format),
+    }
+}
+
+fn import_motions(from: ImportFormat, args: &ImportArgs, format: Format) -> Exit {
+    if let Some(wrong) = wrong_options(from, args) {
+        console::error(wrong);
         return Exit::Usage;
     }
-    if args.from.0 != ImportFormat::Csv && (args.time.is_some() || !args.map.is_empty()) {
-        console::error("--time and --map are for csv");
-        return Exit::Usage;
-    }
-    let (init, mut outcome) = read(args);
+    let (init, mut outcome) = read(from, args);
     let scenes = if args.join { Scenes::Joined } else { Scenes::Acts };
     let mut files = Vec::new();
     let mut text = None;
@@ -170,10 +212,31 @@ pub(super) fn import(args: &ImportArgs, format: Format) -> Exit {
         Format::Json => show_json(&outcome, scenes, &files, text.as_deref()),
         Format::Text => show_text(&outcome, scenes, &files, text.as_deref()),
     }
-    match outcome.findings.as_slice() {
+    exit_of(&outcome.findings)
+}
+
+fn exit_of(findings: &[Finding]) -> Exit {
+    match findings {
         [] => Exit::Done,
         findings if findings.iter().any(Finding::is_unreadable) => Exit::Usage,
         _ => Exit::Failed,
+    }
+}
+
+/// What is wrong with the options for a format.
+fn wrong_options(from: ImportFormat, args: &ImportArgs) -> Option<&'static str> {
+    let for_csv = [args.time.is_some(), args.time_unit.is_some(), !args.hold.is_empty()];
+    let whose = |(to, _): &(String, String)| to.contains('/');
+    if from == ImportFormat::Csv && args.map.is_empty() {
+        Some("csv needs at least one --map robot/device=column, or device=column where each file is a robot")
+    } else if from != ImportFormat::Csv && for_csv.contains(&true) {
+        Some("--time, --time-unit and --hold are for csv")
+    } else if !from.is_mapped() && !args.map.is_empty() {
+        Some("--map is for csv and fseq")
+    } else if args.map.iter().any(whose) && !args.map.iter().all(whose) {
+        Some("every --map names a robot, or none does and each file is a robot")
+    } else {
+        None
     }
 }
 
@@ -183,7 +246,7 @@ struct Init {
     text: String,
 }
 
-fn read(args: &ImportArgs) -> (Option<Init>, ImportOutcome) {
+fn read(from: ImportFormat, args: &ImportArgs) -> (Option<Init>, ImportOutcome) {
     let init = args.init.as_deref().map(|path| {
         let source = Source::read(path).map_err(|finding| vec![finding])?;
         let block = downbeat_scripts::init_of(&source)?;
@@ -202,10 +265,13 @@ fn read(args: &ImportArgs) -> (Option<Init>, ImportOutcome) {
         only: args.only.clone(),
         scales: args.scale.clone(),
         time_column: args.time.clone(),
+        time_unit: args.time_unit,
+        holds: args.hold.clone(),
+        unwraps: args.unwrap.clone(),
         columns: args.map.clone(),
         init: init.as_ref().map(|init| init.block.clone()),
     };
-    let mut outcome = import::import(args.from.0, &args.files, &options);
+    let mut outcome = import::import(from, &args.files, &options);
     outcome.findings.extend(broken);
     (init, outcome)
 }

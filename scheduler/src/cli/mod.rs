@@ -13,6 +13,7 @@ mod detach;
 mod dry_run;
 mod edge;
 mod explain;
+mod export;
 mod fleet;
 mod go;
 mod import;
@@ -113,6 +114,8 @@ enum Command {
     Sim(sim::SimArgs),
     /// Turn other people's choreography files into a scenario and its fleet.
     Import(import::ImportArgs),
+    /// Write what a scenario compiles to as files that other tools read.
+    Export(export::ExportArgs),
     /// Print the JSON Schema of a scenario, a fleet file, a report or the messages.
     Schema(schema::SchemaArgs),
     /// Look at the fleet's robots.
@@ -194,6 +197,7 @@ pub fn main() -> ExitCode {
         Command::Edge(args) => edge::edge(&args, format),
         Command::Sim(args) => sim::sim(&args, format),
         Command::Import(args) => import::import(&args, format),
+        Command::Export(args) => export::export(&args, format),
         Command::Schema(args) => schema::schema(&args),
         Command::Fleet(command) => fleet::fleet(&command, format),
     };

@@ -11,11 +11,13 @@ use crate::node::shortened;
 use super::input::stem;
 use super::natural::natural_order;
 use super::sink::Sink;
-use super::{ImportFormat, ImportOptions, Imported, Motion, RobotMotion, Scene, remarks, units};
+use super::{
+    Course, DeviceMotion, ImportFormat, ImportOptions, Imported, Motion, RobotMotion, Scene, remarks, units,
+};
 
 /// Most robots of an import, and devices of a robot in a scene.
 const ROBOTS_MAX: usize = 10_000;
-const DEVICES_MAX: usize = 1_000;
+pub(super) const DEVICES_MAX: usize = 1_000;
 /// Longest name of a kind of robot, in characters: it becomes a file name.
 const KIND_CHARS_MAX: usize = 48;
 /// Most names in a note about the origin.
@@ -37,6 +39,7 @@ pub(super) fn assemble(
     let mut scenes = scenes(motions, &name, format, &file, sink);
     select(&mut scenes, options, &file, sink);
     rename(&mut scenes, format, options, &file, sink);
+    unwrap(&mut scenes, options, &file, sink);
     scale(&mut scenes, options, &file, sink);
     if let Some(init) = &options.init {
         fit(&mut scenes, init, sink);
@@ -147,10 +150,7 @@ fn rename(scenes: &mut [Scene], format: ImportFormat, options: &ImportOptions, f
     if old.len() != options.robots.len() && !scenes.is_empty() {
         let message = format!("--robots has {} names for {} robots", options.robots.len(), old.len());
         let expected = format!("{} names, in the order {}", old.len(), names(old.iter().map(String::as_str)));
-        let one = matches!(
-            format,
-            ImportFormat::JointTrajectory | ImportFormat::PlayMotion2 | ImportFormat::Bitbots
-        );
+        let one = format.is_single();
         let hint = one.then_some(
             "as many names as files make each file a robot of its own, one name makes them scenes",
         );
@@ -169,6 +169,28 @@ fn rename(scenes: &mut [Scene], format: ImportFormat, options: &ImportOptions, f
     }
 }
 
+/// Values that begin again, as headings do at 360, go on instead.
+fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut Sink) {
+    for (target, period) in &options.unwraps {
+        let (mut used, mut turns) = (false, 0_usize);
+        for RobotMotion { robot, devices } in scenes.iter_mut().flat_map(|scene| &mut scene.robots) {
+            let meant = |device: &str| *target == device || *target == format!("{robot}/{device}");
+            let flat = |device: &DeviceMotion| matches!(device.course, Course::Straight | Course::Held);
+            for device in devices.iter_mut().filter(|device| meant(&device.device) && flat(device)) {
+                used = true;
+                turns += super::keyframes::unwrap(&mut device.keyframes, *period);
+            }
+        }
+        match used || scenes.is_empty() {
+            true => sink.note(format!("`{target}` goes on past {period}: {}", crate::counted(turns, "turn"))),
+            false => {
+                let message = format!("--unwrap names `{}`, which no keyframes move", shortened(target));
+                sink.about(file, Code::ImportNames, message, "a device, or robot/device", None);
+            }
+        }
+    }
+}
+
 fn scale(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut Sink) {
     for (target, factor) in &options.scales {
         let mut used = false;
@@ -179,7 +201,7 @@ fn scale(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut S
                 used = true;
                 // What the values measure now only the user knows.
                 device.unit.clear();
-                device.keyframes.iter_mut().for_each(|keyframe| keyframe.value *= factor);
+                device.scale(*factor);
             }
         }
         if !used && !scenes.is_empty() {
@@ -205,10 +227,8 @@ fn fit(scenes: &mut [Scene], init: &InitializationBlock, sink: &mut Sink) {
         };
         let text = match units::factor(&device.unit, &unit) {
             Some(factor) => {
-                device
-                    .keyframes
-                    .iter_mut()
-                    .for_each(|k| k.value = super::keyframes::rounded(k.value * factor, 7));
+                device.scale(factor);
+                device.keyframes.iter_mut().for_each(|k| k.value = super::keyframes::rounded(k.value, 7));
                 format!("`{}` is converted from {} to {unit}", device.device, device.unit)
             }
             None if device.unit.is_empty() => format!("`{}` is taken to be in {unit}", device.device),

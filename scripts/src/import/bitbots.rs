@@ -85,7 +85,7 @@ impl Tracks {
         self.devices.push(DeviceMotion {
             device: joint.to_owned(),
             unit: "deg".into(),
-            keyframes: Vec::new(),
+            ..DeviceMotion::default()
         });
         self.held_until.push(0);
         device

@@ -9,7 +9,7 @@ use super::keyframes;
 use super::polynomial::{AXES, COEFFICIENTS, Piece, Trajectory};
 use super::sink::Sink;
 use super::table::{Row, rows};
-use super::{DeviceMotion, ImportOptions, Keyframe, Motion, RobotMotion};
+use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, RobotMotion};
 
 /// What a Crazyflie holds: 4 KB of trajectory memory, 132 bytes a piece.
 const PIECES_MAX: usize = 31;
@@ -33,13 +33,24 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
         return Vec::new();
     }
     let times = match options.rate_hz {
-        Some(rate) => keyframes::sampled_times(trajectory.duration_s(), rate),
+        Some(rate) => {
+            sink.note(format!(
+                "{}: sampled at {rate} Hz, straight between the samples: without --rate the curve itself is kept",
+                source.name
+            ));
+            keyframes::sampled_times(trajectory.duration_s(), rate)
+        }
         None => trajectory.bounds_s().iter().filter_map(|s| keyframes::millis(*s)).collect(),
+    };
+    let course = |axis| match options.rate_hz {
+        Some(_) => Course::Straight,
+        None => Course::Pieces(trajectory.pieces_of(axis)),
     };
     let device = |(axis, (name, unit)): (usize, &(&str, &str))| DeviceMotion {
         device: (*name).to_owned(),
         unit: (*unit).to_owned(),
         keyframes: times.iter().map(|at_ms| sample(&trajectory, axis, *at_ms)).collect(),
+        course: course(axis),
     };
     let devices = AXES.iter().enumerate().map(device).collect();
     vec![Motion { scene: input.scene.clone(), robot: RobotMotion { robot: input.robot.clone(), devices } }]
@@ -83,6 +94,13 @@ fn read_pieces(source: &Source, pieces_max: usize, sink: &mut Sink) -> Vec<Piece
         pieces.push(piece);
         if pieces.len() == pieces_max + 1 {
             too_many_pieces(pieces_max, &row, source, sink);
+        }
+        if pieces.len() > pieces_max || sink.is_full(source) {
+            break;
+        }
+        if !sink.has_room_for((pieces.len() * AXES.len()) as f64) {
+            sink.too_many(&source.name, (pieces.len() * AXES.len()) as f64);
+            break;
         }
     }
     if pieces.is_empty() && sink.findings.len() == before {

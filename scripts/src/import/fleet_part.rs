@@ -5,12 +5,16 @@ use std::collections::BTreeMap;
 
 use urrcp::InitializationBlock;
 
-use super::Imported;
-use super::grid::{Grid, grid_of};
+use super::grid::{self, Grid, grid_of};
 use super::yaml::{Scenes, line, number, one_line, scalar, scenario_text};
+use super::{Course, DeviceMotion, Imported, Piece, bernstein};
 
 /// Most steps that a generated block asks for at least.
 const STEPS_MIN: usize = 2;
+/// Eight, for the chords of a curve, by the half of the tolerance that the grid leaves; and some more for safety.
+const CHORDS: f64 = 3.5;
+/// Most steps that are counted for a piece.
+const STEPS_PIECE_MAX: f64 = 1e6;
 
 /// A file to be written, by its path from the output folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -98,32 +102,56 @@ fn fleet_text(imported: &Imported, kinds: &[Kind]) -> String {
     text
 }
 
-/// Each device with its unit and the grid of all its values, over all robots.
-pub(super) fn device_grids(imported: &Imported) -> Vec<(String, String, Grid)> {
-    let mut order: Vec<String> = Vec::new();
-    let mut values: BTreeMap<&str, (&str, Vec<f64>)> = BTreeMap::new();
-    for (_, device) in imported.devices() {
-        let known = values.entry(&device.device).or_insert_with(|| {
-            order.push(device.device.clone());
-            (&device.unit, Vec::new())
-        });
-        known.1.extend(device.keyframes.iter().map(|keyframe| keyframe.value));
-    }
-    let grid = |name: String| {
-        let (unit, values) = values.get(name.as_str()).cloned().unwrap_or_default();
-        let grid = grid_of(&values, unit);
-        (name, unit.to_owned(), grid)
-    };
-    order.into_iter().map(grid).collect()
+/// A device of all robots that have it.
+pub(super) struct Asked<'a> {
+    name: &'a str,
+    unit: &'a str,
+    /// Of the first robot's first scene.
+    course: &'a Course,
+    pub(super) grid: Grid,
+    /// The most steps that one robot takes in all scenes together.
+    steps: usize,
 }
 
-/// The most keyframes that one device has in all scenes together.
-fn steps_of(imported: &Imported, name: &str) -> usize {
-    let mut steps: BTreeMap<&str, usize> = BTreeMap::new();
-    for (robot, device) in imported.devices().filter(|(_, device)| device.device == name) {
-        *steps.entry(&robot.robot).or_default() += device.keyframes.len();
+/// Each device with what all robots together ask of it.
+pub(super) fn asked(imported: &Imported) -> Vec<Asked<'_>> {
+    let mut order: Vec<&str> = Vec::new();
+    let mut motions: BTreeMap<&str, Vec<(&str, &DeviceMotion)>> = BTreeMap::new();
+    for (robot, device) in imported.devices() {
+        let known = motions.entry(&device.device).or_insert_with(|| {
+            order.push(&device.device);
+            Vec::new()
+        });
+        known.push((&robot.robot, device));
     }
-    steps.into_values().max().unwrap_or(0).max(STEPS_MIN)
+    order.into_iter().filter_map(|name| asked_of(name, motions.get(name)?)).collect()
+}
+
+fn asked_of<'a>(name: &'a str, motions: &[(&'a str, &'a DeviceMotion)]) -> Option<Asked<'a>> {
+    let (_, first) = motions.first()?;
+    let values: Vec<f64> = motions.iter().flat_map(|(_, motion)| motion.values()).collect();
+    let grid = match first.course {
+        Course::Pieces(_) => grid::of_curves(&values, &first.unit),
+        _ => grid_of(&values, &first.unit),
+    };
+    let mut steps: BTreeMap<&str, usize> = BTreeMap::new();
+    for (robot, motion) in motions {
+        *steps.entry(robot).or_default() += steps_of(motion, grid.granularity);
+    }
+    let steps = steps.into_values().max().unwrap_or(0).max(STEPS_MIN);
+    Some(Asked { name, unit: &first.unit, course: &first.course, grid, steps })
+}
+
+/// As many steps as are enough. Chords of a curve that bends by so much are off by an eighth of that times the square of
+/// their length; half of the tolerance is for the grid.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the range is clamped")]
+fn steps_of(motion: &DeviceMotion, tolerance: f64) -> usize {
+    let Course::Pieces(pieces) = &motion.course else { return motion.keyframes.len() };
+    let chords = |piece: &Piece| {
+        let seconds = piece.nanos as f64 / 1e9;
+        seconds * (bernstein::bend(piece) / (CHORDS * tolerance)).sqrt()
+    };
+    pieces.iter().map(|piece| chords(piece).clamp(0.0, STEPS_PIECE_MAX).ceil() as usize + 2).sum()
 }
 
 fn block_text(imported: &Imported, kind: &Kind) -> String {
@@ -134,7 +162,8 @@ fn block_text(imported: &Imported, kind: &Kind) -> String {
         one_line(&imported.origin)
     );
     line(&mut text, format_args!("id: {}\napi_version: \"1\"\nreports: true\ndevices:", scalar(&kind.name)));
-    for (name, unit, grid) in device_grids(imported).iter().filter(|(name, ..)| kind.devices.contains(name)) {
+    let own = |asked: &Asked<'_>| kind.devices.iter().any(|device| device == asked.name);
+    for Asked { name, unit, course, grid, steps } in asked(imported).into_iter().filter(own) {
         line(&mut text, format_args!("  - id: {}\n    name: {}", scalar(name), scalar(name)));
         if !unit.is_empty() {
             line(&mut text, format_args!("    unit: {}", scalar(unit)));
@@ -146,12 +175,16 @@ fn block_text(imported: &Imported, kind: &Kind) -> String {
             number(grid.granularity),
             number(grid.granularity)
         );
-        let steps = steps_of(imported, name);
+        let (interpolation, control, own) = match course {
+            Course::Straight | Course::Pieces(_) => ("linear", "position", limits.as_str()),
+            Course::Held => ("hold", "position", limits.as_str()),
+            Course::Several(_) => ("hold", "custom_1", ""),
+        };
         line(
             &mut text,
             format_args!(
-                "    interpolation: linear\n    available_control_types:\n      position: {{{limits}}}\n      \
-                 script: {{{limits}, max_number_of_steps: {steps}, control_types: [position]}}"
+                "    interpolation: {interpolation}\n    available_control_types:\n      {control}: {{{own}}}\n      \
+                 script: {{{limits}, max_number_of_steps: {steps}, control_types: [{control}]}}"
             ),
         );
     }

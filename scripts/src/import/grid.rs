@@ -36,6 +36,20 @@ pub(super) fn grid_of(values: &[f64], unit: &str) -> Grid {
     Grid { min, max, granularity, complete: decimal.is_some() }
 }
 
+/// The range of curves, and a grid that is fine enough for what such a unit measures.
+pub(super) fn of_curves(bounds: &[f64], unit: &str) -> Grid {
+    let least = bounds.iter().copied().fold(f64::INFINITY, f64::min);
+    let most = bounds.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+    let (min, max) = outward(least, most);
+    let granularity = match unit {
+        "m" | "rad" => 0.001,
+        "cm" | "deg" => 0.1,
+        "mm" => 1.0,
+        _ => 10_f64.powf((max - min).log10().round() - 3.0),
+    };
+    Grid { min, max, granularity, complete: true }
+}
+
 /// Whether a value is a multiple of a step, but for rounding.
 pub(super) fn on_grid(value: f64, granularity: f64) -> bool {
     let steps = value / granularity;

@@ -19,6 +19,15 @@ pub(super) fn value(points: &[Point], at_s: f64) -> Option<f64> {
     }
 }
 
+/// The same curve as powers of the time in seconds, from the first of two points on.
+pub(super) fn coefficients(from: Point, to: Point) -> Vec<f64> {
+    let length = to.at_s - from.at_s;
+    let mean = (to.value - from.value) / length;
+    let square = (3.0 * mean - 2.0 * from.slope - to.slope) / length;
+    let cube = (from.slope + to.slope - 2.0 * mean) / (length * length);
+    vec![from.value + 0.0, from.slope + 0.0, square + 0.0, cube + 0.0]
+}
+
 fn between(from: Point, to: Point, at_s: f64) -> f64 {
     let length = to.at_s - from.at_s;
     let s = (at_s - from.at_s) / length;
@@ -42,6 +51,11 @@ mod tests {
             assert!(value(&points, t).is_some_and(|v| (v - cubic(t)).abs() < 1e-12), "at {t}");
         }
         assert_eq!(value(&points, 0.0), Some(cubic(0.5)));
+        let powers = coefficients(points[0], points[1]);
+        for t in [0.0, 0.3, 1.0, 1.5] {
+            let sum = powers.iter().rev().fold(0.0, |sum, c| sum * t + c);
+            assert!((sum - cubic(0.5 + t)).abs() < 1e-12, "after {t}");
+        }
         assert_eq!(value(&[], 0.0), None);
     }
 }

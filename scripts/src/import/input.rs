@@ -120,6 +120,12 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
         ImportFormat::Crazyswarm | ImportFormat::Waypoints | ImportFormat::Csv => &["csv"],
         ImportFormat::JointTrajectory | ImportFormat::PlayMotion2 => &["yaml", "yml", "json"],
         ImportFormat::Bitbots => &["json"],
+        ImportFormat::Skybrush => &["skyc"],
+        ImportFormat::Webots => &["motion"],
+        ImportFormat::Bvh => &["bvh"],
+        ImportFormat::Midi => &["mid", "midi"],
+        ImportFormat::Fseq => &["fseq"],
+        ImportFormat::Mcap => &["mcap"],
     };
     let mut files = Vec::new();
     for path in paths {
@@ -141,14 +147,20 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
             false => files.push(path.clone()),
         }
     }
+    if format == ImportFormat::Csv && robot_a_file(options) {
+        files.sort_by(|a, b| natural_order(&stem(a), &stem(b)));
+        if files.len() > 1 {
+            sink.note(format!("{} files, a robot each, named by them", files.len()));
+        }
+        let own = |path: PathBuf| Input { robot: stem(&path), path, scene: String::new() };
+        return files.into_iter().map(own).collect();
+    }
     if files.len() > 1 && files.iter().all(|file| is_number(&stem(file))) {
         files.sort_by(|a, b| natural_order(&stem(a), &stem(b)));
         sink.note(format!("sorted {} scenes by number", files.len()));
     }
     let kind = options.kind.clone().unwrap_or_else(|| format.kind().to_owned());
-    let single =
-        matches!(format, ImportFormat::JointTrajectory | ImportFormat::PlayMotion2 | ImportFormat::Bitbots);
-    let apart = single && files.len() > 1 && files.len() == options.robots.len();
+    let apart = format.is_single() && files.len() > 1 && files.len() == options.robots.len();
     let alone = files.len() == 1;
     let inputs = files.into_iter().enumerate().map(|(index, path)| {
         let scene = if alone || apart { String::new() } else { scene_name(&stem(&path)) };
@@ -156,6 +168,11 @@ fn motions(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions, sin
         Input { path, robot, scene }
     });
     inputs.collect()
+}
+
+/// Whether each CSV moves a robot of its own: so it is where no column is told whose it is.
+fn robot_a_file(options: &ImportOptions) -> bool {
+    !options.columns.is_empty() && options.columns.iter().all(|(to, _)| !to.contains('/'))
 }
 
 /// Files with one of the extensions, and folders; both in the order of their numbers.

@@ -9,7 +9,7 @@ use super::hermite::{self, Point};
 use super::input::Input;
 use super::keyframes::{self, rounded};
 use super::sink::Sink;
-use super::{DeviceMotion, ImportOptions, Keyframe, Motion, RobotMotion, tree};
+use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, Piece, RobotMotion, tree};
 
 /// Digits after the point of sampled values.
 const DIGITS: i32 = 7;
@@ -20,53 +20,109 @@ struct JointPoint {
     at_ms: u64,
     positions: Vec<f64>,
     velocities: Option<Vec<f64>>,
+    /// It has accelerations or efforts.
+    has_more: bool,
+}
+
+/// What becomes of the way between points.
+#[derive(Clone, Copy, PartialEq)]
+enum Between {
+    Straight,
+    Cubic,
+    /// So many times a second.
+    Sampled(f64),
+}
+
+impl Between {
+    fn of(points: &[JointPoint], options: &ImportOptions) -> Self {
+        match (are_curved(points), options.rate_hz) {
+            (true, Some(rate)) => Self::Sampled(rate),
+            (true, None) if points.len() > 1 && points[0].at_s == 0.0 => Self::Cubic,
+            _ => Self::Straight,
+        }
+    }
+}
+
+fn are_curved(points: &[JointPoint]) -> bool {
+    !points.is_empty() && points.iter().all(|point| point.velocities.is_some())
 }
 
 /// Reads one file: one robot in one scene.
 pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink: &mut Sink) -> Vec<Motion> {
     let read = tree::read(source, sink, |root, findings, _| read_points(root, findings));
     let Some((joints, points)) = read else { return Vec::new() };
-    let curved = !points.is_empty() && points.iter().all(|point| point.velocities.is_some());
+    points.iter().for_each(|point| sink.moved(point.at_s, point.at_ms));
     if points.first().is_some_and(|point| point.at_ms == 0) {
         sink.note(format!(
             "{}: the first point is at 0 s: the robot must be there when it starts",
             source.name
         ));
     }
-    let rate_hz = options.rate_hz.filter(|_| curved);
-    match (curved, options.rate_hz) {
-        (true, None) => sink.note(format!(
-            "{}: velocities are left out, the way between points is straight; --rate samples the curve",
-            source.name
-        )),
-        (false, Some(_)) => {
-            sink.note(format!("{}: no velocities, so --rate has no curve to sample", source.name))
-        }
-        _ => {}
-    }
-    let times = times(&points, rate_hz, joints.len(), source, sink);
+    let between = Between::of(&points, options);
+    note(&points, between, options, source, sink);
+    let times = times(&points, between, joints.len(), source, sink);
     let device = |(index, device): (usize, String)| DeviceMotion {
         device,
-        unit: String::new(),
-        keyframes: match rate_hz {
-            Some(_) => curve(&points, index, &times),
-            None => {
+        keyframes: match between {
+            Between::Sampled(_) => curve(&points, index, &times),
+            _ => {
                 points.iter().map(|p| Keyframe { at_ms: p.at_ms, value: p.positions[index] + 0.0 }).collect()
             }
         },
+        course: match between {
+            Between::Cubic => Course::Pieces(pieces(&points, index)),
+            _ => Course::Straight,
+        },
+        ..DeviceMotion::default()
     };
     let devices = joints.into_iter().enumerate().map(device).collect();
     vec![Motion { scene: input.scene.clone(), robot: RobotMotion { robot: input.robot.clone(), devices } }]
 }
 
+/// The cubics through positions and velocities.
+fn pieces(points: &[JointPoint], joint: usize) -> Vec<Piece> {
+    let at = |point: &JointPoint| Point {
+        at_s: point.at_s,
+        value: point.positions[joint],
+        slope: point.velocities.as_ref().map_or(0.0, |velocities| velocities[joint]),
+    };
+    let nanos = |point: &JointPoint| keyframes::nanos(point.at_s).unwrap_or(0);
+    let piece = |pair: &[JointPoint]| Piece {
+        nanos: nanos(&pair[1]).saturating_sub(nanos(&pair[0])),
+        coefficients: hermite::coefficients(at(&pair[0]), at(&pair[1])),
+    };
+    points.windows(2).map(piece).collect()
+}
+
+fn note(points: &[JointPoint], between: Between, options: &ImportOptions, source: &Source, sink: &mut Sink) {
+    let file = &source.name;
+    match between {
+        Between::Cubic => {
+            sink.note(format!("{file}: the way between points is the cubic of its positions and velocities"));
+        }
+        Between::Straight if are_curved(points) => sink.note(format!(
+            "{file}: velocities are left out, the way between points is straight; --rate samples the curve"
+        )),
+        Between::Straight if options.rate_hz.is_some() => {
+            sink.note(format!("{file}: no velocities, so --rate has no curve to sample"));
+        }
+        _ => {}
+    }
+    let more = points.iter().filter(|point| point.has_more).count();
+    if more > 0 {
+        let points = crate::counted(more, "point");
+        sink.note(format!("{file}: left out accelerations and efforts of {points}"));
+    }
+}
+
 fn times(
     points: &[JointPoint],
-    rate_hz: Option<f64>,
+    between: Between,
     joints: usize,
     source: &Source,
     sink: &mut Sink,
 ) -> Vec<u64> {
-    let (Some(rate), Some(last)) = (rate_hz, points.last()) else { return Vec::new() };
+    let (Between::Sampled(rate), Some(last)) = (between, points.last()) else { return Vec::new() };
     let samples = (last.at_s * rate + 2.0) * joints as f64;
     if !sink.has_room_for(samples) {
         sink.too_many(&source.name, samples);
@@ -137,10 +193,12 @@ fn read_point(
         Some(at) => Some(one_a_joint(&at, &what, "velocities", joints, findings)?),
         None => None,
     };
+    let given = |key| tree::optional(at, key).is_some_and(|at| !is_empty(at.node));
+    let has_more = given("accelerations") || given("effort");
     let time = tree::required(at, "time_from_start", &what, findings)?;
     let at_s = read_time(&time, &what, findings)?;
     let at_ms = checked_time(&time, &what, at_s, before, findings)?;
-    Some(JointPoint { at_s, at_ms, positions: positions?, velocities })
+    Some(JointPoint { at_s, at_ms, positions: positions?, velocities, has_more })
 }
 
 fn is_empty(node: &Node) -> bool {

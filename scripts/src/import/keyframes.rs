@@ -2,6 +2,8 @@
 
 use crate::finding::Code;
 
+use super::Keyframe;
+
 /// Longest time that is read, in seconds: 100 days and more, within what the protocol carries.
 pub(super) const SECONDS_MAX: f64 = 1e7;
 
@@ -9,6 +11,12 @@ pub(super) const SECONDS_MAX: f64 = 1e7;
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the range is checked before")]
 pub(super) fn millis(seconds: f64) -> Option<u64> {
     (0.0..=SECONDS_MAX).contains(&seconds).then(|| (seconds * 1_000.0).round() as u64)
+}
+
+/// Seconds to whole nanoseconds; `None` where they are negative or beyond all measure.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the range is checked before")]
+pub(super) fn nanos(seconds: f64) -> Option<u64> {
+    (0.0..=SECONDS_MAX).contains(&seconds).then(|| (seconds * 1e9).round() as u64)
 }
 
 /// All multiples of the sampling period up to a duration, and the duration itself, in milliseconds.
@@ -29,6 +37,21 @@ pub(super) fn rounded(value: f64, digits: i32) -> f64 {
     let scaled = (value * scale).round();
     // Values beyond the precision of doubles have no such digits to lose.
     if scaled.abs() < 9e15 { scaled / scale + 0.0 } else { value }
+}
+
+/// Adds whole periods so that no value is more than half of one from the value before; says how often that was needed.
+pub(super) fn unwrap(keyframes: &mut [Keyframe], period: f64) -> usize {
+    let (mut turns, mut jumps) = (0.0, 0);
+    let mut before = None;
+    for keyframe in keyframes {
+        let written = keyframe.value;
+        let jump = before.map_or(0.0, |before: f64| ((written - before) / period).round());
+        turns -= jump;
+        jumps += usize::from(jump != 0.0);
+        before = Some(written);
+        keyframe.value = written + turns * period;
+    }
+    jumps
 }
 
 /// What is wrong with a time after another one of the same device, in seconds: the code, a sentence and a hint.
@@ -55,6 +78,16 @@ mod tests {
         assert_eq!(sampled_times(4.25, 50.0).len(), 214);
         assert_eq!(sampled_times(198.0, 10.0).len(), 1_981);
         assert_eq!(sampled_times(0.05, 30.0), [0, 33, 50]);
+    }
+
+    #[test]
+    fn headings_go_on_past_a_turn_in_either_direction() {
+        let values = [350.0, 10.0, 30.0, 340.0, 0.0, 355.0];
+        let mut keyframes: Vec<_> =
+            (0..).zip(values).map(|(at_ms, value)| Keyframe { at_ms, value }).collect();
+        assert_eq!(unwrap(&mut keyframes, 360.0), 4);
+        let values: Vec<_> = keyframes.iter().map(|keyframe| keyframe.value).collect();
+        assert_eq!(values, [350.0, 370.0, 390.0, 340.0, 360.0, 355.0]);
     }
 
     #[test]

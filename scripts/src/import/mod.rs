@@ -1,25 +1,37 @@
 //! Other people's choreography files: each format has a reader, all give one [`Imported`], and one writer makes a readable
 //! scenario with its fleet of it. Which rule applies to what: `docs/import.md`. Writing files is left to the caller.
 
+mod archive;
 mod assemble;
+mod bernstein;
 mod bitbots;
+mod bvh;
+mod columns;
 mod crazyswarm;
 mod fleet_part;
+mod fseq;
 mod grid;
 mod hermite;
 mod input;
+mod joint_states;
 mod joint_trajectory;
 mod keyframes;
+mod light_program;
+mod midi;
+mod moments;
 mod natural;
 mod play_motion2;
 mod polynomial;
 mod remarks;
 mod sink;
+mod skybrush;
 mod table;
 mod timed_csv;
 mod tree;
 mod units;
+mod urdf;
 mod waypoints;
+mod webots;
 mod yaml;
 
 use std::path::PathBuf;
@@ -27,11 +39,14 @@ use std::path::PathBuf;
 use urrcp::InitializationBlock;
 
 use crate::finding::Finding;
-use crate::source::Source;
+use crate::source::{Source, read_bytes};
 use input::Input;
 use sink::Sink;
 
 pub use fleet_part::{FilePart, files_of};
+pub use moments::TimeUnit;
+pub use urdf::{UrdfOutcome, urdf};
+pub(crate) use yaml::scalar;
 pub use yaml::{Scenes, scenario_text, steps_written};
 
 /// Most keyframes of one import: two million, far beyond what any device takes.
@@ -50,18 +65,36 @@ pub enum ImportFormat {
     PlayMotion2,
     /// Keyframe animations of the RoboCup team Bit-Bots, JSON.
     Bitbots,
+    /// Compiled drone shows of Skybrush, `.skyc`.
+    Skybrush,
+    /// Motions of Webots, `.motion`.
+    Webots,
+    /// Motion capture, `.bvh`.
+    Bvh,
+    /// Standard MIDI files.
+    Midi,
+    /// Light sequences of xLights and Falcon Player, `.fseq`.
+    Fseq,
+    /// Recordings of ROS with joint states, `.mcap`.
+    Mcap,
     /// Any CSV with a column of times.
     Csv,
 }
 
 impl ImportFormat {
     /// All of them with the names that people type.
-    pub const WORDS: [(&'static str, Self); 6] = [
+    pub const WORDS: [(&'static str, Self); 12] = [
         ("crazyswarm", Self::Crazyswarm),
         ("waypoints", Self::Waypoints),
         ("joint-trajectory", Self::JointTrajectory),
         ("play-motion2", Self::PlayMotion2),
         ("bitbots", Self::Bitbots),
+        ("skybrush", Self::Skybrush),
+        ("webots", Self::Webots),
+        ("bvh", Self::Bvh),
+        ("midi", Self::Midi),
+        ("fseq", Self::Fseq),
+        ("mcap", Self::Mcap),
         ("csv", Self::Csv),
     ];
 
@@ -71,15 +104,31 @@ impl ImportFormat {
         Self::WORDS.iter().find(|(_, format)| *format == self).map_or("", |(word, _)| word)
     }
 
+    /// Whether its files are of one robot each.
+    fn is_single(self) -> bool {
+        use ImportFormat::{Bitbots, Bvh, JointTrajectory, Midi, PlayMotion2, Webots};
+        matches!(self, JointTrajectory | PlayMotion2 | Bitbots | Webots | Bvh | Midi)
+    }
+
+    /// Whether the user says what moves what.
+    #[must_use]
+    pub fn is_mapped(self) -> bool {
+        matches!(self, Self::Csv | Self::Fseq)
+    }
+
     fn has_curves(self) -> bool {
-        matches!(self, Self::Crazyswarm | Self::JointTrajectory)
+        matches!(self, Self::Crazyswarm | Self::JointTrajectory | Self::Skybrush)
     }
 
     /// What kind of robot plays such files, where the user says nothing else.
     fn kind(self) -> &'static str {
         match self {
             Self::Crazyswarm | Self::Waypoints => "crazyflie",
-            Self::JointTrajectory | Self::Csv => "robot",
+            Self::JointTrajectory | Self::Webots | Self::Mcap | Self::Csv => "robot",
+            Self::Bvh => "skeleton",
+            Self::Midi => "midi",
+            Self::Fseq => "lamps",
+            Self::Skybrush => "drone",
             Self::PlayMotion2 => "tiago",
             Self::Bitbots => "humanoid",
         }
@@ -105,8 +154,15 @@ pub struct ImportOptions {
     pub scales: Vec<(String, f64)>,
     /// The column of times of a CSV, by name or by number from 1.
     pub time_column: Option<String>,
-    /// `robot/device` and its column.
+    /// What the times of a CSV mean; otherwise its header has to say it.
+    pub time_unit: Option<TimeUnit>,
+    /// `robot/device`, or `device` where each file is a robot; and its column, several with commas between. A `*` in both
+    /// stands for what differs.
     pub columns: Vec<(String, String)>,
+    /// Devices of a CSV that stay at each value until the next: `device` or `robot/device`.
+    pub holds: Vec<String>,
+    /// The values at which devices begin again, such as 360: `device` or `robot/device`.
+    pub unwraps: Vec<(String, f64)>,
     /// The block of the robots that shall play it.
     pub init: Option<InitializationBlock>,
 }
@@ -151,8 +207,33 @@ pub struct DeviceMotion {
     pub device: String,
     /// Of the values; empty where unknown.
     pub unit: String,
-    /// In order of time, each later than the one before.
+    /// In order of time, each later than the one before. Of pieces: where they meet.
     pub keyframes: Vec<Keyframe>,
+    /// How it moves from one to the next.
+    pub course: Course,
+}
+
+/// What a device does between its keyframes.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub enum Course {
+    /// It goes straight from each to the next.
+    #[default]
+    Straight,
+    /// It stays at each until the next.
+    Held,
+    /// It stays too, and each keyframe has several values, of which its own is the first.
+    Several(Vec<Vec<f64>>),
+    /// It follows these, one after the other from the beginning of the scene.
+    Pieces(Vec<Piece>),
+}
+
+/// A polynomial: p(t) = sum of c_i t^i, with t in seconds from the beginning of the piece.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Piece {
+    /// How long it lasts, in nanoseconds.
+    pub nanos: u64,
+    /// In the device's unit, the constant first.
+    pub coefficients: Vec<f64>,
 }
 
 /// A value and when it is reached.
@@ -204,7 +285,71 @@ impl RobotMotion {
     /// The time of the last keyframe, in milliseconds.
     #[must_use]
     pub fn duration_ms(&self) -> u64 {
-        self.devices.iter().filter_map(|device| device.keyframes.last()).map(|k| k.at_ms).max().unwrap_or(0)
+        self.devices.iter().map(DeviceMotion::duration_ms).max().unwrap_or(0)
+    }
+}
+
+impl DeviceMotion {
+    /// The first whole millisecond by which it has ended.
+    #[must_use]
+    pub fn duration_ms(&self) -> u64 {
+        match &self.course {
+            Course::Pieces(pieces) => pieces.iter().map(|piece| piece.nanos).sum::<u64>().div_ceil(1_000_000),
+            _ => self.keyframes.last().map_or(0, |keyframe| keyframe.at_ms),
+        }
+    }
+
+    /// Multiplies all values.
+    fn scale(&mut self, factor: f64) {
+        self.keyframes.iter_mut().for_each(|keyframe| keyframe.value *= factor);
+        match &mut self.course {
+            Course::Pieces(pieces) => {
+                pieces.iter_mut().flat_map(|piece| &mut piece.coefficients).for_each(|c| *c *= factor);
+            }
+            Course::Several(values) => values.iter_mut().flatten().for_each(|value| *value *= factor),
+            Course::Straight | Course::Held => {}
+        }
+    }
+
+    /// Takes out keyframes that change nothing where values stay until the next, but for the last one; says how many.
+    fn thin(&mut self) -> usize {
+        let count = self.keyframes.len();
+        let changes = |index: usize, same: bool| index == 0 || index + 1 == count || !same;
+        let keep: Vec<bool> = match &self.course {
+            Course::Held => {
+                let same = |i: usize| i > 0 && self.keyframes[i].value == self.keyframes[i - 1].value;
+                (0..count).map(|i| changes(i, same(i))).collect()
+            }
+            Course::Several(all) => {
+                let same = |i: usize| i > 0 && all[i] == all[i - 1];
+                (0..count).map(|i| changes(i, same(i))).collect()
+            }
+            Course::Straight | Course::Pieces(_) => return 0,
+        };
+        let mut kept = keep.iter();
+        self.keyframes.retain(|_| kept.next().is_none_or(|keep| *keep));
+        if let Course::Several(all) = &mut self.course {
+            let mut kept = keep.iter();
+            all.retain(|_| kept.next().is_none_or(|keep| *keep));
+        }
+        count - self.keyframes.len()
+    }
+
+    /// Every value that stands in it; of pieces bounds that hold all of them.
+    fn values(&self) -> Vec<f64> {
+        match &self.course {
+            Course::Pieces(pieces) => pieces.iter().flat_map(bernstein::bounds).collect(),
+            Course::Several(values) => values.concat(),
+            Course::Straight | Course::Held => self.keyframes.iter().map(|keyframe| keyframe.value).collect(),
+        }
+    }
+
+    /// How many keyframes or pieces are written.
+    fn written(&self) -> usize {
+        match &self.course {
+            Course::Pieces(pieces) => pieces.len(),
+            _ => self.keyframes.len(),
+        }
     }
 }
 
@@ -229,14 +374,12 @@ pub fn import(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions) 
     }
     let mut motions = Vec::new();
     for input in &inputs {
-        match Source::read(&input.path) {
-            Ok(source) => motions.extend(read(format, input, &source, options, &mut sink)),
+        match read_bytes(&input.path) {
+            Ok(bytes) => motions.extend(read(format, input, bytes, options, &mut sink)),
             Err(finding) => sink.findings.push(finding),
         }
     }
-    let imported = assemble::assemble(format, paths, motions, options, &mut sink);
-    let Sink { findings, notes, .. } = sink;
-    ImportOutcome { imported: imported.filter(|_| findings.is_empty()), notes, findings }
+    finish(format, paths, motions, options, sink)
 }
 
 /// One robot's part of one scene.
@@ -249,20 +392,75 @@ struct Motion {
 fn read(
     format: ImportFormat,
     input: &Input,
+    bytes: Vec<u8>,
+    options: &ImportOptions,
+    sink: &mut Sink,
+) -> Vec<Motion> {
+    let name = input.path.display().to_string();
+    let motions = match format {
+        ImportFormat::Skybrush => skybrush::read(input, &name, &bytes, options, sink),
+        ImportFormat::Midi => midi::read(input, &name, &bytes, sink),
+        ImportFormat::Fseq => fseq::read(input, &name, &bytes, options, sink),
+        ImportFormat::Mcap => joint_states::read(input, &name, &bytes, sink),
+        _ => match Source::of_bytes(&name, bytes) {
+            Ok(source) => read_text(format, input, &source, options, sink),
+            Err(finding) => {
+                sink.findings.push(finding);
+                Vec::new()
+            }
+        },
+    };
+    sink.count(&motions, &name);
+    motions
+}
+
+fn read_text(
+    format: ImportFormat,
+    input: &Input,
     source: &Source,
     options: &ImportOptions,
     sink: &mut Sink,
 ) -> Vec<Motion> {
-    let motions = match format {
+    match format {
         ImportFormat::Crazyswarm => crazyswarm::read(input, source, options, sink),
         ImportFormat::Waypoints => waypoints::read(input, source, sink),
         ImportFormat::JointTrajectory => joint_trajectory::read(input, source, options, sink),
         ImportFormat::PlayMotion2 => play_motion2::read(input, source, sink),
         ImportFormat::Bitbots => bitbots::read(input, source, sink),
         ImportFormat::Csv => timed_csv::read(input, source, options, sink),
-    };
-    sink.count(&motions, &source.name);
-    motions
+        ImportFormat::Webots => webots::read(input, source, sink),
+        ImportFormat::Bvh => bvh::read(input, source, sink),
+        ImportFormat::Skybrush | ImportFormat::Midi | ImportFormat::Fseq | ImportFormat::Mcap => Vec::new(),
+    }
+}
+
+/// Reads the bytes of one file, as if it had been read from a place of that name.
+#[must_use]
+pub fn import_bytes(
+    format: ImportFormat,
+    name: &str,
+    bytes: &[u8],
+    options: &ImportOptions,
+) -> ImportOutcome {
+    let mut sink = Sink::default();
+    let path = PathBuf::from(name);
+    let robot = options.kind.clone().unwrap_or_else(|| format.kind().to_owned());
+    let input = Input { path: path.clone(), robot, scene: String::new() };
+    let motions = read(format, &input, bytes.to_vec(), options, &mut sink);
+    finish(format, &[path], motions, options, sink)
+}
+
+fn finish(
+    format: ImportFormat,
+    paths: &[PathBuf],
+    motions: Vec<Motion>,
+    options: &ImportOptions,
+    mut sink: Sink,
+) -> ImportOutcome {
+    let imported = assemble::assemble(format, paths, motions, options, &mut sink);
+    sink.note_moved();
+    let Sink { findings, notes, .. } = sink;
+    ImportOutcome { imported: imported.filter(|_| findings.is_empty()), notes, findings }
 }
 
 #[cfg(test)]

@@ -81,7 +81,12 @@ fn read_motion(name: &str, at: &At<'_>, findings: &mut Reader) -> Option<Vec<Dev
         let values = positions.iter().skip(index).step_by(count);
         let keyframes =
             times.iter().zip(values).map(|(at_ms, value)| Keyframe { at_ms: *at_ms, value: value + 0.0 });
-        DeviceMotion { unit: unit_of(&device).to_owned(), device, keyframes: keyframes.collect() }
+        DeviceMotion {
+            unit: unit_of(&device).to_owned(),
+            device,
+            keyframes: keyframes.collect(),
+            ..DeviceMotion::default()
+        }
     };
     Some(joints.into_iter().enumerate().map(device).collect())
 }

@@ -1,5 +1,7 @@
 //! Trajectories of polynomial pieces: p(t) = sum of c_i t^i, with t from the beginning of the piece.
 
+use super::keyframes;
+
 /// Axes of a quadrotor's trajectory and their units.
 pub(super) const AXES: [(&str, &str); 4] = [("x", "m"), ("y", "m"), ("z", "m"), ("yaw", "rad")];
 /// Coefficients of a polynomial: seventh degree.
@@ -30,6 +32,19 @@ impl Trajectory {
             bounds_s.push(end);
         }
         Self { pieces, bounds_s }
+    }
+
+    /// One axis, without the powers that it does not need.
+    pub(super) fn pieces_of(&self, axis: usize) -> Vec<super::Piece> {
+        let piece = |piece: &Piece| {
+            let own = &piece.coefficients[axis];
+            let needed = own.iter().rposition(|c| *c != 0.0).map_or(1, |last| last + 1);
+            super::Piece {
+                nanos: keyframes::nanos(piece.duration_s).unwrap_or(0),
+                coefficients: own[..needed].iter().map(|c| c + 0.0).collect(),
+            }
+        };
+        self.pieces.iter().map(piece).collect()
     }
 
     pub(super) fn bounds_s(&self) -> &[f64] {

@@ -11,6 +11,8 @@ use super::{KEYFRAMES_MAX, Motion};
 pub(super) const FINDINGS_A_FILE_MAX: usize = 100;
 /// Longest line that a finding carries, in bytes.
 const LINE_BYTES_MAX: usize = 4_000;
+/// Times that move by less than this, in milliseconds, are not worth a word.
+const MOVED_MS_MIN: f64 = 0.0005;
 
 /// Collects.
 #[derive(Default)]
@@ -21,6 +23,8 @@ pub(super) struct Sink {
     keyframes: usize,
     /// Values that repeat the one before.
     pub(super) held: usize,
+    /// The most by which whole milliseconds moved a time, in milliseconds.
+    moved_ms: f64,
 }
 
 /// A place in a text file: part of a line.
@@ -37,6 +41,21 @@ pub(super) struct Spot<'a> {
 impl Sink {
     pub(super) fn note(&mut self, text: impl Into<String>) {
         self.notes.push(text.into());
+    }
+
+    /// Counts a time that is kept in whole milliseconds.
+    pub(super) fn moved(&mut self, at_s: f64, at_ms: u64) {
+        self.moved_ms = self.moved_ms.max((at_s * 1_000.0 - at_ms as f64).abs());
+    }
+
+    /// Says how far times were moved, where that is more than their own digits.
+    pub(super) fn note_moved(&mut self) {
+        if self.moved_ms > MOVED_MS_MIN {
+            self.note(format!(
+                "times are kept in whole milliseconds: moved by at most {:.3} ms",
+                self.moved_ms
+            ));
+        }
     }
 
     /// A finding about a part of a line.
@@ -66,6 +85,17 @@ impl Sink {
         });
     }
 
+    /// A text that is no JSON, with the place where it stops being it.
+    pub(super) fn found_json(&mut self, source: &Source, error: &serde_json::Error) {
+        let text = source.text.lines().nth(error.line().saturating_sub(1)).unwrap_or("");
+        let start = (0..=error.column().saturating_sub(1).min(text.len())).rev();
+        let start = start.into_iter().find(|start| text.is_char_boundary(*start)).unwrap_or(0);
+        let message = error.to_string();
+        let message = message.split(" at line ").next().unwrap_or("").to_owned();
+        let spot = Spot { line: error.line(), text, start, width: 0 };
+        self.found(source, spot, Code::Syntax, message, "a JSON document", None);
+    }
+
     /// A finding about a file as a whole.
     pub(super) fn about(
         &mut self,
@@ -83,7 +113,7 @@ impl Sink {
         let mut pending = findings.found;
         pending.truncate(FINDINGS_A_FILE_MAX + 1);
         for finding in locate(std::slice::from_ref(source), pending) {
-            self.push(finding);
+            self.push(with_short_line(finding));
         }
     }
 
@@ -136,6 +166,12 @@ impl Sink {
             _ => {}
         }
     }
+}
+
+/// The same with its line as far as it matters.
+pub(super) fn with_short_line(mut finding: Finding) -> Finding {
+    finding.source_line = shown(&finding.source_line, finding.column);
+    finding
 }
 
 /// The line as far as it matters.

@@ -8,6 +8,9 @@ use crate::source::Source;
 
 use super::sink::{Sink, Spot};
 
+/// Most cells of a line that are told apart.
+const CELLS_MAX: usize = 50_000;
+
 /// One line.
 #[derive(Clone, Debug)]
 pub(super) struct Row<'a> {
@@ -33,6 +36,12 @@ pub(super) fn rows(source: &Source, separator: char) -> impl Iterator<Item = Row
     let rows =
         lines.map(move |(index, text)| Row { line: index + 1, text, cells: cells(text, 0, separator) });
     header.into_iter().chain(rows)
+}
+
+/// All lines of a table, also those that begin with `#`.
+pub(super) fn every_row(source: &Source, separator: char) -> impl Iterator<Item = Row<'_>> {
+    let lines = source.text.lines().enumerate();
+    lines.map(move |(index, text)| Row { line: index + 1, text, cells: cells(text, 0, separator) })
 }
 
 /// A header that is written as a comment, `# duration,x^0`: the last one ahead of numbers, of as many columns.
@@ -76,7 +85,7 @@ fn cells(line: &str, mut from: usize, separator: char) -> Vec<Cell<'_>> {
     loop {
         let end = cell_end(&line[from..], separator).map_or(line.len(), |end| from + end);
         cells.push(cell(line, from, end));
-        if end == line.len() {
+        if end == line.len() || cells.len() == CELLS_MAX {
             return cells;
         }
         from = end + separator.len_utf8();

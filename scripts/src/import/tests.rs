@@ -8,6 +8,34 @@ use proptest::prelude::*;
 use super::*;
 use crate::node::{self, Node};
 
+mod bvh;
+mod fseq;
+mod joint_states;
+mod midi;
+mod skybrush;
+mod urdf;
+mod webots;
+
+fn fixture_of(name: &str) -> Vec<u8> {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../tests/fixtures/import").join(name);
+    fs::read(path).unwrap()
+}
+
+/// The keyframes of the first device of this name.
+fn keyframes_of(imported: &Imported, name: &str) -> Vec<(u64, f64)> {
+    let mut devices = imported.devices();
+    let (_, device) = devices.find(|(_, device)| device.device == name).unwrap();
+    device.keyframes.iter().map(|keyframe| (keyframe.at_ms, keyframe.value)).collect()
+}
+
+#[track_caller]
+fn refused(format: ImportFormat, bytes: &[u8], parts: &[&str]) {
+    let outcome = import_bytes(format, "test", bytes, &ImportOptions::default());
+    let text = crate::render(&outcome.findings, false);
+    assert!(outcome.imported.is_none(), "{:?}", outcome.notes);
+    assert!(parts.iter().all(|part| text.contains(part)), "{text}");
+}
+
 const CRAZYSWARM: &str = "duration,x^0,x^1,x^2,x^3,x^4,x^5,x^6,x^7,y^0,y^1,y^2,y^3,y^4,y^5,y^6,y^7,\
 z^0,z^1,z^2,z^3,z^4,z^5,z^6,z^7,yaw^0,yaw^1,yaw^2,yaw^3,yaw^4,yaw^5,yaw^6,yaw^7\n\
 0.25,1,2,0,0,0,0,0,0,1,0,0,0,0,0,0,0,1,0,0,0,0,0,0,0,0,0,0,0,0,0,0,0\n\
@@ -33,16 +61,11 @@ const ALL: [(ImportFormat, &str); 6] = [
 fn imported(format: ImportFormat, text: &str) -> ImportOutcome {
     let options = ImportOptions {
         rate_hz: Some(7.0),
+        kind: Some("r".into()),
         columns: vec![("r/a".into(), "a".into()), ("r/b".into(), "3".into())],
         ..ImportOptions::default()
     };
-    let source = Source { name: "test".into(), text: text.into() };
-    let input = Input { path: PathBuf::new(), robot: "r".into(), scene: String::new() };
-    let mut sink = Sink::default();
-    let motions = read(format, &input, &source, &options, &mut sink);
-    let imported = assemble::assemble(format, &[], motions, &options, &mut sink);
-    let imported = imported.filter(|_| sink.findings.is_empty());
-    ImportOutcome { imported, notes: sink.notes, findings: sink.findings }
+    import_bytes(format, "test", text.as_bytes(), &options)
 }
 
 /// What every outcome must be, right or wrong.
@@ -117,7 +140,7 @@ fn folders_are_robots_and_their_files_scenes_in_numerical_order() {
     let imported = outcome.imported.unwrap();
     let names: Vec<_> = imported.scenes.iter().map(|scene| scene.name.as_str()).collect();
     assert_eq!((names, imported.robots()), (vec!["scene 2", "scene 10"], vec!["cf1", "cf2"]));
-    assert_eq!(steps_written(&imported, Scenes::Acts), 2 * 2 * 4 * 3);
+    assert_eq!(steps_written(&imported, Scenes::Acts), 2 * 2 * 4 * 2);
 }
 
 /// A folder that removes itself.
@@ -151,6 +174,13 @@ fn mutated(text: &str, changes: &[(usize, u8, String)]) -> String {
         }
     }
     chars.into_iter().collect()
+}
+
+#[test]
+fn brackets_within_brackets_are_refused_at_once() {
+    let deep = format!("{{\"keyframes\": {}", "[".repeat(100_000));
+    let outcome = imported(ImportFormat::Bitbots, &deep);
+    assert!(outcome.findings[0].message.contains("more than 500 deep"), "{:?}", outcome.findings);
 }
 
 proptest! {

@@ -1,27 +1,30 @@
 //! Any CSV with a column of times: which column moves what is said by the user.
 
-use crate::finding::{Code, did_you_mean, names};
+use crate::finding::Code;
 use crate::node::shortened;
 use crate::source::Source;
 
+use super::columns::Header;
 use super::input::Input;
+use super::moments::{self, Said, TimeUnit, UNITS};
 use super::sink::Sink;
 use super::table::{Row, rows, separator_of};
-use super::units::{self, name_and_unit};
-use super::{DeviceMotion, ImportOptions, Keyframe, Motion, RobotMotion, keyframes};
+use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, RobotMotion, keyframes};
 
-/// A column that moves a device.
+/// Columns that move a device.
 struct Mapped {
     robot: String,
     motion: DeviceMotion,
-    index: usize,
+    indices: Vec<usize>,
     empty: usize,
+    /// Lines that repeat what is held anyway.
+    same: usize,
 }
 
-/// Where the times stand, and what turns them into seconds.
+/// Where the times stand, and what they mean.
 struct TimeColumn {
     index: usize,
-    factor: f64,
+    unit: TimeUnit,
 }
 
 /// Reads one file: all mapped robots in one scene.
@@ -36,13 +39,15 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     if header.named {
         rows.next();
     }
-    let Some((time, mut mapped)) = header.columns(options, source, sink) else { return Vec::new() };
+    let Some((time, mut mapped)) = columns(&header, input, options, source, sink) else { return Vec::new() };
     let found = sink.findings.len();
     let mut before = None;
     for mut row in rows {
         row.drop_trailing(header.width);
         read_row(&row, header.width, &time, &mut before, &mut mapped, source, sink);
-        if sink.is_full(source) {
+        let keyframes =
+            mapped.iter().map(|mapped| mapped.motion.keyframes.len() * mapped.indices.len()).sum::<usize>();
+        if sink.is_full(source) || !sink.has_room_for(keyframes as f64) {
             break;
         }
     }
@@ -58,78 +63,102 @@ pub(super) fn read(input: &Input, source: &Source, options: &ImportOptions, sink
     motions(input, mapped, source, sink)
 }
 
-struct Header<'a> {
-    row: Row<'a>,
-    /// Whether it names the columns; otherwise it is a line of values already.
-    named: bool,
-    width: usize,
+fn columns(
+    header: &Header<'_>,
+    input: &Input,
+    options: &ImportOptions,
+    source: &Source,
+    sink: &mut Sink,
+) -> Option<(TimeColumn, Vec<Mapped>)> {
+    let index = header.index(options.time_column.as_deref().unwrap_or("t"), source, sink);
+    let unit = index.and_then(|index| time_unit(header, index, options, source, sink));
+    let mut mapped = Vec::new();
+    let mut complete = true;
+    for (to, columns) in &options.columns {
+        let chosen = header.choose(to, columns, index.unwrap_or(usize::MAX), source, sink);
+        complete &= chosen.is_some();
+        for chosen in chosen.into_iter().flatten() {
+            let (robot, device) = chosen.target.split_once('/').unwrap_or((&input.robot, &chosen.target));
+            let held = |name: &String| *name == device || *name == format!("{robot}/{device}");
+            let course = match chosen.indices.len() {
+                1 if options.holds.iter().any(held) => Course::Held,
+                1 => Course::Straight,
+                _ => Course::Several(Vec::new()),
+            };
+            let unit = header.unit(chosen.indices[0]).to_owned();
+            let motion = DeviceMotion { device: device.to_owned(), unit, course, keyframes: Vec::new() };
+            mapped.push(Mapped {
+                robot: robot.to_owned(),
+                motion,
+                indices: chosen.indices,
+                empty: 0,
+                same: 0,
+            });
+        }
+    }
+    let (index, unit) = (index?, unit?);
+    let used: Vec<usize> = mapped.iter().flat_map(|mapped| &mapped.indices).copied().chain([index]).collect();
+    header.note_unused(&used, source, sink);
+    (complete && !mapped.is_empty()).then_some((TimeColumn { index, unit }, mapped))
 }
 
-impl<'a> Header<'a> {
-    fn new(mut row: Row<'a>) -> Self {
-        let named = row.cells.iter().any(|cell| cell.text.parse::<f64>().is_err() && !cell.text.is_empty());
-        row.drop_trailing(row.cells.len().saturating_sub(1));
-        let width = row.cells.len();
-        Self { row, named, width }
-    }
-
-    fn columns(
-        &self,
-        options: &ImportOptions,
-        source: &Source,
-        sink: &mut Sink,
-    ) -> Option<(TimeColumn, Vec<Mapped>)> {
-        let time = options.time_column.as_deref().unwrap_or("t");
-        let time = self.index(time, source, sink).map(|index| {
-            let factor = units::factor(self.unit(index), "s").unwrap_or(1.0);
-            TimeColumn { index, factor }
-        });
-        let mut mapped = Vec::new();
-        for (to, column) in &options.columns {
-            let index = self.index(column, source, sink);
-            let (robot, device) = to.split_once('/').unwrap_or(("robot", to));
-            mapped.extend(index.map(|index| {
-                let unit = self.unit(index).to_owned();
-                let motion = DeviceMotion { device: device.to_owned(), unit, keyframes: Vec::new() };
-                Mapped { robot: robot.to_owned(), motion, index, empty: 0 }
-            }));
+/// What the times mean: as the user says, else as the header says, else as the times show by themselves. Never a guess.
+fn time_unit(
+    header: &Header<'_>,
+    index: usize,
+    options: &ImportOptions,
+    source: &Source,
+    sink: &mut Sink,
+) -> Option<TimeUnit> {
+    let said = moments::said_by(header.text(index));
+    if let Some(unit) = options.time_unit {
+        if matches!(said, Said::Unit(other) if other != unit) {
+            let column = shortened(header.text(index));
+            sink.note(format!(
+                "{}: --time-unit is taken, though the column is named `{column}`",
+                source.name
+            ));
         }
-        let complete = mapped.len() == options.columns.len();
-        time.filter(|_| complete && !mapped.is_empty()).map(|time| (time, mapped))
+        return Some(unit);
     }
-
-    fn unit(&self, index: usize) -> &str {
-        if self.named { name_and_unit(&self.row.cells[index].text).1 } else { "" }
-    }
-
-    /// A column by its name, with or without its unit, or by its number from 1.
-    fn index(&self, column: &str, source: &Source, sink: &mut Sink) -> Option<usize> {
-        let texts = || self.row.cells.iter().map(|cell| cell.text.as_ref());
-        let by_name = |text: &str| text == column || name_and_unit(text).0 == column;
-        let mut found = texts().enumerate().filter(|(_, text)| self.named && by_name(text));
-        let number = column.parse::<usize>().ok().filter(|number| (1..=self.width).contains(number));
-        match (found.next(), found.next()) {
-            (Some((index, _)), None) => Some(index),
-            (None, _) if number.is_some() => number.map(|number| number - 1),
-            (Some(_), Some((second, _))) => {
-                let message = format!("two columns are named `{}`", shortened(column));
-                let hint = Some("say the number of the column, from 1");
-                let expected = "each name once";
-                sink.found(source, self.row.spot(second), Code::ImportTable, message, expected, hint);
+    let skipped = usize::from(header.named);
+    let time = |row: Row<'_>| row.cells.get(index).map(|cell| cell.text.clone().into_owned());
+    let times =
+        || rows(source, separator_of(source)).skip(skipped).filter_map(time).filter(|text| !text.is_empty());
+    let clock = times().next().is_some_and(|text| text.contains(':'));
+    if clock {
+        let texts: Vec<String> = times().collect();
+        let fitting = moments::clocks(texts.iter().map(String::as_str));
+        return match fitting.as_slice() {
+            [(_, one)] => Some(*one),
+            // Which line is wrong is found when it is read.
+            [] => moments::clocks(texts.first().map(String::as_str).into_iter())
+                .first()
+                .map(|(_, unit)| *unit)
+                .or_else(|| {
+                    unclear(header, index, "the times can be read in no way", source, sink);
+                    None
+                }),
+            several => {
+                let words: Vec<_> = several.iter().map(|(word, _)| *word).collect();
+                let message = format!("the times may be {}", words.join(" or "));
+                unclear(header, index, &message, source, sink);
                 None
             }
-            (None, _) => {
-                let message = format!("no column `{}`", shortened(column));
-                let expected = match self.named {
-                    true => format!("one of {}, or a number from 1 to {}", names(texts()), self.width),
-                    false => format!("a number from 1 to {}: the file has no header", self.width),
-                };
-                let hint = did_you_mean(column, texts());
-                sink.found(source, self.row.spot(0), Code::ImportTable, message, expected, hint.as_deref());
-                None
-            }
-        }
+        };
     }
+    match said {
+        Said::Unit(unit) => return Some(unit),
+        Said::Unclear => unclear(header, index, "the unit of the times is not known", source, sink),
+        Said::Nothing => unclear(header, index, "nothing says in which unit the times are", source, sink),
+    }
+    None
+}
+
+fn unclear(header: &Header<'_>, index: usize, message: &str, source: &Source, sink: &mut Sink) {
+    let hint = Some("say it with --time-unit, such as --time-unit s");
+    let expected = format!("{UNITS}, in the name of the column or by --time-unit");
+    sink.found(source, header.row.spot(index), Code::ImportTime, message, expected, hint);
 }
 
 fn read_row(
@@ -144,19 +173,44 @@ fn read_row(
     if !row.has(width, source, sink) {
         return;
     }
-    let at_s = row.number(time.index, "the time", source, sink).map(|at| at * time.factor);
-    let at_ms = at_s.and_then(|at_s| checked_time(row, time.index, at_s, before, source, sink));
+    let at_ms = seconds(row, time, source, sink)
+        .and_then(|at_s| checked_time(row, time.index, at_s, before, source, sink));
     for column in mapped {
-        if row.cells[column.index].text.is_empty() {
+        if column.indices.iter().all(|index| row.cells[*index].text.is_empty()) {
             column.empty += 1;
             continue;
         }
         let what = format!("`{}` of `{}`", column.motion.device, column.robot);
-        let value = row.number(column.index, &what, source, sink);
-        if let (Some(at_ms), Some(value)) = (at_ms, value) {
-            column.motion.keyframes.push(Keyframe { at_ms, value: value + 0.0 });
+        let values: Vec<_> =
+            column.indices.iter().map(|index| row.number(*index, &what, source, sink)).collect();
+        let values: Option<Vec<f64>> = values.into_iter().map(|value| Some(value? + 0.0)).collect();
+        if let (Some(at_ms), Some(values)) = (at_ms, values) {
+            column.add(at_ms, values);
         }
     }
+}
+
+impl Mapped {
+    fn add(&mut self, at_ms: u64, values: Vec<f64>) {
+        self.motion.keyframes.push(Keyframe { at_ms, value: values[0] });
+        if let Course::Several(all) = &mut self.motion.course {
+            all.push(values);
+        }
+    }
+}
+
+fn seconds(row: &Row<'_>, time: &TimeColumn, source: &Source, sink: &mut Sink) -> Option<f64> {
+    let text = row.cells[time.index].text.as_ref();
+    if let TimeUnit::Seconds(size) = time.unit {
+        return row.number(time.index, "the time", source, sink).map(|at| at * size);
+    }
+    let seconds = time.unit.seconds(text);
+    if seconds.is_none() {
+        let message = format!("the time is `{}`", shortened(text));
+        let expected = "a time like those before";
+        sink.found(source, row.spot(time.index), Code::ImportNumber, message, expected, None);
+    }
+    seconds
 }
 
 fn checked_time(
@@ -185,28 +239,38 @@ fn checked_time(
         return None;
     }
     *before = Some(at_s);
+    sink.moved(at_s, at_ms);
     Some(at_ms)
 }
 
 fn motions(input: &Input, mapped: Vec<Mapped>, source: &Source, sink: &mut Sink) -> Vec<Motion> {
     let mut motions: Vec<Motion> = Vec::new();
-    for column in mapped {
-        let Mapped { robot, motion, empty, .. } = column;
+    let mut places = std::collections::HashMap::new();
+    for mut column in mapped {
+        column.same = column.motion.thin();
+        let Mapped { robot, motion, empty, same, .. } = column;
+        let device = &motion.device;
         if motion.keyframes.is_empty() && sink.findings.is_empty() {
-            let message = format!("the column of `{}` of `{robot}` is empty", motion.device);
+            let message = format!("the column of `{device}` of `{robot}` is empty");
             sink.about(&source.name, Code::NothingToDo, message, "at least one value", None);
         } else if empty > 0 {
-            let device = &motion.device;
             let cells = crate::counted(empty, "empty cell");
-            sink.note(format!("{}: `{device}` of `{robot}` moves straight through {cells}", source.name));
+            let how = if motion.course == Course::Straight { "moves straight" } else { "stays as it is" };
+            sink.note(format!("{}: `{device}` of `{robot}` {how} through {cells}", source.name));
         }
-        match motions.iter_mut().find(|known| known.robot.robot == robot) {
-            Some(known) => known.robot.devices.push(motion),
-            None => {
-                let robot = RobotMotion { robot, devices: vec![motion] };
-                motions.push(Motion { scene: input.scene.clone(), robot });
-            }
+        if same > 0 {
+            let lines = crate::counted(same, "line");
+            sink.note(format!(
+                "{}: `{device}` of `{robot}` does not change in {lines}: left out",
+                source.name
+            ));
         }
+        let place = *places.entry(robot.clone()).or_insert_with(|| {
+            let robot = RobotMotion { robot, devices: Vec::new() };
+            motions.push(Motion { scene: input.scene.clone(), robot });
+            motions.len() - 1
+        });
+        motions[place].robot.devices.push(motion);
     }
     motions
 }

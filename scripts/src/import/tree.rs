@@ -7,7 +7,13 @@ use crate::node::{self, Node, shortened};
 use crate::source::Source;
 use crate::tags::foreign_tags;
 
-use super::sink::{FINDINGS_A_FILE_MAX, Sink};
+use super::sink::{FINDINGS_A_FILE_MAX, Sink, with_short_line};
+
+/// Largest texts that become trees, which take many times their room.
+const YAML_BYTES_MAX: usize = 2 << 20;
+const JSON_BYTES_MAX: usize = 8 << 20;
+/// Most brackets that may be open at once.
+const DEPTH_MAX: usize = 500;
 
 /// Parses a file, refuses foreign tags, and hands its tree to a reader whose findings get their places.
 pub(super) fn read<T>(
@@ -15,6 +21,24 @@ pub(super) fn read<T>(
     sink: &mut Sink,
     read: impl FnOnce(&At<'_>, &mut Reader, &mut Sink) -> Option<T>,
 ) -> Option<T> {
+    if source.text.trim_start().starts_with('{')
+        && source.text.len() <= JSON_BYTES_MAX
+        && let Ok(document) = serde_json::from_str::<Node>(&source.text)
+    {
+        return read_document(&document, source, sink, read);
+    }
+    if source.text.len() > YAML_BYTES_MAX {
+        let message = format!("the file has {} bytes", source.text.len());
+        let expected = format!("at most {YAML_BYTES_MAX} bytes, or {JSON_BYTES_MAX} of JSON");
+        sink.about(&source.name, Code::ImportLimit, message, &expected, Some("split it into several files"));
+        return None;
+    }
+    if is_too_deep(&source.text) {
+        let message = format!("brackets within brackets, more than {DEPTH_MAX} deep");
+        let hint = "nothing here nests deeper than a handful of levels";
+        sink.about(&source.name, Code::Syntax, message, "a YAML or JSON document", Some(hint));
+        return None;
+    }
     let document = match node::parse(source) {
         Ok(document) => document,
         Err(mut finding) => {
@@ -22,20 +46,57 @@ pub(super) fn read<T>(
             if finding.hint.as_deref().is_some_and(|hint| hint.contains("scenario.md")) {
                 finding.hint = Some("see `docs/import.md` for what goes into it".into());
             }
-            sink.findings.push(finding);
+            sink.findings.push(with_short_line(finding));
             return None;
         }
     };
-    let mut findings = Reader::default();
     let tags = foreign_tags(source);
     if !tags.is_empty() {
         sink.findings.extend(tags);
         return None;
     }
-    let result = read(&At::document(&document, 0), &mut findings, sink);
+    read_document(&document, source, sink, read)
+}
+
+/// The same for what can only be JSON.
+pub(super) fn read_json<T>(
+    source: &Source,
+    sink: &mut Sink,
+    read: impl FnOnce(&At<'_>, &mut Reader, &mut Sink) -> Option<T>,
+) -> Option<T> {
+    match serde_json::from_str::<Node>(&source.text) {
+        Ok(document) => read_document(&document, source, sink, read),
+        Err(error) => {
+            sink.found_json(source, &error);
+            None
+        }
+    }
+}
+
+fn read_document<T>(
+    document: &Node,
+    source: &Source,
+    sink: &mut Sink,
+    read: impl FnOnce(&At<'_>, &mut Reader, &mut Sink) -> Option<T>,
+) -> Option<T> {
+    let mut findings = Reader::default();
+    let result = read(&At::document(document, 0), &mut findings, sink);
     let sound = findings.found.is_empty();
     sink.located(source, findings);
     result.filter(|_| sound)
+}
+
+/// Whether more brackets are open at once than any file of these formats has: the time to parse them grows with their square.
+fn is_too_deep(text: &str) -> bool {
+    let mut depth = 0_usize;
+    text.bytes().any(|byte| {
+        match byte {
+            b'[' | b'{' => depth += 1,
+            b']' | b'}' => depth = depth.saturating_sub(1),
+            _ => {}
+        }
+        depth > DEPTH_MAX
+    })
 }
 
 /// Whether more findings would not help.

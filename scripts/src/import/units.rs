@@ -7,11 +7,13 @@ pub(super) fn factor(from: &str, to: &str) -> Option<f64> {
     (from_kind == to_kind).then_some(from_size / to_size)
 }
 
-/// `x[m]` as name and unit.
+/// `x[m]` and `x (m)` as name and unit.
 pub(super) fn name_and_unit(header: &str) -> (&str, &str) {
-    match header.trim().strip_suffix(']').and_then(|rest| rest.split_once('[')) {
+    let header = header.trim();
+    let square = header.strip_suffix(']').and_then(|rest| rest.split_once('['));
+    match square.or_else(|| header.strip_suffix(')').and_then(|rest| rest.split_once('('))) {
         Some((name, unit)) => (name.trim(), unit.trim()),
-        None => (header.trim(), ""),
+        None => (header, ""),
     }
 }
 
@@ -40,6 +42,7 @@ mod tests {
         assert!(factor("rad", "deg").is_some_and(|f| (f - 57.295_779_513).abs() < 1e-9));
         assert_eq!(factor("rad", "m"), None);
         assert_eq!(name_and_unit(" x[mm] "), ("x", "mm"));
+        assert_eq!(name_and_unit("x (mm)"), ("x", "mm"));
         assert_eq!(name_and_unit("t"), ("t", ""));
     }
 }

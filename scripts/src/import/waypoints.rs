@@ -36,15 +36,18 @@ pub(super) fn read(input: &Input, source: &Source, sink: &mut Sink) -> Vec<Motio
     let Some(factors) = factors(&header, source, sink) else { return Vec::new() };
     let before = sink.findings.len();
     let mut robots: HashMap<String, Vec<Waypoint>> = HashMap::new();
+    let mut count = 0_usize;
     for mut row in rows {
         row.drop_trailing(COLUMNS.len());
+        count += 3;
         if let Some((robot, waypoint)) = read_waypoint(&row, &factors, source, sink) {
             let own = robots.entry(robot).or_default();
+            sink.moved(waypoint.at_s, waypoint.at_ms);
             if own.last().is_none_or(|last| is_later(last, &waypoint, &row, source, sink)) {
                 own.push(waypoint);
             }
         }
-        if sink.is_full(source) {
+        if sink.is_full(source) || !sink.has_room_for(count as f64) {
             break;
         }
     }
@@ -144,6 +147,7 @@ fn robot_motion(robot: String, own: &[Waypoint]) -> RobotMotion {
         device: COLUMNS[axis + 1].0.to_owned(),
         unit: "m".to_owned(),
         keyframes: own.iter().map(|w| Keyframe { at_ms: w.at_ms, value: w.position[axis] + 0.0 }).collect(),
+        ..DeviceMotion::default()
     };
     RobotMotion { robot, devices: (0..3).map(device).collect() }
 }

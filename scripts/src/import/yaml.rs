@@ -3,11 +3,13 @@
 use std::borrow::Cow;
 use std::fmt::Write;
 
-use urrcp::InitializationBlock;
+use urrcp::{InitializationBlock, Span};
 
-use super::fleet_part::device_grids;
+use crate::duration;
+
+use super::fleet_part::asked;
 use super::grid::on_grid;
-use super::{DeviceMotion, Imported, Scene};
+use super::{Course, DeviceMotion, Imported, Keyframe, Scene};
 
 /// How scenes follow each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -65,19 +67,22 @@ pub fn scenario_text(
     text
 }
 
-/// How many keyframes are written: where joined scenes meet, one value is enough.
+/// How many keyframes and pieces are written: where joined scenes meet, one value is enough.
 #[must_use]
 pub fn steps_written(imported: &Imported, scenes: Scenes) -> usize {
     if scenes == Scenes::Acts {
-        return imported.steps();
+        return imported.devices().map(|(_, device)| device.written()).sum();
     }
     let mut joints = Joints::default();
     let mut start_ms = 0;
     let mut steps = 0;
     for scene in &imported.scenes {
         for robot in &scene.robots {
-            let devices = robot.devices.iter();
-            steps += devices.map(|device| joints.rest(&robot.robot, device, start_ms).len()).sum::<usize>();
+            let written = |device: &DeviceMotion| match device.course {
+                Course::Pieces(_) => device.written(),
+                _ => joints.rest(&robot.robot, device, start_ms).len(),
+            };
+            steps += robot.devices.iter().map(written).sum::<usize>();
         }
         start_ms += scene.duration_ms();
     }
@@ -90,8 +95,11 @@ struct Joints(std::collections::HashMap<(String, String), (u64, f64)>);
 
 impl Joints {
     /// The keyframes of a device without the one that only repeats where the scene before left it.
-    fn rest<'a>(&mut self, robot: &str, device: &'a DeviceMotion, start_ms: u64) -> &'a [super::Keyframe] {
+    fn rest<'a>(&mut self, robot: &str, device: &'a DeviceMotion, start_ms: u64) -> &'a [Keyframe] {
         let all = device.keyframes.as_slice();
+        if let Course::Pieces(_) | Course::Several(_) = device.course {
+            return all;
+        }
         let (Some(first), Some(last)) = (all.first(), all.last()) else { return all };
         let key = (robot.to_owned(), device.device.clone());
         let before = self.0.insert(key, (start_ms + last.at_ms, last.value));
@@ -104,12 +112,16 @@ impl Joints {
 
 fn all_on_grid(imported: &Imported, init: Option<&InitializationBlock>) -> bool {
     match init {
-        None => device_grids(imported).iter().all(|(_, _, grid)| grid.complete),
+        None => asked(imported).iter().all(|asked| asked.grid.complete),
         Some(init) => imported.devices().all(|(_, device)| {
             let limits = init
                 .device(&device.device)
                 .and_then(|block| block.available_control_types.limits(urrcp::ControlType::Position));
-            limits.is_none_or(|limits| device.keyframes.iter().all(|k| on_grid(k.value, limits.granularity)))
+            let fitted = matches!(device.course, Course::Pieces(_));
+            let values = || device.values();
+            limits.is_none_or(|limits| {
+                fitted || values().iter().all(|value| on_grid(*value, limits.granularity))
+            })
         }),
     }
 }
@@ -130,11 +142,31 @@ impl Cues<'_> {
             self.line(2, format_args!("tracks:"));
             for device in &robot.devices {
                 self.line(4, format_args!("{}:", scalar(&device.device)));
-                for keyframe in joints.rest(&robot.robot, device, start_ms) {
-                    self.line(
-                        6,
-                        format_args!("- {{at: {}, to: {}}}", time(keyframe.at_ms), number(keyframe.value)),
-                    );
+                self.track(device, joints.rest(&robot.robot, device, start_ms));
+            }
+        }
+    }
+
+    fn track(&mut self, device: &DeviceMotion, rest: &[Keyframe]) {
+        match &device.course {
+            Course::Pieces(pieces) => {
+                self.line(6, format_args!("polynomial:"));
+                for piece in pieces {
+                    let length = Span::from_nanos(i64::try_from(piece.nanos).unwrap_or(i64::MAX));
+                    let (length, coefficients) = (duration::written(length), list(&piece.coefficients));
+                    self.line(8, format_args!("- {{for: {length}, coefficients: {coefficients}}}"));
+                }
+            }
+            Course::Several(values) => {
+                let skipped = values.len().saturating_sub(rest.len());
+                for (keyframe, values) in rest.iter().zip(&values[skipped..]) {
+                    self.line(6, format_args!("- {{at: {}, to: {}}}", time(keyframe.at_ms), list(values)));
+                }
+            }
+            course @ (Course::Straight | Course::Held) => {
+                let ease = if *course == Course::Held { ", ease: step" } else { "" };
+                for Keyframe { at_ms, value } in rest {
+                    self.line(6, format_args!("- {{at: {}, to: {}{ease}}}", time(*at_ms), number(*value)));
                 }
             }
         }
@@ -165,8 +197,13 @@ pub(super) fn number(value: f64) -> String {
     if size == 0.0 || (1e-9..1e15).contains(&size) { format!("{value}") } else { format!("{value:.17e}") }
 }
 
+fn list(values: &[f64]) -> String {
+    let values: Vec<_> = values.iter().map(|value| number(*value)).collect();
+    format!("[{}]", values.join(", "))
+}
+
 /// A text as a YAML scalar: plain where it cannot be taken for anything else, in double quotes otherwise.
-pub(super) fn scalar(text: &str) -> Cow<'_, str> {
+pub(crate) fn scalar(text: &str) -> Cow<'_, str> {
     if is_plain(text) {
         return Cow::Borrowed(text);
     }

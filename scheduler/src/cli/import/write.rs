@@ -8,7 +8,11 @@ use downbeat_scripts::import::FilePart;
 use downbeat_scripts::{Code, Finding, Severity};
 
 /// Writes all files beside their places first, then moves them there.
-pub(super) fn write_all(folder: &Path, files: &[FilePart], force: bool) -> Result<Vec<String>, Vec<Finding>> {
+pub(in super::super) fn write_all(
+    folder: &Path,
+    files: &[FilePart],
+    force: bool,
+) -> Result<Vec<String>, Vec<Finding>> {
     let paths: Vec<_> = files.iter().map(|file| folder.join(&file.path)).collect();
     let there: Vec<_> = paths.iter().filter(|path| !force && path.symlink_metadata().is_ok()).collect();
     if !there.is_empty() {

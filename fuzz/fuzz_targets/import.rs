@@ -1,0 +1,53 @@
+//! Any bytes as a file of any format that is imported, which the first byte says: no panic, no hang, bounded memory; there is
+//! a choreography exactly when nothing is found, and its values are finite and in order.
+#![no_main]
+
+use downbeat_scripts::import::{
+    Course, ImportFormat, ImportOptions, Scenes, files_of, import_bytes, urdf,
+};
+use downbeat_scripts::{Source, init_of, render};
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|data: &[u8]| {
+    let Some((which, bytes)) = data.split_first() else { return };
+    let formats = ImportFormat::WORDS.len();
+    match usize::from(*which) % (formats + 1) {
+        index if index < formats => check_motions(ImportFormat::WORDS[index].1, bytes),
+        _ => check_urdf(bytes),
+    }
+});
+
+fn check_motions(format: ImportFormat, bytes: &[u8]) {
+    let columns = match format {
+        ImportFormat::Csv => vec![("r/a".to_owned(), "a".to_owned()), ("r/*".to_owned(), "c*,2".to_owned())],
+        ImportFormat::Fseq => vec![("r/a".to_owned(), "1".to_owned()), ("r/p*".to_owned(), "1-6/3".to_owned())],
+        _ => Vec::new(),
+    };
+    let options = ImportOptions { columns, pieces_max: Some(100), ..ImportOptions::default() };
+    let outcome = import_bytes(format, "f", bytes, &options);
+    assert!(outcome.imported.is_none() || outcome.findings.is_empty());
+    let _shown = render(&outcome.findings, false);
+    let Some(imported) = outcome.imported else { return };
+    for (_, device) in imported.devices() {
+        assert!(device.keyframes.iter().all(|keyframe| keyframe.value.is_finite()), "{device:?}");
+        assert!(device.keyframes.windows(2).all(|pair| pair[0].at_ms < pair[1].at_ms), "{device:?}");
+        match &device.course {
+            Course::Pieces(pieces) => assert!(pieces.iter().all(|piece| piece.nanos > 0), "{pieces:?}"),
+            Course::Several(values) => assert_eq!(values.len(), device.keyframes.len()),
+            Course::Straight | Course::Held => {}
+        }
+    }
+    if imported.steps() < 1_000 {
+        let _files = files_of(&imported, Scenes::Acts, None);
+    }
+}
+
+fn check_urdf(bytes: &[u8]) {
+    let Ok(text) = String::from_utf8(bytes.to_vec()) else { return };
+    let outcome = urdf(&Source { name: "f".into(), text }, None);
+    assert_eq!(outcome.files.is_empty(), !outcome.findings.is_empty());
+    if let Some(block) = outcome.files.first() {
+        let source = Source { name: "block".into(), text: block.text.clone() };
+        assert!(init_of(&source).is_ok(), "{}", block.text);
+    }
+}

@@ -1,0 +1,85 @@
+//! `downbeat export`: what a scenario compiles to, as files of other tools.
+
+use std::path::PathBuf;
+
+use clap::builder::PossibleValue;
+use downbeat_scripts::export::{self, ExportFormat, Exported};
+use serde::Serialize;
+
+use super::import::{rate, write_all};
+use super::load;
+use super::{Exit, Format, ScenarioArgs, console};
+
+/// Write what a scenario compiles to as files that other tools read.
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Formats:
+  drone-csv         a CSV a drone: Time [msec],x [m],y [m],z [m],Red,Green,Blue, as Skybrush Studio reads in a zip
+  joint-trajectory  YAML with the fields of ROS trajectory_msgs/JointTrajectory, a file a robot
+
+Examples:
+  downbeat export drone-csv swap/scenario.yaml --fleet swap/fleet.yaml --rate 25 --output csv
+  downbeat export joint-trajectory scripts/examples/swap.yaml --output trajectories")]
+pub(super) struct ExportArgs {
+    /// Whose files they shall be.
+    #[arg(value_name = "FORMAT")]
+    to: To,
+    #[command(flatten)]
+    scenario: ScenarioArgs,
+    /// The folder for the files.
+    #[arg(long, short, value_name = "DIR")]
+    output: PathBuf,
+    /// Replace files that are there already.
+    #[arg(long)]
+    force: bool,
+    /// Lines of a drone-csv a second, 10 if nothing is said.
+    #[arg(long, value_name = "HZ", value_parser = rate)]
+    rate: Option<f64>,
+}
+
+/// A format as it is typed.
+#[derive(Clone, Copy, Debug)]
+struct To(ExportFormat);
+
+impl clap::ValueEnum for To {
+    fn value_variants<'a>() -> &'a [Self] {
+        &[To(ExportFormat::WORDS[0].1), To(ExportFormat::WORDS[1].1)]
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        let word = ExportFormat::WORDS.iter().find(|(_, format)| *format == self.0).map(|(word, _)| *word);
+        word.map(PossibleValue::new)
+    }
+}
+
+#[derive(Serialize)]
+struct Done<'a> {
+    notes: &'a [String],
+    files: &'a [String],
+}
+
+pub(super) fn export(args: &ExportArgs, format: Format) -> Exit {
+    let (choreography, fleet) = match load::load_choreography(&args.scenario, format) {
+        Ok((choreography, fleet, _)) => (choreography, fleet),
+        Err(exit) => return exit,
+    };
+    let Exported { files, notes, problem } = export::export(args.to.0, &choreography, &fleet, args.rate);
+    if let Some(problem) = problem {
+        console::error(&problem);
+        return Exit::Failed;
+    }
+    let written = match write_all(&args.output, &files, args.force) {
+        Ok(written) => written,
+        Err(findings) => {
+            load::show_findings(&findings);
+            return Exit::Failed;
+        }
+    };
+    match format {
+        Format::Json => console::print_json(&Done { notes: &notes, files: &written }),
+        Format::Text => {
+            notes.iter().for_each(|note| console::note(&format!("note: {note}")));
+            written.iter().for_each(|file| console::note(&format!("wrote {file}")));
+        }
+    }
+    Exit::Done
+}

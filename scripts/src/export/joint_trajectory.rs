@@ -1,0 +1,94 @@
+//! The fields of `trajectory_msgs/JointTrajectory`, as YAML: a point wherever a device has a step, so that nothing is lost
+//! between points.
+
+use std::fmt::Write;
+
+use urrcp::Interpolation;
+
+use super::track::{Robot, Track};
+use super::{LINES_MAX, file_name};
+use crate::import::{FilePart, scalar};
+
+/// The files, or why there are none.
+pub(super) fn files(robots: &[Robot<'_>], notes: &mut Vec<String>) -> Result<Vec<FilePart>, String> {
+    let mut files = Vec::new();
+    let mut lines = 0;
+    for robot in robots {
+        let single = |track: &&Track<'_>| track.points.iter().all(|(_, values)| values.len() == 1);
+        let joints: Vec<&Track<'_>> = robot.tracks.iter().filter(single).collect();
+        let left: Vec<&str> =
+            robot.tracks.iter().filter(|track| !single(track)).map(|track| track.device).collect();
+        if !left.is_empty() {
+            let left = crate::finding::names(left);
+            notes.push(format!("`{}`: left out devices of several values: {left}", robot.name));
+        }
+        if joints.is_empty() {
+            continue;
+        }
+        let times = times(&joints);
+        lines += times.len();
+        if lines.saturating_mul(joints.len()) > LINES_MAX {
+            return Err(format!("the files would have more than {LINES_MAX} positions"));
+        }
+        let held: Vec<&str> = joints
+            .iter()
+            .filter(|track| track.interpolation == Interpolation::Hold)
+            .map(|t| t.device)
+            .collect();
+        if !held.is_empty() {
+            let held = crate::finding::names(held);
+            notes.push(format!(
+                "`{}`: what is held until its next step goes there straight in the last millisecond: {held}",
+                robot.name
+            ));
+        }
+        files.push(FilePart { path: file_name(robot.name, "yaml"), text: text(robot, &joints, &times) });
+    }
+    if files.is_empty() { Err("nothing moves a device of one value".into()) } else { Ok(files) }
+}
+
+/// All times at which a joint has a step, and just before those of joints that jump there; in milliseconds.
+fn times(joints: &[&Track<'_>]) -> Vec<f64> {
+    let mut times: Vec<f64> = Vec::new();
+    for joint in joints {
+        for (at_ms, _) in &joint.points {
+            times.push(*at_ms);
+            if joint.interpolation == Interpolation::Hold && *at_ms >= 1.0 {
+                times.push(at_ms - 1.0);
+            }
+        }
+    }
+    times.sort_by(f64::total_cmp);
+    // What is closer than a nanosecond is the same time.
+    times.dedup_by(|a, b| (*a - *b).abs() < 1e-6);
+    times
+}
+
+fn text(robot: &Robot<'_>, joints: &[&Track<'_>], times: &[f64]) -> String {
+    let names: Vec<String> = joints.iter().map(|joint| scalar(joint.device).into_owned()).collect();
+    let mut text = String::new();
+    let name = crate::node::shortened(robot.name).replace(char::is_control, " ");
+    // Writing to a string does not fail.
+    let _infallible = writeln!(
+        text,
+        "# `{name}`, from the steps that are sent.\njoint_names: [{}]\npoints:",
+        names.join(", ")
+    );
+    for at_ms in times {
+        let positions: Vec<String> =
+            joints.iter().map(|joint| format!("{}", joint.value(*at_ms) + 0.0)).collect();
+        let (seconds, nanos) = split(*at_ms);
+        let _infallible = writeln!(
+            text,
+            "- {{positions: [{}], time_from_start: {{sec: {seconds}, nanosec: {nanos}}}}}",
+            positions.join(", ")
+        );
+    }
+    text
+}
+
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "times are not negative")]
+fn split(at_ms: f64) -> (u64, u64) {
+    let nanos = (at_ms * 1e6).round() as u64;
+    (nanos / 1_000_000_000, nanos % 1_000_000_000)
+}

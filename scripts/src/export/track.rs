@@ -1,0 +1,127 @@
+//! What every device does from the beginning to the end, all acts one after the other.
+
+use std::collections::BTreeMap;
+
+use urrcp::{ControlType, Interpolation};
+
+use crate::fleet::Fleet;
+use crate::plan::{Choreography, DeviceScript};
+
+/// One robot.
+pub(super) struct Robot<'a> {
+    pub(super) name: &'a str,
+    /// In the order of the plan.
+    pub(super) tracks: Vec<Track<'a>>,
+}
+
+/// One device.
+pub(super) struct Track<'a> {
+    pub(super) device: &'a str,
+    pub(super) interpolation: Interpolation,
+    /// Where it is before its first step, as far as is known.
+    pub(super) home: Option<f64>,
+    /// Milliseconds and values, in order.
+    pub(super) points: Vec<(f64, Vec<f64>)>,
+}
+
+impl Track<'_> {
+    /// The values at a time; before the first step those of its home, or of that step.
+    pub(super) fn values(&self, at_ms: f64) -> Vec<f64> {
+        let next = self.points.partition_point(|(at, _)| *at <= at_ms);
+        let Some((from_ms, from)) = next.checked_sub(1).map(|index| &self.points[index]) else {
+            return self.before(at_ms);
+        };
+        match self.points.get(next).filter(|_| self.interpolation == Interpolation::Linear) {
+            Some((to_ms, to)) => mixed(from, to, (at_ms - from_ms) / (to_ms - from_ms)),
+            None => from.clone(),
+        }
+    }
+
+    fn before(&self, at_ms: f64) -> Vec<f64> {
+        let Some((first_ms, first)) = self.points.first() else { return Vec::new() };
+        let home = self.home.map_or_else(|| first.clone(), |home| vec![home; first.len()]);
+        match self.interpolation {
+            Interpolation::Linear if *first_ms > 0.0 => mixed(&home, first, at_ms / first_ms),
+            _ => home,
+        }
+    }
+
+    /// The value at a time, of a device of one value.
+    pub(super) fn value(&self, at_ms: f64) -> f64 {
+        self.values(at_ms).first().copied().unwrap_or(0.0)
+    }
+}
+
+fn mixed(from: &[f64], to: &[f64], share: f64) -> Vec<f64> {
+    from.iter().zip(to).map(|(from, to)| from + (to - from) * share).collect()
+}
+
+/// All robots, and what is left out.
+pub(super) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (Vec<Robot<'a>>, Vec<String>) {
+    let mut robots: Vec<Robot<'a>> = Vec::new();
+    let mut rates: BTreeMap<String, ()> = BTreeMap::new();
+    let mut begin_ms = 0.0;
+    let line = choreography.main_line();
+    for act in line.iter().map(|index| &choreography.acts[*index]) {
+        for plan in &act.plan.robots {
+            let name = plan.robot.as_str();
+            let place = robots.iter().position(|robot| robot.name == name).unwrap_or_else(|| {
+                robots.push(Robot { name, tracks: Vec::new() });
+                robots.len() - 1
+            });
+            for script in &plan.scripts {
+                match add(&mut robots[place], script, begin_ms, fleet) {
+                    true => {}
+                    false => drop(rates.insert(format!("{name}/{}", script.device), ())),
+                }
+            }
+        }
+        begin_ms += act.plan.duration().as_millis_f64();
+    }
+    robots.retain(|robot| !robot.tracks.is_empty());
+    let mut notes = Vec::new();
+    if line.len() > 1 {
+        notes.push(format!("{} acts follow each other at once: what they wait for is left out", line.len()));
+    }
+    if line.len() < choreography.acts.len() {
+        let left = crate::counted(choreography.acts.len() - line.len(), "act");
+        notes.push(format!("left out {left} that only a failure or a timeout leads to"));
+    }
+    if !rates.is_empty() {
+        let devices = crate::finding::names(rates.keys().take(20).map(String::as_str));
+        notes.push(format!("left out speeds and accelerations, which are no positions: {devices}"));
+    }
+    (robots, notes)
+}
+
+/// Adds the steps of a script; false for one that drives a rate.
+fn add<'a>(robot: &mut Robot<'a>, script: &'a DeviceScript, begin_ms: f64, fleet: &Fleet) -> bool {
+    let steps = script.script.steps();
+    let rate = |control: ControlType| matches!(control, ControlType::Speed | ControlType::Acceleration);
+    if steps.iter().any(|step| rate(step.setpoint.control_type)) {
+        return false;
+    }
+    let device = script.device.as_str();
+    let place = robot.tracks.iter().position(|track| track.device == device).unwrap_or_else(|| {
+        let init =
+            fleet.robots.iter().find(|known| known.id.as_str() == robot.name).and_then(|r| r.init.as_ref());
+        let block = init.and_then(|init| init.device(device));
+        robot.tracks.push(Track {
+            device,
+            interpolation: block.map(|block| block.interpolation).unwrap_or_default(),
+            home: block.and_then(|block| block.default_value),
+            points: Vec::new(),
+        });
+        robot.tracks.len() - 1
+    });
+    let track = &mut robot.tracks[place];
+    for step in steps {
+        let at_ms = begin_ms + script.start.get() + step.offset.get();
+        let values: Vec<f64> = step.setpoint.values().collect();
+        match track.points.last_mut().filter(|last| last.0 >= at_ms) {
+            Some(last) => last.1 = values,
+            None => track.points.push((at_ms, values)),
+        }
+    }
+    true
+}

@@ -1,0 +1,101 @@
+//! Bounds of polynomials, from the control points of their Bernstein form: a curve lies within the hull of those.
+
+use super::Piece;
+
+/// Halvings: the bounds are then off by about a thousandth of what the curve bends.
+const HALVINGS: u32 = 5;
+
+/// A least and a largest value, of which neither is exceeded while the piece lasts.
+pub(super) fn bounds(piece: &Piece) -> [f64; 2] {
+    let mut bounds = [f64::INFINITY, f64::NEG_INFINITY];
+    widen(&control_points(&scaled(piece)), HALVINGS, &mut bounds);
+    bounds
+}
+
+/// The largest size of the second derivative, in units a second squared.
+pub(super) fn bend(piece: &Piece) -> f64 {
+    let second = piece.coefficients.iter().enumerate().skip(2);
+    let coefficients: Vec<f64> = second.map(|(power, c)| (power * (power - 1)) as f64 * c).collect();
+    if coefficients.is_empty() {
+        return 0.0;
+    }
+    let [least, most] = bounds(&Piece { nanos: piece.nanos, coefficients });
+    most.max(-least)
+}
+
+/// The coefficients for a time that runs from 0 to 1.
+fn scaled(piece: &Piece) -> Vec<f64> {
+    let seconds = piece.nanos as f64 / 1e9;
+    let mut power = 1.0;
+    let scaled = piece.coefficients.iter().map(|c| {
+        let scaled = c * power;
+        power *= seconds;
+        scaled
+    });
+    scaled.collect()
+}
+
+/// b_j = sum over i of c_i (j over i) / (n over i).
+fn control_points(coefficients: &[f64]) -> Vec<f64> {
+    let degree = coefficients.len().saturating_sub(1);
+    let point = |j: usize| {
+        let mut share = 1.0;
+        let mut sum = 0.0;
+        for (i, c) in coefficients.iter().enumerate().take(j + 1) {
+            sum += share * c;
+            share *= (j - i) as f64 / (degree - i).max(1) as f64;
+        }
+        sum
+    };
+    (0..coefficients.len()).map(point).collect()
+}
+
+/// Halves the curve (de Casteljau) until its control points lie close to it.
+fn widen(points: &[f64], halvings: u32, bounds: &mut [f64; 2]) {
+    if halvings == 0 || points.len() < 3 {
+        for point in points {
+            *bounds = [bounds[0].min(*point), bounds[1].max(*point)];
+        }
+        return;
+    }
+    let mut left = Vec::with_capacity(points.len());
+    let mut right = points.to_vec();
+    for end in (0..right.len()).rev() {
+        left.push(right[0]);
+        (0..end).for_each(|index| right[index] = (right[index] + right[index + 1]) / 2.0);
+    }
+    widen(&left, halvings - 1, bounds);
+    widen(&right, halvings - 1, bounds);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn piece(seconds: f64, coefficients: &[f64]) -> Piece {
+        Piece { nanos: (seconds * 1e9) as u64, coefficients: coefficients.to_vec() }
+    }
+
+    #[test]
+    fn bounds_hold_the_curve_and_lie_close_to_it() {
+        // 4 t (1 - t) + 1 over half of its width, and beyond its top.
+        let [least, most] = bounds(&piece(0.75, &[1.0, 4.0, -4.0]));
+        assert!((least - 1.0).abs() < 1e-12 && (2.0..2.002).contains(&most), "{least} {most}");
+        assert_eq!(bounds(&piece(2.0, &[3.0])), [3.0, 3.0]);
+        let curve = [0.3, -2.0, 5.0, 1.0, -7.0, 2.0, 1.0, -0.25];
+        let [least, most] = bounds(&piece(1.5, &curve));
+        let values =
+            (0..=3_000).map(|n| curve.iter().rev().fold(0.0, |sum, c| sum * f64::from(n) / 2_000.0 + c));
+        let (low, high) = values.fold((f64::MAX, f64::MIN), |(low, high), v| (low.min(v), high.max(v)));
+        assert!(
+            least <= low && low - least < 0.01 && high <= most && most - high < 0.01,
+            "{least} {low} {high} {most}"
+        );
+    }
+
+    #[test]
+    fn a_parabola_bends_everywhere_alike() {
+        assert!((bend(&piece(2.0, &[1.0, 4.0, -4.5])) - 9.0).abs() < 1e-12);
+        assert_eq!(bend(&piece(2.0, &[1.0, 4.0])), 0.0);
+    }
+}

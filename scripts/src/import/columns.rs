@@ -1,0 +1,167 @@
+//! Which columns of a table move what: by name, by number, by pattern, or several for one device.
+
+use crate::finding::{Code, did_you_mean, names};
+use crate::node::shortened;
+use crate::source::Source;
+
+use super::assemble::DEVICES_MAX;
+use super::sink::Sink;
+use super::table::Row;
+use super::units::name_and_unit;
+
+/// Most columns that a note names.
+const NAMED_MAX: usize = 12;
+
+/// The first line of a table.
+pub(super) struct Header<'a> {
+    pub(super) row: Row<'a>,
+    /// Whether it names the columns; otherwise it is a line of values already.
+    pub(super) named: bool,
+    pub(super) width: usize,
+}
+
+/// A device and the columns that move it.
+pub(super) struct Chosen {
+    /// As the user wrote it, with what a star stands for.
+    pub(super) target: String,
+    pub(super) indices: Vec<usize>,
+}
+
+impl<'a> Header<'a> {
+    /// `time` may stand in a cell: then this is no header.
+    pub(super) fn new(mut row: Row<'a>) -> Self {
+        let value = |text: &str| {
+            text.is_empty()
+                || text.parse::<f64>().is_ok()
+                || text.bytes().all(|b| b.is_ascii_digit() || b":.".contains(&b))
+        };
+        let named = row.cells.iter().any(|cell| !value(&cell.text));
+        row.drop_trailing(row.cells.len().saturating_sub(1));
+        let width = row.cells.len();
+        Self { row, named, width }
+    }
+
+    pub(super) fn text(&self, index: usize) -> &str {
+        if self.named { &self.row.cells[index].text } else { "" }
+    }
+
+    pub(super) fn unit(&self, index: usize) -> &str {
+        name_and_unit(self.text(index)).1
+    }
+
+    fn texts(&self) -> impl Iterator<Item = &str> {
+        self.row.cells.iter().map(|cell| cell.text.as_ref())
+    }
+
+    /// A column by its name, with or without its unit, or by its number from 1.
+    pub(super) fn index(&self, column: &str, source: &Source, sink: &mut Sink) -> Option<usize> {
+        let by_name = |text: &str| text == column || name_and_unit(text).0 == column;
+        let mut found = self.texts().enumerate().filter(|(_, text)| self.named && by_name(text));
+        let number = column.parse::<usize>().ok().filter(|number| (1..=self.width).contains(number));
+        match (found.next(), found.next()) {
+            (Some((index, _)), None) => Some(index),
+            (None, _) if number.is_some() => number.map(|number| number - 1),
+            (Some(_), Some((second, _))) => {
+                let message = format!("two columns are named `{}`", shortened(column));
+                let hint = Some("say the number of the column, from 1");
+                let expected = "each name once";
+                sink.found(source, self.row.spot(second), Code::ImportTable, message, expected, hint);
+                None
+            }
+            (None, _) => {
+                self.unknown(column, source, sink);
+                None
+            }
+        }
+    }
+
+    fn unknown(&self, column: &str, source: &Source, sink: &mut Sink) {
+        let message = format!("no column `{}`", shortened(column));
+        let expected = match self.named {
+            true => format!("one of {}, or a number from 1 to {}", names(self.texts()), self.width),
+            false => format!("a number from 1 to {}: the file has no header", self.width),
+        };
+        let hint = did_you_mean(column, self.texts());
+        sink.found(source, self.row.spot(0), Code::ImportTable, message, expected, hint.as_deref());
+    }
+
+    /// The columns of one `--map`; more than one device where it has a star.
+    pub(super) fn choose(
+        &self,
+        target: &str,
+        columns: &str,
+        time: usize,
+        source: &Source,
+        sink: &mut Sink,
+    ) -> Option<Vec<Chosen>> {
+        if !target.contains('*') {
+            let indices = self.indices(columns, source, sink)?;
+            return Some(vec![Chosen { target: target.to_owned(), indices }]);
+        }
+        let stars = self.stars(columns, time);
+        if stars.is_empty() {
+            self.unknown(columns, source, sink);
+            return None;
+        }
+        if stars.len() > DEVICES_MAX {
+            let message = format!("{} columns fit `{}`", stars.len(), shortened(columns));
+            sink.about(
+                &source.name,
+                Code::ImportLimit,
+                message,
+                &format!("at most {DEVICES_MAX} columns"),
+                None,
+            );
+            return None;
+        }
+        let chosen = stars.iter().map(|star| {
+            let indices = self.indices(&columns.replace('*', star), source, sink)?;
+            Some(Chosen { target: target.replace('*', star), indices })
+        });
+        chosen.collect()
+    }
+
+    fn indices(&self, columns: &str, source: &Source, sink: &mut Sink) -> Option<Vec<usize>> {
+        // A name with a comma in it comes first.
+        if self.named && self.texts().any(|text| text == columns) {
+            return Some(vec![self.index(columns, source, sink)?]);
+        }
+        columns.split(',').map(|column| self.index(column.trim(), source, sink)).collect()
+    }
+
+    /// What the star of a pattern stands for, in the order of the columns.
+    fn stars(&self, columns: &str, time: usize) -> Vec<String> {
+        let pattern = columns.split(',').map(str::trim).find(|column| column.contains('*'));
+        let Some((before, behind)) = pattern.and_then(|pattern| pattern.split_once('*')) else {
+            return Vec::new();
+        };
+        let star = |text: &str| {
+            let inner = text.strip_prefix(before)?.strip_suffix(behind)?;
+            (!inner.is_empty()).then(|| inner.to_owned())
+        };
+        let others = self.texts().enumerate().filter(|(index, _)| self.named && *index != time);
+        let mut stars: Vec<String> =
+            others.filter_map(|(_, text)| star(name_and_unit(text).0).or_else(|| star(text))).collect();
+        let mut seen = std::collections::HashSet::new();
+        stars.retain(|star| seen.insert(star.clone()));
+        stars
+    }
+
+    /// Says which columns move nothing.
+    pub(super) fn note_unused(&self, used: &[usize], source: &Source, sink: &mut Sink) {
+        let unused: Vec<usize> = (0..self.width).filter(|index| !used.contains(index)).collect();
+        if unused.is_empty() {
+            return;
+        }
+        let name = |index: &usize| match self.text(*index) {
+            "" => format!("column {}", index + 1),
+            text => format!("`{}`", shortened(text)),
+        };
+        let mut named: Vec<String> = unused.iter().take(NAMED_MAX).map(name).collect();
+        if unused.len() > NAMED_MAX {
+            named.push(format!("and {} more", unused.len() - NAMED_MAX));
+        }
+        let columns = crate::counted(unused.len(), "column");
+        sink.note(format!("{}: left out {columns} that nothing maps: {}", source.name, named.join(", ")));
+    }
+}

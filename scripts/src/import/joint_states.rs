@@ -1,0 +1,363 @@
+//! Recordings of ROS in MCAP: the positions of every topic of `sensor_msgs/JointState`, as CDR (ROS 2) or as ROS 1 wrote them.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::io::Read;
+
+use mcap::read::{ChunkReader, LinearReader};
+use mcap::records::{ChunkHeader, Record};
+
+use crate::finding::{Code, names};
+
+use super::input::Input;
+use super::sink::Sink;
+use super::{DeviceMotion, Keyframe, Motion, RobotMotion, keyframes};
+
+const SCHEMAS: [&str; 2] = ["sensor_msgs/msg/JointState", "sensor_msgs/JointState"];
+/// Largest chunk that is unpacked, all of them, and the window of their compression, in bytes.
+const CHUNK_BYTES_MAX: u64 = 32 << 20;
+const ALL_BYTES_MAX: u64 = 512 << 20;
+const WINDOW_MAX: u64 = 8 << 20;
+/// Most joints of a message, and longest name.
+const JOINTS_MAX: usize = 1_000;
+const NAME_BYTES_MAX: usize = 1_024;
+/// Most topics.
+const TOPICS_MAX: usize = 10_000;
+const NANOS_PER_MS: u64 = 1_000_000;
+
+/// How the numbers of a message are written.
+#[derive(Clone, Copy, PartialEq)]
+enum Encoding {
+    Cdr,
+    Ros1,
+}
+
+/// What was recorded of one topic.
+struct Topic {
+    name: String,
+    encoding: Encoding,
+    joints: Vec<String>,
+    by_name: HashMap<String, usize>,
+    /// Of each joint: nanoseconds and positions.
+    positions: Vec<Vec<(u64, f64)>>,
+    empty: usize,
+    unstamped: usize,
+}
+
+#[derive(Default)]
+struct Recording {
+    schemas: HashMap<u16, String>,
+    topics: BTreeMap<u16, Topic>,
+    others: BTreeSet<String>,
+    count: usize,
+    left: u64,
+    more: bool,
+}
+
+/// Reads one file: a robot a topic, in one scene.
+pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> Vec<Motion> {
+    let mut recording = Recording { left: ALL_BYTES_MAX, ..Recording::default() };
+    if let Err(message) = recording.read(bytes, sink) {
+        sink.about(name, Code::Unreadable, message, "an MCAP recording", None);
+        return Vec::new();
+    }
+    let mut topics: Vec<Topic> = recording.topics.into_values().collect();
+    topics.retain(|topic| topic.positions.iter().any(|positions| !positions.is_empty()));
+    if topics.is_empty() {
+        let others = names(recording.others.iter().take(12).map(String::as_str));
+        let expected = "a topic of sensor_msgs/JointState, as CDR or ROS 1, with positions";
+        let hint = Some(format!("in it are {others}")).filter(|_| !others.is_empty());
+        sink.about(
+            name,
+            Code::NothingToDo,
+            "the recording moves no joints".into(),
+            expected,
+            hint.as_deref(),
+        );
+        return Vec::new();
+    }
+    if !recording.others.is_empty() {
+        let others = names(recording.others.iter().take(12).map(String::as_str));
+        let count = crate::counted(recording.others.len(), "other topic");
+        sink.note(format!("{name}: left out {count}: {others}"));
+    }
+    let first = topics.iter().flat_map(Topic::times).min().unwrap_or(0);
+    sink.note(format!("{name}: times count from the first message; left out velocities and efforts"));
+    let single = topics.len() == 1;
+    let mut motions = Vec::new();
+    for topic in topics {
+        let robot = if single { input.robot.clone() } else { topic.name.trim_start_matches('/').to_owned() };
+        let devices = topic.devices(first, name, sink);
+        motions.push(Motion { scene: input.scene.clone(), robot: RobotMotion { robot, devices } });
+    }
+    motions
+}
+
+impl Recording {
+    fn read(&mut self, bytes: &[u8], sink: &mut Sink) -> Result<(), String> {
+        let broken = |error: mcap::McapError| format!("the recording cannot be read: {error}");
+        for record in LinearReader::new(bytes).map_err(broken)? {
+            match record.map_err(broken)? {
+                Record::Chunk { header, data } => self.chunk(header, &data, sink)?,
+                other => self.record(other, sink)?,
+            }
+            if self.more {
+                return Err("the recording has more than two million positions: cut it".into());
+            }
+        }
+        Ok(())
+    }
+
+    fn chunk(&mut self, header: ChunkHeader, data: &[u8], sink: &mut Sink) -> Result<(), String> {
+        let most = CHUNK_BYTES_MAX.min(self.left);
+        let plain = match header.compression.as_str() {
+            "" => data.to_vec(),
+            "zstd" => unpacked(data, most)?,
+            other => {
+                return Err(format!(
+                    "its chunks are compressed by {other}: `mcap recover --compression zstd` makes them readable"
+                ));
+            }
+        };
+        if plain.len() as u64 > most {
+            return Err(format!("a chunk has more than {most} bytes when it is unpacked"));
+        }
+        self.left -= plain.len() as u64;
+        let size = plain.len() as u64;
+        let header = ChunkHeader {
+            compression: String::new(),
+            uncompressed_size: size,
+            compressed_size: size,
+            ..header
+        };
+        let broken = |error: mcap::McapError| format!("a chunk cannot be read: {error}");
+        for record in ChunkReader::new(header, &plain).map_err(broken)? {
+            self.record(record.map_err(broken)?, sink)?;
+            if self.more {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    fn record(&mut self, record: Record<'_>, sink: &Sink) -> Result<(), String> {
+        match record {
+            Record::Schema { header, .. } => drop(self.schemas.insert(header.id, header.name)),
+            Record::Channel(channel) => self.channel(channel)?,
+            Record::Message { header, data } => {
+                if let Some(topic) = self.topics.get_mut(&header.channel_id) {
+                    self.count += topic.message(&data, header.log_time)?;
+                    self.more = !sink.has_room_for(self.count as f64);
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    fn channel(&mut self, channel: mcap::records::Channel) -> Result<(), String> {
+        let schema = self.schemas.get(&channel.schema_id).map_or("", String::as_str);
+        let encoding = match channel.message_encoding.as_str() {
+            "cdr" => Some(Encoding::Cdr),
+            "ros1" => Some(Encoding::Ros1),
+            _ => None,
+        };
+        if self.topics.len() + self.others.len() >= TOPICS_MAX {
+            return Err(format!("the recording has more than {TOPICS_MAX} topics"));
+        }
+        match encoding.filter(|_| SCHEMAS.contains(&schema)) {
+            None => drop(self.others.insert(channel.topic)),
+            Some(encoding) => {
+                let topic = || Topic {
+                    name: channel.topic.clone(),
+                    encoding,
+                    joints: Vec::new(),
+                    by_name: HashMap::new(),
+                    positions: Vec::new(),
+                    empty: 0,
+                    unstamped: 0,
+                };
+                self.topics.entry(channel.id).or_insert_with(topic);
+            }
+        }
+        Ok(())
+    }
+}
+
+fn unpacked(data: &[u8], most: u64) -> Result<Vec<u8>, String> {
+    let broken = |error: String| format!("a chunk cannot be unpacked: {error}");
+    let decoder = ruzstd::decoding::StreamingDecoder::new_with_max_window_size(data, WINDOW_MAX);
+    let mut plain = Vec::new();
+    let read = decoder.map_err(|error| broken(error.to_string()))?.take(most + 1).read_to_end(&mut plain);
+    read.map_err(|error| broken(error.to_string()))?;
+    Ok(plain)
+}
+
+impl Topic {
+    fn times(&self) -> impl Iterator<Item = u64> {
+        self.positions.iter().flatten().map(|(at_ns, _)| *at_ns)
+    }
+
+    /// Takes a message; how many positions it has.
+    fn message(&mut self, data: &[u8], log_time: u64) -> Result<usize, String> {
+        let wrong = |error: &str| format!("a message of `{}`: {error}", self.name);
+        let state = JointState::read(data, self.encoding).map_err(|error| wrong(&error))?;
+        if state.positions.is_empty() {
+            self.empty += 1;
+            return Ok(0);
+        }
+        if state.positions.len() != state.names.len() {
+            let (names, positions) = (state.names.len(), state.positions.len());
+            return Err(wrong(&format!("{positions} positions for {names} joints")));
+        }
+        self.unstamped += usize::from(state.stamp == 0);
+        let at_ns = if state.stamp == 0 { log_time } else { state.stamp };
+        let count = state.positions.len();
+        for (name, value) in state.names.into_iter().zip(state.positions) {
+            if !value.is_finite() {
+                return Err(format!(
+                    "a message of `{}`: `{}` is at {value}",
+                    self.name,
+                    crate::node::shortened(&name)
+                ));
+            }
+            let joint = match self.by_name.get(&name) {
+                Some(joint) => *joint,
+                None => self.join(name)?,
+            };
+            self.positions[joint].push((at_ns, value + 0.0));
+        }
+        Ok(count)
+    }
+
+    fn join(&mut self, name: String) -> Result<usize, String> {
+        if self.joints.len() == JOINTS_MAX {
+            return Err(format!("`{}` has more than {JOINTS_MAX} joints", self.name));
+        }
+        self.by_name.insert(name.clone(), self.joints.len());
+        self.joints.push(name);
+        self.positions.push(Vec::new());
+        Ok(self.joints.len() - 1)
+    }
+
+    fn devices(self, first: u64, file: &str, sink: &mut Sink) -> Vec<DeviceMotion> {
+        let topic = &self.name;
+        let mut replaced = 0_usize;
+        let mut devices = Vec::new();
+        for (joint, mut positions) in self.joints.into_iter().zip(self.positions) {
+            positions.sort_by_key(|(at_ns, _)| *at_ns);
+            let mut keyframes: Vec<Keyframe> = Vec::with_capacity(positions.len());
+            for (at_ns, value) in positions {
+                let at_s = (at_ns - first) as f64 / 1e9;
+                let at_ms = (at_ns - first + NANOS_PER_MS / 2) / NANOS_PER_MS;
+                sink.moved(at_s, at_ms);
+                match keyframes.last_mut().filter(|last| last.at_ms == at_ms) {
+                    Some(last) => {
+                        replaced += 1;
+                        last.value = value;
+                    }
+                    None => keyframes.push(Keyframe { at_ms, value }),
+                }
+            }
+            if keyframes.last().is_some_and(|last| keyframes::millis(last.at_ms as f64 / 1_000.0).is_none()) {
+                let message = format!("`{topic}` lasts longer than {} s", keyframes::SECONDS_MAX);
+                sink.about(file, Code::ImportTime, message, "stamps of one recording", None);
+            }
+            devices.push(DeviceMotion { device: joint, keyframes, ..DeviceMotion::default() });
+        }
+        for (count, text) in [
+            (replaced, "position: another follows within the same millisecond"),
+            (self.empty, "message without positions"),
+        ] {
+            if count > 0 {
+                sink.note(format!("{file}: `{topic}`: left out {count} {text}"));
+            }
+        }
+        if self.unstamped > 0 {
+            let messages = crate::counted(self.unstamped, "message");
+            sink.note(format!(
+                "{file}: `{topic}`: {messages} without a stamp: taken as of when it was recorded"
+            ));
+        }
+        devices
+    }
+}
+
+/// What is used of a message.
+struct JointState {
+    /// Nanoseconds; 0 where it is not set.
+    stamp: u64,
+    names: Vec<String>,
+    positions: Vec<f64>,
+}
+
+impl JointState {
+    fn read(data: &[u8], encoding: Encoding) -> Result<Self, String> {
+        let mut bytes = match encoding {
+            Encoding::Ros1 => Bytes { data, at: 0, big: false, aligned: false },
+            Encoding::Cdr => {
+                let body = data.get(4..).ok_or("the message ends within its header")?;
+                match data[1] {
+                    kind @ (0 | 1) if data[0] == 0 => {
+                        Bytes { data: body, at: 0, big: kind == 0, aligned: true }
+                    }
+                    kind => return Err(format!("the encoding {kind} of CDR is not known")),
+                }
+            }
+        };
+        if encoding == Encoding::Ros1 {
+            // The count of messages.
+            bytes.u32()?;
+        }
+        let (seconds, nanos) = (bytes.u32()?, bytes.u32()?);
+        bytes.text()?;
+        let count = bytes.count(JOINTS_MAX)?;
+        let names = (0..count).map(|_| bytes.text()).collect::<Result<_, _>>()?;
+        let count = bytes.count(JOINTS_MAX)?;
+        let positions = (0..count).map(|_| bytes.f64()).collect::<Result<_, _>>()?;
+        Ok(Self { stamp: u64::from(seconds) * 1_000_000_000 + u64::from(nanos), names, positions })
+    }
+}
+
+/// Numbers and texts one after the other, in CDR each at a multiple of its size.
+struct Bytes<'a> {
+    data: &'a [u8],
+    at: usize,
+    big: bool,
+    aligned: bool,
+}
+
+impl Bytes<'_> {
+    fn take<const N: usize>(&mut self) -> Result<[u8; N], String> {
+        if self.aligned {
+            self.at = self.at.next_multiple_of(N);
+        }
+        let part = self.data.get(self.at..self.at + N).and_then(|part| <[u8; N]>::try_from(part).ok());
+        self.at += N;
+        let mut part = part.ok_or_else(|| "the message ends too early".to_owned())?;
+        if self.big {
+            part.reverse();
+        }
+        Ok(part)
+    }
+
+    fn u32(&mut self) -> Result<u32, String> {
+        self.take().map(u32::from_le_bytes)
+    }
+
+    fn f64(&mut self) -> Result<f64, String> {
+        self.take().map(f64::from_le_bytes)
+    }
+
+    fn count(&mut self, most: usize) -> Result<usize, String> {
+        let count = self.u32()? as usize;
+        if count > most { Err(format!("{count} entries, the limit is {most}")) } else { Ok(count) }
+    }
+
+    fn text(&mut self) -> Result<String, String> {
+        let length = self.count(NAME_BYTES_MAX)?;
+        let part = self.data.get(self.at..self.at + length).ok_or("the message ends within a text")?;
+        self.at += length;
+        let part = part.strip_suffix(&[0]).unwrap_or(part);
+        String::from_utf8(part.to_vec()).map_err(|_| "a name is no UTF-8".to_owned())
+    }
+}

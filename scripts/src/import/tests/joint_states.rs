@@ -1,0 +1,35 @@
+//! Recordings: what another program (the Python package mcap-ros2-support) wrote, packed, and what is broken.
+
+use super::{fixture_of, keyframes_of, refused};
+use crate::import::{ImportFormat, ImportOptions, import_bytes};
+
+#[test]
+fn recorded_positions_arrive_bit_by_bit() {
+    let bytes = fixture_of("arm.mcap");
+    let outcome = import_bytes(ImportFormat::Mcap, "arm.mcap", &bytes, &ImportOptions::default());
+    let imported = outcome.imported.unwrap();
+    let (elbow, wrist) = (keyframes_of(&imported, "elbow"), keyframes_of(&imported, "wrist_1"));
+    assert_eq!((elbow.len(), wrist.len()), (101, 101));
+    for (index, (elbow, wrist)) in elbow.iter().zip(&wrist).enumerate() {
+        let t = index as f64 * 0.02;
+        assert_eq!((elbow.0, wrist.0), (index as u64 * 20, index as u64 * 20));
+        assert!((elbow.1 - t.sin()).abs() < 1e-15 && (wrist.1 - 0.25 * t).abs() < 1e-15);
+    }
+    for part in ["left out 1 other topic: `/chatter`", "left out velocities and efforts"] {
+        assert!(outcome.notes.iter().any(|note| note.contains(part)), "{part}: {:?}", outcome.notes);
+    }
+}
+
+#[test]
+fn recordings_that_are_broken_are_refused() {
+    let bytes = fixture_of("arm.mcap");
+    refused(ImportFormat::Mcap, b"", &["DB0001"]);
+    refused(ImportFormat::Mcap, b"no recording at all", &["DB0001", "cannot be read"]);
+    refused(ImportFormat::Mcap, &bytes[..bytes.len() / 2], &["DB0001"]);
+    for at in (20..bytes.len()).step_by(97) {
+        let mut broken = bytes.clone();
+        broken[at] ^= 0x55;
+        let outcome = import_bytes(ImportFormat::Mcap, "arm.mcap", &broken, &ImportOptions::default());
+        assert!(outcome.imported.is_some() || !outcome.findings.is_empty(), "byte {at}");
+    }
+}
