@@ -53,7 +53,8 @@ fn fleet() -> Fleet {
         let lamps = (0..16).map(|lamp| device(&format!("lamp {lamp}"), "hold"));
         let axes = (0..20).map(|axis| device(&format!("axis {axis}"), "linear"));
         let devices: Vec<String> = lamps.chain(axes).collect();
-        let text = format!(r#"{{"id": "r{index}", "api_version": "1", "devices": [{}]}}"#, devices.join(", "));
+        let text =
+            format!(r#"{{"id": "r{index}", "api_version": "1", "devices": [{}]}}"#, devices.join(", "));
         let init: urrcp::InitializationBlock = serde_json::from_str(&text).unwrap();
         FleetRobot {
             id: init.id.clone(),
@@ -92,9 +93,7 @@ fn value(track: usize, index: usize) -> f64 {
 
 /// Lamps that are switched every 40 ms.
 fn light_show(steps: usize) -> String {
-    tracks(steps, "lamp", 16, |track, index| {
-        format!("{{at: {}ms, to: {}}}", index * 40, value(track, index))
-    })
+    tracks(steps, "lamp", 16, |track, index| format!("{{at: {}ms, to: {}}}", index * 40, value(track, index)))
 }
 
 /// Lamps of three colours.
@@ -121,9 +120,8 @@ fn json(keyframes: usize) -> String {
         let _infallible = write!(text, "{comma}\n{{\"at\": \"0s\", \"robots\": \"r{robot}\", \"tracks\": {{");
         for track in 0..16 {
             let comma = if track == 0 { "" } else { ", " };
-            let keyframe = |index: usize| {
-                format!("{{\"at\": \"{}ms\", \"to\": {}}}", index * 40, value(track, index))
-            };
+            let keyframe =
+                |index: usize| format!("{{\"at\": \"{}ms\", \"to\": {}}}", index * 40, value(track, index));
             let all: Vec<String> = (0..keyframes / 160).map(keyframe).collect();
             let _infallible = write!(text, "{comma}\"lamp {track}\": [{}]", all.join(", "));
         }
@@ -144,8 +142,11 @@ fn acts(count: usize) -> String {
             let _infallible = writeln!(text, "          axis {axis}:");
             for index in 0..12 {
                 let at = index * (250 + act % 7 * 10);
-                let _infallible =
-                    writeln!(text, "            - {{at: {at}ms, to: {}, ease: smooth}}", value(axis + act, index));
+                let _infallible = writeln!(
+                    text,
+                    "            - {{at: {at}ms, to: {}, ease: smooth}}",
+                    value(axis + act, index)
+                );
             }
         }
     }
@@ -188,7 +189,10 @@ fn measure(what: &str, path: &str) {
         _ => {
             let source = Source::read(Path::new(path)).unwrap();
             let compiled = black_box(compile(&source, &fleet, &NoFiles));
-            let error = compiled.findings.first().map(|finding| format!("{}: {}", finding.code.as_str(), finding.message));
+            let error = compiled
+                .findings
+                .first()
+                .map(|finding| format!("{}: {}", finding.code.as_str(), finding.message));
             (steps(&compiled), error)
         }
     };
@@ -204,7 +208,8 @@ struct Measured {
 }
 
 fn child(what: &str, path: &Path) -> Measured {
-    let output = Command::new(std::env::current_exe().unwrap()).args(["--measure", what]).arg(path).output().unwrap();
+    let output =
+        Command::new(std::env::current_exe().unwrap()).args(["--measure", what]).arg(path).output().unwrap();
     let text = String::from_utf8(output.stdout).unwrap();
     let mut words = text.trim_end().splitn(4, ' ');
     let mut number = || words.next().unwrap_or_default().parse().unwrap();
@@ -221,8 +226,13 @@ fn compare(case: &Case, folder: &Path) {
     for _ in 1..RUNS {
         // In turn, so that a busy machine disturbs both alike.
         let (other, again) = (child("plain", &path), child("ours", &path));
-        plain = Measured { seconds: plain.seconds.min(other.seconds), bytes: plain.bytes.max(other.bytes), ..plain };
-        ours = Measured { seconds: ours.seconds.min(again.seconds), bytes: ours.bytes.max(again.bytes), ..ours };
+        plain = Measured {
+            seconds: plain.seconds.min(other.seconds),
+            bytes: plain.bytes.max(other.bytes),
+            ..plain
+        };
+        ours =
+            Measured { seconds: ours.seconds.min(again.seconds), bytes: ours.bytes.max(again.bytes), ..ours };
     }
     println!(
         "{}: {megabytes:.1} MB, {} steps: {:.2} s and {:.0} MB; YAML library alone {:.2} s and {:.0} MB: ratios {:.2} and {:.2}",

@@ -34,7 +34,9 @@ impl Deref for Items {
     fn deref(&self) -> &[Node] {
         match self {
             Self::Nodes(nodes) => nodes,
-            Self::Rows(rows) => rows.nodes.get_or_init(|| (0..rows.len()).map(|row| rows.node(row)).collect()),
+            Self::Rows(rows) => {
+                rows.nodes.get_or_init(|| (0..rows.len()).map(|row| rows.node(row)).collect())
+            }
         }
     }
 }
@@ -538,7 +540,8 @@ mod tests {
             Node::Text(text) => Node::Text(parse_duration(text).map_or_else(|| text.clone(), written)),
             Node::List(items) => Node::List(Items::Nodes(items.iter().map(alike).collect())),
             Node::Map(entries) => {
-                let mut entries: Vec<_> = entries.iter().map(|(key, node)| (key.clone(), alike(node))).collect();
+                let mut entries: Vec<_> =
+                    entries.iter().map(|(key, node)| (key.clone(), alike(node))).collect();
                 entries.sort_by(|a, b| a.0.cmp(&b.0));
                 Node::Map(entries)
             }
@@ -552,7 +555,9 @@ mod tests {
         let source = source(text);
         let (ours, whole) = (parse(&source), parse_whole(&source));
         match (ours, whole) {
-            (Ok(ours), Ok(whole)) => assert_eq!(format!("{:?}", alike(&ours)), format!("{:?}", alike(&whole)), "{text}"),
+            (Ok(ours), Ok(whole)) => {
+                assert_eq!(format!("{:?}", alike(&ours)), format!("{:?}", alike(&whole)), "{text}")
+            }
             (ours, whole) => assert_eq!(ours.err(), whole.err(), "{text}"),
         }
         condense(text).is_some()
@@ -564,9 +569,12 @@ mod tests {
 
     #[test]
     fn runs_of_every_style_are_read_as_the_library_reads_them() {
-        for row in
-            ["{at: 1s, to: 2}", "{\"at\":\"40ms\",\"to\":-1.5e-3}", "{to: [1, 2.5 ,3], at: 1m30s}", "{to: 0, ease: step, at: 2m}"]
-        {
+        for row in [
+            "{at: 1s, to: 2}",
+            "{\"at\":\"40ms\",\"to\":-1.5e-3}",
+            "{to: [1, 2.5 ,3], at: 1m30s}",
+            "{to: 0, ease: step, at: 2m}",
+        ] {
             assert!(same(&format!("a:\n  - {}\nb: 1\n", repeated(row, "\n  - "))));
             assert!(same(&format!("a:\r\n  - {}\r\n", repeated(row, "\r\n  - "))));
             assert!(same(&format!("a: [{}]\n", repeated(row, ", "))));
@@ -608,10 +616,41 @@ mod tests {
 
     #[test]
     fn numbers_and_times_are_those_of_the_library() {
-        for value in ["0", "-0", "-0.0", "007", "0.5", "1e5", "1e400", "1.", ".5", "+1", "1-2", "12345678901234567890", "0x1f", "1_0", "-", "1e", "e5"] {
+        for value in [
+            "0",
+            "-0",
+            "-0.0",
+            "007",
+            "0.5",
+            "1e5",
+            "1e400",
+            "1.",
+            ".5",
+            "+1",
+            "1-2",
+            "12345678901234567890",
+            "0x1f",
+            "1_0",
+            "-",
+            "1e",
+            "e5",
+        ] {
             same(&format!("a: [{}]\n", repeated(&format!("{{at: 1s, to: {value}}}"), ", ")));
         }
-        for time in ["1", "1s", "01s", "1.5m", "999999999s", "99999999999ms", "100000000000ms", "1h2m3s4ms5us", "1e5s", "1S", "s", "1.5.5s"] {
+        for time in [
+            "1",
+            "1s",
+            "01s",
+            "1.5m",
+            "999999999s",
+            "99999999999ms",
+            "100000000000ms",
+            "1h2m3s4ms5us",
+            "1e5s",
+            "1S",
+            "s",
+            "1.5.5s",
+        ] {
             same(&format!("a: [{}]\n", repeated(&format!("{{at: {time}, to: 1}}"), ", ")));
         }
     }

@@ -190,6 +190,11 @@ impl<'c, 'a> Performer<'c, 'a> {
         Self { findings, cast, fits, horizon, segments, readings, steps, uses }
     }
 
+    /// Steps so far, in steps of one value.
+    pub(super) const fn steps_taken(&self) -> usize {
+        self.steps.most() - self.steps.left()
+    }
+
     pub(super) fn cue(&mut self, cue: &Cue, members: &Members, time: &CueTime) {
         let mut alike: Vec<Alike> = Vec::new();
         let mut index_of: HashMap<(usize, usize), usize> = HashMap::new();

@@ -324,10 +324,7 @@ fn read_lead(reader: &mut Reader, at: &At<'_>) -> Option<Span> {
 ///
 /// # Errors
 /// The findings when one of them cannot be read or is not YAML.
-pub(crate) fn documents<'a>(
-    source: &'a Source,
-    files: &dyn Files,
-) -> Result<Documents<'a>, Vec<Finding>> {
+pub(crate) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Documents<'a>, Vec<Finding>> {
     library::documents(source, files)
 }
 
