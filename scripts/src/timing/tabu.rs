@@ -124,7 +124,8 @@ impl Shop<'_> {
             None => timed.last,
         };
         let mut path = vec![node];
-        while timed.decided[node] != NONE {
+        // Events that decide each other would make a circle.
+        while timed.decided[node] != NONE && path.len() <= self.nodes {
             node = timed.decided[node];
             path.push(node);
         }
