@@ -9,6 +9,8 @@ use crate::source::Source;
 
 /// Most values that all aliases of a file stand for.
 pub(crate) const ALIASED_MAX: usize = 250_000;
+/// Deeper nesting is not looked into.
+const NESTING_MAX: usize = 1_000;
 /// Longest line that a finding carries, in characters.
 const LINE_CHARS_MAX: usize = 1_000;
 
@@ -45,6 +47,10 @@ fn exceeding(text: &str) -> Option<(usize, usize)> {
             Event::Scalar(_, _, anchor, _) => (anchor, 1),
             Event::SequenceStart(anchor, _) | Event::MappingStart(anchor, _) => {
                 open.push(Open { anchor, values: 1 });
+                // Whoever reads it refuses that.
+                if open.len() > NESTING_MAX {
+                    return None;
+                }
                 continue;
             }
             Event::SequenceEnd | Event::MappingEnd => match open.pop() {

@@ -250,18 +250,22 @@ fn next_start(text: &str, at: usize) -> Option<Start> {
     let mut from = at;
     loop {
         from += text.get(from..)?.find(['{', 'a'])?;
-        let line = text[..from].rfind('\n').map_or(0, |end| end + 1);
-        let indent = from - line;
-        let dashed = indent >= 2 && bytes[from - 2..from] == *b"- " && blank(&bytes[line..from - 2]);
-        match (bytes[from], dashed) {
-            (b'{', true) => return Some(Start { from, style: Style::Lines(indent - 2) }),
-            (b'{', false) => return Some(Start { from, style: Style::Brackets }),
-            (_, true) if text[from..].starts_with("at: ") => {
-                return Some(Start { from, style: Style::Blocks(indent - 2) });
+        match (bytes[from], indent_of_dash(&bytes[..from])) {
+            (b'{', Some(indent)) => return Some(Start { from, style: Style::Lines(indent) }),
+            (b'{', None) => return Some(Start { from, style: Style::Brackets }),
+            (_, Some(indent)) if text[from..].starts_with("at: ") => {
+                return Some(Start { from, style: Style::Blocks(indent) });
             }
             _ => from += 1,
         }
     }
+}
+
+/// How far a dash is indented that alone stands ahead in its line.
+fn indent_of_dash(ahead: &[u8]) -> Option<usize> {
+    let spaces = ahead.strip_suffix(b"- ")?;
+    let indent = spaces.iter().rev().take_while(|byte| **byte == b' ').count();
+    matches!(spaces[..spaces.len() - indent].last(), None | Some(b'\n')).then_some(indent)
 }
 
 fn blank(bytes: &[u8]) -> bool {
@@ -564,7 +568,7 @@ mod tests {
     }
 
     fn repeated(row: &str, between: &str) -> String {
-        vec![row; 9].join(between)
+        [row; 9].join(between)
     }
 
     #[test]
@@ -612,6 +616,12 @@ mod tests {
         ] {
             same(&text);
         }
+    }
+
+    #[test]
+    fn a_single_long_line_takes_no_longer_than_many() {
+        let text = format!("a: [{}]\n", "{at: 1s, to: x}, aaaaaaaa, ".repeat(200_000));
+        assert!(condense(&text).is_none());
     }
 
     #[test]

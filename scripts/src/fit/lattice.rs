@@ -80,8 +80,7 @@ impl Candidates {
     pub(super) fn between(&self, low: f64, high: f64) -> u64 {
         let (origin, pitch) = (self.base * self.scale, self.stride * self.scale);
         let (first, last) = (((low - origin) / pitch).max(0.0), ((high - origin) / pitch).min(self.last));
-        // Also where nothing is a number.
-        if !(first <= last) {
+        if first > last {
             return 0;
         }
         // Rounded up and down; on ordinary processors a call for each would take longer than all the rest.

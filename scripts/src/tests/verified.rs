@@ -86,7 +86,8 @@ impl Movement {
     /// Of keyframes with values, which a device plays as they are written; their times come later.
     pub(super) fn of_keyframes(yaml: &str, moves: bool, keyframes: &[(i64, f64)]) -> Self {
         let ease = if moves { Ease::Own } else { Ease::Step };
-        let way = |pair: &[(i64, f64)]| Way { begin: 0.0, end: 0.0, form: Form::Eased(ease, pair[0].1, pair[1].1) };
+        let way =
+            |pair: &[(i64, f64)]| Way { begin: 0.0, end: 0.0, form: Form::Eased(ease, pair[0].1, pair[1].1) };
         Self { yaml: yaml.to_owned(), csv: String::new(), ways: keyframes.windows(2).map(way).collect() }
     }
 
