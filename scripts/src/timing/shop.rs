@@ -230,40 +230,28 @@ impl<'a> Shop<'a> {
         if order.len() < self.nodes {
             return None;
         }
-        let late = match self.settle(&order, &after, &mut heads, &mut decided) {
-            true => 0,
-            false => self.upper.iter().map(|arc| beyond(&heads, arc)).sum(),
-        };
+        self.settle(&order, &after, &mut heads, &mut decided);
+        let late = self.upper.iter().map(|arc| beyond(&heads, arc)).sum();
         let last = (0..self.nodes).max_by_key(|node| (heads[*node], *node)).unwrap_or(0);
         let cost = Cost { late, makespan: heads[last] };
         Some(Timed { heads, order, cost, decided, last })
     }
 
-    /// Puts events off that are too far ahead of others; whether that keeps all bounds. If not, times are as they were.
-    fn settle(
-        &mut self,
-        order: &[usize],
-        after: &[usize],
-        heads: &mut Vec<i64>,
-        decided: &mut Vec<usize>,
-    ) -> bool {
+    /// Puts events off that are too far ahead of others. The origin cannot be put off: what is later than it allows stays so.
+    /// Where events put each other off for ever, all times stay as they were.
+    fn settle(&mut self, order: &[usize], after: &[usize], heads: &mut Vec<i64>, decided: &mut Vec<usize>) {
         let before = (heads.clone(), decided.clone());
         for _ in 0..ROUNDS_MAX {
             let mut kept = true;
-            for arc @ &(from, to, _) in &self.upper {
+            for arc @ &(from, to, _) in self.upper.iter().filter(|(from, ..)| *from != 0) {
                 let beyond = beyond(heads, arc);
-                if beyond > 0 && from == 0 {
-                    // The origin cannot be put off.
-                    (*heads, *decided) = before;
-                    return false;
-                }
                 if beyond > 0 {
                     (heads[from], decided[from], kept) = (heads[from] + beyond, to, false);
                 }
             }
             self.work += self.upper.len();
             if kept {
-                return true;
+                return;
             }
             for &node in order {
                 let extra = (after[node] != NONE).then_some((after[node], 0));
@@ -276,7 +264,6 @@ impl<'a> Shop<'a> {
             self.work += self.nodes;
         }
         (*heads, *decided) = before;
-        false
     }
 
     pub(super) fn exact(&self, network: &Network, sequences: &Sequences) -> Option<Schedule> {

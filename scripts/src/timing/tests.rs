@@ -224,6 +224,8 @@ fn an_order_is_found_where_others_have_to_wait_with_a_task() {
     // The third cue begins with the first, or exactly 3 after it, and the second cue has to be first.
     assert_eq!(found_near(&[(1, 5, Some(0), Some(0)), (4, 5, Some(0), None)]), Some(20));
     assert_eq!(found_near(&[(1, 5, Some(3), Some(3)), (4, 5, Some(4), None)]), Some(24));
+    // The second cue is at a time before which the third has not ended, and the first ends as the third does.
+    assert_eq!(found_near(&[(0, 3, Some(9), Some(9)), (6, 2, Some(-1), Some(-1))]), Some(29));
     // That cannot be by a deadline of the first.
     assert_eq!(found_near(&[(1, 5, Some(3), Some(3)), (4, 5, Some(4), None), (0, 2, None, Some(20))]), None);
 }
