@@ -6,6 +6,7 @@
 //! `render` shows it.
 
 mod address;
+mod aliases;
 mod budget;
 mod compile;
 mod duration;
@@ -26,6 +27,7 @@ mod plan;
 mod refill;
 mod rehearse;
 mod render;
+mod rows;
 mod sarif;
 mod scenario;
 mod schema;

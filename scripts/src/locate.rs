@@ -1,6 +1,7 @@
 //! Where paths into the tree stand in the text: one pass of a parser that keeps places, made only when there is something
 //! to report. What stands behind an alias is placed where the alias is used.
 
+use std::borrow::Borrow;
 use std::collections::HashMap;
 
 use saphyr_parser::{Event, Parser, Span};
@@ -15,14 +16,14 @@ const LINE_BYTES_MAX: usize = 500;
 const LINES_BYTES_MAX: usize = 16 * 1024 * 1024;
 
 /// Gives every finding its line and column, and sorts them by place: the findings of each file together.
-pub(crate) fn locate(sources: &[Source], pending: Vec<Pending>) -> Vec<Finding> {
+pub(crate) fn locate<S: Borrow<Source>>(sources: &[S], pending: Vec<Pending>) -> Vec<Finding> {
     let mut by_file: Vec<Vec<Pending>> = sources.iter().map(|_| Vec::new()).collect();
     for finding in pending {
         if let Some(file) = by_file.get_mut(usize::from(finding.place.file)) {
             file.push(finding);
         }
     }
-    sources.iter().zip(by_file).flat_map(|(source, pending)| locate_in(source, pending)).collect()
+    sources.iter().zip(by_file).flat_map(|(source, pending)| locate_in(source.borrow(), pending)).collect()
 }
 
 fn locate_in(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {

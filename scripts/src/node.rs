@@ -1,12 +1,14 @@
 //! A YAML document as a tree that keeps what a user may have done wrong: duplicate keys, wrong kinds, foreign tags.
-//! Read by serde_yaml, whose limits on aliases and nesting bound it.
+//! Read by serde_yaml, whose limit on nesting bounds it; `rows` spares it long runs of keyframes, `aliases` bounds aliases.
 
 use std::fmt;
 
 use serde::de::{self, Deserialize, Deserializer, EnumAccess, MapAccess, SeqAccess, VariantAccess, Visitor};
 
+use crate::aliases;
 use crate::finding::{Code, Finding};
 use crate::render::{line_of, line_starts};
+use crate::rows::{self, Items};
 use crate::source::Source;
 
 /// What some editors begin a file with.
@@ -19,7 +21,7 @@ pub(crate) enum Node {
     Bool(bool),
     Number(f64),
     Text(String),
-    List(Vec<Node>),
+    List(Items),
     Map(Vec<(String, Node)>),
     Tagged(String),
 }
@@ -56,6 +58,24 @@ pub(crate) fn parse(source: &Source) -> Result<Node, Finding> {
         let hint = Some("see `docs/scenario.md` for what goes into it".to_owned());
         let message = "the file is empty".to_owned();
         return Err(Finding::about_file(Code::Syntax, &source.name, message, "a YAML map", hint));
+    }
+    let condensed = rows::condense(text);
+    let left = condensed.as_ref().map_or(text, |condensed| condensed.text.as_str());
+    if let Some(finding) = aliases::check(source, left) {
+        return Err(finding);
+    }
+    let root = condensed.and_then(|condensed| {
+        let root = serde_yaml::from_str(&condensed.text).ok()?;
+        condensed.restore(root, aliases::ALIASED_MAX)
+    });
+    root.map_or_else(|| parse_whole(source), Ok)
+}
+
+/// The same by the library alone.
+pub(crate) fn parse_whole(source: &Source) -> Result<Node, Finding> {
+    let text = source.text.trim_start_matches(BYTE_ORDER_MARK);
+    if let Some(finding) = aliases::check(source, text) {
+        return Err(finding);
     }
     serde_yaml::from_str(text).map_err(|error| syntax_finding(source, &error))
 }
@@ -186,7 +206,7 @@ impl<'de> Visitor<'de> for NodeVisitor {
         while let Some(node) = seq.next_element()? {
             list.push(node);
         }
-        Ok(Node::List(list))
+        Ok(Node::List(Items::Nodes(list)))
     }
 
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Node, A::Error> {

@@ -224,3 +224,4 @@ mod hints;
 mod numbers;
 mod told;
 mod verified;
+mod whole;

@@ -1,7 +1,7 @@
 //! Who plays: names of robots, groups and roles against the fleet, and what each robot's devices are.
 
-use std::cell::OnceCell;
 use std::collections::{HashMap, HashSet};
+use std::sync::OnceLock;
 
 use urrcp::{ControlType, Device, RobotId, Span};
 
@@ -22,7 +22,7 @@ pub(super) struct Cast<'a> {
     /// For each robot a number; robots of one number have the same devices and limits.
     kinds: Vec<usize>,
     /// All names, in order; made for the first finding that lists them.
-    known: OnceCell<Vec<String>>,
+    known: OnceLock<Vec<String>>,
 }
 
 /// A robot in a cue.
@@ -68,7 +68,7 @@ impl<'a> Cast<'a> {
             });
             kinds.push(kind);
         }
-        Self { fleet, roles, index_of, kinds, known: OnceCell::new() }
+        Self { fleet, roles, index_of, kinds, known: OnceLock::new() }
     }
 
     pub(super) fn kind(&self, robot: usize) -> usize {

@@ -4,6 +4,7 @@
 //! device for each cue), `join` (one chain of scripts a device). `check_*` hold the rules, `acts` the graph of acts.
 
 mod acts;
+mod ahead;
 mod cast;
 mod check_motion;
 mod check_refill;
@@ -17,6 +18,8 @@ mod together;
 mod vectors;
 
 use std::collections::HashMap;
+
+use urrcp::Span;
 
 use crate::budget::{Budget, KNOTS_MAX, STEPS_MAX};
 use crate::fields::Reader;
@@ -67,6 +70,9 @@ fn knots_max(fleet: &Fleet) -> usize {
     longest.clamp(KNOTS_MAX, 2 * KNOTS_MAX)
 }
 
+/// So many robots of cues are kept before the first act is made.
+const MEMBERS_AHEAD_MAX: usize = 1_000_000;
+
 struct Compiler {
     scenario: Scenario,
     findings: Reader,
@@ -78,23 +84,17 @@ impl Compiler {
         let scenario = std::mem::take(&mut self.scenario);
         let cast = Cast::new(fleet, &scenario.roles);
         let ways = acts::ways(&mut self.findings, &scenario.acts, &cast, readable);
-        let mut fits = crate::motion::Fits::default();
+        let horizon = scenario.horizon();
+        let mut known = self.first_times(&scenario, &cast).into_iter();
+        let mut fits = ahead::fits(&timed(&scenario, known.as_slice()), &cast, horizon);
         let mut rests = HashMap::new();
         let mut room = Budget::new(STEPS_MAX);
-        let horizon = scenario.horizon();
         let mut acts = Vec::with_capacity(scenario.acts.len());
         for (index, (act, ways)) in scenario.acts.iter().zip(ways).enumerate() {
             let before = cast::leading_to(&acts, index);
             let positions = cast::Positions::after(fleet, &before, &rests, index == 0);
-            let members: Vec<_> =
-                act.cues.iter().map(|cue| cast.members(&mut self.findings, cue, horizon)).collect();
-            let before = self.findings.found.len();
-            let (times, consistent) = schedule::schedule(&mut self.findings, act, &members, &cast, horizon);
-            // Of cues that could not be read as a whole, the times are not known.
-            let consistent = consistent && act.faults == 0;
-            if act.faults > 0 {
-                self.findings.keep_from(before, |code| !matches!(code, Code::Conflict | Code::NoOrder));
-            }
+            let Times { members, times, consistent } =
+                known.next().unwrap_or_else(|| self.times(act, &cast, horizon));
             let mut performer = perform::Performer::new(&mut self.findings, &cast, &mut fits, horizon);
             for ((cue, members), time) in act.cues.iter().zip(&members).zip(&times) {
                 performer.cue(cue, members, time);
@@ -139,4 +139,49 @@ impl Compiler {
         check_refill::check(&mut self.findings, &scenario, &cast, &choreography);
         Some(choreography)
     }
+
+    /// The times of the acts one after another; of very many robots only those of the first acts.
+    fn first_times(&mut self, scenario: &Scenario, cast: &Cast<'_>) -> Vec<Times> {
+        let mut known: Vec<Times> = Vec::new();
+        let mut members = 0usize;
+        for act in &scenario.acts {
+            if members > MEMBERS_AHEAD_MAX {
+                break;
+            }
+            let times = self.times(act, cast, scenario.horizon());
+            members += times.members.iter().map(|members| members.all.len()).sum::<usize>();
+            known.push(times);
+        }
+        known
+    }
+
+    /// Who plays in the cues of an act, and when.
+    fn times(&mut self, act: &scenario::Act, cast: &Cast<'_>, horizon: Span) -> Times {
+        let members: Vec<_> =
+            act.cues.iter().map(|cue| cast.members(&mut self.findings, cue, horizon)).collect();
+        let before = self.findings.found.len();
+        let (times, consistent) = schedule::schedule(&mut self.findings, act, &members, cast, horizon);
+        if act.faults > 0 {
+            self.findings.keep_from(before, |code| !matches!(code, Code::Conflict | Code::NoOrder));
+        }
+        // Of cues that could not be read as a whole, the times are not known.
+        Times { members, times, consistent: consistent && act.faults == 0 }
+    }
+}
+
+/// What is known of an act before anything moves.
+struct Times {
+    members: Vec<cast::Members>,
+    times: Vec<schedule::CueTime>,
+    /// Whether they satisfy everything that is asked.
+    consistent: bool,
+}
+
+/// All cues of all acts.
+fn timed<'a>(scenario: &'a Scenario, times: &'a [Times]) -> Vec<ahead::Timed<'a>> {
+    let of_act = |(act, known): (&'a scenario::Act, &'a Times)| {
+        let cues = act.cues.iter().zip(&known.members).zip(&known.times);
+        cues.map(|((cue, members), time)| ahead::Timed { cue, members, time })
+    };
+    scenario.acts.iter().zip(times).flat_map(of_act).collect()
 }

@@ -1,5 +1,6 @@
 //! What each robot does in a cue: its tracks on its devices, as steps.
 
+use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -189,6 +190,11 @@ impl<'c, 'a> Performer<'c, 'a> {
         Self { findings, cast, fits, horizon, segments, readings, steps, uses }
     }
 
+    /// Steps so far, in steps of one value.
+    pub(super) const fn steps_taken(&self) -> usize {
+        self.steps.most() - self.steps.left()
+    }
+
     pub(super) fn cue(&mut self, cue: &Cue, members: &Members, time: &CueTime) {
         let mut alike: Vec<Alike> = Vec::new();
         let mut index_of: HashMap<(usize, usize), usize> = HashMap::new();
@@ -320,16 +326,16 @@ impl<'c, 'a> Performer<'c, 'a> {
         {
             return None;
         }
-        let mut curve = curve.clone();
-        curve.stretch(stretch);
+        let curve = stretched(curve, stretch);
+        let curve = curve.as_ref();
         let actuator = Actuator::new(on.device, control_type, self.room(on.device));
         let before = self.findings.found.len();
-        let set = check_values::check(self.findings, on, control_type, &curve);
-        let played = Played::new(&curve, set);
+        let set = check_values::check(self.findings, on, control_type, curve);
+        let played = Played::new(curve, set);
         let errors = self.findings.found[before..].iter();
         let sound = !errors.clone().any(|finding| finding.code.severity() == Severity::Error);
         check_motion::check(self.findings, on, control_type, &played.as_set());
-        self.check_beginning(on, &actuator, &curve);
+        self.check_beginning(on, &actuator, curve);
         curve.knots.first()?;
         self.fitted(on, &actuator, &played, sound)
     }
@@ -591,6 +597,16 @@ pub(super) fn unknown_sensor(
         false => one_of(sensors),
     };
     findings.add(Code::UnknownSensor, place.clone(), message, expected, hint);
+}
+
+/// A movement as its cue plays it.
+fn stretched(curve: &Curve, stretch: Stretch) -> Cow<'_, Curve> {
+    if stretch.from == stretch.to {
+        return Cow::Borrowed(curve);
+    }
+    let mut curve = curve.clone();
+    curve.stretch(stretch);
+    Cow::Owned(curve)
 }
 
 /// The steps that a device can hold: max_number_of_steps for each script of its queue.

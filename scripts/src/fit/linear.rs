@@ -132,17 +132,25 @@ impl<'a> Search<'a> {
         let (mut flattest, mut steepest) = (f64::NEG_INFINITY, f64::INFINITY);
         for next in sample + 1..times.len() {
             let duration = times[next] - times[sample];
-            if self.open[next] != 0 {
-                let (low, high) = (value + flattest * duration, value + steepest * duration);
+            let (low, high) = (value + flattest * duration, value + steepest * duration);
+            let close = self.left[next] <= pieces_left;
+            // Of those that are too far from the end one is enough to know of.
+            if self.open[next] != 0 && (close || !self.cut) {
                 let fresh = self.candidates[next].between(low, high) & self.open[next];
-                match self.left[next] <= pieces_left {
+                match close {
                     true => self.reach(next, fresh, index),
                     false => self.cut |= fresh != 0,
                 }
             }
             let room = self.problem.curve.room_at(next, self.room);
-            flattest = flattest.max((values[next] - room - value) / duration);
-            steepest = steepest.min((values[next] + room - value) / duration);
+            // Dividing takes longer than comparing, and most samples narrow one side at most.
+            let (bottom, top) = (values[next] - room, values[next] + room);
+            if bottom > low {
+                flattest = (bottom - value) / duration;
+            }
+            if top < high {
+                steepest = (top - value) / duration;
+            }
             if flattest > steepest {
                 break;
             }

@@ -19,13 +19,16 @@ pub(super) enum Precision {
 
 /// The closest steps within the budget, no worse than those to start from.
 pub(super) fn least(problem: &Problem, start: Found, budget: usize, precision: Precision) -> Found {
-    let mut too_little = problem.off_min().max(bound(problem, start.off, budget));
+    let mut too_little = problem.off_min().max(bound(problem, start.off, budget, precision));
     if let Some(found) = problem.within(too_little, budget) {
         return if found.off < start.off { found } else { start };
     }
     let (mut enough, mut best) = (start.off, start);
     // The least error is seldom far above its bound, and little room is searched much faster than much.
-    let mut stride = problem.lattice.granularity / 4.0;
+    let mut stride = match precision {
+        Precision::Fine => problem.lattice.granularity / 4.0,
+        Precision::Within(distance) => distance / 2.0,
+    };
     for _ in 0..ROUNDS_MAX {
         let close = match precision {
             Precision::Fine => (enough * 1e-6).max(problem.lattice.granularity * 1e-6),
@@ -50,11 +53,14 @@ pub(super) fn least(problem: &Problem, start: Found, budget: usize, precision: P
 }
 
 /// A room that is too little, or only just enough, for connected lines on any grid.
-fn bound(problem: &Problem, enough: f64, budget: usize) -> f64 {
+fn bound(problem: &Problem, enough: f64, budget: usize, precision: Precision) -> f64 {
     if problem.interpolation == Interpolation::Hold {
         return 0.0;
     }
-    let close = problem.lattice.granularity * 1e-7;
+    let close = match precision {
+        Precision::Fine => problem.lattice.granularity * 1e-7,
+        Precision::Within(distance) => distance / 4.0,
+    };
     let (mut too_little, mut enough) = (0.0, enough);
     for _ in 0..ROUNDS_MAX {
         let room = too_little + (enough - too_little) / 2.0;

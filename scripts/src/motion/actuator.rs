@@ -55,6 +55,13 @@ pub(crate) struct Fitted {
 #[derive(Default)]
 pub(crate) struct Fits(HashMap<Vec<u64>, Arc<Result<Fit, f64>>>);
 
+impl Fits {
+    /// With what has been fitted elsewhere.
+    pub(crate) fn extend(&mut self, other: Self) {
+        self.0.extend(other.0);
+    }
+}
+
 /// How a way between two knots becomes steps.
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum Means {

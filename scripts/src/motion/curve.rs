@@ -100,6 +100,12 @@ impl Shape {
         matches!(self, Self::Own | Self::OwnReversed | Self::Eased(_) | Self::Early)
     }
 
+    /// Whether devices need it to be fitted, more or less all of them.
+    pub(crate) fn is_fitted(self) -> bool {
+        matches!(self, Self::Function { .. } | Self::Sampled(_))
+            || matches!(self, Self::Eased(Easing::Smooth | Easing::Cubic))
+    }
+
     fn reversed(self) -> Self {
         match self {
             Self::Sampled(between) => Self::Sampled(between.reversed()),

@@ -1,5 +1,6 @@
 //! What cues share: included files, variables, moves, roles, the tempo.
 
+use std::borrow::Cow;
 use std::cell::{OnceCell, RefCell};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
@@ -42,15 +43,15 @@ const INCLUDE_KEYS: [&str; 4] = ["include", "variables", "moves", "roles"];
 
 /// The scenario and its includes, as trees.
 #[derive(Debug, Default)]
-pub(crate) struct Documents {
-    pub(crate) sources: Vec<Source>,
+pub(crate) struct Documents<'a> {
+    pub(crate) sources: Vec<Cow<'a, Source>>,
     pub(crate) nodes: Vec<Node>,
 }
 
 /// Reads a scenario's file and everything that it includes, each file once.
-pub(super) fn documents(source: &Source, files: &dyn Files) -> Result<Documents, Vec<Finding>> {
+pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Documents<'a>, Vec<Finding>> {
     let root = node::parse(source).map_err(|finding| vec![finding])?;
-    let mut documents = Documents { sources: vec![source.clone()], nodes: vec![root] };
+    let mut documents = Documents { sources: vec![Cow::Borrowed(source)], nodes: vec![root] };
     let mut known = vec![String::new()];
     let mut findings = foreign_tags(source);
     let mut next = 0;
@@ -63,7 +64,7 @@ pub(super) fn documents(source: &Source, files: &dyn Files) -> Result<Documents,
                 Ok((source, node)) => {
                     findings.extend(foreign_tags(&source));
                     known.push(name);
-                    documents.sources.push(source);
+                    documents.sources.push(Cow::Owned(source));
                     documents.nodes.push(node);
                 }
                 Err(finding) if finding.is_unreadable() => {

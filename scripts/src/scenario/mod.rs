@@ -254,7 +254,7 @@ pub fn fleet_named_by(source: &Source) -> Option<PathBuf> {
 }
 
 /// Reads the trees of a scenario and its includes. What is wrong is left out and found.
-pub(crate) fn read(reader: &mut Reader, documents: &Documents, files: &dyn Files) -> Option<Scenario> {
+pub(crate) fn read(reader: &mut Reader, documents: &Documents<'_>, files: &dyn Files) -> Option<Scenario> {
     let (root, included) = documents.nodes.split_first()?;
     let at = At::document(root, 0);
     let [
@@ -324,7 +324,7 @@ fn read_lead(reader: &mut Reader, at: &At<'_>) -> Option<Span> {
 ///
 /// # Errors
 /// The findings when one of them cannot be read or is not YAML.
-pub(crate) fn documents(source: &Source, files: &dyn Files) -> Result<Documents, Vec<Finding>> {
+pub(crate) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Documents<'a>, Vec<Finding>> {
     library::documents(source, files)
 }
 

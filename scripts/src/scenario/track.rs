@@ -9,6 +9,7 @@ use crate::fields::{At, Reader};
 use crate::finding::{Code, Part};
 use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
 use crate::node::{self, Node};
+use crate::rows::{self, Rows, Width};
 
 pub(crate) const TRACK_KEYS: [&str; 9] =
     ["control", "tolerance", "max_steps", "keyframes", "spline", "polynomial", "wave", "travel", "samples"];
@@ -117,6 +118,9 @@ fn keyframes(reader: &mut Reader, at: &At<'_>) -> Written {
         reader.wrong_type(at, expected);
         return Written::of(Curve::default());
     };
+    if let rows::Items::Rows(rows) = items {
+        return of_rows(reader, at, rows);
+    }
     if items.is_empty() {
         nothing(reader, at, "the track has no keyframes", "at least one keyframe");
     }
@@ -135,6 +139,34 @@ fn keyframes(reader: &mut Reader, at: &At<'_>) -> Written {
         }
     }
     Written::new(Curve::new(knots, Vec::new()), length)
+}
+
+/// A long run of keyframes, whose times count from the cue's start wherever that is.
+fn of_rows(reader: &mut Reader, list: &At<'_>, rows: &Rows) -> Written {
+    let length = rows.iter().last().map_or(Exact::ZERO, |row| row.at.into());
+    let mut before = None;
+    let mut checked = |index: usize, at: Span| {
+        in_order(reader, list, (Items::Keyframes, index), before, at);
+        before = Some(at);
+    };
+    let motion = match rows.width() {
+        Width::One => {
+            let knots = rows.iter().enumerate().map(|(index, row)| {
+                checked(index, row.at);
+                let shape = row.ease.map_or(Shape::Own, Shape::Eased);
+                Knot { at: row.at, to: row.values[0], shape, item: item(index) }
+            });
+            Motion::Curve(Curve::new(knots.collect(), Vec::new()))
+        }
+        Width::List(_) => {
+            let vectors = rows.iter().enumerate().map(|(index, row)| {
+                checked(index, row.at);
+                Vector { at: row.at, values: row.values.to_vec(), item: item(index) }
+            });
+            Motion::Vectors(vectors.collect())
+        }
+    };
+    Written { motion, length }
 }
 
 fn in_order(

@@ -9,10 +9,10 @@ use super::numbers::{compiled_with, steps, used};
 use crate::{Act, Code};
 
 /// Milliseconds around a jump in which either side of it counts.
-const NEAR: f64 = 1e-3;
+pub(super) const NEAR: f64 = 1e-3;
 
 #[derive(Clone, Copy, Debug, PartialEq)]
-enum Ease {
+pub(super) enum Ease {
     Own,
     Linear,
     Smooth,
@@ -22,14 +22,14 @@ enum Ease {
 
 /// A way in time from one value to the next; times in milliseconds.
 #[derive(Clone, Debug)]
-struct Way {
-    begin: f64,
-    end: f64,
+pub(super) struct Way {
+    pub(super) begin: f64,
+    pub(super) end: f64,
     form: Form,
 }
 
 #[derive(Clone, Debug)]
-enum Form {
+pub(super) enum Form {
     Eased(Ease, f64, f64),
     /// Coefficients in seconds from the way's start.
     Polynomial(Vec<f64>),
@@ -60,10 +60,10 @@ impl Form {
 
 /// A movement as it is written, and as it is meant.
 #[derive(Clone, Debug)]
-struct Movement {
-    yaml: String,
-    csv: String,
-    ways: Vec<Way>,
+pub(super) struct Movement {
+    pub(super) yaml: String,
+    pub(super) csv: String,
+    pub(super) ways: Vec<Way>,
 }
 
 fn length(ways: &[Way]) -> f64 {
@@ -72,21 +72,38 @@ fn length(ways: &[Way]) -> f64 {
 
 /// What is done with a movement.
 #[derive(Clone, Debug)]
-struct Change {
-    yaml: String,
-    scale: f64,
-    about: f64,
-    backwards: bool,
-    turns: u32,
+pub(super) struct Change {
+    pub(super) yaml: String,
+    pub(super) scale: f64,
+    pub(super) about: f64,
+    pub(super) backwards: bool,
+    pub(super) turns: u32,
     /// Milliseconds.
-    duration: Option<i64>,
+    pub(super) duration: Option<f64>,
+}
+
+impl Movement {
+    /// Of keyframes with values, which a device plays as they are written; their times come later.
+    pub(super) fn of_keyframes(yaml: &str, moves: bool, keyframes: &[(i64, f64)]) -> Self {
+        let ease = if moves { Ease::Own } else { Ease::Step };
+        let way =
+            |pair: &[(i64, f64)]| Way { begin: 0.0, end: 0.0, form: Form::Eased(ease, pair[0].1, pair[1].1) };
+        Self { yaml: yaml.to_owned(), csv: String::new(), ways: keyframes.windows(2).map(way).collect() }
+    }
+
+    /// With its keyframes at these times.
+    pub(super) fn at_times(&mut self, millis: &[f64]) {
+        for (way, pair) in self.ways.iter_mut().zip(millis.windows(2)) {
+            (way.begin, way.end) = (pair[0], pair[1]);
+        }
+    }
 }
 
 /// A value at a time of a movement after all changes; before or after a jump at that time.
-fn meant(movement: &Movement, change: &Change, millis: f64) -> f64 {
+pub(super) fn meant(movement: &Movement, change: &Change, millis: f64) -> f64 {
     let once = length(&movement.ways);
     let whole = once * f64::from(change.turns);
-    let stretch = change.duration.map_or(1.0, |duration| duration as f64 / whole);
+    let stretch = change.duration.map_or(1.0, |duration| duration / whole);
     let written = millis / stretch;
     let turn = (written / once).floor().min(f64::from(change.turns) - 1.0);
     let within = written - turn * once;
@@ -99,7 +116,7 @@ fn meant(movement: &Movement, change: &Change, millis: f64) -> f64 {
 }
 
 /// What is written for the very end.
-fn final_value(movement: &Movement, change: &Change) -> f64 {
+pub(super) fn final_value(movement: &Movement, change: &Change) -> f64 {
     let (first, last) = (&movement.ways[0], &movement.ways[movement.ways.len() - 1]);
     let value = match (change.backwards, &first.form, &last.form) {
         (true, Form::Eased(_, from, _), _) => *from,
@@ -111,7 +128,7 @@ fn final_value(movement: &Movement, change: &Change) -> f64 {
 }
 
 /// What the device does at a time.
-fn played(steps: &[(f64, f64)], linear: bool, millis: f64) -> f64 {
+pub(super) fn played(steps: &[(f64, f64)], linear: bool, millis: f64) -> f64 {
     let after = steps.partition_point(|step| step.0 <= millis);
     let before = steps[after.saturating_sub(1)];
     match steps.get(after) {
@@ -123,10 +140,10 @@ fn played(steps: &[(f64, f64)], linear: bool, millis: f64) -> f64 {
 }
 
 /// Times at which to look: all over, and on both sides of everything that may jump.
-fn looked_at(movement: &Movement, change: &Change, steps: &[(f64, f64)]) -> Vec<f64> {
+pub(super) fn looked_at(movement: &Movement, change: &Change, steps: &[(f64, f64)]) -> Vec<f64> {
     let whole = steps[steps.len() - 1].0;
     let once = length(&movement.ways);
-    let stretch = change.duration.map_or(1.0, |duration| duration as f64 / (once * f64::from(change.turns)));
+    let stretch = change.duration.map_or(1.0, |duration| duration / (once * f64::from(change.turns)));
     let mut times: Vec<f64> = (0..400).map(|i| whole * (f64::from(i) + 0.37) / 400.0).collect();
     let parts = |way: &Way| {
         let (begin, length) = (way.begin, way.end - way.begin);
@@ -232,11 +249,11 @@ fn wave() -> impl Strategy<Value = Movement> {
     })
 }
 
-fn movements(linear: bool) -> impl Strategy<Value = Movement> {
+pub(super) fn movements(linear: bool) -> impl Strategy<Value = Movement> {
     prop_oneof![2 => keyframes(linear).boxed(), 1 => samples(linear).boxed(), 2 => polynomial().boxed(), 1 => wave().boxed()]
 }
 
-fn changes() -> impl Strategy<Value = Change> {
+pub(super) fn changes() -> impl Strategy<Value = Change> {
     let scale = prop_oneof![3 => Just(None), 1 => (-8i32..9, -10i32..11).prop_map(Some)];
     let duration = prop_oneof![3 => Just(None), 1 => (700i64..20_000).prop_map(Some)];
     (scale, prop::bool::weighted(0.25), 1u32..4, duration).prop_map(|(scale, backwards, turns, duration)| {
@@ -249,7 +266,7 @@ fn changes() -> impl Strategy<Value = Change> {
         yaml.push_str(&duration.map_or(String::new(), |duration| format!(", duration: {duration}ms")));
         let (scale, about) =
             scale.map_or((1.0, 0.0), |(scale, about)| (f64::from(scale) / 4.0, f64::from(about)));
-        Change { yaml, scale, about, backwards, turns, duration }
+        Change { yaml, scale, about, backwards, turns, duration: duration.map(|millis| millis as f64) }
     })
 }
 
@@ -265,7 +282,7 @@ fn verify(
     let steps: Vec<(f64, f64)> =
         steps(act, device).into_iter().map(|(at, v)| (at as f64 / 1e6, v[0])).collect();
     let used = used(act, device);
-    let whole = change.duration.map_or(length(&movement.ways) * f64::from(change.turns), |d| d as f64);
+    let whole = change.duration.unwrap_or(length(&movement.ways) * f64::from(change.turns));
     prop_assert!(
         (steps[steps.len() - 1].0 - whole).abs() < 2e-6,
         "{} ms, not {whole}",

@@ -39,7 +39,7 @@ pub enum Ordering {
     Found(Found),
     /// None was found; there may be one.
     NotFound,
-    /// There is none: the network contradicts itself, or one zone alone cannot be in time.
+    /// There is none: the network contradicts itself, one zone alone cannot be in time, or all orders were tried.
     Infeasible(Option<usize>),
 }
 
@@ -59,7 +59,8 @@ pub struct Found {
 /// Orders the tasks of each zone one after another.
 ///
 /// Starts from dispatching rules and improves by tabu search over the swaps at the borders of critical blocks (Nowicki and
-/// Smutnicki, Management Science 42, 1996). Upper bounds, such as deadlines, count as violations to be searched away.
+/// Smutnicki, Management Science 42, 1996). Deadlines count as violations to be searched away. Few orders, up to 720 in a
+/// network of up to 2,000 events, are all tried where that does not find the best that there can be.
 #[must_use]
 pub fn order(network: &Network, tasks: &[Task], effort: Effort) -> Ordering {
     tabu::search(network, tasks, effort)

@@ -7,7 +7,7 @@ use urrcp::Span;
 
 use super::network::{Network, Schedule};
 use super::order::Task;
-use super::paths::{Arcs, UNREACHED, longest};
+use super::paths::{Arcs, IMPLICIT, UNREACHED, longest};
 
 /// For each zone its tasks in order.
 pub(super) type Sequences = Vec<Vec<usize>>;
@@ -47,6 +47,8 @@ pub(super) struct Timed {
 }
 
 pub(super) const NONE: usize = usize::MAX;
+/// How often events are put off that others wait for, before an order is taken for one that breaks bounds.
+const ROUNDS_MAX: usize = 64;
 
 impl<'a> Shop<'a> {
     pub(super) fn new(network: &Network, tasks: &'a [Task]) -> Result<Self, Option<usize>> {
@@ -57,8 +59,10 @@ impl<'a> Shop<'a> {
             (vec![Vec::new(); nodes], vec![Vec::new(); nodes], Vec::new());
         for arc in arcs.all() {
             let (from, to) = (arc.from as usize, arc.to as usize);
-            // An arc that points back in time bounds from above; so does one into the origin.
-            if arc.weight < 0 || to == 0 {
+            // An arc that points back in time bounds from above; so does one into the origin, and one that keeps two events
+            // at one time.
+            let together = arc.weight == 0 && arc.label != IMPLICIT && arc.label % 2 == 1;
+            if arc.weight < 0 || to == 0 || together {
                 upper.push((to, from, -arc.weight));
             } else {
                 forward[from].push((to, arc.weight));
@@ -226,10 +230,40 @@ impl<'a> Shop<'a> {
         if order.len() < self.nodes {
             return None;
         }
-        let late = self.upper.iter().map(|&(from, to, bound)| (heads[to] - heads[from] - bound).max(0)).sum();
+        self.settle(&order, &after, &mut heads, &mut decided);
+        let late = self.upper.iter().map(|arc| beyond(&heads, arc)).sum();
         let last = (0..self.nodes).max_by_key(|node| (heads[*node], *node)).unwrap_or(0);
         let cost = Cost { late, makespan: heads[last] };
         Some(Timed { heads, order, cost, decided, last })
+    }
+
+    /// Puts events off that are too far ahead of others. The origin cannot be put off: what is later than it allows stays so.
+    /// Where events put each other off for ever, all times stay as they were.
+    fn settle(&mut self, order: &[usize], after: &[usize], heads: &mut Vec<i64>, decided: &mut Vec<usize>) {
+        let before = (heads.clone(), decided.clone());
+        for _ in 0..ROUNDS_MAX {
+            let mut kept = true;
+            for arc @ &(from, to, _) in self.upper.iter().filter(|(from, ..)| *from != 0) {
+                let beyond = beyond(heads, arc);
+                if beyond > 0 {
+                    (heads[from], decided[from], kept) = (heads[from] + beyond, to, false);
+                }
+            }
+            self.work += self.upper.len();
+            if kept {
+                return;
+            }
+            for &node in order {
+                let extra = (after[node] != NONE).then_some((after[node], 0));
+                for (to, weight) in self.forward[node].iter().copied().chain(extra) {
+                    if heads[node] + weight > heads[to] {
+                        (heads[to], decided[to]) = (heads[node] + weight, node);
+                    }
+                }
+            }
+            self.work += self.nodes;
+        }
+        (*heads, *decided) = before;
     }
 
     pub(super) fn exact(&self, network: &Network, sequences: &Sequences) -> Option<Schedule> {
@@ -241,6 +275,11 @@ impl<'a> Shop<'a> {
         }
         network.solve().ok()
     }
+}
+
+/// By how much an upper bound is broken.
+fn beyond(heads: &[i64], &(from, to, bound): &(usize, usize, i64)) -> i64 {
+    (heads[to] - heads[from] - bound).max(0)
 }
 
 /// The end of Jackson's preemptive schedule: the longest of time and tail over jobs (head, length, tail) on one machine.

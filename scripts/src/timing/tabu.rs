@@ -39,8 +39,18 @@ pub(super) fn search(network: &Network, tasks: &[Task], effort: Effort) -> Order
             schedule,
         })
     });
-    found.map_or(Ordering::NotFound, Ordering::Found)
+    match (found, shop.few_orders()) {
+        (Some(found), _) if found.makespan == found.at_least => Ordering::Found(found),
+        (Some(found), None) => Ordering::Found(found),
+        (None, None) => Ordering::NotFound,
+        (_, Some(orders)) => shop.best_of(network, orders, at_least),
+    }
 }
+
+/// So few orders are all tried.
+const ORDERS_MAX: usize = 720;
+/// In networks of no more events.
+const EVENTS_MAX: usize = 2_000;
 
 #[derive(Clone, Copy)]
 enum Rule {
@@ -57,6 +67,34 @@ impl Rule {
 }
 
 impl Shop<'_> {
+    /// All orders, if they are few.
+    fn few_orders(&self) -> Option<Vec<Sequences>> {
+        let mut all: Vec<Sequences> = vec![Vec::new()];
+        for zone in 0..self.zones {
+            let tasks = self.zone_tasks(zone);
+            let count = (1..=tasks.len()).try_fold(all.len(), |orders, next| orders.checked_mul(next))?;
+            if count > ORDERS_MAX || self.nodes > EVENTS_MAX {
+                return None;
+            }
+            let own = permutations(&tasks);
+            let with = |known: &Sequences| {
+                own.iter().map(|order| [known.clone(), vec![order.clone()]].concat()).collect::<Vec<_>>()
+            };
+            all = all.iter().flat_map(with).collect();
+        }
+        Some(all)
+    }
+
+    /// The shortest of these orders; if none keeps all bounds, there is none.
+    fn best_of(&self, network: &Network, orders: Vec<Sequences>, at_least: i64) -> Ordering {
+        let timed = |sequences| Some((self.exact(network, &sequences)?, sequences));
+        let best = orders.into_iter().filter_map(timed).min_by_key(|(schedule, _)| schedule.makespan());
+        best.map_or(Ordering::Infeasible(None), |(schedule, sequences)| {
+            let at_least = Span::from_nanos(at_least);
+            Ordering::Found(Found { sequences, makespan: schedule.makespan(), at_least, schedule })
+        })
+    }
+
     fn next_random(&mut self, below: usize) -> usize {
         // Marsaglia's xorshift: the same every time.
         self.random ^= self.random << 13;
@@ -124,7 +162,8 @@ impl Shop<'_> {
             None => timed.last,
         };
         let mut path = vec![node];
-        while timed.decided[node] != NONE {
+        // Events that decide each other would make a circle.
+        while timed.decided[node] != NONE && path.len() <= self.nodes {
             node = timed.decided[node];
             path.push(node);
         }
@@ -242,6 +281,19 @@ impl Shop<'_> {
         let _ = &timed.order;
         Some(timed)
     }
+}
+
+fn permutations(tasks: &[usize]) -> Vec<Vec<usize>> {
+    let [first, rest @ ..] = tasks else { return vec![Vec::new()] };
+    let mut all = Vec::new();
+    for order in permutations(rest) {
+        for place in 0..=order.len() {
+            let mut with = order.clone();
+            with.insert(place, *first);
+            all.push(with);
+        }
+    }
+    all
 }
 
 /// Zone and place of each task.

@@ -199,6 +199,37 @@ proptest! {
     }
 }
 
+/// Two tasks of one zone, of which the second begins together with or near something else.
+fn found_near(bounds: &[(usize, usize, Option<i64>, Option<i64>)]) -> Option<i64> {
+    let mut network = Network::new();
+    let mut events = vec![network.origin()];
+    events.extend((0..6).map(|_| network.event()));
+    for cue in 0..3 {
+        network.constrain(events[1 + 2 * cue], events[2 + 2 * cue], Some(span(10)), Some(span(10)));
+    }
+    for (from, to, min, max) in bounds {
+        network.constrain(events[*from], events[*to], min.map(span), max.map(span));
+    }
+    let task = |cue: usize| Task { start: events[1 + 2 * cue], end: events[2 + 2 * cue], zone: 0 };
+    match order(&network, &[task(1), task(2)], Effort { moves: 100, ..Effort::default() }) {
+        Ordering::Found(found) => Some(found.schedule.makespan().as_nanos()),
+        _ => None,
+    }
+}
+
+#[test]
+fn an_order_is_found_where_others_have_to_wait_with_a_task() {
+    // The third cue begins a little before the first ends.
+    assert_eq!(found_near(&[(2, 5, Some(-1), None)]), Some(20));
+    // The third cue begins with the first, or exactly 3 after it, and the second cue has to be first.
+    assert_eq!(found_near(&[(1, 5, Some(0), Some(0)), (4, 5, Some(0), None)]), Some(20));
+    assert_eq!(found_near(&[(1, 5, Some(3), Some(3)), (4, 5, Some(4), None)]), Some(24));
+    // The second cue is at a time before which the third has not ended, and the first ends as the third does.
+    assert_eq!(found_near(&[(0, 3, Some(9), Some(9)), (6, 2, Some(-1), Some(-1))]), Some(29));
+    // That cannot be by a deadline of the first.
+    assert_eq!(found_near(&[(1, 5, Some(3), Some(3)), (4, 5, Some(4), None), (0, 2, None, Some(20))]), None);
+}
+
 /// The shortest makespan over all orders of all tasks.
 fn best_of_all(network: &Network, tasks: &[Task], order: &mut Vec<usize>, rest: &mut Vec<usize>) -> i64 {
     if rest.is_empty() {
