@@ -24,11 +24,7 @@ pub(super) struct RoundTrips {
 impl RoundTrips {
     /// Takes one more, which ended at `at`; what has left the window by then is forgotten. Exchanges that began while
     /// another was under way tell of the same moment of the link and count as one with it, the longest of them.
-    /// A second answer to the same question is none.
     pub(super) fn add(&mut self, at: Timestamp<Server>, delay: Span) {
-        if self.latest.iter().any(|(ended, took)| *ended - *took == at - delay) {
-            return;
-        }
         match self.latest.back_mut() {
             Some((ended, longest)) if at - delay < *ended => {
                 if delay > *longest {

@@ -306,8 +306,7 @@ impl Mission {
     fn fate_of(&self, now: Timestamp<Server>, act: &Act) -> ActFate {
         let performs = self.phase == Phase::Performing;
         match (act.was_sent(), may_have_moved(now, act)) {
-            // Where all its robots were left out on the way nobody has played it to its end.
-            (true, _) if performs && act.is_over() && act.present().next().is_some() => ActFate::Played,
+            (true, _) if performs && act.is_over() => ActFate::Played,
             (_, true) => ActFate::Stopped,
             (true, false) => ActFate::Withdrawn,
             (false, false) if performs => ActFate::NobodyLeft,
