@@ -1,6 +1,7 @@
 //! Robots that drive hardware which may be away, fail and come back, and whose sensors take their time.
 
 use super::*;
+use crate::driver::AtEnd;
 use crate::hardware::READINGS_MAX;
 
 fn driven() -> Bench {
@@ -91,7 +92,7 @@ fn hardware_that_nothing_was_set_on_is_left_as_it_is() {
     let mut bench = ready();
     bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
     bench.robot.hardware_found(bench.now, &mut bench.out);
-    bench.robot.shut_down(bench.now, &mut bench.out);
+    bench.robot.shut_down(bench.now, AtEnd::Default, &mut bench.out);
     assert!(bench.sets().is_empty());
 }
 
@@ -129,7 +130,7 @@ fn a_custom_type_goes_to_rest_once_a_command_has_driven_it_and_is_left_alone_bef
     bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
     bench.robot.hardware_found(bench.now, &mut bench.out);
     assert_eq!(rests(&mut bench), ["wheel [0.0]", "lamp [0.0, 0.0, 0.0]", "horn [7.0]"]);
-    bench.robot.shut_down(bench.now, &mut bench.out);
+    bench.robot.shut_down(bench.now, AtEnd::Default, &mut bench.out);
     assert_eq!(rests(&mut bench), ["wheel [0.0]", "lamp [0.0, 0.0, 0.0]", "horn [7.0]"]);
 }
 
@@ -138,7 +139,7 @@ fn when_the_edge_ends_what_runs_is_told_and_devices_go_to_their_default_state() 
     let mut bench = ready();
     bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
     bench.until(10);
-    bench.robot.shut_down(bench.now, &mut bench.out);
+    bench.robot.shut_down(bench.now, AtEnd::Default, &mut bench.out);
     assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed cancelled"]);
     assert!(defaults(&bench).contains(&("arm position".to_owned(), 10.0)));
 }
