@@ -1,5 +1,7 @@
 //! How far apart the robots of an act may start, as far as their clocks are known.
 
+use std::collections::HashMap;
+
 use serde::Serialize;
 use urrcp::{RobotId, Span, Timestamp};
 
@@ -19,6 +21,9 @@ pub struct SkewBudget {
     pub tolerance: Span,
     /// The parts that each robot has in it.
     pub robots: Vec<RobotSkew>,
+    /// Where each robot stands in `robots`.
+    #[serde(skip)]
+    place: HashMap<RobotId, usize>,
 }
 
 /// When a robot may start, relative to the plan: from `offset` - `uncertainty` to `offset` + `uncertainty` + `wake_up`.
@@ -51,7 +56,7 @@ impl RobotSkew {
 impl SkewBudget {
     /// How much later than planned one robot may start.
     pub(crate) fn late_of(&self, robot: &RobotId) -> Option<Span> {
-        let skew = self.robots.iter().find(|skew| skew.robot == *robot)?;
+        let skew = &self.robots[*self.place.get(robot)?];
         Some(skew.range().1.max(Span::ZERO))
     }
 
@@ -115,7 +120,8 @@ impl SkewBudget {
             [alone] => alone.wake_up,
             _ => latest - earliest,
         };
-        Some(Self { predicted, tolerance, robots })
+        let place = robots.iter().enumerate().map(|(place, robot)| (robot.robot.clone(), place)).collect();
+        Some(Self { predicted, tolerance, robots, place })
     }
 
     /// How much earlier, and how much later, than planned a robot may start.

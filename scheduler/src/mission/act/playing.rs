@@ -470,11 +470,12 @@ fn lapses_at(timing: &Timing, script: &Script, robot: &RobotState, grace: Span) 
     if script.is_final() {
         return None;
     }
-    let end = planned_end(timing.start, script) + late_of(timing, robot);
-    match lapses(robot) {
-        true => Some(end + LAPSE),
-        false => lost_with_its_process(script, robot).then(|| end + grace),
-    }
+    let patience = match lapses(robot) {
+        true => LAPSE,
+        false if lost_with_its_process(script, robot) => grace,
+        false => return None,
+    };
+    Some(planned_end(timing.start, script) + late_of(timing, robot) + patience)
 }
 
 fn is_full(response: &ControlResponse) -> bool {
