@@ -74,6 +74,9 @@ fn read_events(bytes: &[u8]) -> Result<(Timing, Read), (Code, String)> {
             format!("the file has {} bytes, the limit is {}", bytes.len(), 2 * EVENTS_MAX),
         ));
     }
+    if names_no_frame_rate(bytes) {
+        return Err(unreadable("this is no MIDI file: invalid smpte fps".to_owned()));
+    }
     let smf = Smf::parse(bytes).map_err(|error| unreadable(format!("this is no MIDI file: {error}")))?;
     if matches!(smf.header.format, midly::Format::Sequential) && smf.tracks.len() > 1 {
         return Err(unreadable("the tracks are songs of their own (format 2): save them one a file".into()));
@@ -90,6 +93,12 @@ fn read_events(bytes: &[u8]) -> Result<(Timing, Read), (Code, String)> {
     read.sets.sort_by_key(|set| set.tick);
     read.tempi.sort_by_key(|(tick, _)| *tick);
     Ok((smf.header.timing, read))
+}
+
+/// The one rate of frames in a header, -128, that midly 0.5 negates without a look.
+fn names_no_frame_rate(bytes: &[u8]) -> bool {
+    let header = bytes.windows(4).position(|name| name == b"MThd");
+    header.and_then(|header| bytes.get(header + 12)) == Some(&0x80)
 }
 
 impl Read {
