@@ -47,7 +47,7 @@ fn exceeding(text: &str) -> Option<(usize, usize)> {
             Event::Scalar(_, _, anchor, _) => (anchor, 1),
             Event::SequenceStart(anchor, _) | Event::MappingStart(anchor, _) => {
                 open.push(Open { anchor, values: 1 });
-                // Whoever reads it refuses that.
+                // The reader refuses that.
                 if open.len() > NESTING_MAX {
                     return None;
                 }

@@ -21,7 +21,7 @@ const MARK: char = '\u{e000}';
 /// Longest number of a row, in bytes.
 const NUMBER_BYTES_MAX: usize = 40;
 
-/// The items of a list. Those of a long run of keyframes become nodes only where somebody looks at them.
+/// The items of a list. Those of a long run of keyframes become nodes only where they are looked at.
 #[derive(Clone, Debug)]
 pub(crate) enum Items {
     Nodes(Vec<Node>),

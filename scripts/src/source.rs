@@ -42,7 +42,7 @@ impl Source {
             let at = error.utf8_error().valid_up_to();
             let hint = Some("save the file as UTF-8 text".to_owned());
             let message = format!("byte {} is not UTF-8: this is no text", at + 1);
-            Finding::about_file(Code::Unreadable, name, message, "a readable YAML file", hint)
+            Finding::about_file(Code::Unreadable, name, message, "a text file", hint)
         })?;
         Ok(Self { name: name.to_owned(), text })
     }
@@ -63,7 +63,7 @@ pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>, Finding> {
     let size = metadata.len();
     let too_large = |size: u64| {
         let message = format!("the file has {size} bytes, the limit is {FILE_BYTES_MAX}");
-        unreadable(message, Some("split the scenario into several"))
+        unreadable(message, Some("split it into several files"))
     };
     if size > FILE_BYTES_MAX {
         return Err(too_large(size));

@@ -20,7 +20,7 @@ Examples:
   downbeat export drone-csv swap/scenario.yaml --fleet swap/fleet.yaml --rate 25 --output csv
   downbeat export joint-trajectory scripts/examples/swap.yaml --output trajectories")]
 pub(super) struct ExportArgs {
-    /// Whose files they shall be.
+    /// Which tool's files to write.
     #[arg(value_name = "FORMAT")]
     to: To,
     #[command(flatten)]

@@ -47,7 +47,7 @@ Examples:
   downbeat import csv 'Drone 1.csv' 'Drone 2.csv' --time 'Time [msec]' --map 'x=x [m]' --map lamp=Red,Green,Blue
   downbeat import csv log.csv --time 'Time [s]' --map 'arm/ch*=channel *' --unwrap heading=360")]
 pub(super) struct ImportArgs {
-    /// Whose files they are.
+    /// Which tool's files they are.
     #[arg(value_name = "FORMAT")]
     from: From,
     /// The files, or folders of them.

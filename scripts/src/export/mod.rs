@@ -11,7 +11,7 @@ use crate::plan::Choreography;
 /// Most lines of all files.
 const LINES_MAX: usize = 5_000_000;
 
-/// Whose files they shall be.
+/// Which tool's files to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ExportFormat {
     /// A CSV a drone, as Skybrush Studio reads them in a zip.

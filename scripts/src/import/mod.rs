@@ -52,7 +52,7 @@ pub use yaml::{Scenes, scenario_text, steps_written};
 /// Most keyframes of one import: two million, far beyond what any device takes.
 const KEYFRAMES_MAX: usize = 2_000_000;
 
-/// Whose files they are.
+/// Which tool's files they are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ImportFormat {
     /// Crazyswarm: one CSV of polynomial pieces a robot, or a folder of numbered scenes a robot.

@@ -11,7 +11,7 @@ use super::sink::{FINDINGS_A_FILE_MAX, Sink, with_short_line};
 
 /// Largest texts that become trees, which take many times their room.
 const YAML_BYTES_MAX: usize = 2 << 20;
-const JSON_BYTES_MAX: usize = 8 << 20;
+const JSON_BYTES_MAX: usize = 6 << 20;
 /// Most brackets that may be open at once.
 const DEPTH_MAX: usize = 500;
 

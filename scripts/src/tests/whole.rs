@@ -808,7 +808,7 @@ fn acts() -> impl Strategy<Value = Vec<Vec<Cue>>> {
     let act = prop::collection::vec(cue(), 1..6).prop_map(|mut cues| {
         let count = cues.len();
         for (index, cue) in cues.iter_mut().enumerate() {
-            // To cues that there are; forwards only sometimes, as a circle is seldom what somebody wants.
+            // To cues that there are; forwards only sometimes, as a circle is seldom wanted.
             cue.relations.retain_mut(|relation| {
                 relation.other = if relation.other == 5 && index % 2 == 0 {
                     (index + 1) % count

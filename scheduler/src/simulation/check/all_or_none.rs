@@ -97,7 +97,7 @@ fn excuse(facts: &Facts<'_>, act: &SentAct<'_>, started: &[Started]) -> Option<C
         started.iter().filter(|robot| robot.excuse.is_none()).map(|robot| robot.began).collect();
     let agree = left.windows(2).all(|two| two[0] == two[1]);
     if agree {
-        // Whoever differs from those that need no excuse; the others may have one that they do not need.
+        // Those that differ from robots that need no excuse; the others may have one that they do not need.
         let common = left.first().copied();
         let differs = |robot: &&Started| common.is_none_or(|common| robot.began != common);
         return started.iter().filter(differs).filter_map(|robot| robot.excuse).min();

@@ -245,7 +245,7 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         let gaps = gap(facts, before, act).zip(gap(undisturbed, other_before, other));
         let Some((gap, other_gap)) = gaps else { continue };
         // An act is sent as soon as its devices have room, later by what a clock was set back. What its lead is longer by, which
-        // is bounded above, it starts later. After a stop the whole lead lies behind it, not beside the act before.
+        // is bounded above, it starts later. After a stop the whole lead comes after it and no longer overlaps the act before.
         let longer = match was_stopped(facts, before, act) {
             true => with,
             false => (with - without).max(Span::ZERO),

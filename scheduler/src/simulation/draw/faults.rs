@@ -101,14 +101,14 @@ pub enum Fault {
     },
     /// The scheduler's process ends, and is taken up by its journal after a while or never.
     SchedulerCrash {
-        /// After how long somebody says `resume`.
+        /// After how long the operator says `resume`.
         resumed_after: Option<Span>,
     },
     /// The scheduler's process ends amid what it does: after so many more actions.
     SchedulerCrashAmid {
         /// How many: messages, connections, records.
         actions: u32,
-        /// After how long somebody says `resume`.
+        /// After how long the operator says `resume`.
         resumed_after: Option<Span>,
     },
     /// The scheduler's process stands still for a while.
@@ -240,7 +240,7 @@ fn draw_consequence(rng: &mut Rng, at: Span, fault: Fault) -> Vec<(Span, Fault)>
         }
         Fault::SchedulerCrash { resumed_after: Some(after) }
         | Fault::SchedulerCrashAmid { resumed_after: Some(after), .. } => match rng.u8(0..10) {
-            // Somebody says stop at about the same time as somebody else says resume.
+            // One operator says stop at about the same time as another says resume.
             0..=1 => {
                 let around = (at + after + millis(rng, -30, 60)).max(Span::ZERO);
                 vec![(around, Fault::StopByJournal)]

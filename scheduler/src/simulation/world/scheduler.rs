@@ -22,7 +22,7 @@ pub(super) enum Process {
     TakenUp(Intention),
 }
 
-/// What somebody says who finds a mission cut off.
+/// What an operator says who finds a mission cut off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Intention {
     /// `downbeat resume`.
@@ -179,7 +179,7 @@ impl World {
         }
     }
 
-    /// The process dies, and somebody may find that and say `resume`.
+    /// The process dies, and an operator may find that and say `resume`.
     pub(super) fn crash_scheduler(&mut self, fault: Fault, resumed_after: Option<Span>) {
         if !self.scheduler.is_running() {
             return;
