@@ -260,6 +260,23 @@ fn a_mission_that_runs_is_stopped_though_its_journal_cannot_be_read() {
 }
 
 #[test]
+fn a_robot_that_says_nothing_readable_is_told_of_in_a_line_and_buries_no_other() {
+    let mut stage = cut_off(2);
+    stage.robots[0].kill();
+    let listener = std::net::TcpListener::bind(("127.0.0.1", stage.robots[0].port())).unwrap();
+    std::thread::spawn(move || {
+        for mut stream in listener.incoming().flatten() {
+            std::thread::spawn(move || (0..2_000).try_for_each(|_| stream.write_all(b"no message\n")));
+        }
+    });
+    let stopped = stage.run(&["stop", "--patience", "1s"]);
+    says(&stopped, 4, &["r0: stop NOT confirmed", "r1: default state confirmed"]);
+    for said in [&stopped.out, &stopped.told] {
+        assert_eq!(said.matches("r0: garbled").count(), 1, "{stopped}");
+    }
+}
+
+#[test]
 fn a_stop_without_a_name_stops_what_runs_and_what_was_cut_off_each_under_its_name() {
     let stage = stage(4);
     for (name, robots) in [("one", "[r0]"), ("two", "[r1]"), ("three", "[r2, r3]")] {
