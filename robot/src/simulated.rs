@@ -273,9 +273,7 @@ impl SimulatedRobot {
     /// Whether [`SimulatedRobot::advance`] has anything to do: hardware is looked after whenever there is time.
     #[must_use]
     pub fn is_due(&self, now: Timestamp<True>) -> bool {
-        let mine = || self.robot.next_wakeup().is_some_and(|at| at <= self.robot_from_true(now));
-        let arrives = || self.in_flight.first_key_value().is_some_and(|((at, _), _)| *at <= now);
-        self.hands.is_some() || self.epoch.is_none() || mine() || arrives()
+        self.hands.is_some() || self.epoch.is_none() || self.next_wakeup().is_some_and(|at| at <= now)
     }
 
     /// When the machine's next wake-up was due, if it is.
