@@ -9,6 +9,11 @@ use std::time::{Duration, Instant};
 
 /// How long before a deadline to wake where the cores are free. A sleeper on an idle core of a virtual machine wakes that late.
 const LEAD_FREE: Duration = Duration::from_micros(200);
+/// A sleeper that woke later than that is woken earlier from then on: by so much more than it was late, up to so much in all, for
+/// so long.
+const LEAD_MORE: Duration = Duration::from_micros(50);
+const LEAD_MAX: Duration = Duration::from_millis(1);
+const LATE_REMEMBERED: Duration = Duration::from_secs(60);
 /// The same where they are busy: spinning uses up the right to run next, which is needed at the deadline.
 const LEAD_BUSY: Duration = Duration::from_micros(100);
 /// A yield that takes longer gave the core to something else than another robot.
@@ -51,6 +56,8 @@ pub(super) struct Approach {
     cores: Cores,
     looked: Option<Instant>,
     distrusted_until: Option<Instant>,
+    /// How late it woke at worst, as a lead, and until when that counts.
+    late: Option<(Duration, Instant)>,
     credit: Duration,
     credited: Option<Instant>,
 }
@@ -62,6 +69,7 @@ impl Approach {
             cores: Cores::Free,
             looked: None,
             distrusted_until: None,
+            late: None,
             credit: SPIN_CREDIT_MAX,
             credited: None,
         }
@@ -88,8 +96,20 @@ impl Approach {
     /// How long before the next deadline to wake.
     pub(super) fn lead(&mut self, now: Instant) -> Duration {
         self.earn(now);
-        let lead = if self.yields(now) { LEAD_FREE } else { LEAD_BUSY };
+        let lead = if self.yields(now) { self.lead_free(now) } else { LEAD_BUSY };
         lead.min(self.credit)
+    }
+
+    fn lead_free(&self, now: Instant) -> Duration {
+        self.late.filter(|(_, until)| now < *until).map_or(LEAD_FREE, |(lead, _)| lead)
+    }
+
+    /// The thread woke so long after the instant at which it wanted to.
+    pub(super) fn woke(&mut self, now: Instant, late: Duration) {
+        let lead = (late + LEAD_MORE).min(LEAD_MAX);
+        if lead >= self.lead_free(now) && lead > LEAD_FREE {
+            self.late = Some((lead, now + LATE_REMEMBERED));
+        }
     }
 
     /// Whether to let other threads run, now or while spinning.
@@ -141,6 +161,23 @@ mod tests {
         approach.looked(now, Cores::Free);
         assert!(approach.yields(now));
         assert_eq!(approach.lead(now), LEAD_FREE);
+    }
+
+    #[test]
+    fn a_thread_that_woke_late_wakes_earlier_for_a_minute() {
+        let (mut approach, now) = fair();
+        approach.woke(now, micros(150));
+        assert_eq!(approach.lead(now), LEAD_FREE);
+        approach.woke(now, micros(300));
+        assert_eq!(approach.lead(now), micros(350));
+        approach.woke(now + millis(30_000), micros(250));
+        assert_eq!(approach.lead(now + millis(59_999)), micros(350));
+        assert_eq!(approach.lead(now + millis(60_000)), LEAD_FREE);
+        approach.woke(now + millis(60_000), millis(7));
+        assert_eq!(approach.lead(now + millis(60_000)), LEAD_MAX);
+        // Where cores are busy it is not the sleep that makes it late.
+        approach.looked(now, Cores::Busy);
+        assert_eq!(approach.lead(now + millis(60_000)), LEAD_BUSY);
     }
 
     #[test]

@@ -55,8 +55,14 @@ impl PreciseWait {
             }
         }
         let lead = self.approach.lead(Instant::now());
-        let woken = sleep(messages, deadline.checked_sub(lead).unwrap_or(deadline));
+        let wake_at = deadline.checked_sub(lead).unwrap_or(deadline);
+        let sleeps = Instant::now() < wake_at;
+        let woken = sleep(messages, wake_at);
         if matches!(woken, Woken::Deadline) {
+            let now = Instant::now();
+            if sleeps {
+                self.approach.woke(now, now.saturating_duration_since(wake_at));
+            }
             self.spin(deadline);
         }
         woken

@@ -33,11 +33,28 @@ impl<F: Fn(f64) -> f64> Path<F> {
         let reading = estimate.reading_at(now).unwrap();
         let error = (reading.offset - self.offset_at(now)).abs();
         assert!(error <= reading.uncertainty, "off by {error} at {now}: {reading:?}");
+        assert!(
+            reading.drift.is_none_or(|drift| drift.uncertainty_ppm < 50.0),
+            "known too early: {reading:?}"
+        );
     }
 }
 
 fn at(seconds: f64) -> Timestamp<Server> {
     Timestamp::from_nanos(0) + Span::from_millis_f64(seconds * 1e3)
+}
+
+#[test]
+fn an_exchange_tells_the_offset_half_way_its_bounds_and_the_delay_without_the_robots_own_time() {
+    let robot = |nanos: i64| Timestamp::<Robot>::from_nanos(1_000_000_000 + nanos);
+    // There in 300 us, 50 us at the robot, back in 100 us; its clock is 7 ms ahead.
+    let received = at(1.0) + Span::from_nanos(450_000);
+    let sample = ClockSample::from_exchange(at(1.0), robot(7_300_001), robot(7_350_001), received);
+    assert_eq!(sample.offset, Span::from_nanos(7_100_001));
+    assert_eq!(sample.delay, Span::from_nanos(400_000));
+    // Widened by the nanosecond in which these timestamps count.
+    assert_eq!([sample.lower, sample.upper].map(Span::as_nanos), [6_900_000, 7_300_002]);
+    assert_eq!((sample.sent, sample.at), (at(1.0), received));
 }
 
 #[test]
