@@ -227,6 +227,48 @@ fn columns_are_mapped_by_pattern_and_what_is_left_out_is_told() {
 }
 
 #[test]
+fn a_star_alone_takes_every_column_that_is_not_named_and_its_robot_from_the_name() {
+    let session = Session::new();
+    session.file(
+        "show.csv",
+        "Time [ms],a/x [m],a/Red,a/Green,a/Blue,b/x [m],b/lid.rx [deg]\n0,0,1,2,3,4,5\n500,1,2,3,4,5,6\n",
+    );
+    let args = ["csv", "show.csv", "--time", "Time [ms]", "--map", "*=*"];
+    let lamp = ["--map", "*/lamp=*/Red,*/Green,*/Blue", "--output", "out"];
+    import(&session, &[&args[..], &lamp].concat()).says(0, &["2 robots, 1 scene, 8 steps"]);
+    let text = std::fs::read_to_string(session.path("out/scenario.yaml")).unwrap();
+    assert!(text.contains("lamp:\n        - {at: 0s, to: [1, 2, 3]}"), "{text}");
+    assert!(text.contains("lid.rx:\n        - {at: 0s, to: 5}"), "{text}");
+    assert!(!text.contains("Red"), "{text}");
+    session.run(&["check", "out/scenario.yaml"]).says(0, &["no errors, 2 robots, 4 devices"]);
+}
+
+#[test]
+fn a_table_with_too_many_columns_is_only_told_that() {
+    let session = Session::new();
+    let header: Vec<String> = (0..40_000).map(|index| format!("ch{index}")).collect();
+    let row = vec!["1"; 40_000].join(",");
+    session.file("wide.csv", format!("t [s],{}\n0,{row}\n1,{row}\n", header.join(",")));
+    let ran = import(&session, &["csv", "wide.csv", "--map", "r/a*=ch*"]);
+    ran.says(1, &["DB0068", "up to 40000 devices", "at most 10000 robots of 1000 devices"]);
+    assert!(!ran.text().contains("left out"), "{}", ran.text());
+    let ran = import(&session, &["csv", "wide.csv", "--map", "r/a*=chan*"]);
+    assert!(!ran.text().contains("left out"), "{}", ran.text());
+}
+
+#[test]
+fn json_of_millions_of_short_values_is_refused_before_it_takes_any_memory() {
+    let text = |count: usize| format!("{{\"keyframes\": [{}1]}}", "1,".repeat(count));
+    check(
+        "bitbots",
+        text(3_000_000),
+        1,
+        &["DB0068", "the file has 3000000 commas", "at most 1000000 values"],
+    );
+    check("bitbots", text(10_000), 1, &["DB0003", "found the number 1"]);
+}
+
+#[test]
 fn folders_become_acts_in_numerical_order_or_one_list() {
     let session = Session::new();
     let sequence = fixture("sequence");

@@ -90,7 +90,7 @@ pub(super) struct ImportArgs {
     #[arg(long, value_name = "UNIT")]
     time_unit: Option<TimeUnit>,
     /// A column of a csv or a channel of an fseq that moves a device, or several with commas for one that takes several values; * stands for what
-    /// differs. Without a robot each file is a robot.
+    /// differs, and '*=*' for all columns that no other --map names. Without a robot each file is a robot.
     #[arg(long, value_name = "[ROBOT/]DEVICE=COLUMN", value_parser = column)]
     map: Vec<(String, String)>,
     /// A device of a csv that stays at each value until the next.
@@ -226,14 +226,16 @@ fn exit_of(findings: &[Finding]) -> Exit {
 /// What is wrong with the options for a format.
 fn wrong_options(from: ImportFormat, args: &ImportArgs) -> Option<&'static str> {
     let for_csv = [args.time.is_some(), args.time_unit.is_some(), !args.hold.is_empty()];
+    // What a star stands for may say the robot.
     let whose = |(to, _): &(String, String)| to.contains('/');
+    let nobodys = |(to, _): &(String, String)| !to.contains(['/', '*']);
     if from == ImportFormat::Csv && args.map.is_empty() {
         Some("csv needs at least one --map robot/device=column, or device=column where each file is a robot")
     } else if from != ImportFormat::Csv && for_csv.contains(&true) {
         Some("--time, --time-unit and --hold are for csv")
     } else if !from.is_mapped() && !args.map.is_empty() {
         Some("--map is for csv and fseq")
-    } else if args.map.iter().any(whose) && !args.map.iter().all(whose) {
+    } else if args.map.iter().any(whose) && args.map.iter().any(nobodys) {
         Some("every --map names a robot, or none does and each file is a robot")
     } else {
         None

@@ -8,7 +8,7 @@ use super::perform::{OnDevice, limits_of, snaps};
 use crate::fields::Reader;
 use crate::finding::{Code, Part, Place};
 use crate::motion::{Curve, Knot, Shape};
-use crate::scenario::{Track, Vector};
+use crate::scenario::{Track, Vectors};
 
 /// How many places of one way between two knots are looked at.
 const SAMPLES: u32 = 128;
@@ -223,10 +223,10 @@ fn reaches(
 }
 
 /// Values of custom_N are bounded by what the script inherits, if by anything.
-pub(super) fn check_inherited(findings: &mut Reader, on: &OnDevice<'_>, vectors: &[Vector]) {
+pub(super) fn check_inherited(findings: &mut Reader, on: &OnDevice<'_>, vectors: &Vectors) {
     let Some(script) = on.device.available_control_types.script() else { return };
-    for vector in vectors {
-        for value in &vector.values {
+    for vector in vectors.iter() {
+        for value in vector.values {
             if !script.limits.contains(*value) {
                 let message = format!(
                     "{}{value} lies outside the limits for scripts of `{}` on {}",

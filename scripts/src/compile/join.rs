@@ -323,8 +323,8 @@ impl Lane<'_> {
                 Steps::One(values) => {
                     steps.extend(values.iter().map(|v| step(v.at, Setpoint::new(control_type, v.to))));
                 }
-                Steps::Several(setpoints) => {
-                    steps.extend(setpoints.iter().map(|(at, setpoint)| step(*at, setpoint.clone())));
+                Steps::Several(vectors) => {
+                    steps.extend(vectors.iter().map(|v| step(v.at, segment.part.setpoint(v.values))));
                 }
             }
         }
@@ -345,7 +345,7 @@ impl Lane<'_> {
     fn is_held(&self, at: Span, last: &Setpoint, next: &Segment) -> bool {
         let value = match &next.part.steps {
             Steps::One(values) => values.first().map(|value| value.to),
-            Steps::Several(setpoints) => setpoints.first().map(|(_, setpoint)| setpoint.value),
+            Steps::Several(vectors) => vectors.first().and_then(|vector| vector.values.first().copied()),
         };
         self.moves()
             && next.part.control_type == last.control_type

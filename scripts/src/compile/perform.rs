@@ -17,7 +17,7 @@ use crate::fleet::RateLimits;
 use crate::motion::{Actuator, Curve, Fits, Played, Stretch, Value};
 use crate::node::shortened;
 use crate::plan::PlannedReading;
-use crate::scenario::{Cue, Items, Motion, OffGrid, Reading, Track};
+use crate::scenario::{Cue, Items, Motion, OffGrid, Reading, Track, Vectors};
 
 /// Up to so many steps the exact number of a movement is told, whatever its device takes.
 const TOLD_MAX: usize = 1_000_000;
@@ -53,6 +53,15 @@ pub(super) struct Part {
     pub(super) place: Place,
 }
 
+impl Part {
+    /// What sets a device to so many values at once.
+    pub(super) fn setpoint(&self, values: &[f64]) -> Setpoint {
+        let mut setpoint = Setpoint::new(self.control_type, values.first().copied().unwrap_or_default());
+        setpoint.more = values.get(1..).unwrap_or_default().into();
+        setpoint
+    }
+}
+
 /// What makes many steps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Excess {
@@ -78,14 +87,14 @@ impl Excess {
 #[derive(Debug)]
 pub(super) enum Steps {
     One(Vec<Value>),
-    Several(Vec<(Span, Setpoint)>),
+    Several(Vectors),
 }
 
 impl Steps {
     pub(super) fn len(&self) -> usize {
         match self {
             Self::One(values) => values.len(),
-            Self::Several(setpoints) => setpoints.len(),
+            Self::Several(vectors) => vectors.len(),
         }
     }
 
@@ -93,21 +102,21 @@ impl Steps {
     pub(super) fn size(&self) -> usize {
         match self {
             Self::One(values) => values.len(),
-            Self::Several(setpoints) => setpoints.iter().map(|(_, s)| 1 + s.more.len() / 8).sum(),
+            Self::Several(vectors) => vectors.len() + vectors.values().len() / 8,
         }
     }
 
     fn first_at(&self) -> Option<Span> {
         match self {
             Self::One(values) => values.first().map(|value| value.at),
-            Self::Several(setpoints) => setpoints.first().map(|(at, _)| *at),
+            Self::Several(vectors) => vectors.first().map(|vector| vector.at),
         }
     }
 
     fn last_at(&self) -> Option<Span> {
         match self {
             Self::One(values) => values.last().map(|value| value.at),
-            Self::Several(setpoints) => setpoints.last().map(|(at, _)| *at),
+            Self::Several(vectors) => vectors.last().map(|vector| vector.at),
         }
     }
 }
@@ -123,7 +132,7 @@ impl Segment {
     pub(super) fn last_setpoint(&self) -> Option<Setpoint> {
         match &self.part.steps {
             Steps::One(values) => values.last().map(|last| Setpoint::new(self.part.control_type, last.to)),
-            Steps::Several(setpoints) => setpoints.last().map(|(_, setpoint)| setpoint.clone()),
+            Steps::Several(vectors) => vectors.last().map(|last| self.part.setpoint(last.values)),
         }
     }
 
@@ -505,7 +514,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         &mut self,
         on: &OnDevice<'_>,
         control_type: ControlType,
-        vectors: &[crate::scenario::Vector],
+        vectors: &Vectors,
         stretch: Stretch,
     ) -> Option<Part> {
         if !matches!(control_type, ControlType::Custom(_))
@@ -516,12 +525,12 @@ impl<'c, 'a> Performer<'c, 'a> {
             self.findings.add(Code::WrongType, on.track.list.clone(), message, expected, None);
             return None;
         }
-        let size = vectors.iter().map(|vector| 3 + vector.values.len() / 2).sum();
+        let size = 3 * vectors.len() + vectors.values().len() / 2;
         if !self.taken(on, vectors.len(), size) {
             return None;
         }
         check_values::check_inherited(self.findings, on, vectors);
-        let Thinned { steps, worst, worst_at } = vectors::thinned(on, control_type, vectors, stretch);
+        let Thinned { steps, worst, worst_at } = vectors::thinned(on, vectors, stretch);
         let (most, allowed) = (on.track.steps_max.map(|most| most as usize), vectors::tolerance(on));
         if let Some(most) = most.filter(|most| steps.len() > *most || worst > allowed) {
             self.too_few_steps(on, most, steps.len(), (worst, worst_at), allowed);

@@ -1,10 +1,11 @@
 //! Which columns of a table move what: by name, by number, by pattern, or several for one device.
 
+use std::collections::{HashMap, HashSet};
+
 use crate::finding::{Code, did_you_mean, names};
 use crate::node::shortened;
 use crate::source::Source;
 
-use super::assemble::DEVICES_MAX;
 use super::sink::Sink;
 use super::table::Row;
 use super::units::name_and_unit;
@@ -18,6 +19,8 @@ pub(super) struct Header<'a> {
     /// Whether it names the columns; otherwise it is a line of values already.
     pub(super) named: bool,
     pub(super) width: usize,
+    /// The columns of each name, with and without its unit.
+    by_name: HashMap<String, Vec<usize>>,
 }
 
 /// A device and the columns that move it.
@@ -38,7 +41,15 @@ impl<'a> Header<'a> {
         let named = row.cells.iter().any(|cell| !value(&cell.text));
         row.drop_trailing(row.cells.len().saturating_sub(1));
         let width = row.cells.len();
-        Self { row, named, width }
+        let mut by_name: HashMap<String, Vec<usize>> = HashMap::new();
+        for (index, cell) in row.cells.iter().enumerate().filter(|_| named) {
+            let (whole, name) = (cell.text.as_ref(), name_and_unit(&cell.text).0);
+            by_name.entry(whole.to_owned()).or_default().push(index);
+            if name != whole {
+                by_name.entry(name.to_owned()).or_default().push(index);
+            }
+        }
+        Self { row, named, width, by_name }
     }
 
     pub(super) fn text(&self, index: usize) -> &str {
@@ -55,20 +66,19 @@ impl<'a> Header<'a> {
 
     /// A column by its name, with or without its unit, or by its number from 1.
     pub(super) fn index(&self, column: &str, source: &Source, sink: &mut Sink) -> Option<usize> {
-        let by_name = |text: &str| text == column || name_and_unit(text).0 == column;
-        let mut found = self.texts().enumerate().filter(|(_, text)| self.named && by_name(text));
+        let found = self.by_name.get(column).map_or(&[][..], Vec::as_slice);
         let number = column.parse::<usize>().ok().filter(|number| (1..=self.width).contains(number));
-        match (found.next(), found.next()) {
-            (Some((index, _)), None) => Some(index),
-            (None, _) if number.is_some() => number.map(|number| number - 1),
-            (Some(_), Some((second, _))) => {
+        match found {
+            [index] => Some(*index),
+            [] if number.is_some() => number.map(|number| number - 1),
+            [_, second, ..] => {
                 let message = format!("two columns are named `{}`", shortened(column));
                 let hint = Some("say the number of the column, from 1");
                 let expected = "each name once";
-                sink.found(source, self.row.spot(second), Code::ImportTable, message, expected, hint);
+                sink.found(source, self.row.spot(*second), Code::ImportTable, message, expected, hint);
                 None
             }
-            (None, _) => {
+            [] => {
                 self.unknown(column, source, sink);
                 None
             }
@@ -85,12 +95,12 @@ impl<'a> Header<'a> {
         sink.found(source, self.row.spot(0), Code::ImportTable, message, expected, hint.as_deref());
     }
 
-    /// The columns of one `--map`; more than one device where it has a star.
+    /// The columns of one `--map`; more than one device where it has a star, which stands for nothing that is taken.
     pub(super) fn choose(
         &self,
         target: &str,
         columns: &str,
-        time: usize,
+        taken: &HashSet<usize>,
         source: &Source,
         sink: &mut Sink,
     ) -> Option<Vec<Chosen>> {
@@ -98,20 +108,9 @@ impl<'a> Header<'a> {
             let indices = self.indices(columns, source, sink)?;
             return Some(vec![Chosen { target: target.to_owned(), indices }]);
         }
-        let stars = self.stars(columns, time);
+        let stars = self.stars(columns, taken);
         if stars.is_empty() {
             self.unknown(columns, source, sink);
-            return None;
-        }
-        if stars.len() > DEVICES_MAX {
-            let message = format!("{} columns fit `{}`", stars.len(), shortened(columns));
-            sink.about(
-                &source.name,
-                Code::ImportLimit,
-                message,
-                &format!("at most {DEVICES_MAX} columns"),
-                None,
-            );
             return None;
         }
         let chosen = stars.iter().map(|star| {
@@ -123,14 +122,18 @@ impl<'a> Header<'a> {
 
     fn indices(&self, columns: &str, source: &Source, sink: &mut Sink) -> Option<Vec<usize>> {
         // A name with a comma in it comes first.
-        if self.named && self.texts().any(|text| text == columns) {
+        if self
+            .by_name
+            .get(columns)
+            .is_some_and(|found| found.iter().any(|index| self.text(*index) == columns))
+        {
             return Some(vec![self.index(columns, source, sink)?]);
         }
         columns.split(',').map(|column| self.index(column.trim(), source, sink)).collect()
     }
 
     /// What the star of a pattern stands for, in the order of the columns.
-    fn stars(&self, columns: &str, time: usize) -> Vec<String> {
+    fn stars(&self, columns: &str, taken: &HashSet<usize>) -> Vec<String> {
         let pattern = columns.split(',').map(str::trim).find(|column| column.contains('*'));
         let Some((before, behind)) = pattern.and_then(|pattern| pattern.split_once('*')) else {
             return Vec::new();
@@ -139,16 +142,16 @@ impl<'a> Header<'a> {
             let inner = text.strip_prefix(before)?.strip_suffix(behind)?;
             (!inner.is_empty()).then(|| inner.to_owned())
         };
-        let others = self.texts().enumerate().filter(|(index, _)| self.named && *index != time);
+        let others = self.texts().enumerate().filter(|(index, _)| self.named && !taken.contains(index));
         let mut stars: Vec<String> =
             others.filter_map(|(_, text)| star(name_and_unit(text).0).or_else(|| star(text))).collect();
-        let mut seen = std::collections::HashSet::new();
+        let mut seen = HashSet::new();
         stars.retain(|star| seen.insert(star.clone()));
         stars
     }
 
     /// Says which columns move nothing.
-    pub(super) fn note_unused(&self, used: &[usize], source: &Source, sink: &mut Sink) {
+    pub(super) fn note_unused(&self, used: &HashSet<usize>, source: &Source, sink: &mut Sink) {
         let unused: Vec<usize> = (0..self.width).filter(|index| !used.contains(index)).collect();
         if unused.is_empty() {
             return;

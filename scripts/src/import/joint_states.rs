@@ -111,7 +111,8 @@ impl Recording {
         let most = CHUNK_BYTES_MAX.min(self.left);
         let plain = match header.compression.as_str() {
             "" => data.to_vec(),
-            "zstd" => unpacked(data, most)?,
+            "zstd" => unpacked(zstd(data)?, most)?,
+            "lz4" => unpacked(lz4_flex::frame::FrameDecoder::new(data), most)?,
             other => {
                 return Err(format!(
                     "its chunks are compressed by {other}: `mcap recover --compression zstd` makes them readable"
@@ -183,12 +184,16 @@ impl Recording {
     }
 }
 
-fn unpacked(data: &[u8], most: u64) -> Result<Vec<u8>, String> {
-    let broken = |error: String| format!("a chunk cannot be unpacked: {error}");
+/// A reader of a compressed chunk.
+fn zstd(data: &[u8]) -> Result<impl Read, String> {
     let decoder = ruzstd::decoding::StreamingDecoder::new_with_max_window_size(data, WINDOW_MAX);
+    decoder.map_err(|error| format!("a chunk cannot be unpacked: {error}"))
+}
+
+fn unpacked(packed: impl Read, most: u64) -> Result<Vec<u8>, String> {
     let mut plain = Vec::new();
-    let read = decoder.map_err(|error| broken(error.to_string()))?.take(most + 1).read_to_end(&mut plain);
-    read.map_err(|error| broken(error.to_string()))?;
+    let read = packed.take(most + 1).read_to_end(&mut plain);
+    read.map_err(|error| format!("a chunk cannot be unpacked: {error}"))?;
     Ok(plain)
 }
 

@@ -13,6 +13,7 @@ mod fseq;
 mod joint_states;
 mod midi;
 mod skybrush;
+mod tables;
 mod urdf;
 mod webots;
 

@@ -1,5 +1,7 @@
 //! Any CSV with a column of times: which column moves what is said by the user.
 
+use std::collections::HashSet;
+
 use crate::finding::Code;
 use crate::node::shortened;
 use crate::source::Source;
@@ -72,12 +74,18 @@ fn columns(
 ) -> Option<(TimeColumn, Vec<Mapped>)> {
     let index = header.index(options.time_column.as_deref().unwrap_or("t"), source, sink);
     let unit = index.and_then(|index| time_unit(header, index, options, source, sink));
-    let mut mapped = Vec::new();
+    let mut mapped: Vec<Mapped> = Vec::new();
     let mut complete = true;
-    for (to, columns) in &options.columns {
-        let chosen = header.choose(to, columns, index.unwrap_or(usize::MAX), source, sink);
+    let mut used: HashSet<usize> = index.into_iter().collect();
+    let time = used.clone();
+    // What stands for every column is left those that others name.
+    let (every, others): (Vec<_>, Vec<_>) = options.columns.iter().partition(|(_, columns)| columns == "*");
+    for (to, columns) in others.into_iter().chain(every) {
+        let taken = if columns == "*" { &used } else { &time };
+        let chosen = header.choose(to, columns, taken, source, sink);
         complete &= chosen.is_some();
         for chosen in chosen.into_iter().flatten() {
+            used.extend(&chosen.indices);
             let (robot, device) = chosen.target.split_once('/').unwrap_or((&input.robot, &chosen.target));
             let held = |name: &String| *name == device || *name == format!("{robot}/{device}");
             let course = match chosen.indices.len() {
@@ -97,9 +105,11 @@ fn columns(
         }
     }
     let (index, unit) = (index?, unit?);
-    let used: Vec<usize> = mapped.iter().flat_map(|mapped| &mapped.indices).copied().chain([index]).collect();
+    if !complete || mapped.is_empty() {
+        return None;
+    }
     header.note_unused(&used, source, sink);
-    (complete && !mapped.is_empty()).then_some((TimeColumn { index, unit }, mapped))
+    Some((TimeColumn { index, unit }, mapped))
 }
 
 /// What the times mean: as the user says, else as the header says, else as the times show by themselves. Never a guess.

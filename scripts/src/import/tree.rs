@@ -12,6 +12,8 @@ use super::sink::{FINDINGS_A_FILE_MAX, Sink, with_short_line};
 /// Largest texts that become trees, which take many times their room.
 const YAML_BYTES_MAX: usize = 2 << 20;
 const JSON_BYTES_MAX: usize = 6 << 20;
+/// Most commas of a JSON text, of which each stands for a value: short ones take a hundred times their room.
+const COMMAS_MAX: usize = 1_000_000;
 /// Most brackets that may be open at once.
 const DEPTH_MAX: usize = 500;
 
@@ -21,10 +23,11 @@ pub(super) fn read<T>(
     sink: &mut Sink,
     read: impl FnOnce(&At<'_>, &mut Reader, &mut Sink) -> Option<T>,
 ) -> Option<T> {
-    if source.text.trim_start().starts_with('{')
-        && source.text.len() <= JSON_BYTES_MAX
-        && let Ok(document) = serde_json::from_str::<Node>(&source.text)
-    {
+    let is_json = source.text.trim_start().starts_with('{') && source.text.len() <= JSON_BYTES_MAX;
+    if is_json && has_too_many_values(source, sink) {
+        return None;
+    }
+    if is_json && let Ok(document) = serde_json::from_str::<Node>(&source.text) {
         return read_document(&document, source, sink, read);
     }
     if source.text.len() > YAML_BYTES_MAX {
@@ -64,6 +67,9 @@ pub(super) fn read_json<T>(
     sink: &mut Sink,
     read: impl FnOnce(&At<'_>, &mut Reader, &mut Sink) -> Option<T>,
 ) -> Option<T> {
+    if has_too_many_values(source, sink) {
+        return None;
+    }
     match serde_json::from_str::<Node>(&source.text) {
         Ok(document) => read_document(&document, source, sink, read),
         Err(error) => {
@@ -84,6 +90,16 @@ fn read_document<T>(
     let sound = findings.found.is_empty();
     sink.located(source, findings);
     result.filter(|_| sound)
+}
+
+fn has_too_many_values(source: &Source, sink: &mut Sink) -> bool {
+    let commas = memchr::memchr_iter(b',', source.text.as_bytes()).count();
+    if commas > COMMAS_MAX {
+        let message = format!("the file has {commas} commas");
+        let expected = format!("at most {COMMAS_MAX} values");
+        sink.about(&source.name, Code::ImportLimit, message, &expected, Some("split it into several files"));
+    }
+    commas > COMMAS_MAX
 }
 
 /// Whether more brackets are open at once than any file of these formats has: the time to parse them grows with their square.

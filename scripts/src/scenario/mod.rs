@@ -8,6 +8,7 @@ mod data;
 mod library;
 mod movement;
 mod track;
+mod vectors;
 mod when;
 
 use std::collections::HashMap;
@@ -28,6 +29,7 @@ use crate::source::Source;
 pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 pub(crate) use library::{Documents, SCENARIO_KEYS};
+pub(crate) use vectors::{Vector, Vectors};
 pub(crate) use when::{Anchor, Relation};
 #[cfg(test)]
 pub(crate) use {
@@ -186,15 +188,7 @@ impl Items {
 #[derive(Clone, Debug)]
 pub(crate) enum Motion {
     Curve(Curve),
-    Vectors(Vec<Vector>),
-}
-
-/// Several values at once, for custom_N.
-#[derive(Clone, Debug)]
-pub(crate) struct Vector {
-    pub(crate) at: Span,
-    pub(crate) values: Vec<f64>,
-    pub(crate) item: u32,
+    Vectors(Vectors),
 }
 
 /// What happens to values off a device's grid.
@@ -227,7 +221,7 @@ impl Motion {
     pub(crate) fn size(&self) -> usize {
         match self {
             Self::Curve(curve) => curve.size(),
-            Self::Vectors(vectors) => vectors.iter().map(|vector| 1 + vector.values.len() / 6).sum(),
+            Self::Vectors(vectors) => vectors.len() + vectors.values().len() / 6,
         }
     }
 

@@ -3,7 +3,7 @@
 use urrcp::{ControlType, Span};
 
 use super::library::Library;
-use super::{Items, Motion, Track, Vector, data, nothing};
+use super::{Items, Motion, Track, Vector, Vectors, data, nothing};
 use crate::exact::{Exact, fraction, to_f64};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Part};
@@ -159,11 +159,12 @@ fn of_rows(reader: &mut Reader, list: &At<'_>, rows: &Rows) -> Written {
             Motion::Curve(Curve::new(knots.collect(), Vec::new()))
         }
         Width::List(_) => {
-            let vectors = rows.iter().enumerate().map(|(index, row)| {
+            let mut vectors = Vectors::with_capacity(rows.len(), rows.len() * rows.width().count());
+            for (index, row) in rows.iter().enumerate() {
                 checked(index, row.at);
-                Vector { at: row.at, values: row.values.to_vec(), item: item(index) }
-            });
-            Motion::Vectors(vectors.collect())
+                vectors.push(Vector { at: row.at, values: row.values, item: item(index) });
+            }
+            Motion::Vectors(vectors)
         }
     };
     Written { motion, length }
@@ -197,7 +198,7 @@ fn keyframe(reader: &mut Reader, at: &At<'_>, item: u32) -> Option<(Knot, Exact)
 
 fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Written {
     let mut length = Exact::ZERO;
-    let mut vectors: Vec<Vector> = Vec::new();
+    let mut vectors = Vectors::default();
     for (index, node) in items.iter().enumerate() {
         let at = list.item(index, node);
         let Some([time, to]) = reader.map(&at, "a keyframe of several values", ["at", "to"], &["at", "to"])
@@ -218,7 +219,7 @@ fn vectors(reader: &mut Reader, list: &At<'_>, items: &[Node]) -> Written {
         let at = reader.music.start.lay(time);
         length = time;
         in_order(reader, list, (Items::Keyframes, index), vectors.last().map(|last| last.at), at);
-        vectors.push(Vector { at, values, item: item(index) });
+        vectors.push(Vector { at, values: &values, item: item(index) });
     }
     Written { motion: Motion::Vectors(vectors), length }
 }

@@ -74,12 +74,25 @@ fn length(ways: &[Way]) -> f64 {
 #[derive(Clone, Debug)]
 pub(super) struct Change {
     pub(super) yaml: String,
-    pub(super) scale: f64,
-    pub(super) about: f64,
+    /// Of each value: shift + factor * value.
+    factor: f64,
+    shift: f64,
     pub(super) backwards: bool,
     pub(super) turns: u32,
     /// Milliseconds.
     pub(super) duration: Option<f64>,
+}
+
+impl Change {
+    /// None at all.
+    pub(super) fn none() -> Self {
+        Self { yaml: String::new(), factor: 1.0, shift: 0.0, backwards: false, turns: 1, duration: None }
+    }
+
+    /// What becomes of a value.
+    pub(super) fn of(&self, value: f64) -> f64 {
+        self.shift + self.factor * value
+    }
 }
 
 impl Movement {
@@ -111,20 +124,18 @@ pub(super) fn meant(movement: &Movement, change: &Change, millis: f64) -> f64 {
     let way =
         movement.ways.iter().find(|way| at <= way.end).unwrap_or(&movement.ways[movement.ways.len() - 1]);
     let s = ((at - way.begin) / (way.end - way.begin)).clamp(0.0, 1.0);
-    let value = way.form.at(s, (way.end - way.begin) / 1_000.0);
-    change.about + change.scale * (value - change.about)
+    change.of(way.form.at(s, (way.end - way.begin) / 1_000.0))
 }
 
 /// What is written for the very end.
 pub(super) fn final_value(movement: &Movement, change: &Change) -> f64 {
     let (first, last) = (&movement.ways[0], &movement.ways[movement.ways.len() - 1]);
-    let value = match (change.backwards, &first.form, &last.form) {
+    change.of(match (change.backwards, &first.form, &last.form) {
         (true, Form::Eased(_, from, _), _) => *from,
         (true, form, _) => form.at(0.0, 1.0),
         (false, _, Form::Eased(_, _, to)) => *to,
         (false, _, form) => form.at(1.0, (last.end - last.begin) / 1_000.0),
-    };
-    change.about + change.scale * (value - change.about)
+    })
 }
 
 /// What the device does at a time.
@@ -249,24 +260,111 @@ fn wave() -> impl Strategy<Value = Movement> {
     })
 }
 
+/// From a value at a speed that grows.
+fn travel() -> impl Strategy<Value = Movement> {
+    (-40i32..40, -20i32..20, -12i32..12, 200i32..5_000).prop_map(|(from, speed, acceleration, millis)| {
+        let (from, speed, acceleration) =
+            (f64::from(from), f64::from(speed) / 2.0, f64::from(acceleration) / 2.0);
+        let yaml = format!(
+            "travel: {{from: {from}, speed: {speed}, acceleration: {acceleration}, for: {millis}ms}}"
+        );
+        let form = Form::Polynomial(vec![from, speed, acceleration / 2.0]);
+        Movement { yaml, csv: String::new(), ways: vec![Way { begin: 0.0, end: f64::from(millis), form }] }
+    })
+}
+
+/// A smooth way through points, at rest at both ends.
+fn spline() -> impl Strategy<Value = Movement> {
+    prop::collection::vec((150i32..1_500, -40i32..40), 2..7).prop_map(|points| {
+        let (mut now, mut knots, mut yaml) = (0, Vec::new(), Vec::new());
+        for (index, (after, halves)) in points.into_iter().enumerate() {
+            now += if index == 0 { 0 } else { after };
+            knots.push((f64::from(now) / 1_000.0, f64::from(halves) / 2.0));
+            yaml.push(format!("{{at: {now}ms, to: {}}}", f64::from(halves) / 2.0));
+        }
+        let ways = cubics(&knots).into_iter().zip(knots.windows(2)).map(|(c, pair)| Way {
+            begin: pair[0].0 * 1_000.0,
+            end: pair[1].0 * 1_000.0,
+            form: Form::Polynomial(c),
+        });
+        Movement { yaml: format!("spline: [{}]", yaml.join(", ")), csv: String::new(), ways: ways.collect() }
+    })
+}
+
+/// The cubics c0 + c1 t + c2 t^2 + c3 t^3 between points: all that is asked of their coefficients as one system of equations.
+fn cubics(points: &[(f64, f64)]) -> Vec<Vec<f64>> {
+    let pieces = points.len() - 1;
+    let row = |entries: &[(usize, usize, f64)], right: f64| {
+        let mut row = vec![0.0; 4 * pieces + 1];
+        entries.iter().for_each(|(piece, power, factor)| row[4 * piece + power] += factor);
+        row[4 * pieces] = right;
+        row
+    };
+    let mut rows = vec![row(&[(0, 1, 1.0)], 0.0)];
+    for piece in 0..pieces {
+        let (t, from, to) = (points[piece + 1].0 - points[piece].0, points[piece].1, points[piece + 1].1);
+        rows.push(row(&[(piece, 0, 1.0)], from));
+        rows.push(row(&[(piece, 0, 1.0), (piece, 1, t), (piece, 2, t * t), (piece, 3, t.powi(3))], to));
+        let slope = [(piece, 1, 1.0), (piece, 2, 2.0 * t), (piece, 3, 3.0 * t * t)];
+        if piece + 1 == pieces {
+            rows.push(row(&slope, 0.0));
+        } else {
+            rows.push(row(&[&slope[..], &[(piece + 1, 1, -1.0)]].concat(), 0.0));
+            rows.push(row(&[(piece, 2, 2.0), (piece, 3, 6.0 * t), (piece + 1, 2, -2.0)], 0.0));
+        }
+    }
+    solved(rows).chunks(4).map(<[f64]>::to_vec).collect()
+}
+
+/// Gauss's elimination, by the largest entry each time.
+fn solved(mut rows: Vec<Vec<f64>>) -> Vec<f64> {
+    let count = rows.len();
+    for column in 0..count {
+        let largest =
+            (column..count).max_by(|a, b| rows[*a][column].abs().total_cmp(&rows[*b][column].abs()));
+        rows.swap(column, largest.unwrap());
+        let pivot = rows[column].clone();
+        for (index, row) in rows.iter_mut().enumerate().filter(|(index, _)| *index != column) {
+            let factor = row[column] / pivot[column];
+            assert!(factor.is_finite(), "row {index}");
+            row.iter_mut().zip(&pivot).for_each(|(entry, pivot)| *entry -= factor * pivot);
+        }
+    }
+    (0..count).map(|index| rows[index][count] / rows[index][index]).collect()
+}
+
 pub(super) fn movements(linear: bool) -> impl Strategy<Value = Movement> {
-    prop_oneof![2 => keyframes(linear).boxed(), 1 => samples(linear).boxed(), 2 => polynomial().boxed(), 1 => wave().boxed()]
+    prop_oneof![
+        4 => keyframes(linear).boxed(),
+        2 => samples(linear).boxed(),
+        4 => polynomial().boxed(),
+        2 => wave().boxed(),
+        1 => travel().boxed(),
+        2 => spline().boxed(),
+    ]
 }
 
 pub(super) fn changes() -> impl Strategy<Value = Change> {
     let scale = prop_oneof![3 => Just(None), 1 => (-8i32..9, -10i32..11).prop_map(Some)];
     let duration = prop_oneof![3 => Just(None), 1 => (700i64..20_000).prop_map(Some)];
-    (scale, prop::bool::weighted(0.25), 1u32..4, duration).prop_map(|(scale, backwards, turns, duration)| {
-        let mut yaml = String::new();
+    let mirror = prop_oneof![5 => Just(None), 1 => Just(Some(None)), 1 => (-10i32..11).prop_map(|about| Some(Some(about)))];
+    let shape = (scale, mirror, prop::bool::weighted(0.25), 1u32..4, duration);
+    shape.prop_map(|(scale, mirror, backwards, turns, duration)| {
+        let (mut yaml, mut factor, mut shift) = (String::new(), 1.0, 0.0);
         if let Some((quarters, about)) = scale {
-            yaml.push_str(&format!(", scale: {{by: {}, about: {about}}}", f64::from(quarters) / 4.0));
+            let by = f64::from(quarters) / 4.0;
+            yaml.push_str(&format!(", scale: {{by: {by}, about: {about}}}"));
+            (factor, shift) = (by, f64::from(about) * (1.0 - by));
+        }
+        if let Some(about) = mirror {
+            let told = about.map_or("true".to_owned(), |about| format!("{{about: {about}}}"));
+            yaml.push_str(&format!(", mirror: {told}"));
+            (factor, shift) = (-factor, 2.0 * f64::from(about.unwrap_or(0)) - shift);
         }
         yaml.push_str(if backwards { ", reverse: true" } else { "" });
         yaml.push_str(&if turns > 1 { format!(", repeat: {turns}") } else { String::new() });
         yaml.push_str(&duration.map_or(String::new(), |duration| format!(", duration: {duration}ms")));
-        let (scale, about) =
-            scale.map_or((1.0, 0.0), |(scale, about)| (f64::from(scale) / 4.0, f64::from(about)));
-        Change { yaml, scale, about, backwards, turns, duration: duration.map(|millis| millis as f64) }
+        Change { yaml, factor, shift, backwards, turns, duration: duration.map(|millis| millis as f64) }
     })
 }
 
@@ -331,12 +429,63 @@ fn verify(
     Ok(())
 }
 
+/// Of a track with `max_steps`: no more than that, and for a device that is set from value to value no larger an error than the
+/// least that there is.
+fn with_so_many(
+    act: &Act,
+    (device, linear): (&str, bool),
+    movement: &Movement,
+    change: &Change,
+    granularity: f64,
+    most: Option<usize>,
+) -> Result<(), TestCaseError> {
+    let Some(most) = most else { return Ok(()) };
+    let used = used(act, device);
+    prop_assert!(used.steps <= most, "{} steps, not {most}", used.steps);
+    let is_step = |way: &Way| matches!(way.form, Form::Eased(Ease::Step, ..));
+    if linear || !movement.ways.iter().all(is_step) {
+        return Ok(());
+    }
+    let once: Vec<f64> = movement.ways.iter().map(|way| change.of(way.form.at(0.0, 0.0))).collect();
+    let turn = || if change.backwards { once.iter().rev().copied().collect() } else { once.clone() };
+    let levels: Vec<f64> = (0..change.turns).flat_map(|_| turn()).collect();
+    let grid = |value: f64| (value / granularity).round() * granularity;
+    let end = final_value(movement, change);
+    // The last step is where the movement ends.
+    let least = least_error(&levels, most - 1, granularity).max((grid(end) - end).abs());
+    prop_assert!(used.worst_error <= least * (1.0 + 1e-6) + 1e-6, "off by {}, not {least}", used.worst_error);
+    Ok(())
+}
+
+/// The least error of so many values on a grid, one after the other, by trying every last value that there is room for.
+fn least_error(levels: &[f64], most: usize, granularity: f64) -> f64 {
+    let held = |part: &[f64]| {
+        let low = part.iter().copied().fold(f64::INFINITY, f64::min);
+        let high = part.iter().copied().fold(f64::NEG_INFINITY, f64::max);
+        let middle = (f64::midpoint(low, high) / granularity).floor();
+        let off = |steps: f64| (steps * granularity - low).abs().max((high - steps * granularity).abs());
+        off(middle).min(off(middle + 1.0))
+    };
+    // best[n]: the least for the first n levels.
+    let mut best = vec![f64::INFINITY; levels.len() + 1];
+    best[0] = 0.0;
+    for _ in 0..most {
+        let before = best.clone();
+        for end in 1..=levels.len() {
+            let with = |begin: usize| before[begin].max(held(&levels[begin..end]));
+            best[end] = (0..end).map(with).fold(before[end], f64::min);
+        }
+    }
+    best[levels.len()]
+}
+
 proptest! {
     #[test]
     fn steps_and_numbers_are_what_a_second_reading_finds(
         (linear, movement) in any::<bool>().prop_flat_map(|linear| (Just(linear), movements(linear))),
         change in changes(),
         tolerance in prop_oneof![Just(None), (1i32..12).prop_map(|t| Some(f64::from(t) / 2.0))],
+        most in prop_oneof![3 => Just(None), 1 => (2usize..30).prop_map(Some)],
         fine in any::<bool>(),
     ) {
         let (device, granularity, own) = match (linear, fine) {
@@ -344,7 +493,8 @@ proptest! {
             (true, false) => ("crane", 0.5, 0.5),
             (false, _) => ("valve", 0.5, 0.5),
         };
-        let wish = tolerance.map_or(String::new(), |tolerance: f64| format!("tolerance: {tolerance}, "));
+        let mut wish = tolerance.map_or(String::new(), |tolerance: f64| format!("tolerance: {tolerance}, "));
+        wish.push_str(&most.map_or(String::new(), |most| format!("max_steps: {most}, ")));
         let text = format!(
             "off_grid: snap\ncues: [{{at: 0s, robots: bot, tracks: {{{device}: {{{wish}{}}}}}{}}}]\n",
             movement.yaml, change.yaml
@@ -356,6 +506,7 @@ proptest! {
             Some(choreography) => {
                 let act = &choreography.acts[0];
                 verify(act, (device, linear), &movement, &change, tolerance.unwrap_or(own), granularity)
+                    .and_then(|()| with_so_many(act, (device, linear), &movement, &change, granularity, most))
                     .map_err(|error| TestCaseError::fail(format!("{text}\n{}\n{error}", movement.csv)))?;
             }
             None => {

@@ -21,8 +21,23 @@ fn recorded_positions_arrive_bit_by_bit() {
 }
 
 #[test]
+fn chunks_of_lz4_are_read_like_those_of_zstd() {
+    let of = |name: &str| {
+        import_bytes(ImportFormat::Mcap, "arm.mcap", &fixture_of(name), &ImportOptions::default()).imported
+    };
+    assert!(of("arm_lz4.mcap").is_some());
+    assert_eq!(of("arm_lz4.mcap"), of("arm.mcap"));
+}
+
+#[test]
 fn recordings_that_are_broken_are_refused() {
-    let bytes = fixture_of("arm.mcap");
+    for name in ["arm.mcap", "arm_lz4.mcap"] {
+        broken_recordings_of(name);
+    }
+}
+
+fn broken_recordings_of(name: &str) {
+    let bytes = fixture_of(name);
     refused(ImportFormat::Mcap, b"", &["DB0001"]);
     refused(ImportFormat::Mcap, b"no recording at all", &["DB0001", "cannot be read"]);
     refused(ImportFormat::Mcap, &bytes[..bytes.len() / 2], &["DB0001"]);

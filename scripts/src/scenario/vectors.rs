@@ -1,0 +1,73 @@
+//! Several values at once, for custom_N, at times: all of a track's in one piece, as there may be a million of them.
+
+use urrcp::Span;
+
+/// Keyframes of several values each, in order of time.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Vectors {
+    keys: Vec<Key>,
+    /// Those of each keyframe one after another.
+    values: Vec<f64>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Key {
+    at: Span,
+    item: u32,
+    /// Where its values end.
+    end: u32,
+}
+
+/// One keyframe.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Vector<'a> {
+    pub(crate) at: Span,
+    pub(crate) values: &'a [f64],
+    /// Which item of the list in the file it comes from.
+    pub(crate) item: u32,
+}
+
+impl Vectors {
+    pub(crate) fn with_capacity(count: usize, values: usize) -> Self {
+        Self { keys: Vec::with_capacity(count), values: Vec::with_capacity(values) }
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "a file of 64 MiB has fewer values than u32 counts")]
+    pub(crate) fn push(&mut self, vector: Vector<'_>) {
+        self.values.extend_from_slice(vector.values);
+        self.keys.push(Key { at: vector.at, item: vector.item, end: self.values.len() as u32 });
+    }
+
+    pub(crate) fn len(&self) -> usize {
+        self.keys.len()
+    }
+
+    pub(crate) fn get(&self, index: usize) -> Option<Vector<'_>> {
+        let key = self.keys.get(index)?;
+        let begin = index.checked_sub(1).map_or(0, |before| self.keys[before].end as usize);
+        Some(Vector { at: key.at, values: &self.values[begin..key.end as usize], item: key.item })
+    }
+
+    pub(crate) fn iter(&self) -> impl Iterator<Item = Vector<'_>> {
+        (0..self.len()).filter_map(|index| self.get(index))
+    }
+
+    pub(crate) fn first(&self) -> Option<Vector<'_>> {
+        self.get(0)
+    }
+
+    pub(crate) fn last(&self) -> Option<Vector<'_>> {
+        self.get(self.len().checked_sub(1)?)
+    }
+
+    /// Every value of every keyframe.
+    pub(crate) fn values(&self) -> &[f64] {
+        &self.values
+    }
+
+    /// At other times, which the function makes of each.
+    pub(crate) fn moved(mut self, to: impl Fn(Span) -> Span) -> Self {
+        self.keys.iter_mut().for_each(|key| key.at = to(key.at));
+        self
+    }
+}

@@ -1,0 +1,204 @@
+//! What is drawn.
+
+use proptest::prelude::*;
+
+use super::super::verified::{Change, Movement, changes, movements};
+use super::{Cue, DEVICES, LAMP, Lag, NAMES, Relation, Show, Tempo, When, Word};
+
+/// Keyframes at quarters of a beat, played as they are written.
+fn musical(moves: bool) -> impl Strategy<Value = (Movement, Option<Vec<(i64, f64)>>)> {
+    prop::collection::vec((1i64..9, -80i32..80), 2..7).prop_map(move |all| {
+        let mut now = 0;
+        let mut keyframes = Vec::new();
+        for (index, (after, quarters)) in all.into_iter().enumerate() {
+            now += if index == 0 { 0 } else { after };
+            keyframes.push((now, f64::from(quarters) / 4.0));
+        }
+        let text: Vec<String> = keyframes
+            .iter()
+            .map(|(at, to)| format!("{{at: {} beats, to: {to}}}", *at as f64 / 4.0))
+            .collect();
+        (
+            Movement::of_keyframes(&format!("keyframes: [{}]", text.join(", ")), moves, &keyframes),
+            Some(keyframes),
+        )
+    })
+}
+
+/// Several values at once.
+fn colourful() -> impl Strategy<Value = (Movement, Vec<(i64, [f64; 3])>)> {
+    let part = || (0i32..256).prop_map(f64::from);
+    prop::collection::vec((1i64..900, [part(), part(), part()]), 2..9).prop_map(|all| {
+        let mut now = 0;
+        let mut colours = Vec::new();
+        for (index, (after, values)) in all.into_iter().enumerate() {
+            now += if index == 0 { 0 } else { after };
+            colours.push((now, values));
+        }
+        let text: Vec<String> =
+            colours.iter().map(|(at, to)| format!("{{at: {at}ms, to: {to:?}}}")).collect();
+        let first: Vec<(i64, f64)> = colours.iter().map(|(at, to)| (*at, to[0])).collect();
+        let mut movement =
+            Movement::of_keyframes(&format!("keyframes: [{}]", text.join(", ")), false, &first);
+        movement.at_times(&first.iter().map(|(at, _)| *at as f64).collect::<Vec<_>>());
+        (movement, colours)
+    })
+}
+
+fn tempos() -> impl Strategy<Value = Vec<Tempo>> {
+    let signature = prop::option::of((2i64..8, prop_oneof![Just(4i64), Just(8)]));
+    let one = (1i64..4, 4_000i64..24_000, signature);
+    prop_oneof![3 => prop::collection::vec(one.clone(), 1), 1 => prop::collection::vec(one, 2..4)].prop_map(
+        |all| {
+            let mut bar = 1;
+            let tempo = |(index, (after, bpm, signature)): (usize, (i64, i64, Option<(i64, i64)>))| {
+                bar += if index == 0 { 0 } else { after };
+                Tempo { bar, bpm, signature }
+            };
+            all.into_iter().enumerate().map(tempo).collect()
+        },
+    )
+}
+
+/// Where the tempo changes, what is written in beats needs a fixed start.
+fn with_fixed_start(cue: &mut Cue, bar: i64) {
+    for relation in &mut cue.relations {
+        if matches!(relation.lag, Lag::Beats(_)) {
+            relation.lag = Lag::None;
+        }
+    }
+    if cue.beats.is_some() && !matches!(cue.when, When::At(_) | When::Bar(_)) {
+        cue.when = When::Bar(bar);
+        cue.relations.clear();
+    }
+}
+
+fn lags() -> impl Strategy<Value = Lag> {
+    prop_oneof![
+        2 => Just(Lag::None),
+        2 => (-3_000i64..4_000).prop_map(Lag::One),
+        1 => (-3_000i64..3_000, 0i64..3_000).prop_map(|(least, more)| Lag::Range(least, least + more)),
+        1 => (1i64..9).prop_map(Lag::Beats),
+    ]
+}
+
+fn relations() -> impl Strategy<Value = Vec<(Word, usize, Option<bool>, Lag)>> {
+    let word = prop_oneof![6 => Just(Word::After), 2 => Just(Word::With), 1 => Just(Word::Before)];
+    let end = prop_oneof![3 => Just(None), 1 => any::<bool>().prop_map(Some)];
+    let one = (word, 0usize..6, end, lags()).boxed();
+    prop_oneof![
+        3 => Just(Vec::new()),
+        5 => prop::collection::vec(one.clone(), 1),
+        1 => prop::collection::vec(one, 2..4),
+    ]
+}
+
+fn cue() -> impl Strategy<Value = Cue> {
+    let device = 0..DEVICES.len();
+    let moving = device.prop_flat_map(|device| {
+        let moves = DEVICES[device].1;
+        let any = movements(moves).prop_map(|movement| (movement, None, None));
+        let musical = musical(moves).prop_map(|(movement, beats)| (movement, beats, None));
+        let movement = match device {
+            LAMP => colourful().prop_map(|(movement, colours)| (movement, None, Some(colours))).boxed(),
+            _ => prop_oneof![any.boxed(), musical.boxed()].boxed(),
+        };
+        (Just(device), movement)
+    });
+    let reads = prop_oneof![4 => Just(Vec::new()), 1 => prop::collection::vec(0i64..3_000, 1..3)];
+    let when = prop_oneof![
+        12 => Just(When::Free),
+        1 => (0i64..9_000).prop_map(When::At),
+        1 => (0i64..9_000, 0i64..4_000).prop_map(|(least, more)| When::Between(least, least + more)),
+        1 => (1i64..6).prop_map(When::Bar),
+        1 => (9_000i64..90_000).prop_map(When::EndBy),
+    ];
+    let stretch = prop_oneof![4 => Just(None), 1 => (700i64..20_000, 0i64..2).prop_map(|(least, more)| Some((least, least + more * 2_000)))];
+    let tolerance = prop_oneof![2 => Just(None), 1 => (1i32..12).prop_map(|t| Some(f64::from(t) / 2.0))];
+    let canon = prop_oneof![3 => Just(None), 1 => (0i64..900).prop_map(Some)];
+    let late = prop_oneof![3 => Just(None), 1 => (0usize..3, 0i64..900).prop_map(Some)];
+    let zone = prop_oneof![2 => Just(None), 1 => (0usize..2).prop_map(Some)];
+    let apart = prop_oneof![6 => Just(None), 1 => (0usize..6).prop_map(Some)];
+    (
+        (0..NAMES.len(), moving, changes(), tolerance),
+        (canon, late, stretch, when),
+        (relations(), zone, apart, prop::bool::weighted(0.2), reads),
+    )
+        .prop_map(
+            |(
+                (who, (device, (movement, beats, colours)), change, tolerance),
+                (canon, late, stretch, when),
+                (relations, zone, apart, by_move, reads),
+            )| {
+                let mut change = change;
+                // The length is the cue's here.
+                change.yaml = change.yaml.split(", duration").next().unwrap_or_default().to_owned();
+                change.duration = None;
+                // Several values are neither scaled nor repeated.
+                if colours.is_some() {
+                    change = Change::none();
+                }
+                let relation = |(word, other, end, lag)| Relation { word, other, end, lag };
+                let relations = relations.into_iter().map(relation).collect();
+                let late = late.filter(|(robot, _)| NAMES[who].1.contains(robot));
+                Cue {
+                    who,
+                    device,
+                    movement,
+                    beats,
+                    colours,
+                    reads,
+                    change,
+                    tolerance,
+                    canon,
+                    late,
+                    stretch,
+                    when,
+                    relations,
+                    zone,
+                    apart,
+                    by_move,
+                }
+            },
+        )
+}
+
+fn acts() -> impl Strategy<Value = Vec<Vec<Cue>>> {
+    let act = prop::collection::vec(cue(), 1..6).prop_map(|mut cues| {
+        let count = cues.len();
+        for (index, cue) in cues.iter_mut().enumerate() {
+            // To cues that there are; forwards only sometimes, as a circle is seldom wanted.
+            cue.relations.retain_mut(|relation| {
+                relation.other = if relation.other == 5 && index % 2 == 0 {
+                    (index + 1) % count
+                } else {
+                    relation.other % index.max(1)
+                };
+                relation.other != index
+            });
+            cue.apart = cue.apart.map(|other| other % count).filter(|other| *other != index);
+        }
+        cues
+    });
+    prop::collection::vec(act, 1..4)
+}
+
+pub(super) fn shows() -> impl Strategy<Value = Show> {
+    (tempos(), any::<bool>(), acts()).prop_map(|(tempos, auto, mut acts)| {
+        let probe = Show { tempos, auto, acts: Vec::new() };
+        for (index, cue) in acts.iter_mut().flatten().enumerate() {
+            if probe.tempos.len() > 1 {
+                with_fixed_start(cue, 1 + index as i64 % 6);
+            }
+            let start = cue.start(&probe);
+            if let Some(keyframes) = &cue.beats {
+                let millis = |quarters: i64| {
+                    let exact = probe.beats(start, quarters);
+                    *exact.numer() as f64 / *exact.denom() as f64 / 1e6
+                };
+                cue.movement.at_times(&keyframes.iter().map(|(at, _)| millis(*at)).collect::<Vec<_>>());
+            }
+        }
+        Show { acts, ..probe }
+    })
+}

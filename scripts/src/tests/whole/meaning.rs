@@ -1,0 +1,164 @@
+//! What a cue means: how long it lasts, when its robots begin, and its steps where they are played as they are written.
+
+use num_rational::Ratio;
+
+use super::{Cue, DEVICES, MS, NAMES, Nanos, Show, Tempo, When};
+
+pub(super) fn rounded(time: Ratio<i128>) -> Nanos {
+    (time + Ratio::new(1, 2)).floor().to_integer()
+}
+
+/// Where a length from a cue's start ends, from there on.
+fn laid(start: Option<Ratio<i128>>, length: Ratio<i128>) -> Nanos {
+    match start {
+        Some(start) if !length.is_integer() => rounded(start + length) - rounded(start),
+        _ => length.floor().to_integer(),
+    }
+}
+
+impl Show {
+    /// Nanoseconds of so many quarters of a beat, counted from the very beginning: tempo by tempo.
+    fn of_beats(&self, quarters: Ratio<i128>) -> Ratio<i128> {
+        let mut time = Ratio::from_integer(0);
+        let mut left = quarters;
+        for (tempo, length) in self.tempos.iter().zip(self.lengths()) {
+            let here = length.map_or(left, |length| left.min(length));
+            time += here * quarter(tempo.bpm);
+            left -= here;
+        }
+        time
+    }
+
+    /// Quarters of a beat that have gone by at a time.
+    fn beats_at(&self, time: Ratio<i128>) -> Ratio<i128> {
+        let mut quarters = Ratio::from_integer(0);
+        let mut left = time;
+        for (tempo, length) in self.tempos.iter().zip(self.lengths()) {
+            let whole = length.map(|length| length * quarter(tempo.bpm));
+            let here = whole.map_or(left, |whole| left.min(whole));
+            quarters += here / quarter(tempo.bpm);
+            left -= here;
+        }
+        quarters
+    }
+
+    /// How many quarters of a beat each tempo lasts; the last one for ever.
+    fn lengths(&self) -> Vec<Option<Ratio<i128>>> {
+        let mut upper = 4;
+        let length = |(index, tempo): (usize, &Tempo)| {
+            upper = tempo.signature.map_or(upper, |(upper, _)| upper);
+            let next = self.tempos.get(index + 1)?;
+            Some(Ratio::from_integer(i128::from(4 * upper * (next.bar - tempo.bar))))
+        };
+        self.tempos.iter().enumerate().map(length).collect()
+    }
+
+    /// When a bar begins, from 1.
+    pub(super) fn bar(&self, bar: i64) -> Ratio<i128> {
+        let (mut quarters, mut upper) = (0, 4);
+        for (index, tempo) in self.tempos.iter().enumerate() {
+            upper = tempo.signature.map_or(upper, |(upper, _)| upper);
+            let until = self.tempos.get(index + 1).map_or(bar, |next| next.bar.min(bar));
+            quarters += 4 * upper * (until - tempo.bar).max(0);
+        }
+        self.of_beats(Ratio::from_integer(i128::from(quarters)))
+    }
+
+    /// Nanoseconds of so many quarters of a beat from a time on; where the tempo never changes, from any.
+    pub(super) fn beats(&self, start: Option<Ratio<i128>>, quarters: i64) -> Ratio<i128> {
+        let start = start.unwrap_or_default();
+        let quarters = Ratio::from_integer(i128::from(quarters));
+        self.of_beats(self.beats_at(start) + quarters) - start
+    }
+}
+
+/// Nanoseconds of a quarter of a beat, at so many hundredths of beats a minute.
+fn quarter(bpm: i64) -> Ratio<i128> {
+    Ratio::new(60_000_000_000 * 100, 4 * i128::from(bpm))
+}
+
+impl Cue {
+    pub(super) fn start(&self, show: &Show) -> Option<Ratio<i128>> {
+        match self.when {
+            When::At(millis) => Some(Ratio::from_integer(i128::from(millis) * MS)),
+            When::Bar(bar) => Some(show.bar(bar)),
+            _ => None,
+        }
+    }
+
+    /// One turn of its movement.
+    fn lap(&self, show: &Show) -> Ratio<i128> {
+        match &self.beats {
+            Some(keyframes) => show.beats(self.start(show), keyframes[keyframes.len() - 1].0),
+            None => {
+                let millis = self.movement.ways[self.movement.ways.len() - 1].end;
+                Ratio::from_integer(millis.round() as i128 * MS)
+            }
+        }
+    }
+
+    /// Its length as it is written, with its turns.
+    pub(super) fn length(&self, show: &Show) -> Nanos {
+        let turns = Ratio::from_integer(i128::from(self.change.turns));
+        laid(self.start(show), self.lap(show) * turns)
+    }
+
+    /// How much later each of its robots begins.
+    pub(super) fn delays(&self) -> Vec<(usize, Nanos)> {
+        let delay = |(index, robot): (usize, &usize)| {
+            let own = self.late.filter(|(late, _)| late == robot).map_or(0, |(_, millis)| i128::from(millis));
+            (*robot, (index as i128 * i128::from(self.canon.unwrap_or(0)) + own) * MS)
+        };
+        NAMES[self.who].1.iter().enumerate().map(delay).collect()
+    }
+
+    pub(super) fn delay(&self) -> Nanos {
+        self.delays().iter().map(|(_, delay)| *delay).max().unwrap_or(0)
+    }
+
+    /// Its steps from its start, where the device plays it as it is written; with what is written for each.
+    pub(super) fn as_written(&self, show: &Show) -> Option<Vec<(Nanos, f64, f64)>> {
+        let keyframes = self.beats.as_ref()?;
+        let (_, moves, granularity, _) = DEVICES[self.device];
+        if self.tolerance.is_some() || self.change.backwards {
+            return None;
+        }
+        let start = self.start(show);
+        let (cycle, whole) = (self.lap(show), self.length(show));
+        let mut steps: Vec<(Nanos, f64, f64)> = Vec::new();
+        for turn in 0..self.change.turns {
+            let begin = laid(start, cycle * i128::from(turn));
+            let end = laid(start, cycle * i128::from(turn + 1));
+            for (index, (quarters, value)) in keyframes.iter().enumerate() {
+                let at = match index + 1 == keyframes.len() {
+                    true => end,
+                    // Turns differ by a nanosecond.
+                    false => (begin + laid(start, show.beats(start, *quarters))).min(end),
+                };
+                let written = self.change.of(*value);
+                let set = (written / granularity).round() * granularity;
+                let before = steps.last().copied();
+                let seam = before.is_some_and(|before| before.0 == at);
+                match before {
+                    // Of a device that holds, the later of two at one time counts; of one that moves, one of two alike.
+                    Some(_) if seam && !moves => *steps.last_mut()? = (at, set, written),
+                    Some(before) if seam && before.1 == set => {
+                        let worse = (set - written).abs() > (before.1 - before.2).abs();
+                        *steps.last_mut()? = (at, set, if worse { written } else { before.2 });
+                    }
+                    _ => steps.push((at, set, written)),
+                }
+            }
+        }
+        if let Some((least, largest)) = self.stretch {
+            if least != largest {
+                return None;
+            }
+            let to = i128::from(least) * MS;
+            for step in &mut steps {
+                step.0 = rounded(Ratio::new(step.0 * to, whole));
+            }
+        }
+        Some(steps)
+    }
+}

@@ -1,0 +1,247 @@
+//! The second reading for whole scenarios: acts, groups, cues that relate to each other, zones, tempos, readings, values one or
+//! several at a time, and what is done with movements. Times are whole numbers and fractions, solved by the plainest way there is; movements are evaluated point by
+//! point, and step by step where a device plays them as they are written.
+//!
+//! It looks at 500 scenarios, with `DOWNBEAT_SCENARIOS` at as many.
+
+mod draw;
+mod meaning;
+mod steps;
+mod times;
+mod written;
+
+use std::cell::RefCell;
+use std::collections::{BTreeMap, HashMap};
+use std::io::Write as _;
+
+use proptest::prelude::*;
+use proptest::test_runner::TestRunner;
+
+use self::draw::shows;
+use self::steps::compare;
+use super::robot;
+use super::verified::{Change, Movement};
+use crate::{Code, Compiled, Files, Finding, Fleet, FleetRobot, Severity, Source, compile};
+
+type Nanos = i128;
+const MS: Nanos = 1_000_000;
+
+/// The devices of every robot: its name, whether it moves, its granularity, and the steps of one script.
+const DEVICES: [(&str, bool, f64, usize); 7] = [
+    ("pole", true, 0.001, 100_000),
+    ("crane", true, 0.5, 100_000),
+    ("chain", true, 0.5, 7),
+    ("valve", false, 0.5, 100_000),
+    ("tap", false, 0.5, 9),
+    ("gate", false, 0.5, 100_000),
+    ("lamp", false, 1.0, 100_000),
+];
+/// The one that takes three values at once.
+const LAMP: usize = 6;
+/// What every robot reads.
+const SENSOR: &str = "eye";
+const ROBOTS: [&str; 3] = ["a", "b", "c"];
+/// Names that stand for robots.
+const NAMES: [(&str, &[usize]); 7] = [
+    ("a", &[0]),
+    ("b", &[1]),
+    ("c", &[2]),
+    ("pair", &[2, 0]),
+    ("all", &[0, 1, 2]),
+    ("cast", &[1, 2]),
+    ("[c, a]", &[2, 0]),
+];
+
+/// A cue with one movement.
+#[derive(Clone, Debug)]
+struct Cue {
+    who: usize,
+    device: usize,
+    movement: Movement,
+    /// Where each keyframe lies in quarters of a beat, and its value: then it is played as it is written.
+    beats: Option<Vec<(i64, f64)>>,
+    /// Of three values at once: milliseconds, and the values.
+    colours: Option<Vec<(i64, [f64; 3])>>,
+    /// When its robots read their sensor, in milliseconds from its start.
+    reads: Vec<i64>,
+    change: Change,
+    tolerance: Option<f64>,
+    canon: Option<i64>,
+    late: Option<(usize, i64)>,
+    stretch: Option<(i64, i64)>,
+    when: When,
+    relations: Vec<Relation>,
+    zone: Option<usize>,
+    apart: Option<usize>,
+    /// Part of a move with parameters instead of own tracks.
+    by_move: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum When {
+    Free,
+    At(i64),
+    Between(i64, i64),
+    Bar(i64),
+    EndBy(i64),
+}
+
+/// To another cue, by its index.
+#[derive(Clone, Copy, Debug)]
+struct Relation {
+    word: Word,
+    other: usize,
+    /// `start of`, `end of`, or neither.
+    end: Option<bool>,
+    lag: Lag,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Word {
+    After,
+    With,
+    Before,
+}
+
+/// Milliseconds, or quarters of a beat.
+#[derive(Clone, Copy, Debug)]
+enum Lag {
+    None,
+    One(i64),
+    Range(i64, i64),
+    Beats(i64),
+}
+
+#[derive(Clone, Debug)]
+struct Show {
+    /// One after the other.
+    tempos: Vec<Tempo>,
+    auto: bool,
+    acts: Vec<Vec<Cue>>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Tempo {
+    /// From which bar on, from 1.
+    bar: i64,
+    /// Beats a minute in hundredths.
+    bpm: i64,
+    /// Beats a bar, where they are written, and which beats.
+    signature: Option<(i64, i64)>,
+}
+
+struct Csvs(HashMap<String, String>);
+
+impl Files for Csvs {
+    fn read(&self, name: &str) -> Result<Source, Finding> {
+        Ok(Source { name: name.into(), text: self.0.get(name).cloned().unwrap_or_default() })
+    }
+}
+
+fn fleet() -> Fleet {
+    let device = |(name, moves, granularity, most): &(&str, bool, f64, usize)| {
+        let interpolation = if *moves { "linear" } else { "hold" };
+        let error = if *moves {
+            if *granularity < 0.1 { r#", "max_error": 0.01"# } else { r#", "max_error": 0.5"# }
+        } else {
+            ""
+        };
+        let limits = format!(r#""min_value": -1000, "max_value": 1000, "granularity": {granularity}{error}"#);
+        if *name == DEVICES[LAMP].0 {
+            return format!(
+                r#"{{"id": "{name}", "name": "{name}", "available_control_types": {{
+                "custom_1": {{"values": 3}}, "script": {{{limits}, "max_number_of_steps": {most}}}}}}}"#
+            );
+        }
+        format!(
+            r#"{{"id": "{name}", "name": "{name}", "interpolation": "{interpolation}", "script_queue": 10000, "available_control_types": {{
+            "position": {{{limits}}}, "script": {{{limits}, "max_number_of_steps": {most}}}}}}}"#
+        )
+    };
+    let sensor = format!(
+        r#"{{"id": "{SENSOR}", "name": "{SENSOR}", "available_control_types": {{"sensor": {{"min_value": 0, "max_value": 9}}}}}}"#
+    );
+    let devices: Vec<String> = DEVICES.iter().map(device).chain([sensor]).collect();
+    let bot = |id: &&str| {
+        let block = format!(r#"{{"id": "{id}", "api_version": "1", "devices": [{}]}}"#, devices.join(", "));
+        let init: urrcp::InitializationBlock = serde_json::from_str(&block).unwrap();
+        FleetRobot { id: init.id.clone(), init: Some(init), ..robot() }
+    };
+    let robots: Vec<FleetRobot> = ROBOTS.iter().map(bot).collect();
+    let group = |members: &[usize]| members.iter().map(|robot| robots[*robot].id.clone()).collect();
+    let groups = BTreeMap::from([("pair".to_owned(), group(&[2, 0])), ("all".to_owned(), group(&[0, 1, 2]))]);
+    Fleet { robots, groups, ..Fleet::default() }
+}
+
+fn scenarios() -> u32 {
+    std::env::var("DOWNBEAT_SCENARIOS").ok().and_then(|text| text.parse().ok()).unwrap_or(500)
+}
+
+/// What has been compared.
+#[derive(Debug, Default)]
+struct Tally {
+    /// Scenarios with a plan, with times that contradict each other, and with other errors.
+    planned: usize,
+    contradictory: usize,
+    refused: usize,
+    acts: usize,
+    cues: usize,
+    devices: usize,
+    steps: usize,
+    /// Cues that could start later, and devices of which every step is known.
+    slack: usize,
+    to_the_step: usize,
+    /// Sensors read, tracks of several values, and acts whose tempo changes.
+    readings: usize,
+    colours: usize,
+    tempo_changes: usize,
+}
+
+impl Tally {
+    fn count(&mut self, show: &Show, compiled: &Compiled) {
+        let told = |code: Code| compiled.findings.iter().any(|finding| finding.code == code);
+        let Some(choreography) = &compiled.choreography else {
+            let contradictory = told(Code::Conflict) || told(Code::NoOrder);
+            *(if contradictory { &mut self.contradictory } else { &mut self.refused }) += 1;
+            return;
+        };
+        self.planned += 1;
+        for (act, written) in choreography.acts.iter().zip(&show.acts) {
+            self.acts += 1;
+            self.readings += act.readings.len();
+            self.colours += written.iter().filter(|cue| cue.colours.is_some()).count();
+            self.tempo_changes += usize::from(show.tempos.len() > 1);
+            self.cues += act.cues.len();
+            self.slack += act.cues.iter().filter(|cue| cue.slack > urrcp::Span::ZERO).count();
+            self.devices += act.devices.len();
+            self.steps += act.devices.iter().map(|used| used.steps).sum::<usize>();
+            let known = written.iter().filter(|cue| cue.as_written(show).is_some());
+            self.to_the_step += known.map(|cue| NAMES[cue.who].1.len()).sum::<usize>();
+        }
+    }
+}
+
+#[test]
+fn whole_scenarios_are_what_a_second_reading_finds() {
+    let config = ProptestConfig {
+        max_shrink_iters: 20_000,
+        failure_persistence: None,
+        ..ProptestConfig::with_cases(scenarios())
+    };
+    let tally = RefCell::new(Tally::default());
+    let looked_at = TestRunner::new(config).run(&shows(), |show| {
+        let mut csvs = HashMap::new();
+        let text = show.yaml(&mut csvs);
+        let csvs = Csvs(csvs);
+        let source = Source { name: "s.yaml".into(), text };
+        let compiled = compile(&source, &fleet(), &csvs);
+        tally.borrow_mut().count(&show, &compiled);
+        compare(&show, &compiled).map_err(|error| {
+            let errors = compiled.findings.iter().filter(|finding| finding.severity == Severity::Error);
+            let errors: Vec<&str> = errors.map(|finding| finding.message.as_str()).collect();
+            TestCaseError::fail(format!("{}\n{:?}\n{errors:#?}\n{error}", source.text, csvs.0))
+        })
+    });
+    looked_at.unwrap_or_else(|error| panic!("{error}"));
+    drop(writeln!(std::io::stderr(), "{:?}", tally.into_inner()));
+}
