@@ -5,9 +5,9 @@ use std::iter;
 
 use urrcp::{Command, Message, Server, Span, Timestamp};
 
-use super::Verdict;
 use super::cause::{Cause, Hit};
 use super::facts::{Facts, SentAct};
+use super::{DRIFT, Verdict};
 use crate::mission::{Progress, Record};
 use crate::simulation::world::PATIENCE;
 use crate::simulation::{Fault, Happened};
@@ -231,9 +231,13 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         // What the disk took of late is awaited twice, and links are as slow as they were.
         let faults = disk_stood_still(facts, act) * 2 + lasted(facts, act);
         let (with, without) = (lead(act), lead(other));
-        let set = clocks_set(facts, act);
+        // What is sent while the act before still plays, and starts when that ends, nobody waits for.
+        let ahead =
+            before(facts, act).and_then(|before| gap(facts, before, act)).is_some_and(|gap| gap <= DRIFT);
+        let set = clocks_set(facts, act, act.at);
         let slow = slow_again(facts, act).min(ROUND_TRIP_MAX) * ROUND_TRIPS;
-        if with > without * TIMES + MORE + faults + set * 2 + slow && Some(with) != asked_for(facts, act) {
+        let bound = without * TIMES + MORE + faults + set * 2 + slow;
+        if with > bound && !ahead && Some(with) != asked_for(facts, act) {
             let what = format!("act {number} had a lead of {with}, without faults it has {without}");
             verdict.violated('h', what);
         }
@@ -250,7 +254,7 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
             true => with,
             false => (with - without).max(Span::ZERO),
         };
-        let set = set + clocks_set(facts, before);
+        let set = set + clocks_set(facts, before, act.at);
         if gap > other_gap.max(Span::ZERO) * TIMES + MORE + longer + faults + set {
             verdict.violated(
                 'h',
@@ -270,12 +274,12 @@ fn before<'f, 'a>(facts: &'f Facts<'a>, act: &SentAct<'_>) -> Option<&'f SentAct
     facts.acts.iter().rfind(|before| before.promise.number < act.promise.number)
 }
 
-/// By how much the clocks of an act's robots, and of the process that sent it, were set before it was sent. How early a robot may start by its clock is in the
-/// lead twice: within the last lease, and after it.
-fn clocks_set(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
+/// By how much the clocks of an act's robots by then, and of the process that sent it, were set. How early a robot may start by
+/// its clock is in the lead twice: within the last lease, and after it. How late it ends by its clock is in the gap after it.
+fn clocks_set(facts: &Facts<'_>, act: &SentAct<'_>, by: Timestamp<Server>) -> Span {
     let robots = act.robots();
     let of_act = |hit: &&Hit| {
-        hit.cause == Cause::ClockSet && hit.from <= act.at && robots.iter().any(|robot| hit.is_of(*robot))
+        hit.cause == Cause::ClockSet && hit.from <= by && robots.iter().any(|robot| hit.is_of(*robot))
     };
     let of_robots = facts.hits.iter().filter(of_act).fold(Span::ZERO, |sum, hit| sum + hit.by.abs());
     of_robots + act.ahead.abs()
@@ -288,17 +292,13 @@ fn slow_again(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
         let slow = |hit: &&Hit| {
             hit.is_of(robot) && hit.from <= act.at && matches!(hit.cause, Cause::Slow | Cause::RobotPause)
         };
-        let mut moments: Vec<(Timestamp<Server>, Span)> = Vec::new();
+        // Of what overlaps with a moment a question that is asked at its end meets the rest.
+        let mut lasted: Vec<Span> = Vec::new();
+        let mut until = Timestamp::from_nanos(0);
         for hit in facts.hits.iter().filter(slow) {
-            let lasts = hit.until - hit.from;
-            match moments.last_mut() {
-                Some((until, longest)) if hit.from < *until => {
-                    (*until, *longest) = (hit.until.max(*until), lasts.max(*longest));
-                }
-                _ => moments.push((hit.until, lasts)),
-            }
+            lasted.push((hit.until - hit.from.max(until)).max(Span::ZERO));
+            until = until.max(hit.until);
         }
-        let mut lasted: Vec<Span> = moments.into_iter().map(|(_, longest)| longest).collect();
         lasted.sort_unstable();
         lasted.into_iter().rev().nth(1)
     };
