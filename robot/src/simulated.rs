@@ -1,5 +1,6 @@
 //! A simulated robot: the real machine behind a clock, a link and faults of its own. Pure like the machine itself.
 
+use std::cell::Cell;
 use std::collections::{BTreeMap, HashMap};
 
 use urrcp::{
@@ -108,6 +109,8 @@ pub struct SimulatedRobot {
     ntp_residue: Span,
     rng: fastrand::Rng,
     epoch: Option<Timestamp<True>>,
+    /// An instant by its clock and by the true one, looked up last: asked for again and again until it has come.
+    shown: Cell<Option<(Timestamp<RobotClock>, Timestamp<True>)>>,
     in_flight: BTreeMap<(Timestamp<True>, u64), (LaneId, InFlight)>,
     sequence: u64,
     lanes: HashMap<LaneId, Lane>,
@@ -132,6 +135,7 @@ impl SimulatedRobot {
             ntp_residue,
             rng,
             epoch: None,
+            shown: Cell::new(None),
             in_flight: BTreeMap::new(),
             sequence: 0,
             lanes: HashMap::new(),
@@ -202,6 +206,7 @@ impl SimulatedRobot {
     pub fn step_clock(&mut self, by: Span) {
         self.settings.clock_offset += by;
         self.ntp_residue += by;
+        self.shown.set(None);
     }
 
     /// What of its log is kept from now on.
@@ -224,7 +229,10 @@ impl SimulatedRobot {
 
     /// Does everything due at or before `now`: first what the machine does by itself, then deliveries.
     pub fn advance(&mut self, now: Timestamp<True>, out: &mut Vec<Outgoing>) {
-        self.epoch.get_or_insert(now);
+        if self.epoch.is_none() {
+            self.epoch = Some(now);
+            self.shown.set(None);
+        }
         self.look_after_hardware(now);
         self.robot.send_reports(self.robot_from_true(now), &mut self.outputs);
         self.perform(now);
@@ -260,6 +268,12 @@ impl SimulatedRobot {
             self.robot.look_after(at, || hands.silence(now), &mut self.outputs);
             self.perform(now);
         }
+    }
+
+    /// Whether [`SimulatedRobot::advance`] has anything to do: hardware is looked after whenever there is time.
+    #[must_use]
+    pub fn is_due(&self, now: Timestamp<True>) -> bool {
+        self.hands.is_some() || self.epoch.is_none() || self.next_wakeup().is_some_and(|at| at <= now)
     }
 
     /// When the machine's next wake-up was due, if it is.
@@ -422,6 +436,17 @@ impl SimulatedRobot {
 
     /// The first instant at which the robot's clock shows `at`.
     fn true_from_robot(&self, at: Timestamp<RobotClock>) -> Timestamp<True> {
+        match self.shown.get() {
+            Some((shown, when)) if shown == at => when,
+            _ => {
+                let when = self.search_true_from_robot(at);
+                self.shown.set(Some((at, when)));
+                when
+            }
+        }
+    }
+
+    fn search_true_from_robot(&self, at: Timestamp<RobotClock>) -> Timestamp<True> {
         let mut guess: Timestamp<True> = at.assume_clock();
         if self.settings.ntp_error.is_some() {
             return guess - self.ntp_residue;

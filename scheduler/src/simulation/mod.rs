@@ -97,13 +97,13 @@ pub fn play_verbosely(drawn: Drawn) -> Ran {
     world::play(drawn, true)
 }
 
-/// Everything that is held against a mission, the comparison with the same mission without its faults included, which plays
-/// that one as well.
+/// Everything that is held against a mission, the comparison with the same mission without its faults included, which is played
+/// as well where that could find anything.
 #[must_use]
 pub fn judge(ran: &Ran) -> Verdict {
     let mut verdict = ran.verdict();
     let sent = ran.records.iter().any(|(_, record)| matches!(record, Record::Prepared(_)));
-    if sent && !ran.drawn.faults.is_empty() && !ran.hung {
+    if sent && !ran.drawn.faults.is_empty() && !ran.hung && ran.is_to_be_compared() {
         let undisturbed = play(ran.drawn.clone().without_faults());
         verdict.violations.extend(ran.compared_with(&undisturbed).violations);
     }

@@ -8,6 +8,10 @@ fn thousands_of_seeds_of_faults_violate_nothing() {
     let mut violated = Vec::new();
     let mut mixed = 0;
     for seed in 0..seeds {
+        // What is violated everywhere is seen in ten of them.
+        if violated.len() >= 10 {
+            break;
+        }
         let verdict = judge(&run(seed));
         mixed += verdict.acts.iter().filter(|act| act.starts == Starts::Mixed).count();
         violated.extend(verdict.violations.into_iter().map(|violation| (seed, violation)));

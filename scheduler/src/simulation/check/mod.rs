@@ -122,6 +122,12 @@ impl Ran {
         verdict
     }
 
+    /// Whether a comparison with the same mission without its faults could find anything.
+    #[must_use]
+    pub fn is_to_be_compared(&self) -> bool {
+        liveness::is_to_be_compared(&Facts::of(self))
+    }
+
     /// Compares what became of a mission under faults with the same one without them.
     #[must_use]
     pub fn compared_with(&self, undisturbed: &Self) -> Verdict {

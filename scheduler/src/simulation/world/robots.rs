@@ -171,9 +171,10 @@ impl World {
             if self.now < side.paused_until {
                 continue;
             }
-            let Some(machine) = &mut side.machine else { continue };
+            let at = self.now.assume_clock::<True>();
+            let Some(machine) = side.machine.as_mut().filter(|machine| machine.is_due(at)) else { continue };
             let mut out = Vec::new();
-            machine.advance(self.now.assume_clock::<True>(), &mut out);
+            machine.advance(at, &mut out);
             side.collect();
             for outgoing in out {
                 if let Outgoing::Message { link, message } = outgoing {
