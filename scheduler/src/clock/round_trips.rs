@@ -23,15 +23,16 @@ pub(super) struct RoundTrips {
 
 impl RoundTrips {
     /// Takes one more, which ended at `at`; what has left the window by then is forgotten. Exchanges that began while
-    /// another was under way tell of the same moment of the link and count as one with it, the longest of them.
+    /// another was under way tell of the same moment of the link and count as one with it, the longest of them. So does a
+    /// second answer to a question, however many others were answered before it came.
     pub(super) fn add(&mut self, at: Timestamp<Server>, delay: Span) {
-        match self.latest.back_mut() {
-            Some((ended, longest)) if at - delay < *ended => {
-                if delay > *longest {
-                    (*ended, *longest) = (at, delay);
-                }
-            }
-            _ => self.latest.push_back((at, delay)),
+        let began = at - delay;
+        let later = self.latest.back().is_none_or(|(ended, _)| began >= *ended);
+        let same = self.latest.iter_mut().find(|(ended, _)| began < *ended).filter(|_| !later);
+        match same {
+            Some((ended, longest)) if delay > *longest => (*ended, *longest) = (at.max(*ended), delay),
+            Some(_) => {}
+            None => self.latest.push_back((at, delay)),
         }
         while self.latest.len() > EXCHANGES_MAX
             || (self.latest.len() > EXCHANGES_KEPT
@@ -112,6 +113,15 @@ mod tests {
         let pause_ends = at + millis(2_000);
         trips.add(pause_ends, millis(2_000) + Span::from_micros(500));
         trips.add(pause_ends + millis(1), millis(1_900));
+        assert_eq!(trips.high(), millis(1), "{trips:?}");
+    }
+
+    #[test]
+    fn a_second_answer_to_one_slow_question_is_no_second_slow_moment() {
+        let (mut trips, at) = after(millis(100), std::iter::repeat_n(1, 5));
+        trips.add(at + millis(500), millis(400));
+        trips.add(at + millis(510), millis(1));
+        trips.add(at + millis(520), millis(420));
         assert_eq!(trips.high(), millis(1), "{trips:?}");
     }
 

@@ -306,7 +306,11 @@ impl Kept {
                 under_way.retain(|(number, ..)| Some(*number) != ended);
                 self.ended_acts += 1;
             }
-            "dropped" => self.dropped.extend(head.robot),
+            "dropped" => {
+                // What it confirmed before was another stop.
+                self.stopped.retain(|robot| head.robot.as_ref() != Some(robot));
+                self.dropped.extend(head.robot);
+            }
             "stopping" => {
                 self.stopping = Some(head.rest);
                 self.stopping_since = self.stopping_since.or(head.at);

@@ -305,8 +305,11 @@ impl Mission {
 
     fn fate_of(&self, now: Timestamp<Server>, act: &Act) -> ActFate {
         let performs = self.phase == Phase::Performing;
-        match (act.was_sent(), may_have_moved(now, act)) {
-            (true, _) if performs && act.is_over() => ActFate::Played,
+        let deserted = act.present().next().is_none();
+        // What a robot that was left out still has of it may move it, as long as it has not said otherwise.
+        let moved = may_have_moved(now, act) || deserted && act.is_unaccounted();
+        match (act.was_sent(), moved) {
+            (true, _) if performs && act.is_over() && !deserted => ActFate::Played,
             (_, true) => ActFate::Stopped,
             (true, false) => ActFate::Withdrawn,
             (false, false) if performs => ActFate::NobodyLeft,

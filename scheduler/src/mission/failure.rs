@@ -258,6 +258,7 @@ impl Mission {
         if let Some(lost) = self.robots[robot].lost_mut() {
             lost.give_up = None;
         }
+        self.end_leases(now, robot);
         self.acts.iter_mut().for_each(|act| act.drop_robot(robot));
         let id = self.robots[robot].id.clone();
         self.record(Record::Dropped { robot: id.clone() });

@@ -20,7 +20,7 @@ pub(crate) fn sendable(acts: &[Act], robot: usize, state: &RobotState) -> Vec<Sc
         for chain in act.members()[place].chains() {
             for (index, script) in chain.filter(|(_, script)| script.is_planned()) {
                 let Some(room) = room.get_mut(&script.plan.device) else { break };
-                if *room == 0 || !act.is_open() {
+                if *room == 0 || !act.is_open() || !act.lets_follow(place, index) {
                     // Nothing overtakes a script that waits.
                     *room = 0;
                     break;

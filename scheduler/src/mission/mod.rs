@@ -71,9 +71,16 @@ enum Phase {
     /// Acts wait, are prepared, start and play.
     Performing,
     /// Cancels are out; confirmations are awaited.
-    Stopping { deadline: Timestamp<Server>, resend: Timestamp<Server> },
+    Stopping { deadline: Timestamp<Server>, resend: Timestamp<Server>, by: StoppedBy },
     /// The report is ready.
     Ended,
+}
+
+/// Who began a stop.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum StoppedBy {
+    Operator,
+    Failure,
 }
 
 /// Durable records on their way to the disk.
@@ -249,7 +256,7 @@ impl Mission {
                 }
             }
             Phase::Performing => self.perform(now),
-            Phase::Stopping { deadline, resend } => {
+            Phase::Stopping { deadline, resend, .. } => {
                 if now >= deadline {
                     self.stopped(now);
                 } else if now >= resend {
@@ -273,7 +280,7 @@ impl Mission {
                 let acts = self.acts.iter().filter_map(Act::wakeup);
                 acts.chain(self.give_up).chain(self.next_round).chain(self.next_silence).min()
             }
-            Phase::Stopping { deadline, resend } => Some(deadline.min(resend)),
+            Phase::Stopping { deadline, resend, .. } => Some(deadline.min(resend)),
             Phase::Ended => return None,
         };
         due.into_iter().chain(self.next_name).min()

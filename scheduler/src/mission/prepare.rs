@@ -16,6 +16,9 @@ const AHEAD: Span = Span::from_millis(2_000);
 /// harm to it.
 const LEASE_AHEAD_MAX: Span = Span::from_millis(2_000);
 
+/// Before it is looked again whether the clocks of robots that still play allow what comes next.
+const LOOK_AGAIN: Span = Span::from_millis(100);
+
 /// What an act needs before it can start.
 struct Need {
     lead: LeadTime,
@@ -54,10 +57,19 @@ impl Mission {
         let offenders = self.skew_ahead(act, now, start).map(|skew| skew.offenders()).unwrap_or_default();
         if !offenders.is_empty() {
             let at = |id| self.robots.iter().position(|robot| robot.id == id);
-            let failing = offenders.into_iter().filter_map(|(id, kind)| Some((at(id)?, kind))).collect();
+            let failing: Vec<_> =
+                offenders.into_iter().filter_map(|(id, kind)| Some((at(id)?, kind))).collect();
+            if failing.iter().any(|(robot, _)| self.plays_before(index, *robot)) {
+                return self.acts[index].look_again_at(Some(now + LOOK_AGAIN));
+            }
             return self.fail_all(now, failing);
         }
         self.send_act(now, index, need);
+    }
+
+    /// Whether a robot still has its part in an act ahead: that it fits, whatever comes next.
+    fn plays_before(&self, index: usize, robot: usize) -> bool {
+        self.acts[..index].iter().any(|act| act.has_something_on(robot))
     }
 
     /// What is promised has to be on the disk first: one that stands still is not waited for.

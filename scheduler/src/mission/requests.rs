@@ -161,7 +161,7 @@ impl Mission {
 
     fn post_by(&mut self, now: Timestamp<Server>, robot: usize, message: Message, urgent: bool) {
         if self.robots[robot].is_up() || urgent && self.takes_stops(now, robot) {
-            self.robots[robot].last_sent = Some(now);
+            self.robots[robot].is_sent(now, &message);
             self.actions.push(Action::Send { robot, message, urgent });
         }
     }

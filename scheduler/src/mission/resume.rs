@@ -50,9 +50,36 @@ impl Mission {
             return Err(Changed { what: "no act was decided and has not ended".to_owned() });
         }
         mission.phase = Phase::Performing;
+        mission.stop_those_left_out(left, now);
         // The leases have been running out since the other process died.
         mission.next_round = Some(now);
         Ok(mission)
+    }
+
+    /// Robots that were left out and have not confirmed their stop: the process before may have died before it was sent.
+    fn stop_those_left_out(&mut self, kept: &Kept, now: Timestamp<Server>) {
+        let left = kept.left();
+        for robot in 0..self.robots.len() {
+            let id = &self.robots[robot].id;
+            if kept.dropped.contains(id) && !kept.stopped.contains(id) {
+                self.holds_still(robot, &left, now);
+                self.stop_robot(now, robot, Rest::Default);
+            }
+        }
+    }
+
+    /// What another process has left on a robot, if anything.
+    fn holds_still(&mut self, robot: usize, left: &Left, now: Timestamp<Server>) {
+        let renewed_until = left.renewed_until.map_or(now, |until| until.min(now));
+        let robot = &mut self.robots[robot];
+        let Some(left) = left.robots.get(&robot.id) else { return };
+        robot.touched.clone_from(&left.devices);
+        robot.shift = left.shift;
+        robot.left =
+            left.leases.iter().map(|lease| lease.map(|lease| renewed_until + lease.span())).collect();
+        if robot.left.is_empty() {
+            robot.left.push(Some(renewed_until));
+        }
     }
 
     /// A mission that does nothing but take back what another process left on its robots. `scenario` is the name of what that
@@ -69,19 +96,11 @@ impl Mission {
         let choreography = Choreography { scenario, acts: Vec::new() };
         // No robot is asked for: there is none to miss.
         let mut mission = Self::with_robots(choreography.into(), participants, options, now);
-        let renewed_until = left.renewed_until.map_or(now, |until| until.min(now));
-        for robot in &mut mission.robots {
-            if let Some(own_id) = left.own_ids.get(&robot.id) {
-                robot.own_id.clone_from(own_id);
+        for robot in 0..mission.robots.len() {
+            if let Some(own_id) = left.own_ids.get(&mission.robots[robot].id) {
+                mission.robots[robot].own_id.clone_from(own_id);
             }
-            let Some(left) = left.robots.get(&robot.id) else { continue };
-            robot.touched.clone_from(&left.devices);
-            robot.shift = left.shift;
-            robot.left =
-                left.leases.iter().map(|lease| lease.map(|lease| renewed_until + lease.span())).collect();
-            if robot.left.is_empty() {
-                robot.left.push(Some(renewed_until));
-            }
+            mission.holds_still(robot, left, now);
         }
         mission.abort(now, Outcome::Stopped, rest, None);
         mission

@@ -4,8 +4,8 @@ use std::collections::{BTreeSet, HashMap, VecDeque};
 
 use serde::{Deserialize, Serialize};
 use urrcp::{
-    ControlError, ControlResponse, DeviceId, Encoding, ErrorCode, InitializationBlock, RequestId, Robot,
-    RobotId, Server, Span, Status, Timestamp,
+    ControlError, ControlResponse, DeviceId, Encoding, ErrorCode, InitializationBlock, Message, RequestId,
+    Robot, RobotId, Server, Span, Status, Timestamp,
 };
 
 use super::failure_kind::{Failure, FailureKind};
@@ -203,6 +203,8 @@ pub(crate) struct RobotState {
     /// When what it still held at the end of an act ends by its own leases; `None` where it has none.
     pub(crate) left: Vec<Option<Timestamp<Server>>>,
     pub(crate) last_sent: Option<Timestamp<Server>>,
+    /// When it was last sent anything but a question.
+    spoken_at: Option<Timestamp<Server>>,
     pub(crate) failures: Vec<Failure>,
     pub(crate) totals: Totals,
 }
@@ -210,6 +212,8 @@ pub(crate) struct RobotState {
 /// The pause before the second attempt to reach a robot again, doubled with every attempt; the first comes at once.
 const RETRY_AFTER: Span = Span::from_millis(10);
 const RETRY_AFTER_MAX: Span = Span::from_millis(1_000);
+/// What is overtaken by a question may come so long after it was sent.
+const UNDER_WAY: Span = Span::from_millis(1_000);
 
 impl RobotState {
     pub(crate) fn new(participant: Participant) -> Self {
@@ -240,6 +244,7 @@ impl RobotState {
             stop: Stop::None,
             left: Vec::new(),
             last_sent: None,
+            spoken_at: None,
             failures: Vec::new(),
             totals: Totals::default(),
         }
@@ -270,6 +275,24 @@ impl RobotState {
         let before = self.reached_at;
         self.reached_at = before.max(Some(at));
         before.filter(|before| *before < at)
+    }
+
+    /// Something is sent to it.
+    pub(crate) fn is_sent(&mut self, now: Timestamp<Server>, message: &Message) {
+        self.last_sent = Some(now);
+        if let Message::ControlRequest(_) = message {
+            self.spoken_at = Some(now);
+        }
+    }
+
+    /// Whether anything but questions may have reached it between two instants by its own clock.
+    pub(crate) fn was_spoken_to(
+        &self,
+        now: Timestamp<Server>,
+        (before, at): (Timestamp<Robot>, Timestamp<Robot>),
+    ) -> bool {
+        let (before, at) = (self.said_at(now, before), self.said_at(now, at));
+        self.spoken_at.is_some_and(|spoken| spoken + UNDER_WAY >= before && spoken <= at)
     }
 
     /// Its clock was set: times by it from before and after do not compare.

@@ -88,7 +88,12 @@ impl Mission {
         self.ask_about(now, robot, named);
     }
 
-    fn ask_about(&mut self, now: Timestamp<Server>, robot: usize, named: Vec<super::act::NamedScripts>) {
+    pub(super) fn ask_about(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: usize,
+        named: Vec<super::act::NamedScripts>,
+    ) {
         let state = &mut self.robots[robot];
         if !state.is_up() {
             return;
@@ -134,6 +139,8 @@ impl Mission {
     /// A robot whose clock was set since it was sent an act may start long before the others.
     fn clock_is_new(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].clock_was_set();
+        // An act may have waited for it.
+        self.acts.iter_mut().for_each(Act::look_again);
         let plays = |act: &&Act| act.place_of(robot).is_some();
         let mut failing: Vec<(usize, FailureKind)> = Vec::new();
         for (robot, kind) in self.acts.iter().filter(plays).flat_map(|act| act.strayed(now, &self.robots)) {
@@ -142,7 +149,11 @@ impl Mission {
             }
         }
         if !failing.is_empty() {
-            self.fail_all(now, failing);
+            return self.fail_all(now, failing);
+        }
+        for act in 0..self.acts.len() {
+            let (number, actions) = (self.acts[act].number(), self.acts[act].allow_for(now, &self.robots));
+            self.carry_out(now, number, actions);
         }
     }
 
@@ -154,7 +165,9 @@ impl Mission {
             return;
         }
         let ran_out = self.acts.iter().find_map(|act| act.ran_out(now, robot, (before, at)));
-        if let Some(kind) = ran_out {
+        let spoken = self.robots[robot].was_spoken_to(now, (before, at));
+        let broke_off = || self.acts.iter().find_map(|act| act.broke_off(robot, (before, at)));
+        if let Some(kind) = ran_out.or_else(|| broke_off().filter(|_| !spoken)) {
             self.fail(now, robot, kind);
         }
     }

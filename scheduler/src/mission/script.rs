@@ -62,6 +62,8 @@ pub(crate) enum News {
     NeverReceived,
     /// The robot says of it what cannot be true.
     Discredited,
+    /// Nobody can tell any more what became of it.
+    Lapsed,
 }
 
 /// One script and what is known of it.
@@ -188,6 +190,14 @@ impl Script {
         self.perhaps_sent
             && !self.accepted
             && matches!(self.state, ScriptState::Planned | ScriptState::Sent | ScriptState::Unknown)
+    }
+
+    /// A robot that knows nothing of it refuses it as too late. Another process may have sent it in time, and the robot have
+    /// played it before it forgot.
+    pub(super) fn may_have_been_played(&self, response: &ControlResponse) -> bool {
+        let late = || error_of(response).code == ErrorCode::Late;
+        let untold = matches!(self.state, ScriptState::Sent | ScriptState::Unknown);
+        self.perhaps_sent && untold && response.status == Status::Failed && late()
     }
 
     pub(crate) const fn has_completed(&self) -> bool {
@@ -364,6 +374,12 @@ impl Script {
         self.steps_done = self.steps_done.max(steps_done.unwrap_or(self.steps_planned()));
         self.state = ScriptState::Ended(Ending::Completed);
         News::Completed
+    }
+
+    /// It has failed, and nobody can tell whether it had begun.
+    pub(super) fn failed_untold(&mut self, response: &ControlResponse) -> News {
+        self.state = ScriptState::Unknown;
+        News::Failed(error_of(response))
     }
 
     fn fail(&mut self, error: ControlError) -> News {

@@ -5,11 +5,11 @@ use std::collections::HashMap;
 use downbeat_scripts::Way;
 use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, Span, Timestamp};
 
-use super::act::Act;
+use super::act::{Act, NamedScripts};
 use super::failure_kind::FailureKind;
 use super::record::Record;
 use super::robot_state::{Link, Rest, RobotState, SentStop, Stop};
-use super::{Mission, Outcome, Phase, Progress};
+use super::{Mission, Outcome, Phase, Progress, StoppedBy};
 
 /// Stops that are not confirmed are sent again after this or after three round trips.
 const STOP_AGAIN: Span = Span::from_millis(200);
@@ -20,11 +20,11 @@ impl Mission {
             Phase::Greeting { .. } => self.refuse(Outcome::Stopped),
             Phase::Performing => self.abort(now, Outcome::Stopped, rest, None),
             // Whatever was to follow the stop does not.
-            Phase::Stopping { .. } => {
+            Phase::Stopping { by, .. } => {
                 self.then = None;
-                let before = self.outcome.replace(Outcome::Stopped);
-                // What a failure has stopped where it was stays there.
-                if before == Some(Outcome::Stopped) {
+                self.outcome = Some(Outcome::Stopped);
+                // What a failure has stopped where it was stays there, however often it is said.
+                if by == StoppedBy::Operator {
                     self.stop_otherwise(now, rest);
                 }
             }
@@ -40,7 +40,7 @@ impl Mission {
             return;
         }
         self.tell(Progress::Stopping { reason: Outcome::Stopped.to_string(), rest });
-        self.phase = self.stopping_from(now);
+        self.phase = self.stopping_from(now, StoppedBy::Operator);
         for robot in other {
             self.robots[robot].stop = Stop::None;
             self.stop_robot(now, robot, rest);
@@ -48,8 +48,8 @@ impl Mission {
         self.record(Record::Stopping { outcome: Outcome::Stopped, rest });
     }
 
-    fn stopping_from(&self, now: Timestamp<Server>) -> Phase {
-        Phase::Stopping { deadline: now + self.options.patience, resend: now + self.stop_interval() }
+    fn stopping_from(&self, now: Timestamp<Server>, by: StoppedBy) -> Phase {
+        Phase::Stopping { deadline: now + self.options.patience, resend: now + self.stop_interval(), by }
     }
 
     /// Nothing more may be promised.
@@ -89,7 +89,8 @@ impl Mission {
         self.next_round = None;
         self.next_silence = None;
         self.deferred.clear();
-        self.phase = self.stopping_from(now);
+        let by = if outcome == Outcome::Stopped { StoppedBy::Operator } else { StoppedBy::Failure };
+        self.phase = self.stopping_from(now, by);
         for robot in 0..self.robots.len() {
             self.stop_robot(now, robot, rest);
         }
@@ -118,8 +119,28 @@ impl Mission {
             Some((id.ok()?, device.clone()))
         };
         let unconfirmed: HashMap<_, _> = state.touched.iter().enumerate().filter_map(named).collect();
-        state.stop = Stop::Sent(SentStop { at: now, rest, unconfirmed, taken_over: None });
+        let stop = Stop::Sent(SentStop { at: now, rest, unconfirmed, taken_over: None });
+        self.end_leases(now, robot);
+        self.robots[robot].stop = stop;
         self.send_stops(now, robot);
+    }
+
+    /// The stop of one device renews the leases of the others: if this process dies between the two, they must not start what
+    /// was not committed. One question ahead of them lets all those leases end before the start.
+    pub(super) fn end_leases(&mut self, now: Timestamp<Server>, robot: usize) {
+        let state = &self.robots[robot];
+        if !state.takes_inquiries() || state.stop_was_sent() || state.touched.len() < 2 {
+            return;
+        }
+        let ahead = state.clock_at(now).map(|reading| reading.offset);
+        let named = self.acts.iter().filter_map(|act| act.to_withdraw(robot, now, ahead));
+        let all = named.reduce(|mut all, other| {
+            all.requests.extend(other.requests);
+            NamedScripts { lease: all.lease.min(other.lease), until: all.until.min(other.until), ..all }
+        });
+        if let Some(all) = all.filter(|all| !all.requests.is_empty()) {
+            self.ask_about(now, robot, vec![all]);
+        }
     }
 
     fn send_stops(&mut self, now: Timestamp<Server>, robot: usize) {

@@ -142,6 +142,19 @@ impl Member {
         (before.plan.device == self.scripts[script].plan.device).then_some(before)
     }
 
+    /// Its device has accepted the first script of its chain, or is to have been sent all of it by another process.
+    pub(super) fn may_follow(&self, script: usize) -> bool {
+        let chain = self.chains.iter().find(|chain| (chain.first..chain.end).contains(&script));
+        let first = chain.map(|chain| &self.scripts[chain.first]);
+        let taken_up = self.scripts[script].is_unaccounted();
+        self.before(script).is_none() || taken_up || first.is_some_and(Script::was_accepted)
+    }
+
+    /// Whether scripts of its device wait to be sent behind this one.
+    pub(super) fn waits_for(&self, script: usize) -> bool {
+        self.chains.iter().any(|chain| chain.first == script && chain.unsent < chain.end)
+    }
+
     /// How long after the start of the act a script begins whose pending lease is shortened: one that begins within a
     /// lease of the start, and does not follow another of its device. Those that begin later lose their lease long before,
     /// and those that follow others cannot begin without them.

@@ -231,6 +231,13 @@ impl Act {
         self.timing.is_some()
     }
 
+    /// Whether a script may be sent as far as those before it on its device are concerned. Its lease relies on the first one:
+    /// where that is lost on the way, what follows it would begin without it and without the others.
+    pub(crate) fn lets_follow(&self, member: usize, script: usize) -> bool {
+        let uncommitted = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_));
+        !uncommitted || self.members[member].may_follow(script)
+    }
+
     pub(crate) const fn is_committed(&self) -> bool {
         matches!(self.stage, Stage::Committed(_) | Stage::Playing(_) | Stage::Over)
     }
@@ -367,7 +374,11 @@ impl Act {
         let ahead = ahead.unwrap_or(member.shift());
         // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
         let mut groups: BTreeMap<(bool, Option<Span>), Vec<RequestId>> = BTreeMap::new();
-        for (index, script) in member.under_way().filter(|(_, script)| script.is_unaccounted()) {
+        // What follows another of its device cannot begin without it: a link that carries little is not asked for it in every round.
+        let asked = |index: usize, script: &Script| {
+            script.is_unaccounted() && !(shortens && member.before(index).is_some())
+        };
+        for (index, script) in member.under_way().filter(|(index, script)| asked(*index, script)) {
             let offset = member.shortened_offset(index, timing.lead.lease).filter(|_| shortens);
             groups.entry((offset.is_none(), offset)).or_default().extend(script.request_id().cloned());
         }
@@ -390,6 +401,25 @@ impl Act {
         matches!(self.stage, Stage::Approaching(_)) && self.place_of(robot).is_some()
     }
 
+    /// All that a robot may have of it, with a lease that ends before any of it begins; `None` once it is committed or that
+    /// lease has ended.
+    pub(crate) fn to_withdraw(
+        &self,
+        robot: usize,
+        now: Timestamp<Server>,
+        ahead: Option<Span>,
+    ) -> Option<NamedScripts> {
+        let timing = self.timing.as_ref().filter(|timing| now < timing.brink())?;
+        let uncommitted = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_));
+        let member = &self.members[self.place_of(robot).filter(|_| uncommitted)?];
+        let out = member.under_way().map(|(_, script)| script).filter(|script| script.is_unaccounted());
+        Some(NamedScripts {
+            lease: Some(timing.lease_at(now)),
+            until: Some((timing.brink() + ahead.unwrap_or(member.shift())).assume_clock()),
+            requests: out.filter_map(|script| script.request_id().cloned()).collect(),
+        })
+    }
+
     /// Whether nothing may be sent to a robot now: it would carry its lease over a start that is not committed.
     pub(crate) fn hushes(&self, robot: usize, now: Timestamp<Server>) -> bool {
         let critical = self.timing.as_ref().is_some_and(|timing| now >= timing.critical());
@@ -404,7 +434,7 @@ impl Act {
     }
 
     /// Something has changed that may let it go on.
-    fn look_again(&mut self) {
+    pub(crate) fn look_again(&mut self) {
         match &mut self.stage {
             Stage::Playing(playing) => playing.recheck(),
             Stage::Ready { look, .. } => *look = None,

@@ -17,6 +17,9 @@ pub(crate) const LAPSE: Span = Span::from_millis(15);
 /// Before a robot that does not report by itself is asked again what became of a script that should have ended.
 const ASK_AGAIN: Span = Span::from_millis(50);
 
+/// For so long the clock of a robot is awaited before its scripts are taken to be over.
+const CLOCK_AWAITED: Span = Span::from_millis(3_000);
+
 /// What coarse clocks may take from a time.
 const GRAIN: Span = Span::from_millis(5);
 
@@ -72,8 +75,29 @@ impl Act {
             member.change(script.script, Script::refused_for_now);
             return Noted { news: News::None, actions: Vec::new() };
         }
-        let news = member.change(script.script, |script| script.answered(response));
+        if member.scripts()[script.script].may_have_been_played(response) {
+            member.change(script.script, Script::lapse);
+            let actions = vec![ActAction::Refill(vec![member.robot])];
+            self.look_again();
+            return Noted { news: News::Lapsed, actions };
+        }
+        let untold = self.may_have_begun_untold(script, response);
+        let member = &mut self.members[script.member];
+        let news = member.change(script.script, |script| match untold {
+            true => script.failed_untold(response),
+            false => script.answered(response),
+        });
         self.noted(script, news, robots)
+    }
+
+    /// It fails, when it should have begun, on a robot that does not say how far it came: its word that it began may be lost.
+    fn may_have_begun_untold(&self, script: ScriptRef, response: &ControlResponse) -> bool {
+        let (member, planned) = (&self.members[script.member], self.script(script));
+        let start =
+            self.timing.as_ref().map(|timing| timing.start + planned.plan.start.span() + member.shift);
+        let due = start.is_some_and(|start| response.timestamp >= start.assume_clock());
+        let untold = response.status == urrcp::Status::Failed && response.steps_done.is_none();
+        due && untold && *planned.state() == ScriptState::Held
     }
 
     /// Takes what a robot reported of a request of this act.
@@ -139,6 +163,10 @@ impl Act {
         let id = robots[robot].id.clone();
         let accepted = |member: &Member| self.timing.as_ref().is_some_and(|it| member.has_accepted(it));
         let mut actions = Vec::new();
+        if news == News::Accepted && member.waits_for(script.script) {
+            // What follows the first script of a device is sent once that is there.
+            actions.push(ActAction::Refill(vec![robot]));
+        }
         match &news {
             News::Accepted if matches!(self.stage, Stage::Preparing(_)) && accepted(member) => {
                 actions.push(ActAction::Tell(Progress::Accepted { robot: id }));
@@ -160,7 +188,7 @@ impl Act {
                 let kind = FailureKind::Script { device, error: error.clone() };
                 actions.push(ActAction::Fail(vec![(robot, kind)]));
             }
-            News::None | News::Accepted | News::NeverReceived | News::Discredited => {}
+            News::None | News::Accepted | News::NeverReceived | News::Discredited | News::Lapsed => {}
         }
         Noted { news, actions }
     }
@@ -202,15 +230,15 @@ impl Act {
             return actions;
         }
         let lapsed = self.lapse(now, robots);
+        if !lapsed.is_empty() {
+            actions.push(ActAction::Refill(lapsed));
+        }
         let over = |member: &Member| {
             member.is_done() || (self.may_lapse(member, &robots[member.robot]) && member.is_over())
         };
         if self.present().all(over) {
             self.stage = Stage::Over;
             return actions;
-        }
-        if !lapsed.is_empty() {
-            actions.push(ActAction::Refill(lapsed));
         }
         actions.extend(self.ask_for_overdue(now, robots));
         let next = self.next_watch(now, robots);
@@ -227,6 +255,10 @@ impl Act {
         let mut lapsed = Vec::new();
         for member in self.members.iter_mut().filter(|member| member.takes_part()) {
             let robot = &robots[member.robot];
+            // After a resumption the clock by which a robot plays is not known at first.
+            if robot.clock.samples() == 0 && now < self.since + CLOCK_AWAITED {
+                continue;
+            }
             let over = |(index, script): (usize, &Script)| {
                 let at = lapses_at(timing, script, robot, grace);
                 (script.is_out() && at.is_some_and(|at| now >= at)).then_some(index)
@@ -305,8 +337,9 @@ impl Act {
         if lost_with_its_process(script, robot) {
             return None;
         }
-        let start = timing.start + script.plan.start.span();
-        let end = planned_end(timing.start, script) + late_of(timing, robot);
+        let late = late_of(timing, robot);
+        let start = timing.start + script.plan.start.span() + late;
+        let end = planned_end(timing.start, script) + late;
         match script.state() {
             // Sent when its device has room.
             ScriptState::Planned if member.under_way().any(|(_, script)| script.is_out()) => None,

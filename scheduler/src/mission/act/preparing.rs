@@ -8,6 +8,7 @@ use crate::mission::failure_kind::FailureKind;
 use crate::mission::record::{Promise, PromisedScript, Record};
 use crate::mission::robot_state::RobotState;
 use crate::mission::script::{Script, ScriptRef};
+use crate::mission::skew::SkewBudget;
 use crate::mission::{Outcome, Progress};
 
 /// Whether robots that have not answered were asked again.
@@ -180,17 +181,26 @@ impl Act {
     }
 
     fn decide(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        let shown = SkewBudget::of_sent(self.present(), robots, self.written().plan.start_tolerance, now);
         let Some(timing) = &mut self.timing else { return Vec::new() };
         timing.accepted_at = Some(now);
-        let (start, no_return, doubt) = (timing.start, timing.no_return(), timing.doubt());
+        timing.allow_for(now, shown.as_ref().map(SkewBudget::early_and_late).unwrap_or_default());
+        let (start, doubt) = (timing.start, timing.doubt());
         tracing::info!(%start, "decided");
         self.stage = Stage::Approaching(Approach::beginning(now));
         let unnamed = self.present().map(|member| &robots[member.robot]);
         let unnamed = unnamed.filter(|robot| !robot.takes_inquiries()).map(|robot| robot.id.clone());
         let record = Record::Decided { number: self.number, unnamed: unnamed.collect(), doubt };
+        let tell = self.decided().map(ActAction::Tell);
+        std::iter::once(ActAction::Record(record)).chain(tell).collect()
+    }
+
+    /// What the operator is told at the decision.
+    pub(super) fn decided(&self) -> Option<Progress> {
+        let timing = self.timing.as_ref()?;
+        let (start, no_return, doubt) = (timing.start, timing.no_return(), timing.doubt());
         let duration = self.written().plan.duration();
-        let tell = Progress::Decided { act: self.name(), start, duration, no_return, doubt };
-        vec![ActAction::Record(record), ActAction::Tell(tell)]
+        Some(Progress::Decided { act: self.name(), start, duration, no_return, doubt })
     }
 }
 

@@ -1,13 +1,16 @@
 //! Robots that will not start with the others though they hold their scripts: what shows it is their clock, or how long
 //! nothing reached them.
 
-use urrcp::{ControlError, ErrorCode, Robot, Server, Timestamp};
+use urrcp::{ControlError, ErrorCode, Robot, Server, Span, Timestamp};
 
-use super::{Act, Stage};
+use super::{Act, ActAction, Stage};
 use crate::mission::failure_kind::FailureKind;
 use crate::mission::robot_state::RobotState;
 use crate::mission::script::{Script, ScriptState};
 use crate::mission::skew::SkewBudget;
+
+/// What coarse clocks may take from a time.
+const GRAIN: Span = Span::from_millis(5);
 
 impl Act {
     /// Members whose clock has strayed so far since the act was sent that they would start too far from the others. One that
@@ -21,6 +24,22 @@ impl Act {
         let strayed = skew.map(|skew| skew.offenders()).unwrap_or_default();
         let index_of = |id| self.present().map(|member| member.robot).find(|robot| robots[*robot].id == id);
         strayed.into_iter().filter_map(|(id, kind)| Some((index_of(id)?, kind))).collect()
+    }
+
+    /// While it approaches its start a clock has shown to be another one than when it was sent. Returns what there is to tell of
+    /// that: failures and silence are noticed as long before the start as the leases end now.
+    pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
+        if !matches!(self.stage, Stage::Approaching(_)) {
+            return Vec::new();
+        }
+        let known = self.present().filter(|member| robots[member.robot].clock.samples() > 0);
+        let shown = SkewBudget::of_sent(known, robots, self.written().plan.start_tolerance, now);
+        let shown = shown.as_ref().map(SkewBudget::early_and_late).unwrap_or_default();
+        let Some(timing) = &mut self.timing else { return Vec::new() };
+        let before = (timing.no_return(), timing.doubt());
+        timing.allow_for(now, shown);
+        let changed = before != (timing.no_return(), timing.doubt());
+        self.decided().filter(|_| changed).map(ActAction::Tell).into_iter().collect()
     }
 
     /// Why a robot cannot have kept a script that it has accepted: between two instants by its clock no question reached it, for
@@ -40,9 +59,29 @@ impl Act {
             *script.state() == ScriptState::Held && unreached(script).is_some_and(|gap| gap > lease)
         };
         let script = member.firsts().find(over)?;
-        let gap = unreached(script)?;
-        let message = format!("nothing reached it for {gap}, and its lease is {lease}");
-        let error = ControlError::new(ErrorCode::LinkLost, message);
-        Some(FailureKind::Script { device: script.plan.device.clone(), error })
+        Some(link_lost(script, unreached(script)?, lease))
     }
+
+    /// The same of a script that had begun by then: its robot has dropped it, and all that its device held behind it.
+    pub(crate) fn broke_off(
+        &self,
+        robot: usize,
+        (before, at): (Timestamp<Robot>, Timestamp<Robot>),
+    ) -> Option<FailureKind> {
+        let timing = self.timing.as_ref()?;
+        let member = self.member(robot).filter(|member| self.is_committed() && member.takes_part())?;
+        member.under_way().filter(|(_, script)| script.is_out()).find_map(|(_, script)| {
+            let lease = script.longest_lease()?;
+            let begins = (timing.start + script.plan.start.span() + member.shift).assume_clock();
+            let over = before + lease;
+            let broken = begins <= over && over < begins + script.duration() && over + GRAIN < at;
+            broken.then(|| link_lost(script, at - before, lease))
+        })
+    }
+}
+
+fn link_lost(script: &Script, silence: Span, lease: Span) -> FailureKind {
+    let message = format!("nothing reached it for {silence}, and its lease is {lease}");
+    let error = ControlError::new(ErrorCode::LinkLost, message);
+    FailureKind::Script { device: script.plan.device.clone(), error }
 }

@@ -110,6 +110,18 @@ impl Pace {
         }
     }
 
+    /// For a fleet that may start earlier and later than it was measured to; `None` where the last rounds cannot carry so
+    /// long a lease.
+    fn widened(self, (early, late): (Span, Span), lease: Span) -> Option<Self> {
+        let (early, late) = (self.early.max(early), self.late.max(late));
+        let more = early - self.early + (late - self.late);
+        let final_lease = match self.leases {
+            Leases::Shortened => self.final_lease + more,
+            Leases::Fixed => self.final_lease,
+        };
+        (final_lease <= lease).then_some(Self { early, late, final_lease, ..self })
+    }
+
     /// From the decision to the start this is needed at least: four of the last rounds, in which the commitment is
     /// written down, and the last lease.
     pub(crate) fn needed(&self) -> Span {
@@ -161,6 +173,17 @@ impl Timing {
             gap: None,
             accepted_at: None,
             round: None,
+        }
+    }
+
+    /// A clock that was set since the act was sent may let its robot start earlier or later than planned, within the tolerance:
+    /// leases are to end before it and to reach beyond it, as far as two of the last rounds still can.
+    pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, early_and_late: (Span, Span)) {
+        let before = self.pace;
+        let Some(pace) = before.widened(early_and_late, self.lead.lease) else { return };
+        self.pace = pace;
+        if now + pace.period * 2 > self.critical() {
+            self.pace = before;
         }
     }
 

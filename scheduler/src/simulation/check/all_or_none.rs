@@ -13,10 +13,13 @@ use super::facts::{Facts, SentAct};
 use super::{ActStarts, DRIFT, Starts, Verdict};
 use crate::dry_run::BEGIN;
 use crate::mission::ClockMode;
-use crate::simulation::{DrawnRobot, Happened};
+use crate::simulation::{DrawnRobot, Fault, Happened};
 
 /// A robot lets a start be that comes later than this, and starts until then.
 const START_LATE_MAX: Span = Span::from_millis(50);
+
+/// So long an edge cannot know that its hardware has died without a word.
+const HARDWARE_SILENT: Span = Span::from_millis(150);
 
 /// When an act that was never sent counts as started where nobody decides.
 const NEVER_SENT: Span = Span::from_millis(1_500);
@@ -125,11 +128,22 @@ fn own_fault(
 /// A fault of the robot itself within the window of the act, for which it missed its start.
 fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let window = (act.doubtful_from(), latest_start(facts, act, robot)?);
+    let silent_hardware = (window.0 - HARDWARE_SILENT, window.1);
+    let hardware = own_fault(facts, robot, silent_hardware, |hit| died_without_a_word(facts, hit));
     // The lease of a script that comes later has to be kept until then.
     let with_the_others = act.first_start(robot) == Some(act.promise.start);
     let heard_in_time =
         with_the_others && heard_the_commitment(facts, act, robot) && heard_lately(facts, act, robot);
-    own_fault(facts, robot, window, |hit| !(hit.cause.is_of_link() && heard_in_time))
+    own_fault(facts, robot, window, |hit| !(hit.cause.is_of_link() && heard_in_time)).or(hardware)
+}
+
+/// Hardware died, and its edge was not told.
+fn died_without_a_word(facts: &Facts<'_>, hit: &Hit) -> bool {
+    let untold =
+        |fault: &Fault| matches!(fault, Fault::HardwareDies { robot, told: false, .. } if hit.is_of(*robot));
+    let at_once = facts.between(hit.from, hit.from).iter();
+    hit.cause == Cause::Hardware
+        && at_once.into_iter().any(|(_, what)| matches!(what, Happened::Fault(fault) if untold(fault)))
 }
 
 /// A fault of the robot itself for which it started although the others did not: its clock was set, or a stop did not reach it
@@ -158,16 +172,22 @@ fn set_unseen(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Caus
 /// A message that lets the robot start arrived while the end of its lease still lay well ahead: its link is no excuse.
 fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> bool {
     let offset = facts.drawn().robots[robot].settings.clock_offset;
-    let mut leases_end: HashMap<&RequestId, Timestamp<Server>> = HashMap::new();
+    // When each ends, and when the question was sent that says so: one that was overtaken by it lifts nothing.
+    let mut leases_end: HashMap<&RequestId, (Timestamp<Server>, Option<Timestamp<Server>>)> = HashMap::new();
     for (at, happened) in facts.between(act.at, act.promise.start) {
         let Happened::AtRobot(r, Message::Inquiry(inquiry)) = happened else { continue };
         let Some(named) = inquiry.requests.first().filter(|_| *r == robot) else { continue };
         match inquiry.pending_until {
             Some(until) => {
-                leases_end.insert(named, (until - offset).assume_clock::<Server>() - DRIFT * 2);
+                let ends = (until - offset).assume_clock::<Server>() - DRIFT * 2;
+                leases_end.insert(named, (ends, inquiry.timestamp));
             }
-            None if leases_end.get(named).is_some_and(|ends| at < ends) => return true,
-            None => {}
+            None => {
+                let lifts = |(ends, asked): &(_, _)| at < ends && inquiry.timestamp >= *asked;
+                if leases_end.get(named).is_some_and(lifts) {
+                    return true;
+                }
+            }
         }
     }
     false

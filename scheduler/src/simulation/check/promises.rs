@@ -234,12 +234,16 @@ fn what_was_written_is_read(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// A process that takes an act up knows no shorter lease than that with which it was sent: from a lease before the start on a
-/// question would carry scripts over it, and nothing is sent until the commitment. Clocks and the way are in that lease as well.
+/// From the critical instant on nothing is sent until the commitment: a question would carry scripts over the start. It lies
+/// within the doubt that was told. A process that takes an act up knows no shorter lease than that with which it was sent, so
+/// it is silent from a lease before the start on. Clocks and the way are in that lease as well.
 fn is_hushed(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>, by: Timestamp<Server>) -> bool {
     let taken_up = facts.between(act.at, at).iter().any(|(_, what)| matches!(what, Happened::TakenUp(_)));
     let committed = act.committed.is_some_and(|committed| committed <= by);
-    taken_up && !committed && by >= act.promise.start - act.promise.lease - HUSHED_AHEAD
+    match taken_up {
+        true => !committed && by >= act.promise.start - act.promise.lease - HUSHED_AHEAD,
+        false => act.decided.is_some() && by >= act.doubtful_from() && at < act.promise.start,
+    }
 }
 
 /// A robot that holds something and is reached again hears more than the question for its name as soon as that is answered.

@@ -277,10 +277,11 @@ fn brief(message: &Message) -> Message {
             })
         }
         Message::Inquiry(inquiry) => {
-            let Inquiry { pending_lease, pending_until, .. } = *inquiry;
+            let Inquiry { timestamp, pending_lease, pending_until, .. } = *inquiry;
             // Whether it names any is what counts: only such a one lifts the end of a lease.
             let requests = inquiry.requests.iter().take(1).cloned().collect();
-            Message::Inquiry(Inquiry { requests, pending_lease, pending_until, ..Inquiry::default() })
+            let brief = Inquiry { timestamp, requests, pending_lease, pending_until, ..Inquiry::default() };
+            Message::Inquiry(brief)
         }
         other => other.clone(),
     }

@@ -212,17 +212,18 @@ fn a_script_that_follows_another_and_is_sent_too_late_to_be_asked_about_does_not
 }
 
 #[test]
-fn follow_on_scripts_get_no_shortened_lease_and_come_behind_those_that_do() {
+fn what_begins_far_behind_gets_no_shortened_lease_and_what_follows_another_is_not_asked_about() {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("b", 60, 100), ("c", 500, 100)]];
     let mut bench = Bench::new(&[Tells::Everything], &scripts);
     bench.decide(Leases::Shortened);
     bench.run_until(bench.timing().critical() - ms(1));
     let named = &bench.asked.last().unwrap().named;
     let id = |script: usize| bench.act.script(bench.scripts_of(0)[script]).request_id().unwrap();
-    let lease_of = |script| named.iter().find(|group| group.requests.contains(id(script))).unwrap().lease;
+    let group_of = |script| named.iter().find(|group| group.requests.contains(id(script)));
+    let lease_of = |script| group_of(script).unwrap().lease;
     let shortened = lease_of(0).unwrap();
     assert!(shortened < LEASE / 2);
-    assert_eq!(lease_of(1), None, "it cannot begin without the one before it");
+    assert!(group_of(1).is_none(), "it cannot begin without the one before it");
     assert_eq!(lease_of(2), Some(shortened + ms(60)));
     assert_eq!(lease_of(3), None, "it loses its lease long before it would begin");
     // A question without a lease renews all that the robot has: theirs has to be the shorter one by then.
@@ -321,6 +322,48 @@ fn a_clock_that_was_set_shows_as_soon_as_the_robot_has_answered() {
         let strayed = bench.act.strayed(now, &bench.robots);
         assert!(matches!(strayed.as_slice(), [(1, FailureKind::Clock { .. })]), "{leases:?}: {strayed:?}");
     }
+}
+
+#[test]
+fn a_clock_that_was_set_within_the_tolerance_moves_the_end_of_all_leases() {
+    for (ahead, leases) in [6, -6].into_iter().flat_map(|by| [(by, Leases::Shortened), (by, Leases::Fixed)]) {
+        let mut bench = Bench::of_three(Policy::Abort);
+        bench.decide(leases);
+        let (brink, commit_from) = (bench.timing().brink(), bench.timing().commit_from());
+        let doubt = bench.timing().doubt();
+        let (now, there) = (bench.now, by_robot(bench.now) + ms(ahead));
+        bench.robots[1].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
+        assert_eq!(bench.act.strayed(now, &bench.robots), []);
+        let told = bench.act.allow_for(now, &bench.robots);
+        let timing = bench.timing();
+        match told.first() {
+            Some(ActAction::Tell(Progress::Decided { doubt: told, .. })) => {
+                assert!(*told > doubt && *told == timing.doubt(), "{leases:?} {ahead}");
+            }
+            _ => assert_eq!((ahead, leases, timing.doubt()), (-6, Leases::Fixed, doubt)),
+        }
+        assert!(timing.brink() <= brink - ms(ahead.max(0) - 2), "it does not start before its lease ends");
+        assert!(
+            timing.commit_from() + timing.final_lease() >= timing.start - ms(ahead.min(0)),
+            "the commitment carries it over its start"
+        );
+        assert!(ahead > 0 || leases == Leases::Shortened || timing.commit_from() > commit_from);
+        bench.commit_from_here();
+    }
+}
+
+#[test]
+fn what_is_withdrawn_ends_before_any_of_it_begins_by_one_question() {
+    let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("b", 60, 100), ("c", 500, 100)]];
+    let mut bench = Bench::new(&[Tells::Everything], &scripts);
+    bench.decide(Leases::Shortened);
+    let withdrawn = |bench: &Bench| bench.act.to_withdraw(0, bench.now, None);
+    let all = withdrawn(&bench).unwrap();
+    assert_eq!(all.requests.len(), 4);
+    assert_eq!(all.until, Some(bench.timing().brink().assume_clock()));
+    assert!(bench.now + all.lease.unwrap() <= bench.timing().brink());
+    bench.commit_from_here();
+    assert!(withdrawn(&bench).is_none(), "it may have begun");
 }
 
 #[test]

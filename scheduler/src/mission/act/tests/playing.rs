@@ -29,6 +29,24 @@ fn an_act_is_over_when_every_script_has_completed() {
 }
 
 #[test]
+fn what_fails_after_its_start_without_a_word_of_its_steps_may_have_begun() {
+    for (steps_done, state) in [(None, ScriptState::Unknown), (Some(0), failed())] {
+        let mut bench = Bench { mum: vec![1], ..Bench::pair() };
+        bench.play(Leases::Shortened);
+        bench.run_until(bench.start() + ms(100));
+        let script = bench.scripts_of(1)[0];
+        let error = crate::mission::bench::refusal(ErrorCode::Cancelled);
+        let response = ControlResponse { error, steps_done, ..bench.response(script, Status::Failed) };
+        bench.take_response(script, &response);
+        assert_eq!((bench.state(1, 0), bench.failed.len()), (&state, 1));
+    }
+}
+
+fn failed() -> ScriptState {
+    ScriptState::Ended(Ending::Failed(crate::mission::bench::refusal(ErrorCode::Cancelled).unwrap()))
+}
+
+#[test]
 fn what_ends_makes_room_for_the_next_script() {
     let mut bench = chain(Tells::Everything, 2);
     bench.play(Leases::Shortened);

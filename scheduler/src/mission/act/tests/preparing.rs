@@ -119,6 +119,24 @@ fn only_as_much_is_sent_as_a_device_holds() {
     assert!(bench.decisions().len() == 1, "what waits for room is not waited for");
 }
 
+#[test]
+fn what_follows_the_first_script_of_a_device_is_sent_once_that_is_accepted() {
+    let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("b", 60, 100)]];
+    let mut bench = Bench { silent: vec![0], ..Bench::new(&[Tells::Everything], &scripts) };
+    bench.promise(Leases::Shortened);
+    bench.run_until(at(10));
+    let sent = |bench: &Bench| bench.sent_to(0).iter().map(|(_, script)| *script).collect::<Vec<_>>();
+    assert_eq!(sent(&bench), [0, 2], "were the first one lost, it would begin alone");
+    bench.say(bench.scripts_of(0)[0], Status::Accepted);
+    assert_eq!(sent(&bench), [0, 2, 1]);
+    bench.say(bench.scripts_of(0)[2], Status::Accepted);
+    bench.pump();
+    assert!(bench.decisions().is_empty(), "it is waited for");
+    bench.say(bench.scripts_of(0)[1], Status::Accepted);
+    bench.pump();
+    assert_eq!(bench.decisions().len(), 1);
+}
+
 fn completed() -> ScriptState {
     ScriptState::Ended(crate::mission::script::Ending::Completed)
 }

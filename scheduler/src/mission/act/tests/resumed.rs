@@ -162,3 +162,11 @@ fn what_a_robot_that_cannot_be_asked_reported_to_the_process_before_ends_unknown
         assert!(bench.act.is_over(), "{after_start}");
     }
 }
+
+#[test]
+fn what_a_robot_refuses_as_too_late_may_have_been_played_where_another_process_may_have_sent_it() {
+    let mut bench = taken_up(Reached::Commitment, ms(-1_000));
+    let script = bench.scripts_of(0)[0];
+    bench.refuse(script, ErrorCode::Late);
+    assert_eq!((bench.state(0, 0), bench.failed.len()), (&ScriptState::Unknown, 0));
+}

@@ -4,7 +4,7 @@ use urrcp::{Server, Span, Timestamp};
 
 use super::Said;
 use super::acts::error_by_its_clock;
-use crate::mission::{ActFate, Join, Outcome, Progress};
+use crate::mission::{ActFate, Join, Outcome, Progress, Record};
 use crate::report::RobotReport;
 use crate::simulation::Happened;
 use crate::simulation::check::facts::{SentAct, SentScript};
@@ -115,9 +115,10 @@ impl Said<'_> {
                 ActFate::NobodyLeft | ActFate::TimedOut { .. } => sent.len() == ended && skipped > 0,
                 ActFate::Withdrawn => last.is_some() && !began,
                 ActFate::Stopped => last.is_some(),
-                ActFate::Played => ended > 0 && course.played as usize <= ended,
+                ActFate::Played => ended > 0 && last.is_some_and(|act| self.has_one_left(act)),
             };
-            if !truth {
+            let with_robots = sent.iter().filter(|act| self.has_one_left(act)).count();
+            if !truth || course.played as usize > ended.min(with_robots) {
                 let sent = sent.len();
                 wrong.push(format!(
                     "`{}` is {:?}, it was sent {sent} times, began: {began}",
@@ -125,6 +126,19 @@ impl Said<'_> {
                 ));
             }
         }
+    }
+
+    /// Not all robots of an act had been left out when it ended.
+    fn has_one_left(&self, act: &SentAct<'_>) -> bool {
+        let ended = self.facts.ran.records.iter().find_map(|(at, record)| match record {
+            Record::ActEnded { report } if report.number == act.promise.number => Some(*at),
+            _ => None,
+        });
+        let left = |robot: &usize| match (self.facts.dropped[*robot], ended) {
+            (Some(dropped), Some(ended)) => dropped > ended,
+            (dropped, _) => dropped.is_none(),
+        };
+        act.robots().iter().any(left)
     }
 
     /// How often an act is told to have ended.

@@ -95,10 +95,11 @@ impl Said<'_> {
             StopState::TakenOver => {
                 (ended, "another mission had it, and it is said to hold nothing of this one")
             }
-            // A process that stood still goes on with what nobody is said to know of.
+            // A process that stood still, or whose clock was set back, goes on with what nobody is said to know of.
             StopState::NotSent if row.unaccounted > 0 => {
-                let later = self.stood_still(robot) + DRIFT;
-                (ended.map(|ended| ended + later), "the end, and all that its process stood still")
+                let later = self.stood_still(robot) + self.set_back(robot) + DRIFT;
+                let what = "the end, and all that its process stood still or its clock was set back";
+                (ended.map(|ended| ended + later), what)
             }
             StopState::NotSent => (ended, "the end, and no stop is said to be needed"),
             StopState::Unconfirmed { lease_ends } => {
@@ -130,6 +131,13 @@ impl Said<'_> {
         let stood = |hit: &&Hit| hit.is_of(robot) && hit.cause == Cause::RobotPause;
         let hits = self.facts.hits.iter().filter(stood);
         hits.map(|hit| hit.until - hit.from).max().unwrap_or_default()
+    }
+
+    /// By how much its clock was set back in all.
+    fn set_back(&self, robot: usize) -> urrcp::Span {
+        let set = self.facts.hits.iter().filter(|hit| hit.is_of(robot) && hit.cause == Cause::ClockSet);
+        set.map(|hit| urrcp::Span::ZERO - hit.by.min(urrcp::Span::ZERO))
+            .fold(urrcp::Span::ZERO, |sum, by| sum + by)
     }
 
     /// What the report says of the whole is what its acts say.
