@@ -15,9 +15,9 @@ use crate::simulated::SimulatedRobot;
 /// What surrounds a robot's machine.
 pub(super) enum Body {
     /// Hardware behind a driver.
-    Edge(Edge),
+    Edge(Box<Edge>),
     /// A world with a clock, delays and faults of its own. Its true time is the host's.
-    Simulated(SimulatedRobot),
+    Simulated(Box<SimulatedRobot>),
 }
 
 impl Body {

@@ -54,7 +54,7 @@ impl Hosted {
         orders: &flume::Sender<Order>,
     ) -> io::Result<(Body, Option<DriverThread>)> {
         let (block, driver, options) = match self.0 {
-            Surroundings::World(robot) => return Ok((Body::Simulated(robot), None)),
+            Surroundings::World(robot) => return Ok((Body::Simulated(Box::new(robot)), None)),
             Surroundings::Hardware { block, driver, options } => (block, driver, options),
         };
         let mailbox = Arc::new(Mailbox::default());
@@ -70,6 +70,6 @@ impl Hosted {
         );
         let thread = std::thread::Builder::new().name("driver".into()).spawn(move || worker.run())?;
         let edge = Edge::new(Robot::driven(block), mailbox, options.at_start);
-        Ok((Body::Edge(edge), Some(thread)))
+        Ok((Body::Edge(Box::new(edge)), Some(thread)))
     }
 }
