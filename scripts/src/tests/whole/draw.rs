@@ -50,12 +50,12 @@ fn tempos() -> impl Strategy<Value = Vec<Tempo>> {
     let one = (1i64..4, 4_000i64..24_000, signature);
     prop_oneof![3 => prop::collection::vec(one.clone(), 1), 1 => prop::collection::vec(one, 2..4)].prop_map(
         |all| {
-            let mut bar = 1;
-            let tempo = |(index, (after, bpm, signature)): (usize, (i64, i64, Option<(i64, i64)>))| {
-                bar += if index == 0 { 0 } else { after };
-                Tempo { bar, bpm, signature }
-            };
-            all.into_iter().enumerate().map(tempo).collect()
+            let (mut bar, mut tempos) = (1, Vec::new());
+            for (after, bpm, signature) in all {
+                bar += if tempos.is_empty() { 0 } else { after };
+                tempos.push(Tempo { bar, bpm, signature });
+            }
+            tempos
         },
     )
 }
