@@ -4,12 +4,15 @@
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 
+mod compiling;
+
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::hint::black_box;
 use std::time::{Duration, Instant};
 
-use downbeat_scripts::{Address, Fleet, FleetRobot, NoFiles, SimulationSettings, Source, compile, render};
+use compiling::{peak_memory, simulated, steps};
+use downbeat_scripts::{Fleet, NoFiles, Source, compile, render};
 use serde::Deserialize;
 
 /// The same scenario as plain structs, as the YAML library reads them by itself.
@@ -52,20 +55,7 @@ fn init(id: &str, steps: u32, queue: u32) -> urrcp::InitializationBlock {
 }
 
 fn fleet(robots: usize, steps: u32, queue: u32) -> Fleet {
-    let robot = |index: usize| {
-        let init = init(&format!("r{index}"), steps, queue);
-        FleetRobot {
-            id: init.id.clone(),
-            address: Address::Simulated,
-            init: Some(init),
-            simulation: SimulationSettings::default(),
-            limits: BTreeMap::new(),
-            clock: Default::default(),
-            wake_up: Default::default(),
-            require: Vec::new(),
-            encoding: Default::default(),
-        }
-    };
+    let robot = |index: usize| simulated(init(&format!("r{index}"), steps, queue));
     let robots: Vec<_> = (0..robots).map(robot).collect();
     let groups = BTreeMap::from([("all".to_owned(), robots.iter().map(|robot| robot.id.clone()).collect())]);
     Fleet { robots, groups, ..Fleet::default() }
@@ -94,12 +84,6 @@ fn keyframes(bytes: usize, robots: usize, eased: usize) -> String {
 
 fn compiled(text: &str, fleet: &Fleet) -> downbeat_scripts::Compiled {
     compile(&Source { name: "bench.yaml".into(), text: text.to_owned() }, fleet, &NoFiles)
-}
-
-fn steps(compiled: &downbeat_scripts::Compiled) -> usize {
-    let acts = compiled.choreography.iter().flat_map(|choreography| &choreography.acts);
-    let scripts = acts.flat_map(|act| &act.plan.robots).flat_map(|robot| &robot.scripts);
-    scripts.map(|script| script.script.steps().len()).sum()
 }
 
 /// The shortest of several runs.
@@ -148,14 +132,6 @@ fn expanding(steps: usize) -> String {
         "scenario: short\nmoves:\n  shake:\n    tracks:\n      x: [{keyframes}{{at: 1s, to: 0}}]\ncues:\n  - {{at: 0s, robots: r0, move: shake, repeat: {}}}\n",
         steps / 100
     )
-}
-
-/// The largest memory that this process ever held, in bytes.
-fn peak_memory() -> usize {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find(|line| line.starts_with("VmHWM:"));
-    let kilobytes = line.and_then(|line| line.split_whitespace().nth(1)?.parse::<usize>().ok());
-    kilobytes.unwrap_or(0) * 1024
 }
 
 fn expansion() {

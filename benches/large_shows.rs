@@ -6,14 +6,16 @@
 #![expect(clippy::disallowed_methods, reason = "a benchmark reads the clock")]
 #![expect(clippy::cast_precision_loss, reason = "figures for people")]
 
-use std::collections::BTreeMap;
+mod compiling;
+
 use std::fmt::Write;
 use std::hint::black_box;
 use std::path::Path;
 use std::process::Command;
 use std::time::Instant;
 
-use downbeat_scripts::{Address, Compiled, Fleet, FleetRobot, NoFiles, SimulationSettings, Source, compile};
+use compiling::{peak_memory, simulated, steps};
+use downbeat_scripts::{Fleet, NoFiles, Source, compile};
 use serde_yaml::Value;
 
 /// Each is measured so often; the shortest time and the largest memory count.
@@ -55,18 +57,7 @@ fn fleet() -> Fleet {
         let devices: Vec<String> = lamps.chain(axes).collect();
         let text =
             format!(r#"{{"id": "r{index}", "api_version": "1", "devices": [{}]}}"#, devices.join(", "));
-        let init: urrcp::InitializationBlock = serde_json::from_str(&text).unwrap();
-        FleetRobot {
-            id: init.id.clone(),
-            address: Address::Simulated,
-            init: Some(init),
-            simulation: SimulationSettings::default(),
-            limits: BTreeMap::new(),
-            clock: Default::default(),
-            wake_up: Default::default(),
-            require: Vec::new(),
-            encoding: Default::default(),
-        }
+        simulated(serde_json::from_str(&text).unwrap())
     };
     Fleet { robots: (0..10).map(robot).collect(), ..Fleet::default() }
 }
@@ -160,20 +151,6 @@ fn aliases(bytes: usize) -> String {
         text.push_str("  - *a\n");
     }
     text
-}
-
-fn steps(compiled: &Compiled) -> usize {
-    let acts = compiled.choreography.iter().flat_map(|choreography| &choreography.acts);
-    let scripts = acts.flat_map(|act| &act.plan.robots).flat_map(|robot| &robot.scripts);
-    scripts.map(|script| script.script.steps().len()).sum()
-}
-
-/// The largest memory that this process ever held, in bytes.
-fn peak_memory() -> usize {
-    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
-    let line = status.lines().find(|line| line.starts_with("VmHWM:"));
-    let kilobytes = line.and_then(|line| line.split_whitespace().nth(1)?.parse::<usize>().ok());
-    kilobytes.unwrap_or(0) * 1024
 }
 
 /// In a process of its own: reads a file, prints milliseconds, bytes and steps.

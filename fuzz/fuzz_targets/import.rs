@@ -1,6 +1,10 @@
 //! Any bytes as a file of any format that is imported, which the first byte says: no panic, no hang, bounded memory; there is
 //! a choreography exactly when nothing is found, and its values are finite and in order.
+//!
+//! With `DOWNBEAT_FORMAT` all bytes are a file of that format.
 #![no_main]
+
+use std::sync::LazyLock;
 
 use downbeat_scripts::import::{
     Course, ImportFormat, ImportOptions, Scenes, files_of, import_bytes, urdf,
@@ -8,14 +12,42 @@ use downbeat_scripts::import::{
 use downbeat_scripts::{Source, init_of, render};
 use libfuzzer_sys::fuzz_target;
 
-fuzz_target!(|data: &[u8]| {
-    let Some((which, bytes)) = data.split_first() else { return };
-    let formats = ImportFormat::WORDS.len();
-    match usize::from(*which) % (formats + 1) {
-        index if index < formats => check_motions(ImportFormat::WORDS[index].1, bytes),
-        _ => check_urdf(bytes),
+/// What is read: a choreography, or a robot's description.
+#[derive(Clone, Copy)]
+enum Format {
+    Motions(ImportFormat),
+    Urdf,
+}
+
+static ONLY: LazyLock<Option<Format>> = LazyLock::new(|| {
+    let word = std::env::var("DOWNBEAT_FORMAT").ok()?;
+    let known = ImportFormat::WORDS.iter().find(|(known, _)| *known == word);
+    match known {
+        Some((_, format)) => Some(Format::Motions(*format)),
+        None if word == "urdf" => Some(Format::Urdf),
+        None => panic!("DOWNBEAT_FORMAT={word} is no format"),
     }
 });
+
+fuzz_target!(|data: &[u8]| {
+    let (format, bytes) = match (*ONLY, data.split_first()) {
+        (Some(format), _) => (format, data),
+        (None, Some((which, bytes))) => (of_byte(*which), bytes),
+        (None, None) => return,
+    };
+    match format {
+        Format::Motions(format) => check_motions(format, bytes),
+        Format::Urdf => check_urdf(bytes),
+    }
+});
+
+fn of_byte(which: u8) -> Format {
+    let formats = ImportFormat::WORDS;
+    match formats.get(usize::from(which) % (formats.len() + 1)) {
+        Some((_, format)) => Format::Motions(*format),
+        None => Format::Urdf,
+    }
+}
 
 fn check_motions(format: ImportFormat, bytes: &[u8]) {
     let columns = match format {

@@ -218,6 +218,8 @@ def main():
         moving = [group for group in groups if group.moves()]
         if not moving:
             note(f"`{item.name}` does not move: left out")
+        elif robot_name(item.name) != item.name:
+            note(f"`{item.name}` is the robot `{robot_name(item.name)}`")
         for group in moving:
             if getattr(group, "fast", False):
                 note(f"`{item.name}`: {', '.join(group.names)} turn by more than 120 degrees between two lines, "

@@ -172,12 +172,34 @@ struct Done<'a> {
     /// How many of the steps repeat the one before, for pauses and for what a file leaves out.
     held: usize,
     duration_ms: u64,
+    #[serde(flatten)]
+    told: Told<'a>,
+}
+
+/// What every import tells: of its rules, of what is wrong, and what became of it.
+#[derive(Serialize)]
+struct Told<'a> {
     notes: &'a [String],
     findings: &'a [Finding],
     files: &'a [String],
-    /// The scenario itself, where it is written to no file.
+    /// What is imported, where it is written to no file.
     #[serde(skip_serializing_if = "Option::is_none")]
     text: Option<&'a str>,
+}
+
+impl Told<'_> {
+    fn show(&self) {
+        for note in self.notes {
+            console::note(&format!("note: {note}"));
+        }
+        show_findings(self.findings);
+        if let Some(text) = self.text {
+            console::print(text);
+        }
+        for file in self.files {
+            console::note(&format!("wrote {file}"));
+        }
+    }
 }
 
 pub(super) fn import(args: &ImportArgs, format: Format) -> Exit {
@@ -208,9 +230,11 @@ fn import_motions(from: ImportFormat, args: &ImportArgs, format: Format) -> Exit
             None => text = Some(import::scenario_text(imported, scenes, block.map(|(block, _)| block), None)),
         }
     }
+    let ImportOutcome { imported, notes, findings } = &outcome;
+    let told = Told { notes, findings, files: &files, text: text.as_deref() };
     match format {
-        Format::Json => show_json(&outcome, scenes, &files, text.as_deref()),
-        Format::Text => show_text(&outcome, scenes, &files, text.as_deref()),
+        Format::Json => show_json(imported.as_ref(), scenes, told),
+        Format::Text => show_text(imported.as_ref(), scenes, &told),
     }
     exit_of(&outcome.findings)
 }
@@ -278,8 +302,7 @@ fn read(from: ImportFormat, args: &ImportArgs) -> (Option<Init>, ImportOutcome) 
     (init, outcome)
 }
 
-fn show_json(outcome: &ImportOutcome, scenes: Scenes, files: &[String], text: Option<&str>) {
-    let imported = outcome.imported.as_ref();
+fn show_json(imported: Option<&Imported>, scenes: Scenes, told: Told<'_>) {
     console::print_json(&Done {
         scenario: imported.map(|imported| imported.name.as_str()),
         robots: imported.map_or(0, |imported| imported.robots().len()),
@@ -287,25 +310,13 @@ fn show_json(outcome: &ImportOutcome, scenes: Scenes, files: &[String], text: Op
         steps: imported.map_or(0, |imported| import::steps_written(imported, scenes)),
         held: imported.map_or(0, |imported| imported.held),
         duration_ms: imported.map_or(0, Imported::duration_ms),
-        notes: &outcome.notes,
-        findings: &outcome.findings,
-        files,
-        text,
+        told,
     });
 }
 
-fn show_text(outcome: &ImportOutcome, scenes: Scenes, files: &[String], text: Option<&str>) {
-    for note in &outcome.notes {
-        console::note(&format!("note: {note}"));
-    }
-    show_findings(&outcome.findings);
-    let Some(imported) = outcome.imported.as_ref().filter(|_| outcome.findings.is_empty()) else { return };
-    if let Some(text) = text {
-        console::print(text);
-    }
-    for file in files {
-        console::note(&format!("wrote {file}"));
-    }
+fn show_text(imported: Option<&Imported>, scenes: Scenes, told: &Told<'_>) {
+    told.show();
+    let Some(imported) = imported.filter(|_| told.findings.is_empty()) else { return };
     console::note(&format!(
         "{}: {}, {}, {}, {} s",
         imported.name,

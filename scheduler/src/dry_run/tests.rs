@@ -341,3 +341,55 @@ fn acts_that_only_wait_for_each_other_do_not_go_round_for_ever() {
     }));
     assert_eq!((played.report.acts_max_reached, played.report.acts.len()), (Some(9), 1));
 }
+
+#[test]
+fn a_device_that_moves_by_itself_is_expected_where_its_script_begins() {
+    for (begins_at, fits) in [(45.0, false), (3.0, false), (2.0, true)] {
+        let mut block = block(0);
+        block.devices[0].interpolation = urrcp::Interpolation::Linear;
+        let mut plan = plan(1);
+        let first = Setpoint::new(ControlType::Position, begins_at);
+        let mut steps = plan.robots[0].scripts[0].script.steps().to_vec();
+        steps[0].setpoint = first;
+        plan.robots[0].scripts[0].script = Script::new(steps).unwrap();
+        let participants = vec![Participant::new(block.id.clone(), Some(block.clone()))];
+        let robot = SimulatedRobot::new(block, Settings::default());
+        let mission = Mission::of_plan(plan, participants, MissionOptions::default(), BEGIN).unwrap();
+        let report = play(mission, vec![robot]).report;
+        let said: Vec<String> = report.failures.iter().map(|failure| failure.kind.to_string()).collect();
+        let named =
+            said.iter().any(|said| said.contains("shoulder") && said.contains(&begins_at.to_string()));
+        assert_eq!((named, report.outcome == Outcome::Done), (!fits, fits), "{begins_at}: {said:?}");
+    }
+}
+
+/// What is told to the operator of why all are stopped.
+#[derive(Default)]
+struct Reasons(Vec<String>);
+
+impl Audience for Reasons {
+    fn told(&mut self, _: Timestamp<Server>, progress: &Progress) {
+        if let Progress::Stopping { reason, .. } = progress {
+            self.0.push(reason.clone());
+        }
+    }
+
+    fn second(&mut self, _: Timestamp<Server>) {}
+}
+
+#[test]
+fn why_all_are_stopped_names_the_first_robot_that_failed_and_counts_the_others() {
+    for (refuse, counted) in [(&[1][..], None), (&[0, 1], Some("; 1 robot more failed"))] {
+        let mut rehearsal = acts(|_| {});
+        for robot in refuse {
+            let refuses = Settings { fault: Some(Fault::Silent), ..Settings::default() };
+            rehearsal.robots[*robot] = SimulatedRobot::new(block(*robot), refuses);
+        }
+        let mut reasons = Reasons::default();
+        rehearsal.play_before(&mut reasons);
+        let [reason] = reasons.0.as_slice() else { panic!("{:?}", reasons.0) };
+        assert!(reason.starts_with(&format!("arm-{}: ", refuse[0])), "{reason}");
+        assert_eq!(reason.contains("more failed"), counted.is_some(), "{reason}");
+        assert!(reason.ends_with(counted.unwrap_or("")), "{reason}");
+    }
+}

@@ -118,6 +118,20 @@ fn no_lease_is_renewed_after_the_first_stop_unless_something_is_promised_after_i
     assert_eq!(renewed_until(), Some(at(15)));
 }
 
+#[test]
+fn a_robot_has_confirmed_its_stop_until_it_is_left_out_and_stopped_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let robot = || RobotId::new("arm").unwrap();
+    let append = |record| Journal::open(folder.path()).unwrap().append(at(5), &record).unwrap();
+    assert_eq!(read(&path).unwrap().stopped, []);
+    append(Record::StopConfirmed { robot: robot() });
+    assert_eq!(read(&path).unwrap().stopped, [robot()]);
+    append(Record::Dropped { robot: robot() });
+    let kept = read(&path).unwrap();
+    assert_eq!((kept.stopped, kept.dropped), (vec![], vec![robot()]));
+}
+
 fn life(folder: &Path) -> Life {
     Found::look_at(folder).unwrap().unwrap().life
 }

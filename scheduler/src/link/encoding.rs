@@ -47,3 +47,26 @@ impl Default for Speech {
         Self::at_once(Encoding::Json)
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn block(understands: &str) -> Message {
+        let json = format!(
+            r#"{{"initialization_block": {{"id": "r", "api_version": "1", {understands} "devices": []}}}}"#
+        );
+        serde_json::from_str(&json).unwrap()
+    }
+
+    #[test]
+    fn nothing_but_json_is_written_before_a_robot_has_said_that_it_understands_more() {
+        let speech = Speech::once_listed(Encoding::MessagePack);
+        assert_eq!(speech.encoding(), Encoding::Json);
+        speech.hear(&block(""));
+        assert_eq!(speech.encoding(), Encoding::Json);
+        speech.hear(&block(r#""encodings": ["json", "msgpack"],"#));
+        assert_eq!(speech.encoding(), Encoding::MessagePack);
+        assert_eq!(Speech::at_once(Encoding::MessagePack).encoding(), Encoding::MessagePack);
+    }
+}

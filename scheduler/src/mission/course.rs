@@ -342,7 +342,8 @@ impl Mission {
                 let error = act.start_error(member, script);
                 let totals = &mut robot.totals;
                 totals.scripts += 1;
-                totals.accepted += usize::from(script.was_accepted());
+                // What has begun was accepted, even if that answer was lost.
+                totals.accepted += usize::from(script.was_accepted() || script.has_begun());
                 totals.started += usize::from(script.has_begun());
                 totals.steps_done += u64::from(script.steps_done());
                 totals.steps_planned += script.plan.script.steps().len() as u64;

@@ -8,7 +8,8 @@ use urrcp::{
 
 use super::cast::{Cast, Positions, Rest};
 use super::conflict::told;
-use super::perform::{Excess, Segment, Steps, capacity};
+use super::perform::capacity;
+use super::segment::{Excess, Segment, Steps};
 use super::together::{Together, Told};
 use crate::budget::Budget;
 use crate::duration::{seconds, written};

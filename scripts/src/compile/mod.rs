@@ -14,6 +14,7 @@ mod conflict;
 mod join;
 mod perform;
 mod schedule;
+mod segment;
 mod together;
 mod vectors;
 

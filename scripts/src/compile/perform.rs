@@ -4,142 +4,27 @@ use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::Arc;
 
-use urrcp::{ControlParameters, ControlType, Device, Limits, Setpoint, Span, StopCondition};
+use urrcp::{ControlParameters, ControlType, Device, Limits, Span};
 
 use super::cast::{Cast, Member, Members};
 use super::schedule::CueTime;
+use super::segment::{Excess, Part, Segment, Steps};
 use super::vectors::{self, Thinned};
 use super::{check_motion, check_values};
 use crate::budget::{Budget, STEPS_MAX, USES_MAX};
 use crate::fields::Reader;
 use crate::finding::{Code, Place, Severity, names, one_of};
 use crate::fleet::RateLimits;
-use crate::motion::{Actuator, Curve, Fits, Played, Stretch, Value};
+use crate::motion::{Actuator, Curve, Fits, Played, Stretch};
 use crate::node::shortened;
 use crate::plan::PlannedReading;
-use crate::scenario::{Cue, Items, Motion, OffGrid, Reading, Track, Vectors};
+use crate::scenario::{Cue, Motion, OffGrid, Reading, Track, Vectors};
 
 /// Up to so many steps the exact number of a movement is told, whatever its device takes.
 const TOLD_MAX: usize = 1_000_000;
 
 /// Most tolerances that are tried for a hint.
 const TOLERANCES_MAX: usize = 16;
-
-/// A stretch of one device's time that a cue has taken.
-#[derive(Clone, Debug)]
-pub(super) struct Segment {
-    /// From the act's start: when the cue begins for this robot.
-    pub(super) begin: Span,
-    pub(super) cue: Arc<str>,
-    pub(super) stop_condition: Option<StopCondition>,
-    pub(super) part: Arc<Part>,
-}
-
-/// The steps of one track on one kind of device, shared by all robots of that kind.
-#[derive(Debug)]
-pub(super) struct Part {
-    pub(super) control_type: ControlType,
-    pub(super) steps: Steps,
-    pub(super) at_least: usize,
-    pub(super) worst: f64,
-    pub(super) worst_at: Span,
-    /// The first step is reached by moving from wherever the device is.
-    pub(super) moves_from_anywhere: bool,
-    /// The budget and tolerance within which it was made.
-    pub(super) tolerance: f64,
-    /// What is less of it where there is too much.
-    pub(super) excess: Excess,
-    pub(super) items: Items,
-    pub(super) place: Place,
-}
-
-impl Part {
-    /// What sets a device to so many values at once.
-    pub(super) fn setpoint(&self, values: &[f64]) -> Setpoint {
-        let mut setpoint = Setpoint::new(self.control_type, values.first().copied().unwrap_or_default());
-        setpoint.more = values.get(1..).unwrap_or_default().into();
-        setpoint
-    }
-}
-
-/// What makes many steps.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Excess {
-    /// Written one by one.
-    Keyframes,
-    /// It is repeated.
-    Turns,
-    /// A curve that is followed closely.
-    Curve,
-}
-
-impl Excess {
-    fn of(track: &Track) -> Self {
-        match track.items {
-            _ if track.turns > 1 => Self::Turns,
-            Items::Keyframes => Self::Keyframes,
-            _ => Self::Curve,
-        }
-    }
-}
-
-/// Values at times from the cue's start.
-#[derive(Debug)]
-pub(super) enum Steps {
-    One(Vec<Value>),
-    Several(Vectors),
-}
-
-impl Steps {
-    pub(super) fn len(&self) -> usize {
-        match self {
-            Self::One(values) => values.len(),
-            Self::Several(vectors) => vectors.len(),
-        }
-    }
-
-    /// How much memory they take in a script, in steps of one value.
-    pub(super) fn size(&self) -> usize {
-        match self {
-            Self::One(values) => values.len(),
-            Self::Several(vectors) => vectors.len() + vectors.values().len() / 8,
-        }
-    }
-
-    fn first_at(&self) -> Option<Span> {
-        match self {
-            Self::One(values) => values.first().map(|value| value.at),
-            Self::Several(vectors) => vectors.first().map(|vector| vector.at),
-        }
-    }
-
-    fn last_at(&self) -> Option<Span> {
-        match self {
-            Self::One(values) => values.last().map(|value| value.at),
-            Self::Several(vectors) => vectors.last().map(|vector| vector.at),
-        }
-    }
-}
-
-impl Segment {
-    pub(super) fn start(&self) -> Span {
-        match self.part.moves_from_anywhere {
-            true => self.begin,
-            false => self.begin + self.part.steps.first_at().unwrap_or_default(),
-        }
-    }
-
-    pub(super) fn last_setpoint(&self) -> Option<Setpoint> {
-        match &self.part.steps {
-            Steps::One(values) => values.last().map(|last| Setpoint::new(self.part.control_type, last.to)),
-            Steps::Several(vectors) => vectors.last().map(|last| self.part.setpoint(last.values)),
-        }
-    }
-
-    pub(super) fn end(&self) -> Span {
-        self.begin + self.part.steps.last_at().unwrap_or_default()
-    }
-}
 
 /// Collects what all cues of an act do.
 pub(super) struct Performer<'c, 'a> {

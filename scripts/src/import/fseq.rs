@@ -7,7 +7,7 @@ use crate::node::shortened;
 
 use super::input::Input;
 use super::sink::Sink;
-use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, RobotMotion};
+use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, by_robot};
 
 const HEADER: usize = 32;
 /// Largest window of a compressed block, and most bytes that are unpacked in all.
@@ -61,7 +61,7 @@ pub(super) fn read(
     match read {
         Ok((header, mapped, frames)) => {
             note(&header, &mapped, name, frames, sink);
-            motions(input, mapped)
+            by_robot(&input.scene, mapped.into_iter().map(|mapped| (mapped.robot, mapped.motion)))
         }
         Err((code, message)) => {
             let expected = "a light sequence of xLights, version 2, with --map robot/device=1,2,3";
@@ -338,20 +338,4 @@ fn note(header: &Header, mapped: &[Mapped], name: &str, frames: usize, sink: &mu
     if !header.variables.is_empty() {
         sink.note(format!("{name}: left out what else the file says: {}", header.variables.join(", ")));
     }
-}
-
-fn motions(input: &Input, mapped: Vec<Mapped>) -> Vec<Motion> {
-    let mut motions: Vec<Motion> = Vec::new();
-    let mut places = std::collections::HashMap::new();
-    for Mapped { robot, motion, .. } in mapped {
-        let place = *places.entry(robot.clone()).or_insert_with(|| {
-            motions.push(Motion {
-                scene: input.scene.clone(),
-                robot: RobotMotion { robot, devices: Vec::new() },
-            });
-            motions.len() - 1
-        });
-        motions[place].robot.devices.push(motion);
-    }
-    motions
 }

@@ -156,16 +156,7 @@ fn read_points(root: &At<'_>, findings: &mut Reader) -> Option<(Vec<String>, Vec
     let joints = tree::required(root, "joint_names", what, findings);
     let joints = joints.and_then(|at| tree::unique_names(&at, "joint", findings));
     let list = tree::required(root, "points", what, findings)?;
-    let items = findings.list(&list, "a list of points");
-    if items.is_empty() && matches!(list.node, Node::List(_)) {
-        findings.add(
-            Code::NothingToDo,
-            list.place(),
-            "the trajectory has no points",
-            "at least one point",
-            None,
-        );
-    }
+    let items = tree::points(&list, findings);
     let joints = joints?;
     let mut points: Vec<JointPoint> = Vec::new();
     for (index, item) in items.iter().enumerate() {

@@ -389,6 +389,21 @@ struct Motion {
     robot: RobotMotion,
 }
 
+/// Devices put together by robot, in the order in which the robots come.
+fn by_robot(scene: &str, devices: impl IntoIterator<Item = (String, DeviceMotion)>) -> Vec<Motion> {
+    let mut motions: Vec<Motion> = Vec::new();
+    let mut places = std::collections::HashMap::new();
+    for (robot, device) in devices {
+        let place = *places.entry(robot.clone()).or_insert_with(|| {
+            let robot = RobotMotion { robot, devices: Vec::new() };
+            motions.push(Motion { scene: scene.to_owned(), robot });
+            motions.len() - 1
+        });
+        motions[place].robot.devices.push(device);
+    }
+    motions
+}
+
 fn read(
     format: ImportFormat,
     input: &Input,

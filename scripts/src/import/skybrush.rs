@@ -355,16 +355,7 @@ fn read_way(at: &At<'_>, findings: &mut Reader) -> Option<Way> {
         None => 0,
     };
     let list = tree::required(at, "points", "the trajectory", findings)?;
-    let items = findings.list(&list, "a list of points");
-    if items.is_empty() && matches!(list.node, Node::List(_)) {
-        findings.add(
-            Code::NothingToDo,
-            list.place(),
-            "the trajectory has no points",
-            "at least one point",
-            None,
-        );
-    }
+    let items = tree::points(&list, findings);
     let mut way = Way { takeoff_ns, end_ns: 0, points: Vec::with_capacity(items.len()), still: 0 };
     for (index, item) in items.iter().enumerate() {
         if let Some(point) = read_point(item, index, takeoff_ns, findings) {

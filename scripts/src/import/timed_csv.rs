@@ -11,7 +11,7 @@ use super::input::Input;
 use super::moments::{self, Said, TimeUnit, UNITS};
 use super::sink::Sink;
 use super::table::{Row, rows, separator_of};
-use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, RobotMotion, keyframes};
+use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, by_robot, keyframes};
 
 /// Columns that move a device.
 struct Mapped {
@@ -253,34 +253,33 @@ fn checked_time(
     Some(at_ms)
 }
 
-fn motions(input: &Input, mapped: Vec<Mapped>, source: &Source, sink: &mut Sink) -> Vec<Motion> {
-    let mut motions: Vec<Motion> = Vec::new();
-    let mut places = std::collections::HashMap::new();
-    for mut column in mapped {
+fn motions(input: &Input, mut mapped: Vec<Mapped>, source: &Source, sink: &mut Sink) -> Vec<Motion> {
+    for column in &mut mapped {
         column.same = column.motion.thin();
-        let Mapped { robot, motion, empty, same, .. } = column;
+        column.note(source, sink);
+    }
+    by_robot(&input.scene, mapped.into_iter().map(|mapped| (mapped.robot, mapped.motion)))
+}
+
+impl Mapped {
+    /// Says what of it is not as it stands in the file.
+    fn note(&self, source: &Source, sink: &mut Sink) {
+        let Self { robot, motion, empty, same, .. } = self;
         let device = &motion.device;
         if motion.keyframes.is_empty() && sink.findings.is_empty() {
             let message = format!("the column of `{device}` of `{robot}` is empty");
             sink.about(&source.name, Code::NothingToDo, message, "at least one value", None);
-        } else if empty > 0 {
-            let cells = crate::counted(empty, "empty cell");
+        } else if *empty > 0 {
+            let cells = crate::counted(*empty, "empty cell");
             let how = if motion.course == Course::Straight { "moves straight" } else { "stays as it is" };
             sink.note(format!("{}: `{device}` of `{robot}` {how} through {cells}", source.name));
         }
-        if same > 0 {
-            let lines = crate::counted(same, "line");
+        if *same > 0 {
+            let lines = crate::counted(*same, "line");
             sink.note(format!(
                 "{}: `{device}` of `{robot}` does not change in {lines}: left out",
                 source.name
             ));
         }
-        let place = *places.entry(robot.clone()).or_insert_with(|| {
-            let robot = RobotMotion { robot, devices: Vec::new() };
-            motions.push(Motion { scene: input.scene.clone(), robot });
-            motions.len() - 1
-        });
-        motions[place].robot.devices.push(motion);
     }
-    motions
 }

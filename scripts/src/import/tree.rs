@@ -115,6 +115,16 @@ fn is_too_deep(text: &str) -> bool {
     })
 }
 
+/// The points of a trajectory, under the key `points`; a finding where there are none.
+pub(super) fn points<'a>(list: &'a At<'a>, findings: &mut Reader) -> Vec<At<'a>> {
+    let items = findings.list(list, "a list of points");
+    if items.is_empty() && matches!(list.node, Node::List(_)) {
+        let message = "the trajectory has no points";
+        findings.add(Code::NothingToDo, list.place(), message, "at least one point", None);
+    }
+    items
+}
+
 /// Whether more findings would not help.
 pub(super) fn is_full(findings: &Reader) -> bool {
     findings.found.len() > FINDINGS_A_FILE_MAX

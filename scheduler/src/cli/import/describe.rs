@@ -1,22 +1,17 @@
 //! `downbeat import urdf`: a robot's description becomes its initialization block.
 
 use downbeat_scripts::import::{UrdfOutcome, urdf};
-use downbeat_scripts::{Finding, Source, counted};
+use downbeat_scripts::{Source, counted};
 use serde::Serialize;
 
-use super::super::load::show_findings;
 use super::super::{Exit, Format, console};
-use super::{ImportArgs, exit_of, write};
+use super::{ImportArgs, Told, exit_of, write};
 
 #[derive(Serialize)]
 struct Done<'a> {
     devices: usize,
-    notes: &'a [String],
-    findings: &'a [Finding],
-    files: &'a [String],
-    /// The block itself, where it is written to no file.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    text: Option<&'a str>,
+    #[serde(flatten)]
+    told: Told<'a>,
 }
 
 pub(super) fn describe(args: &ImportArgs, format: Format) -> Exit {
@@ -37,29 +32,21 @@ pub(super) fn describe(args: &ImportArgs, format: Format) -> Exit {
     }
     let block = outcome.files.first().map(|file| file.text.as_str());
     let text = block.filter(|_| args.output.is_none() && outcome.findings.is_empty());
+    let UrdfOutcome { devices, notes, findings, .. } = &outcome;
+    let told = Told { notes, findings, files: &written, text };
     match format {
-        Format::Json => {
-            let UrdfOutcome { devices, notes, findings, .. } = &outcome;
-            console::print_json(&Done { devices: *devices, notes, findings, files: &written, text });
-        }
-        Format::Text => show(&outcome, &written, text),
+        Format::Json => console::print_json(&Done { devices: *devices, told }),
+        Format::Text => show(*devices, &told),
     }
     exit_of(&outcome.findings)
 }
 
-fn show(outcome: &UrdfOutcome, written: &[String], text: Option<&str>) {
-    for note in &outcome.notes {
-        console::note(&format!("note: {note}"));
-    }
-    show_findings(&outcome.findings);
-    if let Some(text) = text {
-        console::print(text);
+fn show(devices: usize, told: &Told<'_>) {
+    told.show();
+    if told.text.is_some() {
         console::note("note: the limits of speeds stand in the fleet file: --output DIR writes it too");
     }
-    for file in written {
-        console::note(&format!("wrote {file}"));
-    }
-    if outcome.findings.is_empty() {
-        console::note(&counted(outcome.devices, "device"));
+    if told.findings.is_empty() {
+        console::note(&counted(devices, "device"));
     }
 }

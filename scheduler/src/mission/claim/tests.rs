@@ -50,6 +50,15 @@ fn what_a_robot_says_that_plays_well_can_be() {
 }
 
 #[test]
+fn what_has_begun_or_done_a_step_says_that_it_moved() {
+    let moved = |status, steps| told(status, 1_302, None, steps, None).says_that_it_moved();
+    assert!(moved(Status::Started, None) && moved(Status::Failed, Some(1)) && moved(Status::Failed, Some(3)));
+    assert!(
+        !moved(Status::Failed, Some(0)) && !moved(Status::Failed, None) && !moved(Status::Accepted, None)
+    );
+}
+
+#[test]
 fn a_script_has_no_more_steps_than_were_sent_and_its_end_no_fewer() {
     check(told(Status::Ok, 1_302, Some(1_400), Some(u32::MAX), None), "4294967295 steps done, of 3 planned");
     check(told(Status::Failed, 1_302, Some(1_400), Some(4), None), "4 steps done, of 3 planned");

@@ -50,9 +50,9 @@ fn tempos() -> impl Strategy<Value = Vec<Tempo>> {
     let one = (1i64..4, 4_000i64..24_000, signature);
     prop_oneof![3 => prop::collection::vec(one.clone(), 1), 1 => prop::collection::vec(one, 2..4)].prop_map(
         |all| {
-            let mut tempos: Vec<Tempo> = Vec::new();
+            let (mut bar, mut tempos) = (1, Vec::new());
             for (after, bpm, signature) in all {
-                let bar = tempos.last().map_or(1, |before| before.bar + after);
+                bar += if tempos.is_empty() { 0 } else { after };
                 tempos.push(Tempo { bar, bpm, signature });
             }
             tempos

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use num_rational::Ratio;
 use proptest::prelude::*;
 
-use super::super::verified::{Change, NEAR, final_value, looked_at, meant, played};
+use super::super::verified::{Change, NEAR, as_far_off, final_value, looked_at, meant, played};
 use super::meaning::rounded;
 use super::times::{Times, timings};
 use super::{Cue, DEVICES, LAMP, MS, Nanos, ROBOTS, Show};
@@ -129,22 +129,7 @@ fn compare_lane(show: &Show, act: &Act, robot: &str, segments: &[Segment<'_>]) -
         let allowed = segment.cue.tolerance.unwrap_or(if granularity < 0.1 { 0.01 } else { 0.5 });
         least_allowed = least_allowed.max(allowed);
     }
-    let dust = 2e-3;
-    prop_assert!(
-        worst.0 <= used.worst_error + dust,
-        "{who}: off by {} at {} ms, not {}",
-        worst.0,
-        worst.1,
-        used.worst_error
-    );
-    prop_assert!(used.worst_error <= least_allowed * (1.0 + 1e-9), "{who}: {} is too much", used.worst_error);
-    prop_assert!(
-        used.worst_error <= worst.0 + least_allowed / 4.0 + dust
-            || used.worst_error <= granularity / 2.0 + 1e-9,
-        "{who}: off by {} only, not {}",
-        worst.0,
-        used.worst_error
-    );
+    as_far_off(&who, worst, granularity / 2.0, (used.worst_error, least_allowed))?;
     for (index, step) in steps.iter().enumerate() {
         prop_assert!(
             (step.1 / granularity - (step.1 / granularity).round()).abs() < 1e-6,

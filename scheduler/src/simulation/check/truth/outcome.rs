@@ -1,6 +1,6 @@
 //! How a mission is said to have ended, and what is said to have become of its acts.
 
-use urrcp::{Server, Span, Timestamp};
+use urrcp::{RobotId, Server, Span, Timestamp};
 
 use super::Said;
 use super::acts::error_by_its_clock;
@@ -112,7 +112,8 @@ impl Said<'_> {
             let truth = match &course.fate {
                 ActFate::NotReached => sent.is_empty(),
                 ActFate::StillWaiting => sent.len() == ended,
-                ActFate::NobodyLeft | ActFate::TimedOut { .. } => sent.len() == ended && skipped > 0,
+                ActFate::NobodyLeft => sent.len() == ended && skipped > 0 && self.nobody_left(index),
+                ActFate::TimedOut { .. } => sent.len() == ended && skipped > 0,
                 ActFate::Withdrawn => last.is_some() && !began,
                 ActFate::Stopped => last.is_some(),
                 ActFate::Played => ended > 0 && last.is_some_and(|act| self.has_one_left(act)),
@@ -126,6 +127,16 @@ impl Said<'_> {
                 ));
             }
         }
+    }
+
+    /// All robots that an act is written for were left out, or were not there yet.
+    fn nobody_left(&self, act: usize) -> bool {
+        let plays = |robot: &RobotId| {
+            let row = self.report.robots.iter().find(|row| row.robot == *robot);
+            let joins = self.facts.index_of(robot).map(|robot| self.facts.drawn().robots[robot].there_from);
+            row.is_none_or(|row| row.standing == "in") && joins == Some(Span::ZERO)
+        };
+        !self.facts.drawn().choreography.acts[act].plan.robots.iter().any(|robot| plays(&robot.robot))
     }
 
     /// Not all robots of an act had been left out when it ended.

@@ -15,6 +15,7 @@ impl Said<'_> {
             let Some(robot) = self.facts.index_of(&row.robot) else { continue };
             self.sums(row, wrong);
             self.claims(robot, row, wrong);
+            self.links(robot, row, wrong);
             if self.facts.honest(robot) {
                 self.stop(robot, row, wrong);
             }
@@ -44,11 +45,29 @@ impl Said<'_> {
         for (what, said, truth) in said.into_iter().filter(|(_, said, truth)| said != truth) {
             wrong.push(format!("{} has {said} {what} in all, its acts have {truth}", row.robot));
         }
+        if row.started == row.scripts && row.accepted != (row.scripts > 0) {
+            wrong.push(format!("{} started {} scripts, accepted: {}", row.robot, row.started, row.accepted));
+        }
         if row.start_error.map(urrcp::Span::abs) != error {
             wrong.push(format!(
                 "{} started {:?} off at most, its acts say {error:?}",
                 row.robot, row.start_error
             ));
+        }
+    }
+
+    /// A robot that is told to be back was asked what it had missed.
+    fn links(&self, robot: usize, row: &RobotReport, wrong: &mut Vec<String>) {
+        let back = |(_, happened): &&(Timestamp<Server>, Happened)| match happened {
+            Happened::Told(progress) => {
+                matches!(&**progress, Progress::Reattached { robot } if *robot == row.robot)
+            }
+            _ => false,
+        };
+        let told = self.facts.ran.history.iter().filter(back).count();
+        let joins = self.facts.drawn().robots[robot].there_from > urrcp::Span::ZERO;
+        if !self.resumed && !joins && told > row.reconnects as usize {
+            wrong.push(format!("{} was back {told} times, its report says {}", row.robot, row.reconnects));
         }
     }
 

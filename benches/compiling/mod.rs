@@ -1,0 +1,35 @@
+//! What benchmarks of the compiler share: simulated robots, and counts.
+
+use std::collections::BTreeMap;
+
+use downbeat_scripts::{Address, Compiled, FleetRobot, SimulationSettings};
+
+/// A simulated robot.
+pub fn simulated(init: urrcp::InitializationBlock) -> FleetRobot {
+    FleetRobot {
+        id: init.id.clone(),
+        address: Address::Simulated,
+        init: Some(init),
+        simulation: SimulationSettings::default(),
+        limits: BTreeMap::new(),
+        clock: Default::default(),
+        wake_up: Default::default(),
+        require: Vec::new(),
+        encoding: Default::default(),
+    }
+}
+
+/// Of all scripts of all acts.
+pub fn steps(compiled: &Compiled) -> usize {
+    let acts = compiled.choreography.iter().flat_map(|choreography| &choreography.acts);
+    let scripts = acts.flat_map(|act| &act.plan.robots).flat_map(|robot| &robot.scripts);
+    scripts.map(|script| script.script.steps().len()).sum()
+}
+
+/// The largest memory that this process ever held, in bytes.
+pub fn peak_memory() -> usize {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find(|line| line.starts_with("VmHWM:"));
+    let kilobytes = line.and_then(|line| line.split_whitespace().nth(1)?.parse::<usize>().ok());
+    kilobytes.unwrap_or(0) * 1024
+}
