@@ -128,6 +128,22 @@ fn a_clock_that_is_surely_off_keeps_the_fleet_from_starting() {
 }
 
 #[test]
+fn each_robot_that_keeps_a_fleet_from_starting_is_named_once_for_its_own_reason() {
+    let settings = six(|id, settings| {
+        settings.delay = (id == 4).then_some((Span::from_millis(60_000), Span::from_millis(60_000)));
+        settings.ntp_error = (id != 2).then_some(Span::ZERO);
+    });
+    let played = play_with(settings, MissionOptions::default());
+    let mut said: Vec<String> =
+        played.report.failures.iter().map(|f| format!("{}: {}", f.robot, f.kind)).collect();
+    said.sort();
+    assert_eq!(played.report.outcome, Outcome::NotStarted);
+    let [clock, silent] = said.as_slice() else { panic!("{said:?}") };
+    assert!(clock.starts_with("arm-2") && clock.contains("clock off"), "{clock}");
+    assert!(silent.starts_with("arm-4") && silent.contains("silent"), "{silent}");
+}
+
+#[test]
 fn too_short_a_lead_is_refused_with_the_lead_that_is_needed() {
     let options = MissionOptions { lead: Some(Span::from_millis(100)), ..MissionOptions::default() };
     let played = play_with(six(|_, _| {}), options);
@@ -342,27 +358,6 @@ fn acts_that_only_wait_for_each_other_do_not_go_round_for_ever() {
     assert_eq!((played.report.acts_max_reached, played.report.acts.len()), (Some(9), 1));
 }
 
-#[test]
-fn a_device_that_moves_by_itself_is_expected_where_its_script_begins() {
-    for (begins_at, fits) in [(45.0, false), (3.0, false), (2.0, true)] {
-        let mut block = block(0);
-        block.devices[0].interpolation = urrcp::Interpolation::Linear;
-        let mut plan = plan(1);
-        let first = Setpoint::new(ControlType::Position, begins_at);
-        let mut steps = plan.robots[0].scripts[0].script.steps().to_vec();
-        steps[0].setpoint = first;
-        plan.robots[0].scripts[0].script = Script::new(steps).unwrap();
-        let participants = vec![Participant::new(block.id.clone(), Some(block.clone()))];
-        let robot = SimulatedRobot::new(block, Settings::default());
-        let mission = Mission::of_plan(plan, participants, MissionOptions::default(), BEGIN).unwrap();
-        let report = play(mission, vec![robot]).report;
-        let said: Vec<String> = report.failures.iter().map(|failure| failure.kind.to_string()).collect();
-        let named =
-            said.iter().any(|said| said.contains("shoulder") && said.contains(&begins_at.to_string()));
-        assert_eq!((named, report.outcome == Outcome::Done), (!fits, fits), "{begins_at}: {said:?}");
-    }
-}
-
 /// What is told to the operator of why all are stopped.
 #[derive(Default)]
 struct Reasons(Vec<String>);
@@ -386,7 +381,8 @@ fn why_all_are_stopped_names_the_first_robot_that_failed_and_counts_the_others()
             rehearsal.robots[*robot] = SimulatedRobot::new(block(*robot), refuses);
         }
         let mut reasons = Reasons::default();
-        rehearsal.play_before(&mut reasons);
+        let played = rehearsal.play_before(&mut reasons);
+        assert_eq!(played.report.outcome, Outcome::NotStarted);
         let [reason] = reasons.0.as_slice() else { panic!("{:?}", reasons.0) };
         assert!(reason.starts_with(&format!("arm-{}: ", refuse[0])), "{reason}");
         assert_eq!(reason.contains("more failed"), counted.is_some(), "{reason}");

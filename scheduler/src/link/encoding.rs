@@ -53,8 +53,9 @@ mod tests {
     use super::*;
 
     fn block(understands: &str) -> Message {
+        let device = r#"{"id": "a", "name": "a", "available_control_types": {}}"#;
         let json = format!(
-            r#"{{"initialization_block": {{"id": "r", "api_version": "1", {understands} "devices": []}}}}"#
+            r#"{{"initialization_block": {{"id": "r", "api_version": "1", {understands} "devices": [{device}]}}}}"#
         );
         serde_json::from_str(&json).unwrap()
     }

@@ -387,3 +387,6 @@ pub struct MissingParticipant {
     /// Which.
     pub robot: RobotId,
 }
+
+#[cfg(test)]
+mod tests;

@@ -95,10 +95,9 @@ fn read_events(bytes: &[u8]) -> Result<(Timing, Read), (Code, String)> {
     Ok((smf.header.timing, read))
 }
 
-/// The one rate of frames in a header, -128, that midly 0.5 negates without a look.
+/// The one rate of frames, -128, that midly 0.5 negates without a look, in any header: it reads those behind the first as well.
 fn names_no_frame_rate(bytes: &[u8]) -> bool {
-    let header = bytes.windows(4).position(|name| name == b"MThd");
-    header.and_then(|header| bytes.get(header + 12)) == Some(&0x80)
+    bytes.windows(13).any(|header| header.starts_with(b"MThd") && header[12] == 0x80)
 }
 
 impl Read {

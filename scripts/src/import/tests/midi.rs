@@ -29,6 +29,9 @@ fn files_that_are_no_songs_are_refused() {
     refused(ImportFormat::Midi, b"RIFF0000", &["DB0001"]);
     refused(ImportFormat::Midi, &vec![0; 5_000_000], &["DB0068", "5000000 bytes"]);
     refused(ImportFormat::Midi, b"MThd\0\0\0\x06\0\x01\0\x01\x80\0", &["DB0001", "smpte"]);
+    let second =
+        b"MThd\0\0\0\x06\0\x01\0\x01\x01\xe0MTrk\0\0\0\x04\0\xff\x2f\0MThd\0\0\0\x06\0\x01\0\x01\x80\x02";
+    refused(ImportFormat::Midi, second, &["DB0001", "smpte"]);
     let empty = b"MThd\0\0\0\x06\0\0\0\x01\0\x60MTrk\0\0\0\x04\0\xff\x2f\0";
     refused(ImportFormat::Midi, empty, &["the file sets nothing"]);
     let mut songs = bytes;

@@ -3,7 +3,7 @@
 use urrcp::{Server, Timestamp};
 
 use super::Said;
-use crate::mission::{DeviceReport, FailureKind, Outcome, Progress, Record};
+use crate::mission::{DeviceReport, FailureKind, Join, Outcome, Progress, Record};
 use crate::report::{RobotReport, StopState};
 use crate::simulation::check::DRIFT;
 use crate::simulation::check::cause::{Cause, Hit};
@@ -15,7 +15,7 @@ impl Said<'_> {
             let Some(robot) = self.facts.index_of(&row.robot) else { continue };
             self.sums(row, wrong);
             self.claims(robot, row, wrong);
-            self.links(robot, row, wrong);
+            self.links(row, wrong);
             if self.facts.honest(robot) {
                 self.stop(robot, row, wrong);
             }
@@ -56,8 +56,8 @@ impl Said<'_> {
         }
     }
 
-    /// A robot that is told to be back was asked what it had missed.
-    fn links(&self, robot: usize, row: &RobotReport, wrong: &mut Vec<String>) {
+    /// A robot that is told to be back was asked what it had missed, unless it was not there at first.
+    fn links(&self, row: &RobotReport, wrong: &mut Vec<String>) {
         let back = |(_, happened): &&(Timestamp<Server>, Happened)| match happened {
             Happened::Told(progress) => {
                 matches!(&**progress, Progress::Reattached { robot } if *robot == row.robot)
@@ -65,7 +65,7 @@ impl Said<'_> {
             _ => false,
         };
         let told = self.facts.ran.history.iter().filter(back).count();
-        let joins = self.facts.drawn().robots[robot].there_from > urrcp::Span::ZERO;
+        let joins = self.facts.drawn().join == Join::NextAct;
         if !self.resumed && !joins && told > row.reconnects as usize {
             wrong.push(format!("{} was back {told} times, its report says {}", row.robot, row.reconnects));
         }

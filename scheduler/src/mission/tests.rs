@@ -1,0 +1,49 @@
+//! Missions without links, as far as they can be seen by what they answer.
+
+use std::sync::Arc;
+
+use downbeat_scripts::{Wait, Way};
+
+use super::bench::Tells::Everything;
+use super::bench::{at, choreography, robot};
+use super::*;
+
+/// Two acts, `one` and `two`, that one robot plays. The named one waits for the operator.
+fn waits_in(waiting: usize) -> Mission {
+    let mut choreography = choreography(&[&[("a", 0, 400)]]);
+    let two = choreography.acts[0].clone();
+    choreography.acts.push(two);
+    for (index, name) in ["one", "two"].into_iter().enumerate() {
+        choreography.acts[index].name = name.to_owned();
+        choreography.acts[index].next = if index == 0 { Way::Act(1) } else { Way::End };
+        choreography.acts[index].wait = if index == waiting { Wait::Operator } else { Wait::Done };
+    }
+    let block = robot("r0", Everything, 2).block;
+    let participants = vec![Participant::new(RobotId::new("r0").unwrap(), block)];
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    Mission::new(Arc::new(choreography), participants, options, at(0)).unwrap()
+}
+
+#[track_caller]
+fn answers(mission: &mut Mission, act: Option<&str>, expected: Result<&str, &str>) {
+    let actions = mission.handle(at(1), Event::Go { act: act.map(str::to_owned) });
+    let answer = actions.into_iter().find_map(|action| match action {
+        Action::Answer(answer) => Some(answer),
+        _ => None,
+    });
+    assert_eq!(answer, Some(expected.map(str::to_owned).map_err(str::to_owned)));
+}
+
+#[test]
+fn a_go_counts_for_the_act_that_waits_for_it_and_otherwise_says_why_not() {
+    let mut mission = waits_in(0);
+    answers(&mut mission, None, Err("the fleet is still being checked"));
+    let _sent = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    answers(&mut mission, Some("three"), Err("no act is called `three`"));
+    answers(&mut mission, Some("two"), Err("`two` does not wait: `one` waits for the operator's go"));
+    answers(&mut mission, Some("one"), Ok("one"));
+    answers(&mut mission, Some("one"), Err("`one` does not wait for the operator now"));
+    answers(&mut mission, None, Err("no act waits for the operator"));
+    let _stops = mission.handle(at(2), Event::StopRequested { rest: Rest::Default });
+    answers(&mut mission, None, Err("the mission is being stopped"));
+}
