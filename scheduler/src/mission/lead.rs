@@ -86,8 +86,16 @@ mod tests {
     fn needed(round_trip: Span, bytes: usize) -> LeadTime {
         let lease = LeadTime::lease_needed(round_trip);
         let (early, late, record) = (Span::ZERO, Span::ZERO, Span::ZERO);
-        let measured =
-            Measured { robots: 6, scripts: 6, leases: Leases::Shortened, round_trip, early, late, record };
+        let measured = Measured {
+            robots: 6,
+            scripts: 6,
+            questions: 1,
+            leases: Leases::Shortened,
+            round_trip,
+            early,
+            late,
+            record,
+        };
         LeadTime::needed(round_trip, 6, bytes, &Pace::of(&measured, lease), lease)
     }
 

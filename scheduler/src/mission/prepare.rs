@@ -164,6 +164,7 @@ impl Mission {
         Measured {
             robots: act.present().count(),
             scripts: act.present().map(|member| member.scripts().len()).sum(),
+            questions: act.present().map(Member::questions).max().unwrap_or(1),
             leases: match inquiries && prescribed.is_none() {
                 true => Leases::Shortened,
                 false => Leases::Fixed,

@@ -145,6 +145,11 @@ impl Questions {
         self.answered
     }
 
+    /// When the newest question was sent.
+    pub(crate) fn last_asked(&self) -> Option<Timestamp<Server>> {
+        self.answered.max(self.last_unanswered())
+    }
+
     /// When the oldest question was sent that it has not answered.
     pub(crate) fn unanswered(&self) -> Option<Timestamp<Server>> {
         self.open.front().copied()

@@ -37,12 +37,20 @@ impl Mission {
     fn renew_all(&mut self, now: Timestamp<Server>) {
         for robot in 0..self.robots.len() {
             match (self.robots[robot].stop_was_sent(), self.robots[robot].awaits_stop()) {
+                (false, _) if self.is_asked_anyway(now, robot) => {}
                 (false, _) => self.ask(now, robot),
                 // A robot that was left out has not confirmed yet.
                 (true, true) => self.repeat_stop(now, robot),
                 (true, false) => {}
             }
         }
+    }
+
+    /// An act that approaches its start asks it itself: a link that carries little is not asked twice.
+    fn is_asked_anyway(&self, now: Timestamp<Server>, robot: usize) -> bool {
+        let lately = now - self.round_interval() / 2;
+        let asked = self.robots[robot].questions.last_asked().is_some_and(|at| at > lately);
+        asked && self.acts.iter().any(|act| act.approaches(robot))
     }
 
     /// A third of the shortest lease.

@@ -74,7 +74,11 @@ fn seeds_that_found_something_once_find_nothing_any_more() {
     let seeds = [
         472, 4_923, 9_343, 10_660, 11_569, 11_967, 12_824, 12_996, 19_295, 21_600, 22_396, 28_290, 29_437,
         37_047, 41_459, 47_015, 49_981, 58_170, 62_670, 75_772, 80_659, 84_131, 101_316, 104_663, 107_576,
-        81_395, 95_135, 109_425, 205_918, 220_900, 234_241, 247_153, 257_709,
+        81_395, 95_135, 109_425, 205_918, 220_900, 234_241, 247_153, 257_709, 4_441, 65_227, 124_268,
+        130_977, 145_293, 157_825, 199_283, 244_220, 274_129, 346_783, 378_963, 381_866, 383_180, 419_728,
+        419_769, 431_484, 437_149, 437_770, 449_978, 457_458, 493_607, 503_605, 519_894, 534_796, 536_266,
+        537_591, 539_691, 550_634, 561_484, 563_502, 567_101, 583_634, 586_958, 610_322, 615_371, 619_182,
+        627_918, 628_569, 638_748,
     ];
     for seed in seeds {
         assert_eq!(judge(&run(seed)).violations, [], "seed {seed}");
@@ -217,4 +221,34 @@ fn a_clock_that_is_set_forward_while_no_process_lives_starts_no_robot_alone() {
         }
     }
     assert!(set > 500, "{set}");
+}
+
+#[test]
+fn an_act_whose_robots_were_all_left_out_on_the_way_is_not_called_played() {
+    let mut left = 0;
+    for mut drawn in (0..300).map(|seed| draw(seed).without_faults()) {
+        for act in &mut drawn.choreography.acts {
+            act.on_failure.default = downbeat_scripts::OnFailure::Without;
+            act.on_failure.robots.clear();
+        }
+        let ready = run_calmly(drawn.clone());
+        let promise = ready.records.into_iter().find_map(|(_, record)| match record {
+            crate::mission::Record::Prepared(promise) => Some(promise),
+            _ => None,
+        });
+        let Some(promise) = promise else { continue };
+        let plays = |robot: &DrawnRobot| promise.scripts.iter().any(|script| script.robot == robot.block.id);
+        let players: Vec<usize> = (0..drawn.robots.len()).filter(|at| plays(&drawn.robots[*at])).collect();
+        if players.len() == drawn.robots.len() {
+            continue;
+        }
+        let at = promise.start - crate::dry_run::BEGIN + Span::from_millis(1);
+        let dies = |robot: usize| (at, Fault::RobotCrash { robot, back_after: None, told: true });
+        drawn.faults = players.into_iter().map(dies).collect();
+        let ran = run_calmly(drawn);
+        assert_eq!(ran.verdict().violations, [], "seed {}", ran.drawn.seed);
+        let fate = |report: crate::report::Report| report.course[promise.act].fate.clone();
+        left += usize::from(ran.report.map(fate) == Some(ActFate::Stopped));
+    }
+    assert!(left > 20, "{left}");
 }

@@ -150,6 +150,15 @@ impl Member {
         self.before(script).is_none() || taken_up || first.is_some_and(Script::was_accepted)
     }
 
+    /// How many questions a round asks it on the way to its start, at most: one for each instant at which one of its devices
+    /// begins.
+    pub(crate) fn questions(&self) -> usize {
+        let mut begins: Vec<Span> = self.firsts().map(|script| script.plan.start.span()).collect();
+        begins.sort_unstable();
+        begins.dedup();
+        begins.len()
+    }
+
     /// Whether scripts of its device wait to be sent behind this one.
     pub(super) fn waits_for(&self, script: usize) -> bool {
         self.chains.iter().any(|chain| chain.first == script && chain.unsent < chain.end)

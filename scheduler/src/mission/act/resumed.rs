@@ -82,6 +82,7 @@ impl Act {
         let measured = Measured {
             robots: self.members.len(),
             scripts: promise.scripts.len(),
+            questions: 1,
             leases: Leases::Fixed,
             round_trip: ROUND_TRIP,
             early: tolerance.min(CLOCK_UNKNOWN),

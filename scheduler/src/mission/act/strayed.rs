@@ -70,7 +70,7 @@ impl Act {
     ) -> Option<FailureKind> {
         let timing = self.timing.as_ref()?;
         let member = self.member(robot).filter(|member| self.is_committed() && member.takes_part())?;
-        member.under_way().filter(|(_, script)| script.is_out()).find_map(|(_, script)| {
+        member.under_way().filter(|(_, script)| script.is_unaccounted()).find_map(|(_, script)| {
             let lease = script.longest_lease()?;
             let begins = (timing.start + script.plan.start.span() + member.shift).assume_clock();
             let over = before + lease;

@@ -20,6 +20,8 @@ const PERIOD_MIN_FIXED: Span = Span::from_millis(20);
 const ROUND_EACH: Span = Span::from_micros(25);
 /// What it takes for each script that is asked about.
 const ROUND_EACH_SCRIPT: Span = Span::from_micros(2);
+/// So many questions to one robot count towards the time between two rounds.
+const QUESTIONS_MAX: usize = 3;
 /// The commitment leaves a robot at least so long to receive it before its lease ends.
 const DELIVERY_MIN: Span = Span::from_millis(8);
 /// A withdrawal for doubt is sent so long before its last instant: later than the answers to the commitment come in.
@@ -48,6 +50,8 @@ pub(crate) struct Measured {
     pub(crate) robots: usize,
     /// How many scripts a round asks about.
     pub(crate) scripts: usize,
+    /// How many questions a round asks one robot, at most: one for each lease.
+    pub(crate) questions: usize,
     pub(crate) leases: Leases,
     /// The longest of the round trips that links keep to nearly always.
     pub(crate) round_trip: Span,
@@ -60,6 +64,11 @@ pub(crate) struct Measured {
 }
 
 impl Measured {
+    /// Of many questions the last rounds ask no more slowly than this: the interval of doubt would become long.
+    fn questions(&self) -> i64 {
+        i64::try_from(self.questions.clamp(1, QUESTIONS_MAX)).unwrap_or(1)
+    }
+
     /// How long a round of questions takes.
     fn round(&self) -> Span {
         let count = |number: usize| i64::try_from(number).unwrap_or(i64::MAX);
@@ -94,8 +103,8 @@ impl Pace {
         let (final_lease, period) = match measured.leases {
             Leases::Shortened => {
                 let final_lease = measured.lease_least().min(lease);
-                // Several questions may be under way at once.
-                (final_lease, PERIOD_MIN.max(measured.round_trip / 2))
+                // Several rounds may be under way at once, as far as a link that carries little lets them.
+                (final_lease, PERIOD_MIN.max(measured.round_trip / 2) * measured.questions())
             }
             Leases::Fixed => (lease, PERIOD_MIN_FIXED),
         };
@@ -281,7 +290,8 @@ mod tests {
     fn timing(leases: Leases, round_trip: Span) -> Timing {
         let (early, late) = (Span::from_millis(1), Span::from_millis(2));
         let record = Span::from_millis(20);
-        let measured = Measured { robots: 6, scripts: 6, leases, round_trip, early, late, record };
+        let measured =
+            Measured { robots: 6, scripts: 6, questions: 1, leases, round_trip, early, late, record };
         let lease = LeadTime::lease_needed(round_trip);
         let pace = Pace::of(&measured, lease);
         let lead = LeadTime::needed(round_trip, 6, 6_000, &pace, lease);

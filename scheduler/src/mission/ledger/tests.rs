@@ -36,8 +36,10 @@ fn act(number: u32, scripts: &[(&str, usize)], open: Open, robots: &[RobotState]
 fn timing(now: urrcp::Timestamp<urrcp::Server>) -> Timing {
     let (lease, leases) = (ms(240), Leases::Shortened);
     let (early, late, record) = (ms(1), ms(1), ms(20));
-    let pace =
-        Pace::of(&Measured { robots: 1, scripts: 1, leases, round_trip: ms(1), early, late, record }, lease);
+    let pace = Pace::of(
+        &Measured { robots: 1, scripts: 1, questions: 1, leases, round_trip: ms(1), early, late, record },
+        lease,
+    );
     let lead = LeadTime::needed(ms(1), 1, 1_000, &pace, lease);
     Timing::new(now, lead, pace, ms(100))
 }

@@ -21,6 +21,9 @@ const START_LATE_MAX: Span = Span::from_millis(50);
 /// So long an edge cannot know that its hardware has died without a word.
 const HARDWARE_SILENT: Span = Span::from_millis(150);
 
+/// A report that is lost is awaited for so long, and by how much a script may last beyond it.
+const AWAITED: Span = Span::from_millis(2_500);
+
 /// When an act that was never sent counts as started where nobody decides.
 const NEVER_SENT: Span = Span::from_millis(1_500);
 
@@ -134,7 +137,16 @@ fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<C
     let with_the_others = act.first_start(robot) == Some(act.promise.start);
     let heard_in_time =
         with_the_others && heard_the_commitment(facts, act, robot) && heard_lately(facts, act, robot);
-    own_fault(facts, robot, window, |hit| !(hit.cause.is_of_link() && heard_in_time)).or(hardware)
+    let own = own_fault(facts, robot, window, |hit| !(hit.cause.is_of_link() && heard_in_time));
+    own.or(hardware).or_else(|| left_out_on_the_way(facts, act, robot))
+}
+
+/// A robot whose turn comes later than the start of the act was left out in between, for a fault of its own that may have begun
+/// before: as a report that was lost, and is not awaited any longer.
+fn left_out_on_the_way(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
+    let first = act.first_start(robot)?;
+    let dropped = facts.dropped[robot].filter(|at| *at >= act.promise.start && *at < first)?;
+    own_fault(facts, robot, (dropped - AWAITED, dropped), |_| true)
 }
 
 /// Hardware died, and its edge was not told.

@@ -271,20 +271,17 @@ pub(super) fn is_to_be_compared(facts: &Facts<'_>) -> bool {
 }
 
 /// How much longer than its share of a lead without faults a lead may be: what the disk took of late is awaited twice, and links
-/// are as slow as they were.
+/// are as slow as they were. Nothing else that goes wrong is in it.
 fn lead_allowed(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let slow = slow_again(facts, act).min(ROUND_TRIP_MAX) * ROUND_TRIPS;
-    MORE + lasted_before(facts, act) + clocks_set(facts, act, act.at) * 2 + slow
+    MORE + disk_stood_still(facts, act) * 2 + clocks_set(facts, act, act.at) * 2 + slow
 }
 
 /// How much longer than its share of a gap without faults, and than what the lead is longer, a gap may be: an act is sent later by
 /// what a clock was set back.
 fn gap_allowed(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
-    MORE + lasted_before(facts, act) + clocks_set(facts, act, act.at) + clocks_set(facts, before, act.at)
-}
-
-fn lasted_before(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
-    disk_stood_still(facts, act) * 2 + lasted(facts, act)
+    let lasted = disk_stood_still(facts, act) * 2 + lasted(facts, before, act);
+    MORE + lasted + clocks_set(facts, act, act.at) + clocks_set(facts, before, act.at)
 }
 
 /// Everything was being stopped between two acts.
@@ -350,9 +347,17 @@ fn gap(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Option<Spa
     Some(act.promise.start - (before.promise.start + written.plan.duration()))
 }
 
-/// How long faults lasted between the start of the act before and that of this one: an act waits for its robots.
-fn lasted(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
-    let from = before(facts, act).map_or(act.at, |before| before.promise.start);
-    let hits = facts.hits.iter().filter(|hit| hit.overlaps(from, act.promise.start));
-    hits.map(|hit| hit.until.min(act.promise.start) - hit.from).fold(Span::ZERO, |sum, lasts| sum + lasts)
+/// For how long something was wrong with the scheduler or a robot of either act between the starts of two acts: the later one waits
+/// for that.
+fn lasted(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
+    let robots = [before.robots(), act.robots()].concat();
+    let (begins, until) = (before.promise.start, act.promise.start);
+    let mut from = begins;
+    let mut lasted = Span::ZERO;
+    let counts = |hit: &&Hit| hit.robot.is_none_or(|robot| robots.contains(&robot));
+    for hit in facts.hits.iter().filter(|hit| hit.overlaps(begins, until)).filter(counts) {
+        lasted += (hit.until.min(until) - hit.from.max(from)).max(Span::ZERO);
+        from = from.max(hit.until.min(until));
+    }
+    lasted
 }

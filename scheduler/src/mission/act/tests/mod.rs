@@ -406,8 +406,16 @@ fn robots(tells: &[Tells], queue: usize) -> Vec<RobotState> {
 fn timing(act: &Act, now: Timestamp<Server>, leases: Leases) -> Timing {
     let (robots, scripts) = (act.members().len(), act.members().iter().map(|m| m.scripts().len()).sum());
     let (early, late) = (ms(1), ms(1));
-    let measured =
-        Measured { robots, scripts, leases, round_trip: ROUND_TRIP, early, late, record: RECORDING };
+    let measured = Measured {
+        robots,
+        scripts,
+        questions: 1,
+        leases,
+        round_trip: ROUND_TRIP,
+        early,
+        late,
+        record: RECORDING,
+    };
     let pace = Pace::of(&measured, LEASE);
     let needed = LeadTime::needed(ROUND_TRIP, scripts, 1_000, &pace, LEASE);
     let lead = LeadTime { prepare: needed.prepare + RECORDING, ..needed };
