@@ -126,6 +126,28 @@ mod tests {
     }
 
     #[test]
+    fn two_questions_under_way_over_one_pause_are_one_moment_however_often_they_are_answered() {
+        let mut trips = RoundTrips::default();
+        let exchanges = [
+            (21, 42),
+            (21, 43),
+            (42, 66),
+            (43, 68),
+            (66, 1_194),
+            (68, 1_195),
+            (1_194, 1_216),
+            (1_195, 1_218),
+            (1_216, 1_242),
+            (1_216, 1_242),
+            (2_218, 2_239),
+        ];
+        for (sent, at) in exchanges {
+            trips.add(Timestamp::from_nanos(0) + millis(at), millis(at - sent));
+        }
+        assert!(trips.high() < millis(30), "{trips:?}");
+    }
+
+    #[test]
     fn a_link_that_is_always_slow_is_known_as_slow_from_the_first_exchange_on() {
         for count in 1..200 {
             let (trips, _) = after(millis(100), (0..count).map(|k| 79 + k % 3));

@@ -335,6 +335,10 @@ impl Mission {
 
     fn account(&mut self, now: Timestamp<Server>, act: &Act) {
         for member in act.members() {
+            // What it had of an act before this one is over, and was followed.
+            if !self.robots[member.robot].stop_was_sent() {
+                self.robots[member.robot].left.clear();
+            }
             for (index, script) in member.scripts().iter().enumerate() {
                 let left = act.left_behind(member, index, &self.robots[member.robot], now);
                 let robot = &mut self.robots[member.robot];

@@ -210,7 +210,8 @@ impl Mission {
         let timing = Timing::new(now, lead, need.pace, act.written().plan.duration());
         let gap = target.map(|target| timing.start - target);
         let skew = self.skew_ahead(act, now, timing.start);
-        let timing = Timing { skew, slowest: need.slowest, gap, ..timing };
+        let played = self.acts[..index].iter().filter_map(|before| before.lease_with(act)).min();
+        let timing = Timing { skew, slowest: need.slowest, gap, played, ..timing };
         let shift_of = |robot: &RobotState| {
             let measured = robot.clock_at(now).filter(|_| robot.clock_mode == ClockMode::Measured);
             measured.map_or(Span::ZERO, |reading| reading.offset)

@@ -91,6 +91,7 @@ impl Approach {
     /// Who has not answered by then has failed: what the others still need is left, the record and the commitment itself.
     fn fail_by(&self, timing: &Timing) -> Timestamp<Server> {
         let latest = self.commit_by(timing) - FAIL_AHEAD;
+        let latest = timing.speak_by(self.rounds[1]).map_or(latest, |by| latest.min(by));
         match self.on_disk {
             OnDisk::Nothing => {
                 (latest - timing.recording()).max(timing.commit_from() + timing.pace.period).min(latest)

@@ -426,6 +426,12 @@ impl Act {
         member.under_way().filter(|(_, script)| script.is_out()).filter_map(lease).min()
     }
 
+    /// The shortest of the leases under which robots play it that play another act as well.
+    pub(crate) fn lease_with(&self, other: &Self) -> Option<Span> {
+        let both = self.present().filter(|member| other.place_of(member.robot).is_some());
+        both.flat_map(Member::scripts).filter_map(Script::shortest_lease).min()
+    }
+
     /// When the next of the scripts that a robot holds begins.
     pub(crate) fn next_begin(&self, robot: usize, now: Timestamp<Server>) -> Option<Timestamp<Server>> {
         let start = self.timing.as_ref()?.start;

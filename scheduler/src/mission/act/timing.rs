@@ -160,6 +160,9 @@ pub(crate) struct Timing {
     pub(crate) slowest: Option<(RobotId, Span)>,
     /// How much later it starts than it should: at the end of the act before, or at the time that it waits for.
     pub(crate) gap: Option<Span>,
+    /// The shortest lease under which its robots may still play an act before it: they are not left alone for longer while this
+    /// one is to be committed.
+    pub(crate) played: Option<Span>,
     /// When the last acceptance came.
     pub(crate) accepted_at: Option<Timestamp<Server>>,
     /// When the commitment was sent, and when its last answer came; `None` until all have answered.
@@ -180,6 +183,7 @@ impl Timing {
             skew: None,
             slowest: None,
             gap: None,
+            played: None,
             accepted_at: None,
             round: None,
         }
@@ -217,6 +221,11 @@ impl Timing {
     pub(crate) fn commit_by(&self, last_round: Timestamp<Server>) -> Timestamp<Server> {
         let leases_end = self.brink().min(last_round + self.lease_at(last_round));
         leases_end - DELIVERY_MIN.max(self.pace.round_trip * 2)
+    }
+
+    /// When those that still play must be spoken to again at the latest, if nothing was sent since `last_round`.
+    pub(crate) fn speak_by(&self, last_round: Timestamp<Server>) -> Option<Timestamp<Server>> {
+        Some(last_round + self.played? - DELIVERY_MIN.max(self.pace.round_trip * 2))
     }
 
     /// The pending lease that whatever is sent at this instant has to carry.

@@ -163,12 +163,23 @@ fn died_without_a_word(facts: &Facts<'_>, hit: &Hit) -> bool {
 fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
     let until = latest_start(facts, act, robot)?;
     let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet)
-        .or_else(|| set_unseen(facts, act, robot));
+        .or_else(|| set_unseen(facts, act, robot))
+        .or_else(|| came_late(facts, act, robot, until));
     let dropped = facts.dropped[robot].filter(|at| *at >= act.at);
     let stop = facts.stopping.iter().copied().filter(|at| *at >= act.at).chain(dropped).min()?;
     let missed_the_stop =
         |hit: &&Hit| hit.is_of(robot) && hit.cause != Cause::RobotCrash && hit.overlaps(stop, until);
     set.or_else(|| facts.hits.iter().filter(missed_the_stop).map(|hit| hit.cause).min())
+}
+
+/// A script of an act that was never decided came so late, since the robot's link carried nothing, that its lease reached over the
+/// start or that the script which it was to follow had been dropped; and the scheduler was not there to take it back.
+fn came_late(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, until: Timestamp<Server>) -> Option<Cause> {
+    let lasts = |hit: &&Hit| hit.overlaps(act.at, until);
+    let away = facts.hits.iter().filter(lasts).any(|hit| hit.robot.is_none());
+    let late = |hit: &&Hit| hit.is_of(robot) && hit.cause.is_of_link();
+    let hits = facts.hits.iter().filter(|_| away && act.decided.is_none());
+    hits.filter(lasts).filter(late).map(|hit| hit.cause).min()
 }
 
 /// Its clock was set so short a time before it started by it that no question showed it: the answer and a stop after it would

@@ -23,6 +23,9 @@ const MORE: Span = Span::from_millis(500);
 /// for the answers, six for the lease, and one and a half for the margin.
 const ROUND_TRIPS: i64 = 11;
 const ROUND_TRIP_MAX: Span = Span::from_millis(500);
+/// How long after its instant a report may arrive, in addition to two round trips: it is asked for then, and given up after as
+/// long again.
+const REPORT_GRACE: Span = Span::from_millis(500);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     if facts.ran.hung {
@@ -270,18 +273,28 @@ pub(super) fn is_to_be_compared(facts: &Facts<'_>) -> bool {
     })
 }
 
-/// How much longer than its share of a lead without faults a lead may be: what the disk took of late is awaited twice, and links
-/// are as slow as they were. Nothing else that goes wrong is in it.
+/// How much longer than its share of a lead without faults a lead may be: twice what the disk took of late is in it for the promise
+/// and for the commitment, and links are as slow as they were. Nothing else that goes wrong is in it.
 fn lead_allowed(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let slow = slow_again(facts, act).min(ROUND_TRIP_MAX) * ROUND_TRIPS;
-    MORE + disk_stood_still(facts, act) * 2 + clocks_set(facts, act, act.at) * 2 + slow
+    MORE + disk_stood_still(facts, act) * 4 + clocks_set(facts, act, act.at) * 2 + slow
 }
 
 /// How much longer than its share of a gap without faults, and than what the lead is longer, a gap may be: an act is sent later by
 /// what a clock was set back.
 fn gap_allowed(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     let lasted = disk_stood_still(facts, act) * 2 + lasted(facts, before, act);
+    let lasted = lasted + report_awaited(facts, before, act);
     MORE + lasted + clocks_set(facts, act, act.at) + clocks_set(facts, before, act.at)
+}
+
+/// An act waits so long for a report of the one before it that may be lost.
+fn report_awaited(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
+    let lost =
+        |hit: &&Hit| hit.cause == Cause::Lost && hit.from >= before.promise.start && hit.from <= act.at;
+    let robots = facts.hits.iter().filter(lost).filter_map(|hit| hit.robot);
+    let robots = robots.filter(|robot| before.robots().contains(robot));
+    robots.map(|robot| (REPORT_GRACE + round_trip(facts, robot) * 2) * 2).max().unwrap_or_default()
 }
 
 /// Everything was being stopped between two acts.

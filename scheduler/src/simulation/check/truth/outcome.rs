@@ -139,13 +139,20 @@ impl Said<'_> {
         !self.facts.drawn().choreography.acts[act].plan.robots.iter().any(|robot| plays(&robot.robot))
     }
 
-    /// Not all robots of an act had been left out when it ended.
+    /// Not all robots of an act had been left out when it ended: at one instant the order of the records tells.
     fn has_one_left(&self, act: &SentAct<'_>) -> bool {
-        let ended = self.facts.ran.records.iter().find_map(|(at, record)| match record {
-            Record::ActEnded { report } if report.number == act.promise.number => Some(*at),
-            _ => None,
+        let records = &self.facts.ran.records;
+        let ended = records.iter().position(|(_, record)| match record {
+            Record::ActEnded { report } => report.number == act.promise.number,
+            _ => false,
         });
-        let left = |robot: &usize| match (self.facts.dropped[*robot], ended) {
+        let dropped = |robot: usize| {
+            let name = self.facts.name(robot);
+            records
+                .iter()
+                .position(|(_, record)| matches!(record, Record::Dropped { robot } if robot == name))
+        };
+        let left = |robot: &usize| match (dropped(*robot), ended) {
             (Some(dropped), Some(ended)) => dropped > ended,
             (dropped, _) => dropped.is_none(),
         };
