@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use roxmltree::{Document, Node, ParsingOptions};
-use urrcp::DeviceId;
+use urrcp::{DeviceId, RobotId};
 
 use crate::finding::{Code, Finding};
 use crate::node::shortened;
@@ -63,21 +63,20 @@ struct Told {
 #[must_use]
 pub fn urdf(source: &Source, id: Option<&str>) -> UrdfOutcome {
     let mut sink = Sink::default();
-    let read = read(source, &mut sink);
-    let Some((name, joints)) = read.filter(|_| sink.findings.is_empty()) else {
+    let read = read(source, id, &mut sink);
+    let Some((id, joints)) = read.filter(|_| sink.findings.is_empty()) else {
         return UrdfOutcome { findings: sink.findings, notes: sink.notes, ..UrdfOutcome::default() };
     };
-    let id = id.unwrap_or(&name);
     let safe = |c: char| if c.is_alphanumeric() || "-_".contains(c) { c } else { '-' };
     let path = format!("robots/{}.yaml", id.chars().take(48).map(safe).collect::<String>());
     let files = vec![
-        FilePart { path: path.clone(), text: block_text(id, &source.name, &joints) },
-        FilePart { path: "fleet.yaml".into(), text: fleet_text(id, &path, &joints) },
+        FilePart { path: path.clone(), text: block_text(&id, &source.name, &joints) },
+        FilePart { path: "fleet.yaml".into(), text: fleet_text(&id, &path, &joints) },
     ];
     UrdfOutcome { files, devices: joints.len(), notes: sink.notes, findings: sink.findings }
 }
 
-fn read(source: &Source, sink: &mut Sink) -> Option<(String, Vec<Joint>)> {
+fn read(source: &Source, id: Option<&str>, sink: &mut Sink) -> Option<(String, Vec<Joint>)> {
     if source.text.len() > BYTES_MAX {
         let message = format!("the file has {} bytes", source.text.len());
         sink.about(&source.name, Code::ImportLimit, message, &format!("at most {BYTES_MAX} bytes"), None);
@@ -121,8 +120,13 @@ fn read(source: &Source, sink: &mut Sink) -> Option<(String, Vec<Joint>)> {
         return None;
     }
     let joints = joints(robot, source, sink);
-    let name = robot.attribute("name").unwrap_or("robot").to_owned();
-    Some((name, joints))
+    let name = id.or(robot.attribute("name")).unwrap_or("robot");
+    if let Err(error) = RobotId::new(name) {
+        let message = format!("robot `{}`: {error}", shortened(name));
+        let hint = Some("name it with `--kind NAME`");
+        found(robot, source, Code::ImportNames, message, "a name of 1 to 256 characters", hint, sink);
+    }
+    Some((name.to_owned(), joints))
 }
 
 fn joints(robot: Node<'_, '_>, source: &Source, sink: &mut Sink) -> Vec<Joint> {

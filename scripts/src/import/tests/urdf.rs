@@ -67,6 +67,8 @@ fn descriptions_that_are_wrong_are_refused_in_their_lines() {
     check(&joint("type='revolute'><limit lower='1e999' upper='1'/>"), &["DB0061"]);
     check(&joint("type='hinge'>"), &["is of type `hinge`"]);
     check("<robot><joint name='' type='continuous'/></robot>", &["DB0067"]);
+    let long = format!("<robot name='{}'><joint name='a' type='continuous'/></robot>", "r".repeat(257));
+    check(&long, &["DB0067", "257 characters", "--kind NAME"]);
     let twice = "<robot><joint name='a' type='continuous'/>\n<joint name='a' type='continuous'/></robot>";
     check(twice, &["robot.urdf:2:1", "two joints are named `a`"]);
     check(&"<a>".repeat(100_000), &["DB0002"]);
