@@ -1,8 +1,9 @@
 //! Aliases stand for values again and again: a few lines of them could fill any memory. Counted before anything is made of
 //! them, by a parser that keeps nothing.
 
-use saphyr_parser::{Event, Parser};
+use saphyr_parser::Event;
 
+use crate::events::Events;
 use crate::finding::{Code, Finding};
 use crate::render::line_of;
 use crate::source::Source;
@@ -41,31 +42,29 @@ fn exceeding(text: &str) -> Option<(usize, usize)> {
     let mut sizes: Vec<usize> = Vec::new();
     let mut open: Vec<Open> = Vec::new();
     let mut aliased = 0usize;
-    let mut parser = Parser::new_from_str(text);
-    while let Some(Ok((event, span))) = parser.next_event() {
+    let mut place = None;
+    Events::of(text).each(|event, extent| {
         let (anchor, values) = match event {
             Event::Scalar(_, _, anchor, _) => (anchor, 1),
             Event::SequenceStart(anchor, _) | Event::MappingStart(anchor, _) => {
                 open.push(Open { anchor, values: 1 });
                 // The reader refuses that.
-                if open.len() > NESTING_MAX {
-                    return None;
-                }
-                continue;
+                return open.len() <= NESTING_MAX;
             }
             Event::SequenceEnd | Event::MappingEnd => match open.pop() {
                 Some(Open { anchor, values }) => (anchor, values),
-                None => continue,
+                None => return true,
             },
             Event::Alias(anchor) => {
                 let values = sizes.get(anchor).copied().unwrap_or(1);
                 aliased = aliased.saturating_add(values);
                 if aliased > ALIASED_MAX {
-                    return Some((span.start.line(), span.start.col()));
+                    place = Some(extent.start);
+                    return false;
                 }
                 (0, values)
             }
-            _ => continue,
+            _ => return true,
         };
         if let Some(parent) = open.last_mut() {
             parent.values = parent.values.saturating_add(values);
@@ -74,8 +73,9 @@ fn exceeding(text: &str) -> Option<(usize, usize)> {
             sizes.resize(sizes.len().max(anchor + 1), 1);
             sizes[anchor] = values;
         }
-    }
-    None
+        true
+    });
+    place
 }
 
 #[cfg(test)]

@@ -10,6 +10,7 @@ mod aliases;
 mod budget;
 mod compile;
 mod duration;
+mod events;
 mod exact;
 pub mod export;
 mod fields;

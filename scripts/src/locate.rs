@@ -4,8 +4,9 @@
 use std::borrow::Borrow;
 use std::collections::HashMap;
 
-use saphyr_parser::{Event, Parser, Span};
+use saphyr_parser::Event;
 
+use crate::events::{Events, Extent};
 use crate::finding::{Finding, Part, Pending, Place, Related};
 use crate::render::line_starts;
 use crate::source::Source;
@@ -128,12 +129,10 @@ struct Spot {
 }
 
 impl Spot {
-    fn of(span: Span) -> Self {
-        let width = match span.end.line() == span.start.line() {
-            true => span.end.col().saturating_sub(span.start.col()),
-            false => 1,
-        };
-        Self { line: span.start.line(), column: span.start.col() + 1, width }
+    fn of(extent: Extent) -> Self {
+        let Extent { start, end } = extent;
+        let width = if start.0 == end.0 { end.1.saturating_sub(start.1) } else { 1 };
+        Self { line: start.0, column: start.1 + 1, width }
     }
 }
 
@@ -195,11 +194,10 @@ impl Wanted {
 
     fn find(&mut self, text: &str) {
         let mut stack: Vec<Frame> = Vec::new();
-        let mut parser = Parser::new_from_str(text);
-        while let Some(Ok((event, span))) = parser.next_event() {
+        Events::of(text).each(|event, extent| {
             match event {
                 Event::MappingStart(..) | Event::SequenceStart(..) => {
-                    let wanted = self.arrive(&mut stack, None, span);
+                    let wanted = self.arrive(&mut stack, None, extent);
                     let map = matches!(event, Event::MappingStart(..));
                     stack.push(Frame { wanted, map, index: 0, pending: None, seen: HashMap::new() });
                 }
@@ -207,28 +205,29 @@ impl Wanted {
                     stack.pop();
                 }
                 Event::Scalar(text, ..) => {
-                    self.arrive(&mut stack, Some(&text), span);
+                    self.arrive(&mut stack, Some(&text), extent);
                 }
                 Event::Alias(_) => {
-                    self.arrive(&mut stack, None, span);
+                    self.arrive(&mut stack, None, extent);
                 }
-                Event::DocumentEnd => return,
+                Event::DocumentEnd => return false,
                 _ => {}
             }
-        }
+            true
+        });
     }
 
     /// A node begins: as a key of the innermost map, as its value, as an item, or as the document.
-    fn arrive(&mut self, stack: &mut [Frame], text: Option<&str>, span: Span) -> Option<usize> {
+    fn arrive(&mut self, stack: &mut [Frame], text: Option<&str>, extent: Extent) -> Option<usize> {
         let Some(frame) = stack.last_mut() else {
-            self.values[0] = Some(Spot::of(span));
+            self.values[0] = Some(Spot::of(extent));
             return Some(0);
         };
         let node = match (frame.map, frame.pending.take()) {
             (true, None) => {
                 let child = frame.wanted.and_then(|parent| self.child_of_key(parent, &mut frame.seen, text?));
                 if let Some(child) = child {
-                    self.keys[child] = Some(Spot::of(span));
+                    self.keys[child] = Some(Spot::of(extent));
                 }
                 frame.pending = Some(child);
                 return None;
@@ -241,7 +240,7 @@ impl Wanted {
             }
         };
         if let Some(node) = node {
-            self.values[node] = Some(Spot::of(span));
+            self.values[node] = Some(Spot::of(extent));
         }
         node
     }

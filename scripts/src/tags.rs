@@ -1,7 +1,8 @@
 //! Tags of other programs, such as `!!python/tuple` and `!degrees`: refused wherever they stand, never executed.
 
-use saphyr_parser::{Event, Parser};
+use saphyr_parser::Event;
 
+use crate::events::Events;
 use crate::finding::{Code, Finding};
 use crate::node::shortened;
 use crate::render::line_of;
@@ -19,15 +20,14 @@ pub(crate) fn foreign_tags(source: &Source) -> Vec<Finding> {
     if !source.text.contains('!') {
         return findings;
     }
-    let mut parser = Parser::new_from_str(&source.text);
-    while let Some(Ok((event, span))) = parser.next_event() {
+    Events::of(&source.text).each(|event, extent| {
         let tag = match &event {
             Event::Scalar(_, _, _, tag) | Event::SequenceStart(_, tag) | Event::MappingStart(_, tag) => tag,
-            _ => continue,
+            _ => return true,
         };
         let Some(tag) = tag.as_ref().filter(|tag| !tag.is_yaml_core_schema() || tag.suffix.contains('/'))
         else {
-            continue;
+            return true;
         };
         let mut finding = Finding::about_file(
             Code::ForeignTag,
@@ -36,14 +36,11 @@ pub(crate) fn foreign_tags(source: &Source) -> Vec<Finding> {
             "a plain value",
             Some("remove the tag: nothing in a file is ever executed or converted by a tag".to_owned()),
         );
-        finding.line = span.start.line();
-        finding.column = span.start.col() + 1;
+        (finding.line, finding.column) = (extent.start.0, extent.start.1 + 1);
         finding.width = 1;
         finding.source_line = line_of(&source.text, finding.line).chars().take(LINE_CHARS_MAX).collect();
         findings.push(finding);
-        if findings.len() >= TAGS_MAX {
-            break;
-        }
-    }
+        findings.len() < TAGS_MAX
+    });
     findings
 }
