@@ -293,7 +293,9 @@ fn report_awaited(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) ->
     let lost =
         |hit: &&Hit| hit.cause == Cause::Lost && hit.from >= before.promise.start && hit.from <= act.at;
     let robots = facts.hits.iter().filter(lost).filter_map(|hit| hit.robot);
-    let robots = robots.filter(|robot| before.robots().contains(robot));
+    // So is what a robot that lies never reports.
+    let liars = (0..facts.drawn().robots.len()).filter(|robot| !facts.honest(*robot));
+    let robots = robots.chain(liars).filter(|robot| before.robots().contains(robot));
     robots.map(|robot| (REPORT_GRACE + round_trip(facts, robot) * 2) * 2).max().unwrap_or_default()
 }
 
@@ -360,11 +362,11 @@ fn gap(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Option<Spa
     Some(act.promise.start - (before.promise.start + written.plan.duration()))
 }
 
-/// For how long something was wrong with the scheduler or a robot of either act between the starts of two acts: the later one waits
-/// for that.
+/// For how long something was wrong with the scheduler or a robot of either act since the one before was sent: the later one waits for
+/// that.
 fn lasted(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     let robots = [before.robots(), act.robots()].concat();
-    let (begins, until) = (before.promise.start, act.promise.start);
+    let (begins, until) = (before.at, act.promise.start);
     let mut from = begins;
     let mut lasted = Span::ZERO;
     let counts = |hit: &&Hit| hit.robot.is_none_or(|robot| robots.contains(&robot));
