@@ -51,7 +51,7 @@ pub use plan::{
     Act, Choreography, DeviceScript, DeviceUse, FailurePolicy, OnDoubt, OnFailure, Plan, PlannedCue,
     PlannedReading, RobotPlan, SensorRange, Wait, Way,
 };
-pub use refill::{Freed, Refill, RefillKind, refills, tightest_refill};
+pub use refill::{Freed, Refill, RefillKind, refills, refills_of_robots, tightest_refill};
 pub use render::{counted, render};
 pub use sarif::sarif;
 pub use scenario::{fleet_named_by, parse_time};

@@ -62,6 +62,19 @@ pub fn refills(
     queue: impl Fn(&RobotId, &DeviceId) -> Option<u32>,
     sending: Span,
 ) -> Vec<Refill> {
+    let mut refills = refills_of_robots(choreography, queue, sending);
+    refills.sort_by_key(|refill| (refill.act, refill.kind, refill.time));
+    refills.dedup_by_key(|refill| (refill.act, refill.kind));
+    refills
+}
+
+/// The same for each robot of each act: to one of them a script may take longer than to another.
+#[must_use]
+pub fn refills_of_robots(
+    choreography: &Choreography,
+    queue: impl Fn(&RobotId, &DeviceId) -> Option<u32>,
+    sending: Span,
+) -> Vec<Refill> {
     let acts = &choreography.acts;
     let mut walk = Walk { acts, queue, sending, tightest: HashMap::new() };
     let mut visited = vec![false; acts.len()];
@@ -75,7 +88,7 @@ pub fn refills(
         }
     }
     let mut refills: Vec<Refill> = walk.tightest.into_values().collect();
-    refills.sort_unstable_by_key(|refill| (refill.act, refill.kind));
+    refills.sort_by(|a, b| (a.act, a.kind, &a.robot).cmp(&(b.act, b.kind, &b.robot)));
     refills
 }
 
@@ -126,7 +139,7 @@ struct Walk<'a, Q> {
     acts: &'a [Act],
     queue: Q,
     sending: Span,
-    tightest: HashMap<(usize, RefillKind), Refill>,
+    tightest: HashMap<(usize, RefillKind, &'a RobotId), Refill>,
 }
 
 impl<'a, Q: Fn(&RobotId, &DeviceId) -> Option<u32>> Walk<'a, Q> {
@@ -185,14 +198,14 @@ impl<'a, Q: Fn(&RobotId, &DeviceId) -> Option<u32>> Walk<'a, Q> {
         chains.filter_map(chain).collect()
     }
 
-    /// Keeps it if none of its act and kind leaves less time.
-    fn note(&mut self, chain: &Chain<'_>, script: usize, freed_by: Freed, time: Span) {
+    /// Keeps it if none of its act, kind and robot leaves less time.
+    fn note(&mut self, chain: &Chain<'a>, script: usize, freed_by: Freed, time: Span) {
         let kind = if script == 0 { RefillKind::First } else { RefillKind::Later };
-        let known = self.tightest.get(&(chain.act, kind));
+        let known = self.tightest.get(&(chain.act, kind, chain.robot));
         if known.is_none_or(|known| time < known.time) {
             let (robot, device) = (chain.robot.clone(), chain.scripts[script].device.clone());
             let refill = Refill { act: chain.act, robot, device, script, freed_by, time, kind };
-            self.tightest.insert((chain.act, kind), refill);
+            self.tightest.insert((chain.act, kind, chain.robot), refill);
         }
     }
 }
@@ -280,6 +293,18 @@ mod tests {
         let mut waiting = acts();
         waiting[1].wait = Wait::Operator;
         assert_eq!(of(waiting, 2), []);
+    }
+
+    #[test]
+    fn each_robot_has_a_refill_of_its_own_and_the_act_the_tightest() {
+        let mut both = act(&[300, 300, 300], Way::End);
+        let slower = act(&[500, 500, 500], Way::End).plan.robots.remove(0);
+        both.plan.robots.push(RobotPlan { robot: "s".parse().unwrap(), ..slower });
+        let choreography = Choreography { scenario: "s".into(), acts: vec![both] };
+        let of_each = refills_of_robots(&choreography, |_, _| Some(2), Span::ZERO);
+        let of_each: Vec<_> = of_each.iter().map(|it| (it.robot.as_str(), it.time)).collect();
+        assert_eq!(of_each, [("r", Span::from_millis(300)), ("s", Span::from_millis(500))]);
+        assert_eq!(refills(&choreography, |_, _| Some(2), Span::ZERO).len(), 1);
     }
 
     #[test]

@@ -3,7 +3,7 @@
 //! A script that comes late is refused by its robot, in mid-show. `check` finds what no link could do; what the links of
 //! today cannot do is found here, before anything has moved.
 
-use downbeat_scripts::{Refill, RefillKind, refills};
+use downbeat_scripts::{Refill, RefillKind, refills_of_robots};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
 use super::act::LAPSE;
@@ -21,7 +21,7 @@ impl Mission {
             Some(described.script_queue)
         };
         let later = |refill: &Refill| refill.kind == RefillKind::Later;
-        for refill in refills(&self.choreography, queue, sending).into_iter().filter(later) {
+        for refill in refills_of_robots(&self.choreography, queue, sending).into_iter().filter(later) {
             let Some(robot) = self.robots.iter().position(|robot| robot.id == refill.robot) else { continue };
             let needed = self::sending(&self.robots[robot], now);
             if refill.time < needed {

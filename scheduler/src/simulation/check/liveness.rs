@@ -362,10 +362,11 @@ fn gap(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Option<Spa
     Some(act.promise.start - (before.promise.start + written.plan.duration()))
 }
 
-/// For how long something was wrong with the scheduler or a robot of either act since the one before was sent: the later one waits for
-/// that.
+/// For how long something was wrong with the scheduler or a robot since the act before was sent: the later one waits for that.
 fn lasted(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
-    let robots = [before.robots(), act.robots()].concat();
+    // Of any act so far: one that has not ended holds up those behind it.
+    let so_far = facts.acts.iter().filter(|other| other.promise.number <= act.promise.number);
+    let robots: Vec<usize> = so_far.flat_map(SentAct::robots).collect();
     let (begins, until) = (before.at, act.promise.start);
     let mut from = begins;
     let mut lasted = Span::ZERO;
