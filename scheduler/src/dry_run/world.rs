@@ -196,7 +196,7 @@ impl<A: Audience> World for VirtualWorld<'_, A> {
     }
 
     fn write(&mut self, _: Timestamp<Server>, record: Record) -> Filed {
-        if let Record::ActEnded { report } = &record {
+        if let Record::ActEnded { report, .. } = &record {
             self.spread.act_ended(report);
         }
         Filed::AtOnce

@@ -10,7 +10,7 @@ use serde_json::Value;
 use urrcp::{DeviceId, Millis, RobotId, Server, Span, Timestamp};
 
 use super::{Opened, OpenedRobot};
-use crate::mission::{Promise, Rest};
+use crate::mission::{ActFlaws, OutOfTolerance, Promise, Rest};
 
 /// What a journal says.
 #[derive(Clone, Debug)]
@@ -23,6 +23,8 @@ pub struct Kept {
     pub promises: Vec<(Promise, Progressed)>,
     /// Acts that have ended.
     pub ended_acts: u32,
+    /// What of each of those keeps the mission from being called done.
+    pub flaws: Vec<ActFlaws>,
     /// Robots that were left out.
     pub dropped: Vec<RobotId>,
     /// Robots that do not know requests by their names.
@@ -149,6 +151,9 @@ struct Head {
     outcome: Option<Value>,
     #[serde(default)]
     rest: Rest,
+    #[serde(default)]
+    unaccounted: Vec<RobotId>,
+    out_of_tolerance: Option<OutOfTolerance>,
 }
 
 #[derive(Deserialize)]
@@ -217,6 +222,7 @@ impl Kept {
             opened_at,
             promises: Vec::new(),
             ended_acts: 0,
+            flaws: Vec::new(),
             dropped: Vec::new(),
             unnamed: Vec::new(),
             stopping: None,
@@ -305,6 +311,9 @@ impl Kept {
                 let ended = head.report.map(|report| report.number);
                 under_way.retain(|(number, ..)| Some(*number) != ended);
                 self.ended_acts += 1;
+                let Head { unaccounted, out_of_tolerance, .. } = head;
+                let flaws = ActFlaws { unaccounted, out_of_tolerance };
+                self.flaws.extend(Some(flaws).filter(|flaws| *flaws != ActFlaws::default()));
             }
             "dropped" => {
                 // What it confirmed before was another stop.

@@ -2,7 +2,7 @@ use urrcp::Span;
 
 use super::simulated::SimulatedDisk;
 use super::*;
-use crate::mission::{Promise, PromisedScript, Rest};
+use crate::mission::{ActFlaws, OutOfTolerance, Promise, PromisedScript, Rest};
 use crate::report::Outcome;
 
 fn opened() -> Opened {
@@ -130,6 +130,28 @@ fn a_robot_has_confirmed_its_stop_until_it_is_left_out_and_stopped_again() {
     append(Record::Dropped { robot: robot() });
     let kept = read(&path).unwrap();
     assert_eq!((kept.stopped, kept.dropped), (vec![], vec![robot()]));
+}
+
+#[test]
+fn what_keeps_a_mission_from_being_called_done_is_known_of_acts_that_have_ended() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let mut bytes = std::fs::read(&path).unwrap();
+    let sound = serde_json::json!({"at": at(9), "record": "act_ended", "report": {"number": 0}});
+    let mut flawed = sound.clone();
+    flawed["unaccounted"] = "arm".split(' ').collect();
+    flawed["out_of_tolerance"] = serde_json::json!({"spread_ms": 12.5, "tolerance_ms": 10});
+    for ended in [sound, flawed] {
+        bytes.extend(line(&ended).unwrap());
+    }
+    std::fs::write(&path, bytes).unwrap();
+    let kept = read(&path).unwrap();
+    let spread = Span::from_micros(12_500);
+    let expected = ActFlaws {
+        unaccounted: vec![RobotId::new("arm").unwrap()],
+        out_of_tolerance: Some(OutOfTolerance { spread, tolerance: Span::from_millis(10) }),
+    };
+    assert_eq!((kept.ended_acts, kept.flaws, kept.torn), (2, vec![expected], None));
 }
 
 fn life(folder: &Path) -> Life {

@@ -6,11 +6,12 @@ use std::sync::Arc;
 use downbeat_scripts::Way;
 use urrcp::{Server, Timestamp};
 
-use super::act::{Act, ActAction, act_name};
-use super::facts::ActReport;
+use super::act::{Act, ActAction, Member, act_name};
+use super::facts::{ActReport, spread};
 use super::fates::ActFate;
-use super::record::Record;
+use super::record::{ActFlaws, OutOfTolerance, Record};
 use super::robot_state::{Reading, Rest, RobotState, Standing};
+use super::script::Script;
 use super::{Action, Mission, Outcome, Phase, Progress};
 
 /// Reports of acts are kept as long as they have no more rows than this in all.
@@ -170,14 +171,14 @@ impl Mission {
     fn outcome_at_the_end(&self) -> Outcome {
         let is_out = |robot: &RobotState| robot.standing == Standing::Out;
         // Of those that were left out nothing is promised.
-        if self.robots.iter().any(|robot| !is_out(robot) && robot.totals.unaccounted > 0) {
+        if self.robots.iter().any(|robot| !is_out(robot) && robot.was_lost_sight_of) {
             return Outcome::Unknown;
-        }
-        if self.robots.iter().any(is_out) {
-            return Outcome::DoneWithout;
         }
         if let Some(flaw) = &self.flaw_of_starts {
             return flaw.clone();
+        }
+        if self.robots.iter().any(is_out) {
+            return Outcome::DoneWithout;
         }
         let fates = self.fates.iter().enumerate().filter(|(_, act)| act.was_skipped());
         let skipped = fates.map(|(act, _)| act_name(&self.choreography, act));
@@ -317,13 +318,27 @@ impl Mission {
         }
     }
 
-    fn keep_report(&mut self, act: &Act, report: ActReport) {
-        let tolerance = act.written().plan.start_tolerance;
-        let spread = report.spread.into_iter().chain(report.off_plan()).max();
-        if let Some(spread) = spread.filter(|spread| *spread > tolerance) {
+    /// An act has ended so, here or before another process died.
+    pub(super) fn is_flawed(&mut self, flaws: &ActFlaws) {
+        if let Some(OutOfTolerance { spread, tolerance }) = flaws.out_of_tolerance {
             self.flaw_of_starts.get_or_insert(Outcome::OutOfTolerance { spread, tolerance });
         }
-        self.record(Record::ActEnded { report: Box::new(report.clone()) });
+        for robot in self.robots.iter_mut().filter(|robot| flaws.unaccounted.contains(&robot.id)) {
+            robot.was_lost_sight_of = true;
+        }
+    }
+
+    fn keep_report(&mut self, act: &Act, report: ActReport) {
+        let tolerance = act.written().plan.start_tolerance;
+        let spread = spread(act, act.present()).into_iter().chain(report.off_plan()).max();
+        let out_of_tolerance =
+            spread.filter(|spread| *spread > tolerance).map(|spread| OutOfTolerance { spread, tolerance });
+        let lost = |member: &&Member| member.scripts().iter().any(Script::is_unaccounted);
+        let unaccounted = act.members().iter().filter(lost);
+        let unaccounted = unaccounted.map(|member| self.robots[member.robot].id.clone()).collect();
+        let flaws = ActFlaws { unaccounted, out_of_tolerance };
+        self.is_flawed(&flaws);
+        self.record(Record::ActEnded { report: Box::new(report.clone()), flaws });
         self.reports.push_back(report);
         let rows = |acts: &VecDeque<ActReport>| acts.iter().map(|act| act.robots.len()).sum::<usize>();
         while self.reports.len() > 1 && rows(&self.reports) > ROWS_KEPT {

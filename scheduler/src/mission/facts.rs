@@ -104,7 +104,7 @@ impl ActReport {
             slowest: timing.slowest.as_ref().map(|(robot, _)| robot.clone()),
             gap: timing.gap,
             skew: timing.skew.clone(),
-            spread: spread(act),
+            spread: spread(act, act.members().iter()),
             margin_left: timing.accepted_at.map(|at| timing.decision - at),
             window: timing.round.map(|(sent, answered)| answered - sent),
             doubt: timing.doubt(),
@@ -115,22 +115,21 @@ impl ActReport {
 }
 
 impl ActReport {
-    /// How far from its plan a script started, at most, by its robot's own clock.
+    /// How far from its plan a script started, at most, by its robot's own clock. Of robots that were left out nothing is promised.
     pub(super) fn off_plan(&self) -> Option<Span> {
-        let scripts = self.robots.iter().flat_map(|robot| &robot.devices);
+        let scripts = self.robots.iter().filter(|robot| !robot.left_out).flat_map(|robot| &robot.devices);
         scripts.filter_map(|script| script.start_error).map(Span::abs).max()
     }
 }
 
 /// Largest minus smallest error of the starts that are to be simultaneous: of the first script of every device.
-fn spread(act: &Act) -> Option<Span> {
-    let errors = || {
-        act.members().iter().flat_map(|member| {
-            let firsts = member.firsts();
-            firsts.filter_map(move |script| act.start_error(member, script))
-        })
+pub(super) fn spread<'a>(act: &Act, members: impl Iterator<Item = &'a Member>) -> Option<Span> {
+    let errors = |member: &'a Member| {
+        let firsts = member.firsts();
+        firsts.filter_map(move |script| act.start_error(member, script))
     };
-    errors().max().zip(errors().min()).map(|(max, min)| max - min)
+    let errors: Vec<Span> = members.flat_map(errors).collect();
+    errors.iter().max().zip(errors.iter().min()).map(|(max, min)| *max - *min)
 }
 
 fn device_report(act: &Act, member: &Member, script: &Script) -> DeviceReport {

@@ -54,7 +54,7 @@ pub use lead::{LEAD_MARGIN_MIN, LeadTime};
 pub use options::{ClockMode, Greeting, Join, MissionOptions, Participant, Requirement};
 pub use outcome::Outcome;
 pub use preflight::{Check, DeviceReading, Preflight, PreflightRow, Verdict};
-pub use record::{Promise, PromisedScript, Record};
+pub use record::{ActFlaws, OutOfTolerance, Promise, PromisedScript, Record};
 pub use resume::Changed;
 pub use skew::{RobotSkew, SkewBudget};
 

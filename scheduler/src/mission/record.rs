@@ -53,6 +53,9 @@ pub enum Record {
     ActEnded {
         /// What became of it.
         report: Box<ActReport>,
+        /// What of it keeps the mission from being called done.
+        #[serde(flatten)]
+        flaws: ActFlaws,
     },
     /// The mission is over.
     Ended {
@@ -79,6 +82,28 @@ impl Record {
             | Self::ActEnded { .. } => false,
         }
     }
+}
+
+/// What keeps a mission from being called done: another process that takes it up has not seen it.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ActFlaws {
+    /// Robots that had a part in it, of which nobody knows what they did of a script.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub unaccounted: Vec<RobotId>,
+    /// Starts were further apart, or from their plan, than the scenario allows.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub out_of_tolerance: Option<OutOfTolerance>,
+}
+
+/// Starts that were further apart, or from their plan, than allowed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OutOfTolerance {
+    /// By how much.
+    #[serde(rename = "spread_ms")]
+    pub spread: Span,
+    /// What is allowed.
+    #[serde(rename = "tolerance_ms")]
+    pub tolerance: Span,
 }
 
 /// What is promised to the robots of an act.

@@ -38,6 +38,7 @@ impl Mission {
                 robot.standing = Standing::Out;
             }
         }
+        left.flaws.iter().for_each(|flaws| mission.is_flawed(flaws));
         for (promise, progressed) in &left.promises {
             match progressed {
                 Progressed::Prepared => {}

@@ -212,6 +212,8 @@ pub(crate) struct RobotState {
     spoken_at: Option<Timestamp<Server>>,
     pub(crate) failures: Vec<Failure>,
     pub(crate) totals: Totals,
+    /// Nobody knows what it did of a script of an act that has ended.
+    pub(crate) was_lost_sight_of: bool,
 }
 
 /// The pause before the second attempt to reach a robot again, doubled with every attempt; the first comes at once.
@@ -252,6 +254,7 @@ impl RobotState {
             spoken_at: None,
             failures: Vec::new(),
             totals: Totals::default(),
+            was_lost_sight_of: false,
         }
     }
 

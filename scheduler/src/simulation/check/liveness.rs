@@ -198,7 +198,7 @@ fn came_to_rest(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, by: Timestam
 /// An act that has not ended by then: its robots may still have something of it.
 fn is_open(facts: &Facts<'_>, act: &SentAct<'_>, at: Timestamp<Server>) -> bool {
     let ended = facts.ran.records.iter().any(|(when, record)| match record {
-        Record::ActEnded { report } => *when < at && report.number == act.promise.number,
+        Record::ActEnded { report, .. } => *when < at && report.number == act.promise.number,
         _ => false,
     });
     act.at <= at && !ended

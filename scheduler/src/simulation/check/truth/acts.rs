@@ -95,7 +95,7 @@ impl Said<'_> {
         let Some(robot) = self.facts.index_of(&said.robot) else { return };
         let number = act.promise.number;
         let ended = self.facts.ran.records.iter().find_map(|(at, record)| match record {
-            Record::ActEnded { report } if report.number == number => Some(*at),
+            Record::ActEnded { report, .. } if report.number == number => Some(*at),
             _ => None,
         });
         let at_the_end = self.facts.dropped[robot].is_some() && self.facts.dropped[robot] == ended;

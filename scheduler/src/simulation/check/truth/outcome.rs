@@ -143,7 +143,7 @@ impl Said<'_> {
     fn has_one_left(&self, act: &SentAct<'_>) -> bool {
         let records = &self.facts.ran.records;
         let ended = records.iter().position(|(_, record)| match record {
-            Record::ActEnded { report } => report.number == act.promise.number,
+            Record::ActEnded { report, .. } => report.number == act.promise.number,
             _ => false,
         });
         let dropped = |robot: usize| {
