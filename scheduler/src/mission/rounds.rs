@@ -35,9 +35,10 @@ impl Mission {
     }
 
     fn renew_all(&mut self, now: Timestamp<Server>) {
+        let lately = now - self.round_interval() / 2;
         for robot in 0..self.robots.len() {
             match (self.robots[robot].stop_was_sent(), self.robots[robot].awaits_stop()) {
-                (false, _) if self.is_asked_anyway(now, robot) => {}
+                (false, _) if self.is_asked_anyway(lately, robot) => {}
                 (false, _) => self.ask(now, robot),
                 // A robot that was left out has not confirmed yet.
                 (true, true) => self.repeat_stop(now, robot),
@@ -47,8 +48,7 @@ impl Mission {
     }
 
     /// An act that approaches its start asks it itself: a link that carries little is not asked twice.
-    fn is_asked_anyway(&self, now: Timestamp<Server>, robot: usize) -> bool {
-        let lately = now - self.round_interval() / 2;
+    fn is_asked_anyway(&self, lately: Timestamp<Server>, robot: usize) -> bool {
         let asked = self.robots[robot].questions.last_asked().is_some_and(|at| at > lately);
         asked && self.acts.iter().any(|act| act.approaches(robot))
     }
