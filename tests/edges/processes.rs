@@ -4,7 +4,8 @@ use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, Stdio};
 
 use super::TANK;
-use crate::session::{PROGRAM, Session, root};
+use crate::robots::ended_by_a_hang_up;
+use crate::session::{Session, root};
 use crate::thrift_robot;
 
 /// A Thrift robot of either kind; gone with the value.
@@ -78,7 +79,7 @@ pub struct Edge(pub Child, pub u16);
 
 impl Edge {
     pub fn start(session: &Session, init: &str, driver: &str) -> Self {
-        let mut command = Command::new(PROGRAM);
+        let mut command = ended_by_a_hang_up();
         command.args(["edge", "--listen", "127.0.0.1:0", "--init", init, "--driver", driver]);
         // What permission there is differs from machine to machine, and is told.
         command.args(["--realtime", "off"]);

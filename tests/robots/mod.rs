@@ -135,7 +135,7 @@ impl Stage {
     }
 
     pub fn command(&self, args: &[&str]) -> Command {
-        let mut command = Command::new(PROGRAM);
+        let mut command = ended_by_a_hang_up();
         command.args(args).current_dir(self.folder.path()).env("DOWNBEAT_STATE", self.path("state"));
         command.stdin(Stdio::null()).stdout(Stdio::piped()).stderr(Stdio::piped());
         command
@@ -151,6 +151,13 @@ impl Stage {
     pub fn run(&self, args: &[&str]) -> Ended {
         self.start(args).ended()
     }
+}
+
+/// The program, for which a hang-up is not ignored as it is by whatever `nohup` starts, these tests included.
+pub fn ended_by_a_hang_up() -> Command {
+    let mut command = Command::new("env");
+    command.args(["--default-signal=HUP", PROGRAM]);
+    command
 }
 
 fn start(folder: &Path, init: &str, args: &[String], id: &str, port: u16, log: &Path) -> (Process, u16) {

@@ -1,5 +1,6 @@
 //! A mission of six robots as processes, and the trouble that befalls it.
 
+use std::ffi::{OsStr, OsString};
 use std::fs::File;
 use std::io::{PipeReader, PipeWriter, Write, pipe};
 use std::path::Path;
@@ -11,6 +12,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use super::flood::Flood;
 use crate::compiled::{SHARED, compiled};
 use crate::robots::{Process, Stage, Via, one_device, with_devices};
+use crate::session::PROGRAM;
 
 /// What stands still, is full, has changed or is gone.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -128,9 +130,12 @@ impl Show {
             flood
         });
         let mut command = program(&stage, &["run", "play.yaml", "--patience", "4s"], trouble);
-        if let [program, args @ ..] = starter {
-            let mut by = Command::new(program);
-            by.args(args).arg(command.get_program()).args(command.get_args());
+        if !starter.is_empty() {
+            let mut args: Vec<_> = command.get_args().map(OsStr::to_owned).collect();
+            let program = args.iter().position(|arg| arg == PROGRAM).unwrap();
+            args.splice(program..program, starter.iter().map(OsString::from));
+            let mut by = Command::new(command.get_program());
+            by.args(args);
             by.envs(command.get_envs().filter_map(|(name, value)| Some((name, value?))));
             by.current_dir(command.get_current_dir().unwrap()).stdin(Stdio::null());
             command = by;
