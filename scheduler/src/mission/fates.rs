@@ -80,7 +80,9 @@ impl fmt::Display for ActFate {
             Self::TimedOut { awaited, within } => {
                 write!(f, "skipped: {awaited} did not come within {within}")
             }
-            Self::NobodyLeft => f.write_str("skipped: all its robots had been left out"),
+            Self::NobodyLeft => {
+                f.write_str("skipped: all its robots had been left out, or were not there yet")
+            }
             Self::Withdrawn => f.write_str("withdrawn before anything moved"),
             Self::Stopped => f.write_str("stopped on the way"),
             Self::Played => f.write_str("played"),

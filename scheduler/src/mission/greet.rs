@@ -55,7 +55,7 @@ impl Mission {
         }
         match self.phase {
             Phase::Greeting { .. } if self.robots[robot].clock.samples() < CLOCK_SAMPLES => {
-                self.ask_availability(now, robot);
+                self.ask_further(now, robot);
             }
             Phase::Greeting { .. } => self.greeting_progress(now),
             _ if self.robots[robot].standing == Standing::Absent => self.join_if_greeted(now, robot),
@@ -246,14 +246,21 @@ impl Mission {
             // Also those that are known well enough are looked at now and then: a clock may be set meanwhile.
             let stale = state.questions.answered().is_none_or(|at| now - at > STALE);
             let unsure = stale || reading.is_none_or(|reading| reading.uncertainty > enough);
-            let longest = state.round_trip() * 3 + SAMPLING_INTERVAL;
-            let awaited = state.questions.last_unanswered().is_some_and(|at| now < at + longest);
-            if unsure && !awaited && state.is_up() {
-                self.ask_availability(now, robot);
+            if unsure && state.is_up() {
+                self.ask_further(now, robot);
             }
         }
         if now >= until {
             self.greeting_progress(now);
+        }
+    }
+
+    /// Asks a robot for its times again, unless an answer is on its way: a network that doubles answers would double questions.
+    fn ask_further(&mut self, now: Timestamp<Server>, robot: usize) {
+        let state = &self.robots[robot];
+        let longest = state.round_trip() * 3 + SAMPLING_INTERVAL;
+        if state.questions.last_unanswered().is_none_or(|at| now >= at + longest) {
+            self.ask_availability(now, robot);
         }
     }
 
@@ -373,7 +380,7 @@ impl Mission {
     fn join_if_greeted(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         if state.clock.samples() < CLOCK_SAMPLES {
-            return self.ask_availability(now, robot);
+            return self.ask_further(now, robot);
         }
         if state.introduced && !state.has_failed() && self.options.join == Join::NextAct {
             self.joins(robot);

@@ -38,8 +38,10 @@ impl Mission {
 /// the next one sent, or, where the robot does not report by itself, its end is awaited, as late as its clock may be, and asked
 /// for.
 fn sending(robot: &RobotState, now: Timestamp<Server>) -> Span {
-    // A few exchanges seldom meet the longest: of a script that comes late nothing is played.
-    let round_trip = robot.round_trip() * 5 / 4;
+    // A few exchanges seldom meet the longest, the less so the more they differ: of a script that comes late nothing is played.
+    let round_trip = robot.round_trip();
+    let shortest = robot.clock_at(now).map_or(round_trip, |reading| reading.delay_min);
+    let round_trip = round_trip + (round_trip / 4).max((round_trip - shortest) / 2);
     match (robot.reports(), robot.takes_inquiries()) {
         (true, _) => round_trip,
         (false, true) => round_trip * 2 + LAPSE + late(robot, now),

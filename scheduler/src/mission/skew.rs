@@ -54,10 +54,9 @@ impl RobotSkew {
 }
 
 impl SkewBudget {
-    /// How much later than planned one robot may start.
+    /// How much later than planned one robot may start; negative if it surely starts earlier.
     pub(crate) fn late_of(&self, robot: &RobotId) -> Option<Span> {
-        let skew = &self.robots[*self.place.get(robot)?];
-        Some(skew.range().1.max(Span::ZERO))
+        Some(self.robots[*self.place.get(robot)?].range().1)
     }
 
     /// Of these members; `None` as long as the clock of one is unknown.
@@ -131,6 +130,17 @@ impl SkewBudget {
         ((Span::ZERO - earliest).max(Span::ZERO), latest.max(Span::ZERO))
     }
 
+    /// The robots that may start earlier than planned by more than this.
+    pub(crate) fn earlier_than(&self, by: Span) -> Vec<(RobotId, FailureKind)> {
+        let early = self.robots.iter().filter(|robot| Span::ZERO - robot.range().0 > by);
+        early.map(|robot| self.failure(robot)).collect()
+    }
+
+    fn failure(&self, robot: &RobotSkew) -> (RobotId, FailureKind) {
+        let (offset, uncertainty) = (robot.offset, robot.uncertainty);
+        (robot.robot.clone(), FailureKind::Clock { offset, uncertainty, tolerance: self.tolerance })
+    }
+
     pub(crate) fn fits(&self) -> bool {
         self.predicted <= self.tolerance
     }
@@ -162,11 +172,7 @@ impl SkewBudget {
             let (earliest, latest) = robot.range();
             (Span::ZERO - middle) - earliest > half || latest - (Span::ZERO - middle) > half
         };
-        let failure = |robot: &RobotSkew| {
-            let (offset, uncertainty) = (robot.offset, robot.uncertainty);
-            (robot.robot.clone(), FailureKind::Clock { offset, uncertainty, tolerance: self.tolerance })
-        };
-        self.robots.iter().filter(far).map(failure).collect()
+        self.robots.iter().filter(far).map(|robot| self.failure(robot)).collect()
     }
 }
 

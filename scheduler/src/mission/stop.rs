@@ -5,7 +5,7 @@ use std::collections::HashMap;
 use downbeat_scripts::Way;
 use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Server, Span, Timestamp};
 
-use super::act::{Act, NamedScripts};
+use super::act::Act;
 use super::failure_kind::FailureKind;
 use super::record::Record;
 use super::robot_state::{Link, Rest, RobotState, SentStop, Stop};
@@ -126,20 +126,16 @@ impl Mission {
     }
 
     /// The stop of one device renews the leases of the others: if this process dies between the two, they must not start what
-    /// was not committed. One question ahead of them lets all those leases end before the start.
+    /// was not committed. Questions ahead of them let all those leases end before the start.
     pub(super) fn end_leases(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         if !state.takes_inquiries() || state.stop_was_sent() || state.touched.len() < 2 {
             return;
         }
         let ahead = state.clock_at(now).map(|reading| reading.offset);
-        let named = self.acts.iter().filter_map(|act| act.to_withdraw(robot, now, ahead));
-        let all = named.reduce(|mut all, other| {
-            all.requests.extend(other.requests);
-            NamedScripts { lease: all.lease.min(other.lease), until: all.until.min(other.until), ..all }
-        });
-        if let Some(all) = all.filter(|all| !all.requests.is_empty()) {
-            self.ask_about(now, robot, vec![all]);
+        let named: Vec<_> = self.acts.iter().flat_map(|act| act.to_withdraw(robot, now, ahead)).collect();
+        if !named.is_empty() {
+            self.ask_about(now, robot, named);
         }
     }
 

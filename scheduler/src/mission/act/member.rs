@@ -1,7 +1,10 @@
 //! A robot of an act: what it was sent, and whether it still takes part.
 
+use std::collections::BTreeMap;
+
 use urrcp::{DeviceId, RequestId, Server, Span, Timestamp};
 
+use super::NamedScripts;
 use super::timing::{Leases, Timing};
 use crate::mission::robot_state::{RobotState, Standing};
 use crate::mission::script::{Script, ScriptState};
@@ -170,6 +173,34 @@ impl Member {
     pub(super) fn shortened_offset(&self, script: usize, lease: Span) -> Option<Span> {
         let offset = self.scripts[script].plan.start.span();
         (offset < lease && self.before(script).is_none()).then_some(offset)
+    }
+
+    /// The requests that it may have, in the groups in which it is asked for them: `shortens` while a question shortens the
+    /// leases of what begins a device.
+    pub(super) fn names(
+        &self,
+        timing: &Timing,
+        now: Timestamp<Server>,
+        ahead: Option<Span>,
+        shortens: bool,
+    ) -> Vec<NamedScripts> {
+        let ahead = ahead.unwrap_or(self.shift);
+        // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
+        let mut groups: BTreeMap<(bool, Option<Span>), Vec<RequestId>> = BTreeMap::new();
+        // What follows another of its device cannot begin without it: a link that carries little is not asked for it in every round.
+        let asked = |index: usize, script: &Script| {
+            script.is_unaccounted() && !(shortens && self.before(index).is_some())
+        };
+        for (index, script) in self.under_way().filter(|(index, script)| asked(*index, script)) {
+            let offset = self.shortened_offset(index, timing.lead.lease).filter(|_| shortens);
+            groups.entry((offset.is_none(), offset)).or_default().extend(script.request_id().cloned());
+        }
+        let named = |((_, offset), requests): ((bool, Option<Span>), _)| NamedScripts {
+            lease: offset.map(|offset| timing.lease_at(now) + offset),
+            until: offset.map(|offset| (timing.brink() + offset + ahead).assume_clock()),
+            requests,
+        };
+        groups.into_iter().map(named).collect()
     }
 
     /// The pending lease with which a script is sent. One that follows another of its device in the same act cannot begin

@@ -14,7 +14,7 @@ mod tests;
 pub(crate) mod timing;
 mod waiting;
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::HashMap;
 use std::sync::Arc;
 
 use downbeat_scripts::{Choreography, Way};
@@ -370,24 +370,7 @@ impl Act {
     ) -> Vec<NamedScripts> {
         let (Some(place), Some(timing)) = (self.place_of(robot), &self.timing) else { return Vec::new() };
         let shortens = matches!(self.stage, Stage::Approaching(_));
-        let member = &self.members[place];
-        let ahead = ahead.unwrap_or(member.shift());
-        // A question without a lease renews all that the robot has: by then theirs has to be the shorter one.
-        let mut groups: BTreeMap<(bool, Option<Span>), Vec<RequestId>> = BTreeMap::new();
-        // What follows another of its device cannot begin without it: a link that carries little is not asked for it in every round.
-        let asked = |index: usize, script: &Script| {
-            script.is_unaccounted() && !(shortens && member.before(index).is_some())
-        };
-        for (index, script) in member.under_way().filter(|(index, script)| asked(*index, script)) {
-            let offset = member.shortened_offset(index, timing.lead.lease).filter(|_| shortens);
-            groups.entry((offset.is_none(), offset)).or_default().extend(script.request_id().cloned());
-        }
-        let named = |((_, offset), requests): ((bool, Option<Span>), _)| NamedScripts {
-            lease: offset.map(|offset| timing.lease_at(now) + offset),
-            until: offset.map(|offset| (timing.brink() + offset + ahead).assume_clock()),
-            requests,
-        };
-        groups.into_iter().map(named).collect()
+        self.members[place].names(timing, now, ahead, shortens)
     }
 
     /// Whether a robot may have a request of it.
@@ -401,23 +384,23 @@ impl Act {
         matches!(self.stage, Stage::Approaching(_)) && self.place_of(robot).is_some()
     }
 
-    /// All that a robot may have of it, with a lease that ends before any of it begins; `None` once it is committed or that
-    /// lease has ended.
+    /// What a robot may have of it and could begin, with leases that end before that as while the act approaches its start;
+    /// nothing once it is committed or those leases have ended. They end no earlier than they have to: a process that takes
+    /// the act up may still commit it, and cannot lengthen them.
     pub(crate) fn to_withdraw(
         &self,
         robot: usize,
         now: Timestamp<Server>,
         ahead: Option<Span>,
-    ) -> Option<NamedScripts> {
-        let timing = self.timing.as_ref().filter(|timing| now < timing.brink())?;
+    ) -> Vec<NamedScripts> {
         let uncommitted = matches!(self.stage, Stage::Preparing(_) | Stage::Approaching(_));
-        let member = &self.members[self.place_of(robot).filter(|_| uncommitted)?];
-        let out = member.under_way().map(|(_, script)| script).filter(|script| script.is_unaccounted());
-        Some(NamedScripts {
-            lease: Some(timing.lease_at(now)),
-            until: Some((timing.brink() + ahead.unwrap_or(member.shift())).assume_clock()),
-            requests: out.filter_map(|script| script.request_id().cloned()).collect(),
-        })
+        let Some(timing) = self.timing.as_ref().filter(|timing| uncommitted && now < timing.brink()) else {
+            return Vec::new();
+        };
+        let Some(place) = self.place_of(robot) else { return Vec::new() };
+        let mut named = self.members[place].names(timing, now, ahead, true);
+        named.retain(|named| named.lease.is_some());
+        named
     }
 
     /// Whether nothing may be sent to a robot now: it would carry its lease over a start that is not committed.

@@ -486,8 +486,8 @@ impl Act {
     }
 }
 
-/// How much later than planned a robot may be by its own clock, as was told or as it shows by now; where that is not known, as
-/// the latest of the fleet.
+/// How much later than planned a robot may be by its own clock, as was told or as it shows by now, negative if it is surely
+/// earlier; where that is not known, as the latest of the fleet.
 fn late_of(timing: &Timing, robot: &RobotState) -> Span {
     let told = timing.skew.as_ref().and_then(|skew| skew.late_of(&robot.id));
     let shown = robot.clock.reading().map(|reading| robot.shift - reading.offset + reading.uncertainty);

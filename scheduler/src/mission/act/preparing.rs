@@ -184,7 +184,8 @@ impl Act {
         let shown = SkewBudget::of_sent(self.present(), robots, self.written().plan.start_tolerance, now);
         let Some(timing) = &mut self.timing else { return Vec::new() };
         timing.accepted_at = Some(now);
-        timing.allow_for(now, shown.as_ref().map(SkewBudget::early_and_late).unwrap_or_default());
+        let early_and_late = shown.as_ref().map(SkewBudget::early_and_late).unwrap_or_default();
+        let _as_far_as_there_is_time = timing.allow_for(now, early_and_late);
         let (start, doubt) = (timing.start, timing.doubt());
         tracing::info!(%start, "decided");
         self.stage = Stage::Approaching(Approach::beginning(now));

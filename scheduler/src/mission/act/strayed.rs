@@ -1,7 +1,7 @@
 //! Robots that will not start with the others though they hold their scripts: what shows it is their clock, or how long
 //! nothing reached them.
 
-use urrcp::{ControlError, ErrorCode, Robot, Server, Span, Timestamp};
+use urrcp::{ControlError, ErrorCode, Robot, RobotId, Server, Span, Timestamp};
 
 use super::{Act, ActAction, Stage};
 use crate::mission::failure_kind::FailureKind;
@@ -22,22 +22,34 @@ impl Act {
         let tolerance = self.written().plan.start_tolerance;
         let skew = SkewBudget::of_sent(self.present(), robots, tolerance, now);
         let strayed = skew.map(|skew| skew.offenders()).unwrap_or_default();
+        self.by_index(strayed, robots)
+    }
+
+    fn by_index(
+        &self,
+        failing: Vec<(RobotId, FailureKind)>,
+        robots: &[RobotState],
+    ) -> Vec<(usize, FailureKind)> {
         let index_of = |id| self.present().map(|member| member.robot).find(|robot| robots[*robot].id == id);
-        strayed.into_iter().filter_map(|(id, kind)| Some((index_of(id)?, kind))).collect()
+        failing.into_iter().filter_map(|(id, kind)| Some((index_of(id)?, kind))).collect()
     }
 
     /// While it approaches its start a clock has shown to be another one than when it was sent. Returns what there is to tell of
-    /// that: failures and silence are noticed as long before the start as the leases end now.
+    /// that: failures and silence are noticed as long before the start as the leases end now. What starts before its lease ends,
+    /// and there is no time left to let that end earlier, fails.
     pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         if !matches!(self.stage, Stage::Approaching(_)) {
             return Vec::new();
         }
         let known = self.present().filter(|member| robots[member.robot].clock.samples() > 0);
         let shown = SkewBudget::of_sent(known, robots, self.written().plan.start_tolerance, now);
-        let shown = shown.as_ref().map(SkewBudget::early_and_late).unwrap_or_default();
-        let Some(timing) = &mut self.timing else { return Vec::new() };
+        let (Some(timing), Some(shown)) = (&mut self.timing, shown) else { return Vec::new() };
         let before = (timing.no_return(), timing.doubt());
-        timing.allow_for(now, shown);
+        if !timing.allow_for(now, shown.early_and_late()) {
+            let early = shown.earlier_than(timing.early_at_most());
+            let early = self.by_index(early, robots);
+            return if early.is_empty() { Vec::new() } else { vec![ActAction::Fail(early)] };
+        }
         let changed = before != (timing.no_return(), timing.doubt());
         self.decided().filter(|_| changed).map(ActAction::Tell).into_iter().collect()
     }

@@ -190,14 +190,22 @@ impl Timing {
     }
 
     /// A clock that was set since the act was sent may let its robot start earlier or later than planned, within the tolerance:
-    /// leases are to end before it and to reach beyond it, as far as two of the last rounds still can.
-    pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, early_and_late: (Span, Span)) {
+    /// leases are to end before it and to reach beyond it, if two of the last rounds can still see to it. Returns whether they can.
+    pub(crate) fn allow_for(&mut self, now: Timestamp<Server>, early_and_late: (Span, Span)) -> bool {
         let before = self.pace;
-        let Some(pace) = before.widened(early_and_late, self.lead.lease) else { return };
+        let Some(pace) = before.widened(early_and_late, self.lead.lease) else { return false };
         self.pace = pace;
-        if now + pace.period * 2 > self.critical() {
+        let in_time = now + pace.period * 2 <= self.critical();
+        if !in_time {
             self.pace = before;
         }
+        in_time
+    }
+
+    /// How much earlier than planned a robot may start and lose its lease before, if a message to it does not travel longer
+    /// than the half of a round trip.
+    pub(crate) fn early_at_most(&self) -> Span {
+        self.pace.early + self.pace.round_trip / 2
     }
 
     /// All leases end here unless the act is committed: what was sent before may arrive up to a round trip later, and a

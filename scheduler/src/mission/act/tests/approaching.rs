@@ -353,17 +353,36 @@ fn a_clock_that_was_set_within_the_tolerance_moves_the_end_of_all_leases() {
 }
 
 #[test]
-fn what_is_withdrawn_ends_before_any_of_it_begins_by_one_question() {
+fn what_is_withdrawn_ends_before_it_begins_and_no_earlier_than_it_has_to() {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("b", 60, 100), ("c", 500, 100)]];
     let mut bench = Bench::new(&[Tells::Everything], &scripts);
     bench.decide(Leases::Shortened);
     let withdrawn = |bench: &Bench| bench.act.to_withdraw(0, bench.now, None);
-    let all = withdrawn(&bench).unwrap();
-    assert_eq!(all.requests.len(), 4);
-    assert_eq!(all.until, Some(bench.timing().brink().assume_clock()));
-    assert!(bench.now + all.lease.unwrap() <= bench.timing().brink());
+    let [first, second] =
+        withdrawn(&bench).try_into().expect("what begins a device, in groups of one instant");
+    for (named, offset) in [(&first, ms(0)), (&second, ms(60))] {
+        assert_eq!(named.requests.len(), 1);
+        assert_eq!(named.until, Some((bench.timing().brink() + offset).assume_clock()));
+        assert_eq!(named.lease, Some(bench.timing().lease_at(bench.now) + offset));
+    }
+    assert!(bench.now + first.lease.unwrap() <= bench.timing().brink());
     bench.commit_from_here();
-    assert!(withdrawn(&bench).is_none(), "it may have begun");
+    assert!(withdrawn(&bench).is_empty(), "it may have begun");
+}
+
+#[test]
+fn a_clock_that_lets_a_robot_start_before_its_lease_can_end_fails_it_though_it_plays_alone() {
+    for (ahead, fails) in [(500, true), (0, false)] {
+        let mut bench = Bench::new(&[Tells::Everything], &[&[("a", 0, 100)]]);
+        bench.decide(Leases::Shortened);
+        let (now, there) = (bench.now, by_robot(bench.now) + ms(ahead));
+        bench.robots[0].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
+        assert_eq!(bench.act.strayed(now, &bench.robots), [], "it is with the others, as there are none");
+        let told = bench.act.allow_for(now, &bench.robots);
+        let failed = matches!(told.as_slice(), [ActAction::Fail(failing)]
+            if matches!(failing.as_slice(), [(0, FailureKind::Clock { .. })]));
+        assert_eq!(failed, fails, "{told:?}");
+    }
 }
 
 #[test]

@@ -97,23 +97,21 @@ impl Said<'_> {
             let began = last.into_iter().flat_map(|act| &act.scripts).any(|script| {
                 self.facts.honest(script.robot) && !self.facts.clock_was_set(script.robot) && script.began()
             });
-            let told = |what: &dyn Fn(&Progress) -> bool| {
-                let after = last.map_or(Timestamp::from_nanos(0), |act| act.at);
-                let told = |(at, happened): &&(Timestamp<Server>, Happened)| match happened {
-                    Happened::Told(progress) => *at >= after && what(progress),
-                    _ => false,
-                };
-                self.facts.ran.history.iter().filter(told).count()
-            };
+            let after = last.map_or(Timestamp::from_nanos(0), |act| act.at);
+            let skipped = self.told().rev().find_map(|(at, progress)| match progress {
+                Progress::ActSkipped { act, fate } => {
+                    (at >= after && *act == course.act && *fate == course.fate).then_some(at)
+                }
+                _ => None,
+            });
             let ended = self.acts_ended(&course.act);
-            let skipped = told(
-                &|progress| matches!(progress, Progress::ActSkipped { act, fate } if *act == course.act && *fate == course.fate),
-            );
             let truth = match &course.fate {
                 ActFate::NotReached => sent.is_empty(),
                 ActFate::StillWaiting => sent.len() == ended,
-                ActFate::NobodyLeft => sent.len() == ended && skipped > 0 && self.nobody_left(index),
-                ActFate::TimedOut { .. } => sent.len() == ended && skipped > 0,
+                ActFate::NobodyLeft => {
+                    sent.len() == ended && skipped.is_some_and(|at| self.nobody_left(index, at))
+                }
+                ActFate::TimedOut { .. } => sent.len() == ended && skipped.is_some(),
                 ActFate::Withdrawn => last.is_some() && !began,
                 ActFate::Stopped => last.is_some(),
                 ActFate::Played => ended > 0 && last.is_some_and(|act| self.has_one_left(act)),
@@ -129,12 +127,30 @@ impl Said<'_> {
         }
     }
 
-    /// All robots that an act is written for were left out, or were not there yet.
-    fn nobody_left(&self, act: usize) -> bool {
+    fn told(&self) -> impl DoubleEndedIterator<Item = (Timestamp<Server>, &Progress)> {
+        self.facts.ran.history.iter().filter_map(|(at, happened)| match happened {
+            Happened::Told(progress) => Some((*at, progress.as_ref())),
+            _ => None,
+        })
+    }
+
+    /// All robots that an act is written for had been left out when it was skipped, or were not there yet: from the beginning, or
+    /// for a fault of their own.
+    fn nobody_left(&self, act: usize, skipped: Timestamp<Server>) -> bool {
+        let came_later = |robot: usize| {
+            let name = self.facts.name(robot);
+            let came = self.told().any(|(at, progress)| match progress {
+                Progress::Reattached { robot } => at > skipped && robot == name,
+                _ => false,
+            });
+            came && self.facts.hits.iter().any(|hit| hit.is_of(robot) && hit.from <= skipped)
+        };
         let plays = |robot: &RobotId| {
             let row = self.report.robots.iter().find(|row| row.robot == *robot);
-            let joins = self.facts.index_of(robot).map(|robot| self.facts.drawn().robots[robot].there_from);
-            row.is_none_or(|row| row.standing == "in") && joins == Some(Span::ZERO)
+            let there = |robot: usize| {
+                self.facts.drawn().robots[robot].there_from == Span::ZERO && !came_later(robot)
+            };
+            row.is_none_or(|row| row.standing == "in") && self.facts.index_of(robot).is_some_and(there)
         };
         !self.facts.drawn().choreography.acts[act].plan.robots.iter().any(|robot| plays(&robot.robot))
     }
