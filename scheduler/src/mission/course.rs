@@ -377,8 +377,10 @@ impl Mission {
     }
 }
 
-/// Whether robots have begun an act, by their own words or because its start has passed: one that reports nothing moves, too.
+/// Whether robots have begun an act, by their own words or because its start has passed: one that reports nothing moves, too, as
+/// early as its clock may have it.
 pub(super) fn may_have_moved(now: Timestamp<Server>, act: &Act) -> bool {
-    let due = act.timing().is_some_and(|timing| now >= timing.start);
-    act.has_begun() || due && (act.is_committed() || act.is_unaccounted())
+    let Some(timing) = act.timing() else { return act.has_begun() };
+    let may_be_due = now >= timing.earliest_start() && act.is_unaccounted();
+    act.has_begun() || may_be_due || now >= timing.start && act.is_committed()
 }

@@ -41,7 +41,7 @@ fn sending(robot: &RobotState, now: Timestamp<Server>) -> Span {
     // A few exchanges seldom meet the longest, the less so the more they differ: of a script that comes late nothing is played.
     let round_trip = robot.round_trip();
     let shortest = robot.clock_at(now).map_or(round_trip, |reading| reading.delay_min);
-    let round_trip = round_trip + (round_trip / 4).max((round_trip - shortest) / 2);
+    let round_trip = round_trip + (round_trip / 4).max(round_trip - shortest);
     match (robot.reports(), robot.takes_inquiries()) {
         (true, _) => round_trip,
         (false, true) => round_trip * 2 + LAPSE + late(robot, now),

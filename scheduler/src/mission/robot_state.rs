@@ -122,6 +122,8 @@ pub(crate) struct Questions {
     open: VecDeque<Timestamp<Server>>,
     /// When the newest one was sent that has been answered.
     answered: Option<Timestamp<Server>>,
+    /// Between that one and the one answered before it others were asked, and never answered.
+    passed_over: bool,
 }
 
 /// Questions that are remembered; more are open only on a link that carries nothing.
@@ -136,6 +138,9 @@ impl Questions {
 
     /// Whether this is an answer to a question that was asked.
     pub(crate) fn answer(&mut self, sent: Timestamp<Server>) {
+        if self.answered.is_none_or(|answered| answered < sent) {
+            self.passed_over = self.open.front().is_some_and(|oldest| *oldest < sent);
+        }
         self.answered = self.answered.max(Some(sent));
         self.open.retain(|open| *open > sent);
     }
@@ -143,6 +148,11 @@ impl Questions {
     /// When the newest question was sent that it has answered: it has surely heard what was sent then.
     pub(crate) const fn answered(&self) -> Option<Timestamp<Server>> {
         self.answered
+    }
+
+    /// Whether others were asked before the newest question that was answered, of which nobody knows if they reached it.
+    pub(crate) const fn passed_over(&self) -> bool {
+        self.passed_over
     }
 
     /// When the newest question was sent.

@@ -173,7 +173,8 @@ impl Mission {
             return;
         }
         let ran_out = self.acts.iter().find_map(|act| act.ran_out(now, robot, (before, at)));
-        let spoken = self.robots[robot].was_spoken_to(now, (before, at));
+        let state = &self.robots[robot];
+        let spoken = state.questions.passed_over() || state.was_spoken_to(now, (before, at));
         let broke_off = || self.acts.iter().find_map(|act| act.broke_off(robot, (before, at)));
         if let Some(kind) = ran_out.or_else(|| broke_off().filter(|_| !spoken)) {
             self.fail(now, robot, kind);

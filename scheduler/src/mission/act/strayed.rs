@@ -93,7 +93,7 @@ impl Act {
 }
 
 fn link_lost(script: &Script, silence: Span, lease: Span) -> FailureKind {
-    let message = format!("nothing reached it for {silence}, and its lease is {lease}");
+    let message = format!("no question is known to have reached it for {silence}, and its lease is {lease}");
     let error = ControlError::new(ErrorCode::LinkLost, message);
     FailureKind::Script { device: script.plan.device.clone(), error }
 }

@@ -208,10 +208,15 @@ impl Timing {
         self.pace.early + self.pace.round_trip / 2
     }
 
+    /// When a robot whose clock is ahead may start.
+    pub(crate) fn earliest_start(&self) -> Timestamp<Server> {
+        self.start - self.pace.early
+    }
+
     /// All leases end here unless the act is committed: what was sent before may arrive up to a round trip later, and a
     /// robot whose clock is ahead starts before the others.
     pub(crate) fn brink(&self) -> Timestamp<Server> {
-        self.start - self.pace.early - self.pace.round_trip
+        self.earliest_start() - self.pace.round_trip
     }
 
     /// What is sent later may carry the lease of a robot over its start: nothing is sent before the commitment.

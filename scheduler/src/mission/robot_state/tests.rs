@@ -25,6 +25,18 @@ fn an_answer_settles_its_question_and_every_older_one() {
 }
 
 #[test]
+fn questions_that_a_later_answer_passes_over_may_have_been_heard() {
+    let mut questions = Questions::default();
+    for (asked, answered, passed_over) in
+        [(&[1][..], 1, false), (&[2, 4], 4, true), (&[], 2, true), (&[5], 5, false)]
+    {
+        asked.iter().for_each(|millis| questions.asked(at(*millis)));
+        questions.answer(at(answered));
+        assert_eq!(questions.passed_over(), passed_over, "the answer to {answered}");
+    }
+}
+
+#[test]
 fn what_is_forgiven_is_not_owed_and_what_was_answered_stays_so() {
     let mut questions = Questions::default();
     questions.asked(at(1));

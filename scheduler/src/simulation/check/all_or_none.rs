@@ -164,9 +164,12 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
     let until = latest_start(facts, act, robot)?;
     let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet)
         .or_else(|| set_unseen(facts, act, robot))
-        .or_else(|| came_late(facts, act, robot, until));
+        .or_else(|| came_late(facts, act, robot, until))
+        .or_else(|| facts.was_stopped_in_part(robot).then_some(Cause::SchedulerCrash));
     let dropped = facts.dropped[robot].filter(|at| *at >= act.at);
-    let stop = facts.stopping.iter().copied().filter(|at| *at >= act.at).chain(dropped).min()?;
+    let Some(stop) = facts.stopping.iter().copied().filter(|at| *at >= act.at).chain(dropped).min() else {
+        return set;
+    };
     let missed_the_stop =
         |hit: &&Hit| hit.is_of(robot) && hit.cause != Cause::RobotCrash && hit.overlaps(stop, until);
     set.or_else(|| facts.hits.iter().filter(missed_the_stop).map(|hit| hit.cause).min())

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use downbeat_robot::LogEntry;
 use downbeat_scripts::DeviceScript;
-use urrcp::{Message, RobotId, Server, Span, Timestamp};
+use urrcp::{Command, Message, RobotId, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit, hits_of};
 use crate::mission::{Progress, Promise, PromisedScript, Record, SkewBudget};
@@ -223,6 +223,25 @@ impl<'a> Facts<'a> {
             }
             _ => false,
         })
+    }
+
+    /// Whether the scheduler died between the stops of two devices of a robot that takes no inquiries: the first renewed the lease of
+    /// the other, and nothing could shorten that ahead of it.
+    pub(super) fn was_stopped_in_part(&self, robot: usize) -> bool {
+        let cancel = |message: &Message| match message {
+            Message::ControlRequest(request) => {
+                matches!(&request.command, Command::Script(script) if script.is_empty())
+            }
+            _ => false,
+        };
+        let was_on_its_way = |crash: &Hit| {
+            let after = self.between(crash.from, crash.from + self.drawn().delay.1 * 2).iter();
+            after.into_iter().any(|(_, happened)| {
+                matches!(happened, Happened::AtRobot(r, message) if *r == robot && cancel(message))
+            })
+        };
+        let mut crashes = self.hits.iter().filter(|hit| hit.cause == Cause::SchedulerCrash);
+        !self.drawn().robots[robot].block.inquiry && crashes.any(was_on_its_way)
     }
 
     /// When messages from the scheduler arrived at a robot that renew its leases. The question who it is does not: anybody may ask

@@ -34,7 +34,8 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
     starts_are_committed(facts, verdict);
 }
 
-/// No robot starts an act unless the commitment was written down, but for one that what was sent before reached too late.
+/// No robot starts an act unless the commitment was written down, but for one that what was sent before reached too late, or whose
+/// stop was cut off.
 fn starts_are_committed(facts: &Facts<'_>, verdict: &mut Verdict) {
     for act in facts.acts.iter().filter(|act| act.committed.is_none()) {
         for script in act.scripts.iter().filter(|script| script.began() && facts.honest(script.robot)) {
@@ -44,7 +45,7 @@ fn starts_are_committed(facts: &Facts<'_>, verdict: &mut Verdict) {
                 .hits
                 .iter()
                 .any(|hit| hit.is_of(robot) && hit.cause != Cause::LinkDown && hit.overlaps(act.at, by));
-            if !hit && !facts.clock_was_set(robot) {
+            if !hit && !facts.clock_was_set(robot) && !facts.was_stopped_in_part(robot) {
                 let number = act.promise.number;
                 return verdict
                     .violated('a', format!("r{robot} started act {number}, which was never committed"));
