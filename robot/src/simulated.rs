@@ -111,6 +111,8 @@ pub struct SimulatedRobot {
     epoch: Option<Timestamp<True>>,
     /// An instant by its clock and by the true one, looked up last: asked for again and again until it has come.
     shown: Cell<Option<(Timestamp<RobotClock>, Timestamp<True>)>>,
+    /// The same for what its clock shows at an instant.
+    read: Cell<Option<(Timestamp<True>, Timestamp<RobotClock>)>>,
     in_flight: BTreeMap<(Timestamp<True>, u64), (LaneId, InFlight)>,
     sequence: u64,
     lanes: HashMap<LaneId, Lane>,
@@ -136,6 +138,7 @@ impl SimulatedRobot {
             rng,
             epoch: None,
             shown: Cell::new(None),
+            read: Cell::new(None),
             in_flight: BTreeMap::new(),
             sequence: 0,
             lanes: HashMap::new(),
@@ -206,7 +209,7 @@ impl SimulatedRobot {
     pub fn step_clock(&mut self, by: Span) {
         self.settings.clock_offset += by;
         self.ntp_residue += by;
-        self.shown.set(None);
+        self.forget_times();
     }
 
     /// What of its log is kept from now on.
@@ -231,7 +234,7 @@ impl SimulatedRobot {
     pub fn advance(&mut self, now: Timestamp<True>, out: &mut Vec<Outgoing>) {
         if self.epoch.is_none() {
             self.epoch = Some(now);
-            self.shown.set(None);
+            self.forget_times();
         }
         self.look_after_hardware(now);
         self.robot.send_reports(self.robot_from_true(now), &mut self.outputs);
@@ -417,6 +420,23 @@ impl SimulatedRobot {
     /// What the robot believes the time to be: its raw clock, less what its NTP discipline knows of it.
     #[must_use]
     pub fn robot_from_true(&self, now: Timestamp<True>) -> Timestamp<RobotClock> {
+        match self.read.get() {
+            Some((when, shown)) if when == now => shown,
+            _ => {
+                let shown = self.compute_robot_from_true(now);
+                self.read.set(Some((now, shown)));
+                shown
+            }
+        }
+    }
+
+    /// Its clock is another one from now on.
+    fn forget_times(&self) {
+        self.shown.set(None);
+        self.read.set(None);
+    }
+
+    fn compute_robot_from_true(&self, now: Timestamp<True>) -> Timestamp<RobotClock> {
         let error = match self.settings.ntp_error {
             Some(_) => self.ntp_residue,
             None => self.settings.clock_offset + self.drifted(now),
@@ -456,9 +476,9 @@ impl SimulatedRobot {
         guess = guess - Span::from_millis_f64(since.as_millis_f64() * self.drift() / (1.0 + self.drift()));
         // What is left is the rounding to nanoseconds; a bounded search, since at the end of time no instant may fit.
         for _ in 0..8 {
-            match self.robot_from_true(guess) {
+            match self.compute_robot_from_true(guess) {
                 shown if shown < at => guess = guess + Span::from_nanos(1),
-                _ if self.robot_from_true(guess - Span::from_nanos(1)) >= at => {
+                _ if self.compute_robot_from_true(guess - Span::from_nanos(1)) >= at => {
                     guess = guess - Span::from_nanos(1);
                 }
                 _ => break,

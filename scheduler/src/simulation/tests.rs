@@ -1,3 +1,4 @@
+use super::check::LEAD_LEAST;
 use super::*;
 use crate::mission::{ActCourse, ActFate, Failure, FailureKind, Progress};
 use crate::report::Outcome;
@@ -47,6 +48,11 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
     let deserted = |act: &ActCourse| act.fate == ActFate::NobodyLeft;
     for seed in (0..2_000).filter(|seed| clean(&draw(*seed))) {
         let ran = run(seed);
+        for (_, record) in &ran.records {
+            let crate::mission::Record::Prepared(promise) = record else { continue };
+            let lead = promise.start - promise.timestamp;
+            assert!(lead >= LEAD_LEAST, "seed {seed}: {lead}, and shorter ones would not be compared");
+        }
         let mute = ran.drawn.robots.iter().any(|robot| !robot.block.reports && !robot.block.inquiry);
         let Some(report) = ran.report else { panic!("seed {seed} has no report") };
         match report.outcome {

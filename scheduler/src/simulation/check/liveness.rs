@@ -19,6 +19,8 @@ const AT_ONCE: Span = Span::from_millis(2);
 /// A lead or a gap may be so many times that of the same mission without faults, and `MORE` beyond it.
 const TIMES: i64 = 3;
 const MORE: Span = Span::from_millis(500);
+/// No lead is shorter: one margin, the least pending lease and another margin.
+pub(in crate::simulation) const LEAD_LEAST: Span = Span::from_millis(50 + 240 + 50);
 /// So many of the round trips that its links keep to nearly always are in a lead, of which the longest counts as this one: three
 /// for the answers, six for the lease, and one and a half for the margin.
 const ROUND_TRIPS: i64 = 11;
@@ -269,9 +271,10 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
 pub(super) fn is_to_be_compared(facts: &Facts<'_>) -> bool {
     facts.acts.iter().any(|act| {
         let late = |before: &SentAct<'_>| {
-            gap(facts, before, act).is_some_and(|gap| gap > gap_allowed(facts, before, act))
+            let longer = if was_stopped(facts, before, act) { lead(act) } else { Span::ZERO };
+            gap(facts, before, act).is_some_and(|gap| gap > longer + gap_allowed(facts, before, act))
         };
-        lead(act) > lead_allowed(facts, act) || before(facts, act).is_some_and(late)
+        lead(act) > LEAD_LEAST * TIMES + lead_allowed(facts, act) || before(facts, act).is_some_and(late)
     })
 }
 

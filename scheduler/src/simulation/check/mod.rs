@@ -19,6 +19,8 @@ use urrcp::{Server, Span, Timestamp};
 
 pub use self::cause::Cause;
 use self::facts::Facts;
+#[cfg(test)]
+pub(super) use self::liveness::LEAD_LEAST;
 use super::Ran;
 
 /// What a drifting clock may add to a lease or a start within a mission.
