@@ -15,6 +15,7 @@ mod encodings;
 mod examples;
 mod export;
 mod findings;
+mod first_steps;
 mod hold;
 mod hostile;
 mod identity;

@@ -4,7 +4,7 @@ use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 use std::time::Duration;
 
-use crate::robots::{Process, Proxy};
+use crate::robots::{Process, Proxy, free_port};
 use crate::session::{Ran, Session};
 
 const TWO_ACTS: &str = "scenario: evening
@@ -184,10 +184,6 @@ fn a_robot_that_belongs_to_a_mission_is_refused_to_a_second_by_name() {
     session.run(&["stop"]).says(0, &["confirmed"]);
     finished(first).says(3, &["stopped by the operator"]);
     session.run(&["run", "evening.yaml", "--act", "opening"]).says(0, &["done"]);
-}
-
-fn free_port() -> u16 {
-    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
 fn on_tcp(session: &Session) -> Process {

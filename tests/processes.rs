@@ -4,6 +4,7 @@ use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
+use crate::robots::free_port;
 use crate::session::{ARM, PROGRAM, Session};
 
 const SCENARIO: &str = "scenario: test
@@ -218,11 +219,6 @@ fn robots_whose_scheduler_is_killed_while_they_move_stop_when_their_lease_ends()
         let log = std::fs::read_to_string(fleet.session.path(&format!("r{id}.jsonl"))).unwrap();
         assert!(log.lines().last().unwrap().contains(r#""motion":"default""#), "{log}");
     }
-}
-
-/// A port that is free now.
-fn free_port() -> u16 {
-    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
 }
 
 #[test]

@@ -166,7 +166,8 @@ pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
         Err(mut finding) => {
             finding
                 .hint
-                .get_or_insert_with(|| "name a fleet file with --fleet, or put one at ./fleet.yaml".into());
+                .get_or_insert_with(|| "a fleet file lists your robots: `downbeat init` writes one to begin with, `--fleet FILE` names one"
+                    .into());
             return (None, vec![finding]);
         }
     };

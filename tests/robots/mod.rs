@@ -423,3 +423,8 @@ impl Drop for Stage {
         self.robots.clear();
     }
 }
+
+/// A port of this machine that nobody listens on.
+pub fn free_port() -> u16 {
+    std::net::TcpListener::bind("127.0.0.1:0").unwrap().local_addr().unwrap().port()
+}

@@ -7,6 +7,7 @@
 
 mod check;
 mod choice;
+mod completions;
 mod conformance;
 mod console;
 mod detach;
@@ -17,6 +18,7 @@ mod export;
 mod fleet;
 mod go;
 mod import;
+mod init;
 mod live;
 mod load;
 mod missions;
@@ -84,6 +86,8 @@ pub enum Format {
 
 #[derive(Debug, Subcommand)]
 enum Command {
+    /// Write a small show to begin with: a fleet, its robots and a scenario that run at once.
+    Init(init::InitArgs),
     /// Find everything in a scenario that will not work, without moving anything.
     Check(check::CheckArgs),
     /// Explain a code of a finding at length.
@@ -118,6 +122,10 @@ enum Command {
     Export(export::ExportArgs),
     /// Print the JSON Schema of a scenario, a fleet file, a report or the messages.
     Schema(schema::SchemaArgs),
+    /// Print the completions of a shell.
+    Completions(completions::CompletionsArgs),
+    /// Write the man pages, one for each command.
+    Man(completions::ManArgs),
     /// Look at the fleet's robots.
     #[command(subcommand)]
     Fleet(fleet::FleetCommand),
@@ -182,6 +190,7 @@ pub fn main() -> ExitCode {
     start_log(&cli.log);
     let format = cli.format;
     let exit = match cli.command {
+        Command::Init(args) => init::init(&args, format),
         Command::Check(args) => check::check(&args, format),
         Command::Explain(args) => explain::explain(&args, format),
         Command::Plan(args) => plan::plan(&args, format),
@@ -199,6 +208,8 @@ pub fn main() -> ExitCode {
         Command::Import(args) => import::import(&args, format),
         Command::Export(args) => export::export(&args, format),
         Command::Schema(args) => schema::schema(&args),
+        Command::Completions(args) => completions::completions(&args),
+        Command::Man(args) => completions::man(&args),
         Command::Fleet(command) => fleet::fleet(&command, format),
     };
     ExitCode::from(console::finish(exit) as u8)
