@@ -189,3 +189,65 @@ fn a_mission_in_the_background_that_waits_for_its_time_has_begun() {
     let stopped = stage.run(&["stop"]);
     assert_eq!(stopped.code, Some(0), "{stopped}");
 }
+
+/// Ways in which every command fails, with the code of that kind of fault: 2 where arguments or files cannot be read or name what
+/// is not there, 1 where something is wrong with what was read, or nobody answers.
+const FAILURES: [(u8, &str); 34] = [
+    (2, "frobnicate"),
+    (2, "check"),
+    (2, "check nowhere.yaml"),
+    (1, "check wrong.yaml"),
+    (1, "check hello.yaml --fleet bad-fleet.yaml"),
+    (2, "check hello.yaml --fleet nowhere.yaml"),
+    (2, "check hello.yaml --sarif /proc/nowhere/x"),
+    (2, "explain DB9999"),
+    (2, "plan hello.yaml --act finale"),
+    (1, "plan wrong.yaml"),
+    (2, "dry-run hello.yaml --act finale"),
+    (2, "dry-run hello.yaml --only nobody"),
+    (2, "dry-run hello.yaml --reading left/lid=1"),
+    (2, "dry-run hello.yaml --reading x"),
+    (2, "dry-run hello.yaml --picture /proc/x.svg"),
+    (1, "preflight hello.yaml --fleet far.yaml --patience 500ms"),
+    (1, "run hello.yaml --fleet far.yaml --patience 500ms"),
+    (2, "run hello.yaml --at 99:99"),
+    (2, "run hello.yaml --record /proc/x.mcap"),
+    (2, "go"),
+    (2, "stop"),
+    (2, "resume"),
+    (1, "conformance tcp://127.0.0.1:1"),
+    (2, "conformance nowhere"),
+    (2, "robot --init nowhere.yaml"),
+    (1, "robot --init bad.yaml"),
+    (1, "edge --init bad.yaml --driver sim"),
+    (1, "sim bad-fleet.yaml"),
+    (1, "fleet ping far.yaml"),
+    (1, "fleet describe tcp://127.0.0.1:1"),
+    (2, "import csv nowhere.csv"),
+    (2, "import midi nowhere.mid"),
+    (2, "man /proc/x"),
+    (2, "init /proc/x"),
+];
+
+#[test]
+fn failures_of_one_kind_end_with_one_code_and_print_a_document_in_json() {
+    let session = Session::new();
+    session.file("hello.yaml", SCENARIO).file("wrong.yaml", SCENARIO.replace("shoulder", "hip"));
+    session
+        .file("bad.yaml", "id: arm\n")
+        .file("bad-fleet.yaml", "robots: {left: {init: bad.yaml, address: sim}}\n");
+    let far = "robots: {left: {init: arm.yaml, address: 'tcp://127.0.0.1:1'}}\ngroups: {arms: [left]}\n";
+    session.file("far.yaml", far);
+    for (code, line) in FAILURES {
+        let args: Vec<&str> = line.split(' ').collect();
+        let text = session.run(&args);
+        assert_eq!(text.code(), i32::from(code), "`{line}`: {}", text.text());
+        assert!(!text.text().trim().is_empty(), "`{line}` fails without a word");
+        let ran = session.run(&[&args[..], &["--format", "json"]].concat());
+        assert_eq!(ran.code(), i32::from(code), "`{line}` in JSON: {}", ran.text());
+        let document = ran.json();
+        let errors = document["error"].as_str().is_some_and(|error| !error.is_empty());
+        let says_why = ["findings", "failures", "robots", "rows"].iter().any(|key| !document[key].is_null());
+        assert!(errors || says_why || document.is_array(), "`{line}`: {document}");
+    }
+}

@@ -15,7 +15,9 @@ use urrcp::Span;
 use super::outlet::Display;
 use super::run::parse_span;
 use super::{Exit, Format, console};
-use crate::conformance::{Examined, Judged, Options, Requirement, Verdict, examine, requirements};
+use crate::conformance::{
+    Examined, Judged, NotExamined, Options, Requirement, Verdict, examine, requirements,
+};
 use crate::signals::{OnHangUp, Signals};
 
 /// Check whether a robot does what the protocol demands.
@@ -87,7 +89,10 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
     };
     let address = match resolve(address) {
         Ok(address) => address,
-        Err(message) => return failed(&message),
+        Err(message) => {
+            console::error(&message);
+            return Exit::Usage;
+        }
     };
     let options = Options {
         patience: args.patience,
@@ -112,15 +117,19 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
         });
         match checking.await {
             Ok(Ok(examined)) => finish(&examined, format),
-            Ok(Err(message)) => failed(&message),
-            Err(error) => failed(&error.to_string()),
+            Ok(Err(error)) => {
+                console::error(&error.to_string());
+                match error {
+                    NotExamined::Unreachable(_) => Exit::Failed,
+                    NotExamined::NoDevice(_) => Exit::Usage,
+                }
+            }
+            Err(error) => {
+                console::error(&error.to_string());
+                Exit::Failed
+            }
         }
     })
-}
-
-fn failed(message: &str) -> Exit {
-    console::error(message);
-    Exit::Usage
 }
 
 fn resolve(text: &str) -> Result<SocketAddr, String> {

@@ -3,6 +3,7 @@
 //! While a mission runs everything goes through a thread of its own ([`super::outlet`]), so that a terminal that stands still
 //! holds up nothing else. Commands that move nothing write at once and wait for their reader, as `less` wants it.
 
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Mutex, OnceLock, PoisonError};
 use std::time::Duration;
 
@@ -24,6 +25,11 @@ const IDLE_MAX: Duration = Duration::from_secs(3);
 
 /// The threads that write, once there are any.
 static OUTLETS: OnceLock<Outlets> = OnceLock::new();
+/// Something was printed to standard output.
+static PRINTED: AtomicBool = AtomicBool::new(false);
+/// What was printed as an error, as far as a document of it stays readable.
+static ERRORS: Mutex<Vec<String>> = Mutex::new(Vec::new());
+const ERRORS_MAX: usize = 16;
 /// Why standard output could not be written.
 static FAILURE: Mutex<Option<String>> = Mutex::new(None);
 
@@ -105,6 +111,7 @@ pub(super) fn end_display() {
 
 /// Prints to standard output: text of lines whose pieces from outside went through [`shown::shown`].
 pub(super) fn print(text: &str) {
+    PRINTED.store(true, Ordering::Relaxed);
     let text = Stream::Stdout.coloured(&shown::block(text)).into_owned();
     match OUTLETS.get() {
         Some(outlets) => outlets.of(Stream::Stdout).keep(Stream::Stdout, text),
@@ -146,8 +153,26 @@ fn fitted(sentence: &str) -> String {
     wrapped(&shown::shown(sentence), columns.unwrap_or(UNBOUNDED))
 }
 
+/// Prints a document for a command that failed without one, so that machines read one whatever happens.
+pub(super) fn document_failure(exit: Exit) {
+    if exit == Exit::Done || PRINTED.load(Ordering::Relaxed) {
+        return;
+    }
+    let errors = ERRORS.lock().unwrap_or_else(PoisonError::into_inner).join("; ");
+    print_json(&serde_json::json!({ "error": errors }));
+}
+
+/// Keeps an error for [`document_failure`].
+pub(super) fn remember_error(line: &str) {
+    let mut errors = ERRORS.lock().unwrap_or_else(PoisonError::into_inner);
+    if errors.len() < ERRORS_MAX {
+        errors.push(line.to_owned());
+    }
+}
+
 /// Prints something that went wrong, in one line.
 pub(super) fn error(line: &str) {
+    remember_error(line);
     note_block(&format!("{RED}error{RED:#}{BOLD}: {}{BOLD:#}", shown::shown(line)));
 }
 

@@ -72,9 +72,9 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
     bar.0.finish_and_clear();
     let played = match played {
         Ok(played) => played,
-        Err(error) => {
+        Err((exit, error)) => {
             console::error(&error);
-            return Exit::Failed;
+            return exit;
         }
     };
     if let Some(path) = &args.picture
@@ -162,14 +162,14 @@ fn play(
     first_act: usize,
     fleet: &Fleet,
     bar: &mut Bar,
-) -> Result<Played, String> {
+) -> Result<Played, (Exit, String)> {
     let robots = fleet::robots_in(fleet, choreography);
     let machines: Result<Vec<_>, _> = robots
         .iter()
         .enumerate()
         .map(|(index, robot)| fleet::rehearsed(robot, args.seed.wrapping_add(index as u64)))
         .collect();
-    let machines = machines.map_err(|error| error.to_string())?;
+    let machines = machines.map_err(|error| (Exit::Failed, error.to_string()))?;
     let options = MissionOptions {
         greeting: fleet::greeting(fleet),
         first_act,
@@ -177,12 +177,13 @@ fn play(
         ..MissionOptions::default()
     };
     let mut rehearsal = Rehearsal::new(choreography.clone(), fleet::participants(&robots), options, machines)
-        .map_err(|error| error.to_string())?;
+        .map_err(|error| (Exit::Failed, error.to_string()))?;
     for (robot, sensor, value) in &args.reading {
         if !rehearsal.set_reading(robot, sensor, *value) {
-            return Err(format!(
+            let what = format!(
                 "--reading: no robot that takes part is called `{robot}` and has a sensor `{sensor}`"
-            ));
+            );
+            return Err((Exit::Usage, what));
         }
     }
     let logs = if args.picture.is_some() { Logs::Kept } else { Logs::Dropped };

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use downbeat_scripts::{Choreography, Finding, Fleet, Folder, Source};
+use downbeat_scripts::{Choreography, Finding, Fleet, Folder, Severity, Source};
 
 use super::{Exit, Format, ScenarioArgs, console};
 
@@ -97,6 +97,10 @@ pub(super) fn load_fleet(path: &Path, format: Format) -> Result<Fleet, Exit> {
 }
 
 pub(super) fn show_findings(findings: &[Finding]) {
+    for finding in findings.iter().filter(|finding| finding.severity == Severity::Error) {
+        let Finding { code, file, line, column, message, .. } = finding;
+        console::remember_error(&format!("{file}:{line}:{column}: {}: {message}", code.as_str()));
+    }
     if !findings.is_empty() {
         console::note_block(&downbeat_scripts::render(findings, console::stderr_has_colour()));
     }

@@ -212,12 +212,26 @@ pub fn main() -> ExitCode {
         Command::Man(args) => completions::man(&args),
         Command::Fleet(command) => fleet::fleet(&command, format),
     };
+    if format == Format::Json {
+        console::document_failure(exit);
+    }
     ExitCode::from(console::finish(exit) as u8)
+}
+
+/// Whether JSON is asked for by arguments that cannot be read.
+fn wants_json() -> bool {
+    let args: Vec<_> = std::env::args().collect();
+    let apart = args.windows(2).any(|two| two[0] == "--format" && two[1] == "json");
+    apart || args.iter().any(|arg| arg == "--format=json")
 }
 
 /// Prints help, a version or what is wrong with the arguments, and returns with which code that ends.
 fn told_by_clap(error: &clap::Error) -> Exit {
     let exit = if error.use_stderr() { Exit::Usage } else { Exit::Done };
+    if exit == Exit::Usage && wants_json() {
+        let text = error.render().to_string();
+        console::print_json(&serde_json::json!({ "error": text.trim_end().trim_start_matches("error: ") }));
+    }
     match error.print().and_then(|()| std::io::stdout().flush()) {
         Err(error) if exit == Exit::Done && error.kind() != std::io::ErrorKind::BrokenPipe => {
             console::error(&format!("cannot write to standard output: {error}"));

@@ -70,6 +70,17 @@ pub struct Examined {
     pub at_rest: bool,
 }
 
+/// Why a robot cannot be judged.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NotExamined {
+    /// Nobody answers at the address.
+    #[error("{0}")]
+    Unreachable(String),
+    /// The robot lacks the device that is to be moved.
+    #[error("{0}")]
+    NoDevice(String),
+}
+
 /// All requirements, in the order in which they are checked.
 pub fn requirements() -> impl Iterator<Item = &'static Requirement> {
     let of_robot = greeting::ALL.iter().chain(&values::ALL).chain(&starting::ALL).chain(&scripts::ALL);
@@ -80,17 +91,17 @@ pub fn requirements() -> impl Iterator<Item = &'static Requirement> {
 /// Judges a robot. `tell` hears of each requirement before it is checked, and the verdict after.
 ///
 /// # Errors
-/// Why there is no robot at the address.
+/// [`NotExamined`] if nobody answers at the address, or the robot lacks the device that is to be moved.
 pub fn examine(
     address: SocketAddr,
     options: Options,
     interrupted: Arc<AtomicBool>,
     tell: &mut dyn FnMut(&Requirement, Option<&Judged>),
-) -> Result<Examined, String> {
+) -> Result<Examined, NotExamined> {
     let clock = ServerClock::anchored(Span::ZERO);
     let mut trial = Trial::new(address, options, clock, interrupted);
     if let Err(unmet) = trial.connect() {
-        return Err(why(unmet));
+        return Err(NotExamined::Unreachable(why(unmet)));
     }
     let block = trial.connect().and_then(|mut line| line.initialization()).ok();
     let block = block.map(|(_, block)| block.message);
@@ -129,14 +140,18 @@ pub fn examine(
 }
 
 /// A robot that is known and lacks the device that was named would have nearly everything not applicable.
-fn has_device(block: Option<&InitializationBlock>, named: Option<&str>) -> Result<(), String> {
+fn has_device(block: Option<&InitializationBlock>, named: Option<&str>) -> Result<(), NotExamined> {
     let (Some(block), Some(named)) = (block, named) else { return Ok(()) };
     if block.device(named).is_some() {
         return Ok(());
     }
     let known: Vec<_> = block.devices.iter().take(20).map(|device| format!("`{}`", device.id)).collect();
     let more = if block.devices.len() > known.len() { ", ..." } else { "" };
-    Err(format!("`{}` has no device `{named}`, expected one of {}{more}", block.id, known.join(", ")))
+    let known = known.join(", ");
+    Err(NotExamined::NoDevice(format!(
+        "`{}` has no device `{named}`, expected one of {known}{more}",
+        block.id
+    )))
 }
 
 /// Asking a robot that is gone takes the patience each time.

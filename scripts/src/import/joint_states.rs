@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::io::Read;
 
-use mcap::read::{ChunkReader, LinearReader};
-use mcap::records::{ChunkHeader, Record};
+use mcap::records::{ChunkHeader, Record, op};
+use mcap::sans_io::{LinearReadEvent, LinearReader, LinearReaderOptions};
 
 use crate::finding::{Code, names};
 
@@ -92,22 +92,48 @@ pub(super) fn read(input: &Input, name: &str, bytes: &[u8], sink: &mut Sink) -> 
     motions
 }
 
-impl Recording {
-    fn read(&mut self, bytes: &[u8], sink: &mut Sink) -> Result<(), String> {
-        let broken = |error: mcap::McapError| format!("the recording cannot be read: {error}");
-        for record in LinearReader::new(bytes).map_err(broken)? {
-            match record.map_err(broken)? {
-                Record::Chunk { header, data } => self.chunk(header, &data, sink)?,
-                other => self.record(other, sink)?,
+/// Takes each record that says something of messages. Others are not even looked at: the library panics at some that are broken.
+fn records(
+    mut bytes: &[u8],
+    options: LinearReaderOptions,
+    mut take: impl FnMut(Record<'_>) -> Result<(), String>,
+) -> Result<(), String> {
+    let mut reader = LinearReader::new_with_options(options);
+    while let Some(event) = reader.next_event() {
+        match event.map_err(|error| error.to_string())? {
+            LinearReadEvent::ReadRequest(wanted) => {
+                let (now, rest) = bytes.split_at(wanted.min(bytes.len()));
+                reader.insert(now.len()).copy_from_slice(now);
+                reader.notify_read(now.len());
+                bytes = rest;
             }
-            if self.more {
-                return Err("the recording has more than two million positions: cut it".into());
+            LinearReadEvent::Record { data, opcode } => {
+                if matches!(opcode, op::SCHEMA | op::CHANNEL | op::MESSAGE | op::CHUNK) {
+                    take(mcap::parse_record(opcode, data).map_err(|error| error.to_string())?)?;
+                }
             }
         }
-        Ok(())
+    }
+    Ok(())
+}
+
+impl Recording {
+    fn read(&mut self, bytes: &[u8], sink: &mut Sink) -> Result<(), String> {
+        let options = LinearReaderOptions::default().with_emit_chunks(true);
+        records(bytes, options, |record| {
+            match record {
+                Record::Chunk { header, data } => self.chunk(&header, &data, sink)?,
+                other => self.record(other, sink)?,
+            }
+            match self.more {
+                true => Err("it has more than two million positions: cut it".into()),
+                false => Ok(()),
+            }
+        })
+        .map_err(|error| format!("the recording cannot be read: {error}"))
     }
 
-    fn chunk(&mut self, header: ChunkHeader, data: &[u8], sink: &mut Sink) -> Result<(), String> {
+    fn chunk(&mut self, header: &ChunkHeader, data: &[u8], sink: &mut Sink) -> Result<(), String> {
         let most = CHUNK_BYTES_MAX.min(self.left);
         let plain = match header.compression.as_str() {
             "" => data.to_vec(),
@@ -123,21 +149,12 @@ impl Recording {
             return Err(format!("a chunk has more than {most} bytes when it is unpacked"));
         }
         self.left -= plain.len() as u64;
-        let size = plain.len() as u64;
-        let header = ChunkHeader {
-            compression: String::new(),
-            uncompressed_size: size,
-            compressed_size: size,
-            ..header
-        };
-        let broken = |error: mcap::McapError| format!("a chunk cannot be read: {error}");
-        for record in ChunkReader::new(header, &plain).map_err(broken)? {
-            self.record(record.map_err(broken)?, sink)?;
-            if self.more {
-                break;
-            }
-        }
-        Ok(())
+        let options = LinearReaderOptions::default().with_skip_start_magic(true).with_skip_end_magic(true);
+        records(&plain, options, |record| match self.more {
+            true => Ok(()),
+            false => self.record(record, sink),
+        })
+        .map_err(|error| format!("in a chunk: {error}"))
     }
 
     fn record(&mut self, record: Record<'_>, sink: &Sink) -> Result<(), String> {

@@ -36,6 +36,20 @@ fn recordings_that_are_broken_are_refused() {
     }
 }
 
+#[test]
+fn an_attachment_that_ends_before_its_checksum_is_passed_over() {
+    let magic = *b"\x89MCAP0\r\n";
+    // Two times, two empty names, the length of no data, and no checksum: 32 bytes.
+    let attachment = [&[9][..], &32_u64.to_le_bytes(), &[0; 32]].concat();
+    let sound = fixture_of("arm.mcap");
+    let with = [&magic[..], &attachment, &sound[magic.len()..]].concat();
+    let of = |bytes: &[u8]| {
+        import_bytes(ImportFormat::Mcap, "arm.mcap", bytes, &ImportOptions::default()).imported
+    };
+    assert!(of(&sound).is_some());
+    assert_eq!(of(&with), of(&sound));
+}
+
 fn broken_recordings_of(name: &str) {
     let bytes = fixture_of(name);
     refused(ImportFormat::Mcap, b"", &["DB0001"]);
