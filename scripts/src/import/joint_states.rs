@@ -98,7 +98,8 @@ fn records(
     options: LinearReaderOptions,
     mut take: impl FnMut(Record<'_>) -> Result<(), String>,
 ) -> Result<(), String> {
-    let mut reader = LinearReader::new_with_options(options);
+    // Without a limit the library computes with any length that a record claims to have.
+    let mut reader = LinearReader::new_with_options(options.with_record_length_limit(bytes.len()));
     while let Some(event) = reader.next_event() {
         match event.map_err(|error| error.to_string())? {
             LinearReadEvent::ReadRequest(wanted) => {

@@ -50,6 +50,15 @@ fn an_attachment_that_ends_before_its_checksum_is_passed_over() {
     assert_eq!(of(&with), of(&sound));
 }
 
+#[test]
+fn a_record_that_claims_any_length_is_refused() {
+    let magic = *b"\x89MCAP0\r\n";
+    for length in [64, u64::MAX - 8, u64::MAX] {
+        let bytes = [&magic[..], &[12], &length.to_le_bytes(), &[0; 32], &magic].concat();
+        refused(ImportFormat::Mcap, &bytes, &["cannot be read"]);
+    }
+}
+
 fn broken_recordings_of(name: &str) {
     let bytes = fixture_of(name);
     refused(ImportFormat::Mcap, b"", &["DB0001"]);
