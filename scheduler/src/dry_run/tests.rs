@@ -229,6 +229,14 @@ fn acts(change: impl Fn(&mut Vec<Act>)) -> Rehearsal {
 }
 
 fn acts_with(options: MissionOptions, change: impl Fn(&mut Vec<Act>)) -> Rehearsal {
+    acts_on(block, options, change)
+}
+
+fn acts_on(
+    block: impl Fn(usize) -> InitializationBlock,
+    options: MissionOptions,
+    change: impl Fn(&mut Vec<Act>),
+) -> Rehearsal {
     let mut acts: Vec<Act> = (0..3)
         .map(|number| {
             let mut act = Choreography::of_plan(plan(2)).acts.remove(0);
@@ -388,4 +396,88 @@ fn why_all_are_stopped_names_the_first_robot_that_failed_and_counts_the_others()
         assert_eq!(reason.contains("more failed"), counted.is_some(), "{reason}");
         assert!(reason.ends_with(counted.unwrap_or("")), "{reason}");
     }
+}
+
+#[test]
+fn acts_that_wait_for_nothing_follow_each_other_without_a_gap() {
+    // A device that holds one script takes the next one once that has ended.
+    for (queue, gap) in [(1, Span::from_millis(371)), (2, Span::ZERO)] {
+        let block = |id| {
+            let mut block = block(id);
+            block.devices[0].script_queue = queue;
+            block
+        };
+        let (played, _) = played_through(acts_on(block, MissionOptions::default(), |_| {}));
+        let gaps: Vec<_> = played.report.acts.iter().map(|act| act.gap).collect();
+        assert_eq!(gaps, [None, Some(gap), Some(gap)]);
+        for (before, act) in played.report.acts.iter().zip(&played.report.acts[1..]) {
+            assert_eq!(act.start, before.start + Span::from_millis(2_000) + gap);
+        }
+    }
+}
+
+/// An arm whose shoulder moves linearly and tells where it stands, and which has a sensor of its own.
+const WITH_SENSORS: &str = r#"{"id": "arm-0", "api_version": "1", "reports": true, "devices": [
+  {"id": "shoulder", "name": "shoulder", "default_value": 0, "interpolation": "linear", "available_control_types": {
+     "position": {"min_value": 0, "max_value": 90, "granularity": 1},
+     "sensor": {"min_value": 0, "max_value": 90},
+     "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}},
+  {"id": "eye", "name": "eye", "unit": "m", "available_control_types": {"sensor": {"min_value": 0, "max_value": 4}}}]}"#;
+
+/// What is shown of the fleet before the mission.
+#[derive(Default)]
+struct Shown(Vec<crate::mission::Preflight>);
+
+impl Audience for Shown {
+    fn told(&mut self, _: Timestamp<Server>, progress: &Progress) {
+        if let Progress::Greeted { preflight, .. } = progress {
+            self.0.push(preflight.clone());
+        }
+    }
+
+    fn second(&mut self, _: Timestamp<Server>) {}
+}
+
+/// One arm with sensors, whose shoulder reads this.
+fn preflight_at(shoulder: f64) -> (Outcome, crate::mission::Preflight) {
+    let block: InitializationBlock = serde_json::from_str(WITH_SENSORS).unwrap();
+    let machines = vec![SimulatedRobot::new(block.clone(), Settings::default())];
+    let participants = vec![Participant::new(block.id.clone(), Some(block.clone()))];
+    let options = MissionOptions { preflight_only: true, ..MissionOptions::default() };
+    let mut rehearsal =
+        Rehearsal::new(Choreography::of_plan(plan(1)), participants, options, machines).unwrap();
+    for (sensor, reading) in [("shoulder", shoulder), ("eye", 0.5)] {
+        assert!(rehearsal.set_reading(&block.id, &DeviceId::new(sensor).unwrap(), reading));
+    }
+    let mut shown = Shown::default();
+    let played = rehearsal.play_before(&mut shown);
+    let [preflight] = shown.0.try_into().unwrap();
+    (played.report.outcome, preflight)
+}
+
+#[test]
+fn a_device_may_stand_two_steps_of_its_grid_from_the_first_keyframe() {
+    for (stands, outcome) in [
+        (45.0, Outcome::Ready),
+        (47.0, Outcome::Ready),
+        (43.0, Outcome::Ready),
+        (47.5, Outcome::NotReady),
+        (42.5, Outcome::NotReady),
+    ] {
+        assert_eq!(preflight_at(stands).0, outcome, "at {stands}");
+    }
+}
+
+#[test]
+fn a_preflight_shows_what_every_sensor_reads() {
+    let (_, preflight) = preflight_at(45.0);
+    let readings: Vec<_> = preflight.rows[0]
+        .readings
+        .iter()
+        .map(|read| (read.device.as_str(), read.reading, read.unit.as_deref(), read.expected.as_deref()))
+        .collect();
+    assert_eq!(
+        readings,
+        [("shoulder", Some(45.0), None, Some("45 ±2")), ("eye", Some(0.5), Some("m"), None)]
+    );
 }

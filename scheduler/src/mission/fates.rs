@@ -89,3 +89,19 @@ impl fmt::Display for ActFate {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_act_is_counted_each_time_that_it_is_played_and_keeps_its_last_fate() {
+        let mut course = ActCourse::default();
+        for (fate, played) in
+            [(ActFate::Played, 1), (ActFate::NobodyLeft, 1), (ActFate::Played, 2), (ActFate::Stopped, 2)]
+        {
+            course.note(fate.clone());
+            assert_eq!((course.played, &course.fate), (played, &fate));
+        }
+    }
+}

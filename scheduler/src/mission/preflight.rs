@@ -237,3 +237,17 @@ fn column(kind: &FailureKind) -> Check {
         FailureKind::Script { .. } | FailureKind::Claim { .. } => Check::Free,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use urrcp::ControlError;
+
+    use super::*;
+
+    #[test]
+    fn a_robot_that_is_busy_is_not_free_and_one_that_is_not_available_otherwise_lacks_its_hardware() {
+        let not_available = |code| FailureKind::NotAvailable { error: ControlError::new(code, "why") };
+        assert_eq!(column(&not_available(ErrorCode::Busy)), Check::Free);
+        assert_eq!(column(&not_available(ErrorCode::Internal)), Check::Hardware);
+    }
+}

@@ -3,9 +3,10 @@
 use std::sync::Arc;
 
 use downbeat_scripts::{Wait, Way};
+use urrcp::RequestId;
 
 use super::bench::Tells::Everything;
-use super::bench::{at, choreography, robot};
+use super::bench::{Tells, at, choreography, robot};
 use super::*;
 
 /// Two acts, `one` and `two`, that one robot plays. The named one waits for the operator.
@@ -47,4 +48,54 @@ fn a_go_counts_for_the_act_that_waits_for_it_and_otherwise_says_why_not() {
     // Nothing was sent that would have to be stopped.
     let _ended = mission.handle(at(2), Event::StopRequested { rest: Rest::Default });
     answers(&mut mission, None, Err("the mission is over"));
+}
+
+/// One act that begins at once, played by a robot that reports, and takes inquiries or none.
+fn begins_at_once(tells: Tells) -> Mission {
+    let block = robot("r0", tells, 2).block;
+    let participants = vec![Participant::new(RobotId::new("r0").unwrap(), block)];
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let choreography = Arc::new(choreography(&[&[("a", 0, 400)]]));
+    Mission::new(choreography, participants, options, at(0)).unwrap()
+}
+
+fn scripts_in(actions: &[Action]) -> Vec<RequestId> {
+    let script = |action: &Action| match action {
+        Action::Send { message: Message::ControlRequest(request), .. } => request.request_id.clone(),
+        _ => None,
+    };
+    actions.iter().filter_map(script).collect()
+}
+
+/// An event, and the disk at once.
+fn happens(mission: &mut Mission, now: Timestamp<Server>, event: Event) -> Vec<Action> {
+    let mut actions = mission.handle(now, event);
+    actions.extend(mission.advance(now));
+    for count in 1..=3 {
+        actions.extend(mission.handle(now, Event::Recorded { count }));
+        actions.extend(mission.advance(now));
+    }
+    actions
+}
+
+#[test]
+fn a_robot_that_takes_no_inquiries_is_sent_again_what_waits_when_its_link_is_back() {
+    for (tells, again) in [(Tells::Reports, true), (Everything, false)] {
+        let mut mission = begins_at_once(tells);
+        let first = scripts_in(&happens(&mut mission, at(0), Event::LinkUp { robot: 0 }));
+        assert_eq!(first.len(), 1);
+        let down = Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() };
+        let _reconnects = happens(&mut mission, at(2), down);
+        let actions = happens(&mut mission, at(4), Event::LinkUp { robot: 0 });
+        let expected = if again { first } else { Vec::new() };
+        assert_eq!(scripts_in(&actions), expected, "{tells:?}");
+    }
+}
+
+#[test]
+fn stops_go_out_on_a_link_of_the_robot_that_is_meant_and_on_no_link_that_has_just_been_made() {
+    let mut mission = begins_at_once(Everything);
+    assert!(!mission.takes_stops(at(0), 0), "there is no link");
+    let _sent = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    assert!(mission.takes_stops(at(0), 0), "the link of the robot itself");
 }

@@ -84,6 +84,9 @@ fn a_start_lies_between_the_sending_and_its_report() {
     );
     check(told(Status::Started, 700, Some(790), None, None), "started 125 ms before it can have");
     holds(told(Status::Started, 840, Some(930), None, None));
+    // The earliest instant that can be: 900 ms, less the tolerance, and less what is not known of its clock and way.
+    holds(told(Status::Started, 825, None, None, None));
+    check(told(Status::Started, 824, None, None, None), "started 1 ms before it can have");
 }
 
 #[test]
