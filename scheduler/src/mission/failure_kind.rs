@@ -69,6 +69,12 @@ pub enum FailureKind {
         /// Its own reason.
         error: ControlError,
     },
+    /// It speaks another version of the protocol.
+    #[error("it speaks URRCP `{version}`, expected version 1")]
+    WrongVersion {
+        /// What it calls it.
+        version: String,
+    },
     /// Its own description does not fit the plan.
     #[error("does not fit the plan: {reason}")]
     Unfit {
@@ -157,5 +163,64 @@ fn clock_text(offset: Span, uncertainty: Span, tolerance: Span) -> String {
         ClockDoubt::Path => format!(
             "clock known only to +-{uncertainty} (offset {offset}) because the delay of its link varies, the scenario tolerates {tolerance}: use a steadier link, or raise start_tolerance"
         ),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::ErrorCode;
+
+    use super::*;
+
+    /// The kind that stands behind another one in the enumeration: a new kind has to find its place here.
+    fn after(kind: Option<&FailureKind>) -> Option<FailureKind> {
+        let text = String::new;
+        let id = || RobotId::new("r").unwrap();
+        let device = || DeviceId::new("d").unwrap();
+        let error = || ControlError::new(ErrorCode::Late, "why");
+        let span = Span::ZERO;
+        let Some(kind) = kind else { return Some(FailureKind::LinkDown { reason: text() }) };
+        Some(match kind {
+            FailureKind::LinkDown { .. } => FailureKind::Garbled { reason: text() },
+            FailureKind::Garbled { .. } => FailureKind::AnotherRobot { expected: id(), told: id() },
+            FailureKind::AnotherRobot { .. } => FailureKind::Silent { awaited: text(), within: span },
+            FailureKind::Silent { .. } => FailureKind::NotAvailable { error: error() },
+            FailureKind::NotAvailable { .. } => FailureKind::WrongVersion { version: text() },
+            FailureKind::WrongVersion { .. } => FailureKind::Unfit { reason: text() },
+            FailureKind::Unfit { .. } => {
+                FailureKind::NoTimeToSend { device: device(), act: None, script: 1, time: span, needed: span }
+            }
+            FailureKind::NoTimeToSend { .. } => {
+                FailureKind::Clock { offset: span, uncertainty: span, tolerance: span }
+            }
+            FailureKind::Clock { .. } => FailureKind::Script { device: device(), error: error() },
+            FailureKind::Script { .. } => {
+                FailureKind::Claim { device: device(), claim: Claim::Steps { claimed: 2, planned: 1 } }
+            }
+            FailureKind::Claim { .. } => {
+                let range = SensorRange::Above(1.0);
+                FailureKind::Requirement { sensor: device(), reading: None, range }
+            }
+            FailureKind::Requirement { .. } => {
+                FailureKind::Position { device: device(), reading: 0.0, expected: 1.0 }
+            }
+            FailureKind::Position { .. } => return None,
+        })
+    }
+
+    #[test]
+    fn the_schema_of_reports_names_every_kind_and_no_other() {
+        let kinds = std::iter::successors(after(None), |kind| after(Some(kind)));
+        let names: Vec<_> = kinds
+            .map(|kind| serde_json::to_value(Failure { robot: RobotId::new("r").unwrap(), kind }).unwrap())
+            .map(|written| written["failure"].as_str().unwrap().to_owned())
+            .collect();
+        let schema: serde_json::Value = serde_json::from_str(crate::report::SCHEMA).unwrap();
+        let listed = schema["$defs"]["failure"]["properties"]["failure"]["enum"].as_array().unwrap();
+        let mut listed: Vec<_> = listed.iter().map(|name| name.as_str().unwrap().to_owned()).collect();
+        let mut names = names;
+        names.sort();
+        listed.sort();
+        assert_eq!(listed, names);
     }
 }

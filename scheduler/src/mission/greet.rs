@@ -76,6 +76,10 @@ impl Mission {
         if std::mem::replace(&mut self.robots[robot].introduced, true) {
             return;
         }
+        if block.api_version.as_str().split('.').next() != Some("1") {
+            let version = block.api_version.to_string();
+            self.fail(now, robot, FailureKind::WrongVersion { version });
+        }
         let unfit = self.unfit(robot, &block);
         self.robots[robot].block = Some(block);
         for reason in unfit {
@@ -91,9 +95,6 @@ impl Mission {
     fn unfit(&self, robot: usize, block: &InitializationBlock) -> Vec<String> {
         let state = &self.robots[robot];
         let mut reasons = Vec::new();
-        if block.api_version.as_str().split('.').next() != Some("1") {
-            reasons.push(format!("it speaks URRCP `{}`, expected version 1", block.api_version));
-        }
         if !block.understands(state.encoding) {
             let listed: Vec<_> = block.encodings.iter().map(|listed| format!("`{listed}`")).collect();
             let listed = if listed.is_empty() { "none".to_owned() } else { listed.join(", ") };

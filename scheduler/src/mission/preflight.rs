@@ -225,7 +225,7 @@ fn column(kind: &FailureKind) -> Check {
         FailureKind::LinkDown { .. } | FailureKind::Garbled { .. } | FailureKind::Silent { .. } => {
             Check::Link
         }
-        FailureKind::Unfit { reason } if reason.starts_with("it speaks URRCP") => Check::Version,
+        FailureKind::WrongVersion { .. } => Check::Version,
         FailureKind::Unfit { .. } | FailureKind::NoTimeToSend { .. } => Check::Description,
         FailureKind::Clock { .. } => Check::Clock,
         FailureKind::Requirement { .. } => Check::Sensors,
