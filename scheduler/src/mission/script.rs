@@ -81,6 +81,8 @@ pub(crate) struct Script {
     late_steps: u32,
     /// The robot said that it began, though nothing else of that is believed.
     began: bool,
+    /// The robot said of it what cannot be true.
+    discredited: bool,
     /// What the robot last said of its steps, and when by its clock.
     steps_said: Option<(Timestamp<Robot>, u32)>,
     /// By the robot's clock: when it first said that it holds it.
@@ -107,6 +109,7 @@ impl Script {
             steps_done: 0,
             late_steps: 0,
             began: false,
+            discredited: false,
             steps_said: None,
             accepted_at: None,
             held_at: None,
@@ -264,10 +267,12 @@ impl Script {
         self.steps_said = self.steps_said.max(told.steps());
     }
 
-    /// The robot said of it what cannot be true: nothing that it says of it counts any more.
+    /// The robot said of it what cannot be true: nothing that it says of it counts any more, and when it began is unknown, since of
+    /// two words nobody can tell which is true.
     pub(super) fn discredit(&mut self, claim: &Claim, told: &Told) {
-        self.began |= told.says_that_it_moved();
+        self.began |= told.says_that_it_moved() || self.started_at.is_some();
         if !self.is_final() {
+            (self.discredited, self.started_at) = (true, None);
             let error = ControlError::new(ErrorCode::Internal, claim.to_string());
             self.state = ScriptState::Ended(Ending::Failed(error));
         }
@@ -279,6 +284,9 @@ impl Script {
 
     /// Takes an answer, in whatever order answers come.
     pub(super) fn answered(&mut self, response: &ControlResponse) -> News {
+        if self.discredited {
+            return News::None;
+        }
         self.steps_done = self.steps_done.max(response.steps_done.unwrap_or(0));
         self.late_steps = self.late_steps.max(response.late_steps.unwrap_or(0));
         match &response.status {
@@ -300,6 +308,9 @@ impl Script {
         asked_at: Timestamp<Server>,
         said_at: Timestamp<Robot>,
     ) -> News {
+        if self.discredited {
+            return News::None;
+        }
         self.steps_done = self.steps_done.max(report.steps_done.unwrap_or(0));
         self.late_steps = self.late_steps.max(report.late_steps.unwrap_or(0));
         let foreign_content = report.content_hash.is_some_and(|hash| hash != self.content_hash);

@@ -262,3 +262,22 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn of_a_script_that_is_discredited_no_start_is_known_whatever_was_said_before_or_after() {
+    let claim = Claim::Ahead { claimed: by_robot(at(9)), by: ms(1) };
+    let running = |script: &mut Script| take(script, Said::Running(1), 5);
+    let ended = |script: &mut Script| take(script, Said::EndedWell(Some(2)), 6);
+    for truth_first in [true, false] {
+        let mut script = sent();
+        if truth_first {
+            assert_eq!(running(&mut script), News::Started);
+        }
+        let began = response(&script.plan.device, None, Status::Started, at(7));
+        script.discredit(&claim, &Told::by_response(&began, at(7)));
+        assert_eq!((running(&mut script), ended(&mut script)), (News::None, News::None));
+        assert_eq!(script.started_at(), None, "{truth_first}");
+        assert_eq!(script.steps_done(), u32::from(truth_first), "no step counts that was said after");
+        assert!(script.has_begun() && script.is_final() && !script.has_completed());
+    }
+}
