@@ -302,6 +302,11 @@ impl ClockEstimate {
         self.round_trips.high()
     }
 
+    /// Whether there were enough exchanges to tell a round trip that was long for once from what is usual.
+    pub(crate) fn tells_outliers(&self) -> bool {
+        self.round_trips.tell_outliers()
+    }
+
     /// The estimate carried on to `now`: by the drift if it is known, and ever less certain.
     #[must_use]
     pub fn reading_at(&self, now: Timestamp<Server>) -> Option<ClockReading> {

@@ -48,6 +48,11 @@ impl RoundTrips {
         self.high
     }
 
+    /// Whether an outlier is left out already.
+    pub(super) fn tell_outliers(&self) -> bool {
+        self.latest.len() >= EXCHANGES_KEPT
+    }
+
     /// The third largest of 32 or more, the second largest of three or more, else the largest.
     fn above_outliers(&self) -> Span {
         let outliers = match self.latest.len() {

@@ -60,10 +60,7 @@ impl Mission {
             Phase::Greeting { .. } => self.greeting_progress(now),
             _ if self.robots[robot].standing == Standing::Absent => self.join_if_greeted(now, robot),
             Phase::Performing => {
-                // An act may have waited for its first times.
-                if self.robots[robot].clock.samples() == 1 {
-                    self.acts.iter_mut().for_each(|act| act.look_again_at(None));
-                }
+                self.measure_further(now, robot);
                 self.perform(now);
             }
             Phase::Stopping { .. } => self.stop_progress(now),

@@ -64,7 +64,18 @@ impl Mission {
             }
             return self.fail_all(now, failing);
         }
+        if let Some(until) = self.links_known_at(&self.acts[index]).filter(|until| now < *until) {
+            return self.acts[index].look_again_at(Some(until));
+        }
         self.send_act(now, index, need);
+    }
+
+    /// When the answers will be there without which a link that was slow for once cannot be told from one that is slow: waiting for
+    /// them takes less than they may take off the lead.
+    fn links_known_at(&self, act: &Act) -> Option<Timestamp<Server>> {
+        let members = act.present().map(|member| &self.robots[member.robot]);
+        let unknown = members.filter(|robot| robot.is_up() && !robot.clock.tells_outliers());
+        unknown.filter_map(|robot| Some(robot.questions.last_unanswered()? + robot.round_trip())).max()
     }
 
     /// Whether a robot still has its part in an act ahead: that it fits, whatever comes next.

@@ -135,12 +135,16 @@ impl Mission {
     /// Takes the times in an answer.
     pub(super) fn take_times(&mut self, now: Timestamp<Server>, robot: usize, sample: ClockSample) {
         let state = &mut self.robots[robot];
-        let steps = state.clock.steps();
+        let (steps, known) = (state.clock.steps(), state.clock.tells_outliers());
         state.clock.add(sample);
         state.questions.answer(sample.sent);
         // A process that takes a mission up does not know by which clock the robot was sent what it has.
         if state.clock.steps() > steps || state.clock.samples() == 1 {
             self.clock_is_new(now, robot);
+        }
+        if !known {
+            // An act may have waited for its times.
+            self.acts.iter_mut().for_each(|act| act.look_again_at(None));
         }
     }
 
@@ -210,7 +214,18 @@ impl Mission {
             let error = error_of_status(response.error.as_ref());
             self.fail(now, robot, FailureKind::NotAvailable { error });
         }
+        self.measure_further(now, robot);
         self.goes_on(now);
+    }
+
+    /// A process that took the mission up knows a robot's link by one exchange at first, which may have been slow for once: it asks
+    /// again at each answer until such an outlier can be told.
+    pub(super) fn measure_further(&mut self, now: Timestamp<Server>, robot: usize) {
+        let state = &self.robots[robot];
+        let known = state.clock.tells_outliers() || state.stop_was_sent();
+        if self.phase == Phase::Performing && !known && state.questions.last_unanswered().is_none() {
+            self.ask(now, robot);
+        }
     }
 
     /// Tells the operator what a robot says of itself, now and then.

@@ -182,10 +182,12 @@ impl Act {
 
     fn decide(&mut self, now: Timestamp<Server>, robots: &[RobotState]) -> Vec<ActAction> {
         let shown = SkewBudget::of_sent(self.present(), robots, self.written().plan.start_tolerance, now);
+        let early = shown.map(|shown| self.allow_for_shown(now, &shown, robots)).unwrap_or_default();
+        if !early.is_empty() {
+            return vec![ActAction::Fail(early)];
+        }
         let Some(timing) = &mut self.timing else { return Vec::new() };
         timing.accepted_at = Some(now);
-        let early_and_late = shown.as_ref().map(SkewBudget::early_and_late).unwrap_or_default();
-        let _as_far_as_there_is_time = timing.allow_for(now, early_and_late);
         let (start, doubt) = (timing.start, timing.doubt());
         tracing::info!(%start, "decided");
         self.stage = Stage::Approaching(Approach::beginning(now));

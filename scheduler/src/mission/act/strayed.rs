@@ -43,15 +43,31 @@ impl Act {
         }
         let known = self.present().filter(|member| robots[member.robot].clock.samples() > 0);
         let shown = SkewBudget::of_sent(known, robots, self.written().plan.start_tolerance, now);
-        let (Some(timing), Some(shown)) = (&mut self.timing, shown) else { return Vec::new() };
+        let (Some(timing), Some(shown)) = (&self.timing, shown) else { return Vec::new() };
         let before = (timing.no_return(), timing.doubt());
-        if !timing.allow_for(now, shown.early_and_late()) {
-            let early = shown.earlier_than(timing.early_at_most());
-            let early = self.by_index(early, robots);
-            return if early.is_empty() { Vec::new() } else { vec![ActAction::Fail(early)] };
+        let early = self.allow_for_shown(now, &shown, robots);
+        if !early.is_empty() {
+            return vec![ActAction::Fail(early)];
         }
+        let Some(timing) = &self.timing else { return Vec::new() };
         let changed = before != (timing.no_return(), timing.doubt());
         self.decided().filter(|_| changed).map(ActAction::Tell).into_iter().collect()
+    }
+
+    /// Lets the leases end as early as the clocks of its robots show by now. Returns those that start earlier still, where there is
+    /// no time left for that.
+    pub(super) fn allow_for_shown(
+        &mut self,
+        now: Timestamp<Server>,
+        shown: &SkewBudget,
+        robots: &[RobotState],
+    ) -> Vec<(usize, FailureKind)> {
+        let Some(timing) = &mut self.timing else { return Vec::new() };
+        if timing.allow_for(now, shown.early_and_late()) {
+            return Vec::new();
+        }
+        let early = shown.earlier_than(timing.early_at_most());
+        self.by_index(early, robots)
     }
 
     /// Why a robot cannot have kept a script that it has accepted: between two instants by its clock no question reached it, for

@@ -165,7 +165,7 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
     let set = own_fault(facts, robot, (act.doubtful_from(), until), |hit| hit.cause == Cause::ClockSet)
         .or_else(|| set_unseen(facts, act, robot))
         .or_else(|| came_late(facts, act, robot, until))
-        .or_else(|| facts.was_stopped_in_part(robot).then_some(Cause::SchedulerCrash));
+        .or_else(|| facts.was_stopped_in_part(act, robot).then_some(Cause::SchedulerCrash));
     let dropped = facts.dropped[robot].filter(|at| *at >= act.at);
     let Some(stop) = facts.stopping.iter().copied().filter(|at| *at >= act.at).chain(dropped).min() else {
         return set;

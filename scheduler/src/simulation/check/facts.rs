@@ -225,9 +225,9 @@ impl<'a> Facts<'a> {
         })
     }
 
-    /// Whether the scheduler died between the stops of two devices of a robot that takes no inquiries: the first renewed the lease of
-    /// the other, and nothing could shorten that ahead of it.
-    pub(super) fn was_stopped_in_part(&self, robot: usize) -> bool {
+    /// Whether the scheduler died between the stops of two devices of a robot that takes no inquiries, before an act that it had
+    /// not committed: the first renewed the lease of the other, and nothing could shorten that ahead of it.
+    pub(super) fn was_stopped_in_part(&self, act: &SentAct<'_>, robot: usize) -> bool {
         let cancel = |message: &Message| match message {
             Message::ControlRequest(request) => {
                 matches!(&request.command, Command::Script(script) if script.is_empty())
@@ -240,8 +240,9 @@ impl<'a> Facts<'a> {
                 matches!(happened, Happened::AtRobot(r, message) if *r == robot && cancel(message))
             })
         };
-        let mut crashes = self.hits.iter().filter(|hit| hit.cause == Cause::SchedulerCrash);
-        !self.drawn().robots[robot].block.inquiry && crashes.any(was_on_its_way)
+        let before_it = |hit: &&Hit| hit.from >= act.at && hit.from <= act.promise.start;
+        let mut crashes = self.hits.iter().filter(|hit| hit.cause == Cause::SchedulerCrash).filter(before_it);
+        act.committed.is_none() && !self.drawn().robots[robot].block.inquiry && crashes.any(was_on_its_way)
     }
 
     /// When messages from the scheduler arrived at a robot that renew its leases. The question who it is does not: anybody may ask

@@ -25,8 +25,6 @@ pub(in crate::simulation) const LEAD_LEAST: Span = Span::from_millis(50 + 240 + 
 /// for the answers, six for the lease, and one and a half for the margin.
 const ROUND_TRIPS: i64 = 11;
 const ROUND_TRIP_MAX: Span = Span::from_millis(500);
-/// For so long a process that took a mission up may have asked a link's robot no more than twice.
-const KNOWN_AFTER: Span = Span::from_millis(1_000);
 /// How long after its instant a report may arrive, in addition to two round trips: it is asked for then, and given up after as
 /// long again.
 const REPORT_GRACE: Span = Span::from_millis(500);
@@ -326,11 +324,8 @@ fn clocks_set(facts: &Facts<'_>, act: &SentAct<'_>, by: Timestamp<Server>) -> Sp
 }
 
 /// How long a link of an act's robots was slow the second time, if it was slow at two moments before the act was sent: one alone
-/// leaves the lead as it is, two are what its link is like. A process that took the mission up lately knows it by too few answers
-/// to tell the two apart.
+/// leaves the lead as it is, two are what its link is like.
 fn slow_again(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
-    let taken_up = facts.between(act.at - KNOWN_AFTER, act.at).iter();
-    let knows_little = taken_up.into_iter().any(|(_, what)| matches!(what, Happened::TakenUp(_)));
     let of_robot = |robot: usize| {
         let slow = |hit: &&Hit| {
             hit.is_of(robot) && hit.from <= act.at && matches!(hit.cause, Cause::Slow | Cause::RobotPause)
@@ -343,7 +338,7 @@ fn slow_again(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
             until = until.max(hit.until);
         }
         lasted.sort_unstable();
-        lasted.into_iter().rev().nth(usize::from(!knows_little))
+        lasted.into_iter().rev().nth(1)
     };
     act.robots().into_iter().filter_map(of_robot).max().unwrap_or_default()
 }

@@ -45,7 +45,7 @@ fn starts_are_committed(facts: &Facts<'_>, verdict: &mut Verdict) {
                 .hits
                 .iter()
                 .any(|hit| hit.is_of(robot) && hit.cause != Cause::LinkDown && hit.overlaps(act.at, by));
-            if !hit && !facts.clock_was_set(robot) && !facts.was_stopped_in_part(robot) {
+            if !hit && !facts.clock_was_set(robot) && !facts.was_stopped_in_part(act, robot) {
                 let number = act.promise.number;
                 return verdict
                     .violated('a', format!("r{robot} started act {number}, which was never committed"));

@@ -111,6 +111,22 @@ fn a_decision_that_comes_too_late_for_the_leases_to_run_out_is_none() {
 }
 
 #[test]
+fn what_would_start_before_its_lease_can_end_is_not_decided() {
+    for (ahead, decided) in [(500, 0), (0, 1)] {
+        let mut bench = Bench { silent: vec![0], ..Bench::new(&[Tells::Everything], &[&[("a", 0, 100)]]) };
+        bench.promise(Leases::Shortened);
+        bench.run_until(at(10));
+        let (now, there) = (bench.now, by_robot(bench.now) + ms(ahead));
+        bench.robots[0].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
+        bench.say(bench.scripts_of(0)[0], Status::Accepted);
+        bench.pump();
+        assert_eq!(bench.decisions().len(), decided, "{ahead}");
+        let failed = matches!(bench.failed.as_slice(), [(_, 0, FailureKind::Clock { .. })]);
+        assert_eq!(failed, decided == 0, "{:?}", bench.failed);
+    }
+}
+
+#[test]
 fn only_as_much_is_sent_as_a_device_holds() {
     let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("a", 100, 100), ("a", 200, 100)]];
     let mut bench = Bench::new(&[Tells::Everything], &scripts);
