@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use urrcp::{
     Command, ControlError, ControlResponse, DEVICES_MAX, DeviceId, Encoding, ErrorCode, InitializationBlock,
-    Message, Robot as RobotClock, Span, Status, StatusValue, Timestamp,
+    Message, Robot as RobotClock, Span, Status, Timestamp,
 };
 
 use crate::driver::SILENCE_MAX;
@@ -319,18 +319,8 @@ impl SimulatedRobot {
             Some(Fault::Silent) => None,
             Some(Fault::Refuse) if is_movement(&request.command) => {
                 let at = self.robot_from_true(now);
-                let refusal = ControlResponse {
-                    timestamp: at,
-                    device_id: request.device_id.clone(),
-                    status: Status::Failed,
-                    status_value: StatusValue::Null,
-                    request_id: request.request_id.clone(),
-                    content_hash: None,
-                    event_timestamp: None,
-                    steps_done: None,
-                    late_steps: None,
-                    error: Some(ControlError::new(ErrorCode::Busy, "simulated refusal")),
-                };
+                let error = ControlError::new(ErrorCode::Busy, "simulated refusal");
+                let refusal = ControlResponse::refusal(at, request, error);
                 self.send(now, link, Message::ControlResponse(refusal));
                 None
             }
