@@ -99,3 +99,36 @@ fn stops_go_out_on_a_link_of_the_robot_that_is_meant_and_on_no_link_that_has_jus
     let _sent = mission.handle(at(0), Event::LinkUp { robot: 0 });
     assert!(mission.takes_stops(at(0), 0), "the link of the robot itself");
 }
+
+/// An act that was sent, out of its mission.
+fn sent_act() -> (Mission, Act, ActReport) {
+    let mut mission = begins_at_once(Everything);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let act = mission.acts.remove(0);
+    let report = ActReport::new(&act, &mission.robots).unwrap();
+    (mission, act, report)
+}
+
+fn with_rows(mut report: ActReport, rows: usize) -> ActReport {
+    report.robots = vec![report.robots[0].clone(); rows];
+    report
+}
+
+#[test]
+fn the_report_of_the_last_act_is_kept_however_many_robots_played_it() {
+    let (mut mission, act, report) = sent_act();
+    mission.keep_report(&act, with_rows(report.clone(), 20_001));
+    assert_eq!((mission.reports.len(), mission.reports_omitted), (1, 0));
+    mission.keep_report(&act, report);
+    assert_eq!((mission.reports.len(), mission.reports_omitted), (1, 1), "the oldest is left out");
+}
+
+#[test]
+fn as_many_reports_are_kept_as_have_twenty_thousand_rows() {
+    let (mut mission, act, report) = sent_act();
+    mission.keep_report(&act, with_rows(report.clone(), 19_999));
+    mission.keep_report(&act, report.clone());
+    assert_eq!((mission.reports.len(), mission.reports_omitted), (2, 0));
+    mission.keep_report(&act, report);
+    assert_eq!((mission.reports.len(), mission.reports_omitted), (2, 1));
+}
