@@ -2,11 +2,13 @@
 
 use std::sync::Arc;
 
-use downbeat_scripts::{Wait, Way};
+use downbeat_scripts::{SensorRange, Wait, Way};
 use urrcp::RequestId;
 
 use super::bench::Tells::Everything;
 use super::bench::{Tells, at, choreography, robot};
+use super::preflight::{Check, Verdict};
+use super::robot_state::Stop;
 use super::*;
 
 /// Two acts, `one` and `two`, that one robot plays. The named one waits for the operator.
@@ -131,4 +133,48 @@ fn as_many_reports_are_kept_as_have_twenty_thousand_rows() {
     assert_eq!((mission.reports.len(), mission.reports_omitted), (2, 0));
     mission.keep_report(&act, report);
     assert_eq!((mission.reports.len(), mission.reports_omitted), (2, 1));
+}
+
+#[test]
+fn a_stopped_robot_whose_script_waits_is_at_rest_when_its_pending_lease_ends() {
+    let (mut mission, act, _) = sent_act();
+    mission.robots[0].stop = Stop::Confirmed(Rest::Default);
+    let member = &act.members()[0];
+    let lease = act.timing().unwrap().lead.lease;
+    let left = act.left_behind(member, 0, &mission.robots[0], at(1));
+    assert_eq!(left, Some(Some(mission.robots[0].last_sent.unwrap() + lease)));
+}
+
+#[test]
+fn an_act_is_sent_later_than_the_stop_before_it() {
+    for (stopped, sent) in [(None, at(0)), (Some(at(0)), at(0) + Span::from_nanos(1))] {
+        let mut mission = begins_at_once(Everything);
+        mission.stopped_at = stopped;
+        let actions = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        let script = |action: &Action| match action {
+            Action::Send { message: Message::ControlRequest(request), .. } => request.timestamp,
+            _ => None,
+        };
+        assert_eq!(actions.iter().find_map(script), Some(sent));
+    }
+}
+
+#[test]
+fn a_required_sensor_passes_once_it_was_read_and_only_where_robots_are_greeted() {
+    let read = Some(51.0);
+    for (greeting, readings, passes) in [
+        (Greeting::Full, vec![read], true),
+        (Greeting::Full, vec![None], false),
+        (Greeting::Skip, vec![read], false),
+    ] {
+        let mut mission = begins_at_once(Everything);
+        let range = SensorRange::Above(50.0);
+        mission.robots[0].requires = vec![Requirement { sensor: "eye".parse().unwrap(), range }];
+        mission.robots[0].readings = readings;
+        mission.options.greeting = greeting;
+        let table = preflight::table(&mission, at(0));
+        let verdict = table.rows[0].checks.iter().find(|(check, _)| *check == Check::Sensors).unwrap();
+        let expected = if passes { Verdict::Pass("eye 51".to_owned()) } else { Verdict::NotChecked };
+        assert_eq!(verdict.1, expected, "{greeting:?}");
+    }
 }
