@@ -8,34 +8,41 @@
 mod answers;
 pub mod clock;
 mod device;
+#[cfg(feature = "host")]
 pub mod driver;
+#[cfg(feature = "host")]
 mod edge;
 mod hardware;
 mod held;
+#[cfg(feature = "host")]
 mod host;
 #[cfg(any(test, feature = "invariants"))]
 pub mod invariants;
 mod lease;
 mod outgoing;
 mod parties;
+#[cfg(feature = "host")]
 mod precise_wait;
+#[cfg(feature = "host")]
+pub mod realtime;
 mod robot;
+#[cfg(feature = "host")]
 mod scheduling;
+#[cfg(feature = "host")]
 mod serve;
-mod set_log;
+pub mod set_log;
 mod signal;
 pub mod simulated;
+#[cfg(feature = "host")]
 mod wake_up;
 
 pub use device::Motion;
-pub use hardware::ReadingId;
+pub use hardware::{AtEnd, ReadingId};
+#[cfg(feature = "host")]
 pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink};
-pub use precise_wait::{PreciseWait, Woken};
 pub use robot::{Input, LinkId, Output, Robot, SetValue};
-pub use scheduling::{Realtime, Scheduling};
+#[cfg(feature = "host")]
 pub use serve::serve;
-pub use set_log::{Kept, LogEntry};
-pub use wake_up::WakeUp;
 
 /// The examples of the README are compiled with the tests.
 #[cfg(doctest)]

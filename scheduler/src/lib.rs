@@ -4,7 +4,7 @@
 //! real time over links to robots (`run`, `link`) or in virtual time with simulated ones (`dry_run`, `simulation`). What
 //! happened ends in a `report`. `cli` is the only room that prints.
 
-pub mod cli;
+mod cli;
 pub mod clock;
 pub mod conformance;
 pub mod drive;
@@ -18,9 +18,12 @@ pub mod recording;
 pub mod report;
 pub mod run;
 pub mod server_clock;
-pub mod signals;
+mod signals;
 pub mod simulation;
 pub mod stop_lane;
+
+#[doc(hidden)]
+pub use cli::main;
 
 /// The examples of the README are compiled with the tests.
 #[cfg(doctest)]
