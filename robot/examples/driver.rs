@@ -10,6 +10,7 @@ use std::time::Duration;
 
 use downbeat_robot::driver::{Driver, DriverError, DriverOptions, Lifeline};
 use downbeat_robot::{Host, HostOptions, Hosted, serve};
+use tokio::net::TcpListener;
 use urrcp::{DeviceId, InitializationBlock, Setpoint};
 
 /// A driver may wait for its hardware, but not for ever.
@@ -73,16 +74,20 @@ impl Driver for LineDriver {
     }
 }
 
+/// Runs a robot with this description on the hardware at an address.
+pub async fn run(description: &str, address: String, listener: TcpListener) -> Result<(), Box<dyn Error>> {
+    let block: InitializationBlock = serde_json::from_str(description)?;
+    let driver = LineDriver { address, connection: None };
+    let robot = Hosted::driven(block, Box::new(driver), DriverOptions::default());
+    let host = Host::start(vec![robot], HostOptions::default())?;
+    println!("{} listens on {}", host.handle().robots()[0], listener.local_addr()?);
+    Ok(serve(listener, host.handle(), 0).await?)
+}
+
 #[tokio::main]
 async fn main() -> Result<(), Box<dyn Error>> {
     let mut words = std::env::args().skip(1);
     let (description, address) = words.next().zip(words.next()).ok_or("driver DESCRIPTION ADDRESS")?;
-    let block: InitializationBlock = serde_json::from_str(&std::fs::read_to_string(description)?)?;
-    let driver = LineDriver { address, connection: None };
-    let robot = Hosted::driven(block, Box::new(driver), DriverOptions::default());
-    let host = Host::start(vec![robot], HostOptions::default())?;
-    let listener = tokio::net::TcpListener::bind("127.0.0.1:7401").await?;
-    println!("listening on {}", listener.local_addr()?);
-    serve(listener, host.handle(), 0).await?;
-    Ok(())
+    let listener = TcpListener::bind("127.0.0.1:7401").await?;
+    run(&std::fs::read_to_string(description)?, address, listener).await
 }

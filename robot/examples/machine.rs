@@ -10,7 +10,7 @@ use urrcp::{
 };
 
 /// What happened, a line each, with the time since the request.
-fn play() -> Result<Vec<String>, LimitError> {
+pub fn play() -> Result<Vec<String>, LimitError> {
     let percent = Limits::new(0.0, 100.0, 1.0)?;
     let lamp = DeviceId::new("lamp")?;
     let device = Device::new(lamp.clone())

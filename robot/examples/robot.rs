@@ -47,7 +47,7 @@ impl Driver for Motor {
 }
 
 /// Runs the robot until Ctrl-C, or until the listener fails.
-async fn run(listener: TcpListener) -> Result<(), Box<dyn Error>> {
+pub async fn run(listener: TcpListener) -> Result<(), Box<dyn Error>> {
     let robot = Hosted::driven(description()?, Box::new(Motor), DriverOptions::default());
     let host = Host::start(vec![robot], HostOptions::default())?;
     println!("{} listens on {}", host.handle().robots()[0], listener.local_addr()?);

@@ -17,7 +17,7 @@ use tokio::sync::mpsc;
 use urrcp::Span;
 
 /// Plays it to its end. What is sent on `operator` reaches the mission while it runs.
-async fn play(
+pub async fn play(
     fleet: &Path,
     scenario: &Path,
     operator: mpsc::Receiver<Operator>,
