@@ -33,12 +33,17 @@ pub use limits::{
     PARAMETERS_MAX, SCRIPT_STEPS_MAX, STRING_CHARS_MAX,
 };
 pub use message::{
-    AvailabilityRequest, AvailabilityResponse, Command, ControlParameters, ControlRequest, ControlResponse,
-    ControlTypes, Device, DeviceRoom, InitializationBlock, InitializationRequest, Inquiry, InquiryResponse,
-    Interpolation, Limits, Message, RequestReport, RequestState, RobotType, Script, ScriptParameters,
-    SensorParameters, Setpoint, Status, StatusValue, Step, StopCondition,
+    API_VERSION, AvailabilityRequest, AvailabilityResponse, Command, ControlParameters, ControlRequest,
+    ControlResponse, ControlTypes, Device, DeviceRoom, InitializationBlock, InitializationRequest, Inquiry,
+    InquiryResponse, Interpolation, Limits, Message, RequestReport, RequestState, RobotType, Script,
+    ScriptParameters, SensorParameters, Setpoint, Status, StatusValue, Step, StopCondition,
 };
 #[cfg(feature = "schema")]
 pub use schema::message_schema;
 pub use text::{DeviceId, Label, RequestId, RobotId, SessionId};
 pub use time::{Millis, Robot, Server, Span, Timestamp};
+
+/// The examples of the README are compiled with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

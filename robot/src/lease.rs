@@ -1,6 +1,6 @@
 //! The `stop_condition` as a lease: how long a link may stay silent.
 
-use std::collections::{HashMap, HashSet};
+use std::collections::{BTreeMap, HashSet};
 
 use urrcp::{Millis, Robot, StopCondition, Timestamp};
 
@@ -9,7 +9,7 @@ use crate::robot::LinkId;
 /// When each party was last heard. Links that are down stay silent, so their leases run out.
 #[derive(Clone, Debug)]
 pub(crate) struct LastHeard {
-    at: HashMap<LinkId, Timestamp<Robot>>,
+    at: BTreeMap<LinkId, Timestamp<Robot>>,
     /// The one that was heard last is nearly always the one that is asked for, at every step of every device.
     latest: Option<(LinkId, Timestamp<Robot>)>,
     /// Beyond it those are forgotten who hold nothing.
@@ -21,7 +21,7 @@ const PARTIES_MIN: usize = 1_024;
 
 impl Default for LastHeard {
     fn default() -> Self {
-        Self { at: HashMap::new(), latest: None, room: PARTIES_MIN }
+        Self { at: BTreeMap::new(), latest: None, room: PARTIES_MIN }
     }
 }
 

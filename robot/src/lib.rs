@@ -36,3 +36,8 @@ pub use scheduling::{Realtime, Scheduling};
 pub use serve::serve;
 pub use set_log::{Kept, LogEntry};
 pub use wake_up::WakeUp;
+
+/// The examples of the README are compiled with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

@@ -3,7 +3,7 @@
 //! A session is one run of a scheduler. It may use several links, one after another or at once: leases, answers and
 //! stops go with the session. A link that names no session is a party of its own.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use urrcp::{Robot, SessionId, Span, Timestamp};
 
@@ -18,10 +18,10 @@ pub(crate) const SESSIONS_MAX: usize = 256;
 /// Parties are named by their first link, as long as that has no other.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Parties {
-    of_link: HashMap<LinkId, LinkId>,
+    of_link: BTreeMap<LinkId, LinkId>,
     of_session: HashMap<SessionId, LinkId>,
     /// Where a party was last heard.
-    route: HashMap<LinkId, LinkId>,
+    route: BTreeMap<LinkId, LinkId>,
     owner: Option<(SessionId, LinkId)>,
     /// Parties that were given a name of their own, counted down from the largest so that no link has it.
     named: u64,

@@ -238,12 +238,10 @@ impl Robot {
         match message {
             Message::AvailabilityRequest(request) => {
                 let taken = self.claim(now, link, request.session.as_ref()).err();
+                let status = if taken.is_some() { Status::Failed } else { Status::Ok };
                 let response = AvailabilityResponse {
-                    originate_timestamp: request.timestamp,
-                    receive_timestamp: now,
-                    timestamp: now,
-                    status: if taken.is_some() { Status::Failed } else { Status::Ok },
                     error: taken.filter(|_| request.session.is_some()),
+                    ..AvailabilityResponse::new(&request, now, now, status)
                 };
                 let response = match (self.hardware.missing(), request.session) {
                     (Some(missing), _) => {
@@ -275,7 +273,7 @@ impl Robot {
             Some(device) => Message::ControlResponse(ControlResponse {
                 request_id: error.request_id.clone(),
                 error: Some(reason),
-                ..response(now, device.clone(), Status::Failed)
+                ..ControlResponse::new(now, device.clone(), Status::Failed)
             }),
             None => Message::AvailabilityResponse(AvailabilityResponse {
                 originate_timestamp: None,
@@ -310,7 +308,7 @@ impl Robot {
         error: ControlError,
         out: &mut Vec<Output>,
     ) {
-        self.answer(link, refusal(now, request, error), out);
+        self.answer(link, ControlResponse::refusal(now, request, error), out);
     }
 
     /// Sends an answer and remembers it for a repetition of its request.
@@ -353,8 +351,10 @@ impl Robot {
 
     fn report(&mut self, now: Now, index: usize, happened: Now, effect: Effect, out: &mut Vec<Output>) {
         let device = self.devices[index].spec.id.clone();
-        let base =
-            |status| ControlResponse { event_timestamp: Some(happened), ..response(now, device, status) };
+        let base = |status| ControlResponse {
+            event_timestamp: Some(happened),
+            ..ControlResponse::new(now, device, status)
+        };
         let (link, report) = match effect {
             Effect::Move { .. } => return,
             Effect::Started { link, request_id, value } => {
@@ -383,29 +383,6 @@ impl Robot {
 /// Sends an answer that a repetition of its request need not have again.
 fn tell(link: LinkId, answer: ControlResponse, out: &mut Vec<Output>) {
     out.push(Output::Send { link, message: Message::ControlResponse(answer) });
-}
-
-fn refusal(now: Now, request: &ControlRequest, error: ControlError) -> ControlResponse {
-    ControlResponse {
-        request_id: request.request_id.clone(),
-        error: Some(error),
-        ..response(now, request.device_id.clone(), Status::Failed)
-    }
-}
-
-fn response(now: Now, device_id: DeviceId, status: Status) -> ControlResponse {
-    ControlResponse {
-        timestamp: now,
-        device_id,
-        status,
-        status_value: StatusValue::Null,
-        request_id: None,
-        content_hash: None,
-        event_timestamp: None,
-        steps_done: None,
-        late_steps: None,
-        error: None,
-    }
 }
 
 #[cfg(test)]

@@ -1,11 +1,11 @@
 //! A simulated robot: the real machine behind a clock, a link and faults of its own. Pure like the machine itself.
 
 use std::cell::Cell;
-use std::collections::{BTreeMap, HashMap};
+use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use urrcp::{
     Command, ControlError, ControlResponse, DEVICES_MAX, DeviceId, Encoding, ErrorCode, InitializationBlock,
-    Message, Robot as RobotClock, Span, Status, StatusValue, Timestamp,
+    Message, Robot as RobotClock, Span, Status, Timestamp,
 };
 
 use crate::driver::SILENCE_MAX;
@@ -113,9 +113,9 @@ pub struct SimulatedRobot {
     shown: Cell<Option<(Timestamp<RobotClock>, Timestamp<True>)>>,
     /// The same for what its clock shows at an instant.
     read: Cell<Option<(Timestamp<True>, Timestamp<RobotClock>)>>,
-    in_flight: BTreeMap<(Timestamp<True>, u64), (LaneId, InFlight)>,
-    sequence: u64,
-    lanes: HashMap<LaneId, Lane>,
+    /// What travels, and when it arrives; in that order, and in the order in which it was sent.
+    in_flight: VecDeque<(Timestamp<True>, LaneId, InFlight)>,
+    lanes: BTreeMap<LaneId, Lane>,
     log: Vec<LogEntry>,
     kept: Kept,
     outputs: Vec<Output>,
@@ -139,9 +139,8 @@ impl SimulatedRobot {
             epoch: None,
             shown: Cell::new(None),
             read: Cell::new(None),
-            in_flight: BTreeMap::new(),
-            sequence: 0,
-            lanes: HashMap::new(),
+            in_flight: VecDeque::new(),
+            lanes: BTreeMap::new(),
             log: Vec::new(),
             kept: Kept::default(),
             outputs: Vec::new(),
@@ -241,7 +240,7 @@ impl SimulatedRobot {
         self.perform(now);
         loop {
             let mine = self.due_movement(now);
-            let travelling = self.in_flight.first_key_value().map(|((at, _), _)| *at).filter(|at| *at <= now);
+            let travelling = self.next_arrival().filter(|at| *at <= now);
             match (mine, travelling) {
                 (Some(mine), travelling) if travelling.is_none_or(|at| mine <= at) => {
                     self.robot.advance(self.robot_from_true(now), &mut self.outputs);
@@ -256,7 +255,7 @@ impl SimulatedRobot {
     /// The movements due at or before `now`, as far as no delivery comes first. Their reports go out with the next
     /// [`SimulatedRobot::advance`].
     pub(crate) fn advance_movements(&mut self, now: Timestamp<True>) {
-        let travelling = self.in_flight.first_key_value().map(|((at, _), _)| *at);
+        let travelling = self.next_arrival();
         let mine = self.due_movement(now);
         if mine.is_some_and(|mine| travelling.is_none_or(|at| mine <= at)) {
             self.robot.advance_movements(self.robot_from_true(now), &mut self.outputs);
@@ -289,12 +288,16 @@ impl SimulatedRobot {
     #[must_use]
     pub fn next_wakeup(&self) -> Option<Timestamp<True>> {
         let mine = self.robot.next_wakeup().map(|at| self.true_from_robot(at));
-        let travelling = self.in_flight.first_key_value().map(|((at, _), _)| *at);
+        let travelling = self.next_arrival();
         mine.into_iter().chain(travelling).min()
     }
 
+    fn next_arrival(&self) -> Option<Timestamp<True>> {
+        self.in_flight.front().map(|(at, ..)| *at)
+    }
+
     fn deliver_first(&mut self, now: Timestamp<True>, out: &mut Vec<Outgoing>) {
-        let Some((_, (lane, in_flight))) = self.in_flight.pop_first() else { return };
+        let Some((_, lane, in_flight)) = self.in_flight.pop_front() else { return };
         self.leave(lane);
         match in_flight {
             InFlight::Out(outgoing) => out.push(outgoing),
@@ -316,18 +319,8 @@ impl SimulatedRobot {
             Some(Fault::Silent) => None,
             Some(Fault::Refuse) if is_movement(&request.command) => {
                 let at = self.robot_from_true(now);
-                let refusal = ControlResponse {
-                    timestamp: at,
-                    device_id: request.device_id.clone(),
-                    status: Status::Failed,
-                    status_value: StatusValue::Null,
-                    request_id: request.request_id.clone(),
-                    content_hash: None,
-                    event_timestamp: None,
-                    steps_done: None,
-                    late_steps: None,
-                    error: Some(ControlError::new(ErrorCode::Busy, "simulated refusal")),
-                };
+                let error = ControlError::new(ErrorCode::Busy, "simulated refusal");
+                let refusal = ControlResponse::refusal(at, request, error);
                 self.send(now, link, Message::ControlResponse(refusal));
                 None
             }
@@ -399,8 +392,9 @@ impl SimulatedRobot {
         }
         lane.last = lane.last.max(arrival);
         lane.travelling += 1;
-        self.sequence += 1;
-        self.in_flight.insert((lane.last, self.sequence), (lane_id, in_flight));
+        let arrival = lane.last;
+        let behind = self.in_flight.iter().rev().take_while(|(at, ..)| *at > arrival).count();
+        self.in_flight.insert(self.in_flight.len() - behind, (arrival, lane_id, in_flight));
     }
 
     fn leave(&mut self, lane_id: LaneId) {
@@ -488,7 +482,7 @@ impl SimulatedRobot {
     }
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Way {
     In,
     Out,

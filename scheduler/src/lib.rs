@@ -21,3 +21,8 @@ pub mod server_clock;
 pub mod signals;
 pub mod simulation;
 pub mod stop_lane;
+
+/// The examples of the README are compiled with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

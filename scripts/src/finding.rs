@@ -124,7 +124,7 @@ impl Code {
 }
 
 /// The page that people read is the one that the program shows.
-const EXPLANATIONS: &str = include_str!("../../docs/findings.md");
+const EXPLANATIONS: &str = include_str!("findings.md");
 
 impl Serialize for Code {
     fn serialize<S: serde::Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {

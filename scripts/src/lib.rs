@@ -60,3 +60,8 @@ pub use source::Source;
 
 #[cfg(test)]
 mod tests;
+
+/// The examples of the README are compiled with the tests.
+#[cfg(doctest)]
+#[doc = include_str!("../README.md")]
+struct Readme;

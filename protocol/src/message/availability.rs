@@ -37,3 +37,22 @@ pub struct AvailabilityResponse {
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
 }
+
+impl AvailabilityResponse {
+    /// The answer to a request that was received at one instant of the robot's clock and is answered at another.
+    #[must_use]
+    pub const fn new(
+        request: &AvailabilityRequest,
+        received: Timestamp<Robot>,
+        sent: Timestamp<Robot>,
+        status: Status,
+    ) -> Self {
+        Self {
+            originate_timestamp: request.timestamp,
+            receive_timestamp: received,
+            timestamp: sent,
+            status,
+            error: None,
+        }
+    }
+}

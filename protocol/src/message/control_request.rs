@@ -97,6 +97,43 @@ impl ControlRequest {
         }
     }
 
+    /// A request that starts at an instant of the server's clock, given as the time of sending and the time from there to the
+    /// start; without a lease. All requests of one start should carry the same `timestamp`.
+    #[must_use]
+    pub fn deferred(
+        timestamp: Timestamp<Server>,
+        time_offset_to_start: Millis,
+        device_id: DeviceId,
+        command: Command,
+    ) -> Self {
+        Self {
+            timestamp: Some(timestamp),
+            time_offset_to_start: Some(time_offset_to_start),
+            ..Self::immediate(device_id, command)
+        }
+    }
+
+    /// The same request with a name, which every response to it repeats.
+    #[must_use]
+    pub fn with_request_id(mut self, request_id: RequestId) -> Self {
+        self.request_id = Some(request_id);
+        self
+    }
+
+    /// The same request with a lease.
+    #[must_use]
+    pub const fn with_stop_condition(mut self, stop_condition: StopCondition) -> Self {
+        self.stop_condition = Some(stop_condition);
+        self
+    }
+
+    /// The same request with the hash of its values, which the robot compares with what it has received.
+    #[must_use]
+    pub fn with_content_hash(mut self) -> Self {
+        self.content_hash = Some(self.command.content_hash());
+        self
+    }
+
     /// The instant of its start, or `None` where it starts at once on receipt.
     #[must_use]
     pub fn starts_at(&self) -> Option<Timestamp<Server>> {

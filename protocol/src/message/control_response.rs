@@ -5,7 +5,7 @@ use std::fmt;
 use serde::de::{self, Visitor};
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use super::Script;
+use super::{ControlRequest, Script};
 use crate::content_hash::ContentHash;
 use crate::error::ControlError;
 use crate::number::{self, Number};
@@ -44,6 +44,46 @@ pub struct ControlResponse {
     /// Why it failed (our extension).
     #[serde(default, deserialize_with = "object::optional", skip_serializing_if = "Option::is_none")]
     pub error: Option<ControlError>,
+}
+
+impl ControlResponse {
+    /// A response with nothing but what each has. Set the other fields that you need, or fill them in with
+    /// `..ControlResponse::new(...)`.
+    ///
+    /// ```
+    /// use urrcp::{ControlResponse, DeviceId, Status, StatusValue, Timestamp};
+    ///
+    /// let (now, sensor) = (Timestamp::from_nanos(1_700_000_000_000_000_000), DeviceId::new("range")?);
+    /// let status_value = StatusValue::Number(0.4);
+    /// let reading = ControlResponse { status_value, ..ControlResponse::new(now, sensor, Status::Provide) };
+    /// assert!(reading.error.is_none());
+    /// # Ok::<(), urrcp::LimitError>(())
+    /// ```
+    #[must_use]
+    pub const fn new(timestamp: Timestamp<Robot>, device_id: DeviceId, status: Status) -> Self {
+        Self {
+            timestamp,
+            device_id,
+            status,
+            status_value: StatusValue::Null,
+            request_id: None,
+            content_hash: None,
+            event_timestamp: None,
+            steps_done: None,
+            late_steps: None,
+            error: None,
+        }
+    }
+
+    /// The answer `Failed` to a request, with the reason. It names the request, if that has a name.
+    #[must_use]
+    pub fn refusal(timestamp: Timestamp<Robot>, request: &ControlRequest, error: ControlError) -> Self {
+        Self {
+            request_id: request.request_id.clone(),
+            error: Some(error),
+            ..Self::new(timestamp, request.device_id.clone(), Status::Failed)
+        }
+    }
 }
 
 /// What became of a request.

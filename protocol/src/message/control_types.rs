@@ -88,6 +88,13 @@ fn check_range(min: f64, max: f64) -> Result<(), LimitError> {
     }
 }
 
+fn finite(numbers: &[f64]) -> Result<(), LimitError> {
+    match numbers.iter().all(|number| number.is_finite()) {
+        true => Ok(()),
+        false => Err(LimitError::NotFinite),
+    }
+}
+
 fn check_not_negative(key: &'static str, value: Option<f64>) -> Result<(), LimitError> {
     match value {
         Some(value) if value < 0.0 => Err(LimitError::Negative { key, value }),
@@ -99,6 +106,15 @@ fn check_not_negative(key: &'static str, value: Option<f64>) -> Result<(), Limit
 const GRID_TOLERANCE: f64 = 1e-6;
 
 impl Limits {
+    /// Limits without a known error.
+    ///
+    /// # Errors
+    /// [`LimitError`] when a number is not finite, `min_value` is above `max_value`, or the granularity is not above 0.
+    pub fn new(min_value: f64, max_value: f64, granularity: f64) -> Result<Self, LimitError> {
+        finite(&[min_value, max_value, granularity])?;
+        Self::try_from(Object(RawLimits { min_value, max_value, granularity, max_error: None }))
+    }
+
     /// Whether the value lies within min_value to max_value.
     #[must_use]
     pub fn contains(&self, value: f64) -> bool {
@@ -145,6 +161,14 @@ pub struct ScriptParameters {
     /// Control types that steps may use; without it all of the device but script and sensor (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub control_types: Option<Vec<ControlType>>,
+}
+
+impl ScriptParameters {
+    /// Scripts of at most so many steps, which may use every control type of the device within these limits.
+    #[must_use]
+    pub const fn new(limits: Limits, max_number_of_steps: u32) -> Self {
+        Self { limits, max_number_of_steps, control_types: None }
+    }
 }
 
 /// What the schema says of limits that may be inherited.
@@ -262,7 +286,23 @@ impl TryFrom<Object<RawSensor>> for SensorParameters {
     }
 }
 
+impl SensorParameters {
+    /// A sensor whose error and delay are not known.
+    ///
+    /// # Errors
+    /// [`LimitError`] when a number is not finite, or `min_value` is above `max_value`.
+    pub fn new(min_value: f64, max_value: f64) -> Result<Self, LimitError> {
+        finite(&[min_value, max_value])?;
+        Self::try_from(Object(RawSensor { min_value, max_value, max_error: None, max_delay: None }))
+    }
+}
+
 impl ControlTypes {
+    /// Adds a control type, or replaces its parameters.
+    pub(super) fn insert(&mut self, control_type: ControlType, parameters: ControlParameters) {
+        self.0.insert(control_type, parameters);
+    }
+
     /// The parameters of a control type, if the device has it.
     #[must_use]
     pub fn get(&self, control_type: ControlType) -> Option<&ControlParameters> {

@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::Setpoint;
-use super::control_types::{ControlParameters, ControlTypes};
+use super::control_types::{ControlParameters, ControlTypes, Limits, ScriptParameters, SensorParameters};
 use crate::control_type::ControlType;
 use crate::error::{ControlError, ErrorCode};
 use crate::limits::LimitError;
@@ -53,6 +53,73 @@ const fn one_script() -> u32 {
 }
 
 impl Device {
+    /// A device that takes nothing yet: say what it takes with `with_...`. It holds values between the steps of a script and
+    /// one script at a time. Set the other fields as you need them.
+    ///
+    /// ```
+    /// use urrcp::{Device, DeviceId, Interpolation, Limits, ScriptParameters};
+    ///
+    /// let degrees = Limits::new(-180.0, 180.0, 0.1)?;
+    /// let mut joint = Device::new(DeviceId::new("elbow")?)
+    ///     .with_position(degrees.clone())
+    ///     .with_scripts(ScriptParameters::new(degrees, 1_000));
+    /// joint.interpolation = Interpolation::Linear;
+    /// # Ok::<(), urrcp::LimitError>(())
+    /// ```
+    #[must_use]
+    pub fn new(id: DeviceId) -> Self {
+        Self {
+            id,
+            name: None,
+            unit: None,
+            default_value: None,
+            interpolation: Interpolation::Hold,
+            script_queue: one_script(),
+            available_control_types: ControlTypes::default(),
+        }
+    }
+
+    /// The same device, which takes positions within these limits.
+    #[must_use]
+    pub fn with_position(self, limits: Limits) -> Self {
+        self.with(ControlType::Position, ControlParameters::Motion(limits))
+    }
+
+    /// The same device, which takes speeds within these limits.
+    #[must_use]
+    pub fn with_speed(self, limits: Limits) -> Self {
+        self.with(ControlType::Speed, ControlParameters::Motion(limits))
+    }
+
+    /// The same device, which takes accelerations within these limits. A linear device slows down with them on a stop.
+    #[must_use]
+    pub fn with_acceleration(self, limits: Limits) -> Self {
+        self.with(ControlType::Acceleration, ControlParameters::Motion(limits))
+    }
+
+    /// The same device, which takes scripts of the control types that it has.
+    #[must_use]
+    pub fn with_scripts(self, parameters: ScriptParameters) -> Self {
+        self.with(ControlType::Script, ControlParameters::Script(parameters))
+    }
+
+    /// The same device, which can be read.
+    #[must_use]
+    pub fn with_sensor(self, parameters: SensorParameters) -> Self {
+        self.with(ControlType::Sensor, ControlParameters::Sensor(parameters))
+    }
+
+    /// The same device, which takes `custom_N` with parameters of its own.
+    #[must_use]
+    pub fn with_custom(self, number: u32, parameters: serde_json::Map<String, serde_json::Value>) -> Self {
+        self.with(ControlType::Custom(number), ControlParameters::Custom(parameters))
+    }
+
+    fn with(mut self, control_type: ControlType, parameters: ControlParameters) -> Self {
+        self.available_control_types.insert(control_type, parameters);
+        self
+    }
+
     /// The control type that plain values mean: the first of position, speed, acceleration, custom_N.
     #[must_use]
     pub fn primary_control_type(&self) -> Option<ControlType> {

@@ -11,6 +11,9 @@ use crate::object::Object;
 use crate::text::{Label, RobotId};
 use crate::time::{Server, Timestamp};
 
+/// The version of the protocol that [`InitializationBlock::new`] claims.
+pub const API_VERSION: &str = "1";
+
 /// Step 3: describe yourself.
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -107,6 +110,28 @@ impl TryFrom<Object<RawBlock>> for InitializationBlock {
 }
 
 impl InitializationBlock {
+    /// The description of a robot with these devices. It claims no extension of the protocol yet: set the other fields as you
+    /// need them. A robot of the crate `downbeat-robot` sets those that it keeps by itself.
+    ///
+    /// # Errors
+    /// [`LimitError`] when there is no device or there are more than [`DEVICES_MAX`], two have the same id, or a default value
+    /// lies outside what its device takes.
+    pub fn new(id: RobotId, devices: Vec<Device>) -> Result<Self, LimitError> {
+        let devices = devices.into_iter().map(Object).collect();
+        Self::try_from(Object(RawBlock {
+            id,
+            name: None,
+            robot_type: None,
+            manufacture: None,
+            version: None,
+            api_version: Label::new(API_VERSION)?,
+            reports: false,
+            encodings: Vec::new(),
+            inquiry: false,
+            devices,
+        }))
+    }
+
     /// The device of that id.
     #[must_use]
     pub fn device(&self, id: &str) -> Option<&Device> {

@@ -123,6 +123,28 @@ pub struct DeviceRoom {
     pub room: u32,
 }
 
+impl InquiryResponse {
+    /// The answer to an inquiry that was received at one instant of the robot's clock and is answered at another, without what
+    /// was asked for.
+    #[must_use]
+    pub const fn new(
+        inquiry: &Inquiry,
+        received: Timestamp<Robot>,
+        sent: Timestamp<Robot>,
+        status: Status,
+    ) -> Self {
+        Self {
+            originate_timestamp: inquiry.timestamp,
+            receive_timestamp: received,
+            timestamp: sent,
+            status,
+            error: None,
+            requests: Vec::new(),
+            devices: Vec::new(),
+        }
+    }
+}
+
 impl RequestReport {
     /// A report of which only the state is known.
     #[must_use]

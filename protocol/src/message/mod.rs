@@ -21,7 +21,7 @@ pub use control_request::{Command, ControlRequest};
 pub use control_response::{ControlResponse, Status, StatusValue};
 pub use control_types::{ControlParameters, ControlTypes, Limits, ScriptParameters, SensorParameters};
 pub use device::{Device, Interpolation};
-pub use initialization_block::{InitializationBlock, InitializationRequest, RobotType};
+pub use initialization_block::{API_VERSION, InitializationBlock, InitializationRequest, RobotType};
 pub use inquiry::{DeviceRoom, Inquiry, InquiryResponse, RequestReport, RequestState};
 pub use script::{Script, Setpoint};
 pub use step::Step;
@@ -55,3 +55,25 @@ pub enum Message {
     #[serde(deserialize_with = "object::deserialize")]
     InquiryResponse(InquiryResponse),
 }
+
+/// Each kind of message becomes a [`Message`].
+macro_rules! is_a_message {
+    ($($kind:ident),*) => {
+        $(impl From<$kind> for Message {
+            fn from(message: $kind) -> Self {
+                Self::$kind(message)
+            }
+        })*
+    };
+}
+
+is_a_message!(
+    AvailabilityRequest,
+    AvailabilityResponse,
+    InitializationRequest,
+    InitializationBlock,
+    ControlRequest,
+    ControlResponse,
+    Inquiry,
+    InquiryResponse
+);

@@ -24,6 +24,14 @@ pub struct Step {
     pub stop_condition: Option<StopCondition>,
 }
 
+impl Step {
+    /// A step under the lease of its script.
+    #[must_use]
+    pub const fn new(offset: Millis, setpoint: Setpoint) -> Self {
+        Self { offset, setpoint, stop_condition: None }
+    }
+}
+
 impl Serialize for Step {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         if !serializer.is_human_readable() && self.stop_condition.is_none() {

@@ -5,7 +5,7 @@ use urrcp::{
     Status, StatusValue, Timestamp,
 };
 
-use super::{LinkId, Now, Output, Robot, refusal, response, tell};
+use super::{LinkId, Now, Output, Robot, tell};
 use crate::device::DeviceMachine;
 
 /// To whom the robot belongs.
@@ -34,7 +34,7 @@ impl Robot {
             && let Err(error) = self.claim(now, link, request.session.as_ref())
         {
             // Not remembered: the same request may be taken once the robot is free.
-            return tell(link, refusal(now, &request, error), out);
+            return tell(link, ControlResponse::refusal(now, &request, error), out);
         }
         let Some(&index) = self.index_of.get(&request.device_id) else {
             let error = ControlError::new(
@@ -49,7 +49,7 @@ impl Robot {
         };
         if let Some(missing) = self.hardware.away() {
             // Not remembered either: once the hardware is back the same request may be taken.
-            return tell(link, refusal(now, &request, missing), out);
+            return tell(link, ControlResponse::refusal(now, &request, missing), out);
         }
         match &request.command {
             Command::ReadSensor => return self.provide(now, link, index, &request, out),
@@ -139,7 +139,7 @@ impl Robot {
             status_value,
             content_hash,
             request_id: request.request_id.clone(),
-            ..response(now, request.device_id.clone(), Status::Accepted)
+            ..ControlResponse::new(now, request.device_id.clone(), Status::Accepted)
         };
         self.answer(link, answer, out);
         if let Some(id) = &request.request_id {
@@ -175,7 +175,7 @@ impl Robot {
         let answer = ControlResponse {
             status_value: StatusValue::Number(reading),
             request_id: request.request_id.clone(),
-            ..response(now, request.device_id.clone(), Status::Provide)
+            ..ControlResponse::new(now, request.device_id.clone(), Status::Provide)
         };
         // Not remembered: a request that comes again reads again.
         tell(link, answer, out);
@@ -208,7 +208,7 @@ impl Robot {
         let answer = ControlResponse {
             request_id: request.request_id.clone(),
             content_hash,
-            ..response(now, request.device_id.clone(), Status::Ok)
+            ..ControlResponse::new(now, request.device_id.clone(), Status::Ok)
         };
         self.answer(link, answer, out);
     }

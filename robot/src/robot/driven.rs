@@ -5,7 +5,7 @@ use urrcp::{
     StatusValue,
 };
 
-use super::{LinkId, Now, Output, Robot, refusal, response, tell};
+use super::{LinkId, Now, Output, Robot, tell};
 use crate::driver::{AtEnd, STALE, START_NEAR};
 use crate::hardware::{Hardware, OpenReading, ReadingId, unanswered};
 use crate::signal::Signal;
@@ -47,7 +47,7 @@ impl Robot {
             self.settle(now, index, out);
         }
         for open in self.hardware.abandon() {
-            tell(open.link, refusal(now, &open.request, error.clone()), out);
+            tell(open.link, ControlResponse::refusal(now, &open.request, error.clone()), out);
         }
     }
 
@@ -133,13 +133,13 @@ impl Robot {
                 let answer = ControlResponse {
                     status_value: StatusValue::Number(value),
                     request_id: request.request_id.clone(),
-                    ..response(now, request.device_id, Status::Provide)
+                    ..ControlResponse::new(now, request.device_id, Status::Provide)
                 };
                 tell(link, answer, out);
             }
             Err(reason) => {
                 let error = ControlError::new(ErrorCode::Internal, reason);
-                tell(link, refusal(now, &request, error), out);
+                tell(link, ControlResponse::refusal(now, &request, error), out);
             }
         }
     }
@@ -165,7 +165,7 @@ impl Robot {
     ) {
         match self.hardware.ask(now, link, request, max_delay) {
             Ok(reading) => out.push(Output::Read { reading, sensor: request.device_id.clone() }),
-            Err(error) => tell(link, refusal(now, request, error), out),
+            Err(error) => tell(link, ControlResponse::refusal(now, request, error), out),
         }
     }
 
@@ -174,7 +174,7 @@ impl Robot {
             return;
         }
         for (open, error) in self.hardware.overdue(now) {
-            tell(open.link, refusal(now, &open.request, error), out);
+            tell(open.link, ControlResponse::refusal(now, &open.request, error), out);
         }
     }
 

@@ -32,11 +32,8 @@ impl Robot {
     fn what_is_known(&self, now: Now, inquiry: &Inquiry, busy: Option<ControlError>) -> InquiryResponse {
         let belongs = busy.is_none();
         let error = busy.or_else(|| self.hardware.missing());
+        let status = if error.is_some() { Status::Failed } else { Status::Ok };
         InquiryResponse {
-            originate_timestamp: inquiry.timestamp,
-            receive_timestamp: now,
-            timestamp: now,
-            status: if error.is_some() { Status::Failed } else { Status::Ok },
             error,
             requests: match belongs {
                 true => inquiry.requests.iter().map(|id| self.report_of(id)).collect(),
@@ -46,6 +43,7 @@ impl Robot {
                 true => inquiry.devices.iter().filter_map(|id| self.room_of(id)).collect(),
                 false => Vec::new(),
             },
+            ..InquiryResponse::new(inquiry, now, now, status)
         }
     }
 

@@ -116,16 +116,8 @@ pub(super) fn response(
     said: Timestamp<Server>,
 ) -> ControlResponse {
     ControlResponse {
-        timestamp: by_robot(said),
-        device_id: device.clone(),
-        status,
-        status_value: StatusValue::Null,
         request_id: id.cloned(),
-        content_hash: None,
-        event_timestamp: None,
-        steps_done: None,
-        late_steps: None,
-        error: None,
+        ..ControlResponse::new(by_robot(said), device.clone(), status)
     }
 }
 
@@ -134,14 +126,5 @@ pub(super) fn refusal(code: ErrorCode) -> Option<ControlError> {
 }
 
 pub(super) fn report(id: &RequestId, state: RequestState, hash: Option<ContentHash>) -> RequestReport {
-    RequestReport {
-        request_id: id.clone(),
-        state,
-        content_hash: hash,
-        start_timestamp: None,
-        event_timestamp: None,
-        steps_done: None,
-        late_steps: None,
-        error: None,
-    }
+    RequestReport { content_hash: hash, ..RequestReport::new(id.clone(), state) }
 }

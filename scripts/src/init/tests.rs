@@ -2,7 +2,7 @@ use urrcp::{ControlType, Interpolation, RobotType};
 
 use super::*;
 
-const TANK: &str = include_str!("../../../tests/thrift/tank.json");
+const TANK: &str = include_str!("tank.json");
 
 fn source(text: &str) -> Source {
     Source { name: "tank.json".into(), text: text.into() }
