@@ -32,7 +32,7 @@ pub enum Motion {
         from: f64,
         /// Where it ends.
         to: f64,
-        /// When.
+        /// The instant at which it arrives.
         until: Timestamp<Robot>,
     },
     /// Come to rest within the acceleration that the device declares: part of a stop.
@@ -43,7 +43,7 @@ pub enum Motion {
         from: f64,
         /// Where it rests.
         to: f64,
-        /// When.
+        /// The instant at which it arrives.
         until: Timestamp<Robot>,
     },
     /// Go to this: part of the default state.
@@ -59,7 +59,8 @@ pub(crate) enum Effect {
     Failed { link: LinkId, request_id: Option<RequestId>, error: ControlError, steps_done: u32 },
 }
 
-/// A robot that was held up so long over a start, as by a stopped process, lets it be: late is out of sync.
+/// A robot that was delayed longer than this over a start, for example by a stopped process, drops the command: late is
+/// out of sync.
 pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
 /// A stop takes back what is sent up to so long after its receipt, whatever its own timestamp.
 pub(crate) const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);

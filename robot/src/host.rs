@@ -49,7 +49,7 @@ pub enum HostError {
     Log {
         /// Which file.
         path: PathBuf,
-        /// Why.
+        /// The error of the system.
         error: io::Error,
     },
     /// The system gives no thread.
@@ -64,9 +64,9 @@ pub enum HostError {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the devices of `{robot}` may not be in their default state: {reason}")]
 pub struct NotAtRest {
-    /// Which.
+    /// Id of the robot.
     pub robot: RobotId,
-    /// Why.
+    /// Why its devices may not rest, as a sentence without a full stop.
     pub reason: String,
 }
 
@@ -133,7 +133,7 @@ pub struct RobotLink {
     incoming: mpsc::Receiver<LinkEvent>,
 }
 
-/// The sending end of a link, for use beside the receiving one.
+/// The sending end of a link, for use next to the receiving end.
 #[derive(Clone, Debug)]
 pub(crate) struct LinkSender {
     orders: flume::Sender<Order>,
@@ -169,7 +169,7 @@ impl Host {
                 (Some(log), Some(writer.spawn(write).map_err(HostError::Thread)?), Some(told))
             }
         };
-        // Of a lock: on a lock-free channel a real-time thread could spin, and wait for ever, for a sender that it interrupted.
+        // With a lock: on a lock-free channel a real-time thread could spin forever for a sender that it interrupted.
         let (orders, inbox) = flume::unbounded();
         let handle = HostHandle { orders, robots: ids, next_link: Arc::new(AtomicU64::new(0)) };
         let (thread, ready, scheduling) = prepared_thread(options.realtime, log, inbox)?;

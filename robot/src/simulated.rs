@@ -159,7 +159,7 @@ impl SimulatedRobot {
         robot
     }
 
-    /// The hardware answers nothing any more, and nobody is told.
+    /// The hardware no longer answers, and its connection stays open.
     pub fn hardware_dies(&mut self, now: Timestamp<True>) {
         if let Some(hands) = &mut self.hands {
             hands.dead_since.get_or_insert(now);

@@ -26,7 +26,7 @@ const NTP_LOST_AFTER: u32 = 3;
 /// Between two questions of a watch: the shortest that RFC 5905 lets a client poll steadily (MINPOLL, 2^4 s).
 pub const NTP_WATCH_INTERVAL: Duration = Duration::from_secs(16);
 
-/// Reads the server's time. Copies agree for ever.
+/// Reads the server's time. Copies always agree.
 #[derive(Clone, Copy, Debug)]
 pub struct ServerClock {
     host: HostClock,

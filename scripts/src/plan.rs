@@ -101,9 +101,9 @@ pub struct DeviceUse {
 /// A sensor is read at a time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlannedReading {
-    /// Whose.
+    /// Id of the robot that reads.
     pub robot: RobotId,
-    /// Which.
+    /// The device of that robot that is a sensor.
     pub sensor: DeviceId,
     /// From the act's start.
     pub at: Span,
@@ -127,7 +127,7 @@ pub struct Plan {
 /// The scripts of one robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotPlan {
-    /// Which.
+    /// Id of the robot.
     pub robot: RobotId,
     /// In the order of the robot's devices, those of one device in order of time.
     pub scripts: Vec<DeviceScript>,
@@ -136,7 +136,7 @@ pub struct RobotPlan {
 /// One script for one device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceScript {
-    /// Which.
+    /// Id of the device that plays it.
     pub device: DeviceId,
     /// When it starts, from the start of the act.
     pub start: Millis,

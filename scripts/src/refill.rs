@@ -17,9 +17,9 @@ const AGAIN: usize = 2;
 pub struct Refill {
     /// Index of its act in the choreography.
     pub act: usize,
-    /// Whose.
+    /// Id of the robot that plays it.
     pub robot: RobotId,
-    /// Of which device.
+    /// Id of the device that plays it.
     pub device: DeviceId,
     /// Which script of this device in this act, from 0.
     pub script: usize,

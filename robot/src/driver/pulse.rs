@@ -38,7 +38,7 @@ pub(crate) struct Demand {
 pub(super) struct Pulse {
     /// When it last answered.
     seen: Instant,
-    /// The longest of its calls of late.
+    /// The longest of its recent calls.
     took: Duration,
     demand: Demand,
     held_since: Option<Instant>,

@@ -75,7 +75,7 @@ impl<'a> Line<'a> {
         Ok(self.exchanges.ask(id, device.to_owned(), text.to_owned(), sent))
     }
 
-    /// Sends a request once more, byte for byte.
+    /// Sends a request again, byte for byte.
     pub(super) fn ask_again(&mut self, ticket: Ticket) -> Result<(), Unmet> {
         let text = self.asked(ticket).text.clone();
         let sent = self.send(text.as_bytes())?;

@@ -1,4 +1,4 @@
-//! Connections: many messages at once, peers that do not read, one connection after another and beside another.
+//! Connections: many messages at once, peers that do not read, one connection after another and at the same time as another.
 
 use urrcp::{Message, Span};
 

@@ -1,4 +1,4 @@
-//! What every check has at hand: the robot's address and block, clocks, connections, requests.
+//! What every check has available: the robot's address and block, clocks, connections, requests.
 
 use std::cell::Cell;
 use std::net::{SocketAddr, TcpStream};
@@ -156,7 +156,7 @@ impl Trial {
         }
     }
 
-    /// A connection beside one that stands, where the robot serves several.
+    /// A connection in addition to an open one, if the robot serves several.
     pub(super) fn connect_beside(&self) -> Result<Line<'_>, Unmet> {
         let second = self.connect().and_then(|mut line| line.availability().map(|_| line));
         second.map_err(|unmet| match unmet {

@@ -92,7 +92,7 @@ struct Line<'a, T> {
 pub struct JournalError {
     /// Which file.
     pub path: PathBuf,
-    /// Why.
+    /// The error of the system.
     pub error: io::Error,
 }
 

@@ -88,7 +88,7 @@ pub enum Unreadable {
     Io {
         /// Which file.
         path: PathBuf,
-        /// Why.
+        /// The error of the system.
         error: io::Error,
     },
     /// Its first line is not whole.

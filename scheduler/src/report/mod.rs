@@ -82,7 +82,7 @@ pub struct Report {
 /// What one robot did over all acts.
 #[derive(Clone, Debug, Serialize)]
 pub struct RobotReport {
-    /// Which.
+    /// Id of the robot.
     pub robot: RobotId,
     /// `in`, `absent` or `out`.
     pub standing: &'static str,

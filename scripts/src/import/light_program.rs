@@ -35,7 +35,7 @@ pub(super) struct Lights {
 struct Player<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// Where each loop begins, and how often it is still to be played; `None` for ever.
+    /// Where each loop begins, and how often it is still to be played; `None` is forever.
     loops: Vec<(usize, Option<u8>)>,
     now_ms: u64,
     color: Color,

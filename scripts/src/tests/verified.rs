@@ -417,7 +417,7 @@ pub(super) fn as_far_off(
     elsewhere: f64,
     (told, allowed): (f64, f64),
 ) -> Result<(), TestCaseError> {
-    // A thousandth of a millisecond beside a bound moves a value a little.
+    // A thousandth of a millisecond next to a bound moves a value a little.
     let dust = 2e-3;
     prop_assert!(worst.0 <= told + dust, "{who}: off by {} at {} ms, not {told}", worst.0, worst.1);
     prop_assert!(told <= allowed * (1.0 + 1e-9), "{who}: {told} is more than {allowed}");

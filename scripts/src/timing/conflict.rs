@@ -34,9 +34,9 @@ pub struct Conflict {
 /// One bound of a contradiction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Link {
-    /// Whose bound; none for "not before the origin".
+    /// The constraint that has the bound; `None` for "not before the origin".
     pub constraint: Option<ConstraintId>,
-    /// Which.
+    /// The bound of that constraint.
     pub bound: Bound,
     /// As the constraint has it.
     pub from: Event,

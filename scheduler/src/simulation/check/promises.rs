@@ -1,6 +1,6 @@
 //! What the scheduler promises to do and not to do on the way, held against what reached the robots: (a) nothing starts that
 //! was not committed; (c) only a stop cancels,
-//! and only the end of a lease ends what plays; (d) nobody but the robots that are meant moves; (f) nothing is sent whose skew
+//! and only the end of a lease ends what plays; (d) only the intended robots move; (f) nothing is sent whose skew
 //! budget is beyond the tolerance; (g) what was decided was accepted, what is said to have begun had hands to begin with, and
 //! what was on the disk is read again; (h) a robot that is reached again is spoken to at once.
 

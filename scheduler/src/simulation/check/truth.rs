@@ -2,7 +2,7 @@
 //!
 //! Each number of the report is compared with what the robots logged themselves, robot by robot and script by script; sums with
 //! what they sum up; what was said before with what is said at the end. Times are equal within [`GRAIN`], counts exactly. What
-//! nobody could know has to be called unknown.
+//! could not be known has to be called unknown.
 
 mod acts;
 mod blame;

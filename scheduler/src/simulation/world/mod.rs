@@ -133,7 +133,7 @@ pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
                 world.robots.iter().map(|robot| robot.machine.as_ref()?.next_wakeup()).collect();
             world.note(Happened::Stuck(format!("robots {robots:?}, mission {wakeup:?}: {due}")));
         } else if !world.scheduler.is_running() {
-            // A process that dies with its last record tells nobody.
+            // A process that dies with its last record reports nothing.
             report = None;
             next = world.taken_up();
         }

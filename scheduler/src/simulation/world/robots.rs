@@ -16,7 +16,7 @@ use crate::simulation::{Connections, DrawnRobot, Hands, Happened, Lie, Names};
 
 /// Hardware that only stops to answer is given up by its driver after so long.
 const HARDWARE_GIVEN_UP: Span = Span::from_millis(2_000);
-/// Before that nobody can know that hardware has died without a word.
+/// Before that, no edge can know that its hardware has died without closing its connection.
 const DEATH_KNOWN: Span = Span::from_millis(200);
 /// Links of other sessions, far from the scheduler's.
 const FOREIGN: u64 = 1 << 63;
@@ -121,7 +121,7 @@ fn machine(drawn: &DrawnRobot, block: InitializationBlock, now: Timestamp<Server
 }
 
 impl World {
-    /// The process of whoever answers at a robot's address ends. `false`: there was none.
+    /// The process that answers at a robot's address ends. `false`: there was none.
     pub(super) fn robot_dies(&mut self, robot: usize, runs_on: Machine) -> bool {
         let side = &mut self.robots[robot];
         side.collect();

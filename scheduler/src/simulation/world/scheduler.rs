@@ -31,7 +31,7 @@ pub(super) enum Intention {
     Stop,
 }
 
-/// When a process dies amid what it does.
+/// When a process dies while it acts.
 #[derive(Clone, Copy, Debug)]
 struct Fuse {
     actions: u32,

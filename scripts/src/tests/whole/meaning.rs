@@ -42,7 +42,7 @@ impl Show {
         quarters
     }
 
-    /// How many quarters of a beat each tempo lasts; the last one for ever.
+    /// How many quarters of a beat each tempo lasts; the last one lasts forever.
     fn lengths(&self) -> Vec<Option<Ratio<i128>>> {
         let mut upper = 4;
         let length = |(index, tempo): (usize, &Tempo)| {

@@ -70,7 +70,7 @@ impl Said<'_> {
         }
     }
 
-    /// Unless it says itself of a robot that nobody knows what it did.
+    /// Unless it says itself that what a robot did is not known.
     fn nothing_moved(&self, wrong: &mut Vec<String>) {
         for row in &self.report.robots {
             let Some(robot) = self.facts.index_of(&row.robot).filter(|robot| self.facts.honest(*robot))
