@@ -1,4 +1,4 @@
-//! Who talks on which link, and to whom the robot belongs.
+//! The parties that use the links, and the one to which the robot belongs.
 //!
 //! A session is one run of a scheduler. It may use several links, one after another or at once: leases, answers and
 //! stops go with the session. A link that names no session is a party of its own.
@@ -107,7 +107,7 @@ impl Parties {
         self.owner.as_ref().map(|(_, party)| *party)
     }
 
-    /// How much it remembers of those who talk.
+    /// How many entries it keeps about parties.
     #[cfg(test)]
     pub(crate) fn remembered(&self) -> usize {
         self.of_link.len() + self.of_session.len() + self.route.len()

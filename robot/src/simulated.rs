@@ -34,7 +34,7 @@ pub struct Settings {
     pub delay: Option<(Span, Span)>,
     /// What it does wrong.
     pub fault: Option<Fault>,
-    /// Of its random draws.
+    /// Seed of its random draws.
     pub seed: u64,
 }
 

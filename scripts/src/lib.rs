@@ -1,7 +1,7 @@
 //! The scenario language: read a fleet and a choreography, find everything that will not work, compile the rest.
 //!
 //! The way through this crate: `source` and `node` (text to tree), `fleet` and `scenario` (tree to meaning), `compile`
-//! (who, when, what: `timing` solves the times, `motion` and `fit` make the steps), `plan` (what comes of it). Findings
+//! (robots, times, movements: `timing` solves the times, `motion` and `fit` make the steps), `plan` (the result). Findings
 //! carry a path into the tree; `locate` turns it into line and column only when there is something to report, and
 //! `render` shows it.
 

@@ -21,13 +21,13 @@ pub struct ControlTypes(BTreeMap<ControlType, ControlParameters>);
 /// The parameters of one control type.
 #[derive(Clone, Debug, PartialEq)]
 pub enum ControlParameters {
-    /// Of position, speed and acceleration.
+    /// Parameters of position, speed and acceleration.
     Motion(Limits),
-    /// Of script.
+    /// Parameters of script.
     Script(ScriptParameters),
-    /// Of sensor.
+    /// Parameters of sensor.
     Sensor(SensorParameters),
-    /// Of custom_N: its own.
+    /// Parameters of custom_N, which each type defines itself.
     Custom(Map<String, Value>),
 }
 

@@ -28,7 +28,7 @@ pub(super) struct Heard {
 }
 
 impl Heard {
-    /// A message came; who sent it.
+    /// A message arrived, with its sender.
     pub(super) fn message(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
         let party = match session {
             None => self.of_link.get(&link).copied().unwrap_or(Party::Link(link)),

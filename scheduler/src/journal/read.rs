@@ -207,7 +207,7 @@ impl Kept {
         kept.promises = under_way.into_iter().filter_map(promise).collect();
         if !rest.is_empty() {
             let after: Vec<_> = rest.split_inclusive(|byte| *byte == b'\n').filter_map(sound).collect();
-            // Of records behind damage only this is believed: these robots may hold something.
+            // Only this is believed of records behind damage: these robots may hold something.
             let promises = after.iter().filter_map(|json| serde_json::from_slice::<Touching<'_>>(json).ok());
             promises.for_each(|promise| kept.touch(&promise));
             kept.torn = Some(Torn { line: count + 1, bytes: rest.len(), whole_after: after.len() });
@@ -215,7 +215,7 @@ impl Kept {
         Some(kept)
     }
 
-    /// Of a mission of which nothing but its begin is known.
+    /// The state of a mission of which only its first line is known.
     fn new(opened: Opened, opened_at: Timestamp<Server>) -> Self {
         Self {
             opened,

@@ -38,7 +38,7 @@ pub enum Operator {
 /// What goes with a mission.
 #[derive(Debug, Default)]
 pub struct Keep {
-    /// What was promised to whom.
+    /// What was promised to which robot.
     pub journal: Option<Journal>,
     /// Everything that was said.
     pub recording: Option<Recorder>,

@@ -45,7 +45,7 @@ enum Alarm {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Before {
     pub(crate) session: Option<SessionId>,
-    /// Of each robot.
+    /// The devices of each robot, by its index.
     pub(crate) devices: Vec<BTreeSet<DeviceId>>,
 }
 

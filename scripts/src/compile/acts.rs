@@ -69,7 +69,7 @@ fn way(
     let mut policy =
         FailurePolicy { default: act.on_failure.default.unwrap_or_default(), ..FailurePolicy::default() };
     for (name, rule) in act.on_failure.robots.iter().chain(act.on_failure.inherited.iter()) {
-        // Of several rules for one robot the first is the act's own.
+        // If there are several rules for one robot, the first is the act's own.
         let robots = cast.robots(findings, name);
         if !taken(findings, act, room, robots.len()) {
             break;

@@ -235,7 +235,7 @@ impl<'c, 'a> Performer<'c, 'a> {
     }
 
     /// The fewest steps within the tolerance; or the least error with so many steps, where the track asks for that.
-    /// Of values that are wrong by themselves nothing more is said.
+    /// Values that are wrong by themselves cause no further findings.
     fn fitted(
         &mut self,
         on: &OnDevice<'_>,
@@ -271,7 +271,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         }
         Some(Part {
             control_type: actuator.control_type,
-            // Of one that lacks a beginning that is told already.
+            // A movement that lacks a beginning is reported already.
             moves_from_anywhere: actuator.moves_from_anywhere(played.curve)
                 || actuator.lacks_beginning(played.curve),
             at_least: fitted.at_least,

@@ -134,7 +134,7 @@ impl<'a> Search<'a> {
             let duration = times[next] - times[sample];
             let (low, high) = (value + flattest * duration, value + steepest * duration);
             let close = self.left[next] <= pieces_left;
-            // Of those that are too far from the end one is enough to know of.
+            // It is enough to know one of those that are too far from the end.
             if self.open[next] != 0 && (close || !self.cut) {
                 let fresh = self.candidates[next].between(low, high) & self.open[next];
                 match close {

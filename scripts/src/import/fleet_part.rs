@@ -106,7 +106,7 @@ fn fleet_text(imported: &Imported, kinds: &[Kind]) -> String {
 pub(super) struct Asked<'a> {
     name: &'a str,
     unit: &'a str,
-    /// Of the first robot's first scene.
+    /// The course of the device in the first robot's first scene.
     course: &'a Course,
     pub(super) grid: Grid,
     /// The most steps that one robot takes in all scenes together.

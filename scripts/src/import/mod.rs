@@ -170,7 +170,7 @@ pub struct ImportOptions {
 /// Choreography, whatever it came from.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Imported {
-    /// Of the scenario.
+    /// Name of the scenario.
     pub name: String,
     /// From where, for the comment at the top.
     pub origin: String,
@@ -205,7 +205,7 @@ pub struct RobotMotion {
 pub struct DeviceMotion {
     /// Its id in the initialization block.
     pub device: String,
-    /// Of the values; empty where unknown.
+    /// Unit of the values; empty if unknown.
     pub unit: String,
     /// In order of time, each later than the one before. Of pieces: where they meet.
     pub keyframes: Vec<Keyframe>,

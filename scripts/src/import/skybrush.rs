@@ -291,7 +291,7 @@ struct Way {
 struct Waypoint {
     at_ns: u64,
     position: [f64; 3],
-    /// Of the way that leads here, after the point before.
+    /// Control points of the way from the previous point to here.
     controls: Vec<[f64; 3]>,
 }
 

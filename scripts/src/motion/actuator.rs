@@ -231,7 +231,7 @@ impl<'a> Actuator<'a> {
         let both = before.zip(after).map(|(before, after)| (means(before), means(after)));
         let gap = (knots[index].to - knots[index - 1].to).abs();
         let granularity = self.limits.map_or(0.0, |limits| limits.granularity);
-        // Of the room that the samples between leave, a value on the grid has to be left.
+        // The samples between have to leave room for a value on the grid.
         let closes = gap <= track.tolerance && 1.9 * track.tolerance - gap >= granularity;
         match both {
             Some((Means::Joined, Means::Joined)) if closes => Means::Joined,
@@ -340,7 +340,7 @@ impl<'a> Actuator<'a> {
     fn means(&self, knots: &[Knot], index: usize, thinned: bool) -> Means {
         use Between::{Linear, OwnReversed, Step};
         let knot = &knots[index];
-        // Of samples that stay the same, only the last is needed.
+        // Only the last of equal samples is needed.
         let still = || knot.to == knots[index - 1].to && index + 1 < knots.len();
         match (knot.shape, self.interpolation) {
             (Shape::Meets, _) => Means::Own,

@@ -72,7 +72,7 @@ impl Condensed {
         }
     }
 
-    /// Of a list that has other items as well.
+    /// Puts back the rows of a list that has other items as well.
     fn put_back_among(&self, nodes: &mut Vec<Node>, used: &mut [usize]) -> Option<()> {
         if nodes.iter().any(|node| matches!(node, Node::Text(text) if text.contains(MARK))) {
             let mut all = Vec::with_capacity(nodes.len());

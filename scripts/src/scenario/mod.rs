@@ -150,13 +150,13 @@ pub(crate) struct Track {
     pub(crate) length: Exact,
     pub(crate) tolerance: Option<f64>,
     pub(crate) steps_max: Option<u32>,
-    /// Of the track's key.
+    /// Place of the track's key.
     pub(crate) place: Place,
     /// How often it has been repeated in all.
     pub(crate) turns: u32,
     /// What its items are called: keyframes, points, pieces, rows.
     pub(crate) items: Items,
-    /// Of the list of its keyframes.
+    /// Place of the list of its keyframes.
     pub(crate) list: Place,
 }
 

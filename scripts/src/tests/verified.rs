@@ -74,7 +74,7 @@ fn length(ways: &[Way]) -> f64 {
 #[derive(Clone, Debug)]
 pub(super) struct Change {
     pub(super) yaml: String,
-    /// Of each value: shift + factor * value.
+    /// Each value becomes shift + factor * value.
     factor: f64,
     shift: f64,
     pub(super) backwards: bool,
@@ -96,7 +96,7 @@ impl Change {
 }
 
 impl Movement {
-    /// Of keyframes with values, which a device plays as they are written; their times come later.
+    /// A track of keyframes with values, which a device plays as they are written; their times are set later.
     pub(super) fn of_keyframes(yaml: &str, moves: bool, keyframes: &[(i64, f64)]) -> Self {
         let ease = if moves { Ease::Own } else { Ease::Step };
         let way =

@@ -1,4 +1,4 @@
-//! To whom a robot belongs, and how it comes to rest when it is stopped.
+//! The session to which a robot belongs, and how it comes to rest on a stop.
 
 use super::*;
 use urrcp::SessionId;

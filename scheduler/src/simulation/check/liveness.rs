@@ -330,7 +330,7 @@ fn slow_again(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
         let slow = |hit: &&Hit| {
             hit.is_of(robot) && hit.from <= act.at && matches!(hit.cause, Cause::Slow | Cause::RobotPause)
         };
-        // Of what overlaps with a moment a question that is asked at its end meets the rest.
+        // A question that is asked at the end of a moment meets the rest of what overlaps with it.
         let mut lasted: Vec<Span> = Vec::new();
         let mut until = Timestamp::from_nanos(0);
         for hit in facts.hits.iter().filter(slow) {
@@ -367,7 +367,7 @@ fn gap(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Option<Spa
 
 /// For how long something was wrong with the scheduler or a robot since the act before was sent: the later one waits for that.
 fn lasted(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
-    // Of any act so far: one that has not ended holds up those behind it.
+    // Robots of any act so far: an act that has not ended delays later ones.
     let so_far = facts.acts.iter().filter(|other| other.promise.number <= act.promise.number);
     let robots: Vec<usize> = so_far.flat_map(SentAct::robots).collect();
     let (begins, until) = (before.at, act.promise.start);

@@ -12,9 +12,9 @@ pub enum Network {
     Stream,
     /// As by datagrams: lost, doubled and overtaken with these probabilities.
     Datagram {
-        /// Of a message to be lost.
+        /// Probability that a message is lost.
         loss: f64,
-        /// Of a message to arrive twice.
+        /// Probability that a message arrives twice.
         double: f64,
     },
 }

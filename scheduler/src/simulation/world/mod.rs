@@ -1,6 +1,6 @@
 //! The virtual world of one seed: what is due next, and which side does it. What becomes of messages is in `network`, what
 //! goes wrong in `faults`; `scheduler` is the process that runs the loop of every mission, `robots` are the others, and
-//! `operator` is who sits before it.
+//! `operator` is the person at the terminal.
 
 mod faults;
 mod network;

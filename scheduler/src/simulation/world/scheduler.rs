@@ -22,7 +22,7 @@ pub(super) enum Process {
     TakenUp(Intention),
 }
 
-/// What an operator says who finds a mission cut off.
+/// The command of an operator who finds that a mission was cut off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Intention {
     /// `downbeat resume`.
@@ -224,7 +224,7 @@ impl World {
         self.take_up(Intention::Resume);
     }
 
-    /// Of a mission that runs, its scheduler is asked to stop; one that was cut off is withdrawn.
+    /// Asks the scheduler of a running mission to stop; withdraws a mission that was cut off.
     pub(super) fn stop_by_journal(&mut self) {
         match self.scheduler.is_running() {
             true => self.tell(Event::StopRequested { rest: Rest::Default }),

@@ -140,7 +140,8 @@ impl Cue {
                 let before = steps.last().copied();
                 let seam = before.is_some_and(|before| before.0 == at);
                 match before {
-                    // Of a device that holds, the later of two at one time counts; of one that moves, one of two alike.
+                    // Of two keyframes at one time, a device that holds takes the later one; a device that moves
+                    // drops a duplicate.
                     Some(_) if seam && !moves => *steps.last_mut()? = (at, set, written),
                     Some(before) if seam && before.1 == set => {
                         let worse = (set - written).abs() > (before.1 - before.2).abs();

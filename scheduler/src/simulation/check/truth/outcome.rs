@@ -92,7 +92,7 @@ impl Said<'_> {
         for (index, course) in self.report.course.iter().enumerate() {
             let sent: Vec<&SentAct<'_>> =
                 self.facts.acts.iter().filter(|act| act.promise.act == index).collect();
-            // Of one that came several times the last time counts.
+            // If an act was played several times, the last time counts.
             let last = sent.last();
             let began = last.into_iter().flat_map(|act| &act.scripts).any(|script| {
                 self.facts.honest(script.robot) && !self.facts.clock_was_set(script.robot) && script.began()
