@@ -204,7 +204,7 @@ impl Host {
         self.handle.clone()
     }
 
-    /// Hears why the log ends ahead of the robots, which go on without it; nothing where it does not. To be taken once.
+    /// Hears why the log ends ahead of the robots, which continue without it; nothing where it does not. To be taken once.
     pub const fn log_lost(&mut self) -> Option<oneshot::Receiver<HostError>> {
         self.log_lost.take()
     }

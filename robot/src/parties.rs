@@ -10,7 +10,7 @@ use urrcp::{Robot, SessionId, Span, Timestamp};
 use crate::lease::LastHeard;
 use crate::robot::LinkId;
 
-/// An idle robot whose session has been silent for so long may be claimed by another.
+/// An idle robot whose session has been silent for this long may be claimed by another.
 const CLAIM_SILENCE: Span = Span::from_millis(5_000);
 /// Sessions that are remembered.
 pub(crate) const SESSIONS_MAX: usize = 256;

@@ -1,5 +1,5 @@
 //! Offsets between clocks, from exchanges of four timestamps as in NTP (RFC 5905, section 8). No clock is read here.
-//! The method and its sources stand in `docs/clocks.md`.
+//! The method and its sources are in `docs/clocks.md`.
 
 mod round_trips;
 

@@ -252,7 +252,7 @@ pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -
     nearest(wrong, known, &mut 10_000)
 }
 
-/// The same with so many comparisons left.
+/// The same with this many comparisons left.
 pub(crate) fn nearest<'a>(
     wrong: &str,
     known: impl IntoIterator<Item = &'a str>,

@@ -92,7 +92,7 @@ pub struct DeviceUse {
     pub scripts: usize,
     /// Steps that the device can hold: max_number_of_steps for each script of its queue.
     pub budget: u64,
-    /// Largest difference from the movement as it is written, in the device's unit.
+    /// Largest difference from the movement as written, in the device's unit.
     pub worst_error: f64,
     /// When that is, from the act's start.
     pub worst_at: Span,
@@ -199,7 +199,7 @@ impl Choreography {
     }
 }
 
-/// Whether a control type drives a rate, which goes on until something changes it.
+/// Whether a control type drives a rate, which continues until something changes it.
 pub(crate) const fn is_rate(control_type: ControlType) -> bool {
     matches!(control_type, ControlType::Speed | ControlType::Acceleration)
 }

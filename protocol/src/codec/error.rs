@@ -12,9 +12,9 @@ use crate::text::{DeviceId, RequestId};
 pub struct DecodeError {
     /// What is wrong.
     pub kind: DecodeErrorKind,
-    /// The device of a control request that could be made out all the same.
+    /// The device of a control request that can be recognised all the same.
     pub device_id: Option<DeviceId>,
-    /// The request id that could be made out all the same.
+    /// The request id that can be recognised all the same.
     pub request_id: Option<RequestId>,
 }
 

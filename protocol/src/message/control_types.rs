@@ -164,7 +164,7 @@ pub struct ScriptParameters {
 }
 
 impl ScriptParameters {
-    /// Scripts of at most so many steps, which may use every control type of the device within these limits.
+    /// Scripts of at most this many steps, which may use every control type of the device within these limits.
     #[must_use]
     pub const fn new(limits: Limits, max_number_of_steps: u32) -> Self {
         Self { limits, max_number_of_steps, control_types: None }

@@ -12,14 +12,14 @@ const IDLE: Duration = Duration::from_millis(500);
 const HELD: Duration = Duration::from_millis(50);
 /// While a start is near.
 const NEAR: Duration = Duration::from_millis(25);
-/// A start is near from so long before it on.
+/// A start is near from this long before it on.
 pub(crate) const START_NEAR: Duration = Duration::from_secs(1);
 /// Silence that counts as such where something is held, beyond twice what its calls take.
 pub(crate) const SILENCE_MAX: Duration = Duration::from_millis(150);
 /// A question is not begun so shortly before a movement, or less where the answers come fast.
 pub(crate) const QUIET: Duration = Duration::from_millis(20);
 const QUIET_LEAST: Duration = Duration::from_millis(2);
-/// It is asked all the same once it is so long overdue: under a near start, and otherwise.
+/// It is asked all the same once it is this long overdue: under a near start, and otherwise.
 const OVERDUE: (Duration, Duration) = (Duration::from_millis(60), Duration::from_secs(2));
 
 /// What the machine holds, as far as its hardware has to be alive for it.

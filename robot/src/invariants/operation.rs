@@ -374,7 +374,7 @@ impl Target {
     }
 }
 
-/// The instant so many ticks from the tick at or before `now`.
+/// The instant this many ticks from the tick at or before `now`.
 fn on_grid(now: Timestamp<Robot>, ticks: i64) -> Timestamp<Robot> {
     now - Span::from_nanos(now.as_nanos().rem_euclid(TICK.as_nanos())) + TICK * ticks
 }

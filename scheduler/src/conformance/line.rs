@@ -319,7 +319,7 @@ impl<'a> Line<'a> {
         Err(differs(&sent, &came, "an availability_response with status `OK`"))
     }
 
-    /// Whether the robot goes on answering after `before` was sent.
+    /// Whether the robot continues answering after `before` was sent.
     pub(super) fn goes_on_after(&mut self, before: &str) -> Result<(), Unmet> {
         match self.availability() {
             Ok(_) => Ok(()),

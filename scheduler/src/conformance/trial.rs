@@ -317,9 +317,9 @@ fn millis_of(millis: f64) -> Millis {
 
 /// A request's start and lease.
 pub(super) trait Shaped {
-    /// Starts so many milliseconds after its timestamp.
+    /// Starts this many milliseconds after its timestamp.
     fn starting_in(self, millis: f64) -> Self;
-    /// Ends after so many milliseconds of silence.
+    /// Ends after this many milliseconds of silence.
     fn leased(self, millis: f64) -> Self;
 }
 

@@ -35,7 +35,7 @@ pub struct Kept {
     pub stopping_since: Option<Timestamp<Server>>,
     /// Robots that have confirmed their stop.
     pub stopped: Vec<RobotId>,
-    /// How it ended, as it stands in the report; `None` for a mission that was cut off.
+    /// How it ended, as it is in the report; `None` for a mission that was cut off.
     pub outcome: Option<Value>,
     /// Where it stops being whole.
     pub torn: Option<Torn>,
@@ -65,7 +65,7 @@ pub struct LeftOn {
     pub devices: BTreeSet<DeviceId>,
     /// What was added to timestamps for its clock.
     pub shift: Span,
-    /// The running leases of scripts whose acts have not ended; `None` for one that goes on without a link.
+    /// The running leases of scripts whose acts have not ended; `None` for one that continues without a link.
     pub leases: Vec<Option<Millis>>,
 }
 

@@ -95,7 +95,7 @@ fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Spa
 
 /// What a message to a robot meets.
 enum Meets {
-    /// It has to wait for so long.
+    /// It has to wait for this long.
     Wait(Span),
     /// It is lost, for this long or forever.
     Nothing(Option<Span>),

@@ -143,7 +143,7 @@ impl StopLane {
         self.over.send_replace(());
     }
 
-    /// The mission's loop goes on.
+    /// The mission's loop continues.
     pub(crate) fn turned(&self) {
         self.voice.turned();
     }

@@ -83,7 +83,7 @@ fn way(
     Ways { wait: act.wait.wait.clone(), on_timeout, next, on_failure: policy }
 }
 
-/// Whether there is room for a rule of so many robots: each act has its own for each of them.
+/// Whether there is room for a rule of this many robots: each act has its own for each of them.
 fn taken(findings: &mut Reader, act: &Act, room: &mut Budget, robots: usize) -> bool {
     let (told, sound) = (room.is_overdrawn(), room.take(robots.max(1)));
     if !sound && !told {

@@ -20,7 +20,7 @@ use crate::node::shortened;
 use crate::plan::PlannedReading;
 use crate::scenario::{Cue, Motion, OffGrid, Reading, Track, Vectors};
 
-/// Up to so many steps the exact number of a movement is told, whatever its device takes.
+/// Up to this many steps the exact number of a movement is reported, whatever its device takes.
 const TOLD_MAX: usize = 1_000_000;
 
 /// Most tolerances that are tried for a hint.
@@ -167,7 +167,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         }
     }
 
-    /// Whether there is room for one more movement of so many robots.
+    /// Whether there is room for one more movement of this many robots.
     fn used(&mut self, cue: &Cue, robots: usize) -> bool {
         let told = self.uses.is_overdrawn();
         let sound = self.uses.take(robots);
@@ -234,7 +234,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         self.fitted(on, &actuator, &played, sound)
     }
 
-    /// The fewest steps within the tolerance; or the least error with so many steps, where the track asks for that.
+    /// The fewest steps within the tolerance; or the least error with this many steps, where the track asks for that.
     /// Values that are wrong by themselves cause no further findings.
     fn fitted(
         &mut self,

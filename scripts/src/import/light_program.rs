@@ -28,7 +28,7 @@ pub(super) struct Lights {
     pub(super) end_ms: u64,
     /// Commands for fireworks, which are left out.
     pub(super) pyro: usize,
-    /// Whether it goes on beyond the end of the show.
+    /// Whether it continues beyond the end of the show.
     pub(super) endless: bool,
 }
 

@@ -335,7 +335,7 @@ impl DeviceMotion {
         count - self.keyframes.len()
     }
 
-    /// Every value that stands in it; of pieces bounds that hold all of them.
+    /// Every value that is in it; of pieces bounds that hold all of them.
     fn values(&self) -> Vec<f64> {
         match &self.course {
             Course::Pieces(pieces) => pieces.iter().flat_map(bernstein::bounds).collect(),

@@ -42,7 +42,7 @@ enum Part {
     File(String),
 }
 
-/// What is told once for all drones.
+/// What is reported once for all drones.
 #[derive(Default)]
 struct Told {
     left_out: BTreeSet<String>,

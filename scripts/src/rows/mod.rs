@@ -73,7 +73,7 @@ pub(crate) struct Rows {
 pub(crate) enum Width {
     #[default]
     One,
-    /// A list of so many.
+    /// A list of this many.
     List(usize),
 }
 

@@ -38,7 +38,7 @@ pub(super) enum Form {
 }
 
 impl Form {
-    /// At a part of the way, which lasts so many seconds.
+    /// At a part of the way, which lasts this many seconds.
     fn at(&self, s: f64, seconds: f64) -> f64 {
         match self {
             Self::Eased(ease, from, to) => {
@@ -58,7 +58,7 @@ impl Form {
     }
 }
 
-/// A movement as it is written, and as it is meant.
+/// A movement as written, and as it is meant.
 #[derive(Clone, Debug)]
 pub(super) struct Movement {
     pub(super) yaml: String,
@@ -409,7 +409,7 @@ fn verify(
     as_far_off(device, worst, last, (used.worst_error, tolerance))
 }
 
-/// Whether the error that is told is the one that was found, in milliseconds from the start, and is allowed. The last step and
+/// Whether the error that is reported is the one that was found, in milliseconds from the start, and is allowed. The last step and
 /// values on the grid may be off by more than was looked at.
 pub(super) fn as_far_off(
     who: &str,
@@ -454,7 +454,7 @@ fn with_so_many(
     Ok(())
 }
 
-/// The least error of so many values on a grid, one after the other, by trying every last value that there is room for.
+/// The least error of this many values on a grid, one after the other, by trying every last value that there is room for.
 fn least_error(levels: &[f64], most: usize, granularity: f64) -> f64 {
     let held = |part: &[f64]| {
         let low = part.iter().copied().fold(f64::INFINITY, f64::min);

@@ -51,7 +51,7 @@ pub struct Link {
 pub struct Correction {
     /// Index into the chain.
     pub link: usize,
-    /// Loosen that bound by so much, and by no less.
+    /// Loosen that bound by this much, and by no less.
     pub by: Span,
 }
 

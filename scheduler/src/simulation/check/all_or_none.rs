@@ -21,7 +21,7 @@ const START_LATE_MAX: Span = Span::from_millis(50);
 /// So long an edge cannot know that its hardware has died without a word.
 const HARDWARE_SILENT: Span = Span::from_millis(150);
 
-/// A report that is lost is awaited for so long, and by how much a script may last beyond it.
+/// A report that is lost is awaited for this long, and by how much a script may last beyond it.
 const AWAITED: Span = Span::from_millis(2_500);
 
 /// When an act that was never sent counts as started without a decision.

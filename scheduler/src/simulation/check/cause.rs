@@ -146,14 +146,14 @@ pub(super) fn hits_of(ran: &Ran) -> Vec<Hit> {
     hits.all
 }
 
-/// What went wrong so far, and what of it goes on.
+/// What went wrong so far, and what of it continues.
 struct Hits {
     all: Vec<Hit>,
-    /// What ends what goes on, and where it stands.
+    /// What ends what continues, and where it stands.
     open: Vec<(End, usize)>,
 }
 
-/// What ends something that goes on.
+/// What ends something that continues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum End {
     /// Something is heard of the robot again.

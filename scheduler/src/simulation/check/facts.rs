@@ -51,7 +51,7 @@ pub(super) struct SentAct<'a> {
 pub(super) struct Decision {
     /// A failure that is known by then is withdrawn.
     pub(super) no_return: Timestamp<Server>,
-    /// Silence that begins later than so long before the start may be noticed too late.
+    /// Silence that begins later than this long before the start may be noticed too late.
     pub(super) doubt: Span,
 }
 

@@ -12,7 +12,7 @@ use crate::mission::{Progress, Record};
 use crate::simulation::world::PATIENCE;
 use crate::simulation::{Fault, Happened};
 
-/// A robot without a running lease may owe an answer for so long.
+/// A robot without a running lease may owe an answer for this long.
 const SILENCE_MAX: Span = Span::from_millis(3_000);
 /// What the scheduler takes to act on what it has.
 const AT_ONCE: Span = Span::from_millis(2);
@@ -291,7 +291,7 @@ fn gap_allowed(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Sp
     MORE + lasted + clocks_set(facts, act, act.at) + clocks_set(facts, before, act.at)
 }
 
-/// An act waits so long for a report of the one before it that may be lost.
+/// An act waits this long for a report of the one before it that may be lost.
 fn report_awaited(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     let lost =
         |hit: &&Hit| hit.cause == Cause::Lost && hit.from >= before.promise.start && hit.from <= act.at;

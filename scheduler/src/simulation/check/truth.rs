@@ -42,7 +42,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
 struct Said<'a> {
     facts: &'a Facts<'a>,
     report: &'a Report,
-    /// By a process that took the mission up: it tells of what it took up.
+    /// By a process that resumed the mission: it reports what it resumed.
     resumed: bool,
 }
 

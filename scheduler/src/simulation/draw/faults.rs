@@ -99,7 +99,7 @@ pub enum Fault {
         /// By how much.
         by: Span,
     },
-    /// The scheduler's process ends, and is taken up by its journal after a while or never.
+    /// The scheduler's process ends, and is resumed by its journal after a while or never.
     SchedulerCrash {
         /// After how long the operator says `resume`.
         resumed_after: Option<Span>,

@@ -25,9 +25,9 @@ use crate::mission::{Event, Mission, MissionOptions, Participant, Record};
 const LASTS_MAX: Span = Span::from_millis(180_000);
 /// Rounds at one instant, at most: far more than there can be events.
 const ROUNDS_MAX: u32 = 20_000;
-/// After so long an attempt to connect fails.
+/// After this long an attempt to connect fails.
 const CONNECT_FAILS: Span = Span::from_millis(300);
-/// After the mission's end robots are watched for so long: whatever they still do is seen.
+/// After the mission's end robots are watched for this long: whatever they still do is seen.
 const AFTERMATH: Span = Span::from_millis(8_000);
 
 /// How long the operator waits for links, greetings and stop confirmations.
@@ -93,7 +93,7 @@ struct World {
     sequence: u64,
     robots: Vec<RobotSide>,
     scheduler: Scheduler,
-    /// At this instant so many things were done.
+    /// At this instant this many things were done.
     rounds: u32,
     /// The mission never comes to an end.
     hung: bool,

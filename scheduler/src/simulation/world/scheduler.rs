@@ -18,7 +18,7 @@ use crate::simulation::{Drawn, Fault, Happened};
 pub(super) enum Process {
     Running,
     Gone,
-    /// Another one is about to take up what it left.
+    /// Another one is about to resume what it left.
     TakenUp(Intention),
 }
 
@@ -108,7 +108,7 @@ impl Scheduler {
         }
     }
 
-    /// It dies after so many more actions.
+    /// It dies after this many more actions.
     pub(super) fn light_fuse(&mut self, actions: u32, resumed_after: Option<Span>) {
         if self.is_running() {
             self.fuse.get_or_insert(Fuse { actions, resumed_after });

@@ -17,7 +17,7 @@ fn laid(start: Option<Ratio<i128>>, length: Ratio<i128>) -> Nanos {
 }
 
 impl Show {
-    /// Nanoseconds of so many quarters of a beat, counted from the very beginning: tempo by tempo.
+    /// Nanoseconds of this many quarters of a beat, counted from the very beginning: tempo by tempo.
     fn of_beats(&self, quarters: Ratio<i128>) -> Ratio<i128> {
         let mut time = Ratio::from_integer(0);
         let mut left = quarters;
@@ -64,7 +64,7 @@ impl Show {
         self.of_beats(Ratio::from_integer(i128::from(quarters)))
     }
 
-    /// Nanoseconds of so many quarters of a beat from a time on; where the tempo never changes, from any.
+    /// Nanoseconds of this many quarters of a beat from a time on; where the tempo never changes, from any.
     pub(super) fn beats(&self, start: Option<Ratio<i128>>, quarters: i64) -> Ratio<i128> {
         let start = start.unwrap_or_default();
         let quarters = Ratio::from_integer(i128::from(quarters));
@@ -72,7 +72,7 @@ impl Show {
     }
 }
 
-/// Nanoseconds of a quarter of a beat, at so many hundredths of beats a minute.
+/// Nanoseconds of a quarter of a beat, at this many hundredths of beats a minute.
 fn quarter(bpm: i64) -> Ratio<i128> {
     Ratio::new(60_000_000_000 * 100, 4 * i128::from(bpm))
 }
@@ -97,7 +97,7 @@ impl Cue {
         }
     }
 
-    /// Its length as it is written, with its turns.
+    /// Its length as written, with its turns.
     pub(super) fn length(&self, show: &Show) -> Nanos {
         let turns = Ratio::from_integer(i128::from(self.change.turns));
         laid(self.start(show), self.lap(show) * turns)
@@ -116,7 +116,7 @@ impl Cue {
         self.delays().iter().map(|(_, delay)| *delay).max().unwrap_or(0)
     }
 
-    /// Its steps from its start, where the device plays it as it is written; with what is written for each.
+    /// Its steps from its start, where the device plays it as written; with what is written for each.
     pub(super) fn as_written(&self, show: &Show) -> Option<Vec<(Nanos, f64, f64)>> {
         let keyframes = self.beats.as_ref()?;
         let (_, moves, granularity, _) = DEVICES[self.device];

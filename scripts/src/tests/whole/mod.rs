@@ -58,7 +58,7 @@ struct Cue {
     who: usize,
     device: usize,
     movement: Movement,
-    /// Where each keyframe lies in quarters of a beat, and its value: then it is played as it is written.
+    /// Where each keyframe lies in quarters of a beat, and its value: then it is played as written.
     beats: Option<Vec<(i64, f64)>>,
     /// Keyframes of three values at once: milliseconds, and the values.
     colours: Option<Vec<(i64, [f64; 3])>>,
