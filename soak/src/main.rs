@@ -1,11 +1,11 @@
 //! Any number of seeds of faults on all cores: what is violated, how often starts are mixed and why, and how a broadcast or a
 //! sequential "go" fares with the same acts under the same faults.
 //!
-//! `cargo run --release --bin soak -- --seeds 1000000`; `--seed N` tells the shortest story of what is wrong with one, `--trace N`
+//! `cargo run --release -p soak -- --seeds 1000000`; `--seed N` tells the shortest story of what is wrong with one, `--trace N`
 //! all of it.
-#![expect(clippy::print_stdout, reason = "a program that reports to a terminal")]
 
 use std::collections::BTreeMap;
+use std::io::{self, Write};
 use std::process::ExitCode;
 use std::sync::Mutex;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -15,6 +15,16 @@ use clap::Parser;
 use downbeat::simulation::baseline::{self, Go};
 use downbeat::simulation::{self, Cause, Excuse, Starts, Verdict, Violation};
 use indicatif::{ProgressBar, ProgressStyle};
+
+#[global_allocator]
+static ALLOCATOR: mimalloc::MiMalloc = mimalloc::MiMalloc;
+
+/// A line to standard output. If nobody reads it any more, that is their choice: the exit code tells the result.
+macro_rules! say {
+    ($($text:tt)*) => {
+        let _nobody_reads = writeln!(io::stdout(), $($text)*);
+    };
+}
 
 /// Stories of violations that are told without being asked for.
 const STORIES_MAX: usize = 1;
@@ -68,7 +78,7 @@ impl Counts {
     }
 
     fn row(&self, name: &str) {
-        println!(
+        say!(
             "{name:<22} {:>10} {:>9.3} % {:>9.3} % {:>9.3} %",
             self.acts,
             percent(self.all, self.acts),
@@ -115,45 +125,40 @@ impl Found {
     }
 
     fn print(&self, seeds: u64, list: usize) {
-        println!("{seeds} seeds");
-        println!("{:<22} {:>10} {:>11} {:>11} {:>11}", "", "starts", "all", "none", "mixed");
+        say!("{seeds} seeds");
+        say!("{:<22} {:>10} {:>11} {:>11} {:>11}", "", "starts", "all", "none", "mixed");
         for (name, counts) in ["downbeat", "broadcast go", "sequential go"].iter().zip(&self.counts) {
             counts.row(name);
         }
         let causes = "why starts were mixed, each by a fault within its window";
         self.print_excuses('a', causes, self.counts[0].acts);
         self.print_excuses('f', "why robots started beyond the skew budget", self.counts[0].acts);
-        println!();
+        say!("");
         for (invariant, name) in Verdict::INVARIANTS {
             let of = self.violations.iter().filter(|(_, violation)| violation.invariant == invariant);
-            println!("({invariant}) {name:<36} violated {} times", of.count());
+            say!("({invariant}) {name:<36} violated {} times", of.count());
         }
         for (seed, violation) in self.violations.iter().take(list) {
-            println!("seed {seed}: {violation}");
+            say!("seed {seed}: {violation}");
         }
     }
 
     /// What was excused of an invariant: a line a cause, and their sum.
     fn print_excuses(&self, invariant: char, title: &str, acts: u64) {
-        println!("\n{title:<58} {:>8} {:>11}", "", "of acts");
+        say!("\n{title:<58} {:>8} {:>11}", "", "of acts");
         let count = |cause: &Cause| self.excuses.get(&(invariant, *cause)).copied().unwrap_or_default();
         for cause in Cause::ALL.iter().filter(|cause| count(cause) > 0) {
-            println!(
-                "  {:<56} {:>8} {:>9.3} %",
-                cause.to_string(),
-                count(cause),
-                percent(count(cause), acts)
-            );
+            say!("  {:<56} {:>8} {:>9.3} %", cause.to_string(), count(cause), percent(count(cause), acts));
         }
         let sum: u64 = Cause::ALL.iter().map(count).sum();
-        println!("  {:<56} {sum:>8} {:>9.3} %", "in all", percent(sum, acts));
+        say!("  {:<56} {sum:>8} {:>9.3} %", "in all", percent(sum, acts));
     }
 }
 
 fn main() -> ExitCode {
     let args = Args::parse();
     if let Some(seed) = args.trace {
-        print!("{}", simulation::trace(&simulation::run_verbosely(seed)));
+        say!("{}", simulation::trace(&simulation::run_verbosely(seed)).trim_end());
         return ExitCode::SUCCESS;
     }
     if let Some(seed) = args.seed {
@@ -214,11 +219,11 @@ fn progress(seeds: u64) -> ProgressBar {
 /// The shortest story that shows what a seed violates, and how to hear it again.
 fn tell(seed: u64) -> ExitCode {
     let Some(shrunk) = simulation::shrunk(seed) else {
-        println!("\nseed {seed} violates nothing; `soak --trace {seed}` tells its story");
+        say!("\nseed {seed} violates nothing; `soak --trace {seed}` tells its story");
         return ExitCode::SUCCESS;
     };
-    println!("\nThe shortest story of seed {seed} that violates ({}):\n", shrunk.invariant);
-    print!("{}", simulation::trace(&simulation::play_verbosely(shrunk.drawn)));
-    println!("\nTo hear it again: `soak --seed {seed}`; all of it: `soak --trace {seed}`");
+    say!("\nThe shortest story of seed {seed} that violates ({}):\n", shrunk.invariant);
+    say!("{}", simulation::trace(&simulation::play_verbosely(shrunk.drawn)).trim_end());
+    say!("\nTo hear it again: `soak --seed {seed}`; all of it: `soak --trace {seed}`");
     ExitCode::FAILURE
 }

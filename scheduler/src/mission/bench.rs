@@ -6,7 +6,7 @@ use downbeat_scripts::{Choreography, DeviceScript, Plan, RobotPlan};
 use urrcp::{
     ContentHash, ControlError, ControlResponse, ControlType, DeviceId, ErrorCode, InitializationBlock,
     Millis, RequestId, RequestReport, RequestState, Robot, RobotId, Script, Server, Setpoint, Span, Status,
-    StatusValue, Step, StopCondition, Timestamp,
+    Step, StopCondition, Timestamp,
 };
 
 use super::Participant;
