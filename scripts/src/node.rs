@@ -137,7 +137,7 @@ fn spaced(name: &str, rest: &str) -> String {
     format!("write a space after the colon: `{}: {}`", shortened(name), shortened(value))
 }
 
-/// Line and column of a byte, both from 1. The parser's own lines also end where those of YAML 1.1 do, unlike in editors.
+/// Of a byte, both from 1. The parser's own lines also end where those of YAML 1.1 do, which no editor shows so.
 fn line_and_column(text: &str, byte: usize) -> (usize, usize) {
     let byte = (0..=byte.min(text.len())).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);
     let (line, start) =

@@ -12,7 +12,7 @@ const IDLE: Duration = Duration::from_millis(500);
 const HELD: Duration = Duration::from_millis(50);
 /// While a start is near.
 const NEAR: Duration = Duration::from_millis(25);
-/// A start is near from this long before it on.
+/// A start is near from so long before it on.
 pub(crate) const START_NEAR: Duration = Duration::from_secs(1);
 /// Silence that counts as such where something is held, beyond twice what its calls take.
 pub(crate) const SILENCE_MAX: Duration = Duration::from_millis(150);
