@@ -13,8 +13,9 @@
 use std::path::PathBuf;
 use std::time::{Duration, SystemTime};
 
+use downbeat_robot::realtime::Realtime;
 use downbeat_robot::simulated::{Settings, SimulatedRobot};
-use downbeat_robot::{Host, HostOptions, LinkEvent, Realtime, RobotLink};
+use downbeat_robot::{Host, HostOptions, LinkEvent, RobotLink};
 use tokio::io::AsyncWriteExt;
 use tokio::net::{TcpListener, TcpStream};
 use urrcp::{
@@ -121,7 +122,9 @@ fn lateness(log: &PathBuf) -> Vec<f64> {
 async fn measure(name: &str, uploads: bool) {
     let log = std::env::temp_dir().join(format!("downbeat-long-upload-{}.jsonl", std::process::id()));
     let robots = (0..2).map(|id| SimulatedRobot::new(block(id), Settings::default())).collect();
-    let host = Host::start(robots, HostOptions { realtime: Realtime::Auto, log: Some(log.clone()) }).unwrap();
+    let host =
+        Host::start(robots, HostOptions::default().with_realtime(Realtime::Auto).with_log(log.clone()))
+            .unwrap();
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
     let serving = tokio::spawn(downbeat_robot::serve(listener, host.handle(), 0));

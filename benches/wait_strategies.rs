@@ -17,7 +17,7 @@ use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 use std::sync::mpsc::{Receiver, channel};
 use std::time::{Duration, Instant, SystemTime};
 
-use downbeat_robot::{PreciseWait, Realtime, Scheduling, Woken};
+use downbeat_robot::realtime::{PreciseWait, Realtime, Scheduling, Woken};
 
 const PROCESSES: usize = 6;
 /// What a robot does once it has set its first value.

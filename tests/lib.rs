@@ -6,6 +6,7 @@ mod claims;
 mod commands;
 mod compiled;
 mod conformance;
+mod copied;
 mod course;
 mod diagnostics;
 mod display;

@@ -29,6 +29,7 @@ macro_rules! error_codes {
     ($($(#[$doc:meta])* $variant:ident = $word:literal,)*) => {
         /// The kinds of failure.
         #[derive(Clone, Debug, PartialEq, Eq, Hash)]
+        #[non_exhaustive]
         pub enum ErrorCode {
             $($(#[$doc])* $variant,)*
             /// A code that this version does not know.

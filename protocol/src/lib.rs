@@ -1,11 +1,49 @@
 //! URRCP, the Universal Remote Robotics Control Protocol: its messages, their limits and their encoding.
 //!
-//! Here live the message types, the timestamps, the JSON-lines codec (bytes in, messages out) and the matching of
-//! answers to open requests. No I/O, no clock and no runtime: the caller carries the bytes and knows the time.
+//! ```text
+//!              server                                robot
+//!   availability_request     ──────────▶   is it there, what does its clock show?
+//!   availability_response    ◀──────────
+//!   initialization_request   ──────────▶   which devices does it have?
+//!   initialization_block     ◀──────────
+//!   control_request          ──────────▶   set a device, read a sensor, or play a script from an instant on
+//!   control_response         ◀──────────   Accepted, Started, OK, Provide or Failed
+//!   inquiry                  ──────────▶   what became of these requests? (our extension)
+//!   inquiry_response         ◀──────────
+//! ```
+//!
+//! [`Message`] is any of these eight. [`encode`] writes one as a line of JSON, [`encode_as`] as a frame of MessagePack too, and a
+//! [`Decoder`] cuts what comes from a stream into messages. [`OpenRequests`] finds the request that a response answers.
+//!
+//! The crate does no I/O, reads no clock and needs no runtime: the caller carries the bytes and knows the time. Types keep the
+//! limits of the protocol, so that a value that exists can be sent: a [`DeviceId`] has at most 256 characters, a [`Script`] is in
+//! order of time, [`Millis`] is finite. Instants carry their clock in their type, [`Timestamp<Server>`](Timestamp) or
+//! [`Timestamp<Robot>`](Timestamp), so that two clocks do not mix.
+//!
+//! Messages have public fields, and those with many have a `new` that takes what each of them has. Fill in the rest with
+//! `..ControlResponse::new(...)`: fields that later versions add are then left out.
+//!
+//! A scheduler asks a robot to move a joint in one second:
+//!
+//! ```
+//! use urrcp::{Command, ControlRequest, ControlType, DeviceId, Millis, Setpoint, Timestamp, encode};
+//!
+//! let now = Timestamp::from_nanos(1_700_000_000_000_000_000);
+//! let command = Command::Set(Setpoint::new(ControlType::Position, 30.0));
+//! let request = ControlRequest::deferred(now, Millis::new(1_000.0)?, DeviceId::new("elbow")?, command)
+//!     .with_request_id("1".parse()?)
+//!     .with_content_hash();
+//! let mut bytes = Vec::new();
+//! encode(&request.into(), &mut bytes);
+//! # Ok::<(), urrcp::LimitError>(())
+//! ```
+//!
+//! Robots that speak the protocol are in the crate `downbeat-robot`. The feature `schema` adds `message_schema`, the JSON Schema
+//! of the messages.
 //!
 //! The protocol is that of Arkhipenka, Shilin, Naurotsky and Kuznetsov, "Methodology to identify robots given the type
 //! of control designation", Doklady BGUIR 18(6), 2020, 41-48, doi 10.35596/1729-7648-2020-18-6-41-48. Where the paper
-//! is silent, `docs/protocol.md` says what this project chose.
+//! is silent, `docs/protocol.md` of the repository says what this project chose.
 
 mod codec;
 mod content_hash;

@@ -342,6 +342,7 @@ impl DeviceMachine {
     }
 
     /// A signal under way or at rest.
+    #[cfg(feature = "host")]
     pub(crate) fn signal(&self, control_type: ControlType) -> Option<Signal> {
         self.signals.get(&control_type).copied()
     }

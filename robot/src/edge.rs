@@ -6,7 +6,8 @@ use urrcp::{Robot as RobotClock, Span, Timestamp};
 
 use crate::clock::{HostClock, HostTime};
 use crate::device::Motion;
-use crate::driver::{AtEnd, AtStart, Demand, Mailbox, News, Wanted};
+use crate::driver::{AtStart, Demand, Mailbox, News, Wanted};
+use crate::hardware::AtEnd;
 use crate::outgoing::Outgoing;
 use crate::robot::{Input, LinkId, Output, Robot, SetValue};
 use crate::set_log::LogEntry;

@@ -20,7 +20,8 @@ use self::body::Body;
 use self::hosted::DriverThread;
 pub use self::hosted::Hosted;
 use crate::clock::{HostClock, HostTime};
-use crate::driver::{AtEnd, Mailbox, News};
+use crate::driver::{Mailbox, News};
+use crate::hardware::AtEnd;
 use crate::outgoing::Outgoing;
 use crate::precise_wait::{PreciseWait, Woken};
 use crate::robot::{Input, LinkId};
@@ -34,6 +35,7 @@ const WINDOW: usize = 32;
 
 /// How robots are run.
 #[derive(Clone, Debug, Default)]
+#[non_exhaustive]
 pub struct HostOptions {
     /// Whether the precise thread asks for real-time scheduling, and for the process's memory to be locked.
     pub realtime: Realtime,
@@ -41,8 +43,25 @@ pub struct HostOptions {
     pub log: Option<PathBuf>,
 }
 
+impl HostOptions {
+    /// The same with real-time scheduling asked for, or not.
+    #[must_use]
+    pub const fn with_realtime(mut self, realtime: Realtime) -> Self {
+        self.realtime = realtime;
+        self
+    }
+
+    /// The same with a log file.
+    #[must_use]
+    pub fn with_log(mut self, path: PathBuf) -> Self {
+        self.log = Some(path);
+        self
+    }
+}
+
 /// A host could not be started.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum HostError {
     /// The log file cannot be written.
     #[error("cannot write the log {}: {error}", path.display())]

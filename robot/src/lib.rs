@@ -1,41 +1,120 @@
-//! The robot's side of URRCP: machines that decide, and a thin real world round them.
+//! The robot side of URRCP: describe a robot, write a driver for its hardware, and a scheduler can play shows on it.
 //!
-//! `device` and `robot` are machines without I/O and without a clock: messages and the time in, answers and values out.
-//! Something surrounds each: hardware behind a driver (`edge`, `driver`), or a simulated world with a clock, delays and
-//! faults of its own (`simulated`), still without touching the real one. `host` runs both kinds in real time on one
-//! precise thread (`precise_wait`, `scheduling`, `clock`), `wake_up` measures it, and `serve` puts TCP round it.
+//! ```text
+//!   scheduler ──TCP──▶ serve ──▶ Host, one precise thread                  Driver, a thread of its own
+//!                                 └─ Robot, a machine for each robot ──▶    └─ your hardware
+//!                                     holds scripts, starts and steps        connect, set, read, ping
+//!                                     them in time, answers, obeys leases
+//! ```
+//!
+//! # A robot of your own
+//!
+//! 1. Describe it: an [`InitializationBlock`](urrcp::InitializationBlock) of [`Device`](urrcp::Device)s with their limits.
+//! 2. Implement [`Driver`](driver::Driver): four calls from one thread, which may block for up to a second.
+//! 3. Join both with [`Hosted::driven`], start them with [`Host::start`], and put the robot on a port with [`serve()`].
+//!
+//! A program needs this crate, `urrcp` for the types of the protocol, and `tokio` with its features `rt-multi-thread`, `macros`,
+//! `net` and `signal`:
+//!
+//! ```no_run
+//! use downbeat_robot::driver::{Driver, DriverError, DriverOptions};
+//! use downbeat_robot::{Host, HostOptions, Hosted, serve};
+//! use urrcp::{Device, DeviceId, InitializationBlock, Limits, ScriptParameters, Setpoint};
+//!
+//! struct Lamp;
+//!
+//! impl Driver for Lamp {
+//!     fn connect(&mut self) -> Result<(), DriverError> {
+//!         Ok(()) // open the port, and make sure that somebody answers
+//!     }
+//!     fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError> {
+//!         println!("{device} {}", setpoint.value);
+//!         Ok(())
+//!     }
+//!     fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError> {
+//!         Err(DriverError::Refused(format!("no sensor `{sensor}`")))
+//!     }
+//!     fn ping(&mut self) -> Result<(), DriverError> {
+//!         Ok(()) // ask the hardware itself
+//!     }
+//! }
+//!
+//! #[tokio::main]
+//! async fn main() -> Result<(), Box<dyn std::error::Error>> {
+//!     let percent = Limits::new(0.0, 100.0, 1.0)?;
+//!     let lamp = Device::new(DeviceId::new("lamp")?)
+//!         .with_position(percent.clone())
+//!         .with_scripts(ScriptParameters::new(percent, 1_000));
+//!     let description = InitializationBlock::new("stage-1".parse()?, vec![lamp])?;
+//!     let robot = Hosted::driven(description, Box::new(Lamp), DriverOptions::default());
+//!     let host = Host::start(vec![robot], HostOptions::default())?;
+//!     let listener = tokio::net::TcpListener::bind("127.0.0.1:7401").await?;
+//!     tokio::select! {
+//!         ended = serve(listener, host.handle(), 0) => ended?,
+//!         asked = tokio::signal::ctrl_c() => asked?,
+//!     }
+//!     host.stop(); // the lamp goes to its default state
+//!     Ok(())
+//! }
+//! ```
+//!
+//! `downbeat conformance tcp://127.0.0.1:7401` checks a robot that runs, and a fleet file names it by
+//! `address: tcp://127.0.0.1:7401`.
+//!
+//! # The machine alone
+//!
+//! [`Robot`] decides everything, without I/O and without a clock: give it messages and the time, and it returns answers and
+//! values. Two rules keep it right: pass times that never go back, and sleep until [`Robot::next_wakeup`] or the next message,
+//! asked for after every call. [`simulated`] surrounds it with a clock, delays and faults of its own.
+//!
+//! # Features
+//!
+//! | feature | adds |
+//! |---|---|
+//! | `host`, on by default | [`Host`], [`serve()`], [`driver`], [`realtime`]: Linux only, with tokio |
+//! | `thrift` | a driver for robots that speak the early Thrift form of the protocol |
+//!
+//! With `default-features = false` the machine and [`simulated`] remain.
+#![cfg_attr(not(feature = "host"), allow(rustdoc::broken_intra_doc_links, reason = "links to what `host` adds"))]
 
 mod answers;
 pub mod clock;
 mod device;
+#[cfg(feature = "host")]
 pub mod driver;
+#[cfg(feature = "host")]
 mod edge;
 mod hardware;
 mod held;
+#[cfg(feature = "host")]
 mod host;
 #[cfg(any(test, feature = "invariants"))]
 pub mod invariants;
 mod lease;
 mod outgoing;
 mod parties;
+#[cfg(feature = "host")]
 mod precise_wait;
+#[cfg(feature = "host")]
+pub mod realtime;
 mod robot;
+#[cfg(feature = "host")]
 mod scheduling;
+#[cfg(feature = "host")]
 mod serve;
-mod set_log;
+pub mod set_log;
 mod signal;
 pub mod simulated;
+#[cfg(feature = "host")]
 mod wake_up;
 
 pub use device::Motion;
-pub use hardware::ReadingId;
+pub use hardware::{AtEnd, ReadingId};
+#[cfg(feature = "host")]
 pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink};
-pub use precise_wait::{PreciseWait, Woken};
 pub use robot::{Input, LinkId, Output, Robot, SetValue};
-pub use scheduling::{Realtime, Scheduling};
+#[cfg(feature = "host")]
 pub use serve::serve;
-pub use set_log::{Kept, LogEntry};
-pub use wake_up::WakeUp;
 
 /// The examples of the README are compiled with the tests.
 #[cfg(doctest)]

@@ -258,12 +258,7 @@ impl Robot {
             }
             Message::ControlRequest(request) => self.control(now, link, request, None, out),
             Message::Inquiry(inquiry) => self.inquire(now, link, &inquiry, out),
-            Message::AvailabilityResponse(_)
-            | Message::InitializationBlock(_)
-            | Message::ControlResponse(_)
-            | Message::InquiryResponse(_) => {
-                tracing::debug!(robot = %self.block.id, "a message that only a robot sends: ignored");
-            }
+            _ => tracing::debug!(robot = %self.block.id, "a message that no server sends: ignored"),
         }
     }
 

@@ -79,6 +79,7 @@ impl Signal {
     }
 
     /// Whether it goes to its target at one speed.
+    #[cfg(feature = "host")]
     pub(crate) const fn is_linear(&self) -> bool {
         self.slowing.is_none()
     }

@@ -8,8 +8,7 @@ use urrcp::{
     Message, Robot as RobotClock, Span, Status, Timestamp,
 };
 
-use crate::driver::SILENCE_MAX;
-use crate::hardware::ReadingId;
+use crate::hardware::{ReadingId, SILENCE_MAX};
 use crate::robot::{Input, LinkId, Output, Robot};
 use crate::set_log::{Kept, LogEntry};
 
@@ -254,6 +253,7 @@ impl SimulatedRobot {
 
     /// The movements due at or before `now`, as far as no delivery comes first. Their reports go out with the next
     /// [`SimulatedRobot::advance`].
+    #[cfg(feature = "host")]
     pub(crate) fn advance_movements(&mut self, now: Timestamp<True>) {
         let travelling = self.next_arrival();
         let mine = self.due_movement(now);

@@ -19,6 +19,7 @@ pub struct NoInit {
 
 /// Robots that run in this process cannot be started.
 #[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
 pub enum EndpointError {
     /// One of them is not described.
     #[error(transparent)]

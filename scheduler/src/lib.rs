@@ -1,10 +1,37 @@
-//! Downbeat: makes many robots start together and stay together.
+//! Downbeat makes many robots start together and stay together. This is the library behind the program.
 //!
-//! A plan compiled by `downbeat-scripts` goes through the mission machine (`mission`), which one loop (`drive`) runs either in
-//! real time over links to robots (`run`, `link`) or in virtual time with simulated ones (`dry_run`, `simulation`). What
-//! happened ends in a `report`. `cli` is the only room that prints.
+//! ```text
+//!   Choreography ──▶ Mission, a machine: events and the time in, actions out
+//!                       │ events ▲ │ actions
+//!                       │        │ ▼
+//!                     drive, the one loop ──▶ World: real (run), virtual (dry_run), with faults (simulation)
+//!                       │                       └─ links to robots, a journal, a recording, an operator
+//!                       ▼
+//!                     Report
+//! ```
+//!
+//! [`run`](run::run) plays a [`Mission`](mission::Mission) on real robots, and [`dry_run`] in virtual time; `examples/scheduler.rs` is
+//! a scheduler to copy. The crate `downbeat-scripts` compiles choreographies, and [`fleet`] turns what a fleet file says into the
+//! participants of a mission.
+//!
+//! To drive the machine with a loop of your own, implement [`World`](drive::World) and call [`drive`](drive::drive()). If you call the
+//! machine yourself, keep one rule: **[`advance`](mission::Mission::advance) follows every
+//! [`handle`](mission::Mission::handle)**, at the same instant and once no further event of that instant waits. An event changes what is
+//! known; what follows from it, such as the decision to start, may be left to `advance`. Perform the actions of both in order. Then
+//! wait until [`next_wakeup`](mission::Mission::next_wakeup) or the next event, whichever comes first.
+//!
+//! | module | |
+//! |---|---|
+//! | [`mission`], [`drive`] | the machine, and the loop that drives it |
+//! | [`run`], [`link`], [`server_clock`], [`stop_lane`] | a mission in real time |
+//! | [`fleet`] | robots of a fleet file: participants, endpoints, simulated robots |
+//! | [`journal`], [`recording`] | what is kept on the disk |
+//! | [`report`] | what became of it, as text, JSON or a picture |
+//! | [`dry_run`], [`simulation`] | the same in virtual time, and under random faults |
+//! | [`conformance`] | whether a robot does what the protocol demands |
+//! | [`clock`], [`open_files`] | how far a robot's clock is off; room for many sockets |
 
-pub mod cli;
+mod cli;
 pub mod clock;
 pub mod conformance;
 pub mod drive;
@@ -18,9 +45,12 @@ pub mod recording;
 pub mod report;
 pub mod run;
 pub mod server_clock;
-pub mod signals;
+mod signals;
 pub mod simulation;
 pub mod stop_lane;
+
+#[doc(hidden)]
+pub use cli::main;
 
 /// The examples of the README are compiled with the tests.
 #[cfg(doctest)]

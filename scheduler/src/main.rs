@@ -1,5 +1,5 @@
 //! The program `downbeat`.
 
 fn main() -> std::process::ExitCode {
-    downbeat::cli::main()
+    downbeat::main()
 }

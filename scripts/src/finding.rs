@@ -18,6 +18,7 @@ macro_rules! codes {
     ($($variant:ident = $text:literal, $severity:ident, $title:literal;)*) => {
         /// The kinds of findings. Codes are stable: a number is never used again for something else.
         #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+        #[non_exhaustive]
         pub enum Code {
             $(#[doc = $title] $variant,)*
         }

@@ -1,9 +1,18 @@
-//! The scenario language: read a fleet and a choreography, find everything that will not work, compile the rest.
+//! The scenario language of Downbeat: read a fleet and a choreography, find everything that will not work, compile the rest.
 //!
-//! The way through this crate: `source` and `node` (text to tree), `fleet` and `scenario` (tree to meaning), `compile`
-//! (robots, times, movements: `timing` solves the times, `motion` and `fit` make the steps), `plan` (the result). Findings
-//! carry a path into the tree; `locate` turns it into line and column only when there is something to report, and
-//! `render` shows it.
+//! ```text
+//!   fleet.yaml ── read_fleet ──▶ Fleet ─┐
+//!                                       ├─ compile ──▶ Choreography: acts, each with a script for each device
+//!   show.yaml ─── Source::read ─────────┘         └──▶ findings, each with its line, what is expected, how to fix it
+//! ```
+//!
+//! [`compile`] returns a [`Choreography`] only if nothing is wrong; [`render`] shows findings with the lines that they concern. The
+//! README has both in a few lines, and `examples/compile.rs` is a program to copy. [`import`] makes scenarios of the files of other
+//! tools, and [`export`] writes what a scenario compiles to as theirs.
+//!
+//! Within the crate: `source` and `node` (text to tree), `fleet` and `scenario` (tree to meaning), `compile` (robots, times, movements:
+//! `timing` solves the times, `motion` and `fit` make the steps), `plan` (the result). Findings carry a path into the tree; `locate`
+//! turns it into line and column only when there is something to report.
 
 mod address;
 mod aliases;

@@ -2,6 +2,7 @@
 
 /// What a schema describes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum Schema {
     /// A scenario.
     Scenario,

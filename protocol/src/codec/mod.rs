@@ -16,6 +16,7 @@ use crate::message::Message;
 
 /// How one message is written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+#[non_exhaustive]
 pub enum Encoding {
     /// A line of JSON, which everybody understands.
     #[default]

@@ -20,6 +20,7 @@ pub struct ControlTypes(BTreeMap<ControlType, ControlParameters>);
 
 /// The parameters of one control type.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum ControlParameters {
     /// Parameters of position, speed and acceleration.
     Motion(Limits),

@@ -164,6 +164,7 @@ impl InitializationBlock {
 /// What a robot is built for (paper, table 1; the list is fixed per protocol version).
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[non_exhaustive]
 pub enum RobotType {
     /// For production, as a rule a manipulator.
     Industrial,

@@ -31,6 +31,7 @@ pub use stop_condition::StopCondition;
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Message {
     /// Step 1, server to robot: is the equipment there?
     #[serde(deserialize_with = "object::deserialize")]

@@ -13,7 +13,7 @@ use urrcp::{ControlType, DeviceId, Setpoint};
 
 use super::pulse::{Demand, Pulse, QUIET};
 use crate::clock::HostClock;
-use crate::hardware::{READINGS_MAX, ReadingId};
+use crate::hardware::{READINGS_MAX, ReadingId, STALE};
 use crate::signal::Signal;
 
 /// One signal of one device.
@@ -67,8 +67,6 @@ pub(crate) enum Work {
     Closed,
 }
 
-/// A value of a script that is later than this is not set any more.
-pub(crate) const STALE: Duration = Duration::from_millis(250);
 /// A reading waits for a time without movements, but no longer than this.
 const READ_WAIT_MAX: Duration = Duration::from_millis(200);
 /// Before it is looked again whether a ping would be in no movement's way.

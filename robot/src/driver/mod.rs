@@ -11,6 +11,7 @@ mod program;
 mod pulse;
 mod simulated;
 mod spec;
+#[cfg(feature = "thrift")]
 mod thrift;
 mod worker;
 
@@ -19,11 +20,12 @@ use std::time::Duration;
 use urrcp::{ControlType, DeviceId, Robot, Setpoint, Timestamp};
 
 pub use self::lifeline::Lifeline;
-pub(crate) use self::mailbox::{Key, Mailbox, STALE};
+pub(crate) use self::mailbox::{Key, Mailbox};
 pub use self::program::Program;
-pub(crate) use self::pulse::{Demand, SILENCE_MAX, START_NEAR};
+pub(crate) use self::pulse::Demand;
 pub use self::simulated::SimulatedDriver;
 pub use self::spec::{DriverSpec, DriverSpecError};
+#[cfg(feature = "thrift")]
 pub use self::thrift::{ThriftRobot, describe as describe_thrift};
 pub(crate) use self::worker::{News, Worker};
 
@@ -33,6 +35,7 @@ use crate::signal::Signal;
 
 /// Hardware did not do what it should.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[non_exhaustive]
 pub enum DriverError {
     /// It is not there, or no longer: it is connected again before anything else is asked of it.
     #[error("{0}")]
@@ -141,17 +144,9 @@ pub enum AtStart {
     Untouched,
 }
 
-/// What the devices of a robot do when its host stops.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum AtEnd {
-    /// They go to their default state.
-    Default,
-    /// They stay where they are, as they were told before; speeds go to zero.
-    Held,
-}
-
 /// How a driver is used.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct DriverOptions {
     /// Samples of a movement a second, for a driver that takes no ramps.
     pub samples_per_second: f64,
@@ -165,6 +160,22 @@ pub const SAMPLES_PER_SECOND: f64 = 50.0;
 impl Default for DriverOptions {
     fn default() -> Self {
         Self { samples_per_second: SAMPLES_PER_SECOND, at_start: AtStart::Untouched }
+    }
+}
+
+impl DriverOptions {
+    /// The same with so many samples a second.
+    #[must_use]
+    pub const fn with_samples_per_second(mut self, samples_per_second: f64) -> Self {
+        self.samples_per_second = samples_per_second;
+        self
+    }
+
+    /// The same with what the devices do at the start.
+    #[must_use]
+    pub const fn with_at_start(mut self, at_start: AtStart) -> Self {
+        self.at_start = at_start;
+        self
     }
 }
 

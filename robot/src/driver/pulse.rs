@@ -6,16 +6,14 @@
 
 use std::time::{Duration, Instant};
 
+use crate::hardware::{SILENCE_MAX, START_NEAR};
+
 /// While nothing is held.
 const IDLE: Duration = Duration::from_millis(500);
 /// While something is held or runs.
 const HELD: Duration = Duration::from_millis(50);
 /// While a start is near.
 const NEAR: Duration = Duration::from_millis(25);
-/// A start is near from so long before it on.
-pub(crate) const START_NEAR: Duration = Duration::from_secs(1);
-/// Silence that counts as such where something is held, beyond twice what its calls take.
-pub(crate) const SILENCE_MAX: Duration = Duration::from_millis(150);
 /// A question is not begun so shortly before a movement, or less where the answers come fast.
 pub(crate) const QUIET: Duration = Duration::from_millis(20);
 const QUIET_LEAST: Duration = Duration::from_millis(2);

@@ -4,10 +4,13 @@ use std::str::FromStr;
 
 use urrcp::InitializationBlock;
 
-use super::{Driver, DriverError, Program, SimulatedDriver, ThriftRobot};
+#[cfg(feature = "thrift")]
+use super::ThriftRobot;
+use super::{Driver, DriverError, Program, SimulatedDriver};
 
 /// Names a driver and what it drives.
 #[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum DriverSpec {
     /// `sim`: nothing.
     Simulated,
@@ -57,11 +60,16 @@ impl DriverSpec {
     /// The driver for a robot. Connects to nothing yet.
     ///
     /// # Errors
-    /// [`DriverError::Refused`] when this driver cannot drive such a robot.
+    /// [`DriverError::Refused`] when this driver cannot drive such a robot, or is not part of this build.
     pub fn driver(&self, block: &InitializationBlock) -> Result<Box<dyn Driver>, DriverError> {
         Ok(match self {
             Self::Simulated => Box::new(SimulatedDriver::new(block)),
+            #[cfg(feature = "thrift")]
             Self::Thrift { host, port } => Box::new(ThriftRobot::new(host, *port, block)?),
+            #[cfg(not(feature = "thrift"))]
+            Self::Thrift { .. } => {
+                return Err(DriverError::Refused("this program is built without Thrift".to_owned()));
+            }
             Self::Program { command } => Box::new(Program::new(command, block)?),
         })
     }

@@ -10,6 +10,7 @@ use urrcp::{
 };
 
 use super::*;
+use crate::hardware::STALE;
 use crate::{Host, HostOptions, Hosted, LinkEvent, RobotLink};
 
 const BLOCK: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [

@@ -5,8 +5,9 @@ use std::sync::Arc;
 use urrcp::Timestamp;
 
 use crate::clock::{HostClock, HostTime};
-use crate::driver::{AtEnd, Mailbox, News};
+use crate::driver::{Mailbox, News};
 use crate::edge::Edge;
+use crate::hardware::AtEnd;
 use crate::outgoing::Outgoing;
 use crate::robot::{Input, LinkId};
 use crate::set_log::LogEntry;

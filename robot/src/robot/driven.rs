@@ -6,8 +6,8 @@ use urrcp::{
 };
 
 use super::{LinkId, Now, Output, Robot, tell};
-use crate::driver::{AtEnd, STALE, START_NEAR};
-use crate::hardware::{Hardware, OpenReading, ReadingId, unanswered};
+use crate::hardware::{AtEnd, Hardware, OpenReading, ReadingId, STALE, START_NEAR, unanswered};
+#[cfg(feature = "host")]
 use crate::signal::Signal;
 
 /// A command that was accepted at least this long before its start does not start while the hardware is silent: there was
@@ -179,6 +179,7 @@ impl Robot {
     }
 
     /// A signal as it moves now.
+    #[cfg(feature = "host")]
     pub(crate) fn signal(&self, device: &str, control_type: urrcp::ControlType) -> Option<Signal> {
         self.devices[*self.index_of.get(device)?].signal(control_type)
     }

@@ -47,6 +47,8 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
         Ok(driver) => driver,
         Err(error) => return failed(&error.to_string()),
     };
-    let used = DriverOptions { samples_per_second: args.samples_per_second, at_start: AtStart::Default };
+    let used = DriverOptions::default()
+        .with_samples_per_second(args.samples_per_second)
+        .with_at_start(AtStart::Default);
     args.process.run(Hosted::driven(block, driver, used), format)
 }

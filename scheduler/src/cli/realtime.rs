@@ -1,7 +1,8 @@
 //! `--realtime`: what the thread that wakes this process's robots asks the system for, and what it got.
 
 use clap::ValueEnum;
-use downbeat_robot::{Host, HostError, Realtime};
+use downbeat_robot::realtime::Realtime;
+use downbeat_robot::{Host, HostError};
 
 use super::{Exit, Format, console};
 use crate::fleet::EndpointError;

@@ -153,7 +153,7 @@ impl<'a> Resumption<'a> {
     }
 
     fn endpoints(&self, robots: &[&FleetRobot]) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
-        let options = HostOptions { realtime: self.realtime.realtime(), ..HostOptions::default() };
+        let options = HostOptions::default().with_realtime(self.realtime.realtime());
         let (host, endpoints) = fleet::endpoints(robots, self.fleet.handshake, options)?;
         if let Some(host) = &host {
             self.realtime.tell(host, self.format);

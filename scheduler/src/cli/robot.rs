@@ -85,7 +85,8 @@ impl ProcessArgs {
 
     /// Runs the robot until it is interrupted. Moves nothing before it has its socket.
     pub(super) fn run(&self, robot: Hosted, format: Format) -> Exit {
-        let options = HostOptions { realtime: self.realtime.realtime(), log: self.log_file.clone() };
+        let mut options = HostOptions::default().with_realtime(self.realtime.realtime());
+        options.log.clone_from(&self.log_file);
         super::with_runtime(async {
             // Before anything moves.
             let signals = match Signals::listen(OnHangUp::End) {

@@ -6,7 +6,8 @@ mod others;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use downbeat_robot::{HostOptions, WakeUp};
+use downbeat_robot::HostOptions;
+use downbeat_robot::realtime::WakeUp;
 use downbeat_scripts::{Choreography, Fleet, FleetRobot, Wait};
 use tokio::sync::mpsc;
 use urrcp::{Server, SessionId, Span, Timestamp};
@@ -358,7 +359,7 @@ impl Work<'_> {
         let speaker = Speaker::of(&lane);
         keep.stop_lane = Some(lane);
         let wake_up = if self.preflight_only { measured_wake_up(self.realtime).await } else { None };
-        let host_options = HostOptions { realtime: self.realtime.realtime(), ..HostOptions::default() };
+        let host_options = HostOptions::default().with_realtime(self.realtime.realtime());
         let (host, endpoints) = fleet::endpoints(&robots, fleet.handshake, host_options)
             .map_err(|error| (error.to_string(), realtime::exit_of(&error)))?;
         let tolerance = choreography.acts.get(options.first_act).map(|act| act.plan.start_tolerance);

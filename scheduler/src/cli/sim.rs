@@ -52,7 +52,8 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
         );
         return Exit::Failed;
     }
-    let options = HostOptions { realtime: args.realtime.realtime(), log: args.log_file.clone() };
+    let mut options = HostOptions::default().with_realtime(args.realtime.realtime());
+    options.log.clone_from(&args.log_file);
     let mut host = match Host::start(machines, options) {
         Ok(host) => host,
         Err(error) => {

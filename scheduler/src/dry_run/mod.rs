@@ -8,7 +8,7 @@ mod operator;
 mod spread;
 mod world;
 
-use downbeat_robot::LogEntry;
+use downbeat_robot::set_log::LogEntry;
 use downbeat_robot::simulated::SimulatedRobot;
 use downbeat_scripts::{Choreography, SensorRange, Wait};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};

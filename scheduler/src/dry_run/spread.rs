@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use downbeat_robot::LogEntry;
+use downbeat_robot::set_log::LogEntry;
 use urrcp::{DeviceId, RobotId, Span};
 
 use super::act_of;

@@ -1,6 +1,6 @@
 //! Whole missions in virtual time: what must hold whatever a robot does.
 
-use downbeat_robot::LogEntry;
+use downbeat_robot::set_log::LogEntry;
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
 use downbeat_scripts::{Act, Choreography, DeviceScript, Plan, RobotPlan, SensorRange, Wait, Way};
 use urrcp::{

@@ -3,8 +3,9 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeSet, BinaryHeap, VecDeque};
 
+use downbeat_robot::set_log::{Kept, LogEntry};
 use downbeat_robot::simulated::{Outgoing, SimulatedRobot, True};
-use downbeat_robot::{Input, Kept, LinkId, LogEntry};
+use downbeat_robot::{Input, LinkId};
 use urrcp::{Message, RobotId, Server, Span, Timestamp};
 
 use super::operator::VirtualOperator;

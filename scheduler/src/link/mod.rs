@@ -23,6 +23,7 @@ const OUTGOING_MAX: usize = 40_000;
 
 /// Where a robot is reached.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub enum Endpoint {
     /// A simulated robot in this process, by its index in the host.
     InProcess {

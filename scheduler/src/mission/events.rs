@@ -11,6 +11,7 @@ use crate::server_clock::NtpState;
 
 /// What happened outside.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub enum Event {
     /// A link stands.
     LinkUp {
@@ -107,6 +108,7 @@ pub enum Action {
 /// What an operator wants to know while the mission goes on.
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "progress", rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum Progress {
     /// All links stand.
     Connected {

@@ -33,6 +33,7 @@ impl Serialize for Failure {
 /// Ways for a robot to fail the mission.
 #[derive(Clone, Debug, PartialEq, Serialize, thiserror::Error)]
 #[serde(tag = "failure", rename_all = "snake_case")]
+#[non_exhaustive]
 pub enum FailureKind {
     /// The link broke or could not be made.
     #[error("link down: {reason}")]

@@ -217,14 +217,15 @@ impl Mission {
         Self::new(Choreography::of_plan(plan), participants, options, now)
     }
 
-    /// Takes an event that happened at `now`.
+    /// Takes an event that happened at `now`. [`Mission::advance`] has to follow at the same instant, once no further event of
+    /// that instant waits: what follows from the event may be decided there.
     #[must_use]
     pub fn handle(&mut self, now: Timestamp<Server>, event: Event) -> Vec<Action> {
         self.happened(now, now, event)
     }
 
     /// Takes at `now` an event that happened at `at`: a message may have waited on this machine. What is decided and sent
-    /// depends on what time it is, what is measured on when it came.
+    /// depends on what time it is, what is measured on when it came. As after [`Mission::handle`], [`Mission::advance`] has to follow.
     #[must_use]
     pub fn happened(&mut self, at: Timestamp<Server>, now: Timestamp<Server>, event: Event) -> Vec<Action> {
         self.arrived = at;
@@ -244,7 +245,8 @@ impl Mission {
         std::mem::take(&mut self.actions)
     }
 
-    /// Does what is due at `now`.
+    /// Does what is due at `now`, and what follows from the events before it. To be called after every [`Mission::handle`], and
+    /// when [`Mission::next_wakeup`] has come.
     #[must_use]
     pub fn advance(&mut self, now: Timestamp<Server>) -> Vec<Action> {
         self.ask_names_again(now);

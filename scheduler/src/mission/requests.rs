@@ -33,10 +33,7 @@ impl Mission {
             }
             Message::ControlResponse(response) => self.control_response(now, robot, &response),
             Message::InquiryResponse(response) => self.inquiry_answered(now, robot, &response),
-            Message::AvailabilityRequest(_)
-            | Message::InitializationRequest(_)
-            | Message::Inquiry(_)
-            | Message::ControlRequest(_) => {
+            _ => {
                 let reason = "sent a message that only a server sends".to_owned();
                 self.fail(now, robot, FailureKind::Garbled { reason });
             }

@@ -1,6 +1,6 @@
 //! How late this host wakes its robots, compared with what the scenario tolerates.
 
-use downbeat_robot::WakeUp;
+use downbeat_robot::realtime::WakeUp;
 use serde::Serialize;
 use urrcp::Span;
 
@@ -61,7 +61,7 @@ impl HostWakeUp {
 
 #[cfg(test)]
 mod tests {
-    use downbeat_robot::{Realtime, Scheduling};
+    use downbeat_robot::realtime::{Realtime, Scheduling};
 
     use super::*;
 

@@ -21,6 +21,7 @@ use crate::stop_lane::{Before, StopLane};
 
 /// What the operator asks for while a mission runs.
 #[derive(Debug)]
+#[non_exhaustive]
 pub enum Operator {
     /// Let the act begin that waits for it.
     Go {
@@ -37,6 +38,7 @@ pub enum Operator {
 
 /// What goes with a mission.
 #[derive(Debug, Default)]
+#[non_exhaustive]
 pub struct Keep {
     /// What was promised to which robot.
     pub journal: Option<Journal>,

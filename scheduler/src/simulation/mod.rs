@@ -9,7 +9,7 @@ mod shrink;
 mod trace;
 mod world;
 
-use downbeat_robot::LogEntry;
+use downbeat_robot::set_log::LogEntry;
 use urrcp::{Message, Server, Span, Timestamp};
 
 use crate::mission::{Progress, Record};

@@ -152,5 +152,6 @@ fn told(message: &Message) -> String {
                 response.requests.iter().map(state).collect::<Vec<_>>().join(", ")
             )
         }
+        _ => "another message".to_owned(),
     }
 }

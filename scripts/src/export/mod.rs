@@ -13,6 +13,7 @@ const LINES_MAX: usize = 5_000_000;
 
 /// Which tool's files to write.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum ExportFormat {
     /// A CSV a drone, as Skybrush Studio reads them in a zip.
     DroneCsv,

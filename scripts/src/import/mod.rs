@@ -54,6 +54,7 @@ const KEYFRAMES_MAX: usize = 2_000_000;
 
 /// Which tool's files they are.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[non_exhaustive]
 pub enum ImportFormat {
     /// Crazyswarm: one CSV of polynomial pieces a robot, or a folder of numbered scenes a robot.
     Crazyswarm,

@@ -1,7 +1,7 @@
 //! Robots that drive hardware which may be away, fail and come back, and whose sensors take their time.
 
 use super::*;
-use crate::driver::AtEnd;
+use crate::hardware::AtEnd;
 use crate::hardware::READINGS_MAX;
 
 fn driven() -> Bench {

@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use downbeat_robot::LogEntry;
+use downbeat_robot::set_log::LogEntry;
 use downbeat_scripts::DeviceScript;
 use urrcp::{Command, Message, RobotId, Server, Span, Timestamp};
 

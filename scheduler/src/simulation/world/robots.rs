@@ -2,8 +2,9 @@
 
 use std::collections::BTreeSet;
 
+use downbeat_robot::set_log::LogEntry;
 use downbeat_robot::simulated::{Outgoing, SimulatedRobot, True};
-use downbeat_robot::{Input, LinkId, LogEntry};
+use downbeat_robot::{Input, LinkId};
 use urrcp::{
     AvailabilityRequest, AvailabilityResponse, Command, ContentHash, ControlRequest, ControlResponse,
     ControlType, InitializationBlock, Message, Millis, Script, Server, SessionId, Setpoint, Span, Status,

@@ -1,6 +1,6 @@
 //! What a report says of acts and scripts.
 
-use downbeat_robot::LogEntry;
+use downbeat_robot::set_log::LogEntry;
 use urrcp::{Span, Timestamp};
 
 use super::{GRAIN, Said};

@@ -1,0 +1,93 @@
+//! A driver to copy: hardware behind a socket that takes a line a command and answers each with a line.
+//!
+//! `cargo run --example driver -- robot.json 192.168.1.20:5000` runs it behind a robot on port 7401.
+#![expect(clippy::print_stdout, reason = "an example for a terminal")]
+
+use std::error::Error;
+use std::io::{self, BufRead, BufReader, Write};
+use std::net::TcpStream;
+use std::time::Duration;
+
+use downbeat_robot::driver::{Driver, DriverError, DriverOptions, Lifeline};
+use downbeat_robot::{Host, HostOptions, Hosted, serve};
+use tokio::net::TcpListener;
+use urrcp::{DeviceId, InitializationBlock, Setpoint};
+
+/// A driver may wait for its hardware, but not for ever.
+const ANSWER_WITHIN: Duration = Duration::from_millis(500);
+
+/// Hardware at an address, while it is connected.
+struct LineDriver {
+    address: String,
+    connection: Option<BufReader<TcpStream>>,
+}
+
+impl LineDriver {
+    fn connected(&self) -> io::Result<BufReader<TcpStream>> {
+        let stream = TcpStream::connect(&self.address)?;
+        stream.set_nodelay(true)?;
+        stream.set_read_timeout(Some(ANSWER_WITHIN))?;
+        stream.set_write_timeout(Some(ANSWER_WITHIN))?;
+        Ok(BufReader::new(stream))
+    }
+
+    /// Sends a line and returns the line that comes back.
+    fn ask(&mut self, line: &str) -> Result<String, DriverError> {
+        let connection = self.connection.as_mut().ok_or_else(|| away("not connected"))?;
+        connection.get_mut().write_all(format!("{line}\n").as_bytes()).map_err(away)?;
+        let mut answer = String::new();
+        match connection.read_line(&mut answer).map_err(away)? {
+            0 => Err(away("it has closed the connection")),
+            _ => Ok(answer.trim().to_owned()),
+        }
+    }
+}
+
+fn away(reason: impl ToString) -> DriverError {
+    DriverError::Away(reason.to_string())
+}
+
+impl Driver for LineDriver {
+    fn connect(&mut self) -> Result<(), DriverError> {
+        self.connection = Some(self.connected().map_err(away)?);
+        self.ping()
+    }
+
+    fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError> {
+        match self.ask(&format!("set {device} {}", setpoint.value))?.as_str() {
+            "ok" => Ok(()),
+            refused => Err(DriverError::Refused(refused.to_owned())),
+        }
+    }
+
+    fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError> {
+        let answer = self.ask(&format!("read {sensor}"))?;
+        answer.parse().map_err(|_| DriverError::Refused(format!("`{answer}` is no number")))
+    }
+
+    fn ping(&mut self) -> Result<(), DriverError> {
+        self.ask("ping").map(drop)
+    }
+
+    fn lifeline(&self) -> Option<Lifeline> {
+        Lifeline::of(self.connection.as_ref()?.get_ref(), "it has closed the connection")
+    }
+}
+
+/// Runs a robot with this description on the hardware at an address.
+pub async fn run(description: &str, address: String, listener: TcpListener) -> Result<(), Box<dyn Error>> {
+    let block: InitializationBlock = serde_json::from_str(description)?;
+    let driver = LineDriver { address, connection: None };
+    let robot = Hosted::driven(block, Box::new(driver), DriverOptions::default());
+    let host = Host::start(vec![robot], HostOptions::default())?;
+    println!("{} listens on {}", host.handle().robots()[0], listener.local_addr()?);
+    Ok(serve(listener, host.handle(), 0).await?)
+}
+
+#[tokio::main]
+async fn main() -> Result<(), Box<dyn Error>> {
+    let mut words = std::env::args().skip(1);
+    let (description, address) = words.next().zip(words.next()).ok_or("driver DESCRIPTION ADDRESS")?;
+    let listener = TcpListener::bind("127.0.0.1:7401").await?;
+    run(&std::fs::read_to_string(description)?, address, listener).await
+}
