@@ -17,7 +17,7 @@ use super::{Exit, Format, console, load};
 use crate::clock::{ClockEstimate, ClockReading, ClockSample};
 use crate::drive::{Happened, LinkNumber, Urgency};
 use crate::fleet;
-use crate::link::{Endpoint, Link, Speech};
+use crate::link::{Endpoint, Link, LinkEncoding};
 use crate::mission::Event;
 use crate::report::table::Rows;
 use crate::server_clock::ServerClock;
@@ -169,7 +169,7 @@ fn ask_block(host: String, port: u16, patience: Span) -> Result<InitializationBl
     super::with_runtime(async {
         let clock = ServerClock::anchored(Span::ZERO);
         let (events, happened) = mpsc::channel(64);
-        let endpoint = Endpoint::Tcp { host, port, speech: Speech::default() };
+        let endpoint = Endpoint::Tcp { host, port, encoding: LinkEncoding::default() };
         let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
         let answer = ask(unnamed(), link, happened, clock, patience).await;
         let problem = answer.problem.unwrap_or_else(|| "the robot did not describe itself".to_owned());

@@ -67,7 +67,7 @@ async fn read(peer: &Peer, mut reader: OwnedReadHalf) -> (Loss, String) {
         while let Some(decoded) = decoder.next_message() {
             match decoded {
                 Ok(message) => {
-                    peer.speech.hear(&message);
+                    peer.encoding.hear(&message);
                     sink.received(message).await;
                 }
                 Err(error) => {
@@ -89,7 +89,7 @@ async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, peer: &Peer) -> Opt
             peer.overtake(&message, &mut queue.urgent);
             continue;
         }
-        let encoding = peer.speech.encoding();
+        let encoding = peer.encoding.current();
         encode_as(encoding, &message, &mut bytes);
         while bytes.len() < WRITE_BATCH {
             let Some(message) = queue.try_next() else { break };
@@ -127,7 +127,7 @@ impl Peer {
     /// carried twice: the robot knows it by its id.
     fn overtake(&self, first: &Message, more: &mut mpsc::UnboundedReceiver<Message>) {
         let mut bytes = Vec::new();
-        let encoding = self.speech.encoding();
+        let encoding = self.encoding.current();
         encode_as(encoding, first, &mut bytes);
         while let Ok(message) = more.try_recv() {
             encode_as(encoding, &message, &mut bytes);
