@@ -3,6 +3,7 @@
 use std::io::{self, ErrorKind};
 use std::time::Duration;
 
+use downbeat_scripts::{Attempt, Refusal};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
@@ -32,10 +33,12 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
                 ErrorKind::ConnectionRefused => Loss::Refused,
                 _ => Loss::Unreachable,
             };
-            return sink.down(loss, format!("no connection to {host}:{port}: {error}")).await;
+            let refusal = Refusal::of(Attempt::Connect, &error);
+            return sink.down(loss, format!("no connection to {host}:{port}: {refusal}")).await;
         }
         Err(_) => {
-            let reason = format!("no connection to {host}:{port} within 3 s");
+            let refusal = Refusal::of(Attempt::Connect, &ErrorKind::TimedOut.into());
+            let reason = format!("no connection to {host}:{port} within 3 s: {refusal}");
             return sink.down(Loss::Unreachable, reason).await;
         }
     };
