@@ -39,7 +39,9 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 use crate::signals;
 
@@ -74,7 +76,7 @@ pub struct Cli {
     format: Format,
     /// Log to standard error, for example `info` or `downbeat=debug`.
     #[arg(long, global = true, value_name = "FILTER", default_value = "off", value_parser = log_filter)]
-    log: EnvFilter,
+    log: Targets,
 }
 
 /// What is printed.
@@ -246,16 +248,16 @@ fn told_by_clap(error: &clap::Error) -> Exit {
     }
 }
 
-fn log_filter(text: &str) -> Result<EnvFilter, String> {
-    EnvFilter::try_new(text).map_err(|_| {
+fn log_filter(text: &str) -> Result<Targets, String> {
+    text.parse().map_err(|_| {
         "expected `error`, `warn`, `info`, `debug` or `trace`, perhaps for a part, as in `downbeat=debug`"
             .to_owned()
     })
 }
 
-fn start_log(filter: EnvFilter) {
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_ansi(false).with_writer(|| console::Log);
-    if let Err(error) = log.try_init() {
+fn start_log(filter: Targets) {
+    let lines = tracing_subscriber::fmt::layer().with_ansi(false).with_writer(|| console::Log);
+    if let Err(error) = tracing_subscriber::registry().with(lines).with(filter).try_init() {
         console::warn(&format!("no log: {error}"));
     }
 }
