@@ -29,6 +29,9 @@ pub mod fit;
 mod fleet;
 pub mod import;
 mod init;
+mod keys;
+#[cfg(test)]
+mod known;
 mod locate;
 mod motion;
 mod music;
@@ -53,7 +56,8 @@ pub use duration::parse_duration;
 pub use files::{Files, Folder, NoFiles};
 pub use finding::{Code, Finding, Related, Severity, did_you_mean};
 pub use fleet::{
-    Fault, Fleet, FleetRobot, Handshake, RateLimits, RobotClock, SimulationSettings, read_fleet,
+    ClockMode, Fault, Fleet, FleetRobot, Handshake, MissionSettings, RateLimits, Requirement,
+    SimulationSettings, read_fleet,
 };
 pub use init::{init_of, init_text, read_init};
 pub use plan::{

@@ -51,9 +51,9 @@ fn sending(robot: &RobotState, now: Timestamp<Server>) -> Span {
 
 /// How much later than planned a script may end, by the robot's own clock.
 fn late(robot: &RobotState, now: Timestamp<Server>) -> Span {
-    let late = robot.clock_at(now).map(|reading| match robot.clock_mode {
+    let late = robot.clock_at(now).map(|reading| match robot.settings.clock {
         ClockMode::Ntp => reading.uncertainty - reading.offset,
         ClockMode::Measured => reading.uncertainty,
     });
-    late.unwrap_or_default().max(Span::ZERO) + robot.wake_up
+    late.unwrap_or_default().max(Span::ZERO) + robot.settings.wake_up
 }

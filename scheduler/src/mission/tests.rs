@@ -169,7 +169,7 @@ fn a_required_sensor_passes_once_it_was_read_and_only_where_robots_are_greeted()
     ] {
         let mut mission = begins_at_once(Everything);
         let range = SensorRange::Above(50.0);
-        mission.robots[0].requires = vec![Requirement { sensor: "eye".parse().unwrap(), range }];
+        mission.robots[0].settings.require = vec![Requirement { sensor: "eye".parse().unwrap(), range }];
         mission.robots[0].readings = readings;
         mission.options.greeting = greeting;
         let table = preflight::table(&mission, at(0));
