@@ -42,5 +42,6 @@ mod stop_command;
 mod stops;
 mod terminal;
 mod thrift_robot;
+mod tied;
 mod told;
 mod vectors;

@@ -1,22 +1,10 @@
 //! What benchmarks of the compiler share: simulated robots, and counts.
 
-use std::collections::BTreeMap;
-
-use downbeat_scripts::{Address, Compiled, FleetRobot, SimulationSettings};
+use downbeat_scripts::{Address, Compiled, FleetRobot};
 
 /// A simulated robot.
 pub fn simulated(init: urrcp::InitializationBlock) -> FleetRobot {
-    FleetRobot {
-        id: init.id.clone(),
-        address: Address::Simulated,
-        init: Some(init),
-        simulation: SimulationSettings::default(),
-        limits: BTreeMap::new(),
-        clock: Default::default(),
-        wake_up: Default::default(),
-        require: Vec::new(),
-        encoding: Default::default(),
-    }
+    FleetRobot::new(init.id.clone(), Address::Simulated, Some(init))
 }
 
 /// Of all scripts of all acts.

@@ -6,7 +6,7 @@ use std::collections::BTreeMap;
 use std::sync::LazyLock;
 
 use downbeat_scripts::{
-    Address, Fleet, FleetRobot, NoFiles, RateLimits, RobotClock, Severity, SimulationSettings, Source,
+    Address, Fleet, FleetRobot, NoFiles, RateLimits, Severity, Source,
     compile, render, sarif,
 };
 use libfuzzer_sys::fuzz_target;
@@ -30,17 +30,7 @@ static FLEET: LazyLock<Fleet> = LazyLock::new(|| {
         init.id = urrcp::RobotId::new(name).unwrap();
         let limits =
             BTreeMap::from([("d".to_owned(), RateLimits { speed: None, acceleration: Some(500.0) })]);
-        FleetRobot {
-            id: init.id.clone(),
-            address: Address::Simulated,
-            init: Some(init),
-            simulation: SimulationSettings::default(),
-            limits,
-            clock: RobotClock::default(),
-            wake_up: urrcp::Span::from_millis(1),
-            require: Vec::new(),
-            encoding: urrcp::Encoding::default(),
-        }
+        FleetRobot { limits, ..FleetRobot::new(init.id.clone(), Address::Simulated, Some(init)) }
     };
     let robots = vec![robot("a", ARM), robot("b", ARM), robot("r", ROVER)];
     let groups = BTreeMap::from([("ab".to_owned(), vec![robots[0].id.clone(), robots[1].id.clone()])]);

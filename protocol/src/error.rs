@@ -37,6 +37,9 @@ macro_rules! error_codes {
         }
 
         impl ErrorCode {
+            /// The words on the wire of all codes that this version knows.
+            pub const WORDS: &[&str] = &[$($word,)*];
+
             /// The word on the wire.
             #[must_use]
             pub fn as_str(&self) -> &str {

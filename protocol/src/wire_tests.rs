@@ -417,3 +417,48 @@ proptest::proptest! {
         proptest::prop_assert!(decoder.next_message().unwrap().is_ok());
     }
 }
+
+#[cfg(feature = "schema")]
+mod schema {
+    use std::collections::BTreeSet;
+
+    use serde_json::Value;
+
+    use super::*;
+
+    /// Keys of a message that the schema does not list where they stand. Those of control values depend on other keys and stand
+    /// apart in the schema; a `custom_N` has the keys that its robot gives it.
+    fn unlisted(root: &Value, schema: &Value, message: &Value, found: &mut BTreeSet<String>) {
+        if let Some(reference) = schema["$ref"].as_str() {
+            let definition = &root["$defs"][reference.rsplit('/').next().unwrap()];
+            if let (Some(listed), Value::Object(map)) = (definition["properties"].as_object(), message) {
+                let apart = |key: &&String| key.starts_with("control_value") || key.starts_with("custom_");
+                found.extend(map.keys().filter(|key| !listed.contains_key(*key) && !apart(key)).cloned());
+            }
+            return unlisted(root, definition, message, found);
+        }
+        let forms =
+            ["anyOf", "oneOf"].into_iter().flat_map(|word| schema[word].as_array().into_iter().flatten());
+        forms.for_each(|form| unlisted(root, form, message, found));
+        match message {
+            Value::Object(map) => {
+                map.iter().for_each(|(key, inner)| unlisted(root, &schema["properties"][key], inner, found));
+            }
+            Value::Array(items) => {
+                items.iter().for_each(|item| unlisted(root, &schema["items"], item, found));
+            }
+            _ => {}
+        }
+    }
+
+    proptest::proptest! {
+        #[test]
+        fn the_schema_lists_every_key_that_is_written(message in arbitrary::message()) {
+            let schema = crate::message_schema();
+            let written: Value = serde_json::from_str(&line_of(&message)).unwrap();
+            let mut found = BTreeSet::new();
+            unlisted(&schema, &schema, &written, &mut found);
+            proptest::prop_assert_eq!(found, BTreeSet::new());
+        }
+    }
+}

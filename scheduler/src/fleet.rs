@@ -3,11 +3,11 @@
 use downbeat_robot::driver::{DriverError, DriverOptions, DriverSpec};
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostError, HostOptions, Hosted};
-use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Handshake, Plan, RobotClock, Wait};
+use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, Wait};
 use urrcp::{Encoding, RobotId, Span};
 
 use crate::link::{Endpoint, LinkEncoding};
-use crate::mission::{ClockMode, Greeting, Participant, Requirement};
+use crate::mission::{Greeting, Participant};
 
 /// A robot cannot be simulated.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -64,23 +64,18 @@ pub fn participants(robots: &[&FleetRobot]) -> Vec<Participant> {
     let participant = |robot: &&FleetRobot| Participant {
         id: robot.id.clone(),
         block: robot.init.clone(),
-        clock: match robot.clock {
-            RobotClock::Ntp => ClockMode::Ntp,
-            RobotClock::Measured => ClockMode::Measured,
-        },
-        wake_up: robot.wake_up,
-        encoding: match &robot.address {
-            Address::Tcp { .. } => robot.encoding,
-            // What stays in this process is not encoded.
-            Address::Simulated | Address::Thrift { .. } | Address::Program { .. } => Encoding::Json,
-        },
-        requires: robot
-            .require
-            .iter()
-            .map(|(sensor, range)| Requirement { sensor: sensor.clone(), range: *range })
-            .collect(),
+        settings: settings_of(robot),
     };
     robots.iter().map(participant).collect()
+}
+
+fn settings_of(robot: &FleetRobot) -> MissionSettings {
+    let encoding = match &robot.address {
+        Address::Tcp { .. } => robot.mission.encoding,
+        // What stays in this process is not encoded.
+        Address::Simulated | Address::Thrift { .. } | Address::Program { .. } => Encoding::Json,
+    };
+    MissionSettings { encoding, ..robot.mission.clone() }
 }
 
 /// Whether steps 1 to 4 are played.
@@ -205,9 +200,10 @@ pub fn endpoints_at_once(
 
 /// Without a handshake the files are trusted.
 fn encoding(robot: &FleetRobot, handshake: Handshake) -> LinkEncoding {
-    let listed = robot.init.as_ref().is_some_and(|block| block.understands(robot.encoding));
+    let encoding = robot.mission.encoding;
+    let listed = robot.init.as_ref().is_some_and(|block| block.understands(encoding));
     match handshake {
-        Handshake::Skip if listed => LinkEncoding::at_once(robot.encoding),
-        Handshake::Skip | Handshake::Full => LinkEncoding::once_listed(robot.encoding),
+        Handshake::Skip if listed => LinkEncoding::at_once(encoding),
+        Handshake::Skip | Handshake::Full => LinkEncoding::once_listed(encoding),
     }
 }

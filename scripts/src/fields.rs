@@ -213,6 +213,8 @@ impl Reader {
             self.wrong_type(at, &format!("{what}: a map with {}", names(known)));
             return None;
         };
+        #[cfg(test)]
+        crate::known::keys(at, &known);
         let mut values: [Option<At<'a>>; N] = [None; N];
         for (index, (key, node)) in entries.iter().enumerate() {
             let before = index.checked_sub(1).map(|before| &entries[before]);
@@ -473,6 +475,8 @@ impl Reader {
     /// One of a few words.
     pub(crate) fn word<T: Copy>(&mut self, at: &At<'_>, words: &[(&'static str, T)]) -> Option<T> {
         let known = || words.iter().map(|(word, _)| *word);
+        #[cfg(test)]
+        crate::known::words(at, known());
         let text = self.text(at, &one_of(known()))?;
         if let Some((_, value)) = words.iter().find(|(word, _)| *word == text) {
             return Some(*value);

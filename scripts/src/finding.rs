@@ -99,6 +99,7 @@ codes! {
     LittleTimeToSend = "DB0048", Warning, "little time to send the next script";
     ActHasToWait = "DB0049", Warning, "an act that cannot follow at once";
     OneAddress = "DB0050", Error, "two robots have one address";
+    NeedsHandshake = "DB0051", Error, "a key that needs the handshake";
     ImportTable = "DB0060", Error, "a table that does not match its format";
     ImportNumber = "DB0061", Error, "an imported value is not a finite number";
     ImportTime = "DB0062", Error, "imported times that do not go forward";

@@ -3,27 +3,37 @@
 use std::collections::{BTreeMap, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
-use urrcp::{ControlType, Device, DeviceId, Encoding, InitializationBlock, RobotId, Span};
+use urrcp::{ControlType, Device, DeviceId, InitializationBlock, RobotId, Span};
 
 use crate::address::{ADDRESS, Address, Reached, address_fault};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding};
 use crate::identify::{self, Document};
 use crate::init::{Init, read_supplements};
+use crate::keys::keys;
 use crate::locate::locate;
 use crate::node::{self, Node};
-use crate::scenario::{SensorRange, acts};
 use crate::source::Source;
 use crate::tags::foreign_tags;
 
-pub(crate) const FLEET_KEYS: [&str; 4] = ["ntp", "handshake", "robots", "groups"];
-pub(crate) const ROBOT_KEYS: [&str; 10] = [
-    "init", "devices", "address", "robot_id", "simulate", "limits", "clock", "wake_up", "require", "encoding",
-];
-pub(crate) const RANGE_KEYS: [&str; 3] = ["above", "below", "within"];
-pub(crate) const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
-pub(crate) const SIMULATE_KEYS: [&str; 7] =
+mod mission_settings;
+
+pub use mission_settings::{ClockMode, MissionSettings, Requirement};
+
+const FLEET_KEYS: [&str; 4] = ["ntp", "handshake", "robots", "groups"];
+const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
+const SIMULATE_KEYS: [&str; 7] =
     ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault", "readings"];
+const HANDSHAKE_WORDS: [(&str, Handshake); 2] = [("full", Handshake::Full), ("skip", Handshake::Skip)];
+const FAULT_WORDS: [(&str, Fault); 3] =
+    [("refuse", Fault::Refuse), ("silent", Fault::Silent), ("disconnect", Fault::Disconnect)];
+
+keys! {
+    /// What is said of one robot.
+    RobotKeys, ROBOT_KEYS {
+        init, devices, address, robot_id, simulate, limits, clock, wake_up, require, encoding,
+    }
+}
 
 /// All robots of a site.
 #[derive(Clone, Debug, Default)]
@@ -61,28 +71,24 @@ pub struct FleetRobot {
     pub simulation: SimulationSettings,
     /// How fast its devices may move, by device id, where that is less than their speed control type says.
     pub limits: BTreeMap<String, RateLimits>,
-    /// How its time is brought to agree with the server's.
-    pub clock: RobotClock,
-    /// How late it may wake up for a start.
-    pub wake_up: Span,
-    /// What its sensors have to read before a mission.
-    pub require: Vec<(DeviceId, SensorRange)>,
-    /// What it is written to in over TCP.
-    pub encoding: Encoding,
+    /// What a mission needs to know of it.
+    pub mission: MissionSettings,
 }
 
-/// How a robot's time is brought to agree with the server's.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum RobotClock {
-    /// `ntp`: it follows NTP, which is only verified.
-    #[default]
-    Ntp,
-    /// `measured`: it has none; what it is sent is translated into its own time.
-    Measured,
+impl FleetRobot {
+    /// A robot of which the fleet file says nothing else: every other key has its default.
+    #[must_use]
+    pub fn new(id: RobotId, address: Address, init: Option<InitializationBlock>) -> Self {
+        Self {
+            id,
+            address,
+            init,
+            simulation: SimulationSettings::default(),
+            limits: BTreeMap::new(),
+            mission: MissionSettings::default(),
+        }
+    }
 }
-
-/// How late a robot may wake up where the fleet file does not say: a millisecond, as of a timer of an ordinary system.
-pub const WAKE_UP: Span = Span::from_millis(1);
 
 /// How fast a device may move: bounds of the derivatives of its value, in its unit a second and a second squared.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -213,8 +219,7 @@ impl FleetReader {
             fleet.ntp = self.findings.text(&ntp, "the name of an NTP server").map(Into::into);
         }
         if let Some(handshake) = handshake {
-            let words = [("full", Handshake::Full), ("skip", Handshake::Skip)];
-            fleet.handshake = self.findings.word(&handshake, &words).unwrap_or_default();
+            fleet.handshake = self.findings.word(&handshake, &HANDSHAKE_WORDS).unwrap_or_default();
         }
         let robots = robots?;
         for (name, at) in self.findings.entries(&robots, "robot id to its address and init file") {
@@ -250,21 +255,15 @@ impl FleetReader {
             }
         };
         let what = format!("robot `{name}`");
-        let [init, devices, address, robot_id, simulate, limits, clock, wake_up, require, encoding] =
-            self.findings.map(at, &what, ROBOT_KEYS, &["init", "address"])?;
-        let address = address.and_then(|at| self.address(&at));
-        let mut init = init.and_then(|at| self.init(&at, devices.as_ref()))?;
-        let simulation = simulate.map(|at| self.simulation(&at, &init)).unwrap_or_default();
-        let own_id = robot_id.and_then(|at| self.own_id(&at));
+        let keys = RobotKeys::of(self.findings.map(at, &what, ROBOT_KEYS, &["init", "address"])?);
+        let address = keys.address.and_then(|at| self.address(&at));
+        let mut init = keys.init.and_then(|at| self.init(&at, keys.devices.as_ref()))?;
+        let simulation = keys.simulate.map(|at| self.simulation(&at, &init)).unwrap_or_default();
+        let own_id = keys.robot_id.and_then(|at| self.own_id(&at));
         init.id = own_id.unwrap_or_else(|| id.clone());
-        let limits = limits.map(|at| self.limits(&at, &init)).unwrap_or_default();
-        let words = [("ntp", RobotClock::Ntp), ("measured", RobotClock::Measured)];
-        let clock = clock.and_then(|at| self.findings.word(&at, &words)).unwrap_or_default();
-        let wake_up = wake_up.and_then(|at| self.findings.duration(&at)).unwrap_or(WAKE_UP);
-        let require = require.map(|at| self.require(&at, &init)).unwrap_or_default();
-        let encoding = encoding.and_then(|at| self.encoding(&at, &init, handshake)).unwrap_or_default();
-        let (address, init) = (address?, Some(init));
-        Some(FleetRobot { id, address, init, simulation, limits, clock, wake_up, require, encoding })
+        let limits = keys.limits.map(|at| self.limits(&at, &init)).unwrap_or_default();
+        let mission = mission_settings::read(&mut self.findings, &keys, &init, handshake);
+        Some(FleetRobot { simulation, limits, mission, ..FleetRobot::new(id, address?, Some(init)) })
     }
 
     /// What the robot itself has as its id, where that differs from its name here.
@@ -276,27 +275,6 @@ impl FleetReader {
             self.findings.add(Code::WrongType, at.place(), wrong.to_string(), expected, None);
         }
         id.ok()
-    }
-
-    /// Where robots are asked, they say for themselves what they understand.
-    fn encoding(
-        &mut self,
-        at: &At<'_>,
-        init: &InitializationBlock,
-        handshake: Handshake,
-    ) -> Option<Encoding> {
-        let words = [Encoding::Json, Encoding::MessagePack].map(|encoding| (encoding.as_str(), encoding));
-        let encoding = self.findings.word(at, &words)?;
-        if handshake == Handshake::Skip && !init.understands(encoding) {
-            self.findings.add(
-                Code::InitializationBlock,
-                at.place(),
-                format!("the robot does not list the encoding `{encoding}`"),
-                format!("`json`, or `encodings: [{encoding}]` in its initialization block"),
-                Some("with `handshake: skip` the file alone says what it understands".to_owned()),
-            );
-        }
-        Some(encoding)
     }
 
     fn limits(&mut self, at: &At<'_>, init: &InitializationBlock) -> BTreeMap<String, RateLimits> {
@@ -318,37 +296,6 @@ impl FleetReader {
             limits.insert(device.to_owned(), rates);
         }
         limits
-    }
-
-    /// `{battery: above 30}`, or `{battery: {within: [20, 80]}}`.
-    fn require(&mut self, at: &At<'_>, init: &InitializationBlock) -> Vec<(DeviceId, SensorRange)> {
-        let mut required = Vec::new();
-        for (name, at) in self.findings.entries(at, "sensor to what it has to read") {
-            let range = self.range(&at);
-            let sensor = self.sensor(name, &at, init);
-            required.extend(sensor.zip(range));
-        }
-        required
-    }
-
-    fn range(&mut self, at: &At<'_>) -> Option<SensorRange> {
-        let expected = "`above` or `below` with a number, or {within: [least, largest]}";
-        if let Node::Map(_) = at.node {
-            let [above, below, within] = self.findings.map(at, "the readings", RANGE_KEYS, &[])?;
-            return acts::sensor_range(&mut self.findings, at, [above, below, within]);
-        }
-        let text = self.findings.text(at, expected)?;
-        let words: Vec<&str> = text.split_whitespace().collect();
-        let range = match words.as_slice() {
-            ["above", bound] => bound.parse().ok().map(SensorRange::Above),
-            ["below", bound] => bound.parse().ok().map(SensorRange::Below),
-            _ => None,
-        };
-        if range.is_none() {
-            let message = format!("`{}` is not a range of readings", node::shortened(&text));
-            self.findings.add(Code::UnknownWord, at.place(), message, expected, None);
-        }
-        range
     }
 
     fn address(&mut self, at: &At<'_>) -> Option<Address> {
@@ -424,8 +371,7 @@ impl FleetReader {
             };
         }
         settings.delay = delay.and_then(|at| delay_range(findings, &at));
-        let words = [("refuse", Fault::Refuse), ("silent", Fault::Silent), ("disconnect", Fault::Disconnect)];
-        settings.fault = fault.and_then(|at| findings.word(&at, &words));
+        settings.fault = fault.and_then(|at| findings.word(&at, &FAULT_WORDS));
         settings.readings = readings.map(|at| self.readings(&at, init)).unwrap_or_default();
         settings
     }
@@ -435,24 +381,10 @@ impl FleetReader {
         let mut readings = Vec::new();
         for (name, at) in self.findings.entries(at, "sensor to what it reads") {
             let reading = self.findings.number(&at, "a number, in the unit of the sensor");
-            let sensor = self.sensor(name, &at, init);
+            let sensor = sensor(&mut self.findings, name, &at, init);
             readings.extend(sensor.zip(reading));
         }
         readings
-    }
-
-    /// A sensor of the robot, or a finding where the name stands.
-    fn sensor(&mut self, name: &str, at: &At<'_>, init: &InitializationBlock) -> Option<DeviceId> {
-        let is_sensor = |device: &&Device| device.available_control_types.sensor().is_some();
-        let sensors = || init.devices.iter().filter(is_sensor).map(|device| device.id.as_str());
-        let found = init.device(name).filter(is_sensor).map(|device| device.id.clone());
-        if found.is_none() {
-            let message = format!("the robot has no sensor `{}`", node::shortened(name));
-            let expected = crate::finding::one_of(sensors());
-            let hint = crate::finding::did_you_mean(name, sensors());
-            self.findings.add(Code::UnknownSensor, at.key_place(), message, expected, hint);
-        }
-        found
     }
 
     fn groups(&mut self, at: &At<'_>, named: &HashSet<&str>, fleet: &mut Fleet) {
@@ -477,6 +409,20 @@ impl FleetReader {
             fleet.groups.insert(name.to_owned(), members);
         }
     }
+}
+
+/// A sensor of the robot, or a finding where the name stands.
+fn sensor(findings: &mut Reader, name: &str, at: &At<'_>, init: &InitializationBlock) -> Option<DeviceId> {
+    let is_sensor = |device: &&Device| device.available_control_types.sensor().is_some();
+    let sensors = || init.devices.iter().filter(is_sensor).map(|device| device.id.as_str());
+    let found = init.device(name).filter(is_sensor).map(|device| device.id.clone());
+    if found.is_none() {
+        let message = format!("the robot has no sensor `{}`", node::shortened(name));
+        let expected = crate::finding::one_of(sensors());
+        let hint = crate::finding::did_you_mean(name, sensors());
+        findings.add(Code::UnknownSensor, at.key_place(), message, expected, hint);
+    }
+    found
 }
 
 /// Robots that are reached at one place, or call themselves by one id, cannot be told from each other.

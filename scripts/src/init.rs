@@ -15,8 +15,6 @@ use crate::locate::locate;
 use crate::node::{self, Node};
 use crate::source::Source;
 
-#[cfg(test)]
-pub(crate) use self::supplement::DEVICE_KEYS;
 pub(crate) use self::supplement::{Supplement, read as read_supplements};
 
 /// What a description is, for messages.

@@ -30,6 +30,9 @@ mod fleet;
 mod identify;
 pub mod import;
 mod init;
+mod keys;
+#[cfg(test)]
+mod known;
 mod locate;
 mod motion;
 mod music;
@@ -56,7 +59,8 @@ pub use duration::parse_duration;
 pub use files::{Files, Folder, NoFiles};
 pub use finding::{Code, Finding, Related, Severity, did_you_mean};
 pub use fleet::{
-    Fault, Fleet, FleetRobot, Handshake, RateLimits, RobotClock, SimulationSettings, read_fleet,
+    ClockMode, Fault, Fleet, FleetRobot, Handshake, MissionSettings, RateLimits, Requirement,
+    SimulationSettings, read_fleet,
 };
 pub use init::{init_of, init_text, read_init};
 pub use plan::{

@@ -3,7 +3,7 @@
 use proptest::prelude::*;
 
 use crate::scenario::CUE_KEYS;
-use crate::{Address, Code, Fleet, FleetRobot, SimulationSettings, Source, compile};
+use crate::{Address, Code, Fleet, FleetRobot, Source, compile};
 
 const BLOCK: &str = r#"{"id": "arm", "api_version": "1", "devices": [
   {"id": "d", "name": "d", "interpolation": "linear", "available_control_types": {
@@ -21,17 +21,7 @@ cues:
 /// A simulated robot of [`BLOCK`].
 pub(crate) fn robot() -> FleetRobot {
     let init: urrcp::InitializationBlock = serde_json::from_str(BLOCK).unwrap();
-    FleetRobot {
-        id: init.id.clone(),
-        address: Address::Simulated,
-        init: Some(init),
-        simulation: SimulationSettings::default(),
-        limits: std::collections::BTreeMap::new(),
-        clock: crate::fleet::RobotClock::Ntp,
-        wake_up: crate::fleet::WAKE_UP,
-        require: Vec::new(),
-        encoding: Default::default(),
-    }
+    FleetRobot::new(init.id.clone(), Address::Simulated, Some(init))
 }
 
 fn fleet() -> Fleet {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use downbeat_robot::HostOptions;
 use downbeat_robot::driver::describe_thrift;
-use downbeat_scripts::{Address, Fleet, FleetRobot, RobotClock, Source, address_fault, init_of, init_text};
+use downbeat_scripts::{Address, ClockMode, Fleet, FleetRobot, Source, address_fault, init_of, init_text};
 use serde::Serialize;
 use tokio::sync::mpsc;
 use urrcp::{
@@ -141,7 +141,7 @@ fn wrong_with(answer: &Answer, robot: &FleetRobot, tolerance: Option<Span>) -> O
         return Some(format!("another robot: it calls itself `{}`, expected `{expected}`", block.id));
     }
     let (reading, tolerance) = (answer.clock.as_ref()?, tolerance?);
-    let off = robot.clock == RobotClock::Ntp && reading.offset.abs() - reading.uncertainty > tolerance;
+    let off = robot.mission.clock == ClockMode::Ntp && reading.offset.abs() - reading.uncertainty > tolerance;
     off.then(|| format!("clock off by more than {tolerance}: check its NTP"))
 }
 

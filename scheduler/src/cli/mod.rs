@@ -12,6 +12,8 @@ mod completions;
 mod conformance;
 mod console;
 mod detach;
+#[cfg(test)]
+mod documented;
 mod dry_run;
 mod edge;
 mod explain;
@@ -33,6 +35,9 @@ mod schema;
 mod sim;
 mod stop;
 mod withdraw;
+
+#[cfg(test)]
+pub(crate) use withdraw::InsideWhat;
 
 use std::io::Write;
 use std::path::PathBuf;
@@ -147,6 +152,7 @@ pub struct ScenarioArgs {
 
 /// How a command ended, as scripts see it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(test, derive(strum::VariantNames))]
 pub enum Exit {
     /// All went well.
     Done = 0,
@@ -168,18 +174,21 @@ pub enum Exit {
 }
 
 impl Exit {
+    /// All, in the order of their codes.
+    const ALL: [Self; 8] = [
+        Self::Done,
+        Self::Failed,
+        Self::Usage,
+        Self::Stopped,
+        Self::Unconfirmed,
+        Self::DoneWithout,
+        Self::Uncertain,
+        Self::Unwritten,
+    ];
+
     /// What another process of this program ended with.
-    const fn of_code(code: i32) -> Self {
-        match code {
-            0 => Self::Done,
-            2 => Self::Usage,
-            3 => Self::Stopped,
-            4 => Self::Unconfirmed,
-            5 => Self::DoneWithout,
-            6 => Self::Uncertain,
-            7 => Self::Unwritten,
-            _ => Self::Failed,
-        }
+    fn of_code(code: i32) -> Self {
+        Self::ALL.into_iter().find(|exit| *exit as i32 == code).unwrap_or(Self::Failed)
     }
 }
 

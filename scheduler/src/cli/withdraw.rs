@@ -4,10 +4,10 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use downbeat_robot::HostOptions;
-use downbeat_scripts::{Address, FleetRobot, Handshake, RobotClock, counted};
+use downbeat_scripts::{Address, FleetRobot, Handshake, counted};
 use serde::Serialize;
 use tokio::sync::mpsc;
-use urrcp::{Encoding, RobotId, Server, Span, Timestamp};
+use urrcp::{RobotId, Server, Span, Timestamp};
 
 use super::live::Live;
 use super::run::{listen, stop_lane, utc_offset};
@@ -102,7 +102,8 @@ pub(super) struct Inside {
 /// What ran in the scheduler's process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum InsideWhat {
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
+pub(crate) enum InsideWhat {
     /// A simulated robot: it ended, or stands still, with the process.
     Simulated,
     /// A driver of hardware.
@@ -264,17 +265,7 @@ pub(super) fn started_in(folder: Option<&Path>, address: Address) -> Address {
 
 /// As much of it as a stop needs. Every robot understands JSON.
 fn fleet_robot(opened: &OpenedRobot, address: Address) -> FleetRobot {
-    FleetRobot {
-        id: opened.robot.clone(),
-        address,
-        init: opened.init.clone(),
-        simulation: downbeat_scripts::SimulationSettings::default(),
-        limits: std::collections::BTreeMap::new(),
-        clock: RobotClock::Ntp,
-        wake_up: Span::ZERO,
-        require: Vec::new(),
-        encoding: Encoding::Json,
-    }
+    FleetRobot::new(opened.robot.clone(), address, opened.init.clone())
 }
 
 /// A mission of which a robot may still move has not ended: it can be stopped again.

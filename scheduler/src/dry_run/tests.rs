@@ -212,7 +212,9 @@ fn a_robot_without_ntp_starts_with_the_others_when_its_clock_is_measured() {
     let participant = |id| {
         let clock =
             if id == 1 { crate::mission::ClockMode::Measured } else { crate::mission::ClockMode::Ntp };
-        Participant { clock, ..Participant::new(block(id).id, Some(block(id))) }
+        let mut participant = Participant::new(block(id).id, Some(block(id)));
+        participant.settings.clock = clock;
+        participant
     };
     let participants = (0..2).map(participant).collect();
     let mission = Mission::of_plan(plan(2), participants, MissionOptions::default(), BEGIN).unwrap();

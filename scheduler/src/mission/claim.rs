@@ -13,6 +13,7 @@ const GRAIN: Span = Span::from_millis(20);
 /// Something that a robot says of a script and that cannot be true.
 #[derive(Clone, Debug, PartialEq, Serialize, thiserror::Error)]
 #[serde(tag = "claim", rename_all = "snake_case")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Claim {
     /// More steps than the script has.
     #[error("{claimed} steps done, of {planned} planned")]

@@ -108,6 +108,7 @@ pub enum Action {
 /// What an operator wants to know while the mission goes on.
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "progress", rename_all = "snake_case")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 #[non_exhaustive]
 pub enum Progress {
     /// All links stand.

@@ -61,13 +61,34 @@ pub struct ActRobot {
     pub devices: Vec<DeviceReport>,
 }
 
+/// How far a script came, as far as the scheduler knows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
+pub enum DeviceState {
+    /// It was not sent.
+    Planned,
+    /// It was sent, and the robot has not answered.
+    Sent,
+    /// The robot holds it, and has not started it.
+    Accepted,
+    /// It has started.
+    Started,
+    /// All its steps were done.
+    Ended,
+    /// It was refused or ended early.
+    Failed,
+    /// It was sent, and nobody knows what became of it.
+    Unknown,
+}
+
 /// What one script of a device did.
 #[derive(Clone, Debug, Serialize)]
 pub struct DeviceReport {
     /// Which device.
     pub device: DeviceId,
-    /// `planned`, `sent`, `accepted`, `started`, `ended`, `failed` or `unknown`.
-    pub state: &'static str,
+    /// How far it came.
+    pub state: DeviceState,
     /// Planned start of its script.
     pub planned_start: Option<Timestamp<Server>>,
     /// From there to its first step.
@@ -136,14 +157,14 @@ fn device_report(act: &Act, member: &Member, script: &Script) -> DeviceReport {
     DeviceReport {
         device: script.plan.device.clone(),
         state: match script.state() {
-            ScriptState::Planned if script.is_unaccounted() => "unknown",
-            ScriptState::Planned => "planned",
-            ScriptState::Sent => "sent",
-            ScriptState::Held => "accepted",
-            ScriptState::Running => "started",
-            ScriptState::Ended(Ending::Completed) => "ended",
-            ScriptState::Ended(Ending::Failed(_)) => "failed",
-            ScriptState::Unknown => "unknown",
+            ScriptState::Planned if script.is_unaccounted() => DeviceState::Unknown,
+            ScriptState::Planned => DeviceState::Planned,
+            ScriptState::Sent => DeviceState::Sent,
+            ScriptState::Held => DeviceState::Accepted,
+            ScriptState::Running => DeviceState::Started,
+            ScriptState::Ended(Ending::Completed) => DeviceState::Ended,
+            ScriptState::Ended(Ending::Failed(_)) => DeviceState::Failed,
+            ScriptState::Unknown => DeviceState::Unknown,
         },
         planned_start: act.timing().map(|timing| timing.start + script.plan.start.span()),
         first_step: script.plan.script.steps().first().map_or(Span::ZERO, |step| step.offset.span()),

@@ -11,6 +11,7 @@ use super::act::Act;
 /// What became of an act of the scenario. Of one that came several times the last time counts.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "fate")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum ActFate {
     /// The mission did not come to it.
     #[default]

@@ -27,8 +27,8 @@ const SAMPLING_INTERVAL: Span = Span::from_millis(20);
 impl Mission {
     pub(super) fn greet(&mut self, now: Timestamp<Server>, robot: usize) {
         self.ask_availability(now, robot);
-        for index in 0..self.robots[robot].requires.len() {
-            let sensor = self.robots[robot].requires[index].sensor.clone();
+        for index in 0..self.robots[robot].settings.require.len() {
+            let sensor = self.robots[robot].settings.require[index].sensor.clone();
             self.read(now, robot, sensor, Reading::Requirement(index));
         }
     }
@@ -92,13 +92,13 @@ impl Mission {
     fn unfit(&self, robot: usize, block: &InitializationBlock) -> Vec<String> {
         let state = &self.robots[robot];
         let mut reasons = Vec::new();
-        if !block.understands(state.encoding) {
+        if !block.understands(state.settings.encoding) {
             let listed: Vec<_> = block.encodings.iter().map(|listed| format!("`{listed}`")).collect();
             let listed = if listed.is_empty() { "none".to_owned() } else { listed.join(", ") };
             reasons.push(format!(
                 "it lists no encoding `{}` (beside JSON: {listed}), expected as the fleet file says; \
                  there, `encoding: json` is understood by every robot",
-                state.encoding
+                state.settings.encoding
             ));
         }
         let plans = self.choreography.acts.iter().flat_map(|act| &act.plan.robots);
@@ -200,7 +200,7 @@ impl Mission {
         let preflight = preflight::table(self, now);
         self.preflight = Some(preflight.clone());
         let failed = self.robots.iter().any(RobotState::has_failed);
-        let follows = |robot: &&RobotState| robot.clock_mode == ClockMode::Ntp && !failed;
+        let follows = |robot: &&RobotState| robot.settings.clock == ClockMode::Ntp && !failed;
         let offsets = self.robots.iter().filter(follows).filter_map(|robot| robot.clock.reading());
         let clock_offset_max = offsets.map(|reading| reading.offset.abs()).max();
         self.tell(Progress::Greeted { clock_offset_max, preflight });
@@ -273,7 +273,7 @@ impl Mission {
         let tolerance = self.choreography.acts[self.options.first_act].plan.start_tolerance;
         for index in 0..self.robots.len() {
             let robot = &self.robots[index];
-            let Some(reading) = robot.clock_at(now).filter(|_| robot.clock_mode == ClockMode::Ntp) else {
+            let Some(reading) = robot.clock_at(now).filter(|_| robot.settings.clock == ClockMode::Ntp) else {
                 continue;
             };
             let uncertainty = reading.uncertainty + self.options.server_uncertainty;
@@ -299,7 +299,7 @@ impl Mission {
             if robot.standing != Standing::In || self.options.greeting == Greeting::Skip {
                 continue;
             }
-            let short = robot.requires.iter().zip(&robot.readings).filter(|(required, reading)| {
+            let short = robot.settings.require.iter().zip(&robot.readings).filter(|(required, reading)| {
                 !reading.is_some_and(|reading| required.range.contains(reading))
             });
             let short: Vec<_> = short
@@ -406,9 +406,9 @@ const SHOWN_MAX: usize = 64;
 /// Devices that give readings which nothing depends on.
 fn others_that_read(robot: &RobotState, block: &InitializationBlock, read: &[DeviceId]) -> Vec<DeviceId> {
     let sensors = block.devices.iter().filter(|device| device.available_control_types.sensor().is_some());
-    let others = sensors
-        .map(|device| &device.id)
-        .filter(|id| !read.contains(id) && !robot.requires.iter().any(|required| required.sensor == **id));
+    let others = sensors.map(|device| &device.id).filter(|id| {
+        !read.contains(id) && !robot.settings.require.iter().any(|required| required.sensor == **id)
+    });
     others.take(SHOWN_MAX).cloned().collect()
 }
 

@@ -46,12 +46,13 @@ use urrcp::{ControlError, ErrorCode, Message, RobotId, Server, Span, Timestamp};
 
 pub(crate) use act::next_time_of_day;
 pub use claim::Claim;
+pub use downbeat_scripts::{ClockMode, MissionSettings, Requirement};
 pub use events::{Action, Event, Loss, Progress, TakenReading};
-pub use facts::{ActReport, ActRobot, DeviceReport};
+pub use facts::{ActReport, ActRobot, DeviceReport, DeviceState};
 pub use failure_kind::{Failure, FailureKind};
 pub use fates::{ActCourse, ActFate};
 pub use lead::{LEAD_MARGIN_MIN, LeadTime};
-pub use options::{ClockMode, Greeting, Join, MissionOptions, Participant, Requirement};
+pub use options::{Greeting, Join, MissionOptions, Participant};
 pub use outcome::Outcome;
 pub use preflight::{Check, DeviceReading, Preflight, PreflightRow, Verdict};
 pub use record::{ActFlaws, OutOfTolerance, Promise, PromisedScript, Record};

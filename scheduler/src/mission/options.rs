@@ -1,28 +1,8 @@
 //! Who takes part in a mission, and what the operator chose.
 
-use downbeat_scripts::SensorRange;
+use downbeat_scripts::MissionSettings;
 use serde::{Deserialize, Serialize};
-use urrcp::{DeviceId, Encoding, InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
-
-/// How a robot's time is brought to agree with the server's.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-#[serde(rename_all = "snake_case")]
-pub enum ClockMode {
-    /// Both follow NTP; measurements only verify that.
-    #[default]
-    Ntp,
-    /// The robot has no NTP: what it is sent is translated into its own time.
-    Measured,
-}
-
-/// What a sensor has to read before a mission.
-#[derive(Clone, Debug, PartialEq, Serialize)]
-pub struct Requirement {
-    /// Which sensor.
-    pub sensor: DeviceId,
-    /// Which readings will do.
-    pub range: SensorRange,
-}
+use urrcp::{InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
 /// A robot that takes part, by its index in the mission from here on.
 #[derive(Clone, Debug)]
@@ -31,22 +11,15 @@ pub struct Participant {
     pub id: RobotId,
     /// Its static description, if the fleet file gives one, with the id by which it has to call itself.
     pub block: Option<InitializationBlock>,
-    /// How its time is brought to agree with the server's.
-    pub clock: ClockMode,
-    /// How late it may wake up for a start.
-    pub wake_up: Span,
-    /// What it has to understand.
-    pub encoding: Encoding,
-    /// What its sensors have to read before the mission.
-    pub requires: Vec<Requirement>,
+    /// What the fleet file says of it.
+    pub settings: MissionSettings,
 }
 
 impl Participant {
-    /// A robot of which nothing but this is known.
+    /// A robot of which nothing but this is known, and that wakes up for a start on time.
     #[must_use]
-    pub const fn new(id: RobotId, block: Option<InitializationBlock>) -> Self {
-        let (clock, encoding) = (ClockMode::Ntp, Encoding::Json);
-        Self { id, block, clock, wake_up: Span::ZERO, encoding, requires: Vec::new() }
+    pub fn new(id: RobotId, block: Option<InitializationBlock>) -> Self {
+        Self { id, block, settings: MissionSettings { wake_up: Span::ZERO, ..MissionSettings::default() } }
     }
 
     /// What the robot has to call itself.
@@ -59,6 +32,7 @@ impl Participant {
 /// Whether steps 1 to 4 of the protocol are played.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Greeting {
     /// Ask every robot for its availability, clock and initialization block.
     Full,
@@ -69,6 +43,7 @@ pub enum Greeting {
 /// What becomes of a robot that is not there when the mission begins.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Join {
     /// Nothing starts without it.
     #[default]

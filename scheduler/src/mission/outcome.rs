@@ -10,6 +10,7 @@ use super::LeadTime;
 /// How a mission ended.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 #[non_exhaustive]
 pub enum Outcome {
     /// All robots started together and came to their end.

@@ -10,6 +10,7 @@ use super::{ClockMode, Greeting, Mission};
 /// What is checked.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Check {
     /// It is reached.
     Link,
@@ -65,6 +66,7 @@ impl Check {
 /// What a check said.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 #[serde(tag = "verdict", content = "detail", rename_all = "snake_case")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Verdict {
     /// Well, and what was seen.
     Pass(String),
@@ -137,7 +139,7 @@ fn readings(mission: &Mission, index: usize) -> Vec<DeviceReading> {
         DeviceReading { device, reading, unit, expected }
     };
     let asked = mission.options.greeting == Greeting::Full;
-    let required = robot.requires.iter().zip(&robot.readings).filter(|_| asked);
+    let required = robot.settings.require.iter().zip(&robot.readings).filter(|_| asked);
     let required =
         required.map(|(required, reading)| row(&required.sensor, *reading, Some(required.range.to_string())));
     let stands = robot.positions.iter().map(|(device, reading)| {
@@ -190,12 +192,12 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
             true => Verdict::Pass("ours".to_owned()),
             false => Verdict::NotChecked,
         },
-        Check::Sensors => match robot.requires.len() {
+        Check::Sensors => match robot.settings.require.len() {
             0 => Verdict::NotChecked,
             _ if !greeted || robot.readings.iter().any(Option::is_none) => Verdict::NotChecked,
             _ => {
                 let readings =
-                    robot.requires.iter().zip(&robot.readings).filter_map(|(required, reading)| {
+                    robot.settings.require.iter().zip(&robot.readings).filter_map(|(required, reading)| {
                         Some(format!("{} {}", required.sensor, (*reading)?))
                     });
                 Verdict::Pass(readings.collect::<Vec<_>>().join(", "))
@@ -208,7 +210,7 @@ fn clock(robot: &RobotState, now: Timestamp<Server>) -> Verdict {
     match robot.clock_at(now) {
         None => Verdict::NotChecked,
         Some(reading) => {
-            let measured = if robot.clock_mode == ClockMode::Measured { ", measured" } else { "" };
+            let measured = if robot.settings.clock == ClockMode::Measured { ", measured" } else { "" };
             Verdict::Pass(format!("{} ±{} ms{measured}", ms(reading.offset), ms(reading.uncertainty)))
         }
     }

@@ -110,7 +110,7 @@ impl Mission {
         let full = self.options.greeting == Greeting::Full;
         let unknown = |robot: &usize| {
             let robot = &self.robots[*robot];
-            robot.clock.samples() == 0 && (full || robot.clock_mode == ClockMode::Measured)
+            robot.clock.samples() == 0 && (full || robot.settings.clock == ClockMode::Measured)
         };
         act.present().map(|member| member.robot).filter(unknown).collect()
     }
@@ -227,7 +227,7 @@ impl Mission {
         let played = self.acts[..index].iter().filter_map(|before| before.lease_with(act)).min();
         let timing = Timing { skew, slowest: need.slowest, gap, played, ..timing };
         let shift_of = |robot: &RobotState| {
-            let measured = robot.clock_at(now).filter(|_| robot.clock_mode == ClockMode::Measured);
+            let measured = robot.clock_at(now).filter(|_| robot.settings.clock == ClockMode::Measured);
             measured.map_or(Span::ZERO, |reading| reading.offset)
         };
         let session = self.options.session.as_ref();
@@ -251,8 +251,10 @@ impl Mission {
             let robot = &self.robots[member.robot];
             let plays = |other: &Act| other.number() != act.number() && other.member(member.robot).is_some();
             let playing = self.acts.iter().any(plays);
-            let offset =
-                robot.clock_at(now).filter(|_| playing && robot.clock_mode == ClockMode::Measured)?.offset;
+            let offset = robot
+                .clock_at(now)
+                .filter(|_| playing && robot.settings.clock == ClockMode::Measured)?
+                .offset;
             Some(robot.shift - offset)
         };
         act.present().filter_map(earlier).max().unwrap_or(Span::ZERO).max(Span::ZERO)

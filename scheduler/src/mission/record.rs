@@ -8,6 +8,7 @@ use super::{ActReport, Outcome, Rest};
 /// A line of the journal.
 #[derive(Clone, Debug, Serialize)]
 #[serde(tag = "record", rename_all = "snake_case")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum Record {
     /// The mission has begun.
     Begun,

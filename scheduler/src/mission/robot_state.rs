@@ -4,13 +4,13 @@ use std::collections::{BTreeSet, HashMap, VecDeque};
 
 use serde::{Deserialize, Serialize};
 use urrcp::{
-    ControlError, ControlResponse, DeviceId, Encoding, ErrorCode, InitializationBlock, Message, RequestId,
-    Robot, RobotId, Server, Span, Status, Timestamp,
+    ControlError, ControlResponse, DeviceId, ErrorCode, InitializationBlock, Message, RequestId, Robot,
+    RobotId, Server, Span, Status, Timestamp,
 };
 
 use super::failure_kind::{Failure, FailureKind};
 use super::script::ScriptRef;
-use super::{ClockMode, Loss, Participant, Requirement};
+use super::{Loss, MissionSettings, Participant};
 use crate::clock::{ClockEstimate, ClockReading};
 
 /// The state of a robot's link.
@@ -43,6 +43,7 @@ pub(crate) struct Lost {
 
 /// Whether a robot takes part.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub(crate) enum Standing {
     In,
     /// Not there when the mission began; may join at the next act.
@@ -189,9 +190,8 @@ pub(crate) struct RobotState {
     pub(crate) block: Option<InitializationBlock>,
     /// The robot has given its own block in this mission.
     pub(crate) introduced: bool,
-    pub(crate) clock_mode: ClockMode,
-    pub(crate) wake_up: Span,
-    pub(crate) encoding: Encoding,
+    /// What the fleet file says of it.
+    pub(crate) settings: MissionSettings,
     /// What was last added to a timestamp so that it is right by its own clock.
     pub(crate) shift: Span,
     pub(crate) clock: ClockEstimate,
@@ -202,8 +202,7 @@ pub(crate) struct RobotState {
     heard_at: Option<Timestamp<Server>>,
     /// When a question last reached it that it has answered, by its own clock.
     reached_at: Option<Timestamp<Robot>>,
-    pub(crate) requires: Vec<Requirement>,
-    /// Of `requires`, in its order.
+    /// Of `settings.require`, in its order.
     pub(crate) readings: Vec<Option<f64>>,
     /// Where devices stood before the first act.
     pub(crate) positions: Vec<(DeviceId, f64)>,
@@ -242,17 +241,14 @@ impl RobotState {
             standing: Standing::In,
             block: participant.block,
             introduced: false,
-            clock_mode: participant.clock,
-            wake_up: participant.wake_up,
-            encoding: participant.encoding,
             shift: Span::ZERO,
             clock: ClockEstimate::default(),
             questions: Questions::default(),
             told_at: None,
             heard_at: None,
             reached_at: None,
-            readings: vec![None; participant.requires.len()],
-            requires: participant.requires,
+            readings: vec![None; participant.settings.require.len()],
+            settings: participant.settings,
             positions: Vec::new(),
             shown: Vec::new(),
             reads: HashMap::new(),

@@ -103,11 +103,11 @@ impl SkewBudget {
         let skew = |member: &Member| {
             let robot = &robots[member.robot];
             let reading = robot.clock_at(at)?;
-            let offset = match robot.clock_mode {
+            let offset = match robot.settings.clock {
                 ClockMode::Ntp => reading.offset,
                 ClockMode::Measured => strayed(member, reading.offset),
             };
-            let (robot, wake_up) = (robot.id.clone(), robot.wake_up);
+            let (robot, wake_up) = (robot.id.clone(), robot.settings.wake_up);
             Some(RobotSkew { robot, offset, uncertainty: reading.uncertainty, wake_up })
         };
         let robots: Option<Vec<_>> = members.map(skew).collect();
@@ -210,7 +210,7 @@ mod tests {
             let instant = at(10).assume_clock();
             robot.clock.add(ClockSample::from_exchange(at(9), instant, instant, at(11)));
         }
-        robots[1].clock_mode = ClockMode::Measured;
+        robots[1].settings.clock = ClockMode::Measured;
         let members = crate::mission::act::members(&choreography.acts[0].plan, &robots);
         let budget = |start| SkewBudget::ahead(members.iter(), &robots, ms(60), (at(11), start)).unwrap();
         let (now, later) = (budget(at(11)), budget(at(2_011)));

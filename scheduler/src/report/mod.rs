@@ -1,6 +1,8 @@
 //! What really happened: for people (`text`), for machines (serde), in a picture (`picture`).
 
 mod course;
+#[cfg(test)]
+mod kinds;
 pub mod local;
 pub mod picture;
 pub mod table;
@@ -13,7 +15,7 @@ use urrcp::{RobotId, Server, SessionId, Span, Timestamp};
 
 use crate::clock::ClockReading;
 use crate::mission::robot_state::{Rest, RobotState, SentStop, Standing, Stop};
-pub use crate::mission::{ActCourse, ActFate, ActReport, ActRobot, DeviceReport, Outcome};
+pub use crate::mission::{ActCourse, ActFate, ActReport, ActRobot, DeviceReport, DeviceState, Outcome};
 use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight};
 use crate::recording::Recorded;
 use crate::server_clock::NtpState;
@@ -118,6 +120,7 @@ pub struct RobotReport {
 /// What became of the stop of a robot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[serde(rename_all = "snake_case", tag = "state")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum StopState {
     /// None was sent.
     NotSent,
@@ -207,7 +210,7 @@ fn robot_report(robot: &RobotState) -> RobotReport {
         unaccounted: totals.unaccounted,
         retries: totals.retries,
         reconnects: totals.reconnects,
-        clock_mode: robot.clock_mode,
+        clock_mode: robot.settings.clock,
         clock: robot.clock.reading(),
         stop: stop_state(robot),
     }

@@ -72,23 +72,17 @@ pub(super) fn block(
         }
     }
     let (id, api_version) = (id?, api_version?);
-    let block = InitializationBlock {
-        id,
-        name,
-        robot_type,
-        manufacture,
-        version,
-        api_version,
-        reports: true,
-        encodings: Vec::new(),
-        inquiry: true,
-        devices,
+    let described = |block| {
+        let (reports, inquiry) = (true, true);
+        InitializationBlock { name, robot_type, manufacture, version, api_version, reports, inquiry, ..block }
     };
-    // Once through the wire's own checks, which count the devices and know ids that are there twice.
-    match serde_json::to_value(&block).and_then(serde_json::from_value) {
+    let block = InitializationBlock::new(id, devices).map(described).map_err(|error| error.to_string());
+    // Once through the wire's own checks, which look at every device.
+    let through = |block| serde_json::to_value(&block).and_then(serde_json::from_value);
+    match block.and_then(|block: InitializationBlock| through(block).map_err(|error| error.to_string())) {
         Ok(block) => Some(block),
         Err(error) => {
-            invalid(findings, root, &error.to_string());
+            invalid(findings, root, &error);
             None
         }
     }

@@ -4,20 +4,16 @@ use urrcp::{ControlType, Interpolation};
 
 use crate::fields::{At, Reader};
 use crate::finding::{Code, did_you_mean, one_of};
+use crate::keys::keys;
 use crate::node::shortened;
 
-pub(crate) const DEVICE_KEYS: [&str; 10] = [
-    "control_type",
-    "granularity",
-    "unit",
-    "max_number_of_steps",
-    "interpolation",
-    "min_value",
-    "max_value",
-    "default_value",
-    "max_error",
-    "script_queue",
-];
+keys! {
+    /// What is said of one device.
+    DeviceKeys, DEVICE_KEYS {
+        control_type, granularity, unit, max_number_of_steps, interpolation, min_value, max_value, default_value,
+        max_error, script_queue,
+    }
+}
 
 /// What is added to one device.
 #[derive(Clone, Debug, Default)]
@@ -57,8 +53,7 @@ pub(crate) fn read(findings: &mut Reader, at: &At<'_>, known: &[&str]) -> Vec<(S
 }
 
 fn one(findings: &mut Reader, at: &At<'_>) -> Option<Supplement> {
-    let [control_type, granularity, unit, steps, interpolation, min, max, default, error, queue] =
-        findings.map(at, "the device", DEVICE_KEYS, &[])?;
+    let keys = DeviceKeys::of(findings.map(at, "the device", DEVICE_KEYS, &[])?);
     let types = [
         ("position", ControlType::Position),
         ("speed", ControlType::Speed),
@@ -67,19 +62,20 @@ fn one(findings: &mut Reader, at: &At<'_>) -> Option<Supplement> {
     let ways = [("hold", Interpolation::Hold), ("linear", Interpolation::Linear)];
     let mut number =
         |at: Option<At<'_>>| at.and_then(|at| findings.number(&at, "a number in the device's unit"));
-    let (min_value, max_value, default_value, max_error) =
-        (number(min), number(max), number(default), number(error));
+    let (min_value, max_value) = (number(keys.min_value), number(keys.max_value));
+    let (default_value, max_error) = (number(keys.default_value), number(keys.max_error));
     Some(Supplement {
-        control_type: control_type.and_then(|at| findings.word(&at, &types)),
-        granularity: granularity
+        control_type: keys.control_type.and_then(|at| findings.word(&at, &types)),
+        granularity: keys
+            .granularity
             .and_then(|at| findings.positive(&at, "a number above 0, in the device's unit")),
-        unit: unit.and_then(|at| findings.text(&at, "a unit such as deg").map(Into::into)),
-        max_number_of_steps: steps.and_then(|at| findings.count(&at, 1, u32::MAX)),
-        interpolation: interpolation.and_then(|at| findings.word(&at, &ways)),
+        unit: keys.unit.and_then(|at| findings.text(&at, "a unit such as deg").map(Into::into)),
+        max_number_of_steps: keys.max_number_of_steps.and_then(|at| findings.count(&at, 1, u32::MAX)),
+        interpolation: keys.interpolation.and_then(|at| findings.word(&at, &ways)),
         min_value,
         max_value,
         default_value,
         max_error,
-        script_queue: queue.and_then(|at| findings.count(&at, 1, u32::MAX)),
+        script_queue: keys.script_queue.and_then(|at| findings.count(&at, 1, u32::MAX)),
     })
 }

@@ -344,11 +344,6 @@ impl<'a> Actuator<'a> {
         let still = || knot.to == knots[index - 1].to && index + 1 < knots.len();
         match (knot.shape, self.interpolation) {
             (Shape::Meets, _) => Means::Own,
-            (Shape::Eased(Easing::Smooth | Easing::Cubic), _)
-            | (Shape::Eased(Easing::Linear), Interpolation::Hold) => match thinned {
-                true => Means::Joined,
-                false => Means::Alone,
-            },
             (Shape::Own | Shape::OwnReversed | Shape::Eased(Easing::Linear), Interpolation::Linear) => {
                 if thinned {
                     Means::Joined
@@ -366,6 +361,10 @@ impl<'a> Actuator<'a> {
             (Shape::Sampled(_), Interpolation::Linear) if still() => Means::Still,
             (Shape::Eased(Easing::Step), Interpolation::Linear) if thinned && still() => Means::Still,
             (Shape::Own | Shape::Eased(Easing::Step) | Shape::Sampled(Step), _) => Means::Jump,
+            (Shape::Eased(_), _) => match thinned {
+                true => Means::Joined,
+                false => Means::Alone,
+            },
             (Shape::OwnReversed | Shape::Early | Shape::Sampled(_), _) => Means::Early,
         }
     }

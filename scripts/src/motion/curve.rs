@@ -102,8 +102,11 @@ impl Shape {
 
     /// Whether devices need it to be fitted, more or less all of them.
     pub(crate) fn is_fitted(self) -> bool {
-        matches!(self, Self::Function { .. } | Self::Sampled(_))
-            || matches!(self, Self::Eased(Easing::Smooth | Easing::Cubic))
+        match self {
+            Self::Function { .. } | Self::Sampled(_) => true,
+            Self::Eased(easing) => !matches!(easing, Easing::Linear | Easing::Step),
+            Self::Own | Self::OwnReversed | Self::Early | Self::Meets => false,
+        }
     }
 
     fn reversed(self) -> Self {

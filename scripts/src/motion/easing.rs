@@ -45,3 +45,75 @@ impl Easing {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Values at 0, 1/4, 1/2, 3/4 and 1, the largest slope and the largest second derivative: by hand, from the formula of the
+    /// source.
+    const fn known(easing: Easing) -> ([f64; 5], f64, f64) {
+        match easing {
+            // `linear` of CSS (css-easing-1).
+            Easing::Linear => ([0.0, 0.25, 0.5, 0.75, 1.0], 1.0, 0.0),
+            // Flash and Hogan 1985, equation 1: speed 30 s^2 (1 - s)^2, acceleration 60 s (1 - s) (1 - 2 s).
+            Easing::Smooth => {
+                ([0.0, 53.0 / 512.0, 0.5, 459.0 / 512.0, 1.0], 15.0 / 8.0, 5.773_502_691_896_258)
+            }
+            // `smoothstep` of GLSL (8.3): slope 6 s (1 - s), second derivative 6 - 12 s.
+            Easing::Cubic => ([0.0, 5.0 / 32.0, 0.5, 27.0 / 32.0, 1.0], 1.5, 6.0),
+            // `step-end` of CSS; the keyframe itself sets the value at 1.
+            Easing::Step => ([0.0; 5], 0.0, 0.0),
+        }
+    }
+
+    #[test]
+    fn every_easing_but_the_step_is_its_own_mirror_image_as_a_movement_backwards_takes_it_to_be() {
+        for (word, easing) in Easing::WORDS.into_iter().filter(|(_, easing)| *easing != Easing::Step) {
+            for s in [0.0, 0.1, 0.25, 0.4, 0.5] {
+                let sum = easing.at(s) + easing.at(1.0 - s);
+                assert!((sum - 1.0).abs() < 1e-12, "{word}: `Shape::reversed` has to know its reverse");
+            }
+        }
+    }
+
+    const POINTS: u32 = 4_096;
+
+    /// The values at so many points between 0 and 1, and how far apart they are.
+    fn sampled(easing: Easing) -> (Vec<f64>, f64) {
+        let step = 1.0 / f64::from(POINTS);
+        ((0..=POINTS).map(|i| easing.at(f64::from(i) * step)).collect(), step)
+    }
+
+    #[test]
+    fn every_easing_has_the_values_of_its_formula() {
+        for (word, easing) in Easing::WORDS {
+            for (s, value) in [0.0, 0.25, 0.5, 0.75, 1.0].into_iter().zip(known(easing).0) {
+                assert!((easing.at(s) - value).abs() < 1e-12, "{word} at {s}: {}, not {value}", easing.at(s));
+            }
+        }
+    }
+
+    #[test]
+    fn the_largest_slope_of_every_easing_is_that_of_its_formula_and_of_its_values() {
+        for (word, easing) in Easing::WORDS {
+            let (_, slope, _) = known(easing);
+            assert!((easing.slope_max() - slope).abs() < 1e-12, "{word}: {}", easing.slope_max());
+            let (values, step) = sampled(easing);
+            let measured = values.windows(2).map(|two| ((two[1] - two[0]) / step).abs()).fold(0.0, f64::max);
+            assert!((measured - slope).abs() < 1e-3, "{word}: {measured} between its values");
+        }
+    }
+
+    #[test]
+    fn the_largest_curvature_of_every_easing_is_that_of_its_formula_and_of_its_values() {
+        for (word, easing) in Easing::WORDS {
+            let (_, _, curvature) = known(easing);
+            assert!((easing.curvature_max() - curvature).abs() < 1e-12, "{word}: {}", easing.curvature_max());
+            let (values, step) = sampled(easing);
+            let second = |three: &[f64]| ((three[0] - 2.0 * three[1] + three[2]) / (step * step)).abs();
+            let measured = values.windows(3).map(second).fold(0.0, f64::max);
+            assert!((measured - curvature).abs() < 5e-3, "{word}: {measured} between its values");
+        }
+    }
+}

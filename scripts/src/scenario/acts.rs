@@ -13,10 +13,9 @@ use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
 use crate::node::{Node, shortened};
 
-pub(crate) const ACT_KEYS: [&str; 10] =
+const ACT_KEYS: [&str; 10] =
     ["act", "cues", "wait", "next", "on_failure", "on_doubt", "zones", "order", "tempo", "signature"];
-pub(crate) const WAIT_KEYS: [&str; 8] =
-    ["for", "time", "sensor", "above", "below", "within", "timeout", "otherwise"];
+const WAIT_KEYS: [&str; 8] = ["for", "time", "sensor", "above", "below", "within", "timeout", "otherwise"];
 
 /// What holds where an act or cue says nothing.
 pub(super) struct Defaults<'a> {

@@ -41,7 +41,7 @@ pub(crate) const CUE_KEYS: [&str; 24] = [
     "tolerance",
     "read",
 ];
-pub(crate) const OVERRIDE_KEYS: [&str; 9] =
+const OVERRIDE_KEYS: [&str; 9] =
     ["move", "parameters", "tracks", "devices", "mirror", "scale", "reverse", "repeat", "delay"];
 
 pub(super) fn read(

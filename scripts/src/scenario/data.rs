@@ -8,7 +8,7 @@ use crate::finding::{Code, one_of};
 use crate::motion::{Between, Curve, Knot, Shape};
 use crate::node::{Node, shortened};
 
-pub(crate) const SAMPLES_KEYS: [&str; 6] = ["file", "time", "value", "time_unit", "scale", "ease"];
+const SAMPLES_KEYS: [&str; 6] = ["file", "time", "value", "time_unit", "scale", "ease"];
 const EASES: [(&str, Between); 2] = [("linear", Between::Linear), ("step", Between::Step)];
 
 /// Most faults of one file that are listed; the last says how many more there are.

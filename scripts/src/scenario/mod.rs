@@ -28,16 +28,12 @@ use crate::source::Source;
 
 pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
 pub(crate) use acts::{OnFailureRule, WrittenWait};
-pub(crate) use library::{Documents, SCENARIO_KEYS};
+#[cfg(test)]
+pub(crate) use cue::CUE_KEYS;
+pub(crate) use library::Documents;
+pub(crate) use library::SCENARIO_KEYS;
 pub(crate) use vectors::{Vector, Vectors};
 pub(crate) use when::{Anchor, Relation};
-#[cfg(test)]
-pub(crate) use {
-    acts::{ACT_KEYS, WAIT_KEYS},
-    cue::{CUE_KEYS, OVERRIDE_KEYS},
-    data::SAMPLES_KEYS,
-    track::{KEYFRAME_KEYS, TRACK_KEYS, TRAVEL_KEYS, WAVE_KEYS},
-};
 
 /// Largest allowed spread of starts where the scenario names none.
 const START_TOLERANCE: Span = Span::from_millis(10);

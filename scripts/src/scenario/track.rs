@@ -11,11 +11,11 @@ use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
 use crate::node::{self, Node};
 use crate::rows::{self, Rows, Width};
 
-pub(crate) const TRACK_KEYS: [&str; 9] =
+const TRACK_KEYS: [&str; 9] =
     ["control", "tolerance", "max_steps", "keyframes", "spline", "polynomial", "wave", "travel", "samples"];
-pub(crate) const WAVE_KEYS: [&str; 6] = ["amplitude", "frequency", "period", "phase", "center", "for"];
-pub(crate) const TRAVEL_KEYS: [&str; 4] = ["from", "speed", "acceleration", "for"];
-pub(crate) const KEYFRAME_KEYS: [&str; 3] = ["at", "to", "ease"];
+const WAVE_KEYS: [&str; 6] = ["amplitude", "frequency", "period", "phase", "center", "for"];
+const TRAVEL_KEYS: [&str; 4] = ["from", "speed", "acceleration", "for"];
+const KEYFRAME_KEYS: [&str; 3] = ["at", "to", "ease"];
 
 /// After this many cycles a wave gets a knot.
 const WAVE_CYCLES: f64 = 8.0;

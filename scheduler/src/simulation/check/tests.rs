@@ -232,7 +232,7 @@ fn a_report_that_claims_one_step_more_or_less_is_found() {
     finds('g', |ran| ran.report.as_mut().unwrap().robots[0].started += 1);
     finds('g', |ran| said(ran).steps_planned += 1);
     finds('g', |ran| said(ran).late_steps += 1);
-    finds('g', |ran| said(ran).state = "planned");
+    finds('g', |ran| said(ran).state = crate::mission::DeviceState::Planned);
     finds('g', |ran| {
         let robot = member(ran);
         ran.logs[robot].pop();

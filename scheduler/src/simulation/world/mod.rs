@@ -112,9 +112,10 @@ fn options(drawn: &Drawn) -> MissionOptions {
 }
 
 fn participants(drawn: &Drawn) -> Vec<Participant> {
-    let participant = |robot: &DrawnRobot| Participant {
-        clock: robot.clock,
-        ..Participant::new(robot.block.id.clone(), Some(robot.block.clone()))
+    let participant = |robot: &DrawnRobot| {
+        let mut participant = Participant::new(robot.block.id.clone(), Some(robot.block.clone()));
+        participant.settings.clock = robot.clock;
+        participant
     };
     drawn.robots.iter().map(participant).collect()
 }

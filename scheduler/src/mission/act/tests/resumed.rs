@@ -2,8 +2,8 @@
 
 use super::super::Reached;
 use super::*;
-use crate::mission::ActReport;
 use crate::mission::record::Promise;
+use crate::mission::{ActReport, DeviceState};
 
 fn promised(scripts: &[&[Planned]]) -> (Bench, Promise) {
     let tells = vec![Tells::Everything; scripts.len()];
@@ -119,10 +119,10 @@ fn of_a_script_that_another_process_may_have_sent_nobody_says_that_it_was_not() 
     let choreography = Arc::clone(&other.act.choreography);
     let take_up =
         |reached| Act::take_up(Arc::clone(&choreography), &promise, reached, &robots, promise.start).unwrap();
-    for (reached, state) in [(Reached::Commitment, "unknown"), (Reached::Decision, "unknown")] {
+    for reached in [Reached::Commitment, Reached::Decision] {
         let report = ActReport::new(&take_up(reached), &robots).unwrap();
         let states: Vec<_> = report.robots[0].devices.iter().map(|script| script.state).collect();
-        assert_eq!(states, [state; 3], "{reached:?}");
+        assert_eq!(states, [DeviceState::Unknown; 3], "{reached:?}");
     }
 }
 

@@ -4,7 +4,7 @@ use downbeat_robot::set_log::LogEntry;
 use urrcp::{Span, Timestamp};
 
 use super::{GRAIN, Said};
-use crate::mission::{ActReport, ActRobot, DeviceReport, Progress, Record};
+use crate::mission::{ActReport, ActRobot, DeviceReport, DeviceState, Progress, Record};
 use crate::simulation::Happened;
 use crate::simulation::check::facts::{SentAct, SentScript};
 
@@ -115,7 +115,7 @@ impl Said<'_> {
             match act.of(robot).find(same) {
                 Some(script) => self.script(act, script, device, wrong),
                 // It was left out before anything was promised to it.
-                None if said.left_out && device.state == "planned" => {}
+                None if said.left_out && device.state == DeviceState::Planned => {}
                 None => wrong.push(format!("r{robot} is reported with a script that act {number} has not")),
             }
         }
@@ -131,31 +131,31 @@ impl Said<'_> {
     ) {
         let robot = script.robot;
         let name = script.promised.request_id.as_str();
-        let mut wrongly = |what: String| wrong.push(format!("{what}: r{robot}, {name}, `{}`", said.state));
+        let mut wrongly = |what: String| wrong.push(format!("{what}: r{robot}, {name}, {:?}", said.state));
         let (set, written) = (script.steps_set(), script.steps_written());
         let done = said.steps_done as usize;
         if said.steps_planned != written {
             wrongly(format!("{} steps are said to be planned of {written}", said.steps_planned));
         }
-        let over = matches!(said.state, "ended" | "failed");
+        let over = matches!(said.state, DeviceState::Ended | DeviceState::Failed);
         // By a clock that was set between two processes what a robot says of its script may seem impossible.
         let by_its_clock = act.ahead == self.facts.ran.server_ahead;
         let known = over && by_its_clock && !self.is_discredited(robot) && self.facts.counts_steps(robot);
         if done > set || (known && done != set) {
             wrongly(format!("{done} steps are said to be done, {set} were set"));
         }
-        if said.state == "ended" && set != written {
+        if said.state == DeviceState::Ended && set != written {
             wrongly(format!("said to have ended, {set} of {written} steps were set"));
         }
-        if said.state == "planned" && script.began() {
+        if said.state == DeviceState::Planned && script.began() {
             wrongly("said not to be sent, and it moved".to_owned());
         }
-        if said.state == "started" && !script.began() {
+        if said.state == DeviceState::Started && !script.began() {
             wrongly("said to have started, and it did not move".to_owned());
         }
         let late = script.steps().filter(|entry| entry.set_at - entry.due > LATE).count();
         let said_late = said.late_steps as usize;
-        if said_late > late || (said.state == "ended" && known && said_late != late) {
+        if said_late > late || (said.state == DeviceState::Ended && known && said_late != late) {
             wrongly(format!("{said_late} late steps are said, {late} were late"));
         }
         // An answer without a name counts for the next script that it fits; where one is lost it is the wrong one.

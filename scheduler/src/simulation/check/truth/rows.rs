@@ -3,7 +3,7 @@
 use urrcp::{Server, Timestamp};
 
 use super::Said;
-use crate::mission::{DeviceReport, FailureKind, Join, Outcome, Progress, Record};
+use crate::mission::{DeviceReport, DeviceState, FailureKind, Join, Outcome, Progress, Record};
 use crate::report::{RobotReport, StopState};
 use crate::simulation::check::DRIFT;
 use crate::simulation::check::cause::{Cause, Hit};
@@ -32,7 +32,10 @@ impl Said<'_> {
         let robots = self.report.acts.iter().flat_map(|act| &act.robots).filter(of_robot);
         let scripts: Vec<&DeviceReport> = robots.flat_map(|robot| &robot.devices).collect();
         let sum = |what: fn(&DeviceReport) -> u64| scripts.iter().map(|script| what(script)).sum::<u64>();
-        let open = |state: &str| matches!(state, "sent" | "accepted" | "started" | "unknown");
+        let open = |state| {
+            use DeviceState::{Accepted, Sent, Started, Unknown};
+            matches!(state, Sent | Accepted | Started | Unknown)
+        };
         let unaccounted = scripts.iter().filter(|script| open(script.state)).count();
         let error = scripts.iter().filter_map(|script| script.start_error).map(|error| error.abs()).max();
         let said = [

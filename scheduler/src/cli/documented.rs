@@ -1,0 +1,93 @@
+//! What the documents say of commands, options and exit codes is so.
+
+use clap::CommandFactory;
+use strum::VariantNames;
+
+use super::{Cli, Exit};
+
+fn document(name: &str) -> String {
+    let path = format!("{}/../{name}", env!("CARGO_MANIFEST_DIR"));
+    std::fs::read_to_string(&path).unwrap_or_else(|error| panic!("{path}: {error}"))
+}
+
+/// The codes in the first column of the table with this head.
+fn codes(document: &str) -> Vec<u8> {
+    let lines = document.lines().skip_while(|line| !line.starts_with("| code | meaning |")).skip(2);
+    lines.map_while(|line| line.strip_prefix("| ")?.split(' ').next()?.parse().ok()).collect()
+}
+
+#[test]
+fn help_and_documents_list_every_exit_code() {
+    assert_eq!(Exit::ALL.len(), Exit::VARIANTS.len());
+    let all: Vec<u8> = Exit::ALL.iter().map(|exit| *exit as u8).collect();
+    let help = Cli::command().render_long_help().to_string();
+    let (_, lines) = help.split_once("Exit codes:\n").unwrap();
+    let codes_of_help = lines.lines().map_while(|line| line.split_whitespace().next()?.parse().ok());
+    assert_eq!(codes_of_help.collect::<Vec<u8>>(), all, "downbeat --help");
+    for name in ["README.md", "docs/mission.md"] {
+        assert_eq!(codes(&document(name)), all, "{name}");
+    }
+}
+
+#[test]
+fn the_readme_lists_every_command_and_no_other() {
+    let readme = document("README.md");
+    let rows = readme.lines().skip_while(|line| !line.starts_with("| command |")).skip(2);
+    let cells = rows.map_while(|row| row.strip_prefix("| `")?.split('|').next());
+    let names = cells.flat_map(|cell| cell.split('`').step_by(2)).map(str::trim);
+    let mut listed: Vec<String> =
+        names.filter(|name| !name.is_empty() && *name != ",").map(str::to_owned).collect();
+    let mut commands = Vec::new();
+    for command in Cli::command().get_subcommands() {
+        match command.get_subcommands().count() {
+            0 => commands.push(command.get_name().to_owned()),
+            _ => commands.extend(
+                command.get_subcommands().map(|inner| format!("{} {}", command.get_name(), inner.get_name())),
+            ),
+        }
+    }
+    listed.sort();
+    commands.sort();
+    assert_eq!(listed, commands);
+}
+
+/// Options of a command and of those below it.
+fn options(command: &clap::Command, found: &mut std::collections::BTreeSet<String>) {
+    found.extend(command.get_arguments().filter_map(|argument| argument.get_long().map(str::to_owned)));
+    command.get_subcommands().for_each(|inner| options(inner, found));
+}
+
+/// Options of cargo, Blender and `soak`, which documents call too.
+const FOREIGN: [&str; 11] = [
+    "release",
+    "workspace",
+    "path",
+    "bin",
+    "bench",
+    "test",
+    "nocapture",
+    "python",
+    "objects",
+    "seeds",
+    "trace",
+];
+
+#[test]
+fn every_option_that_a_document_names_exists() {
+    let mut known = std::collections::BTreeSet::new();
+    options(&Cli::command(), &mut known);
+    known.extend(FOREIGN.map(str::to_owned));
+    let docs = std::fs::read_dir(format!("{}/../docs", env!("CARGO_MANIFEST_DIR"))).unwrap();
+    let docs = docs.map(|entry| format!("docs/{}", entry.unwrap().file_name().display()));
+    for name in docs.filter(|name| name.ends_with(".md")).chain(["README.md".to_owned()]) {
+        for word in document(&name).split(|c: char| c.is_whitespace() || "`'\"(),;:|[]".contains(c)) {
+            let Some(option) =
+                word.strip_prefix("--").filter(|option| option.starts_with(char::is_alphabetic))
+            else {
+                continue;
+            };
+            let option = option.split(['=', '.']).next().unwrap();
+            assert!(known.contains(option), "{name}: no command takes --{option}");
+        }
+    }
+}

@@ -1,0 +1,22 @@
+//! The keys of a map as a struct: each key is written once and read by its name, not by its position.
+
+/// Declares a struct with a field for each key of a map, and the list of these keys for [`crate::fields::Reader::map`].
+macro_rules! keys {
+    ($(#[$doc:meta])* $name:ident, $list:ident { $($key:ident),* $(,)? }) => {
+        const $list: [&str; [$(stringify!($key)),*].len()] = [$(stringify!($key)),*];
+
+        $(#[$doc])*
+        struct $name<'a> {
+            $($key: Option<At<'a>>,)*
+        }
+
+        impl<'a> $name<'a> {
+            /// From the values that the reader found, in the order of the list.
+            const fn of([$($key),*]: [Option<At<'a>>; $list.len()]) -> Self {
+                Self { $($key),* }
+            }
+        }
+    };
+}
+
+pub(crate) use keys;

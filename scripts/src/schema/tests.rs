@@ -1,0 +1,295 @@
+//! The schemas list the keys and words that the reader knows, each at its place, and the other way round. What the reader knows
+//! is recorded while it reads documents in which every key stands once; so nothing is listed here a second time.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use serde_json::Value;
+
+use super::*;
+use crate::finding::Part;
+use crate::known::{self, Known};
+use crate::{Fleet, NoFiles, Source, compile, read_fleet};
+
+/// Documents in which every key of a scenario stands. They need not be sound.
+const SCENARIOS: [&str; 4] = [
+    "
+scenario: all keys
+fleet: fleet.yaml
+variables: {v: 1}
+moves: {lift: {parameters: {to: 1}, tracks: {d: [{at: 0s, to: $to, ease: linear}]}}}
+roles: {leader: arm}
+tempo: [{at: bar 1, bpm: 120, signature: 4/4}]
+signature: 4/4
+zones: {table: auto}
+order: given
+off_grid: snap
+start_tolerance: 1ms
+lead: 1s
+stop_condition: {pending: none, running: 2s}
+on_failure: {default: abort, then: end}
+on_doubt: start
+acts:
+  - act: one
+    wait: {for: operator, timeout: 1s, otherwise: end}
+    next: end
+    on_failure: hold
+    on_doubt: withdraw
+    zones: [lift]
+    order: auto
+    tempo: 120
+    signature: 4/4
+    cues:
+      - {cue: first, robots: arm, tracks: {d: [{at: 0s, to: 1}]}}
+      - cue: every
+        at: 0s
+        after: first
+        with: first
+        before: last
+        end_by: 9s
+        duration: 2s
+        robots: arm
+        move: lift
+        parameters: {to: 2}
+        tracks: {e: [{at: 0s, to: 1}, {at: 1s, to: 2}]}
+        devices: {d: c}
+        mirror: {about: 1, devices: [e]}
+        scale: {by: 1, about: 1, devices: [e]}
+        reverse: false
+        repeat: {for: 3s}
+        canon: 1s
+        overrides: {arm: {move: lift, parameters: {to: 2}, tracks: {e: [{at: 0s, to: 1}]}, devices: {d: c},
+          mirror: true, scale: 1, reverse: true, repeat: {until: 9s}, delay: 1s}}
+        uses: table
+        apart: first
+        stop_condition: 1s
+        off_grid: refuse
+        tolerance: 1
+        read: {s: 0s}
+  - {act: two, wait: {time: '19:30:00'}, cues: [{cue: last}]}
+  - {act: three, wait: {sensor: arm/s, above: 1, below: 2, within: [0, 1]}, cues: [{cue: last}]}
+  - {act: four, wait: done, cues: [{cue: last}]}
+",
+    "
+scenario: all movements
+cues:
+  - robots: arm
+    tracks:
+      a: {control: position, tolerance: 1, max_steps: 2, keyframes: [{at: 0s, to: 1, ease: smooth}]}
+      b: {spline: [{at: 0s, to: 1}, {at: 1s, to: 2}]}
+      c: {polynomial: [{for: 1s, coefficients: [1]}]}
+      d: {wave: {amplitude: 1, period: 1s, phase: 0, center: 0, for: 1s}}
+      e: {travel: {from: 0, speed: 1, acceleration: 1, for: 1s}}
+      f: {samples: {file: a.csv, time: t, value: v, time_unit: ms, scale: 1, ease: step}}
+",
+    "
+scenario: an include
+include: shared.yaml
+cues: [{cue: mark}]
+",
+    "
+scenario: another wave
+cues:
+  - {robots: arm, tracks: {d: {wave: {amplitude: 1, frequency: 1, for: 1s}}}}
+",
+];
+
+/// A fleet in which every key stands; the descriptions are those of other tests.
+const FLEET: &str = "
+ntp: pool.ntp.org
+handshake: full
+robots:
+  thrift:
+    init: DIAGNOSTICS/../thrift/tank.json
+    address: thrift://192.0.2.7:9090
+    devices:
+      left: {control_type: speed, granularity: 1, unit: deg, max_number_of_steps: 9, interpolation: hold,
+        min_value: 0, max_value: 1, default_value: 0, max_error: 1, script_queue: 2}
+  rover:
+    init: DIAGNOSTICS/robots/rover.yaml
+    address: sim
+    robot_id: another
+    limits: {wheel: {speed: 1, acceleration: 1}}
+    clock: measured
+    wake_up: 1ms
+    encoding: json
+    require: {range: {above: 1, below: 2, within: [0, 1]}}
+    simulate: {clock_offset: 1ms, drift: 5ppm, jitter: 1us, ntp_error: none, delay: [0ms, 1ms], fault: refuse,
+      readings: {range: 1}}
+groups: {all: [rover]}
+";
+
+/// Objects of a schema whose keys are names of the user's, but for these: no list of keys is compared there.
+const FREE_KEYS: [&str; 1] = ["/$defs/on_failure/anyOf/1"];
+
+/// A part of a schema, with its place there as people look for it.
+type SchemaPart<'s> = (String, &'s Value);
+
+/// The forms that a value may have: references are followed, alternatives are several.
+fn forms<'s>(root: &'s Value, (pointer, schema): SchemaPart<'s>) -> Vec<SchemaPart<'s>> {
+    if let Some(reference) = schema["$ref"].as_str() {
+        let pointer = reference.trim_start_matches('#').to_owned();
+        let target = root.pointer(&pointer).unwrap_or_else(|| panic!("{reference} leads nowhere"));
+        return forms(root, (pointer, target));
+    }
+    let mut all = vec![(pointer.clone(), schema)];
+    for word in ["anyOf", "oneOf"] {
+        for (index, form) in schema[word].as_array().into_iter().flatten().enumerate() {
+            if form.get("required").is_none() || form.get("type").is_some() {
+                all.extend(forms(root, (format!("{pointer}/{word}/{index}"), form)));
+            }
+        }
+    }
+    all
+}
+
+/// What a schema says of the values one step below.
+fn below<'s>(root: &'s Value, above: &[SchemaPart<'s>], step: &Part) -> Vec<SchemaPart<'s>> {
+    let inner = |(pointer, schema): &SchemaPart<'s>| {
+        let (at, inner) = match step {
+            Part::Index(_) => (format!("{pointer}/items"), schema.get("items")?),
+            Part::Key(key, _) => match schema["properties"].get(key) {
+                Some(inner) => (format!("{pointer}/properties/{key}"), inner),
+                None => (format!("{pointer}/additionalProperties"), schema.get("additionalProperties")?),
+            },
+        };
+        Some((at, inner))
+    };
+    above.iter().filter_map(inner).flat_map(|part| forms(root, part)).collect()
+}
+
+/// What a schema lists, by the place of the list there.
+type Lists = BTreeMap<String, BTreeSet<String>>;
+
+/// Every list of keys and words in a schema.
+fn listed(pointer: &str, schema: &Value, lists: &mut Lists) {
+    match schema {
+        Value::Object(map) => {
+            if let Some(Value::Object(properties)) = map.get("properties") {
+                lists.insert(pointer.to_owned(), properties.keys().cloned().collect());
+            }
+            if let Some(Value::Array(words)) = map.get("enum") {
+                lists.insert(pointer.to_owned(), words.iter().filter_map(text).collect());
+            }
+            map.iter().for_each(|(key, inner)| listed(&format!("{pointer}/{key}"), inner, lists));
+        }
+        Value::Array(items) => {
+            for (index, inner) in items.iter().enumerate() {
+                listed(&format!("{pointer}/{index}"), inner, lists);
+            }
+        }
+        _ => {}
+    }
+}
+
+fn text(value: &Value) -> Option<String> {
+    value.as_str().map(str::to_owned)
+}
+
+/// What the reader compared with documents, by the place in the schema that describes them.
+fn known(root: &Value, recorded: Vec<Known>) -> Lists {
+    let mut lists = Lists::new();
+    for known in recorded {
+        let (kind, place, known) = match known {
+            Known::Keys(place, keys) => ("properties", place, keys),
+            Known::Words(place, words) => ("enum", place, words),
+        };
+        // The schema describes no included files.
+        if place.file != 0 {
+            continue;
+        }
+        let mut parts = forms(root, (String::new(), root));
+        for step in &place.path {
+            parts = below(root, &parts, step);
+        }
+        let described = parts.iter().find(|(_, schema)| schema.get(kind).is_some());
+        let (pointer, _) = described.unwrap_or_else(|| {
+            panic!("the schema lists no {kind} where the reader knows {known:?}: {place:?}")
+        });
+        lists.entry(pointer.clone()).or_default().extend(known.into_iter().map(str::to_owned));
+    }
+    lists
+}
+
+/// Keys of a document, by the place in the schema that describes them.
+fn used(root: &Value, parts: &[SchemaPart<'_>], document: &Value, lists: &mut Lists) {
+    match document {
+        Value::Object(map) => {
+            for (key, inner) in map {
+                for (pointer, schema) in parts {
+                    if schema["properties"].get(key).is_some() {
+                        lists.entry(pointer.clone()).or_default().insert(key.clone());
+                    }
+                }
+                used(root, &below(root, parts, &Part::Key(key.clone(), 0)), inner, lists);
+            }
+        }
+        Value::Array(items) => {
+            for inner in items {
+                used(root, &below(root, parts, &Part::Index(0)), inner, lists);
+            }
+        }
+        _ => {}
+    }
+}
+
+#[track_caller]
+fn check(of: Schema, documents: &[String], recorded: Vec<Known>) {
+    let root: Value = serde_json::from_str(schema(of)).unwrap();
+    let (mut listed_by_schema, mut in_documents) = (Lists::new(), Lists::new());
+    listed("", &root, &mut listed_by_schema);
+    let known_by_reader = known(&root, recorded);
+    for (pointer, list) in &listed_by_schema {
+        let reader = known_by_reader.get(pointer);
+        let free = FREE_KEYS.contains(&pointer.as_str());
+        assert!(
+            free || reader == Some(list),
+            "{of:?}{pointer}: the schema lists {list:?}, the reader knows {reader:?}"
+        );
+    }
+    for document in documents {
+        let document: Value = serde_yaml::from_str(document).unwrap();
+        used(&root, &forms(&root, (String::new(), &root)), &document, &mut in_documents);
+    }
+    for (pointer, schema) in listed_by_schema.keys().filter_map(|at| Some((at, root.pointer(at)?))) {
+        let Some(keys) = schema["properties"].as_object() else { continue };
+        for (key, value) in keys {
+            let stands = in_documents.get(pointer).is_some_and(|keys| keys.contains(key));
+            assert!(
+                stands,
+                "{of:?}{pointer}: no document of this test has `{key}`: add it, so that its words are compared"
+            );
+            let described = value.get("description").is_some() || value.get("$ref").is_some();
+            assert!(
+                described,
+                "{of:?}{pointer}: `{key}` has no description, neither its own nor that of its kind"
+            );
+        }
+        assert_ne!(schema["additionalProperties"], Value::Bool(true), "{of:?}{pointer}");
+    }
+}
+
+#[test]
+fn the_schema_of_scenarios_lists_what_is_read() {
+    let _before = known::take();
+    for text in SCENARIOS {
+        let _compiled =
+            compile(&Source { name: "all.yaml".into(), text: text.to_owned() }, &fleet(), &NoFiles);
+    }
+    check(Schema::Scenario, &SCENARIOS.map(str::to_owned), known::take());
+}
+
+fn fleet() -> Fleet {
+    Fleet { robots: vec![crate::tests::robot()], ..Fleet::default() }
+}
+
+#[test]
+fn the_schema_of_fleets_lists_what_is_read() {
+    let diagnostics = concat!(env!("CARGO_MANIFEST_DIR"), "/../tests/diagnostics");
+    let text = FLEET.replace("DIAGNOSTICS", diagnostics);
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("fleet.yaml");
+    std::fs::write(&path, &text).unwrap();
+    let _before = known::take();
+    let _fleet = read_fleet(&path);
+    check(Schema::Fleet, &[text], known::take());
+}
