@@ -295,7 +295,7 @@ pub(crate) fn one_of<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
 
 /// A list of names for a message, shortened.
 pub(crate) fn names<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
-    let mut all = all.into_iter().filter(|name| !name.is_empty());
+    let mut all = all.into_iter();
     let first: Vec<_> = all.by_ref().take(12).map(|name| format!("`{}`", shortened(name))).collect();
     match first.len() + all.count() {
         0 => "none".to_owned(),
