@@ -75,7 +75,10 @@
 //! | `thrift` | a driver for robots that speak the early Thrift form of the protocol |
 //!
 //! With `default-features = false` the machine and [`simulated`] remain.
-#![cfg_attr(not(feature = "host"), allow(rustdoc::broken_intra_doc_links, reason = "links to what `host` adds"))]
+#![cfg_attr(
+    not(feature = "host"),
+    allow(rustdoc::broken_intra_doc_links, reason = "links to what `host` adds")
+)]
 
 mod answers;
 pub mod clock;

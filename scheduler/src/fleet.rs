@@ -6,7 +6,7 @@ use downbeat_robot::{Host, HostError, HostOptions, Hosted};
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, Wait};
 use urrcp::{Encoding, RobotId, Span};
 
-use crate::link::{Endpoint, Speech};
+use crate::link::{Endpoint, LinkEncoding};
 use crate::mission::{Greeting, Participant};
 
 /// A robot cannot be simulated.
@@ -188,8 +188,8 @@ pub fn endpoints_at_once(
     let host = if machines.is_empty() { None } else { Some(Host::start(machines, options)?) };
     let endpoint = |(robot, place): (&&FleetRobot, Option<usize>)| match (&robot.address, place, &host) {
         (Address::Tcp { host, port }, ..) => {
-            let speech = speech(robot, handshake);
-            Some(Endpoint::Tcp { host: host.clone(), port: *port, speech })
+            let encoding = encoding(robot, handshake);
+            Some(Endpoint::Tcp { host: host.clone(), port: *port, encoding })
         }
         (_, Some(index), Some(host)) => Some(Endpoint::InProcess { host: host.handle(), index }),
         _ => None,
@@ -199,11 +199,11 @@ pub fn endpoints_at_once(
 }
 
 /// Without a handshake the files are trusted.
-fn speech(robot: &FleetRobot, handshake: Handshake) -> Speech {
+fn encoding(robot: &FleetRobot, handshake: Handshake) -> LinkEncoding {
     let encoding = robot.mission.encoding;
     let listed = robot.init.as_ref().is_some_and(|block| block.understands(encoding));
     match handshake {
-        Handshake::Skip if listed => Speech::at_once(encoding),
-        Handshake::Skip | Handshake::Full => Speech::once_listed(encoding),
+        Handshake::Skip if listed => LinkEncoding::at_once(encoding),
+        Handshake::Skip | Handshake::Full => LinkEncoding::once_listed(encoding),
     }
 }

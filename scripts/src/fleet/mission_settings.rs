@@ -135,7 +135,7 @@ fn read_range(findings: &mut Reader, at: &At<'_>) -> Option<SensorRange> {
         _ => None,
     };
     if range.is_none() {
-        let message = format!("`{}` is no range of readings", node::shortened(&text));
+        let message = format!("`{}` is not a range of readings", node::shortened(&text));
         findings.add(Code::UnknownWord, at.place(), message, expected, None);
     }
     range
