@@ -223,7 +223,7 @@ fn another_robot_at_the_address_of_one_that_plays_stops_the_mission() {
 #[test]
 fn a_robot_whose_measured_clock_never_answers_fails_when_patience_ends() {
     let mut mission = begins_at_once(Everything);
-    mission.robots[0].clock_mode = ClockMode::Measured;
+    mission.robots[0].settings.clock = ClockMode::Measured;
     let _asks = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
     let ends = mission.acts[0].since() + mission.options.patience;
     let _waits = mission.advance(ends - Span::from_nanos(1));

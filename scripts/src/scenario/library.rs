@@ -19,7 +19,7 @@ use crate::tags::foreign_tags;
 /// Most files that a scenario may include, directly or through others.
 const INCLUDES_MAX: usize = 256;
 
-pub(super) const SCENARIO_KEYS: [&str; 18] = [
+pub(crate) const SCENARIO_KEYS: [&str; 18] = [
     "scenario",
     "fleet",
     "include",
