@@ -30,7 +30,8 @@ pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 #[cfg(test)]
 pub(crate) use cue::CUE_KEYS;
-pub(crate) use library::{Documents, SCENARIO_KEYS};
+pub(crate) use library::Documents;
+pub(crate) use library::SCENARIO_KEYS;
 pub(crate) use vectors::{Vector, Vectors};
 pub(crate) use when::{Anchor, Relation};
 
