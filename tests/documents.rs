@@ -195,3 +195,14 @@ fn every_command_of_the_readme_exists() {
         assert_eq!(help.code(), 0, "{line}");
     }
 }
+
+#[test]
+fn every_page_is_in_the_table_of_contents_of_the_book() {
+    let contents = read("book/SUMMARY.md");
+    for entry in std::fs::read_dir(root().join("docs")).unwrap() {
+        let name = entry.unwrap().file_name().into_string().unwrap();
+        if name.ends_with(".md") {
+            assert!(contents.contains(&format!("(docs/{name})")), "{name}");
+        }
+    }
+}

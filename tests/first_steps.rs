@@ -1,4 +1,4 @@
-//! What a newcomer does first: the folder of `init`, the tour of the README word for word, completions and man pages.
+//! What a newcomer does first: the folder of `init`, the tours of README and tutorial word for word, completions, man pages.
 
 use std::fmt::Write as _;
 use std::fs;
@@ -168,9 +168,20 @@ fn script(blocks: &[Block], out: &Path) -> String {
 
 #[test]
 fn the_tour_of_the_readme_works_word_for_word_in_an_empty_folder() {
+    works_word_for_word("README.md");
+}
+
+#[test]
+fn the_tutorial_works_word_for_word_in_an_empty_folder() {
+    works_word_for_word("docs/tutorial.md");
+}
+
+/// Plays every command of a document in an empty folder, and compares what it quotes with what they print.
+#[track_caller]
+fn works_word_for_word(document: &str) {
     let folder = TempDir::new().unwrap();
     let out = TempDir::new().unwrap();
-    let blocks = tour("README.md");
+    let blocks = tour(document);
     assert!(blocks.iter().filter(|block| matches!(block, Block::Commands { .. })).count() >= 4);
     let mut script = script(&blocks, out.path());
     for port in ["7401", "7402"] {

@@ -1,4 +1,4 @@
-//! Instants, spans and offsets. The clock of an instant stands in its type, so that instants of two clocks do not mix.
+//! Instants, spans and offsets. The clock of an instant is in its type, so that instants of two clocks do not mix.
 //!
 //! ```compile_fail
 //! use urrcp::{Robot, Server, Span, Timestamp};

@@ -24,7 +24,7 @@ pub(crate) struct Answers {
 pub(crate) struct Known {
     /// The last answer to it.
     pub(crate) answer: ControlResponse,
-    /// Of what was accepted.
+    /// Hash of what the robot accepted.
     pub(crate) content_hash: Option<ContentHash>,
     /// When it is, or was, to start.
     pub(crate) start: Option<Timestamp<Robot>>,

@@ -27,7 +27,7 @@ impl HostClock {
             let width = before.elapsed();
             (width, before + width / 2, i64::try_from(wall.as_nanos()).unwrap_or(i64::MAX))
         };
-        // Of a few tries the one in which both readings lay closest together.
+        // The best of a few tries: the one in which both readings are closest together.
         let best = (0..4).map(|_| reading()).fold(reading(), |a, b| if b.0 < a.0 { b } else { a });
         Self { instant: best.1, timestamp: Timestamp::from_nanos(best.2) }
     }

@@ -32,7 +32,7 @@ pub enum Motion {
         from: f64,
         /// Where it ends.
         to: f64,
-        /// When.
+        /// The instant at which it arrives.
         until: Timestamp<Robot>,
     },
     /// Come to rest within the acceleration that the device declares: part of a stop.
@@ -43,7 +43,7 @@ pub enum Motion {
         from: f64,
         /// Where it rests.
         to: f64,
-        /// When.
+        /// The instant at which it arrives.
         until: Timestamp<Robot>,
     },
     /// Go to this: part of the default state.
@@ -59,14 +59,15 @@ pub(crate) enum Effect {
     Failed { link: LinkId, request_id: Option<RequestId>, error: ControlError, steps_done: u32 },
 }
 
-/// A robot that was held up so long over a start, as by a stopped process, lets it be: late is out of sync.
+/// A robot that was delayed longer than this over a start, for example by a stopped process, drops the command: late is
+/// out of sync.
 pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
-/// A stop takes back what is sent up to so long after its receipt, whatever its own timestamp.
+/// A stop takes back what is sent up to this long after its receipt, whatever its own timestamp.
 pub(crate) const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
 /// A step that is done later than this after its deadline counts as late.
 const LATE: Span = Span::from_millis(1);
 
-/// Rates that go on after their command has ended, still under that command's lease.
+/// Rates that continue after their command has ended, still under that command's lease.
 #[derive(Clone, Debug)]
 struct Guard {
     rates: Vec<ControlType>,
@@ -127,7 +128,7 @@ impl DeviceMachine {
         event.into_iter().chain(self.lease_end(heard)).min()
     }
 
-    /// When the next command starts, of those that were accepted at least so long before their start.
+    /// When the next command starts, of those that were accepted at least this long before their start.
     pub(crate) fn next_start(&self, notice: Span) -> Option<Timestamp<Robot>> {
         let pending = self.queue.iter().filter(|held| !held.began && held.start - held.accepted >= notice);
         pending.map(|held| held.start).min()
@@ -157,7 +158,7 @@ impl DeviceMachine {
     }
 
     /// Does everything due at or before `now`, in the order of its time. Only the lease of what runs comes first once it has
-    /// ended: a robot that was held up would do now what was due before.
+    /// ended: a robot that was delayed would do now what was due before.
     pub(crate) fn advance(&mut self, now: Timestamp<Robot>, heard: &LastHeard, effects: &mut Vec<Effect>) {
         loop {
             if let Some(end) = self.running_lease_end(heard).filter(|end| *end <= now) {

@@ -72,7 +72,7 @@ impl Edge {
         self.tell(now, Robot::advance_movements);
     }
 
-    /// Before anything is done: whether the hardware answers, where a start is near, and whether the edge was held up.
+    /// Before anything is done: whether the hardware answers, where a start is near, and whether the edge was delayed.
     fn look_after(&mut self, now: Timestamp<HostTime>) {
         let mailbox = Arc::clone(&self.mailbox);
         self.tell(now, |machine, now, out| {

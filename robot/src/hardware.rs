@@ -40,7 +40,7 @@ enum Presence {
     /// Nothing: it answers readings by itself.
     Simulated,
     There,
-    /// It should have answered, and has not for so long.
+    /// It should have answered, and has not for this long.
     Silent(Span),
     Away(String),
 }

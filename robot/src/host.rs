@@ -68,7 +68,7 @@ pub enum HostError {
     Log {
         /// Which file.
         path: PathBuf,
-        /// Why.
+        /// The error of the system.
         error: io::Error,
     },
     /// The system gives no thread.
@@ -83,9 +83,9 @@ pub enum HostError {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the devices of `{robot}` may not be in their default state: {reason}")]
 pub struct NotAtRest {
-    /// Which.
+    /// Id of the robot.
     pub robot: RobotId,
-    /// Why.
+    /// Why its devices may not rest, as a sentence without a full stop.
     pub reason: String,
 }
 
@@ -152,7 +152,7 @@ pub struct RobotLink {
     incoming: mpsc::Receiver<LinkEvent>,
 }
 
-/// The sending end of a link, for use beside the receiving one.
+/// The sending end of a link, for use next to the receiving end.
 #[derive(Clone, Debug)]
 pub(crate) struct LinkSender {
     orders: flume::Sender<Order>,
@@ -188,7 +188,7 @@ impl Host {
                 (Some(log), Some(writer.spawn(write).map_err(HostError::Thread)?), Some(told))
             }
         };
-        // Of a lock: on a lock-free channel a real-time thread could spin, and wait for ever, for a sender that it interrupted.
+        // With a lock: on a lock-free channel a real-time thread could spin forever for a sender that it interrupted.
         let (orders, inbox) = flume::unbounded();
         let handle = HostHandle { orders, robots: ids, next_link: Arc::new(AtomicU64::new(0)) };
         let (thread, ready, scheduling) = prepared_thread(options.realtime, log, inbox)?;
@@ -223,7 +223,7 @@ impl Host {
         self.handle.clone()
     }
 
-    /// Hears why the log ends ahead of the robots, which go on without it; nothing where it does not. To be taken once.
+    /// Hears why the log ends ahead of the robots, which continue without it; nothing where it does not. To be taken once.
     pub const fn log_lost(&mut self) -> Option<oneshot::Receiver<HostError>> {
         self.log_lost.take()
     }

@@ -91,7 +91,7 @@ fn hold(holds: bool, otherwise: impl FnOnce() -> String) -> Result<(), Violation
     }
 }
 
-/// A robot, its judge, and the links and requests of those who talk to it.
+/// A robot, its judge, and the links and requests of its peers.
 struct Bench {
     robot: Robot,
     judge: Judge,

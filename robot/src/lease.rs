@@ -12,11 +12,11 @@ pub(crate) struct LastHeard {
     at: BTreeMap<LinkId, Timestamp<Robot>>,
     /// The one that was heard last is nearly always the one that is asked for, at every step of every device.
     latest: Option<(LinkId, Timestamp<Robot>)>,
-    /// Beyond it those are forgotten who hold nothing.
+    /// With more entries than this, parties that hold nothing are forgotten.
     room: usize,
 }
 
-/// Parties of which at least the silence is remembered.
+/// The silence of at least this many parties is remembered.
 const PARTIES_MIN: usize = 1_024;
 
 impl Default for LastHeard {
@@ -26,7 +26,7 @@ impl Default for LastHeard {
 }
 
 impl LastHeard {
-    /// A message came. True when it is time to [`LastHeard::keep`] only those who hold something.
+    /// A message arrived. Returns whether it is time to [`LastHeard::keep`] only the parties that hold something.
     #[must_use]
     pub(crate) fn heard(&mut self, party: LinkId, now: Timestamp<Robot>) -> bool {
         self.at.insert(party, now);

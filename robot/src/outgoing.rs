@@ -9,14 +9,14 @@ use crate::robot::LinkId;
 pub enum Outgoing {
     /// A message on a link.
     Message {
-        /// Which link.
+        /// The link that carries it.
         link: LinkId,
         /// The message.
         message: Message,
     },
     /// The robot closes a link.
     Close {
-        /// Which.
+        /// The link to close.
         link: LinkId,
     },
 }

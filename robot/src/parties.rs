@@ -1,4 +1,4 @@
-//! Who talks on which link, and to whom the robot belongs.
+//! The parties that use the links, and the one to which the robot belongs.
 //!
 //! A session is one run of a scheduler. It may use several links, one after another or at once: leases, answers and
 //! stops go with the session. A link that names no session is a party of its own.
@@ -10,7 +10,7 @@ use urrcp::{Robot, SessionId, Span, Timestamp};
 use crate::lease::LastHeard;
 use crate::robot::LinkId;
 
-/// An idle robot whose session has been silent for so long may be claimed by another.
+/// An idle robot whose session has been silent for this long may be claimed by another.
 const CLAIM_SILENCE: Span = Span::from_millis(5_000);
 /// Sessions that are remembered.
 pub(crate) const SESSIONS_MAX: usize = 256;
@@ -107,7 +107,7 @@ impl Parties {
         self.owner.as_ref().map(|(_, party)| *party)
     }
 
-    /// How much it remembers of those who talk.
+    /// How many entries it keeps about parties.
     #[cfg(test)]
     pub(crate) fn remembered(&self) -> usize {
         self.of_link.len() + self.of_session.len() + self.route.len()

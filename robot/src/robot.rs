@@ -56,9 +56,9 @@ impl Input {
 pub enum Output {
     /// Send a message on a link.
     Send {
-        /// Which.
+        /// The link that carries it.
         link: LinkId,
-        /// What.
+        /// The message to send.
         message: Message,
     },
     /// Drive a device.

@@ -22,7 +22,7 @@ pub enum Realtime {
     /// Do not ask.
     #[default]
     Off,
-    /// Take what is permitted, and go on without the rest.
+    /// Take what is permitted, and continue without the rest.
     Auto,
     /// Do not start without both.
     Required,

@@ -15,11 +15,11 @@ use urrcp::{Command, Decoder, Encoding, LINE_BYTES_MAX, Message, encode_as};
 use crate::host::{HostHandle, LinkEvent, LinkSender, RobotLink};
 use crate::robot::Input;
 
-/// Connections that have a place at a time: whatever comes on them is taken.
+/// Connections that have a place at the same time: the robot accepts everything that arrives on them.
 const PLACES: usize = 16;
-/// Further connections: on them a stop is taken, and what asks who the robot is; everything else waits for a place.
+/// Further connections: the robot accepts stops and questions for its identity on them; everything else waits for a place.
 const WAITING_MAX: usize = 8;
-/// Where all of these are taken and one more comes, one without a place gives way once it is so old.
+/// If all of these are taken and one more arrives, a connection without a place is closed once it is this old.
 const WAITS_MIN: Duration = Duration::from_secs(1);
 /// If another connection waits for a place, one that has been silent for this long is closed: its peer may be long gone.
 const SILENCE_MAX: Duration = Duration::from_secs(30);
@@ -185,7 +185,7 @@ impl Chair {
     }
 }
 
-/// Whether it is taken from a connection without a place: a stop, or a question who the robot is.
+/// Whether a connection without a place may send it: a stop, or a question for the robot's identity.
 fn needs_no_place(message: &Message) -> bool {
     match message {
         Message::InitializationRequest(_) => true,

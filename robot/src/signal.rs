@@ -97,7 +97,7 @@ impl Signal {
     }
 
     /// The way to rest from where it is: with constant deceleration to a standstill, then, where there is a target, to it.
-    /// `None` where it stands there already, or where the way is beyond all numbers. A standstill beyond `limits` is
+    /// `None` where it is there already, or where the way is beyond all numbers. A standstill beyond `limits` is
     /// avoided by braking harder.
     pub(crate) fn brought_to_rest(
         &self,
@@ -152,7 +152,7 @@ impl Signal {
 }
 
 impl Signal {
-    /// The way of a speed to `to` at constant acceleration. `None` where it stands there already.
+    /// The way of a speed to `to` at constant acceleration. `None` where it is there already.
     pub(crate) fn slowed_to(&self, now: Timestamp<Robot>, to: f64, acceleration: f64) -> Option<Self> {
         let from = self.value(now);
         let seconds = (to - from).abs() / acceleration;
@@ -168,7 +168,7 @@ impl Slowing {
     }
 }
 
-/// Whether it is a signal under which the device goes on moving after its last command.
+/// Whether it is a signal under which the device continues moving after its last command.
 pub(crate) const fn is_rate(control_type: ControlType) -> bool {
     !matches!(control_type, ControlType::Position)
 }

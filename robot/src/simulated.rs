@@ -33,7 +33,7 @@ pub struct Settings {
     pub delay: Option<(Span, Span)>,
     /// What it does wrong.
     pub fault: Option<Fault>,
-    /// Of its random draws.
+    /// Seed of its random draws.
     pub seed: u64,
 }
 
@@ -158,7 +158,7 @@ impl SimulatedRobot {
         robot
     }
 
-    /// The hardware answers nothing any more, and nobody is told.
+    /// The hardware no longer answers, and its connection stays open.
     pub fn hardware_dies(&mut self, now: Timestamp<True>) {
         if let Some(hands) = &mut self.hands {
             hands.dead_since.get_or_insert(now);

@@ -1,5 +1,5 @@
 //! Offsets between clocks, from exchanges of four timestamps as in NTP (RFC 5905, section 8). No clock is read here.
-//! The method and its sources stand in `docs/clocks.md`.
+//! The method and its sources are in `docs/clocks.md`.
 
 mod round_trips;
 
@@ -367,7 +367,7 @@ impl History {
         match self.bins.back_mut() {
             Some(bin) if index <= bin.index => bin.bounds.tighten(new, now, together),
             _ => {
-                // The bin that ends here has its say now; the new one will when it ends.
+                // Closes the current bin and updates the estimate from it.
                 let ended = self.bins.len().saturating_sub(1);
                 self.means = (0..ended).fold(self.means, |means, bin| means.and(self.mean(bin, ended)));
                 self.bins.push_back(Bin { index, bounds: new });

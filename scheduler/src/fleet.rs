@@ -13,7 +13,7 @@ use crate::mission::{ClockMode, Greeting, Participant, Requirement};
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("robot `{robot}` has no `init:` file in the fleet file, a simulated robot needs one")]
 pub struct NoInit {
-    /// Which.
+    /// Id of the robot.
     pub robot: RobotId,
 }
 
@@ -27,7 +27,7 @@ pub enum EndpointError {
     /// One of them cannot be driven so.
     #[error("robot `{robot}`: {error}")]
     Driver {
-        /// Which.
+        /// Id of the robot.
         robot: RobotId,
         /// Why not.
         error: DriverError,

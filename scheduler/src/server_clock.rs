@@ -21,12 +21,12 @@ const NTP_INTERVAL: Duration = Duration::from_millis(50);
 const NTP_TIMEOUT: Duration = Duration::from_secs(2);
 /// Rounding: rsntp computes in floating point, and the system's clock and the monotonic one are not read at once.
 const NTP_ROUNDING: Span = Span::from_micros(1);
-/// A datagram may be lost: so many questions in a row must go unanswered for the server to be.
+/// A datagram may be lost: this many questions in a row must go unanswered for the server to be.
 const NTP_LOST_AFTER: u32 = 3;
 /// Between two questions of a watch: the shortest that RFC 5905 lets a client poll steadily (MINPOLL, 2^4 s).
 pub const NTP_WATCH_INTERVAL: Duration = Duration::from_secs(16);
 
-/// Reads the server's time. Copies agree for ever.
+/// Reads the server's time. Copies always agree.
 #[derive(Clone, Copy, Debug)]
 pub struct ServerClock {
     host: HostClock,

@@ -15,7 +15,7 @@ const NESTING_MAX: usize = 1_000;
 /// Longest line that a finding carries, in characters.
 const LINE_CHARS_MAX: usize = 1_000;
 
-/// The finding where aliases stand for too much. What is no YAML is left to be found by who reads it.
+/// The finding for aliases that stand for too much. The reader finds text that is not YAML.
 pub(crate) fn check(source: &Source, text: &str) -> Option<Finding> {
     if !text.contains('*') || exceeding(text).is_none() {
         return None;

@@ -11,7 +11,7 @@ pub(crate) const USES_MAX: usize = 5_000_000;
 
 /// Most names that wrong ones are compared with.
 pub(crate) const COMPARISONS_MAX: usize = 1_000_000;
-/// Most errors that are told, and as many warnings.
+/// Most errors that are reported, and as many warnings.
 pub(crate) const FINDINGS_MAX: usize = 100_000;
 
 /// Longest time that a message can carry.
@@ -22,7 +22,7 @@ pub(crate) fn longest() -> Span {
 /// Largest lead that a scenario may prescribe, and the one that is counted with where it prescribes none.
 pub(crate) const LEADS: (Span, Span) = (Span::from_millis(10_000_000_000), Span::from_millis(3_600_000));
 
-/// Something of which there may be only so much.
+/// Something of which only a limited amount may exist.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Budget {
     most: usize,
@@ -48,7 +48,7 @@ impl Budget {
         self.overdrawn
     }
 
-    /// Takes so many, if there are.
+    /// Takes this many, if there are.
     pub(crate) const fn take(&mut self, count: usize) -> bool {
         match self.left.checked_sub(count) {
             Some(left) => self.left = left,

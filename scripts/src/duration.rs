@@ -52,7 +52,7 @@ pub(crate) fn parse_signed(text: &str) -> Option<Span> {
     }
 }
 
-/// A time as it is written in a scenario, exactly: `1.5s`, `250ms`, `-2us`.
+/// A time as written in a scenario, exactly: `1.5s`, `250ms`, `-2us`.
 pub(crate) fn written(span: Span) -> String {
     let (sign, nanos) = (if span < Span::ZERO { "-" } else { "" }, span.as_nanos().unsigned_abs());
     let (per_unit, digits, unit) = match nanos {

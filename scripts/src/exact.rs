@@ -77,7 +77,7 @@ impl From<Span> for Exact {
 pub(crate) struct Beginning(pub(crate) Option<Exact>);
 
 impl Beginning {
-    /// The time from the start until so much later.
+    /// The time from the start until this much later.
     pub(crate) fn lay(self, length: Exact) -> Span {
         match self.0 {
             Some(start) if !length.0.is_integer() => start.plus(length).rounded() - start.rounded(),
@@ -107,7 +107,7 @@ impl From<Span> for Laps {
     }
 }
 
-/// A decimal number as it is written, such as `104.5`. None if it is anything else, is negative or has very many digits.
+/// A decimal number as written, such as `104.5`. None if it is anything else, is negative or has very many digits.
 pub(crate) fn decimal(text: &str) -> Option<Fraction> {
     let (whole, part) = text.split_once('.').unwrap_or((text, ""));
     let digits = |text: &str| text.bytes().all(|byte| byte.is_ascii_digit());

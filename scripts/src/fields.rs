@@ -89,7 +89,7 @@ pub(crate) struct Reader {
 #[derive(Clone, Copy, Default)]
 struct Told {
     count: usize,
-    /// The last one that is told.
+    /// The last one that is reported.
     last: usize,
     more: usize,
 }
@@ -142,13 +142,13 @@ impl Reader {
         self.found.iter_mut().skip(before).for_each(|found| found.related.clone_from(&related));
     }
 
-    /// Takes back some of the findings since there were so many.
+    /// Takes back some of the findings because there were too many.
     pub(crate) fn keep_from(&mut self, before: usize, keep: impl Fn(Code) -> bool) {
         let since = self.found.split_off(before.min(self.found.len()));
         self.found.extend(since.into_iter().filter(|found| keep(found.code)));
     }
 
-    /// Everything that is told; the last of very many says how many more there are.
+    /// Everything that is reported; the last of very many says how many more there are.
     pub(crate) fn finish(mut self) -> Vec<Pending> {
         for told in self.told.iter().filter(|told| told.more > 0) {
             if let Some(last) = self.found.get_mut(told.last) {
@@ -158,7 +158,7 @@ impl Reader {
         self.found
     }
 
-    /// Whether there are so many errors already that nothing more is told.
+    /// Whether there are so many errors already that nothing more is reported.
     pub(crate) const fn is_full(&self) -> bool {
         self.told[0].count == FINDINGS_MAX
     }
@@ -256,7 +256,7 @@ impl Reader {
         }
     }
 
-    /// The node itself, or the value of the variable that stands there.
+    /// The node itself, or the value of the variable that is there.
     pub(crate) fn scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
         match at.node {
             Node::Text(text) if text.starts_with('$') || text.starts_with("-$") => {

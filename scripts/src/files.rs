@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use crate::finding::Finding;
 use crate::source::Source;
 
-/// Finds files by the names that stand in a scenario.
+/// Finds files by the names that are in a scenario.
 pub trait Files {
     /// Reads a file.
     ///

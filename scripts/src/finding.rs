@@ -253,7 +253,7 @@ pub fn did_you_mean<'a>(wrong: &str, known: impl IntoIterator<Item = &'a str>) -
     nearest(wrong, known, &mut 10_000)
 }
 
-/// The same with so many comparisons left.
+/// The same with this many comparisons left.
 pub(crate) fn nearest<'a>(
     wrong: &str,
     known: impl IntoIterator<Item = &'a str>,
@@ -262,7 +262,7 @@ pub(crate) fn nearest<'a>(
     // Long names are compared by their beginning, so that a huge one costs nothing.
     let wrong: String = wrong.chars().take(64).collect();
     let length = wrong.chars().count();
-    // Of a short word every second letter may be wrong by chance.
+    // In a short word, every second letter may differ by chance.
     let near = 1.max(length / 3);
     let first = wrong.chars().next();
     let compared = known.into_iter().take(*left).inspect(|_| *left -= 1);

@@ -29,7 +29,7 @@ pub(crate) const SIMULATE_KEYS: [&str; 7] =
 pub struct Fleet {
     /// NTP server, `host` or `host:port`; without one the system's clock is trusted.
     pub ntp: Option<String>,
-    /// Whether robots are asked who they are.
+    /// Whether robots are asked for their identity.
     pub handshake: Handshake,
     /// In the order of the file.
     pub robots: Vec<FleetRobot>,
@@ -86,9 +86,9 @@ pub const WAKE_UP: Span = Span::from_millis(1);
 /// How fast a device may move: bounds of the derivatives of its value, in its unit a second and a second squared.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct RateLimits {
-    /// Of the first derivative: speed for positions.
+    /// Limit of the first derivative: speed for positions.
     pub speed: Option<f64>,
-    /// Of the second derivative: acceleration for positions.
+    /// Limit of the second derivative: acceleration for positions.
     pub acceleration: Option<f64>,
 }
 

@@ -49,7 +49,7 @@ pub fn init_text(block: &InitializationBlock) -> String {
 pub(crate) enum Init {
     /// It is complete.
     Block(Box<InitializationBlock>),
-    /// Of a Thrift robot: devices as a dictionary, which may want completing.
+    /// The description of a Thrift robot: devices as a dictionary, which may be incomplete.
     Dictionary(Source, Node),
 }
 

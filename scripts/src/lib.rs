@@ -10,7 +10,7 @@
 //! README has both in a few lines, and `examples/compile.rs` is a program to copy. [`import`] makes scenarios of the files of other
 //! tools, and [`export`] writes what a scenario compiles to as theirs.
 //!
-//! Within the crate: `source` and `node` (text to tree), `fleet` and `scenario` (tree to meaning), `compile` (who, when, what:
+//! Within the crate: `source` and `node` (text to tree), `fleet` and `scenario` (tree to meaning), `compile` (robots, times, movements:
 //! `timing` solves the times, `motion` and `fit` make the steps), `plan` (the result). Findings carry a path into the tree; `locate`
 //! turns it into line and column only when there is something to report.
 

@@ -1,4 +1,4 @@
-//! Where paths into the tree stand in the text: one pass of a parser that keeps places, made only when there is something
+//! Where paths into the tree are in the text: one pass of a parser that keeps places, made only when there is something
 //! to report. What stands behind an alias is placed where the alias is used.
 
 use std::borrow::Borrow;

@@ -33,7 +33,7 @@ struct Anchored {
 }
 
 impl Section {
-    /// How long so many beats last.
+    /// How long this many beats last.
     fn beats(&self, beats: Fraction) -> Exact {
         Exact::from(MINUTE).times(beats).times(self.beats_a_minute.recip())
     }

@@ -224,7 +224,7 @@ impl<'de> Visitor<'de> for NodeVisitor {
     }
 }
 
-/// A key as the text that stands there; keys that are no scalars become one that is unknown everywhere.
+/// A key as the text that is there; keys that are no scalars become one that is unknown everywhere.
 struct Key(String);
 
 impl<'de> Deserialize<'de> for Key {

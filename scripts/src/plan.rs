@@ -92,7 +92,7 @@ pub struct DeviceUse {
     pub scripts: usize,
     /// Steps that the device can hold: max_number_of_steps for each script of its queue.
     pub budget: u64,
-    /// Largest difference from the movement as it is written, in the device's unit.
+    /// Largest difference from the movement as written, in the device's unit.
     pub worst_error: f64,
     /// When that is, from the act's start.
     pub worst_at: Span,
@@ -101,9 +101,9 @@ pub struct DeviceUse {
 /// A sensor is read at a time.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct PlannedReading {
-    /// Whose.
+    /// Id of the robot that reads.
     pub robot: RobotId,
-    /// Which.
+    /// The device of that robot that is a sensor.
     pub sensor: DeviceId,
     /// From the act's start.
     pub at: Span,
@@ -127,7 +127,7 @@ pub struct Plan {
 /// The scripts of one robot.
 #[derive(Clone, Debug, PartialEq)]
 pub struct RobotPlan {
-    /// Which.
+    /// Id of the robot.
     pub robot: RobotId,
     /// In the order of the robot's devices, those of one device in order of time.
     pub scripts: Vec<DeviceScript>,
@@ -136,7 +136,7 @@ pub struct RobotPlan {
 /// One script for one device.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DeviceScript {
-    /// Which.
+    /// Id of the device that plays it.
     pub device: DeviceId,
     /// When it starts, from the start of the act.
     pub start: Millis,
@@ -199,7 +199,7 @@ impl Choreography {
     }
 }
 
-/// Whether a control type drives a rate, which goes on until something changes it.
+/// Whether a control type drives a rate, which continues until something changes it.
 pub(crate) const fn is_rate(control_type: ControlType) -> bool {
     matches!(control_type, ControlType::Speed | ControlType::Acceleration)
 }

@@ -17,9 +17,9 @@ const AGAIN: usize = 2;
 pub struct Refill {
     /// Index of its act in the choreography.
     pub act: usize,
-    /// Whose.
+    /// Id of the robot that plays it.
     pub robot: RobotId,
-    /// Of which device.
+    /// Id of the device that plays it.
     pub device: DeviceId,
     /// Which script of this device in this act, from 0.
     pub script: usize,
@@ -93,7 +93,7 @@ pub fn refills_of_robots(
 }
 
 /// The script that leaves the least time to send it while its act plays. If that is less than `sending`, what sending takes
-/// as measured, the mission cannot be played as it is written.
+/// as measured, the mission cannot be played as written.
 #[must_use]
 pub fn tightest_refill(
     choreography: &Choreography,
@@ -244,7 +244,7 @@ mod tests {
         }
     }
 
-    /// One robot with one device, whose scripts follow each other and last so many milliseconds.
+    /// One robot with one device, whose scripts follow each other and last this many milliseconds.
     fn act(durations: &[i64], next: Way) -> Act {
         let mut start = 0;
         let script = |duration: &i64| {

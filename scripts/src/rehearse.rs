@@ -41,7 +41,7 @@ impl Choreography {
         self
     }
 
-    /// Played at `speed` times the speed as it is written: all times divided by it; speeds times it, accelerations times
+    /// Played at `speed` times the speed as written: all times divided by it; speeds times it, accelerations times
     /// its square, on the device's grid. Checked again against what each device declares.
     ///
     /// # Errors

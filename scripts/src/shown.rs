@@ -29,7 +29,7 @@ pub fn shown(text: &str) -> Cow<'_, str> {
     within(text, COLUMNS_MAX)
 }
 
-/// As [`shown`], in at most so many columns; a text that is cut ends in `…`.
+/// As [`shown`], in at most this many columns; a text that is cut ends in `…`.
 #[must_use]
 pub fn within(text: &str, columns: usize) -> Cow<'_, str> {
     if text.len() <= columns && text.bytes().all(|byte| matches!(byte, b' '..=b'~')) {

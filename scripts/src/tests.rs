@@ -1,4 +1,4 @@
-//! Laws of the whole compiler: nothing panics, findings stand in the text, places survive aliases.
+//! Laws of the whole compiler: nothing panics, findings are in the text, places survive aliases.
 
 use proptest::prelude::*;
 

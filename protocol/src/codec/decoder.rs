@@ -95,7 +95,7 @@ impl Decoder {
         self.buffer.len() - self.read
     }
 
-    /// The next message or the error that stands in its place; `None` until more bytes come. Empty lines are skipped.
+    /// The next message or the error that is in its place; `None` until more bytes come. Empty lines are skipped.
     pub fn next_message(&mut self) -> Option<Result<Message, DecodeError>> {
         loop {
             let found = match (self.skipping, self.buffer.get(self.read)?) {

@@ -7,14 +7,14 @@ use serde::Deserialize;
 use crate::limits::STRING_CHARS_MAX;
 use crate::text::{DeviceId, RequestId};
 
-/// Why a line or frame is no message, and whom an answer would concern.
+/// Why a line or frame is not a message, and the device and request that an answer would concern.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub struct DecodeError {
     /// What is wrong.
     pub kind: DecodeErrorKind,
-    /// The device of a control request that could be made out all the same.
+    /// The device of a control request that can be recognised all the same.
     pub device_id: Option<DeviceId>,
-    /// The request id that could be made out all the same.
+    /// The request id that can be recognised all the same.
     pub request_id: Option<RequestId>,
 }
 
@@ -65,7 +65,7 @@ impl DecodeError {
         Self { kind, device_id: None, request_id: None }
     }
 
-    /// Of something well formed that is no message.
+    /// An error in text that is well formed but not a message.
     pub(super) fn invalid(path: String, message: String, of: Addressee) -> Self {
         Self {
             kind: DecodeErrorKind::Invalid { path: shortened(&path), message: shortened(&message) },

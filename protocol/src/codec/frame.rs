@@ -72,7 +72,7 @@ fn read_whole<'a, T: Deserialize<'a>>(payload: &'a [u8]) -> Result<T, Error> {
     }
 }
 
-/// Reads a bad payload once more, slower, for the path of the fault and the ids that an answer needs.
+/// Reads a bad payload again, more slowly, for the path of the fault and the ids that an answer needs.
 fn explain(payload: &[u8], error: &Error) -> DecodeError {
     let well_formed = read_whole::<IgnoredAny>(payload);
     if let Err(fault) = well_formed {

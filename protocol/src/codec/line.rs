@@ -26,7 +26,7 @@ pub(super) fn read(line: &[u8]) -> Result<Message, DecodeError> {
     serde_json::from_str(text).map_err(|error| explain(text, &error))
 }
 
-/// Reads a bad line once more, slower, for the path of the fault and the ids that an answer needs.
+/// Reads a bad line again, more slowly, for the path of the fault and the ids that an answer needs.
 fn explain(text: &str, error: &serde_json::Error) -> DecodeError {
     // A number beyond a double, say, is JSON all the same.
     if !error.is_data() && serde_json::from_str::<IgnoredAny>(text).is_err() {

@@ -26,7 +26,7 @@ pub struct ControlResponse {
     /// The value accepted for execution, or the reading; null on failure.
     #[serde(default)]
     pub status_value: StatusValue,
-    /// Of the request that this answers (our extension).
+    /// Id of the request that this answers (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub request_id: Option<RequestId>,
     /// Computed by the robot over what it accepted (our extension).

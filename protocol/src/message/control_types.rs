@@ -22,13 +22,13 @@ pub struct ControlTypes(BTreeMap<ControlType, ControlParameters>);
 #[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub enum ControlParameters {
-    /// Of position, speed and acceleration.
+    /// Parameters of position, speed and acceleration.
     Motion(Limits),
-    /// Of script.
+    /// Parameters of script.
     Script(ScriptParameters),
-    /// Of sensor.
+    /// Parameters of sensor.
     Sensor(SensorParameters),
-    /// Of custom_N: its own.
+    /// Parameters of custom_N, which each type defines itself.
     Custom(Map<String, Value>),
 }
 
@@ -165,7 +165,7 @@ pub struct ScriptParameters {
 }
 
 impl ScriptParameters {
-    /// Scripts of at most so many steps, which may use every control type of the device within these limits.
+    /// Scripts of at most this many steps, which may use every control type of the device within these limits.
     #[must_use]
     pub const fn new(limits: Limits, max_number_of_steps: u32) -> Self {
         Self { limits, max_number_of_steps, control_types: None }

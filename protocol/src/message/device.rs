@@ -31,7 +31,7 @@ pub struct Device {
     /// For people.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub name: Option<Label>,
-    /// Of all values of this device (our extension).
+    /// Unit of all values of this device (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub unit: Option<Label>,
     /// The default state; without one: hold the last position, zero speed and acceleration (our extension).

@@ -48,7 +48,7 @@ pub struct InitializationBlock {
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     #[cfg_attr(feature = "schema", schemars(default))]
     pub reports: bool,
-    /// What it understands beside JSON, as `msgpack` (our extension).
+    /// Encodings that it understands besides JSON, such as `msgpack` (our extension).
     #[serde(skip_serializing_if = "Vec::is_empty")]
     #[cfg_attr(feature = "schema", schemars(default))]
     pub encodings: Vec<Label>,

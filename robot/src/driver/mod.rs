@@ -157,7 +157,7 @@ pub struct DriverOptions {
     pub at_start: AtStart,
 }
 
-/// Samples a second where nothing else is said: as often as hobby servos take a value.
+/// Samples a second by default: as often as hobby servos take a value.
 pub const SAMPLES_PER_SECOND: f64 = 50.0;
 
 impl Default for DriverOptions {

@@ -17,7 +17,7 @@ const NEAR: Duration = Duration::from_millis(25);
 /// A question is not begun so shortly before a movement, or less where the answers come fast.
 pub(crate) const QUIET: Duration = Duration::from_millis(20);
 const QUIET_LEAST: Duration = Duration::from_millis(2);
-/// It is asked all the same once it is so long overdue: under a near start, and otherwise.
+/// It is asked all the same once it is this long overdue: under a near start, and otherwise.
 const OVERDUE: (Duration, Duration) = (Duration::from_millis(60), Duration::from_secs(2));
 
 /// What the machine holds, as far as its hardware has to be alive for it.
@@ -36,7 +36,7 @@ pub(crate) struct Demand {
 pub(super) struct Pulse {
     /// When it last answered.
     seen: Instant,
-    /// The longest of its calls of late.
+    /// The longest of its recent calls.
     took: Duration,
     demand: Demand,
     held_since: Option<Instant>,

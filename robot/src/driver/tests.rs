@@ -134,7 +134,7 @@ impl Rig {
         self.script_in(device, id, 200.0, steps, control_type);
     }
 
-    /// Sends a script that starts so many milliseconds from now.
+    /// Sends a script that starts this many milliseconds from now.
     fn script_in(&self, device: &str, id: &str, lead: f64, steps: &[(f64, f64)], control_type: ControlType) {
         let step = |(millis, value): &(f64, f64)| Step {
             offset: Millis::new(*millis).unwrap(),

@@ -100,7 +100,7 @@ impl Judge {
             let latest: Timestamp<Server> = (now + TAKEN_BACK_AHEAD_MAX).assume_clock();
             device.taken_back = device.taken_back.max(request.timestamp.map(|sent| sent.min(latest)));
         }
-        // What has fallen already is gone from the queue: what still stands there must not fall.
+        // What has fallen already is gone from the queue: what is still there must not fall.
         let standing: HashSet<_> =
             device.queue.iter().filter(|order| order.falls(from)).map(|order| order.serial).collect();
         &self.cancelled | &standing

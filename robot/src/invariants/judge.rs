@@ -51,7 +51,7 @@ impl Lost {
     }
 }
 
-/// A request and who sent it.
+/// A request and its sender.
 pub(super) struct Asked<'a> {
     link: LinkId,
     pub(super) party: Party,
@@ -255,7 +255,7 @@ impl Judge {
                     .is_some())
             }
             Some(ErrorCode::Cancelled) => {
-                // Of commands without an id those are meant that fall.
+                // Among commands without an id, this means those that fall.
                 let from = self.cancels_from;
                 let cancelled = take(device, |order| of(order) && order.falls(from));
                 self.cancelled.extend(cancelled.as_ref().map(|order| order.serial));

@@ -28,7 +28,7 @@ pub(super) struct Heard {
 }
 
 impl Heard {
-    /// A message came; who sent it.
+    /// A message arrived, with its sender.
     pub(super) fn message(&mut self, now: Now, link: LinkId, session: Option<&SessionId>) -> Party {
         let party = match session {
             None => self.of_link.get(&link).copied().unwrap_or(Party::Link(link)),
@@ -131,7 +131,7 @@ impl Order {
         silent.into_iter().chain(self.pending_until).min()
     }
 
-    /// When the lease ends that holds once so many steps are done.
+    /// When the lease ends that holds once this many steps are done.
     pub(super) fn running_ends(&self, heard: &Heard, done: usize) -> Option<Now> {
         let own = done.checked_sub(1).and_then(|step| self.steps.get(step)?.stop_condition);
         heard.ends(self.party, self.accepted, own.or(self.condition).and_then(|lease| lease.running))
@@ -269,7 +269,7 @@ impl DeviceModel {
         over.map(|order| order.start).min()
     }
 
-    /// Whether a rate goes on that does not rest.
+    /// Whether a rate continues that does not rest.
     pub(super) fn rate_goes_on(&self) -> bool {
         let rates = self.targets.iter().filter(|(rate, _)| **rate != ControlType::Position);
         rates.into_iter().any(|(rate, target)| *target != self.rest(*rate))

@@ -14,7 +14,7 @@ const OPERATIONS_MAX: usize = 128;
 const STEPS_MAX: usize = 6;
 /// The unit of all coarse times.
 const TICK: Span = Span::from_millis(50);
-/// Ids and names that occur beside those of the robot's devices.
+/// Ids and names that occur in addition to those of the robot's devices.
 const NO_DEVICE: &str = "leg";
 const IDS: u8 = 8;
 const SESSIONS: u8 = 3;
@@ -26,9 +26,9 @@ const SESSIONLESS: u8 = 240;
 pub enum Operation {
     /// A control request comes.
     Request(Request),
-    /// An earlier request comes once more, maybe on another link.
+    /// An earlier request arrives again, maybe on another link.
     Repeat {
-        /// Which.
+        /// Number of the earlier request.
         which: u8,
         /// On which link.
         link: u8,
@@ -52,16 +52,16 @@ pub enum Operation {
         /// On which link.
         link: u8,
     },
-    /// A line comes that is no message.
+    /// A line arrives that is not a message.
     Noise {
         /// On which link.
         link: u8,
-        /// The device that could be made out all the same.
+        /// The device that can be recognised all the same.
         device: Option<u8>,
     },
-    /// A link breaks; what comes on it later comes on a new one.
+    /// A link breaks; what arrives on it later arrives on a new one.
     Break {
-        /// Which.
+        /// Number of the link that breaks.
         link: u8,
     },
     /// Time passes, and the robot is woken whenever it asks to be.
@@ -70,7 +70,7 @@ pub enum Operation {
     HeldUp(Pause),
 }
 
-/// How long nothing comes: to an instant of the coarse grid, or a few nanoseconds beside it.
+/// How long nothing arrives: to an instant of the coarse grid, or to a few nanoseconds next to it.
 #[derive(Clone, Debug, Arbitrary)]
 pub struct Pause {
     ticks: u8,
@@ -374,7 +374,7 @@ impl Target {
     }
 }
 
-/// The instant so many ticks from the tick at or before `now`.
+/// The instant this many ticks from the tick at or before `now`.
 fn on_grid(now: Timestamp<Robot>, ticks: i64) -> Timestamp<Robot> {
     now - Span::from_nanos(now.as_nanos().rem_euclid(TICK.as_nanos())) + TICK * ticks
 }

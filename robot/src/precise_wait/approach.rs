@@ -9,8 +9,8 @@ use std::time::{Duration, Instant};
 
 /// How long before a deadline to wake where the cores are free. A sleeper on an idle core of a virtual machine wakes that late.
 const LEAD_FREE: Duration = Duration::from_micros(200);
-/// A sleeper that woke later than that is woken earlier from then on: by so much more than it was late, up to so much in all, for
-/// so long.
+/// A sleeper that woke later than that is woken earlier from then on: by this much more than it was late, up to this limit, for
+/// this long.
 const LEAD_MORE: Duration = Duration::from_micros(50);
 const LEAD_MAX: Duration = Duration::from_millis(1);
 const LATE_REMEMBERED: Duration = Duration::from_secs(60);
@@ -18,9 +18,9 @@ const LATE_REMEMBERED: Duration = Duration::from_secs(60);
 const LEAD_BUSY: Duration = Duration::from_micros(100);
 /// A yield that takes longer gave the core to something else than another robot.
 const YIELD_MAX: Duration = Duration::from_micros(500);
-/// For so long after such a yield the cores count as busy, whatever a look at them says.
+/// For this long after such a yield the cores count as busy, whatever a look at them says.
 const DISTRUST: Duration = Duration::from_secs(1);
-/// A look at the cores holds for so long.
+/// A look at the cores holds for this long.
 const LOOK_EVERY: Duration = Duration::from_millis(50);
 /// A look is taken between these two times before a deadline, so that it disturbs no start.
 const LOOK_EARLIEST: Duration = Duration::from_millis(12);
@@ -104,7 +104,7 @@ impl Approach {
         self.late.filter(|(_, until)| now < *until).map_or(LEAD_FREE, |(lead, _)| lead)
     }
 
-    /// The thread woke so long after the instant at which it wanted to.
+    /// The thread woke this long after the instant at which it wanted to.
     pub(super) fn woke(&mut self, now: Instant, late: Duration) {
         let lead = (late + LEAD_MORE).min(LEAD_MAX);
         if lead >= self.lead_free(now) && lead > LEAD_FREE {
@@ -118,14 +118,14 @@ impl Approach {
         self.scheduled == Scheduled::First || (self.cores == Cores::Free && trusted())
     }
 
-    /// A yield took so long.
+    /// A yield took this long.
     pub(super) fn yielded(&mut self, now: Instant, took: Duration) {
         if took > YIELD_MAX {
             self.distrusted_until = Some(now + DISTRUST);
         }
     }
 
-    /// The thread span for so long, until now.
+    /// The thread span for this long, until now.
     pub(super) fn spun(&mut self, now: Instant, took: Duration) {
         self.earn(now);
         self.credit = self.credit.saturating_sub(took);

@@ -8,7 +8,7 @@ use urrcp::{
 use super::{LinkId, Now, Output, Robot, tell};
 use crate::device::DeviceMachine;
 
-/// To whom the robot belongs.
+/// The party to which the robot belongs.
 pub(super) enum Owner {
     Nobody,
     /// To the session that asks.
@@ -98,7 +98,7 @@ impl Robot {
         Ok(())
     }
 
-    /// To whom the robot belongs, as this session sees it.
+    /// The party to which the robot belongs, as this session sees it.
     pub(super) fn owner(&self, now: Now, session: Option<&SessionId>) -> Owner {
         let idle = self.devices.iter().all(DeviceMachine::is_idle);
         match self.parties.owner(now, idle, &self.heard) {
@@ -225,7 +225,7 @@ fn check_hash(
     computed: Option<ContentHash>,
 ) -> Result<Option<ContentHash>, ControlError> {
     let Some(expected) = request.content_hash else { return Ok(None) };
-    // Of these two the value does not matter.
+    // The value of these two does not matter.
     if matches!(request.command, Command::ReadSensor | Command::Unknown(_)) {
         return Ok(None);
     }

@@ -10,7 +10,7 @@ use crate::hardware::{AtEnd, Hardware, OpenReading, ReadingId, STALE, START_NEAR
 #[cfg(feature = "host")]
 use crate::signal::Signal;
 
-/// A command that was accepted at least so long before its start does not start while the hardware is silent: there was
+/// A command that was accepted at least this long before its start does not start while the hardware is silent: there was
 /// time to ask it.
 const NOTICE: Span = Span::from_millis(200);
 
@@ -51,7 +51,7 @@ impl Robot {
         }
     }
 
-    /// Before anything is done: whether the robot was held up, and whether the hardware answers, where a start is near.
+    /// Before anything is done: whether the robot was delayed, and whether the hardware answers, where a start is near.
     /// `silence` tells for how long it has not answered, where that is too long.
     pub(crate) fn look_after(
         &mut self,
@@ -65,14 +65,14 @@ impl Robot {
         self.hardware_silent(now, start.and_then(|_| silence()), NOTICE, out);
     }
 
-    /// When the next command starts, of those that were accepted at least so long before their start.
+    /// When the next command starts, of those that were accepted at least this long before their start.
     #[must_use]
     pub fn next_start(&self, notice: Span) -> Option<Now> {
         self.devices.iter().filter_map(|device| device.next_start(notice)).min()
     }
 
     /// The hardware has not answered for so long that nothing can be promised, or it has after all. Starts that are due
-    /// meanwhile end as `Failed`, code `internal`, as far as they were accepted with so much notice; `None` lets all be.
+    /// meanwhile end as `Failed`, code `internal`, as far as they were accepted with this much notice; `None` lets all be.
     pub fn hardware_silent(&mut self, now: Now, silence: Option<Span>, notice: Span, out: &mut Vec<Output>) {
         self.hardware.silent(silence);
         let Some(silence) = silence else { return };
@@ -85,7 +85,7 @@ impl Robot {
         }
     }
 
-    /// Ends as `Failed`, code `late`, what runs and has a step that is overdue by more than this: the edge was held up,
+    /// Ends as `Failed`, code `late`, what runs and has a step that is overdue by more than this: the edge was delayed,
     /// and what would follow is out of sync. Those devices go to their default state.
     pub fn give_up_overdue(&mut self, now: Now, late_max: Span, out: &mut Vec<Output>) {
         for index in 0..self.devices.len() {

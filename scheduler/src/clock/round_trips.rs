@@ -10,7 +10,7 @@ const EXCHANGES_MAX: usize = 64;
 const WINDOW: Span = Span::from_millis(30_000);
 /// So many count however old they are, so that one that took long does not stand alone on a link that is seldom used.
 const EXCHANGES_KEPT: usize = 3;
-/// Of so many exchanges two may be outliers; of fewer only one.
+/// Of this many exchanges two may be outliers; of fewer only one.
 const EXCHANGES_MANY: usize = 32;
 
 /// The latest round trips with one robot, in bounded memory.

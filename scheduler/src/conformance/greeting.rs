@@ -55,7 +55,7 @@ fn availability(trial: &Trial) -> Checked {
     pass()
 }
 
-/// The timestamp that stands in an availability request.
+/// The timestamp of an availability request.
 fn urrcp_timestamp(sent: &str) -> Option<String> {
     let json: serde_json::Value = serde_json::from_str(sent).ok()?;
     json["availability_request"]["timestamp"].as_str().map(str::to_owned)

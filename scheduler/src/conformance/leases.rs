@@ -188,7 +188,7 @@ fn lease_left_on(trial: &Trial) -> Checked {
     runs_out(trial, &mut line, ticket)
 }
 
-/// Sends this again and again for so long.
+/// Sends this again and again for this long.
 fn chatter(trial: &Trial, line: &mut Line, bytes: &dyn Fn() -> Vec<u8>, span: Span) -> Result<(), Unmet> {
     let until = trial.now() + span;
     while trial.now() < until && !line.has_ended() {

@@ -75,7 +75,7 @@ impl<'a> Line<'a> {
         Ok(self.exchanges.ask(id, device.to_owned(), text.to_owned(), sent))
     }
 
-    /// Sends a request once more, byte for byte.
+    /// Sends a request again, byte for byte.
     pub(super) fn ask_again(&mut self, ticket: Ticket) -> Result<(), Unmet> {
         let text = self.asked(ticket).text.clone();
         let sent = self.send(text.as_bytes())?;
@@ -319,7 +319,7 @@ impl<'a> Line<'a> {
         Err(differs(&sent, &came, "an availability_response with status `OK`"))
     }
 
-    /// Whether the robot goes on answering after `before` was sent.
+    /// Whether the robot continues answering after `before` was sent.
     pub(super) fn goes_on_after(&mut self, before: &str) -> Result<(), Unmet> {
         match self.availability() {
             Ok(_) => Ok(()),

@@ -1,4 +1,4 @@
-//! Connections: many messages at once, peers that do not read, one connection after another and beside another.
+//! Connections: many messages at once, peers that do not read, one connection after another and at the same time as another.
 
 use urrcp::{Message, Span};
 
@@ -14,7 +14,7 @@ pub(super) const ALL: [Requirement; 4] = [
     },
     Requirement {
         name: "slow-reader",
-        demands: "A server that sends and does not read holds up no other.",
+        demands: "A server that sends and does not read delays no other.",
         section: "Sessions and connections (D)",
         check: slow_reader,
     },

@@ -1,7 +1,7 @@
 //! Plays the server against any robot and judges what the protocol demands, one requirement at a time.
 //!
 //! A test client of its own, with blocking sockets and bytes on the wire, since it must also send what no server sends.
-//! One file a theme; each lists its requirements with their checks. `trial` is what the checks have at hand, `line` one
+//! One file a theme; each lists its requirements with their checks. `trial` is what the checks have available, `line` one
 //! connection.
 
 mod actor;
@@ -73,7 +73,7 @@ pub struct Examined {
 /// Why a robot cannot be judged.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotExamined {
-    /// Nobody answers at the address.
+    /// No robot answers at the address.
     #[error("{0}")]
     Unreachable(String),
     /// The robot lacks the device that is to be moved.
@@ -91,7 +91,7 @@ pub fn requirements() -> impl Iterator<Item = &'static Requirement> {
 /// Judges a robot. `tell` hears of each requirement before it is checked, and the verdict after.
 ///
 /// # Errors
-/// [`NotExamined`] if nobody answers at the address, or the robot lacks the device that is to be moved.
+/// [`NotExamined`] if no robot answers at the address, or the robot lacks the device that is to be moved.
 pub fn examine(
     address: SocketAddr,
     options: Options,

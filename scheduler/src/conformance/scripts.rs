@@ -99,7 +99,7 @@ fn script_timing(trial: &Trial) -> Checked {
     }
 }
 
-/// A script of so many steps, a millisecond apart, that never starts.
+/// A script of this many steps, a millisecond apart, that never starts.
 fn of_steps(trial: &Trial, actor: &Actor, count: u32) -> ControlRequest {
     let steps: Vec<_> = (0..count).map(|i| (f64::from(i), actor.rest)).collect();
     trial.script(actor, &steps).starting_in(LATER_MS).leased(LEASE_MS)

@@ -1,4 +1,4 @@
-//! What every check has at hand: the robot's address and block, clocks, connections, requests.
+//! What every check has available: the robot's address and block, clocks, connections, requests.
 
 use std::cell::Cell;
 use std::net::{SocketAddr, TcpStream};
@@ -156,7 +156,7 @@ impl Trial {
         }
     }
 
-    /// A connection beside one that stands, where the robot serves several.
+    /// A connection in addition to an open one, if the robot serves several.
     pub(super) fn connect_beside(&self) -> Result<Line<'_>, Unmet> {
         let second = self.connect().and_then(|mut line| line.availability().map(|_| line));
         second.map_err(|unmet| match unmet {
@@ -317,9 +317,9 @@ fn millis_of(millis: f64) -> Millis {
 
 /// A request's start and lease.
 pub(super) trait Shaped {
-    /// Starts so many milliseconds after its timestamp.
+    /// Starts this many milliseconds after its timestamp.
     fn starting_in(self, millis: f64) -> Self;
-    /// Ends after so many milliseconds of silence.
+    /// Ends after this many milliseconds of silence.
     fn leased(self, millis: f64) -> Self;
 }
 

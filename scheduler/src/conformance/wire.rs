@@ -97,7 +97,7 @@ fn line_of(request: &Value) -> Vec<u8> {
     format!("{}\n", json!({"control_request": request})).into_bytes()
 }
 
-/// Each of the lines is answered `malformed`, and behind them the connection goes on.
+/// Each of the lines is answered `malformed`, and behind them the connection continues.
 fn all_malformed(line: &mut Line, lines: &[Vec<u8>]) -> Checked {
     for bytes in lines {
         line.is_malformed(bytes)?;

@@ -101,20 +101,20 @@ pub enum Filed {
 pub enum Happened {
     /// On a link. What happens on an older link of the same robot comes too late and is ignored.
     OnLink {
-        /// When.
+        /// When it happened, by the server's clock.
         at: Timestamp<Server>,
         /// Index of the robot.
         robot: usize,
         /// On which of its links.
         link: LinkNumber,
-        /// What.
+        /// The event for the mission.
         event: Box<Event>,
     },
     /// Anywhere else.
     Event {
-        /// When.
+        /// When it happened, by the server's clock.
         at: Timestamp<Server>,
-        /// What.
+        /// The event for the mission.
         event: Box<Event>,
     },
     /// The operator leaves without waiting for anything, or nothing will ever happen again.

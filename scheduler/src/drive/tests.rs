@@ -42,7 +42,7 @@ fn mission_with(options: MissionOptions) -> Mission {
     Mission::of_plan(plan, participants, options, BEGIN).unwrap()
 }
 
-/// One robot that never answers, behind a link that takes so many messages.
+/// One robot that never answers, behind a link that takes this many messages.
 struct Silent {
     now: Timestamp<Server>,
     room: usize,

@@ -1,7 +1,7 @@
 //! A mission in virtual time: the same loop, the same mission machine and the same robot machines, time jumps from event to
 //! event. The network delays as the fleet file says and loses nothing; for one that does, see `simulation/`.
 //!
-//! A virtual operator says go whenever an act waits and nothing else plays. Nothing goes on for ever: a loop of acts is played
+//! A virtual operator says go whenever an act waits and nothing else plays. Nothing lasts forever: a loop of acts is played
 //! a stated number of times, and an act that waits for what never comes is given up ([`Cut`]).
 
 mod operator;
@@ -21,7 +21,7 @@ use crate::report::Report;
 
 /// When virtual time begins where no act waits for a time: 2026-01-01T00:00:00Z.
 pub const BEGIN: Timestamp<Server> = Timestamp::from_nanos(1_767_225_600_000_000_000);
-/// Virtual time begins so long before the first time that an act waits for, and for every act as long again.
+/// Virtual time begins this long before the first time that an act waits for, and for every act as long again.
 const BEFORE_TIME: Span = Span::from_millis(60_000);
 /// How often a loop through all acts is played, unless [`MissionOptions::acts_max`] says otherwise.
 pub const ROUNDS: u32 = 3;

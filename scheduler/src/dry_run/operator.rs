@@ -1,4 +1,4 @@
-//! The operator of a dry run: says go when an act waits for it, and stops what waits for ever.
+//! The operator of a dry run: says go when an act waits for it, and stops what waits forever.
 
 use std::collections::HashMap;
 

@@ -22,7 +22,8 @@ pub use read::{Fate, Kept, Left, LeftOn, Progressed, Torn, Unreadable, read};
 pub(crate) use writer::{WAITING_MAX, append_all};
 pub use writer::{Writer, Written};
 
-/// The first line: who drives whom with what. It has all that a stop needs, because files may change while a mission plays.
+/// The first line: the session, the robots and the plan. It has all that a stop needs, because files may change while a
+/// mission plays.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Opened {
     /// The session that the robots know.
@@ -41,7 +42,7 @@ pub struct Opened {
     pub folder: Option<PathBuf>,
     /// The further choices of the operator: acts, robots, speed.
     pub asked: Asked,
-    /// Whether robots are asked who they are.
+    /// Whether robots are asked for their identity.
     pub greeting: Greeting,
     /// The server's time minus this machine's, as NTP said when the mission began.
     #[serde(rename = "clock_offset_ms")]
@@ -92,7 +93,7 @@ struct Line<'a, T> {
 pub struct JournalError {
     /// Which file.
     pub path: PathBuf,
-    /// Why.
+    /// The error of the system.
     pub error: io::Error,
 }
 

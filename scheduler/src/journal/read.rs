@@ -35,7 +35,7 @@ pub struct Kept {
     pub stopping_since: Option<Timestamp<Server>>,
     /// Robots that have confirmed their stop.
     pub stopped: Vec<RobotId>,
-    /// How it ended, as it stands in the report; `None` for a mission that was cut off.
+    /// How it ended, as it is in the report; `None` for a mission that was cut off.
     pub outcome: Option<Value>,
     /// Where it stops being whole.
     pub torn: Option<Torn>,
@@ -65,7 +65,7 @@ pub struct LeftOn {
     pub devices: BTreeSet<DeviceId>,
     /// What was added to timestamps for its clock.
     pub shift: Span,
-    /// The running leases of scripts whose acts have not ended; `None` for one that goes on without a link.
+    /// The running leases of scripts whose acts have not ended; `None` for one that continues without a link.
     pub leases: Vec<Option<Millis>>,
 }
 
@@ -88,7 +88,7 @@ pub enum Unreadable {
     Io {
         /// Which file.
         path: PathBuf,
-        /// Why.
+        /// The error of the system.
         error: io::Error,
     },
     /// Its first line is not whole.
@@ -207,7 +207,7 @@ impl Kept {
         kept.promises = under_way.into_iter().filter_map(promise).collect();
         if !rest.is_empty() {
             let after: Vec<_> = rest.split_inclusive(|byte| *byte == b'\n').filter_map(sound).collect();
-            // Of records behind damage only this is believed: these robots may hold something.
+            // Only this is believed of records behind damage: these robots may hold something.
             let promises = after.iter().filter_map(|json| serde_json::from_slice::<Touching<'_>>(json).ok());
             promises.for_each(|promise| kept.touch(&promise));
             kept.torn = Some(Torn { line: count + 1, bytes: rest.len(), whole_after: after.len() });
@@ -215,7 +215,7 @@ impl Kept {
         Some(kept)
     }
 
-    /// Of a mission of which nothing but its begin is known.
+    /// The state of a mission of which only its first line is known.
     fn new(opened: Opened, opened_at: Timestamp<Server>) -> Self {
         Self {
             opened,

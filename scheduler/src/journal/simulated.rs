@@ -10,7 +10,7 @@ pub(crate) struct SimulatedDisk {
     bytes: Vec<u8>,
     /// Bytes from the beginning that survive a loss of power.
     synced: usize,
-    /// The file cannot grow beyond so many bytes.
+    /// The file cannot grow beyond this many bytes.
     capacity: Option<usize>,
 }
 

@@ -145,7 +145,7 @@ impl Queue {
 #[derive(Clone)]
 struct EventSink {
     robot: usize,
-    /// `None` on a connection beside the link, which says nothing of the link.
+    /// `None` on an additional connection, which says nothing about the link.
     link: Option<LinkNumber>,
     clock: ServerClock,
     events: mpsc::Sender<Happened>,

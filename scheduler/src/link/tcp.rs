@@ -14,7 +14,7 @@ use crate::mission::{Event, Loss};
 use crate::server_clock::ServerClock;
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
-/// After so many bytes as one batch has the robot may be busy reading for so long.
+/// After this many bytes as one batch has the robot may be busy reading for this long.
 const LONG_UPLOAD: Span = Span::from_millis(2_000);
 /// For how long answers to an overtaking stop are awaited.
 const OVERTAKING_LISTENS: Duration = Duration::from_secs(10);

@@ -328,7 +328,7 @@ impl Mission {
         }
     }
 
-    fn keep_report(&mut self, act: &Act, report: ActReport) {
+    pub(super) fn keep_report(&mut self, act: &Act, report: ActReport) {
         let tolerance = act.written().plan.start_tolerance;
         let spread = spread(act, act.present()).into_iter().chain(report.off_plan()).max();
         let out_of_tolerance =

@@ -269,3 +269,21 @@ fn request_bytes(act: &Act, now: Timestamp<Server>) -> usize {
     let step_bytes = line.len() / largest.plan.script.steps().len().max(1);
     steps * step_bytes + scripts().count() * 256
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::mission::bench::{Tells, at, played, robot};
+
+    #[test]
+    fn what_has_to_travel_is_estimated_from_its_steps_and_requests() {
+        let robots = [robot("r0", Tells::Everything, 2)];
+        let bytes = |scripts: &[(&str, i64, i64)]| {
+            request_bytes(&Act::new(played(&[scripts]), 0, 0, &robots, at(0), None), at(0))
+        };
+        let one = bytes(&[("a", 0, 400)]);
+        // Two steps of about a hundred bytes, and the rest of a request.
+        assert!((300..1_000).contains(&one), "{one}");
+        assert_eq!(bytes(&[("a", 0, 400), ("b", 0, 400)]), 2 * one);
+    }
+}

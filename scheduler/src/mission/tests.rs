@@ -2,11 +2,13 @@
 
 use std::sync::Arc;
 
-use downbeat_scripts::{Wait, Way};
+use downbeat_scripts::{SensorRange, Wait, Way};
 use urrcp::RequestId;
 
 use super::bench::Tells::Everything;
 use super::bench::{Tells, at, choreography, robot};
+use super::preflight::{Check, Verdict};
+use super::robot_state::Stop;
 use super::*;
 
 /// Two acts, `one` and `two`, that one robot plays. The named one waits for the operator.
@@ -98,4 +100,81 @@ fn stops_go_out_on_a_link_of_the_robot_that_is_meant_and_on_no_link_that_has_jus
     assert!(!mission.takes_stops(at(0), 0), "there is no link");
     let _sent = mission.handle(at(0), Event::LinkUp { robot: 0 });
     assert!(mission.takes_stops(at(0), 0), "the link of the robot itself");
+}
+
+/// An act that was sent, out of its mission.
+fn sent_act() -> (Mission, Act, ActReport) {
+    let mut mission = begins_at_once(Everything);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let act = mission.acts.remove(0);
+    let report = ActReport::new(&act, &mission.robots).unwrap();
+    (mission, act, report)
+}
+
+fn with_rows(mut report: ActReport, rows: usize) -> ActReport {
+    report.robots = vec![report.robots[0].clone(); rows];
+    report
+}
+
+#[test]
+fn the_report_of_the_last_act_is_kept_however_many_robots_played_it() {
+    let (mut mission, act, report) = sent_act();
+    mission.keep_report(&act, with_rows(report.clone(), 20_001));
+    assert_eq!((mission.reports.len(), mission.reports_omitted), (1, 0));
+    mission.keep_report(&act, report);
+    assert_eq!((mission.reports.len(), mission.reports_omitted), (1, 1), "the oldest is left out");
+}
+
+#[test]
+fn as_many_reports_are_kept_as_have_twenty_thousand_rows() {
+    let (mut mission, act, report) = sent_act();
+    mission.keep_report(&act, with_rows(report.clone(), 19_999));
+    mission.keep_report(&act, report.clone());
+    assert_eq!((mission.reports.len(), mission.reports_omitted), (2, 0));
+    mission.keep_report(&act, report);
+    assert_eq!((mission.reports.len(), mission.reports_omitted), (2, 1));
+}
+
+#[test]
+fn a_stopped_robot_whose_script_waits_is_at_rest_when_its_pending_lease_ends() {
+    let (mut mission, act, _) = sent_act();
+    mission.robots[0].stop = Stop::Confirmed(Rest::Default);
+    let member = &act.members()[0];
+    let lease = act.timing().unwrap().lead.lease;
+    let left = act.left_behind(member, 0, &mission.robots[0], at(1));
+    assert_eq!(left, Some(Some(mission.robots[0].last_sent.unwrap() + lease)));
+}
+
+#[test]
+fn an_act_is_sent_later_than_the_stop_before_it() {
+    for (stopped, sent) in [(None, at(0)), (Some(at(0)), at(0) + Span::from_nanos(1))] {
+        let mut mission = begins_at_once(Everything);
+        mission.stopped_at = stopped;
+        let actions = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        let script = |action: &Action| match action {
+            Action::Send { message: Message::ControlRequest(request), .. } => request.timestamp,
+            _ => None,
+        };
+        assert_eq!(actions.iter().find_map(script), Some(sent));
+    }
+}
+
+#[test]
+fn a_required_sensor_passes_once_it_was_read_and_only_where_robots_are_greeted() {
+    let read = Some(51.0);
+    for (greeting, readings, passes) in [
+        (Greeting::Full, vec![read], true),
+        (Greeting::Full, vec![None], false),
+        (Greeting::Skip, vec![read], false),
+    ] {
+        let mut mission = begins_at_once(Everything);
+        let range = SensorRange::Above(50.0);
+        mission.robots[0].requires = vec![Requirement { sensor: "eye".parse().unwrap(), range }];
+        mission.robots[0].readings = readings;
+        mission.options.greeting = greeting;
+        let table = preflight::table(&mission, at(0));
+        let verdict = table.rows[0].checks.iter().find(|(check, _)| *check == Check::Sensors).unwrap();
+        let expected = if passes { Verdict::Pass("eye 51".to_owned()) } else { Verdict::NotChecked };
+        assert_eq!(verdict.1, expected, "{greeting:?}");
+    }
 }

@@ -28,7 +28,7 @@ pub use recorder::{Recorded, Recorder};
 pub struct RecordingError {
     /// Which file.
     pub path: PathBuf,
-    /// Why.
+    /// The error of the MCAP writer, or of the system below it.
     pub error: McapError,
 }
 

@@ -82,7 +82,7 @@ pub struct Report {
 /// What one robot did over all acts.
 #[derive(Clone, Debug, Serialize)]
 pub struct RobotReport {
-    /// Which.
+    /// Id of the robot.
     pub robot: RobotId,
     /// `in`, `absent` or `out`.
     pub standing: &'static str,
@@ -143,7 +143,7 @@ impl StopState {
 }
 
 impl Report {
-    /// Of a mission that has ended; `None` before.
+    /// The report of a mission that has ended; `None` before.
     #[must_use]
     pub fn of(mission: &Mission) -> Option<Self> {
         mission.outcome().map(|outcome| Self::with(mission, outcome.clone()))

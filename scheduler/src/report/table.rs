@@ -26,12 +26,12 @@ impl Rows {
         Self { header: header.to_vec(), numbers_from, rows: Vec::new() }
     }
 
-    /// Adds a row; what stands in it may come from outside.
+    /// Adds a row; what is in it may come from outside.
     pub fn add(&mut self, cells: impl IntoIterator<Item = impl AsRef<str>>) {
         self.rows.push(cells.into_iter().map(|cell| shown(cell.as_ref()).into_owned()).collect());
     }
 
-    /// As lines of at most so many columns, unless a single cell is wider.
+    /// As lines of at most this many columns, unless a single cell is wider.
     #[must_use]
     pub fn text(&self, columns: usize) -> String {
         self.painted(columns, |_, line| line)
@@ -104,7 +104,7 @@ fn cut(row: &[String], columns: usize) -> Vec<String> {
 /// Units that stay on the line of their number.
 const UNITS: [&str; 4] = ["us", "ms", "s", "min"];
 
-/// Text in lines of at most so many columns, broken between words and never between a number and its unit; further lines are
+/// Text in lines of at most this many columns, broken between words and never between a number and its unit; further lines are
 /// set in by two columns more than the first.
 #[must_use]
 pub fn wrapped(text: &str, columns: usize) -> String {

@@ -20,7 +20,7 @@ pub(crate) const TAKEN_OVER: &str =
 /// As wide as it comes: for files and pipes.
 pub const UNBOUNDED: usize = usize::MAX;
 
-/// A sentence in lines of its own; what stands in it may come from outside.
+/// A sentence in lines of its own; what is in it may come from outside.
 fn say(text: &mut String, columns: usize, sentence: &str) {
     text.push_str(&wrapped(&shown(sentence), columns));
 }
@@ -36,7 +36,7 @@ fn signed(span: Span) -> String {
     }
 }
 
-/// An act: its cues with their times, and a row a device, in so many columns.
+/// An act: its cues with their times, and a row a device, in this many columns.
 #[must_use]
 pub fn plan_table(act: &Act, columns: usize) -> String {
     let mut cues = Rows::new(&["cue", "start", "end", "slack"], 1);
@@ -173,7 +173,7 @@ fn readings_table(preflight: &Preflight, columns: usize) -> String {
     if rows.is_empty() { String::new() } else { format!("\n{}\n", rows.text(columns)) }
 }
 
-/// The report for people, in so many columns: how it ended, what failed, a row a robot, and the figures that matter.
+/// The report for people, in this many columns: how it ended, what failed, a row a robot, and the figures that matter.
 #[must_use]
 pub fn report_text(report: &Report, columns: usize) -> String {
     let mut text = String::new();
@@ -289,7 +289,7 @@ fn robots_table(report: &Report, columns: usize) -> String {
     rows.text(columns)
 }
 
-/// At least so many, where the robot has not said what became of all its scripts.
+/// At least this many, where the robot has not said what became of all its scripts.
 fn steps(robot: &RobotReport) -> String {
     let at_least = if robot.unaccounted > 0 { "+" } else { "" };
     format!("{}{at_least}/{}", robot.steps_done, robot.steps_planned)

@@ -2,7 +2,7 @@
 //!
 //! The mission says `ready` on every connection. `go`, or `go ACT`, is answered by `started ACT` or `refused: REASON`. `stop`,
 //! or `hold`, which leaves robots where they are, is answered by `heard` once the mission has taken it, by `alive` four times a second as long as it stops, and in the end
-//! by its report, a line of JSON. So the one who says something knows within a second whether the mission listens.
+//! by its report, a line of JSON. So a client knows within a second whether the mission listens.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -21,11 +21,11 @@ use crate::stop_lane::{StopLane, Voice};
 
 /// Longest line that is listened to, in bytes: a word and the name of an act.
 const LINE_MAX: u64 = 4_096;
-/// A scheduler that is silent for so long does not listen.
+/// A scheduler that is silent for this long does not listen.
 const SILENCE_MAX: Duration = Duration::from_secs(1);
 /// How often a mission that stops says that it is alive.
 const ALIVE_EVERY: Duration = Duration::from_millis(250);
-/// A mission whose loop has not turned for so long while it stops is given up: the one who said stop asks the robots then.
+/// If the loop of a stopping mission makes no progress for this long, the client gives it up and asks the robots itself.
 const STANDS_STILL: Duration = Duration::from_secs(2);
 /// How often it is looked whether the mission has taken a word.
 const TAKEN_RETRY: Duration = Duration::from_millis(2);
@@ -75,7 +75,7 @@ impl Control {
         Ok(Self { accepting: accepting.abort_handle(), report, told })
     }
 
-    /// Tells everybody who said stop how the mission ended, for a second at most.
+    /// Tells every client that said stop how the mission ended, for at most a second.
     pub async fn end(mut self, report: Option<String>) {
         let _nobody_waits = self.report.send(report);
         self.accepting.abort();

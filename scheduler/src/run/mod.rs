@@ -40,11 +40,11 @@ pub enum Operator {
 #[derive(Debug, Default)]
 #[non_exhaustive]
 pub struct Keep {
-    /// What was promised to whom.
+    /// What was promised to which robot.
     pub journal: Option<Journal>,
     /// Everything that was said.
     pub recording: Option<Recorder>,
-    /// Follows NTP while the mission goes on.
+    /// Follows NTP while the mission continues.
     pub ntp: Option<NtpWatch>,
     /// Stops the robots whatever else stands still.
     pub stop_lane: Option<StopLane>,
@@ -56,7 +56,7 @@ fn to_be_stopped(robot: &RobotState) -> BTreeSet<DeviceId> {
     if robot.stop_was_sent() { BTreeSet::new() } else { robot.touched.clone() }
 }
 
-/// Runs a mission to its end. `endpoints` stand in the order of the mission's robots.
+/// Runs a mission to its end. `endpoints` are in the order of the mission's robots.
 pub async fn run(
     mission: Mission,
     endpoints: Vec<Endpoint>,

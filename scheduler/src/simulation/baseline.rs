@@ -10,7 +10,7 @@ use crate::dry_run::BEGIN;
 /// How the word is passed on.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Go {
-    /// To all at once, nobody is asked whether it came.
+    /// To all at once; no robot is asked whether it arrived.
     Broadcast,
     /// To one after another, each after the one before has answered; after 500 ms without an answer the rest is not sent.
     Sequential,
@@ -54,7 +54,7 @@ pub fn starts(drawn: &Drawn, go: Go, act: &ActStarts) -> Starts {
     }
 }
 
-/// Its process ended, and nobody has taken the mission up by then.
+/// Its process ended, and no other process has resumed the mission by then.
 fn scheduler_is_gone(drawn: &Drawn, now: Span) -> bool {
     drawn.faults.iter().any(|(at, fault)| match fault {
         Fault::SchedulerCrash { resumed_after } | Fault::SchedulerCrashAmid { resumed_after, .. } => {
@@ -64,7 +64,7 @@ fn scheduler_is_gone(drawn: &Drawn, now: Span) -> bool {
     })
 }
 
-/// When a message that is sent now arrives; `None` where it is lost or nobody is there.
+/// When a message that is sent now arrives; `None` if it is lost or no process listens.
 fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Span> {
     let (least, largest) = drawn.delay;
     let mut arrival = now + Span::from_nanos(rng.i64(least.as_nanos()..=largest.as_nanos()));
@@ -95,9 +95,9 @@ fn heard_at(drawn: &Drawn, rng: &mut Rng, robot: usize, now: Span) -> Option<Spa
 
 /// What a message to a robot meets.
 enum Meets {
-    /// It has to wait for so long.
+    /// It has to wait for this long.
     Wait(Span),
-    /// It is lost, for so long or for ever.
+    /// It is lost, for this long or forever.
     Nothing(Option<Span>),
     /// The robot is gone with all that it held.
     Gone,
@@ -115,7 +115,7 @@ fn meets(fault: &Fault, to: usize) -> Option<Meets> {
         Fault::Partition { robot, lasts, breaks: true } | Fault::DeadLink { robot, lasts } if robot == to => {
             Some(Meets::Nothing(Some(lasts)))
         }
-        // Nobody makes the connection again.
+        // The connection is not made again.
         Fault::HalfOpen { robot } if robot == to => Some(Meets::Nothing(None)),
         Fault::HardwareDies { robot, back_after, .. } if robot == to => Some(Meets::Nothing(back_after)),
         Fault::RobotCrash { robot, .. } | Fault::AnotherRobot { robot, .. } if robot == to => {

@@ -55,11 +55,11 @@ pub enum Happened {
     FromRobot(usize, Option<Message>),
     /// A message was lost on the way to or from a robot.
     Lost(usize),
-    /// A message to or from a robot travelled for so long.
+    /// A message to or from a robot travelled for this long.
     Slow(usize, Span),
-    /// A message to or from a robot waited for so long behind others, on a link as it usually is.
+    /// A message to or from a robot waited for this long behind others, on a link as it usually is.
     Queued(usize, Span),
-    /// A stop waits for so long behind what was sent to a robot before it, on a link as it usually is.
+    /// A stop waits for this long behind what was sent to a robot before it, on a link as it usually is.
     StopQueued(usize, Span),
     /// Something went wrong.
     Fault(Fault),
@@ -69,7 +69,7 @@ pub enum Happened {
     LinkUp(usize),
     /// A link is down, as the scheduler sees it.
     LinkDown(usize),
-    /// The mission was taken up by its journal.
+    /// The mission was resumed by its journal.
     TakenUp(&'static str),
     /// So many bytes of records were on the disk and are not read again.
     Forgotten(usize),

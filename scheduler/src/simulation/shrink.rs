@@ -100,7 +100,7 @@ fn simpler(drawn: &Drawn) -> Vec<Drawn> {
     all
 }
 
-/// The acts behind it move up; who wanted to go to it goes on behind it.
+/// The later acts move up; an act that led to it leads to the one after it.
 fn without_act(drawn: &mut Drawn, act: usize) {
     if act < drawn.comes_after.len() {
         let _taken_away = drawn.comes_after.remove(act);

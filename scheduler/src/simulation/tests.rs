@@ -40,7 +40,7 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
             && drawn.tail == 0.0
     };
     let (mut done, mut refused) = (0, 0);
-    // Clocks that nobody can know well enough, and scripts that cannot be sent in time.
+    // Clocks that cannot be known well enough, and scripts that cannot be sent in time.
     let unplayable = |failure: &Failure| {
         matches!(failure.kind, FailureKind::Clock { .. } | FailureKind::NoTimeToSend { .. })
     };
@@ -55,6 +55,7 @@ fn seeds_without_faults_come_to_their_end_or_are_refused_for_their_links() {
         }
         let mute = ran.drawn.robots.iter().any(|robot| !robot.block.reports && !robot.block.inquiry);
         let Some(report) = ran.report else { panic!("seed {seed} has no report") };
+        assert!(report.preflight.is_some(), "seed {seed}: its robots were greeted");
         match report.outcome {
             Outcome::Done => done += 1,
             Outcome::Unknown if mute => done += 1,

@@ -45,7 +45,7 @@ enum Alarm {
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Before {
     pub(crate) session: Option<SessionId>,
-    /// Of each robot.
+    /// The devices of each robot, by its index.
     pub(crate) devices: Vec<BTreeSet<DeviceId>>,
 }
 
@@ -143,7 +143,7 @@ impl StopLane {
         self.over.send_replace(());
     }
 
-    /// The mission's loop goes on.
+    /// The mission's loop continues.
     pub(crate) fn turned(&self) {
         self.voice.turned();
     }

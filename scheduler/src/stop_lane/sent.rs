@@ -26,7 +26,7 @@ pub(super) struct Sent {
 }
 
 impl Sent {
-    /// Of a mission that another process began.
+    /// The devices of a mission that another process began.
     pub(super) fn before(devices: &BTreeSet<DeviceId>, session: Option<SessionId>) -> Self {
         let devices = devices.iter().map(|device| (device.clone(), Rest::Default)).collect();
         Self { devices, session, ..Self::default() }

@@ -12,7 +12,7 @@ use crate::mission::Rest;
 use crate::run::Operator;
 use crate::signals::{Asked, Signals, die_of};
 
-/// Once told to leave at once, or when the mission is over, the process may take so long to say what it has to.
+/// Once told to leave at once, or when the mission is over, the process may take this long to say what it has to.
 const LEAVES_WITHIN: Duration = Duration::from_secs(10);
 
 /// Speaks for the operator: the mission hears every word, and the robots hear of a stop at once.
@@ -35,7 +35,7 @@ impl Voice {
         Self { mission, alarm, turns: Arc::default() }
     }
 
-    /// The mission's loop goes on.
+    /// The mission's loop continues.
     pub(super) fn turned(&self) {
         self.turns.fetch_add(1, Ordering::Relaxed);
     }

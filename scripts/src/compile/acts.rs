@@ -69,7 +69,7 @@ fn way(
     let mut policy =
         FailurePolicy { default: act.on_failure.default.unwrap_or_default(), ..FailurePolicy::default() };
     for (name, rule) in act.on_failure.robots.iter().chain(act.on_failure.inherited.iter()) {
-        // Of several rules for one robot the first is the act's own.
+        // If there are several rules for one robot, the first is the act's own.
         let robots = cast.robots(findings, name);
         if !taken(findings, act, room, robots.len()) {
             break;
@@ -83,7 +83,7 @@ fn way(
     Ways { wait: act.wait.wait.clone(), on_timeout, next, on_failure: policy }
 }
 
-/// Whether there is room for a rule of so many robots: each act has its own for each of them.
+/// Whether there is room for a rule of this many robots: each act has its own for each of them.
 fn taken(findings: &mut Reader, act: &Act, room: &mut Budget, robots: usize) -> bool {
     let (told, sound) = (room.is_overdrawn(), room.take(robots.max(1)));
     if !sound && !told {

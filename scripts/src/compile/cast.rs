@@ -238,7 +238,7 @@ pub(super) type Rest = HashMap<(usize, usize), f64>;
 /// Where devices are when an act begins, as far as that is known.
 pub(super) struct Positions<'a> {
     fleet: &'a Fleet,
-    /// Of each act that leads here.
+    /// Where each act that leads here leaves the devices.
     before: Vec<&'a Rest>,
     first: bool,
 }

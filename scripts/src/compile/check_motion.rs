@@ -79,7 +79,7 @@ pub(super) fn check(findings: &mut Reader, on: &OnDevice<'_>, control_type: Cont
 }
 
 /// Where a device that moves linearly is told to be at two places at once: a movement that is repeated and does not end as
-/// it begins, or pieces that do not meet. Each is told once, however often it is repeated.
+/// it begins, or pieces that do not meet. Each is reported once, however often it is repeated.
 fn jumps(findings: &mut Reader, on: &OnDevice<'_>, control_type: ControlType, curve: &Curve) {
     if on.device.interpolation != Interpolation::Linear || control_type != ControlType::Position {
         return;

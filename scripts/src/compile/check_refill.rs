@@ -161,7 +161,7 @@ mod tests {
         Fleet { robots: vec![robot], ..Fleet::default() }
     }
 
-    /// Acts that follow each other, each with so many steps, one every `pause` milliseconds.
+    /// Acts that follow each other, each with this many steps, one every `pause` milliseconds.
     fn acts(steps: &[usize], pause: usize) -> String {
         let act = |(index, steps): (usize, &usize)| {
             let keyframe = |step: usize| format!("{{at: {}ms, to: {}}}", step * pause, step % 2 * 10);

@@ -9,7 +9,7 @@ use crate::finding::{Code, Part, Pending, Place};
 use crate::scenario::{Act, Anchor, Bounds, Relation};
 use crate::timing::{Bound, Conflict, ConstraintId, Link};
 
-/// Most links of a chain that are told.
+/// Most links of a chain that are reported.
 const LINKS_MAX: usize = 24;
 
 /// Why a constraint is there.
@@ -19,7 +19,7 @@ pub(super) enum Origin {
         cue: usize,
         relation: Relation,
     },
-    /// The last robot begins so much later, and the cue lasts as much longer.
+    /// The last robot begins this much later, and the cue lasts as much longer.
     Length {
         cue: usize,
         delay: Span,
@@ -144,7 +144,7 @@ impl Teller<'_> {
         }
     }
 
-    /// What loosening a bound by so much means, as an edit where one is enough; none where nothing is left of it.
+    /// What loosening a bound by this much means, as an edit where one is enough; none where nothing is left of it.
     fn fixes(&self, origin: &Origin, link: &Link, by: Span) -> Option<String> {
         Some(match origin {
             Origin::Length { cue, delay, .. } => return self.fixes_length(*cue, *delay, link, by),
@@ -213,7 +213,7 @@ impl Teller<'_> {
     }
 }
 
-/// The key of a relation with other bounds, as it is written.
+/// The key of a relation with other bounds, as written.
 fn edit(relation: &Relation, (min, max): (Option<Span>, Option<Span>)) -> String {
     let of_key = |part: &Part| match part {
         Part::Key(key, _) => Some(key.clone()),

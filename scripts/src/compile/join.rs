@@ -177,7 +177,7 @@ impl Lane<'_> {
                 return;
             }
             let (Some(first), Some(last)) = (values.first(), values.last()) else { continue };
-            // Of one that overlaps the one before that is told already.
+            // A segment that overlaps the previous one is reported already.
             if let Some(from) = position.as_ref().filter(|from| segment.start() >= from.since) {
                 let way = (first.to - from.value).abs();
                 match segment.part.moves_from_anywhere {

@@ -165,7 +165,7 @@ impl Compiler {
         if act.faults > 0 {
             self.findings.keep_from(before, |code| !matches!(code, Code::Conflict | Code::NoOrder));
         }
-        // Of cues that could not be read as a whole, the times are not known.
+        // The times of cues that could not be read completely are not known.
         Times { members, times, consistent: consistent && act.faults == 0 }
     }
 }

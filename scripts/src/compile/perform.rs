@@ -20,7 +20,7 @@ use crate::node::shortened;
 use crate::plan::PlannedReading;
 use crate::scenario::{Cue, Motion, OffGrid, Reading, Track, Vectors};
 
-/// Up to so many steps the exact number of a movement is told, whatever its device takes.
+/// Up to this many steps the exact number of a movement is reported, whatever its device takes.
 const TOLD_MAX: usize = 1_000_000;
 
 /// Most tolerances that are tried for a hint.
@@ -167,7 +167,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         }
     }
 
-    /// Whether there is room for one more movement of so many robots.
+    /// Whether there is room for one more movement of this many robots.
     fn used(&mut self, cue: &Cue, robots: usize) -> bool {
         let told = self.uses.is_overdrawn();
         let sound = self.uses.take(robots);
@@ -234,8 +234,8 @@ impl<'c, 'a> Performer<'c, 'a> {
         self.fitted(on, &actuator, &played, sound)
     }
 
-    /// The fewest steps within the tolerance; or the least error with so many steps, where the track asks for that.
-    /// Of values that are wrong by themselves nothing more is said.
+    /// The fewest steps within the tolerance; or the least error with this many steps, where the track asks for that.
+    /// Values that are wrong by themselves cause no further findings.
     fn fitted(
         &mut self,
         on: &OnDevice<'_>,
@@ -271,7 +271,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         }
         Some(Part {
             control_type: actuator.control_type,
-            // Of one that lacks a beginning that is told already.
+            // A movement that lacks a beginning is reported already.
             moves_from_anywhere: actuator.moves_from_anywhere(played.curve)
                 || actuator.lacks_beginning(played.curve),
             at_least: fitted.at_least,

@@ -275,7 +275,7 @@ impl<'a> Timetable<'a> {
         shared
     }
 
-    /// One after another, as they stand in the file.
+    /// One after another, as they are in the file.
     fn order_given(&mut self, shared: &[Shared]) {
         for zone in shared.iter().filter(|zone| zone.order == Order::Given) {
             for pair in zone.cues.windows(2) {
@@ -290,7 +290,7 @@ impl<'a> Timetable<'a> {
         self.constrain(from, to, (Some(Span::ZERO), None), origin);
     }
 
-    /// Whether all cues have ended by then; the first that has not is told.
+    /// Whether all cues have ended by then; the first that has not is reported.
     fn in_time(&self, findings: &mut Reader, schedule: &Schedule, horizon: Span) -> bool {
         let ends = self.events.iter().map(|(_, end)| schedule.time(*end));
         let late = ends.enumerate().filter(|(_, end)| *end > horizon).min_by_key(|(_, end)| *end);

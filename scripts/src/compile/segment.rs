@@ -37,7 +37,7 @@ pub(super) struct Part {
 }
 
 impl Part {
-    /// What sets a device to so many values at once.
+    /// What sets a device to this many values at once.
     pub(super) fn setpoint(&self, values: &[f64]) -> Setpoint {
         let mut setpoint = Setpoint::new(self.control_type, values.first().copied().unwrap_or_default());
         setpoint.more = values.get(1..).unwrap_or_default().into();

@@ -17,7 +17,7 @@ pub(super) struct Together {
 
 struct Group {
     worst: Told,
-    /// Of each of them.
+    /// Devices of each of them.
     devices: Vec<String>,
 }
 
@@ -26,7 +26,7 @@ pub(super) struct Told {
     pub(super) code: Code,
     /// What it has in common with others.
     pub(super) cause: String,
-    /// Of the others the one with the largest is told.
+    /// How large the fault is; only the largest of several is reported.
     pub(super) size: f64,
     /// The device and its robot.
     pub(super) who: String,

@@ -66,7 +66,7 @@ fn kept<'a>(device: &Device, vectors: &Vectors, tolerance: f64) -> Kept<'a> {
     Kept { items: Cow::Owned(items), worst }
 }
 
-/// The least error with so many of them, or as few as there can be.
+/// The least error with this many of them, or as few as there can be.
 fn closest<'a>(device: &Device, vectors: &Vectors, most: usize) -> Kept<'a> {
     let largest = vectors.values().iter().fold(0.0, |most: f64, value| most.max(value.abs()));
     let (mut narrow, mut wide) = (0.0, 2.0 * largest);

@@ -6,7 +6,7 @@ use super::track::{Robot, Track};
 use super::{LINES_MAX, file_name};
 use crate::import::FilePart;
 
-/// Lines a second, where nothing else is said.
+/// Lines a second, by default.
 const RATE_HZ: f64 = 10.0;
 const AXES: [&str; 3] = ["x", "y", "z"];
 

@@ -102,7 +102,7 @@ impl<'a> Search<'a> {
         }
     }
 
-    /// The fewest steps, if they have at most so many pieces.
+    /// The fewest steps, if they have at most this many pieces.
     fn run(&mut self, pieces: u32) -> Option<Path> {
         self.open.clear();
         self.open.extend(self.candidates.iter().map(Candidates::all));
@@ -124,7 +124,7 @@ impl<'a> Search<'a> {
         None
     }
 
-    /// Reaches everything that is one piece away and has at most so many pieces left to go.
+    /// Reaches everything that is one piece away and has at most this many pieces left to go.
     fn spread(&mut self, index: usize, pieces_left: u32) {
         let Node { sample, candidate, .. } = self.nodes[index];
         let (times, values) = (self.problem.curve.times, self.problem.curve.values);
@@ -134,7 +134,7 @@ impl<'a> Search<'a> {
             let duration = times[next] - times[sample];
             let (low, high) = (value + flattest * duration, value + steepest * duration);
             let close = self.left[next] <= pieces_left;
-            // Of those that are too far from the end one is enough to know of.
+            // It is enough to know one of those that are too far from the end.
             if self.open[next] != 0 && (close || !self.cut) {
                 let fresh = self.candidates[next].between(low, high) & self.open[next];
                 match close {

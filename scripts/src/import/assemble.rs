@@ -169,7 +169,7 @@ fn rename(scenes: &mut [Scene], format: ImportFormat, options: &ImportOptions, f
     }
 }
 
-/// Values that begin again, as headings do at 360, go on instead.
+/// Values that begin again, as headings do at 360, continue instead.
 fn unwrap(scenes: &mut [Scene], options: &ImportOptions, file: &str, sink: &mut Sink) {
     for (target, period) in &options.unwraps {
         let (mut used, mut turns) = (false, 0_usize);

@@ -23,7 +23,7 @@ struct Words<'a> {
     /// From 1, and where it begins.
     line: usize,
     line_start: usize,
-    /// Of the last word.
+    /// Where the last word begins, and its width.
     start: usize,
     width: usize,
 }

@@ -31,7 +31,7 @@ pub(super) struct Chosen {
 }
 
 impl<'a> Header<'a> {
-    /// `time` may stand in a cell: then this is no header.
+    /// `time` may be in a cell: then this is not a header.
     pub(super) fn new(mut row: Row<'a>) -> Self {
         let value = |text: &str| {
             text.is_empty()

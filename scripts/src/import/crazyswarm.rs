@@ -13,7 +13,7 @@ use super::{Course, DeviceMotion, ImportOptions, Keyframe, Motion, RobotMotion};
 
 /// What a Crazyflie holds: 4 KB of trajectory memory, 132 bytes a piece.
 const PIECES_MAX: usize = 31;
-/// Sampled values are written with so many digits after the point, and so lie within 5e-8 of the polynomial.
+/// Sampled values are written with this many digits after the point, and so lie within 5e-8 of the polynomial.
 const DIGITS: i32 = 7;
 /// Jumps where two pieces meet are told from here on, in the axis' unit.
 const JUMP_MIN: f64 = 1e-3;

@@ -106,7 +106,7 @@ fn fleet_text(imported: &Imported, kinds: &[Kind]) -> String {
 pub(super) struct Asked<'a> {
     name: &'a str,
     unit: &'a str,
-    /// Of the first robot's first scene.
+    /// The course of the device in the first robot's first scene.
     course: &'a Course,
     pub(super) grid: Grid,
     /// The most steps that one robot takes in all scenes together.
@@ -142,7 +142,7 @@ fn asked_of<'a>(name: &'a str, motions: &[(&'a str, &'a DeviceMotion)]) -> Optio
     Some(Asked { name, unit: &first.unit, course: &first.course, grid, steps })
 }
 
-/// As many steps as are enough. Chords of a curve that bends by so much are off by an eighth of that times the square of
+/// As many steps as are enough. Chords of a curve that bends by this much are off by an eighth of that times the square of
 /// their length; half of the tolerance is for the grid.
 #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "the range is clamped")]
 fn steps_of(motion: &DeviceMotion, tolerance: f64) -> usize {

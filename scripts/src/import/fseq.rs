@@ -189,7 +189,7 @@ fn spread(target: &str, channels: &str) -> Result<Vec<(String, Vec<usize>)>, Str
     Ok((0..(last - first + 1) / width).map(device).collect())
 }
 
-/// Where a channel, from 1, stands in a frame.
+/// Where a channel, from 1, is in a frame.
 fn place(header: &Header, channel: usize) -> Result<usize, String> {
     let mut before = 0;
     for (first, count) in &header.ranges {

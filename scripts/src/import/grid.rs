@@ -1,4 +1,4 @@
-//! The range and the grid of values that stand in files, for robots whose own limits are not stated.
+//! The range and the grid of values that are in files, for robots whose own limits are not stated.
 
 /// One step of the servos with 4096 steps a turn that many robots are made of, in degrees.
 const SERVO_STEP_DEG: f64 = 360.0 / 4096.0;

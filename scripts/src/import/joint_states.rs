@@ -37,7 +37,7 @@ struct Topic {
     encoding: Encoding,
     joints: Vec<String>,
     by_name: HashMap<String, usize>,
-    /// Of each joint: nanoseconds and positions.
+    /// Nanoseconds and positions of each joint.
     positions: Vec<Vec<(u64, f64)>>,
     empty: usize,
     unstamped: usize,

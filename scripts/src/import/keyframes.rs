@@ -31,7 +31,7 @@ pub(super) fn sampled_times(duration_s: f64, rate_hz: f64) -> Vec<u64> {
     times
 }
 
-/// A value rounded to so many digits after the point, without a negative zero.
+/// A value rounded to this many digits after the point, without a negative zero.
 pub(super) fn rounded(value: f64, digits: i32) -> f64 {
     let scale = 10_f64.powi(digits);
     let scaled = (value * scale).round();

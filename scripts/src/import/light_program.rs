@@ -28,14 +28,14 @@ pub(super) struct Lights {
     pub(super) end_ms: u64,
     /// Commands for fireworks, which are left out.
     pub(super) pyro: usize,
-    /// Whether it goes on beyond the end of the show.
+    /// Whether it continues beyond the end of the show.
     pub(super) endless: bool,
 }
 
 struct Player<'a> {
     bytes: &'a [u8],
     at: usize,
-    /// Where each loop begins, and how often it is still to be played; `None` for ever.
+    /// Where each loop begins, and how often it is still to be played; `None` is forever.
     loops: Vec<(usize, Option<u8>)>,
     now_ms: u64,
     color: Color,

@@ -171,7 +171,7 @@ pub struct ImportOptions {
 /// Choreography, whatever it came from.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Imported {
-    /// Of the scenario.
+    /// Name of the scenario.
     pub name: String,
     /// From where, for the comment at the top.
     pub origin: String,
@@ -206,7 +206,7 @@ pub struct RobotMotion {
 pub struct DeviceMotion {
     /// Its id in the initialization block.
     pub device: String,
-    /// Of the values; empty where unknown.
+    /// Unit of the values; empty if unknown.
     pub unit: String,
     /// In order of time, each later than the one before. Of pieces: where they meet.
     pub keyframes: Vec<Keyframe>,
@@ -336,7 +336,7 @@ impl DeviceMotion {
         count - self.keyframes.len()
     }
 
-    /// Every value that stands in it; of pieces bounds that hold all of them.
+    /// Every value that is in it; of pieces bounds that hold all of them.
     fn values(&self) -> Vec<f64> {
         match &self.course {
             Course::Pieces(pieces) => pieces.iter().flat_map(bernstein::bounds).collect(),

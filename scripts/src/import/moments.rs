@@ -7,7 +7,7 @@ use std::str::FromStr;
 pub enum TimeUnit {
     /// So many seconds each.
     Seconds(f64),
-    /// Frames, so many a second.
+    /// Frames, this many a second.
     Frames(f64),
     /// `hh:mm:ss` and `hh:mm:ss.fff`.
     HoursMinutesSeconds,

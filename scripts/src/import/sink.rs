@@ -145,7 +145,7 @@ impl Sink {
         );
     }
 
-    /// Whether another so many keyframes can be taken.
+    /// Whether this many more keyframes can be taken.
     pub(super) fn has_room_for(&self, keyframes: f64) -> bool {
         self.keyframes as f64 + keyframes <= KEYFRAMES_MAX as f64
     }

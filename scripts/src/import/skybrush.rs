@@ -42,7 +42,7 @@ enum Part {
     File(String),
 }
 
-/// What is told once for all drones.
+/// What is reported once for all drones.
 #[derive(Default)]
 struct Told {
     left_out: BTreeSet<String>,
@@ -291,7 +291,7 @@ struct Way {
 struct Waypoint {
     at_ns: u64,
     position: [f64; 3],
-    /// Of the way that leads here, after the point before.
+    /// Control points of the way from the previous point to here.
     controls: Vec<[f64; 3]>,
 }
 

@@ -262,7 +262,7 @@ fn motions(input: &Input, mut mapped: Vec<Mapped>, source: &Source, sink: &mut S
 }
 
 impl Mapped {
-    /// Says what of it is not as it stands in the file.
+    /// Says what of it is not as it is in the file.
     fn note(&self, source: &Source, sink: &mut Sink) {
         let Self { robot, motion, empty, same, .. } = self;
         let device = &motion.device;

@@ -1,4 +1,4 @@
-//! Units as they stand in headers, and what turns one into another.
+//! Units as they are in headers, and what turns one into another.
 
 /// Factor from one unit to another, where both measure the same.
 pub(super) fn factor(from: &str, to: &str) -> Option<f64> {

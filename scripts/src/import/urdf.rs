@@ -47,7 +47,7 @@ struct Joint {
     velocity: Option<f64>,
 }
 
-/// What is told once for all joints.
+/// What is reported once for all joints.
 #[derive(Default)]
 struct Told {
     fixed: usize,

@@ -12,7 +12,7 @@ use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::node::{Node, shortened};
 
-/// Steps of one script where nothing else is said: the edge plays them itself, and holds them all in little memory.
+/// Steps of one script by default: the edge plays them itself, and holds them all in little memory.
 const STEPS: u32 = 1_000;
 /// Scripts that a device holds: one plays while the next waits.
 const QUEUE: u32 = 2;

@@ -1,4 +1,4 @@
-//! What is wrong with an initialization block, device by device, so that all of it is told at once and where it stands.
+//! What is wrong with an initialization block, device by device, so that all of it is reported at once and where it stands.
 
 use serde::de::DeserializeOwned;
 use serde_yaml::{Mapping, Value};

@@ -1,4 +1,4 @@
-//! From a movement to the steps of a device: what the device moves by itself as it is written, the rest with the fewest
+//! From a movement to the steps of a device: what the device moves by itself as written, the rest with the fewest
 //! steps within the tolerance.
 
 use std::borrow::Cow;
@@ -42,7 +42,7 @@ pub(crate) struct Fitted {
     interpolation: Interpolation,
     /// The error of the last step, which may be taken back.
     last_off: f64,
-    /// The largest difference from the movement as it is written, and when.
+    /// The largest difference from the movement as written, and when.
     pub(crate) worst: f64,
     pub(crate) worst_at: Span,
     /// No way of placing steps needs fewer.
@@ -146,7 +146,7 @@ impl<'a> Actuator<'a> {
         first.at > Span::ZERO && !waits && !self.moves_from_anywhere(curve)
     }
 
-    /// The error that is allowed where nothing else is said: max_error, or one granularity if that is more.
+    /// The error that is allowed by default: max_error, or one granularity if that is more.
     pub(crate) fn tolerance(&self) -> f64 {
         self.limits.map_or(0.0, |limits| limits.max_error.unwrap_or(0.0).max(limits.granularity))
     }
@@ -219,7 +219,7 @@ impl<'a> Actuator<'a> {
     }
 
     /// How the way to a knot becomes steps. Where there is no time for it, but the gap is within the tolerance, the
-    /// movement goes on.
+    /// movement continues.
     fn way(&self, track: &Tracked<'_>, index: usize) -> Means {
         let knots = &track.played.curve.knots;
         let means = |index: usize| self.means(knots, index, track.thinned);
@@ -231,7 +231,7 @@ impl<'a> Actuator<'a> {
         let both = before.zip(after).map(|(before, after)| (means(before), means(after)));
         let gap = (knots[index].to - knots[index - 1].to).abs();
         let granularity = self.limits.map_or(0.0, |limits| limits.granularity);
-        // Of the room that the samples between leave, a value on the grid has to be left.
+        // The samples between have to leave room for a value on the grid.
         let closes = gap <= track.tolerance && 1.9 * track.tolerance - gap >= granularity;
         match both {
             Some((Means::Joined, Means::Joined)) if closes => Means::Joined,
@@ -265,7 +265,7 @@ impl<'a> Actuator<'a> {
         }
     }
 
-    /// The longest runs of the values that a movement made of steps holds. It ends with a step, as it is written.
+    /// The longest runs of the values that a movement made of steps holds. It ends with a step, as written.
     fn hold(&self, track: &Tracked<'_>, run: std::ops::Range<usize>, fitted: &mut Fitted) {
         let (knots, last) = (&track.played.curve.knots, run.end - 1);
         let lasting = run.clone().filter(|index| knots[*index].at > knots[*index - 1].at);
@@ -340,7 +340,7 @@ impl<'a> Actuator<'a> {
     fn means(&self, knots: &[Knot], index: usize, thinned: bool) -> Means {
         use Between::{Linear, OwnReversed, Step};
         let knot = &knots[index];
-        // Of samples that stay the same, only the last is needed.
+        // Only the last of equal samples is needed.
         let still = || knot.to == knots[index - 1].to && index + 1 < knots.len();
         match (knot.shape, self.interpolation) {
             (Shape::Meets, _) => Means::Own,

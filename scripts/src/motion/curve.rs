@@ -95,7 +95,7 @@ impl Between {
 }
 
 impl Shape {
-    /// Whether the value at its end stands in the file, or follows from one by scaling and mirroring.
+    /// Whether the value at its end is in the file, or follows from one by scaling and mirroring.
     pub(crate) fn is_written(self) -> bool {
         matches!(self, Self::Own | Self::OwnReversed | Self::Eased(_) | Self::Early)
     }

@@ -43,7 +43,7 @@ pub(crate) fn condense(text: &str) -> Option<Condensed> {
 
 impl Condensed {
     /// Puts the runs into the tree of the text that is left. None if one of them did not stand where items stand, or aliases
-    /// multiply them to more than so many values more than there are.
+    /// multiply them to more than this many values more than there are.
     pub(crate) fn restore(&self, mut root: Node, aliased_max: usize) -> Option<Node> {
         let mut used = vec![0; self.runs.len()];
         self.put_back(&mut root, &mut used)?;
@@ -72,7 +72,7 @@ impl Condensed {
         }
     }
 
-    /// Of a list that has other items as well.
+    /// Puts back the rows of a list that has other items as well.
     fn put_back_among(&self, nodes: &mut Vec<Node>, used: &mut [usize]) -> Option<()> {
         if nodes.iter().any(|node| matches!(node, Node::Text(text) if text.contains(MARK))) {
             let mut all = Vec::with_capacity(nodes.len());

@@ -63,7 +63,7 @@ pub(crate) struct Rows {
     /// Those of each row one after another.
     pub(super) values: Vec<f64>,
     pub(super) width: Width,
-    /// Of each row; empty if none has any.
+    /// The easing of each row; empty if no row has one.
     eases: Vec<Option<Easing>>,
     nodes: OnceLock<Vec<Node>>,
 }
@@ -73,7 +73,7 @@ pub(crate) struct Rows {
 pub(crate) enum Width {
     #[default]
     One,
-    /// A list of so many.
+    /// A list of this many.
     List(usize),
 }
 

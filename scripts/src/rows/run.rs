@@ -1,4 +1,4 @@
-//! A run of keyframes as it stands in a text, read byte by byte.
+//! A run of keyframes as it is in a text, read byte by byte.
 
 use urrcp::Span;
 
@@ -14,7 +14,7 @@ const NUMBER_BYTES_MAX: usize = 40;
 pub(super) enum Style {
     /// `{..}, {..}` within a list in brackets.
     Brackets,
-    /// `- {..}` a line, with so many spaces ahead.
+    /// `- {..}` a line, with this many spaces ahead.
     Lines(usize),
     /// `- at: ..` and `to: ..` in lines of their own.
     Blocks(usize),
@@ -258,7 +258,7 @@ impl<'t> Run<'t> {
         }
     }
 
-    /// Exactly so many spaces.
+    /// Exactly this many spaces.
     fn indent(&mut self, indent: usize) -> Option<()> {
         let spaces = self.text.as_bytes().get(self.at..self.at + indent)?;
         blank(spaces).then(|| self.at += indent)

@@ -11,7 +11,7 @@ fn source(text: &str) -> Source {
     Source { name: "s.yaml".into(), text: text.to_owned() }
 }
 
-/// A time is told as the same time, not letter for letter.
+/// A time is reported as the same time, not letter for letter.
 fn alike(node: &Node) -> Node {
     match node {
         Node::Text(text) => Node::Text(parse_duration(text).map_or_else(|| text.clone(), written)),

@@ -41,7 +41,7 @@ pub enum OnFailure {
     /// All robots go to their default state.
     #[default]
     Abort,
-    /// The others go on.
+    /// The others continue.
     Without,
     /// All robots stay where they are.
     Hold,
@@ -59,7 +59,7 @@ pub enum OnDoubt {
     Withdraw,
 }
 
-/// What a failure does, as it is written.
+/// What a failure does, as written.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct OnFailureRule {
     pub(crate) default: Option<OnFailure>,
@@ -127,7 +127,7 @@ impl SensorRange {
     }
 }
 
-/// What an act waits for, as it is written.
+/// What an act waits for, as written.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct WrittenWait {
     pub(crate) wait: Wait,

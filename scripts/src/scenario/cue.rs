@@ -1,4 +1,4 @@
-//! A cue: who moves what when, and what is done with the movement before.
+//! A cue: which robots move what and when, and the changes of the movement before that.
 
 use urrcp::{Millis, StopCondition};
 

@@ -107,7 +107,7 @@ pub(crate) struct Library<'a> {
     pub(super) roles: HashMap<String, Vec<Name>>,
     pub(super) files: &'a dyn Files,
     used: RefCell<HashSet<String>>,
-    /// Of all moves, in order; made for the first finding that lists them.
+    /// Names of all moves, in order; made for the first finding that lists them.
     names: OnceCell<Vec<String>>,
 }
 

@@ -1,4 +1,4 @@
-//! The scenario as it is written, variables and moves put in. Names of robots are resolved against the fleet in `compile`.
+//! The scenario as written, variables and moves put in. Names of robots are resolved against the fleet in `compile`.
 //!
 //! `library` reads what cues share, `cue` a cue, `when` its times, `track` the movement of one device, `acts` the graph.
 
@@ -44,7 +44,7 @@ const START_TOLERANCE: Span = Span::from_millis(10);
 /// Running lease where the scenario names none: two seconds of silence.
 const RUNNING_LEASE_MS: f64 = 2_000.0;
 
-/// A choreography as it is written.
+/// A choreography as written.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Scenario {
     pub(crate) name: String,
@@ -84,7 +84,7 @@ pub(crate) struct Act {
 /// How cues that need the same zone are put in order.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) enum Order {
-    /// As they stand in the file.
+    /// As they are in the file.
     #[default]
     Given,
     /// The best order that is found.
@@ -150,13 +150,13 @@ pub(crate) struct Track {
     pub(crate) length: Exact,
     pub(crate) tolerance: Option<f64>,
     pub(crate) steps_max: Option<u32>,
-    /// Of the track's key.
+    /// Place of the track's key.
     pub(crate) place: Place,
     /// How often it has been repeated in all.
     pub(crate) turns: u32,
     /// What its items are called: keyframes, points, pieces, rows.
     pub(crate) items: Items,
-    /// Of the list of its keyframes.
+    /// Place of the list of its keyframes.
     pub(crate) list: Place,
 }
 

@@ -17,7 +17,7 @@ pub(crate) const WAVE_KEYS: [&str; 6] = ["amplitude", "frequency", "period", "ph
 pub(crate) const TRAVEL_KEYS: [&str; 4] = ["from", "speed", "acceleration", "for"];
 pub(crate) const KEYFRAME_KEYS: [&str; 3] = ["at", "to", "ease"];
 
-/// After so many cycles a wave gets a knot.
+/// After this many cycles a wave gets a knot.
 const WAVE_CYCLES: f64 = 8.0;
 /// What the file does not number.
 const NO_ITEM: u32 = u32::MAX;
@@ -378,7 +378,7 @@ impl Hertz {
     }
 }
 
-/// Knots after every so many whole cycles, alike, so that a long wave is fitted once for all of them.
+/// Knots after a fixed number of whole cycles, alike, so that a long wave is fitted once for all of them.
 fn wave(amplitude: f64, center: f64, phase: f64, cycles: f64, length: Span) -> Curve {
     let shape = |index| Shape::Function { index, gain: amplitude, offset: center, reversed: false };
     let value = |function: &Function, s: f64| center + amplitude * function.at(s);

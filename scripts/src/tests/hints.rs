@@ -16,7 +16,7 @@ fn compiled(name: &str, text: &str) -> Compiled {
     compile(&source, &fleet.unwrap_or_default(), &Folder(folder()))
 }
 
-/// Replaces so many characters of a line by others.
+/// Replaces this many characters of a line by others.
 fn replaced(text: &str, line: usize, column: usize, width: usize, new: &str) -> String {
     let mut lines: Vec<String> = text.lines().map(str::to_owned).collect();
     let chars: Vec<char> = lines[line - 1].chars().collect();
@@ -37,7 +37,7 @@ fn line_of_cue(text: &str, name: &str) -> Option<usize> {
     text.lines().position(named).map(|index| index + 1)
 }
 
-/// Sets a key of a cue: that of its first line, where it stands in one line.
+/// Sets a key of a cue: that of its first line, where it is in one line.
 fn with_key(text: &str, cue: &str, edit: &str) -> Option<String> {
     let line = line_of_cue(text, cue)?;
     let key = edit.split(':').next()?;
@@ -94,7 +94,7 @@ fn with_bound(text: &str, finding: &Finding, cue: &str, edit: &str) -> Option<St
     Some(replaced(text, related.line, related.column, related.width, value))
 }
 
-/// All keyframes of a line from a column on, so much later.
+/// All keyframes of a line from a column on, this much later.
 fn later(text: &str, line: usize, column: usize, seconds: f64) -> String {
     let whole = text.lines().nth(line - 1).unwrap();
     let (before, rest) = whole.split_at(column - 1);

@@ -38,7 +38,7 @@ pub(super) enum Form {
 }
 
 impl Form {
-    /// At a part of the way, which lasts so many seconds.
+    /// At a part of the way, which lasts this many seconds.
     fn at(&self, s: f64, seconds: f64) -> f64 {
         match self {
             Self::Eased(ease, from, to) => {
@@ -58,7 +58,7 @@ impl Form {
     }
 }
 
-/// A movement as it is written, and as it is meant.
+/// A movement as written, and as it is meant.
 #[derive(Clone, Debug)]
 pub(super) struct Movement {
     pub(super) yaml: String,
@@ -74,7 +74,7 @@ fn length(ways: &[Way]) -> f64 {
 #[derive(Clone, Debug)]
 pub(super) struct Change {
     pub(super) yaml: String,
-    /// Of each value: shift + factor * value.
+    /// Each value becomes shift + factor * value.
     factor: f64,
     shift: f64,
     pub(super) backwards: bool,
@@ -96,7 +96,7 @@ impl Change {
 }
 
 impl Movement {
-    /// Of keyframes with values, which a device plays as they are written; their times come later.
+    /// A track of keyframes with values, which a device plays as they are written; their times are set later.
     pub(super) fn of_keyframes(yaml: &str, moves: bool, keyframes: &[(i64, f64)]) -> Self {
         let ease = if moves { Ease::Own } else { Ease::Step };
         let way =
@@ -409,7 +409,7 @@ fn verify(
     as_far_off(device, worst, last, (used.worst_error, tolerance))
 }
 
-/// Whether the error that is told is the one that was found, in milliseconds from the start, and is allowed. The last step and
+/// Whether the error that is reported is the one that was found, in milliseconds from the start, and is allowed. The last step and
 /// values on the grid may be off by more than was looked at.
 pub(super) fn as_far_off(
     who: &str,
@@ -417,7 +417,7 @@ pub(super) fn as_far_off(
     elsewhere: f64,
     (told, allowed): (f64, f64),
 ) -> Result<(), TestCaseError> {
-    // A thousandth of a millisecond beside a bound moves a value a little.
+    // A thousandth of a millisecond next to a bound moves a value a little.
     let dust = 2e-3;
     prop_assert!(worst.0 <= told + dust, "{who}: off by {} at {} ms, not {told}", worst.0, worst.1);
     prop_assert!(told <= allowed * (1.0 + 1e-9), "{who}: {told} is more than {allowed}");
@@ -454,7 +454,7 @@ fn with_so_many(
     Ok(())
 }
 
-/// The least error of so many values on a grid, one after the other, by trying every last value that there is room for.
+/// The least error of this many values on a grid, one after the other, by trying every last value that there is room for.
 fn least_error(levels: &[f64], most: usize, granularity: f64) -> f64 {
     let held = |part: &[f64]| {
         let low = part.iter().copied().fold(f64::INFINITY, f64::min);

@@ -34,9 +34,9 @@ pub struct Conflict {
 /// One bound of a contradiction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Link {
-    /// Whose bound; none for "not before the origin".
+    /// The constraint that has the bound; `None` for "not before the origin".
     pub constraint: Option<ConstraintId>,
-    /// Which.
+    /// The bound of that constraint.
     pub bound: Bound,
     /// As the constraint has it.
     pub from: Event,
@@ -51,7 +51,7 @@ pub struct Link {
 pub struct Correction {
     /// Index into the chain.
     pub link: usize,
-    /// Loosen that bound by so much, and by no less.
+    /// Loosen that bound by this much, and by no less.
     pub by: Span,
 }
 

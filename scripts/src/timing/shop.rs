@@ -238,7 +238,7 @@ impl<'a> Shop<'a> {
     }
 
     /// Puts events off that are too far ahead of others. The origin cannot be put off: what is later than it allows stays so.
-    /// Where events put each other off for ever, all times stay as they were.
+    /// If events postpone each other forever, all times stay as they were.
     fn settle(&mut self, order: &[usize], after: &[usize], heads: &mut Vec<i64>, decided: &mut Vec<usize>) {
         let before = (heads.clone(), decided.clone());
         for _ in 0..ROUNDS_MAX {

@@ -230,7 +230,7 @@ impl Solved {
         self.sweep(to, to, Some(begin))
     }
 
-    /// Raises what the marked nodes from `first` to `last` raise. Nodes stand in the order of their times, so that most of
+    /// Raises what the marked nodes from `first` to `last` raise. Nodes are in the order of their times, so that most of
     /// what depends on a node comes after it: one pass in that order, and another for what was raised before its place.
     fn sweep(&mut self, first: u32, last: u32, begin: Option<u32>) -> bool {
         let (mut from, mut last) = (Some(first), last);

@@ -10,7 +10,7 @@ use super::shop::{Cost, NONE, Sequences, Shop, Timed};
 
 /// How long a swap may not be undone, in moves.
 const TENURE: usize = 8;
-/// After so many moves without progress the search goes back to the best order and shakes it.
+/// After this many moves without progress the search goes back to the best order and shakes it.
 const PATIENCE: usize = 1_500;
 
 pub(super) fn search(network: &Network, tasks: &[Task], effort: Effort) -> Ordering {

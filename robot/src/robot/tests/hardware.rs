@@ -59,7 +59,7 @@ fn without_hardware_a_robot_is_not_available_and_takes_nothing() {
     assert_eq!(bench.statuses(), ["Failed internal", "Failed internal"]);
     bench.robot.hardware_found(bench.now, &mut bench.out);
     assert_eq!(available(&mut bench), (Status::Ok, None));
-    // The refusal was not for ever, and nothing was set on the way.
+    // The refusal did not last, and nothing was set on the way.
     bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
     assert_eq!(bench.statuses().last().unwrap(), "Accepted");
     assert!(bench.sets().is_empty());

@@ -1,4 +1,4 @@
-//! To whom a robot belongs, and how it comes to rest when it is stopped.
+//! The session to which a robot belongs, and how it comes to rest on a stop.
 
 use super::*;
 use urrcp::SessionId;
@@ -212,7 +212,7 @@ fn strangers_however_many_end_no_lease_of_a_link_that_stands() {
 #[test]
 fn no_session_renews_the_lease_of_another_however_many_have_been() {
     let mut bench = Bench::new();
-    // The first goes on by a link of its own, so that it is not forgotten.
+    // The first continues by a link of its own, so that it is not forgotten.
     for link in [OTHER, LINK] {
         bench.send_on(link, hello("s0"));
     }

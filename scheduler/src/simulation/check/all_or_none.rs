@@ -21,10 +21,10 @@ const START_LATE_MAX: Span = Span::from_millis(50);
 /// So long an edge cannot know that its hardware has died without a word.
 const HARDWARE_SILENT: Span = Span::from_millis(150);
 
-/// A report that is lost is awaited for so long, and by how much a script may last beyond it.
+/// A report that is lost is awaited for this long, and by how much a script may last beyond it.
 const AWAITED: Span = Span::from_millis(2_500);
 
-/// When an act that was never sent counts as started where nobody decides.
+/// When an act that was never sent counts as started without a decision.
 const NEVER_SENT: Span = Span::from_millis(1_500);
 
 /// What a robot did about its start.

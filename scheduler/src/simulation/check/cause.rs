@@ -1,5 +1,5 @@
-//! What went wrong, when, for how long, and to whom: a robot's own link, process or clock, the scheduler, or nobody's fault but
-//! the operator's stop. An excuse has to be one of these, of the robot that is excused.
+//! What went wrong, when, for how long, and what it concerns: a robot's own link, process or clock, the scheduler, or only the
+//! operator's stop. An excuse has to be one of these, of the robot that is excused.
 
 use std::fmt;
 
@@ -117,7 +117,7 @@ pub(super) fn hits_of(ran: &Ran) -> Vec<Hit> {
             Happened::Fault(Fault::ClockStep { robot, by }) => {
                 hits.all.push(Hit { by: *by, ..hit(Cause::ClockSet, Some(*robot), Span::ZERO) });
             }
-            // What is left of the connections of a machine that is gone nobody knows.
+            // It is not known what is left of the connections of a machine that is gone.
             Happened::Fault(Fault::RobotCrash { robot, told: false, .. }) => {
                 hits.begin(hit(Cause::RobotCrash, Some(*robot), Span::ZERO), End::Back);
                 hits.begin(hit(Cause::Partition, Some(*robot), Span::ZERO), End::Linked(*at));
@@ -146,14 +146,14 @@ pub(super) fn hits_of(ran: &Ran) -> Vec<Hit> {
     hits.all
 }
 
-/// What went wrong so far, and what of it goes on.
+/// What went wrong so far, and what of it continues.
 struct Hits {
     all: Vec<Hit>,
-    /// What ends what goes on, and where it stands.
+    /// What ends what continues, and where it stands.
     open: Vec<(End, usize)>,
 }
 
-/// What ends something that goes on.
+/// What ends something that continues.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum End {
     /// Something is heard of the robot again.
@@ -196,7 +196,7 @@ impl Hits {
     }
 }
 
-/// What a fault does to whom, and for how long; `None` where it is nobody's fault.
+/// What a fault affects, and for how long; `None` if it is the fault of no party.
 const fn of_fault(fault: &Fault) -> Option<(Cause, Option<usize>, Lasts)> {
     Some(match *fault {
         Fault::RobotCrash { robot, .. } => (Cause::RobotCrash, Some(robot), Lasts::Until(End::Back)),

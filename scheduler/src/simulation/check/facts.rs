@@ -51,7 +51,7 @@ pub(super) struct SentAct<'a> {
 pub(super) struct Decision {
     /// A failure that is known by then is withdrawn.
     pub(super) no_return: Timestamp<Server>,
-    /// Silence that begins later than so long before the start may be noticed too late.
+    /// Silence that begins later than this long before the start may be noticed too late.
     pub(super) doubt: Span,
 }
 
@@ -245,8 +245,8 @@ impl<'a> Facts<'a> {
         act.committed.is_none() && !self.drawn().robots[robot].block.inquiry && crashes.any(was_on_its_way)
     }
 
-    /// When messages from the scheduler arrived at a robot that renew its leases. The question who it is does not: anybody may ask
-    /// it.
+    /// When messages from the scheduler arrived at a robot that renew its leases. The question for its identity does not:
+    /// any server may ask it.
     pub(super) fn heard(&self, robot: usize) -> impl Iterator<Item = Timestamp<Server>> + '_ {
         self.ran.history.iter().filter_map(move |(at, happened)| match happened {
             Happened::AtRobot(_, Message::InitializationRequest(_)) => None,

@@ -1,4 +1,4 @@
-//! (h) Nothing waits for ever: silence is reported within its bound, a stop reaches every robot that can be reached, it ends
+//! (h) Nothing waits forever: silence is reported within its bound, a stop reaches every robot that can be reached, it ends
 //! within the operator's patience, and after a fault acts follow each other nearly as soon as without it.
 
 use std::iter;
@@ -12,7 +12,7 @@ use crate::mission::{Progress, Record};
 use crate::simulation::world::PATIENCE;
 use crate::simulation::{Fault, Happened};
 
-/// A robot without a running lease may owe an answer for so long.
+/// A robot without a running lease may owe an answer for this long.
 const SILENCE_MAX: Span = Span::from_millis(3_000);
 /// What the scheduler takes to act on what it has.
 const AT_ONCE: Span = Span::from_millis(2);
@@ -234,7 +234,7 @@ pub(super) fn compare(facts: &Facts<'_>, undisturbed: &Facts<'_>, verdict: &mut 
         let Some(other) = undisturbed.acts.iter().find(same) else { continue };
         let number = act.promise.number;
         let (with, without) = (lead(act), lead(other));
-        // What is sent while the act before still plays, and starts when that ends, nobody waits for.
+        // Nothing waits for an act that is sent while the previous one still plays and that starts when it ends.
         let ahead =
             before(facts, act).and_then(|before| gap(facts, before, act)).is_some_and(|gap| gap <= DRIFT);
         let allowed = without * TIMES + lead_allowed(facts, act);
@@ -276,22 +276,22 @@ pub(super) fn is_to_be_compared(facts: &Facts<'_>) -> bool {
     })
 }
 
-/// How much longer than its share of a lead without faults a lead may be: twice what the disk took of late is in it for the promise
-/// and for the commitment, and links are as slow as they were. Nothing else that goes wrong is in it.
+/// How much a lead may exceed its share of a lead without faults. It contains twice the time that the disk took recently, for the
+/// promise and for the commitment, and the delays of links as slow as they were. No other fault is in it.
 fn lead_allowed(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
     let slow = slow_again(facts, act).min(ROUND_TRIP_MAX) * ROUND_TRIPS;
     MORE + disk_stood_still(facts, act) * 4 + clocks_set(facts, act, act.at) * 2 + slow
 }
 
-/// How much longer than its share of a gap without faults, and than what the lead is longer, a gap may be: an act is sent later by
-/// what a clock was set back.
+/// How much a gap may exceed its share of a gap without faults and the excess of the lead: an act is sent later by the amount by
+/// which a clock was set back.
 fn gap_allowed(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     let lasted = disk_stood_still(facts, act) * 2 + lasted(facts, before, act);
     let lasted = lasted + report_awaited(facts, before, act);
     MORE + lasted + clocks_set(facts, act, act.at) + clocks_set(facts, before, act.at)
 }
 
-/// An act waits so long for a report of the one before it that may be lost.
+/// An act waits this long for a report of the one before it that may be lost.
 fn report_awaited(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
     let lost =
         |hit: &&Hit| hit.cause == Cause::Lost && hit.from >= before.promise.start && hit.from <= act.at;
@@ -330,7 +330,7 @@ fn slow_again(facts: &Facts<'_>, act: &SentAct<'_>) -> Span {
         let slow = |hit: &&Hit| {
             hit.is_of(robot) && hit.from <= act.at && matches!(hit.cause, Cause::Slow | Cause::RobotPause)
         };
-        // Of what overlaps with a moment a question that is asked at its end meets the rest.
+        // A question that is asked at the end of a moment meets the rest of what overlaps with it.
         let mut lasted: Vec<Span> = Vec::new();
         let mut until = Timestamp::from_nanos(0);
         for hit in facts.hits.iter().filter(slow) {
@@ -367,7 +367,7 @@ fn gap(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Option<Spa
 
 /// For how long something was wrong with the scheduler or a robot since the act before was sent: the later one waits for that.
 fn lasted(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) -> Span {
-    // Of any act so far: one that has not ended holds up those behind it.
+    // Robots of any act so far: an act that has not ended delays later ones.
     let so_far = facts.acts.iter().filter(|other| other.promise.number <= act.promise.number);
     let robots: Vec<usize> = so_far.flat_map(SentAct::robots).collect();
     let (begins, until) = (before.at, act.promise.start);

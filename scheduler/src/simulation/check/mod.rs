@@ -68,7 +68,7 @@ pub struct ActStarts {
 /// Something that would be a violation if a fault did not excuse it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Excuse {
-    /// Of which invariant.
+    /// Letter of the invariant.
     pub invariant: char,
     /// The fault.
     pub cause: Cause,

@@ -7,7 +7,7 @@ use urrcp::Span;
 use super::Verdict;
 use super::facts::Facts;
 
-/// A robot that was held up for so long over a start lets it be.
+/// A robot that was delayed longer than this over a start drops the command.
 const START_LATE_MAX: Span = Span::from_millis(51);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {

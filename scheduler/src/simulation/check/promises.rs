@@ -1,6 +1,6 @@
 //! What the scheduler promises to do and not to do on the way, held against what reached the robots: (a) nothing starts that
 //! was not committed; (c) only a stop cancels,
-//! and only the end of a lease ends what plays; (d) nobody but the robots that are meant moves; (f) nothing is sent whose skew
+//! and only the end of a lease ends what plays; (d) only the intended robots move; (f) nothing is sent whose skew
 //! budget is beyond the tolerance; (g) what was decided was accepted, what is said to have begun had hands to begin with, and
 //! what was on the disk is read again; (h) a robot that is reached again is spoken to at once.
 
@@ -14,11 +14,11 @@ use crate::mission::{FailureKind, Progress, Record};
 use crate::simulation::Happened;
 use crate::simulation::world::PATIENCE;
 
-/// What the scheduler and a robot take to go on where neither waits for anything.
+/// What the scheduler and a robot take to continue where neither waits for anything.
 const AT_ONCE: Span = Span::from_millis(2);
 /// What clocks, and the way of a question that nothing was measured of, are taken to be before a lease of a process that took over.
 const HUSHED_AHEAD: Span = Span::from_millis(30);
-/// A robot that is held up for longer lets its start be.
+/// A robot that is delayed for longer drops its start.
 const START_LATE_MAX: Span = Span::from_millis(50);
 
 pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
@@ -56,7 +56,7 @@ fn starts_are_committed(facts: &Facts<'_>, verdict: &mut Verdict) {
 
 /// While robots are greeted, one that refuses connections may still be starting.
 fn those_who_start_are_awaited(facts: &Facts<'_>, verdict: &mut Verdict) {
-    /// For so long.
+    /// For this long.
     const STARTS_WITHIN: Span = Span::from_millis(500);
     let first_act = facts.acts.first().map(|act| act.at);
     let mut lost: Vec<Option<Timestamp<Server>>> = vec![None; facts.drawn().robots.len()];
@@ -101,7 +101,7 @@ fn only_stops_cancel(facts: &Facts<'_>, verdict: &mut Verdict) {
     }
 }
 
-/// A robot says that the server was silent for longer than its lease only if nothing came to it for so long.
+/// A robot says that the server was silent for longer than its lease only if nothing came to it for this long.
 fn leases_are_left_to_run(facts: &Facts<'_>, verdict: &mut Verdict) {
     for (at, happened) in &facts.ran.history {
         let Happened::Told(progress) = happened else { continue };

@@ -53,7 +53,7 @@ fn beyond_lease(facts: &Facts<'_>, robot: usize) -> Option<String> {
             (script.promised.request_id.as_str(), (pending, running))
         })
         .collect();
-    // A process that stood still may have been due for its lease's end meanwhile; it acts on it first when it goes on.
+    // A process that stood still may have been due for its lease's end meanwhile; it acts on it first when it continues.
     for entry in facts.ran.logs[robot].iter().filter(|entry| entry.motion == "set") {
         let Some((pending, running)) = entry.request_id.as_deref().and_then(|id| leases.get(id)) else {
             continue;

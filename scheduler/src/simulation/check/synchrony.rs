@@ -14,7 +14,7 @@ use crate::mission::RobotSkew;
 
 /// The simulated world counts in nanoseconds, and clocks are read by dividing.
 const GRAIN: Span = Span::from_micros(1);
-/// A robot that was held up for longer lets its start be.
+/// A robot that was delayed for longer drops its start.
 const START_LATE_MAX: Span = Span::from_millis(50);
 /// How far a robot's own instant may be from the one that follows from what was told of its clock.
 const CLOCKS: Span = Span::from_millis(1);

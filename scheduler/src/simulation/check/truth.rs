@@ -2,7 +2,7 @@
 //!
 //! Each number of the report is compared with what the robots logged themselves, robot by robot and script by script; sums with
 //! what they sum up; what was said before with what is said at the end. Times are equal within [`GRAIN`], counts exactly. What
-//! nobody could know has to be called unknown.
+//! could not be known has to be called unknown.
 
 mod acts;
 mod blame;
@@ -42,7 +42,7 @@ pub(super) fn check(facts: &Facts<'_>, verdict: &mut Verdict) {
 struct Said<'a> {
     facts: &'a Facts<'a>,
     report: &'a Report,
-    /// By a process that took the mission up: it tells of what it took up.
+    /// By a process that resumed the mission: it reports what it resumed.
     resumed: bool,
 }
 

@@ -85,7 +85,7 @@ fn draw_wait(rng: &mut Rng, robots: &[DrawnRobot], act: &mut Act, index: usize, 
         _ => Wait::Done,
     };
     act.timeout = (kind < 2).then(|| millis(rng, 300, 2_500));
-    // Only forward, so that no mission goes on for ever.
+    // Only forward, so that every mission ends.
     act.on_timeout = match rng.u8(0..4) {
         0 => Way::Fail,
         1 if index + 1 < count => Way::Act(index + 1),
@@ -117,7 +117,7 @@ fn draw_scripts(
 ) -> Vec<DeviceScript> {
     let mut scripts = Vec::new();
     let mut start = if one_in(rng, 4) { f64::from(rng.u32(0..600)) } else { 0.0 };
-    // Of long chains each script is short, or they would play for ever.
+    // The scripts of long chains are short, or the chains would play forever.
     let longest = if count > 2 { 160 } else { 400 };
     for _ in 0..count {
         let mut offset = 0.0;
@@ -153,7 +153,7 @@ fn draw_policy(rng: &mut Rng, robots: &[DrawnRobot], act: usize, acts: usize) ->
     };
     let default = policy();
     let own = vec![(robots[0].block.id.clone(), policy())];
-    // Only forward, so that no mission goes on for ever.
+    // Only forward, so that every mission ends.
     let then = (act + 1 < acts && one_in(rng, 6)).then_some(acts - 1);
     FailurePolicy { default, robots: if one_in(rng, 5) { own } else { Vec::new() }, then }
 }

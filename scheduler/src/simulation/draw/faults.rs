@@ -6,12 +6,12 @@ use urrcp::Span;
 use super::network::Direction;
 use super::{Drawn, millis, one_in};
 
-/// Something that goes wrong at an instant, counted from the begin.
+/// Something that goes wrong at an instant, counted from the beginning.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Fault {
-    /// A robot's process ends, and begins anew after a while or never. Its peers may be told.
+    /// A robot's process ends, and starts again after a while or never. Its system may close its connections.
     RobotCrash {
-        /// Which.
+        /// Index of the robot in the fleet.
         robot: usize,
         /// After how long it is back.
         back_after: Option<Span>,
@@ -20,37 +20,37 @@ pub enum Fault {
     },
     /// A robot's process stands still for a while.
     RobotPause {
-        /// Which.
+        /// Index of the robot in the fleet.
         robot: usize,
         /// For how long.
         lasts: Span,
     },
     /// Another robot answers at a robot's address for a while.
     AnotherRobot {
-        /// Whose.
+        /// Index of the robot whose address it takes over.
         robot: usize,
         /// For how long.
         lasts: Span,
     },
     /// The hardware behind an edge dies.
     HardwareDies {
-        /// Which robot's.
+        /// Index of the robot in the fleet.
         robot: usize,
         /// After how long it is back.
         back_after: Option<Span>,
         /// Whether its connection ends at once; otherwise it only stops to answer.
         told: bool,
     },
-    /// Another session asks for a robot and sends it a script of its own.
+    /// Another session claims a robot and sends it its own script.
     ForeignSession {
-        /// Which.
+        /// Index of the robot in the fleet.
         robot: usize,
         /// Until its connection ends.
         lasts: Span,
     },
     /// Nothing passes between the scheduler and a robot for a while.
     Partition {
-        /// Which.
+        /// Index of the robot in the fleet.
         robot: usize,
         /// For how long.
         lasts: Span,
@@ -68,19 +68,19 @@ pub enum Fault {
     },
     /// Connections stand and can be made, and carry nothing any more; those that are made after a while do again.
     DeadLink {
-        /// Which robot's.
+        /// Index of the robot in the fleet.
         robot: usize,
         /// For how long.
         lasts: Span,
     },
     /// The robot's side of the connection is gone, and the scheduler's side does not know.
     HalfOpen {
-        /// Which robot's.
+        /// Index of the robot in the fleet.
         robot: usize,
     },
     /// A link carries little for a while.
     SlowLink {
-        /// Which robot's.
+        /// Index of the robot in the fleet.
         robot: usize,
         /// Bytes a second, each way.
         bandwidth: u32,
@@ -89,7 +89,7 @@ pub enum Fault {
     },
     /// A robot's clock is set.
     ClockStep {
-        /// Which.
+        /// Index of the robot in the fleet.
         robot: usize,
         /// By how much.
         by: Span,
@@ -99,12 +99,12 @@ pub enum Fault {
         /// By how much.
         by: Span,
     },
-    /// The scheduler's process ends, and is taken up by its journal after a while or never.
+    /// The scheduler's process ends, and is resumed by its journal after a while or never.
     SchedulerCrash {
         /// After how long the operator says `resume`.
         resumed_after: Option<Span>,
     },
-    /// The scheduler's process ends amid what it does: after so many more actions.
+    /// The scheduler's process ends while it acts: after this many more actions.
     SchedulerCrashAmid {
         /// How many: messages, connections, records.
         actions: u32,
@@ -123,7 +123,7 @@ pub enum Fault {
     },
     /// The operator says stop.
     Stop,
-    /// Somebody says `downbeat stop` in another terminal: a mission that is cut off is withdrawn by its journal.
+    /// `downbeat stop` is called in another terminal: a mission that is cut off is withdrawn by its journal.
     StopByJournal,
 }
 

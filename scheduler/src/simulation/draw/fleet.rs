@@ -70,7 +70,7 @@ pub struct DrawnRobot {
     pub hands: Hands,
     /// Bytes a second that its link carries each way; `None`: no limit.
     pub bandwidth: Option<u32>,
-    /// Its process begins so long after the mission.
+    /// Its process begins this long after the mission.
     pub there_from: Span,
 }
 

@@ -20,7 +20,7 @@ pub use network::{Direction, DrawnDisk, Network};
 /// Everything that a seed stands for.
 #[derive(Clone, Debug)]
 pub struct Drawn {
-    /// Of which it was drawn.
+    /// The seed from which everything here is drawn.
     pub seed: u64,
     /// How messages travel.
     pub network: Network,
@@ -77,7 +77,7 @@ pub fn draw(seed: u64) -> Drawn {
     }
     let join = if one_in(rng, 12) { Join::NextAct } else { Join::Refuse };
     if join == Join::NextAct {
-        // Not all of them, or there is nobody to begin.
+        // Not all of them, or no robot could begin.
         robots[count - 1].there_from = millis(rng, 500, 6_000);
     }
     let choreography = choreography::draw_choreography(rng, &robots, show);

@@ -12,9 +12,9 @@ pub enum Network {
     Stream,
     /// As by datagrams: lost, doubled and overtaken with these probabilities.
     Datagram {
-        /// Of a message to be lost.
+        /// Probability that a message is lost.
         loss: f64,
-        /// Of a message to arrive twice.
+        /// Probability that a message arrives twice.
         double: f64,
     },
 }
@@ -33,7 +33,7 @@ pub enum Direction {
 pub struct DrawnDisk {
     /// How long it takes until what was written survives a loss of power.
     pub sync: Span,
-    /// The journal cannot grow beyond so many bytes.
+    /// The journal cannot grow beyond this many bytes.
     pub capacity: Option<usize>,
     /// When the scheduler's process ends, it is because its machine loses power.
     pub loses_power: bool,

@@ -1,6 +1,6 @@
 //! The virtual world of one seed: what is due next, and which side does it. What becomes of messages is in `network`, what
 //! goes wrong in `faults`; `scheduler` is the process that runs the loop of every mission, `robots` are the others, and
-//! `operator` is who sits before it.
+//! `operator` is the person at the terminal.
 
 mod faults;
 mod network;
@@ -25,9 +25,9 @@ use crate::mission::{Event, Mission, MissionOptions, Participant, Record};
 const LASTS_MAX: Span = Span::from_millis(180_000);
 /// Rounds at one instant, at most: far more than there can be events.
 const ROUNDS_MAX: u32 = 20_000;
-/// After so long an attempt to connect fails.
+/// After this long an attempt to connect fails.
 const CONNECT_FAILS: Span = Span::from_millis(300);
-/// After the mission's end robots are watched for so long: whatever they still do is seen.
+/// After the mission's end robots are watched for this long: whatever they still do is seen.
 const AFTERMATH: Span = Span::from_millis(8_000);
 
 /// How long the operator waits for links, greetings and stop confirmations.
@@ -93,7 +93,7 @@ struct World {
     sequence: u64,
     robots: Vec<RobotSide>,
     scheduler: Scheduler,
-    /// At this instant so many things were done.
+    /// At this instant this many things were done.
     rounds: u32,
     /// The mission never comes to an end.
     hung: bool,
@@ -133,7 +133,7 @@ pub(super) fn play(drawn: Drawn, verbose: bool) -> Ran {
                 world.robots.iter().map(|robot| robot.machine.as_ref()?.next_wakeup()).collect();
             world.note(Happened::Stuck(format!("robots {robots:?}, mission {wakeup:?}: {due}")));
         } else if !world.scheduler.is_running() {
-            // A process that dies with its last record tells nobody.
+            // A process that dies with its last record reports nothing.
             report = None;
             next = world.taken_up();
         }

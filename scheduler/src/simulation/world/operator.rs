@@ -7,7 +7,7 @@ use crate::mission::{Event, Progress};
 use crate::simulation::draw::BRIGHT;
 
 impl World {
-    /// What an act waits for comes so long after that was told, if ever.
+    /// What an act waits for comes this long after that was told, if ever.
     pub(super) fn hears(&mut self, progress: &Progress) {
         let Progress::Waiting { act, .. } = progress else { return };
         let acts = &self.drawn.choreography.acts;

@@ -15,13 +15,13 @@ use super::{BEGIN, Item, Machine, World};
 use crate::mission::Loss;
 use crate::simulation::{Connections, DrawnRobot, Hands, Happened, Lie, Names};
 
-/// Hardware that only stops to answer is given up by its driver after so long.
+/// Hardware that only stops to answer is given up by its driver after this long.
 const HARDWARE_GIVEN_UP: Span = Span::from_millis(2_000);
-/// Before that nobody can know that hardware has died without a word.
+/// Before that, no edge can know that its hardware has died without closing its connection.
 const DEATH_KNOWN: Span = Span::from_millis(200);
 /// Links of other sessions, far from the scheduler's.
 const FOREIGN: u64 = 1 << 63;
-/// Another session's script starts so long after it was sent.
+/// Another session's script starts this long after it was sent.
 const FOREIGN_AHEAD: f64 = 80.0;
 
 /// Who answers at a robot's address.
@@ -46,7 +46,7 @@ pub(super) struct RobotSide {
     pub(super) dead_until: Timestamp<Server>,
     /// Connections that carry nothing any more.
     pub(super) dead: BTreeSet<LinkId>,
-    /// It carries only so many bytes a second until then.
+    /// It carries only this many bytes a second until then.
     pub(super) slow: Option<(u32, Timestamp<Server>)>,
     pub(super) log: Vec<LogEntry>,
     /// What another robot at its address did.
@@ -122,7 +122,7 @@ fn machine(drawn: &DrawnRobot, block: InitializationBlock, now: Timestamp<Server
 }
 
 impl World {
-    /// The process of whoever answers at a robot's address ends. `false`: there was none.
+    /// The process that answers at a robot's address ends. `false`: there was none.
     pub(super) fn robot_dies(&mut self, robot: usize, runs_on: Machine) -> bool {
         let side = &mut self.robots[robot];
         side.collect();

@@ -18,11 +18,11 @@ use crate::simulation::{Drawn, Fault, Happened};
 pub(super) enum Process {
     Running,
     Gone,
-    /// Another one is about to take up what it left.
+    /// Another one is about to resume what it left.
     TakenUp(Intention),
 }
 
-/// What an operator says who finds a mission cut off.
+/// The command of an operator who finds that a mission was cut off.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Intention {
     /// `downbeat resume`.
@@ -31,7 +31,7 @@ pub(super) enum Intention {
     Stop,
 }
 
-/// When a process dies amid what it does.
+/// When a process dies while it acts.
 #[derive(Clone, Copy, Debug)]
 struct Fuse {
     actions: u32,
@@ -108,7 +108,7 @@ impl Scheduler {
         }
     }
 
-    /// It dies after so many more actions.
+    /// It dies after this many more actions.
     pub(super) fn light_fuse(&mut self, actions: u32, resumed_after: Option<Span>) {
         if self.is_running() {
             self.fuse.get_or_insert(Fuse { actions, resumed_after });
@@ -224,7 +224,7 @@ impl World {
         self.take_up(Intention::Resume);
     }
 
-    /// Of a mission that runs, its scheduler is asked to stop; one that was cut off is withdrawn.
+    /// Asks the scheduler of a running mission to stop; withdraws a mission that was cut off.
     pub(super) fn stop_by_journal(&mut self) {
         match self.scheduler.is_running() {
             true => self.tell(Event::StopRequested { rest: Rest::Default }),

@@ -1,4 +1,4 @@
-//! Compiled drone shows: what stands in them arrives, and archives that lie are refused.
+//! Compiled drone shows: what is in them arrives, and archives that lie are refused.
 
 use std::io::{Cursor, Write};
 

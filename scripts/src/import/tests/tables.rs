@@ -143,7 +143,7 @@ impl Table {
     }
 }
 
-/// Of what stays until the next: only what changes, and the end.
+/// For values that stay until the next one: only those that change, and the last.
 fn changes(all: Vec<(u64, Vec<f64>)>) -> Vec<(u64, Vec<f64>)> {
     let last = all.len() - 1;
     let kept = |index: usize| index == 0 || index == last || all[index].1 != all[index - 1].1;

@@ -17,7 +17,7 @@ fn laid(start: Option<Ratio<i128>>, length: Ratio<i128>) -> Nanos {
 }
 
 impl Show {
-    /// Nanoseconds of so many quarters of a beat, counted from the very beginning: tempo by tempo.
+    /// Nanoseconds of this many quarters of a beat, counted from the very beginning: tempo by tempo.
     fn of_beats(&self, quarters: Ratio<i128>) -> Ratio<i128> {
         let mut time = Ratio::from_integer(0);
         let mut left = quarters;
@@ -42,7 +42,7 @@ impl Show {
         quarters
     }
 
-    /// How many quarters of a beat each tempo lasts; the last one for ever.
+    /// How many quarters of a beat each tempo lasts; the last one lasts forever.
     fn lengths(&self) -> Vec<Option<Ratio<i128>>> {
         let mut upper = 4;
         let length = |(index, tempo): (usize, &Tempo)| {
@@ -64,7 +64,7 @@ impl Show {
         self.of_beats(Ratio::from_integer(i128::from(quarters)))
     }
 
-    /// Nanoseconds of so many quarters of a beat from a time on; where the tempo never changes, from any.
+    /// Nanoseconds of this many quarters of a beat from a time on; where the tempo never changes, from any.
     pub(super) fn beats(&self, start: Option<Ratio<i128>>, quarters: i64) -> Ratio<i128> {
         let start = start.unwrap_or_default();
         let quarters = Ratio::from_integer(i128::from(quarters));
@@ -72,7 +72,7 @@ impl Show {
     }
 }
 
-/// Nanoseconds of a quarter of a beat, at so many hundredths of beats a minute.
+/// Nanoseconds of a quarter of a beat, at this many hundredths of beats a minute.
 fn quarter(bpm: i64) -> Ratio<i128> {
     Ratio::new(60_000_000_000 * 100, 4 * i128::from(bpm))
 }
@@ -97,7 +97,7 @@ impl Cue {
         }
     }
 
-    /// Its length as it is written, with its turns.
+    /// Its length as written, with its turns.
     pub(super) fn length(&self, show: &Show) -> Nanos {
         let turns = Ratio::from_integer(i128::from(self.change.turns));
         laid(self.start(show), self.lap(show) * turns)
@@ -116,7 +116,7 @@ impl Cue {
         self.delays().iter().map(|(_, delay)| *delay).max().unwrap_or(0)
     }
 
-    /// Its steps from its start, where the device plays it as it is written; with what is written for each.
+    /// Its steps from its start, where the device plays it as written; with what is written for each.
     pub(super) fn as_written(&self, show: &Show) -> Option<Vec<(Nanos, f64, f64)>> {
         let keyframes = self.beats.as_ref()?;
         let (_, moves, granularity, _) = DEVICES[self.device];
@@ -140,7 +140,8 @@ impl Cue {
                 let before = steps.last().copied();
                 let seam = before.is_some_and(|before| before.0 == at);
                 match before {
-                    // Of a device that holds, the later of two at one time counts; of one that moves, one of two alike.
+                    // Of two keyframes at one time, a device that holds takes the later one; a device that moves
+                    // drops a duplicate.
                     Some(_) if seam && !moves => *steps.last_mut()? = (at, set, written),
                     Some(before) if seam && before.1 == set => {
                         let worse = (set - written).abs() > (before.1 - before.2).abs();

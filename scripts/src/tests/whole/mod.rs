@@ -58,9 +58,9 @@ struct Cue {
     who: usize,
     device: usize,
     movement: Movement,
-    /// Where each keyframe lies in quarters of a beat, and its value: then it is played as it is written.
+    /// Where each keyframe lies in quarters of a beat, and its value: then it is played as written.
     beats: Option<Vec<(i64, f64)>>,
-    /// Of three values at once: milliseconds, and the values.
+    /// Keyframes of three values at once: milliseconds, and the values.
     colours: Option<Vec<(i64, [f64; 3])>>,
     /// When its robots read their sensor, in milliseconds from its start.
     reads: Vec<i64>,

@@ -65,6 +65,18 @@ fn robots_of_an_act_are_hushed_only_from_the_critical_instant_to_the_commitment(
 }
 
 #[test]
+fn what_cannot_wait_is_let_through_to_a_member_as_long_as_a_lease_can_still_end_before_the_start() {
+    for (leases, lets_through) in [(Leases::Shortened, true), (Leases::Fixed, false)] {
+        let mut bench = Bench::pair();
+        bench.decide(leases);
+        let (critical, brink) = (bench.timing().critical(), bench.timing().brink());
+        assert_eq!(bench.act.lets_through(0, critical), lets_through, "{leases:?}");
+        assert!(!bench.act.lets_through(0, brink - ms(1)), "{leases:?}: no time is left");
+        assert!(!bench.act.lets_through(2, critical), "{leases:?}: no member");
+    }
+}
+
+#[test]
 fn the_commitment_needs_every_answer_to_one_of_the_last_two_rounds() {
     // Silent so long before the critical instant that both of the last rounds were missed.
     for (periods, committed) in [(0, true), (1, true), (4, false)] {

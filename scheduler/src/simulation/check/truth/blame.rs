@@ -26,8 +26,8 @@ impl Said<'_> {
         }
     }
 
-    /// Of a robot that is honest, on a link that loses and delays nothing, and that met no fault, only the clock and the time to
-    /// send may be wrong.
+    /// If a robot is honest, met no fault, and has a link that loses and delays nothing, only its clock and the time to send
+    /// may be wrong.
     fn no_innocent(&self, wrong: &mut Vec<String>) {
         let drawn = self.facts.drawn();
         let steady = drawn.network == Network::Stream && drawn.tail == 0.0;

@@ -70,7 +70,7 @@ impl Said<'_> {
         }
     }
 
-    /// Unless it says itself of a robot that nobody knows what it did.
+    /// Unless it says itself that what a robot did is not known.
     fn nothing_moved(&self, wrong: &mut Vec<String>) {
         for row in &self.report.robots {
             let Some(robot) = self.facts.index_of(&row.robot).filter(|robot| self.facts.honest(*robot))
@@ -92,7 +92,7 @@ impl Said<'_> {
         for (index, course) in self.report.course.iter().enumerate() {
             let sent: Vec<&SentAct<'_>> =
                 self.facts.acts.iter().filter(|act| act.promise.act == index).collect();
-            // Of one that came several times the last time counts.
+            // If an act was played several times, the last time counts.
             let last = sent.last();
             let began = last.into_iter().flat_map(|act| &act.scripts).any(|script| {
                 self.facts.honest(script.robot) && !self.facts.clock_was_set(script.robot) && script.began()

@@ -71,7 +71,7 @@ impl Said<'_> {
         }
     }
 
-    /// Nobody is believed to have done more than there is to do, and no number is certain of what did not happen.
+    /// No robot is believed to have done more than there is to do, and no number is certain of what did not happen.
     fn claims(&self, robot: usize, row: &RobotReport, wrong: &mut Vec<String>) {
         let drawn = &self.facts.drawn().robots[robot];
         let lies = drawn.lie == Some(Lie::TooManySteps) && drawn.block.reports;
@@ -114,7 +114,8 @@ impl Said<'_> {
             StopState::TakenOver => {
                 (ended, "another mission had it, and it is said to hold nothing of this one")
             }
-            // A process that stood still, or whose clock was set back, goes on with what nobody is said to know of.
+            // A process that stood still, or whose clock was set back, continues with a script of which the report says that
+            // nothing is known.
             StopState::NotSent if row.unaccounted > 0 => {
                 let later = self.stood_still(robot) + self.set_back(robot) + DRIFT;
                 let what = "the end, and all that its process stood still or its clock was set back";
