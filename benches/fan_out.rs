@@ -16,7 +16,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use downbeat::link::{Endpoint, Speech};
+use downbeat::link::{Endpoint, LinkEncoding};
 use downbeat::mission::{Mission, MissionOptions, Participant, Progress};
 use downbeat::server_clock::ServerClock;
 use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
@@ -151,7 +151,11 @@ fn downbeat(count: usize) -> (Duration, Duration, f64) {
         let endpoints = peers
             .ports
             .iter()
-            .map(|port| Endpoint::Tcp { host: "127.0.0.1".into(), port: *port, speech: Speech::default() })
+            .map(|port| Endpoint::Tcp {
+                host: "127.0.0.1".into(),
+                port: *port,
+                encoding: LinkEncoding::default(),
+            })
             .collect();
         let (_operator, said) = tokio::sync::mpsc::channel(1);
         let (mut sent, mut accepted, mut decided) = (None, None, None);

@@ -56,7 +56,7 @@ fn a_scenario_without_acts_says_so_where_one_is_asked_for() {
     let session = Session::new();
     session.file("hello.yaml", SCENARIO);
     let ran = session.run(&["dry-run", "hello.yaml", "--act", "finale"]);
-    ran.says(2, &["no act `finale`, the scenario has no acts of its own"]);
+    ran.says(2, &["there is no act `finale`", "leave out --act"]);
     assert!(!ran.text().contains("``"), "{}", ran.text());
 }
 

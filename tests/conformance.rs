@@ -262,7 +262,7 @@ fn a_session_at_a_terminal_shows_the_table_and_ends_with_the_right_code() {
     );
     assert!(judged[1]["millis"].is_u64() && judged[1]["why"].as_str().unwrap().contains("came"));
     session.run(&["conformance", &right, "--only", "lat"]).says(2, &["no requirement `lat`"]);
-    session.run(&["conformance", "nowhere"]).says(2, &["expected tcp://host:port"]);
+    session.run(&["conformance", "nowhere"]).says(2, &["write tcp://HOST:PORT"]);
     session.run(&["conformance", "tcp://127.0.0.1:1"]).says(1, &["no connection to 127.0.0.1:1"]);
     session
         .run(&["conformance", "--list"])

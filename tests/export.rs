@@ -58,5 +58,5 @@ fn joints_go_out_as_a_trajectory_and_come_back_the_same() {
         .says(0, &["- {at: 0s, to: 0}", "- {at: 1500ms, to: 45.5}", "- {at: 2s, to: 30}"]);
     session
         .run(&["export", "drone-csv", "move.yaml", "--output", "csv"])
-        .says(1, &["no robot has the devices `x`, `y` and `z`"]);
+        .says(1, &["needs robots with the devices `x`, `y` and `z`"]);
 }

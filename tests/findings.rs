@@ -38,7 +38,7 @@ fn an_unknown_key_is_found_with_the_key_that_was_meant() {
 #[test]
 fn a_duplicate_key_is_found_at_its_second_place() {
     let yaml = scenario("        - {at: 0s, to: 45, to: 40}\n");
-    check(yaml, 1, &["DB0005", "test.yaml:7:28", "stands twice"]);
+    check(yaml, 1, &["DB0005", "test.yaml:7:28", "appears twice"]);
 }
 
 #[test]
@@ -99,7 +99,7 @@ fn too_many_steps_are_found_with_the_numbers() {
 #[test]
 fn keyframes_out_of_order_are_found() {
     let yaml = scenario("        - {at: 1s, to: 45}\n        - {at: 500ms, to: 0}\n");
-    check(yaml, 1, &["DB0014", "test.yaml:8:16", "500 ms stands after the one at 1 s"]);
+    check(yaml, 1, &["DB0014", "test.yaml:8:16", "500 ms follows the one at 1 s"]);
 }
 
 #[test]
@@ -170,7 +170,7 @@ fn faults_of_the_fleet_file_are_found_in_its_own_lines() {
             "DB0018",
             "fleet.yaml:2:16",
             "DB0020",
-            "`udp://x` is no address",
+            "`udp://x` is not an address",
             "DB0019",
             "DB0008",
             "no robot or group `middle`",
@@ -217,14 +217,14 @@ fn hostile_files_get_a_clear_message_in_little_memory() {
     check_in_little_memory(
         &session,
         1,
-        &["DB0045", "the aliases up to here stand for more than 250000 values", "test.yaml:6:"],
+        &["DB0045", "the aliases up to here expand to more than 250000 values", "test.yaml:6:"],
     );
 
     session.file("test.yaml", "[".repeat(10_000));
     check_in_little_memory(&session, 1, &["DB0002", "recursion limit"]);
 
     session.file("test.yaml", [0u8, 159, 146, 150, 255, 0, 7]);
-    check_in_little_memory(&session, 2, &["DB0001", "not UTF-8"]);
+    check_in_little_memory(&session, 2, &["DB0001", "not a text file"]);
 
     std::fs::File::create(session.path("test.yaml")).unwrap().set_len(200_000_000).unwrap();
     check_in_little_memory(&session, 2, &["DB0001", "200000000 bytes, the limit is 67108864"]);

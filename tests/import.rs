@@ -128,7 +128,8 @@ fn the_unit_of_times_is_read_or_asked_for() {
 fn a_drone_show_becomes_a_scenario_that_passes() {
     let show = fixture("two_drones.skyc");
     check_round_trip(&["skybrush", &show], "no errors, 2 robots, 9 devices, ");
-    import(&Session::new(), &["skybrush", &fixture("cheering.json")]).says(2, &["DB0001", "this is no zip"]);
+    import(&Session::new(), &["skybrush", &fixture("cheering.json")])
+        .says(2, &["DB0001", "this is not a ZIP archive"]);
 }
 
 #[test]
@@ -145,7 +146,8 @@ fn motions_and_lights_of_other_tools_become_scenarios_that_pass() {
         &["fseq", &star, "--map", "star/lamp=1,2,3"],
         "no errors, 1 robot, 1 device, 40 steps, 975 ms",
     );
-    import(&Session::new(), &["webots", &star, "--map", "a/b=c"]).says(2, &["--map is for csv and fseq"]);
+    import(&Session::new(), &["webots", &star, "--map", "a/b=c"])
+        .says(2, &["--map is an option of csv and fseq only"]);
 }
 
 #[test]
@@ -204,7 +206,7 @@ fn every_csv_of_a_drone_show_is_a_robot_with_a_lamp() {
         .run(&["check", "out/scenario.yaml"])
         .says(0, &["no errors, 3 robots, 12 devices, 45 steps, 1.5 s"]);
     import(&session, &[&args[..6], &["--map", "arm/y=y"]].concat())
-        .says(2, &["every --map names a robot, or none"]);
+        .says(2, &["name a robot in every --map, or in none"]);
 }
 
 #[test]
@@ -357,7 +359,7 @@ fn any_csv_is_read_through_a_map_of_columns() {
     );
     import(&session, &["csv", "log.csv", "--time", "sm", "--map", "arm/x=x"])
         .says(1, &["DB0060", "log.csv:1:1", "no column `sm`", "did you mean `ms`?"]);
-    import(&session, &["csv", "log.csv"]).says(2, &["at least one --map"]);
+    import(&session, &["csv", "log.csv"]).says(2, &["add --map"]);
 }
 
 #[test]
@@ -367,7 +369,7 @@ fn times_that_collide_are_found_with_both() {
     let points: String =
         times.iter().map(|t| format!("- {{positions: [1], time_from_start: {t}}}\n")).collect();
     let text = format!("joint_names: [a]\npoints:\n{points}");
-    check("joint-trajectory", text, 1, &["DB0063", "test.csv:8:37", "the time 0.372734245 s stands twice"]);
+    check("joint-trajectory", text, 1, &["DB0063", "test.csv:8:37", "the time 0.372734245 s appears twice"]);
     check_csv("t,a\n0.3727,1\n0.3731,2\n", &["DB0063", "test.csv:3:1", "both are 373 ms"]);
     check_csv("t,a\n2,1\n1,2\n", &["DB0062", "test.csv:3:1", "the time 1 s comes after 2 s"]);
     let still = r#"{"keyframes": [{"duration": 0, "pause": 0, "goals": {"a": 1}}]}"#;
@@ -399,7 +401,7 @@ fn wrong_tables_are_found_all_at_once() {
         &["DB0060", "test.csv:1:14", "column 4 of the header is `z[K]`"],
     );
     check("crazyswarm", "a,b\n1,2\n", 1, &["DB0060", "test.csv:1:1", "expected `duration`"]);
-    check("crazyswarm", [0u8, 159, 146, 150], 2, &["DB0001", "not UTF-8"]);
+    check("crazyswarm", [0u8, 159, 146, 150], 2, &["DB0001", "not a text file"]);
     for format in ["crazyswarm", "waypoints"] {
         check(format, "", 1, &["DB0060", "the file is empty"]);
     }

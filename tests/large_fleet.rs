@@ -1,7 +1,7 @@
 //! A thousand simulated robots in one process over loopback TCP.
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test fails by panicking and may print")]
 
-use downbeat::link::{Endpoint, Speech};
+use downbeat::link::{Endpoint, LinkEncoding};
 use downbeat::mission::{Mission, MissionOptions, Participant};
 use downbeat::server_clock::ServerClock;
 use downbeat_robot::simulated::{Settings, SimulatedRobot};
@@ -60,7 +60,11 @@ fn a_thousand_robots_on_tcp_prepare_start_and_report_without_a_failure() {
         for index in 0..ROBOTS {
             let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
             let port = listener.local_addr().unwrap().port();
-            endpoints.push(Endpoint::Tcp { host: "127.0.0.1".into(), port, speech: Speech::default() });
+            endpoints.push(Endpoint::Tcp {
+                host: "127.0.0.1".into(),
+                port,
+                encoding: LinkEncoding::default(),
+            });
             tokio::spawn(serve(listener, host.handle(), index));
         }
         let clock = ServerClock::anchored(Span::ZERO);

@@ -124,7 +124,7 @@ fn a_rehearsal_is_slower_with_fewer_robots_from_a_later_act() {
     assert_eq!(report["acts"].as_array().unwrap().len(), 1);
     let robots: Vec<_> = report["robots"].as_array().unwrap().iter().map(|r| r["robot"].clone()).collect();
     assert_eq!(robots, ["left"]);
-    session.run(&["dry-run", "evening.yaml", "--only", "middle"]).says(2, &["nothing moves `middle`"]);
+    session.run(&["dry-run", "evening.yaml", "--only", "middle"]).says(2, &["does not move `middle`"]);
     session
         .run(&["dry-run", "evening.yaml", "--from", "intermezzo"])
         .says(2, &["no act `intermezzo`", "`opening`"]);
@@ -359,7 +359,9 @@ fn a_start_that_has_passed_or_is_too_soon_is_refused_with_the_earliest_safe_one(
     let session = evening("wait: done");
     let refused = ["not sent: a start at ", "has passed", "the earliest safe start was"];
     session.run(&["run", "evening.yaml", "--at", "2020-01-01T00:00:00Z"]).says(1, &refused);
-    session.run(&["run", "evening.yaml", "--record", "no/such.mcap"]).says(2, &["No such file or directory"]);
-    let no_sensor = ["no robot that takes part is called `left` and has a sensor `lid`"];
+    session
+        .run(&["run", "evening.yaml", "--record", "no/such.mcap"])
+        .says(2, &["the folder does not exist", "mkdir -p no"]);
+    let no_sensor = ["there is no sensor `left/lid`"];
     session.run(&["dry-run", "evening.yaml", "--reading", "left/lid=1"]).says(2, &no_sensor);
 }

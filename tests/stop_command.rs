@@ -322,7 +322,7 @@ fn the_robots_of_a_scheduler_that_stands_still_are_stopped_directly() {
     let mission = playing(&stage, &["run", "long.yaml"], &[0, 1]);
     mission.process.signal(Signal::STOP);
     let began = Instant::now();
-    let sent = "was sent SIGTERM: if it goes on, it stops for good";
+    let sent = "was sent SIGTERM; if it continues, it ends";
     says(&stage.run(&["stop"]), 0, &["it does not answer within 1 s", sent, BOTH[0], BOTH[1]]);
     assert!(began.elapsed() < Duration::from_secs(20));
     all_rest(&stage);

@@ -72,7 +72,7 @@ pub enum HostError {
         error: io::Error,
     },
     /// The system gives no thread.
-    #[error("no thread for the robots: {0}")]
+    #[error("cannot start a thread for the robots: {0}")]
     Thread(io::Error),
     /// What is required was not granted.
     #[error("{0}")]

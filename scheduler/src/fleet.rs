@@ -6,7 +6,7 @@ use downbeat_robot::{Host, HostError, HostOptions, Hosted};
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Handshake, Plan, RobotClock, Wait};
 use urrcp::{Encoding, RobotId, Span};
 
-use crate::link::{Endpoint, Speech};
+use crate::link::{Endpoint, LinkEncoding};
 use crate::mission::{ClockMode, Greeting, Participant, Requirement};
 
 /// A robot cannot be simulated.
@@ -193,8 +193,8 @@ pub fn endpoints_at_once(
     let host = if machines.is_empty() { None } else { Some(Host::start(machines, options)?) };
     let endpoint = |(robot, place): (&&FleetRobot, Option<usize>)| match (&robot.address, place, &host) {
         (Address::Tcp { host, port }, ..) => {
-            let speech = speech(robot, handshake);
-            Some(Endpoint::Tcp { host: host.clone(), port: *port, speech })
+            let encoding = encoding(robot, handshake);
+            Some(Endpoint::Tcp { host: host.clone(), port: *port, encoding })
         }
         (_, Some(index), Some(host)) => Some(Endpoint::InProcess { host: host.handle(), index }),
         _ => None,
@@ -204,10 +204,10 @@ pub fn endpoints_at_once(
 }
 
 /// Without a handshake the files are trusted.
-fn speech(robot: &FleetRobot, handshake: Handshake) -> Speech {
+fn encoding(robot: &FleetRobot, handshake: Handshake) -> LinkEncoding {
     let listed = robot.init.as_ref().is_some_and(|block| block.understands(robot.encoding));
     match handshake {
-        Handshake::Skip if listed => Speech::at_once(robot.encoding),
-        Handshake::Skip | Handshake::Full => Speech::once_listed(robot.encoding),
+        Handshake::Skip if listed => LinkEncoding::at_once(robot.encoding),
+        Handshake::Skip | Handshake::Full => LinkEncoding::once_listed(robot.encoding),
     }
 }

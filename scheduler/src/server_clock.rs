@@ -5,6 +5,7 @@ use std::net::SocketAddr;
 use std::time::{Duration, Instant};
 
 use downbeat_robot::clock::HostClock;
+use downbeat_scripts::{Attempt, Refusal};
 use rsntp::{AsyncSntpClient, Config};
 use serde::Serialize;
 use tokio::sync::watch;
@@ -137,7 +138,7 @@ async fn resolve(server: &str) -> Result<SocketAddr, String> {
         true => tokio::net::lookup_host(server).await.map(Iterator::collect),
         false => tokio::net::lookup_host((server, NTP_PORT)).await.map(Iterator::collect),
     }
-    .map_err(|error| error.to_string())?;
+    .map_err(|error| Refusal::of(Attempt::Connect, &error).reason)?;
     // As many hosts still have no way out by IPv6.
     let preferred = addresses.iter().find(|address| address.is_ipv4()).or(addresses.first());
     preferred.copied().ok_or_else(|| "the name has no address".to_owned())
@@ -156,7 +157,12 @@ async fn exchange(
     let client = AsyncSntpClient::with_config(Config::default().timeout(timeout).bind_address(any_port));
     // The client reads the system's clock, which may be set between its two readings.
     let (ahead_before, sent) = (clock.system_ahead(), clock.now());
-    let result = client.synchronize(server).await.map_err(|error| error.to_string())?;
+    // The number of the system's error tells a user nothing.
+    let plain = |text: String| {
+        let text = text.trim_start_matches("Input/output error: ");
+        text.split(" (os error").next().unwrap_or_default().to_owned()
+    };
+    let result = client.synchronize(server).await.map_err(|error| plain(error.to_string()))?;
     let (at, ahead_after) = (clock.now(), clock.system_ahead());
     let delay = Span::from_millis_f64(result.round_trip_delay().as_secs_f64() * 1e3);
     let offset = Span::from_millis_f64(result.clock_offset().as_secs_f64() * 1e3);

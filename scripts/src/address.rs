@@ -96,6 +96,31 @@ impl fmt::Display for NoAddress {
 
 impl std::error::Error for NoAddress {}
 
+/// What is wrong with a text that is no address, and how it is written right.
+#[must_use]
+pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
+    let (scheme, rest) = match text.split_once("://") {
+        Some((scheme, rest)) => (Some(scheme), rest),
+        None => (None, text),
+    };
+    let place = rest.trim_end_matches('/');
+    let port = place.rsplit_once(':').map(|(_, port)| port);
+    let has_port = port.is_some_and(|port| port.parse::<u16>().is_ok_and(|port| port > 0));
+    let known = scheme.filter(|scheme| ["tcp", "thrift"].contains(scheme));
+    match (known, port) {
+        (Some(_), Some(port)) if !has_port && port.bytes().all(|byte| byte.is_ascii_digit()) => {
+            ("has no valid port", Some("a port is a number from 1 to 65535".to_owned()))
+        }
+        (Some(scheme), _) if !has_port => {
+            let host = place.split(':').next().unwrap_or_default();
+            let hint = format!("add the port on which the robot listens, as in `{scheme}://{host}:7401`");
+            ("has no port", Some(hint))
+        }
+        (None, _) if has_port => ("does not begin with `tcp://`", Some(format!("write `tcp://{place}`"))),
+        _ => ("is not an address", None),
+    }
+}
+
 impl FromStr for Address {
     type Err = NoAddress;
 

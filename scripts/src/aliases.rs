@@ -22,7 +22,7 @@ pub(crate) fn check(source: &Source, text: &str) -> Option<Finding> {
     }
     // The text may be shorter than the file: the place is looked for in the file itself.
     let (line, column) = exceeding(&source.text)?;
-    let message = format!("the aliases up to here stand for more than {ALIASED_MAX} values");
+    let message = format!("the aliases up to here expand to more than {ALIASED_MAX} values");
     let hint = Some("write the values out, or let several cues use one of `moves`".to_owned());
     let expected = format!("at most {ALIASED_MAX} values by aliases");
     let mut finding = Finding::about_file(Code::TooMuch, &source.name, message, &expected, hint);

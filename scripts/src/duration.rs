@@ -44,6 +44,47 @@ fn parts_of(number: &str, unit_nanos: i128) -> Option<i128> {
     Some(value(whole)? * unit_nanos * PARTS + value(fraction)? * unit_nanos * PARTS / scale)
 }
 
+/// How a time is written that a person would understand: `00:01:30`, `1 second`, `0,3s`.
+pub(crate) fn hint(text: &str) -> Option<String> {
+    let text = text.trim();
+    if let Some(rest) = text.strip_prefix('-').filter(|rest| parse_duration(rest).is_some()) {
+        return Some(format!("a time cannot be negative: write `{rest}`, or let the others begin later"));
+    }
+    let with_point = text.replace(',', ".");
+    if with_point != text && parse_duration(&with_point).is_some() {
+        return Some(format!("write a decimal point: `{with_point}`"));
+    }
+    let span = of_clock(text).or_else(|| in_words(&with_point))?;
+    Some(format!("write `{}`", written(span)))
+}
+
+/// `1:30` and `00:01:30`.
+fn of_clock(text: &str) -> Option<Span> {
+    let parts: Vec<&str> = text.split(':').collect();
+    let units: &[&str] = match parts.len() {
+        2 => &["m", "s"],
+        3 => &["h", "m", "s"],
+        _ => return None,
+    };
+    parse_duration(
+        &parts.iter().zip(units).map(|(number, unit)| format!("{number}{unit}")).collect::<String>(),
+    )
+}
+
+/// `1 second`, `250 milliseconds`, `2 S`.
+fn in_words(text: &str) -> Option<Span> {
+    let number = text.find(|c: char| !c.is_ascii_digit() && c != '.')?;
+    let (number, word) = text.split_at(number);
+    let unit = match word.trim().to_ascii_lowercase().as_str() {
+        "s" | "sec" | "secs" | "second" | "seconds" => "s",
+        "ms" | "msec" | "millis" | "millisecond" | "milliseconds" => "ms",
+        "m" | "min" | "mins" | "minute" | "minutes" => "m",
+        "h" | "hour" | "hours" => "h",
+        _ => return None,
+    };
+    parse_duration(&format!("{number}{unit}"))
+}
+
 /// The same with an optional sign ahead.
 pub(crate) fn parse_signed(text: &str) -> Option<Span> {
     match text.trim().strip_prefix('-') {
@@ -93,6 +134,21 @@ mod tests {
             assert_eq!(parse_signed(&written(-span)), Some(-span));
         }
         assert_eq!((written(Span::from_millis(1_500)), seconds(0.333_4)), ("1.5s".into(), "334ms".into()));
+    }
+
+    #[test]
+    fn a_time_in_another_form_is_shown_in_this_one() {
+        for (text, right) in [
+            ("00:01:30", "write `90s`"),
+            ("1:30", "write `90s`"),
+            ("1 second", "write `1s`"),
+            ("2 S", "write `2s`"),
+            ("0,3s", "write a decimal point: `0.3s`"),
+        ] {
+            assert_eq!(hint(text).as_deref(), Some(right));
+        }
+        assert!(hint("-1s").is_some());
+        assert_eq!(hint("later"), None);
     }
 
     #[test]

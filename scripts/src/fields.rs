@@ -8,9 +8,10 @@ use crate::duration;
 use crate::exact::{Exact, Laps};
 use crate::finding::{Code, Part, Pending, Place, Severity, names, nearest, one_of};
 use crate::music::Music;
-use crate::node::{self, Node, shortened};
+use crate::node::{Node, shortened};
 use crate::scenario::Unset;
 use crate::scope::Scope;
+use crate::syntax;
 use urrcp::Span;
 
 /// A node with the way that led to it.
@@ -79,6 +80,8 @@ pub(crate) struct Reader {
     pub(crate) knots: Budget,
     /// Parameters without a value in the movement that is being read.
     pub(crate) unset: Vec<Unset>,
+    /// Values that a decimal comma cut in two, of which that is told already.
+    cut: Vec<Place>,
     /// Comparisons of names that are left.
     comparisons: Cell<usize>,
     /// By severity.
@@ -102,6 +105,7 @@ impl Default for Reader {
             music: Music::default(),
             knots: Budget::new(KNOTS_MAX),
             unset: Vec::new(),
+            cut: Vec::new(),
             comparisons: Cell::new(COMPARISONS_MAX),
             told: [Told::default(); 2],
         }
@@ -117,6 +121,9 @@ impl Reader {
         expected: impl Into<String>,
         hint: Option<String>,
     ) {
+        if self.cut.contains(&place) {
+            return;
+        }
         let told = &mut self.told[usize::from(code.severity() == Severity::Warning)];
         if told.count == FINDINGS_MAX {
             told.more += 1;
@@ -152,7 +159,7 @@ impl Reader {
     pub(crate) fn finish(mut self) -> Vec<Pending> {
         for told in self.told.iter().filter(|told| told.more > 0) {
             if let Some(last) = self.found.get_mut(told.last) {
-                last.message.push_str(&format!(" (and {} findings more, which are not told)", told.more));
+                last.message.push_str(&format!(" (and {} more findings, which are not shown)", told.more));
             }
         }
         self.found
@@ -177,8 +184,18 @@ impl Reader {
 
     pub(crate) fn wrong_type(&mut self, at: &At<'_>, expected: &str) {
         let hint = match at.node {
+            Node::Text(text) if expected.contains("number") => number_hint(text),
+            Node::Map(_) if expected.starts_with("a list of") => {
+                Some("begin every entry of the list with a dash: `- `".to_owned())
+            }
+            Node::List(_) if expected.starts_with("a map from robot id") => {
+                Some("write `left: {init: arm.yaml, address: sim}` for each robot, without a dash".to_owned())
+            }
+            Node::List(_) if expected.starts_with("a map from") => {
+                Some("write `name: ...` for each entry instead of a dash".to_owned())
+            }
             Node::Tagged(_) => Some("remove the tag: no tags are supported".to_owned()),
-            Node::Text(text) if expected.contains(": a map") => node::without_space_at_all(text),
+            Node::Text(text) if expected.contains(": a map") => syntax::without_space_at_all(text),
             _ => None,
         };
         self.add(Code::WrongType, at.place(), format!("found {}", at.node.kind()), expected, hint);
@@ -197,14 +214,21 @@ impl Reader {
             return None;
         };
         let mut values: [Option<At<'a>>; N] = [None; N];
-        for (key, node) in entries {
+        for (index, (key, node)) in entries.iter().enumerate() {
+            let before = index.checked_sub(1).map(|before| &entries[before]);
+            if let Some(number) = before.and_then(|before| cut_by_comma(before, key, node)) {
+                self.cut_by_comma(at, number, key);
+                continue;
+            }
             match known.iter().position(|name| name == key) {
                 Some(index) if values[index].is_none() => values[index] = Some(at.entry(key, 0, node)),
                 Some(index) => self.duplicate(&at.entry(known[index], 1, node), key),
                 None => {
                     let hint = match key.as_str() {
                         "<<" => Some("merge keys are not supported: write the keys out".to_owned()),
-                        _ if node::without_space(key, &known).is_some() => node::without_space(key, &known),
+                        _ if syntax::without_space(key, &known).is_some() => {
+                            syntax::without_space(key, &known)
+                        }
                         _ => self.did_you_mean(key, known),
                     };
                     let message = format!("unknown key `{}` in {what}", shortened(key));
@@ -216,11 +240,25 @@ impl Reader {
         for key in required {
             let index = known.iter().position(|name| name == key)?;
             if values[index].is_none() {
-                let message = format!("{what} has no `{key}`");
-                self.add(Code::MissingKey, at.place(), message, format!("a key `{key}`"), None);
+                let message = match (what, *key) {
+                    ("the scenario", "scenario") => "the scenario has no name".to_owned(),
+                    _ => format!("{what} has no `{key}`"),
+                };
+                let hint = missing(what, key).map(str::to_owned);
+                self.add(Code::MissingKey, at.place(), message, format!("a key `{key}`"), hint);
             }
         }
         Some(values)
+    }
+
+    /// `{at: 0,3s}` is the number 0 and a key `3s`: one fault, one finding.
+    fn cut_by_comma(&mut self, at: &At<'_>, (key, whole): (&str, f64), rest: &str) {
+        let place = at.entry(rest, 0, &Node::Null).key_place();
+        let message =
+            format!("a comma ends the value of `{}`, and `{}` is left over", shortened(key), shortened(rest));
+        let hint = Some(format!("write a decimal point: `{whole}.{}`", shortened(rest)));
+        self.add(Code::UnknownKey, place, message, "a decimal point", hint);
+        self.cut.push(at.place().of_key(key));
     }
 
     /// The entries of a map with free keys, each key once.
@@ -242,7 +280,7 @@ impl Reader {
 
     fn duplicate(&mut self, at: &At<'_>, key: &str) {
         let hint = Some("keep one of them".to_owned());
-        let message = format!("the key `{}` stands twice in this map", shortened(key));
+        let message = format!("the key `{}` appears twice in this map", shortened(key));
         self.add(Code::DuplicateKey, at.key_place(), message, "each key once", hint);
     }
 
@@ -275,12 +313,15 @@ impl Reader {
             (Some(Node::Number(value)), true) => return Some(Node::Number(-value)),
             (Some(value), false) => return Some(value.clone()),
             (Some(_), true) => {
-                let message = format!("`{}` is no number to put a minus before", shortened(name));
+                let message = format!("a minus needs a number, and `{}` is not a number", shortened(name));
                 self.add(Code::Variable, at.place(), message, "a variable that is a number", None);
             }
             (None, _) => {
                 let hint = self.did_you_mean(name, self.scope.names());
-                let expected = format!("one of the variables {}", names(self.scope.names()));
+                let expected = match self.scope.names().next() {
+                    Some(_) => format!("one of the variables {}", names(self.scope.names())),
+                    None => "a name under `variables`".to_owned(),
+                };
                 let message = format!("no variable `{}` is known here", shortened(name));
                 self.add(Code::Variable, at.place(), message, expected, hint);
             }
@@ -403,7 +444,7 @@ impl Reader {
             }
             None => {
                 let found = format!("the time `{}` cannot be read", shortened(text));
-                self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, None);
+                self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, duration::hint(text));
             }
         }
         None
@@ -441,5 +482,42 @@ impl Reader {
         let hint = self.did_you_mean(&text, known());
         self.add(Code::UnknownWord, at.place(), message, expected, hint);
         None
+    }
+}
+
+/// The entry and its number if a decimal comma made this key of its decimals.
+fn cut_by_comma<'a>((key, value): &'a (String, Node), rest: &str, node: &Node) -> Option<(&'a str, f64)> {
+    let decimals = rest.starts_with(|c: char| c.is_ascii_digit()) && *node == Node::Null;
+    match value {
+        Node::Number(whole) if decimals && whole.fract() == 0.0 => Some((key, *whole)),
+        _ => None,
+    }
+}
+
+/// How a number is written that a person would understand: `45,5`, `45deg`.
+fn number_hint(text: &str) -> Option<String> {
+    let is_number = |text: &str| text.parse::<f64>().is_ok_and(f64::is_finite);
+    let with_point = text.trim().replacen(',', ".", 1);
+    if is_number(&with_point) {
+        return Some(format!("write a decimal point: `{with_point}`"));
+    }
+    let digits = with_point.trim_end_matches(|c: char| !c.is_ascii_digit()).trim();
+    is_number(digits).then(|| format!("write the number alone, in the unit of the device: `{digits}`"))
+}
+
+/// What to write for a key that beginners leave out.
+fn missing(what: &str, key: &str) -> Option<&'static str> {
+    match (what, key) {
+        ("the scenario", "scenario") => {
+            Some("give the show a name in the first line, such as `scenario: my-show`")
+        }
+        ("the fleet file", "robots") => {
+            Some("list the robots, as in `robots: {arm-1: {init: arm.yaml, address: sim}}`")
+        }
+        (_, "address") => {
+            Some("`address: sim` simulates the robot; `address: tcp://HOST:PORT` reaches a real one")
+        }
+        (_, "init") => Some("name the file that describes the robot, as in `init: robots/arm.yaml`"),
+        _ => None,
     }
 }

@@ -50,10 +50,10 @@ macro_rules! codes {
 
 codes! {
     Unreadable = "DB0001", Error, "a file cannot be read";
-    Syntax = "DB0002", Error, "a text is not YAML";
-    WrongType = "DB0003", Error, "a value is of another kind than expected";
-    UnknownKey = "DB0004", Error, "a key that is not known here";
-    DuplicateKey = "DB0005", Error, "a key stands twice";
+    Syntax = "DB0002", Error, "a file is not valid YAML";
+    WrongType = "DB0003", Error, "a value has the wrong type";
+    UnknownKey = "DB0004", Error, "an unknown key";
+    DuplicateKey = "DB0005", Error, "a key appears twice";
     MissingKey = "DB0006", Error, "a key is missing";
     BadDuration = "DB0007", Error, "a time cannot be read";
     UnknownRobot = "DB0008", Error, "no robot or group of this name";
@@ -67,8 +67,8 @@ codes! {
     NothingToDo = "DB0016", Error, "nothing to do";
     ListedTwice = "DB0017", Error, "a robot is listed twice";
     InitializationBlock = "DB0018", Error, "an initialization block is not valid";
-    NameClash = "DB0019", Error, "a group bears the name of a robot";
-    UnknownWord = "DB0020", Error, "a word that is not known here";
+    NameClash = "DB0019", Error, "a group has the name of a robot";
+    UnknownWord = "DB0020", Error, "an unknown word";
     UnknownBeginning = "DB0021", Error, "a movement without a beginning";
     UnknownCue = "DB0022", Error, "no cue of this name";
     UnknownMove = "DB0023", Error, "no move of this name";
@@ -85,30 +85,30 @@ codes! {
     Jump = "DB0034", Warning, "a device that has to jump";
     LeftInMotion = "DB0035", Warning, "a device is left in motion at the end";
     LeaseTooLong = "DB0036", Warning, "a lease longer than the script that it guards";
-    NoRobot = "DB0037", Error, "a cue that no robot answers to";
+    NoRobot = "DB0037", Error, "a cue without a robot to play it";
     Snapped = "DB0038", Warning, "a value was moved to the device's grid";
     QueueTooShort = "DB0039", Error, "more scripts than the device's queue holds";
     ToleranceTooTight = "DB0040", Error, "an error larger than allowed";
     BadMotion = "DB0041", Error, "a movement that cannot be made";
-    Include = "DB0042", Error, "an include that leads nowhere";
-    NameTwice = "DB0043", Error, "a name stands for two things";
+    Include = "DB0042", Error, "an included file that cannot be read";
+    NameTwice = "DB0043", Error, "a name is used twice";
     UnknownSensor = "DB0044", Error, "the robot has no such sensor";
-    TooMuch = "DB0045", Error, "more than anything could play";
+    TooMuch = "DB0045", Error, "more than a robot could ever play";
     BadData = "DB0046", Error, "a data file cannot be used";
     NoTimeToSend = "DB0047", Error, "no time to send the next script";
     LittleTimeToSend = "DB0048", Warning, "little time to send the next script";
     ActHasToWait = "DB0049", Warning, "an act that cannot follow at once";
     OneAddress = "DB0050", Error, "two robots have one address";
-    ImportTable = "DB0060", Error, "a table of another shape than its format has";
-    ImportNumber = "DB0061", Error, "an imported value is no finite number";
+    ImportTable = "DB0060", Error, "a table that does not match its format";
+    ImportNumber = "DB0061", Error, "an imported value is not a finite number";
     ImportTime = "DB0062", Error, "imported times that do not go forward";
     TimesCollide = "DB0063", Error, "two imported times fall into one millisecond";
     ForeignTag = "DB0064", Error, "a tag of another program";
     TooManyPieces = "DB0065", Error, "a trajectory has more pieces than the robot holds";
     ImportShape = "DB0066", Error, "lists of an imported motion that do not fit together";
-    ImportNames = "DB0067", Error, "imported robots, devices or scenes that cannot be named so";
+    ImportNames = "DB0067", Error, "imported robots, devices or scenes with names that are not allowed";
     ImportLimit = "DB0068", Error, "an import is larger than its limit";
-    FileExists = "DB0069", Error, "a file is there already";
+    FileExists = "DB0069", Error, "a file exists already";
 }
 
 impl Code {
@@ -287,14 +287,14 @@ pub(crate) fn nearest<'a>(
 /// What is expected where a name is not known.
 pub(crate) fn one_of<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
     match names(all).as_str() {
-        "none" => "one that there is: there are none".to_owned(),
+        "none" => "a name that is defined, but none is".to_owned(),
         names => format!("one of {names}"),
     }
 }
 
 /// A list of names for a message, shortened.
 pub(crate) fn names<'a>(all: impl IntoIterator<Item = &'a str>) -> String {
-    let mut all = all.into_iter();
+    let mut all = all.into_iter().filter(|name| !name.is_empty());
     let first: Vec<_> = all.by_ref().take(12).map(|name| format!("`{}`", shortened(name))).collect();
     match first.len() + all.count() {
         0 => "none".to_owned(),

@@ -5,9 +5,10 @@ use std::path::{Path, PathBuf};
 
 use urrcp::{ControlType, Device, DeviceId, Encoding, InitializationBlock, RobotId, Span};
 
-use crate::address::{ADDRESS, Address, Reached};
+use crate::address::{ADDRESS, Address, Reached, address_fault};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding};
+use crate::identify::{self, Document};
 use crate::init::{Init, read_supplements};
 use crate::locate::locate;
 use crate::node::{self, Node};
@@ -164,10 +165,10 @@ pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
     let source = match Source::read(path) {
         Ok(source) => source,
         Err(mut finding) => {
-            finding
-                .hint
-                .get_or_insert_with(|| "a fleet file lists your robots: `downbeat init` writes one to begin with, `--fleet FILE` names one"
-                    .into());
+            // A name that is only misspelt has its hint.
+            finding.hint.get_or_insert_with(|| {
+                "a fleet file lists your robots: `downbeat init` writes one to begin with".to_owned()
+            });
             return (None, vec![finding]);
         }
     };
@@ -175,6 +176,9 @@ pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
         Ok(document) => document,
         Err(finding) => return (None, vec![finding]),
     };
+    if let Some(mistaken) = identify::mistaken(&source, &document, Document::Fleet) {
+        return (None, vec![mistaken]);
+    }
     let tags = foreign_tags(&source);
     if !tags.is_empty() {
         return (None, tags);
@@ -301,7 +305,7 @@ impl FleetReader {
             if init.device(device).is_none() {
                 let known = || init.devices.iter().map(|device| device.id.as_str());
                 let message = format!("the robot has no device `{}`", node::shortened(device));
-                let expected = format!("one of {}", crate::finding::names(known()));
+                let expected = crate::finding::one_of(known());
                 let hint = self.findings.did_you_mean(device, known());
                 self.findings.add(Code::UnknownDevice, at.key_place(), message, expected, hint);
             }
@@ -341,7 +345,7 @@ impl FleetReader {
             _ => None,
         };
         if range.is_none() {
-            let message = format!("`{}` is no range of readings", node::shortened(&text));
+            let message = format!("`{}` is not a range of readings", node::shortened(&text));
             self.findings.add(Code::UnknownWord, at.place(), message, expected, None);
         }
         range
@@ -351,8 +355,9 @@ impl FleetReader {
         let text = self.findings.text(at, ADDRESS)?;
         let address = text.parse().ok();
         if address.is_none() {
-            let message = format!("`{}` is no address", node::shortened(&text));
-            self.findings.add(Code::UnknownWord, at.place(), message, ADDRESS, None);
+            let (fault, hint) = address_fault(&text);
+            let message = format!("`{}` {fault}", node::shortened(&text));
+            self.findings.add(Code::UnknownWord, at.place(), message, ADDRESS, hint);
         }
         address
     }
@@ -368,7 +373,7 @@ impl FleetReader {
             (Some(at), Init::Dictionary(..)) => read_supplements(&mut self.findings, at, &init.devices()),
             (Some(at), Init::Block(_)) => {
                 let message = format!("`{}` describes its devices whole", path.display());
-                let expected = "`devices` only beside the description of a Thrift robot";
+                let expected = "`devices` only with the description of a Thrift robot";
                 let hint = Some("change the init file instead".to_owned());
                 self.findings.add(Code::UnknownKey, at.key_place(), message, expected, hint);
                 return None;
@@ -392,7 +397,9 @@ impl FleetReader {
             Ok(source) => Init::read(source).map_err(|findings| self.elsewhere.extend(findings)).ok(),
             Err(finding) => {
                 let message = format!("cannot read the init file `{}`: {}", path.display(), finding.message);
-                let hint = Some("the path counts from the folder of the fleet file".to_owned());
+                let hint = finding.hint.filter(|hint| !hint.starts_with("name a "));
+                let hint =
+                    hint.or_else(|| Some("the path counts from the folder of the fleet file".to_owned()));
                 self.findings.add(Code::InitializationBlock, at.place(), message, "a readable file", hint);
                 None
             }
@@ -441,7 +448,7 @@ impl FleetReader {
         let found = init.device(name).filter(is_sensor).map(|device| device.id.clone());
         if found.is_none() {
             let message = format!("the robot has no sensor `{}`", node::shortened(name));
-            let expected = format!("one of {}", crate::finding::names(sensors()));
+            let expected = crate::finding::one_of(sensors());
             let hint = crate::finding::did_you_mean(name, sensors());
             self.findings.add(Code::UnknownSensor, at.key_place(), message, expected, hint);
         }
@@ -455,8 +462,8 @@ impl FleetReader {
         sorted.sort_unstable();
         for (name, at) in self.findings.entries(at, "group to the list of its robots") {
             if named.contains(name) {
-                let message = format!("the group `{name}` bears the name of a robot");
-                self.findings.add(Code::NameClash, at.key_place(), message, "a name of its own", None);
+                let message = format!("the group `{name}` has the name of a robot");
+                self.findings.add(Code::NameClash, at.key_place(), message, "a unique name", None);
             }
             let mut members = Vec::new();
             for item in self.findings.list(&at, "a list of robots") {
@@ -486,7 +493,7 @@ fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) 
                 Code::OneAddress,
                 vec![is_reached(robot), is_reached(other)],
                 format!("`{}` and `{}` have the same address", other.id, robot.id),
-                "an address of its own for each robot",
+                "a different address for each robot",
                 Some("correct the address of one of them".to_owned()),
             );
         }
@@ -501,7 +508,7 @@ fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) 
                 Code::NameTwice,
                 at(named, "robot_id"),
                 format!("`{}` and `{}` would both call themselves `{own_id}`", other.id, robot.id),
-                "an id of its own for each robot",
+                "a different id for each robot",
                 Some("`robot_id` is what the robot itself declares as its `id`".to_owned()),
             );
         }
@@ -511,7 +518,7 @@ fn one_place_each(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) 
 fn unknown_robot(findings: &mut Reader, at: &At<'_>, name: &str, known: &[&str]) {
     let hint = findings.did_you_mean(name, known.iter().copied());
     let message = format!("no robot or group `{}` in the fleet", node::shortened(name));
-    let expected = format!("one of {}", crate::finding::names(known.iter().copied()));
+    let expected = crate::finding::one_of(known.iter().copied());
     findings.add(Code::UnknownRobot, at.place(), message, expected, hint);
 }
 
@@ -524,7 +531,7 @@ fn drift_ppm(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
         findings.add(
             Code::UnknownWord,
             at.place(),
-            format!("`{}` is no drift", node::shortened(&text)),
+            format!("`{}` is not a drift", node::shortened(&text)),
             expected,
             None,
         );

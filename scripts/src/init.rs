@@ -10,6 +10,7 @@ use urrcp::InitializationBlock;
 
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding};
+use crate::identify::{self, Document};
 use crate::locate::locate;
 use crate::node::{self, Node};
 use crate::source::Source;
@@ -59,7 +60,13 @@ impl Init {
             Ok(block) => return Ok(Self::Block(Box::new(block))),
             Err(finding) => finding,
         };
-        match node::parse(&source) {
+        let document = node::parse(&source);
+        if let Some(mistaken) =
+            document.as_ref().ok().and_then(|document| identify::mistaken(&source, document, Document::Robot))
+        {
+            return Err(vec![mistaken]);
+        }
+        match document {
             Ok(document) if dictionary::is_one(&document) => Ok(Self::Dictionary(source, document)),
             _ => {
                 let found = faults::of(&source);
@@ -94,7 +101,7 @@ impl Init {
 
 fn block_of(source: &Source) -> Result<InitializationBlock, Finding> {
     serde_yaml::from_str(&source.text).map_err(|error| {
-        let mut finding = node::syntax_finding(source, &error);
+        let mut finding = crate::syntax::syntax_finding(source, &error);
         finding.code = Code::InitializationBlock;
         finding.expected = EXPECTED.into();
         finding

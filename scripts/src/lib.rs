@@ -27,6 +27,7 @@ mod files;
 mod finding;
 pub mod fit;
 mod fleet;
+mod identify;
 pub mod import;
 mod init;
 mod locate;
@@ -35,6 +36,7 @@ mod music;
 mod node;
 mod plan;
 mod refill;
+mod refusal;
 mod rehearse;
 mod render;
 mod rows;
@@ -44,10 +46,11 @@ mod schema;
 mod scope;
 pub mod shown;
 mod source;
+mod syntax;
 mod tags;
 pub mod timing;
 
-pub use address::{Address, NoAddress};
+pub use address::{Address, NoAddress, address_fault};
 pub use compile::{Compiled, compile};
 pub use duration::parse_duration;
 pub use files::{Files, Folder, NoFiles};
@@ -61,6 +64,7 @@ pub use plan::{
     PlannedReading, RobotPlan, SensorRange, Wait, Way,
 };
 pub use refill::{Freed, Refill, RefillKind, refills, refills_of_robots, tightest_refill};
+pub use refusal::{Attempt, Refusal};
 pub use render::{counted, render};
 pub use sarif::sarif;
 pub use scenario::{fleet_named_by, parse_time};

@@ -7,9 +7,9 @@ use serde::de::{self, Deserialize, Deserializer, EnumAccess, MapAccess, SeqAcces
 
 use crate::aliases;
 use crate::finding::{Code, Finding};
-use crate::render::{line_of, line_starts};
 use crate::rows::{self, Items};
 use crate::source::Source;
+use crate::syntax::syntax_finding;
 
 /// What some editors begin a file with.
 pub(crate) const BYTE_ORDER_MARK: char = '\u{feff}';
@@ -54,10 +54,8 @@ pub(crate) fn shortened(text: &str) -> String {
 /// A finding of kind [`Code::Syntax`] with the place where the text stops being YAML.
 pub(crate) fn parse(source: &Source) -> Result<Node, Finding> {
     let text = source.text.trim_start_matches(BYTE_ORDER_MARK);
-    if text.trim().is_empty() {
-        let hint = Some("see `docs/scenario.md` for what goes into it".to_owned());
-        let message = "the file is empty".to_owned();
-        return Err(Finding::about_file(Code::Syntax, &source.name, message, "a YAML map", hint));
+    if text.lines().all(|line| line.trim().is_empty() || line.trim_start().starts_with('#')) {
+        return Err(empty(source));
     }
     let condensed = rows::condense(text);
     let left = condensed.as_ref().map_or(text, |condensed| condensed.text.as_str());
@@ -71,6 +69,15 @@ pub(crate) fn parse(source: &Source) -> Result<Node, Finding> {
     root.map_or_else(|| parse_whole(source), Ok)
 }
 
+fn empty(source: &Source) -> Finding {
+    let message = match source.text.contains('#') {
+        true => "the file has comments only",
+        false => "the file is empty",
+    };
+    let hint = "`downbeat init first-show` writes a scenario, a fleet and a robot to begin with".to_owned();
+    Finding::about_file(Code::Syntax, &source.name, message.to_owned(), "a YAML map", Some(hint))
+}
+
 /// The same by the library alone.
 pub(crate) fn parse_whole(source: &Source) -> Result<Node, Finding> {
     let text = source.text.trim_start_matches(BYTE_ORDER_MARK);
@@ -78,75 +85,6 @@ pub(crate) fn parse_whole(source: &Source) -> Result<Node, Finding> {
         return Err(finding);
     }
     serde_yaml::from_str(text).map_err(|error| syntax_finding(source, &error))
-}
-
-pub(crate) fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
-    let whole = error.to_string();
-    let end = whole.find(" at line ").unwrap_or(whole.len());
-    let message = shortened_to(&whole[..end], 300);
-    let mut finding = Finding::about_file(Code::Syntax, &source.name, message, "one YAML document", None);
-    if let Some(at) = error.location() {
-        (finding.line, finding.column) = line_and_column(&source.text, at.index());
-        finding.width = 1;
-        finding.source_line = line_of(&source.text, finding.line).to_owned();
-    }
-    if let Some(hint) = slip(source, &finding) {
-        finding.hint = Some(hint);
-    } else if whole.contains("repetition limit") {
-        finding.hint = Some("the aliases multiply beyond all measure: write less with them".into());
-    } else if whole.contains("recursion limit") {
-        finding.hint = Some("nothing here nests deeper than a handful of levels".into());
-    } else if whole.contains("more than one document") {
-        finding.hint = Some("keep one document a file: remove the `---` between them".into());
-    }
-    finding
-}
-
-/// What people most often write where YAML stumbles: marks of editors, tabs, a colon without a space.
-fn slip(source: &Source, finding: &Finding) -> Option<String> {
-    let marked = source.text.trim_start_matches(BYTE_ORDER_MARK).contains(BYTE_ORDER_MARK);
-    if marked {
-        let hint = "a byte order mark stands within the file, as where two files were joined: remove it";
-        return Some(hint.to_owned());
-    }
-    let lines = [finding.line, finding.line.saturating_sub(1)];
-    let near = || lines.into_iter().filter(|line| *line > 0).map(|line| line_of(&source.text, line));
-    let indented = |line: &str| line[..line.len() - line.trim_start().len()].contains('\t');
-    if near().any(indented) {
-        return Some("YAML is indented by spaces: replace each tab by some".to_owned());
-    }
-    near().find_map(|line| without_space_at_all(line.trim_start().trim_start_matches("- ")))
-}
-
-/// A hint for `at:0s`, which YAML reads as one word.
-pub(crate) fn without_space(key: &str, known: &[&str]) -> Option<String> {
-    let (name, rest) = key.split_once(':')?;
-    known.contains(&name.trim()).then(|| spaced(name, rest))
-}
-
-/// The same where any word may be the key.
-pub(crate) fn without_space_at_all(text: &str) -> Option<String> {
-    let (name, rest) = text.split_once(':')?;
-    let word = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_' || c == '-');
-    let joined = rest.starts_with(|c: char| !c.is_whitespace());
-    (word && joined).then(|| spaced(name, rest))
-}
-
-fn spaced(name: &str, rest: &str) -> String {
-    let value = rest.split_whitespace().next().unwrap_or_default();
-    format!("write a space after the colon: `{}: {}`", shortened(name), shortened(value))
-}
-
-/// Of a byte, both from 1. The parser's own lines also end where those of YAML 1.1 do, which no editor shows so.
-fn line_and_column(text: &str, byte: usize) -> (usize, usize) {
-    let byte = (0..=byte.min(text.len())).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);
-    let (line, start) =
-        line_starts(text).take_while(|start| *start <= byte).enumerate().last().unwrap_or((0, 0));
-    (line + 1, text[start..byte].chars().count() + 1)
-}
-
-fn shortened_to(text: &str, chars: usize) -> String {
-    text.chars().take(chars).collect()
 }
 
 impl<'de> Deserialize<'de> for Node {

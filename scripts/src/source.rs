@@ -1,13 +1,18 @@
 //! Files as they are read: bounded in size, UTF-8.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{ErrorKind, Read};
 use std::path::Path;
 
-use crate::finding::{Code, Finding};
+use crate::finding::{Code, Finding, did_you_mean};
+use crate::identify;
+use crate::refusal::{Attempt, Refusal};
 
 /// Largest file that is read, in bytes: 64 MiB.
 pub(crate) const FILE_BYTES_MAX: u64 = 64 * 1024 * 1024;
+
+/// Names of a folder that are compared with one that is not there.
+const SIMILAR_MAX: usize = 1_000;
 
 const BYTE_ORDER_MARK: &[u8] = &[0xef, 0xbb, 0xbf];
 
@@ -39,12 +44,51 @@ impl Source {
             bytes.drain(..BYTE_ORDER_MARK.len());
         }
         let text = String::from_utf8(bytes).map_err(|error| {
-            let at = error.utf8_error().valid_up_to();
-            let hint = Some("save the file as UTF-8 text".to_owned());
-            let message = format!("byte {} is not UTF-8: this is no text", at + 1);
-            Finding::about_file(Code::Unreadable, name, message, "a text file", hint)
+            let valid = error.utf8_error().valid_up_to();
+            not_text(name, error.as_bytes(), valid)
         })?;
         Ok(Self { name: name.to_owned(), text })
+    }
+}
+
+/// A file whose bytes are text up to here only.
+fn not_text(name: &str, bytes: &[u8], valid: usize) -> Finding {
+    let save = || "save the file with the encoding UTF-8".to_owned();
+    let line = 1 + bytes[..valid].iter().filter(|byte| **byte == b'\n').count();
+    let (message, hint) = match identify::binary(bytes) {
+        Some(what) => {
+            let hint = identify::importing(name).unwrap_or_else(|| "name a text file".to_owned());
+            (format!("this is {what}, not a text file"), hint)
+        }
+        None if bytes.starts_with(b"\xff\xfe") || bytes.starts_with(b"\xfe\xff") => {
+            ("the encoding of this file is UTF-16".to_owned(), save())
+        }
+        None if bytes.contains(&0) => {
+            // A CSV would be text.
+            let import = identify::importing(name).filter(|_| !name.ends_with(".csv"));
+            ("this is not a text file".to_owned(), import.unwrap_or_else(|| "name a text file".to_owned()))
+        }
+        None => (format!("line {line} has a character that is not encoded in UTF-8"), save()),
+    };
+    Finding::about_file(Code::Unreadable, name, message, "a text file in UTF-8", Some(hint))
+}
+
+/// The file of the same folder that was probably meant.
+fn similar(path: &Path) -> Option<String> {
+    let wanted = path.file_name()?.to_str()?;
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let entries = std::fs::read_dir(folder).ok()?.take(SIMILAR_MAX).filter_map(Result::ok);
+    let mut names: Vec<String> = entries.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+    names.sort();
+    let with_ending =
+        names.iter().find(|name| Path::new(name).file_stem().is_some_and(|stem| stem == wanted));
+    match with_ending {
+        Some(name) => Some(format!("did you mean `{}`?", path.with_file_name(name).display())),
+        None => {
+            let question = did_you_mean(wanted, names.iter().map(String::as_str))?;
+            let name = question.split('`').nth(1)?;
+            Some(format!("did you mean `{}`?", path.with_file_name(name).display()))
+        }
     }
 }
 
@@ -55,10 +99,15 @@ pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>, Finding> {
         let hint = hint.map(str::to_owned);
         Finding::about_file(Code::Unreadable, &name, message, "a readable file", hint)
     };
-    let file = File::open(path).map_err(|error| unreadable(error.to_string(), None))?;
-    let metadata = file.metadata().map_err(|error| unreadable(error.to_string(), None))?;
+    let refused = |error: &std::io::Error| {
+        let Refusal { reason, remedy } = Refusal::of(Attempt::Read(path), error);
+        let hint = remedy.or_else(|| similar(path).filter(|_| error.kind() == ErrorKind::NotFound));
+        unreadable(reason, hint.as_deref())
+    };
+    let file = File::open(path).map_err(|error| refused(&error))?;
+    let metadata = file.metadata().map_err(|error| refused(&error))?;
     if metadata.is_dir() {
-        return Err(unreadable("this is a directory".into(), Some("name a file in it")));
+        return Err(unreadable("this is a folder, not a file".into(), Some("name a file in it")));
     }
     let size = metadata.len();
     let too_large = |size: u64| {
@@ -71,7 +120,7 @@ pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>, Finding> {
     let mut bytes = Vec::new();
     // A pipe has no size to ask for beforehand.
     let read = file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes);
-    read.map_err(|error| unreadable(error.to_string(), None))?;
+    read.map_err(|error| refused(&error))?;
     if bytes.len() as u64 > FILE_BYTES_MAX {
         return Err(too_large(bytes.len() as u64));
     }

@@ -131,7 +131,7 @@ struct Carrier {
     lock: Option<Arc<Mutex<()>>>,
 }
 
-/// What stands in the line in which a key stands twice.
+/// What stands in the line in which a key appears twice.
 pub const TWICE: &str = "{\"control_request\":{\"control_value\":0,";
 
 type Writer = Arc<Mutex<TcpStream>>;

@@ -54,7 +54,7 @@ fn a_robot_describes_itself_as_an_init_file_by_either_protocol() {
     let again = session.run(&["fleet", "describe", &format!("tcp://127.0.0.1:{}", edge.1)]);
     assert_eq!(again.out(), told.out());
     assert!(told.out().contains("id: tank-1\n"), "{}", told.out());
-    session.run(&["fleet", "describe", "sim"]).says(2, &["cannot be asked to describe itself"]);
+    session.run(&["fleet", "describe", "sim"]).says(2, &["cannot describe itself"]);
     session.run(&["fleet", "describe", "thrift://127.0.0.1:1"]).says(1, &["127.0.0.1:1"]);
 }
 

@@ -9,7 +9,7 @@ use urrcp::{ControlParameters, ControlType, Device, InitializationBlock};
 /// What does not fit. A description that cannot be read says nothing against the robot.
 pub(super) fn fits(schema: &str, block: &InitializationBlock) -> Result<(), String> {
     let Ok(schema) = serde_json::from_str::<Value>(schema) else {
-        tracing::warn!(robot = %block.id, "it describes itself in no JSON: its devices are not compared");
+        tracing::warn!(robot = %block.id, "it does not describe itself in JSON; its devices are not compared");
         return Ok(());
     };
     if let Some(told) = schema.get("id").and_then(Value::as_str).filter(|told| *told != block.id.as_str()) {

@@ -30,7 +30,7 @@ pub enum DriverSpec {
 
 /// A text names no driver.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no driver, expected sim, thrift://host:port or program:COMMAND")]
+#[error("`{0}` is not a driver, expected sim, thrift://host:port or program:COMMAND")]
 pub struct DriverSpecError(String);
 
 impl FromStr for DriverSpec {

@@ -4,25 +4,26 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use downbeat_scripts::shown::shown;
+use downbeat_scripts::{Attempt, Refusal};
 use serde::Serialize;
 
 use super::load::{self, Loaded};
 use super::{Exit, Format, ScenarioArgs, console};
 
-/// Find everything in a scenario that will not work, without moving anything.
+/// Find the mistakes in a scenario and its fleet, without moving anything.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
-  downbeat check scripts/examples/dance.yaml
+  downbeat check show.yaml
   downbeat check show.yaml --fleet stage.yaml --format json
   downbeat check show.yaml --deny warnings --sarif findings.sarif
-  downbeat explain DB0012                         what a code means, at length")]
+  downbeat explain DB0012    explain a code in detail")]
 pub(super) struct CheckArgs {
     #[command(flatten)]
     scenario: ScenarioArgs,
-    /// What counts as an error beside errors.
+    /// Treat these as errors, too.
     #[arg(long, value_enum, value_name = "WHAT")]
     deny: Option<Deny>,
-    /// Write the findings also as SARIF 2.1.0, from which code hosts annotate files.
+    /// Also write the findings as SARIF 2.1.0, which code hosts show beside the lines.
     #[arg(long, value_name = "FILE")]
     sarif: Option<PathBuf>,
 }
@@ -47,7 +48,8 @@ pub(super) fn check(args: &CheckArgs, format: Format) -> Exit {
     if let Some(path) = &args.sarif {
         let sarif = downbeat_scripts::sarif(&findings);
         if let Err(error) = std::fs::write(path, format!("{sarif:#}\n")) {
-            console::error(&format!("cannot write {}: {error}", path.display()));
+            let refusal = Refusal::of(Attempt::Write(path), &error);
+            console::error(&format!("cannot write `{}`: {refusal}", path.display()));
             return Exit::Usage;
         }
     }

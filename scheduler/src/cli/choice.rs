@@ -1,6 +1,6 @@
 //! What of a scenario is played, and how fast: a rehearsal is a choreography with something left out or slowed down.
 
-use downbeat_scripts::{Choreography, Fleet};
+use downbeat_scripts::{Choreography, Fleet, did_you_mean};
 use urrcp::RobotId;
 
 use super::{Exit, console};
@@ -9,29 +9,70 @@ use crate::journal::Asked;
 /// Options that change what is played.
 #[derive(Clone, Debug, Default, clap::Args)]
 pub(super) struct ChoiceArgs {
-    /// Play this act alone.
+    /// Play only this act.
     #[arg(long, value_name = "NAME", conflicts_with = "from")]
     act: Option<String>,
-    /// Begin with this act.
+    /// Begin with this act and play all that follow.
     #[arg(long, value_name = "NAME")]
     from: Option<String>,
-    /// Play with these robots alone, as arm-1,arm-2.
+    /// Play only with these robots, for example arm-1,arm-2.
     #[arg(long, value_name = "ROBOTS", value_delimiter = ',')]
     only: Vec<RobotId>,
-    /// Play slower or faster than written, as 0.25; limits are checked again.
+    /// Play slower or faster than written, for example 0.25. The limits of all devices are checked again.
     #[arg(long, value_name = "FACTOR", value_parser = speed)]
     speed: Option<f64>,
 }
 
 fn speed(text: &str) -> Result<f64, String> {
     let speed = text.parse::<f64>().ok().filter(|speed| (0.001..=100.0).contains(speed));
-    speed.ok_or_else(|| format!("`{text}`, expected a factor from 0.001 to 100, such as 0.25"))
+    speed.ok_or_else(|| "expected a factor from 0.001 to 100, such as 0.25".to_owned())
 }
 
 impl ChoiceArgs {
     pub(super) fn asked(&self) -> Asked {
         Asked { act: self.act.clone(), from: self.from.clone(), only: self.only.clone(), speed: self.speed }
     }
+}
+
+fn listed(names: &[String]) -> String {
+    names.iter().map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ")
+}
+
+/// A question whether one of the names was meant, after a sentence.
+fn meant(name: &str, names: &[String]) -> String {
+    let question = did_you_mean(name, names.iter().map(String::as_str));
+    question.map(|question| format!("; {question}")).unwrap_or_default()
+}
+
+fn no_act(name: &str, choreography: &Choreography, asked: &Asked) -> String {
+    let option = if asked.act.is_some() { "--act" } else { "--from" };
+    let acts: Vec<String> = choreography.acts.iter().map(|act| act.name.clone()).collect();
+    let acts: Vec<String> = acts.into_iter().filter(|act| !act.is_empty()).collect();
+    match acts.is_empty() {
+        true => format!(
+            "there is no act `{name}`: the scenario is not divided into acts; leave out {option} to play all of it"
+        ),
+        false => format!("there is no act `{name}`: the acts are {}{}", listed(&acts), meant(name, &acts)),
+    }
+}
+
+fn robots_of(choreography: &Choreography) -> Vec<String> {
+    let robots = choreography.acts.iter().flat_map(|act| &act.plan.robots);
+    let mut robots: Vec<String> = robots.map(|robot| robot.robot.to_string()).collect();
+    robots.sort();
+    robots.dedup();
+    robots
+}
+
+fn not_playing(unknown: &[RobotId], playing: &[String], fleet: &Fleet) -> String {
+    let names: Vec<String> = unknown.iter().map(ToString::to_string).collect();
+    let group = names.iter().find_map(|name| Some((name, fleet.groups.get(name)?)));
+    if let Some((name, members)) = group {
+        let members: Vec<_> = members.iter().map(ToString::to_string).collect();
+        return format!("--only takes robots, and `{name}` is a group: write --only {}", members.join(","));
+    }
+    let near = names.first().map(|name| meant(name, playing)).unwrap_or_default();
+    format!("--only: the scenario does not move {}; it moves {}{near}", listed(&names), listed(playing))
 }
 
 /// What is left to play, and with which act it begins.
@@ -44,10 +85,7 @@ pub(super) fn choose(
     let mut first = 0;
     if let Some(name) = asked.act.as_ref().or(asked.from.as_ref()) {
         let Some(index) = chosen.acts.iter().position(|act| act.is_named(name)) else {
-            let named = chosen.acts.iter().filter(|act| !act.name.is_empty());
-            let known: Vec<_> = named.map(|act| format!("`{}`", act.name)).collect();
-            let known = if known.is_empty() { "no acts of its own".to_owned() } else { known.join(", ") };
-            console::error(&format!("no act `{name}`, the scenario has {known}"));
+            console::error(&no_act(name, &chosen, asked));
             return Err(Exit::Usage);
         };
         match asked.act {
@@ -56,15 +94,15 @@ pub(super) fn choose(
         }
     }
     if !asked.only.is_empty() {
+        let playing = robots_of(&chosen);
         chosen = chosen.only(&asked.only).map_err(|unknown| {
-            let names: Vec<_> = unknown.iter().map(|name| format!("`{name}`")).collect();
-            console::error(&format!("--only: nothing moves {}", names.join(", ")));
+            console::error(&not_playing(&unknown, &playing, fleet));
             Exit::Usage
         })?;
     }
     if let Some(speed) = asked.speed {
         chosen = chosen.at_speed(speed, fleet).map_err(|faults| {
-            console::error(&format!("at {speed} times the speed this will not work:"));
+            console::error(&format!("the show does not work at {speed} times its speed:"));
             faults.iter().for_each(|fault| console::note(&format!("  {fault}")));
             Exit::Failed
         })?;

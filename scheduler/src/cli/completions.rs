@@ -6,17 +6,18 @@ use std::path::{Path, PathBuf};
 
 use clap::CommandFactory;
 use clap_complete::Shell;
+use downbeat_scripts::{Attempt, Refusal};
 
 use super::{Cli, Exit, console};
 
-/// Print the completions of a shell.
+/// Print completions for a shell.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   downbeat completions bash > ~/.local/share/bash-completion/completions/downbeat
   downbeat completions zsh > ~/.zfunc/_downbeat
   downbeat completions fish > ~/.config/fish/completions/downbeat.fish")]
 pub(super) struct CompletionsArgs {
-    /// Of which shell.
+    /// The shell.
     #[arg(value_enum)]
     shell: Shell,
 }
@@ -33,7 +34,7 @@ pub(super) fn completions(args: &CompletionsArgs) -> Exit {
 #[command(after_help = "Example:
   downbeat man ~/.local/share/man/man1")]
 pub(super) struct ManArgs {
-    /// The folder to write to. It is made if it does not exist.
+    /// The folder to write to. It is created if it does not exist.
     folder: PathBuf,
 }
 
@@ -41,7 +42,8 @@ pub(super) fn man(args: &ManArgs) -> Exit {
     match write_pages(&args.folder) {
         Ok(()) => Exit::Done,
         Err(error) => {
-            console::error(&format!("cannot write the man pages to `{}`: {error}", args.folder.display()));
+            let refusal = Refusal::of(Attempt::Write(&args.folder), &error);
+            console::error(&format!("cannot write the man pages to `{}`: {refusal}", args.folder.display()));
             Exit::Usage
         }
     }

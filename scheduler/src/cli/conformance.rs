@@ -9,6 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anstyle::{AnsiColor, Style};
 use clap::ValueEnum;
 use downbeat_scripts::shown::shown;
+use downbeat_scripts::{Address, Attempt, Refusal, address_fault};
 use serde_json::json;
 use urrcp::Span;
 
@@ -23,13 +24,14 @@ use crate::signals::{OnHangUp, Signals};
 /// Check whether a robot does what the protocol demands.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Plays the server against one robot and prints each requirement with pass, fail or n/a (the robot does
-not declare what the check needs), and why. What is sent, what came and what was expected stand in the reason.
+    after_help = "The command plays the scheduler for one robot and prints each requirement with `pass`, `fail` or `n/a`. \
+`n/a` means that the robot does not declare what the check needs. A failure says what was sent, what was received and what \
+was expected.
 
-The robot moves. The checks keep within what its device declares: its default value (or zero, or the middle of its
-range) and a five-hundredth of its range beside it; the ends of the range are only asked for with a start that is
-cancelled before it comes. Nearly every command carries a lease. At the end, and on Ctrl-C, the device is brought to rest.
-No other server should talk to the robot meanwhile.
+The robot moves, but only a little: to its default value (or zero, or the middle of its range) and by a five-hundredth of \
+its range. The checks send the ends of the range only in scripts that they cancel before the start. Nearly every command \
+has a lease. At the end, and after Ctrl-C, the device is brought to rest. No other scheduler should talk to the robot \
+meanwhile.
 
 Examples:
   downbeat conformance tcp://127.0.0.1:7401
@@ -37,29 +39,33 @@ Examples:
   downbeat conformance tcp://127.0.0.1:7401 --only late,queue --format json
   downbeat conformance --list
 
-Exit codes: 0 nothing failed; 1 something failed; 2 usage, or no robot there; 3 ended by the operator, the robot at
-rest; 4 ended by the operator, and the robot did not confirm that it is at rest."
+Exit codes:
+  0  nothing failed
+  1  a check failed, or the robot does not answer
+  2  wrong arguments
+  3  ended by the operator; the robot is at rest
+  4  ended by the operator; the robot did not confirm that it is at rest"
 )]
 pub(super) struct ConformanceArgs {
-    /// Where the robot listens.
+    /// The address on which the robot listens.
     #[arg(value_name = "tcp://HOST:PORT", required_unless_present = "list")]
     address: Option<String>,
-    /// Print the requirements with what they demand, and check nothing.
+    /// List the requirements and check nothing.
     #[arg(long)]
     list: bool,
-    /// Only these requirements.
+    /// Check only these requirements.
     #[arg(long, value_name = "NAME,...", value_delimiter = ',', value_parser = parse_name)]
     only: Vec<String>,
-    /// Which device to move; otherwise the first that takes scripts, or else the first that can be moved.
+    /// The device to move. By default the first that takes scripts, or else the first that can be moved.
     #[arg(long, value_name = "ID")]
     device: Option<String>,
-    /// How long the robot may take for an answer.
+    /// How long to wait for an answer.
     #[arg(long, value_parser = parse_span, default_value = "2s", value_name = "TIME")]
     patience: Span,
-    /// How far a start, a step or the end of a lease may lie from its time.
+    /// How late or early a start, a step or the end of a lease may be.
     #[arg(long, value_parser = parse_span, default_value = "20ms", value_name = "TIME")]
     tolerance: Span,
-    /// `ntp`: the robot's clock has to agree with this machine's; `measured`: it is judged by its own.
+    /// The clock by which the robot is judged.
     #[arg(long, value_enum, default_value_t = Clock::Ntp)]
     clock: Clock,
 }
@@ -67,9 +73,9 @@ pub(super) struct ConformanceArgs {
 /// By which clock a robot is judged.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Clock {
-    /// This machine's.
+    /// The clock of this machine, with which the robot's has to agree.
     Ntp,
-    /// The robot's own.
+    /// The robot's own clock, as measured.
     Measured,
 }
 
@@ -89,9 +95,9 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
     };
     let address = match resolve(address) {
         Ok(address) => address,
-        Err(message) => {
+        Err((message, exit)) => {
             console::error(&message);
-            return Exit::Usage;
+            return exit;
         }
     };
     let options = Options {
@@ -132,14 +138,18 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
     })
 }
 
-fn resolve(text: &str) -> Result<SocketAddr, String> {
-    let expected = format!("`{text}`, expected tcp://host:port");
-    let place = text.strip_prefix("tcp://").ok_or_else(|| expected.clone())?;
-    if !place.rsplit_once(':').is_some_and(|(host, port)| !host.is_empty() && port.parse::<u16>().is_ok()) {
-        return Err(expected);
-    }
-    let mut found = place.to_socket_addrs().map_err(|error| format!("no address of `{place}`: {error}"))?;
-    found.next().ok_or_else(|| format!("no address of `{place}`"))
+fn resolve(text: &str) -> Result<SocketAddr, (String, Exit)> {
+    let Ok(Address::Tcp { host, port }) = text.parse() else {
+        let (fault, hint) = address_fault(text);
+        let hint = hint.unwrap_or_else(|| "write tcp://HOST:PORT".to_owned());
+        return Err((format!("the address `{text}` {fault}; {hint}"), Exit::Usage));
+    };
+    let unknown = |error: std::io::Error| {
+        let refusal = Refusal::of(Attempt::Connect, &error);
+        (format!("no connection to {host}:{port}: {refusal}"), Exit::Failed)
+    };
+    let mut found = (host.as_str(), port).to_socket_addrs().map_err(unknown)?;
+    found.next().ok_or_else(|| (format!("no address belongs to the name `{host}`; correct it"), Exit::Failed))
 }
 
 fn list(format: Format) {

@@ -185,7 +185,7 @@ pub(super) fn warn(line: &str) {
 pub(super) fn print_json(value: &impl Serialize) {
     match serde_json::to_string_pretty(value) {
         Ok(text) => print(&format!("{}\n", shown::json(&text))),
-        Err(cause) => error(&format!("no JSON: {cause}")),
+        Err(cause) => error(&format!("cannot write JSON: {cause}")),
     }
 }
 

@@ -7,6 +7,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
 use downbeat_scripts::shown::shown;
+use downbeat_scripts::{Attempt, Refusal};
 use rustix::process::{Pid, Signal, kill_process};
 use urrcp::SessionId;
 
@@ -39,10 +40,11 @@ pub(super) fn detach(session: &SessionId, folder: &Path, format: Format) -> Exit
         Ok(child) => child,
         Err(error) => {
             console::error(&format!(
-                "cannot start a mission in the background, log {}: {error}",
-                log.display()
+                "cannot start a mission in the background with the log {}: {}",
+                log.display(),
+                Refusal::of(Attempt::Write(&log), &error)
             ));
-            return Exit::Failed;
+            return Exit::Usage;
         }
     };
     super::with_runtime(async {

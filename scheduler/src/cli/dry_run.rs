@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 
 use downbeat_scripts::shown::within;
-use downbeat_scripts::{Choreography, Fleet, counted};
+use downbeat_scripts::{Attempt, Choreography, Fleet, FleetRobot, Refusal, counted};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use urrcp::{DeviceId, RobotId, Server, Timestamp};
 
@@ -15,36 +15,36 @@ use crate::fleet;
 use crate::mission::{MissionOptions, Progress};
 use crate::report::{picture, report_text};
 
-/// Play a scenario in virtual time, with simulated robots and the real mission machine.
+/// Play a scenario in virtual time with simulated robots.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "No sockets and no waiting: an hour of show takes moments. The robots are simulated as the fleet file
-describes them, with their clocks, delays and faults, whatever their address. The operator says go a
-second after an act has begun to wait with nothing else playing; a sensor that an act waits for reads
-what it waits for, unless --reading says otherwise. Acts that repeat for ever end after a while.
+    after_help = "A dry run opens no connections and does not wait, so an hour of show takes moments. All robots are \
+simulated as the fleet file describes them, with their clocks, delays and faults. An act that waits for the operator begins \
+one second after the act before it has ended. An act that waits for a sensor gets the reading for which it waits, unless \
+--reading gives another. Acts that repeat for ever end after a while.
 
 Examples:
-  downbeat dry-run scripts/examples/swap.yaml
-  downbeat dry-run scripts/examples/dance.yaml --picture dance.svg
-  downbeat dry-run scripts/examples/meeting.yaml --act finale
-  downbeat dry-run scripts/examples/meeting.yaml --acts 12
-  downbeat dry-run scripts/examples/meeting.yaml --reading rover-1/range=2.5"
+  downbeat dry-run show.yaml
+  downbeat dry-run show.yaml --picture show.svg
+  downbeat dry-run show.yaml --act finale
+  downbeat dry-run show.yaml --acts 12
+  downbeat dry-run show.yaml --reading rover-1/range=2.5"
 )]
 pub(super) struct DryRunArgs {
     #[command(flatten)]
     scenario: ScenarioArgs,
     #[command(flatten)]
     choice: ChoiceArgs,
-    /// What a sensor reads, as rover-1/range=0.4.
+    /// Give a sensor a reading, for example rover-1/range=0.4.
     #[arg(long, value_name = "ROBOT/SENSOR=VALUE", value_parser = reading)]
     reading: Vec<(RobotId, DeviceId, f64)>,
-    /// Draw what every device did over time, as SVG; of several acts one file each, numbered.
+    /// Draw what every device does over time as SVG. Several acts are written to numbered files.
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
-    /// End after so many acts; by default after three times as many as the scenario has, which only a loop reaches.
+    /// End after this number of acts. By default after three times the number of acts of the scenario, which only a loop reaches.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     acts: Option<u32>,
-    /// Of the random delays and clock errors; the same seed gives the same run.
+    /// Seed of the random delays and clock errors. The same seed gives the same run.
     #[arg(long, default_value_t = 0)]
     seed: u64,
 }
@@ -55,7 +55,7 @@ fn reading(text: &str) -> Result<(RobotId, DeviceId, f64), String> {
         let value = value.parse::<f64>().ok().filter(|value| value.is_finite())?;
         Some((robot.parse().ok()?, sensor.parse().ok()?, value))
     });
-    parsed.ok_or_else(|| format!("`{text}`, expected a robot, a sensor and a number, as rover-1/range=0.4"))
+    parsed.ok_or_else(|| "expected ROBOT/SENSOR=NUMBER, as in rover-1/range=0.4".to_owned())
 }
 
 pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
@@ -80,7 +80,8 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
     if let Some(path) = &args.picture
         && let Err(error) = draw(path, &choreography, &fleet, &played)
     {
-        console::error(&format!("cannot write {}: {error}", path.display()));
+        let refusal = Refusal::of(Attempt::Write(path), &error);
+        console::error(&format!("cannot write `{}`: {refusal}", path.display()));
         return Exit::Usage;
     }
     match format {
@@ -93,7 +94,7 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
     if let Some(acts) = played.report.acts_max_reached.filter(|_| args.acts.is_none()) {
         let acts = counted(acts as usize, "act");
         console::note(&format!(
-            "a dry run plays {ROUNDS} times as many acts as the scenario has, here {acts}; --acts sets another bound"
+            "the dry run ended after {acts}, {ROUNDS} times the acts of the scenario; --acts sets another limit"
         ));
     }
     super::run::exit_of(&played.report)
@@ -156,6 +157,24 @@ fn numbered(path: &Path, number: usize) -> PathBuf {
     path.with_file_name(format!("{stem}-{number}{extension}"))
 }
 
+/// Why a reading cannot be given, and which ones can.
+fn no_sensor(robot: &RobotId, sensor: &DeviceId, robots: &[&FleetRobot]) -> String {
+    let sensors = robots.iter().flat_map(|robot| {
+        let devices = robot.init.iter().flat_map(|init| &init.devices);
+        let sensors = devices.filter(|device| device.available_control_types.sensor().is_some());
+        sensors.map(|device| format!("`{}/{}`", robot.id, device.id))
+    });
+    let known: Vec<String> = sensors.collect();
+    match known.is_empty() {
+        true => format!(
+            "--reading: there is no sensor `{robot}/{sensor}`; no robot of this scenario has a sensor, so leave out --reading"
+        ),
+        false => {
+            format!("--reading: there is no sensor `{robot}/{sensor}`; the sensors are {}", known.join(", "))
+        }
+    }
+}
+
 fn play(
     args: &DryRunArgs,
     choreography: &Choreography,
@@ -180,10 +199,7 @@ fn play(
         .map_err(|error| (Exit::Failed, error.to_string()))?;
     for (robot, sensor, value) in &args.reading {
         if !rehearsal.set_reading(robot, sensor, *value) {
-            let what = format!(
-                "--reading: no robot that takes part is called `{robot}` and has a sensor `{sensor}`"
-            );
-            return Err((Exit::Usage, what));
+            return Err((Exit::Usage, no_sensor(robot, sensor, &robots)));
         }
     }
     let logs = if args.picture.is_some() { Logs::Kept } else { Logs::Dropped };

@@ -6,16 +6,17 @@ use downbeat_robot::driver::{AtStart, DriverOptions, DriverSpec, SAMPLES_PER_SEC
 use super::robot::{ProcessArgs, failed};
 use super::{Exit, Format};
 
-/// Run a real robot behind a driver as a process of its own.
+/// Run a real robot behind a driver.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Prints the address on which it listens, then runs until it is ended. Then, as at its start and
-whenever the hardware comes back, the devices go to their default state; ends with 4 where that fails. See docs/edge.md.
+    after_help = "The command prints the address on which it listens and runs until Ctrl-C. The devices go to their \
+default state at the start, at the end, and whenever the hardware comes back. If they cannot at the end, the exit code is 4. \
+docs/edge.md describes drivers.
 
 Drivers:
-  sim                  nothing is driven
-  thrift://host:port   a robot that speaks the early Thrift form of URRCP
-  program:COMMAND      a program that is told one line a value on its standard input
+  sim                 drive nothing
+  thrift://HOST:PORT  drive a robot that speaks Thrift URRCP
+  program:COMMAND     write lines to a program's standard input
 
 Examples:
   downbeat edge --init robot.yaml --listen 0.0.0.0:7401 --driver thrift://tank.local:9090
@@ -24,10 +25,10 @@ Examples:
 pub(super) struct EdgeArgs {
     #[command(flatten)]
     process: ProcessArgs,
-    /// What drives it.
+    /// The driver of the hardware.
     #[arg(long)]
     driver: DriverSpec,
-    /// Samples of a linear movement a second, where the hardware does not move linearly by itself; up to 1000.
+    /// Samples per second of a linear movement, if the hardware does not move linearly by itself; at most 1000.
     #[arg(long, value_name = "NUMBER", default_value_t = SAMPLES_PER_SECOND, value_parser = rate)]
     samples_per_second: f64,
 }
@@ -43,6 +44,9 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
         Ok(block) => block,
         Err(exit) => return exit,
     };
+    if let Some(missing) = missing_program(&args.driver) {
+        return failed(&format!("the program `{missing}` of --driver does not exist; correct its path"));
+    }
     let driver = match args.driver.driver(&block) {
         Ok(driver) => driver,
         Err(error) => return failed(&error.to_string()),
@@ -51,4 +55,12 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
         .with_samples_per_second(args.samples_per_second)
         .with_at_start(AtStart::Default);
     args.process.run(Hosted::driven(block, driver, used), format)
+}
+
+/// The file that a program's command begins with, if there is no such file. What the shell finds elsewhere it finds itself.
+fn missing_program(driver: &DriverSpec) -> Option<&str> {
+    let DriverSpec::Program { command } = driver else { return None };
+    let file = command.split_whitespace().next()?;
+    let plain = file.contains('/') && !file.contains(['$', '~', '\'', '"', ';', '|', '&', '(']);
+    (plain && !std::path::Path::new(file).exists()).then_some(file)
 }

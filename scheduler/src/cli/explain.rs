@@ -4,13 +4,13 @@ use downbeat_scripts::{Code, Severity};
 
 use super::{Exit, Format, console};
 
-/// Explain a code of a finding at length.
+/// Explain the code of a finding in detail.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Examples:
   downbeat explain DB0012
-  downbeat explain                 all codes with their titles")]
+  downbeat explain           list all codes")]
 pub(super) struct ExplainArgs {
-    /// As it is printed with a finding; all of them without one.
+    /// The code, as it is printed with a finding. Without it, all codes are listed.
     code: Option<String>,
 }
 
@@ -18,7 +18,10 @@ pub(super) fn explain(args: &ExplainArgs, format: Format) -> Exit {
     let Some(wanted) = &args.code else { return list(format) };
     let wanted = wanted.to_uppercase();
     let Some(code) = Code::ALL.iter().find(|code| code.as_str() == wanted) else {
-        console::error(&format!("no code `{wanted}`: `downbeat explain` lists all of them"));
+        let numbered = wanted.parse::<u32>().ok().map(|number| format!("DB{number:04}"));
+        let meant = numbered.filter(|code| Code::ALL.iter().any(|known| known.as_str() == code));
+        let meant = meant.map(|code| format!("did you mean `{code}`? ")).unwrap_or_default();
+        console::error(&format!("there is no code `{wanted}`; {meant}`downbeat explain` lists all codes"));
         return Exit::Usage;
     };
     match format {

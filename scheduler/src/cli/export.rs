@@ -10,17 +10,17 @@ use super::import::{rate, write_all};
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console};
 
-/// Write what a scenario compiles to as files that other tools read.
+/// Convert a scenario into files of other tools.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Formats:
-  drone-csv         a CSV a drone: Time [msec],x [m],y [m],z [m],Red,Green,Blue, as Skybrush Studio reads in a zip
-  joint-trajectory  YAML with the fields of ROS trajectory_msgs/JointTrajectory, a file a robot
+  drone-csv         one CSV per drone, as Skybrush Studio reads it
+  joint-trajectory  one YAML file per robot, as ROS JointTrajectory
 
 Examples:
-  downbeat export drone-csv swap/scenario.yaml --fleet swap/fleet.yaml --rate 25 --output csv
-  downbeat export joint-trajectory scripts/examples/swap.yaml --output trajectories")]
+  downbeat export drone-csv show.yaml --rate 25 --output csv
+  downbeat export joint-trajectory show.yaml --output trajectories")]
 pub(super) struct ExportArgs {
-    /// Which tool's files to write.
+    /// The format of the files to write.
     #[arg(value_name = "FORMAT")]
     to: To,
     #[command(flatten)]
@@ -28,10 +28,10 @@ pub(super) struct ExportArgs {
     /// The folder for the files.
     #[arg(long, short, value_name = "DIR")]
     output: PathBuf,
-    /// Replace files that are there already.
+    /// Replace files that exist.
     #[arg(long)]
     force: bool,
-    /// Lines of a drone-csv a second, 10 if nothing is said.
+    /// Lines per second of a drone-csv, 10 by default.
     #[arg(long, value_name = "HZ", value_parser = rate)]
     rate: Option<f64>,
 }

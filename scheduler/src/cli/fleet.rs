@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use downbeat_robot::HostOptions;
 use downbeat_robot::driver::describe_thrift;
-use downbeat_scripts::{Address, Fleet, FleetRobot, RobotClock, Source, init_of, init_text};
+use downbeat_scripts::{Address, Fleet, FleetRobot, RobotClock, Source, address_fault, init_of, init_text};
 use serde::Serialize;
 use tokio::sync::mpsc;
 use urrcp::{
@@ -17,18 +17,18 @@ use super::{Exit, Format, console, load};
 use crate::clock::{ClockEstimate, ClockReading, ClockSample};
 use crate::drive::{Happened, LinkNumber, Urgency};
 use crate::fleet;
-use crate::link::{Endpoint, Link, Speech};
+use crate::link::{Endpoint, Link, LinkEncoding};
 use crate::mission::Event;
 use crate::report::table::Rows;
 use crate::server_clock::ServerClock;
 
-/// Look at the fleet's robots.
+/// Ask the robots of a fleet what they are.
 #[derive(Debug, Subcommand)]
 pub(super) enum FleetCommand {
-    /// Ask every robot whether it is there, and compare clocks.
+    /// Ask every robot for an answer and compare clocks.
     #[command(
-        after_help = "Fails if a robot does not answer, is another one than the fleet file says, or has a clock that is further off
-than the tolerance (but for one with `clock: measured`).
+        after_help = "The command fails if a robot does not answer, if another robot than the expected one answers, or if \
+a clock is further off than the tolerance (except with `clock: measured`).
 
 Examples:
   downbeat fleet ping
@@ -36,13 +36,13 @@ Examples:
   downbeat fleet ping stage.yaml --format json"
     )]
     Ping(PingArgs),
-    /// Ask every robot what it is, and show its devices.
+    /// Ask every robot for its description and show its devices.
     #[command(
         after_help = "Examples:\n  downbeat fleet show\n  downbeat fleet show stage.yaml --format json"
     )]
     Show(FleetArgs),
-    /// Ask one robot what it is, and write an init file to start from.
-    #[command(after_help = "Prints the file; lines to be thought about are in docs/edge.md.
+    /// Ask one robot for its description and print it as an init file.
+    #[command(after_help = "docs/edge.md says which lines of the file to adapt.
 
 Examples:
   downbeat fleet describe thrift://tank.local:9090 > tank.yaml
@@ -53,6 +53,7 @@ Examples:
 #[derive(Debug, Args)]
 pub(super) struct DescribeArgs {
     /// Its address, tcp://host:port or thrift://host:port.
+    #[arg(value_parser = parse_address)]
     address: Address,
     /// How long to wait for an answer.
     #[arg(long, value_parser = parse_span, default_value = "5s", value_name = "TIME")]
@@ -73,10 +74,19 @@ pub(super) struct FleetArgs {
 pub(super) struct PingArgs {
     #[command(flatten)]
     asked: FleetArgs,
-    /// How far off a robot's clock may be, beyond what is uncertain; by default what a scenario without `start_tolerance`
-    /// allows.
+    /// How far off a robot's clock may be, beyond the uncertainty of the measurement.
     #[arg(long, value_parser = parse_span, default_value = "10ms", value_name = "TIME")]
     tolerance: Span,
+}
+
+fn parse_address(text: &str) -> Result<Address, String> {
+    text.parse().map_err(|_| {
+        let (fault, hint) = address_fault(text);
+        format!(
+            "it {fault}; {}",
+            hint.unwrap_or_else(|| "write tcp://HOST:PORT or thrift://HOST:PORT".to_owned())
+        )
+    })
 }
 
 /// Exchanges with each robot.
@@ -146,10 +156,17 @@ fn describe(args: &DescribeArgs, format: Format) -> Exit {
                     return Exit::Failed;
                 }
             },
-            Err(error) => Err(error.to_string()),
+            Err(error) => {
+                let text = error.to_string();
+                let text = text.split(" (os error").next().unwrap_or_default();
+                Err(format!("{text}; check that the robot is on, and its address"))
+            }
         },
         Address::Simulated | Address::Program { .. } => {
-            console::error(&format!("`{}` cannot be asked to describe itself", args.address));
+            console::error(&format!(
+                "`{}` cannot describe itself; give the address of a robot, tcp://HOST:PORT or thrift://HOST:PORT",
+                args.address
+            ));
             return Exit::Usage;
         }
     };
@@ -169,7 +186,7 @@ fn ask_block(host: String, port: u16, patience: Span) -> Result<InitializationBl
     super::with_runtime(async {
         let clock = ServerClock::anchored(Span::ZERO);
         let (events, happened) = mpsc::channel(64);
-        let endpoint = Endpoint::Tcp { host, port, speech: Speech::default() };
+        let endpoint = Endpoint::Tcp { host, port, encoding: LinkEncoding::default() };
         let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
         let answer = ask(unnamed(), link, happened, clock, patience).await;
         let problem = answer.problem.unwrap_or_else(|| "the robot did not describe itself".to_owned());
@@ -258,7 +275,9 @@ async fn ask(
         Some("the link ended".to_owned())
     };
     let problem = tokio::time::timeout(patience.to_duration(), talk).await;
-    answer.problem = problem.unwrap_or_else(|_| Some(format!("no answer within {patience}")));
+    let silent =
+        || format!("no answer within {patience}; check that a robot listens there, not another program");
+    answer.problem = problem.unwrap_or_else(|_| Some(silent()));
     answer.clock = estimate.reading();
     answer
 }

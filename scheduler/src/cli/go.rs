@@ -7,11 +7,11 @@ use super::{Exit, Format, console};
 use crate::journal::Life;
 use crate::run::control;
 
-/// Let the act begin that waits for the operator.
+/// Begin the act that waits for the operator.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Says which act it lets begin. Where none waits for the operator now, or another than the one that
-is named, nothing happens: the reason is told, and the exit code is 1.
+    after_help = "The command prints the act that begins. If no act waits for the operator, or another act than the one \
+that you name, nothing happens: the command says why and ends with exit code 1.
 
 Examples:
   downbeat go
@@ -19,9 +19,9 @@ Examples:
   downbeat go --mission swap@stage-4711-20261121T193000000"
 )]
 pub(super) struct GoArgs {
-    /// The act that is meant; otherwise whichever waits.
+    /// The act to begin. By default the one that waits.
     act: Option<String>,
-    /// The mission; needed where several run.
+    /// The mission. Needed only if several run.
     #[arg(long)]
     mission: Option<String>,
 }

@@ -17,13 +17,13 @@ use serde::Serialize;
 use super::load::show_findings;
 use super::{Exit, Format, console};
 
-/// Turn other people's choreography files into a scenario and its fleet.
+/// Convert files of other tools into a scenario and its fleet.
 #[derive(Debug, clap::Args)]
 #[command(after_help = "Formats:
-  crazyswarm        CSVs of polynomial pieces: a file a robot, or a folder of numbered scenes a robot
+  crazyswarm        CSVs of polynomial pieces, one file or folder per robot
   waypoints         CSV with id,x[m],y[m],z[m],t[s]
-  joint-trajectory  YAML or JSON with the fields of ROS trajectory_msgs/JointTrajectory
-  play-motion2      motions of PAL Robotics' robots, YAML; a scene a motion
+  joint-trajectory  ROS trajectory_msgs/JointTrajectory as YAML or JSON
+  play-motion2      motions of PAL Robotics' robots, YAML
   bitbots           keyframe animations of the Bit-Bots, JSON
   skybrush          compiled drone shows, .skyc
   webots            motions of Webots, .motion
@@ -32,46 +32,43 @@ use super::{Exit, Format, console};
   fseq              light sequences of xLights and Falcon Player, .fseq, with --map
   mcap              recordings of ROS with JointState, .mcap
   csv               any CSV with times, with --time and --map
-  urdf              a robot's description: its initialization block and limits
+  urdf              a description of a robot
 
-Several scenes become an act each, or with --join one list of cues.
+Each scene becomes an act. With --join, all scenes become one list of cues.
 
 Examples:
-  downbeat import crazyswarm pp*.csv --robots cf1,cf2,cf3,cf4,cf5,cf6 --output swap
-  downbeat import crazyswarm sequence_trajectories --rate 10 --join --output sequence
-  downbeat import bitbots schnup_dance.json --init robots/wolfgang.yaml --robots wolf-1
-  downbeat import play-motion2 tiago_motions.yaml --only wave,offer --output wave
-  downbeat import fseq star.fseq --map star/lamp=1,2,3 --map 'px*/lamp=4-303/3' --output star
+  downbeat import crazyswarm pp*.csv --robots cf1,cf2,cf3 --output swap
+  downbeat import bitbots dance.json --init wolf.yaml --robots wolf-1
+  downbeat import fseq star.fseq --map star/lamp=1,2,3 --output star
   downbeat import urdf arm.urdf --output arm
-  downbeat import csv log.csv --time t --time-unit s --map arm-1/elbow=q2 --scale elbow=57.29578
-  downbeat import csv 'Drone 1.csv' 'Drone 2.csv' --time 'Time [msec]' --map 'x=x [m]' --map lamp=Red,Green,Blue
-  downbeat import csv log.csv --time 'Time [s]' --map 'arm/ch*=channel *' --unwrap heading=360")]
+  downbeat import csv log.csv --time t --time-unit s --map arm-1/elbow=q2
+  downbeat import csv log.csv --time 'Time [s]' --map 'arm/ch*=channel *'")]
 pub(super) struct ImportArgs {
-    /// Which tool's files they are.
+    /// The format of the files.
     #[arg(value_name = "FORMAT")]
     from: From,
     /// The files, or folders of them.
     #[arg(required = true, value_name = "FILE")]
     files: Vec<PathBuf>,
-    /// Write DIR/scenario.yaml, DIR/fleet.yaml and DIR/robots/; otherwise the scenario goes to standard output.
+    /// Write DIR/scenario.yaml, DIR/fleet.yaml and DIR/robots/. By default the scenario is printed.
     #[arg(long, short, value_name = "DIR")]
     output: Option<PathBuf>,
-    /// Replace files that are there already.
+    /// Replace files that exist.
     #[arg(long, requires = "output")]
     force: bool,
-    /// The initialization block of the robots; otherwise one is made from the data's range.
+    /// The description of the robots. By default one is made from the range of the data.
     #[arg(long, value_name = "FILE")]
     init: Option<PathBuf>,
-    /// Sample curves so many times a second; otherwise they are kept as curves where that can be.
+    /// Sample curves at this rate. By default they stay curves if possible.
     #[arg(long, value_name = "HZ", value_parser = rate)]
     rate: Option<f64>,
-    /// Most polynomial pieces a robot and scene: a Crazyflie has 4 KB for pieces of 132 bytes.
+    /// Largest number of polynomial pieces per robot and scene. A Crazyflie has 4 KB for pieces of 132 bytes.
     #[arg(long, value_name = "N", default_value_t = 31)]
     max_pieces: usize,
-    /// All scenes in one list of cues, one after the other.
+    /// Put all scenes into one list of cues, one after the other.
     #[arg(long)]
     join: bool,
-    /// Only these scenes.
+    /// Import only these scenes.
     #[arg(long, value_name = "SCENE", value_delimiter = ',')]
     only: Vec<String>,
     /// The name of the scenario.
@@ -80,26 +77,26 @@ pub(super) struct ImportArgs {
     /// Names for the robots, in the order of the files.
     #[arg(long, value_name = "ROBOT", value_delimiter = ',')]
     robots: Vec<String>,
-    /// The kind of robot, which names the initialization block.
+    /// The kind of robot, which names the file of its description.
     #[arg(long)]
     kind: Option<String>,
-    /// The column of times of a csv, by name or number.
+    /// The column of a csv with the times, by name or number.
     #[arg(long, value_name = "COLUMN")]
     time: Option<String>,
-    /// What the times of a csv mean where its header does not say it: h, min, s, ms, us, ns, 25fps, hh:mm:ss, mm:ss, mm:ss:ms.
+    /// The unit of the times of a csv, if its header does not name one: h, min, s, ms, us, ns, 25fps, hh:mm:ss, mm:ss or mm:ss:ms.
     #[arg(long, value_name = "UNIT")]
     time_unit: Option<TimeUnit>,
-    /// A column of a csv or a channel of an fseq that moves a device, or several with commas for one that takes several values; * stands for what
-    /// differs, and '*=*' for all columns that no other --map names. Without a robot each file is a robot.
+    /// The column of a csv, or the channel of an fseq, that moves a device. Several columns are separated by commas. A `*` stands
+    /// for any text, and `*=*` for all columns that no other --map names. Without a robot, each file is a robot.
     #[arg(long, value_name = "[ROBOT/]DEVICE=COLUMN", value_parser = column)]
     map: Vec<(String, String)>,
-    /// A device of a csv that stays at each value until the next.
+    /// A device that keeps each value until the next instead of moving there.
     #[arg(long, value_name = "DEVICE")]
     hold: Vec<String>,
-    /// A device whose values begin again at a period, such as heading=360, goes on instead.
+    /// Remove the jumps of a device whose values repeat with a period, for example heading=360.
     #[arg(long, value_name = "DEVICE=PERIOD", value_parser = period)]
     unwrap: Vec<(String, f64)>,
-    /// A factor for a device's values.
+    /// Multiply the values of a device by a factor.
     #[arg(long, value_name = "DEVICE=FACTOR", value_parser = factor)]
     scale: Vec<(String, f64)>,
 }
@@ -138,7 +135,7 @@ impl clap::ValueEnum for From {
 /// How many a second.
 pub(super) fn rate(text: &str) -> Result<f64, String> {
     let rate = text.parse::<f64>().ok().filter(|rate| *rate >= 0.001 && *rate <= 1_000.0);
-    rate.ok_or_else(|| "a rate from 0.001 to 1000 Hz".to_owned())
+    rate.ok_or_else(|| "expected a rate from 0.001 to 1000 Hz".to_owned())
 }
 
 fn column(text: &str) -> Result<(String, String), String> {
@@ -146,20 +143,20 @@ fn column(text: &str) -> Result<(String, String), String> {
         let (robot, device) = to.split_once('/').unwrap_or(("-", to));
         !robot.is_empty() && !device.is_empty() && !column.is_empty()
     });
-    let (to, column) = parts.ok_or("a column as robot/device=column")?;
+    let (to, column) = parts.ok_or("expected ROBOT/DEVICE=COLUMN, as in arm-1/elbow=q2, or DEVICE=COLUMN")?;
     Ok((to.to_owned(), column.to_owned()))
 }
 
 fn period(text: &str) -> Result<(String, f64), String> {
-    let (device, period) = factor(text).map_err(|_| "a period as device=360")?;
-    if period > 0.0 { Ok((device, period)) } else { Err("a period above 0".to_owned()) }
+    let (device, period) = factor(text).map_err(|_| "expected DEVICE=PERIOD, as in heading=360")?;
+    if period > 0.0 { Ok((device, period)) } else { Err("expected a period above 0".to_owned()) }
 }
 
 fn factor(text: &str) -> Result<(String, f64), String> {
     let parts =
         text.rsplit_once('=').and_then(|(device, factor)| Some((device, factor.parse::<f64>().ok()?)));
     let parts = parts.filter(|(device, factor)| !device.is_empty() && factor.is_finite() && *factor != 0.0);
-    let (device, factor) = parts.ok_or("a factor as device=0.001, not 0")?;
+    let (device, factor) = parts.ok_or("expected DEVICE=FACTOR with a factor other than 0, as in x=0.001")?;
     Ok((device.to_owned(), factor))
 }
 
@@ -254,13 +251,15 @@ fn wrong_options(from: ImportFormat, args: &ImportArgs) -> Option<&'static str> 
     let whose = |(to, _): &(String, String)| to.contains('/');
     let nobodys = |(to, _): &(String, String)| !to.contains(['/', '*']);
     if from == ImportFormat::Csv && args.map.is_empty() {
-        Some("csv needs at least one --map robot/device=column, or device=column where each file is a robot")
+        Some(
+            "csv needs to know which column moves which device: add --map ROBOT/DEVICE=COLUMN, or --map DEVICE=COLUMN if each file is a robot",
+        )
     } else if from != ImportFormat::Csv && for_csv.contains(&true) {
-        Some("--time, --time-unit and --hold are for csv")
+        Some("--time, --time-unit and --hold are options of csv only: leave them out")
     } else if !from.is_mapped() && !args.map.is_empty() {
-        Some("--map is for csv and fseq")
+        Some("--map is an option of csv and fseq only: leave it out")
     } else if args.map.iter().any(whose) && args.map.iter().any(nobodys) {
-        Some("every --map names a robot, or none does and each file is a robot")
+        Some("name a robot in every --map, or in none if each file is a robot")
     } else {
         None
     }

@@ -5,7 +5,7 @@ use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
 use clap::ValueEnum;
-use downbeat_scripts::{Schema, schema};
+use downbeat_scripts::{Attempt, Refusal, Schema, schema};
 
 use super::{Exit, Format, console};
 
@@ -14,13 +14,13 @@ use super::{Exit, Format, console};
 #[command(after_help = "Nothing is overwritten: if one of the files exists, no file is written.
 
 Examples:
-  downbeat init                             two arms, in this folder
-  downbeat init flight --template drones    four drones, in the new folder `flight`")]
+  downbeat init                            two arms, in this folder
+  downbeat init flight --template drones   four drones, in `flight`")]
 pub(super) struct InitArgs {
-    /// The folder to write to. It is made if it does not exist.
+    /// The folder to write to. It is created if it does not exist.
     #[arg(default_value = ".")]
     folder: PathBuf,
-    /// Which kind of robots.
+    /// The kind of show to write.
     #[arg(long, value_enum, default_value_t = Template::Arms)]
     template: Template,
 }
@@ -91,7 +91,8 @@ pub(super) fn init(args: &InitArgs, format: Format) -> Exit {
     for (name, content) in &files {
         let path = args.folder.join(name);
         if let Err(error) = write(&path, content) {
-            console::error(&format!("cannot write `{}`: {error}", path.display()));
+            let refusal = Refusal::of(Attempt::Write(&path), &error);
+            console::error(&format!("cannot write `{}`: {refusal}", path.display()));
             return Exit::Usage;
         }
     }

@@ -29,14 +29,18 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
     };
     let source = match Source::read(&args.scenario) {
         Ok(source) => source,
-        Err(finding) => {
+        Err(mut finding) => {
+            finding.hint.get_or_insert_with(|| {
+                "check the path; `downbeat init first-show` writes a scenario to begin with".to_owned()
+            });
             loaded.unreadable = true;
             loaded.findings.push(finding);
             return loaded;
         }
     };
     let fleet_path = fleet_path(args, &source);
-    let (fleet, findings) = downbeat_scripts::read_fleet(&fleet_path);
+    let (fleet, mut findings) = downbeat_scripts::read_fleet(&fleet_path);
+    say_how_to_name_it(&mut findings, "`--fleet FILE` names one");
     loaded.unreadable = findings.iter().any(Finding::is_unreadable);
     loaded.findings.extend(findings);
     if let Some(fleet) = &fleet {
@@ -82,9 +86,19 @@ pub(super) fn load_choreography(
     }
 }
 
+/// Adds to the hint for a fleet file that does not exist how another one is named.
+fn say_how_to_name_it(findings: &mut [Finding], how: &str) {
+    for hint in findings.iter_mut().filter_map(|finding| finding.hint.as_mut()) {
+        if hint.starts_with("a fleet file lists your robots") {
+            *hint += &format!(", {how}");
+        }
+    }
+}
+
 /// Reads a fleet file alone.
 pub(super) fn load_fleet(path: &Path, format: Format) -> Result<Fleet, Exit> {
-    let (fleet, findings) = downbeat_scripts::read_fleet(path);
+    let (fleet, mut findings) = downbeat_scripts::read_fleet(path);
+    say_how_to_name_it(&mut findings, "or name one as the argument of this command");
     match format {
         Format::Text => show_findings(&findings),
         Format::Json if fleet.is_none() => {

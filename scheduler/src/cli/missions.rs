@@ -9,16 +9,17 @@ use super::{Exit, Format, console};
 use crate::journal::{self, Found, Life, Missions};
 use crate::report::table::Rows;
 
-/// List the missions of this machine: those that run, and those that were cut off.
+/// List the missions of this machine that run or were cut off.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Journals lie in $DOWNBEAT_STATE, else in $XDG_STATE_HOME/downbeat, else in
-~/.local/state/downbeat.
+#[command(
+    after_help = "Journals are kept in $DOWNBEAT_STATE, or else in $XDG_STATE_HOME/downbeat, or else in ~/.local/state/downbeat.
 
 Examples:
   downbeat missions
-  downbeat missions --all --format json")]
+  downbeat missions --all --format json"
+)]
 pub(super) struct MissionsArgs {
-    /// Those that ended well, too.
+    /// Also list missions that ended.
     #[arg(long)]
     all: bool,
 }
@@ -55,9 +56,9 @@ pub(super) fn missions(args: &MissionsArgs, format: Format) -> Exit {
     match format {
         Format::Json => console::print_json(&rows),
         Format::Text if rows.is_empty() && !listed.damaged.is_empty() => {
-            console::note("no other mission runs, none was cut off");
+            console::note("no other mission runs, and none was cut off");
         }
-        Format::Text if rows.is_empty() => console::note("no mission runs, none was cut off"),
+        Format::Text if rows.is_empty() => console::note("no mission runs, and none was cut off"),
         Format::Text => {
             let mut table = Rows::new(&["mission", "state", "process", "robots", "scenario"], 5);
             for row in rows {
@@ -82,7 +83,7 @@ pub(super) fn listed() -> Missions {
     let missions = Missions::of(&journal::state_folder());
     for journal in &missions.damaged {
         console::warn(&format!(
-            "the first line of {} cannot be read: it is unknown which robots its mission drove",
+            "the first line of {} cannot be read, so the robots of its mission are not known; make sure that no robot moves, then delete the file",
             journal.display()
         ));
     }
@@ -125,7 +126,11 @@ pub(super) fn is_called(found: &Found, named: Option<&str>) -> bool {
 pub(super) fn none(named: Option<&str>, what: &str, format: Format) -> Exit {
     let text = match named {
         Some(name) => format!("no mission `{name}` {what}; `downbeat missions --all` lists them"),
-        None => format!("no mission {what}"),
+        None if what == "was cut off" => format!("no mission {what}, so there is nothing to resume"),
+        None if what == "runs" => format!("no mission {what}; start one with `downbeat run SCENARIO`"),
+        None => format!(
+            "no mission {what}, so there is nothing to stop; `downbeat missions --all` lists those that ended"
+        ),
     };
     match format {
         Format::Json => console::print_json(&json!({"error": text})),

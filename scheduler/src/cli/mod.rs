@@ -5,6 +5,7 @@
 //! or without acts whose wait ran out; 6 played to its end, but not as promised or not known; 7 done, but standard output or
 //! the recording could not be written.
 
+mod advice;
 mod check;
 mod choice;
 mod completions;
@@ -38,41 +39,44 @@ use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use tracing_subscriber::filter::Targets;
+use tracing_subscriber::layer::SubscriberExt;
+use tracing_subscriber::util::SubscriberInitExt;
 
 use crate::signals;
 
-/// Makes many robots start together and stay together.
+/// Make many robots start together and stay together.
 #[derive(Debug, Parser)]
 #[command(
     name = "downbeat",
     version,
     after_help = "Examples:
-  downbeat check scripts/examples/swap.yaml       find everything that will not work
-  downbeat dry-run scripts/examples/swap.yaml     play it in virtual time
-  downbeat run scripts/examples/swap.yaml         play it on the fleet of ./fleet.yaml
-  downbeat sim fleet.yaml                         run the fleet's robots as simulated ones on TCP
+  downbeat init                write a small show to begin with
+  downbeat check show.yaml     find mistakes
+  downbeat dry-run show.yaml   play it in virtual time
+  downbeat run show.yaml       play it on the fleet of ./fleet.yaml
 
 Exit codes:
   0  done
-  1  findings, or the mission failed or did not start
-  2  usage, or input that cannot be read
-  3  stopped by the operator, every robot confirmed it
-  4  ended with robots whose stop is not confirmed
-  5  done, without robots that failed on the way, or without acts whose wait ran out
-  6  played to its end, but not as promised, or not known
-  7  done, but standard output or the recording could not be written
+  1  mistakes were found, or the mission failed or did not start
+  2  wrong arguments, or a file that cannot be read or written
+  3  stopped by the operator; every robot confirmed the stop
+  4  ended, but a robot did not confirm its stop
+  5  done, but robots failed on the way or acts were skipped
+  6  played to the end, but not as promised, or nobody knows
+  7  done, but the output or the recording could not be written
 
-A pipe whose reader has gone, as with `| head`, is no error."
+It is not an error if the reader of a pipe ends first, as in `downbeat plan show.yaml | head`."
 )]
 pub struct Cli {
     #[command(subcommand)]
     command: Command,
-    /// What to print: text for people, or JSON for machines.
+    /// Print text for people, or JSON for machines.
     #[arg(long, global = true, value_enum, default_value_t = Format::Text)]
     format: Format,
-    /// What to log to standard error, as `info` or `downbeat=debug`.
-    #[arg(long, global = true, value_name = "FILTER", default_value = "off")]
-    log: String,
+    /// Log to standard error, for example `info` or `downbeat=debug`.
+    #[arg(long, global = true, value_name = "FILTER", default_value = "off", value_parser = log_filter)]
+    log: Targets,
 }
 
 /// What is printed.
@@ -80,7 +84,7 @@ pub struct Cli {
 pub enum Format {
     /// For people.
     Text,
-    /// For machines: one JSON document on standard output.
+    /// For machines, one JSON document on standard output.
     Json,
 }
 
@@ -88,45 +92,45 @@ pub enum Format {
 enum Command {
     /// Write a small show to begin with: a fleet, its robots and a scenario that run at once.
     Init(init::InitArgs),
-    /// Find everything in a scenario that will not work, without moving anything.
+    /// Find the mistakes in a scenario and its fleet, without moving anything.
     Check(check::CheckArgs),
-    /// Explain a code of a finding at length.
+    /// Explain the code of a finding in detail.
     Explain(explain::ExplainArgs),
-    /// Show when each cue takes place, what each device needs of its budget, and the control requests.
+    /// Show when each cue takes place and what each robot is sent.
     Plan(plan::PlanArgs),
-    /// Play a scenario in virtual time, with simulated robots and the real mission machine.
+    /// Play a scenario in virtual time with simulated robots.
     DryRun(dry_run::DryRunArgs),
-    /// Check the fleet without moving anything.
+    /// Check whether every robot of a scenario is ready, without moving anything.
     Preflight(run::PreflightArgs),
     /// Play a scenario on the fleet: all robots start together, or none does.
     Run(run::RunArgs),
-    /// Let the act begin that waits for the operator.
+    /// Begin the act that waits for the operator.
     Go(go::GoArgs),
-    /// Stop missions: every robot that can be reached comes to rest.
+    /// Stop missions and bring their robots to rest.
     Stop(stop::StopArgs),
-    /// Take up a mission whose scheduler was killed.
+    /// Continue a mission whose scheduler was killed.
     Resume(resume::ResumeArgs),
     /// List the missions of this machine.
     Missions(missions::MissionsArgs),
     /// Check whether a robot does what the protocol demands.
     Conformance(conformance::ConformanceArgs),
-    /// Run one simulated robot as a process of its own.
+    /// Run one simulated robot that listens on TCP.
     Robot(robot::RobotArgs),
-    /// Run a real robot behind a driver as a process of its own.
+    /// Run a real robot behind a driver.
     Edge(edge::EdgeArgs),
-    /// Run all TCP robots of a fleet as simulated ones in this process.
+    /// Simulate all TCP robots of a fleet in one process.
     Sim(sim::SimArgs),
-    /// Turn other people's choreography files into a scenario and its fleet.
+    /// Convert files of other tools into a scenario and its fleet.
     Import(import::ImportArgs),
-    /// Write what a scenario compiles to as files that other tools read.
+    /// Convert a scenario into files of other tools.
     Export(export::ExportArgs),
-    /// Print the JSON Schema of a scenario, a fleet file, a report or the messages.
+    /// Print the JSON Schema of a scenario, a fleet file, a report or the protocol's messages.
     Schema(schema::SchemaArgs),
-    /// Print the completions of a shell.
+    /// Print completions for a shell.
     Completions(completions::CompletionsArgs),
     /// Write the man pages, one for each command.
     Man(completions::ManArgs),
-    /// Look at the fleet's robots.
+    /// Ask the robots of a fleet what they are.
     #[command(subcommand)]
     Fleet(fleet::FleetCommand),
 }
@@ -136,7 +140,7 @@ enum Command {
 pub struct ScenarioArgs {
     /// The scenario, a YAML file.
     scenario: PathBuf,
-    /// The fleet file; otherwise the one that the scenario names, otherwise ./fleet.yaml.
+    /// The fleet file. By default the one that the scenario names, or else ./fleet.yaml.
     #[arg(long, value_name = "FILE")]
     fleet: Option<PathBuf>,
 }
@@ -184,10 +188,13 @@ impl Exit {
 pub fn main() -> ExitCode {
     let cli = match Cli::try_parse() {
         Ok(cli) => cli,
-        Err(error) => return ExitCode::from(told_by_clap(&error) as u8),
+        Err(mut error) => {
+            advice::advise(&mut error, &std::env::args().collect::<Vec<_>>());
+            return ExitCode::from(told_by_clap(&error) as u8);
+        }
     };
     signals::take_harmless();
-    start_log(&cli.log);
+    start_log(cli.log);
     let format = cli.format;
     let exit = match cli.command {
         Command::Init(args) => init::init(&args, format),
@@ -241,10 +248,16 @@ fn told_by_clap(error: &clap::Error) -> Exit {
     }
 }
 
-fn start_log(filter: &str) {
-    let filter = tracing_subscriber::EnvFilter::new(filter);
-    let log = tracing_subscriber::fmt().with_env_filter(filter).with_ansi(false).with_writer(|| console::Log);
-    if let Err(error) = log.try_init() {
+fn log_filter(text: &str) -> Result<Targets, String> {
+    text.parse().map_err(|_| {
+        "expected `error`, `warn`, `info`, `debug` or `trace`, perhaps for a part, as in `downbeat=debug`"
+            .to_owned()
+    })
+}
+
+fn start_log(filter: Targets) {
+    let lines = tracing_subscriber::fmt::layer().with_ansi(false).with_writer(|| console::Log);
+    if let Err(error) = tracing_subscriber::registry().with(lines).with(filter).try_init() {
         console::warn(&format!("no log: {error}"));
     }
 }
@@ -261,7 +274,7 @@ fn with_runtime(work: impl Future<Output = Exit>) -> Exit {
             exit
         }
         Err(error) => {
-            console::error(&format!("no asynchronous runtime: {error}"));
+            console::error(&format!("cannot start the asynchronous runtime: {error}"));
             Exit::Failed
         }
     }

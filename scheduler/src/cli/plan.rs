@@ -10,15 +10,15 @@ use super::load;
 use super::{Exit, Format, ScenarioArgs, console};
 use crate::report::plan_table;
 
-/// Show what a scenario compiles to: when each cue takes place, what each device needs of its budget, the requests.
+/// Show when each cue takes place and what each robot is sent.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "With --format json: each act with its times, its devices, and an object from robot to its requests,
-offsets counted with a lead of 0.
+    after_help = "With --format json, each act has its times, its devices, and the control requests of each robot. \
+Offsets are given for a lead of 0.
 
 Examples:
-  downbeat plan scripts/examples/tank.yaml
-  downbeat plan scripts/examples/swap.yaml --format json"
+  downbeat plan show.yaml
+  downbeat plan show.yaml --format json"
 )]
 pub(super) struct PlanArgs {
     #[command(flatten)]

@@ -10,18 +10,18 @@ use crate::fleet::EndpointError;
 /// Whether robots of this process run under real-time scheduling.
 #[derive(Clone, Copy, Debug, clap::Args)]
 pub(super) struct RealtimeArgs {
-    /// Real-time scheduling (SCHED_FIFO) and locked memory for the robots of this process.
+    /// Whether the robots of this process use real-time scheduling (SCHED_FIFO) and locked memory.
     #[arg(long, value_enum, default_value_t = RealtimeArg::Auto, value_name = "WHEN")]
     realtime: RealtimeArg,
 }
 
 #[derive(Clone, Copy, Debug, ValueEnum)]
 enum RealtimeArg {
-    /// If it is permitted; one line says what was obtained.
+    /// Use it if it is permitted, and say what was obtained.
     Auto,
-    /// Not asked for.
+    /// Do not ask for it.
     Off,
-    /// Or the program ends with exit code 2.
+    /// End with exit code 2 if it is not permitted.
     Required,
 }
 

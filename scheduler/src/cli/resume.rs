@@ -20,19 +20,19 @@ use crate::run::Keep;
 use crate::server_clock::ServerClock;
 use crate::signals::OnHangUp;
 
-/// Take up a mission whose scheduler was killed.
+/// Continue a mission whose scheduler was killed.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Reads the journal, reaches the robots again under the same session, learns what they did meanwhile, and
-plays the mission to its end. An act that was not decided yet is withdrawn instead. Refuses where a robot has another
-address now than the one at which it was sent its scripts.
+    after_help = "The command reads the journal, connects to the robots again, learns what they did meanwhile, and plays \
+the mission to its end. If the start of an act was not decided yet, the command takes the act back instead. It refuses if \
+the fleet file has another address for a robot than the one to which its scripts were sent.
 
 Examples:
   downbeat resume
   downbeat resume swap@stage-4711-20261121T193000000"
 )]
 pub(super) struct ResumeArgs {
-    /// The mission; needed where several were cut off.
+    /// The mission. Needed only if several were cut off.
     mission: Option<String>,
     #[command(flatten)]
     how: HowArgs,
@@ -67,9 +67,7 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
     match Resumption::of(found, taken, args, format) {
         Ok(resumption) => super::with_runtime(resumption.play()),
         Err(exit) => {
-            console::note(
-                "nothing was resumed; `downbeat stop` takes back what the robots hold, by the journal alone",
-            );
+            console::note("nothing was resumed; `downbeat stop` stops the robots and needs only the journal");
             exit
         }
     }

@@ -1,11 +1,13 @@
 //! `downbeat robot`: one simulated robot as a process of its own.
 
+use std::io;
 use std::path::PathBuf;
 
 use clap::ValueEnum;
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostError, HostOptions, Hosted, serve};
 use downbeat_scripts::shown::{self, shown};
+use downbeat_scripts::{Attempt, Refusal};
 use tokio::net::TcpListener;
 use tokio::sync::oneshot;
 use tokio::task::JoinHandle;
@@ -17,35 +19,35 @@ use super::{Exit, Format, console};
 use crate::report::{Report, StopState};
 use crate::signals::{OnHangUp, Signals};
 
-/// Run one simulated robot as a process of its own.
+/// Run one simulated robot that listens on TCP.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Prints the address on which it listens, then runs until it is ended.
+#[command(after_help = "The command prints the address on which it listens and runs until Ctrl-C.
 
 Examples:
-  downbeat robot --init scripts/examples/robots/ur5e.yaml --listen 127.0.0.1:7401
-  downbeat robot --init robot.yaml --id arm-2 --listen 127.0.0.1:0 --clock-offset 120ms --delay-max 80ms --log-file set.jsonl")]
+  downbeat robot --init robots/arm.yaml --listen 127.0.0.1:7401
+  downbeat robot --init arm.yaml --id arm-2 --clock-offset 120ms")]
 pub(super) struct RobotArgs {
     #[command(flatten)]
     process: ProcessArgs,
-    /// How far its raw clock is ahead of the true time.
+    /// How far its uncorrected clock is ahead of the true time.
     #[arg(long, value_parser = parse_span, default_value = "0s", value_name = "TIME")]
     clock_offset: Span,
-    /// How well its NTP knows the raw clock.
+    /// How far off its clock is after NTP has corrected it.
     #[arg(long, value_parser = parse_span, default_value = "0s", value_name = "TIME")]
     ntp_error: Span,
-    /// It has no NTP: its raw clock shows.
+    /// Do not correct its clock by NTP.
     #[arg(long)]
     no_ntp: bool,
-    /// Every message is delayed at random up to this, each way.
+    /// Delay every message by a random time up to this.
     #[arg(long, value_parser = parse_span, value_name = "TIME")]
     delay_max: Option<Span>,
-    /// What it does wrong.
+    /// Simulate a fault.
     #[arg(long, value_enum)]
     fault: Option<FaultArg>,
-    /// What a sensor reads, as range=0.4; may be given several times.
+    /// Give a sensor a reading, for example range=0.4. Can be repeated.
     #[arg(long = "reading", value_parser = parse_reading, value_name = "SENSOR=VALUE")]
     readings: Vec<(DeviceId, f64)>,
-    /// Of its random draws.
+    /// Seed of its random delays.
     #[arg(long, default_value_t = 0)]
     seed: u64,
 }
@@ -53,16 +55,16 @@ pub(super) struct RobotArgs {
 /// A robot as a process of its own, whatever it drives.
 #[derive(Debug, clap::Args)]
 pub(super) struct ProcessArgs {
-    /// Its initialization block, YAML or JSON.
+    /// The description of the robot, YAML or JSON.
     #[arg(long, value_name = "FILE")]
     init: PathBuf,
-    /// Its id, instead of the file's.
+    /// Use this id instead of the file's.
     #[arg(long)]
     id: Option<RobotId>,
-    /// Where to listen; port 0 takes any free one.
+    /// The address to listen on, HOST:PORT. Port 0 takes any free port.
     #[arg(long, value_name = "ADDRESS", default_value = "127.0.0.1:7401")]
     listen: String,
-    /// Write everything that it sets to this file, a JSON line each.
+    /// Write every value that it sets to this file, one JSON line each.
     #[arg(long, value_name = "FILE")]
     log_file: Option<PathBuf>,
     #[command(flatten)]
@@ -91,15 +93,15 @@ impl ProcessArgs {
             // Before anything moves.
             let signals = match Signals::listen(OnHangUp::End) {
                 Ok(signals) => signals,
-                Err(error) => return failed(&format!("no signal handlers: {error}")),
+                Err(error) => return failed(&format!("cannot install signal handlers: {error}")),
             };
             let listener = match TcpListener::bind(&self.listen).await {
                 Ok(listener) => listener,
-                Err(error) => return failed(&format!("cannot listen on {}: {error}", self.listen)),
+                Err(error) => return failed(&not_listening(&self.listen, &error)),
             };
             let mut host = match Host::start(vec![robot], options) {
                 Ok(host) => host,
-                Err(error) => return failed(&error.to_string()),
+                Err(error) => return failed(&not_hosted(&error)),
             };
             let log = LogWatch::of(&mut host);
             self.realtime.tell(&host, format);
@@ -143,7 +145,7 @@ enum FaultArg {
     Refuse,
     /// Never answers a control request.
     Silent,
-    /// Hangs up after it has accepted a script.
+    /// Closes the connection after it has accepted a script.
     Disconnect,
 }
 
@@ -168,7 +170,13 @@ pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
         block.device(sensor.as_str()).is_some_and(|d| d.available_control_types.sensor().is_some())
     };
     if let Some((sensor, _)) = args.readings.iter().find(|(sensor, _)| !is_sensor(sensor)) {
-        console::error(&format!("--reading: `{}` has no sensor `{sensor}`", block.id));
+        let sensors = block.devices.iter().filter(|device| is_sensor(&device.id));
+        let known: Vec<String> = sensors.map(|device| format!("`{}`", device.id)).collect();
+        let known = match known.is_empty() {
+            true => "it has none, so leave out --reading".to_owned(),
+            false => format!("its sensors are {}", known.join(", ")),
+        };
+        console::error(&format!("--reading: `{}` has no sensor `{sensor}`; {known}", block.id));
         return Exit::Usage;
     }
     let mut robot = SimulatedRobot::new(block, settings);
@@ -181,12 +189,27 @@ fn parse_reading(text: &str) -> Result<(DeviceId, f64), String> {
         let reading = reading.parse().ok().filter(|reading: &f64| reading.is_finite())?;
         Some((sensor.parse().ok()?, reading))
     });
-    parsed.ok_or_else(|| format!("`{text}`, expected a sensor and a number, such as range=0.4"))
+    parsed.ok_or_else(|| "expected SENSOR=NUMBER, as in range=0.4".to_owned())
 }
 
 pub(super) fn failed(message: &str) -> Exit {
     console::error(message);
     Exit::Usage
+}
+
+/// Why the robots of this process cannot be run.
+pub(super) fn not_hosted(error: &HostError) -> String {
+    match error {
+        HostError::Log { path, error } => {
+            format!("cannot write the log {}: {}", path.display(), Refusal::of(Attempt::Write(path), error))
+        }
+        other => other.to_string(),
+    }
+}
+
+/// Why a robot cannot be reached at an address.
+pub(super) fn not_listening(address: &str, error: &io::Error) -> String {
+    format!("cannot listen on {address}: {}", Refusal::of(Attempt::Listen, error))
 }
 
 /// Stops a host and says which of its robots may not have come to their default state; returns whether there is none.

@@ -31,15 +31,16 @@ use crate::stop_lane::StopLane;
 /// Play a scenario on the fleet: all robots start together, or none does.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Ctrl-C stops: every robot returns to its default state and confirms it. A second Ctrl-C leaves at
-once and says what was left running. A closed terminal stops, too, unless the mission runs with --detach. From another
-terminal `downbeat stop` does the same, and `downbeat go` (or Enter here) lets an act begin that waits for the operator.
+    after_help = "Ctrl-C stops the mission: every robot returns to its default state and confirms it. A second Ctrl-C \
+exits at once and lists the robots that may still move. Closing the terminal stops the mission, too, unless it runs with \
+--detach. From another terminal, `downbeat stop` stops it, and `downbeat go` (or Enter here) begins an act that waits for \
+the operator.
 
 Examples:
-  downbeat run scripts/examples/swap.yaml
+  downbeat run show.yaml
   downbeat run show.yaml --fleet stage.yaml --at 19:30 --record show.mcap
-  downbeat run show.yaml --at 19:30 --detach               in the background
-  downbeat run show.yaml --speed 0.25 --only arm-1,arm-2    a rehearsal
+  downbeat run show.yaml --at 19:30 --detach
+  downbeat run show.yaml --speed 0.25 --only arm-1,arm-2
   downbeat run show.yaml --from finale --format json"
 )]
 pub(super) struct RunArgs {
@@ -51,34 +52,35 @@ pub(super) struct RunArgs {
     how: HowArgs,
     #[command(flatten)]
     realtime: RealtimeArgs,
-    /// Start at this time of day, as 19:30 or 19:30:00.5, or at this instant in RFC 3339.
+    /// Start at this time of day, for example 19:30 or 19:30:00.5, or at this instant in RFC 3339.
     #[arg(long, value_parser = parse_start, value_name = "TIME")]
     at: Option<StartAt>,
-    /// Time from sending to the start, instead of the computed one, as 1500ms or 3s.
+    /// Time from sending the scripts to the start, for example 1500ms or 3s. By default it is computed.
     #[arg(long, value_parser = parse_span, value_name = "TIME", conflicts_with = "at")]
     lead: Option<Span>,
-    /// What becomes of robots that are not there at first.
+    /// What to do if robots do not answer at first.
     #[arg(long, value_enum, default_value_t = JoinArg::Refuse)]
     join: JoinArg,
-    /// Record everything that is said as an MCAP file, for Foxglove and others.
+    /// Record all messages and movements in an MCAP file, for Foxglove and other tools.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
-    /// Keep no journal: `downbeat stop`, `go`, `missions` and `resume` do not find the mission then, not even after a crash.
+    /// Keep no journal. `downbeat stop`, `go`, `missions` and `resume` then cannot find the mission.
     #[arg(long)]
     no_journal: bool,
-    /// Go on in the background, away from this terminal, with a log of its own in the mission's folder.
+    /// Run in the background, independent of this terminal. The log is written to the mission's folder.
     #[arg(long, conflicts_with = "no_journal")]
     detach: bool,
 }
 
-/// Check the fleet without moving anything.
+/// Check whether every robot of a scenario is ready, without moving anything.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Asks every robot of the scenario who it is, what its clock shows, where its devices stand and what its
-sensors read, and shows a table: a row a robot, a column a check. Measures how late this host wakes its own robots, too.
+    after_help = "The command asks every robot of the scenario for its identity, its clock, the positions of its devices \
+and the readings of its sensors, and prints a table with one row per robot and one column per check. It also measures how \
+late this host wakes the robots of its own process.
 
 Examples:
-  downbeat preflight scripts/examples/swap.yaml
+  downbeat preflight show.yaml
   downbeat preflight show.yaml --fleet stage.yaml --format json"
 )]
 pub(super) struct PreflightArgs {
@@ -103,9 +105,9 @@ pub(super) struct HowArgs {
 #[derive(Clone, Copy, Debug, clap::ValueEnum)]
 #[value(rename_all = "snake_case")]
 enum JoinArg {
-    /// Nothing starts without them.
+    /// Do not start without them.
     Refuse,
-    /// They join at the first act that begins after they have come.
+    /// Start without them; each joins at the next act after it answers.
     NextAct,
 }
 
@@ -118,14 +120,16 @@ enum StartAt {
 
 pub(super) fn parse_span(text: &str) -> Result<Span, String> {
     downbeat_scripts::parse_duration(text)
-        .ok_or_else(|| format!("`{text}`, expected a time such as 250ms, 3s or 1m30s"))
+        .ok_or_else(|| "expected a time with its unit, such as 250ms, 3s or 1m30s".to_owned())
 }
 
 fn parse_start(text: &str) -> Result<StartAt, String> {
     match downbeat_scripts::parse_time(text) {
         Some(Wait::TimeOfDay(time)) => Ok(StartAt::TimeOfDay(time)),
         Some(Wait::Instant(at)) => Ok(StartAt::Instant(at)),
-        _ => Err(format!("`{text}`, expected a time of day such as 19:30, or an instant in RFC 3339")),
+        _ => {
+            Err("expected a time of day such as 19:30, or an instant such as 2026-05-01T19:30:00Z".to_owned())
+        }
     }
 }
 
@@ -315,8 +319,10 @@ impl Work<'_> {
         if let Some(path) = self.record {
             let recording = Recording::create(path).map_err(|error| usage(error.to_string()))?;
             let recorder = Recorder::start(recording);
-            keep.recording =
-                Some(recorder.map_err(|error| failed(format!("no thread for the recording: {error}")))?);
+            keep.recording = Some(
+                recorder
+                    .map_err(|error| failed(format!("cannot start a thread for the recording: {error}")))?,
+            );
         }
         Ok(keep)
     }
@@ -455,7 +461,7 @@ pub(super) async fn server_clock(fleet: &Fleet, format: Format) -> Result<(Serve
 
 /// The stop lane, and what the operator says.
 pub(super) fn stop_lane(on_hang_up: OnHangUp) -> Result<(StopLane, mpsc::Receiver<Operator>), String> {
-    StopLane::start(on_hang_up).map_err(|error| format!("no robot could be stopped: {error}"))
+    StopLane::start(on_hang_up).map_err(|error| format!("cannot prepare to stop the robots: {error}"))
 }
 
 pub(super) fn finish(report: &Report, format: Format) -> Exit {

@@ -6,7 +6,7 @@ use super::{Exit, console};
 
 /// Print the JSON Schema of a scenario, a fleet file, a report or the protocol's messages.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "How to set up an editor: docs/editors.md.
+#[command(after_help = "docs/editors.md says how to set up an editor.
 
 Examples:
   downbeat schema scenario > scenario.schema.json
@@ -14,7 +14,7 @@ Examples:
   downbeat schema report > report.schema.json
   downbeat schema protocol > urrcp.schema.json")]
 pub(super) struct SchemaArgs {
-    /// Of which file.
+    /// What the schema describes.
     #[arg(value_enum)]
     of: Of,
 }

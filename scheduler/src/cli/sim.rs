@@ -11,17 +11,17 @@ use super::{Exit, Format, console, load, robot};
 use crate::fleet;
 use crate::signals::{OnHangUp, Signals};
 
-/// Run all TCP robots of a fleet as simulated ones in this process.
+/// Simulate all TCP robots of a fleet in one process.
 #[derive(Debug, clap::Args)]
-#[command(after_help = "Each robot listens on the port of its address in the fleet file, until Ctrl-C.
+#[command(after_help = "Each robot listens at its address in the fleet file until Ctrl-C.
 
-Examples:
+Example:
   downbeat sim stage.yaml")]
 pub(super) struct SimArgs {
     /// The fleet file.
     #[arg(default_value = "fleet.yaml")]
     fleet: PathBuf,
-    /// Write everything that they set to this file, a JSON line each.
+    /// Write every value that they set to this file, one JSON line each.
     #[arg(long, value_name = "FILE")]
     log_file: Option<PathBuf>,
     #[command(flatten)]
@@ -48,7 +48,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
     }
     if machines.is_empty() {
         console::error(
-            "no robot of this fleet has `address: tcp://host:port`; those with `address: sim` live in `downbeat run`",
+            "no robot of this fleet has `address: tcp://host:port`; `downbeat run` simulates those with `address: sim` itself",
         );
         return Exit::Failed;
     }
@@ -57,7 +57,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
     let mut host = match Host::start(machines, options) {
         Ok(host) => host,
         Err(error) => {
-            console::error(&error.to_string());
+            console::error(&robot::not_hosted(&error));
             return Exit::Usage;
         }
     };
@@ -65,7 +65,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
     super::with_runtime(async {
         let signals = match Signals::listen(OnHangUp::End) {
             Ok(signals) => signals,
-            Err(error) => return robot::failed(&format!("no signal handlers: {error}")),
+            Err(error) => return robot::failed(&format!("cannot install signal handlers: {error}")),
         };
         let log = robot::LogWatch::of(&mut host);
         let mut listeners = Vec::new();
@@ -76,7 +76,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
                     listeners.push((listener, index));
                 }
                 Err(error) => {
-                    console::error(&format!("cannot listen on {name}:{port}: {error}"));
+                    console::error(&robot::not_listening(&format!("{name}:{port}"), &error));
                     return Exit::Usage;
                 }
             }

@@ -22,13 +22,13 @@ use crate::report::{TAKEN_OVER, Withdrawal};
 use crate::run::control;
 use crate::signals;
 
-/// Stop missions: every robot that can be reached comes to rest.
+/// Stop missions and bring their robots to rest.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Without a name, stops all missions that run or were cut off, at once. Stops a mission that runs from any
-terminal, and waits for its report. Of a mission whose scheduler was killed, or does not answer within a second, stops the
-robots directly, as its journal names them; no other file is read. Says which robots confirmed, which did not, and when
-their leases end. A mission of which a robot has not confirmed can be stopped again; one that has ended, too, by its name.
+    after_help = "Without a name, the command stops all missions that run or were cut off. It stops a running mission \
+through its scheduler and waits for the report. If the scheduler was killed, or does not answer within one second, the \
+command stops the robots directly: the journal names them, and no other file is read. The command says which robots \
+confirmed the stop, which did not, and when their leases end. A mission can be stopped again, even after it has ended.
 
 Examples:
   downbeat stop
@@ -36,15 +36,15 @@ Examples:
   downbeat stop swap@stage-4711-20261121T193000000 --patience 2s"
 )]
 pub(super) struct StopArgs {
-    /// The mission; otherwise all of them.
+    /// The mission. By default all missions.
     mission: Option<String>,
-    /// All missions that run or were cut off, as without a name; JSON is an array then, however many there are.
+    /// Stop all missions that run or were cut off. JSON output is then always an array.
     #[arg(long, conflicts_with = "mission")]
     all: bool,
-    /// Count a mission that was cut off as ended even if robots do not confirm, as when one is gone for good.
+    /// Count a mission that was cut off as ended even if a robot does not confirm, for example because it is gone for good.
     #[arg(long, requires = "mission")]
     forget: bool,
-    /// Leave every robot where it is instead of sending it to its default state, as to go on by hand.
+    /// Leave every robot where it is instead of sending it to its default state.
     #[arg(long)]
     hold: bool,
     #[command(flatten)]
@@ -195,7 +195,7 @@ async fn unanswered(found: &Found, unheard: &str, how: How) -> Stopped {
     // Once it goes on, it stops for good.
     if let Some(sent) = pid.and_then(|pid| signals::stop(pid, how.rest)) {
         let session = &found.opened.session;
-        console::note(&format!("{session}: {process} was sent {sent}: if it goes on, it stops for good"));
+        console::note(&format!("{session}: {process} was sent {sent}; if it continues, it ends"));
     }
     stopped
 }

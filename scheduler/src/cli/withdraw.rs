@@ -35,7 +35,7 @@ pub(super) struct Taken {
 #[derive(Debug, thiserror::Error)]
 pub(super) enum NotTaken {
     /// Another process has it.
-    #[error("another process has taken it up")]
+    #[error("another process has resumed it")]
     Held,
     /// It has ended meanwhile.
     #[error("another process has ended it meanwhile")]
@@ -175,7 +175,7 @@ pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdr
         Ok(Ok(Ok(()))) => {}
         Ok(Ok(Err(reason))) => console::warn(&reason),
         Ok(Err(_)) | Err(_) => {
-            console::warn("the disk does not take it: the journal does not say that it was stopped")
+            console::warn("the disk does not respond, so the journal does not record the stop")
         }
     }
     if let Some(control) = control {

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
+use downbeat_scripts::{Attempt, Refusal};
 use urrcp::{
     Command, ControlRequest, ControlResponse, DeviceId, ErrorCode, InitializationBlock, Millis, RequestId,
     Script, Server, Setpoint, Span, Status, Step, StopCondition, Timestamp,
@@ -136,8 +137,9 @@ impl Trial {
             Ok(stream)
         });
         connected.map(|stream| Line::over(self, stream)).map_err(|error| {
+            let refusal = Refusal::of(Attempt::Connect, &error);
             Unmet::Failed(format!(
-                "no connection to {} within {} ({error}); expected the robot to take new connections",
+                "no connection to {} within {}: {refusal}",
                 self.address, self.options.patience
             ))
         })

@@ -12,6 +12,7 @@ mod writer;
 use std::io;
 use std::path::{Path, PathBuf};
 
+use downbeat_scripts::{Attempt, Refusal};
 use serde::{Deserialize, Serialize};
 use urrcp::{InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
@@ -89,7 +90,7 @@ struct Line<'a, T> {
 
 /// A journal could not be written.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot write the journal {}: {error}", path.display())]
+#[error("cannot write the journal {}: {}", path.display(), Refusal::of(Attempt::Write(path), error).reason)]
 pub struct JournalError {
     /// Which file.
     pub path: PathBuf,

@@ -1,40 +1,40 @@
-//! In which encoding a robot is written to.
+//! The encoding of messages to a robot.
 
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 use urrcp::{Encoding, Message};
 
-/// The encoding that the fleet file asks for, from when on the robot is known to understand it; JSON until then. Clones
-/// are of one robot and learn together, so that a link that is made again need not ask again.
+/// The encoding of a link to a robot: JSON, until the robot is known to understand the encoding that the fleet file asks for.
+/// Clones belong to the same robot and learn together, so a new link to it need not ask again.
 #[derive(Clone, Debug)]
-pub struct Speech {
+pub struct LinkEncoding {
     wanted: Encoding,
     understood: Arc<AtomicBool>,
 }
 
-impl Speech {
-    /// To a robot that is asked for its initialization block before it is trusted with anything but JSON.
+impl LinkEncoding {
+    /// JSON until the robot's initialization block lists the wanted encoding.
     #[must_use]
     pub fn once_listed(wanted: Encoding) -> Self {
         Self { wanted, understood: Arc::new(AtomicBool::new(false)) }
     }
 
-    /// To a robot of which the files say what it understands.
+    /// The wanted encoding at once, for a robot whose init file lists it.
     #[must_use]
     pub fn at_once(wanted: Encoding) -> Self {
         Self { wanted, understood: Arc::new(AtomicBool::new(true)) }
     }
 
-    /// What the next message is written in.
-    pub(crate) fn encoding(&self) -> Encoding {
+    /// The encoding of the next message.
+    pub(crate) fn current(&self) -> Encoding {
         match self.understood.load(Ordering::Relaxed) {
             true => self.wanted,
             false => Encoding::Json,
         }
     }
 
-    /// Takes note of what the robot says of itself.
+    /// Notes which encodings the robot lists, if the message is its initialization block.
     pub(super) fn hear(&self, message: &Message) {
         if let Message::InitializationBlock(block) = message {
             self.understood.store(block.understands(self.wanted), Ordering::Relaxed);
@@ -42,7 +42,7 @@ impl Speech {
     }
 }
 
-impl Default for Speech {
+impl Default for LinkEncoding {
     fn default() -> Self {
         Self::at_once(Encoding::Json)
     }
@@ -62,12 +62,12 @@ mod tests {
 
     #[test]
     fn nothing_but_json_is_written_before_a_robot_has_said_that_it_understands_more() {
-        let speech = Speech::once_listed(Encoding::MessagePack);
-        assert_eq!(speech.encoding(), Encoding::Json);
-        speech.hear(&block(""));
-        assert_eq!(speech.encoding(), Encoding::Json);
-        speech.hear(&block(r#""encodings": ["json", "msgpack"],"#));
-        assert_eq!(speech.encoding(), Encoding::MessagePack);
-        assert_eq!(Speech::at_once(Encoding::MessagePack).encoding(), Encoding::MessagePack);
+        let encoding = LinkEncoding::once_listed(Encoding::MessagePack);
+        assert_eq!(encoding.current(), Encoding::Json);
+        encoding.hear(&block(""));
+        assert_eq!(encoding.current(), Encoding::Json);
+        encoding.hear(&block(r#""encodings": ["json", "msgpack"],"#));
+        assert_eq!(encoding.current(), Encoding::MessagePack);
+        assert_eq!(LinkEncoding::at_once(Encoding::MessagePack).current(), Encoding::MessagePack);
     }
 }

@@ -7,7 +7,7 @@ mod tcp;
 
 use std::time::Duration;
 
-pub use encoding::Speech;
+pub use encoding::LinkEncoding;
 
 use downbeat_robot::HostHandle;
 use tokio::sync::mpsc;
@@ -39,7 +39,7 @@ pub enum Endpoint {
         /// Port.
         port: u16,
         /// How it is written to.
-        speech: Speech,
+        encoding: LinkEncoding,
     },
 }
 
@@ -57,7 +57,7 @@ struct Peer {
     sink: EventSink,
     host: String,
     port: u16,
-    speech: Speech,
+    encoding: LinkEncoding,
 }
 
 /// The other ends of a link's channels.
@@ -90,8 +90,8 @@ impl Link {
             }
             match endpoint {
                 Endpoint::InProcess { host, index } => in_process::carry(sink, host, index, queue).await,
-                Endpoint::Tcp { host, port, speech } => {
-                    tcp::carry(Peer { sink, host, port, speech }, queue).await;
+                Endpoint::Tcp { host, port, encoding } => {
+                    tcp::carry(Peer { sink, host, port, encoding }, queue).await;
                 }
             }
         });

@@ -3,6 +3,7 @@
 use std::io::{self, ErrorKind};
 use std::time::Duration;
 
+use downbeat_scripts::{Attempt, Refusal};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
@@ -32,10 +33,12 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
                 ErrorKind::ConnectionRefused => Loss::Refused,
                 _ => Loss::Unreachable,
             };
-            return sink.down(loss, format!("no connection to {host}:{port}: {error}")).await;
+            let refusal = Refusal::of(Attempt::Connect, &error);
+            return sink.down(loss, format!("no connection to {host}:{port}: {refusal}")).await;
         }
         Err(_) => {
-            let reason = format!("no connection to {host}:{port} within 3 s");
+            let refusal = Refusal::of(Attempt::Connect, &ErrorKind::TimedOut.into());
+            let reason = format!("no connection to {host}:{port} within 3 s: {refusal}");
             return sink.down(Loss::Unreachable, reason).await;
         }
     };
@@ -67,7 +70,7 @@ async fn read(peer: &Peer, mut reader: OwnedReadHalf) -> (Loss, String) {
         while let Some(decoded) = decoder.next_message() {
             match decoded {
                 Ok(message) => {
-                    peer.speech.hear(&message);
+                    peer.encoding.hear(&message);
                     sink.received(message).await;
                 }
                 Err(error) => {
@@ -89,7 +92,7 @@ async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, peer: &Peer) -> Opt
             peer.overtake(&message, &mut queue.urgent);
             continue;
         }
-        let encoding = peer.speech.encoding();
+        let encoding = peer.encoding.current();
         encode_as(encoding, &message, &mut bytes);
         while bytes.len() < WRITE_BATCH {
             let Some(message) = queue.try_next() else { break };
@@ -127,7 +130,7 @@ impl Peer {
     /// carried twice: the robot knows it by its id.
     fn overtake(&self, first: &Message, more: &mut mpsc::UnboundedReceiver<Message>) {
         let mut bytes = Vec::new();
-        let encoding = self.speech.encoding();
+        let encoding = self.encoding.current();
         encode_as(encoding, first, &mut bytes);
         while let Ok(message) = more.try_recv() {
             encode_as(encoding, &message, &mut bytes);

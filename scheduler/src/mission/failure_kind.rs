@@ -56,7 +56,7 @@ pub enum FailureKind {
         told: RobotId,
     },
     /// It did not answer in time.
-    #[error("silent: no {awaited} within {within}")]
+    #[error("silent: no {awaited} within {within}{}", remedy_of_silence(awaited))]
     Silent {
         /// What was awaited.
         awaited: String,
@@ -153,6 +153,14 @@ pub enum FailureKind {
         /// The robot's reason.
         error: ControlError,
     },
+}
+
+/// A program that never says what it is may be no robot.
+fn remedy_of_silence(awaited: &str) -> &'static str {
+    match awaited {
+        "initialization block" => "; check that the program at its address is a robot that speaks URRCP",
+        _ => "",
+    }
 }
 
 /// A clock that is off is a matter of NTP; one that is only poorly known is a matter of the link.

@@ -110,7 +110,7 @@ impl fmt::Display for Outcome {
             Self::NotStarted => f.write_str("not started"),
             Self::Failed => f.write_str("failed and stopped"),
             Self::Stopped => f.write_str("stopped by the operator"),
-            Self::Abandoned => f.write_str("left by the operator before the stop was confirmed"),
+            Self::Abandoned => f.write_str("the operator left before the stop was confirmed"),
             Self::LeadTooShort { lead, needed, safe_start } => write!(
                 f,
                 "not sent: a lead of {lead} is too short, this fleet needs {} ({} to prepare, {} of lease, {} of margin); the earliest safe start was {safe_start}",

@@ -89,7 +89,10 @@ impl Mission {
         if now < since + within {
             return self.acts[index].look_again_at(Some(since + within));
         }
-        self.journal_lost(now, format!("the journal's disk has not taken the first record within {within}"));
+        self.journal_lost(
+            now,
+            format!("the disk has not stored the first record of the journal within {within}"),
+        );
     }
 
     fn skew_of(&self, act: &Act, now: Timestamp<Server>) -> Option<SkewBudget> {

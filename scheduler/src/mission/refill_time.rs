@@ -57,3 +57,24 @@ fn late(robot: &RobotState, now: Timestamp<Server>) -> Span {
     });
     late.unwrap_or_default().max(Span::ZERO) + robot.wake_up
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::ClockSample;
+    use crate::mission::bench::{self, Tells, at, ms};
+
+    #[test]
+    fn a_script_may_end_later_by_a_clock_that_is_behind_and_by_a_late_wake_up() {
+        let mut robot = bench::robot("r0", Tells::Answers, 2);
+        assert_eq!(late(&robot, at(0)), Span::ZERO);
+        robot.wake_up = ms(50);
+        let there = bench::by_robot(at(0)) - ms(30);
+        robot.clock.add(ClockSample::from_exchange(at(0), there, there, at(0)));
+        let behind = late(&robot, at(0));
+        assert!((ms(80)..=ms(82)).contains(&behind), "{behind}");
+        robot.clock_mode = ClockMode::Measured;
+        let measured = late(&robot, at(0));
+        assert!((ms(50)..=ms(52)).contains(&measured), "{measured}");
+    }
+}

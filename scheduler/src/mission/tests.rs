@@ -178,3 +178,56 @@ fn a_required_sensor_passes_once_it_was_read_and_only_where_robots_are_greeted()
         assert_eq!(verdict.1, expected, "{greeting:?}");
     }
 }
+
+/// A mission that performs and asks on each new link which robot answers. The link broke and was made again.
+fn reconnected() -> Mission {
+    let mut mission = begins_at_once(Everything);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.options.greeting = Greeting::Full;
+    let down = Event::LinkDown { robot: 0, loss: Loss::Closed, reason: "it broke".to_owned() };
+    let _reconnects = happens(&mut mission, at(2), down);
+    let _asks = mission.handle(at(4), Event::LinkUp { robot: 0 });
+    mission
+}
+
+#[test]
+fn a_robot_that_does_not_say_which_one_it_is_is_asked_again_before_its_link_is_given_up() {
+    let mut mission = reconnected();
+    mission.ask_names_again(at(300));
+    assert!(mission.robots[0].unnamed_since().is_some(), "it may still answer");
+    assert!(
+        mission
+            .actions
+            .iter()
+            .any(|action| matches!(action, Action::Send { message: Message::InitializationRequest(_), .. }))
+    );
+    mission.ask_names_again(at(4_000));
+    assert!(mission.robots[0].unnamed_since().is_none(), "as good as not reached");
+}
+
+#[test]
+fn another_robot_at_the_address_of_one_that_plays_stops_the_mission() {
+    let mut mission = reconnected();
+    let block = robot("another", Everything, 2).block.unwrap();
+    let _actions =
+        mission.handle(at(5), Event::Received { robot: 0, message: Message::InitializationBlock(block) });
+    assert!(
+        mission.robots[0]
+            .failures
+            .iter()
+            .any(|failure| matches!(failure.kind, FailureKind::AnotherRobot { .. }))
+    );
+    assert!(matches!(mission.phase, Phase::Stopping { .. } | Phase::Ended), "{:?}", mission.phase);
+}
+
+#[test]
+fn a_robot_whose_measured_clock_never_answers_fails_when_patience_ends() {
+    let mut mission = begins_at_once(Everything);
+    mission.robots[0].clock_mode = ClockMode::Measured;
+    let _asks = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let ends = mission.acts[0].since() + mission.options.patience;
+    let _waits = mission.advance(ends - Span::from_nanos(1));
+    assert!(!mission.robots[0].has_failed());
+    let _fails = mission.advance(ends);
+    assert!(mission.robots[0].has_failed());
+}

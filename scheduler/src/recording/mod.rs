@@ -8,6 +8,7 @@ use std::fs::File;
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
 
+use downbeat_scripts::{Attempt, Refusal};
 use mcap::records::MessageHeader;
 use mcap::{McapError, WriteOptions, Writer};
 use serde::Serialize;
@@ -24,7 +25,7 @@ pub use recorder::{Recorded, Recorder};
 
 /// A recording could not be written.
 #[derive(Debug, thiserror::Error)]
-#[error("cannot write the recording {}: {}", path.display(), reason(error))]
+#[error("cannot write the recording {}: {}", path.display(), why(path, error))]
 pub struct RecordingError {
     /// Which file.
     pub path: PathBuf,
@@ -37,6 +38,14 @@ impl RecordingError {
     #[must_use]
     pub fn reason(&self) -> String {
         reason(&self.error)
+    }
+}
+
+/// What the system refuses, and what to do.
+fn why(path: &Path, error: &McapError) -> String {
+    match error {
+        McapError::Io(error) => Refusal::of(Attempt::Write(path), error).to_string(),
+        other => other.to_string(),
     }
 }
 

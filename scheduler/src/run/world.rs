@@ -59,7 +59,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         }
         let journal = keep.journal.map_or(FileJournal::None, |journal| match Writer::start(journal) {
             Ok(writer) => FileJournal::Written(writer),
-            Err(error) => FileJournal::Lost(format!("no thread for the journal: {error}")),
+            Err(error) => FileJournal::Lost(format!("cannot start a thread for the journal: {error}")),
         });
         Self {
             clock,

@@ -9,7 +9,7 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use urrcp::{AvailabilityRequest, Decoder, Message, encode_as};
 
-use crate::link::{Endpoint, Speech};
+use crate::link::{Endpoint, LinkEncoding};
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// How often a connection that is kept is asked for a sign of life: well within the 30 s after which robots let go of a
@@ -26,7 +26,7 @@ pub(super) enum Connection {
 
 pub(super) struct Tcp {
     stream: TcpStream,
-    speech: Speech,
+    encoding: LinkEncoding,
     decoder: Decoder,
     bytes: Vec<u8>,
     /// Something was written in part, so that what follows would not be understood.
@@ -41,7 +41,7 @@ impl Connection {
                 let gone = || io::Error::other("the robot in this process is gone");
                 host.connect(*index).map(Self::InProcess).ok_or_else(gone)
             }
-            Endpoint::Tcp { host, port, speech } => {
+            Endpoint::Tcp { host, port, encoding } => {
                 let connect = async {
                     match known {
                         Some(address) => TcpStream::connect(*address).await,
@@ -52,7 +52,13 @@ impl Connection {
                 *known = stream.peer_addr().ok();
                 stream.set_nodelay(true)?;
                 let (decoder, bytes) = (Decoder::default(), vec![0; 8 * 1024]);
-                Ok(Self::Tcp(Box::new(Tcp { stream, speech: speech.clone(), decoder, bytes, torn: false })))
+                Ok(Self::Tcp(Box::new(Tcp {
+                    stream,
+                    encoding: encoding.clone(),
+                    decoder,
+                    bytes,
+                    torn: false,
+                })))
             }
         }
     }
@@ -104,7 +110,7 @@ impl Tcp {
             return Err(io::Error::other("the last message was written in part"));
         }
         let mut bytes = Vec::new();
-        messages.for_each(|message| encode_as(self.speech.encoding(), message, &mut bytes));
+        messages.for_each(|message| encode_as(self.encoding.current(), message, &mut bytes));
         self.stream.write_all(&bytes).await?;
         self.torn = false;
         Ok(())

@@ -45,7 +45,7 @@ fn same_names(findings: &mut Reader, acts: &[Act]) {
     for act in acts {
         if !seen.insert(act.name.as_str()) {
             let message = format!("several acts are called `{}`", shortened(&act.name));
-            findings.add(Code::NameTwice, act.place.of_key("act"), message, "a name of its own", None);
+            findings.add(Code::NameTwice, act.place.of_key("act"), message, "a unique name", None);
         }
     }
 }

@@ -105,8 +105,17 @@ fn out_of_range(
         true => nearest,
         false => nearest - limits.granularity.copysign(nearest),
     };
-    let hint = Some(format!("the nearest value that it can take is {}", tidy(inward)));
-    findings.add(Code::OutOfRange, value_place(on.track, knot.item), message, expected, hint);
+    let hint = in_radians(on, knot.to, limits)
+        .unwrap_or_else(|| format!("the nearest value that it can take is {}", tidy(inward)));
+    findings.add(Code::OutOfRange, value_place(on.track, knot.item), message, expected, Some(hint));
+}
+
+/// A hint for degrees where the device takes radians.
+fn in_radians(on: &OnDevice<'_>, value: f64, limits: &Limits) -> Option<String> {
+    let unit = on.device.unit.as_ref()?.to_string();
+    let radians = limits.nearest(value.to_radians());
+    let fits = matches!(unit.as_str(), "rad" | "radian" | "radians") && limits.contains(radians);
+    fits.then(|| format!("the unit of `{}` is rad: {value} degrees are {}", on.device.id, tidy(radians)))
 }
 
 fn off_grid(

@@ -27,6 +27,7 @@ use crate::fields::Reader;
 use crate::files::Files;
 use crate::finding::{Code, Finding, Severity};
 use crate::fleet::Fleet;
+use crate::identify::{self, Document};
 use crate::locate::locate;
 use crate::plan::{Act, Choreography, Plan};
 use crate::scenario::{self, Documents, Scenario};
@@ -51,6 +52,11 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
         Ok(documents) => documents,
         Err(findings) => return Compiled { choreography: None, findings },
     };
+    if let Some(mistaken) =
+        documents.nodes.first().and_then(|root| identify::mistaken(source, root, Document::Scenario))
+    {
+        return Compiled { choreography: None, findings: vec![mistaken] };
+    }
     let mut reader = Reader::default();
     reader.knots = Budget::new(knots_max(fleet));
     let scenario = scenario::read(&mut reader, &documents, files);

@@ -204,7 +204,14 @@ impl<'a> Timetable<'a> {
     ) -> Option<Event> {
         let other = |findings: &mut Reader, name: &str| {
             let name = Name { text: name.to_owned(), place: relation.place.clone() };
-            self.cue(findings, &name).map(|cue| self.events[cue])
+            let cue = self.cue(findings, &name)?;
+            if cue == index {
+                let message = format!("`{}` cannot follow or precede itself", shortened(&name.text));
+                let hint = Some("name another cue, or a time with `at`".to_owned());
+                findings.add(Code::Conflict, name.place, message, "another cue", hint);
+                return None;
+            }
+            Some(self.events[cue])
         };
         Some(match anchor {
             Anchor::Origin => self.network.origin(),
@@ -220,7 +227,7 @@ impl<'a> Timetable<'a> {
             Some(Some(index)) => Some(*index),
             Some(None) => {
                 let message = format!("several cues are called `{}`", shortened(&name.text));
-                let hint = Some("give each cue that others refer to a name of its own".to_owned());
+                let hint = Some("give each cue to which others refer a different name".to_owned());
                 findings.add(Code::NameTwice, name.place.clone(), message, "the name of one cue", hint);
                 None
             }

@@ -20,7 +20,7 @@ pub(super) fn files(
     let drones: Vec<(&Robot<'_>, [&Track<'_>; 3])> =
         robots.iter().filter_map(|robot| Some((robot, axes(robot)?))).collect();
     if drones.is_empty() {
-        return Err("no robot has the devices `x`, `y` and `z`".into());
+        return Err("drone-csv needs robots with the devices `x`, `y` and `z`, and no robot of this scenario has them; joint-trajectory takes any robot".into());
     }
     let all = drones.iter().flat_map(|(robot, _)| &robot.tracks);
     let end_ms = all.filter_map(|track| track.points.last()).map(|(at_ms, _)| *at_ms).fold(0.0, f64::max);

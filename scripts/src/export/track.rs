@@ -89,7 +89,7 @@ pub(super) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (V
     }
     if !rates.is_empty() {
         let devices = crate::finding::names(rates.keys().take(20).map(String::as_str));
-        notes.push(format!("left out speeds and accelerations, which are no positions: {devices}"));
+        notes.push(format!("left out speeds and accelerations, which are not positions: {devices}"));
     }
     (robots, notes)
 }

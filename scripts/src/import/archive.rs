@@ -27,7 +27,8 @@ impl<'a> Archive<'a> {
         if entries > FILES_MAX {
             return Err(format!("the archive has more than {FILES_MAX} files"));
         }
-        let zip = ZipArchive::new(Cursor::new(bytes)).map_err(|error| format!("this is no zip: {error}"))?;
+        let zip = ZipArchive::new(Cursor::new(bytes))
+            .map_err(|error| format!("this is not a ZIP archive: {error}"))?;
         Ok(Self { zip, left: ALL_BYTES_MAX })
     }
 

@@ -151,16 +151,15 @@ fn rename(scenes: &mut [Scene], format: ImportFormat, options: &ImportOptions, f
         let message = format!("--robots has {} names for {} robots", options.robots.len(), old.len());
         let expected = format!("{} names, in the order {}", old.len(), names(old.iter().map(String::as_str)));
         let one = format.is_single();
-        let hint = one.then_some(
-            "as many names as files make each file a robot of its own, one name makes them scenes",
-        );
+        let hint =
+            one.then_some("give one name for each file, or one name if all files are scenes of one robot");
         sink.about(file, Code::ImportNames, message, &expected, hint);
         return;
     }
     let mut seen = HashSet::new();
     for name in options.robots.iter().filter(|name| !seen.insert(*name)) {
         let message = format!("--robots names `{}` twice", shortened(name));
-        sink.about(file, Code::ImportNames, message, "a name of its own for each robot", None);
+        sink.about(file, Code::ImportNames, message, "a different name for each robot", None);
     }
     for robot in scenes.iter_mut().flat_map(|scene| &mut scene.robots) {
         if let Some(index) = old.iter().position(|name| *name == robot.robot) {

@@ -381,6 +381,6 @@ impl Bytes<'_> {
         let part = self.data.get(self.at..self.at + length).ok_or("the message ends within a text")?;
         self.at += length;
         let part = part.strip_suffix(&[0]).unwrap_or(part);
-        String::from_utf8(part.to_vec()).map_err(|_| "a name is no UTF-8".to_owned())
+        String::from_utf8(part.to_vec()).map_err(|_| "a name is not UTF-8".to_owned())
     }
 }

@@ -61,7 +61,7 @@ pub(super) fn check_later(before_s: f64, at_s: f64) -> Option<(Code, String, &'s
         return Some((Code::ImportTime, message, "times go forward: sort the lines, or correct the time"));
     }
     if at_s == before_s {
-        let message = format!("the time {at_s} s stands twice");
+        let message = format!("the time {at_s} s appears twice");
         return Some((Code::TimesCollide, message, "two values at one time: keep one of them"));
     }
     let at_ms = millis(at_s).filter(|at_ms| millis(before_s) == Some(*at_ms))?;

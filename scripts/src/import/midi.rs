@@ -75,9 +75,9 @@ fn read_events(bytes: &[u8]) -> Result<(Timing, Read), (Code, String)> {
         ));
     }
     if names_no_frame_rate(bytes) {
-        return Err(unreadable("this is no MIDI file: invalid smpte fps".to_owned()));
+        return Err(unreadable("this is not a MIDI file: invalid smpte fps".to_owned()));
     }
-    let smf = Smf::parse(bytes).map_err(|error| unreadable(format!("this is no MIDI file: {error}")))?;
+    let smf = Smf::parse(bytes).map_err(|error| unreadable(format!("this is not a MIDI file: {error}")))?;
     if matches!(smf.header.format, midly::Format::Sequential) && smf.tracks.len() > 1 {
         return Err(unreadable("the tracks are songs of their own (format 2): save them one a file".into()));
     }

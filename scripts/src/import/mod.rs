@@ -38,7 +38,8 @@ use std::path::PathBuf;
 
 use urrcp::InitializationBlock;
 
-use crate::finding::Finding;
+use crate::finding::{Code, Finding};
+use crate::identify;
 use crate::source::{Source, read_bytes};
 use input::Input;
 use sink::Sink;
@@ -377,7 +378,10 @@ pub fn import(format: ImportFormat, paths: &[PathBuf], options: &ImportOptions) 
     for input in &inputs {
         match read_bytes(&input.path) {
             Ok(bytes) => motions.extend(read(format, input, bytes, options, &mut sink)),
-            Err(finding) => sink.findings.push(finding),
+            Err(mut finding) => {
+                finding.hint.get_or_insert_with(|| "check the path".to_owned());
+                sink.findings.push(finding);
+            }
         }
     }
     finish(format, paths, motions, options, sink)
@@ -466,6 +470,16 @@ pub fn import_bytes(
     finish(format, &[path], motions, options, sink)
 }
 
+/// What to do about a file that is not of this format.
+fn other_format(format: ImportFormat, file: &str) -> String {
+    match identify::format_of(file).filter(|other| *other != format) {
+        Some(other) => {
+            format!("the name of the file suggests another format: `downbeat import {} {file}`", other.word())
+        }
+        None => format!("is it of the format {}? `downbeat import --help` lists the formats", format.word()),
+    }
+}
+
 fn finish(
     format: ImportFormat,
     paths: &[PathBuf],
@@ -475,7 +489,14 @@ fn finish(
 ) -> ImportOutcome {
     let imported = assemble::assemble(format, paths, motions, options, &mut sink);
     sink.note_moved();
-    let Sink { findings, notes, .. } = sink;
+    let Sink { mut findings, notes, .. } = sink;
+    for finding in &mut findings {
+        if finding.hint.is_none()
+            && matches!(finding.code, Code::Unreadable | Code::Syntax | Code::ImportTable)
+        {
+            finding.hint = Some(other_format(format, &finding.file));
+        }
+    }
     ImportOutcome { imported: imported.filter(|_| findings.is_empty()), notes, findings }
 }
 

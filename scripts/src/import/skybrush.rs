@@ -485,7 +485,7 @@ fn read_lights(at: &At<'_>, end_ms: u64, findings: &mut Reader) -> Option<Lights
         findings.wrong_type(&data, "bytes as text in base64");
         return None;
     };
-    let bytes = STANDARD.decode(text.trim()).map_err(|error| format!("this is no base64: {error}"));
+    let bytes = STANDARD.decode(text.trim()).map_err(|error| format!("this is not base64: {error}"));
     match bytes.and_then(|bytes| light_program::play(&bytes, end_ms)) {
         Ok(lights) => Some(lights),
         Err(message) => {

@@ -46,7 +46,7 @@ pub(super) fn read<T>(
         Ok(document) => document,
         Err(mut finding) => {
             finding.expected = "a YAML or JSON document".into();
-            if finding.hint.as_deref().is_some_and(|hint| hint.contains("scenario.md")) {
+            if finding.hint.as_deref().is_some_and(|hint| hint.contains("downbeat init")) {
                 finding.hint = Some("see `docs/import.md` for what goes into it".into());
             }
             sink.findings.push(with_short_line(finding));

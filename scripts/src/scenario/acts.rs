@@ -389,7 +389,7 @@ fn time_of_day(reader: &mut Reader, at: &At<'_>) -> Option<Wait> {
     let text = reader.text(at, expected)?;
     let parsed = parse_time(&text);
     if parsed.is_none() {
-        let message = format!("`{}` is no time of day", shortened(&text));
+        let message = format!("`{}` is not a time of day", shortened(&text));
         reader.add(Code::BadDuration, at.place(), message, expected, None);
     }
     parsed

@@ -132,7 +132,7 @@ impl Table<'_, '_> {
                 continue;
             }
             if let Some(last) = knots.last().filter(|last| at <= last.at) {
-                let message = format!("{at} stands after {}", last.at);
+                let message = format!("{at} comes after {}", last.at);
                 self.fault(*line, &message, "times that increase");
                 continue;
             }

@@ -201,7 +201,7 @@ impl Library<'_> {
 }
 
 fn twice(reader: &mut Reader, at: &At<'_>, what: &str, name: &str) {
-    let message = format!("the {what} `{}` stands in two files", shortened(name));
+    let message = format!("the {what} `{}` is in two files", shortened(name));
     let hint = Some("rename one of them".to_owned());
     reader.add(Code::NameTwice, at.key_place(), message, format!("each {what} once"), hint);
 }
@@ -276,7 +276,7 @@ fn whole_bar(reader: &mut Reader, at: &At<'_>) -> Option<u32> {
     let text = reader.text(at, expected)?;
     let found = position(&text).filter(|(_, beat)| *beat == Fraction::ZERO).map(|(bar, _)| bar);
     if found.is_none() {
-        let message = format!("`{}` is no beginning of a bar", shortened(&text));
+        let message = format!("`{}` is not the beginning of a bar", shortened(&text));
         reader.add(Code::BadDuration, at.place(), message, expected, None);
     }
     found
@@ -302,7 +302,7 @@ fn read_signature(reader: &mut Reader, at: &At<'_>) -> Option<u8> {
         Some(beats)
     });
     if parsed.is_none() {
-        let message = format!("`{}` is no time signature", shortened(&text));
+        let message = format!("`{}` is not a time signature", shortened(&text));
         reader.add(Code::UnknownWord, at.place(), message, expected, None);
     }
     parsed

@@ -101,7 +101,7 @@ fn control_type(reader: &mut Reader, at: &At<'_>) -> Option<ControlType> {
     let text = reader.text(at, expected)?;
     let parsed = text.parse().ok().filter(|t| !matches!(t, ControlType::Script | ControlType::Sensor));
     if parsed.is_none() {
-        let message = format!("`{}` is no control type for keyframes", node::shortened(&text));
+        let message = format!("`{}` is not a control type for keyframes", node::shortened(&text));
         reader.add(Code::UnknownWord, at.place(), message, expected, None);
     }
     parsed
@@ -179,9 +179,9 @@ fn in_order(
 ) {
     if let Some(before) = before.filter(|before| at <= *before) {
         let place = list.place().below(Part::Index(index)).of_key("at");
-        let message = format!("the {} at {at} stands after the one at {before}", items.one());
+        let message = format!("the {} at {at} follows the one at {before}", items.one());
         let hint =
-            Some(format!("{}s of one track stand in order, each later than the one before", items.one()));
+            Some(format!("{}s of one track are in order, each later than the one before", items.one()));
         reader.add(Code::TimeOrder, place, message, format!("a time after {before}"), hint);
     }
 }

@@ -24,7 +24,7 @@ fn only_words_that_are_alike_are_suggested() {
     assert_eq!(did_you_mean("sm", ["ms", "s"]).as_deref(), Some("did you mean `ms`?"));
     assert_eq!(did_you_mean("cues", ["cue"]).as_deref(), Some("did you mean `cue`?"));
     assert_eq!(did_you_mean("shoulder", ["shuolder", "elbow"]).as_deref(), Some("did you mean `shuolder`?"));
-    says("cues: [{robots: bot, move: x}]\n", &["one that there is: there are none"]);
+    says("cues: [{robots: bot, move: x}]\n", &["a name that is defined, but none is"]);
 }
 
 const PARAMETERS: &str = "moves:\n  go:\n    parameters: {to: ~}\n    tracks: {lamp: [{at: 0s, to: $to}]}\n";
@@ -91,7 +91,7 @@ fn findings_call_the_parts_of_a_movement_by_their_names() {
     says(&track("{spline: [{at: 0s, to: 0}, {at: 1s, to: 900}]}"), &["point 1: "]);
     says(
         &track("{spline: [{at: 1s, to: 0}, {at: 0s, to: 9}]}"),
-        &["the point at 0 ms stands after the one at 1 s", "points of one"],
+        &["the point at 0 ms follows the one at 1 s", "points of one"],
     );
     says(&track("[{at: 0s, to: 0}, {at: 1s, to: 900}]"), &["keyframe 1: "]);
 }

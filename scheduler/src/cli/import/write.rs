@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use downbeat_scripts::import::FilePart;
-use downbeat_scripts::{Code, Finding, Severity};
+use downbeat_scripts::{Attempt, Code, Finding, Refusal, Severity};
 
 /// Writes all files beside their places first, then moves them there.
 pub(in super::super) fn write_all(
@@ -67,11 +67,13 @@ fn write_beside(path: &Path, text: &str) -> std::io::Result<Temporary> {
 
 fn already_there(path: &Path) -> Finding {
     let hint = "name another --output, or replace it with --force";
-    about(Code::FileExists, path, "the file is there already".into(), "a path that is free", Some(hint))
+    about(Code::FileExists, path, "the file exists already".into(), "a path without a file", Some(hint))
 }
 
 fn unwritable(path: &Path, error: &std::io::Error) -> Finding {
-    about(Code::Unreadable, path, format!("cannot write: {error}"), "a folder that can be written to", None)
+    let Refusal { reason, remedy } = Refusal::of(Attempt::Write(path), error);
+    let message = format!("cannot write the file: {reason}");
+    about(Code::Unreadable, path, message, "a folder that can be written to", remedy.as_deref())
 }
 
 fn about(code: Code, path: &Path, message: String, expected: &str, hint: Option<&str>) -> Finding {

@@ -125,7 +125,7 @@ pub(super) fn listen_to_lines(mut speaker: Speaker) {
                     "s" | "stop" => speaker.stop(Rest::Default),
                     "h" | "hold" => speaker.stop(Rest::Hold),
                     "?" | "help" => console::note(LINES),
-                    other => console::note(&format!("`{}` is no word here: {LINES}", shown(other))),
+                    other => console::note(&format!("`{}` is not a command; {LINES}", shown(other))),
                 }
             }
         }
@@ -167,7 +167,7 @@ pub(super) fn watch_suspension(scene: Arc<Mutex<Scene>>) {
 fn leave_terminal() {
     console::end_display();
     console::note(
-        "suspended: robots go on by their scripts until their leases end; `fg` takes the mission up again",
+        "suspended: robots go on by their scripts until their leases end; `fg` continues the mission",
     );
     console::drain(LIFT_MAX);
     terminal::restore();

@@ -5,7 +5,7 @@ use urrcp::{Command, ControlRequest, Script};
 
 use super::*;
 use crate::drive::{Happened, LinkNumber, Urgency};
-use crate::link::{Endpoint, Link, Speech};
+use crate::link::{Endpoint, Link, LinkEncoding};
 
 #[tokio::test]
 async fn a_stop_never_waits_behind_an_upload_that_the_robot_does_not_read() {
@@ -13,7 +13,7 @@ async fn a_stop_never_waits_behind_an_upload_that_the_robot_does_not_read() {
     let port = listener.local_addr().unwrap().port();
     let (events, _happened) = mpsc::channel(64);
     let clock = ServerClock::anchored(Span::ZERO);
-    let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, speech: Speech::default() };
+    let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, encoding: LinkEncoding::default() };
     let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, Duration::ZERO);
     let (_unread, _) = listener.accept().await.unwrap();
     let stop = |device: String| {
@@ -46,7 +46,7 @@ async fn events_of(bytes: Vec<u8>, count: usize) -> Vec<Event> {
     for (robot, bytes) in [bytes, b"{\"initialization_request\":{}}\n".to_vec()].into_iter().enumerate() {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();
-        let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, speech: Speech::default() };
+        let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, encoding: LinkEncoding::default() };
         links.push(Link::open(
             (robot, LinkNumber(robot as u64)),
             endpoint,
@@ -118,7 +118,7 @@ async fn whatever_a_robot_writes_is_told_and_the_link_goes_on() {
 /// A link to this port, and what happens on it.
 fn linked(port: u16) -> (Link, mpsc::Receiver<Happened>) {
     let (events, happened) = mpsc::channel(64);
-    let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, speech: Speech::default() };
+    let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, encoding: LinkEncoding::default() };
     let clock = ServerClock::anchored(Span::ZERO);
     (Link::open((0, LinkNumber(0)), endpoint, clock, events, Duration::ZERO), happened)
 }

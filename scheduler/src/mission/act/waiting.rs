@@ -16,7 +16,7 @@ const DAY: Span = Span::from_millis(24 * 3_600 * 1_000);
 #[derive(Clone, Debug, Default)]
 pub(super) struct Waiting {
     /// The operator said go.
-    gone: bool,
+    go_received: bool,
     /// What it waits for has been told.
     announced: bool,
     /// When its sensor is read next.
@@ -51,7 +51,7 @@ impl Act {
             return vec![ActAction::TimedOut(written.on_timeout)];
         }
         match &written.wait {
-            Wait::Operator if waiting.gone => {
+            Wait::Operator if waiting.go_received => {
                 self.stage = Stage::Ready { target: None, look: None };
                 Vec::new()
             }
@@ -96,14 +96,14 @@ impl Act {
 
     /// Whether it waits for the operator and has no go yet, be it that another act plays before it.
     pub(crate) fn awaits_operator(&self) -> bool {
-        matches!(&self.stage, Stage::Waiting(waiting) if !waiting.gone && self.written().wait == Wait::Operator)
+        matches!(&self.stage, Stage::Waiting(waiting) if !waiting.go_received && self.written().wait == Wait::Operator)
     }
 
     /// The operator says go. `false`: it does not wait for that now.
     pub(crate) fn go(&mut self) -> bool {
         let counts = self.is_alone() && self.awaits_operator();
         if let Stage::Waiting(waiting) = &mut self.stage {
-            waiting.gone |= counts;
+            waiting.go_received |= counts;
         }
         counts
     }

@@ -179,3 +179,17 @@ fn a_link_that_is_taken_again_is_as_good_as_broken_until_something_is_heard_on_i
     robot.link = Link::Lost(Lost { loss: Loss::Refused, ..lost });
     assert!(robot.is_gone());
 }
+
+#[test]
+fn what_was_sent_shortly_before_or_between_two_instants_may_have_reached_it_there() {
+    let mut robot = bench::robot("r0", Tells::Everything, 2);
+    let spoken = |robot: &RobotState, before, after| {
+        robot.was_spoken_to(at(10_000), (bench::by_robot(at(before)), bench::by_robot(at(after))))
+    };
+    assert!(!spoken(&robot, 0, 9_000));
+    robot.spoken_at = Some(at(2_000));
+    assert!(spoken(&robot, 1_000, 4_000));
+    assert!(spoken(&robot, 2_900, 4_000), "it was under way");
+    assert!(!spoken(&robot, 3_100, 4_000), "it was there before");
+    assert!(!spoken(&robot, 0, 1_900), "it came later");
+}

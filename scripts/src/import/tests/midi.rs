@@ -25,7 +25,7 @@ fn notes_and_controllers_are_set_at_the_times_of_the_tempo() {
 #[test]
 fn files_that_are_no_songs_are_refused() {
     let bytes = fixture_of("beat.mid");
-    refused(ImportFormat::Midi, b"", &["DB0001", "no MIDI file"]);
+    refused(ImportFormat::Midi, b"", &["DB0001", "not a MIDI file"]);
     refused(ImportFormat::Midi, b"RIFF0000", &["DB0001"]);
     refused(ImportFormat::Midi, &vec![0; 5_000_000], &["DB0068", "5000000 bytes"]);
     refused(ImportFormat::Midi, b"MThd\0\0\0\x06\0\x01\0\x01\x80\0", &["DB0001", "smpte"]);

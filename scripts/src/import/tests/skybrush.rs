@@ -109,7 +109,7 @@ fn straight_ways_headings_and_lamps_arrive() {
 
 #[test]
 fn shows_that_are_wrong_are_refused_with_the_place() {
-    refused(b"no zip", &["DB0001", "this is no zip"]);
+    refused(b"no zip", &["DB0001", "this is not a ZIP archive"]);
     refused(&archive(&[("other.json", b"{}")]), &["show.skyc/show.json", "no such file", "`other.json`"]);
     refused(&archive(&[("show.json", b"{\"version\": 1,")]), &["DB0002", "show.skyc/show.json:1:"]);
     refused(&archive(&[("show.json", b"{\"version\": 2}")]), &["DB0066", "show.json:1:13", "version 1"]);
@@ -133,7 +133,7 @@ fn shows_that_are_wrong_are_refused_with_the_place() {
         let way = json!({"version": 1, "points": [[0, [0, 0, 0]], [1, [1, 0, 0]]]});
         show(&json!([{"settings": {"trajectory": way, "lights": {"version": 1, "data": data}}}]))
     };
-    refused(&lamp("%"), &["DB0066", "no base64"]);
+    refused(&lamp("%"), &["DB0066", "not base64"]);
     refused(&lamp("EgA="), &["jumps at byte 0"]);
     // Loops of 255 turns within each other.
     refused(&lamp("DP8M/wz/DP8HAQ0NDQ0A"), &["more than 200000 commands"]);

@@ -1,0 +1,158 @@
+//! What a person most likely meant by arguments that cannot be read, as tips below clap's own message.
+
+use std::path::Path;
+
+use clap::builder::StyledStr;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{Command, CommandFactory};
+use downbeat_scripts::did_you_mean;
+
+use super::Cli;
+
+/// Words that other programs use for commands of this one.
+const COMMANDS: [(&str, &str); 16] = [
+    ("abort", "stop"),
+    ("list", "missions"),
+    ("lint", "check"),
+    ("new", "init"),
+    ("ping", "fleet ping"),
+    ("play", "run"),
+    ("report", "run --format json"),
+    ("rehearse", "dry-run"),
+    ("show", "fleet show"),
+    ("simulate", "dry-run"),
+    ("start", "run"),
+    ("status", "missions"),
+    ("test", "dry-run"),
+    ("tutorial", "init"),
+    ("validate", "check"),
+    ("verify", "check"),
+];
+
+/// Words that other programs use for options of this one.
+const OPTIONS: [(&str, &str); 6] = [
+    ("--robots", "--only"),
+    ("--robot", "--only"),
+    ("--verbose", "--log info"),
+    ("-v", "--log info"),
+    ("--json", "--format json"),
+    ("--start-at", "--at"),
+];
+
+/// What to write for arguments that are missing.
+const MISSING: [(&str, &str); 4] = [
+    ("<SCENARIO>", "`downbeat init first-show` writes a scenario to begin with: `first-show/show.yaml`"),
+    ("--driver <DRIVER>", "`--driver sim` drives nothing, which is enough to begin with"),
+    (
+        "--init <FILE>",
+        "the file describes the robot; `downbeat init first-show` writes one: `first-show/robots/arm.yaml`",
+    ),
+    ("--output <DIR>", "name the folder for the files, as in `--output out`"),
+];
+
+/// Pairs of options that exclude each other, and what to do.
+const CONFLICTS: [(&str, &str); 3] = [
+    (
+        "--no-journal",
+        "leave out `--no-journal`: other terminals find a mission in the background by its journal",
+    ),
+    ("--lead <TIME>", "`--at` names the instant of the start, `--lead` the time until then: use one of them"),
+    ("--from <NAME>", "`--act` plays one act, `--from` plays this act and all that follow: use one of them"),
+];
+
+/// Adds what may help to an error of clap.
+pub(super) fn advise(error: &mut clap::Error, args: &[String]) {
+    let tips = match error.kind() {
+        ErrorKind::UnknownArgument => of_argument(&text(error, ContextKind::InvalidArg), args),
+        ErrorKind::InvalidSubcommand => of_command(error),
+        ErrorKind::MissingRequiredArgument => of_missing(error),
+        ErrorKind::ArgumentConflict => of_conflict(error),
+        ErrorKind::InvalidValue if text(error, ContextKind::InvalidValue).is_empty() => of_no_value(error),
+        _ => return,
+    };
+    let unhelpful = error.kind() == ErrorKind::UnknownArgument;
+    if !tips.is_empty() || unhelpful {
+        let tips = tips.into_iter().map(StyledStr::from).collect();
+        let _of_clap = error.insert(ContextKind::Suggested, ContextValue::StyledStrs(tips));
+    }
+}
+
+fn text(error: &clap::Error, kind: ContextKind) -> String {
+    match error.get(kind) {
+        Some(ContextValue::String(text)) => text.clone(),
+        Some(ContextValue::Strings(texts)) => texts.join(" "),
+        _ => String::new(),
+    }
+}
+
+fn of_argument(wrong: &str, args: &[String]) -> Vec<String> {
+    let name = wrong.split('=').next().unwrap_or(wrong);
+    if let Some((_, right)) = OPTIONS.iter().find(|(other, _)| *other == name) {
+        return vec![format!("the option is called `{right}`")];
+    }
+    if !name.starts_with('-') {
+        return vec![of_positional(wrong, args)];
+    }
+    let cli = Cli::command();
+    let typed = args.iter().find(|arg| arg.len() > 2 && arg.starts_with(name) && !arg.starts_with("--"));
+    if let Some(typed) = typed {
+        return vec![format!("options of several letters begin with two dashes: `-{typed}`")];
+    }
+    let Some(long) = name.strip_prefix("--") else { return Vec::new() };
+    let takes = |command: &&Command| command.get_arguments().any(|arg| arg.get_long() == Some(long));
+    let takers: Vec<String> = cli
+        .get_subcommands()
+        .filter(takes)
+        .map(|command| format!("`downbeat {}`", command.get_name()))
+        .collect();
+    if takers.is_empty() {
+        Vec::new()
+    } else {
+        vec![format!("`{name}` is an option of {}", takers.join(", "))]
+    }
+}
+
+fn of_positional(wrong: &str, args: &[String]) -> String {
+    let at = args.iter().position(|arg| arg == wrong).unwrap_or(0);
+    match at.checked_sub(1).map(|before| &args[before]).filter(|before| before.ends_with(',')) {
+        Some(before) => format!("write the list without spaces: `{before}{wrong}`"),
+        None => "this command takes no further argument: call it again for another file".to_owned(),
+    }
+}
+
+fn of_command(error: &mut clap::Error) -> Vec<String> {
+    let wrong = text(error, ContextKind::InvalidSubcommand);
+    if let Some((_, right)) = COMMANDS.iter().find(|(other, _)| *other == wrong) {
+        let _misleading = error.remove(ContextKind::SuggestedSubcommand);
+        return vec![format!("the command is `downbeat {right}`")];
+    }
+    if Path::new(&wrong).extension().is_some() || Path::new(&wrong).exists() {
+        let _misleading = error.remove(ContextKind::SuggestedSubcommand);
+        return vec![format!(
+            "write what to do with it: `downbeat check {wrong}`, or `downbeat run {wrong}`"
+        )];
+    }
+    if error.get(ContextKind::SuggestedSubcommand).is_some() {
+        return Vec::new();
+    }
+    let cli = Cli::command();
+    let near = did_you_mean(&wrong, cli.get_subcommands().map(Command::get_name));
+    vec![near.unwrap_or_else(|| "`downbeat --help` lists the commands".to_owned())]
+}
+
+fn of_no_value(error: &clap::Error) -> Vec<String> {
+    let option = text(error, ContextKind::InvalidArg).replace(['<', '>'], "");
+    vec![format!("write the value after the option: `{option}`")]
+}
+
+fn of_missing(error: &clap::Error) -> Vec<String> {
+    let missing = text(error, ContextKind::InvalidArg);
+    let known = MISSING.iter().filter(|(name, _)| missing.contains(name));
+    known.map(|(_, tip)| (*tip).to_owned()).collect()
+}
+
+fn of_conflict(error: &clap::Error) -> Vec<String> {
+    let both = text(error, ContextKind::InvalidArg) + " " + &text(error, ContextKind::PriorArg);
+    let known = CONFLICTS.iter().filter(|(name, _)| both.contains(name));
+    known.map(|(_, tip)| (*tip).to_owned()).collect()
+}

@@ -1,0 +1,135 @@
+//! What the operating system refuses, in words that say what to do about it.
+
+use std::fmt;
+use std::io::{self, ErrorKind};
+use std::path::Path;
+
+/// What was attempted.
+#[derive(Clone, Copy, Debug)]
+pub enum Attempt<'a> {
+    /// To read this file.
+    Read(&'a Path),
+    /// To write this file, or to create this folder.
+    Write(&'a Path),
+    /// To listen at an address.
+    Listen,
+    /// To connect to a robot.
+    Connect,
+}
+
+/// Why an attempt failed, and what to do.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Refusal {
+    /// What the system says.
+    pub reason: String,
+    /// What the user can do, if that is known.
+    pub remedy: Option<String>,
+}
+
+impl Refusal {
+    /// The refusal that an error of the system means.
+    #[must_use]
+    pub fn of(attempt: Attempt<'_>, error: &io::Error) -> Self {
+        Self { reason: reason(attempt, error), remedy: remedy(attempt, error) }
+    }
+}
+
+impl fmt::Display for Refusal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match &self.remedy {
+            Some(remedy) => write!(f, "{}; {remedy}", self.reason),
+            None => f.write_str(&self.reason),
+        }
+    }
+}
+
+fn reason(attempt: Attempt<'_>, error: &io::Error) -> String {
+    let reason = match (error.kind(), attempt) {
+        (ErrorKind::NotFound, Attempt::Read(_)) => "there is no such file",
+        (ErrorKind::NotFound, Attempt::Write(_)) => "the folder does not exist",
+        (ErrorKind::NotADirectory | ErrorKind::AlreadyExists, Attempt::Write(_)) => {
+            "a file is in the way of the folder"
+        }
+        (ErrorKind::IsADirectory, _) => "this is a folder",
+        (ErrorKind::PermissionDenied, _) => "permission denied",
+        (ErrorKind::AddrInUse, _) => "the port is in use",
+        (ErrorKind::AddrNotAvailable, Attempt::Listen) => "this machine does not have that address",
+        (ErrorKind::InvalidInput, Attempt::Listen) => "this is not an address",
+        (ErrorKind::ConnectionRefused, _) => "connection refused",
+        (ErrorKind::ConnectionReset, _) => "the other side closed the connection",
+        (ErrorKind::TimedOut, _) => "no answer",
+        _ if is_unknown_host(error) => "the host name cannot be resolved",
+        _ => return plain(error),
+    };
+    reason.to_owned()
+}
+
+/// The system's text without the number of the error.
+fn plain(error: &io::Error) -> String {
+    let text = error.to_string();
+    match text.rfind(" (os error ") {
+        Some(end) => text[..end].to_owned(),
+        None => text,
+    }
+}
+
+/// Resolvers have no kind of error of their own.
+fn is_unknown_host(error: &io::Error) -> bool {
+    error.to_string().starts_with("failed to lookup address information")
+}
+
+fn remedy(attempt: Attempt<'_>, error: &io::Error) -> Option<String> {
+    let parent = |path: &Path| path.parent().unwrap_or(path).display().to_string();
+    let remedy = match (attempt, error.kind()) {
+        (Attempt::Read(path), ErrorKind::PermissionDenied) => {
+            format!("allow it with `chmod u+r {}`, or ask the owner of the file", path.display())
+        }
+        (Attempt::Write(path), ErrorKind::NotFound) => format!("create it with `mkdir -p {}`", parent(path)),
+        (Attempt::Write(_), ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem) => {
+            "choose a folder that you may write to".to_owned()
+        }
+        (
+            Attempt::Write(_),
+            ErrorKind::NotADirectory | ErrorKind::AlreadyExists | ErrorKind::IsADirectory,
+        ) => "choose another path".to_owned(),
+        (Attempt::Listen, ErrorKind::AddrInUse) => {
+            "another program, perhaps a robot that still runs, listens there: end it, or choose another port"
+                .to_owned()
+        }
+        (Attempt::Listen, ErrorKind::AddrNotAvailable) => {
+            "listen on 127.0.0.1 to be reached from this machine, or on 0.0.0.0 to be reached from any network"
+                .to_owned()
+        }
+        (Attempt::Listen, ErrorKind::PermissionDenied) => "choose a port from 1024 on".to_owned(),
+        (Attempt::Listen, ErrorKind::InvalidInput) => "write HOST:PORT, such as 127.0.0.1:7401".to_owned(),
+        (Attempt::Connect, ErrorKind::ConnectionRefused) => {
+            "start the robot, or correct the port in its address".to_owned()
+        }
+        (Attempt::Connect | Attempt::Listen, _) if is_unknown_host(error) => {
+            "correct the name, or write the IP address".to_owned()
+        }
+        (
+            Attempt::Connect,
+            ErrorKind::TimedOut | ErrorKind::HostUnreachable | ErrorKind::NetworkUnreachable,
+        ) => "check the address, and whether the robot is on and in this network".to_owned(),
+        _ => return None,
+    };
+    Some(remedy)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_refusal_says_what_to_do_and_spares_the_number_of_the_error() {
+        let told = |attempt, number| Refusal::of(attempt, &io::Error::from_raw_os_error(number)).to_string();
+        let path = Path::new("shows/a.yaml");
+        assert_eq!(
+            told(Attempt::Write(path), 2),
+            "the folder does not exist; create it with `mkdir -p shows`"
+        );
+        assert_eq!(told(Attempt::Listen, 13), "permission denied; choose a port from 1024 on");
+        assert_eq!(told(Attempt::Write(path), 28), "No space left on device");
+    }
+}

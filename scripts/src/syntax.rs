@@ -1,0 +1,156 @@
+//! Where a text stops being YAML, in words for people who do not know the grammar of YAML.
+
+use crate::finding::{Code, Finding};
+use crate::node::{BYTE_ORDER_MARK, shortened};
+use crate::render::{line_of, line_starts};
+use crate::source::Source;
+
+pub(crate) fn syntax_finding(source: &Source, error: &serde_yaml::Error) -> Finding {
+    let whole = error.to_string();
+    let end = whole.find(" at line ").unwrap_or(whole.len());
+    let message = shortened_to(&whole[..end], 300);
+    let mut finding = Finding::about_file(Code::Syntax, &source.name, message, "one YAML document", None);
+    if let Some(at) = error.location() {
+        (finding.line, finding.column) = line_and_column(&source.text, at.index());
+        finding.width = 1;
+        explain(&mut finding, &whole);
+        finding.source_line = line_of(&source.text, finding.line).to_owned();
+    }
+    if let Some(hint) = slip(source, &mut finding) {
+        finding.hint = Some(hint);
+    } else if whole.contains("repetition limit") {
+        finding.hint = Some("the aliases stand for too much: use fewer of them".into());
+    } else if whole.contains("recursion limit") {
+        finding.hint = Some("nothing here nests deeper than a handful of levels".into());
+    } else if whole.contains("more than one document") {
+        finding.hint = Some("keep one document a file: remove the `---` between them".into());
+    }
+    finding
+}
+
+/// What people most often write where YAML stumbles: marks of editors, tabs, a colon without a space.
+fn slip(source: &Source, finding: &mut Finding) -> Option<String> {
+    let marked = source.text.trim_start_matches(BYTE_ORDER_MARK).contains(BYTE_ORDER_MARK);
+    if marked {
+        let hint = "a byte order mark stands within the file, as where two files were joined: remove it";
+        return Some(hint.to_owned());
+    }
+    let place = finding.line;
+    let near = || {
+        [place, place.saturating_sub(1)]
+            .into_iter()
+            .filter(|line| *line > 0)
+            .map(|line| line_of(&source.text, line))
+    };
+    let indented = |line: &str| line[..line.len() - line.trim_start().len()].contains('\t');
+    if near().any(indented) {
+        "a tab indents this line".clone_into(&mut finding.message);
+        "spaces".clone_into(&mut finding.expected);
+        return Some("YAML is indented by spaces: replace each tab by some".to_owned());
+    }
+    let hint = near().find_map(|line| without_space_at_all(line.trim_start().trim_start_matches("- ")))?;
+    if finding.message == NO_COLON {
+        "there is no space after the colon".clone_into(&mut finding.message);
+    }
+    Some(hint)
+}
+
+/// A hint for `at:0s`, which YAML reads as one word.
+pub(crate) fn without_space(key: &str, known: &[&str]) -> Option<String> {
+    let (name, rest) = key.split_once(':')?;
+    known.contains(&name.trim()).then(|| spaced(name, rest))
+}
+
+/// The same where any word may be the key.
+pub(crate) fn without_space_at_all(text: &str) -> Option<String> {
+    let (name, rest) = text.split_once(':')?;
+    let word = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_' || c == '-');
+    let joined = rest.starts_with(|c: char| !c.is_whitespace());
+    (word && joined).then(|| spaced(name, rest))
+}
+
+fn spaced(name: &str, rest: &str) -> String {
+    let value = rest.split_whitespace().next().unwrap_or_default();
+    format!("write a space after the colon: `{}: {}`", shortened(name), shortened(value))
+}
+
+/// Of a byte, both from 1. The parser's own lines also end where those of YAML 1.1 do, which no editor shows so.
+fn line_and_column(text: &str, byte: usize) -> (usize, usize) {
+    let byte = (0..=byte.min(text.len())).rev().find(|at| text.is_char_boundary(*at)).unwrap_or(0);
+    let (line, start) =
+        line_starts(text).take_while(|start| *start <= byte).enumerate().last().unwrap_or((0, 0));
+    (line + 1, text[start..byte].chars().count() + 1)
+}
+
+fn shortened_to(text: &str, chars: usize) -> String {
+    text.chars().take(chars).collect()
+}
+
+const NO_COLON: &str = "this line has no colon";
+
+/// Where the parser began to read what it could not finish: `while parsing a flow sequence at line 8 column 17`.
+struct Begun<'a> {
+    what: &'a str,
+    line: usize,
+    column: usize,
+}
+
+impl<'a> Begun<'a> {
+    fn of(whole: &'a str) -> Option<Self> {
+        let (_, context) = whole.rsplit_once(", while ")?;
+        let (what, place) = context.split_once(" at line ")?;
+        let (line, column) = place.split_once(" column ")?;
+        Some(Self { what, line: line.parse().ok()?, column: column.parse().ok()? })
+    }
+}
+
+/// Puts the parser's complaint at the place to be corrected, in plain words with a hint.
+fn explain(finding: &mut Finding, whole: &str) {
+    let Some(begun) = Begun::of(whole) else { return };
+    let opened = match begun.what {
+        "parsing a flow sequence" => Some(("[", "]")),
+        "parsing a flow mapping" => Some(("{", "}")),
+        _ => None,
+    };
+    let (message, expected, hint) = if let Some((open, close)) = opened {
+        if begun.line == finding.line {
+            let hint = format!("separate entries by commas, and close the bracket with `{close}`");
+            finding.message = format!("an entry within `{open}` does not end here");
+            (None, format!("`,` or `{close}`"), hint)
+        } else {
+            let message = format!("the bracket `{open}` is never closed");
+            (
+                Some(message),
+                format!("a `{close}` that closes it"),
+                format!("add `{close}` where the list ends"),
+            )
+        }
+    } else if begun.what == "scanning a quoted scalar" {
+        let message = "the quotation mark is never closed".to_owned();
+        (
+            Some(message),
+            "a second quotation mark".to_owned(),
+            "add the quotation mark at the end of the text".to_owned(),
+        )
+    } else if begun.what == "scanning a simple key" {
+        let message = NO_COLON.to_owned();
+        (
+            Some(message),
+            "a key, a colon and a value".to_owned(),
+            "write `key: value`, as in `robots: all`".to_owned(),
+        )
+    } else if begun.what.starts_with("parsing a block") {
+        let message = "this line is not indented like the lines to which it belongs".to_owned();
+        let hint = "indent it like the line above, or deeper if it belongs to that line".to_owned();
+        finding.message = message;
+        (None, "the indentation of its neighbours".to_owned(), hint)
+    } else {
+        return;
+    };
+    if let Some(message) = message {
+        finding.message = message;
+        (finding.line, finding.column) = (begun.line, begun.column);
+    }
+    finding.expected = expected;
+    finding.hint = Some(hint);
+}
