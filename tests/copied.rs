@@ -7,6 +7,7 @@ use std::sync::{Arc, mpsc};
 
 use downbeat::conformance::{Options, Verdict, examine};
 use downbeat::report::Outcome;
+use downbeat_robot::{Host, HostOptions, serve};
 use tokio::net::TcpListener;
 use urrcp::{
     Command as Signal, ControlRequest, ControlType, Decoder, Message, Setpoint, Span, Status, encode,
@@ -43,7 +44,9 @@ fn served<F: Future>(serve: impl FnOnce(TcpListener) -> F + Send + 'static) -> S
 
 #[test]
 fn the_robot_to_copy_does_what_the_protocol_demands() {
-    let address = served(async |listener| robot::run(listener).await.unwrap());
+    let host = Host::start(vec![robot::arm().unwrap()], HostOptions::default()).unwrap();
+    let handle = host.handle();
+    let address = served(async |listener| serve(listener, handle, 0).await.unwrap());
     let options = Options {
         device: Some("elbow".parse().unwrap()),
         tolerance: Span::from_millis(150),

@@ -6,11 +6,10 @@
 use std::error::Error;
 
 use downbeat_robot::driver::{Driver, DriverError, DriverOptions};
-use downbeat_robot::{Host, HostOptions, Hosted, serve};
-use tokio::net::TcpListener;
-use urrcp::{
+use downbeat_robot::urrcp::{
     Device, DeviceId, InitializationBlock, Interpolation, LimitError, Limits, ScriptParameters, Setpoint,
 };
+use downbeat_robot::{HostOptions, Hosted, run};
 
 /// What the robot tells a scheduler about itself.
 fn description() -> Result<InitializationBlock, LimitError> {
@@ -46,20 +45,12 @@ impl Driver for Motor {
     }
 }
 
-/// Runs the robot until Ctrl-C, or until the listener fails.
-pub async fn run(listener: TcpListener) -> Result<(), Box<dyn Error>> {
-    let robot = Hosted::driven(description()?, Box::new(Motor), DriverOptions::default());
-    let host = Host::start(vec![robot], HostOptions::default())?;
-    println!("{} listens on {}", host.handle().robots()[0], listener.local_addr()?);
-    tokio::select! {
-        ended = serve(listener, host.handle(), 0) => ended?,
-        asked = tokio::signal::ctrl_c() => asked?,
-    }
-    // Devices that were moved go to their default state.
-    host.stop().into_iter().next().map_or(Ok(()), |not_at_rest| Err(not_at_rest.into()))
+/// The robot with its motor.
+pub fn arm() -> Result<Hosted, LimitError> {
+    Ok(Hosted::driven(description()?, Box::new(Motor), DriverOptions::default()))
 }
 
-#[tokio::main]
-async fn main() -> Result<(), Box<dyn Error>> {
-    run(TcpListener::bind("127.0.0.1:7401").await?).await
+fn main() -> Result<(), Box<dyn Error>> {
+    // Until Ctrl-C; then the elbow goes to its default value.
+    Ok(run(arm()?, "127.0.0.1:7401", HostOptions::default())?)
 }

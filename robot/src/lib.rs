@@ -11,21 +11,18 @@
 //!
 //! 1. Describe it: an [`InitializationBlock`](urrcp::InitializationBlock) of [`Device`](urrcp::Device)s with their limits.
 //! 2. Implement [`Driver`](driver::Driver): four calls from one thread, which may block for up to a second.
-//! 3. Join both with [`Hosted::driven`], start them with [`Host::start`], and put the robot on a port with [`serve()`].
-//!
-//! A program needs this crate, `urrcp` for the types of the protocol, and `tokio` with its features `rt-multi-thread`, `macros`,
-//! `net` and `signal`:
+//! 3. Join both with [`Hosted::driven`] and [`run()`] it on a port.
 //!
 //! ```no_run
 //! use downbeat_robot::driver::{Driver, DriverError, DriverOptions};
-//! use downbeat_robot::{Host, HostOptions, Hosted, serve};
-//! use urrcp::{Device, DeviceId, InitializationBlock, Limits, ScriptParameters, Setpoint};
+//! use downbeat_robot::{HostOptions, Hosted, run};
+//! use downbeat_robot::urrcp::{Device, DeviceId, InitializationBlock, Limits, ScriptParameters, Setpoint};
 //!
 //! struct Lamp;
 //!
 //! impl Driver for Lamp {
 //!     fn connect(&mut self) -> Result<(), DriverError> {
-//!         Ok(()) // open the port, and make sure that somebody answers
+//!         Ok(()) // open the port, and make sure that the lamp answers
 //!     }
 //!     fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError> {
 //!         println!("{device} {}", setpoint.value);
@@ -39,27 +36,20 @@
 //!     }
 //! }
 //!
-//! #[tokio::main]
-//! async fn main() -> Result<(), Box<dyn std::error::Error>> {
+//! fn main() -> Result<(), Box<dyn std::error::Error>> {
 //!     let percent = Limits::new(0.0, 100.0, 1.0)?;
 //!     let lamp = Device::new(DeviceId::new("lamp")?)
 //!         .with_position(percent.clone())
 //!         .with_scripts(ScriptParameters::new(percent, 1_000));
 //!     let description = InitializationBlock::new("stage-1".parse()?, vec![lamp])?;
 //!     let robot = Hosted::driven(description, Box::new(Lamp), DriverOptions::default());
-//!     let host = Host::start(vec![robot], HostOptions::default())?;
-//!     let listener = tokio::net::TcpListener::bind("127.0.0.1:7401").await?;
-//!     tokio::select! {
-//!         ended = serve(listener, host.handle(), 0) => ended?,
-//!         asked = tokio::signal::ctrl_c() => asked?,
-//!     }
-//!     host.stop(); // the lamp goes to its default state
-//!     Ok(())
+//!     Ok(run(robot, "127.0.0.1:7401", HostOptions::default())?)
 //! }
 //! ```
 //!
-//! `downbeat conformance tcp://127.0.0.1:7401` checks a robot that runs, and a fleet file names it by
-//! `address: tcp://127.0.0.1:7401`.
+//! The crate answers everything else. `downbeat conformance tcp://127.0.0.1:7401` checks a robot that runs, and a fleet file names
+//! it by `address: tcp://127.0.0.1:7401`. Several robots in one program, or one beside other tasks, start with [`Host::start`] and
+//! are put on ports with [`serve()`].
 //!
 //! # The machine alone
 //!
@@ -71,7 +61,7 @@
 //!
 //! | feature | adds |
 //! |---|---|
-//! | `host`, on by default | [`Host`], [`serve()`], [`driver`], [`realtime`]: Linux only, with tokio |
+//! | `host`, on by default | [`run()`], [`Host`], [`serve()`], [`driver`], [`realtime`]: Linux only, with tokio |
 //! | `thrift` | a driver for robots that speak the early Thrift form of the protocol |
 //!
 //! With `default-features = false` the machine and [`simulated`] remain.
@@ -102,6 +92,8 @@ mod precise_wait;
 pub mod realtime;
 mod robot;
 #[cfg(feature = "host")]
+mod run;
+#[cfg(feature = "host")]
 mod scheduling;
 #[cfg(feature = "host")]
 mod serve;
@@ -117,7 +109,11 @@ pub use hardware::{AtEnd, ReadingId};
 pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink};
 pub use robot::{Input, LinkId, Output, Robot, SetValue};
 #[cfg(feature = "host")]
+pub use run::{RunError, run};
+#[cfg(feature = "host")]
 pub use serve::serve;
+/// The types of the protocol, in the version that this crate uses.
+pub use urrcp;
 
 /// The examples of the README are compiled with the tests.
 #[cfg(doctest)]

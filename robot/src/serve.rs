@@ -30,7 +30,7 @@ const WRITE_WAIT_MAX: Duration = Duration::from_secs(10);
 /// Before the next try when the system has no file descriptor left: others must close first.
 const ACCEPT_RETRY: Duration = Duration::from_millis(50);
 
-/// Accepts servers for one robot until the host stops.
+/// Accepts servers for one robot of a host, by its index in the list that the host was started with, until the host stops.
 ///
 /// # Errors
 /// When the listening socket fails.

@@ -1,9 +1,7 @@
 //! Whether a Thrift robot is the one that the edge was told of: by its own description.
 
 use serde_json::Value;
-use urrcp::{ControlParameters, Device, InitializationBlock};
-
-use super::worker::is_driven;
+use urrcp::{ControlParameters, ControlType, Device, InitializationBlock};
 
 /// Compares its id, where it tells one, the devices that are driven with those that the robot names, and their ranges.
 ///
@@ -45,6 +43,11 @@ fn range(device: &Device) -> Option<(f64, f64)> {
         ControlParameters::Motion(limits) => Some((limits.min_value, limits.max_value)),
         _ => None,
     })
+}
+
+/// A control type whose values a plain driver sets by a number alone.
+pub(super) fn is_driven(control_type: ControlType) -> bool {
+    !matches!(control_type, ControlType::Script | ControlType::Sensor)
 }
 
 #[cfg(test)]

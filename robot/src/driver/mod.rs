@@ -4,6 +4,7 @@
 //! its own (`worker`) behind a short list of what is still to be set (`mailbox`), where the newest value of a signal
 //! takes the place of an older one: what a slow device cannot follow it skips, and no other robot waits for it.
 
+#[cfg(feature = "thrift")]
 mod described;
 mod lifeline;
 mod mailbox;
@@ -93,13 +94,15 @@ pub trait Driver: Send {
     /// Why it is not there.
     fn connect(&mut self) -> Result<(), DriverError>;
 
-    /// Sets one signal of one device now. Returns once the hardware has it, or at least the system under it.
+    /// Sets one signal of one device now: a value of a request, a step of a script, or a sample between two steps of a device that
+    /// moves linearly. It lies within the limits that the device declares. Returns once the hardware has it, or at least the
+    /// system under it.
     ///
     /// # Errors
     /// Why it was not set.
     fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError>;
 
-    /// What a sensor reads now, in its unit.
+    /// What a sensor reads now, in its unit. Never called for a robot without sensors.
     ///
     /// # Errors
     /// Why there is no reading.

@@ -17,7 +17,7 @@ use thrift::transport::{
 use thrift::{ApplicationErrorKind, TConfiguration, TransportErrorKind};
 use urrcp::{DeviceId, InitializationBlock, Setpoint};
 
-use super::worker::is_driven;
+use super::described::is_driven;
 use super::{Driver, DriverError, Lifeline, described};
 
 /// How long the robot may take to let itself be connected to, to take a call, to answer one.

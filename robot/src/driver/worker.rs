@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use urrcp::{ControlType, InitializationBlock, Setpoint};
+use urrcp::{InitializationBlock, Setpoint};
 
 use super::lifeline::Watcher;
 use super::mailbox::{Movement, Sign, Value, Work};
@@ -326,9 +326,4 @@ impl Movement {
     fn left(&self) -> Duration {
         (self.signal.rests_at() - self.now()).to_duration()
     }
-}
-
-/// A control type whose values a plain driver sets by a number alone.
-pub(crate) fn is_driven(control_type: ControlType) -> bool {
-    !matches!(control_type, ControlType::Script | ControlType::Sensor)
 }

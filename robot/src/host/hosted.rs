@@ -16,7 +16,7 @@ use crate::simulated::SimulatedRobot;
 /// A driver's thread; its error is why devices that were moved may not be in their default state.
 pub(super) type DriverThread = JoinHandle<Result<(), String>>;
 
-/// A robot for a host.
+/// A robot for a host: with hardware behind a driver, by [`Hosted::driven`], or made from a simulated one by `into`.
 pub struct Hosted(Surroundings);
 
 #[expect(clippy::large_enum_variant, reason = "there are a few hundred at most, and none is moved often")]
@@ -32,7 +32,8 @@ impl From<SimulatedRobot> for Hosted {
 }
 
 impl Hosted {
-    /// A robot that drives hardware. Its clock is the host's.
+    /// A robot that drives hardware. Its clock is the host's, which should follow NTP. It reports what it does and answers
+    /// inquiries, whatever the description says of that.
     #[must_use]
     pub fn driven(mut block: InitializationBlock, driver: Box<dyn Driver>, options: DriverOptions) -> Self {
         // The machine reports, whatever the hardware can.

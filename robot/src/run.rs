@@ -1,0 +1,59 @@
+//! A robot as a whole program: one call that returns when the program is asked to end.
+
+use std::io;
+use std::net::{TcpListener, ToSocketAddrs};
+
+use tokio::signal::unix::{SignalKind, signal};
+
+use crate::host::{Host, HostError, HostOptions, Hosted, NotAtRest};
+use crate::serve::serve;
+
+/// Why a robot did not run, or not to a good end.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum RunError {
+    /// The address cannot be listened on, or the system has no room for another task.
+    #[error("cannot listen: {0}")]
+    Listen(io::Error),
+    /// The host could not be started. Nothing was moved.
+    #[error(transparent)]
+    Host(#[from] HostError),
+    /// The robot has ended, and its devices may not be in their default state.
+    #[error(transparent)]
+    NotAtRest(#[from] NotAtRest),
+}
+
+/// Runs one robot on a port until Ctrl-C or SIGTERM, and then sends its devices to their default state. The whole of a program;
+/// use [`Host`] and [`serve()`] for several robots, or beside other tasks.
+///
+/// It tells nothing by itself: install a `tracing` subscriber to see what happens.
+///
+/// # Errors
+/// [`RunError`]; before the first server can connect unless it is [`RunError::NotAtRest`].
+pub fn run(
+    robot: impl Into<Hosted>,
+    address: impl ToSocketAddrs,
+    options: HostOptions,
+) -> Result<(), RunError> {
+    let runtime =
+        tokio::runtime::Builder::new_current_thread().enable_all().build().map_err(RunError::Listen)?;
+    // Before anything moves.
+    let listener = TcpListener::bind(address).map_err(RunError::Listen)?;
+    listener.set_nonblocking(true).map_err(RunError::Listen)?;
+    let host = Host::start(vec![robot.into()], options)?;
+    let ended = runtime.block_on(serve_until_asked_to_end(listener, &host));
+    let not_at_rest = host.stop().into_iter().next();
+    ended.map_err(RunError::Listen)?;
+    not_at_rest.map_or(Ok(()), |robot| Err(robot.into()))
+}
+
+async fn serve_until_asked_to_end(listener: TcpListener, host: &Host) -> io::Result<()> {
+    let mut interrupted = signal(SignalKind::interrupt())?;
+    let mut terminated = signal(SignalKind::terminate())?;
+    let listener = tokio::net::TcpListener::from_std(listener)?;
+    tokio::select! {
+        ended = serve(listener, host.handle(), 0) => ended,
+        _ = interrupted.recv() => Ok(()),
+        _ = terminated.recv() => Ok(()),
+    }
+}
