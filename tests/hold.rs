@@ -242,7 +242,7 @@ fn a_terminal_without_a_display_takes_words_and_does_not_take_every_line_for_a_g
     let mut process = Process(command.spawn().unwrap());
     watched.shows("waits for", SOON);
     terminal.type_keys("start\n");
-    watched.shows("is no word here", SOON);
+    watched.shows("is not a command", SOON);
     terminal.type_keys("\n");
     stage.robots.iter().for_each(|robot| robot.await_sets(1, SOON));
     terminal.type_keys("hold\n");

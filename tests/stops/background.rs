@@ -47,7 +47,7 @@ fn what_keeps_a_mission_from_running_in_the_background_is_told_at_once() {
     stage.robot("arm.yaml", Via::Direct);
     stage.file("state", "no folder");
     let detached = stage.run(&["run", "play.yaml", "--detach"]);
-    assert_eq!(detached.code, Some(1), "{detached}");
+    assert_eq!(detached.code, Some(2), "{detached}");
     assert!(detached.told.contains("cannot start a mission in the background"), "{detached}");
 }
 
