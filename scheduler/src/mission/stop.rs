@@ -183,7 +183,7 @@ impl Mission {
     }
 
     /// A robot has not said what became of one of its scripts, and will if it is asked.
-    fn owes_a_fate(&self, robot: usize) -> bool {
+    pub(super) fn owes_a_fate(&self, robot: usize) -> bool {
         let state = &self.robots[robot];
         let out = |act: &Act| {
             let scripts = act.member(robot).into_iter().flat_map(|member| member.scripts());

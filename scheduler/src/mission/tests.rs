@@ -231,3 +231,27 @@ fn a_robot_whose_measured_clock_never_answers_fails_when_patience_ends() {
     let _fails = mission.advance(ends);
     assert!(mission.robots[0].has_failed());
 }
+
+#[test]
+fn a_robot_that_was_sent_nothing_is_sent_no_stop_and_another_one_only_one() {
+    let mut mission = begins_at_once(Everything);
+    mission.stop_robot(at(0), 0, Rest::Default);
+    assert!(!mission.robots[0].stop_was_sent() && mission.stopped_at.is_none());
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.stop_robot(at(1), 0, Rest::Default);
+    mission.stop_robot(at(2), 0, Rest::Hold);
+    assert!(
+        matches!(&mission.robots[0].stop, Stop::Sent(sent) if sent.at == at(1) && sent.rest == Rest::Default)
+    );
+    assert_eq!(mission.stopped_at, Some(at(1)));
+}
+
+#[test]
+fn a_robot_owes_the_fate_of_what_it_was_sent_if_it_can_tell_it() {
+    for (tells, owes) in [(Everything, true), (Tells::Reports, true), (Tells::Nothing, false)] {
+        let mut mission = begins_at_once(tells);
+        assert!(!mission.owes_a_fate(0), "{tells:?}: nothing was sent");
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        assert_eq!(mission.owes_a_fate(0), owes, "{tells:?}");
+    }
+}

@@ -281,3 +281,14 @@ fn of_a_script_that_is_discredited_no_start_is_known_whatever_was_said_before_or
         assert!(script.has_begun() && script.is_final() && !script.has_completed());
     }
 }
+
+#[test]
+fn only_a_script_that_another_process_may_have_sent_and_of_which_nothing_was_said_is_unheard() {
+    let planned = Script::new(&bench::device_script(("a", 0, 400)));
+    assert!(!planned.is_unheard_since_taken_up() && !sent().is_unheard_since_taken_up());
+    let mut taken_up = sent();
+    taken_up.perhaps_sent = true;
+    assert!(taken_up.is_unheard_since_taken_up());
+    take(&mut taken_up, Said::Accepted, 1);
+    assert!(!taken_up.is_unheard_since_taken_up());
+}

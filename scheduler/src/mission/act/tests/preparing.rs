@@ -156,3 +156,18 @@ fn what_follows_the_first_script_of_a_device_is_sent_once_that_is_accepted() {
 fn completed() -> ScriptState {
     ScriptState::Ended(crate::mission::script::Ending::Completed)
 }
+
+#[test]
+fn a_robot_has_accepted_once_all_its_scripts_are() {
+    let scripts: [&[Planned]; 1] = [&[("a", 0, 100), ("b", 0, 100)]];
+    let mut bench = Bench { silent: vec![0], ..Bench::new(&[Tells::Everything], &scripts) };
+    bench.promise(Leases::Shortened);
+    bench.run_until(at(10));
+    let told = |bench: &Bench| {
+        bench.told.iter().filter(|(_, told)| matches!(told, Progress::Accepted { .. })).count()
+    };
+    for (script, accepted) in bench.scripts_of(0).into_iter().zip([0, 1]) {
+        bench.say(script, Status::Accepted);
+        assert_eq!(told(&bench), accepted);
+    }
+}
