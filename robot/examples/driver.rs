@@ -13,7 +13,7 @@ use downbeat_robot::{Host, HostOptions, Hosted, serve};
 use tokio::net::TcpListener;
 use urrcp::{DeviceId, InitializationBlock, Setpoint};
 
-/// A driver may wait for its hardware, but not for ever.
+/// A driver may wait for its hardware, but not forever.
 const ANSWER_WITHIN: Duration = Duration::from_millis(500);
 
 /// Hardware at an address, while it is connected.

@@ -48,7 +48,7 @@
 //! ```
 //!
 //! The crate answers everything else. `downbeat conformance tcp://127.0.0.1:7401` checks a robot that runs, and a fleet file names
-//! it by `address: tcp://127.0.0.1:7401`. Several robots in one program, or one beside other tasks, start with [`Host::start`] and
+//! it by `address: tcp://127.0.0.1:7401`. Several robots in one program, or one next to other tasks, start with [`Host::start`] and
 //! are put on ports with [`serve()`].
 //!
 //! # The machine alone

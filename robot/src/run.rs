@@ -24,7 +24,7 @@ pub enum RunError {
 }
 
 /// Runs one robot on a port until Ctrl-C or SIGTERM, and then sends its devices to their default state. The whole of a program;
-/// use [`Host`] and [`serve()`] for several robots, or beside other tasks.
+/// use [`Host`] and [`serve()`] for several robots, or next to other tasks.
 ///
 /// It tells nothing by itself: install a `tracing` subscriber to see what happens.
 ///

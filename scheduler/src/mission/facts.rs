@@ -53,7 +53,7 @@ pub struct ActReport {
 /// What one robot did in one act.
 #[derive(Clone, Debug, Serialize)]
 pub struct ActRobot {
-    /// Which.
+    /// The robot's id.
     pub robot: RobotId,
     /// It was left out.
     pub left_out: bool,

@@ -39,7 +39,7 @@ pub enum FailureKind {
     /// The link broke or could not be made.
     #[error("link down: {reason}")]
     LinkDown {
-        /// Why.
+        /// What the system or the robot gave as the reason.
         reason: String,
     },
     /// It sent what is no message, or one out of place.

@@ -387,7 +387,7 @@ fn error_of_status(error: Option<&ControlError>) -> ControlError {
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("robot `{robot}` of the plan takes no part in the mission")]
 pub struct MissingParticipant {
-    /// Which.
+    /// The robot's id.
     pub robot: RobotId,
 }
 

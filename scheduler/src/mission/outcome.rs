@@ -19,7 +19,7 @@ pub enum Outcome {
     DoneWithout,
     /// It came to its end, and acts were left out on the way: what they waited for did not come.
     DoneSkipping {
-        /// Which.
+        /// The names of these acts.
         acts: Vec<String>,
     },
     /// It was played to its end, and starts were further apart, or further from their plan, than the scenario tolerates.

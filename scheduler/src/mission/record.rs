@@ -35,19 +35,19 @@ pub enum Record {
     },
     /// A robot is left out.
     Dropped {
-        /// Which.
+        /// The robot's id.
         robot: RobotId,
     },
     /// Stops have been sent: they go out first and are recorded afterwards.
     Stopping {
-        /// Why.
+        /// The outcome that the mission will have.
         outcome: Outcome,
         /// How robots come to rest.
         rest: Rest,
     },
     /// A robot has confirmed its stop.
     StopConfirmed {
-        /// Which.
+        /// The robot's id.
         robot: RobotId,
     },
     /// An act is over.
@@ -60,7 +60,7 @@ pub enum Record {
     },
     /// The mission is over.
     Ended {
-        /// How.
+        /// The outcome of the mission.
         outcome: Outcome,
     },
 }

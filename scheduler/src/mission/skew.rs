@@ -29,7 +29,7 @@ pub struct SkewBudget {
 /// When a robot may start, relative to the plan: from `offset` - `uncertainty` to `offset` + `uncertainty` + `wake_up`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RobotSkew {
-    /// Which.
+    /// The robot's id.
     pub robot: RobotId,
     /// How early it starts, as measured: what its clock is ahead of the server's. Zero where requests are translated into
     /// the robot's time.
