@@ -9,9 +9,9 @@ use std::net::TcpStream;
 use std::time::Duration;
 
 use downbeat_robot::driver::{Driver, DriverError, DriverOptions, Lifeline};
+use downbeat_robot::urrcp::{DeviceId, InitializationBlock, Setpoint};
 use downbeat_robot::{Host, HostOptions, Hosted, serve};
 use tokio::net::TcpListener;
-use urrcp::{DeviceId, InitializationBlock, Setpoint};
 
 /// A driver may wait for its hardware, but not forever.
 const ANSWER_WITHIN: Duration = Duration::from_millis(500);

@@ -3,11 +3,11 @@
 //! `cargo run --example machine --no-default-features`
 #![expect(clippy::print_stdout, reason = "an example for a terminal")]
 
-use downbeat_robot::{Input, LinkId, Output, Robot};
-use urrcp::{
+use downbeat_robot::urrcp::{
     Command, ControlRequest, ControlType, Device, DeviceId, InitializationBlock, LimitError, Limits, Millis,
     Script, ScriptParameters, Setpoint, Span, Step, Timestamp,
 };
+use downbeat_robot::{Input, LinkId, Output, Robot};
 
 /// What happened, a line each, with the time since the request.
 pub fn play() -> Result<Vec<String>, LimitError> {
@@ -43,7 +43,7 @@ pub fn play() -> Result<Vec<String>, LimitError> {
 fn line(since: Span, output: &Output) -> Option<String> {
     match output {
         Output::Set(set) => Some(format!("{since}: set {} {:?}", set.device, set.motion)),
-        Output::Send { message: urrcp::Message::ControlResponse(response), .. } => {
+        Output::Send { message: downbeat_robot::urrcp::Message::ControlResponse(response), .. } => {
             Some(format!("{since}: says {}", response.status))
         }
         _ => None,
