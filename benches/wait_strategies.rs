@@ -96,7 +96,7 @@ fn be_a_waiter(strategy: Strategy) {
                 let deadline = Instant::now() + ahead(target);
                 assert!(matches!(waits.wait(&messages, Some(deadline)), Woken::Deadline));
                 let woken = epoch_nanos();
-                waits.let_others_move();
+                waits.let_others_move(None);
                 answer(woken);
             }
         }

@@ -18,6 +18,13 @@ cues:
     tracks: {shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 0}]}
 ";
 
+const TABLE: &str = "scenario: hello
+cues:
+  - at: 0s
+    robots: arms
+    tracks: {shoulder: {samples: {file: nowhere.csv, time: t, value: q}}}
+";
+
 #[test]
 fn where_nothing_runs_stop_and_go_print_a_document_in_json() {
     let session = Session::new();
@@ -120,8 +127,8 @@ fn nothing_of_a_ping_is_cut_in_a_pipe() {
     );
     let ran = session.run(&["fleet", "ping"]);
     assert!(ran.out().contains(&format!("tcp://{host}:7401 ")), "{}", ran.out());
-    assert!(ran.out().contains(&format!("no connection to {host}:7401: ")), "{}", ran.out());
-    assert!(!ran.out().contains('…'), "{}", ran.out());
+    assert!(ran.text().contains(&format!("no connection to {host}:7401: ")), "{}", ran.text());
+    assert!(!ran.text().contains('…'), "{}", ran.text());
 }
 
 #[test]
@@ -192,7 +199,7 @@ fn a_mission_in_the_background_that_waits_for_its_time_has_begun() {
 
 /// Ways in which every command fails, with the code of that kind of fault: 2 where arguments or files cannot be read or name what
 /// is not there, 1 where something is wrong with what was read, or nobody answers.
-const FAILURES: [(u8, &str); 34] = [
+const FAILURES: [(u8, &str); 52] = [
     (2, "frobnicate"),
     (2, "check"),
     (2, "check nowhere.yaml"),
@@ -227,6 +234,25 @@ const FAILURES: [(u8, &str); 34] = [
     (2, "import midi nowhere.mid"),
     (2, "man /proc/x"),
     (2, "init /proc/x"),
+    // A file that a file names is missing, or one is in the way.
+    (2, "check hello.yaml --fleet without-robot.yaml"),
+    (2, "check without-moves.yaml"),
+    (2, "check without-table.yaml"),
+    (2, "plan without-moves.yaml"),
+    (2, "run hello.yaml --fleet without-robot.yaml"),
+    (2, "fleet show without-robot.yaml"),
+    (2, "sim without-robot.yaml"),
+    (2, "init"),
+    (2, "export joint-trajectory hello.yaml --output full"),
+    (2, "export joint-trajectory hello.yaml --output /proc/x"),
+    (2, "export joint-trajectory nowhere.yaml --output x"),
+    (1, "export joint-trajectory wrong.yaml --output x"),
+    (2, "import csv log.csv --time t --time-unit s --map left/shoulder=q --output full"),
+    (1, "import csv log.csv --time t --time-unit s --map left/shoulder=p"),
+    (1, "fleet show bad-fleet.yaml"),
+    (2, "missions show"),
+    (2, "schema nothing"),
+    (2, "completions nothing"),
 ];
 
 #[test]
@@ -238,6 +264,13 @@ fn failures_of_one_kind_end_with_one_code_and_print_a_document_in_json() {
         .file("bad-fleet.yaml", "robots: {left: {init: bad.yaml, address: sim}}\n");
     let far = "robots: {left: {init: arm.yaml, address: 'tcp://127.0.0.1:1'}}\ngroups: {arms: [left]}\n";
     session.file("far.yaml", far);
+    session
+        .file("without-robot.yaml", "robots: {left: {init: nowhere.yaml, address: sim}}\n")
+        .file("without-moves.yaml", format!("include: nowhere.yaml\n{SCENARIO}"))
+        .file("without-table.yaml", TABLE)
+        .file("log.csv", "t,q\n0,0\n1,45\n")
+        .file("full/left.yaml", "")
+        .file("full/scenario.yaml", "");
     for (code, line) in FAILURES {
         let args: Vec<&str> = line.split(' ').collect();
         let text = session.run(&args);

@@ -107,8 +107,10 @@ fn the_driver_to_copy_sets_and_reads_its_hardware() {
         {"id": "fan", "available_control_types": {"speed": {"min_value": 0, "max_value": 9, "granularity": 1}}},
         {"id": "warmth", "available_control_types": {"sensor": {"min_value": -40, "max_value": 80}}}]}"#;
     let (hardware, set) = hardware();
-    let address =
-        served(async move |listener| driver::run(description, hardware.to_string(), listener).await.unwrap());
+    let robot = driver::robot(description, hardware.to_string()).unwrap();
+    let host = Host::start(vec![robot], HostOptions::default()).unwrap();
+    let handle = host.handle();
+    let address = served(async |listener| serve(listener, handle, 0).await.unwrap());
     let mut stream = TcpStream::connect(address).unwrap();
     let fan = || {
         ControlRequest::immediate("fan".parse().unwrap(), Signal::Set(Setpoint::new(ControlType::Speed, 7.0)))

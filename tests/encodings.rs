@@ -174,7 +174,7 @@ fn a_robot_that_does_not_list_the_encoding_is_refused_and_never_hears_it() {
     fleet(&session, "full", [port, robots[1].port]);
     let says = [
         "r0",
-        "it lists no encoding `msgpack` (beside JSON: `cbor`)",
+        "it lists no encoding `msgpack` (besides JSON: `cbor`)",
         "`encoding: json` is understood by every robot",
     ];
     session.run(&["preflight", "test.yaml"]).says(1, &says);

@@ -49,11 +49,11 @@ fn the_unfixed_dance_breaks_exactly_five_limits() {
         .map(|f| f["message"].as_str().unwrap().to_owned())
         .collect();
     let expected = [
-        "keyframe 26: 45.52734375 lies outside the limits for position of `LShoulderRoll`",
-        "keyframe 28: 45.087890625 lies outside the limits for position of `LShoulderRoll`",
-        "keyframe 21: -94.04296875 lies outside the limits for position of `RElbow`",
-        "keyframe 0: -50.44921875 lies outside the limits for position of `RShoulderRoll`",
-        "keyframe 27: -45.703125 lies outside the limits for position of `RShoulderRoll`",
+        "keyframe 27: 45.52734375 lies outside the limits for position of `LShoulderRoll`",
+        "keyframe 29: 45.087890625 lies outside the limits for position of `LShoulderRoll`",
+        "keyframe 22: -94.04296875 lies outside the limits for position of `RElbow`",
+        "keyframe 1: -50.44921875 lies outside the limits for position of `RShoulderRoll`",
+        "keyframe 28: -45.703125 lies outside the limits for position of `RShoulderRoll`",
     ];
     assert_eq!(limits.len(), 5, "{limits:#?}");
     for (found, expected) in limits.iter().zip(expected) {

@@ -165,9 +165,9 @@ fn faults_of_the_fleet_file_are_found_in_its_own_lines() {
     session.file("test.yaml", scenario("        - {at: 0s, to: 45}\n"));
     session.file("fleet.yaml", "robots:\n  left: {init: missing.yaml, address: sim}\n  right: {init: arm.yaml, address: 'udp://x'}\ngroups:\n  left: [right]\n  all: [middle]\n");
     session.run(&["check", "test.yaml"]).says(
-        1,
+        2,
         &[
-            "DB0018",
+            "DB0001",
             "fleet.yaml:2:16",
             "DB0020",
             "`udp://x` is not an address",

@@ -373,7 +373,7 @@ fn times_that_collide_are_found_with_both() {
     check_csv("t,a\n0.3727,1\n0.3731,2\n", &["DB0063", "test.csv:3:1", "both are 373 ms"]);
     check_csv("t,a\n2,1\n1,2\n", &["DB0062", "test.csv:3:1", "the time 1 s comes after 2 s"]);
     let still = r#"{"keyframes": [{"duration": 0, "pause": 0, "goals": {"a": 1}}]}"#;
-    check("bitbots", still, 1, &["DB0063", "test.csv:1:29", "keyframe 0 has the duration 0"]);
+    check("bitbots", still, 1, &["DB0063", "test.csv:1:29", "keyframe 1 has the duration 0"]);
 }
 
 #[test]
@@ -431,7 +431,7 @@ fn wrong_trees_are_found_in_their_lines() {
     );
     let infinite = "joint_names: [a]\npoints: [{positions: [.inf], time_from_start: 1}]\n";
     check("joint-trajectory", infinite, 1, &["DB0061", "test.csv:2:23", "a finite number"]);
-    check("bitbots", "{\"keyframes\": [{\"goals\": {}}]}", 1, &["DB0006", "keyframe 0 has no `duration`"]);
+    check("bitbots", "{\"keyframes\": [{\"goals\": {}}]}", 1, &["DB0006", "keyframe 1 has no `duration`"]);
 }
 
 #[test]
@@ -467,7 +467,7 @@ fn files_that_are_there_stay_unless_forced() {
     let args = ["crazyswarm", swap.as_str(), "--output", "out"];
     import(&session, &args).says(0, &[]);
     session.file("out/fleet.yaml", "mine");
-    import(&session, &args).says(1, &["DB0069", "out/scenario.yaml", "out/fleet.yaml", "--force"]);
+    import(&session, &args).says(2, &["DB0069", "out/scenario.yaml", "out/fleet.yaml", "--force"]);
     assert_eq!(std::fs::read_to_string(session.path("out/fleet.yaml")).unwrap(), "mine");
     import(&session, &[&args[..], &["--force"]].concat()).says(0, &[]);
     assert!(std::fs::read_to_string(session.path("out/fleet.yaml")).unwrap().contains("cf1"));

@@ -200,7 +200,7 @@ fn the_animations_of_humanoids() {
     assert_eq!((jogram.devices().count(), jogram.duration_ms()), (24, 54_200));
     let still = outcome(ImportFormat::Bitbots, &demos(&data).join("Projektwoche2/test_02.json"), &options);
     assert_eq!(still.findings.len(), 1);
-    assert!(still.findings[0].message.starts_with("keyframe 9 has the duration 0"), "{:?}", still.findings);
+    assert!(still.findings[0].message.starts_with("keyframe 10 has the duration 0"), "{:?}", still.findings);
 }
 
 #[test]
@@ -216,11 +216,11 @@ fn the_dance_breaks_exactly_five_limits() {
         findings.iter().filter(|f| f["code"] == "DB0011").map(|f| f["message"].as_str().unwrap()).collect();
     limits.sort_unstable();
     let expected = [
-        ("keyframe 0: -50.44921875 ", "`RShoulderRoll`"),
-        ("keyframe 21: -94.04296875 ", "`RElbow`"),
-        ("keyframe 26: 45.52734375 ", "`LShoulderRoll`"),
-        ("keyframe 27: -45.703125 ", "`RShoulderRoll`"),
-        ("keyframe 28: 45.087890625 ", "`LShoulderRoll`"),
+        ("keyframe 1: -50.44921875 ", "`RShoulderRoll`"),
+        ("keyframe 22: -94.04296875 ", "`RElbow`"),
+        ("keyframe 27: 45.52734375 ", "`LShoulderRoll`"),
+        ("keyframe 28: -45.703125 ", "`RShoulderRoll`"),
+        ("keyframe 29: 45.087890625 ", "`LShoulderRoll`"),
     ];
     assert_eq!(limits.len(), 5, "{limits:#?}");
     for (found, (beginning, joint)) in limits.iter().zip(expected) {

@@ -1,4 +1,4 @@
-//! Asks a robot who it is, and moves its first device to the middle of its range.
+//! Asks a robot for its description, and moves its first device to the middle of its range.
 //!
 //! `cargo run --example ask -- 127.0.0.1:7401`
 #![expect(clippy::print_stdout, reason = "an example for a terminal")]

@@ -98,7 +98,7 @@ pub enum LimitError {
         value: f64,
     },
     /// A script's step starts before the step ahead of it.
-    #[error("step {step} is at {millis} ms, before the step ahead of it at {previous} ms")]
+    #[error("step {} is at {millis} ms, before the step ahead of it at {previous} ms", .step + 1)]
     StepsOutOfOrder {
         /// Index of the step, from 0.
         step: usize,

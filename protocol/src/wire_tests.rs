@@ -141,7 +141,7 @@ fn a_message_beyond_the_limits_is_refused_with_its_place() {
     check_invalid(
         r#"{"control_request":{"device_id":"d","control_type":"script","control_value":[{"time_offset_to_start":9,"control_type":"speed","control_value":1},{"time_offset_to_start":8,"control_type":"speed","control_value":1}]}}"#,
         "control_request.control_value",
-        "step 1 is at 8 ms, before",
+        "step 2 is at 8 ms, before",
     );
     check_invalid(r#"{"hello":{}}"#, ".", "unknown variant");
     check_invalid(

@@ -1,7 +1,6 @@
 //! A driver to copy: hardware behind a socket that takes a line a command and answers each with a line.
 //!
 //! `cargo run --example driver -- robot.json 192.168.1.20:5000` runs it behind a robot on port 7401.
-#![expect(clippy::print_stdout, reason = "an example for a terminal")]
 
 use std::error::Error;
 use std::io::{self, BufRead, BufReader, Write};
@@ -10,8 +9,7 @@ use std::time::Duration;
 
 use downbeat_robot::driver::{Driver, DriverError, DriverOptions, Lifeline};
 use downbeat_robot::urrcp::{DeviceId, InitializationBlock, Setpoint};
-use downbeat_robot::{Host, HostOptions, Hosted, serve};
-use tokio::net::TcpListener;
+use downbeat_robot::{HostOptions, Hosted, run};
 
 /// A driver may wait for its hardware, but not forever.
 const ANSWER_WITHIN: Duration = Duration::from_millis(500);
@@ -27,7 +25,6 @@ impl LineDriver {
         let stream = TcpStream::connect(&self.address)?;
         stream.set_nodelay(true)?;
         stream.set_read_timeout(Some(ANSWER_WITHIN))?;
-        stream.set_write_timeout(Some(ANSWER_WITHIN))?;
         Ok(BufReader::new(stream))
     }
 
@@ -74,20 +71,16 @@ impl Driver for LineDriver {
     }
 }
 
-/// Runs a robot with this description on the hardware at an address.
-pub async fn run(description: &str, address: String, listener: TcpListener) -> Result<(), Box<dyn Error>> {
+/// A robot with this description on the hardware at an address.
+pub fn robot(description: &str, address: String) -> Result<Hosted, serde_json::Error> {
     let block: InitializationBlock = serde_json::from_str(description)?;
     let driver = LineDriver { address, connection: None };
-    let robot = Hosted::driven(block, Box::new(driver), DriverOptions::default());
-    let host = Host::start(vec![robot], HostOptions::default())?;
-    println!("{} listens on {}", host.handle().robots()[0], listener.local_addr()?);
-    Ok(serve(listener, host.handle(), 0).await?)
+    Ok(Hosted::driven(block, Box::new(driver), DriverOptions::default()))
 }
 
-#[tokio::main]
-async fn main() -> Result<(), Box<dyn Error>> {
+fn main() -> Result<(), Box<dyn Error>> {
     let mut words = std::env::args().skip(1);
     let (description, address) = words.next().zip(words.next()).ok_or("driver DESCRIPTION ADDRESS")?;
-    let listener = TcpListener::bind("127.0.0.1:7401").await?;
-    run(&std::fs::read_to_string(description)?, address, listener).await
+    let robot = robot(&std::fs::read_to_string(description)?, address)?;
+    Ok(run(robot, "127.0.0.1:7401", HostOptions::default())?)
 }

@@ -520,7 +520,7 @@ impl DeviceMachine {
         for (index, step) in steps.iter().enumerate() {
             self.spec
                 .check_in_script(&step.setpoint)
-                .map_err(|e| ControlError::new(e.code, format!("step {index}: {}", e.message)))?;
+                .map_err(|e| ControlError::new(e.code, format!("step {}: {}", index + 1, e.message)))?;
         }
         Ok(())
     }

@@ -124,6 +124,10 @@ impl Edge {
         std::mem::take(&mut self.log)
     }
 
+    pub(crate) const fn has_log(&self) -> bool {
+        !self.log.is_empty()
+    }
+
     /// Tells the machine something and takes what it wants done. The robot's clock is the host's.
     fn tell(
         &mut self,

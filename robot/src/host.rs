@@ -443,8 +443,11 @@ impl Executor {
             self.robots[*robot].advance_movements(now);
             self.robots[*robot].post(&self.clock);
         }
-        // Another process may wait for this core to move its robots at the same instant.
-        self.waits.let_others_move();
+        // Words wake other threads, here and in the scheduler. Another process may need this core to move its robots.
+        if due.iter().any(|robot| self.robots[*robot].has_log()) {
+            let next = self.wakeups.iter().find(|(at, _)| *at > now);
+            self.waits.let_others_move(next.map(|(at, _)| self.clock.instant_of(*at)));
+        }
         for robot in due.drain(..) {
             self.advance(robot);
         }

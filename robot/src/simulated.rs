@@ -220,6 +220,10 @@ impl SimulatedRobot {
         std::mem::take(&mut self.log)
     }
 
+    pub(crate) const fn has_log(&self) -> bool {
+        !self.log.is_empty()
+    }
+
     /// Something was sent to the robot at `now`; it arrives after the link's delay.
     pub fn receive(&mut self, now: Timestamp<True>, link: LinkId, input: Input) {
         if self.gone {

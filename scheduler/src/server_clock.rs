@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 
 use downbeat_robot::clock::HostClock;
 use downbeat_scripts::{Attempt, Refusal};
-use rsntp::{AsyncSntpClient, Config};
+use rsntp::{AsyncSntpClient, Config, SynchronizationError};
 use serde::Serialize;
 use tokio::sync::watch;
 use tokio::task::JoinHandle;
@@ -157,12 +157,11 @@ async fn exchange(
     let client = AsyncSntpClient::with_config(Config::default().timeout(timeout).bind_address(any_port));
     // The client reads the system's clock, which may be set between its two readings.
     let (ahead_before, sent) = (clock.system_ahead(), clock.now());
-    // The number of the system's error tells a user nothing.
-    let plain = |text: String| {
-        let text = text.trim_start_matches("Input/output error: ");
-        text.split(" (os error").next().unwrap_or_default().to_owned()
+    let plain = |error| match error {
+        SynchronizationError::IOError(error) => Refusal::of(Attempt::Connect, &error).reason,
+        error @ SynchronizationError::ProtocolError(_) => error.to_string(),
     };
-    let result = client.synchronize(server).await.map_err(|error| plain(error.to_string()))?;
+    let result = client.synchronize(server).await.map_err(plain)?;
     let (at, ahead_after) = (clock.now(), clock.system_ahead());
     let delay = Span::from_millis_f64(result.round_trip_delay().as_secs_f64() * 1e3);
     let offset = Span::from_millis_f64(result.clock_offset().as_secs_f64() * 1e3);

@@ -6,7 +6,7 @@ use std::cell::Cell;
 use crate::budget::{Budget, COMPARISONS_MAX, FINDINGS_MAX, KNOTS_MAX, longest};
 use crate::duration;
 use crate::exact::{Exact, Laps};
-use crate::finding::{Code, Part, Pending, Place, Severity, names, nearest, one_of};
+use crate::finding::{Code, Part, Pending, Place, Severity, did_you_mean_this, names, nearest, one_of};
 use crate::music::Music;
 use crate::node::{Node, shortened};
 use crate::scenario::Unset;
@@ -188,6 +188,9 @@ impl Reader {
             Node::Map(_) if expected.starts_with("a list of") => {
                 Some("begin every entry of the list with a dash: `- `".to_owned())
             }
+            Node::Number(value) if expected.starts_with("a list of keyframes") => {
+                Some(format!("write at which time it gets there, as in `[{{at: 1s, to: {value}}}]`"))
+            }
             Node::List(_) if expected.starts_with("a map from robot id") => {
                 Some("write `left: {init: arm.yaml, address: sim}` for each robot, without a dash".to_owned())
             }
@@ -241,7 +244,7 @@ impl Reader {
         }
         for key in required {
             let index = known.iter().position(|name| name == key)?;
-            if values[index].is_none() {
+            if values[index].is_none() && !self.is_miswritten(at, key) {
                 let message = match (what, *key) {
                     ("the scenario", "scenario") => "the scenario has no name".to_owned(),
                     _ => format!("{what} has no `{key}`"),
@@ -251,6 +254,20 @@ impl Reader {
             }
         }
         Some(values)
+    }
+
+    /// Whether the findings say already that one of the keys here was meant to be this one.
+    pub(crate) fn is_miswritten(&self, at: &At<'_>, key: &str) -> bool {
+        let (misspelt, joined) = (did_you_mean_this(key), syntax::spaced_key(key));
+        let place = at.place();
+        let is_here = |found: &Pending| {
+            let parent = found.place.path.split_last().map(|(_, parent)| parent);
+            found.place.file == place.file && parent == Some(&place.path)
+        };
+        let hints = self.found.iter().filter(|found| found.code == Code::UnknownKey && is_here(found));
+        hints
+            .filter_map(|found| found.hint.as_ref())
+            .any(|hint| *hint == misspelt || hint.starts_with(&joined))
     }
 
     /// `{at: 0,3s}` is the number 0 and a key `3s`: one fault, one finding.

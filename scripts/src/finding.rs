@@ -178,10 +178,10 @@ pub struct Related {
 }
 
 impl Finding {
-    /// Whether a file could not be read at all.
+    /// Whether a file itself is at fault, not what is written in it: it cannot be read or written, or is in the way.
     #[must_use]
-    pub fn is_unreadable(&self) -> bool {
-        self.code == Code::Unreadable
+    pub fn is_about_access(&self) -> bool {
+        matches!(self.code, Code::Unreadable | Code::Include | Code::FileExists)
     }
 
     pub(crate) fn about_file(
@@ -282,7 +282,11 @@ pub(crate) fn nearest<'a>(
     };
     let (_, name) =
         scored.filter(|(distance, name)| *distance <= alike(name)).min_by_key(|(distance, _)| *distance)?;
-    Some(format!("did you mean `{name}`?"))
+    Some(did_you_mean_this(name))
+}
+
+pub(crate) fn did_you_mean_this(name: &str) -> String {
+    format!("did you mean `{name}`?")
 }
 
 /// What is expected where a name is not known.

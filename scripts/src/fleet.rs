@@ -347,7 +347,7 @@ impl FleetReader {
                 let hint = finding.hint.filter(|hint| !hint.starts_with("name a "));
                 let hint =
                     hint.or_else(|| Some("the path counts from the folder of the fleet file".to_owned()));
-                self.findings.add(Code::InitializationBlock, at.place(), message, "a readable file", hint);
+                self.findings.add(Code::Unreadable, at.place(), message, "a readable file", hint);
                 None
             }
         }

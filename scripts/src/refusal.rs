@@ -48,7 +48,7 @@ fn reason(attempt: Attempt<'_>, error: &io::Error) -> String {
         (ErrorKind::NotFound, Attempt::Read(_)) => "there is no such file",
         (ErrorKind::NotFound, Attempt::Write(_)) => "the folder does not exist",
         (ErrorKind::NotADirectory | ErrorKind::AlreadyExists, Attempt::Write(_)) => {
-            "a file is in the way of the folder"
+            "a file has the name of the folder"
         }
         (ErrorKind::IsADirectory, _) => "this is a folder",
         (ErrorKind::PermissionDenied, _) => "permission denied",

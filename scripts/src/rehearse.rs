@@ -99,7 +99,7 @@ fn stretch(script: &mut DeviceScript, speed: f64, listed: Option<&FleetRobot>) -
     if let Some(device) = device {
         let check = |(index, step): (usize, &Step)| {
             let error = device.check_in_script(&step.setpoint).err()?;
-            Some(format!("step {index}: {}", error.message))
+            Some(format!("step {}: {}", index + 1, error.message))
         };
         faults.extend(steps.iter().enumerate().filter_map(check).take(3));
         let limits = listed.and_then(|listed| listed.limits.get(script.device.as_str())).copied();
@@ -131,7 +131,7 @@ fn too_fast(steps: &[Step], device: &Device, limits: crate::fleet::RateLimits) -
         let seconds = (pair[1].offset.get() - pair[0].offset.get()) / 1_000.0;
         let way = (pair[1].setpoint.value - pair[0].setpoint.value).abs();
         let message =
-            || format!("step {}: {:.3} a second to it, at most {limit} is allowed", index + 1, way / seconds);
+            || format!("step {}: {:.3} a second to it, at most {limit} is allowed", index + 2, way / seconds);
         // A hair's breadth for rounding.
         (positions && way > limit * seconds * (1.0 + 1e-9)).then(message)
     })

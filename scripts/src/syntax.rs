@@ -48,11 +48,16 @@ fn slip(source: &Source, finding: &mut Finding) -> Option<String> {
         "spaces".clone_into(&mut finding.expected);
         return Some("YAML is indented by spaces: replace each tab by some".to_owned());
     }
-    let hint = near().find_map(|line| without_space_at_all(line.trim_start().trim_start_matches("- ")))?;
-    if finding.message == NO_COLON {
-        "there is no space after the colon".clone_into(&mut finding.message);
+    let entry = |line: &'_ str| line.trim_start().trim_start_matches("- ").to_owned();
+    if let Some(hint) = near().find_map(|line| without_space_at_all(&entry(line))) {
+        if finding.message == NO_COLON {
+            "there is no space after the colon".clone_into(&mut finding.message);
+        }
+        return Some(hint);
     }
-    Some(hint)
+    let line = entry(line_of(&source.text, place.max(1)));
+    let (key, value) = line.split_once(' ').filter(|_| finding.message == NO_COLON)?;
+    Some(format!("write a colon after the key: `{}: {}`", shortened(key), shortened(value.trim())))
 }
 
 /// A hint for `at:0s`, which YAML reads as one word.
@@ -71,7 +76,12 @@ pub(crate) fn without_space_at_all(text: &str) -> Option<String> {
 
 fn spaced(name: &str, rest: &str) -> String {
     let value = rest.split_whitespace().next().unwrap_or_default();
-    format!("write a space after the colon: `{}: {}`", shortened(name), shortened(value))
+    format!("{} {}`", spaced_key(&shortened(name)), shortened(value))
+}
+
+/// How the hint begins that a key and its value are written as one word.
+pub(crate) fn spaced_key(name: &str) -> String {
+    format!("write a space after the colon: `{name}:")
 }
 
 /// Of a byte, both from 1. The parser's own lines also end where those of YAML 1.1 do, which no editor shows so.
@@ -137,7 +147,7 @@ fn explain(finding: &mut Finding, whole: &str) {
         (
             Some(message),
             "a key, a colon and a value".to_owned(),
-            "write `key: value`, as in `robots: all`".to_owned(),
+            "write the key, a colon, a space and the value".to_owned(),
         )
     } else if begun.what.starts_with("parsing a block") {
         let message = "this line is not indented like the lines to which it belongs".to_owned();

@@ -169,11 +169,15 @@ enum Argument<'a> {
 
 impl Connection {
     fn open(host: &str, port: u16) -> Result<Self, DriverError> {
-        // The system's own words: the library makes them "not open".
         let away = |why: &dyn fmt::Display| {
             DriverError::Away(format!("no connection to thrift://{host}:{port}: {why}"))
         };
-        let stream = stream(host, port).map_err(|error| away(&error))?;
+        // In words of its kind: the library makes them "not open", the system adds a number.
+        let told = |error: std::io::Error| match error.raw_os_error() {
+            Some(_) => away(&error.kind()),
+            None => away(&error),
+        };
+        let stream = stream(host, port).map_err(told)?;
         Self::over(stream).map_err(|error| away(&error))
     }
 

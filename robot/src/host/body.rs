@@ -69,6 +69,14 @@ impl Body {
         }
     }
 
+    /// Whether anything was set since then.
+    pub(super) const fn has_log(&self) -> bool {
+        match self {
+            Self::Edge(edge) => edge.has_log(),
+            Self::Simulated(robot) => robot.has_log(),
+        }
+    }
+
     /// Passes on what is wanted of hardware.
     pub(super) fn post(&mut self, clock: &HostClock) {
         if let Self::Edge(edge) = self {

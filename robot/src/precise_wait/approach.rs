@@ -14,8 +14,9 @@ const LEAD_FREE: Duration = Duration::from_micros(200);
 const LEAD_MORE: Duration = Duration::from_micros(50);
 const LEAD_MAX: Duration = Duration::from_millis(1);
 const LATE_REMEMBERED: Duration = Duration::from_secs(60);
-/// The same where they are busy: spinning uses up the right to run next, which is needed at the deadline.
-const LEAD_BUSY: Duration = Duration::from_micros(100);
+/// The same where they are busy: none. Whoever spins uses up the right to run next, and is then interrupted for milliseconds;
+/// one who sleeps until the deadline is woken a tenth of a millisecond late.
+const LEAD_BUSY: Duration = Duration::ZERO;
 /// A yield that takes longer gave the core to something else than another robot.
 const YIELD_MAX: Duration = Duration::from_micros(500);
 /// For this long after such a yield the cores count as busy, whatever a look at them says.
@@ -73,6 +74,10 @@ impl Approach {
             credit: SPIN_CREDIT_MAX,
             credited: None,
         }
+    }
+
+    pub(super) fn is_first(&self) -> bool {
+        self.scheduled == Scheduled::First
     }
 
     /// When to look at the cores before this deadline; `None`: not before this one. `chance` from 0 to 1 keeps processes
@@ -181,7 +186,7 @@ mod tests {
     }
 
     #[test]
-    fn on_busy_cores_a_thread_spins_for_a_shorter_time_and_gives_its_core_to_nobody() {
+    fn on_busy_cores_a_thread_sleeps_until_the_deadline_and_yields_to_nobody() {
         let (mut approach, now) = fair();
         approach.looked(now, Cores::Busy);
         assert!(!approach.yields(now));

@@ -9,12 +9,18 @@ mod approach;
 
 use std::fs::File;
 use std::os::unix::fs::FileExt;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use flume::{Receiver, RecvTimeoutError};
 
 use self::approach::{Approach, Cores, Scheduled};
 use crate::scheduling::Scheduling;
+
+/// Within this time after an instant, other processes have moved their robots too.
+const OTHERS_MOVE: Duration = Duration::from_micros(500);
+
+/// Cores count as busy only if they are this long after the first look as well: well before the deadline.
+const LOOK_AGAIN: Duration = Duration::from_millis(2);
 
 /// Why a wait ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -49,10 +55,18 @@ impl PreciseWait {
         };
         let chance = fastrand::f64();
         if let Some(look_at) = self.approach.look_at(Instant::now(), deadline, chance) {
-            match sleep(messages, look_at) {
-                Woken::Deadline => self.approach.looked(Instant::now(), self.machine.cores()),
-                woken => return woken,
+            let mut cores = Cores::Busy;
+            // What runs for a moment makes no machine busy.
+            for look_at in [look_at, look_at + LOOK_AGAIN] {
+                match sleep(messages, look_at) {
+                    Woken::Deadline => cores = self.machine.cores(),
+                    woken => return woken,
+                }
+                if cores == Cores::Free {
+                    break;
+                }
             }
+            self.approach.looked(Instant::now(), cores);
         }
         let lead = self.approach.lead(Instant::now());
         let wake_at = deadline.checked_sub(lead).unwrap_or(deadline);
@@ -80,9 +94,18 @@ impl PreciseWait {
         }
     }
 
-    /// Lets other processes move their robots at the same instant, if that is known to take microseconds.
-    pub fn let_others_move(&mut self) {
-        self.pause(Instant::now());
+    /// Lets other processes move their robots at the same instant: sleeps a little, or less if a deadline comes soon. Under
+    /// real-time scheduling a yield is enough.
+    pub fn let_others_move(&mut self, next: Option<Instant>) {
+        let now = Instant::now();
+        if self.approach.is_first() {
+            return self.pause(now);
+        }
+        let until = next.and_then(|next| next.checked_sub(self.approach.lead(now)));
+        let time = until.map_or(OTHERS_MOVE, |until| until.saturating_duration_since(now).min(OTHERS_MOVE));
+        if !time.is_zero() {
+            std::thread::sleep(time);
+        }
     }
 
     fn pause(&mut self, now: Instant) {

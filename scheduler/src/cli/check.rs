@@ -23,7 +23,7 @@ pub(super) struct CheckArgs {
     /// Treat these as errors, too.
     #[arg(long, value_enum, value_name = "WHAT")]
     deny: Option<Deny>,
-    /// Also write the findings as SARIF 2.1.0, which code hosts show beside the lines.
+    /// Also write the findings as SARIF 2.1.0, which code hosts show next to the lines.
     #[arg(long, value_name = "FILE")]
     sarif: Option<PathBuf>,
 }

@@ -1,4 +1,4 @@
-//! `downbeat completions` and `downbeat man`: what a package installs beside the program.
+//! `downbeat completions` and `downbeat man`: what a package installs with the program.
 
 use std::fs;
 use std::io;

@@ -40,7 +40,7 @@ pub(super) fn detach(session: &SessionId, folder: &Path, format: Format) -> Exit
         Ok(child) => child,
         Err(error) => {
             console::error(&format!(
-                "cannot start a mission in the background with the log {}: {}",
+                "cannot start a mission in the background with the log {}: {}; DOWNBEAT_STATE names the folder",
                 log.display(),
                 Refusal::of(Attempt::Write(&log), &error)
             ));

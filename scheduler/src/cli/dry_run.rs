@@ -21,7 +21,7 @@ use crate::report::{picture, report_text};
     after_help = "A dry run opens no connections and does not wait, so an hour of show takes moments. All robots are \
 simulated as the fleet file describes them, with their clocks, delays and faults. An act that waits for the operator begins \
 one second after the act before it has ended. An act that waits for a sensor gets the reading for which it waits, unless \
---reading gives another. Acts that repeat for ever end after a while.
+--reading gives another. Acts that repeat forever end after a while.
 
 Examples:
   downbeat dry-run show.yaml

@@ -71,7 +71,7 @@ pub(super) fn export(args: &ExportArgs, format: Format) -> Exit {
         Ok(written) => written,
         Err(findings) => {
             load::show_findings(&findings);
-            return Exit::Failed;
+            return Exit::Usage;
         }
     };
     match format {

@@ -127,11 +127,25 @@ pub(super) fn fleet(command: &FleetCommand, format: Format) -> Exit {
         let all_well = answers.iter().all(|answer| answer.problem.is_none());
         match (format, command) {
             (Format::Json, _) => console::print_json(&answers),
-            (Format::Text, FleetCommand::Ping(_)) => console::print(&ping_table(&fleet, &answers)),
-            (Format::Text, _) => console::print(&show_table(&answers)),
+            (Format::Text, FleetCommand::Ping(_)) => {
+                console::print(&ping_table(&fleet, &answers));
+                show_problems(&answers);
+            }
+            (Format::Text, _) => {
+                console::print(&show_table(&answers));
+                show_problems(&answers);
+            }
         }
         if all_well { Exit::Done } else { Exit::Failed }
     })
+}
+
+fn show_problems(answers: &[Answer]) {
+    for answer in answers {
+        if let Some(problem) = &answer.problem {
+            console::error(&format!("{}: {problem}", answer.robot));
+        }
+    }
 }
 
 /// What is wrong with a robot that answers: it is another one, or its clock is off.
@@ -291,14 +305,18 @@ fn ping_table(fleet: &Fleet, answers: &[Answer]) -> String {
     let header = ["robot", "address", "answers", "least delay", "clock offset", "uncertainty"];
     let mut table = Rows::new(&header, 3);
     for (answer, robot) in answers.iter().zip(&fleet.robots) {
-        let state = answer.problem.clone().unwrap_or_else(|| "yes".to_owned());
+        let state = match (answer.reachable, &answer.problem) {
+            (true, None) => "yes",
+            (true, Some(_)) => "yes, but see below",
+            (false, _) => "no",
+        };
         let clock = |value: fn(&ClockReading) -> Span| {
             answer.clock.as_ref().map_or_else(|| "-".to_owned(), |reading| value(reading).to_string())
         };
         table.add([
             answer.robot.to_string(),
             robot.address.to_string(),
-            state,
+            state.to_owned(),
             clock(|reading| reading.delay_min),
             clock(|reading| reading.offset),
             clock(|reading| reading.uncertainty),
@@ -312,11 +330,7 @@ fn show_table(answers: &[Answer]) -> String {
     let header = ["robot", "device", "unit", "control type", "from", "to", "granularity", "steps"];
     let mut table = Rows::new(&header, 4);
     for answer in answers {
-        let Some(block) = answer.block.as_ref().filter(|_| answer.problem.is_none()) else {
-            let problem = answer.problem.clone().unwrap_or_default();
-            table.add([answer.robot.to_string(), problem]);
-            continue;
-        };
+        let Some(block) = answer.block.as_ref().filter(|_| answer.problem.is_none()) else { continue };
         for device in &block.devices {
             for (control_type, parameters) in device.available_control_types.iter() {
                 let json = serde_json::to_value(parameters).unwrap_or_default();
@@ -334,5 +348,5 @@ fn show_table(answers: &[Answer]) -> String {
             }
         }
     }
-    table.text(console::columns())
+    if table.is_empty() { String::new() } else { table.text(console::columns()) }
 }

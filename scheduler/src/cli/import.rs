@@ -239,7 +239,7 @@ fn import_motions(from: ImportFormat, args: &ImportArgs, format: Format) -> Exit
 fn exit_of(findings: &[Finding]) -> Exit {
     match findings {
         [] => Exit::Done,
-        findings if findings.iter().any(Finding::is_unreadable) => Exit::Usage,
+        findings if findings.iter().any(Finding::is_about_access) => Exit::Usage,
         _ => Exit::Failed,
     }
 }

@@ -41,7 +41,6 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
     let fleet_path = fleet_path(args, &source);
     let (fleet, mut findings) = downbeat_scripts::read_fleet(&fleet_path);
     say_how_to_name_it(&mut findings, "`--fleet FILE` names one");
-    loaded.unreadable = findings.iter().any(Finding::is_unreadable);
     loaded.findings.extend(findings);
     if let Some(fleet) = &fleet {
         let folder = Folder(args.scenario.parent().map(Path::to_path_buf).unwrap_or_default());
@@ -49,6 +48,7 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
         loaded.findings.extend(compiled.findings);
         loaded.choreography = compiled.choreography;
     }
+    loaded.unreadable = loaded.findings.iter().any(Finding::is_about_access);
     loaded.fleet = fleet;
     loaded.fleet_path = fleet_path;
     loaded
@@ -106,7 +106,7 @@ pub(super) fn load_fleet(path: &Path, format: Format) -> Result<Fleet, Exit> {
         }
         Format::Json => {}
     }
-    let unreadable = findings.iter().any(Finding::is_unreadable);
+    let unreadable = findings.iter().any(Finding::is_about_access);
     fleet.ok_or(if unreadable { Exit::Usage } else { Exit::Failed })
 }
 

@@ -125,7 +125,7 @@ pub(super) fn is_called(found: &Found, named: Option<&str>) -> bool {
 /// Says that there is no such mission.
 pub(super) fn none(named: Option<&str>, what: &str, format: Format) -> Exit {
     let text = match named {
-        Some(name) => format!("no mission `{name}` {what}; `downbeat missions --all` lists them"),
+        Some(name) => format!("no mission `{name}` {what}; `downbeat missions --all` lists all missions"),
         None if what == "was cut off" => format!("no mission {what}, so there is nothing to resume"),
         None if what == "runs" => format!("no mission {what}; start one with `downbeat run SCENARIO`"),
         None => format!(

@@ -1,7 +1,7 @@
-//! The command line: one file a subcommand. The only room that prints.
+//! The command line: one file per subcommand. Only this module prints.
 //!
-//! Exit codes: 0 done; 1 findings, or the mission failed or did not start; 2 usage or unreadable input; 3 stopped by the
-//! operator, every robot confirmed; 4 ended with robots whose stop is not confirmed; 5 done without robots that failed,
+//! Exit codes: 0 done; 1 findings, or the mission failed or did not start; 2 usage, or a file that cannot be read or
+//! written; 3 stopped by the operator, every robot confirmed; 4 ended with robots whose stop is not confirmed; 5 done without robots that failed,
 //! or without acts whose wait ran out; 6 played to its end, but not as promised or not known; 7 done, but standard output or
 //! the recording could not be written.
 
@@ -64,11 +64,11 @@ use crate::signals;
 Exit codes:
   0  done
   1  mistakes were found, or the mission failed or did not start
-  2  wrong arguments, or a file that cannot be read or written
+  2  wrong arguments, no such mission, or a file that cannot be read or written
   3  stopped by the operator; every robot confirmed the stop
   4  ended, but a robot did not confirm its stop
   5  done, but robots failed on the way or acts were skipped
-  6  played to the end, but not as promised, or nobody knows
+  6  played to the end, but not as promised, or it is unknown
   7  done, but the output or the recording could not be written
 
 It is not an error if the reader of a pipe ends first, as in `downbeat plan show.yaml | head`."

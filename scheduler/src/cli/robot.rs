@@ -76,7 +76,7 @@ impl ProcessArgs {
     pub(super) fn block(&self) -> Result<InitializationBlock, Exit> {
         let mut block = downbeat_scripts::read_init(&self.init).map_err(|findings| {
             super::load::show_findings(&findings);
-            let unreadable = findings.iter().any(downbeat_scripts::Finding::is_unreadable);
+            let unreadable = findings.iter().any(downbeat_scripts::Finding::is_about_access);
             if unreadable { Exit::Usage } else { Exit::Failed }
         })?;
         if let Some(id) = &self.id {

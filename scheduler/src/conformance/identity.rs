@@ -88,7 +88,7 @@ fn repeated_request(trial: &Trial) -> Checked {
     line.ask_again(pending)?;
     let again = line.nth_answer(pending, 1)?;
     if again.message.status != Status::Accepted {
-        let sent = format!("the same once more: {}", line.asked(pending).text);
+        let sent = format!("the same again: {}", line.asked(pending).text);
         return Err(differs(
             &sent,
             &again.text,

@@ -94,7 +94,7 @@ fn two_links(trial: &Trial) -> Checked {
     let mut first = trial.connect()?;
     first.availability()?;
     let mut second = trial.connect()?;
-    second.goes_on_after("a first connection that stands was opened, a second one beside it")?;
+    second.goes_on_after("a second connection was opened while the first one stood")?;
     first.goes_on_after("a second connection was opened")?;
     second.goes_on_after("both connections were served once")?;
     pass()

@@ -289,7 +289,7 @@ impl Mission {
         }
         let mut follow = act.follow();
         if !act.was_sent() {
-            // A round of acts without a robot left to play them would go on for ever.
+            // A round of acts without a robot left to play them would never end.
             self.skipped += 1;
             if self.skipped > self.choreography.acts.len() {
                 follow = Way::End;

@@ -78,7 +78,7 @@ pub enum DeviceState {
     Ended,
     /// It was refused or ended early.
     Failed,
-    /// It was sent, and nobody knows what became of it.
+    /// It was sent, and it is unknown what became of it.
     Unknown,
 }
 

@@ -96,7 +96,7 @@ impl Mission {
             let listed: Vec<_> = block.encodings.iter().map(|listed| format!("`{listed}`")).collect();
             let listed = if listed.is_empty() { "none".to_owned() } else { listed.join(", ") };
             reasons.push(format!(
-                "it lists no encoding `{}` (beside JSON: {listed}), expected as the fleet file says; \
+                "it lists no encoding `{}` (besides JSON: {listed}), expected as the fleet file says; \
                  there, `encoding: json` is understood by every robot",
                 state.settings.encoding
             ));
@@ -429,7 +429,7 @@ fn unfit(script: &downbeat_scripts::DeviceScript, block: &InitializationBlock) -
     }
     let faults = steps.iter().enumerate().filter_map(|(i, step)| {
         let error = device.check_in_script(&step.setpoint).err()?;
-        Some(format!("device `{id}` step {i}: {}", error.message))
+        Some(format!("device `{id}` step {}: {}", i + 1, error.message))
     });
     reasons.extend(faults.take(3));
     reasons

@@ -387,7 +387,7 @@ impl Script {
         News::Completed
     }
 
-    /// It has failed, and nobody can tell whether it had begun.
+    /// It has failed, and it is unknown whether it had begun.
     pub(super) fn failed_untold(&mut self, response: &ControlResponse) -> News {
         self.state = ScriptState::Unknown;
         News::Failed(error_of(response))

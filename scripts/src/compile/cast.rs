@@ -153,7 +153,8 @@ impl<'a> Cast<'a> {
                 } else {
                     let message = format!("robot `{}` is in this cue already", self.id(robot));
                     let expected = "each robot once in a cue";
-                    findings.add(Code::ListedTwice, name.place.clone(), message, expected, None);
+                    let hint = "remove the second one; a group stands for all of its robots".to_owned();
+                    findings.add(Code::ListedTwice, name.place.clone(), message, expected, Some(hint));
                 }
             }
         }

@@ -137,8 +137,7 @@ impl Jump {
         let (from, to, at) = (tidy(self.from), tidy(self.to), self.at);
         let often = match times {
             1 => String::new(),
-            2 => " and once more".to_owned(),
-            _ => format!(" and {} times more", times - 1),
+            _ => format!(" and later, {times} times in all"),
         };
         let who = on.who(control_type);
         let message = format!(

@@ -75,21 +75,21 @@ impl Lines<'_> {
         let (device, robot) = (&refill.device, &refill.robot);
         let held = format!("`{device}` of `{robot}` holds {}", counted(holds as usize, "script"));
         let room =
-            format!("there is room when script {} of `{before}` has ended", refill.freed_by.script + 1);
+            format!("the next one fits when script {} of `{before}` has ended", refill.freed_by.script + 1);
         let time = refill.time;
         let (code, message, expected) = match refill.kind {
             RefillKind::First => (
                 Code::ActHasToWait,
                 format!("the act `{act}` cannot follow at once: {held}, and {room}, {time} before"),
-                format!("room {needed} before the act"),
+                format!("a place in the queue {needed} before the act"),
             ),
             RefillKind::Later => (
                 if time > Span::ZERO { Code::LittleTimeToSend } else { Code::NoTimeToSend },
                 format!(
-                    "{held}: for script {} of `{act}` {room}, {time} before its start",
+                    "too little time to send script {} of `{act}`: {held}, and {room}, {time} before its start",
                     refill.script + 1
                 ),
-                format!("{needed} or more to send it"),
+                format!("at least {needed} to send it"),
             ),
         };
         let hint = Some(ways_out(refill, needed - time, queue));
@@ -130,7 +130,7 @@ fn ways_out(refill: &Refill, lacking: Span, queue: Option<u32>) -> String {
     let pause = match refill.kind {
         RefillKind::First => {
             format!(
-                "let `{device}` come to its end {lacking} earlier in the act before, or let this act wait"
+                "end the movement of `{device}` {lacking} earlier in the act before, or let this act wait"
             )
         }
         RefillKind::Later => format!(
@@ -139,7 +139,7 @@ fn ways_out(refill: &Refill, lacking: Span, queue: Option<u32>) -> String {
         ),
     };
     match queue {
-        Some(queue) => format!("{pause}; a robot with a script_queue of {queue} has the time"),
+        Some(queue) => format!("{pause}; a script_queue of {queue} would be enough"),
         None => pause,
     }
 }
@@ -228,10 +228,7 @@ mod tests {
         let finding = compiled.findings.iter().find(|finding| finding.code.as_str() == "DB0047").unwrap();
         assert!(compiled.choreography.is_none());
         let hint = finding.hint.as_deref().unwrap();
-        assert!(
-            finding.message.contains("`d` of `r` holds 2 scripts: for script 2 of `act 1`"),
-            "{finding:?}"
-        );
+        assert!(finding.message.contains("script 2 of `act 1`: `d` of `r` holds 2 scripts"), "{finding:?}");
         assert!(hint.contains("begin 100 ms later") && hint.contains("script_queue of 3"), "{hint}");
     }
 }

@@ -181,11 +181,11 @@ fn snap(
     nearest
 }
 
-/// `keyframe 3: `, where the file has items.
+/// `keyframe 3: `, counted from 1, where the file has items.
 pub(super) fn named(track: &Track, item: u32) -> String {
     match item {
         u32::MAX => String::new(),
-        item => format!("{} {item}: ", track.items.one()),
+        item => format!("{} {}: ", track.items.one(), item + 1),
     }
 }
 

@@ -138,7 +138,7 @@ fn read_poses(root: &At<'_>, findings: &mut Reader) -> Option<Vec<Pose>> {
 }
 
 fn read_pose(at: &At<'_>, index: usize, end_s: &mut f64, findings: &mut Reader) -> Option<Pose> {
-    let what = format!("keyframe {index}");
+    let what = format!("keyframe {}", index + 1);
     let duration_at = tree::required(at, "duration", &what, findings);
     let duration =
         duration_at.as_ref().and_then(|at| seconds(at, &format!("the duration of {what}"), findings));

@@ -176,7 +176,7 @@ fn read_point(
     before: Option<&JointPoint>,
     findings: &mut Reader,
 ) -> Option<JointPoint> {
-    let what = format!("point {index}");
+    let what = format!("point {}", index + 1);
     let positions = tree::required(at, "positions", &what, findings);
     let positions = positions.and_then(|at| one_a_joint(&at, &what, "positions", joints, findings));
     let velocities = tree::optional(at, "velocities").filter(|at| !is_empty(at.node));

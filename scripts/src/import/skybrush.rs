@@ -116,7 +116,7 @@ impl Told {
         };
         tell(self.pyro, "left out fireworks");
         tell(self.auto_yaw, "left out that the heading follows the way");
-        tell(self.endless, "lights that repeat for ever end with the way");
+        tell(self.endless, "lights that repeat forever end with the path");
         tell(
             self.late_yaw,
             "headings count from the start of the show, not from the takeoff, as Skybrush plays them",
@@ -380,7 +380,7 @@ impl Way {
             return;
         }
         let (before, now) = (last.at_ns as f64 / 1e9, point.at_ns as f64 / 1e9);
-        let message = format!("point {index} at {now} s comes after one at {before} s");
+        let message = format!("point {} at {now} s comes after one at {before} s", index + 1);
         let hint = "times go forward, and nothing moves in no time".to_owned();
         findings.add(Code::ImportTime, at.place(), message, format!("a time after {before} s"), Some(hint));
     }
@@ -398,7 +398,7 @@ fn nanos(at: &At<'_>, what: &str, findings: &mut Reader) -> Option<u64> {
 
 /// `[time, [x, y, z], [control points]]`.
 fn read_point(at: &At<'_>, index: usize, takeoff_ns: u64, findings: &mut Reader) -> Option<Waypoint> {
-    let what = format!("point {index}");
+    let what = format!("point {}", index + 1);
     let parts = findings.list(at, "[time, [x, y, z], control points]");
     let [time, position, rest @ ..] = parts.as_slice() else {
         if matches!(at.node, Node::List(_)) {

@@ -182,8 +182,18 @@ pub(super) fn read(
             Vec::new()
         }
         (None, None) => {
-            let message = "the scenario has no `cues`";
-            reader.add(Code::MissingKey, root.place(), message, "a key `cues`, or `acts`", None);
+            let hint =
+                "write `cues:` and below it the movements; `downbeat init first-show` writes an example";
+            if !["cues", "acts"].iter().any(|key| reader.is_miswritten(root, key)) {
+                let message = "the scenario has no `cues`";
+                reader.add(
+                    Code::MissingKey,
+                    root.place(),
+                    message,
+                    "a key `cues`, or `acts`",
+                    Some(hint.into()),
+                );
+            }
             Vec::new()
         }
     }

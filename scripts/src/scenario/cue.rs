@@ -95,7 +95,7 @@ pub(super) fn read(
     };
     let moves = named.is_some() || tracks.is_some() || readings.is_some();
     for (missing, key) in [(robots.is_none() && moves, "robots"), (robots.is_some() && !moves, "tracks")] {
-        if missing {
+        if missing && !reader.is_miswritten(at, key) {
             let message = format!("a cue has no `{key}`");
             let hint =
                 Some("a cue with neither robots nor tracks is a mark that others can refer to".to_owned());

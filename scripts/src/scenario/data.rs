@@ -30,7 +30,7 @@ pub(super) fn samples(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Op
         Err(finding) => {
             let message = format!("cannot read `{}`: {}", shortened(&name), finding.message);
             let hint = Some("the path counts from the folder of the scenario".to_owned());
-            reader.add(Code::BadData, file.place(), message, "a readable CSV file", hint);
+            reader.add(Code::Unreadable, file.place(), message, "a readable CSV file", hint);
             return None;
         }
     };

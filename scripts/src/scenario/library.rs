@@ -67,7 +67,7 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
                     documents.sources.push(Cow::Owned(source));
                     documents.nodes.push(node);
                 }
-                Err(finding) if finding.is_unreadable() => {
+                Err(finding) if finding.code == Code::Unreadable => {
                     let mut reader = Reader::default();
                     let message = format!("cannot read `{}`: {}", shortened(&name), finding.message);
                     let hint = Some("the path counts from the folder of the scenario".to_owned());

@@ -86,14 +86,14 @@ fn findings_call_the_parts_of_a_movement_by_their_names() {
     let track = |track: &str| format!("cues: [{{robots: bot, tracks: {{arm: {track}}}}}]\n");
     says(
         &track("{polynomial: [{for: 1s, coefficients: [0]}, {for: 1s, coefficients: [0, 900]}]}"),
-        &["piece 1: "],
+        &["piece 2: "],
     );
-    says(&track("{spline: [{at: 0s, to: 0}, {at: 1s, to: 900}]}"), &["point 1: "]);
+    says(&track("{spline: [{at: 0s, to: 0}, {at: 1s, to: 900}]}"), &["point 2: "]);
     says(
         &track("{spline: [{at: 1s, to: 0}, {at: 0s, to: 9}]}"),
         &["the point at 0 ms follows the one at 1 s", "points of one"],
     );
-    says(&track("[{at: 0s, to: 0}, {at: 1s, to: 900}]"), &["keyframe 1: "]);
+    says(&track("[{at: 0s, to: 0}, {at: 1s, to: 900}]"), &["keyframe 2: "]);
 }
 
 #[test]

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use downbeat_scripts::import::FilePart;
 use downbeat_scripts::{Attempt, Code, Finding, Refusal, Severity};
 
-/// Writes all files beside their places first, then moves them there.
+/// Writes every file next to its place first, then moves it there.
 pub(in super::super) fn write_all(
     folder: &Path,
     files: &[FilePart],

@@ -65,7 +65,7 @@ impl Act {
     }
 
     /// It is to be sent with these instants. `shift_of` tells what is added to its timestamp for each robot. Returns the names
-    /// under which requests are known for ever, also after a crash of this machine.
+    /// under which requests are known forever, also after a crash of this machine.
     pub(crate) fn promise(
         &mut self,
         timing: Timing,

@@ -60,7 +60,7 @@ pub struct DrawnRobot {
     pub clock: ClockMode,
     /// What it lies about.
     pub lie: Option<Lie>,
-    /// How long it takes for every answer besides the network.
+    /// How long it takes for every answer in addition to the network.
     pub slow: Span,
     /// Whether it names requests in its answers.
     pub names: Names,

@@ -119,7 +119,7 @@ fn shows_that_are_wrong_are_refused_with_the_place() {
         &["show.skyc/gone.json"],
     );
     let way = |points: Value| one(&json!({"version": 1, "points": points}));
-    refused(&way(json!([[0, [0, 0, 0], []], [0, [1, 0, 0], []]])), &["DB0062", "point 1 at 0 s"]);
+    refused(&way(json!([[0, [0, 0, 0], []], [0, [1, 0, 0], []]])), &["DB0062", "point 2 at 0 s"]);
     refused(&way(json!([[2, [0, 0, 0], []], [1, [0, 0, 0], []]])), &["DB0062", "times go forward"]);
     refused(&way(json!([[0, [0, 0], []]])), &["DB0066", "2 coordinates"]);
     refused(&way(json!([[0, [0, "high", 0], []]])), &["DB0061", "the text `high`"]);

@@ -68,7 +68,7 @@ struct Bench {
     act: Act,
     options: MissionOptions,
     policy: Policy,
-    /// How long the disk takes; `None`: for ever.
+    /// How long the disk takes; `None`: forever.
     disk: Option<Span>,
     /// Robots that say nothing at all.
     silent: Vec<usize>,

@@ -15,7 +15,7 @@ impl Said<'_> {
                         Progress::Failed(failure) if failure.robot == *self.facts.name(robot)))
             });
             if !why {
-                wrong.push(format!("r{robot} was left out, and nobody was told why"));
+                wrong.push(format!("r{robot} was left out without a reason in the report"));
             }
         }
         for row in self.report.robots.iter().filter(|row| row.standing == "out") {
