@@ -220,6 +220,7 @@ impl SimulatedRobot {
         std::mem::take(&mut self.log)
     }
 
+    #[cfg(feature = "host")]
     pub(crate) const fn has_log(&self) -> bool {
         !self.log.is_empty()
     }

@@ -346,6 +346,21 @@ mod tests {
     }
 
     #[test]
+    fn an_early_start_and_three_ways_lie_between_the_leases_and_the_start() {
+        let pace = timing(Leases::Shortened, Span::from_millis(8)).pace;
+        assert_eq!(pace.margin(), Span::from_millis(1 + 12));
+    }
+
+    #[test]
+    fn robots_that_still_play_hear_something_two_round_trips_before_their_lease_ends() {
+        let mut timing = timing(Leases::Shortened, Span::from_millis(160));
+        let last_round = Timestamp::from_nanos(5_000_000_000);
+        assert_eq!(timing.speak_by(last_round), None);
+        timing.played = Some(Span::from_millis(1_000));
+        assert_eq!(timing.speak_by(last_round), Some(last_round + Span::from_millis(680)));
+    }
+
+    #[test]
     fn on_a_fast_link_doubt_is_short_and_a_fixed_lease_makes_it_long() {
         let round_trip = Span::from_micros(300);
         assert!(timing(Leases::Shortened, round_trip).doubt() < Span::from_millis(70));
