@@ -72,6 +72,31 @@ fn the_picture_of_a_dry_run_shows_every_device() {
 }
 
 #[test]
+fn the_picture_of_a_lamp_shows_all_of_its_colours() {
+    let folder = tempfile::tempdir().unwrap();
+    let [scenario, picture] = ["lamp.yaml", "lamp.svg"].map(|name| folder.path().join(name));
+    let blue = "scenario: lamp
+cues:
+  - at: 0s
+    robots: rover-1
+    tracks: {lamp: {control: custom_1, keyframes: [{at: 0s, to: [0, 20, 40]}, {at: 1s, to: [0, 120, 255]}]}}
+";
+    std::fs::write(&scenario, blue).unwrap();
+    let args = [
+        "dry-run",
+        scenario.to_str().unwrap(),
+        "--fleet",
+        "fleet.yaml",
+        "--picture",
+        picture.to_str().unwrap(),
+    ];
+    downbeat(&args).says(0, &[]);
+    let svg = std::fs::read_to_string(picture).unwrap();
+    assert!(svg.contains("0 .. 255") && svg.contains("dashed"), "{svg}");
+    assert_eq!(svg.matches("<polyline").count(), 3);
+}
+
+#[test]
 fn the_demo_fleet_answers_ping_and_show() {
     let ping = downbeat(&["fleet", "ping", "--format", "json"]).json();
     assert_eq!(ping.as_array().unwrap().len(), 13);

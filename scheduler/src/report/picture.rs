@@ -45,7 +45,8 @@ pub fn draw(act: &Act, reported: &ActReport, robots: &[&FleetRobot], played: &Pl
     let ends = act.cues.iter().map(|cue| cue.end).max().unwrap_or_default();
     let total = act.plan.duration().max(ends).as_millis_f64().max(1.0);
     let mut svg = String::new();
-    head(&mut svg, &act.plan.scenario, played, height, total);
+    let dashed = if tracks.iter().any(|track| values(track) > 1) { " (dashed: further values)" } else { "" };
+    head(&mut svg, &act.plan.scenario, played, (height, total), dashed);
     draw_cues(&mut svg, act, total);
     for (row, track) in tracks.iter().take(LANES_MAX).enumerate() {
         let lane = Lane { top: top + LANE_HEIGHT * row as f64, total, range: range(track) };
@@ -104,17 +105,17 @@ fn draw_cues(svg: &mut String, act: &Act, total: f64) {
     }
 }
 
-fn head(svg: &mut String, title: &str, played: &Played, height: f64, total: f64) {
+fn head(svg: &mut String, title: &str, played: &Played, (height, total): (f64, f64), dashed: &str) {
     let width = LEFT + WIDTH + RIGHT;
     let spread = played.report.true_spread.map_or_else(|| "-".to_owned(), |spread| spread.to_string());
     let _infallible = write!(
         svg,
         "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 {width} {height}' width='{width}' height='{height}'>\
          <style>text{{font:12px sans-serif;fill:#222}}.small{{font-size:10px;fill:#666}}.title{{font-size:16px;font-weight:bold}}\
-         .line{{fill:none;stroke:#2a6fb0;stroke-width:1.4}}.dot{{fill:#d9480f}}.grid{{stroke:#ddd}}.lane{{stroke:#eee}}.cue{{fill:#cfe3f5;stroke:#2a6fb0;stroke-width:0.6}}</style>\
+         .line{{fill:none;stroke:#2a6fb0;stroke-width:1.4}}.further{{stroke-dasharray:4 2}}.dot{{fill:#d9480f}}.grid{{stroke:#ddd}}.lane{{stroke:#eee}}.cue{{fill:#cfe3f5;stroke:#2a6fb0;stroke-width:0.6}}</style>\
          <rect width='100%' height='100%' fill='white'/>\
          <text x='14' y='26' class='title'>{}</text>\
-         <text x='14' y='44' class='small'>{}; true start spread {spread}; line: planned, dots: set by the robot</text>",
+         <text x='14' y='44' class='small'>{}; true start spread {spread}; line: planned{dashed}, dots: set by the robot</text>",
         escaped(title),
         escaped(&played.report.outcome.to_string()),
     );
@@ -161,15 +162,15 @@ impl Lane {
         self.top + LANE_HEIGHT - 6.0 - (LANE_HEIGHT - 12.0) * part
     }
 
-    /// A device that holds its values is drawn in steps, until its last one.
-    fn draw(&self, svg: &mut String, track: &Track<'_>) {
-        let middle = self.top + LANE_HEIGHT / 2.0 + 4.0;
-        let bottom = self.top + LANE_HEIGHT;
+    /// The planned values of a track as points, the first value of each step or a later one. A device that holds its values is
+    /// drawn in steps, until its last one.
+    fn points(&self, track: &Track<'_>, which: usize) -> String {
         let mut points = String::new();
         let mut before: Option<f64> = None;
         for script in &track.scripts {
             for step in script.script.steps() {
-                let (x, y) = (self.x(script.start.get() + step.offset.get()), self.y(step.setpoint.value));
+                let Some(value) = step.setpoint.values().nth(which) else { continue };
+                let (x, y) = (self.x(script.start.get() + step.offset.get()), self.y(value));
                 if let Some(held) = before.filter(|_| track.holds) {
                     let _infallible = write!(points, "{x:.2},{held:.2} ");
                 }
@@ -177,17 +178,28 @@ impl Lane {
                 before = Some(y);
             }
         }
+        points
+    }
+
+    fn draw(&self, svg: &mut String, track: &Track<'_>) {
+        let middle = self.top + LANE_HEIGHT / 2.0 + 4.0;
+        let bottom = self.top + LANE_HEIGHT;
         let (low, high) = self.range;
         let _infallible = write!(
             svg,
             "<line x1='0' y1='{bottom}' x2='{}' y2='{bottom}' class='lane'/>\
              <text x='14' y='{middle}'>{} <tspan class='small'>{}</tspan></text>\
-             <text x='{}' y='{middle}' class='small'>{low} .. {high}</text><polyline points='{points}' class='line'/>",
+             <text x='{}' y='{middle}' class='small'>{low} .. {high}</text>",
             LEFT + WIDTH + RIGHT,
             escaped(track.robot.as_str()),
             escaped(track.device.as_str()),
             LEFT + WIDTH + 8.0,
         );
+        for which in 0..values(track) {
+            let (points, class) =
+                (self.points(track, which), if which == 0 { "line" } else { "line further" });
+            let _infallible = write!(svg, "<polyline points='{points}' class='{class}'/>");
+        }
     }
 
     /// What the robot set, at its true time.
@@ -206,9 +218,15 @@ impl Lane {
     }
 }
 
+/// How many values a step has, at most.
+fn values(track: &Track<'_>) -> usize {
+    let steps = track.scripts.iter().flat_map(|script| script.script.steps());
+    steps.map(|step| step.setpoint.values().count()).max().unwrap_or(0)
+}
+
 fn range(track: &Track<'_>) -> (f64, f64) {
     let steps = || track.scripts.iter().flat_map(|script| script.script.steps());
-    let values = || steps().map(|step| step.setpoint.value);
+    let values = || steps().flat_map(|step| step.setpoint.values());
     (values().fold(f64::INFINITY, f64::min), values().fold(f64::NEG_INFINITY, f64::max))
 }
 
