@@ -17,6 +17,10 @@ const LATE_REMEMBERED: Duration = Duration::from_secs(60);
 /// The same where they are busy: none. Whoever spins uses up the right to run next, and is then interrupted for milliseconds;
 /// one who sleeps until the deadline is woken a tenth of a millisecond late.
 const LEAD_BUSY: Duration = Duration::ZERO;
+/// Within this time after an instant, other processes have moved their robots too.
+const OTHERS_MOVE: Duration = Duration::from_micros(500);
+/// A thread rests for them at most so often: one with many deadlines needs its time for messages.
+const REST_EVERY: Duration = Duration::from_millis(20);
 /// A yield that takes longer gave the core to something else than another robot.
 const YIELD_MAX: Duration = Duration::from_micros(500);
 /// For this long after such a yield the cores count as busy, whatever a look at them says.
@@ -57,6 +61,7 @@ pub(super) struct Approach {
     cores: Cores,
     looked: Option<Instant>,
     distrusted_until: Option<Instant>,
+    rested: Option<Instant>,
     /// How late it woke at worst, as a lead, and until when that counts.
     late: Option<(Duration, Instant)>,
     credit: Duration,
@@ -70,6 +75,7 @@ impl Approach {
             cores: Cores::Free,
             looked: None,
             distrusted_until: None,
+            rested: None,
             late: None,
             credit: SPIN_CREDIT_MAX,
             credited: None,
@@ -128,6 +134,18 @@ impl Approach {
         if took > YIELD_MAX {
             self.distrusted_until = Some(now + DISTRUST);
         }
+    }
+
+    /// How long to rest after a movement, so that others can move; `next` is the next deadline.
+    pub(super) fn rest(&mut self, now: Instant, next: Option<Instant>) -> Duration {
+        let recently = |rested: Instant| now.saturating_duration_since(rested) < REST_EVERY;
+        if self.rested.is_some_and(recently) {
+            return Duration::ZERO;
+        }
+        self.rested = Some(now);
+        let lead = self.lead(now);
+        let until = next.map(|next| next.saturating_duration_since(now).saturating_sub(lead));
+        until.map_or(OTHERS_MOVE, |until| until.min(OTHERS_MOVE))
     }
 
     /// The thread span for this long, until now.
@@ -203,6 +221,20 @@ mod tests {
         assert!(!approach.yields(now + millis(999)));
         assert_eq!(approach.lead(now + millis(999)), LEAD_BUSY);
         assert!(approach.yields(now + millis(1_000)));
+    }
+
+    #[test]
+    fn a_thread_rests_after_a_movement_but_not_into_the_next_deadline_and_not_after_each_of_many() {
+        let (mut approach, now) = fair();
+        approach.looked(now, Cores::Free);
+        assert_eq!(approach.rest(now, None), OTHERS_MOVE);
+        assert_eq!(approach.rest(now + millis(19), None), Duration::ZERO);
+        let later = now + millis(20);
+        assert_eq!(approach.rest(later, Some(later + micros(300))), micros(300) - LEAD_FREE);
+        let later = later + REST_EVERY;
+        assert_eq!(approach.rest(later, Some(later + micros(100))), Duration::ZERO);
+        let later = later + REST_EVERY;
+        assert_eq!(approach.rest(later, Some(later + millis(5))), OTHERS_MOVE);
     }
 
     #[test]

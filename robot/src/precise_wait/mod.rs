@@ -16,9 +16,6 @@ use flume::{Receiver, RecvTimeoutError};
 use self::approach::{Approach, Cores, Scheduled};
 use crate::scheduling::Scheduling;
 
-/// Within this time after an instant, other processes have moved their robots too.
-const OTHERS_MOVE: Duration = Duration::from_micros(500);
-
 /// Cores count as busy only if they are this long after the first look as well: well before the deadline.
 const LOOK_AGAIN: Duration = Duration::from_millis(2);
 
@@ -101,10 +98,9 @@ impl PreciseWait {
         if self.approach.is_first() {
             return self.pause(now);
         }
-        let until = next.and_then(|next| next.checked_sub(self.approach.lead(now)));
-        let time = until.map_or(OTHERS_MOVE, |until| until.saturating_duration_since(now).min(OTHERS_MOVE));
-        if !time.is_zero() {
-            std::thread::sleep(time);
+        let rest = self.approach.rest(now, next);
+        if !rest.is_zero() {
+            std::thread::sleep(rest);
         }
     }
 
