@@ -43,9 +43,9 @@ fn locate_in(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {
         .zip(nodes)
         .zip(related)
         .map(|((pending, node), related)| {
-            let place = wanted.spot(node, pending.place.key);
+            let place = lines.within(wanted.spot(node, pending.place.key));
             let others = related.iter().zip(&pending.related).map(|(node, (place, message))| {
-                related_place(source, &lines, wanted.spot(*node, place.key), message, &mut room)
+                related_place(source, &lines, lines.within(wanted.spot(*node, place.key)), message, &mut room)
             });
             let others = others.collect();
             finding(source, &lines, pending, place, others, &mut room)
@@ -112,6 +112,14 @@ struct LineStarts(Vec<usize>);
 impl LineStarts {
     fn of(text: &str) -> Self {
         Self(line_starts(text).collect())
+    }
+
+    /// The parser places what ends the text, such as the value after a last `---`, on the line after it.
+    fn within(&self, spot: Spot) -> Spot {
+        match spot.line > self.0.len() {
+            true => Spot { line: self.0.len(), column: 1, width: 1 },
+            false => spot,
+        }
     }
 
     fn line<'a>(&self, text: &'a str, number: usize) -> &'a str {
@@ -250,5 +258,32 @@ impl Wanted {
         let part = Part::Key(key.to_owned(), *count);
         *count += 1;
         self.children[parent].get(&part).copied()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{Fleet, NoFiles, Source, compile};
+
+    #[test]
+    fn every_finding_is_on_a_line_of_the_file() {
+        for text in [
+            "---",
+            "---\n",
+            "--- # nothing",
+            "---\n...",
+            "--- !x",
+            "a: 1\n---",
+            "? ",
+            "- ",
+            "--- |\n",
+            "{a: ",
+            "'",
+        ] {
+            let source = Source { name: "s.yaml".into(), text: text.to_owned() };
+            let findings = compile(&source, &Fleet::default(), &NoFiles).findings;
+            let lines = text.matches('\n').count() + 1;
+            assert!(findings.iter().all(|finding| finding.line <= lines), "{text:?}: {findings:?}");
+        }
     }
 }

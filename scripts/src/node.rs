@@ -54,7 +54,8 @@ pub(crate) fn shortened(text: &str) -> String {
 /// A finding of kind [`Code::Syntax`] with the place where the text stops being YAML.
 pub(crate) fn parse(source: &Source) -> Result<Node, Finding> {
     let text = source.text.trim_start_matches(BYTE_ORDER_MARK);
-    if text.lines().all(|line| line.trim().is_empty() || line.trim_start().starts_with('#')) {
+    let says_nothing = |line: &str| ["", "---", "..."].contains(&line) || line.starts_with('#');
+    if text.lines().all(|line| says_nothing(line.trim())) {
         return Err(empty(source));
     }
     let condensed = rows::condense(text);
