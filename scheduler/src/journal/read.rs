@@ -10,7 +10,7 @@ use serde_json::Value;
 use urrcp::{DeviceId, Millis, RobotId, Server, Span, Timestamp};
 
 use super::{Opened, OpenedRobot};
-use crate::mission::{ActFlaws, OutOfTolerance, Promise, Rest};
+use crate::mission::{ActFlaws, ActOver, OutOfTolerance, Promise, Rest};
 
 /// What a journal says.
 #[derive(Clone, Debug)]
@@ -23,7 +23,9 @@ pub struct Kept {
     pub promises: Vec<(Promise, Progressed)>,
     /// Acts that have ended.
     pub ended_acts: u32,
-    /// What of each of those keeps the mission from being called done.
+    /// What became of acts that are over, in order.
+    pub course: Vec<ActOver>,
+    /// What of each of those that ended keeps the mission from being called done.
     pub flaws: Vec<ActFlaws>,
     /// Robots that were left out.
     pub dropped: Vec<RobotId>,
@@ -222,6 +224,7 @@ impl Kept {
             opened_at,
             promises: Vec::new(),
             ended_acts: 0,
+            course: Vec::new(),
             flaws: Vec::new(),
             dropped: Vec::new(),
             unnamed: Vec::new(),
@@ -311,10 +314,12 @@ impl Kept {
                 let ended = head.report.map(|report| report.number);
                 under_way.retain(|(number, ..)| Some(*number) != ended);
                 self.ended_acts += 1;
+                self.course.extend(serde_json::from_slice::<ActOver>(json));
                 let Head { unaccounted, out_of_tolerance, .. } = head;
                 let flaws = ActFlaws { unaccounted, out_of_tolerance };
                 self.flaws.extend(Some(flaws).filter(|flaws| *flaws != ActFlaws::default()));
             }
+            "act_skipped" => self.course.extend(serde_json::from_slice::<ActOver>(json)),
             "dropped" => {
                 // What it confirmed before was another stop.
                 self.stopped.retain(|robot| head.robot.as_ref() != Some(robot));

@@ -2,7 +2,7 @@ use urrcp::Span;
 
 use super::simulated::SimulatedDisk;
 use super::*;
-use crate::mission::{ActFlaws, OutOfTolerance, Promise, PromisedScript, Rest};
+use crate::mission::{ActFate, ActFlaws, ActOver, OutOfTolerance, Promise, PromisedScript, Rest};
 use crate::report::Outcome;
 
 fn opened() -> Opened {
@@ -152,6 +152,23 @@ fn what_keeps_a_mission_from_being_called_done_is_known_of_acts_that_have_ended(
         out_of_tolerance: Some(OutOfTolerance { spread, tolerance: Span::from_millis(10) }),
     };
     assert_eq!((kept.ended_acts, kept.flaws, kept.torn), (2, vec![expected], None));
+}
+
+#[test]
+fn what_became_of_acts_is_known_after_a_crash_also_of_those_that_were_not_played() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    let mut bytes = std::fs::read(&path).unwrap();
+    let timed_out = ActFate::TimedOut { awaited: "the operator's go".into(), within: Span::from_millis(5) };
+    let skipped = ActOver { act: 1, fate: timed_out };
+    let played = serde_json::json!({"at": at(9), "record": "act_ended", "report": {"number": 0}, "act": 0, "fate": "played"});
+    let mut line_of_skipped = serde_json::to_value(Record::ActSkipped(skipped.clone())).unwrap();
+    line_of_skipped["at"] = serde_json::to_value(at(10)).unwrap();
+    for record in [played, line_of_skipped] {
+        bytes.extend(line(&record).unwrap());
+    }
+    std::fs::write(&path, bytes).unwrap();
+    assert_eq!(read(&path).unwrap().course, [ActOver { act: 0, fate: ActFate::Played }, skipped]);
 }
 
 fn life(folder: &Path) -> Life {

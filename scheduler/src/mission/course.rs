@@ -9,7 +9,7 @@ use urrcp::{Server, Timestamp};
 use super::act::{Act, ActAction, Member, act_name};
 use super::facts::{ActReport, spread};
 use super::fates::ActFate;
-use super::record::{ActFlaws, OutOfTolerance, Record};
+use super::record::{ActFlaws, ActOver, OutOfTolerance, Record};
 use super::robot_state::{Reading, Rest, RobotState, Standing};
 use super::script::Script;
 use super::{Action, Mission, Outcome, Phase, Progress};
@@ -107,8 +107,7 @@ impl Mission {
             let act = self.acts.remove(at);
             let fate = ActFate::timed_out(&act);
             let reason = format!("`{}` {fate}", act.name());
-            self.tell(Progress::ActSkipped { act: act.name(), fate: fate.clone() });
-            self.fates[act.index()].note(fate);
+            self.skipped_act(&act, fate);
             if way == Way::Fail {
                 return self.abort_because(now, (Outcome::Failed, reason), Rest::Default, None);
             }
@@ -275,10 +274,10 @@ impl Mission {
             self.account(now, &act);
         }
         let fate = self.fate_of(now, &act);
-        if fate == ActFate::NobodyLeft {
-            self.tell(Progress::ActSkipped { act: act.name(), fate: fate.clone() });
+        match fate {
+            ActFate::NobodyLeft => self.skipped_act(&act, fate),
+            fate => self.fates[act.index()].note(fate),
         }
-        self.fates[act.index()].note(fate);
         if let Some(report) = ActReport::new(&act, &self.robots) {
             self.skipped = 0;
             self.keep_report(&act, report);
@@ -302,6 +301,12 @@ impl Mission {
         if self.acts.is_empty() && self.phase == Phase::Performing {
             self.go_on_from(now, follow);
         }
+    }
+
+    fn skipped_act(&mut self, act: &Act, fate: ActFate) {
+        self.tell(Progress::ActSkipped { act: act.name(), fate: fate.clone() });
+        self.record(Record::ActSkipped(ActOver { act: act.index(), fate: fate.clone() }));
+        self.fates[act.index()].note(fate);
     }
 
     fn fate_of(&self, now: Timestamp<Server>, act: &Act) -> ActFate {
@@ -338,7 +343,8 @@ impl Mission {
         let unaccounted = unaccounted.map(|member| self.robots[member.robot].id.clone()).collect();
         let flaws = ActFlaws { unaccounted, out_of_tolerance };
         self.is_flawed(&flaws);
-        self.record(Record::ActEnded { report: Box::new(report.clone()), flaws });
+        let over = ActOver { act: act.index(), fate: self.fates[act.index()].fate.clone() };
+        self.record(Record::ActEnded { report: Box::new(report.clone()), flaws, over });
         self.reports.push_back(report);
         let rows = |acts: &VecDeque<ActReport>| acts.iter().map(|act| act.robots.len()).sum::<usize>();
         while self.reports.len() > 1 && rows(&self.reports) > ROWS_KEPT {

@@ -3,13 +3,13 @@
 use std::fmt;
 
 use downbeat_scripts::Wait;
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use urrcp::Span;
 
 use super::act::Act;
 
 /// What became of an act of the scenario. Of one that came several times the last time counts.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", tag = "fate")]
 #[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
 pub enum ActFate {

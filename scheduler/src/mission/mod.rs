@@ -55,7 +55,7 @@ pub use lead::{LEAD_MARGIN_MIN, LeadTime};
 pub use options::{Greeting, Join, MissionOptions, Participant};
 pub use outcome::Outcome;
 pub use preflight::{Check, DeviceReading, Preflight, PreflightRow, Verdict};
-pub use record::{ActFlaws, OutOfTolerance, Promise, PromisedScript, Record};
+pub use record::{ActFlaws, ActOver, OutOfTolerance, Promise, PromisedScript, Record};
 pub use resume::Changed;
 pub use skew::{RobotSkew, SkewBudget};
 
@@ -132,6 +132,8 @@ pub struct Mission {
     preflight: Option<Preflight>,
     ntp: Option<NtpState>,
     outcome: Option<Outcome>,
+    /// Why it was stopped, where neither its outcome nor a failure of a robot says so.
+    because: Option<String>,
     /// Something failed on the way, whatever follows.
     flawed: Option<Outcome>,
     /// An act whose starts were too far apart.
@@ -196,6 +198,7 @@ impl Mission {
             preflight: None,
             ntp: None,
             outcome: None,
+            because: None,
             flawed: None,
             flaw_of_starts: None,
             reports: VecDeque::new(),
@@ -317,6 +320,10 @@ impl Mission {
     }
 
     /// How many acts were to begin at most, where another would have followed.
+    pub(crate) fn because(&self) -> Option<&str> {
+        self.because.as_deref()
+    }
+
     pub(crate) fn bound_reached(&self) -> Option<u32> {
         self.options.acts_max.filter(|_| self.bounded)
     }

@@ -90,6 +90,25 @@ pub enum Outcome {
     },
 }
 
+impl Outcome {
+    /// What held the scheduler up, for people, if that is why an act was withdrawn.
+    pub(crate) fn hold_up(&self) -> Option<String> {
+        let (what, late) = match self {
+            Self::DecisionLate { by } => ("this machine was held up, the decision", (*by, "")),
+            Self::CommitmentLate { by } => {
+                ("this machine or its disk was held up, the commitment", (*by, " or more"))
+            }
+            _ => return None,
+        };
+        Some(match late {
+            (Span::ZERO, _) => format!("{what} came too late; {LESS_TO_DO}"),
+            (by, or_more) => format!("{what} came {by}{or_more} too late; {LESS_TO_DO}"),
+        })
+    }
+}
+
+const LESS_TO_DO: &str = "give this machine less to do meanwhile";
+
 impl fmt::Display for Outcome {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
@@ -129,13 +148,23 @@ impl fmt::Display for Outcome {
                 "not sent: a pending stop_condition of {lease} is too short, the measured delays need {needed}"
             ),
             Self::JournalLost { reason } => write!(f, "stopped: {reason}"),
-            Self::DecisionLate { by } => {
-                write!(f, "not started: this machine was held up, the decision came {by} late")
+            Self::DecisionLate { .. } | Self::CommitmentLate { .. } => {
+                write!(f, "not started: {}", self.hold_up().unwrap_or_default())
             }
-            Self::CommitmentLate { by } => write!(
-                f,
-                "not started: this machine or its disk was held up, the commitment came {by} or more too late"
-            ),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_delay_that_is_none_is_not_told_as_zero() {
+        let told = |by| Outcome::CommitmentLate { by }.to_string();
+        let begin = "not started: this machine or its disk was held up, the commitment came ";
+        assert_eq!(told(Span::ZERO), format!("{begin}too late; {LESS_TO_DO}"));
+        assert_eq!(told(Span::from_millis(3)), format!("{begin}3 ms or more too late; {LESS_TO_DO}"));
+        assert_eq!(Outcome::Failed.hold_up(), None);
     }
 }

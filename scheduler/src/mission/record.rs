@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use urrcp::{ContentHash, DeviceId, Millis, RequestId, RobotId, Server, Span, Timestamp};
 
-use super::{ActReport, Outcome, Rest};
+use super::{ActFate, ActReport, Outcome, Rest};
 
 /// A line of the journal.
 #[derive(Clone, Debug, Serialize)]
@@ -57,7 +57,12 @@ pub enum Record {
         /// What of it keeps the mission from being called done.
         #[serde(flatten)]
         flaws: ActFlaws,
+        /// For the course of the mission.
+        #[serde(flatten)]
+        over: ActOver,
     },
+    /// An act was not played.
+    ActSkipped(ActOver),
     /// The mission is over.
     Ended {
         /// The outcome of the mission.
@@ -80,9 +85,20 @@ impl Record {
             | Self::Decided { .. }
             | Self::Dropped { .. }
             | Self::StopConfirmed { .. }
-            | Self::ActEnded { .. } => false,
+            | Self::ActEnded { .. }
+            | Self::ActSkipped(_) => false,
         }
     }
+}
+
+/// An act of the scenario is over, so that another process can tell what became of it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct ActOver {
+    /// Its index in the choreography.
+    pub act: usize,
+    /// What became of it.
+    #[serde(flatten)]
+    pub fate: ActFate,
 }
 
 /// What keeps a mission from being called done: another process that takes it up has not seen it.

@@ -6,7 +6,7 @@ use downbeat_scripts::Choreography;
 use urrcp::{Server, Timestamp};
 
 use super::act::{Act, Reached};
-use super::record::Promise;
+use super::record::{ActOver, Promise};
 use super::robot_state::{Rest, Standing};
 use super::{Mission, MissionOptions, Outcome, Participant, Phase, ledger};
 use crate::journal::{Kept, Left, Progressed};
@@ -39,6 +39,10 @@ impl Mission {
             }
         }
         left.flaws.iter().for_each(|flaws| mission.is_flawed(flaws));
+        for ActOver { act, fate } in &left.course {
+            let course = mission.fates.get_mut(*act);
+            course.into_iter().for_each(|course| course.note(fate.clone()));
+        }
         for (promise, progressed) in &left.promises {
             match progressed {
                 Progressed::Prepared => {}

@@ -72,7 +72,8 @@ impl Mission {
         rest: Rest,
         then: Option<usize>,
     ) {
-        let reason = outcome.to_string();
+        let begun = self.acts.iter().any(Act::has_begun);
+        let reason = outcome.hold_up().filter(|_| begun).unwrap_or_else(|| outcome.to_string());
         self.abort_because(now, (outcome, reason), rest, then);
     }
 
@@ -231,6 +232,7 @@ impl Mission {
             )
         };
         if begun && self.outcome.as_ref().is_some_and(not_begun) {
+            self.because = self.outcome.as_ref().and_then(Outcome::hold_up);
             self.outcome = Some(Outcome::Failed);
         }
         let scripts = self.acts.iter().flat_map(Act::members).flat_map(|member| member.scripts());

@@ -40,6 +40,9 @@ pub struct Report {
     pub session: Option<SessionId>,
     /// How it ended.
     pub outcome: Outcome,
+    /// Why it was stopped, for people, where neither the outcome nor a failure of a robot says so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub because: Option<String>,
     /// So many acts had begun, as many as were asked for: the mission came to its end although another act would have
     /// followed.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -166,6 +169,7 @@ impl Report {
             scenario: mission.choreography().scenario.clone(),
             session: mission.options().session.clone(),
             outcome,
+            because: mission.because().map(str::to_owned),
             acts_max_reached: mission.bound_reached(),
             start: acts.front().map(|act| act.start),
             lead: acts.front().map(|act| act.lead),

@@ -178,6 +178,9 @@ fn readings_table(preflight: &Preflight, columns: usize) -> String {
 pub fn report_text(report: &Report, columns: usize) -> String {
     let mut text = String::new();
     say(&mut text, columns, &format!("{}: {}", report.scenario, outcome_text(&report.outcome)));
+    if let Some(because) = &report.because {
+        say(&mut text, columns, &format!("  {because}"));
+    }
     if let Some(acts_max) = report.acts_max_reached {
         let acts = counted(acts_max as usize, "act");
         let sentence = format!("  ended because {acts} had begun, the bound; another would have followed");

@@ -15,6 +15,7 @@ impl Said<'_> {
             Outcome::Done => self.all_done(wrong),
             Outcome::DoneWithout => self.done_but_for_those_left_out(wrong),
             Outcome::NotStarted => self.nothing_moved(wrong),
+            Outcome::Failed => self.has_a_reason(wrong),
             _ => {}
         }
         self.course(wrong);
@@ -85,10 +86,15 @@ impl Said<'_> {
         }
     }
 
-    fn course(&self, wrong: &mut Vec<String>) {
-        if self.resumed {
-            return;
+    /// A mission that failed says why: by a failure of a robot, by an act that waited for too long, or in words.
+    fn has_a_reason(&self, wrong: &mut Vec<String>) {
+        let waited = self.report.course.iter().any(|act| matches!(act.fate, ActFate::TimedOut { .. }));
+        if self.report.failures.is_empty() && self.report.because.is_none() && !waited {
+            wrong.push("failed, and no reason is given".to_owned());
         }
+    }
+
+    fn course(&self, wrong: &mut Vec<String>) {
         for (index, course) in self.report.course.iter().enumerate() {
             let sent: Vec<&SentAct<'_>> =
                 self.facts.acts.iter().filter(|act| act.promise.act == index).collect();
@@ -106,8 +112,9 @@ impl Said<'_> {
             });
             let ended = self.acts_ended(&course.act);
             let truth = match &course.fate {
-                ActFate::NotReached => sent.is_empty(),
-                ActFate::StillWaiting => sent.len() == ended,
+                // A process that died may have sent it, and the next one not have come to it.
+                ActFate::NotReached => sent.is_empty() || self.resumed && !began,
+                ActFate::StillWaiting => sent.len() == ended || self.resumed && !began,
                 ActFate::NobodyLeft => {
                     sent.len() == ended && skipped.is_some_and(|at| self.nobody_left(index, at))
                 }
