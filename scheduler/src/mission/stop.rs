@@ -72,8 +72,7 @@ impl Mission {
         rest: Rest,
         then: Option<usize>,
     ) {
-        let begun = self.acts.iter().any(Act::has_begun);
-        let reason = outcome.hold_up().filter(|_| begun).unwrap_or_else(|| outcome.to_string());
+        let reason = outcome.hold_up().unwrap_or_else(|| outcome.to_string());
         self.abort_because(now, (outcome, reason), rest, then);
     }
 
