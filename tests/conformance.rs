@@ -11,8 +11,10 @@ use std::sync::{Arc, Mutex};
 
 use downbeat::conformance::{Examined, Options, Verdict, examine, requirements};
 use downbeat_robot::simulated::Settings;
+use rustix::process::Signal;
 use urrcp::Span;
 
+use crate::robots::signal;
 use crate::session::{PROGRAM, Session, root};
 use faults::{Mutant, Robot};
 
@@ -281,8 +283,7 @@ fn ctrl_c_leaves_the_robot_at_rest() {
     ]);
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
     std::thread::sleep(std::time::Duration::from_millis(700));
-    let kill = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(kill.success());
+    signal(&child, Signal::INT);
     let ended = child.wait_with_output().unwrap();
     let printed = String::from_utf8_lossy(&ended.stdout);
     assert_eq!(ended.status.code(), Some(3), "{printed}");

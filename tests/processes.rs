@@ -4,7 +4,9 @@ use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
 
-use crate::robots::free_port;
+use rustix::process::Signal;
+
+use crate::robots::{free_port, signal};
 use crate::session::{ARM, PROGRAM, Session};
 
 const SCENARIO: &str = "scenario: test
@@ -98,10 +100,6 @@ fn await_line(child: &mut Child, text: &str) {
     panic!("the scheduler never said `{text}`");
 }
 
-fn signal(child: &Child, name: &str) {
-    assert!(Command::new("kill").args([name, &child.id().to_string()]).status().unwrap().success());
-}
-
 #[test]
 fn six_processes_with_clocks_of_their_own_start_and_report() {
     let fleet = Fleet::start(&[]);
@@ -174,7 +172,7 @@ fn ctrl_c_returns_every_robot_to_its_default_state() {
     let mut scheduler = fleet.run_in_background(&[]);
     await_line(&mut scheduler, "all have accepted");
     std::thread::sleep(Duration::from_secs(4));
-    signal(&scheduler, "-INT");
+    signal(&scheduler, Signal::INT);
     let mut printed = String::new();
     scheduler.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
     assert_eq!(scheduler.wait().unwrap().code(), Some(3), "{printed}");
@@ -191,10 +189,10 @@ fn a_second_ctrl_c_leaves_at_once_and_says_what_was_left_running() {
     await_line(&mut scheduler, "all have accepted");
     // A robot that is stopped by its debugger confirms nothing.
     std::thread::sleep(Duration::from_secs(3));
-    signal(&fleet.robots[3], "-STOP");
-    signal(&scheduler, "-INT");
+    signal(&fleet.robots[3], Signal::STOP);
+    signal(&scheduler, Signal::INT);
     await_line(&mut scheduler, "stopping all robots");
-    signal(&scheduler, "-INT");
+    signal(&scheduler, Signal::INT);
     let mut printed = String::new();
     scheduler.stdout.take().unwrap().read_to_string(&mut printed).unwrap();
     assert_eq!(scheduler.wait().unwrap().code(), Some(4), "{printed}");
@@ -241,7 +239,7 @@ fn a_whole_fleet_in_one_process_is_pinged_and_started_without_a_handshake() {
     }
     let ping = session.run(&["fleet", "ping", "fleet.yaml"]);
     let ran = session.run(&["run", "test.yaml", "--format", "json"]);
-    signal(&sim, "-TERM");
+    signal(&sim, Signal::TERM);
     assert_eq!(sim.wait().unwrap().code(), Some(0));
     ping.says(0, &["r2", "tcp://127.0.0.1:", "yes"]);
     assert_eq!(ran.code(), 0, "{}", ran.text());

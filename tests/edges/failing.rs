@@ -1,14 +1,15 @@
 //! Hardware that fails while a start is near, and what the edge says of it.
 
-use std::process::Command;
 use std::time::Duration;
 
+use rustix::process::{Pid, Signal, kill_process};
 use urrcp::{ErrorCode, Status};
 
-use super::processes::{Edge, Tank, signal};
+use super::processes::{Edge, Tank};
 use super::programs::DRIVE;
 use super::server::Server;
 use super::{await_that, of, session, sets};
+use crate::robots::signal;
 
 #[test]
 fn hardware_that_dies_shortly_before_a_start_is_missed_at_once_and_nothing_starts() {
@@ -58,9 +59,9 @@ fn an_edge_that_was_stopped_and_goes_on_sets_no_value_that_has_become_stale() {
     let mut server = Server::connected(&edge);
     server.script(1_000, &[(0.0, 40.0), (1_000.0, -20.0), (60_000.0, 5.0)]);
     assert_eq!(server.response().status, Status::Started);
-    signal(&edge.0, "STOP");
+    signal(&edge.0, Signal::STOP);
     std::thread::sleep(Duration::from_secs(2));
-    signal(&edge.0, "CONT");
+    signal(&edge.0, Signal::CONT);
     let failed = server.response();
     assert_eq!(failed.error.map(|error| error.code), Some(ErrorCode::Late));
     await_that("the default state", || of("left", &sets(&session, "1.log")).len() == 3);
@@ -78,7 +79,8 @@ fn a_program_that_dies_shortly_before_a_start_is_missed_at_once_and_nothing_star
     server.script(1_000, &[(0.0, 40.0), (300.0, -20.0)]);
     server.await_start_less(108);
     let program = std::fs::read_to_string(session.path("pid")).unwrap();
-    assert!(Command::new("kill").args(["-KILL", program.trim()]).status().unwrap().success());
+    let program = program.trim().parse().ok().and_then(Pid::from_raw).unwrap();
+    kill_process(program, Signal::KILL).unwrap();
     let error = server.fails_unstarted();
     assert_eq!(error.code, ErrorCode::Internal);
     assert!(error.message.contains("driven.txt` has ended"), "{error}");

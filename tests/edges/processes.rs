@@ -3,8 +3,10 @@
 use std::io::{BufRead, BufReader, Read};
 use std::process::{Child, Command, Stdio};
 
+use rustix::process::Signal;
+
 use super::TANK;
-use crate::robots::ended_by_a_hang_up;
+use crate::robots::{ended_by_a_hang_up, signal};
 use crate::session::{Session, root};
 use crate::thrift_robot;
 
@@ -43,15 +45,10 @@ impl Tank {
     /// It keeps its connection and does nothing more.
     pub fn freeze(&self) {
         match self {
-            Self::Python(child) => signal(child, "STOP"),
+            Self::Python(child) => signal(child, Signal::STOP),
             Self::Rust(robot) => robot.freeze(),
         }
     }
-}
-
-pub fn signal(child: &Child, name: &str) {
-    let id = child.id().to_string();
-    assert!(Command::new("kill").args([&format!("-{name}"), &id]).status().unwrap().success());
 }
 
 impl Drop for Tank {
@@ -98,11 +95,11 @@ impl Edge {
 
     /// Its exit code and what it said.
     pub fn end(self) -> (Option<i32>, String) {
-        self.ends_by("TERM")
+        self.ends_by(Signal::TERM)
     }
 
-    pub fn ends_by(mut self, name: &str) -> (Option<i32>, String) {
-        signal(&self.0, name);
+    pub fn ends_by(mut self, by: Signal) -> (Option<i32>, String) {
+        signal(&self.0, by);
         let mut said = String::new();
         self.0.stderr.take().unwrap().read_to_string(&mut said).unwrap();
         (self.0.wait().unwrap().code(), said)

@@ -3,8 +3,11 @@
 use std::process::{Command, Stdio};
 use std::time::Duration;
 
-use super::processes::{Edge, signal};
+use rustix::process::Signal;
+
+use super::processes::Edge;
 use super::{LEAD, SCENARIO, await_that, session};
+use crate::robots::signal;
 use crate::session::{Session, root};
 
 pub const DRIVE: &str = include_str!("../drivers/drive.sh");
@@ -81,7 +84,7 @@ fn a_program_that_a_killed_scheduler_drove_is_started_again_by_a_resume_from_ano
 }
 
 /// A program drives a wheel, and the edge is sent these signals, one after another. What the program was told.
-fn driven_until(signals: &[&str]) -> (Option<i32>, String) {
+fn driven_until(signals: &[Signal]) -> (Option<i32>, String) {
     let session = Session::new();
     session.file("drive.sh", DRIVE).file("wheel.yaml", WHEEL);
     let edge = Edge::start(&session, "wheel.yaml", "program:sh drive.sh driven.txt");
@@ -92,7 +95,7 @@ fn driven_until(signals: &[&str]) -> (Option<i32>, String) {
     await_that("the default state", || driven().ends_with("set wheel speed 0\n"));
     let mut running = session.command(&["run", "turn.yaml"]).spawn().unwrap();
     await_that("the wheel", || driven().ends_with("set wheel speed 5\n"));
-    signals[..signals.len() - 1].iter().for_each(|name| signal(&edge.0, name));
+    signals[..signals.len() - 1].iter().for_each(|by| signal(&edge.0, *by));
     std::thread::sleep(Duration::from_millis(50));
     assert!(driven().ends_with("set wheel speed 5\n"), "{signals:?}: {}", driven());
     let (code, _) = edge.ends_by(signals[signals.len() - 1]);
@@ -120,16 +123,17 @@ cues: [{at: 0s, robots: wheel, tracks: {wheel: {control: speed, keyframes: [{at:
 
 #[test]
 fn a_driver_is_told_to_stop_last_whatever_signal_asks_the_edge_to_end() {
-    for name in ["INT", "TERM", "HUP", "QUIT"] {
-        let (code, driven) = driven_until(&[name]);
-        assert!(driven.ends_with("set wheel speed 0\n"), "{name}: {driven}");
-        assert_eq!(code, Some(0), "{name}");
+    for by in [Signal::INT, Signal::TERM, Signal::HUP, Signal::QUIT] {
+        let (code, driven) = driven_until(&[by]);
+        assert!(driven.ends_with("set wheel speed 0\n"), "{by:?}: {driven}");
+        assert_eq!(code, Some(0), "{by:?}");
     }
 }
 
 #[test]
 fn signals_that_ask_for_nothing_do_not_end_an_edge() {
-    let (code, driven) = driven_until(&["USR1", "USR2", "XFSZ", "PIPE", "TERM"]);
+    let (code, driven) =
+        driven_until(&[Signal::USR1, Signal::USR2, Signal::XFSZ, Signal::PIPE, Signal::TERM]);
     assert!(driven.ends_with("set wheel speed 0\n"), "{driven}");
     assert_eq!(code, Some(0));
 }

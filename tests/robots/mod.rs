@@ -25,7 +25,7 @@ pub struct Process(pub Child);
 
 impl Process {
     pub fn signal(&self, signal: Signal) {
-        kill_process(Pid::from_child(&self.0), signal).unwrap();
+        self::signal(&self.0, signal);
     }
 
     /// Ends it as a power cut would.
@@ -40,6 +40,10 @@ impl Drop for Process {
         let _gone = self.0.kill();
         let _reaped = self.0.wait();
     }
+}
+
+pub fn signal(child: &Child, signal: Signal) {
+    kill_process(Pid::from_child(child), signal).unwrap();
 }
 
 /// How a robot is reached.

@@ -14,8 +14,8 @@ const LEAD_FREE: Duration = Duration::from_micros(200);
 const LEAD_MORE: Duration = Duration::from_micros(50);
 const LEAD_MAX: Duration = Duration::from_millis(1);
 const LATE_REMEMBERED: Duration = Duration::from_secs(60);
-/// The same where they are busy: none. Whoever spins uses up the right to run next, and is then interrupted for milliseconds;
-/// one who sleeps until the deadline is woken a tenth of a millisecond late.
+/// None where cores are busy: a thread that spins uses up its right to run next and is then interrupted for milliseconds; a
+/// thread that sleeps until the deadline is woken a tenth of a millisecond late.
 const LEAD_BUSY: Duration = Duration::ZERO;
 /// Within this time after an instant, other processes have moved their robots too.
 const OTHERS_MOVE: Duration = Duration::from_micros(500);
