@@ -234,7 +234,7 @@ impl Reader {
                         _ if syntax::without_space(key, &known).is_some() => {
                             syntax::without_space(key, &known)
                         }
-                        _ => self.did_you_mean(key, known),
+                        _ => self.did_you_mean(key, known).or_else(|| word_of(key, known)),
                     };
                     let message = format!("unknown key `{}` in {what}", shortened(key));
                     let place = at.entry(key, 0, node).key_place();
@@ -513,6 +513,12 @@ fn cut_by_comma<'a>((key, value): &'a (String, Node), rest: &str, node: &Node) -
         Node::Number(whole) if decimals && whole.fract() == 0.0 => Some((key, *whole)),
         _ => None,
     }
+}
+
+/// `control_type` for `control`: a key that is one word of what was written.
+fn word_of(wrong: &str, known: impl IntoIterator<Item = &'static str>) -> Option<String> {
+    let mut known = known.into_iter().filter(|name| name.len() > 3);
+    known.find(|name| wrong.split(['_', '-', ' ']).any(|word| word == *name)).map(did_you_mean_this)
 }
 
 /// How a number is written that a person would understand: `45,5`, `45deg`.

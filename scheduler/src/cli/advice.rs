@@ -68,6 +68,13 @@ pub(super) fn advise(error: &mut clap::Error, args: &[String]) {
         ErrorKind::MissingRequiredArgument => of_missing(error),
         ErrorKind::ArgumentConflict => of_conflict(error),
         ErrorKind::InvalidValue if text(error, ContextKind::InvalidValue).is_empty() => of_no_value(error),
+        ErrorKind::InvalidValue => {
+            let wrong = text(error, ContextKind::InvalidValue);
+            if !is_near(&wrong, error.get(ContextKind::SuggestedValue)) {
+                let _misleading = error.remove(ContextKind::SuggestedValue);
+            }
+            return;
+        }
         _ => return,
     };
     let unhelpful = error.kind() == ErrorKind::UnknownArgument;
@@ -132,12 +139,23 @@ fn of_command(error: &mut clap::Error) -> Vec<String> {
             "write what to do with it: `downbeat check {wrong}`, or `downbeat run {wrong}`"
         )];
     }
-    if error.get(ContextKind::SuggestedSubcommand).is_some() {
+    if is_near(&wrong, error.get(ContextKind::SuggestedSubcommand)) {
         return Vec::new();
     }
+    let _misleading = error.remove(ContextKind::SuggestedSubcommand);
     let cli = Cli::command();
     let near = did_you_mean(&wrong, cli.get_subcommands().map(Command::get_name));
     vec![near.unwrap_or_else(|| "`downbeat --help` lists the commands".to_owned())]
+}
+
+/// Whether what clap suggests is like what was written.
+fn is_near(wrong: &str, suggested: Option<&ContextValue>) -> bool {
+    let near = |right: &String| did_you_mean(wrong, [right.as_str()]).is_some();
+    match suggested {
+        Some(ContextValue::String(right)) => near(right),
+        Some(ContextValue::Strings(rights)) => rights.iter().any(near),
+        _ => false,
+    }
 }
 
 fn of_no_value(error: &clap::Error) -> Vec<String> {

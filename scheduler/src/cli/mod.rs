@@ -1,9 +1,9 @@
 //! The command line: one file per subcommand. Only this module prints.
 //!
-//! Exit codes: 0 done; 1 findings, or the mission failed or did not start; 2 usage, or a file that cannot be read or
-//! written; 3 stopped by the operator, every robot confirmed; 4 ended with robots whose stop is not confirmed; 5 done without robots that failed,
-//! or without acts whose wait ran out; 6 played to its end, but not as promised or not known; 7 done, but standard output or
-//! the recording could not be written.
+//! Exit codes: 0 done; 1 findings, or the mission failed or did not start; 2 usage, or a file that cannot be read or written;
+//! 3 stopped by the operator, every robot confirmed; 4 ended with robots whose stop is not confirmed; 5 done without robots that
+//! failed, or without acts whose wait ran out; 6 played to its end, but not as promised or not known; 7 done, but standard output
+//! or the recording could not be written.
 
 mod advice;
 mod check;

@@ -2,7 +2,7 @@
 
 use downbeat_scripts::SensorRange;
 use serde::{Serialize, Serializer};
-use urrcp::{ControlError, DeviceId, RobotId, Span};
+use urrcp::{ControlError, DeviceId, ErrorCode, RobotId, Span};
 
 use super::claim::Claim;
 use crate::clock::ClockDoubt;
@@ -66,7 +66,7 @@ pub enum FailureKind {
         within: Span,
     },
     /// Its availability check failed.
-    #[error("not available: {error}")]
+    #[error("not available: {error}{}", remedy_of_busy(error))]
     NotAvailable {
         /// Its own reason.
         error: ControlError,
@@ -164,6 +164,13 @@ fn remedy_of_silence(awaited: &str) -> &'static str {
     }
 }
 
+fn remedy_of_busy(error: &ControlError) -> &'static str {
+    match error.code {
+        ErrorCode::Busy => "; wait for its end, or end it with `downbeat stop` on the machine where it runs",
+        _ => "",
+    }
+}
+
 /// A clock that is off is a matter of NTP; one that is only poorly known is a matter of the link.
 fn clock_text(offset: Span, uncertainty: Span, tolerance: Span) -> String {
     match ClockDoubt::of(offset, uncertainty) {
@@ -178,8 +185,6 @@ fn clock_text(offset: Span, uncertainty: Span, tolerance: Span) -> String {
 
 #[cfg(test)]
 mod tests {
-    use urrcp::ErrorCode;
-
     use super::*;
 
     /// The kind that stands behind another one in the enumeration: a new kind has to find its place here.

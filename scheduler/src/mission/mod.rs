@@ -319,11 +319,12 @@ impl Mission {
         self.outcome.as_ref().filter(|_| self.phase == Phase::Ended)
     }
 
-    /// How many acts were to begin at most, where another would have followed.
+    /// Why it was stopped, where neither its outcome nor a failure of a robot says so.
     pub(crate) fn because(&self) -> Option<&str> {
         self.because.as_deref()
     }
 
+    /// How many acts were to begin at most, where another would have followed.
     pub(crate) fn bound_reached(&self) -> Option<u32> {
         self.options.acts_max.filter(|_| self.bounded)
     }

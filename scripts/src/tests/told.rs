@@ -25,6 +25,8 @@ fn only_words_that_are_alike_are_suggested() {
     assert_eq!(did_you_mean("cues", ["cue"]).as_deref(), Some("did you mean `cue`?"));
     assert_eq!(did_you_mean("shoulder", ["shuolder", "elbow"]).as_deref(), Some("did you mean `shuolder`?"));
     says("cues: [{robots: bot, move: x}]\n", &["a name that is defined, but none is"]);
+    let of_the_protocol = "cues: [{robots: bot, tracks: {lamp: {control_type: speed, keyframes: []}}}]\n";
+    says(of_the_protocol, &["unknown key `control_type`", "did you mean `control`?"]);
 }
 
 const PARAMETERS: &str = "moves:\n  go:\n    parameters: {to: ~}\n    tracks: {lamp: [{at: 0s, to: $to}]}\n";
