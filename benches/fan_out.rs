@@ -146,7 +146,8 @@ fn downbeat(count: usize) -> (Duration, Duration, f64) {
     runtime().block_on(async {
         let clock = ServerClock::anchored(Span::ZERO);
         let participants = (0..count).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
-        let options = MissionOptions { patience: Span::from_millis(60_000), ..MissionOptions::default() };
+        let mut options = MissionOptions::default();
+        options.patience = Span::from_millis(60_000);
         let mission = Mission::of_plan(plan(count), participants, options, clock.now()).unwrap();
         let endpoints = peers
             .ports

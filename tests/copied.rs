@@ -47,11 +47,9 @@ fn the_robot_to_copy_does_what_the_protocol_demands() {
     let host = Host::start(vec![robot::arm().unwrap()], HostOptions::default()).unwrap();
     let handle = host.handle();
     let address = served(async |listener| serve(listener, handle, 0).await.unwrap());
-    let options = Options {
-        device: Some("elbow".parse().unwrap()),
-        tolerance: Span::from_millis(150),
-        ..Options::default()
-    };
+    let mut options = Options::default();
+    options.device = Some("elbow".parse().unwrap());
+    options.tolerance = Span::from_millis(150);
     let examined = examine(address, options, Arc::new(AtomicBool::new(false)), &mut |_, _| {}).unwrap();
     let failed = examined.judged.iter().filter(|judged| judged.verdict == Verdict::Fail);
     let failed: Vec<_> = failed.map(|judged| format!("{}: {}", judged.requirement, judged.why)).collect();

@@ -82,6 +82,7 @@ pub enum HostError {
 /// A robot whose hardware was moved and, when its host stopped, may not have come to its default state.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("the devices of `{robot}` may not be in their default state: {reason}")]
+#[non_exhaustive]
 pub struct NotAtRest {
     /// Id of the robot.
     pub robot: RobotId,

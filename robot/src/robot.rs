@@ -74,6 +74,7 @@ pub enum Output {
 
 /// One movement of one device.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct SetValue {
     /// Which device.
     pub device: DeviceId,

@@ -25,6 +25,7 @@ impl Kept {
 
 /// One value set.
 #[derive(Clone, Debug, PartialEq, Serialize)]
+#[non_exhaustive]
 pub struct LogEntry {
     /// When, by the one true clock of the host, in nanoseconds since the Unix epoch.
     pub true_ns: i64,

@@ -31,7 +31,8 @@ pub async fn play(
 
     // The system's clock is taken as it is; `server_clock::ask_ntp` tells how far it is off.
     let clock = ServerClock::anchored(Span::ZERO);
-    let options = MissionOptions { session: Some("example".parse()?), ..MissionOptions::default() };
+    let mut options = MissionOptions::default();
+    options.session = Some("example".parse()?);
     let robots = fleet::robots_in(&fleet, &choreography);
     // Simulated robots and drivers run in this process, on the host.
     let (host, endpoints) = fleet::endpoints(&robots, fleet.handshake, HostOptions::default())?;

@@ -47,17 +47,18 @@ mod sarif;
 mod scenario;
 mod schema;
 mod scope;
+#[doc(hidden)]
 pub mod shown;
 mod source;
 mod syntax;
 mod tags;
 pub mod timing;
 
-pub use address::{Address, NoAddress, address_fault};
+pub use address::{Address, NoAddress};
 pub use compile::{Compiled, compile};
 pub use duration::parse_duration;
 pub use files::{Files, Folder, NoFiles};
-pub use finding::{Code, Finding, Related, Severity, did_you_mean};
+pub use finding::{Code, Finding, Related, Severity};
 pub use fleet::{
     ClockMode, Fault, Fleet, FleetRobot, Handshake, MissionSettings, RateLimits, Requirement,
     SimulationSettings, read_fleet,
@@ -69,11 +70,15 @@ pub use plan::{
 };
 pub use refill::{Freed, Refill, RefillKind, refills, refills_of_robots, tightest_refill};
 pub use refusal::{Attempt, Refusal};
-pub use render::{counted, render};
+pub use render::render;
 pub use sarif::sarif;
 pub use scenario::{fleet_named_by, parse_time};
 pub use schema::{Schema, schema};
 pub use source::Source;
+
+/// Words for messages, shared with the program.
+#[doc(hidden)]
+pub use {address::address_fault, finding::did_you_mean, render::counted};
 
 #[cfg(test)]
 mod tests;

@@ -49,6 +49,7 @@ pub enum DriverError {
 
 /// A linear movement, for drivers that move by themselves.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub struct Ramp {
     /// position, speed or acceleration.
     pub control_type: ControlType,

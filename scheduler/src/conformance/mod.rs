@@ -34,6 +34,7 @@ use trial::Trial;
 
 /// How a robot is examined.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct Options {
     /// How long the robot may take for any answer.
     pub patience: Span,

@@ -54,6 +54,7 @@ pub enum Join {
 
 /// What the operator chose.
 #[derive(Clone, Debug)]
+#[non_exhaustive]
 pub struct MissionOptions {
     /// Steps 1 to 4, or not.
     pub greeting: Greeting,

@@ -3,9 +3,9 @@
 mod course;
 #[cfg(test)]
 mod kinds;
-pub mod local;
+pub(crate) mod local;
 pub mod picture;
-pub mod table;
+pub(crate) mod table;
 mod text;
 mod wake_up;
 mod withdrawal;
@@ -19,10 +19,10 @@ pub use crate::mission::{ActCourse, ActFate, ActReport, ActRobot, DeviceReport, 
 use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight};
 use crate::recording::Recorded;
 use crate::server_clock::NtpState;
-pub use course::course_lines;
-pub(crate) use text::TAKEN_OVER;
-pub use text::{
-    UNBOUNDED, choreography_figures, main_duration, plan_figures, plan_table, preflight_table, report_text,
+pub(crate) use course::course_lines;
+pub use text::report_text;
+pub(crate) use text::{
+    TAKEN_OVER, UNBOUNDED, choreography_figures, main_duration, plan_table, preflight_table,
 };
 pub use wake_up::HostWakeUp;
 pub use withdrawal::Withdrawal;

@@ -95,7 +95,7 @@ fn steps_of(plan: &Plan) -> usize {
 
 /// How large a plan is, in one line.
 #[must_use]
-pub fn plan_figures(plan: &Plan) -> String {
+fn plan_figures(plan: &Plan) -> String {
     let devices = |robot: &RobotPlan| {
         let mut devices: Vec<_> = robot.scripts.iter().map(|script| &script.device).collect();
         devices.dedup();

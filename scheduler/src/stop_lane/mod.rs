@@ -28,7 +28,7 @@ use crate::link::{Endpoint, Link};
 use crate::mission::Rest;
 use crate::run::Operator;
 use crate::server_clock::ServerClock;
-use crate::signals::OnHangUp;
+pub use crate::signals::OnHangUp;
 
 /// Words that may wait for the mission.
 const WORDS_MAX: usize = 64;
