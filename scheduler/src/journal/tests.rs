@@ -53,6 +53,17 @@ fn written(folder: &Path) -> PathBuf {
 }
 
 #[test]
+fn a_mission_has_begun_once_its_fleet_is_checked() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = written(folder.path());
+    assert!(!has_begun(folder.path()));
+    let mut bytes = std::fs::read(&path).unwrap();
+    bytes.extend(line(&serde_json::json!({"at": at(9), "record": "checked"})).unwrap());
+    std::fs::write(&path, bytes).unwrap();
+    assert!(has_begun(folder.path()));
+}
+
+#[test]
 fn what_was_promised_is_read_back() {
     let folder = tempfile::tempdir().unwrap();
     let kept = read(&written(folder.path())).unwrap();

@@ -269,7 +269,7 @@ impl Mission {
     }
 
     /// Refuses robots whose clock is surely further off than the scenario tolerates, and those that spread the fleet.
-    fn check_clocks(&mut self, now: Timestamp<Server>) {
+    pub(super) fn check_clocks(&mut self, now: Timestamp<Server>) {
         let tolerance = self.choreography.acts[self.options.first_act].plan.start_tolerance;
         for index in 0..self.robots.len() {
             let robot = &self.robots[index];
@@ -416,7 +416,7 @@ fn others_that_read(robot: &RobotState, block: &InitializationBlock, read: &[Dev
 const UNFIT_SHOWN: usize = 12;
 
 /// Where a robot's own description does not allow what a script asks of it.
-fn unfit(script: &downbeat_scripts::DeviceScript, block: &InitializationBlock) -> Vec<String> {
+pub(super) fn unfit(script: &downbeat_scripts::DeviceScript, block: &InitializationBlock) -> Vec<String> {
     let id = &script.device;
     let Some(device) = block.device(id.as_str()) else {
         return vec![format!("it has no device `{id}`")];

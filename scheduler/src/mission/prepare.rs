@@ -95,7 +95,7 @@ impl Mission {
         );
     }
 
-    fn skew_of(&self, act: &Act, now: Timestamp<Server>) -> Option<SkewBudget> {
+    pub(super) fn skew_of(&self, act: &Act, now: Timestamp<Server>) -> Option<SkewBudget> {
         SkewBudget::of(act.present(), &self.robots, act.written().plan.start_tolerance, now)
     }
 

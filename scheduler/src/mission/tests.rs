@@ -5,11 +5,14 @@ use std::sync::Arc;
 use downbeat_scripts::{SensorRange, Wait, Way};
 use urrcp::RequestId;
 
+use super::act::ActAction;
 use super::bench::Tells::Everything;
-use super::bench::{Tells, at, choreography, robot};
+use super::bench::{TOLERANCE, Tells, at, by_robot, choreography, device_script, robot};
 use super::preflight::{Check, Verdict};
-use super::robot_state::Stop;
+use super::robot_state::{Standing, Stop};
+use super::script::ScriptRef;
 use super::*;
+use crate::clock::ClockSample;
 
 /// Two acts, `one` and `two`, that one robot plays. The named one waits for the operator.
 fn waits_in(waiting: usize) -> Mission {
@@ -254,4 +257,137 @@ fn a_robot_owes_the_fate_of_what_it_was_sent_if_it_can_tell_it() {
         let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
         assert_eq!(mission.owes_a_fate(0), owes, "{tells:?}");
     }
+}
+
+#[test]
+fn an_act_tells_how_far_its_starts_may_be_apart() {
+    let mut mission = greets_a_clock(0, 2);
+    mission.options.greeting = Greeting::Skip;
+    let actions = happens(&mut mission, at(3), Event::LinkUp { robot: 0 });
+    let skew = actions.iter().find_map(|action| match action {
+        Action::Tell(Progress::Preparing { skew, .. }) => skew.as_ref(),
+        _ => None,
+    });
+    assert!(skew.is_some());
+    let act = mission.acts.remove(0);
+    assert!(mission.skew_of(&act, at(4)).is_some(), "its lead follows from it");
+}
+
+#[test]
+fn a_mission_that_stops_sends_no_script_that_an_act_still_wants() {
+    let mut mission = begins_at_once(Everything);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let _stops = mission.handle(at(1), Event::StopRequested { rest: Rest::Default });
+    assert!(matches!(mission.phase, Phase::Stopping { .. }), "{:?}", mission.phase);
+    let script = ScriptRef { act: 0, member: 0, script: 0 };
+    mission.carry_out(at(2), 0, vec![ActAction::Send(script)]);
+    assert_eq!(scripts_in(&mission.actions), []);
+}
+
+/// Two acts: `r0` alone plays the first one, `r1` the second one.
+fn one_after_the_other() -> Mission {
+    let mut choreography = choreography(&[&[("a", 0, 400)], &[("a", 0, 400)]]);
+    let two = choreography.acts[0].clone();
+    choreography.acts.push(two);
+    choreography.acts[0].plan.robots.truncate(1);
+    choreography.acts[1].plan.robots.remove(0);
+    choreography.acts[0].next = Way::Act(1);
+    let robots =
+        ["r0", "r1"].map(|id| Participant::new(RobotId::new(id).unwrap(), robot(id, Everything, 2).block));
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    Mission::new(Arc::new(choreography), robots.to_vec(), options, at(0)).unwrap()
+}
+
+#[test]
+fn an_act_that_nobody_is_left_to_play_is_passed_over() {
+    let mut mission = one_after_the_other();
+    mission.robots[0].standing = Standing::Out;
+    let actions = happens(&mut mission, at(0), Event::LinkUp { robot: 1 });
+    assert_eq!(scripts_in(&actions).len(), 1, "`r1` has its script of the second act");
+    assert_eq!(mission.fates[0].fate, ActFate::NobodyLeft);
+}
+
+#[test]
+fn starts_that_are_as_far_off_as_is_tolerated_are_in_tolerance() {
+    for (error, flawed) in [(TOLERANCE, false), (TOLERANCE + Span::from_nanos(1), true)] {
+        let (mut mission, act, mut report) = sent_act();
+        report.robots[0].devices[0].start_error = Some(error);
+        mission.keep_report(&act, report);
+        assert_eq!(mission.flaw_of_starts.is_some(), flawed, "{error}");
+    }
+}
+
+/// A mission that still asks its robot, of whose clock this is known: how far it is off, and the delay of the exchange.
+fn greets_a_clock(offset: i64, delay: i64) -> Mission {
+    let mut mission = begins_at_once(Everything);
+    mission.options.greeting = Greeting::Full;
+    let (sent, received) = (at(0), at(delay));
+    let by_robot = by_robot(at(delay / 2 + offset));
+    mission.robots[0].clock.add(ClockSample::from_exchange(sent, by_robot, by_robot, received));
+    mission
+}
+
+#[test]
+fn a_clock_is_refused_only_if_it_is_off_for_certain() {
+    for (offset, delay, refused) in [(8, 10, false), (12, 10, false), (18, 10, true)] {
+        let mut mission = greets_a_clock(offset, delay);
+        mission.check_clocks(at(delay));
+        assert_eq!(mission.robots[0].has_failed(), refused, "{offset} ms, known to {} ms", delay / 2);
+    }
+}
+
+#[test]
+fn a_robot_that_is_not_there_when_patience_ends_may_join_and_one_that_is_silent_fails() {
+    for (connected, standing, failed) in [(false, Standing::Absent, false), (true, Standing::In, true)] {
+        let mut mission = begins_at_once(Everything);
+        mission.options.greeting = Greeting::Full;
+        mission.options.join = Join::NextAct;
+        if connected {
+            let _asks = mission.handle(at(0), Event::LinkUp { robot: 0 });
+            mission.robots[0].named();
+        }
+        mission.greeting_overdue(at(0) + mission.options.patience);
+        let robot = &mission.robots[0];
+        assert!(
+            robot.has_failed() == failed && (failed || robot.standing == standing),
+            "connected: {connected}"
+        );
+    }
+}
+
+#[test]
+fn a_robot_is_ours_once_it_was_asked_on_its_link_on_behalf_of_a_session() {
+    for (greeting, session, up) in [
+        (Greeting::Full, true, true),
+        (Greeting::Skip, true, true),
+        (Greeting::Full, false, true),
+        (Greeting::Full, true, false),
+    ] {
+        let mut mission = begins_at_once(Everything);
+        mission.options.greeting = greeting;
+        mission.options.session = session.then(|| "s".parse().unwrap());
+        if up {
+            mission.robots[0].connected(at(0));
+            mission.robots[0].named();
+        }
+        let table = preflight::table(&mission, at(0));
+        let verdict = table.rows[0].checks.iter().find(|(check, _)| *check == Check::Free).unwrap();
+        let ours = greeting == Greeting::Full && session && up;
+        assert_eq!(verdict.1 == Verdict::Pass("ours".to_owned()), ours, "{greeting:?} {session} {up}");
+    }
+}
+
+#[test]
+fn a_script_has_to_fit_what_the_robot_itself_declares() {
+    let block = |steps: u32| {
+        let mut block = robot("r0", Everything, 2).block.unwrap();
+        let text = serde_json::to_string(&block)
+            .unwrap()
+            .replace("\"max_number_of_steps\":8", &format!("\"max_number_of_steps\":{steps}"));
+        block = serde_json::from_str(&text).unwrap();
+        block
+    };
+    let script = device_script(("a", 0, 400));
+    assert_eq!(greet::unfit(&script, &block(2)), Vec::<String>::new());
+    assert_eq!(greet::unfit(&script, &block(1)), ["device `a` takes 1 steps a script, the plan has 2"]);
 }
