@@ -36,6 +36,49 @@ fn the_swap_has_432_steps_in_4250_ms_18_a_device() {
     }
 }
 
+/// Where a drone is at every millisecond, from the requests that it is sent.
+fn flown(requests: &serde_json::Value) -> [Vec<f64>; 3] {
+    ["x", "y", "z"].map(|axis| {
+        let request = requests.as_array().unwrap().iter().map(|request| &request["control_request"]);
+        let request = request.into_iter().find(|request| request["device_id"] == axis).unwrap();
+        let steps = request["control_value"].as_array().unwrap().iter();
+        let number = |step: &serde_json::Value, key: &str| step[key].as_f64().unwrap();
+        let steps: Vec<(f64, f64)> =
+            steps.map(|s| (number(s, "time_offset_to_start"), number(s, "control_value"))).collect();
+        let at = |ms: u32| {
+            let next = steps.iter().position(|step| step.0 >= f64::from(ms)).unwrap().max(1);
+            let ((from, begin), (to, end)) = (steps[next - 1], steps[next]);
+            begin + (end - begin) * (f64::from(ms) - from) / (to - from)
+        };
+        (0..=4_250).map(at).collect()
+    })
+}
+
+#[test]
+fn the_drones_of_the_swap_come_as_close_as_their_steps_say() {
+    let plan = downbeat(&["plan", "scripts/examples/swap.yaml", "--format", "json"]).json();
+    let act = &plan["acts"][0];
+    let drones: Vec<_> = act["robots"].as_object().unwrap().values().map(flown).collect();
+    let mut least = (f64::INFINITY, 0);
+    for (index, a) in drones.iter().enumerate() {
+        for b in &drones[index + 1..] {
+            for ms in 0..=4_250 {
+                let squares = (0..3).map(|axis| (a[axis][ms] - b[axis][ms]).powi(2));
+                least = if squares.clone().sum::<f64>() < least.0 { (squares.sum(), ms) } else { least };
+            }
+        }
+    }
+    let (found, at) =
+        (act["closest"]["distance_m"].as_f64().unwrap(), act["closest"]["at_ms"].as_f64().unwrap());
+    // The fleet file gives every drone a radius of 7 cm.
+    assert!(
+        (found - (least.0.sqrt() - 0.14)).abs() < 1e-5 && (at - least.1 as f64).abs() <= 1.0,
+        "{found} at {at}"
+    );
+    downbeat(&["plan", "scripts/examples/swap.yaml"])
+        .says(0, &["closest: `cf2` and `cf5`, 0.162 m at 2.324 s"]);
+}
+
 #[test]
 fn the_unfixed_dance_breaks_exactly_five_limits() {
     let ran = downbeat(&["check", "scripts/examples/dance.unfixed.yaml", "--format", "json"]);

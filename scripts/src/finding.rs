@@ -100,6 +100,10 @@ codes! {
     ActHasToWait = "DB0049", Warning, "an act that cannot follow at once";
     OneAddress = "DB0050", Error, "two robots have one address";
     NeedsHandshake = "DB0051", Error, "a key that needs the handshake";
+    TooClose = "DB0052", Error, "two bodies closer than allowed";
+    OutOfSpace = "DB0053", Error, "a body where it may not be";
+    BodyTooFast = "DB0054", Error, "a body faster than allowed";
+    PlaceUnknown = "DB0055", Warning, "a body whose place is not known";
     ImportTable = "DB0060", Error, "a table that does not match its format";
     ImportNumber = "DB0061", Error, "an imported value is not a finite number";
     ImportTime = "DB0062", Error, "imported times that do not go forward";

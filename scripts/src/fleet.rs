@@ -14,13 +14,15 @@ use crate::keys::keys;
 use crate::locate::locate;
 use crate::node::{self, Node};
 use crate::source::Source;
+use crate::space::{Body, Space};
 use crate::tags::foreign_tags;
 
+mod body;
 mod mission_settings;
 
 pub use mission_settings::{ClockMode, MissionSettings, Requirement};
 
-const FLEET_KEYS: [&str; 4] = ["ntp", "handshake", "robots", "groups"];
+const FLEET_KEYS: [&str; 5] = ["ntp", "handshake", "space", "robots", "groups"];
 const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
 const SIMULATE_KEYS: [&str; 7] =
     ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault", "readings"];
@@ -31,7 +33,7 @@ const FAULT_WORDS: [(&str, Fault); 3] =
 keys! {
     /// What is said of one robot.
     RobotKeys, ROBOT_KEYS {
-        init, devices, address, robot_id, simulate, limits, clock, wake_up, require, encoding,
+        init, devices, address, robot_id, simulate, limits, clock, wake_up, require, encoding, body,
     }
 }
 
@@ -42,6 +44,8 @@ pub struct Fleet {
     pub ntp: Option<String>,
     /// Whether robots are asked for their identity.
     pub handshake: Handshake,
+    /// What has to hold in the space that all robots share.
+    pub space: Space,
     /// In the order of the file.
     pub robots: Vec<FleetRobot>,
     /// Names for several robots.
@@ -71,6 +75,8 @@ pub struct FleetRobot {
     pub simulation: SimulationSettings,
     /// How fast its devices may move, by device id, where that is less than their speed control type says.
     pub limits: BTreeMap<String, RateLimits>,
+    /// What its devices mean in space.
+    pub body: Option<Body>,
     /// What a mission needs to know of it.
     pub mission: MissionSettings,
 }
@@ -85,6 +91,7 @@ impl FleetRobot {
             init,
             simulation: SimulationSettings::default(),
             limits: BTreeMap::new(),
+            body: None,
             mission: MissionSettings::default(),
         }
     }
@@ -212,7 +219,7 @@ struct FleetReader {
 
 impl FleetReader {
     fn fleet(&mut self, at: &At<'_>) -> Option<Fleet> {
-        let [ntp, handshake, robots, groups] =
+        let [ntp, handshake, space, robots, groups] =
             self.findings.map(at, "the fleet file", FLEET_KEYS, &["robots"])?;
         let mut fleet = Fleet::default();
         if let Some(ntp) = ntp.filter(|at| *at.node != Node::Null) {
@@ -221,6 +228,7 @@ impl FleetReader {
         if let Some(handshake) = handshake {
             fleet.handshake = self.findings.word(&handshake, &HANDSHAKE_WORDS).unwrap_or_default();
         }
+        fleet.space = space.map(|at| body::read_space(&mut self.findings, &at)).unwrap_or_default();
         let robots = robots?;
         for (name, at) in self.findings.entries(&robots, "robot id to its address and init file") {
             let robot = self.robot(name, &at, fleet.handshake);
@@ -262,8 +270,9 @@ impl FleetReader {
         let own_id = keys.robot_id.and_then(|at| self.own_id(&at));
         init.id = own_id.unwrap_or_else(|| id.clone());
         let limits = keys.limits.map(|at| self.limits(&at, &init)).unwrap_or_default();
+        let body = keys.body.as_ref().and_then(|at| body::read_body(&mut self.findings, at, &init));
         let mission = mission_settings::read(&mut self.findings, &keys, &init, handshake);
-        Some(FleetRobot { simulation, limits, mission, ..FleetRobot::new(id, address?, Some(init)) })
+        Some(FleetRobot { simulation, limits, body, mission, ..FleetRobot::new(id, address?, Some(init)) })
     }
 
     /// What the robot itself has as its id, where that differs from its name here.

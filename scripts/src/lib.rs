@@ -50,6 +50,7 @@ mod scope;
 #[doc(hidden)]
 pub mod shown;
 mod source;
+mod space;
 mod syntax;
 mod tags;
 pub mod timing;
@@ -75,6 +76,7 @@ pub use sarif::sarif;
 pub use scenario::{fleet_named_by, parse_time};
 pub use schema::{Schema, schema};
 pub use source::Source;
+pub use space::{Body, Closest, Coordinate, Shape, Space, Volume};
 
 /// Words for messages, shared with the program.
 #[doc(hidden)]

@@ -3,6 +3,8 @@
 use serde::Serialize;
 use urrcp::{ControlType, DeviceId, Millis, RobotId, Script, Span, StopCondition};
 
+use crate::space::Closest;
+
 pub use crate::scenario::{OnDoubt, OnFailure, SensorRange, Wait};
 
 /// A whole scenario: acts with the ways between them.
@@ -25,6 +27,8 @@ pub struct Act {
     pub cues: Vec<PlannedCue>,
     /// How each device's steps came about.
     pub devices: Vec<DeviceUse>,
+    /// The closest that two bodies come while it plays, where the fleet file describes bodies.
+    pub closest: Option<Closest>,
     /// Sensors that are read while it plays.
     pub readings: Vec<PlannedReading>,
     /// What has to be so before it begins.
@@ -171,6 +175,7 @@ impl Choreography {
             name: String::new(),
             cues: Vec::new(),
             devices: Vec::new(),
+            closest: None,
             readings: Vec::new(),
             wait: Wait::Done,
             timeout: None,

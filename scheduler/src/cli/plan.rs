@@ -1,7 +1,7 @@
 //! `downbeat plan`: the control requests that a scenario compiles to.
 
 use downbeat_scripts::{
-    Act, Choreography, DeviceUse, OnDoubt, OnFailure, PlannedCue, PlannedReading, Wait, Way,
+    Act, Choreography, Closest, DeviceUse, OnDoubt, OnFailure, PlannedCue, PlannedReading, Wait, Way,
 };
 use serde::Serialize;
 use urrcp::{Command, ControlRequest, Message, Millis, Server, Span, Timestamp};
@@ -75,6 +75,9 @@ pub(super) struct ActFigures<'a> {
     duration_ms: Span,
     cues: &'a [PlannedCue],
     devices: &'a [DeviceUse],
+    /// Where the fleet file describes bodies.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    closest: Option<&'a Closest>,
 }
 
 pub(super) fn figures(choreography: &Choreography) -> Vec<ActFigures<'_>> {
@@ -82,7 +85,13 @@ pub(super) fn figures(choreography: &Choreography) -> Vec<ActFigures<'_>> {
 }
 
 fn act_figures(act: &Act) -> ActFigures<'_> {
-    ActFigures { act: &act.name, duration_ms: act.plan.duration(), cues: &act.cues, devices: &act.devices }
+    ActFigures {
+        act: &act.name,
+        duration_ms: act.plan.duration(),
+        cues: &act.cues,
+        devices: &act.devices,
+        closest: act.closest.as_ref(),
+    }
 }
 
 fn planned_act<'a>(act: &'a Act, choreography: &'a Choreography) -> PlannedAct<'a> {

@@ -59,7 +59,12 @@ pub fn plan_table(act: &Act, columns: usize) -> String {
         ]);
     }
     let name = shown(&act.plan.scenario);
-    format!("{name}: {}\n{}\n{}\n", plan_figures(&act.plan), cues.text(columns), rows.text(columns))
+    let (cues, rows) = (cues.text(columns), rows.text(columns));
+    let closest = act.closest.as_ref().map_or_else(String::new, |closest| {
+        let [a, b] = &closest.robots;
+        format!("closest: `{a}` and `{b}`, {:.3} m at {}\n", closest.distance, closest.at)
+    });
+    format!("{name}: {}\n{cues}\n{rows}\n{closest}", plan_figures(&act.plan))
 }
 
 /// How long the acts last one after another.

@@ -254,6 +254,11 @@ impl<'a> Positions<'a> {
         Self { fleet, before: before.iter().filter_map(|act| rests.get(act)).collect(), first }
     }
 
+    /// Whether the act is the first one.
+    pub(super) const fn is_first(&self) -> bool {
+        self.first
+    }
+
     /// Known only where every way that leads here leaves the device at the same place.
     pub(super) fn of(&self, robot: usize, device: usize) -> Option<f64> {
         let default = devices_of(&self.fleet.robots[robot]).get(device)?.default_value;

@@ -9,6 +9,7 @@ mod cast;
 mod check_motion;
 mod check_refill;
 mod check_safety;
+mod check_space;
 mod check_values;
 mod conflict;
 mod join;
@@ -100,20 +101,28 @@ impl Compiler {
         for (index, (act, ways)) in scenario.acts.iter().zip(ways).enumerate() {
             let before = cast::leading_to(&acts, index);
             let positions = cast::Positions::after(fleet, &before, &rests, index == 0);
-            let Times { members, times, consistent } =
-                known.next().unwrap_or_else(|| self.times(act, &cast, horizon));
+            let times = known.next().unwrap_or_else(|| self.times(act, &cast, horizon));
             let mut performer = perform::Performer::new(&mut self.findings, &cast, &mut fits, horizon);
-            for ((cue, members), time) in act.cues.iter().zip(&members).zip(&times) {
+            for ((cue, members), time) in act.cues.iter().zip(&times.members).zip(&times.times) {
                 performer.cue(cue, members, time);
             }
             let (segments, readings) = (performer.segments, performer.readings);
             // Where times contradict each other, cues would seem to overlap.
-            if !consistent {
+            if !times.consistent {
                 acts.push(None);
                 continue;
             }
             let Joined { robots, devices, rest } =
                 join::join(&mut self.findings, &scenario, &cast, segments, &positions, &mut room);
+            let stage = check_space::Stage {
+                cast: &cast,
+                act,
+                times: &times,
+                robots: &robots,
+                devices: &devices,
+                positions: &positions,
+            };
+            let closest = check_space::check(&mut self.findings, &stage);
             rests.insert(index, rest);
             let title = match act.name.as_str() {
                 "" => scenario.name.clone(),
@@ -129,8 +138,9 @@ impl Compiler {
             acts.push(Some(Act {
                 name: act.name.clone(),
                 plan,
-                cues: schedule::planned(act, &times),
+                cues: schedule::planned(act, &times.times),
                 devices,
+                closest,
                 readings,
                 wait: ways.wait,
                 timeout: act.wait.timeout,

@@ -97,6 +97,7 @@ cues:
 const FLEET: &str = "
 ntp: pool.ntp.org
 handshake: full
+space: {distance: 1, keep_in: {x: [0, 1], y: [0, 1], z: [0, 1]}, keep_out: {pillar: {x: [0, 1]}}}
 robots:
   thrift:
     init: DIAGNOSTICS/../thrift/tank.json
@@ -112,6 +113,7 @@ robots:
     clock: measured
     wake_up: 1ms
     encoding: json
+    body: {x: {device: wheel, scale: 1, offset: 1}, y: wheel, z: 1, yaw: 0, radius: 1, size: [1, 1, 1], speed: 1, acceleration: 1}
     require: {range: {above: 1, below: 2, within: [0, 1]}}
     simulate: {clock_offset: 1ms, drift: 5ppm, jitter: 1us, ntp_error: none, delay: [0ms, 1ms], fault: refuse,
       readings: {range: 1}}

@@ -1,0 +1,317 @@
+//! Bodies that come too close to each other, leave their space, or move too fast.
+
+use std::collections::HashMap;
+
+use urrcp::Span;
+
+use super::Times;
+use super::cast::{Cast, Positions};
+use super::conflict::told;
+use crate::fields::Reader;
+use crate::finding::{Code, Place, names};
+use crate::plan::{DeviceScript, DeviceUse, RobotPlan};
+use crate::render::counted;
+use crate::scenario::Act;
+use crate::space::{
+    Axis, Body, Closest, Coordinate, Mover, Path, Peak, Played, Solid, closest, depth, first_contact,
+    furthest_out, peaks,
+};
+
+/// What rounding may add to a rate.
+const DUST: f64 = 1.0 + 1e-6;
+/// Metres by which two balls may seem closer than they are.
+const ROUNDING: f64 = 1e-9;
+
+/// An act with what its robots do in it.
+pub(super) struct Stage<'a> {
+    pub(super) cast: &'a Cast<'a>,
+    pub(super) act: &'a Act,
+    pub(super) times: &'a Times,
+    pub(super) robots: &'a [RobotPlan],
+    pub(super) devices: &'a [DeviceUse],
+    pub(super) positions: &'a Positions<'a>,
+}
+
+/// Checks an act, and returns the closest that two bodies come in it.
+pub(super) fn check(findings: &mut Reader, played: &Stage<'_>) -> Option<Closest> {
+    let fleet = played.cast.fleet;
+    let bodies = fleet.robots.iter().enumerate();
+    let bodies: Vec<(usize, &Body)> =
+        bodies.filter_map(|(i, robot)| Some((i, robot.body.as_ref()?))).collect();
+    if bodies.is_empty() {
+        return None;
+    }
+    let cues = Cues::of(played);
+    let mut unknown = Vec::new();
+    let mut paths: Vec<(usize, Path, Solid)> = Vec::new();
+    for (robot, body) in bodies {
+        let Some(axes) = played.axes(robot, body) else {
+            unknown.extend(played.plays(robot).then_some((robot, None)));
+            continue;
+        };
+        rates(findings, played, &cues, robot, body, &axes);
+        let path = Path::of(&axes);
+        if path.known_from() > 0.0 && played.plays(robot) {
+            unknown.push((robot, Some(path.known_from())));
+        }
+        paths.push((robot, path, Solid::of(&body.shape)));
+    }
+    if fleet.space.is_checked() {
+        tell_unknown(findings, played, &unknown);
+    }
+    let ends = paths.iter().map(|(_, path, _)| path.ends()).fold(0.0, f64::max);
+    let depth = depth(paths.iter().map(|(_, path, _)| path.knots().len()).max().unwrap_or(0));
+    let movers: Vec<(usize, Mover)> =
+        paths.into_iter().map(|(robot, path, solid)| (robot, Mover::new(path, solid, ends, depth))).collect();
+    volumes(findings, played, &cues, &movers, (ends, depth));
+    pairs(findings, played, &cues, &movers)
+}
+
+impl Stage<'_> {
+    /// The coordinates of a body; `None` if one of them is known at no time.
+    fn axes(&self, robot: usize, body: &Body) -> Option<[Axis; 4]> {
+        let id = self.cast.id(robot);
+        let plan = self.robots.iter().find(|plan| plan.robot == *id);
+        let [x, y, z, yaw] = body.coordinates.each_ref().map(|coordinate| {
+            let Coordinate::Device { device, .. } = coordinate else {
+                return Axis::of(coordinate, &Played::default());
+            };
+            let index = self.cast.devices(robot).iter().position(|other| other.id == *device)?;
+            let scripts: Vec<&DeviceScript> = plan
+                .iter()
+                .flat_map(|plan| &plan.scripts)
+                .filter(|script| script.device == *device)
+                .collect();
+            let of_device = |used: &&DeviceUse| used.robot == *id && used.device == *device;
+            let played = Played {
+                scripts: &scripts,
+                interpolation: self.cast.devices(robot)[index].interpolation,
+                begin: self.positions.of(robot, index),
+                error: self.devices.iter().find(of_device).map_or(0.0, |used| used.worst_error),
+            };
+            Axis::of(coordinate, &played)
+        });
+        Some([x?, y?, z?, yaw?])
+    }
+
+    /// One that does not play may not be there at all.
+    fn plays(&self, robot: usize) -> bool {
+        self.robots.iter().any(|plan| plan.robot == *self.cast.id(robot))
+    }
+
+    fn id(&self, robot: usize) -> &str {
+        self.cast.id(robot).as_str()
+    }
+}
+
+/// The cues of each robot with the times at which it begins with them.
+struct Cues<'a> {
+    act: &'a Act,
+    of_robot: HashMap<usize, Vec<(Span, usize)>>,
+}
+
+impl<'a> Cues<'a> {
+    fn of(played: &Stage<'a>) -> Self {
+        let mut of_robot: HashMap<usize, Vec<(Span, usize)>> = HashMap::new();
+        let Times { members, times, .. } = played.times;
+        for (cue, (members, time)) in members.iter().zip(times).enumerate() {
+            for member in &members.all {
+                of_robot.entry(member.robot).or_default().push((time.start + member.delay, cue));
+            }
+        }
+        of_robot.values_mut().for_each(|cues| cues.sort());
+        Self { act: played.act, of_robot }
+    }
+
+    /// What a robot plays at this time, or has played last; `None` if it has not begun with anything.
+    fn at(&self, robot: usize, at: Span) -> Option<usize> {
+        let cues = self.of_robot.get(&robot)?;
+        cues[..cues.partition_point(|(begin, _)| *begin <= at)].last().map(|(_, cue)| *cue)
+    }
+
+    fn place(&self, cue: Option<usize>) -> Place {
+        cue.map_or_else(|| self.act.place.clone(), |cue| self.act.cues[cue].robots_place.clone())
+    }
+
+    /// A line of the file with what a robot does there.
+    fn line(&self, robot: &str, cue: Option<usize>) -> (Place, String) {
+        let what = match cue {
+            Some(cue) => format!("`{robot}` in the cue `{}`", self.act.cues[cue].name),
+            None => format!("`{robot}` is there from the beginning"),
+        };
+        (self.place(cue), what)
+    }
+}
+
+/// To the millisecond, for people.
+fn span(seconds: f64) -> Span {
+    Span::from_millis_f64((seconds * 1_000.0).round())
+}
+
+fn rates(
+    findings: &mut Reader,
+    played: &Stage<'_>,
+    cues: &Cues<'_>,
+    robot: usize,
+    body: &Body,
+    axes: &[Axis; 4],
+) {
+    if body.speed.is_none() && body.acceleration.is_none() {
+        return;
+    }
+    let limits = [(body.speed, "moves at", "m/s"), (body.acceleration, "accelerates by", "m/s²")];
+    for (peak, (limit, moves, unit)) in peaks(axes).into_iter().zip(limits) {
+        let (Some(Peak { from, to, rate }), Some(limit)) = (peak, limit) else { continue };
+        if rate <= limit * DUST {
+            continue;
+        }
+        let id = played.id(robot);
+        let message =
+            format!("`{id}` {moves} {rate:.3} {unit} from {} to {}", told(span(from)), told(span(to)));
+        let hint = Some("give the movement more time, or less way".to_owned());
+        let place = cues.place(cues.at(robot, span(from)));
+        findings.add(Code::BodyTooFast, place, message, format!("at most {limit} {unit}"), hint);
+    }
+}
+
+/// One warning for robots that become known at the same time.
+fn tell_unknown(findings: &mut Reader, played: &Stage<'_>, unknown: &[(usize, Option<f64>)]) {
+    let mut told_already: Vec<Option<f64>> = Vec::new();
+    for (_, from) in unknown {
+        if told_already.contains(from) {
+            continue;
+        }
+        told_already.push(*from);
+        let robots: Vec<&str> =
+            unknown.iter().filter(|(_, other)| other == from).map(|(robot, _)| played.id(*robot)).collect();
+        let are = if robots.len() == 1 { "is" } else { "are" };
+        let until =
+            from.map_or_else(|| "in this act".to_owned(), |from| format!("before {}", told(span(from))));
+        let message =
+            format!("nothing says where {} {are} {until}, so nothing is checked there", names(robots));
+        let expected = "positions of all devices that `body` names";
+        let hint = Some(
+            "give them keyframes at the beginning, a `default_value`, or drive them by position".to_owned(),
+        );
+        findings.add(Code::PlaceUnknown, played.act.place.clone(), message, expected, hint);
+    }
+}
+
+fn volumes(
+    findings: &mut Reader,
+    played: &Stage<'_>,
+    cues: &Cues<'_>,
+    movers: &[(usize, Mover)],
+    (ends, depth): (f64, u32),
+) {
+    let space = &played.cast.fleet.space;
+    for (robot, mover) in movers {
+        let Some(out) = space.keep_in.as_ref().and_then(|volume| furthest_out(mover, volume)) else {
+            continue;
+        };
+        let (at, id) = (span(out.at), played.id(*robot));
+        let message =
+            format!("`{id}` is {:.3} m outside the space where bodies stay, at {}", out.distance, told(at));
+        let hint = Some("move it elsewhere, or make `keep_in` larger".to_owned());
+        let expected = "all of its body within `keep_in`";
+        findings.add(Code::OutOfSpace, cues.place(cues.at(*robot, at)), message, expected, hint);
+    }
+    for (name, volume) in &space.keep_out {
+        let (solid, place) = Solid::of_volume(volume);
+        let closed = Mover::new(Path::resting(place, ends), solid, ends, depth);
+        for (robot, mover) in movers {
+            let Some(at) = first_contact(mover, &closed) else { continue };
+            let (at, id) = (span(at), played.id(*robot));
+            let message = format!("`{id}` enters `{name}` at {}", told(at));
+            let hint = Some("move it around the volume, or change `keep_out`".to_owned());
+            let expected = format!("no body in `{name}`");
+            findings.add(Code::OutOfSpace, cues.place(cues.at(*robot, at)), message, expected, hint);
+        }
+    }
+}
+
+/// Two bodies at their closest.
+#[derive(Clone, Copy)]
+struct Pair {
+    distance: f64,
+    robots: [usize; 2],
+    at: Span,
+}
+
+/// Pairs that come too close in the same cues.
+struct TooClose {
+    cues: [Option<usize>; 2],
+    worst: Pair,
+    pairs: usize,
+}
+
+/// The closest pair of all. Pairs that come too close are told once for each pair of cues.
+fn pairs(
+    findings: &mut Reader,
+    played: &Stage<'_>,
+    cues: &Cues<'_>,
+    movers: &[(usize, Mover)],
+) -> Option<Closest> {
+    let required = played.cast.fleet.space.distance.unwrap_or(0.0);
+    let mut best: Option<Pair> = None;
+    let mut all: Vec<TooClose> = Vec::new();
+    let mut index_of: HashMap<[Option<usize>; 2], usize> = HashMap::new();
+    for (index, (first, a)) in movers.iter().enumerate() {
+        for (second, b) in &movers[index + 1..] {
+            let below = best.map_or(f64::INFINITY, |best| best.distance.max(required));
+            let Some(approach) = closest(a, b, below) else { continue };
+            let pair = Pair { distance: approach.distance, robots: [*first, *second], at: span(approach.at) };
+            if best.is_none_or(|best| pair.distance < best.distance) {
+                best = Some(pair);
+            }
+            let of = pair.robots.map(|robot| cues.at(robot, pair.at));
+            // What rests too close was told where it came there.
+            let told_before = of == [None, None] && !played.positions.is_first();
+            if pair.distance >= required - ROUNDING || told_before {
+                continue;
+            }
+            let group = *index_of.entry(of).or_insert_with(|| {
+                all.push(TooClose { cues: of, worst: pair, pairs: 0 });
+                all.len() - 1
+            });
+            let group = &mut all[group];
+            group.pairs += 1;
+            if pair.distance < group.worst.distance {
+                group.worst = pair;
+            }
+        }
+    }
+    let expected = format!("at least {required} m");
+    all.iter().for_each(|group| group.tell(findings, played, cues, &expected));
+    best.map(|Pair { distance, robots, at }| Closest {
+        robots: robots.map(|robot| played.cast.id(robot).clone()),
+        at,
+        distance,
+    })
+}
+
+impl TooClose {
+    fn tell(&self, findings: &mut Reader, played: &Stage<'_>, cues: &Cues<'_>, expected: &str) {
+        let Pair { distance, robots, at } = self.worst;
+        let [a, b] = robots.map(|robot| played.id(robot));
+        let what = match distance {
+            0.0 => "meet".to_owned(),
+            _ => format!("come within {distance:.3} m of each other"),
+        };
+        let more = match self.pairs {
+            1 => String::new(),
+            pairs => format!("; {} more come too close in the same cues", counted(pairs - 1, "pair")),
+        };
+        let message = format!("`{a}` and `{b}` {what} at {}, {expected} is required{more}", told(at));
+        let mut lines = vec![cues.line(a, self.cues[0]), cues.line(b, self.cues[1])];
+        if self.cues[0] == self.cues[1] {
+            lines.truncate(1);
+            lines[0].1 = match self.cues[0] {
+                Some(cue) => format!("both in the cue `{}`", played.act.cues[cue].name),
+                None => "both are there from the beginning".to_owned(),
+            };
+        }
+        let hint = Some("let one of them move later or elsewhere, or lower `distance` of `space`".to_owned());
+        findings.add_related(Code::TooClose, lines, message, expected, hint);
+    }
+}

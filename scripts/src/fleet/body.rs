@@ -1,0 +1,173 @@
+//! The keys `space` of a fleet, and `body` of a robot.
+
+use std::collections::BTreeMap;
+
+use urrcp::{Device, InitializationBlock};
+
+use crate::fields::{At, Reader};
+use crate::finding::{Code, one_of};
+use crate::keys::keys;
+use crate::node::{self, Node};
+use crate::space::{Body, Coordinate, Shape, Space, Volume};
+
+const SPACE_KEYS: [&str; 3] = ["distance", "keep_in", "keep_out"];
+const VOLUME_KEYS: [&str; 3] = ["x", "y", "z"];
+const COORDINATE_KEYS: [&str; 3] = ["device", "scale", "offset"];
+
+keys! {
+    /// What is said of a body.
+    BodyKeys, BODY_KEYS { x, y, z, yaw, radius, size, speed, acceleration }
+}
+
+/// Metres in one unit.
+const LENGTHS: [(&str, f64); 3] = [("m", 1.0), ("cm", 0.01), ("mm", 0.001)];
+/// Radians in one unit.
+const ANGLES: [(&str, f64); 3] =
+    [("rad", 1.0), ("deg", std::f64::consts::PI / 180.0), ("°", std::f64::consts::PI / 180.0)];
+
+pub(super) fn read_space(findings: &mut Reader, at: &At<'_>) -> Space {
+    let Some([distance, keep_in, keep_out]) = findings.map(at, "the space", SPACE_KEYS, &[]) else {
+        return Space::default();
+    };
+    let mut volumes = BTreeMap::new();
+    if let Some(at) = keep_out {
+        for (name, at) in findings.entries(&at, "name to a volume that no body may enter") {
+            volumes.extend(volume(findings, &at).map(|volume| (name.to_owned(), volume)));
+        }
+    }
+    Space {
+        distance: distance.and_then(|at| length(findings, &at)),
+        keep_in: keep_in.and_then(|at| volume(findings, &at)),
+        keep_out: volumes,
+    }
+}
+
+/// `{x: [-2, 2], z: [0, 3]}`
+fn volume(findings: &mut Reader, at: &At<'_>) -> Option<Volume> {
+    let sides = findings.map(at, "a volume", VOLUME_KEYS, &[])?;
+    let mut volume = Volume::default();
+    for (axis, side) in sides.into_iter().enumerate() {
+        let Some(side) = side else { continue };
+        let expected = "the least and the largest coordinate in metres, as [-2, 2.5]";
+        let ends = findings.list(&side, expected);
+        let numbers: Vec<f64> = ends.iter().filter_map(|end| findings.number(end, expected)).collect();
+        match *numbers {
+            [least, most] if ends.len() == 2 && least < most => {
+                (volume.least[axis], volume.most[axis]) = (least, most);
+            }
+            _ if numbers.len() < ends.len() || !matches!(side.node, Node::List(_)) => return None,
+            _ => {
+                let message = match *numbers {
+                    [least, most] => format!("{least} is not less than {most}"),
+                    _ => format!("found {} entries", ends.len()),
+                };
+                findings.add(Code::WrongType, side.place(), message, expected, None);
+                return None;
+            }
+        }
+    }
+    Some(volume)
+}
+
+fn length(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
+    findings.positive(at, "a length above 0 in metres")
+}
+
+pub(super) fn read_body(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> Option<Body> {
+    let keys = BodyKeys::of(findings.map(at, "a body", BODY_KEYS, &[])?);
+    let mut coordinate = |at: Option<At<'_>>, units: &[(&str, f64)]| match at {
+        Some(at) => read_coordinate(findings, &at, init, units),
+        None => Some(Coordinate::Fixed(0.0)),
+    };
+    let (x, y, z) =
+        (coordinate(keys.x, &LENGTHS), coordinate(keys.y, &LENGTHS), coordinate(keys.z, &LENGTHS));
+    let yaw = coordinate(keys.yaw, &ANGLES);
+    if let (Some(radius), Some(_)) = (&keys.radius, &keys.size) {
+        let hint = Some("remove one of them".to_owned());
+        let message = "a body is a ball or a box, not both";
+        findings.add(Code::WrongType, radius.key_place(), message, "`radius` or `size`", hint);
+    }
+    let shape = match (keys.radius, keys.size) {
+        (_, Some(at)) => read_box(findings, &at),
+        (Some(at), None) => length(findings, &at).map(|radius| Shape::Ball { radius }),
+        (None, None) => Some(Shape::Ball { radius: 0.0 }),
+    };
+    let mut rate = |at: Option<At<'_>>, expected| at.and_then(|at| findings.positive(&at, expected));
+    let speed = rate(keys.speed, "a speed above 0 in metres a second");
+    let acceleration = rate(keys.acceleration, "an acceleration above 0 in metres a second squared");
+    Some(Body { coordinates: [x?, y?, z?, yaw?], shape: shape?, speed, acceleration })
+}
+
+/// `[0.4, 0.3, 0.2]`
+fn read_box(findings: &mut Reader, at: &At<'_>) -> Option<Shape> {
+    let expected = "length, width and height above 0 in metres, as [0.4, 0.3, 0.2]";
+    let sides = findings.list(at, expected);
+    let size: Vec<f64> = sides.iter().filter_map(|side| findings.positive(side, expected)).collect();
+    if sides.len() != 3 && matches!(at.node, Node::List(_)) {
+        let message = format!("found {} entries", sides.len());
+        findings.add(Code::WrongType, at.place(), message, expected, None);
+    }
+    <[f64; 3]>::try_from(size).ok().filter(|_| sides.len() == 3).map(|size| Shape::Box { size })
+}
+
+/// `x`, `1.5`, or `{device: x, scale: 0.001, offset: 1.5}`. A number is in metres, or in degrees.
+fn read_coordinate(
+    findings: &mut Reader,
+    at: &At<'_>,
+    init: &InitializationBlock,
+    units: &[(&str, f64)],
+) -> Option<Coordinate> {
+    // As people write a fixed angle: in degrees.
+    let own_unit = units.iter().find(|(unit, _)| *unit == "deg").map_or(1.0, |(_, scale)| *scale);
+    if let Node::Number(value) = at.node {
+        return Some(Coordinate::Fixed(value * own_unit));
+    }
+    let Node::Map(_) = at.node else {
+        let name = findings.text(at, "a device, a number, or a map with a device")?;
+        let device = device(findings, at, &name, init)?;
+        let scale = scale_of(findings, at, device, units)?;
+        return Some(Coordinate::Device { device: device.id.clone(), scale, offset: 0.0 });
+    };
+    let [name, scale, offset] = findings.map(at, "a coordinate", COORDINATE_KEYS, &["device"])?;
+    let name = name?;
+    let text = findings.text(&name, "a device of the robot")?;
+    let device = device(findings, &name, &text, init)?;
+    let scale = match scale {
+        Some(at) => findings.number(&at, "metres, or degrees, in one unit of the device")? * own_unit,
+        None => scale_of(findings, &name, device, units)?,
+    };
+    let offset = match offset {
+        Some(at) => findings.number(&at, "where the device's zero is, in metres or degrees")? * own_unit,
+        None => 0.0,
+    };
+    Some(Coordinate::Device { device: device.id.clone(), scale, offset })
+}
+
+fn device<'a>(
+    findings: &mut Reader,
+    at: &At<'_>,
+    name: &str,
+    init: &'a InitializationBlock,
+) -> Option<&'a Device> {
+    let moves = |device: &&Device| device.available_control_types.sensor().is_none();
+    let found = init.device(name).filter(moves);
+    if found.is_none() {
+        let known = || init.devices.iter().filter(moves).map(|device| device.id.as_str());
+        let message = format!("the robot has no device `{}` that moves", node::shortened(name));
+        let hint = findings.did_you_mean(name, known());
+        findings.add(Code::UnknownDevice, at.place(), message, one_of(known()), hint);
+    }
+    found
+}
+
+fn scale_of(findings: &mut Reader, at: &At<'_>, device: &Device, units: &[(&str, f64)]) -> Option<f64> {
+    let unit = device.unit.as_ref().map(urrcp::Label::as_str).unwrap_or_default();
+    let known = units.iter().find(|(known, _)| *known == unit);
+    if known.is_none() {
+        let names = one_of(units.iter().map(|(unit, _)| *unit));
+        let message = format!("the device `{}` has the unit `{}`", device.id, node::shortened(unit));
+        let hint = format!("write how much one unit is, as in `{{device: {}, scale: 0.001}}`", device.id);
+        findings.add(Code::UnknownWord, at.place(), message, names, Some(hint));
+    }
+    known.map(|(_, scale)| *scale)
+}

@@ -1,0 +1,111 @@
+//! Bodies in space: where robots are while they move, how close they come to each other, and which volumes they stay in.
+//!
+//! The fleet file says which device of a robot means which coordinate (`body`), and what has to hold (`space`). `path` follows a
+//! body through the steps of an act, `closest` finds the closest approach between the steps as well, and
+//! `compile/check_space.rs` turns what it finds into findings. Lengths are in metres, angles in radians, times in seconds.
+
+mod closest;
+mod path;
+mod solid;
+#[cfg(test)]
+mod tests;
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use urrcp::{DeviceId, RobotId, Span};
+
+pub(crate) use closest::{Mover, closest, depth, first_contact, furthest_out};
+pub(crate) use path::{Axis, Path, Peak, Played, peaks};
+pub(crate) use solid::Solid;
+
+/// What has to hold in the space that all robots share.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Space {
+    /// Least distance between any two bodies, from surface to surface.
+    pub distance: Option<f64>,
+    /// Where all bodies have to stay.
+    pub keep_in: Option<Volume>,
+    /// Where no body may be, by name.
+    pub keep_out: BTreeMap<String, Volume>,
+}
+
+/// A box whose sides are parallel to the axes; infinite where nothing is said.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Volume {
+    /// The least x, y and z.
+    pub least: [f64; 3],
+    /// The largest x, y and z.
+    pub most: [f64; 3],
+}
+
+/// What a robot's devices mean in space, and how large it is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Body {
+    /// x, y, z, and the rotation about z, counted from x to y.
+    pub coordinates: [Coordinate; 4],
+    /// Its size.
+    pub shape: Shape,
+    /// Largest speed of its middle, whatever the direction.
+    pub speed: Option<f64>,
+    /// Largest acceleration of its middle, whatever the direction.
+    pub acceleration: Option<f64>,
+}
+
+/// Where a coordinate comes from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Coordinate {
+    /// It never changes.
+    Fixed(f64),
+    /// `offset + scale * value of the device`.
+    Device {
+        /// Which device of the robot.
+        device: DeviceId,
+        /// Metres, or radians, in one unit of the device.
+        scale: f64,
+        /// Where the device's zero is.
+        offset: f64,
+    },
+}
+
+/// The size of a body, about its middle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Shape {
+    /// A ball; a point if its radius is 0.
+    Ball {
+        /// Its radius.
+        radius: f64,
+    },
+    /// A box that turns with the body.
+    Box {
+        /// Its whole length, width and height.
+        size: [f64; 3],
+    },
+}
+
+/// The closest that two bodies come in an act.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Closest {
+    /// Between whom.
+    pub robots: [RobotId; 2],
+    /// From the act's start.
+    #[serde(rename = "at_ms")]
+    pub at: Span,
+    /// From surface to surface, in metres; 0 if they touch or overlap.
+    #[serde(rename = "distance_m")]
+    pub distance: f64,
+}
+
+impl Space {
+    /// Whether anything has to hold.
+    #[must_use]
+    pub fn is_checked(&self) -> bool {
+        self.distance.is_some() || self.keep_in.is_some() || !self.keep_out.is_empty()
+    }
+}
+
+impl Default for Volume {
+    fn default() -> Self {
+        Self { least: [f64::NEG_INFINITY; 3], most: [f64::INFINITY; 3] }
+    }
+}

@@ -1,0 +1,307 @@
+//! The path of a body through an act: a polyline in x, y, z and yaw over time.
+
+use urrcp::{ControlType, Interpolation};
+
+use super::Coordinate;
+use crate::plan::DeviceScript;
+
+/// A value at a time, in seconds from the act's start. Two at one time are a jump.
+type Point = (f64, f64);
+
+/// One coordinate over an act.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Axis {
+    /// In order of time, at least one.
+    points: Vec<Point>,
+    /// Largest error of a value: the steps may be off by it from the movement as written.
+    error: f64,
+}
+
+/// What one device does in an act.
+#[derive(Default)]
+pub(crate) struct Played<'a> {
+    pub(crate) scripts: &'a [&'a DeviceScript],
+    pub(crate) interpolation: Interpolation,
+    /// Where it is at the act's start, if that is known.
+    pub(crate) begin: Option<f64>,
+    /// Largest difference of its steps from the movement as written.
+    pub(crate) error: f64,
+}
+
+impl Axis {
+    /// `None` if it is nowhere known: nothing says where the device is, or it is not driven by position.
+    pub(crate) fn of(coordinate: &Coordinate, played: &Played<'_>) -> Option<Self> {
+        let (scale, offset) = match coordinate {
+            Coordinate::Fixed(value) => return Some(Self { points: vec![(0.0, *value)], error: 0.0 }),
+            Coordinate::Device { scale, offset, .. } => (*scale, *offset),
+        };
+        let mut points: Vec<Point> = played.begin.map(|begin| (0.0, begin)).into_iter().collect();
+        let linear = played.interpolation == Interpolation::Linear;
+        for script in played.scripts {
+            let start = script.start.get() / 1_000.0;
+            // It stays where it is until the script starts.
+            points.extend(points.last().map(|(_, last)| (start, *last)));
+            for step in script.script.steps() {
+                if step.setpoint.control_type != ControlType::Position {
+                    return None;
+                }
+                let at = start + step.offset.get() / 1_000.0;
+                if !linear {
+                    points.extend(points.last().map(|(_, last)| (at, *last)));
+                }
+                points.push((at, step.setpoint.value));
+            }
+        }
+        points.dedup();
+        points.iter_mut().for_each(|(_, value)| *value = offset + scale * *value);
+        (!points.is_empty()).then_some(Self { points, error: played.error * scale.abs() })
+    }
+
+    fn known_from(&self) -> f64 {
+        self.points[0].0
+    }
+
+    /// The mean speed between two values. What is set at once moves there since the value before.
+    fn speeds(&self) -> Vec<Stretch> {
+        let ends = self.points.iter().enumerate();
+        let last_of_its_time =
+            |(index, point): &(usize, &Point)| self.points.get(index + 1).is_none_or(|next| next.0 > point.0);
+        let values: Vec<Point> = ends.filter(last_of_its_time).map(|(_, point)| *point).collect();
+        let way = |pair: &[Point]| {
+            let took = pair[1].0 - pair[0].0;
+            Stretch {
+                from: pair[0].0,
+                to: pair[1].0,
+                rate: (pair[1].1 - pair[0].1) / took,
+                doubt: 2.0 * self.error / took,
+            }
+        };
+        values.windows(2).map(way).collect()
+    }
+}
+
+/// A time with one rate of a coordinate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Stretch {
+    from: f64,
+    to: f64,
+    rate: f64,
+    /// How far the rate may be off because steps are.
+    doubt: f64,
+}
+
+impl Stretch {
+    fn middle(&self) -> f64 {
+        f64::midpoint(self.from, self.to)
+    }
+}
+
+/// The change of speed where two ways meet, over the mean of their lengths: the second divided difference.
+fn changes(speeds: &[Stretch]) -> Vec<Stretch> {
+    let change = |pair: &[Stretch]| {
+        let (from, to) = (pair[0].middle(), pair[1].middle());
+        Stretch {
+            from,
+            to,
+            rate: (pair[1].rate - pair[0].rate) / (to - from),
+            doubt: (pair[0].doubt + pair[1].doubt) / (to - from),
+        }
+    };
+    speeds.windows(2).map(change).collect()
+}
+
+/// The largest speed or acceleration of a body's middle.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Peak {
+    /// From when to when, in seconds from the act's start.
+    pub(crate) from: f64,
+    pub(crate) to: f64,
+    /// What it is at least: steps are off from the movement as written, and may add to a rate.
+    pub(crate) rate: f64,
+}
+
+/// The largest speed and the largest acceleration in x, y and z together.
+pub(crate) fn peaks(axes: &[Axis; 4]) -> [Option<Peak>; 2] {
+    let speeds: [Vec<Stretch>; 3] = std::array::from_fn(|i| axes[i].speeds());
+    let accelerations = speeds.each_ref().map(|speeds| changes(speeds));
+    [largest(&speeds), largest(&accelerations)]
+}
+
+fn largest(rates: &[Vec<Stretch>; 3]) -> Option<Peak> {
+    let mut ends: Vec<f64> = rates.iter().flatten().flat_map(|stretch| [stretch.from, stretch.to]).collect();
+    ends.sort_by(f64::total_cmp);
+    ends.dedup();
+    let mut next = [0; 3];
+    let mut peak: Option<Peak> = None;
+    for pair in ends.windows(2) {
+        let mut squares = 0.0;
+        for (rates, next) in rates.iter().zip(&mut next) {
+            while rates.get(*next).is_some_and(|stretch| stretch.to <= pair[0]) {
+                *next += 1;
+            }
+            let known = rates.get(*next).filter(|stretch| stretch.from <= pair[0]);
+            squares += known.map_or(0.0, |stretch| (stretch.rate.abs() - stretch.doubt).max(0.0).powi(2));
+        }
+        if peak.is_none_or(|peak| squares.sqrt() > peak.rate) {
+            peak = Some(Peak { from: pair[0], to: pair[1], rate: squares.sqrt() });
+        }
+    }
+    peak
+}
+
+/// Where a body is at a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Knot {
+    pub(crate) at: f64,
+    /// x, y, z and yaw.
+    pub(crate) place: [f64; 4],
+}
+
+/// Where a body is from the moment at which all its coordinates are known.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Path {
+    /// In order of time, at least one; two at one time are a jump.
+    knots: Vec<Knot>,
+}
+
+impl Path {
+    pub(crate) fn of(axes: &[Axis; 4]) -> Self {
+        let from = axes.iter().map(Axis::known_from).fold(0.0, f64::max);
+        let mut times: Vec<f64> = axes.iter().flat_map(|axis| &axis.points).map(|point| point.0).collect();
+        times.retain(|at| *at >= from);
+        times.push(from);
+        times.sort_by(f64::total_cmp);
+        times.dedup();
+        let mut cursors = axes.each_ref().map(|axis| Cursor { points: &axis.points, next: 0 });
+        let mut knots: Vec<Knot> = Vec::with_capacity(times.len());
+        for at in times {
+            let both = cursors.each_mut().map(|cursor| cursor.advance(at));
+            for place in [both.map(|both| both.0), both.map(|both| both.1)] {
+                if knots.last().is_none_or(|last| last.at < at || last.place != place) {
+                    knots.push(Knot { at, place });
+                }
+            }
+        }
+        // Before the first moment nothing was known: there is no jump to it.
+        let first = knots.iter().take_while(|knot| knot.at == from).count();
+        knots.drain(..first.saturating_sub(1));
+        Self { knots }
+    }
+
+    /// Of a body that stays where it is.
+    pub(crate) fn resting(place: [f64; 4], ends: f64) -> Self {
+        Self { knots: vec![Knot { at: 0.0, place }, Knot { at: ends, place }] }
+    }
+
+    /// From when on it is known, in seconds.
+    pub(crate) fn known_from(&self) -> f64 {
+        self.knots[0].at
+    }
+
+    pub(crate) fn ends(&self) -> f64 {
+        self.knots[self.knots.len() - 1].at
+    }
+
+    pub(crate) fn knots(&self) -> &[Knot] {
+        &self.knots
+    }
+
+    /// The knots within a time, and where the body is at its ends.
+    pub(super) fn within(&self, from: f64, to: f64) -> impl Iterator<Item = Knot> + '_ {
+        let first = self.knots.partition_point(|knot| knot.at < from);
+        let last = self.knots.partition_point(|knot| knot.at <= to);
+        let end = |at, index| Knot { at, place: between(&self.knots, at, index) };
+        let begin = (self.knots.get(first).is_none_or(|knot| knot.at > from)).then(|| end(from, first));
+        let finish = (last == 0 || self.knots[last - 1].at < to).then(|| end(to, last));
+        begin.into_iter().chain(self.knots[first..last].iter().copied()).chain(finish)
+    }
+}
+
+/// Where two bodies are at one moment.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Both {
+    pub(super) at: f64,
+    pub(super) places: [[f64; 4]; 2],
+}
+
+/// The moments of a time at which one of two bodies has a knot, and its ends. Between two of them both move linearly.
+pub(super) fn together(a: &Path, b: &Path, from: f64, to: f64) -> Vec<Both> {
+    let mut paths = [a, b].map(|path| path.within(from, to).collect::<Vec<Knot>>());
+    if from > to || paths.iter().any(Vec::is_empty) {
+        return Vec::new();
+    }
+    let mut times: Vec<f64> = paths.iter().flatten().map(|knot| knot.at).collect();
+    times.sort_by(f64::total_cmp);
+    times.dedup();
+    let mut moments: Vec<Both> = Vec::with_capacity(times.len());
+    for at in times {
+        let sides = paths.each_mut().map(|knots| Sides::at(knots, at));
+        for places in [sides.each_ref().map(|s| s.before), sides.each_ref().map(|s| s.after)] {
+            if moments.last().is_none_or(|last| last.at < at || last.places != places) {
+                moments.push(Both { at, places });
+            }
+        }
+    }
+    moments
+}
+
+/// Where a body is just before a moment and just after it.
+struct Sides {
+    before: [f64; 4],
+    after: [f64; 4],
+}
+
+impl Sides {
+    /// `knots` reach from the moment or earlier to the moment or later.
+    fn at(knots: &mut Vec<Knot>, at: f64) -> Self {
+        let first = knots.partition_point(|knot| knot.at < at);
+        let last = knots.partition_point(|knot| knot.at <= at);
+        let sides = if first < last {
+            Self { before: knots[first].place, after: knots[last - 1].place }
+        } else {
+            let place = between(knots, at, first);
+            Self { before: place, after: place }
+        };
+        knots.drain(..first.saturating_sub(1));
+        sides
+    }
+}
+
+/// Between the knot before `index` and that one.
+fn between(knots: &[Knot], at: f64, index: usize) -> [f64; 4] {
+    let (Some(before), after) = (index.checked_sub(1), knots.get(index)) else { return knots[0].place };
+    let before = knots[before];
+    let Some(after) = after else { return before.place };
+    let share = (at - before.at) / (after.at - before.at);
+    std::array::from_fn(|i| before.place[i] + share * (after.place[i] - before.place[i]))
+}
+
+/// Runs along the points of an axis.
+struct Cursor<'a> {
+    points: &'a [Point],
+    /// The first point that is not before the time asked for last.
+    next: usize,
+}
+
+impl Cursor<'_> {
+    /// The value just before a time and just after it. Times never go back.
+    fn advance(&mut self, at: f64) -> (f64, f64) {
+        while self.points.get(self.next).is_some_and(|point| point.0 < at) {
+            self.next += 1;
+        }
+        let before = self.next.checked_sub(1).map(|index| self.points[index]);
+        let (Some(next), Some(before)) =
+            (self.points.get(self.next), before.or(self.points.first().copied()))
+        else {
+            let last = self.points[self.points.len() - 1].1;
+            return (last, last);
+        };
+        if next.0 > at {
+            let share = if next.0 > before.0 { (at - before.0) / (next.0 - before.0) } else { 0.0 };
+            let value = before.1 + share * (next.1 - before.1);
+            return (value, value);
+        }
+        let same = self.points[self.next..].iter().take_while(|point| point.0 == at);
+        (next.1, same.last().map_or(next.1, |point| point.1))
+    }
+}
