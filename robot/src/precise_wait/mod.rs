@@ -181,6 +181,13 @@ mod tests {
     }
 
     #[test]
+    fn others_are_given_half_a_millisecond_to_move() {
+        let (mut waits, began) = (waits(), Instant::now());
+        waits.let_others_move(None);
+        assert!(began.elapsed() >= Duration::from_micros(500), "{:?}", began.elapsed());
+    }
+
+    #[test]
     fn a_message_ends_a_wait_and_a_deadline_that_is_here_comes_before_it() {
         let (sender, receiver) = channel();
         sender.send(1).unwrap();

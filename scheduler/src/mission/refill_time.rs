@@ -65,6 +65,16 @@ mod tests {
     use crate::mission::bench::{self, Tells, at, ms};
 
     #[test]
+    fn on_a_link_whose_delays_are_equal_sending_takes_a_round_trip_and_a_quarter() {
+        let mut robot = bench::robot("r0", Tells::Everything, 2);
+        for sent in [0, 20, 40] {
+            let there = bench::by_robot(at(sent + 4));
+            robot.clock.add(ClockSample::from_exchange(at(sent), there, there, at(sent + 8)));
+        }
+        assert_eq!(sending(&robot, at(60)), ms(10));
+    }
+
+    #[test]
     fn a_script_may_end_later_by_a_clock_that_is_behind_and_by_a_late_wake_up() {
         let mut robot = bench::robot("r0", Tells::Answers, 2);
         assert_eq!(late(&robot, at(0)), Span::ZERO);

@@ -219,7 +219,7 @@ impl Mission {
 
 /// Whether a robot says what becomes of its scripts, or only answers what it is sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Says {
+pub(super) enum Says {
     ByItself,
     Answers,
 }
@@ -230,7 +230,7 @@ const fn names_nothing(response: &ControlResponse) -> bool {
 }
 
 /// The script that an answer without a name belongs to: answers of a device come in the order of its scripts.
-fn open_without_name(
+pub(super) fn open_without_name(
     acts: &[Act],
     (robot, says): (usize, Says),
     device: &DeviceId,

@@ -3,7 +3,7 @@
 use std::sync::Arc;
 
 use downbeat_scripts::{SensorRange, Wait, Way};
-use urrcp::RequestId;
+use urrcp::{RequestId, Status};
 
 use super::act::ActAction;
 use super::bench::Tells::Everything;
@@ -390,4 +390,66 @@ fn a_script_has_to_fit_what_the_robot_itself_declares() {
     let script = device_script(("a", 0, 400));
     assert_eq!(greet::unfit(&script, &block(2)), Vec::<String>::new());
     assert_eq!(greet::unfit(&script, &block(1)), ["device `a` takes 1 steps a script, the plan has 2"]);
+}
+
+#[test]
+fn a_script_that_is_sent_again_is_counted() {
+    let mut mission = begins_at_once(Everything);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.count_retry(ScriptRef { act: 0, member: 0, script: 0 });
+    assert_eq!(mission.robots[0].totals.retries, 1);
+}
+
+#[test]
+fn a_start_without_a_name_belongs_to_a_script_that_is_held() {
+    let mut mission = begins_at_once(Tells::Nothing);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    let device = "a".parse().unwrap();
+    let accepted = Message::ControlResponse(super::bench::response(&device, None, Status::Accepted, at(1)));
+    let _noted = happens(&mut mission, at(1), Event::Received { robot: 0, message: accepted });
+    let started = super::bench::response(&device, None, Status::Started, at(2));
+    let found = requests::open_without_name(&mission.acts, (0, requests::Says::Answers), &device, &started);
+    assert_eq!(found, Some(ScriptRef { act: 0, member: 0, script: 0 }));
+}
+
+#[test]
+fn after_a_round_the_next_one_is_ahead() {
+    let mut mission = begins_at_once(Everything);
+    let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+    mission.next_round = Some(at(5));
+    mission.renew_if_due(at(5));
+    assert!(mission.next_round > Some(at(5)), "{:?}", mission.next_round);
+}
+
+#[test]
+fn a_robot_that_takes_no_inquiries_owes_nothing_once_it_has_answered_a_question_after_its_stop() {
+    for (answered, owes) in [(0, true), (1, true), (2, false)] {
+        let mut mission = begins_at_once(Tells::Reports);
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        mission.stopped_at = Some(at(1));
+        mission.robots[0].questions.asked(at(answered));
+        mission.robots[0].questions.answer(at(answered));
+        assert_eq!(mission.owes_a_fate(0), owes, "answered {answered} ms after the beginning");
+    }
+}
+
+#[test]
+fn the_stops_of_two_devices_come_behind_a_question_that_ends_the_leases_of_both() {
+    let block = robot("r0", Everything, 2).block;
+    let participants = vec![Participant::new(RobotId::new("r0").unwrap(), block)];
+    let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+    let scripts: &[&[super::bench::Planned]] = &[&[("a", 0, 400), ("b", 0, 400)]];
+    let mut mission = Mission::new(Arc::new(choreography(scripts)), participants, options, at(0)).unwrap();
+    let sent = scripts_in(&happens(&mut mission, at(0), Event::LinkUp { robot: 0 }));
+    assert_eq!(sent.len(), 2);
+    let actions = mission.handle(at(1), Event::StopRequested { rest: Rest::Default });
+    let kinds: Vec<&str> = actions
+        .iter()
+        .filter_map(|action| match action {
+            Action::Send { message: Message::Inquiry(_), .. } => Some("question"),
+            Action::Send { message: Message::ControlRequest(_), .. } => Some("stop"),
+            _ => None,
+        })
+        .collect();
+    assert_eq!(kinds, ["question", "stop", "stop"]);
 }

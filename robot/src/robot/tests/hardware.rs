@@ -227,3 +227,15 @@ fn readings_are_open_up_to_a_limit() {
     bench.until(1_000);
     assert_eq!(bench.statuses().len(), READINGS_MAX + 1);
 }
+
+#[test]
+fn what_runs_fails_if_its_next_step_is_overdue_for_longer_than_is_borne() {
+    let mut bench = ready();
+    bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &[(0.0, 20.0), (100.0, 30.0)])));
+    bench.until(150);
+    let borne = Span::from_millis(100);
+    bench.robot.give_up_overdue(at(300), borne, &mut bench.out);
+    assert!(!bench.statuses().iter().any(|status| status.starts_with("Failed")), "{:?}", bench.statuses());
+    bench.robot.give_up_overdue(at(301), borne, &mut bench.out);
+    assert_eq!(bench.statuses().last().map(String::as_str), Some("Failed late"));
+}

@@ -479,3 +479,13 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn a_robot_is_idle_until_it_holds_something_and_once_that_is_over() {
+    let mut bench = Bench::new();
+    assert!(bench.robot.is_idle());
+    bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &[(0.0, 20.0), (100.0, 30.0)])));
+    assert!(!bench.robot.is_idle());
+    bench.until(1_000);
+    assert!(bench.robot.is_idle());
+}

@@ -292,3 +292,11 @@ fn only_a_script_that_another_process_may_have_sent_and_of_which_nothing_was_sai
     take(&mut taken_up, Said::Accepted, 1);
     assert!(!taken_up.is_unheard_since_taken_up());
 }
+
+#[test]
+fn a_script_of_which_a_step_was_done_has_begun_whatever_else_is_known() {
+    let mut script = sent();
+    assert!(!script.has_begun());
+    script.steps_done = 1;
+    assert!(script.has_begun());
+}

@@ -198,3 +198,12 @@ fn readings_of_the_scenario_are_taken_at_their_times() {
     let times: Vec<_> = bench.reads.iter().map(|(at, ..)| *at - bench.start()).collect();
     assert_eq!(times, [ms(100), ms(250)]);
 }
+
+#[test]
+fn the_script_that_begins_next_begins_later_than_now() {
+    let mut bench = chain(Tells::Everything, 2);
+    bench.play(Leases::Shortened);
+    let start = bench.start();
+    assert_eq!(bench.act.next_begin(0, start + ms(199)), Some(start + ms(200)));
+    assert_eq!(bench.act.next_begin(0, start + ms(200)), None, "no other is out");
+}

@@ -171,3 +171,15 @@ fn a_robot_has_accepted_once_all_its_scripts_are() {
         assert_eq!(told(&bench), accepted);
     }
 }
+
+#[test]
+fn requests_are_named_after_the_time_at_which_they_are_sent() {
+    let mut bench = Bench::pair();
+    bench.promise(Leases::Shortened);
+    let micros = bench.timing().timestamp.as_nanos() / 1_000;
+    let names = [0, 1].map(|robot| {
+        let script = bench.scripts_of(robot)[0];
+        bench.act.script(script).request_id().unwrap().to_string()
+    });
+    assert_eq!(names, [format!("{micros}/0/0/0"), format!("{micros}/0/1/0")]);
+}
