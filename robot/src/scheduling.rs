@@ -213,6 +213,12 @@ mod tests {
         Scheduling { realtime, locked }.to_string()
     }
 
+    #[test]
+    fn a_thread_runs_before_others_only_if_that_was_granted() {
+        let scheduling = |realtime| Scheduling { realtime, locked: no() }.is_realtime();
+        assert!(scheduling(yes("SCHED_FIFO")) && !scheduling(no()));
+    }
+
     fn yes(what: &str) -> Granted {
         Granted::Yes(what.to_owned())
     }

@@ -209,6 +209,14 @@ mod tests {
     }
 
     #[test]
+    fn between_ends_whose_distance_is_beyond_all_numbers_a_ramp_is_linear_too() {
+        let at = Timestamp::from_nanos;
+        let ramp = Signal::ramp(-1e308, at(0), 1e308, at(4_000_000));
+        let values = [1_000_000, 2_000_000, 3_000_000].map(|nanos| ramp.value(at(nanos)));
+        assert_eq!(values, [-5e307, 0.0, 5e307]);
+    }
+
+    #[test]
     fn coming_to_rest_keeps_to_the_acceleration_and_the_speed() {
         let at = |millis: i64| Timestamp::from_nanos(millis * 1_000_000);
         let rates = Rates { speed: Some(10.0), acceleration: 20.0 };

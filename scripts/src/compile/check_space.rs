@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 
-use urrcp::Span;
+use urrcp::{DeviceId, RobotId, Span};
 
 use super::Times;
 use super::cast::{Cast, Positions};
@@ -41,17 +41,17 @@ pub(super) fn check(findings: &mut Reader, played: &Stage<'_>) -> Option<Closest
     if bodies.is_empty() {
         return None;
     }
-    let cues = Cues::of(played);
+    let (cues, scripts) = (Cues::of(played), Scripts::of(played));
     let mut unknown = Vec::new();
     let mut paths: Vec<(usize, Path, Solid)> = Vec::new();
     for (robot, body) in bodies {
-        let Some(axes) = played.axes(robot, body) else {
-            unknown.extend(played.plays(robot).then_some((robot, None)));
+        let Some(axes) = played.axes(&scripts, robot, body) else {
+            unknown.extend(scripts.plays(played.cast.id(robot)).then_some((robot, None)));
             continue;
         };
         rates(findings, played, &cues, robot, body, &axes);
         let path = Path::of(&axes);
-        if path.known_from() > 0.0 && played.plays(robot) {
+        if path.known_from() > 0.0 && scripts.plays(played.cast.id(robot)) {
             unknown.push((robot, Some(path.known_from())));
         }
         paths.push((robot, path, Solid::of(&body.shape)));
@@ -69,38 +69,50 @@ pub(super) fn check(findings: &mut Reader, played: &Stage<'_>) -> Option<Closest
 
 impl Stage<'_> {
     /// The coordinates of a body; `None` if one of them is known at no time.
-    fn axes(&self, robot: usize, body: &Body) -> Option<[Axis; 4]> {
+    fn axes(&self, scripts: &Scripts<'_>, robot: usize, body: &Body) -> Option<[Axis; 4]> {
         let id = self.cast.id(robot);
-        let plan = self.robots.iter().find(|plan| plan.robot == *id);
         let [x, y, z, yaw] = body.coordinates.each_ref().map(|coordinate| {
             let Coordinate::Device { device, .. } = coordinate else {
                 return Axis::of(coordinate, &Played::default());
             };
             let index = self.cast.devices(robot).iter().position(|other| other.id == *device)?;
-            let scripts: Vec<&DeviceScript> = plan
-                .iter()
-                .flat_map(|plan| &plan.scripts)
-                .filter(|script| script.device == *device)
-                .collect();
-            let of_device = |used: &&DeviceUse| used.robot == *id && used.device == *device;
-            let played = Played {
-                scripts: &scripts,
-                interpolation: self.cast.devices(robot)[index].interpolation,
-                begin: self.positions.of(robot, index),
-                error: self.devices.iter().find(of_device).map_or(0.0, |used| used.worst_error),
-            };
+            let (scripts, error) = scripts.of_device(id, device);
+            let interpolation = self.cast.devices(robot)[index].interpolation;
+            let played =
+                Played { scripts: &scripts, interpolation, begin: self.positions.of(robot, index), error };
             Axis::of(coordinate, &played)
         });
         Some([x?, y?, z?, yaw?])
     }
 
-    /// One that does not play may not be there at all.
-    fn plays(&self, robot: usize) -> bool {
-        self.robots.iter().any(|plan| plan.robot == *self.cast.id(robot))
-    }
-
     fn id(&self, robot: usize) -> &str {
         self.cast.id(robot).as_str()
+    }
+}
+
+/// What each robot is sent in an act.
+struct Scripts<'a> {
+    of_robot: HashMap<&'a RobotId, &'a RobotPlan>,
+    used: HashMap<(&'a RobotId, &'a DeviceId), &'a DeviceUse>,
+}
+
+impl<'a> Scripts<'a> {
+    fn of(played: &Stage<'a>) -> Self {
+        let of_robot = played.robots.iter().map(|plan| (&plan.robot, plan)).collect();
+        let used = played.devices.iter().map(|used| ((&used.robot, &used.device), used)).collect();
+        Self { of_robot, used }
+    }
+
+    /// One that does not play may not be there at all.
+    fn plays(&self, robot: &RobotId) -> bool {
+        self.of_robot.contains_key(robot)
+    }
+
+    /// The scripts of a device, and how far its steps are off at most from the movement as written.
+    fn of_device(&self, robot: &RobotId, device: &DeviceId) -> (Vec<&'a DeviceScript>, f64) {
+        let scripts = self.of_robot.get(robot).into_iter().flat_map(|plan| &plan.scripts);
+        let error = self.used.get(&(robot, device)).map_or(0.0, |used| used.worst_error);
+        (scripts.filter(|script| script.device == *device).collect(), error)
     }
 }
 
