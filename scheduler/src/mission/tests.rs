@@ -453,3 +453,15 @@ fn the_stops_of_two_devices_come_behind_a_question_that_ends_the_leases_of_both(
         .collect();
     assert_eq!(kinds, ["question", "stop", "stop"]);
 }
+
+#[test]
+fn the_first_round_is_not_due_at_once() {
+    let mut mission = waits_in(0);
+    let _waits = mission.handle(at(0), Event::LinkUp { robot: 0 });
+    mission.next_round = None;
+    let before = mission.actions.len();
+    mission.renew_if_due(at(1));
+    assert_eq!((mission.actions.len(), mission.next_round), (before, Some(at(1_001))));
+    mission.renew_if_due(at(1_001));
+    assert!(mission.actions.len() > before, "the robot is asked");
+}
