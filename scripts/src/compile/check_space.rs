@@ -50,7 +50,7 @@ pub(super) fn check(findings: &mut Reader, played: &Stage<'_>) -> Option<Closest
             continue;
         };
         rates(findings, played, &cues, robot, body, &axes);
-        let path = Path::of(&axes);
+        let path = Path::of(&axes, !played.positions.is_first());
         if path.known_from() > 0.0 && scripts.plays(played.cast.id(robot)) {
             unknown.push((robot, Some(path.known_from())));
         }

@@ -38,7 +38,9 @@ impl Axis {
         let mut points: Vec<Point> = played.begin.map(|begin| (0.0, begin)).into_iter().collect();
         let linear = played.interpolation == Interpolation::Linear;
         for script in played.scripts {
-            let start = script.start.get() / 1_000.0;
+            // Cues that overlap are told elsewhere: here, time only goes on.
+            let not_before = points.last().map_or(0.0, |(at, _)| *at);
+            let start = (script.start.get() / 1_000.0).max(not_before);
             // It stays where it is until the script starts.
             points.extend(points.last().map(|(_, last)| (start, *last)));
             for step in script.script.steps() {
@@ -165,7 +167,8 @@ pub(crate) struct Path {
 }
 
 impl Path {
-    pub(crate) fn of(axes: &[Axis; 4]) -> Self {
+    /// `sure`: where the body is at the act's start is more than an assumption, so that a jump from there is a way, too.
+    pub(crate) fn of(axes: &[Axis; 4], sure: bool) -> Self {
         let from = axes.iter().map(Axis::known_from).fold(0.0, f64::max);
         let mut times: Vec<f64> = axes.iter().flat_map(|axis| &axis.points).map(|point| point.0).collect();
         times.retain(|at| *at >= from);
@@ -182,9 +185,11 @@ impl Path {
                 }
             }
         }
-        // Before the first moment nothing was known: there is no jump to it.
-        let first = knots.iter().take_while(|knot| knot.at == from).count();
-        knots.drain(..first.saturating_sub(1));
+        if from > 0.0 || !sure {
+            // Before the first moment nothing was known: there is no way to it.
+            let first = knots.iter().take_while(|knot| knot.at == from).count();
+            knots.drain(..first.saturating_sub(1));
+        }
         Self { knots }
     }
 

@@ -39,7 +39,7 @@ fn fixed(value: f64) -> Axis {
 }
 
 fn mover(axes: [Axis; 4], shape: &Shape, ends: f64) -> Mover {
-    let path = Path::of(&axes);
+    let path = Path::of(&axes, true);
     Mover::new(path, Solid::of(shape), ends, 3)
 }
 
@@ -69,13 +69,39 @@ fn a_device_that_is_set_at_once_passes_all_places_in_between() {
 fn between_scripts_a_device_stays_and_before_its_first_step_it_moves_from_where_it_is() {
     let (first, second) = (script(0.0, &[(1_000.0, 2.0)]), script(3_000.0, &[(1_000.0, 4.0)]));
     let moves = axis_of(&[&first, &second], Interpolation::Linear, Some(0.0)).unwrap();
-    let path = Path::of(&[moves, fixed(0.0), fixed(0.0), fixed(0.0)]);
+    let path = Path::of(&[moves, fixed(0.0), fixed(0.0), fixed(0.0)], true);
     let at: Vec<f64> =
         [0.5, 1.0, 2.0, 3.5, 4.0].iter().map(|at| path.within(*at, *at).next().unwrap().place[0]).collect();
     assert_eq!(at, [1.0, 2.0, 2.0, 3.0, 4.0]);
     let unknown = axis_of(&[&first], Interpolation::Linear, None).unwrap();
-    assert_eq!(Path::of(&[unknown, fixed(0.0), fixed(0.0), fixed(0.0)]).known_from(), 1.0);
+    assert_eq!(Path::of(&[unknown, fixed(0.0), fixed(0.0), fixed(0.0)], true).known_from(), 1.0);
     assert_eq!(axis_of(&[], Interpolation::Linear, None), None);
+}
+
+#[test]
+fn a_jump_at_the_start_is_a_way_only_if_the_place_before_it_is_sure() {
+    let jumps = axis_of(&[&script(0.0, &[(0.0, 4.0), (1_000.0, 4.0)])], Interpolation::Linear, Some(0.0));
+    let axes = [jumps.unwrap(), fixed(0.0), fixed(0.0), fixed(0.0)];
+    let b = mover([fixed(1.0), fixed(0.0), fixed(0.0), fixed(0.0)], &POINT, 1.0);
+    for (sure, distance) in [(true, 0.0), (false, 3.0)] {
+        let a = Mover::new(Path::of(&axes, sure), Solid::of(&POINT), 1.0, 3);
+        assert_eq!(between(&a, &b).distance, distance);
+    }
+}
+
+#[test]
+fn scripts_that_overlap_lead_to_no_time_that_goes_back() {
+    let (first, second) =
+        (script(0.0, &[(0.0, 0.0), (3_000.0, 3.0)]), script(1_000.0, &[(0.0, 1.0), (1_000.0, 5.0)]));
+    let axes = [
+        axis_of(&[&first, &second], Interpolation::Linear, None).unwrap(),
+        fixed(0.0),
+        fixed(0.0),
+        fixed(0.0),
+    ];
+    let path = Path::of(&axes, true);
+    assert!(path.knots().is_sorted_by_key(|knot| knot.at), "{path:?}");
+    assert!(peaks(&axes).iter().flatten().all(|peak| peak.rate.is_finite()));
 }
 
 #[test]
@@ -167,7 +193,7 @@ proptest! {
             mover(points.each_ref().map(|points| axis(points)), shape, ends)
         });
         let found = between(&movers[0], &movers[1]);
-        let paths = [&a, &b].map(|(points, _)| Path::of(&points.each_ref().map(|points| axis(points))));
+        let paths = [&a, &b].map(|(points, _)| Path::of(&points.each_ref().map(|points| axis(points)), true));
         let solids = [Solid::of(&a.1), Solid::of(&b.1)];
         let gap = |at: f64| {
             let places = paths.each_ref().map(|path| path.within(at, at).next().unwrap().place);
@@ -183,7 +209,7 @@ proptest! {
     fn the_depth_of_the_trees_changes_nothing(a in body(), b in body(), deep in 0u32..8) {
         let found = [3, deep].map(|depth| {
             let of = |(points, shape): &([Vec<(f64, f64)>; 4], Shape)| {
-                Mover::new(Path::of(&points.each_ref().map(|points| axis(points))), Solid::of(shape), 20.0, depth)
+                Mover::new(Path::of(&points.each_ref().map(|points| axis(points)), true), Solid::of(shape), 20.0, depth)
             };
             closest(&of(&a), &of(&b), f64::INFINITY).unwrap().distance
         });
