@@ -45,7 +45,7 @@ pub(super) fn read_space(findings: &mut Reader, at: &At<'_>) -> Space {
 /// `{x: [-2, 2], z: [0, 3]}`
 fn volume(findings: &mut Reader, at: &At<'_>) -> Option<Volume> {
     let sides = findings.map(at, "a volume", VOLUME_KEYS, &[])?;
-    let mut volume = Volume::default();
+    let (mut volume, mut sound) = (Volume::default(), true);
     for (axis, side) in sides.into_iter().enumerate() {
         let Some(side) = side else { continue };
         let expected = "the least and the largest coordinate in metres, as [-2, 2.5]";
@@ -55,18 +55,18 @@ fn volume(findings: &mut Reader, at: &At<'_>) -> Option<Volume> {
             [least, most] if ends.len() == 2 && least < most => {
                 (volume.least[axis], volume.most[axis]) = (least, most);
             }
-            _ if numbers.len() < ends.len() || !matches!(side.node, Node::List(_)) => return None,
+            _ if numbers.len() < ends.len() || !matches!(side.node, Node::List(_)) => sound = false,
             _ => {
                 let message = match *numbers {
                     [least, most] => format!("{least} is not less than {most}"),
                     _ => format!("found {} entries", ends.len()),
                 };
                 findings.add(Code::WrongType, side.place(), message, expected, None);
-                return None;
+                sound = false;
             }
         }
     }
-    Some(volume)
+    sound.then_some(volume)
 }
 
 fn length(findings: &mut Reader, at: &At<'_>) -> Option<f64> {

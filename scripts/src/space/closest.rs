@@ -9,8 +9,13 @@ use super::path::{Knot, Path};
 use super::solid::{Solid, distance};
 use super::{Volume, path};
 
-/// Distances are known to this, in metres.
+/// Distances are known to this, in metres, or to this share of the way between two steps if that is more: nobody waits for bodies
+/// that move by hundreds of kilometres at once.
 const EXACT: f64 = 1e-4;
+const SHARE: f64 = 1e-5;
+/// A box that turns is looked at so often between two knots, in radians and at most.
+const TURN: f64 = 0.02;
+const LOOKS_MAX: f64 = 1e4;
 /// Knots in a leaf of the tree, about.
 const LEAF: usize = 8;
 const DEPTH_MAX: u32 = 12;
@@ -210,6 +215,15 @@ impl<'a> Way<'a> {
         if squared > 0.0 { (towards / squared).clamp(0.0, 1.0) } else { 0.0 }
     }
 
+    fn exact(&self) -> f64 {
+        EXACT.max(self.steepest * SHARE)
+    }
+
+    /// Whether the distance may change by more than is wanted to be known.
+    fn is_divided_between(&self, from: f64, to: f64) -> bool {
+        self.steepest.is_finite() && self.steepest * (to - from) >= self.exact()
+    }
+
     /// The least distance that is possible between two shares of the way at which it is known.
     fn least_between(&self, from: (f64, f64), to: (f64, f64)) -> f64 {
         f64::midpoint(from.1, to.1) - self.steepest * (to.0 - from.0) / 2.0
@@ -220,7 +234,7 @@ impl<'a> Way<'a> {
 fn narrow((from, to): ((f64, f64), (f64, f64)), way: &Way<'_>, note: &mut impl FnMut(f64, f64) -> f64) {
     let s = f64::midpoint(from.0, to.0);
     let least = way.least_between(from, to).max(0.0);
-    if least >= note(from.0, from.1) - EXACT || s <= from.0 || s >= to.0 {
+    if least >= note(from.0, from.1) - way.exact() || !way.is_divided_between(from.0, to.0) {
         return;
     }
     let middle = (s, way.gap(s));
@@ -229,7 +243,7 @@ fn narrow((from, to): ((f64, f64), (f64, f64)), way: &Way<'_>, note: &mut impl F
     narrow((middle, to), way, note);
 }
 
-/// When two bodies first touch, in seconds; what is closer than [`EXACT`] for less than it takes to move that far may be missed.
+/// When two bodies first touch, in seconds; a graze by less than [`EXACT`] may be missed.
 pub(crate) fn first_contact(a: &Mover, b: &Mover) -> Option<f64> {
     contact_in(a, b, 1)
 }
@@ -255,7 +269,7 @@ fn contact_between((from, to): ((f64, f64), (f64, f64)), way: &Way<'_>) -> Optio
     if way.least_between(from, to) > 0.0 {
         return None;
     }
-    if way.steepest * (to.0 - from.0) < EXACT {
+    if !way.is_divided_between(from.0, to.0) {
         return (to.1 <= 0.0).then_some(to.0);
     }
     let s = f64::midpoint(from.0, to.0);
@@ -289,7 +303,8 @@ pub(crate) fn furthest_out(mover: &Mover, volume: &Volume) -> Option<Approach> {
     for pair in mover.path.knots().windows(2) {
         let [from, to]: [&Knot; 2] = [&pair[0], &pair[1]];
         let turned = (to.place[3] - from.place[3]).abs();
-        let parts = if mover.solid.lever() > 0.0 { (turned / 0.02).ceil().max(1.0) } else { 1.0 };
+        let parts =
+            if mover.solid.lever() > 0.0 { (turned / TURN).ceil().clamp(1.0, LOOKS_MAX) } else { 1.0 };
         for part in 0..parts as u32 {
             let s = f64::from(part) / parts;
             note(from.at + s * (to.at - from.at), out(&mixed(&from.place, &to.place, s)));

@@ -120,6 +120,19 @@ fn a_box_that_turns_comes_closest_with_its_corner() {
 }
 
 #[test]
+fn bodies_that_move_absurdly_far_are_judged_in_no_time() {
+    let shape = Shape::Box { size: [0.4, 0.3, 0.2] };
+    for far in [1e6, 1e150, 1e308] {
+        let way = || axis(&[(0.0, -far), (1.0, far), (2.0, -far)]);
+        let a = mover([way(), fixed(0.0), fixed(0.0), way()], &shape, 2.0);
+        let b = mover([fixed(0.0), fixed(1.0), fixed(0.0), way()], &shape, 2.0);
+        let _some = closest(&a, &b, f64::INFINITY);
+        let _none = first_contact(&a, &b);
+        assert!(furthest_out(&a, &Volume { least: [-1.0; 3], most: [1.0; 3] }).is_some());
+    }
+}
+
+#[test]
 fn the_first_contact_is_when_a_body_enters() {
     let way = axis(&[(0.0, -2.0), (4.0, 2.0), (8.0, -2.0)]);
     let ball = mover([way, fixed(0.0), fixed(0.0), fixed(0.0)], &Shape::Ball { radius: 0.1 }, 8.0);
