@@ -143,7 +143,7 @@ fn main() {
     ];
     for (name, shape) in shapes {
         let (compiled, with) = compiled(&source, Some(shape));
-        let closest = compiled.choreography.unwrap().acts.remove(0).closest.unwrap();
+        let closest = compiled.choreography.unwrap().acts.remove(0).in_space.closest.unwrap();
         let check = with.saturating_sub(without);
         println!(
             "{name}: {check:.2?} more to compile, {:.2} times looking; closest {:.4} m at {}",

@@ -80,6 +80,13 @@ fn the_drones_of_the_swap_come_as_close_as_their_steps_say() {
 }
 
 #[test]
+fn at_another_speed_the_limits_of_bodies_are_checked_again() {
+    let swap = |speed| downbeat(&["dry-run", "scripts/examples/swap.yaml", "--speed", speed]);
+    swap("1.2").says(0, &["done"]);
+    swap("2").says(1, &["robot `cf2`: its body would reach", "m/s, at most 1.5 is allowed"]);
+}
+
+#[test]
 fn the_unfixed_dance_breaks_exactly_five_limits() {
     let ran = downbeat(&["check", "scripts/examples/dance.unfixed.yaml", "--format", "json"]);
     assert_eq!(ran.code(), 1);

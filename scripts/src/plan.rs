@@ -3,7 +3,7 @@
 use serde::Serialize;
 use urrcp::{ControlType, DeviceId, Millis, RobotId, Script, Span, StopCondition};
 
-use crate::space::Closest;
+use crate::space::InSpace;
 
 pub use crate::scenario::{OnDoubt, OnFailure, SensorRange, Wait};
 
@@ -27,8 +27,8 @@ pub struct Act {
     pub cues: Vec<PlannedCue>,
     /// How each device's steps came about.
     pub devices: Vec<DeviceUse>,
-    /// The closest that two bodies come while it plays, where the fleet file describes bodies.
-    pub closest: Option<Closest>,
+    /// What the robots do in space while it plays.
+    pub in_space: InSpace,
     /// Sensors that are read while it plays.
     pub readings: Vec<PlannedReading>,
     /// What has to be so before it begins.
@@ -175,7 +175,7 @@ impl Choreography {
             name: String::new(),
             cues: Vec::new(),
             devices: Vec::new(),
-            closest: None,
+            in_space: InSpace::default(),
             readings: Vec::new(),
             wait: Wait::Done,
             timeout: None,

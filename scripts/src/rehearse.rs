@@ -5,6 +5,7 @@ use urrcp::{ControlType, Device, Interpolation, Millis, RobotId, Script, Span, S
 use crate::fleet::{Fleet, FleetRobot};
 use crate::plan::{Act, Choreography, DeviceScript, Way};
 use crate::scenario::Wait;
+use crate::space::DUST;
 
 /// Faults that are listed of a choreography at another speed.
 const SHOWN: usize = 20;
@@ -25,6 +26,9 @@ impl Choreography {
         for act in &mut self.acts {
             act.plan.robots.retain(|robot| robots.contains(&robot.robot));
             act.readings.retain(|reading| robots.contains(&reading.robot));
+            // Where the others stand is not known.
+            act.in_space.closest = None;
+            act.in_space.bodies.retain(|body| robots.contains(&body.robot));
         }
         Ok(self)
     }
@@ -63,6 +67,21 @@ fn stretch_act(act: &mut Act, speed: f64, fleet: &Fleet, faults: &mut Vec<String
     }
     for reading in &mut act.readings {
         reading.at = at(reading.at);
+    }
+    if let Some(closest) = &mut act.in_space.closest {
+        closest.at = at(closest.at);
+    }
+    for used in &mut act.in_space.bodies {
+        (used.speed, used.acceleration) = (used.speed * speed, used.acceleration * speed * speed);
+        let body = fleet.robots.iter().find(|listed| listed.id == used.robot).and_then(|r| r.body.as_ref());
+        let limits = body.map(|body| (body.speed, body.acceleration)).unwrap_or_default();
+        for (found, limit, unit) in [(used.speed, limits.0, "m/s"), (used.acceleration, limits.1, "m/s²")] {
+            let Some(limit) = limit.filter(|limit| found > limit * DUST) else { continue };
+            faults.push(format!(
+                "robot `{}`: its body would reach {found:.3} {unit}, at most {limit} is allowed (act `{}`)",
+                used.robot, act.name
+            ));
+        }
     }
     for robot in &mut act.plan.robots {
         let listed = fleet.robots.iter().find(|listed| listed.id == robot.robot);

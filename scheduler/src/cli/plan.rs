@@ -1,7 +1,7 @@
 //! `downbeat plan`: the control requests that a scenario compiles to.
 
 use downbeat_scripts::{
-    Act, Choreography, Closest, DeviceUse, OnDoubt, OnFailure, PlannedCue, PlannedReading, Wait, Way,
+    Act, BodyUse, Choreography, Closest, DeviceUse, OnDoubt, OnFailure, PlannedCue, PlannedReading, Wait, Way,
 };
 use serde::Serialize;
 use urrcp::{Command, ControlRequest, Message, Millis, Server, Span, Timestamp};
@@ -78,6 +78,8 @@ pub(super) struct ActFigures<'a> {
     /// Where the fleet file describes bodies.
     #[serde(skip_serializing_if = "Option::is_none")]
     closest: Option<&'a Closest>,
+    #[serde(skip_serializing_if = "<[_]>::is_empty")]
+    bodies: &'a [BodyUse],
 }
 
 pub(super) fn figures(choreography: &Choreography) -> Vec<ActFigures<'_>> {
@@ -90,7 +92,8 @@ fn act_figures(act: &Act) -> ActFigures<'_> {
         duration_ms: act.plan.duration(),
         cues: &act.cues,
         devices: &act.devices,
-        closest: act.closest.as_ref(),
+        closest: act.in_space.closest.as_ref(),
+        bodies: &act.in_space.bodies,
     }
 }
 

@@ -60,7 +60,7 @@ pub fn plan_table(act: &Act, columns: usize) -> String {
     }
     let name = shown(&act.plan.scenario);
     let (cues, rows) = (cues.text(columns), rows.text(columns));
-    let closest = act.closest.as_ref().map_or_else(String::new, |closest| {
+    let closest = act.in_space.closest.as_ref().map_or_else(String::new, |closest| {
         let [a, b] = &closest.robots;
         format!("closest: `{a}` and `{b}`, {:.3} m at {}\n", closest.distance, closest.at)
     });

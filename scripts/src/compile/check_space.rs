@@ -13,12 +13,10 @@ use crate::plan::{DeviceScript, DeviceUse, RobotPlan};
 use crate::render::counted;
 use crate::scenario::Act;
 use crate::space::{
-    Axis, Body, Closest, Coordinate, Mover, Path, Peak, Played, Solid, closest, depth, first_contact,
-    furthest_out, peaks,
+    Axis, Body, BodyUse, Closest, Coordinate, DUST, InSpace, Mover, Path, Peak, Played, Solid, closest,
+    depth, first_contact, furthest_out, peaks,
 };
 
-/// What rounding may add to a rate.
-const DUST: f64 = 1.0 + 1e-6;
 /// Metres by which two balls may seem closer than they are.
 const ROUNDING: f64 = 1e-9;
 
@@ -32,39 +30,41 @@ pub(super) struct Stage<'a> {
     pub(super) positions: &'a Positions<'a>,
 }
 
-/// Checks an act, and returns the closest that two bodies come in it.
-pub(super) fn check(findings: &mut Reader, played: &Stage<'_>) -> Option<Closest> {
-    let fleet = played.cast.fleet;
+/// Checks an act, and returns what its bodies do.
+pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> InSpace {
+    let fleet = stage.cast.fleet;
     let bodies = fleet.robots.iter().enumerate();
     let bodies: Vec<(usize, &Body)> =
         bodies.filter_map(|(i, robot)| Some((i, robot.body.as_ref()?))).collect();
+    let mut in_space = InSpace::default();
     if bodies.is_empty() {
-        return None;
+        return in_space;
     }
-    let (cues, scripts) = (Cues::of(played), Scripts::of(played));
+    let (cues, scripts) = (Cues::of(stage), Scripts::of(stage));
     let mut unknown = Vec::new();
     let mut paths: Vec<(usize, Path, Solid)> = Vec::new();
     for (robot, body) in bodies {
-        let Some(axes) = played.axes(&scripts, robot, body) else {
-            unknown.extend(scripts.plays(played.cast.id(robot)).then_some((robot, None)));
+        let Some(axes) = stage.axes(&scripts, robot, body) else {
+            unknown.extend(scripts.plays(stage.cast.id(robot)).then_some((robot, None)));
             continue;
         };
-        rates(findings, played, &cues, robot, body, &axes);
-        let path = Path::of(&axes, !played.positions.is_first());
-        if path.known_from() > 0.0 && scripts.plays(played.cast.id(robot)) {
+        in_space.bodies.push(rates(findings, stage, &cues, (robot, body), &axes));
+        let path = Path::of(&axes, !stage.positions.is_first());
+        if path.known_from() > 0.0 && scripts.plays(stage.cast.id(robot)) {
             unknown.push((robot, Some(path.known_from())));
         }
         paths.push((robot, path, Solid::of(&body.shape)));
     }
     if fleet.space.is_checked() {
-        tell_unknown(findings, played, &unknown);
+        tell_unknown(findings, stage, &unknown);
     }
     let ends = paths.iter().map(|(_, path, _)| path.ends()).fold(0.0, f64::max);
     let depth = depth(paths.iter().map(|(_, path, _)| path.knots().len()).max().unwrap_or(0));
     let movers: Vec<(usize, Mover)> =
         paths.into_iter().map(|(robot, path, solid)| (robot, Mover::new(path, solid, ends, depth))).collect();
-    volumes(findings, played, &cues, &movers, (ends, depth));
-    pairs(findings, played, &cues, &movers)
+    volumes(findings, stage, &cues, &movers, (ends, depth));
+    in_space.closest = pairs(findings, stage, &cues, &movers);
+    in_space
 }
 
 impl Stage<'_> {
@@ -97,9 +97,9 @@ struct Scripts<'a> {
 }
 
 impl<'a> Scripts<'a> {
-    fn of(played: &Stage<'a>) -> Self {
-        let of_robot = played.robots.iter().map(|plan| (&plan.robot, plan)).collect();
-        let used = played.devices.iter().map(|used| ((&used.robot, &used.device), used)).collect();
+    fn of(stage: &Stage<'a>) -> Self {
+        let of_robot = stage.robots.iter().map(|plan| (&plan.robot, plan)).collect();
+        let used = stage.devices.iter().map(|used| ((&used.robot, &used.device), used)).collect();
         Self { of_robot, used }
     }
 
@@ -123,16 +123,16 @@ struct Cues<'a> {
 }
 
 impl<'a> Cues<'a> {
-    fn of(played: &Stage<'a>) -> Self {
+    fn of(stage: &Stage<'a>) -> Self {
         let mut of_robot: HashMap<usize, Vec<(Span, usize)>> = HashMap::new();
-        let Times { members, times, .. } = played.times;
+        let Times { members, times, .. } = stage.times;
         for (cue, (members, time)) in members.iter().zip(times).enumerate() {
             for member in &members.all {
                 of_robot.entry(member.robot).or_default().push((time.start + member.delay, cue));
             }
         }
         of_robot.values_mut().for_each(|cues| cues.sort());
-        Self { act: played.act, of_robot }
+        Self { act: stage.act, of_robot }
     }
 
     /// What a robot plays at this time, or has played last; `None` if it has not begun with anything.
@@ -160,34 +160,34 @@ fn span(seconds: f64) -> Span {
     Span::from_millis_f64((seconds * 1_000.0).round())
 }
 
+/// The largest speed and acceleration of a body, against what it may.
 fn rates(
     findings: &mut Reader,
-    played: &Stage<'_>,
+    stage: &Stage<'_>,
     cues: &Cues<'_>,
-    robot: usize,
-    body: &Body,
+    (robot, body): (usize, &Body),
     axes: &[Axis; 4],
-) {
-    if body.speed.is_none() && body.acceleration.is_none() {
-        return;
-    }
+) -> BodyUse {
+    let peaks = peaks(axes);
     let limits = [(body.speed, "moves at", "m/s"), (body.acceleration, "accelerates by", "m/s²")];
-    for (peak, (limit, moves, unit)) in peaks(axes).into_iter().zip(limits) {
+    for (peak, (limit, moves, unit)) in peaks.into_iter().zip(limits) {
         let (Some(Peak { from, to, rate }), Some(limit)) = (peak, limit) else { continue };
         if rate <= limit * DUST {
             continue;
         }
-        let id = played.id(robot);
+        let id = stage.id(robot);
         let message =
             format!("`{id}` {moves} {rate:.3} {unit} from {} to {}", told(span(from)), told(span(to)));
         let hint = Some("give the movement more time, or less way".to_owned());
         let place = cues.place(cues.at(robot, span(from)));
         findings.add(Code::BodyTooFast, place, message, format!("at most {limit} {unit}"), hint);
     }
+    let [speed, acceleration] = peaks.map(|peak| peak.map_or(0.0, |peak| peak.rate));
+    BodyUse { robot: stage.cast.id(robot).clone(), speed, acceleration }
 }
 
 /// One warning for robots that become known at the same time.
-fn tell_unknown(findings: &mut Reader, played: &Stage<'_>, unknown: &[(usize, Option<f64>)]) {
+fn tell_unknown(findings: &mut Reader, stage: &Stage<'_>, unknown: &[(usize, Option<f64>)]) {
     let mut told_already: Vec<Option<f64>> = Vec::new();
     for (_, from) in unknown {
         if told_already.contains(from) {
@@ -195,7 +195,7 @@ fn tell_unknown(findings: &mut Reader, played: &Stage<'_>, unknown: &[(usize, Op
         }
         told_already.push(*from);
         let robots: Vec<&str> =
-            unknown.iter().filter(|(_, other)| other == from).map(|(robot, _)| played.id(*robot)).collect();
+            unknown.iter().filter(|(_, other)| other == from).map(|(robot, _)| stage.id(*robot)).collect();
         let are = if robots.len() == 1 { "is" } else { "are" };
         let until =
             from.map_or_else(|| "in this act".to_owned(), |from| format!("before {}", told(span(from))));
@@ -205,23 +205,23 @@ fn tell_unknown(findings: &mut Reader, played: &Stage<'_>, unknown: &[(usize, Op
         let hint = Some(
             "give them keyframes at the beginning, a `default_value`, or drive them by position".to_owned(),
         );
-        findings.add(Code::PlaceUnknown, played.act.place.clone(), message, expected, hint);
+        findings.add(Code::PlaceUnknown, stage.act.place.clone(), message, expected, hint);
     }
 }
 
 fn volumes(
     findings: &mut Reader,
-    played: &Stage<'_>,
+    stage: &Stage<'_>,
     cues: &Cues<'_>,
     movers: &[(usize, Mover)],
     (ends, depth): (f64, u32),
 ) {
-    let space = &played.cast.fleet.space;
+    let space = &stage.cast.fleet.space;
     for (robot, mover) in movers {
         let Some(out) = space.keep_in.as_ref().and_then(|volume| furthest_out(mover, volume)) else {
             continue;
         };
-        let (at, id) = (span(out.at), played.id(*robot));
+        let (at, id) = (span(out.at), stage.id(*robot));
         let message =
             format!("`{id}` is {:.3} m outside the space where bodies stay, at {}", out.distance, told(at));
         let hint = Some("move it elsewhere, or make `keep_in` larger".to_owned());
@@ -233,7 +233,7 @@ fn volumes(
         let closed = Mover::new(Path::resting(place, ends), solid, ends, depth);
         for (robot, mover) in movers {
             let Some(at) = first_contact(mover, &closed) else { continue };
-            let (at, id) = (span(at), played.id(*robot));
+            let (at, id) = (span(at), stage.id(*robot));
             let message = format!("`{id}` enters `{name}` at {}", told(at));
             let hint = Some("move it around the volume, or change `keep_out`".to_owned());
             let expected = format!("no body in `{name}`");
@@ -260,11 +260,11 @@ struct TooClose {
 /// The closest pair of all. Pairs that come too close are told once for each pair of cues.
 fn pairs(
     findings: &mut Reader,
-    played: &Stage<'_>,
+    stage: &Stage<'_>,
     cues: &Cues<'_>,
     movers: &[(usize, Mover)],
 ) -> Option<Closest> {
-    let required = played.cast.fleet.space.distance.unwrap_or(0.0);
+    let required = stage.cast.fleet.space.distance.unwrap_or(0.0);
     let mut best: Option<Pair> = None;
     let mut all: Vec<TooClose> = Vec::new();
     let mut index_of: HashMap<[Option<usize>; 2], usize> = HashMap::new();
@@ -278,7 +278,7 @@ fn pairs(
             }
             let of = pair.robots.map(|robot| cues.at(robot, pair.at));
             // What rests too close was told where it came there.
-            let told_before = of == [None, None] && !played.positions.is_first();
+            let told_before = of == [None, None] && !stage.positions.is_first();
             if pair.distance >= required - ROUNDING || told_before {
                 continue;
             }
@@ -294,18 +294,18 @@ fn pairs(
         }
     }
     let expected = format!("at least {required} m");
-    all.iter().for_each(|group| group.tell(findings, played, cues, &expected));
+    all.iter().for_each(|group| group.tell(findings, stage, cues, &expected));
     best.map(|Pair { distance, robots, at }| Closest {
-        robots: robots.map(|robot| played.cast.id(robot).clone()),
+        robots: robots.map(|robot| stage.cast.id(robot).clone()),
         at,
         distance,
     })
 }
 
 impl TooClose {
-    fn tell(&self, findings: &mut Reader, played: &Stage<'_>, cues: &Cues<'_>, expected: &str) {
+    fn tell(&self, findings: &mut Reader, stage: &Stage<'_>, cues: &Cues<'_>, expected: &str) {
         let Pair { distance, robots, at } = self.worst;
-        let [a, b] = robots.map(|robot| played.id(robot));
+        let [a, b] = robots.map(|robot| stage.id(robot));
         let what = match distance {
             0.0 => "meet".to_owned(),
             _ => format!("come within {distance:.3} m of each other"),
@@ -319,7 +319,7 @@ impl TooClose {
         if self.cues[0] == self.cues[1] {
             lines.truncate(1);
             lines[0].1 = match self.cues[0] {
-                Some(cue) => format!("both in the cue `{}`", played.act.cues[cue].name),
+                Some(cue) => format!("both in the cue `{}`", stage.act.cues[cue].name),
                 None => "both are there from the beginning".to_owned(),
             };
         }

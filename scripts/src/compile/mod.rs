@@ -122,7 +122,7 @@ impl Compiler {
                 devices: &devices,
                 positions: &positions,
             };
-            let closest = check_space::check(&mut self.findings, &stage);
+            let in_space = check_space::check(&mut self.findings, &stage);
             rests.insert(index, rest);
             let title = match act.name.as_str() {
                 "" => scenario.name.clone(),
@@ -140,7 +140,7 @@ impl Compiler {
                 plan,
                 cues: schedule::planned(act, &times.times),
                 devices,
-                closest,
+                in_space,
                 readings,
                 wait: ways.wait,
                 timeout: act.wait.timeout,

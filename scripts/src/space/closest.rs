@@ -118,7 +118,7 @@ impl Search<'_> {
 
     fn node(&mut self, node: usize) {
         let leaves = self.a.boxes.len() / 2;
-        if self.least(node) >= self.best.distance {
+        if self.best.distance <= 0.0 || self.least(node) >= self.best.distance {
             return;
         }
         if node >= leaves {

@@ -54,6 +54,7 @@ pub struct Body {
 
 /// Where a coordinate comes from.
 #[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Coordinate {
     /// It never changes.
     Fixed(f64),
@@ -70,6 +71,7 @@ pub enum Coordinate {
 
 /// The size of a body, about its middle.
 #[derive(Clone, Copy, Debug, PartialEq)]
+#[non_exhaustive]
 pub enum Shape {
     /// A ball; a point if its radius is 0.
     Ball {
@@ -82,6 +84,31 @@ pub enum Shape {
         size: [f64; 3],
     },
 }
+
+/// What the bodies of an act do, where the fleet file describes bodies.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct InSpace {
+    /// The closest that two of them come.
+    pub closest: Option<Closest>,
+    /// How fast each of them moves.
+    pub bodies: Vec<BodyUse>,
+}
+
+/// How fast the middle of a body moves at most in an act, in all directions together.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct BodyUse {
+    /// Of which robot.
+    pub robot: RobotId,
+    /// In metres a second, without what the rounding of steps may have added.
+    #[serde(rename = "speed_m_s")]
+    pub speed: f64,
+    /// In metres a second squared, without the same.
+    #[serde(rename = "acceleration_m_s2")]
+    pub acceleration: f64,
+}
+
+/// What rounding may add to a rate.
+pub(crate) const DUST: f64 = 1.0 + 1e-6;
 
 /// The closest that two bodies come in an act.
 #[derive(Clone, Debug, PartialEq, Serialize)]
