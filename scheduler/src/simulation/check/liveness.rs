@@ -62,10 +62,12 @@ fn settled(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Timestamp<Serv
     words.chain(facts.dropped[robot]).min().unwrap_or(Timestamp::from_nanos(i64::MAX))
 }
 
-/// The longest that a round trip of a robot took, or takes without faults.
-fn round_trip(facts: &Facts<'_>, robot: usize) -> Span {
+/// The longest that a round trip of a robot took until an instant, or takes without faults. What is under way then tells nothing
+/// yet: a message that comes out of a partition at its end took as long as the silence that it ends.
+fn round_trip(facts: &Facts<'_>, robot: usize, until: Timestamp<Server>) -> Span {
     let drawn = facts.drawn();
     let slow = facts.hits.iter().filter(|hit| hit.is_of(robot) && hit.cause == Cause::Slow);
+    let slow = slow.filter(|hit| hit.until <= until);
     let slow = slow.map(|hit| hit.until - hit.from).max().unwrap_or_default();
     drawn.delay.1 * 2 + drawn.robots[robot].slow + slow + waited(facts, robot) * 2
 }
@@ -87,7 +89,7 @@ fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Ver
     }
     let leases = act.of(robot).map(|script| script.promised.running.map(urrcp::Millis::span));
     let lease = leases.map(|lease| lease.unwrap_or(SILENCE_MAX)).max().unwrap_or(SILENCE_MAX);
-    let bound = lease + round_trip(facts, robot) + AT_ONCE;
+    let bound_at = |at| lease + round_trip(facts, robot, at) + AT_ONCE;
     let ends = act.of(robot).map(|script| act.start_of(script) + script.promised.duration).max();
     let (Some(start), Some(end)) = (act.first_start(robot), ends) else { return };
     let heard = facts.between(start, end).iter().filter_map(|(at, happened)| match happened {
@@ -96,7 +98,11 @@ fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Ver
     });
     let instants: Vec<_> = iter::once(start).chain(heard).chain(iter::once(end)).collect();
     let settled = settled(facts, act, robot);
-    for two in instants.windows(2).filter(|two| two[1] - two[0] > bound) {
+    for two in instants.windows(2) {
+        let bound = bound_at(two[0]);
+        if two[1] - two[0] <= bound {
+            continue;
+        }
         // A link that is down is given up in its own time, and a scheduler that was away forgives what it missed.
         let down = |hit: &Hit| hit.is_of(robot) && hit.cause == Cause::LinkDown;
         let otherwise = facts
@@ -299,7 +305,10 @@ fn report_awaited(facts: &Facts<'_>, before: &SentAct<'_>, act: &SentAct<'_>) ->
     // So is what a robot that lies never reports.
     let liars = (0..facts.drawn().robots.len()).filter(|robot| !facts.honest(*robot));
     let robots = robots.chain(liars).filter(|robot| before.robots().contains(robot));
-    robots.map(|robot| (REPORT_GRACE + round_trip(facts, robot) * 2) * 2).max().unwrap_or_default()
+    robots
+        .map(|robot| (REPORT_GRACE + round_trip(facts, robot, Timestamp::from_nanos(i64::MAX)) * 2) * 2)
+        .max()
+        .unwrap_or_default()
 }
 
 /// Everything was being stopped between two acts.

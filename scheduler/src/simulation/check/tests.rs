@@ -286,8 +286,8 @@ fn a_robot_that_is_blamed_for_nothing_and_one_that_is_left_out_without_a_reason_
     });
 }
 
-#[test]
-fn silence_that_nobody_was_told_of_is_found() {
+/// Nothing is heard of any robot while it plays, longer than its lease, and nobody is told.
+fn silent() -> Ran {
     let long = |drawn: &Drawn| {
         let plan = &drawn.choreography.acts[0].plan;
         let lease = plan.stop_condition.running.map(urrcp::Millis::span);
@@ -296,7 +296,30 @@ fn silence_that_nobody_was_told_of_is_found() {
     let mut ran = first(long, done);
     let start = promised(&ran).start;
     ran.history.retain(|(at, happened)| !matches!(happened, Happened::FromRobot(..) if *at >= start));
+    ran
+}
+
+#[test]
+fn silence_that_nobody_was_told_of_is_found() {
+    let ran = silent();
     assert!(violated(&ran).contains('h'), "{:?}", ran.verdict().violations);
+}
+
+#[test]
+fn a_message_that_took_as_long_as_the_silence_does_not_excuse_it() {
+    let mut ran = silent();
+    let (start, robot) = (promised(&ran).start, member(&ran));
+    let lasts = ran.drawn.choreography.acts[0].plan.duration();
+    let before = |hit: Span| start - hit - Span::from_millis(1);
+    let place = ran.history.partition_point(|(at, _)| *at <= start);
+    ran.history.insert(place, (start, Happened::Slow(robot, lasts)));
+    assert!(violated(&ran).contains('h'), "a partition: {:?}", ran.verdict().violations);
+    ran.history.remove(place);
+    let place = ran.history.partition_point(|(at, _)| *at <= before(lasts));
+    for robot in 0..ran.drawn.robots.len() {
+        ran.history.insert(place, (before(lasts), Happened::Slow(robot, lasts)));
+    }
+    assert!(!violated(&ran).contains('h'), "what its link is like: {:?}", ran.verdict().violations);
 }
 
 #[test]

@@ -25,6 +25,8 @@ use crate::mission::{Event, Mission, MissionOptions, Participant, Record};
 const LASTS_MAX: Span = Span::from_millis(180_000);
 /// Rounds at one instant, at most: far more than there can be events.
 const ROUNDS_MAX: u32 = 20_000;
+/// Things that happen in a mission, at most: one in which more and more happens does not end before the memory does.
+const HAPPENS_MAX: usize = 200_000;
 /// After this long an attempt to connect fails.
 const CONNECT_FAILS: Span = Span::from_millis(300);
 /// After the mission's end robots are watched for this long: whatever they still do is seen.
@@ -195,6 +197,7 @@ impl World {
 
     fn note(&mut self, happened: Happened) {
         self.history.push((self.now, happened));
+        self.hung |= self.history.len() > HAPPENS_MAX;
     }
 
     /// When something next happens by itself, outside the mission.
