@@ -27,6 +27,22 @@ pub(crate) fn locate<S: Borrow<Source>>(sources: &[S], pending: Vec<Pending>) ->
     sources.iter().zip(by_file).flat_map(|(source, pending)| locate_in(source.borrow(), pending)).collect()
 }
 
+/// The first and the last line of what is at these places, in their order.
+pub(crate) fn lines_of<S: Borrow<Source>>(sources: &[S], places: &[&Place]) -> Vec<(usize, usize)> {
+    let mut lines = vec![(1, 1); places.len()];
+    for (file, source) in sources.iter().enumerate() {
+        let of_file = || places.iter().enumerate().filter(|(_, place)| usize::from(place.file) == file);
+        let mut wanted = Wanted::default();
+        let nodes: Vec<usize> = of_file().map(|(_, place)| wanted.add(place)).collect();
+        wanted.find(&source.borrow().text);
+        for ((index, place), node) in of_file().zip(nodes) {
+            let first = wanted.spot(node, place.key).line;
+            lines[index] = (first, wanted.last_lines[node].max(first));
+        }
+    }
+    lines
+}
+
 fn locate_in(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {
     if pending.is_empty() {
         return Vec::new();
@@ -150,11 +166,19 @@ struct Wanted {
     parents: Vec<usize>,
     values: Vec<Option<Spot>>,
     keys: Vec<Option<Spot>>,
+    /// Where each collection ends.
+    last_lines: Vec<usize>,
 }
 
 impl Default for Wanted {
     fn default() -> Self {
-        Self { children: vec![HashMap::new()], parents: vec![0], values: vec![None], keys: vec![None] }
+        Self {
+            children: vec![HashMap::new()],
+            parents: vec![0],
+            values: vec![None],
+            keys: vec![None],
+            last_lines: vec![0],
+        }
     }
 }
 
@@ -182,6 +206,7 @@ impl Wanted {
                     self.parents.push(node);
                     self.values.push(None);
                     self.keys.push(None);
+                    self.last_lines.push(0);
                     child
                 }
             };
@@ -202,7 +227,12 @@ impl Wanted {
 
     fn find(&mut self, text: &str) {
         let mut stack: Vec<Frame> = Vec::new();
+        let mut last_line = 0;
         Events::of(text).each(|event, extent| {
+            // A block has no end of its own: its place is that of whatever follows it.
+            if extent.start != extent.end {
+                last_line = extent.end.0;
+            }
             match event {
                 Event::MappingStart(..) | Event::SequenceStart(..) => {
                     let wanted = self.arrive(&mut stack, None, extent);
@@ -210,7 +240,9 @@ impl Wanted {
                     stack.push(Frame { wanted, map, index: 0, pending: None, seen: HashMap::new() });
                 }
                 Event::MappingEnd | Event::SequenceEnd => {
-                    stack.pop();
+                    if let Some(node) = stack.pop().and_then(|frame| frame.wanted) {
+                        self.last_lines[node] = last_line;
+                    }
                 }
                 Event::Scalar(text, ..) => {
                     self.arrive(&mut stack, Some(&text), extent);

@@ -13,6 +13,7 @@ mod check_space;
 mod check_values;
 mod conflict;
 mod join;
+mod outline;
 mod perform;
 mod schedule;
 mod segment;
@@ -36,6 +37,8 @@ use crate::source::Source;
 
 use cast::Cast;
 use join::Joined;
+
+pub use outline::{Outline, WrittenCue, WrittenRelation, outline};
 
 /// What became of a scenario.
 #[derive(Clone, Debug)]

@@ -1,0 +1,166 @@
+//! Where the cues of a scenario are written and how they relate to each other, for whoever shows a plan next to its files.
+
+use std::borrow::Cow;
+
+use serde::Serialize;
+use urrcp::{RobotId, Span};
+
+use super::cast::Cast;
+use super::knots_max;
+use crate::budget::Budget;
+use crate::fields::Reader;
+use crate::files::Files;
+use crate::finding::Place;
+use crate::fleet::Fleet;
+use crate::locate::lines_of;
+use crate::scenario::{self, Act, Anchor, Cue, Documents, Relation};
+use crate::source::Source;
+
+/// The cues of a scenario in its files.
+#[derive(Clone, Debug, Default)]
+pub struct Outline {
+    /// The scenario, then its includes in the order of their reading.
+    pub sources: Vec<Source>,
+    /// For each act the cues in the order of the file.
+    pub acts: Vec<Vec<WrittenCue>>,
+}
+
+/// A cue as it is written.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct WrittenCue {
+    /// Its robots, in its order.
+    pub robots: Vec<RobotId>,
+    /// Index into [`Outline::sources`].
+    pub source: usize,
+    /// Its first line, from 1.
+    pub first_line: usize,
+    /// Its last line.
+    pub last_line: usize,
+    /// What has to hold between it and other cues, or the act.
+    pub relations: Vec<WrittenRelation>,
+}
+
+/// A relation of a cue, for people.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct WrittenRelation {
+    /// `after the end of raise + 500 ms`.
+    pub text: String,
+    /// Index of the other cue in its act; `None` for the act itself.
+    pub cue: Option<usize>,
+}
+
+/// The outline of a scenario that compiles; of one that does not, as much as can be read.
+#[must_use]
+pub fn outline(source: &Source, fleet: &Fleet, files: &dyn Files) -> Outline {
+    let Ok(documents) = scenario::documents(source, files) else { return Outline::default() };
+    let mut reader = Reader::default();
+    reader.knots = Budget::new(knots_max(fleet));
+    let Some(scenario) = scenario::read(&mut reader, &documents, files) else { return Outline::default() };
+    let Documents { sources, .. } = documents;
+    let cast = Cast::new(fleet, &scenario.roles);
+    let places: Vec<&Place> = scenario.acts.iter().flat_map(|act| &act.cues).map(|cue| &cue.place).collect();
+    let mut lines = lines_of(&sources, &places).into_iter();
+    let mut acts = Vec::with_capacity(scenario.acts.len());
+    for act in &scenario.acts {
+        let written = |(cue, (first_line, last_line)): (&Cue, (usize, usize))| {
+            let members = cast.members(&mut reader, cue, scenario.horizon()).all;
+            WrittenCue {
+                robots: members.iter().map(|member| cast.id(member.robot).clone()).collect(),
+                source: usize::from(cue.place.file),
+                first_line,
+                last_line,
+                relations: cue.relations.iter().map(|relation| relation.written(act)).collect(),
+            }
+        };
+        acts.push(act.cues.iter().zip(lines.by_ref()).map(written).collect());
+    }
+    Outline { sources: sources.into_iter().map(Cow::into_owned).collect(), acts }
+}
+
+impl Relation {
+    fn written(&self, act: &Act) -> WrittenRelation {
+        let other = [&self.from, &self.to].into_iter().find_map(|anchor| match anchor {
+            Anchor::StartOf(cue) | Anchor::EndOf(cue) => Some(cue),
+            Anchor::Origin | Anchor::Start | Anchor::End => None,
+        });
+        let cue = other.and_then(|name| act.cues.iter().position(|cue| cue.name == *name));
+        WrittenRelation { text: self.text(), cue }
+    }
+
+    fn text(&self) -> String {
+        let (least, most) = (self.min.unwrap_or_default(), self.max);
+        match (&self.from, &self.to) {
+            (Anchor::Origin, Anchor::Start) => format!("at {}", range(least, most)),
+            (Anchor::Origin, _) => format!("ends by {}", most.unwrap_or(least)),
+            (Anchor::End, to) => format!("ends before {}{}", to.told(), gap('-', least, most)),
+            (from, _) if most == Some(least) => format!("with {}{}", from.told(), gap('+', least, None)),
+            (from, _) => format!("after {}{}", from.told(), gap('+', least, most)),
+        }
+    }
+}
+
+impl Anchor {
+    fn told(&self) -> String {
+        match self {
+            Self::StartOf(cue) => format!("the start of {cue}"),
+            Self::EndOf(cue) => format!("the end of {cue}"),
+            Self::Origin => "the start of the act".to_owned(),
+            Self::Start => "its start".to_owned(),
+            Self::End => "its end".to_owned(),
+        }
+    }
+}
+
+/// ` + 500 ms`, ` + 1 s to 2 s`; nothing for no gap.
+fn gap(sign: char, least: Span, most: Option<Span>) -> String {
+    match (least, most) {
+        (Span::ZERO, None) => String::new(),
+        (least, most) => format!(" {sign} {}", range(least, most)),
+    }
+}
+
+fn range(least: Span, most: Option<Span>) -> String {
+    match most.filter(|most| *most != least) {
+        Some(most) => format!("{least} to {most}"),
+        None => least.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::NoFiles;
+
+    fn outlined(text: &str) -> Vec<WrittenCue> {
+        let source = Source { name: "s.yaml".into(), text: text.to_owned() };
+        outline(&source, &Fleet::default(), &NoFiles).acts.remove(0)
+    }
+
+    #[test]
+    fn a_cue_reaches_from_its_first_line_to_its_last() {
+        let text = "scenario: s\ncues:\n  - cue: a\n    at: 0s\n    robots: r\n    tracks:\n      x:\n        - {at: 0s, to: 1}\n\
+                    \n  # of b\n  - {cue: b, at: 1s,\n     robots: r}\n  - cue: c\n    robots: r\n# the end\n";
+        let lines: Vec<_> = outlined(text).iter().map(|cue| (cue.first_line, cue.last_line)).collect();
+        assert_eq!(lines, [(3, 8), (11, 12), (13, 14)]);
+    }
+
+    #[test]
+    fn relations_are_told_as_people_say_them() {
+        let relations = |keys: &str| {
+            let text =
+                format!("scenario: s\ncues:\n  - {{cue: a, robots: r}}\n  - {{cue: b, robots: r, {keys}}}\n");
+            let told = |relation: &WrittenRelation| (relation.text.clone(), relation.cue);
+            outlined(&text)[1].relations.iter().map(told).collect::<Vec<_>>()
+        };
+        let of_a = |text: &str| vec![(text.to_owned(), Some(0))];
+        assert_eq!(relations("after: a"), of_a("after the end of a"));
+        assert_eq!(relations("after: start of a + 500ms"), of_a("after the start of a + 500 ms"));
+        assert_eq!(relations("with: a"), of_a("with the start of a"));
+        assert_eq!(relations("before: a - 1s"), of_a("ends before the start of a - 1 s"));
+        assert_eq!(relations("at: 2s"), [("at 2 s".to_owned(), None)]);
+        assert_eq!(
+            relations("at: 2s, end_by: 9s"),
+            [("at 2 s".to_owned(), None), ("ends by 9 s".to_owned(), None)]
+        );
+    }
+}
