@@ -41,6 +41,7 @@ pub mod journal;
 pub mod link;
 pub mod mission;
 pub mod open_files;
+pub mod page;
 pub mod recording;
 pub mod report;
 pub mod run;

@@ -13,6 +13,7 @@ use super::{Exit, Format, ScenarioArgs, console};
 use crate::dry_run::{Audience, Cut, Logs, Played, ROUNDS, Rehearsal};
 use crate::fleet;
 use crate::mission::{MissionOptions, Progress};
+use crate::page::{self, Rehearsed, Told};
 use crate::report::{picture, report_text};
 
 /// Play a scenario in virtual time with simulated robots.
@@ -25,6 +26,7 @@ one second after the act before it has ended. An act that waits for a sensor get
 
 Examples:
   downbeat dry-run show.yaml
+  downbeat dry-run show.yaml --html show.html
   downbeat dry-run show.yaml --picture show.svg
   downbeat dry-run show.yaml --act finale
   downbeat dry-run show.yaml --acts 12
@@ -41,6 +43,9 @@ pub(super) struct DryRunArgs {
     /// Draw what every device does over time as SVG. Several acts are written to numbered files.
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
+    /// Write a page for a browser: timeline, curves, and robots in space. It needs no network.
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
     /// End after this number of acts. By default after three times the number of acts of the scenario, which only a loop reaches.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     acts: Option<u32>,
@@ -59,7 +64,7 @@ fn reading(text: &str) -> Result<(RobotId, DeviceId, f64), String> {
 }
 
 pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
-    let (choreography, fleet, _) = match load::load_choreography(&args.scenario, format) {
+    let (choreography, fleet, _, findings) = match load::load_whole(&args.scenario, format) {
         Ok(loaded) => loaded,
         Err(exit) => return exit,
     };
@@ -67,9 +72,9 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         Ok(chosen) => chosen,
         Err(exit) => return exit,
     };
-    let bar = Bar::new(format);
-    let played = play(args, &choreography, first_act, &fleet, &mut bar.clone());
-    bar.0.finish_and_clear();
+    let mut viewers = Viewers { bar: Bar::new(format), told: args.html.is_some().then(Vec::new) };
+    let played = play(args, &choreography, first_act, &fleet, &mut viewers);
+    viewers.bar.0.finish_and_clear();
     let played = match played {
         Ok(played) => played,
         Err((exit, error)) => {
@@ -77,12 +82,26 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
             return exit;
         }
     };
-    if let Some(path) = &args.picture
-        && let Err(error) = draw(path, &choreography, &fleet, &played)
-    {
-        let refusal = Refusal::of(Attempt::Write(path), &error);
-        console::error(&format!("cannot write `{}`: {refusal}", path.display()));
-        return Exit::Usage;
+    let drawn = args.picture.as_ref().map(|path| (path, draw(path, &choreography, &fleet, &played)));
+    let page = args.html.as_ref().map(|path| {
+        let outline = load::outline(&args.scenario, &fleet);
+        let told = viewers.told.unwrap_or_default();
+        let rehearsed = Rehearsed {
+            choreography: &choreography,
+            outline: &outline,
+            fleet: &fleet,
+            findings: &findings,
+            played: &played,
+            told: &told,
+        };
+        (path, page::of_dry_run(&rehearsed).and_then(|text| page::save(path, &text)))
+    });
+    for (path, written) in drawn.into_iter().chain(page) {
+        if let Err(error) = written {
+            let refusal = Refusal::of(Attempt::Write(path), &error);
+            console::error(&format!("cannot write `{}`: {refusal}", path.display()));
+            return Exit::Usage;
+        }
     }
     match format {
         Format::Text => console::print(&report_text(&played.report, console::columns())),
@@ -107,8 +126,27 @@ fn cut_text(cut: &Cut) -> String {
     )
 }
 
+/// Who watches a dry run.
+struct Viewers {
+    bar: Bar,
+    /// What the operator was told, where a page is to show it.
+    told: Option<Vec<Told>>,
+}
+
+impl Audience for Viewers {
+    fn told(&mut self, at: Timestamp<Server>, progress: &Progress) {
+        self.bar.told(at, progress);
+        if let Some(told) = &mut self.told {
+            told.push((at, progress.clone()));
+        }
+    }
+
+    fn second(&mut self, now: Timestamp<Server>) {
+        self.bar.second(now);
+    }
+}
+
 /// Virtual time on a terminal.
-#[derive(Clone)]
 struct Bar(ProgressBar);
 
 impl Bar {
@@ -180,7 +218,7 @@ fn play(
     choreography: &Choreography,
     first_act: usize,
     fleet: &Fleet,
-    bar: &mut Bar,
+    viewers: &mut Viewers,
 ) -> Result<Played, (Exit, String)> {
     let robots = fleet::robots_in(fleet, choreography);
     let machines: Result<Vec<_>, _> = robots
@@ -202,6 +240,6 @@ fn play(
             return Err((Exit::Usage, no_sensor(robot, sensor, &robots)));
         }
     }
-    let logs = if args.picture.is_some() { Logs::Kept } else { Logs::Dropped };
-    Ok(rehearsal.with_logs(logs).play_before(bar))
+    let logs = if args.picture.is_some() || args.html.is_some() { Logs::Kept } else { Logs::Dropped };
+    Ok(rehearsal.with_logs(logs).play_before(viewers))
 }

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use downbeat_scripts::{Choreography, Finding, Fleet, Folder, Severity, Source};
+use downbeat_scripts::{Choreography, Finding, Fleet, Folder, Outline, Severity, Source};
 
 use super::{Exit, Format, ScenarioArgs, console};
 
@@ -43,8 +43,7 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
     say_how_to_name_it(&mut findings, "`--fleet FILE` names one");
     loaded.findings.extend(findings);
     if let Some(fleet) = &fleet {
-        let folder = Folder(args.scenario.parent().map(Path::to_path_buf).unwrap_or_default());
-        let compiled = downbeat_scripts::compile(&source, fleet, &folder);
+        let compiled = downbeat_scripts::compile(&source, fleet, &folder(args));
         loaded.findings.extend(compiled.findings);
         loaded.choreography = compiled.choreography;
     }
@@ -52,6 +51,17 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
     loaded.fleet = fleet;
     loaded.fleet_path = fleet_path;
     loaded
+}
+
+/// Where the cues of a scenario that compiles are written.
+pub(super) fn outline(args: &ScenarioArgs, fleet: &Fleet) -> Outline {
+    let Ok(source) = Source::read(&args.scenario) else { return Outline::default() };
+    downbeat_scripts::outline(&source, fleet, &folder(args))
+}
+
+/// Where its includes are.
+fn folder(args: &ScenarioArgs) -> Folder {
+    Folder(args.scenario.parent().map(Path::to_path_buf).unwrap_or_default())
 }
 
 fn fleet_path(args: &ScenarioArgs, source: &Source) -> PathBuf {
@@ -71,6 +81,14 @@ pub(super) fn load_choreography(
     args: &ScenarioArgs,
     format: Format,
 ) -> Result<(Choreography, Fleet, PathBuf), Exit> {
+    load_whole(args, format).map(|(choreography, fleet, fleet_path, _)| (choreography, fleet, fleet_path))
+}
+
+/// The same with the warnings.
+pub(super) fn load_whole(
+    args: &ScenarioArgs,
+    format: Format,
+) -> Result<(Choreography, Fleet, PathBuf, Vec<Finding>), Exit> {
     let loaded = load(args);
     match format {
         Format::Text => show_findings(&loaded.findings),
@@ -80,7 +98,7 @@ pub(super) fn load_choreography(
         Format::Json => {}
     }
     match (loaded.choreography, loaded.fleet) {
-        (Some(choreography), Some(fleet)) => Ok((choreography, fleet, loaded.fleet_path)),
+        (Some(choreography), Some(fleet)) => Ok((choreography, fleet, loaded.fleet_path, loaded.findings)),
         _ if loaded.unreadable => Err(Exit::Usage),
         _ => Err(Exit::Failed),
     }

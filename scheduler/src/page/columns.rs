@@ -1,0 +1,197 @@
+//! Numbers as the page reads them: bytes behind its JSON, small where numbers are decimal and change little.
+
+use std::collections::HashMap;
+
+use serde::Serialize;
+
+/// Integers up to this are exact in a 64-bit float.
+const EXACT_MAX: f64 = 9_007_199_254_740_992.0;
+/// More decimals than a device has.
+const DECIMALS_MAX: u8 = 9;
+
+/// Where the numbers of a column are.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(super) struct Column {
+    /// Offset of its first byte.
+    at: usize,
+    /// How many numbers.
+    n: usize,
+    /// Numbers are integers divided by 10 to the power of this, written as differences from what was expected; `None`: as
+    /// 64-bit floats, little-endian.
+    decimals: Option<u8>,
+    order: Order,
+}
+
+/// What is expected of the next integer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(into = "u8")]
+pub(super) enum Order {
+    /// The integer before.
+    Level,
+    /// The integer before, and its difference from the one before it again.
+    Trend,
+}
+
+impl From<Order> for u8 {
+    fn from(order: Order) -> Self {
+        match order {
+            Order::Level => 1,
+            Order::Trend => 2,
+        }
+    }
+}
+
+/// Values over time.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(super) struct Series {
+    t: Column,
+    v: Column,
+}
+
+/// The bytes of all columns. Equal columns are kept once: robots that dance in unison play the same steps.
+#[derive(Debug, Default)]
+pub(super) struct Columns {
+    bytes: Vec<u8>,
+    known: HashMap<Vec<u8>, usize>,
+}
+
+impl Columns {
+    /// Times in milliseconds that never go back, and a value for each.
+    pub(super) fn series(&mut self, times: &[f64], values: &[f64]) -> Series {
+        Series { t: self.column(times, Order::Trend), v: self.column(values, Order::Level) }
+    }
+
+    fn column(&mut self, numbers: &[f64], order: Order) -> Column {
+        let decimals = decimals(numbers);
+        let bytes = match decimals {
+            Some(decimals) => differences(numbers, decimals, order),
+            None => numbers.iter().flat_map(|number| number.to_le_bytes()).collect(),
+        };
+        let next = self.bytes.len();
+        let all = &mut self.bytes;
+        let at = *self.known.entry(bytes).or_insert_with_key(|bytes| {
+            all.extend_from_slice(bytes);
+            next
+        });
+        Column { at, n: numbers.len(), decimals, order }
+    }
+
+    pub(super) fn bytes(&self) -> &[u8] {
+        &self.bytes
+    }
+}
+
+fn power(decimals: u8) -> f64 {
+    10.0_f64.powi(i32::from(decimals))
+}
+
+/// The integer that stands for a number, if dividing it gives exactly this number again.
+fn scaled(number: f64, decimals: u8) -> Option<i64> {
+    let integer = (number * power(decimals)).round();
+    let exact = integer.abs() < EXACT_MAX && (integer / power(decimals)).to_bits() == number.to_bits();
+    exact.then_some(integer as i64)
+}
+
+/// The fewest decimals with which all numbers are exact.
+fn decimals(numbers: &[f64]) -> Option<u8> {
+    let mut decimals = 0;
+    for number in numbers {
+        decimals = (decimals..=DECIMALS_MAX).find(|more| scaled(*number, *more).is_some())?;
+    }
+    // Large numbers may not bear the decimals of small ones.
+    numbers.iter().all(|number| scaled(*number, decimals).is_some()).then_some(decimals)
+}
+
+fn differences(numbers: &[f64], decimals: u8, order: Order) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(numbers.len() * 2);
+    let (mut last, mut trend) = (0_i64, 0_i64);
+    for integer in numbers.iter().filter_map(|number| scaled(*number, decimals)) {
+        put(&mut bytes, integer - last - trend);
+        if order == Order::Trend {
+            trend = integer - last;
+        }
+        last = integer;
+    }
+    bytes
+}
+
+/// A zigzag LEB128 varint.
+fn put(bytes: &mut Vec<u8>, difference: i64) {
+    let mut rest = ((difference << 1) ^ (difference >> 63)).cast_unsigned();
+    while rest >= 0x80 {
+        bytes.push(rest as u8 | 0x80);
+        rest >>= 7;
+    }
+    bytes.push(rest as u8);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    /// As the page reads them.
+    fn read(columns: &Columns, column: Column) -> Vec<f64> {
+        let bytes = &columns.bytes()[column.at..];
+        let Some(decimals) = column.decimals else {
+            let eight = bytes.chunks_exact(8).take(column.n);
+            return eight.map(|eight| f64::from_le_bytes(eight.try_into().unwrap())).collect();
+        };
+        let (mut at, mut last, mut trend) = (0, 0_i64, 0_i64);
+        let mut next = || {
+            let (mut shift, mut value) = (0, 0_u64);
+            loop {
+                let byte = bytes[at];
+                at += 1;
+                value |= u64::from(byte & 0x7f) << shift;
+                shift += 7;
+                if byte < 0x80 {
+                    break;
+                }
+            }
+            let difference = (value >> 1).cast_signed() ^ -(value & 1).cast_signed();
+            let integer = last + trend + difference;
+            if column.order == Order::Trend {
+                trend = integer - last;
+            }
+            last = integer;
+            integer as f64 / power(decimals)
+        };
+        (0..column.n).map(|_| next()).collect()
+    }
+
+    fn number() -> impl Strategy<Value = f64> {
+        prop_oneof![
+            (-1_000_000_i64..1_000_000, 0_u8..6)
+                .prop_map(|(integer, decimals)| integer as f64 / power(decimals)),
+            (-1e18..1e18_f64),
+            Just(0.1 + 0.2),
+            Just(-0.0),
+        ]
+    }
+
+    proptest! {
+        #[test]
+        fn every_number_is_read_as_it_was_written(numbers in prop::collection::vec(number(), 0..40), trend: bool) {
+            let mut columns = Columns::default();
+            let order = if trend { Order::Trend } else { Order::Level };
+            let column = columns.column(&numbers, order);
+            let read = read(&columns, column);
+            prop_assert_eq!(
+                read.iter().map(|number| number.to_bits()).collect::<Vec<_>>(),
+                numbers.iter().map(|number| number.to_bits()).collect::<Vec<_>>()
+            );
+        }
+    }
+
+    #[test]
+    fn even_steps_take_two_bytes_and_equal_columns_none() {
+        let mut columns = Columns::default();
+        let times: Vec<f64> = (0..1_000).map(|step| f64::from(step) * 20.0).collect();
+        let values: Vec<f64> = (0..1_000).map(|step| f64::from(step % 7) / 10.0).collect();
+        let one = columns.series(&times, &values);
+        assert_eq!(columns.bytes().len(), 2_000);
+        assert_eq!(columns.series(&times, &values), one);
+        assert_eq!(columns.bytes().len(), 2_000);
+    }
+}

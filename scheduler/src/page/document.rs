@@ -1,0 +1,214 @@
+//! What the page shows, as it reads it: `viewer/src/mission.ts` is the other side of these types.
+
+use downbeat_scripts::WrittenRelation;
+use serde::Serialize;
+use serde_json::Value;
+
+use super::columns::Series;
+
+/// The version of what is written here.
+pub(super) const VERSION: u32 = 1;
+
+#[derive(Debug, Serialize)]
+pub(super) struct Mission {
+    pub(super) version: u32,
+    pub(super) program: &'static str,
+    pub(super) kind: Kind,
+    pub(super) scenario: String,
+    /// The instant at 0 ms.
+    pub(super) epoch: String,
+    pub(super) from: f64,
+    pub(super) to: f64,
+    pub(super) report: Option<Value>,
+    pub(super) sources: Vec<Source>,
+    pub(super) robots: Vec<Robot>,
+    pub(super) groups: Vec<Group>,
+    pub(super) plans: Vec<Plan>,
+    pub(super) acts: Vec<Played>,
+    pub(super) events: Vec<MissionEvent>,
+    pub(super) findings: Vec<Finding>,
+    /// What robots set, and what sensors read.
+    pub(super) set: Vec<DeviceSeries>,
+    pub(super) read: Vec<DeviceSeries>,
+    pub(super) clocks: Vec<Clock>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Kind {
+    DryRun,
+    Recording,
+    Journal,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Source {
+    pub(super) name: String,
+    pub(super) text: String,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Robot {
+    pub(super) id: String,
+    pub(super) devices: Vec<Device>,
+    pub(super) body: Option<Body>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Group {
+    pub(super) name: String,
+    pub(super) robots: Vec<usize>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Device {
+    pub(super) id: String,
+    pub(super) unit: String,
+    pub(super) interpolation: &'static str,
+    pub(super) granularity: Option<f64>,
+    pub(super) min: Option<f64>,
+    pub(super) max: Option<f64>,
+    pub(super) default: Option<f64>,
+    pub(super) sensor: bool,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Body {
+    pub(super) x: Coordinate,
+    pub(super) y: Coordinate,
+    pub(super) z: Coordinate,
+    pub(super) yaw: Coordinate,
+    pub(super) shape: Shape,
+    pub(super) joints: Vec<Joint>,
+}
+
+/// `offset + scale * value of the device`; always `offset` without one.
+#[derive(Debug, Serialize)]
+pub(super) struct Coordinate {
+    pub(super) device: Option<usize>,
+    pub(super) scale: f64,
+    pub(super) offset: f64,
+}
+
+#[derive(Debug, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(super) enum Shape {
+    Ball(f64),
+    Box([f64; 3]),
+}
+
+/// A joint in the frame of the link before it.
+#[derive(Debug, Serialize)]
+pub(super) struct Joint {
+    pub(super) name: String,
+    pub(super) kind: &'static str,
+    pub(super) xyz: [f64; 3],
+    pub(super) rpy: [f64; 3],
+    pub(super) axis: [f64; 3],
+    pub(super) value: Coordinate,
+    pub(super) radius: f64,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Plan {
+    pub(super) name: String,
+    pub(super) duration: f64,
+    pub(super) start_tolerance: f64,
+    pub(super) cues: Vec<Cue>,
+    pub(super) lanes: Vec<Lane>,
+    pub(super) closest: Option<Closest>,
+    pub(super) waits: String,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Cue {
+    pub(super) name: String,
+    pub(super) start: f64,
+    pub(super) end: f64,
+    pub(super) slack: f64,
+    pub(super) robots: Vec<usize>,
+    pub(super) source: usize,
+    pub(super) first_line: usize,
+    pub(super) last_line: usize,
+    pub(super) relations: Vec<WrittenRelation>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Lane {
+    pub(super) robot: usize,
+    pub(super) device: usize,
+    pub(super) control: String,
+    pub(super) worst_error: f64,
+    pub(super) worst_at: f64,
+    pub(super) scripts: Vec<Script>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Script {
+    pub(super) start: f64,
+    pub(super) steps: Series,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Closest {
+    pub(super) robots: [usize; 2],
+    pub(super) at: f64,
+    pub(super) distance: f64,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Played {
+    pub(super) name: String,
+    pub(super) number: u32,
+    pub(super) plan: Option<usize>,
+    pub(super) start: f64,
+    pub(super) end: f64,
+    pub(super) sent: Option<f64>,
+    pub(super) decided: Option<f64>,
+    pub(super) committed: Option<f64>,
+    pub(super) no_return: Option<f64>,
+    pub(super) lease: Option<f64>,
+    pub(super) robots: Vec<PlayedRobot>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct PlayedRobot {
+    pub(super) robot: usize,
+    pub(super) left_out: bool,
+    pub(super) started: Option<f64>,
+    pub(super) ended: Option<f64>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct MissionEvent {
+    pub(super) at: f64,
+    pub(super) kind: String,
+    pub(super) robot: Option<usize>,
+    pub(super) text: String,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Finding {
+    pub(super) code: &'static str,
+    pub(super) severity: &'static str,
+    pub(super) message: String,
+    pub(super) hint: Option<String>,
+    pub(super) source: Option<usize>,
+    pub(super) line: usize,
+    pub(super) column: usize,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct DeviceSeries {
+    pub(super) robot: usize,
+    pub(super) device: usize,
+    pub(super) act: Option<u32>,
+    pub(super) series: Series,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct Clock {
+    pub(super) robot: usize,
+    pub(super) offset: Series,
+    pub(super) uncertainty: Series,
+}

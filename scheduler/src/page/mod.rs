@@ -1,0 +1,123 @@
+//! A mission as a page for a browser: one file, which needs neither a network nor this program. `viewer/` has the code of the
+//! page; here is what it shows.
+
+mod columns;
+mod document;
+mod planned;
+mod played;
+
+use std::fs;
+use std::io::{self, Write};
+use std::path::Path;
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use downbeat_scripts::{Choreography, Finding, Fleet, Outline};
+use flate2::Compression;
+use flate2::write::GzEncoder;
+
+use self::columns::Columns;
+use self::document::{Kind, Mission, VERSION};
+use self::played::Epoch;
+use crate::dry_run;
+
+pub use self::played::Told;
+
+/// The page without a mission.
+const TEMPLATE: &str = include_str!("page.html");
+/// Where the mission belongs.
+const PLACE: &str = "@@MISSION@@";
+
+/// What a dry run leaves for a page.
+#[derive(Debug)]
+pub struct Rehearsed<'a> {
+    /// What was played.
+    pub choreography: &'a Choreography,
+    /// Where it is written.
+    pub outline: &'a Outline,
+    /// Its robots, and their bodies.
+    pub fleet: &'a Fleet,
+    /// What was found in its files.
+    pub findings: &'a [Finding],
+    /// What became of it, with what each robot set.
+    pub played: &'a dry_run::Played,
+    /// What the operator was told.
+    pub told: &'a [Told],
+}
+
+/// The page of a dry run. The same mission gives the same bytes.
+///
+/// # Errors
+/// JSON that cannot be written, which does not happen with memory to spare.
+pub fn of_dry_run(rehearsed: &Rehearsed<'_>) -> io::Result<String> {
+    let mut columns = Columns::default();
+    let mission = rehearsed.mission(&mut columns);
+    page(&mission, &columns)
+}
+
+impl Rehearsed<'_> {
+    fn mission(&self, columns: &mut Columns) -> Mission {
+        let Self { choreography, outline, fleet, findings, played, told } = *self;
+        let report = &played.report;
+        let of_mission = crate::fleet::robots_in(fleet, choreography);
+        let places = planned::places(&of_mission);
+        let epoch = Epoch(report.acts.first().map_or(dry_run::BEGIN, |act| act.start));
+        let acts = played::acts(report, told, choreography, &places, epoch);
+        let begins = told.first().map(|(at, _)| epoch.millis(*at));
+        let ends = told.last().map(|(at, _)| epoch.millis(*at));
+        let from = begins.into_iter().chain(acts.iter().filter_map(|act| act.sent)).fold(0.0, f64::min);
+        let to = ends.into_iter().chain(acts.iter().map(|act| act.end)).fold(0.0, f64::max);
+        Mission {
+            version: VERSION,
+            program: concat!("downbeat ", env!("CARGO_PKG_VERSION")),
+            kind: Kind::DryRun,
+            scenario: choreography.scenario.clone(),
+            epoch: epoch.0.to_string(),
+            from,
+            to,
+            report: serde_json::to_value(report).ok(),
+            sources: planned::sources(outline),
+            robots: planned::robots(&of_mission, &places),
+            groups: planned::groups(fleet, &places),
+            plans: planned::plans(choreography, outline, &places, columns),
+            acts,
+            events: played::events(told, &places, epoch),
+            findings: planned::findings(findings, outline),
+            set: played::set(played, &places, epoch, columns),
+            read: played::read(report, &places, epoch, columns),
+            clocks: played::clocks(report, &places, (from, to), columns),
+        }
+    }
+}
+
+/// Writes a page as a whole: where that fails, what was there before is still there.
+///
+/// # Errors
+/// The file cannot be written.
+pub fn save(path: &Path, page: &str) -> io::Result<()> {
+    // A pipe or a device is written to as it is.
+    if path.exists() && !path.is_file() {
+        return fs::write(path, page);
+    }
+    let mut part = path.as_os_str().to_owned();
+    part.push(".part");
+    let written = fs::write(&part, page).and_then(|()| fs::rename(&part, path));
+    if written.is_err() {
+        let _may_not_be_there = fs::remove_file(&part);
+    }
+    written
+}
+
+/// The template with the mission in it: gzip of the JSON's length, the JSON and the columns, as base64, which no name can escape
+/// from.
+fn page(mission: &Mission, columns: &Columns) -> io::Result<String> {
+    let json = serde_json::to_vec(mission)?;
+    let length =
+        u32::try_from(json.len()).map_err(|_| io::Error::other("the mission is too large for a page"))?;
+    let mut packed = GzEncoder::new(Vec::new(), Compression::default());
+    packed.write_all(&length.to_le_bytes())?;
+    packed.write_all(&json)?;
+    packed.write_all(columns.bytes())?;
+    let (before, after) = TEMPLATE.split_once(PLACE).unwrap_or((TEMPLATE, ""));
+    Ok([before, &STANDARD.encode(packed.finish()?), after].concat())
+}

@@ -1,0 +1,227 @@
+//! What is to happen: robots, groups, and every act with its cues and steps.
+
+use std::collections::HashMap;
+
+use downbeat_scripts as scripts;
+use downbeat_scripts::{Choreography, Fleet, FleetRobot, Outline, SensorRange, Severity, Wait, WrittenCue};
+use urrcp::{ControlType, DeviceId, Interpolation, RobotId};
+
+use super::columns::Columns;
+use super::document::{
+    Body, Closest, Coordinate, Cue, Device, Finding, Group, Lane, Plan, Robot, Script, Shape, Source,
+};
+
+/// Where robots and devices are in the document.
+#[derive(Debug, Default)]
+pub(super) struct Places {
+    robots: HashMap<RobotId, usize>,
+    devices: HashMap<(usize, DeviceId), usize>,
+}
+
+impl Places {
+    pub(super) fn robot(&self, id: &RobotId) -> Option<usize> {
+        self.robots.get(id).copied()
+    }
+
+    pub(super) fn device(&self, robot: usize, id: &DeviceId) -> Option<usize> {
+        self.devices.get(&(robot, id.clone())).copied()
+    }
+
+    /// The next robot, and its devices.
+    pub(super) fn add<'a>(&mut self, id: &RobotId, devices: impl Iterator<Item = &'a DeviceId>) {
+        let robot = self.robots.len();
+        self.robots.insert(id.clone(), robot);
+        self.devices.extend(devices.enumerate().map(|(index, device)| ((robot, device.clone()), index)));
+    }
+}
+
+pub(super) fn places(robots: &[&FleetRobot]) -> Places {
+    let mut places = Places::default();
+    for robot in robots {
+        let devices = robot.init.iter().flat_map(|init| &init.devices);
+        places.add(&robot.id, devices.map(|device| &device.id));
+    }
+    places
+}
+
+pub(super) fn robots(robots: &[&FleetRobot], places: &Places) -> Vec<Robot> {
+    let robot = |(index, robot): (usize, &&FleetRobot)| Robot {
+        id: robot.id.to_string(),
+        devices: robot.init.iter().flat_map(|init| &init.devices).map(device).collect(),
+        body: robot.body.as_ref().map(|body| self::body(body, index, places)),
+    };
+    robots.iter().enumerate().map(robot).collect()
+}
+
+pub(super) fn groups(fleet: &Fleet, places: &Places) -> Vec<Group> {
+    let of_mission = |(name, ids): (&String, &Vec<RobotId>)| Group {
+        name: name.clone(),
+        robots: ids.iter().filter_map(|id| places.robot(id)).collect(),
+    };
+    fleet.groups.iter().map(of_mission).filter(|group| !group.robots.is_empty()).collect()
+}
+
+pub(super) fn device(device: &urrcp::Device) -> Device {
+    let types = &device.available_control_types;
+    let limits = device.primary_control_type().and_then(|primary| types.limits(primary));
+    Device {
+        id: device.id.to_string(),
+        unit: device.unit.as_ref().map(ToString::to_string).unwrap_or_default(),
+        interpolation: match device.interpolation {
+            Interpolation::Linear => "linear",
+            _ => "hold",
+        },
+        granularity: limits.map(|limits| limits.granularity),
+        min: limits.map(|limits| limits.min_value),
+        max: limits.map(|limits| limits.max_value),
+        default: device.default_value,
+        sensor: types.sensor().is_some(),
+    }
+}
+
+fn body(body: &scripts::Body, robot: usize, places: &Places) -> Body {
+    let [x, y, z, yaw] = body.coordinates.each_ref().map(|coordinate| match coordinate {
+        scripts::Coordinate::Device { device, scale, offset } => {
+            Coordinate { device: places.device(robot, device), scale: *scale, offset: *offset }
+        }
+        scripts::Coordinate::Fixed(value) => Coordinate { device: None, scale: 0.0, offset: *value },
+        _ => Coordinate { device: None, scale: 0.0, offset: 0.0 },
+    });
+    let shape = match body.shape {
+        scripts::Shape::Box { size } => Shape::Box(size),
+        scripts::Shape::Ball { radius } => Shape::Ball(radius),
+        _ => Shape::Ball(0.0),
+    };
+    Body { x, y, z, yaw, shape, joints: Vec::new() }
+}
+
+pub(super) fn plans(
+    choreography: &Choreography,
+    outline: &Outline,
+    places: &Places,
+    columns: &mut Columns,
+) -> Vec<Plan> {
+    let mut written = outline.acts.iter().map(Vec::as_slice);
+    let acts = choreography.acts.iter();
+    acts.map(|act| plan(act, written.next().unwrap_or_default(), places, columns)).collect()
+}
+
+fn plan(act: &scripts::Act, written: &[WrittenCue], places: &Places, columns: &mut Columns) -> Plan {
+    let closest = act.in_space.closest.as_ref().and_then(|closest| {
+        let [a, b] = closest.robots.each_ref().map(|robot| places.robot(robot));
+        Some(Closest { robots: [a?, b?], at: closest.at.as_millis_f64(), distance: closest.distance })
+    });
+    Plan {
+        name: act.name.clone(),
+        duration: act.plan.duration().as_millis_f64(),
+        start_tolerance: act.plan.start_tolerance.as_millis_f64(),
+        cues: act.cues.iter().zip(written).map(|(cue, written)| self::cue(cue, written, places)).collect(),
+        lanes: lanes(act, places, columns),
+        closest,
+        waits: waits(&act.wait),
+    }
+}
+
+fn cue(cue: &scripts::PlannedCue, written: &WrittenCue, places: &Places) -> Cue {
+    Cue {
+        name: cue.name.clone(),
+        start: cue.start.as_millis_f64(),
+        end: cue.end.as_millis_f64(),
+        slack: cue.slack.as_millis_f64(),
+        robots: written.robots.iter().filter_map(|robot| places.robot(robot)).collect(),
+        source: written.source,
+        first_line: written.first_line,
+        last_line: written.last_line,
+        relations: written.relations.clone(),
+    }
+}
+
+fn lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) -> Vec<Lane> {
+    let used: HashMap<_, _> = act.devices.iter().map(|used| ((&used.robot, &used.device), used)).collect();
+    let mut lanes: Vec<Lane> = Vec::new();
+    for planned in &act.plan.robots {
+        let Some(robot) = places.robot(&planned.robot) else { continue };
+        for script in &planned.scripts {
+            let Some(device) = places.device(robot, &script.device) else { continue };
+            let used = used.get(&(&planned.robot, &script.device));
+            for (value, (control, steps)) in values_of(&script.script).into_iter().enumerate() {
+                let control = named(control, value);
+                let script = Script { start: script.start.get(), steps: columns.series(&steps.0, &steps.1) };
+                let of_device = |lane: &&mut Lane| {
+                    lane.robot == robot && lane.device == device && lane.control == control
+                };
+                // Those of a robot stand together at the end.
+                match lanes.iter_mut().rev().take_while(|lane| lane.robot == robot).find(of_device) {
+                    Some(lane) => lane.scripts.push(script),
+                    None => lanes.push(Lane {
+                        robot,
+                        device,
+                        control,
+                        worst_error: used.map_or(0.0, |used| used.worst_error),
+                        worst_at: used.map_or(0.0, |used| used.worst_at.as_millis_f64()),
+                        scripts: vec![script],
+                    }),
+                }
+            }
+        }
+    }
+    lanes
+}
+
+fn named(control: ControlType, value: usize) -> String {
+    match value {
+        0 => control.to_string(),
+        further => format!("{control}, value {}", further + 1),
+    }
+}
+
+/// Times and values, for each value that steps have; with the control type of the first of them.
+fn values_of(script: &urrcp::Script) -> Vec<(ControlType, (Vec<f64>, Vec<f64>))> {
+    let mut all: Vec<(ControlType, (Vec<f64>, Vec<f64>))> = Vec::new();
+    for step in script.steps() {
+        for (index, value) in step.setpoint.values().enumerate() {
+            if all.len() == index {
+                all.push((step.setpoint.control_type, (Vec::new(), Vec::new())));
+            }
+            let (times, values) = &mut all[index].1;
+            times.push(step.offset.get());
+            values.push(value);
+        }
+    }
+    all
+}
+
+fn waits(wait: &Wait) -> String {
+    match wait {
+        Wait::Operator => "the operator".to_owned(),
+        Wait::Instant(at) => at.to_string(),
+        Wait::TimeOfDay(time) => format!("{time} after midnight"),
+        Wait::Sensor { robot, sensor, range } => match range {
+            SensorRange::Above(bound) => format!("{robot}/{sensor} above {bound}"),
+            SensorRange::Below(bound) => format!("{robot}/{sensor} below {bound}"),
+            SensorRange::Within(least, most) => format!("{robot}/{sensor} from {least} to {most}"),
+        },
+        Wait::Done => String::new(),
+    }
+}
+
+pub(super) fn sources(outline: &Outline) -> Vec<Source> {
+    let source = |source: &scripts::Source| Source { name: source.name.clone(), text: source.text.clone() };
+    outline.sources.iter().map(source).collect()
+}
+
+pub(super) fn findings(findings: &[scripts::Finding], outline: &Outline) -> Vec<Finding> {
+    let finding = |finding: &scripts::Finding| Finding {
+        code: finding.code.as_str(),
+        severity: match finding.severity {
+            Severity::Error => "error",
+            Severity::Warning => "warning",
+        },
+        message: finding.message.clone(),
+        hint: finding.hint.clone(),
+        source: outline.sources.iter().position(|source| source.name == finding.file),
+        line: finding.line,
+        column: finding.column,
+    };
+    findings.iter().map(finding).collect()
+}

@@ -1,0 +1,212 @@
+//! What happened: acts, what the operator was told, and what robots set.
+
+use std::collections::BTreeMap;
+
+use downbeat_scripts::Choreography;
+use urrcp::{DeviceId, RobotId, Server, Timestamp};
+
+use super::columns::Columns;
+use super::document::{Clock, DeviceSeries, MissionEvent, Played, PlayedRobot};
+use super::planned::Places;
+use crate::dry_run::{self, act_of};
+use crate::mission::Progress;
+use crate::report::{ActReport, Report};
+
+/// What the operator was told, and when.
+pub type Told = (Timestamp<Server>, Progress);
+
+/// The instant at which the page counts from zero.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Epoch(pub(super) Timestamp<Server>);
+
+impl Epoch {
+    /// Milliseconds from there.
+    pub(super) fn millis(self, at: Timestamp<Server>) -> f64 {
+        (at - self.0).as_millis_f64()
+    }
+}
+
+pub(super) fn acts(
+    report: &Report,
+    told: &[Told],
+    choreography: &Choreography,
+    places: &Places,
+    epoch: Epoch,
+) -> Vec<Played> {
+    let mut acts: Vec<Played> = Vec::with_capacity(report.acts.len());
+    for act in &report.acts {
+        let plan = choreography.acts.iter().position(|planned| planned.is_named(&act.act));
+        let duration = plan.map_or(0.0, |plan| choreography.acts[plan].plan.duration().as_millis_f64());
+        let mut played = Played {
+            name: act.act.clone(),
+            number: act.number,
+            plan,
+            start: epoch.millis(act.start),
+            end: epoch.millis(act.start) + duration,
+            sent: Some(epoch.millis(act.timestamp)),
+            decided: None,
+            committed: None,
+            no_return: None,
+            lease: Some(epoch.millis(act.start - act.lead.margin)),
+            robots: robots(act, places, epoch),
+        };
+        phases(&mut played, act, told, (places, epoch));
+        acts.push(played);
+    }
+    acts
+}
+
+/// When an act was decided and committed, and when its robots had ended all their scripts.
+fn phases(played: &mut Played, act: &ActReport, told: &[Told], (places, epoch): (&Places, Epoch)) {
+    let first = told.partition_point(|(at, _)| *at < act.timestamp);
+    for (at, progress) in &told[first..] {
+        match progress {
+            Progress::Decided { act: name, start, no_return, .. }
+                if *name == act.act && *start == act.start =>
+            {
+                played.decided = Some(epoch.millis(*at));
+                played.no_return = Some(epoch.millis(*no_return));
+            }
+            Progress::Committed { act: name, .. } if *name == act.act && played.committed.is_none() => {
+                played.committed = Some(epoch.millis(*at));
+            }
+            Progress::Finished { robot } if *at >= act.start => {
+                let place = places.robot(robot);
+                let of_act =
+                    played.robots.iter_mut().find(|row| Some(row.robot) == place && row.ended.is_none());
+                if let Some(row) = of_act {
+                    row.ended = Some(epoch.millis(*at));
+                }
+            }
+            Progress::ActEnded { act: name } | Progress::ActSkipped { act: name, .. } if *name == act.act => {
+                return;
+            }
+            _ => {}
+        }
+    }
+}
+
+fn robots(act: &ActReport, places: &Places, epoch: Epoch) -> Vec<PlayedRobot> {
+    let robot = |of_act: &crate::report::ActRobot| {
+        let starts =
+            of_act.devices.iter().filter_map(|script| Some(script.planned_start? + script.start_error?));
+        Some(PlayedRobot {
+            robot: places.robot(&of_act.robot)?,
+            left_out: of_act.left_out,
+            started: starts.min().map(|at| epoch.millis(at)),
+            ended: None,
+        })
+    };
+    act.robots.iter().filter_map(robot).collect()
+}
+
+pub(super) fn events(told: &[Told], places: &Places, epoch: Epoch) -> Vec<MissionEvent> {
+    let event = |(at, progress): &Told| {
+        let (text, robot) = sentence(progress)?;
+        let kind = serde_json::to_value(progress).ok()?.get("progress")?.as_str()?.to_owned();
+        let robot = robot.and_then(|robot| places.robot(robot));
+        Some(MissionEvent { at: epoch.millis(*at), kind, robot, text })
+    };
+    told.iter().filter_map(event).collect()
+}
+
+/// What an event says, and of which robot. Nothing for what happens often and is on the page otherwise.
+fn sentence(progress: &Progress) -> Option<(String, Option<&RobotId>)> {
+    let of = |robot, text: &str| (text.to_owned(), Some(robot));
+    Some(match progress {
+        Progress::Connected { .. } => ("all robots are connected".to_owned(), None),
+        Progress::Greeted { .. } => ("all robots are checked".to_owned(), None),
+        Progress::Waiting { act, awaits, .. } => (format!("{act} waits for {awaits}"), None),
+        Progress::Preparing { act, .. } => (format!("{act} is sent"), None),
+        Progress::Accepted { robot } => of(robot, "has accepted all its scripts"),
+        Progress::Decided { act, .. } => (format!("{act} is decided: all robots have accepted"), None),
+        Progress::Committed { act, .. } => {
+            (format!("{act} is committed: every lease reaches over its start"), None)
+        }
+        Progress::Finished { robot } => of(robot, "has ended all its scripts"),
+        Progress::AtRest { robot } => of(robot, "has confirmed its stop"),
+        Progress::ActSkipped { act, fate } => (format!("{act} {fate}"), None),
+        Progress::ActEnded { act } => (format!("{act} has ended"), None),
+        Progress::Failed(failure) => (failure.kind.to_string(), Some(&failure.robot)),
+        Progress::LinkLost { robot, reason, .. } => (format!("its link is lost: {reason}"), Some(robot)),
+        Progress::Reattached { robot } => of(robot, "is back on its link"),
+        Progress::Dropped { robot } => of(robot, "is left out from here on"),
+        Progress::NtpLost { .. } => ("the NTP server does not answer".to_owned(), None),
+        Progress::NtpBack { .. } => ("the NTP server answers again".to_owned(), None),
+        Progress::JournalLost { reason } | Progress::Stopping { reason, .. } => (reason.clone(), None),
+        _ => return None,
+    })
+}
+
+/// What robots set, each device of each act by itself, in true time.
+pub(super) fn set(
+    played: &dry_run::Played,
+    places: &Places,
+    epoch: Epoch,
+    columns: &mut Columns,
+) -> Vec<DeviceSeries> {
+    let mut all = Vec::new();
+    for (row, log) in played.report.robots.iter().zip(&played.logs) {
+        let Some(robot) = places.robot(&row.robot) else { continue };
+        let mut of_device: BTreeMap<(Option<u32>, &DeviceId), (Vec<f64>, Vec<f64>)> = BTreeMap::new();
+        for entry in log.iter().filter(|entry| entry.motion == "set") {
+            let act = entry.request_id.as_deref().and_then(act_of);
+            let (times, values) = of_device.entry((act, &entry.device)).or_default();
+            times.push(epoch.millis(Timestamp::from_nanos(entry.true_ns)));
+            values.push(entry.value);
+        }
+        for ((act, device), (times, values)) in of_device {
+            let Some(device) = places.device(robot, device) else { continue };
+            all.push(DeviceSeries { robot, device, act, series: columns.series(&times, &values) });
+        }
+    }
+    all
+}
+
+/// Readings that the scenario asked for, by the time at which they were asked for.
+pub(super) fn read(
+    report: &Report,
+    places: &Places,
+    epoch: Epoch,
+    columns: &mut Columns,
+) -> Vec<DeviceSeries> {
+    let mut of_sensor: BTreeMap<(usize, usize, u32), (Vec<f64>, Vec<f64>)> = BTreeMap::new();
+    for act in &report.acts {
+        for reading in &act.readings {
+            let Some(robot) = places.robot(&reading.robot) else { continue };
+            let Some((device, value)) = places.device(robot, &reading.sensor).zip(reading.value) else {
+                continue;
+            };
+            let (times, values) = of_sensor.entry((robot, device, act.number)).or_default();
+            times.push(epoch.millis(act.start + reading.at));
+            values.push(value);
+        }
+    }
+    let series = of_sensor.into_iter().map(|((robot, device, act), (times, values))| DeviceSeries {
+        robot,
+        device,
+        act: Some(act),
+        series: columns.series(&times, &values),
+    });
+    series.collect()
+}
+
+/// What is known of clocks at the end, which holds for the whole mission.
+pub(super) fn clocks(
+    report: &Report,
+    places: &Places,
+    (from, to): (f64, f64),
+    columns: &mut Columns,
+) -> Vec<Clock> {
+    let mut all = Vec::new();
+    for robot in &report.robots {
+        let Some((place, reading)) = places.robot(&robot.robot).zip(robot.clock.as_ref()) else { continue };
+        let (offset, uncertainty) = (reading.offset.as_millis_f64(), reading.uncertainty.as_millis_f64());
+        all.push(Clock {
+            robot: place,
+            offset: columns.series(&[from, to], &[offset, offset]),
+            uncertainty: columns.series(&[from, to], &[uncertainty, uncertainty]),
+        });
+    }
+    all
+}
