@@ -28,6 +28,7 @@ mod missions;
 mod outlet;
 mod plan;
 mod realtime;
+mod report;
 mod resume;
 mod robot;
 mod run;
@@ -117,6 +118,8 @@ enum Command {
     Resume(resume::ResumeArgs),
     /// List the missions of this machine.
     Missions(missions::MissionsArgs),
+    /// Show a mission that was played, from its journal or its recording.
+    Report(report::ReportArgs),
     /// Check whether a robot does what the protocol demands.
     Conformance(conformance::ConformanceArgs),
     /// Run one simulated robot that listens on TCP.
@@ -217,6 +220,7 @@ pub fn main() -> ExitCode {
         Command::Stop(args) => stop::stop(&args, format),
         Command::Resume(args) => resume::resume(&args, format),
         Command::Missions(args) => missions::missions(&args, format),
+        Command::Report(args) => report::report(&args, format),
         Command::Conformance(args) => conformance::conformance(&args, format),
         Command::Robot(args) => robot::robot(&args, format),
         Command::Edge(args) => edge::edge(&args, format),

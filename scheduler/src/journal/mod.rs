@@ -19,7 +19,7 @@ use urrcp::{InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 use crate::mission::{Greeting, Record};
 pub use disk::{Disk, FileDisk};
 pub use found::{Found, Life, Missions, forget_old, has_begun};
-pub use read::{Fate, Kept, Left, LeftOn, Progressed, Torn, Unreadable, read};
+pub use read::{Fate, Kept, Left, LeftOn, Progressed, Records, Torn, Unreadable, read, records};
 pub(crate) use writer::{WAITING_MAX, append_all};
 pub use writer::{Writer, Written};
 

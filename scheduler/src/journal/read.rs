@@ -121,6 +121,28 @@ pub fn read(path: &Path) -> Result<Kept, Unreadable> {
     Kept::of_bytes(&bytes).ok_or_else(|| Unreadable::NoBegin { path: path.to_path_buf() })
 }
 
+/// All that a journal says, for whoever shows it.
+#[derive(Clone, Debug)]
+pub struct Records {
+    /// Its first line.
+    pub opened: Opened,
+    /// Its further lines, up to where it stops being whole.
+    pub all: Vec<(Timestamp<Server>, Value)>,
+    /// Where that is.
+    pub torn: Option<Torn>,
+}
+
+/// The lines of a journal whose bytes these are, up to the first one that is not whole. `path` is for error messages.
+///
+/// # Errors
+/// [`Unreadable::NoBegin`] where not even the first line is whole.
+pub fn records(bytes: &[u8], path: &Path) -> Result<Records, Unreadable> {
+    let kept = Kept::of_bytes(bytes).ok_or_else(|| Unreadable::NoBegin { path: path.to_path_buf() })?;
+    let lines = bytes[..kept.whole].split_inclusive(|byte| *byte == b'\n').skip(1).filter_map(whole);
+    let dated = |line: Value| Some((Timestamp::deserialize(&line["at"]).ok()?, line));
+    Ok(Records { opened: kept.opened, all: lines.filter_map(dated).collect(), torn: kept.torn })
+}
+
 /// Bytes of the whole lines at the beginning.
 pub(super) fn whole_length(bytes: &[u8]) -> usize {
     let lines = bytes.split_inclusive(|byte| *byte == b'\n');

@@ -3,8 +3,11 @@
 
 mod columns;
 mod document;
+mod events;
+mod history;
 mod planned;
 mod played;
+mod recorded;
 
 use std::fs;
 use std::io::{self, Write};
@@ -21,6 +24,7 @@ use self::document::{Kind, Mission, VERSION};
 use self::played::Epoch;
 use crate::dry_run;
 
+pub use self::history::{History, HistorySource, NoHistory};
 pub use self::played::Told;
 
 /// The page without a mission.
@@ -55,6 +59,16 @@ pub fn of_dry_run(rehearsed: &Rehearsed<'_>) -> io::Result<String> {
     page(&mission, &columns)
 }
 
+/// The page of a mission that was played.
+///
+/// # Errors
+/// As for [`of_dry_run`].
+pub fn of_history(history: &History) -> io::Result<String> {
+    let mut columns = Columns::default();
+    let mission = history.mission(&mut columns);
+    page(&mission, &columns)
+}
+
 impl Rehearsed<'_> {
     fn mission(&self, columns: &mut Columns) -> Mission {
         let Self { choreography, outline, fleet, findings, played, told } = *self;
@@ -81,7 +95,7 @@ impl Rehearsed<'_> {
             groups: planned::groups(fleet, &places),
             plans: planned::plans(choreography, outline, &places, columns),
             acts,
-            events: played::events(told, &places, epoch),
+            events: events::of_told(told, &places, epoch),
             findings: planned::findings(findings, outline),
             set: played::set(played, &places, epoch, columns),
             read: played::read(report, &places, epoch, columns),

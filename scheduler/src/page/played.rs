@@ -3,10 +3,10 @@
 use std::collections::BTreeMap;
 
 use downbeat_scripts::Choreography;
-use urrcp::{DeviceId, RobotId, Server, Timestamp};
+use urrcp::{DeviceId, Server, Timestamp};
 
 use super::columns::Columns;
-use super::document::{Clock, DeviceSeries, MissionEvent, Played, PlayedRobot};
+use super::document::{Clock, DeviceSeries, Played, PlayedRobot};
 use super::planned::Places;
 use crate::dry_run::{self, act_of};
 use crate::mission::Progress;
@@ -98,44 +98,6 @@ fn robots(act: &ActReport, places: &Places, epoch: Epoch) -> Vec<PlayedRobot> {
         })
     };
     act.robots.iter().filter_map(robot).collect()
-}
-
-pub(super) fn events(told: &[Told], places: &Places, epoch: Epoch) -> Vec<MissionEvent> {
-    let event = |(at, progress): &Told| {
-        let (text, robot) = sentence(progress)?;
-        let kind = serde_json::to_value(progress).ok()?.get("progress")?.as_str()?.to_owned();
-        let robot = robot.and_then(|robot| places.robot(robot));
-        Some(MissionEvent { at: epoch.millis(*at), kind, robot, text })
-    };
-    told.iter().filter_map(event).collect()
-}
-
-/// What an event says, and of which robot. Nothing for what happens often and is on the page otherwise.
-fn sentence(progress: &Progress) -> Option<(String, Option<&RobotId>)> {
-    let of = |robot, text: &str| (text.to_owned(), Some(robot));
-    Some(match progress {
-        Progress::Connected { .. } => ("all robots are connected".to_owned(), None),
-        Progress::Greeted { .. } => ("all robots are checked".to_owned(), None),
-        Progress::Waiting { act, awaits, .. } => (format!("{act} waits for {awaits}"), None),
-        Progress::Preparing { act, .. } => (format!("{act} is sent"), None),
-        Progress::Accepted { robot } => of(robot, "has accepted all its scripts"),
-        Progress::Decided { act, .. } => (format!("{act} is decided: all robots have accepted"), None),
-        Progress::Committed { act, .. } => {
-            (format!("{act} is committed: every lease reaches over its start"), None)
-        }
-        Progress::Finished { robot } => of(robot, "has ended all its scripts"),
-        Progress::AtRest { robot } => of(robot, "has confirmed its stop"),
-        Progress::ActSkipped { act, fate } => (format!("{act} {fate}"), None),
-        Progress::ActEnded { act } => (format!("{act} has ended"), None),
-        Progress::Failed(failure) => (failure.kind.to_string(), Some(&failure.robot)),
-        Progress::LinkLost { robot, reason, .. } => (format!("its link is lost: {reason}"), Some(robot)),
-        Progress::Reattached { robot } => of(robot, "is back on its link"),
-        Progress::Dropped { robot } => of(robot, "is left out from here on"),
-        Progress::NtpLost { .. } => ("the NTP server does not answer".to_owned(), None),
-        Progress::NtpBack { .. } => ("the NTP server answers again".to_owned(), None),
-        Progress::JournalLost { reason } | Progress::Stopping { reason, .. } => (reason.clone(), None),
-        _ => return None,
-    })
 }
 
 /// What robots set, each device of each act by itself, in true time.

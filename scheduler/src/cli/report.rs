@@ -1,0 +1,91 @@
+//! `downbeat report`: a mission that was played, from its journal or its recording.
+
+use std::path::PathBuf;
+
+use downbeat_scripts::{Attempt, Refusal};
+use serde_json::Value;
+
+use super::{Exit, Format, console};
+use crate::page::{self, History, NoHistory};
+
+/// Show a mission that was played, from its journal or its recording.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "A recording (`downbeat run --record`) knows requests, values and clocks, a journal the decisions alone. A file \
+that is not whole, as after a power failure, is refused: --partial shows what comes before the damage.
+
+Examples:
+  downbeat report show.mcap --html show.html
+  downbeat report ~/.local/state/downbeat/swap@stage-4711-20261123T193000000
+  downbeat report show.mcap --partial --format json"
+)]
+pub(super) struct ReportArgs {
+    /// A recording, a journal, or the folder of a mission.
+    file: PathBuf,
+    /// Write a page for a browser. It needs no network.
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+    /// Show what comes before the damage of a file that is not whole.
+    #[arg(long)]
+    partial: bool,
+}
+
+pub(super) fn report(args: &ReportArgs, format: Format) -> Exit {
+    let history = match History::read(&args.file) {
+        Ok(history) => history,
+        Err(NoHistory::Io { path, error }) => {
+            let refusal = Refusal::of(Attempt::Read(&path), &error);
+            return refused(&format!("cannot read `{}`: {refusal}", path.display()));
+        }
+        Err(error) => return refused(&error.to_string()),
+    };
+    if let Some(cut_off) = &history.cut_off {
+        let name = args.file.display();
+        if !args.partial {
+            return refused(&format!(
+                "`{name}` is not whole: {cut_off}; --partial shows what comes before that"
+            ));
+        }
+        console::note(&format!("`{name}` is not whole: {cut_off}"));
+    }
+    if let Some(path) = &args.html
+        && let Err(error) = page::of_history(&history).and_then(|text| page::save(path, &text))
+    {
+        let refusal = Refusal::of(Attempt::Write(path), &error);
+        return refused(&format!("cannot write `{}`: {refusal}", path.display()));
+    }
+    let report = history.report();
+    match format {
+        Format::Text => console::print(&text(&report)),
+        Format::Json => console::print_json(&report),
+    }
+    Exit::Done
+}
+
+fn refused(error: &str) -> Exit {
+    console::error(error);
+    Exit::Usage
+}
+
+fn text(report: &Value) -> String {
+    let name = report["scenario"].as_str().unwrap_or("a mission");
+    let outcome = match &report["outcome"] {
+        Value::Null => "its end is not known".to_owned(),
+        Value::String(outcome) => outcome.clone(),
+        other => other["outcome"].as_str().map_or_else(|| other.to_string(), str::to_owned),
+    };
+    let mut text = format!("{}: {outcome}\n", downbeat_scripts::shown::shown(name));
+    for act in report["acts"].as_array().into_iter().flatten() {
+        let spread =
+            act["spread_ms"].as_f64().map_or_else(|| "not known".to_owned(), |spread| format!("{spread} ms"));
+        let (name, start) =
+            (act["act"].as_str().unwrap_or_default(), act["start"].as_str().unwrap_or_default());
+        let robots = act["robots"].as_array().map_or(0, Vec::len);
+        let robots = downbeat_scripts::counted(robots, "robot");
+        text += &format!(
+            "  {}: start {start}, {robots}, spread {spread}\n",
+            downbeat_scripts::shown::shown(name)
+        );
+    }
+    text
+}

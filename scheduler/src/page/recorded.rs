@@ -1,0 +1,312 @@
+//! A mission that was played, from its journal or its recording.
+
+use std::collections::BTreeMap;
+
+use serde_json::{Value, json};
+use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
+
+use super::columns::Columns;
+use super::document::{
+    Clock, Device, DeviceSeries, Kind, Lane, Mission, Plan, Played, PlayedRobot, Robot, Script, VERSION,
+};
+use super::events;
+use super::history::{History, HistorySource, KnownRobot};
+use super::planned::{self, Places};
+use super::played::Epoch;
+use crate::dry_run::act_of;
+
+impl History {
+    /// What is known of how it went: the name, the outcome and the reports of the acts that have ended, as in a report.
+    #[must_use]
+    pub fn report(&self) -> Value {
+        let ended = self.records.iter().filter(|(_, record)| record["record"] == "act_ended");
+        let acts: Vec<&Value> = ended.map(|(_, record)| &record["report"]).collect();
+        let spread = acts.iter().filter_map(|act| act["spread_ms"].as_f64()).reduce(f64::max);
+        let outcome = self.records.iter().rev().find(|(_, record)| record["record"] == "ended");
+        json!({
+            "scenario": self.scenario,
+            "outcome": outcome.map(|(_, record)| &record["outcome"]),
+            "start": self.of_kind("prepared").next().map(|(_, record)| &record["start"]),
+            "spread_ms": spread,
+            "acts": acts,
+            "robots": [],
+            "failures": self.told.iter().filter(|(_, told)| told["progress"] == "failed").map(|(_, told)| told).collect::<Vec<_>>(),
+        })
+    }
+
+    pub(super) fn of_kind<'a>(
+        &'a self,
+        kind: &'a str,
+    ) -> impl Iterator<Item = &'a (Timestamp<Server>, Value)> {
+        self.records.iter().filter(move |(_, record)| record["record"] == *kind)
+    }
+
+    pub(super) fn mission(&self, columns: &mut Columns) -> Mission {
+        let described: Vec<Described> = self.robots.iter().map(Described::of).collect();
+        let mut places = Places::default();
+        for robot in &described {
+            places.add(&robot.id, robot.devices.iter().map(|(id, _)| id));
+        }
+        let epoch = self.epoch();
+        let sent: Vec<Sent> = self.of_kind("prepared").filter_map(|(_, record)| Sent::of(record)).collect();
+        let acts: Vec<Played> =
+            sent.iter().enumerate().map(|(plan, act)| self.played(act, plan, &places, epoch)).collect();
+        let told = if self.told.is_empty() { &self.records } else { &self.told };
+        let events = events::of_values(told, &places, epoch);
+        let times =
+            events.iter().map(|event| event.at).chain(acts.iter().flat_map(|act| [act.start, act.end]));
+        let times: Vec<f64> = times.chain(acts.iter().filter_map(|act| act.sent)).collect();
+        Mission {
+            version: VERSION,
+            program: concat!("downbeat ", env!("CARGO_PKG_VERSION")),
+            kind: match self.source {
+                HistorySource::Journal => Kind::Journal,
+                HistorySource::Recording => Kind::Recording,
+            },
+            scenario: self.scenario.clone().unwrap_or_default(),
+            epoch: epoch.0.to_string(),
+            from: times.iter().copied().fold(0.0, f64::min),
+            to: times.iter().copied().fold(0.0, f64::max),
+            report: Some(self.report()),
+            sources: Vec::new(),
+            groups: Vec::new(),
+            plans: sent
+                .iter()
+                .zip(&acts)
+                .map(|(act, played)| self.plan(act, played, &places, columns))
+                .collect(),
+            acts,
+            events,
+            findings: Vec::new(),
+            set: Vec::new(),
+            read: self.reported(&places, epoch, columns),
+            clocks: self.clocks(&places, epoch, columns),
+            robots: described.into_iter().map(Described::robot).collect(),
+        }
+    }
+
+    /// The planned start of the first act; before anything was sent, the first thing that is known.
+    fn epoch(&self) -> Epoch {
+        let start = self.of_kind("prepared").find_map(|(_, record)| instant(&record["start"]));
+        let first = self.records.first().or_else(|| self.told.first()).map(|(at, _)| *at);
+        Epoch(start.or(first).unwrap_or(Timestamp::from_nanos(0)))
+    }
+
+    fn played(&self, act: &Sent, plan: usize, places: &Places, epoch: Epoch) -> Played {
+        let at = |kind: &'static str| {
+            let of_act = self.of_kind(kind).find(|(_, record)| record["number"] == act.number);
+            of_act.map(|(at, _)| epoch.millis(*at))
+        };
+        let report = self.of_kind("act_ended").map(|(_, record)| &record["report"]);
+        let report = report.filter(|report| report["number"] == act.number).last();
+        let decided = self
+            .told
+            .iter()
+            .find(|(_, told)| told["progress"] == "decided" && instant(&told["start"]) == Some(act.start));
+        let margin = report.and_then(|report| report["lead"]["margin_ms"].as_f64());
+        Played {
+            name: report
+                .and_then(|report| report["act"].as_str())
+                .map_or_else(|| self.name_of(act), str::to_owned),
+            number: act.number,
+            plan: Some(plan),
+            start: epoch.millis(act.start),
+            end: epoch.millis(act.start + act.duration),
+            sent: Some(epoch.millis(act.timestamp)),
+            decided: at("decided"),
+            committed: at("committed"),
+            no_return: decided.and_then(|(_, told)| instant(&told["no_return"])).map(|at| epoch.millis(at)),
+            lease: margin.map(|margin| epoch.millis(act.start) - margin),
+            robots: robots(act, report, places, epoch),
+        }
+    }
+
+    /// What the operator was told that it is called.
+    fn name_of(&self, act: &Sent) -> String {
+        let sent = |told: &Value| {
+            told["progress"] == "preparing" && instant(&told["timestamp"]) == Some(act.timestamp)
+        };
+        let told = self.told.iter().find(|(_, told)| sent(told));
+        let name = told.and_then(|(_, told)| told["act"].as_str());
+        name.map_or_else(|| format!("act {}", act.number + 1), str::to_owned)
+    }
+
+    fn plan(&self, act: &Sent, played: &Played, places: &Places, columns: &mut Columns) -> Plan {
+        let mut lanes: Vec<Lane> = Vec::new();
+        for robot in &self.robots {
+            let mut of_robot = lanes_of(robot, act, places, columns);
+            lanes.append(&mut of_robot);
+        }
+        Plan {
+            name: played.name.clone(),
+            duration: act.duration.as_millis_f64(),
+            start_tolerance: 0.0,
+            cues: Vec::new(),
+            lanes,
+            closest: None,
+            waits: String::new(),
+        }
+    }
+
+    fn reported(&self, places: &Places, epoch: Epoch, columns: &mut Columns) -> Vec<DeviceSeries> {
+        let mut all = Vec::new();
+        for robot in &self.robots {
+            let Some(place) = places.robot(&robot.id) else { continue };
+            for (device, values) in &robot.reported {
+                let Some(device) = device.parse().ok().and_then(|id| places.device(place, &id)) else {
+                    continue;
+                };
+                let times: Vec<f64> = values.iter().map(|(at, _)| epoch.millis(*at)).collect();
+                let values: Vec<f64> = values.iter().map(|(_, value)| *value).collect();
+                all.push(DeviceSeries {
+                    robot: place,
+                    device,
+                    act: None,
+                    series: columns.series(&times, &values),
+                });
+            }
+        }
+        all
+    }
+
+    /// An exchange leaves the offset open by half of its round trip.
+    fn clocks(&self, places: &Places, epoch: Epoch, columns: &mut Columns) -> Vec<Clock> {
+        let known = self.robots.iter().filter(|robot| !robot.clock.is_empty());
+        let clock = |robot: &KnownRobot| {
+            let times: Vec<f64> = robot.clock.iter().map(|(at, ..)| epoch.millis(*at)).collect();
+            let offsets: Vec<f64> = robot.clock.iter().map(|(_, offset, _)| *offset).collect();
+            let doubts: Vec<f64> = robot.clock.iter().map(|(.., delay)| delay / 2.0).collect();
+            Some(Clock {
+                robot: places.robot(&robot.id)?,
+                offset: columns.series(&times, &offsets),
+                uncertainty: columns.series(&times, &doubts),
+            })
+        };
+        known.filter_map(clock).collect()
+    }
+}
+
+/// An act that was sent.
+struct Sent {
+    number: u32,
+    timestamp: Timestamp<Server>,
+    start: Timestamp<Server>,
+    duration: Span,
+    robots: Vec<RobotId>,
+    /// What was added for the clock of each robot.
+    shifts: BTreeMap<String, Span>,
+}
+
+impl Sent {
+    fn of(record: &Value) -> Option<Self> {
+        let scripts = record["scripts"].as_array()?;
+        let ends = scripts
+            .iter()
+            .filter_map(|script| Some(millis(&script["start"])? + millis(&script["duration_ms"])?));
+        let mut robots: Vec<RobotId> = Vec::new();
+        let mut shifts = BTreeMap::new();
+        for script in scripts {
+            let Some(robot) = script["robot"].as_str() else { continue };
+            shifts.insert(robot.to_owned(), millis(&script["shift_ms"]).unwrap_or_default());
+            robots.extend(robot.parse().ok().filter(|robot| !robots.contains(robot)));
+        }
+        Some(Self {
+            number: u32::try_from(record["number"].as_u64()?).ok()?,
+            timestamp: instant(&record["timestamp"])?,
+            start: instant(&record["start"])?,
+            duration: ends.max().unwrap_or_default(),
+            robots,
+            shifts,
+        })
+    }
+}
+
+fn instant(value: &Value) -> Option<Timestamp<Server>> {
+    serde_json::from_value(value.clone()).ok()
+}
+
+fn millis(value: &Value) -> Option<Span> {
+    value.as_f64().map(Span::from_millis_f64)
+}
+
+/// A robot with the devices that it described, and further ones that were driven.
+struct Described {
+    id: RobotId,
+    devices: Vec<(DeviceId, Device)>,
+}
+
+impl Described {
+    fn of(robot: &KnownRobot) -> Self {
+        let described = robot.init.iter().flat_map(|init| &init.devices);
+        let mut devices: Vec<(DeviceId, Device)> =
+            described.map(|device| (device.id.clone(), planned::device(device))).collect();
+        let driven = robot.planned.keys().map(|(device, _)| device).chain(robot.reported.keys());
+        for id in driven.filter_map(|id| id.parse::<DeviceId>().ok()) {
+            if !devices.iter().any(|(known, _)| *known == id) {
+                let device = planned::device(&urrcp::Device::new(id.clone()));
+                devices.push((id, device));
+            }
+        }
+        Self { id: robot.id.clone(), devices }
+    }
+
+    fn robot(self) -> Robot {
+        let devices = self.devices.into_iter().map(|(_, device)| device).collect();
+        Robot { id: self.id.to_string(), devices, body: None }
+    }
+}
+
+fn lanes_of(robot: &KnownRobot, act: &Sent, places: &Places, columns: &mut Columns) -> Vec<Lane> {
+    let mut lanes: Vec<Lane> = Vec::new();
+    let Some(place) = places.robot(&robot.id) else { return lanes };
+    let shift = act.shifts.get(robot.id.as_str()).copied().unwrap_or_default();
+    for ((device, request), steps) in &robot.planned {
+        if act_of(request) != Some(act.number) {
+            continue;
+        }
+        let Some(device) = device.parse().ok().and_then(|id| places.device(place, &id)) else { continue };
+        // What is sent again is written down again.
+        let mut steps: Vec<&(Timestamp<Server>, f64, String)> = steps.iter().collect();
+        steps.sort_by_key(|(at, ..)| *at);
+        steps.dedup_by_key(|(at, ..)| *at);
+        let Some((first, _, control)) = steps.first().copied() else { continue };
+        let times: Vec<f64> = steps.iter().map(|(at, ..)| (*at - *first).as_millis_f64()).collect();
+        let values: Vec<f64> = steps.iter().map(|(_, value, _)| *value).collect();
+        let start = (*first - shift - act.start).as_millis_f64();
+        let script = Script { start, steps: columns.series(&times, &values) };
+        match lanes.iter_mut().find(|lane| lane.device == device && lane.control == *control) {
+            Some(lane) => lane.scripts.push(script),
+            None => lanes.push(Lane {
+                robot: place,
+                device,
+                control: control.clone(),
+                worst_error: 0.0,
+                worst_at: 0.0,
+                scripts: vec![script],
+            }),
+        }
+    }
+    for lane in &mut lanes {
+        lane.scripts.sort_by(|a, b| a.start.total_cmp(&b.start));
+    }
+    lanes.sort_by_key(|lane| lane.device);
+    lanes
+}
+
+fn robots(act: &Sent, report: Option<&Value>, places: &Places, epoch: Epoch) -> Vec<PlayedRobot> {
+    let rows = report.and_then(|report| report["robots"].as_array());
+    let robot = |id: &RobotId| {
+        let row = rows.and_then(|rows| rows.iter().find(|row| row["robot"] == id.as_str()));
+        let scripts = row.and_then(|row| row["devices"].as_array()).into_iter().flatten();
+        let starts = scripts.filter_map(|script| {
+            Some(instant(&script["planned_start"])? + millis(&script["start_error_ms"])?)
+        });
+        Some(PlayedRobot {
+            robot: places.robot(id)?,
+            left_out: row.is_some_and(|row| row["left_out"] == true),
+            started: starts.min().map(|at| epoch.millis(at)),
+            ended: None,
+        })
+    };
+    act.robots.iter().filter_map(robot).collect()
+}
