@@ -8,7 +8,7 @@ use serde_json::Value;
 
 use crate::robots::play::{LONG, SHORT, SOON};
 use crate::robots::{Process, Via};
-use crate::session::Session;
+use crate::session::{Session, root};
 
 const SCENARIO: &str = "scenario: hello
 start_tolerance: 1s
@@ -283,4 +283,17 @@ fn failures_of_one_kind_end_with_one_code_and_print_a_document_in_json() {
         let says_why = ["findings", "failures", "robots", "rows"].iter().any(|key| !document[key].is_null());
         assert!(errors || says_why || document.is_array(), "`{line}`: {document}");
     }
+}
+
+#[test]
+fn a_chart_of_the_plan_is_for_people_only() {
+    let session = Session::new();
+    let arm = "scenario: chart\ncues:\n  - {cue: raise, at: 0s, robots: left, tracks: {elbow: [{at: 0s, to: 0}, {at: 2s, to: 30}]}}\n";
+    session.file("chart.yaml", arm);
+    let fleet = root().join("tests/diagnostics/fleet.yaml");
+    let args = ["plan", "chart.yaml", "--fleet", fleet.to_str().unwrap(), "--gantt"];
+    session.run(&args).says(0, &["raise * ━━━", "left    ━━━", "┊0.5 s", "* critical"]);
+    let json = session.run(&[&args[..], &["--format", "json"]].concat());
+    assert_eq!(json.code(), 2);
+    assert!(json.json()["error"].as_str().unwrap().contains("--gantt"), "{}", json.text());
 }

@@ -183,6 +183,7 @@ fn no_name_in_a_file_is_obeyed_by_a_terminal() {
     let all = [
         &["check", "bad.yaml"][..],
         &["plan", "evil.yaml"],
+        &["plan", "evil.yaml", "--gantt"],
         &["plan", "evil.yaml", "--format", "json"],
         &["dry-run", "evil.yaml"],
         &["run", "evil.yaml"],

@@ -89,6 +89,20 @@ fn cues_take_place_as_early_as_their_relations_allow() {
 }
 
 #[test]
+fn cues_that_decide_when_the_act_ends_are_critical() {
+    let cue = |name: &str, keys: &str| {
+        format!("  - {{cue: {name}, {keys}, robots: left, tracks: {{{name}: [{{at: 1s, to: 10}}]}}}}\n")
+    };
+    let text = [cue("elbow", "at: 0s"), cue("wrist", "after: elbow + 1s")].concat();
+    // `fixed` has no slack and ends before the others; `end` begins when `wrist` ends.
+    let marks = "  - {cue: fixed, at: 500ms}\n  - {cue: end, after: wrist}\n";
+    let plan = planned(&format!("cues:\n{text}{marks}"));
+    let cues = plan.0["acts"][0]["cues"].as_array().unwrap().iter();
+    let critical: Vec<_> = cues.map(|cue| (&cue["slack"], &cue["critical"])).collect();
+    assert_eq!(serde_json::json!(critical), serde_json::json!([[0, true], [0, true], [0, false], [0, true]]));
+}
+
+#[test]
 fn music_has_bars_and_beats_that_follow_the_tempo() {
     let plan = planned(
         "tempo: [{at: bar 1, bpm: 60, signature: 3/4}, {at: bar 3, bpm: 120}]\ncues:\n  - {cue: a, at: bar 2 beat 3, robots: left, tracks: {elbow: [{at: 1 beat, to: 10}, {at: 1 bar, to: 0}]}}\n  - {cue: b, at: bar 4, robots: right, tracks: {elbow: [{at: 2 beats, to: 10}]}}\n",

@@ -79,6 +79,9 @@ pub struct PlannedCue {
     pub end: Span,
     /// How much later it could start, all its relations kept, without the act ending later.
     pub slack: Span,
+    /// Whether it is on the critical path: a chain of relations without room leads from it to the end of the act. A cue that is
+    /// fixed by `at` has no slack either, but decides nothing if others end later.
+    pub critical: bool,
 }
 
 /// How the steps of a device came about.

@@ -8,6 +8,8 @@ use urrcp::{Command, ControlRequest, Message, Millis, Server, Span, Timestamp};
 
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console};
+use crate::fleet;
+use crate::report::gantt::gantt;
 use crate::report::plan_table;
 
 /// Show when each cue takes place and what each robot is sent.
@@ -18,22 +20,36 @@ Offsets are given for a lead of 0.
 
 Examples:
   downbeat plan show.yaml
+  downbeat plan show.yaml --gantt
   downbeat plan show.yaml --format json"
 )]
 pub(super) struct PlanArgs {
     #[command(flatten)]
     scenario: ScenarioArgs,
+    /// Draw the cues of each act as bars over time, and when each robot moves.
+    #[arg(long)]
+    gantt: bool,
 }
 
 pub(super) fn plan(args: &PlanArgs, format: Format) -> Exit {
-    let choreography = match load::load_choreography(&args.scenario, format) {
-        Ok((choreography, _, _)) => choreography,
+    if args.gantt && format == Format::Json {
+        console::error(
+            "--gantt draws for people; leave it out, because --format json has the times of all cues",
+        );
+        return Exit::Usage;
+    }
+    let (choreography, fleet) = match load::load_choreography(&args.scenario, format) {
+        Ok((choreography, fleet, _)) => (choreography, fleet),
         Err(exit) => return exit,
     };
     match format {
         Format::Text => {
             for act in &choreography.acts {
-                console::print(&plan_table(act, console::columns()));
+                let columns = console::columns();
+                console::print(&match args.gantt {
+                    true => gantt(act, &fleet::robots_of(&fleet, &act.plan), columns),
+                    false => plan_table(act, columns),
+                });
             }
         }
         Format::Json => console::print_json(&Planned {

@@ -1,10 +1,13 @@
 //! What really happened: for people (`text`), for machines (serde), in a picture (`picture`).
 
+mod busy;
 mod course;
+pub(crate) mod gantt;
 #[cfg(test)]
 mod kinds;
 pub(crate) mod local;
 pub mod picture;
+mod ruler;
 pub(crate) mod table;
 mod text;
 mod wake_up;

@@ -58,13 +58,17 @@ pub fn plan_table(act: &Act, columns: usize) -> String {
             device.worst_at.to_string(),
         ]);
     }
-    let name = shown(&act.plan.scenario);
     let (cues, rows) = (cues.text(columns), rows.text(columns));
     let closest = act.in_space.closest.as_ref().map_or_else(String::new, |closest| {
         let [a, b] = &closest.robots;
         format!("closest: `{a}` and `{b}`, {:.3} m at {}\n", closest.distance, closest.at)
     });
-    format!("{name}: {}\n{cues}\n{rows}\n{closest}", plan_figures(&act.plan))
+    format!("{}\n{cues}\n{rows}\n{closest}", act_line(act))
+}
+
+/// The name of an act, and how large it is.
+pub(super) fn act_line(act: &Act) -> String {
+    format!("{}: {}", shown(&act.plan.scenario), plan_figures(&act.plan))
 }
 
 /// How long the acts last one after another.

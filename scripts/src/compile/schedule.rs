@@ -24,6 +24,8 @@ pub(super) struct CueTime {
     pub(super) stretch: Stretch,
     /// How much later it could start without the act ending later.
     pub(super) slack: Span,
+    /// Whether it decides when the act ends.
+    pub(super) critical: bool,
 }
 
 /// The start and end of each cue, and whether they satisfy everything that is asked.
@@ -71,7 +73,13 @@ fn natural(act: &Act, members: &[Members]) -> Vec<CueTime> {
             None => members.length,
         };
         let stretch = Stretch { from: members.length, to: length };
-        CueTime { start: Span::ZERO, end: length + members.delay, stretch, slack: Span::ZERO }
+        CueTime {
+            start: Span::ZERO,
+            end: length + members.delay,
+            stretch,
+            slack: Span::ZERO,
+            critical: false,
+        }
     };
     act.cues.iter().zip(members).map(time).collect()
 }
@@ -83,6 +91,7 @@ pub(super) fn planned(act: &Act, times: &[CueTime]) -> Vec<PlannedCue> {
         start: time.start,
         end: time.end,
         slack: time.slack,
+        critical: time.critical,
     };
     act.cues.iter().zip(times).map(cue).collect()
 }
@@ -377,11 +386,13 @@ impl<'a> Timetable<'a> {
 
     fn read(&self, schedule: &Schedule, members: &[Members]) -> Vec<CueTime> {
         let latest = self.network.latest(schedule.makespan());
+        let critical = self.network.critical(schedule);
         let time = |((first, last), members): (&(Event, Event), &Members)| {
             let (start, end) = (schedule.time(*first), schedule.time(*last));
             let stretch = Stretch { from: members.length, to: end - start - members.delay };
             let slack = latest.as_ref().map_or(Span::ZERO, |latest| latest.time(*first) - start);
-            CueTime { start, end, stretch, slack }
+            let critical = critical.contains(first) || critical.contains(last);
+            CueTime { start, end, stretch, slack, critical }
         };
         self.events.iter().zip(members).map(time).collect()
     }

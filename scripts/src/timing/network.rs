@@ -1,5 +1,7 @@
 //! Events and the bounds between them.
 
+use std::collections::HashSet;
+
 use petgraph::graph::{DiGraph, EdgeIndex, NodeIndex};
 use petgraph::visit::EdgeRef;
 use urrcp::Span;
@@ -123,6 +125,31 @@ impl Network {
         negated[0] = 0;
         let negated = longest(&Arcs::new(self.events(), backwards), negated).ok()?;
         (negated[0] == 0).then(|| Schedule(negated.iter().map(|time| -time).collect()))
+    }
+
+    /// The events that decide when the last event of the earliest schedule takes place: those from which a chain of bounds
+    /// without room leads to it. A chain begins at the origin: an event that is fixed to an instant decides nothing by that alone.
+    #[must_use]
+    pub fn critical(&self, earliest: &Schedule) -> HashSet<Event> {
+        let arcs = self.arcs(None);
+        let backwards =
+            arcs.all().iter().map(|arc| (arc.to as usize, arc.from as usize, arc.weight, arc.label));
+        let backwards = Arcs::new(self.events(), backwards);
+        let times = &earliest.0;
+        let last = earliest.makespan().as_nanos();
+        let mut open: Vec<usize> = (0..times.len()).filter(|event| times[*event] == last).collect();
+        let mut found: HashSet<Event> = open.iter().map(|event| Event(NodeIndex::new(*event))).collect();
+        while let Some(later) = open.pop() {
+            // Nothing leads to the origin, although what is fixed to it cannot be later.
+            for arc in backwards.of(later).iter().filter(|_| later > 0) {
+                let earlier = arc.to as usize;
+                let no_room = times[earlier].saturating_add(arc.weight) == times[later];
+                if no_room && found.insert(Event(NodeIndex::new(earlier))) {
+                    open.push(earlier);
+                }
+            }
+        }
+        found
     }
 
     /// Every bound as an arc: to >= from + weight. Without the arcs of one constraint's bound, where that is asked.

@@ -142,6 +142,24 @@ proptest! {
     }
 
     #[test]
+    fn the_critical_events_lie_on_the_longest_ways_to_the_end(small in small()) {
+        let (network, _) = small.network();
+        let Ok(schedule) = network.solve() else { return Ok(()) };
+        let mut forth = small.clone();
+        for (from, to, min, max) in &mut forth.constraints {
+            *min = min.filter(|_| *to > 0);
+            *max = max.filter(|_| *from > 0);
+        }
+        let ways = forth.ways().unwrap();
+        let last = schedule.makespan().as_nanos();
+        let leads = |event: usize| ways[event].iter().flatten().any(|way| schedule.0[event] + way == last);
+        let expected: Vec<_> = (0..=small.events).filter(|event| leads(*event)).collect();
+        let mut found: Vec<_> = network.critical(&schedule).iter().map(|event| event.0.index()).collect();
+        found.sort_unstable();
+        prop_assert_eq!(found, expected);
+    }
+
+    #[test]
     fn no_event_can_be_later_than_its_latest_time(small in small(), room in 0i64..6) {
         let (network, _) = small.network();
         let Ok(earliest) = network.solve() else { return Ok(()) };

@@ -271,6 +271,12 @@ pub(super) fn compare(show: &Show, compiled: &Compiled) -> Result<(), TestCaseEr
         let Some(times) = timings.iter().find(alike) else {
             return disagree(format!("times {:?}\nnot {timings:?}", planned.cues));
         };
+        let critical: Vec<_> = planned.cues.iter().filter(|cue| cue.critical).collect();
+        prop_assert!(
+            critical.iter().all(|cue| cue.slack == urrcp::Span::ZERO),
+            "slack on the critical path: {critical:?}"
+        );
+        prop_assert!(!critical.is_empty() || planned.cues.is_empty(), "nothing decides when the act ends");
         // The best order of a few cues is found.
         let end = |times: &Times| times.ends.iter().copied().max();
         prop_assert_eq!(end(times), timings.iter().map(end).min().flatten(), "a longer act than need be");

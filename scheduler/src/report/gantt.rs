@@ -1,0 +1,187 @@
+//! The plan of an act as a chart for terminals: cues as bars over time, below them when each robot moves.
+
+use std::ops::RangeInclusive;
+
+use anstyle::{AnsiColor, Style};
+use downbeat_scripts::shown::within;
+use downbeat_scripts::{Act, FleetRobot, PlannedCue};
+use unicode_width::UnicodeWidthStr;
+use urrcp::Span;
+
+use super::UNBOUNDED;
+use super::busy::{Busy, busy};
+use super::ruler::{Tick, length, ticks};
+use super::table::wrapped;
+use super::text::act_line;
+
+/// What a pipe or a file gets.
+const COLUMNS_OF_A_FILE: usize = 80;
+/// A chart is never narrower; in a narrower terminal its lines are broken.
+const COLUMNS_MIN: usize = 20;
+/// A longer name is cut, also where there is room.
+const NAME_MAX: usize = 28;
+/// Lines after which the ruler is repeated.
+const LINES_A_RULER: usize = 40;
+
+const LEGEND: &str = "━ plays or moves, · slack: it could start that much later, ◆ a mark, * critical path: it decides when \
+the act ends";
+
+/// What a column of a bar shows, with the character for it.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Cell {
+    Empty,
+    Tick,
+    Slack,
+    Bar,
+    Critical,
+    Mark,
+}
+
+impl Cell {
+    const fn character(self) -> char {
+        match self {
+            Self::Empty => ' ',
+            Self::Tick => '┊',
+            Self::Slack => '·',
+            Self::Bar | Self::Critical => '━',
+            Self::Mark => '◆',
+        }
+    }
+
+    /// Removed by the printing end where that is no terminal; every character tells enough without.
+    fn style(self) -> Style {
+        match self {
+            Self::Empty | Self::Mark => Style::new(),
+            Self::Tick | Self::Slack => Style::new().dimmed(),
+            Self::Bar => AnsiColor::Cyan.on_default(),
+            Self::Critical => AnsiColor::Yellow.on_default().bold(),
+        }
+    }
+}
+
+/// Where names and times stand.
+struct Chart {
+    /// Columns of a name.
+    names: usize,
+    /// Columns of the time from the act's start to its end.
+    width: usize,
+    /// Milliseconds.
+    total: f64,
+    ticks: Vec<Tick>,
+}
+
+/// The cues of an act in the order of their starts, and when its robots move, in this many columns. `robots` are those of the
+/// plan, in its order.
+#[must_use]
+pub fn gantt(act: &Act, robots: &[&FleetRobot], columns: usize) -> String {
+    let columns = if columns == UNBOUNDED { COLUMNS_OF_A_FILE } else { columns.max(COLUMNS_MIN) };
+    let chart = Chart::new(act, columns);
+    let mut cues: Vec<_> = act.cues.iter().collect();
+    cues.sort_by_key(|cue| cue.start);
+    let cues: Vec<_> = cues.into_iter().map(|cue| chart.cue_line(cue)).collect();
+    let moves: Vec<_> = busy(act, robots).iter().map(|robot| chart.robot_line(robot)).collect();
+    let tables = [chart.section("cue", &cues), chart.section("robot", &moves)];
+    let parts = [wrapped(&act_line(act), columns), tables.concat(), wrapped(LEGEND, columns)];
+    parts.concat() + "\n"
+}
+
+impl Chart {
+    fn new(act: &Act, columns: usize) -> Self {
+        let cues = act.cues.iter().map(|cue| cue.name.as_str());
+        let robots = act.plan.robots.iter().map(|robot| robot.robot.as_str());
+        let longest = cues.chain(robots).map(|name| within(name, NAME_MAX).width()).max().unwrap_or(0);
+        let names = longest.clamp(5, NAME_MAX.min(columns / 3).max(5));
+        let width = columns - names - 3;
+        let total = length(act);
+        let label = ticks(total, 1).pop().map_or(1, |tick| tick.label.width());
+        let mut ticks = ticks(total, width / (label + 5));
+        // One at the very end has no column of its own.
+        ticks.retain(|tick| tick.millis < total);
+        Self { names, width, total, ticks }
+    }
+
+    /// The column in which an instant lies.
+    #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "bounded by the width")]
+    fn column(&self, millis: f64) -> usize {
+        ((millis / self.total * self.width as f64).max(0.0) as usize).min(self.width - 1)
+    }
+
+    /// The columns of an interval: those in which some of it lies, at least one.
+    fn columns(&self, start: f64, end: f64) -> RangeInclusive<usize> {
+        let first = self.column(start);
+        // What ends where a column begins has no part of it.
+        let last = self.column(end - self.total / self.width as f64 / 1e6);
+        first..=last.max(first)
+    }
+
+    fn empty(&self) -> Vec<Cell> {
+        let mut cells = vec![Cell::Empty; self.width];
+        self.ticks.iter().for_each(|tick| cells[self.column(tick.millis)] = Cell::Tick);
+        cells
+    }
+
+    fn cue_line(&self, cue: &PlannedCue) -> String {
+        let [start, end, slack] = [cue.start, cue.end, cue.slack].map(Span::as_millis_f64);
+        let mut cells = self.empty();
+        if slack > 0.0 {
+            cells[self.columns(end, end + slack)].fill(Cell::Slack);
+        }
+        match (end > start, cue.critical) {
+            (false, _) => cells[self.column(start)] = Cell::Mark,
+            (true, false) => cells[self.columns(start, end)].fill(Cell::Bar),
+            (true, true) => cells[self.columns(start, end)].fill(Cell::Critical),
+        }
+        self.line(&cue.name, if cue.critical { '*' } else { ' ' }, &cells)
+    }
+
+    fn robot_line(&self, robot: &Busy<'_>) -> String {
+        let mut cells = self.empty();
+        for (start, end) in &robot.moves {
+            cells[self.columns(*start, *end)].fill(Cell::Bar);
+        }
+        self.line(robot.robot.as_str(), ' ', &cells)
+    }
+
+    fn line(&self, name: &str, mark: char, cells: &[Cell]) -> String {
+        let line = format!("{} {mark} {}", self.padded(name), painted(cells));
+        line.trim_end().to_owned() + "\n"
+    }
+
+    fn padded(&self, name: &str) -> String {
+        let name = within(name, self.names);
+        format!("{name}{}", " ".repeat(self.names.saturating_sub(name.width())))
+    }
+
+    /// Lines under a ruler, which is repeated so that it stays in sight.
+    fn section(&self, title: &str, lines: &[String]) -> String {
+        let ruler = self.ruler(title);
+        lines.chunks(LINES_A_RULER).map(|lines| format!("{ruler}{}", lines.concat())).collect()
+    }
+
+    /// Each label begins next to its tick; one that would run into another or out of the chart is left out.
+    fn ruler(&self, title: &str) -> String {
+        let mut line = String::new();
+        for tick in &self.ticks {
+            let (column, used) = (self.column(tick.millis), line.width());
+            let label = format!("┊{}", tick.label);
+            if column >= used && column + label.width() <= self.width {
+                line += &" ".repeat(column - used);
+                line += &label;
+            }
+        }
+        format!("{}   {line}\n", self.padded(title))
+    }
+}
+
+/// Cells of one kind together, so that each run is coloured once.
+fn painted(cells: &[Cell]) -> String {
+    let run = |cells: &[Cell]| {
+        let style = cells[0].style();
+        let text: String = cells.iter().map(|cell| cell.character()).collect();
+        format!("{style}{text}{style:#}")
+    };
+    cells.chunk_by(PartialEq::eq).map(run).collect()
+}
+
+#[cfg(test)]
+mod tests;
