@@ -29,6 +29,7 @@ mod missions;
 mod mistakes;
 mod ntp;
 mod output;
+mod picture;
 mod preflight;
 mod processes;
 mod real_scenarios;

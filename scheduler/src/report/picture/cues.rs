@@ -1,0 +1,217 @@
+//! The cues of an act as bars, in as few rows as their names allow.
+
+use std::fmt::Write;
+
+use downbeat_scripts::shown::within;
+use downbeat_scripts::{Act, PlannedCue};
+use unicode_width::UnicodeWidthStr;
+
+use super::{Frame, NAME_MAX, escaped};
+
+const ROW: f64 = 18.0;
+const BAR: f64 = 14.0;
+/// Cues beyond these rows are counted, not drawn.
+const ROWS_MAX: usize = 40;
+/// Pixels between two cues of a row.
+const GAP: f64 = 6.0;
+/// Columns of a name that are drawn; all of it is in the bar's title.
+const LABEL_MAX: usize = 32;
+/// Pixels that a column of small text takes, at most in common fonts.
+const COLUMN: f64 = 6.2;
+
+/// Where a name stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Label {
+    Within,
+    After,
+    Before,
+    LeftOut,
+}
+
+#[derive(Debug)]
+struct Placed<'a> {
+    cue: &'a PlannedCue,
+    row: usize,
+    x: f64,
+    width: f64,
+    label: Label,
+}
+
+/// The cues of an act, each with its place.
+pub(super) struct Cues<'a> {
+    placed: Vec<Placed<'a>>,
+    rows: usize,
+    left_out: usize,
+}
+
+impl<'a> Cues<'a> {
+    /// With their names; where that takes too many rows, with those names alone that fit into their bars.
+    pub(super) fn place(act: &'a Act, frame: &Frame) -> Self {
+        let named = Self::in_rows(act, frame, label_of);
+        if named.left_out == 0 { named } else { Self::in_rows(act, frame, label_within) }
+    }
+
+    /// In the order of their starts, each in the first row that has room for it with its name.
+    fn in_rows(act: &'a Act, frame: &Frame, label: fn(&PlannedCue, (f64, f64), &Frame) -> Label) -> Self {
+        let mut cues: Vec<_> = act.cues.iter().collect();
+        cues.sort_by_key(|cue| cue.start);
+        // Where the last cue of each row ends.
+        let mut ends: Vec<f64> = Vec::new();
+        let mut placed = Vec::new();
+        for cue in cues {
+            let bar = bar_of(cue, frame);
+            let label = label(cue, bar, frame);
+            let row = row(&mut ends, extent(cue, bar, label));
+            placed.extend(row.map(|row| Placed { cue, row, x: bar.0, width: bar.1 - bar.0, label }));
+        }
+        let left_out = act.cues.len() - placed.len();
+        Self { placed, rows: ends.len(), left_out }
+    }
+
+    pub(super) fn height(&self) -> f64 {
+        ROW * (self.rows + usize::from(self.left_out > 0)) as f64
+    }
+
+    pub(super) fn draw(&self, svg: &mut String, top: f64) {
+        self.placed.iter().for_each(|placed| placed.draw(svg, top));
+        if self.left_out > 0 {
+            let (y, left_out) = (top + ROW * self.rows as f64 + 10.5, self.left_out);
+            let _infallible = write!(
+                svg,
+                "<text x='{}' y='{y}' class='small'>and {left_out} more cues</text>",
+                super::LEFT
+            );
+        }
+    }
+}
+
+impl Placed<'_> {
+    fn draw(&self, svg: &mut String, top: f64) {
+        let (cue, y) = (self.cue, top + ROW * self.row as f64);
+        let class = if cue.critical { "cue critical" } else { "cue" };
+        let critical = if cue.critical { ", on the critical path" } else { "" };
+        let _infallible = write!(
+            svg,
+            "<g><title>{}: {} to {}, slack {}{critical}</title>\
+             <rect x='{:.1}' y='{y:.1}' width='{:.1}' height='{BAR}' class='{class}'/>",
+            escaped(&cue.name, NAME_MAX),
+            cue.start,
+            cue.end,
+            cue.slack,
+            self.x,
+            self.width,
+        );
+        let (x, anchor) = match self.label {
+            Label::Within => (self.x + 4.0, ""),
+            Label::After => (self.x + self.width + 4.0, ""),
+            Label::Before => (self.x - 4.0, " text-anchor='end'"),
+            Label::LeftOut => return svg.push_str("</g>"),
+        };
+        let name = escaped(&cue.name, LABEL_MAX);
+        let _infallible =
+            write!(svg, "<text x='{x:.1}' y='{:.1}' class='name'{anchor}>{name}</text></g>", y + 10.5);
+    }
+}
+
+/// Where a cue begins and ends, so wide that it can be seen.
+fn bar_of(cue: &PlannedCue, frame: &Frame) -> (f64, f64) {
+    let [start, end] = [cue.start, cue.end].map(|at| frame.x(at.as_millis_f64()));
+    (start, end.max(start + 2.0))
+}
+
+fn label_width(cue: &PlannedCue) -> f64 {
+    within(&cue.name, LABEL_MAX).width() as f64 * COLUMN
+}
+
+fn label_of(cue: &PlannedCue, (start, end): (f64, f64), frame: &Frame) -> Label {
+    let width = label_width(cue) + 8.0;
+    match (width <= end - start, end + width <= frame.right()) {
+        (true, _) => Label::Within,
+        (false, true) => Label::After,
+        (false, false) => Label::Before,
+    }
+}
+
+fn label_within(cue: &PlannedCue, bar: (f64, f64), frame: &Frame) -> Label {
+    match label_of(cue, bar, frame) {
+        Label::Within => Label::Within,
+        Label::After | Label::Before | Label::LeftOut => Label::LeftOut,
+    }
+}
+
+/// What a cue covers together with its name.
+fn extent(cue: &PlannedCue, (start, end): (f64, f64), label: Label) -> (f64, f64) {
+    let width = label_width(cue) + 4.0;
+    match label {
+        Label::Within | Label::LeftOut => (start, end),
+        Label::After => (start, end + width),
+        Label::Before => (start - width, end),
+    }
+}
+
+/// The first row that has ended before, or a new one.
+fn row(ends: &mut Vec<f64>, (start, end): (f64, f64)) -> Option<usize> {
+    let free = ends.iter().position(|before| before + GAP <= start);
+    let row = free.or_else(|| {
+        ends.push(f64::NEG_INFINITY);
+        Some(ends.len() - 1)
+    });
+    let row = row.filter(|row| *row < ROWS_MAX);
+    ends.truncate(ROWS_MAX);
+    if let Some(row) = row {
+        ends[row] = end;
+    }
+    row
+}
+
+#[cfg(test)]
+mod tests {
+    use downbeat_scripts::{Choreography, Plan};
+    use urrcp::{Span, StopCondition};
+
+    use super::*;
+
+    fn act(cues: impl Iterator<Item = (i64, i64)>) -> Act {
+        let plan = Plan {
+            scenario: "show".to_owned(),
+            start_tolerance: Span::ZERO,
+            lead: None,
+            stop_condition: StopCondition::default(),
+            robots: Vec::new(),
+        };
+        let mut act = Choreography::of_plan(plan).acts.remove(0);
+        let cue = |(start, end)| PlannedCue {
+            name: "a name as names are".to_owned(),
+            start: Span::from_millis(start),
+            end: Span::from_millis(end),
+            slack: Span::ZERO,
+            critical: false,
+        };
+        act.cues = cues.map(cue).collect();
+        act
+    }
+
+    #[track_caller]
+    fn check(cues: impl Iterator<Item = (i64, i64)>, rows: usize, labels: &[Label], left_out: usize) {
+        let act = act(cues);
+        let placed = Cues::place(&act, &Frame::of(&act));
+        let mut found: Vec<_> = placed.placed.iter().map(|placed| placed.label).collect();
+        found.dedup();
+        assert_eq!((placed.rows, found.as_slice(), placed.left_out), (rows, labels, left_out));
+    }
+
+    #[test]
+    fn cues_share_rows_and_names_stand_where_there_is_room() {
+        check([(0, 5_000), (5_100, 10_000)].into_iter(), 1, &[Label::Within], 0);
+        check([(0, 100), (1_000, 1_100), (2_000, 10_000)].into_iter(), 2, &[Label::After, Label::Within], 0);
+        check([(0, 5_000), (9_990, 10_000)].into_iter(), 1, &[Label::Within, Label::Before], 0);
+    }
+
+    #[test]
+    fn where_rows_run_out_names_are_left_out_and_then_cues() {
+        let burst = |at: i64, cues: usize| (0..cues).map(move |_| (at, at + 10));
+        let last = [(5_000, 10_000)];
+        check(burst(0, 30).chain(burst(300, 30)).chain(last), 30, &[Label::LeftOut, Label::Within], 0);
+        check(burst(0, 45).chain(last), ROWS_MAX, &[Label::LeftOut, Label::Within], 5);
+    }
+}

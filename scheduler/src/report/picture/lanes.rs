@@ -1,0 +1,207 @@
+//! A lane a device, grouped by robot: planned values as a line, what the robot set as dots.
+
+use std::fmt::Write;
+
+use downbeat_scripts::{Act, DeviceScript, FleetRobot};
+use urrcp::{DeviceId, Interpolation, RobotId};
+
+use super::pen::Pen;
+use super::thinned::thinned;
+use super::{Frame, LEFT, NAME_MAX, escaped};
+use crate::dry_run::{Played, act_of};
+use crate::report::ActReport;
+use crate::report::busy::interpolation;
+
+const LANE: f64 = 34.0;
+const HEADER: f64 = 22.0;
+/// Pixels between a lane's edge and its least or largest value.
+const MARGIN: f64 = 6.0;
+/// Lanes beyond this are counted, not drawn.
+const LANES_MAX: usize = 120;
+/// Columns of a device's name that fit to the left of its lane.
+const LABEL_MAX: usize = 22;
+/// Pixels of a column in which dots cover each other.
+const DOTS: f64 = 2.0;
+/// If more than half of a lane's dots are followed by the next one within this many pixels, all of them are drawn smaller, so
+/// that the line stays visible.
+const DOTS_APART: f64 = 5.0;
+
+/// Everything that one device does.
+struct Lane<'a> {
+    robot: &'a RobotId,
+    device: &'a DeviceId,
+    scripts: Vec<&'a DeviceScript>,
+    holds: bool,
+}
+
+/// The lanes of an act.
+pub(super) struct Lanes<'a> {
+    /// Those of one robot stand next to each other.
+    lanes: Vec<Lane<'a>>,
+    left_out: usize,
+}
+
+impl<'a> Lanes<'a> {
+    /// In the order of the plan; `robots` are those of the plan.
+    pub(super) fn of(act: &'a Act, robots: &[&FleetRobot]) -> Self {
+        let mut lanes: Vec<Lane<'a>> = Vec::new();
+        for (index, plan) in act.plan.robots.iter().enumerate() {
+            for of_device in plan.scripts.chunk_by(|a, b| a.device == b.device) {
+                let device = &of_device[0].device;
+                let holds = interpolation(robots.get(index).copied(), device) == Some(Interpolation::Hold);
+                lanes.push(Lane { robot: &plan.robot, device, scripts: of_device.iter().collect(), holds });
+            }
+        }
+        let left_out = lanes.len().saturating_sub(LANES_MAX);
+        lanes.truncate(LANES_MAX);
+        Self { lanes, left_out }
+    }
+
+    fn groups(&self) -> impl Iterator<Item = &[Lane<'a>]> {
+        self.lanes.chunk_by(|a, b| a.robot == b.robot)
+    }
+
+    pub(super) fn height(&self) -> f64 {
+        HEADER * self.groups().count() as f64 + LANE * self.lanes.len() as f64
+    }
+
+    /// Whether a device has more than one value.
+    pub(super) fn has_further_values(&self) -> bool {
+        self.lanes.iter().any(|lane| lane.values() > 1)
+    }
+
+    /// What a reader has to know that is not drawn.
+    pub(super) fn note(&self) -> Option<String> {
+        (self.left_out > 0).then(|| format!("and {} more devices", self.left_out))
+    }
+
+    pub(super) fn draw(
+        &self,
+        svg: &mut String,
+        top: f64,
+        frame: &Frame,
+        reported: &ActReport,
+        played: &Played,
+    ) {
+        let mut y = top;
+        for group in self.groups() {
+            header(svg, y, group, frame);
+            y += HEADER;
+            for lane in group {
+                lane.draw(svg, y, frame, reported, played);
+                y += LANE;
+            }
+        }
+    }
+}
+
+fn header(svg: &mut String, y: f64, group: &[Lane<'_>], frame: &Frame) {
+    let _infallible = write!(
+        svg,
+        "<rect y='{y}' width='{}' height='{HEADER}' class='robot'/><text x='14' y='{}' class='head'>{}</text>",
+        frame.full_width(),
+        y + 15.5,
+        escaped(group[0].robot.as_str(), NAME_MAX),
+    );
+}
+
+impl Lane<'_> {
+    fn draw(&self, svg: &mut String, top: f64, frame: &Frame, reported: &ActReport, played: &Played) {
+        let scale = Scale::of(self);
+        self.label(svg, top, frame, &scale);
+        for which in 0..self.values() {
+            let points = thinned(&self.planned(which, frame, &scale), 1.0);
+            let class = if which == 0 { "line" } else { "line further" };
+            let _infallible = write!(svg, "<path class='{class}' d='{}'/>", Pen::line(&points));
+        }
+        let dots = thinned(&self.set(frame, &scale, reported, played), DOTS);
+        if !dots.is_empty() {
+            let class = if are_close(&dots) { "dots fine" } else { "dots" };
+            let _infallible = write!(svg, "<path class='{class}' d='{}'/>", Pen::dots(&dots));
+        }
+        svg.push_str("</g>");
+    }
+
+    /// Opens the group of the lane, in which the act begins at the left and the lane at the top.
+    fn label(&self, svg: &mut String, top: f64, frame: &Frame, scale: &Scale) {
+        let range = format!("{} .. {}", rounded(scale.least), rounded(scale.largest));
+        let steps: usize = self.scripts.iter().map(|script| script.script.steps().len()).sum();
+        let _infallible = write!(
+            svg,
+            "<g transform='translate({LEFT} {top})'><title>{}, {}: {range}, {steps} steps</title>\
+             <rect x='-{LEFT}' width='{}' height='{LANE}' class='lane'/>\
+             <text x='{}' y='21'>{}</text><text x='{:.1}' y='21' class='small'>{range}</text>",
+            escaped(self.robot.as_str(), NAME_MAX),
+            escaped(self.device.as_str(), NAME_MAX),
+            frame.full_width(),
+            26.0 - LEFT,
+            escaped(self.device.as_str(), LABEL_MAX),
+            frame.width + 8.0,
+        );
+    }
+
+    /// How many values a step has, at most.
+    fn values(&self) -> usize {
+        let steps = self.scripts.iter().flat_map(|script| script.script.steps());
+        steps.map(|step| step.setpoint.values().count()).max().unwrap_or(0)
+    }
+
+    /// The planned values as points, the first value of each step or a later one. A device that holds its values is drawn in
+    /// steps, until its last one.
+    fn planned(&self, which: usize, frame: &Frame, scale: &Scale) -> Vec<(f64, f64)> {
+        let mut points: Vec<(f64, f64)> = Vec::new();
+        for script in &self.scripts {
+            for step in script.script.steps() {
+                let Some(value) = step.setpoint.values().nth(which) else { continue };
+                let point = (frame.offset(script.start.get() + step.offset.get()), scale.y(value));
+                let held = points.last().filter(|_| self.holds).map(|before| (point.0, before.1));
+                points.extend(held);
+                points.push(point);
+            }
+        }
+        points
+    }
+
+    /// What the robot set, at its true time.
+    fn set(&self, frame: &Frame, scale: &Scale, reported: &ActReport, played: &Played) -> Vec<(f64, f64)> {
+        let log = played.log_of(self.robot).unwrap_or_default().iter().filter(|entry| {
+            let of_act = entry.request_id.as_deref().and_then(act_of) == Some(reported.number);
+            of_act && entry.motion == "set" && entry.device == *self.device
+        });
+        let millis = |true_ns: i64| (true_ns - reported.start.as_nanos()) as f64 / 1e6;
+        log.map(|entry| (frame.offset(millis(entry.true_ns)), scale.y(entry.value))).collect()
+    }
+}
+
+fn are_close(dots: &[(f64, f64)]) -> bool {
+    let close = |pair: &&[(f64, f64)]| pair[1].0 - pair[0].0 < DOTS_APART;
+    2 * dots.windows(2).filter(close).count() > dots.len()
+}
+
+/// Where values stand in a lane.
+struct Scale {
+    least: f64,
+    largest: f64,
+}
+
+impl Scale {
+    fn of(lane: &Lane<'_>) -> Self {
+        let steps = || lane.scripts.iter().flat_map(|script| script.script.steps());
+        let values = || steps().flat_map(|step| step.setpoint.values());
+        Self {
+            least: values().fold(f64::INFINITY, f64::min),
+            largest: values().fold(f64::NEG_INFINITY, f64::max),
+        }
+    }
+
+    fn y(&self, value: f64) -> f64 {
+        let range = self.largest - self.least;
+        let part = if range > 0.0 { (value - self.least) / range } else { 0.5 };
+        LANE - MARGIN - (LANE - 2.0 * MARGIN) * part
+    }
+}
+
+/// As people read a value.
+fn rounded(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
+}
