@@ -315,7 +315,8 @@ impl Mission {
         // What a robot that was left out still has of it may move it, as long as it has not said otherwise.
         let moved = may_have_moved(now, act) || deserted && act.is_unaccounted();
         match (act.was_sent(), moved) {
-            (true, _) if performs && act.is_over() && !deserted => ActFate::Played,
+            (true, _) if performs && act.is_over() && act.is_known_of_one() => ActFate::Played,
+            (true, _) if performs && act.is_over() && !deserted => ActFate::Unknown,
             (_, true) => ActFate::Stopped,
             (true, false) => ActFate::Withdrawn,
             (false, false) if performs => ActFate::NobodyLeft,

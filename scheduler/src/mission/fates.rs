@@ -32,6 +32,8 @@ pub enum ActFate {
     Withdrawn,
     /// It was stopped after it had begun.
     Stopped,
+    /// Its time is over, and none of its robots has said what became of it.
+    Unknown,
     /// It was played to its end.
     Played,
 }
@@ -86,6 +88,7 @@ impl fmt::Display for ActFate {
             }
             Self::Withdrawn => f.write_str("withdrawn before anything moved"),
             Self::Stopped => f.write_str("stopped on the way"),
+            Self::Unknown => f.write_str("it is not known whether it was played"),
             Self::Played => f.write_str("played"),
         }
     }

@@ -88,8 +88,9 @@ fn power(decimals: u8) -> f64 {
 /// The integer that stands for a number, if dividing it gives exactly this number again.
 fn scaled(number: f64, decimals: u8) -> Option<i64> {
     let integer = (number * power(decimals)).round();
-    let exact = integer.abs() < EXACT_MAX && (integer / power(decimals)).to_bits() == number.to_bits();
-    exact.then_some(integer as i64)
+    let integer = Some(integer).filter(|integer| integer.abs() < EXACT_MAX)? as i64;
+    // No integer is minus zero.
+    ((integer as f64 / power(decimals)).to_bits() == number.to_bits()).then_some(integer)
 }
 
 /// The fewest decimals with which all numbers are exact.

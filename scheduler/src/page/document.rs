@@ -126,6 +126,8 @@ pub(super) struct Cue {
     pub(super) start: f64,
     pub(super) end: f64,
     pub(super) slack: f64,
+    /// On the way that determines when the act ends.
+    pub(super) critical: bool,
     pub(super) robots: Vec<usize>,
     pub(super) source: usize,
     pub(super) first_line: usize,

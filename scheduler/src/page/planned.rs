@@ -128,6 +128,7 @@ fn cue(cue: &scripts::PlannedCue, written: &WrittenCue, places: &Places) -> Cue 
         start: cue.start.as_millis_f64(),
         end: cue.end.as_millis_f64(),
         slack: cue.slack.as_millis_f64(),
+        critical: cue.critical,
         robots: written.robots.iter().filter_map(|robot| places.robot(robot)).collect(),
         source: written.source,
         first_line: written.first_line,

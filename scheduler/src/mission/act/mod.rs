@@ -259,6 +259,11 @@ impl Act {
         self.members.iter().flat_map(Member::scripts).any(Script::is_unaccounted)
     }
 
+    /// One of its robots that take part has said what became of all that it has of it.
+    pub(crate) fn is_known_of_one(&self) -> bool {
+        self.present().any(|member| !member.scripts().iter().any(Script::is_unaccounted))
+    }
+
     /// How far it is, to tell whether it went on.
     pub(crate) const fn progress(&self) -> Progressed {
         match self.stage {

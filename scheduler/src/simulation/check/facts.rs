@@ -300,6 +300,11 @@ impl<'a> SentAct<'a> {
             .max_by(|a, b| a.promised.start.get().total_cmp(&b.promised.start.get()))
     }
 
+    /// A robot did every step that it was sent.
+    pub(super) fn is_whole_on(&self, robot: usize) -> bool {
+        self.of(robot).all(|script| script.steps_set() == script.steps_written())
+    }
+
     /// From the start of the act to that of its last script.
     pub(super) fn starts_within(&self) -> Span {
         self.promise.scripts.iter().map(|script| script.start.span()).max().unwrap_or_default()

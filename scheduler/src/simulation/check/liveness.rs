@@ -6,7 +6,7 @@ use std::iter;
 use urrcp::{Command, Message, Server, Span, Timestamp};
 
 use super::cause::{Cause, Hit};
-use super::facts::{Facts, SentAct};
+use super::facts::{Facts, SentAct, SentScript};
 use super::{DRIFT, Verdict};
 use crate::mission::{Progress, Record};
 use crate::simulation::world::PATIENCE;
@@ -87,9 +87,7 @@ fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Ver
     if act.committed.is_none() {
         return;
     }
-    let leases = act.of(robot).map(|script| script.promised.running.map(urrcp::Millis::span));
-    let lease = leases.map(|lease| lease.unwrap_or(SILENCE_MAX)).max().unwrap_or(SILENCE_MAX);
-    let bound_at = |at| lease + round_trip(facts, robot, at) + AT_ONCE;
+    let bound_at = |at| lease(act, robot, at) + round_trip(facts, robot, at) + AT_ONCE;
     let ends = act.of(robot).map(|script| act.start_of(script) + script.promised.duration).max();
     let (Some(start), Some(end)) = (act.first_start(robot), ends) else { return };
     let heard = facts.between(start, end).iter().filter_map(|(at, happened)| match happened {
@@ -117,6 +115,18 @@ fn silence(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, verdict: &mut Ver
             return verdict.violated('h', what);
         }
     }
+}
+
+/// The longest running lease of a robot's scripts. Where none of them plays, what waits is lost only when its pending lease has run
+/// out as well.
+fn lease(act: &SentAct<'_>, robot: usize, at: Timestamp<Server>) -> Span {
+    let running = act.of(robot).map(|script| script.promised.running.map(urrcp::Millis::span));
+    let running = running.map(|lease| lease.unwrap_or(SILENCE_MAX)).max().unwrap_or(SILENCE_MAX);
+    let plays = |script: &SentScript<'_>| {
+        let start = act.start_of(script);
+        at >= start && at < start + script.promised.duration
+    };
+    if act.of(robot).any(plays) { running } else { running.max(act.promise.lease) }
 }
 
 /// The scheduler's own end or standstill between two instants.

@@ -111,19 +111,28 @@ impl Said<'_> {
                 _ => None,
             });
             let ended = self.acts_ended(&course.act);
+            // A process that takes the mission up does not know what was prepared, and neither written down nor sent.
+            let arrived = sent.iter().filter(|act| self.has_arrived(act)).count();
+            // What a process that died knew of robots that were left out may be lost with it: then what they did counts.
+            let was_played = |act: &SentAct<'_>| {
+                self.has_one_left(act)
+                    || self.resumed && act.robots().iter().any(|robot| act.is_whole_on(*robot))
+            };
             let truth = match &course.fate {
                 // A process that died may have sent it, and the next one not have come to it.
                 ActFate::NotReached => sent.is_empty() || self.resumed && !began,
                 ActFate::StillWaiting => sent.len() == ended || self.resumed && !began,
                 ActFate::NobodyLeft => {
-                    sent.len() == ended && skipped.is_some_and(|at| self.nobody_left(index, at))
+                    let all = sent.len() == ended || self.resumed && arrived <= ended;
+                    all && skipped.is_some_and(|at| self.nobody_left(index, at))
                 }
                 ActFate::TimedOut { .. } => sent.len() == ended && skipped.is_some(),
                 ActFate::Withdrawn => last.is_some() && !began,
                 ActFate::Stopped => last.is_some(),
-                ActFate::Played => ended > 0 && last.is_some_and(|act| self.has_one_left(act)),
+                ActFate::Unknown => ended > 0 && last.is_some_and(|act| self.has_one_unknown(act)),
+                ActFate::Played => ended > 0 && last.is_some_and(|act| was_played(act)),
             };
-            let with_robots = sent.iter().filter(|act| self.has_one_left(act)).count();
+            let with_robots = sent.iter().filter(|act| was_played(act)).count();
             if !truth || course.played as usize > ended.min(with_robots) {
                 let sent = sent.len();
                 wrong.push(format!(
@@ -180,6 +189,23 @@ impl Said<'_> {
             (dropped, _) => dropped.is_none(),
         };
         act.robots().iter().any(left)
+    }
+
+    /// One of its robots has not said what became of all that it was sent.
+    fn has_one_unknown(&self, act: &SentAct<'_>) -> bool {
+        let unknown = self.report.robots.iter().filter(|row| row.unaccounted > 0);
+        unknown.filter_map(|row| self.facts.index_of(&row.robot)).any(|robot| act.robots().contains(&robot))
+    }
+
+    /// A script of an act has reached a robot.
+    fn has_arrived(&self, act: &SentAct<'_>) -> bool {
+        self.facts.ran.history.iter().any(|(_, happened)| match happened {
+            Happened::AtRobot(_, urrcp::Message::ControlRequest(request)) => act
+                .scripts
+                .iter()
+                .any(|script| request.request_id.as_ref() == Some(&script.promised.request_id)),
+            _ => false,
+        })
     }
 
     /// How often an act is told to have ended.
