@@ -1,0 +1,14 @@
+// One redraw for everything that changed since the last frame.
+
+const waiting = new Set<() => void>();
+
+export function redraw(draw: () => void): void {
+  if (waiting.size === 0) requestAnimationFrame(run);
+  waiting.add(draw);
+}
+
+function run(): void {
+  const draws = [...waiting];
+  waiting.clear();
+  for (const draw of draws) draw();
+}

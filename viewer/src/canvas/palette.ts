@@ -1,0 +1,26 @@
+// Colours of the canvases: those of the style sheet, read once for each theme.
+import type { Theme } from "../state/session";
+
+const NAMES = {
+  ground: "--ground", raised: "--raised", sunken: "--sunken", line: "--line", faint: "--faint", text: "--text", dim: "--dim",
+  accent: "--accent", planned: "--planned", band: "--band", set: "--set", read: "--read", cue: "--cue", cueText: "--cue-text",
+  critical: "--critical", slack: "--slack", bad: "--bad", warn: "--warn", good: "--good", playhead: "--playhead", range: "--range",
+} as const;
+
+export type Palette = Record<keyof typeof NAMES, string>;
+
+const known = new Map<Theme, Palette>();
+
+export function palette(theme: Theme): Palette {
+  let found = known.get(theme);
+  if (found === undefined) {
+    const style = getComputedStyle(document.documentElement);
+    const colours = Object.entries(NAMES).map(([name, variable]) => [name, style.getPropertyValue(variable).trim()]);
+    found = Object.fromEntries(colours) as Palette;
+    known.set(theme, found);
+  }
+  return found;
+}
+
+export const FONT = "11px system-ui, -apple-system, 'Segoe UI', Roboto, sans-serif";
+export const MONO = "11px ui-monospace, 'SF Mono', Menlo, Consolas, 'DejaVu Sans Mono', monospace";

@@ -1,0 +1,50 @@
+// A canvas that is as large as its box, as sharp as the screen, and drawn again when one of its cells changes.
+import { useEffect, useRef, type MutableRef } from "preact/hooks";
+import type { Cell } from "../state/cell";
+import { useSession } from "../state/session";
+import { redraw } from "./frames";
+import { palette, type Palette } from "./palette";
+
+export interface Sheet { context: CanvasRenderingContext2D; width: number; height: number; palette: Palette }
+
+export interface DrawnCanvas { canvas: MutableRef<HTMLCanvasElement | null>; invalidate: () => void }
+
+export function useCanvas(cells: readonly Pick<Cell<unknown>, "subscribe">[], draw: (sheet: Sheet) => void): DrawnCanvas {
+  const { theme } = useSession();
+  const canvas = useRef<HTMLCanvasElement>(null);
+  const latest = useRef(draw);
+  latest.current = draw;
+  const invalidate = useRef(() => {});
+  useEffect(() => {
+    const element = canvas.current;
+    const context = element?.getContext("2d") ?? null;
+    if (element === null || context === null) return;
+    const paint = () => {
+      const { width, height } = fitToBox(element, context);
+      latest.current({ context, width, height, palette: palette(theme.value) });
+    };
+    invalidate.current = () => redraw(paint);
+    const resized = new ResizeObserver(invalidate.current);
+    resized.observe(element);
+    const stops = [theme, ...cells].map((cell) => cell.subscribe(invalidate.current));
+    invalidate.current();
+    return () => {
+      resized.disconnect();
+      stops.forEach((stop) => stop());
+      invalidate.current = () => {};
+    };
+  }, []);
+  useEffect(() => invalidate.current());
+  return { canvas, invalidate: () => invalidate.current() };
+}
+
+function fitToBox(canvas: HTMLCanvasElement, context: CanvasRenderingContext2D): { width: number; height: number } {
+  const width = canvas.clientWidth;
+  const height = canvas.clientHeight;
+  const sharpness = Math.min(window.devicePixelRatio || 1, 2);
+  const device = [Math.round(width * sharpness), Math.round(height * sharpness)];
+  if (canvas.width !== device[0] || canvas.height !== device[1]) [canvas.width, canvas.height] = device;
+  context.setTransform(sharpness, 0, 0, sharpness, 0, 0);
+  context.clearRect(0, 0, width, height);
+  return { width, height };
+}

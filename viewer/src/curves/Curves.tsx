@@ -1,0 +1,1 @@
+export function Curves() { return <section class="panel curves" aria-label="Curves"></section>; }

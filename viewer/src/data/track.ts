@@ -1,0 +1,89 @@
+// One device over the whole mission: the scripts of every act in which it moves, one after the other.
+import type { Device, Lane, Robot, Series } from "../mission";
+import type { Wave, Waves } from "./wave";
+
+/** A script of a played act. `start` and `end` are on the mission's axis; it holds its last value up to `end`. */
+export interface Segment { start: number; end: number; act: number; lane: Lane; series: Series }
+
+/** Where a device is, and why that is known. `held`: at the last value of a script that is over. */
+export interface Reading {
+  value: number;
+  known: "moving" | "held" | "default" | "first" | "unknown";
+  segment: Segment | null;
+  /** Index of the last step at or before the time. */
+  step: number;
+}
+
+export class Track {
+  private extentOnce: { low: number; high: number } | null = null;
+
+  constructor(
+    readonly index: number,
+    readonly robotIndex: number,
+    readonly robot: Robot,
+    readonly deviceIndex: number,
+    readonly device: Device,
+    readonly segments: readonly Segment[],
+    private readonly waves: Waves,
+  ) {}
+
+  wave(segment: Segment): Wave {
+    return this.waves.of(segment.series);
+  }
+
+  /** Index of the last segment that starts at or before `ms`; -1 before the first. */
+  segmentAt(ms: number): number {
+    let low = 0;
+    let high = this.segments.length;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (this.segments[middle].start > ms) high = middle;
+      else low = middle + 1;
+    }
+    return low - 1;
+  }
+
+  at(ms: number): Reading {
+    for (let s = this.segmentAt(ms); s >= 0; s--) {
+      const segment = this.segments[s];
+      const wave = this.wave(segment);
+      const step = wave.at(ms - segment.start);
+      if (step < 0) continue;
+      const known = step + 1 >= wave.count ? "held" : "moving";
+      return { value: wave.between(step, ms - segment.start, this.device.interpolation), known, segment, step };
+    }
+    return this.beforeFirst();
+  }
+
+  private beforeFirst(): Reading {
+    const unmoved = { segment: null, step: -1 };
+    if (this.device.default !== null) return { value: this.device.default, known: "default", ...unmoved };
+    const first = this.segments.find((segment) => this.wave(segment).count > 0);
+    if (first === undefined) return { value: NaN, known: "unknown", ...unmoved };
+    return { value: this.wave(first).value(0), known: "first", ...unmoved };
+  }
+
+  /** Smallest and largest planned value of the mission. */
+  get extent(): { low: number; high: number } {
+    if (this.extentOnce === null) {
+      this.extentOnce = { low: Infinity, high: -Infinity };
+      for (const segment of this.segments) {
+        const wave = this.wave(segment);
+        wave.widen(this.extentOnce, 0, wave.count);
+      }
+    }
+    return this.extentOnce;
+  }
+
+  /** Time of the next step after (or the last before) `ms`; `null` if there is none. */
+  neighbour(ms: number, direction: 1 | -1): number | null {
+    const last = this.segmentAt(ms);
+    for (let s = Math.max(last, 0); s >= 0 && s < this.segments.length; s += direction) {
+      const { start } = this.segments[s];
+      const wave = this.wave(this.segments[s]);
+      const i = direction > 0 ? wave.at(ms - start) + 1 : wave.from(ms - start) - 1;
+      if (i >= 0 && i < wave.count && (start + wave.time(i) - ms) * direction > 0) return start + wave.time(i);
+    }
+    return null;
+  }
+}

@@ -1,0 +1,36 @@
+// Reads the mission out of the page and shows it, or says why that is impossible.
+import { render } from "preact";
+import { App } from "./App";
+import { PayloadError, readPayload } from "./data/payload";
+import { Show } from "./data/show";
+import { Session } from "./state/session";
+import { runPlayback } from "./state/playback";
+import { visible } from "./text/visible";
+
+document.addEventListener("DOMContentLoaded", () => void start());
+
+async function start(): Promise<void> {
+  const page = document.getElementById("page");
+  if (page === null) return;
+  try {
+    const holder = document.getElementById("mission");
+    const base64 = holder?.textContent ?? "";
+    // The text is as large as the file; nothing needs it once it is read.
+    holder?.remove();
+    const session = new Session(new Show(await readPayload(base64)));
+    document.title = `${visible(session.show.mission.scenario)} – Downbeat`;
+    runPlayback(session);
+    page.replaceChildren();
+    render(<App session={session} />, page);
+  } catch (error) {
+    page.replaceChildren(notice(error));
+  }
+}
+
+function notice(error: unknown): HTMLElement {
+  const paragraph = document.createElement("p");
+  paragraph.className = "notice";
+  paragraph.role = "alert";
+  paragraph.textContent = error instanceof PayloadError ? error.message : `This mission cannot be shown: ${String(error)}`;
+  return paragraph;
+}

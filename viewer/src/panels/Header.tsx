@@ -1,0 +1,78 @@
+// What is shown, and the keys of a video player.
+import { useCell } from "../state/cell";
+import { seekAndShow } from "../state/moves";
+import { setSpeed, shuttle, toggle } from "../state/playback";
+import { useSession } from "../state/session";
+import { Name } from "../text/Name";
+import { clock, timeOfDay } from "../text/time";
+import { Tool } from "../timeline/Toolbar";
+import { outcomeText } from "./outcome";
+
+const KINDS = { dry_run: "dry run", recording: "recording", journal: "journal" };
+
+export function Header() {
+  const session = useSession();
+  const theme = useCell(session.theme);
+  const { scenario, kind, report } = session.show.mission;
+  return (
+    <header>
+      <h1><Name text={scenario} /></h1>
+      <span class="badge">{KINDS[kind]}</span>
+      {report !== null && <span class={`badge ${outcomeText(report) === "done" ? "good" : "bad"}`}><Name text={outcomeText(report)} /></span>}
+      <span class="gap" />
+      <Transport />
+      <span class="gap" />
+      <Tool label={theme === "dark" ? "Light theme (T)" : "Dark theme (T)"} press={() => (session.theme.value = theme === "dark" ? "light" : "dark")}>{theme === "dark" ? "☀" : "☾"}</Tool>
+      <Tool label="Keys and help (?)" press={() => (session.help.value = true)}>?</Tool>
+    </header>
+  );
+}
+
+function Transport() {
+  const session = useSession();
+  const playing = useCell(session.playing);
+  const { from, to, epoch } = session.show.mission;
+  return (
+    <div class="transport" role="group" aria-label="Playback">
+      <Tool label="To the start (Home)" press={() => seekAndShow(session, from)}>⏮</Tool>
+      <Tool label="Play backwards (J)" press={() => shuttle(session, -1)}>◀</Tool>
+      <Tool label={playing ? "Pause (Space)" : "Play (Space)"} press={() => toggle(session)}>{playing ? "❚❚" : "▶"}</Tool>
+      <Tool label="Play, again for twice the speed (L)" press={() => shuttle(session, 1)}>▶▶</Tool>
+      <Tool label="To the end (End)" press={() => seekAndShow(session, to)}>⏭</Tool>
+      <Times epoch={epoch} />
+      <Speed />
+    </div>
+  );
+}
+
+function Times({ epoch }: { epoch: string }) {
+  const session = useSession();
+  const playhead = useCell(session.playhead);
+  return (
+    <span class="times">
+      <output id="playhead" aria-label="Playhead" aria-live="off">{clock(playhead)}</output>
+      <small title="Time of day here">{timeOfDay(epoch, playhead)}</small>
+    </span>
+  );
+}
+
+function Speed() {
+  const session = useSession();
+  const speed = useCell(session.speed);
+  const text = `${speed < 0 ? "-" : ""}${Number(Math.abs(speed).toFixed(2))}×`;
+  return (
+    <label class="speed">
+      <span class="hidden">Speed</span>
+      <input
+        type="range"
+        min={-1}
+        max={1}
+        step={0.05}
+        value={Math.log10(Math.abs(speed))}
+        aria-valuetext={text}
+        onInput={(event) => setSpeed(session, Number((10 ** Number(event.currentTarget.value)).toFixed(2)))}
+      />
+      <output id="speed">{text}</output>
+    </label>
+  );
+}

@@ -1,0 +1,1 @@
+export function Inspector() { return <section class="panel inspector" aria-label="Inspector"></section>; }

@@ -1,0 +1,8 @@
+// How the mission ended, in a few words.
+import type { Report } from "../mission";
+
+/** An outcome with details is an object with one key. */
+export function outcomeText({ outcome }: Report): string {
+  const name = typeof outcome === "string" ? outcome : (Object.keys(outcome)[0] ?? "");
+  return name.replaceAll("_", " ");
+}

@@ -1,0 +1,1 @@
+export function Stage() { return <section class="panel stage" aria-label="Stage"></section>; }

@@ -1,0 +1,39 @@
+// Choosing rows: the row that the keyboard is at, lanes whose curves are drawn, and folding.
+import type { Track } from "../data/track";
+import type { Session } from "./session";
+
+/** More curves below each other would be too low to read. */
+const MOST_CURVES = 8;
+
+export function focusRow(session: Session, index: number): void {
+  session.focusedRow.value = index;
+}
+
+export function moveFocus(session: Session, by: 1 | -1): void {
+  const rows = session.rows.value;
+  let next = session.focusedRow.value + by;
+  while (rows[next]?.kind === "cues") next += by;
+  if (rows[next] === undefined) return;
+  session.focusedRow.value = next;
+  const treeHasFocus = document.activeElement?.getAttribute("role") === "treeitem";
+  if (treeHasFocus) requestAnimationFrame(() => document.getElementById(`row-${next}`)?.focus());
+}
+
+export function choose(session: Session, track: Track): void {
+  const chosen = session.chosen.value;
+  session.chosen.value = chosen.includes(track)
+    ? chosen.filter((other) => other !== track)
+    : [...chosen.slice(chosen.length >= MOST_CURVES ? 1 : 0), track];
+}
+
+export function fold(session: Session, robot: number): void {
+  const folded = new Set(session.folded.value);
+  if (!folded.delete(robot)) folded.add(robot);
+  session.folded.value = folded;
+}
+
+/** Folds all robots, or unfolds them if all are folded. */
+export function foldAll(session: Session): void {
+  const robots = session.show.mission.robots.map((_, index) => index);
+  session.folded.value = new Set(session.folded.value.size < robots.length ? robots : []);
+}

@@ -1,0 +1,114 @@
+// Every key of the page. The help dialog is made of the same table.
+import { choose, fold, foldAll, moveFocus } from "./choose";
+import { fit, pan, seek, seekAndShow, selectCue, zoom, zoomToSelection } from "./moves";
+import { pause, setSpeed, shuttle, toggle } from "./playback";
+import type { Session, Tab } from "./session";
+
+interface Key { keys: string[]; does: string; run: (session: Session, key: string) => void }
+
+const TABS: Tab[] = ["summary", "values", "cues", "deviations", "findings", "events", "source"];
+
+export const KEYS: Key[] = [
+  { keys: [" "], does: "play or pause", run: toggle },
+  { keys: ["J"], does: "play backwards; again: twice as fast", run: (session) => shuttle(session, -1) },
+  { keys: ["K"], does: "pause", run: pause },
+  { keys: ["L"], does: "play; again: twice as fast", run: (session) => shuttle(session, 1) },
+  { keys: ["<", ">"], does: "half or twice the speed", run: (session, key) => setSpeed(session, Math.abs(session.speed.value) * (key === "<" ? 0.5 : 2)) },
+  { keys: ["ArrowLeft", "ArrowRight"], does: "move the playhead by a twentieth of what is in view", run: (session, key) => seekAndShow(session, session.playhead.value + sideways(key) * width(session) / 20) },
+  { keys: [",", "."], does: "to the step before or after, of the focused lane", run: step },
+  { keys: ["Home", "End"], does: "to the start or the end", run: (session, key) => seekAndShow(session, key === "Home" ? session.show.mission.from : session.show.mission.to) },
+  { keys: ["Shift+ArrowLeft", "Shift+ArrowRight"], does: "pan", run: (session, key) => pan(session, sideways(key) * width(session) / 8) },
+  { keys: ["+", "-"], does: "zoom in or out at the playhead", run: (session, key) => zoom(session, key === "+" ? 1.5 : 1 / 1.5, anchor(session)) },
+  { keys: ["F", "0", "Shift+Home"], does: "fit the whole mission", run: fit },
+  { keys: ["Z"], does: "zoom to the selected range, or to the selected cue", run: zoomToSelection },
+  { keys: ["[", "]"], does: "begin or end the selected range at the playhead", run: (session, key) => edge(session, key) },
+  { keys: ["X"], does: "let dragging select a range, or pan again", run: (session) => (session.drag.value = session.drag.value === "pan" ? "select" : "pan") },
+  { keys: ["Escape"], does: "clear the selected range and cue", run: clear },
+  { keys: ["ArrowUp", "ArrowDown"], does: "to the row above or below", run: (session, key) => moveFocus(session, key === "ArrowUp" ? -1 : 1) },
+  { keys: ["Enter"], does: "draw the curve of the focused lane, or fold the focused robot", run: enter },
+  { keys: ["PageUp", "PageDown"], does: "scroll the rows (while the timeline has the focus)", run: () => {} },
+  { keys: ["U"], does: "fold or unfold all robots", run: foldAll },
+  { keys: ["N", "P"], does: "select the next or the previous cue", run: (session, key) => nextCue(session, key === "n" ? 1 : -1) },
+  { keys: ["R"], does: "show relations of cues", run: (session) => (session.relations.value = !session.relations.value) },
+  { keys: ["V"], does: "stage from above or in space", run: (session) => (session.stageIn3d.value = !session.stageIn3d.value) },
+  { keys: ["C"], does: "to the instant at which two robots are closest", run: closest },
+  { keys: ["/"], does: "search", run: () => document.getElementById("search")?.focus() },
+  { keys: ["1", "2", "3", "4", "5", "6", "7"], does: "show a panel: summary, values, cues, deviations, findings, events, source", run: (session, key) => (session.tab.value = TABS[Number(key) - 1]) },
+  { keys: ["T"], does: "light or dark", run: (session) => (session.theme.value = session.theme.value === "dark" ? "light" : "dark") },
+  { keys: ["?"], does: "show this help", run: (session) => (session.help.value = true) },
+];
+
+const runs = new Map(KEYS.flatMap((entry) => entry.keys.map((key) => [key.length === 1 ? key.toLowerCase() : key, entry])));
+
+export function listenToKeys(session: Session): () => void {
+  const press = (event: KeyboardEvent) => {
+    if (event.ctrlKey || event.altKey || event.metaKey || session.help.value || takesKeys(event)) return;
+    const name = event.key.length === 1 ? event.key.toLowerCase() : `${event.shiftKey ? "Shift+" : ""}${event.key}`;
+    const entry = runs.get(name === "=" ? "+" : name);
+    if (entry === undefined) return;
+    event.preventDefault();
+    entry.run(session, name === "=" ? "+" : name);
+  };
+  document.addEventListener("keydown", press);
+  return () => document.removeEventListener("keydown", press);
+}
+
+/** Fields take what is typed; buttons take Space and Enter; lists, tabs and sliders take arrows. */
+function takesKeys({ target, key }: KeyboardEvent): boolean {
+  if (!(target instanceof HTMLElement)) return false;
+  if (target instanceof HTMLInputElement && target.type === "range") return /^(Arrow|Page|Home|End)/.test(key);
+  if (target instanceof HTMLInputElement || target instanceof HTMLSelectElement) return key !== "Escape";
+  if (target instanceof HTMLButtonElement) return key === " " || key === "Enter";
+  return false;
+}
+
+const sideways = (key: string) => (key.endsWith("Left") ? -1 : 1);
+const width = (session: Session) => session.view.value.to - session.view.value.from;
+
+function anchor(session: Session): number {
+  const { from, to } = session.view.value;
+  const at = session.playhead.value;
+  return at >= from && at <= to ? at : (from + to) / 2;
+}
+
+function step(session: Session, key: string): void {
+  const direction = key === "," ? -1 : 1;
+  const track = session.focusedTrack ?? session.chosen.value[0];
+  pause(session);
+  const next = track?.neighbour(session.playhead.value, direction);
+  if (next !== null && next !== undefined) seekAndShow(session, next);
+}
+
+function edge(session: Session, key: string): void {
+  const at = session.playhead.value;
+  const range = session.range.value ?? { from: at, to: at };
+  const next = key === "[" ? { from: at, to: Math.max(at, range.to) } : { from: Math.min(at, range.from), to: at };
+  session.range.value = next;
+}
+
+function clear(session: Session): void {
+  session.range.value = null;
+  session.cue.value = null;
+}
+
+function enter(session: Session): void {
+  const row = session.rows.value[session.focusedRow.value];
+  if (row?.kind === "lane") choose(session, row.track);
+  if (row?.kind === "robot") fold(session, row.robot);
+}
+
+function nextCue(session: Session, by: 1 | -1): void {
+  const { cues } = session.show;
+  if (cues.length === 0) return;
+  const now = session.cue.value;
+  const next = now === null ? (by > 0 ? 0 : cues.length - 1) : Math.min(cues.length - 1, Math.max(0, now + by));
+  selectCue(session, next);
+  seekAndShow(session, cues[next].start);
+}
+
+function closest(session: Session): void {
+  const act = session.show.actAt(session.playhead.value);
+  const found = act < 0 ? null : session.show.planOf(session.show.mission.acts[act])?.closest;
+  if (found === null || found === undefined) return;
+  seek(session, session.show.mission.acts[act].start + found.at);
+}

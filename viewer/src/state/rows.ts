@@ -1,0 +1,80 @@
+// The rows of the timeline, from top to bottom, after filters and folding.
+import type { PlacedCue, Show } from "../data/show";
+import type { Track } from "../data/track";
+
+export type Row = { top: number; height: number } & (
+  | { kind: "cues"; cues: PlacedCue[] }
+  | { kind: "robot"; robot: number; folded: boolean; tracks: readonly Track[]; cues: PlacedCue[] }
+  | { kind: "lane"; track: Track }
+);
+
+export interface Filter { text: string; robot: number | null; group: number | null; cue: number | null }
+
+export const NO_FILTER: Filter = { text: "", robot: null, group: null, cue: null };
+
+const HEIGHT = { cues: 26, robot: 28, folded: 44, lane: 36 };
+
+export function rowsOf(show: Show, filter: Filter, folded: ReadonlySet<number>): Row[] {
+  const rows: Row[] = [];
+  let top = 0;
+  const add = (row: Row) => {
+    row.top = top;
+    rows.push(row);
+    top += row.height;
+  };
+  for (const cues of packed(shownCues(show, filter))) add({ kind: "cues", cues, top, height: HEIGHT.cues });
+  const cuesOf = show.mission.robots.map((): PlacedCue[] => []);
+  for (const placed of show.cues) for (const robot of placed.cue.robots) cuesOf[robot]?.push(placed);
+  for (const { robot, tracks } of shownRobots(show, filter)) {
+    const closed = folded.has(robot);
+    add({ kind: "robot", robot, tracks, folded: closed, cues: cuesOf[robot], top, height: closed ? HEIGHT.folded : HEIGHT.robot });
+    if (!closed) for (const track of tracks) add({ kind: "lane", track, top, height: HEIGHT.lane });
+  }
+  return rows;
+}
+
+/** Each cue in the first row where it does not overlap the cue before it. */
+function packed(cues: PlacedCue[]): PlacedCue[][] {
+  const rows: PlacedCue[][] = [];
+  const ends: number[] = [];
+  for (const placed of [...cues].sort((a, b) => a.start - b.start || a.index - b.index)) {
+    let row = ends.findIndex((end) => end <= placed.start);
+    if (row < 0) row = rows.push([]) - 1;
+    rows[row].push(placed);
+    ends[row] = Math.max(placed.end + placed.cue.slack, placed.start + 1);
+  }
+  return rows;
+}
+
+function shownCues(show: Show, filter: Filter): PlacedCue[] {
+  const robots = chosenRobots(show, filter);
+  const text = filter.text.toLowerCase();
+  return show.cues.filter(({ cue, index }) =>
+    (filter.cue === null || filter.cue === index) &&
+    (robots === null || cue.robots.length === 0 || cue.robots.some((robot) => robots.has(robot))) &&
+    (text === "" || cue.name.toLowerCase().includes(text) || cue.robots.some((robot) => show.mission.robots[robot]?.id.toLowerCase().includes(text))));
+}
+
+function shownRobots(show: Show, filter: Filter): { robot: number; tracks: readonly Track[] }[] {
+  const robots = chosenRobots(show, filter);
+  const text = filter.text.toLowerCase();
+  const named = new Set(show.cues.filter(({ cue }) => text !== "" && cue.name.toLowerCase().includes(text)).flatMap(({ cue }) => cue.robots));
+  return show.mission.robots.flatMap(({ id }, robot) => {
+    if (robots !== null && !robots.has(robot)) return [];
+    const all = show.tracksOf[robot];
+    if (text === "" || named.has(robot) || id.toLowerCase().includes(text)) return [{ robot, tracks: all }];
+    const tracks = all.filter((track) => `${id}/${track.device.id}`.toLowerCase().includes(text));
+    return tracks.length > 0 ? [{ robot, tracks }] : [];
+  });
+}
+
+/** `null`: all. */
+function chosenRobots(show: Show, filter: Filter): ReadonlySet<number> | null {
+  const choices = [
+    filter.robot === null ? null : [filter.robot],
+    filter.group === null ? null : show.mission.groups[filter.group].robots,
+    filter.cue === null ? null : show.cues[filter.cue].cue.robots,
+  ].filter((choice): choice is number[] => choice !== null);
+  if (choices.length === 0) return null;
+  return new Set(choices.reduce((left, right) => left.filter((robot) => right.includes(robot))));
+}

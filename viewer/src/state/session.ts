@@ -1,0 +1,85 @@
+// What the person looks at: all state of the page beside the document.
+import { createContext } from "preact";
+import { useContext } from "preact/hooks";
+import type { View } from "../data/envelope";
+import type { Show } from "../data/show";
+import type { Track } from "../data/track";
+import { Cell } from "./cell";
+import { NO_FILTER, rowsOf, type Filter, type Row } from "./rows";
+
+export type Theme = "light" | "dark";
+export type Tab = "summary" | "values" | "cues" | "deviations" | "findings" | "events" | "source";
+export type Range = { from: number; to: number };
+/** What dragging over the timeline does. */
+export type Drag = "pan" | "select";
+
+/** Above this many lanes, robots are folded at first. */
+const LANES_UNFOLDED = 48;
+/** Lanes of which curves are drawn at first. */
+const CURVES_AT_FIRST = 3;
+
+export class Session {
+  readonly playhead = new Cell(0);
+  readonly playing = new Cell(false);
+  /** Negative: backwards. */
+  readonly speed = new Cell(1);
+  readonly view: Cell<View>;
+  readonly range = new Cell<Range | null>(null);
+  readonly drag = new Cell<Drag>("pan");
+  readonly filter = new Cell<Filter>(NO_FILTER);
+  readonly folded: Cell<ReadonlySet<number>>;
+  readonly rows: Cell<readonly Row[]>;
+  /** Lanes whose curves are drawn, in the order in which they were chosen. */
+  readonly chosen: Cell<readonly Track[]>;
+  /** Index into `rows`. */
+  readonly focusedRow = new Cell(0);
+  readonly cue = new Cell<number | null>(null);
+  readonly relations = new Cell(true);
+  readonly tab = new Cell<Tab>("summary");
+  readonly help = new Cell(false);
+  readonly theme: Cell<Theme>;
+  readonly stageIn3d = new Cell(false);
+  readonly trails = new Cell(true);
+  readonly labels = new Cell(true);
+  /** Said to screen readers, never on every frame. */
+  readonly spoken = new Cell("");
+
+  constructor(readonly show: Show) {
+    this.view = new Cell(wholeView(show));
+    const folds = show.tracks.length > LANES_UNFOLDED;
+    this.folded = new Cell<ReadonlySet<number>>(new Set(folds ? show.mission.robots.map((_, index) => index) : []));
+    this.chosen = new Cell<readonly Track[]>(show.tracks.filter((track) => track.segments.length > 0).slice(0, CURVES_AT_FIRST));
+    this.rows = new Cell<readonly Row[]>(rowsOf(show, this.filter.value, this.folded.value));
+    this.theme = new Cell<Theme>(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+    this.playhead.value = Math.max(show.mission.from, Math.min(0, show.mission.to));
+    const relist = () => {
+      this.rows.value = rowsOf(show, this.filter.value, this.folded.value);
+      this.focusedRow.value = Math.min(this.focusedRow.value, Math.max(0, this.rows.value.length - 1));
+    };
+    this.filter.subscribe(relist);
+    this.folded.subscribe(relist);
+  }
+
+  get whole(): View {
+    return wholeView(this.show);
+  }
+
+  /** The lane that the keyboard is at. */
+  get focusedTrack(): Track | null {
+    const row = this.rows.value[this.focusedRow.value];
+    return row?.kind === "lane" ? row.track : null;
+  }
+}
+
+function wholeView({ mission }: Show): View {
+  const room = Math.max(1, mission.to - mission.from) * 0.02;
+  return { from: mission.from - room, to: mission.to + room };
+}
+
+export const SessionContext = createContext<Session | null>(null);
+
+export function useSession(): Session {
+  const session = useContext(SessionContext);
+  if (session === null) throw new Error("no session around this component");
+  return session;
+}

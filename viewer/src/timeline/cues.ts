@@ -1,0 +1,67 @@
+// Cues as bars: their name, their slack as a lighter extension, and a heavy edge with a mark where there is none.
+import { FONT } from "../canvas/palette";
+import { fitText } from "../canvas/text";
+import type { Sheet } from "../canvas/useCanvas";
+import type { PlacedCue } from "../data/show";
+import type { Scale } from "./scale";
+
+export interface CueStyle { selected: number | null; findings: ReadonlyMap<number, string> }
+
+export function drawCue(sheet: Sheet, scale: Scale, placed: PlacedCue, top: number, height: number, style: CueStyle): void {
+  const { context, palette, width } = sheet;
+  const left = Math.max(scale.x(placed.start), -4);
+  const right = Math.min(scale.x(placed.end), width + 4);
+  const slackEnd = Math.min(scale.x(placed.end + placed.cue.slack), width + 4);
+  if (slackEnd < -3 || left > width) return;
+  const critical = placed.cue.slack === 0;
+  drawSlack(sheet, right, slackEnd, top, height);
+  context.fillStyle = palette.cue;
+  context.strokeStyle = critical ? palette.critical : palette.accent;
+  context.beginPath();
+  context.roundRect(left + 0.5, top + 2.5, Math.max(2, right - left - 1), height - 5, 3);
+  context.fill();
+  context.stroke();
+  if (critical) {
+    context.fillStyle = palette.critical;
+    context.fillRect(left, top + 2, Math.min(3, right - left), height - 4);
+  }
+  if (placed.index === style.selected) outline(sheet, left, right, top, height);
+  drawLabel(sheet, placed, left, right, top + height / 2, style.findings.get(placed.index));
+}
+
+function drawSlack({ context, palette }: Sheet, from: number, to: number, top: number, height: number): void {
+  if (to - from < 1) return;
+  context.fillStyle = palette.slack;
+  context.fillRect(from, top + 5, to - from, height - 10);
+  context.fillStyle = palette.dim;
+  context.fillRect(to - 1, top + 5, 1, height - 10);
+}
+
+function outline({ context, palette }: Sheet, left: number, right: number, top: number, height: number): void {
+  context.strokeStyle = palette.playhead;
+  context.lineWidth = 2;
+  context.strokeRect(left - 1, top + 1, Math.max(4, right - left) + 2, height - 2);
+  context.lineWidth = 1;
+}
+
+function drawLabel({ context, palette }: Sheet, placed: PlacedCue, left: number, right: number, y: number, codes: string | undefined): void {
+  context.font = FONT;
+  context.textBaseline = "middle";
+  let x = Math.max(left, 0) + 7;
+  if (codes !== undefined) {
+    context.fillStyle = palette.bad;
+    warning(context, x + 4, y);
+    x += 14;
+  }
+  context.fillStyle = palette.cueText;
+  const critical = placed.cue.slack === 0 ? "◆ " : "";
+  fitText(context, `${critical}${codes === undefined ? "" : `${codes} `}${placed.cue.name}`, x, y + 0.5, right - x - 3);
+}
+
+function warning(context: CanvasRenderingContext2D, x: number, y: number): void {
+  context.beginPath();
+  context.moveTo(x, y - 6);
+  context.lineTo(x + 6, y + 5);
+  context.lineTo(x - 6, y + 5);
+  context.fill();
+}

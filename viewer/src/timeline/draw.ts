@@ -1,0 +1,90 @@
+// The whole picture of the timeline: only rows in sight are drawn.
+import type { Sheet } from "../canvas/useCanvas";
+import type { Show } from "../data/show";
+import type { Session } from "../state/session";
+import type { Row } from "../state/rows";
+import { niceTime } from "../text/time";
+import { drawCue, type CueStyle } from "./cues";
+import { drawHead, HEAD_HEIGHT } from "./head";
+import { drawLane, drawSummary } from "./lanes";
+import { drawRelations } from "./relations";
+import { scaleOf, ticks, type Scale } from "./scale";
+
+export function drawTimeline(sheet: Sheet, session: Session, scrolled: number): void {
+  const { context, palette, width, height } = sheet;
+  const scale = scaleOf(session.view.value, width);
+  const offset = HEAD_HEIGHT - scrolled;
+  const style = { selected: session.cue.value, findings: findingsOfCues(session.show) };
+  const rows = session.rows.value;
+  context.fillStyle = palette.ground;
+  context.fillRect(0, 0, width, height);
+  drawGrid(sheet, scale);
+  rows.forEach((row, index) => {
+    const top = row.top + offset;
+    if (top + row.height < HEAD_HEIGHT || top > height) return;
+    drawRow(sheet, scale, session, row, top, index, style);
+  });
+  if (session.relations.value) drawRelations(sheet, scale, session.show, rows, offset, session.cue.value);
+  drawRange(sheet, scale, session);
+  drawHead(sheet, scale, session.show);
+  drawPlayhead(sheet, scale, session.playhead.value);
+}
+
+function drawRow(sheet: Sheet, scale: Scale, session: Session, row: Row, top: number, index: number, style: CueStyle): void {
+  const { context, palette, width } = sheet;
+  if (index === session.focusedRow.value && row.kind !== "cues") {
+    context.fillStyle = palette.sunken;
+    context.fillRect(0, top, width, row.height);
+  }
+  if (row.kind === "cues") for (const placed of row.cues) drawCue(sheet, scale, placed, top, row.height, style);
+  if (row.kind === "lane") drawLane(sheet, scale, row.track, top, row.height, session.chosen.value.includes(row.track));
+  if (row.kind === "robot") {
+    for (const placed of row.cues) drawCue(sheet, scale, placed, top + 2, 22, style);
+    if (row.folded) drawSummary(sheet, scale, row.tracks, top + 23, row.height - 23);
+  }
+  context.fillStyle = palette.faint;
+  context.fillRect(0, top + row.height - 1, width, 1);
+}
+
+function drawGrid({ context, palette, height }: Sheet, scale: Scale): void {
+  context.fillStyle = palette.faint;
+  for (const time of ticks(scale, niceTime(scale.perPixel, 80))) context.fillRect(Math.round(scale.x(time)), 0, 1, height);
+  context.fillStyle = palette.line;
+  context.fillRect(Math.round(scale.x(0)), 0, 1, height);
+}
+
+function drawRange({ context, palette, height }: Sheet, scale: Scale, session: Session): void {
+  const range = session.range.value;
+  if (range === null) return;
+  const left = scale.x(range.from);
+  context.fillStyle = palette.range;
+  context.fillRect(left, HEAD_HEIGHT, scale.x(range.to) - left, height);
+}
+
+function drawPlayhead({ context, palette, height }: Sheet, scale: Scale, ms: number): void {
+  const x = Math.round(scale.x(ms));
+  context.fillStyle = palette.playhead;
+  context.fillRect(x, 0, 1.5, height);
+  context.beginPath();
+  context.moveTo(x - 5, 0);
+  context.lineTo(x + 6.5, 0);
+  context.lineTo(x + 0.75, 8);
+  context.fill();
+}
+
+const codes = new WeakMap<Show, ReadonlyMap<number, string>>();
+
+/** Codes of the findings at each cue. */
+function findingsOfCues(show: Show): ReadonlyMap<number, string> {
+  let found = codes.get(show);
+  if (found === undefined) {
+    const texts = new Map<number, string>();
+    show.cuesOfFinding.forEach((cues, finding) => {
+      const { code } = show.mission.findings[finding];
+      for (const cue of cues) texts.set(cue, texts.has(cue) ? `${texts.get(cue)} ${code}` : code);
+    });
+    found = texts;
+    codes.set(show, found);
+  }
+  return found;
+}

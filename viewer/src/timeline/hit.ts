@@ -1,0 +1,51 @@
+// What is drawn at a point of the timeline.
+import type { PlacedCue } from "../data/show";
+import type { MissionEvent } from "../mission";
+import type { Row } from "../state/rows";
+import type { Session } from "../state/session";
+import { BAND_TOP, HEAD_HEIGHT } from "./head";
+import { phasesOf, type Phase } from "./phases";
+import { scaleOf, type Scale } from "./scale";
+
+export type Hit =
+  | { kind: "cue"; placed: PlacedCue; ms: number }
+  | { kind: "row"; row: Row; index: number; ms: number }
+  | { kind: "phase"; phase: Phase; ms: number }
+  | { kind: "event"; event: MissionEvent; ms: number }
+  | { kind: "nothing"; ms: number };
+
+/** A mark is hit from this many pixels away. */
+const NEAR = 8;
+
+export function hit(session: Session, width: number, x: number, y: number, scrolled: number): Hit {
+  const scale = scaleOf(session.view.value, width);
+  const ms = scale.ms(x);
+  if (y < HEAD_HEIGHT) return hitHead(session, scale, x, y);
+  const at = y - HEAD_HEIGHT + scrolled;
+  const index = session.rows.value.findIndex((row) => row.top <= at && at < row.top + row.height);
+  const row = session.rows.value[index];
+  if (row === undefined) return { kind: "nothing", ms };
+  const placed = row.kind === "lane" ? null : cueIn(row, scale, x, at - row.top);
+  return placed === null ? { kind: "row", row, index, ms } : { kind: "cue", placed, ms };
+}
+
+function cueIn(row: Exclude<Row, { kind: "lane" }>, scale: Scale, x: number, y: number): PlacedCue | null {
+  if (row.kind === "robot" && y > 24) return null;
+  const under = row.cues.filter((placed) => scale.x(placed.start) - 1 <= x && x <= Math.max(scale.x(placed.start) + 4, scale.x(placed.end + placed.cue.slack)) + 1);
+  return under.length === 0 ? null : under.reduce((a, b) => (b.start >= a.start ? b : a));
+}
+
+function hitHead(session: Session, scale: Scale, x: number, y: number): Hit {
+  const ms = scale.ms(x);
+  const distance = (mark: { at: number }) => Math.abs(scale.x(mark.at) - x);
+  const nearest = <M extends { at: number }>(marks: readonly M[]) =>
+    marks.filter((mark) => distance(mark) <= NEAR).sort((a, b) => distance(a) - distance(b))[0];
+  if (y >= BAND_TOP.events) {
+    const event = nearest(session.show.mission.events);
+    if (event !== undefined) return { kind: "event", event, ms };
+  } else if (y >= BAND_TOP.phases) {
+    const phase = nearest(phasesOf(session.show));
+    if (phase !== undefined) return { kind: "phase", phase, ms };
+  }
+  return { kind: "nothing", ms };
+}

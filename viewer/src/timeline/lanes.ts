@@ -1,0 +1,44 @@
+// Planned movement of devices, one lane each, and all of a folded robot in one.
+import { fillEnvelope, makeEnvelope, type Envelope } from "../data/envelope";
+import type { Track } from "../data/track";
+import type { Sheet } from "../canvas/useCanvas";
+import type { Scale } from "./scale";
+
+/** Devices of a folded robot that are drawn. */
+const SUMMED_UP = 4;
+
+let envelope: Envelope = makeEnvelope(0);
+
+export function drawLane(sheet: Sheet, scale: Scale, track: Track, top: number, height: number, chosen: boolean): void {
+  const { context, palette } = sheet;
+  context.fillStyle = palette.planned;
+  context.globalAlpha = chosen ? 1 : 0.75;
+  drawColumns(context, scale, track, top + 4, height - 8, 1);
+  context.globalAlpha = 1;
+}
+
+export function drawSummary(sheet: Sheet, scale: Scale, tracks: readonly Track[], top: number, height: number): void {
+  const { context, palette } = sheet;
+  context.fillStyle = palette.planned;
+  context.globalAlpha = 0.4;
+  for (const track of tracks.slice(0, SUMMED_UP)) drawColumns(context, scale, track, top + 2, height - 4, 2);
+  context.globalAlpha = 1;
+}
+
+function drawColumns(context: CanvasRenderingContext2D, scale: Scale, track: Track, top: number, height: number, wide: number): void {
+  const columns = Math.ceil(scale.width / wide);
+  if (envelope.low.length !== columns) envelope = makeEnvelope(columns);
+  const view = { from: scale.view.from, to: scale.view.from + columns * wide * scale.perPixel };
+  fillEnvelope(envelope, track, view);
+  const { low, high } = track.extent;
+  const perUnit = high > low ? (height - 1.5) / (high - low) : 0;
+  const base = high > low ? top + height : top + height / 2;
+  context.beginPath();
+  for (let x = 0; x < columns; x++) {
+    if (Number.isNaN(envelope.low[x])) continue;
+    const bottom = base - (envelope.low[x] - low) * perUnit;
+    const size = (envelope.high[x] - envelope.low[x]) * perUnit + 1.5;
+    context.rect(x * wide, bottom - size, wide, size);
+  }
+  context.fill();
+}

@@ -1,0 +1,42 @@
+// What the tip says about what is under the pointer.
+import type { PlacedCue, Show } from "../data/show";
+import type { Track } from "../data/track";
+import type { Session } from "../state/session";
+import { describeReading } from "../text/reading";
+import { clock, duration } from "../text/time";
+import { describeEvent } from "./events";
+import type { Hit } from "./hit";
+import type { TipContent } from "./Tip";
+
+export function tipOf(session: Session, found: Hit, x: number, y: number): TipContent | null {
+  const { show } = session;
+  const place = { x: x + (document.querySelector<HTMLElement>(".timeline-canvas")?.offsetLeft ?? 0), y };
+  if (found.kind === "cue") return { ...place, title: found.placed.cue.name, lines: cueLines(show, found.placed) };
+  if (found.kind === "phase") return { ...place, title: found.phase.name, lines: [clock(found.phase.at), show.mission.acts[found.phase.act].name] };
+  if (found.kind === "event") return { ...place, title: found.event.kind, lines: [clock(found.event.at), describeEvent(show, found.event)] };
+  if (found.kind === "row" && found.row.kind === "lane") return { ...place, ...laneTip(show, found.row.track, found.ms) };
+  return null;
+}
+
+export function laneTip(show: Show, track: Track, ms: number): { title: string; lines: string[] } {
+  const cue = show.cueAt(track.robotIndex, ms);
+  const lines = [describeReading(track, track.at(ms)), clock(ms)];
+  if (cue !== null) lines.push(`cue ${cue.cue.name}, ${lineOf(show, cue)}`);
+  return { title: `${track.robot.id} / ${track.device.id}`, lines };
+}
+
+function cueLines(show: Show, placed: PlacedCue): string[] {
+  const { cue } = placed;
+  const findings = show.mission.findings.filter((_, i) => show.cuesOfFinding[i].includes(placed.index));
+  return [
+    `${clock(placed.start)} to ${clock(placed.end)} (${duration(placed.end - placed.start)})`,
+    cue.slack === 0 ? "◆ critical: no slack" : `slack ${duration(cue.slack)}`,
+    ...cue.relations.map((relation) => relation.text),
+    ...findings.map((finding) => `${finding.code}: ${finding.message}`),
+    lineOf(show, placed),
+  ];
+}
+
+export function lineOf(show: Show, { cue }: PlacedCue): string {
+  return `${show.mission.sources[cue.source]?.name ?? "source"}:${cue.first_line}`;
+}

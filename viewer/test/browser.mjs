@@ -1,0 +1,37 @@
+// One headless browser for the tests of a file, and pages that fail on anything unexpected.
+import { mkdtemp, rm, writeFile } from "node:fs/promises";
+import { tmpdir } from "node:os";
+import { join } from "node:path";
+import { pathToFileURL } from "node:url";
+import { chromium } from "playwright-core";
+
+const ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync", "--enable-precise-memory-info"];
+
+export const SIZES = { wide: { width: 1600, height: 1000 }, middle: { width: 1024, height: 768 }, narrow: { width: 390, height: 844 } };
+
+export async function launch() {
+  const folder = await mkdtemp(join(tmpdir(), "viewer-"));
+  const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: ARGUMENTS });
+  let pages = 0;
+  return {
+    async open(html, { size = SIZES.wide, theme = "light", bypassCSP = false } = {}) {
+      const file = join(folder, `${pages++}.html`);
+      await writeFile(file, html);
+      const context = await browser.newContext({ viewport: size, colorScheme: theme, bypassCSP });
+      const page = await context.newPage();
+      const complaints = [];
+      page.on("console", (message) => complaints.push(`console: ${message.text()}`));
+      page.on("pageerror", (error) => complaints.push(`error: ${error.message}`));
+      const address = pathToFileURL(file).href;
+      page.on("request", (request) => request.url() !== address && complaints.push(`request: ${request.url().slice(0, 100)}`));
+      await page.goto(address);
+      return { page, complaints, close: () => context.close() };
+    },
+    async close() {
+      await browser.close();
+      await rm(folder, { recursive: true });
+    },
+  };
+}
+
+export const shown = (page) => page.waitForSelector(".timeline-canvas");
