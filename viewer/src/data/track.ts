@@ -49,16 +49,35 @@ export class Track {
       const wave = this.wave(segment);
       const step = wave.at(ms - segment.start);
       if (step < 0) continue;
-      const known = step + 1 >= wave.count ? "held" : "moving";
-      return { value: wave.between(step, ms - segment.start, this.device.interpolation), known, segment, step };
+      return this.readingIn(segment, step, ms);
     }
     return this.beforeFirst();
   }
 
-  private beforeFirst(): Reading {
+  /** The last position that is known: a device driven by its speed may be anywhere, which `driven` says. */
+  positionAt(ms: number): Reading & { driven: string | null } {
+    let driven: string | null = null;
+    for (let s = this.segmentAt(ms); s >= 0; s--) {
+      const segment = this.segments[s];
+      const wave = this.wave(segment);
+      const step = wave.at(ms - segment.start);
+      if (step < 0) continue;
+      if (segment.lane.control === "position") return { ...this.readingIn(segment, step, ms), driven };
+      driven ??= segment.lane.control;
+    }
+    return { ...this.beforeFirst((segment) => segment.lane.control === "position"), driven };
+  }
+
+  private readingIn(segment: Segment, step: number, ms: number): Reading {
+    const wave = this.wave(segment);
+    const known = step + 1 >= wave.count ? "held" : "moving";
+    return { value: wave.between(step, ms - segment.start, this.device.interpolation), known, segment, step };
+  }
+
+  private beforeFirst(counts: (segment: Segment) => boolean = () => true): Reading {
     const unmoved = { segment: null, step: -1 };
     if (this.device.default !== null) return { value: this.device.default, known: "default", ...unmoved };
-    const first = this.segments.find((segment) => this.wave(segment).count > 0);
+    const first = this.segments.find((segment) => counts(segment) && this.wave(segment).count > 0);
     if (first === undefined) return { value: NaN, known: "unknown", ...unmoved };
     return { value: this.wave(first).value(0), known: "first", ...unmoved };
   }

@@ -6,6 +6,7 @@ import { useSession } from "../state/session";
 import { Name } from "../text/Name";
 import { clock, timeOfDay } from "../text/time";
 import { Tool } from "../timeline/Toolbar";
+import { Icon } from "./Icon";
 import { outcomeText } from "./outcome";
 
 const KINDS = { dry_run: "dry run", recording: "recording", journal: "journal" };
@@ -22,7 +23,7 @@ export function Header() {
       <span class="gap" />
       <Transport />
       <span class="gap" />
-      <Tool label={theme === "dark" ? "Light theme (T)" : "Dark theme (T)"} press={() => (session.theme.value = theme === "dark" ? "light" : "dark")}>{theme === "dark" ? "☀" : "☾"}</Tool>
+      <Tool label={theme === "dark" ? "Light theme (T)" : "Dark theme (T)"} press={() => (session.theme.value = theme === "dark" ? "light" : "dark")}><Icon name={theme === "dark" ? "sun" : "moon"} /></Tool>
       <Tool label="Keys and help (?)" press={() => (session.help.value = true)}>?</Tool>
     </header>
   );
@@ -34,11 +35,11 @@ function Transport() {
   const { from, to, epoch } = session.show.mission;
   return (
     <div class="transport" role="group" aria-label="Playback">
-      <Tool label="To the start (Home)" press={() => seekAndShow(session, from)}>⏮</Tool>
-      <Tool label="Play backwards (J)" press={() => shuttle(session, -1)}>◀</Tool>
-      <Tool label={playing ? "Pause (Space)" : "Play (Space)"} press={() => toggle(session)}>{playing ? "❚❚" : "▶"}</Tool>
-      <Tool label="Play, again for twice the speed (L)" press={() => shuttle(session, 1)}>▶▶</Tool>
-      <Tool label="To the end (End)" press={() => seekAndShow(session, to)}>⏭</Tool>
+      <Tool label="To the start (Home)" press={() => seekAndShow(session, from)}><Icon name="first" /></Tool>
+      <Tool label="Play backwards (J)" press={() => shuttle(session, -1)}><Icon name="back" /></Tool>
+      <Tool label={playing ? "Pause (Space)" : "Play (Space)"} press={() => toggle(session)}><Icon name={playing ? "pause" : "play"} /></Tool>
+      <Tool label="Play, again for twice the speed (L)" press={() => shuttle(session, 1)}><Icon name="forward" /></Tool>
+      <Tool label="To the end (End)" press={() => seekAndShow(session, to)}><Icon name="last" /></Tool>
       <Times epoch={epoch} />
       <Speed />
     </div>

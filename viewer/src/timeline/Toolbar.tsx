@@ -1,5 +1,6 @@
 // Search, filters, zoom and what is drawn.
 import type { ComponentChildren } from "preact";
+import { Icon } from "../panels/Icon";
 import { useCell } from "../state/cell";
 import { foldAll } from "../state/choose";
 import { fit, zoom, zoomToSelection } from "../state/moves";
@@ -30,12 +31,12 @@ export function Toolbar() {
       <Picker label="Robot" names={robots.map(({ id }) => id)} value={filter.robot} choose={(robot) => change({ robot })} />
       {groups.length > 0 && <Picker label="Group" names={groups.map(({ name }) => name)} value={filter.group} choose={(group) => change({ group })} />}
       <Picker label="Cue" names={session.show.cues.map((placed) => placed.cue.name)} value={filter.cue} choose={(chosen) => change({ cue: chosen })} />
-      <Tool label="Clear filters" press={() => (session.filter.value = NO_FILTER)} disabled={Object.values(filter).every((part) => part === null || part === "")}>✕</Tool>
+      <Tool label="Clear filters" press={() => (session.filter.value = NO_FILTER)} disabled={Object.values(filter).every((part) => part === null || part === "")}><Icon name="close" /></Tool>
       <span class="gap" />
-      <Tool label="Fold or unfold all robots (U)" press={() => foldAll(session)}>⇕</Tool>
-      <Tool label="Show relations (R)" pressed={relations} press={() => (session.relations.value = !relations)}>↝</Tool>
-      <Tool label="Drag selects a range (X)" pressed={drag === "select"} press={() => (session.drag.value = drag === "select" ? "pan" : "select")}>⬚</Tool>
-      <Tool label="Zoom to the selected range or cue (Z)" disabled={range === null && cue === null} press={() => zoomToSelection(session)}>⤢</Tool>
+      <Tool label="Fold or unfold all robots (U)" press={() => foldAll(session)}><Icon name="fold" /></Tool>
+      <Tool label="Show relations (R)" pressed={relations} press={() => (session.relations.value = !relations)}><Icon name="arrow" /></Tool>
+      <Tool label="Drag selects a range (X)" pressed={drag === "select"} press={() => (session.drag.value = drag === "select" ? "pan" : "select")}><Icon name="range" /></Tool>
+      <Tool label="Zoom to the selected range or cue (Z)" disabled={range === null && cue === null} press={() => zoomToSelection(session)}><Icon name="closer" /></Tool>
       <Tool label="Zoom out (-)" press={() => zoom(session, 1 / 1.5, middle())}>−</Tool>
       <Tool label="Zoom in (+)" press={() => zoom(session, 1.5, middle())}>+</Tool>
       <Tool label="Fit all (F)" press={() => fit(session)}>Fit</Tool>

@@ -1,0 +1,48 @@
+// What robots set, as squares, and what sensors read, as triangles; how far off their times may be, as a line through them.
+import type { Sheet } from "../canvas/useCanvas";
+import type { Show } from "../data/show";
+import type { Wave } from "../data/wave";
+import type { Plot } from "./plot";
+
+export function drawObserved(sheet: Sheet, plot: Plot, show: Show): void {
+  for (const kind of ["set", "read"] as const) {
+    for (const { wave } of show.observed(kind, plot.track)) drawMarks(sheet, plot, show, wave, kind);
+  }
+}
+
+function drawMarks({ context, palette }: Sheet, plot: Plot, show: Show, wave: Wave, kind: "set" | "read"): void {
+  const { scale, y } = plot;
+  const end = wave.from(scale.view.to);
+  let before = { x: -10, y: -10 };
+  context.strokeStyle = kind === "set" ? palette.set : palette.read;
+  context.lineWidth = 1.25;
+  context.beginPath();
+  for (let i = wave.from(scale.view.from); i < end; i++) {
+    const at = { x: scale.x(wave.time(i)), y: y(wave.value(i)) };
+    // Marks on top of each other would cost time and show nothing.
+    if (Math.abs(at.x - before.x) < 1 && Math.abs(at.y - before.y) < 1) continue;
+    before = at;
+    if (kind === "set") context.rect(at.x - 3.5, at.y - 3.5, 7, 7);
+    else triangle(context, at.x, at.y);
+    const off = show.clockUncertainty(plot.track.robotIndex, wave.time(i)) / scale.perPixel;
+    if (off > 4) errorBar(context, at.x, at.y, off);
+  }
+  context.stroke();
+  context.lineWidth = 1;
+}
+
+function triangle(context: CanvasRenderingContext2D, x: number, y: number): void {
+  context.moveTo(x, y - 4.5);
+  context.lineTo(x + 4, y + 3);
+  context.lineTo(x - 4, y + 3);
+  context.closePath();
+}
+
+function errorBar(context: CanvasRenderingContext2D, x: number, y: number, off: number): void {
+  context.moveTo(x - off, y);
+  context.lineTo(x + off, y);
+  for (const end of [x - off, x + off]) {
+    context.moveTo(end, y - 3);
+    context.lineTo(end, y + 3);
+  }
+}

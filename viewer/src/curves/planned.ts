@@ -1,0 +1,73 @@
+// The planned movement: its band of error, the line as the device moves between steps, and the steps where there is room.
+import type { Sheet } from "../canvas/useCanvas";
+import type { Segment, Track } from "../data/track";
+import { stepsInView, type Plot } from "./plot";
+
+/** Pixels that each step needs, to be drawn as a point. */
+const ROOM_OF_POINT = 7;
+
+export function drawPlanned(sheet: Sheet, plot: Plot): void {
+  drawBand(sheet, plot);
+  const steps = stepsInView(plot);
+  if (steps > plot.scale.width) {
+    drawColumns(sheet, plot);
+    return;
+  }
+  for (const segment of plot.track.segments) {
+    if (segment.start <= plot.scale.view.to) drawSegment(sheet, plot, segment, steps * ROOM_OF_POINT < plot.scale.width);
+  }
+}
+
+function drawBand({ context, palette }: Sheet, { track, scale, envelope, y }: Plot): void {
+  context.fillStyle = palette.band;
+  context.beginPath();
+  for (let x = 0; x < envelope.low.length; x++) {
+    const error = errorAt(track, scale.ms(x));
+    if (!(error > 0) || Number.isNaN(envelope.low[x])) continue;
+    const top = y(envelope.high[x] + error);
+    context.rect(x, top, 1, y(envelope.low[x] - error) - top);
+  }
+  context.fill();
+}
+
+function errorAt(track: Track, ms: number): number {
+  return track.segments[Math.max(0, track.segmentAt(ms))]?.lane.worst_error ?? 0;
+}
+
+function drawColumns({ context, palette }: Sheet, { envelope, y }: Plot): void {
+  context.fillStyle = palette.planned;
+  context.beginPath();
+  for (let x = 0; x < envelope.low.length; x++) {
+    if (Number.isNaN(envelope.low[x])) continue;
+    const top = y(envelope.high[x]) - 0.75;
+    context.rect(x, top, 1, y(envelope.low[x]) - top + 0.75);
+  }
+  context.fill();
+}
+
+function drawSegment({ context, palette }: Sheet, plot: Plot, segment: Segment, points: boolean): void {
+  const { track, scale, y } = plot;
+  const wave = track.wave(segment);
+  const first = Math.max(0, wave.at(scale.view.from - segment.start));
+  const end = Math.min(wave.count, wave.from(scale.view.to - segment.start) + 1);
+  if (end <= first) return;
+  const x = (i: number) => scale.x(segment.start + wave.time(i));
+  context.strokeStyle = context.fillStyle = palette.planned;
+  context.lineWidth = 1.5;
+  context.beginPath();
+  context.moveTo(x(first), y(wave.value(first)));
+  for (let i = first + 1; i < end; i++) {
+    if (track.device.interpolation === "hold") context.lineTo(x(i), y(wave.value(i - 1)));
+    context.lineTo(x(i), y(wave.value(i)));
+  }
+  if (end === wave.count) context.lineTo(scale.x(segment.end), y(wave.value(end - 1)));
+  context.stroke();
+  context.lineWidth = 1;
+  if (!points) return;
+  context.beginPath();
+  for (let i = first; i < end; i++) {
+    context.moveTo(x(i) + 2.5, y(wave.value(i)));
+    context.arc(x(i), y(wave.value(i)), 2.5, 0, 2 * Math.PI);
+  }
+  context.fill();
+}

@@ -1,0 +1,51 @@
+// The stage as text: who is closest now, who is closest in the act, and of whom the place is not known.
+import type { Show } from "../data/show";
+import { useCell } from "../state/cell";
+import { seekAndShow } from "../state/moves";
+import { useSession } from "../state/session";
+import { digits } from "../text/digits";
+import { Name } from "../text/Name";
+import { clock } from "../text/time";
+import { closestPair } from "./closest";
+import { poses } from "./pose";
+
+export function StageFacts() {
+  const session = useSession();
+  const at = useCell(session.playhead);
+  const { show } = session;
+  const found = poses(show, at);
+  const now = closestPair(found);
+  const unsure = found.filter(({ doubt }) => doubt !== null);
+  const name = (robot: number) => nameOf(show, robot);
+  return (
+    <div class="stage-facts">
+      {now !== null && (
+        <span id="closest-now">
+          closest now: <Name text={`${name(now.robots[0])} – ${name(now.robots[1])}`} /> {now.distance.toFixed(3)} m{now.betweenCentres && " between centres"}
+        </span>
+      )}
+      <ClosestOfAct at={at} />
+      {unsure.length > 0 && (
+        <span title={unsure.map(({ robot, doubt }) => `${name(robot)}: ${doubt}`).join("\n")}>
+          ◌ hollow: <Name text={`${name(unsure[0].robot)}: ${unsure[0].doubt}`} />{unsure.length > 1 && ` and ${unsure.length - 1} more`}
+        </span>
+      )}
+    </div>
+  );
+}
+
+function ClosestOfAct({ at }: { at: number }) {
+  const session = useSession();
+  const { show } = session;
+  const played = show.mission.acts[show.actAt(at)];
+  const closest = played === undefined ? null : show.planOf(played)?.closest;
+  if (closest === null || closest === undefined) return null;
+  const names = closest.robots.map((robot) => nameOf(show, robot)).join(" – ");
+  return (
+    <button type="button" class="link" id="closest-of-act" title="To this instant (C)" onClick={() => seekAndShow(session, played.start + closest.at)}>
+      closest in this act: <Name text={names} /> {digits(closest.distance)} m at {clock(played.start + closest.at)}
+    </button>
+  );
+}
+
+const nameOf = (show: Show, robot: number) => show.mission.robots[robot]?.id ?? `robot ${robot}`;

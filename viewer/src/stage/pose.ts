@@ -1,0 +1,61 @@
+// Where a robot's body is at a time, from its lanes.
+import type { Body, Coordinate } from "../mission";
+import type { Show } from "../data/show";
+import { place, rolled, scaled, shifted, turned, within, type Frame, type Point } from "./space";
+
+export interface Pose {
+  robot: number;
+  body: Body;
+  frame: Frame;
+  yaw: number;
+  /** Where the joints are, from the first to the tip. */
+  chain: Point[];
+  /** Why it is not known where the body is; `null`: it is known. */
+  doubt: string | null;
+}
+
+export function poses(show: Show, ms: number): Pose[] {
+  const found: Pose[] = [];
+  show.mission.robots.forEach(({ body }, robot) => {
+    if (body !== null) found.push(poseOf(show, robot, body, ms));
+  });
+  return found;
+}
+
+export function poseOf(show: Show, robot: number, body: Body, ms: number): Pose {
+  const doubts: string[] = [];
+  const value = (coordinate: Coordinate) => valueOf(show, robot, coordinate, ms, doubts);
+  const origin: Point = [value(body.x), value(body.y), value(body.z)];
+  const yaw = value(body.yaw);
+  const frame = within(shifted(origin), turned([0, 0, 1], yaw));
+  const chain = chainOf(body, frame, value);
+  return { robot, body, frame, yaw, chain, doubt: doubts[0] ?? null };
+}
+
+/** Where only the body's middle is wanted, as for trails. */
+export function middleAt(show: Show, robot: number, body: Body, ms: number): Point {
+  const value = (coordinate: Coordinate) => valueOf(show, robot, coordinate, ms, []);
+  return [value(body.x), value(body.y), value(body.z)];
+}
+
+function chainOf(body: Body, base: Frame, value: (coordinate: Coordinate) => number): Point[] {
+  let frame = base;
+  return body.joints.map((joint) => {
+    frame = within(within(frame, shifted(joint.xyz)), rolled(joint.rpy));
+    if (joint.kind === "revolute") frame = within(frame, turned(joint.axis, value(joint.value)));
+    if (joint.kind === "prismatic") frame = within(frame, shifted(scaled(joint.axis, value(joint.value))));
+    return place(frame, [0, 0, 0]);
+  });
+}
+
+function valueOf(show: Show, robot: number, { device, scale, offset }: Coordinate, ms: number, doubts: string[]): number {
+  if (device === null) return offset;
+  const track = show.track(robot, device);
+  const reading = track?.positionAt(ms);
+  const name = show.mission.robots[robot].devices[device]?.id ?? `device ${device}`;
+  if (reading === undefined || reading.known === "unknown") doubts.push(`${name}: no position is known`);
+  else if (reading.known === "first") doubts.push(`${name}: not known before its first step`);
+  else if (reading.driven) doubts.push(`${name} is driven by ${reading.driven}: shown where it was last known`);
+  const value = reading?.value ?? NaN;
+  return offset + (Number.isNaN(value) ? 0 : scale * value);
+}
