@@ -14,11 +14,12 @@ export async function launch() {
   const browser = await chromium.launch({ executablePath: process.env.CHROMIUM ?? "/usr/bin/chromium", args: ARGUMENTS });
   let pages = 0;
   return {
-    async open(html, { size = SIZES.wide, theme = "light", bypassCSP = false } = {}) {
+    async open(html, { size = SIZES.wide, theme = "light", bypassCSP = false, script = "" } = {}) {
       const file = join(folder, `${pages++}.html`);
       await writeFile(file, html);
       const context = await browser.newContext({ viewport: size, colorScheme: theme, bypassCSP });
       const page = await context.newPage();
+      if (script !== "") await page.addInitScript(script);
       const complaints = [];
       page.on("console", (message) => complaints.push(`console: ${message.text()}`));
       page.on("pageerror", (error) => complaints.push(`error: ${error.message}`));

@@ -17,11 +17,14 @@ export function useCanvas(cells: readonly Pick<Cell<unknown>, "subscribe">[], dr
   const invalidate = useRef(() => {});
   useEffect(() => {
     const element = canvas.current;
-    const context = element?.getContext("2d") ?? null;
+    const context = element?.getContext("2d", { alpha: false }) ?? null;
     if (element === null || context === null) return;
     const paint = () => {
+      const colours = palette(theme.value);
       const { width, height } = fitToBox(element, context);
-      latest.current({ context, width, height, palette: palette(theme.value) });
+      context.fillStyle = colours.ground;
+      context.fillRect(0, 0, width, height);
+      latest.current({ context, width, height, palette: colours });
     };
     invalidate.current = () => redraw(paint);
     const resized = new ResizeObserver(invalidate.current);
@@ -45,6 +48,5 @@ function fitToBox(canvas: HTMLCanvasElement, context: CanvasRenderingContext2D):
   const device = [Math.round(width * sharpness), Math.round(height * sharpness)];
   if (canvas.width !== device[0] || canvas.height !== device[1]) [canvas.width, canvas.height] = device;
   context.setTransform(sharpness, 0, 0, sharpness, 0, 0);
-  context.clearRect(0, 0, width, height);
   return { width, height };
 }

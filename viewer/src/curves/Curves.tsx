@@ -4,6 +4,7 @@ import { useCanvas } from "../canvas/useCanvas";
 import { useCell } from "../state/cell";
 import { pan, seek, zoom } from "../state/moves";
 import { useSession, type Session } from "../state/session";
+import { Playhead } from "../timeline/Playhead";
 import { scaleOf } from "../timeline/scale";
 import { Tip, type TipContent } from "../timeline/Tip";
 import { laneTip } from "../timeline/tipOf";
@@ -14,7 +15,7 @@ export function Curves() {
   const session = useSession();
   const chosen = useCell(session.chosen);
   const [tip, setTip] = useState<TipContent | null>(null);
-  const { canvas } = useCanvas([session.view, session.playhead, session.chosen], (sheet) => drawCurves(sheet, session));
+  const { canvas } = useCanvas([session.view, session.chosen], (sheet) => drawCurves(sheet, session));
   const msAt = (element: HTMLElement, x: number) => scaleOf(session.view.value, element.clientWidth - MARGIN.left).ms(x - MARGIN.left);
   useEffect(() => {
     const element = canvas.current;
@@ -40,7 +41,7 @@ export function Curves() {
         <h2>Curves</h2>
         <span class="legend"><span class="planned">planned, with its error</span><span class="set">set</span><span class="read">read</span></span>
         <span class="gap" />
-        <Tool label="Remove all curves" disabled={chosen.length === 0} press={() => (session.chosen.value = [])}>Clear</Tool>
+        <Tool label="Clear all curves" disabled={chosen.length === 0} press={() => (session.chosen.value = [])}>Clear</Tool>
       </div>
       <div class="fill">
         <canvas
@@ -54,6 +55,7 @@ export function Curves() {
           onPointerLeave={() => setTip(null)}
         />
         {chosen.length === 0 && <p class="empty">Choose lanes in the timeline (click, or Enter) to see their curves.</p>}
+        <Playhead of={canvas} left={MARGIN.left} />
         <Tip content={tip} />
       </div>
     </section>

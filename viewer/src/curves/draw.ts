@@ -40,14 +40,11 @@ export function drawCurves(sheet: Sheet, session: Session): void {
     drawPlanned(sheet, plot);
     drawObserved(sheet, plot, session.show);
     context.restore();
-    drawTitle(sheet, plot, slot.top, session.playhead.value);
+    drawTitle(sheet, plot, slot.top);
   });
   context.strokeStyle = palette.line;
   context.strokeRect(-0.5, -1, scale.width + 2, height - MARGIN.bottom + 1);
   drawTimes(sheet, scale, height);
-  const x = scale.x(session.playhead.value);
-  context.fillStyle = palette.playhead;
-  if (x >= 0) context.fillRect(x, 0, 1.5, height - MARGIN.bottom);
   context.restore();
 }
 
@@ -82,13 +79,13 @@ function lines(context: CanvasRenderingContext2D, colour: Palette["faint"], { lo
   context.setLineDash([]);
 }
 
-function drawTitle({ context, palette }: Sheet, { track, scale }: Plot, top: number, at: number): void {
+function drawTitle({ context, palette }: Sheet, { track, scale }: Plot, top: number): void {
   context.fillStyle = palette.line;
   if (top > 0) context.fillRect(-MARGIN.left, Math.round(top), scale.width + MARGIN.left, 1);
   context.font = FONT;
   context.textBaseline = "middle";
   context.fillStyle = palette.text;
-  const { worst_error: error = 0 } = track.segments[Math.max(0, track.segmentAt(at))]?.lane ?? {};
+  const error = Math.max(0, ...track.segments.map(({ lane }) => lane.worst_error));
   const band = error > 0 ? `, ± ${withUnit(String(error), track.device.unit)}` : "";
   const unit = track.device.unit === "" ? "" : ` (${track.device.unit})`;
   fitText(context, `${track.robot.id} / ${track.device.id}${unit}${band}`, 6, top + 10, scale.width - 12);

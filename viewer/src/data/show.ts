@@ -15,6 +15,7 @@ export class Show {
   readonly tracks: Track[] = [];
   /** Tracks of each robot, in the order of its devices. */
   readonly tracksOf: Track[][];
+  private readonly trackOfDevice: (Track | undefined)[][];
   readonly cues: PlacedCue[];
   /** Indices into `cues` of what each finding is about. */
   readonly cuesOfFinding: number[][];
@@ -24,13 +25,14 @@ export class Show {
     this.mission = mission;
     this.waves = new Waves(columns);
     this.tracksOf = mission.robots.map(() => []);
+    this.trackOfDevice = mission.robots.map(() => []);
     this.makeTracks();
     this.cues = placeCues(mission);
     this.cuesOfFinding = mission.findings.map((finding) => (finding.source === null ? [] : this.cuesAt(finding.source, finding.line)));
   }
 
   track(robot: number, device: number | null): Track | undefined {
-    return device === null ? undefined : this.tracksOf[robot].find((track) => track.deviceIndex === device);
+    return device === null ? undefined : this.trackOfDevice[robot][device];
   }
 
   wave(source: DeviceSeries): Wave {
@@ -97,6 +99,7 @@ export class Show {
     const track = new Track(this.tracks.length, r, robot, d, device, segments, this.waves);
     this.tracks.push(track);
     this.tracksOf[r].push(track);
+    this.trackOfDevice[r][d] = track;
   }
 }
 

@@ -14,6 +14,9 @@ export interface Reading {
   step: number;
 }
 
+/** `driven`: by its speed or acceleration since `value` was known; `null`: it is there. */
+export type Position = Reading & { driven: string | null };
+
 export class Track {
   private extentOnce: { low: number; high: number } | null = null;
 
@@ -54,8 +57,8 @@ export class Track {
     return this.beforeFirst();
   }
 
-  /** The last position that is known: a device driven by its speed may be anywhere, which `driven` says. */
-  positionAt(ms: number): Reading & { driven: string | null } {
+  /** The last position that is known. */
+  positionAt(ms: number): Position {
     let driven: string | null = null;
     for (let s = this.segmentAt(ms); s >= 0; s--) {
       const segment = this.segments[s];

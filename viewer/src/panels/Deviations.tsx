@@ -16,7 +16,7 @@ export function Deviations() {
   if (all.length === 0) return <p>{session.show.mission.set.length === 0 ? "Nothing tells what the robots set, so nothing can be compared with the plan." : "The robots did what was planned."}</p>;
   return (
     <>
-      <label>Show <select value={kind} onChange={(event) => setKind(event.currentTarget.value as Deviation["kind"] | "all")}>
+      <label>Kind <select value={kind} onChange={(event) => setKind(event.currentTarget.value as Deviation["kind"] | "all")}>
         <option value="all">all deviations</option>
         <option value="start">starts</option>
         <option value="time">times of steps</option>

@@ -6,18 +6,18 @@ export interface Pair { robots: [number, number]; distance: number; betweenCentr
 
 export function closestPair(found: readonly Pose[]): Pair | null {
   let best: Pair | null = null;
+  const radii = found.map(radiusOf);
   for (let i = 0; i < found.length; i++) {
     for (let j = i + 1; j < found.length; j++) {
-      const pair = measure(found[i], found[j]);
-      if (best === null || pair.distance < best.distance) best = pair;
+      const betweenCentres = radii[i] === null || radii[j] === null;
+      const between = distance(found[i].frame.origin, found[j].frame.origin) - (betweenCentres ? 0 : (radii[i] ?? 0) + (radii[j] ?? 0));
+      if (best === null || between < best.distance) best = { robots: [found[i].robot, found[j].robot], distance: between, betweenCentres };
     }
   }
   return best;
 }
 
-function measure(a: Pose, b: Pose): Pair {
-  const between = distance(a.frame.origin, b.frame.origin);
-  const radii = [a, b].map(({ body }) => ("ball" in body.shape && body.joints.length === 0 ? body.shape.ball : null));
-  const balls = radii[0] !== null && radii[1] !== null;
-  return { robots: [a.robot, b.robot], distance: balls ? between - (radii[0] ?? 0) - (radii[1] ?? 0) : between, betweenCentres: !balls };
+/** `null`: not a ball, or a ball with a chain of joints. */
+function radiusOf({ body }: Pose): number | null {
+  return "ball" in body.shape && body.joints.length === 0 ? body.shape.ball : null;
 }

@@ -13,15 +13,13 @@ const TRAIL_MS = 3000;
 const TRAIL_PARTS = 40;
 
 export function drawStage(sheet: Sheet, session: Session, camera: Camera): void {
-  const { context, palette, width, height } = sheet;
+  const { width, height } = sheet;
   const in3d = session.stageIn3d.value;
   const project = (in3d ? inSpace : fromAbove)(camera, width, height);
   const at = session.playhead.value;
   const found = poses(session.show, at);
   const closest = closestPair(found);
   const style = { dark: session.theme.value === "dark", strong: new Set(closest?.robots ?? []) };
-  context.fillStyle = palette.ground;
-  context.fillRect(0, 0, width, height);
   drawFloor(sheet, camera, project);
   if (session.trails.value) for (const pose of found) drawTrail(sheet, session.show, pose, at, project, style.dark);
   if (in3d) drawPlumbs(sheet, found, project);

@@ -1,6 +1,7 @@
 // Where a robot's body is at a time, from its lanes.
 import type { Body, Coordinate } from "../mission";
 import type { Show } from "../data/show";
+import type { Position } from "../data/track";
 import { place, rolled, scaled, shifted, turned, within, type Frame, type Point } from "./space";
 
 export interface Pose {
@@ -14,15 +15,18 @@ export interface Pose {
   doubt: string | null;
 }
 
-export function poses(show: Show, ms: number): Pose[] {
-  const found: Pose[] = [];
-  show.mission.robots.forEach(({ body }, robot) => {
-    if (body !== null) found.push(poseOf(show, robot, body, ms));
-  });
-  return found;
+let latest: { show: Show; ms: number; poses: readonly Pose[] } | null = null;
+
+/** The stage and its text ask for the same instant. */
+export function poses(show: Show, ms: number): readonly Pose[] {
+  if (latest?.show !== show || latest.ms !== ms) {
+    const found = show.mission.robots.flatMap(({ body }, robot) => (body === null ? [] : [poseOf(show, robot, body, ms)]));
+    latest = { show, ms, poses: found };
+  }
+  return latest.poses;
 }
 
-export function poseOf(show: Show, robot: number, body: Body, ms: number): Pose {
+function poseOf(show: Show, robot: number, body: Body, ms: number): Pose {
   const doubts: string[] = [];
   const value = (coordinate: Coordinate) => valueOf(show, robot, coordinate, ms, doubts);
   const origin: Point = [value(body.x), value(body.y), value(body.z)];
@@ -51,11 +55,16 @@ function chainOf(body: Body, base: Frame, value: (coordinate: Coordinate) => num
 function valueOf(show: Show, robot: number, { device, scale, offset }: Coordinate, ms: number, doubts: string[]): number {
   if (device === null) return offset;
   const track = show.track(robot, device);
-  const reading = track?.positionAt(ms);
-  const name = show.mission.robots[robot].devices[device]?.id ?? `device ${device}`;
-  if (reading === undefined || reading.known === "unknown") doubts.push(`${name}: no position is known`);
-  else if (reading.known === "first") doubts.push(`${name}: not known before its first step`);
-  else if (reading.driven) doubts.push(`${name} is driven by ${reading.driven}: shown where it was last known`);
+  const reading = track?.positionAt(ms) ?? null;
+  const doubt = doubtOf(reading);
+  if (doubt !== null) doubts.push(`${show.mission.robots[robot].devices[device]?.id ?? `device ${device}`} ${doubt}`);
   const value = reading?.value ?? NaN;
   return offset + (Number.isNaN(value) ? 0 : scale * value);
+}
+
+function doubtOf(reading: Position | null): string | null {
+  if (reading === null) return "is not known";
+  if (reading.driven !== null) return `is driven by ${reading.driven}: shown where it was last known`;
+  if (reading.known === "unknown") return "is not known";
+  return reading.known === "first" ? "is not known before its first step" : null;
 }

@@ -7,6 +7,7 @@ import { useSession, type Session } from "../state/session";
 import { drawTimeline } from "./draw";
 import { hit, type Hit } from "./hit";
 import { listen } from "./pointer";
+import { Playhead } from "./Playhead";
 import { Tip, type TipContent } from "./Tip";
 import { tipOf } from "./tipOf";
 import { Tree } from "./Tree";
@@ -17,7 +18,7 @@ export function Timeline() {
   const scroller = useRef<HTMLDivElement>(null);
   const [tip, setTip] = useState<TipContent | null>(null);
   const { canvas, invalidate } = useCanvas(
-    [session.view, session.playhead, session.rows, session.range, session.cue, session.relations, session.focusedRow, session.chosen],
+    [session.view, session.rows, session.range, session.cue, session.relations, session.focusedRow, session.chosen],
     (sheet) => drawTimeline(sheet, session, scroller.current?.scrollTop ?? 0),
   );
   useEffect(() => {
@@ -52,6 +53,7 @@ export function Timeline() {
           onDblClick={zoomToCue}
           onKeyDown={(event) => scrollRows(event, scroller.current)}
         />
+        <Playhead of={canvas} left={0} />
         <Tip content={tip} />
       </div>
       <Overview />

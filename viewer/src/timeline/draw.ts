@@ -11,13 +11,11 @@ import { drawRelations } from "./relations";
 import { scaleOf, ticks, type Scale } from "./scale";
 
 export function drawTimeline(sheet: Sheet, session: Session, scrolled: number): void {
-  const { context, palette, width, height } = sheet;
+  const { width, height } = sheet;
   const scale = scaleOf(session.view.value, width);
   const offset = HEAD_HEIGHT - scrolled;
   const style = { selected: session.cue.value, findings: findingsOfCues(session.show) };
   const rows = session.rows.value;
-  context.fillStyle = palette.ground;
-  context.fillRect(0, 0, width, height);
   drawGrid(sheet, scale);
   rows.forEach((row, index) => {
     const top = row.top + offset;
@@ -27,7 +25,6 @@ export function drawTimeline(sheet: Sheet, session: Session, scrolled: number): 
   if (session.relations.value) drawRelations(sheet, scale, session.show, rows, offset, session.cue.value);
   drawRange(sheet, scale, session);
   drawHead(sheet, scale, session.show);
-  drawPlayhead(sheet, scale, session.playhead.value);
 }
 
 function drawRow(sheet: Sheet, scale: Scale, session: Session, row: Row, top: number, index: number, style: CueStyle): void {
@@ -59,17 +56,6 @@ function drawRange({ context, palette, height }: Sheet, scale: Scale, session: S
   const left = scale.x(range.from);
   context.fillStyle = palette.range;
   context.fillRect(left, HEAD_HEIGHT, scale.x(range.to) - left, height);
-}
-
-function drawPlayhead({ context, palette, height }: Sheet, scale: Scale, ms: number): void {
-  const x = Math.round(scale.x(ms));
-  context.fillStyle = palette.playhead;
-  context.fillRect(x, 0, 1.5, height);
-  context.beginPath();
-  context.moveTo(x - 5, 0);
-  context.lineTo(x + 6.5, 0);
-  context.lineTo(x + 0.75, 8);
-  context.fill();
 }
 
 const codes = new WeakMap<Show, ReadonlyMap<number, string>>();

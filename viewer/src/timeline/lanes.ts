@@ -5,7 +5,10 @@ import type { Sheet } from "../canvas/useCanvas";
 import type { Scale } from "./scale";
 
 /** Devices of a folded robot that are drawn. */
-const SUMMED_UP = 4;
+const SUMMED_UP = 3;
+
+/** Pixels of a column there: a picture of many robots shows their rhythm, not their steps. */
+const SUMMARY_COLUMN = 3;
 
 let envelope: Envelope = makeEnvelope(0);
 
@@ -21,7 +24,7 @@ export function drawSummary(sheet: Sheet, scale: Scale, tracks: readonly Track[]
   const { context, palette } = sheet;
   context.fillStyle = palette.planned;
   context.globalAlpha = 0.4;
-  for (const track of tracks.slice(0, SUMMED_UP)) drawColumns(context, scale, track, top + 2, height - 4, 2);
+  for (const track of tracks.slice(0, SUMMED_UP)) drawColumns(context, scale, track, top + 2, height - 4, SUMMARY_COLUMN);
   context.globalAlpha = 1;
 }
 

@@ -1,0 +1,81 @@
+// What the page says is what the document says.
+import assert from "node:assert/strict";
+import { after, before, test } from "node:test";
+import { launch, shown } from "./browser.mjs";
+import { choreography } from "./choreography.mjs";
+import { encode, pageWith } from "./encode.mjs";
+
+let browser;
+before(async () => (browser = await launch()));
+after(() => browser.close());
+
+test("numbers have the digits of the document", async () => {
+  const { mission, base64 } = await choreography();
+  const { page, close } = await browser.open(await pageWith(base64));
+  await shown(page);
+  assert.equal(await page.locator("#spread").innerText(), "0.125 ms");
+  assert.equal(await page.locator("#true-spread").innerText(), "0.037117 ms");
+  const rows = await page.locator("#robots tbody tr").all();
+  for (const [i, robot] of mission.report.robots.entries()) {
+    const cells = await rows[i].locator("td").allInnerTexts();
+    const clock = robot.clock === null ? ["–", "–"] : [`${robot.clock.offset_ms} ms`, `± ${robot.clock.uncertainty_ms} ms`];
+    assert.deepEqual(cells, ["ended", `${robot.start_error_ms} ms`, "72/72", i === 4 ? "⚠ 2" : "0", ...clock]);
+  }
+  await page.keyboard.press("2");
+  for (const [step, value] of [[1, "-3.3"], [2, "-3.301"], [3, "-3.309"], [4, "-3.327"]]) {
+    const cells = await page.locator("#values tbody tr").first().locator("td").allInnerTexts();
+    assert.deepEqual(cells.slice(0, 2), [`${value} m`, `${step} of 18`]);
+    await page.keyboard.press(".");
+    await page.waitForTimeout(50);
+  }
+  await close();
+});
+
+test("names of others are text, and what would turn the text around is an escape", async () => {
+  const { mission, columns } = await choreography();
+  const hostile = "<script>alert(1)</script>\"'&\u202eevil\u0007\u0000 \u05e9\u05dc\u05d5\u05dd";
+  const shownAs = "<script>alert(1)</script>\"'&\\u202eevil\\u0007\\u0000 \u05e9\u05dc\u05d5\u05dd";
+  mission.scenario = mission.robots[0].id = mission.robots[0].devices[0].id = mission.plans[0].cues[0].name = hostile;
+  mission.acts[0].name = mission.events[0].text = mission.findings[0].message = mission.sources[0].name = mission.report.robots[0].robot = hostile;
+  mission.sources[0].text = `${hostile}\n${mission.sources[0].text}`;
+  const { page, complaints, close } = await browser.open(await pageWith(encode(mission, columns)));
+  await shown(page);
+  assert.equal(await page.locator("h1 bdi").textContent(), shownAs);
+  assert.equal(await page.locator(".row-robot bdi").first().textContent(), shownAs);
+  for (const key of ["2", "3", "4", "5", "6", "7"]) {
+    await page.keyboard.press(key);
+    await page.waitForTimeout(50);
+    assert.ok((await page.locator("#tab-body").textContent()).includes(shownAs), `panel ${key}`);
+  }
+  assert.equal(await page.locator("#page script").count(), 0);
+  assert.deepEqual(complaints, []);
+  await close();
+});
+
+for (const [name, change, expected] of [
+  ["without a mission", () => "@@MISSION@@", /holds no mission/],
+  ["that is cut off", (base64) => base64.slice(0, base64.length / 2), /damaged or cut off/],
+  ["that is no base64", () => "()", /damaged or cut off/],
+  ["of a column cut off", (_, { mission, columns }) => encode({ ...mission, plans: mission.plans.map((plan) => ({ ...plan, lanes: plan.lanes.map(beyond) })) }, columns), /cut off/],
+]) {
+  test(`a page ${name} says so`, async () => {
+    const made = await choreography();
+    const { page, close } = await browser.open(await pageWith(change(made.base64, made)));
+    const notice = page.locator(".notice[role=alert]");
+    await notice.waitFor();
+    assert.match(await notice.innerText(), expected);
+    await close();
+  });
+}
+
+function beyond(lane) {
+  return { ...lane, scripts: lane.scripts.map((script) => ({ ...script, steps: { ...script.steps, v: { ...script.steps.v, at: 1e9 } } })) };
+}
+
+test("a browser without DecompressionStream is told what it lacks", async () => {
+  const { base64 } = await choreography();
+  const { page, close } = await browser.open(await pageWith(base64), { script: "delete window.DecompressionStream" });
+  await page.locator(".notice[role=alert]").waitFor();
+  assert.match(await page.locator(".notice").innerText(), /DecompressionStream/);
+  await close();
+});
