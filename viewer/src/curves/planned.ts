@@ -45,6 +45,17 @@ function drawColumns({ context, palette }: Sheet, { envelope, y }: Plot): void {
   context.fill();
 }
 
+/** After the last step the device stays where it is, until its next script. */
+function drawHeld(context: CanvasRenderingContext2D, { track, scale }: Plot, segment: Segment, y: number, from: number): void {
+  const next = track.segments[track.segments.indexOf(segment) + 1];
+  context.setLineDash([2, 4]);
+  context.beginPath();
+  context.moveTo(Math.max(from, 0), y);
+  context.lineTo(Math.min(next === undefined ? scale.width : scale.x(next.start), scale.width), y);
+  context.stroke();
+  context.setLineDash([]);
+}
+
 function drawSegment({ context, palette }: Sheet, plot: Plot, segment: Segment, points: boolean): void {
   const { track, scale, y } = plot;
   const wave = track.wave(segment);
@@ -60,9 +71,9 @@ function drawSegment({ context, palette }: Sheet, plot: Plot, segment: Segment, 
     if (track.device.interpolation === "hold") context.lineTo(x(i), y(wave.value(i - 1)));
     context.lineTo(x(i), y(wave.value(i)));
   }
-  if (end === wave.count) context.lineTo(scale.x(segment.end), y(wave.value(end - 1)));
   context.stroke();
   context.lineWidth = 1;
+  if (end === wave.count) drawHeld(context, plot, segment, y(wave.value(end - 1)), x(end - 1));
   if (!points) return;
   context.beginPath();
   for (let i = first; i < end; i++) {

@@ -12,29 +12,51 @@ export interface Deviation {
 }
 
 /** More than this many of a kind are no list to read. */
-const KEPT = 300;
+export const KEPT = 300;
+
+/** Comparing more values would stop the page for seconds. */
+const MOST_VALUES = 1_000_000;
+
+/** Whether all lanes can be compared at once, or only those whose curves are shown. */
+export function comparesAll({ mission }: Show): boolean {
+  return mission.set.reduce((sum, { series }) => sum + series.v.n, 0) <= MOST_VALUES;
+}
 
 /** Starts first, then times, then values; in each kind the largest first. Values of different units are compared by the lane's extent. */
-export function deviations(show: Show): Deviation[] {
-  const times: Deviation[] = [];
-  const values: Deviation[] = [];
-  for (const track of show.tracks) {
+export function deviations(show: Show, tracks: readonly Track[]): Deviation[] {
+  const times = new Largest(inMs);
+  const values = new Largest(inExtents);
+  for (const track of tracks) {
     for (const { wave, source } of show.observed("set", track)) {
       const segments = track.segments.filter((segment) => source.act === null || segment.act === source.act);
       for (let i = 0; i < wave.count; i++) compare(track, segments, wave.time(i), wave.value(i), times, values);
     }
   }
-  return [...largest(startErrors(show), inMs), ...largest(times, inMs), ...largest(values, inExtents)];
+  const starts = new Largest(inMs);
+  for (const error of startErrors(show)) starts.push(error);
+  return [...starts.sorted(), ...times.sorted(), ...values.sorted()];
 }
 
 const inMs = ({ by }: Deviation) => Math.abs(by);
 const inExtents = ({ by, track }: Deviation) => Math.abs(by) / (track.extent.high - track.extent.low || 1);
 
-function largest(list: Deviation[], size: (deviation: Deviation) => number): Deviation[] {
-  return list.sort((a, b) => size(b) - size(a)).slice(0, KEPT);
+/** Keeps the largest, without a list of all. */
+class Largest {
+  private list: Deviation[] = [];
+
+  constructor(private readonly size: (deviation: Deviation) => number) {}
+
+  push(deviation: Deviation): void {
+    this.list.push(deviation);
+    if (this.list.length >= 4 * KEPT) this.list = this.sorted();
+  }
+
+  sorted(): Deviation[] {
+    return this.list.sort((a, b) => this.size(b) - this.size(a)).slice(0, KEPT);
+  }
 }
 
-function compare(track: Track, segments: readonly Segment[], at: number, value: number, times: Deviation[], values: Deviation[]): void {
+function compare(track: Track, segments: readonly Segment[], at: number, value: number, times: Largest, values: Largest): void {
   const segment = last(segments, at) ?? segments[0];
   if (segment === undefined) return;
   const wave = track.wave(segment);

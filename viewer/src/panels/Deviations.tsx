@@ -1,6 +1,7 @@
 // Where robots differ from the plan, the largest first.
 import { useMemo, useState } from "preact/hooks";
-import { deviations, type Deviation } from "../data/deviations";
+import { comparesAll, deviations, KEPT, type Deviation } from "../data/deviations";
+import { useCell } from "../state/cell";
 import { choose } from "../state/choose";
 import { seekAndShow } from "../state/moves";
 import { useSession, type Session } from "../state/session";
@@ -12,8 +13,11 @@ import { Limited } from "./Limited";
 export function Deviations() {
   const session = useSession();
   const [kind, setKind] = useState<Deviation["kind"] | "all">("all");
-  const all = useMemo(() => deviations(session.show), [session.show]);
-  if (all.length === 0) return <p>{session.show.mission.set.length === 0 ? "Nothing tells what the robots set, so nothing can be compared with the plan." : "The robots did what was planned."}</p>;
+  const chosen = useCell(session.chosen);
+  const complete = useMemo(() => comparesAll(session.show), [session.show]);
+  const tracks = complete ? session.show.tracks : chosen;
+  const all = useMemo(() => deviations(session.show, tracks), [session.show, tracks]);
+  if (all.length === 0) return <p>{nothing(session, complete)}</p>;
   return (
     <>
       <label>Kind <select value={kind} onChange={(event) => setKind(event.currentTarget.value as Deviation["kind"] | "all")}>
@@ -22,6 +26,7 @@ export function Deviations() {
         <option value="time">times of steps</option>
         <option value="value">values</option>
       </select></label>
+      <small> the {KEPT} largest of each kind{!complete && ", of the lanes whose curves are shown"}</small>
       <Limited items={all.filter((deviation) => kind === "all" || deviation.kind === kind)} name="deviations">
         {(some) => (
           <table id="deviations">
@@ -41,6 +46,11 @@ export function Deviations() {
       </Limited>
     </>
   );
+}
+
+function nothing({ show }: Session, complete: boolean): string {
+  if (show.mission.set.length === 0) return "Nothing tells what the robots set, so nothing can be compared with the plan.";
+  return complete ? "The robots did what was planned." : "The robots of the curves shown did what was planned. Choose other lanes to compare them.";
 }
 
 function go(session: Session, { at, track }: Deviation): void {

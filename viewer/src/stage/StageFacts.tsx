@@ -21,7 +21,7 @@ export function StageFacts() {
     <div class="stage-facts">
       {now !== null && (
         <span id="closest-now">
-          closest now: <Name text={`${name(now.robots[0])} – ${name(now.robots[1])}`} /> {now.distance.toFixed(3)} m{now.betweenCentres && " between centres"}
+          closest now: <Name text={`${name(now.robots[0])} – ${name(now.robots[1])}`} /> {now.distance.toFixed(3)} m{now.betweenCentres && " between centres"}{!now.certain && ", not certain"}
         </span>
       )}
       <ClosestOfAct at={at} />

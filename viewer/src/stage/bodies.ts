@@ -75,12 +75,15 @@ function paint(context: CanvasRenderingContext2D, alpha: number): void {
 function drawChain(context: CanvasRenderingContext2D, pose: Pose, project: Projection, colour: string): void {
   context.lineCap = "round";
   context.strokeStyle = colour;
-  for (let i = 0; i + 1 < pose.chain.length; i++) {
-    const from = project(pose.chain[i]);
-    const to = project(pose.chain[i + 1]);
+  context.globalAlpha = pose.doubt === null ? 0.85 : 0.4;
+  const points = [pose.frame.origin, ...pose.chain];
+  for (let i = 0; i + 1 < points.length; i++) {
+    const from = project(points[i]);
+    const to = project(points[i + 1]);
     if (from === null || to === null) continue;
-    context.globalAlpha = pose.doubt === null ? 0.85 : 0.4;
-    context.lineWidth = Math.max(2, 2 * pose.body.joints[i].radius * from.scale);
+    // The way from the body to the first joint has no radius of its own.
+    const radius = i === 0 ? 0 : pose.body.joints[i - 1].radius;
+    context.lineWidth = Math.max(2, 2 * radius * from.scale);
     context.beginPath();
     context.moveTo(from.x, from.y);
     context.lineTo(to.x, to.y);

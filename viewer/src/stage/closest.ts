@@ -2,7 +2,7 @@
 import type { Pose } from "./pose";
 import { distance } from "./space";
 
-export interface Pair { robots: [number, number]; distance: number; betweenCentres: boolean }
+export interface Pair { robots: [number, number]; distance: number; betweenCentres: boolean; certain: boolean }
 
 export function closestPair(found: readonly Pose[]): Pair | null {
   let best: Pair | null = null;
@@ -11,7 +11,9 @@ export function closestPair(found: readonly Pose[]): Pair | null {
     for (let j = i + 1; j < found.length; j++) {
       const betweenCentres = radii[i] === null || radii[j] === null;
       const between = distance(found[i].frame.origin, found[j].frame.origin) - (betweenCentres ? 0 : (radii[i] ?? 0) + (radii[j] ?? 0));
-      if (best === null || between < best.distance) best = { robots: [found[i].robot, found[j].robot], distance: between, betweenCentres };
+      if (best !== null && between >= best.distance) continue;
+      const certain = found[i].doubt === null && found[j].doubt === null;
+      best = { robots: [found[i].robot, found[j].robot], distance: between, betweenCentres, certain };
     }
   }
   return best;

@@ -20,7 +20,7 @@ export function drawStage(sheet: Sheet, session: Session, camera: Camera): void 
   const found = poses(session.show, at);
   const closest = closestPair(found);
   const style = { dark: session.theme.value === "dark", strong: new Set(closest?.robots ?? []) };
-  drawFloor(sheet, camera, project);
+  drawFloor(sheet, camera, project, in3d);
   if (session.trails.value) for (const pose of found) drawTrail(sheet, session.show, pose, at, project, style.dark);
   if (in3d) drawPlumbs(sheet, found, project);
   if (closest !== null) drawClosest(sheet, closest, found, project);

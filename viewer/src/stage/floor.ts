@@ -1,4 +1,4 @@
-// The ground: a grid with its scale, and the axes with their names.
+// The ground: a grid with its scale and coordinates, and the directions of the axes.
 import { MONO } from "../canvas/palette";
 import type { Sheet } from "../canvas/useCanvas";
 import { rounded } from "../text/digits";
@@ -8,7 +8,7 @@ import type { Point } from "./space";
 
 const CELLS = 10;
 
-export function drawFloor(sheet: Sheet, camera: Camera, project: Projection): void {
+export function drawFloor(sheet: Sheet, camera: Camera, project: Projection, inSpace: boolean): void {
   const { context, palette } = sheet;
   const step = niceStep(1, (2 * camera.reach) / CELLS);
   const reach = Math.ceil(((1.6 * camera.reach) / step) * Math.max(1, sheet.width / sheet.height)) * step;
@@ -20,7 +20,8 @@ export function drawFloor(sheet: Sheet, camera: Camera, project: Projection): vo
     line(context, project, [centre[0] - reach, centre[1] + i * step, 0], [centre[0] + reach, centre[1] + i * step, 0]);
   }
   context.stroke();
-  drawAxes(sheet, step, project);
+  if (!inSpace) drawCoordinates(sheet, step, project, centre, reach);
+  drawAxes(sheet, camera, project);
   drawScale(sheet, step, project, centre);
 }
 
@@ -32,21 +33,46 @@ function line(context: CanvasRenderingContext2D, project: Projection, from: Poin
   context.lineTo(end.x, end.y);
 }
 
-function drawAxes({ context, palette }: Sheet, step: number, project: Projection): void {
-  const axes: [string, Point, string][] = [["x", [step, 0, 0], palette.bad], ["y", [0, step, 0], palette.good], ["z", [0, 0, step], palette.accent]];
+/** The directions of the axes, in the corner, because the origin may be out of sight. */
+function drawAxes({ context, palette, height }: Sheet, { target, reach }: Camera, project: Projection): void {
+  const here = project(target);
+  if (here === null) return;
+  const length = reach * 0.01;
+  const axes: [string, Point, string][] = [["x", [length, 0, 0], palette.bad], ["y", [0, length, 0], palette.good], ["z", [0, 0, length], palette.accent]];
+  const foot = { x: 46, y: height - 40 };
   context.font = MONO;
+  context.textBaseline = "middle";
   context.lineWidth = 2;
-  for (const [name, tip, colour] of axes) {
-    const end = project(tip);
-    const start = project([0, 0, 0]);
-    if (end === null || start === null || Math.hypot(end.x - start.x, end.y - start.y) < 3) continue;
+  for (const [name, way, colour] of axes) {
+    const tip = project([target[0] + way[0], target[1] + way[1], target[2] + way[2]]);
+    if (tip === null) continue;
+    const perPixel = 26 / (length * here.scale);
+    const end = { x: foot.x + (tip.x - here.x) * perPixel, y: foot.y + (tip.y - here.y) * perPixel };
+    if (Math.hypot(end.x - foot.x, end.y - foot.y) < 4) continue;
     context.strokeStyle = context.fillStyle = colour;
     context.beginPath();
-    line(context, project, [0, 0, 0], tip);
+    context.moveTo(foot.x, foot.y);
+    context.lineTo(end.x, end.y);
     context.stroke();
-    context.fillText(name, end.x + 3, end.y);
+    context.fillText(name, end.x + (end.x - foot.x) * 0.25 - 3, end.y + (end.y - foot.y) * 0.25);
   }
   context.lineWidth = 1;
+}
+
+/** Where the lines of the grid are, along the edges; in space the lines run askew, and labels would belong to none. */
+function drawCoordinates({ context, palette, width, height }: Sheet, step: number, project: Projection, centre: number[], reach: number): void {
+  context.font = MONO;
+  context.fillStyle = palette.dim;
+  const every = (project([step, 0, 0])?.x ?? 0) - (project([0, 0, 0])?.x ?? 0) < 36 ? 2 : 1;
+  for (let i = -reach / step; i <= reach / step; i++) {
+    const [x, y] = [centre[0] + i * step, centre[1] + i * step];
+    const column = project([x, 0, 0]);
+    const row = project([0, y, 0]);
+    context.textBaseline = "top";
+    if (column !== null && column.x > 30 && column.x < width - 20 && Math.round(x / step) % every === 0) context.fillText(rounded(x, 6), column.x + 3, 3);
+    context.textBaseline = "middle";
+    if (row !== null && row.y > 20 && row.y < height - 70 && Math.round(y / step) % every === 0) context.fillText(rounded(y, 6), 3, row.y - 6);
+  }
 }
 
 /** How long one cell is, in the corner, and where its lines are. */

@@ -30,7 +30,7 @@ export function Timeline() {
       session,
       scroller: () => scroller.current,
       click: (x, y) => clicked(session, find(x, y)),
-      hover: (x, y) => setTip(tipOf(session, find(x, y), x, y)),
+      hover: (x, y) => setTip(tipOf(session, find(x, y), x + element.offsetLeft, y)),
       leave: () => setTip(null),
     });
   }, []);

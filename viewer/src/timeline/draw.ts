@@ -7,6 +7,7 @@ import { niceTime } from "../text/time";
 import { drawCue, type CueStyle } from "./cues";
 import { drawHead, HEAD_HEIGHT } from "./head";
 import { drawLane, drawSummary } from "./lanes";
+import { drawStarts } from "./starts";
 import { drawRelations } from "./relations";
 import { scaleOf, ticks, type Scale } from "./scale";
 
@@ -37,6 +38,7 @@ function drawRow(sheet: Sheet, scale: Scale, session: Session, row: Row, top: nu
   if (row.kind === "lane") drawLane(sheet, scale, row.track, top, row.height, session.chosen.value.includes(row.track));
   if (row.kind === "robot") {
     for (const placed of row.cues) drawCue(sheet, scale, placed, top + 2, 22, style);
+    drawStarts(sheet, scale, session.show, row.robot, top + row.height - 1);
     if (row.folded) drawSummary(sheet, scale, row.tracks, top + 23, row.height - 23);
   }
   context.fillStyle = palette.faint;
