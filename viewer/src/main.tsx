@@ -30,7 +30,7 @@ async function start(): Promise<void> {
 function notice(error: unknown): HTMLElement {
   const paragraph = document.createElement("p");
   paragraph.className = "notice";
-  paragraph.role = "alert";
+  paragraph.setAttribute("role", "alert");
   paragraph.textContent = error instanceof PayloadError ? error.message : `This mission cannot be shown: ${String(error)}`;
   return paragraph;
 }

@@ -66,5 +66,5 @@ function tipAt(session: Session, element: HTMLElement, event: PointerEvent, ms: 
   const tracks = session.chosen.value;
   const index = slots(tracks.length, element.clientHeight).findIndex(({ top, height }) => event.offsetY >= top && event.offsetY < top + height);
   if (index < 0 || event.offsetX < MARGIN.left) return null;
-  return { x: Math.min(event.offsetX, element.clientWidth - 220), y: event.offsetY, ...laneTip(session.show, tracks[index], ms) };
+  return { x: event.offsetX, y: event.offsetY, ...laneTip(session.show, tracks[index], ms) };
 }

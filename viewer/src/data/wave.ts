@@ -1,5 +1,5 @@
 // One series in memory: values over time, with a pyramid over the values.
-import type { Series } from "../mission";
+import type { Column, Series } from "../mission";
 import { decode, type Numbers } from "./column";
 import { Pyramid, type Extent } from "./pyramid";
 
@@ -87,18 +87,32 @@ export class Wave {
   }
 }
 
-/** Decodes each series once, when it is first needed. */
+/** Decodes each column once, when it is first needed: robots in unison share their columns. */
 export class Waves {
-  private readonly decoded = new Map<Series, Wave>();
+  private readonly decoded = new Map<string, Numbers>();
+  private readonly waves = new Map<Series, Wave>();
+  private readonly alike = new Map<string, Wave>();
 
   constructor(private readonly columns: Uint8Array) {}
 
   of(series: Series): Wave {
-    let wave = this.decoded.get(series);
+    let wave = this.waves.get(series);
     if (wave === undefined) {
-      wave = new Wave(decode(this.columns, series.t), decode(this.columns, series.v));
-      this.decoded.set(series, wave);
+      wave = remembered(this.alike, `${nameOf(series.t)} ${nameOf(series.v)}`, () => new Wave(this.numbers(series.t), this.numbers(series.v)));
+      this.waves.set(series, wave);
     }
     return wave;
   }
+
+  private numbers(column: Column): Numbers {
+    return remembered(this.decoded, nameOf(column), () => decode(this.columns, column));
+  }
+}
+
+const nameOf = ({ at, n, decimals, order }: Column) => `${at}/${n}/${decimals}/${order}`;
+
+function remembered<T>(known: Map<string, T>, name: string, make: () => T): T {
+  const value = known.get(name) ?? make();
+  known.set(name, value);
+  return value;
 }

@@ -30,7 +30,7 @@ export function Deviations() {
       <Limited items={all.filter((deviation) => kind === "all" || deviation.kind === kind)} name="deviations">
         {(some) => (
           <table id="deviations">
-            <thead><tr><th>at</th><th>device</th><th>of</th><th class="number">set minus planned</th></tr></thead>
+            <thead><tr><th>at</th><th>device</th><th>of</th><th class="number">set minus planned</th><th class="number">clock known to</th></tr></thead>
             <tbody>
               {some.map((deviation, i) => (
                 <tr key={i}>
@@ -38,6 +38,7 @@ export function Deviations() {
                   <th scope="row"><Name text={`${deviation.track.robot.id} / ${deviation.track.device.id}`} /></th>
                   <td>{deviation.kind}</td>
                   <td class="number"><Name text={amount(deviation)} /></td>
+                  <td class="number">{certainty(session, deviation)}</td>
                 </tr>
               ))}
             </tbody>
@@ -56,6 +57,12 @@ function nothing({ show }: Session, complete: boolean): string {
 function go(session: Session, { at, track }: Deviation): void {
   seekAndShow(session, at);
   if (!session.chosen.value.includes(track)) choose(session, track);
+}
+
+/** A time that is off by less than this may be right. */
+function certainty({ show }: Session, { kind, track, at }: Deviation): string {
+  const uncertainty = show.clockUncertainty(track.robotIndex, at);
+  return kind === "value" || uncertainty === 0 ? "" : `± ${rounded(uncertainty, 6)} ms`;
 }
 
 function amount({ kind, by, track }: Deviation): string {

@@ -1,19 +1,31 @@
 // What is under the pointer.
+import { useLayoutEffect, useRef } from "preact/hooks";
 import { Name } from "../text/Name";
 
 export interface TipContent { x: number; y: number; title: string; lines: readonly string[] }
 
-/** Room to keep between the tip and the right edge. */
-const WIDTH = 300;
+/** Pixels from the pointer. */
+const GAP = 14;
 
 export function Tip({ content }: { content: TipContent | null }) {
+  const box = useRef<HTMLDivElement>(null);
+  useLayoutEffect(() => {
+    if (box.current !== null && content !== null) keepInside(box.current, content);
+  }, [content]);
   if (content === null) return null;
-  const { x, y } = content;
-  const left = x + 14 + WIDTH > window.innerWidth ? Math.max(0, x - WIDTH) : x + 14;
   return (
-    <div class="tip" style={{ left: `${left}px`, top: `${y + 16}px` }}>
+    <div class="tip" ref={box}>
       <strong><Name text={content.title} /></strong>
-      {content.lines.map((line) => <div key={line}><Name text={line} /></div>)}
+      {content.lines.map((line, i) => <div key={i}><Name text={line} /></div>)}
     </div>
   );
+}
+
+/** On the other side of the pointer where there is no room. */
+function keepInside(box: HTMLElement, { x, y }: TipContent): void {
+  const { clientWidth, clientHeight } = box.offsetParent ?? document.body;
+  const left = x + GAP + box.offsetWidth > clientWidth ? x - GAP - box.offsetWidth : x + GAP;
+  const top = y + GAP + box.offsetHeight > clientHeight ? y - GAP - box.offsetHeight : y + GAP;
+  box.style.left = `${Math.max(0, left)}px`;
+  box.style.top = `${Math.max(0, top)}px`;
 }

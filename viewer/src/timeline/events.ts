@@ -7,13 +7,15 @@ import type { MissionEvent } from "../mission";
 import { visible } from "../text/visible";
 import type { Scale } from "./scale";
 
+const FAILURES = new Set(["failed", "dropped", "link_lost", "ntp_lost", "journal_lost", "stopping", "act_skipped"]);
+
 export function isFailure({ kind }: MissionEvent): boolean {
-  return /fail|abort|refus|reject|lost|late|error|stop|silent|timed/.test(kind);
+  return FAILURES.has(kind);
 }
 
-export function describeEvent(show: Show, event: MissionEvent): string {
-  const robot = event.robot === null ? "" : `${show.mission.robots[event.robot]?.id ?? `robot ${event.robot}`}: `;
-  return `${robot}${event.kind}${event.text === "" ? "" : ` – ${event.text}`}`;
+export function describeEvent(show: Show, { kind, robot, text }: MissionEvent): string {
+  const what = text === "" ? kind.replaceAll("_", " ") : text;
+  return robot === null ? what : `${show.mission.robots[robot]?.id ?? `robot ${robot}`}: ${what}`;
 }
 
 export function drawEvents(sheet: Sheet, scale: Scale, show: Show, top: number, height: number): void {
@@ -32,7 +34,7 @@ export function drawEvents(sheet: Sheet, scale: Scale, show: Show, top: number, 
     if (failure) cross(context, x, middle);
     else diamond(context, x, middle);
     const room = (i + 1 < events.length ? scale.x(events[i + 1].at) : width) - x - 16;
-    const text = visible(failure ? describeEvent(show, event) : event.kind);
+    const text = visible(failure ? describeEvent(show, event) : event.kind.replaceAll("_", " "));
     if (widthOf(context, text) < room) context.fillText(text, x + 8, middle);
   });
 }

@@ -13,7 +13,7 @@ export function tipOf(session: Session, found: Hit, x: number, y: number): TipCo
   const place = { x, y };
   if (found.kind === "cue") return { ...place, title: found.placed.cue.name, lines: cueLines(show, found.placed) };
   if (found.kind === "phase") return { ...place, title: found.phase.name, lines: [clock(found.phase.at), show.mission.acts[found.phase.act].name] };
-  if (found.kind === "event") return { ...place, title: found.event.kind, lines: [clock(found.event.at), describeEvent(show, found.event)] };
+  if (found.kind === "event") return { ...place, title: found.event.kind.replaceAll("_", " "), lines: [clock(found.event.at), describeEvent(show, found.event)] };
   if (found.kind === "row" && found.row.kind === "lane") return { ...place, ...laneTip(show, found.row.track, found.ms) };
   if (found.kind === "row" && found.row.kind === "robot") return { ...place, ...robotTip(show, found.row.robot, found.ms) };
   return null;
