@@ -197,7 +197,7 @@ test("a deviation moves the playhead to where it is", async () => {
 test("C goes to the closest approach, and the stage tells the distance there", async () => {
   await press("c");
   assert.equal(await playhead(), 1813);
-  assert.match(await text("#closest-of-act"), /cf2 – cf4 0\.0871 m at 0:01\.813/);
+  assert.match(await text("#closest-of-act"), /cf2 – cf4 0\.087 m at 0:01\.813/);
   assert.equal(await page.locator("#closest-now").textContent(), "closest now: cf1 – cf6 0.204 m");
 });
 

@@ -1,6 +1,7 @@
 // Curves of the chosen lanes, with what robots set and sensors read.
 import { useEffect, useState } from "preact/hooks";
 import { useCanvas } from "../canvas/useCanvas";
+import { Tool } from "../panels/Tool";
 import { useCell } from "../state/cell";
 import { pan, seek, zoom } from "../state/moves";
 import { useSession, type Session } from "../state/session";
@@ -8,7 +9,6 @@ import { Playhead } from "../timeline/Playhead";
 import { scaleOf } from "../timeline/scale";
 import { Tip, type TipContent } from "../timeline/Tip";
 import { laneTip } from "../timeline/tipOf";
-import { Tool } from "../timeline/Toolbar";
 import { drawCurves, MARGIN, slots } from "./draw";
 
 export function Curves() {

@@ -5,9 +5,9 @@ import { setSpeed, shuttle, toggle } from "../state/playback";
 import { useSession } from "../state/session";
 import { Name } from "../text/Name";
 import { clock, timeOfDay } from "../text/time";
-import { Tool } from "../timeline/Toolbar";
 import { Icon } from "./Icon";
 import { outcomeText } from "./outcome";
+import { Tool } from "./Tool";
 
 const KINDS = { dry_run: "dry run", recording: "recording", journal: "journal" };
 

@@ -1,9 +1,9 @@
 // Robots in space at the playhead.
 import { useEffect, useMemo } from "preact/hooks";
 import { useCanvas } from "../canvas/useCanvas";
+import { Tool } from "../panels/Tool";
 import { Cell, useCell } from "../state/cell";
 import { useSession } from "../state/session";
-import { Tool } from "../timeline/Toolbar";
 import { closer, type Camera } from "./camera";
 import { drawStage } from "./draw";
 import { StageFacts } from "./StageFacts";

@@ -42,8 +42,8 @@ function ClosestOfAct({ at }: { at: number }) {
   if (closest === null || closest === undefined) return null;
   const names = closest.robots.map((robot) => nameOf(show, robot)).join(" – ");
   return (
-    <button type="button" class="link" id="closest-of-act" title="To this instant (C)" onClick={() => seekAndShow(session, played.start + closest.at)}>
-      closest in this act: <Name text={names} /> {digits(closest.distance)} m at {clock(played.start + closest.at)}
+    <button type="button" class="link" id="closest-of-act" title={`To this instant (C). Exactly: ${digits(closest.distance)} m`} onClick={() => seekAndShow(session, played.start + closest.at)}>
+      closest in this act: <Name text={names} /> {closest.distance.toFixed(3)} m at {clock(played.start + closest.at)}
     </button>
   );
 }

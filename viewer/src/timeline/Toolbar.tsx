@@ -1,6 +1,6 @@
 // Search, filters, zoom and what is drawn.
-import type { ComponentChildren } from "preact";
 import { Icon } from "../panels/Icon";
+import { Tool } from "../panels/Tool";
 import { useCell } from "../state/cell";
 import { foldAll } from "../state/choose";
 import { fit, zoom, zoomToSelection } from "../state/moves";
@@ -41,15 +41,5 @@ export function Toolbar() {
       <Tool label="Zoom in (+)" press={() => zoom(session, 1.5, middle())}>+</Tool>
       <Tool label="Fit all (F)" press={() => fit(session)}>Fit</Tool>
     </div>
-  );
-}
-
-interface ToolProps { label: string; press: () => void; pressed?: boolean; disabled?: boolean; children: ComponentChildren }
-
-export function Tool({ label, press, pressed, disabled, children }: ToolProps) {
-  return (
-    <button type="button" class="tool" title={label} aria-label={label} aria-pressed={pressed} disabled={disabled} onClick={press}>
-      {children}
-    </button>
   );
 }
