@@ -84,6 +84,22 @@ test("arrows seek, and comma and full stop go from step to step of the focused l
   assert.equal(await playhead(), 500);
 });
 
+test("the buttons of the player do what the keys do", async () => {
+  await page.getByRole("button", { name: "To the step after" }).click();
+  await settle();
+  assert.equal(await playhead(), 250);
+  await page.getByRole("button", { name: "To the end (End)" }).click();
+  await settle();
+  assert.equal(await playhead(), 12500);
+  await page.getByRole("button", { name: "Play backwards (J)" }).click();
+  await page.waitForTimeout(150);
+  await page.getByRole("button", { name: "Pause (Space)" }).click();
+  await settle();
+  assert.ok((await playhead()) < 12500);
+  await page.getByRole("slider", { name: "Speed" }).fill("1");
+  assert.equal(await text("#speed"), "-10×");
+});
+
 test("plus zooms in, F fits again, and Shift with arrows pans", async () => {
   assert.match(await overview(), /^100 %/);
   await press("+", "+", "+");

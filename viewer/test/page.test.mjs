@@ -52,6 +52,23 @@ for (const theme of ["light", "dark"]) {
   }
 }
 
+for (const [name, size] of Object.entries(SIZES)) {
+  test(`everything to press on the ${name} page is 24 px or more in both directions`, async () => {
+    const { page, close } = await browser.open(html, { size });
+    await shown(page);
+    for (const tab of TABS) {
+      await page.getByRole("tab", { name: tab }).click();
+      const small = await page.evaluate(() =>
+        [...document.querySelectorAll("button, select, input, [role=treeitem], [role=option]")]
+          .map((element) => ({ element, box: element.getBoundingClientRect() }))
+          .filter(({ box }) => box.width > 0 && (box.width < 24 || box.height < 24))
+          .map(({ element, box }) => `${element.outerHTML.slice(0, 80)} ${box.width} x ${box.height}`));
+      assert.deepEqual(small, [], tab);
+    }
+    await close();
+  });
+}
+
 async function violations(page) {
   return page.evaluate(async () => {
     const tags = ["wcag2a", "wcag2aa", "wcag21a", "wcag21aa", "wcag22aa", "best-practice"];

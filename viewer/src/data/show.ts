@@ -20,10 +20,12 @@ export class Show {
   /** Indices into `cues` of what each finding is about. */
   readonly cuesOfFinding: number[][];
   private readonly waves: Waves;
+  private readonly clockOf: ReadonlyMap<number, Mission["clocks"][number]>;
 
   constructor({ mission, columns }: Payload) {
     this.mission = mission;
     this.waves = new Waves(columns);
+    this.clockOf = new Map(mission.clocks.map((clock) => [clock.robot, clock]));
     this.tracksOf = mission.robots.map(() => []);
     this.trackOfDevice = mission.robots.map(() => []);
     this.makeTracks();
@@ -47,7 +49,7 @@ export class Show {
 
   /** How far off a time of this robot may be, in ms; 0 where nobody asked its clock. */
   clockUncertainty(robot: number, ms: number): number {
-    const clock = this.mission.clocks.find((candidate) => candidate.robot === robot);
+    const clock = this.clockOf.get(robot);
     if (clock === undefined) return 0;
     const wave = this.waves.of(clock.uncertainty);
     if (wave.count === 0) return 0;

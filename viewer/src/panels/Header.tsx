@@ -1,7 +1,7 @@
 // What is shown, and the keys of a video player.
 import { useCell } from "../state/cell";
 import { seekAndShow } from "../state/moves";
-import { setSpeed, shuttle, toggle } from "../state/playback";
+import { setSpeed, shuttle, step, toggle } from "../state/playback";
 import { useSession } from "../state/session";
 import { Name } from "../text/Name";
 import { clock, timeOfDay } from "../text/time";
@@ -36,9 +36,11 @@ function Transport() {
   return (
     <div class="transport" role="group" aria-label="Playback">
       <Tool label="To the start (Home)" press={() => seekAndShow(session, from)}><Icon name="first" /></Tool>
+      <Tool label="To the step before, of the focused lane (,)" press={() => step(session, -1)}><Icon name="stepBefore" /></Tool>
       <Tool label="Play backwards (J)" press={() => shuttle(session, -1)}><Icon name="back" /></Tool>
       <Tool label={playing ? "Pause (Space)" : "Play (Space)"} press={() => toggle(session)}><Icon name={playing ? "pause" : "play"} /></Tool>
       <Tool label="Play, again for twice the speed (L)" press={() => shuttle(session, 1)}><Icon name="forward" /></Tool>
+      <Tool label="To the step after, of the focused lane (.)" press={() => step(session, 1)}><Icon name="stepAfter" /></Tool>
       <Tool label="To the end (End)" press={() => seekAndShow(session, to)}><Icon name="last" /></Tool>
       <Times epoch={epoch} />
       <Speed />

@@ -7,6 +7,8 @@ const PATHS = {
   pause: "M4 3h3v10H4zM9 3h3v10H9z",
   forward: "M2 3v10l6-5zM8 3v10l6-5z",
   last: "M11 3h2v10h-2zM3 3v10l7-5z",
+  stepBefore: "M13 3v10h-1.5V3zM10 3v10L4 8z",
+  stepAfter: "M3 3h1.5v10H3zM6 3l6 5-6 5z",
   sun: "M8 5a3 3 0 1 0 0 6 3 3 0 0 0 0-6zM7.3 1h1.4v2.5H7.3zM7.3 12.5h1.4V15H7.3zM1 7.3h2.5v1.4H1zM12.5 7.3H15v1.4h-2.5zM2.6 3.6l1-1 1.7 1.7-1 1zM10.7 11.7l1-1 1.7 1.7-1 1zM3.6 13.4l-1-1 1.7-1.7 1 1zM11.7 5.3l-1-1 1.7-1.7 1 1z",
   moon: "M10 1.5A6.5 6.5 0 1 0 14.5 10 5.5 5.5 0 0 1 10 1.5z",
   fold: "M8 1l4 4H4zM8 15l-4-4h8zM2 7.3h12v1.4H2z",

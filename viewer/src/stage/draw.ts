@@ -8,9 +8,10 @@ import { closestPair, type Pair } from "./closest";
 import { drawFloor } from "./floor";
 import { middleAt, poses, type Pose } from "./pose";
 
-/** A trail shows this many milliseconds, in this many parts. */
+/** A trail shows this many milliseconds, in up to this many parts; all trails together have no more than TRAIL_POINTS. */
 const TRAIL_MS = 3000;
 const TRAIL_PARTS = 40;
+const TRAIL_POINTS = 4000;
 
 export function drawStage(sheet: Sheet, session: Session, camera: Camera): void {
   const { width, height } = sheet;
@@ -21,7 +22,8 @@ export function drawStage(sheet: Sheet, session: Session, camera: Camera): void 
   const closest = closestPair(found);
   const style = { dark: session.theme.value === "dark", strong: new Set(closest?.robots ?? []) };
   drawFloor(sheet, camera, project, in3d);
-  if (session.trails.value) for (const pose of found) drawTrail(sheet, session.show, pose, at, project, style.dark);
+  const parts = Math.max(6, Math.min(TRAIL_PARTS, Math.floor(TRAIL_POINTS / found.length)));
+  if (session.trails.value) for (const pose of found) drawTrail(sheet, session.show, pose, at, parts, project, style.dark);
   if (in3d) drawPlumbs(sheet, found, project);
   if (closest !== null) drawClosest(sheet, closest, found, project);
   const depth = (pose: Pose) => project(pose.frame.origin)?.depth ?? 0;
@@ -30,13 +32,13 @@ export function drawStage(sheet: Sheet, session: Session, camera: Camera): void 
   if (session.labels.value) drawLabels(sheet, session.show, found, project);
 }
 
-function drawTrail({ context }: Sheet, show: Show, { robot, body }: Pose, at: number, project: Projection, dark: boolean): void {
+function drawTrail({ context }: Sheet, show: Show, { robot, body }: Pose, at: number, parts: number, project: Projection, dark: boolean): void {
   if ([body.x, body.y, body.z].every(({ device }) => device === null)) return;
   context.strokeStyle = colourOf(robot, dark);
   context.globalAlpha = 0.5;
   context.beginPath();
-  for (let i = 0; i <= TRAIL_PARTS; i++) {
-    const spot = project(middleAt(show, robot, body, at - (TRAIL_MS * i) / TRAIL_PARTS));
+  for (let i = 0; i <= parts; i++) {
+    const spot = project(middleAt(show, robot, body, at - (TRAIL_MS * i) / parts));
     if (spot === null) continue;
     if (i === 0) context.moveTo(spot.x, spot.y);
     else context.lineTo(spot.x, spot.y);

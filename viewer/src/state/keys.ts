@@ -1,10 +1,10 @@
 // Every key of the page. The help dialog is made of the same table.
 import { choose, fold, foldAll, moveFocus } from "./choose";
-import { fit, pan, seek, seekAndShow, selectCue, zoom, zoomToSelection } from "./moves";
-import { pause, setSpeed, shuttle, toggle } from "./playback";
+import { clearSelection, fit, pan, seek, seekAndShow, selectCue, zoom, zoomToSelection } from "./moves";
+import { pause, setSpeed, shuttle, step, toggle } from "./playback";
 import type { Session, Tab } from "./session";
 
-interface Key { keys: string[]; does: string; run: (session: Session, key: string) => void }
+interface Key { keys: string[]; does: string; /** `null`: the browser does it; the help tells it. */ run: ((session: Session, key: string) => void) | null }
 
 const TABS: Tab[] = ["summary", "values", "cues", "deviations", "findings", "events", "source"];
 
@@ -15,7 +15,7 @@ export const KEYS: Key[] = [
   { keys: ["L"], does: "play; again: twice as fast", run: (session) => shuttle(session, 1) },
   { keys: ["<", ">"], does: "half or twice the speed", run: (session, key) => setSpeed(session, Math.abs(session.speed.value) * (key === "<" ? 0.5 : 2)) },
   { keys: ["ArrowLeft", "ArrowRight"], does: "move the playhead by a twentieth of what is in view", run: (session, key) => seekAndShow(session, session.playhead.value + sideways(key) * width(session) / 20) },
-  { keys: [",", "."], does: "to the step before or after, of the focused lane", run: step },
+  { keys: [",", "."], does: "to the step before or after, of the focused lane", run: (session, key) => step(session, key === "," ? -1 : 1) },
   { keys: ["Home", "End"], does: "to the start or the end", run: (session, key) => seekAndShow(session, key === "Home" ? session.show.mission.from : session.show.mission.to) },
   { keys: ["Shift+ArrowLeft", "Shift+ArrowRight"], does: "pan", run: (session, key) => pan(session, sideways(key) * width(session) / 8) },
   { keys: ["+", "-"], does: "zoom in or out at the playhead", run: (session, key) => zoom(session, key === "+" ? 1.5 : 1 / 1.5, anchor(session)) },
@@ -23,10 +23,10 @@ export const KEYS: Key[] = [
   { keys: ["Z"], does: "zoom to the selected range, or to the selected cue", run: zoomToSelection },
   { keys: ["[", "]"], does: "begin or end the selected range at the playhead", run: (session, key) => edge(session, key) },
   { keys: ["X"], does: "let dragging select a range, or pan again", run: (session) => (session.drag.value = session.drag.value === "pan" ? "select" : "pan") },
-  { keys: ["Escape"], does: "clear the selected range and cue", run: clear },
+  { keys: ["Escape"], does: "clear the selected range and cue", run: clearSelection },
   { keys: ["ArrowUp", "ArrowDown"], does: "to the row above or below", run: (session, key) => moveFocus(session, key === "ArrowUp" ? -1 : 1) },
   { keys: ["Enter"], does: "draw the curve of the focused lane, or fold the focused robot", run: enter },
-  { keys: ["PageUp", "PageDown"], does: "scroll the rows (while the timeline has the focus)", run: () => {} },
+  { keys: ["PageUp", "PageDown"], does: "scroll the rows (while the timeline has the focus)", run: null },
   { keys: ["U"], does: "fold or unfold all robots", run: foldAll },
   { keys: ["N", "P"], does: "select the next or the previous cue", run: (session, key) => nextCue(session, key === "n" ? 1 : -1) },
   { keys: ["R"], does: "show relations of cues", run: (session) => (session.relations.value = !session.relations.value) },
@@ -45,7 +45,7 @@ export function listenToKeys(session: Session): () => void {
     if (event.ctrlKey || event.altKey || event.metaKey || session.help.value || takesKeys(event)) return;
     const name = event.key.length === 1 ? event.key.toLowerCase() : `${event.shiftKey ? "Shift+" : ""}${event.key}`;
     const entry = runs.get(name === "=" ? "+" : name);
-    if (entry === undefined) return;
+    if (entry === undefined || entry.run === null) return;
     event.preventDefault();
     entry.run(session, name === "=" ? "+" : name);
   };
@@ -53,11 +53,12 @@ export function listenToKeys(session: Session): () => void {
   return () => document.removeEventListener("keydown", press);
 }
 
-/** Fields take what is typed; buttons take Space and Enter; lists, tabs and sliders take arrows. */
+/** Fields take what is typed; buttons take Space and Enter; sliders take arrows, and panels those that scroll. */
 function takesKeys({ target, key }: KeyboardEvent): boolean {
   if (!(target instanceof HTMLElement)) return false;
   if (target instanceof HTMLInputElement && target.type === "range") return /^(Arrow|Page|Home|End)/.test(key);
   if (target instanceof HTMLInputElement || target instanceof HTMLSelectElement) return key !== "Escape";
+  if (target.getAttribute("role") === "tabpanel") return /^(ArrowUp|ArrowDown|Page|Home|End)/.test(key);
   if (target instanceof HTMLButtonElement) return key === " " || key === "Enter";
   return false;
 }
@@ -71,24 +72,11 @@ function anchor(session: Session): number {
   return at >= from && at <= to ? at : (from + to) / 2;
 }
 
-function step(session: Session, key: string): void {
-  const direction = key === "," ? -1 : 1;
-  const track = session.focusedTrack ?? session.chosen.value[0];
-  pause(session);
-  const next = track?.neighbour(session.playhead.value, direction);
-  if (next !== null && next !== undefined) seekAndShow(session, next);
-}
-
 function edge(session: Session, key: string): void {
   const at = session.playhead.value;
   const range = session.range.value ?? { from: at, to: at };
   const next = key === "[" ? { from: at, to: Math.max(at, range.to) } : { from: Math.min(at, range.from), to: at };
   session.range.value = next;
-}
-
-function clear(session: Session): void {
-  session.range.value = null;
-  session.cue.value = null;
 }
 
 function enter(session: Session): void {

@@ -48,6 +48,11 @@ export function zoomToSelection(session: Session): void {
   if (cue !== null) showRange(session, { from: session.show.cues[cue].start, to: session.show.cues[cue].end });
 }
 
+export function clearSelection(session: Session): void {
+  session.range.value = null;
+  session.cue.value = null;
+}
+
 /** Keeps a part of the mission in view, at a width that numbers can still tell apart. */
 export function show(session: Session, view: View): void {
   const whole = session.whole;

@@ -1,5 +1,5 @@
 // Playing: the playhead runs with the clock of the page, at any speed, forwards and backwards.
-import { seek, show } from "./moves";
+import { seek, seekAndShow, show } from "./moves";
 import type { Session } from "./session";
 
 const FASTEST = 10;
@@ -32,6 +32,14 @@ export function shuttle(session: Session, direction: 1 | -1): void {
 
 export function setSpeed(session: Session, size: number): void {
   session.speed.value = Math.sign(session.speed.value) * Math.min(FASTEST, Math.max(SLOWEST, size));
+}
+
+/** To the next or the previous step of the focused lane, or of the first curve. */
+export function step(session: Session, direction: 1 | -1): void {
+  const track = session.focusedTrack ?? session.chosen.value[0];
+  pause(session);
+  const next = track?.neighbour(session.playhead.value, direction) ?? null;
+  if (next !== null) seekAndShow(session, next);
 }
 
 /** Runs as long as the page. */

@@ -3,7 +3,7 @@ import { Icon } from "../panels/Icon";
 import { Tool } from "../panels/Tool";
 import { useCell } from "../state/cell";
 import { foldAll } from "../state/choose";
-import { fit, zoom, zoomToSelection } from "../state/moves";
+import { clearSelection, fit, zoom, zoomToSelection } from "../state/moves";
 import { NO_FILTER, type Filter } from "../state/rows";
 import { useSession } from "../state/session";
 import { Picker } from "./Picker";
@@ -37,6 +37,7 @@ export function Toolbar() {
       <Tool label="Show relations (R)" pressed={relations} press={() => (session.relations.value = !relations)}><Icon name="arrow" /></Tool>
       <Tool label="Drag selects a range (X)" pressed={drag === "select"} press={() => (session.drag.value = drag === "select" ? "pan" : "select")}><Icon name="range" /></Tool>
       <Tool label="Zoom to the selected range or cue (Z)" disabled={range === null && cue === null} press={() => zoomToSelection(session)}><Icon name="closer" /></Tool>
+      <Tool label="Clear the selected range and cue (Esc)" disabled={range === null && cue === null} press={() => clearSelection(session)}><Icon name="close" /></Tool>
       <Tool label="Zoom out (-)" press={() => zoom(session, 1 / 1.5, middle())}>−</Tool>
       <Tool label="Zoom in (+)" press={() => zoom(session, 1.5, middle())}>+</Tool>
       <Tool label="Fit all (F)" press={() => fit(session)}>Fit</Tool>
