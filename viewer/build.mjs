@@ -27,6 +27,9 @@ const [template, script, style] = await Promise.all([
   bundle("src/style/page.css"),
 ]);
 const policy = `default-src 'none'; script-src ${hash(script)}; style-src ${hash(style)}`;
-const page = template.replace(/@@(POLICY|SCRIPT|STYLE)@@/g, (_, name) => ({ POLICY: policy, SCRIPT: script, STYLE: style })[name]);
+const page = template.replace(
+  /@@(POLICY|SCRIPT|STYLE)@@/g,
+  (_, name) => ({ POLICY: policy, SCRIPT: script, STYLE: style })[name],
+);
 await writeFile(new URL("page.html", here), page);
 console.log(`page.html: ${page.length} bytes, ${gzipSync(page, { level: 9 }).length} gzipped`);

@@ -19,7 +19,9 @@ console.log(`mission: ${robots} robots, ${mission.steps} steps; file: ${(html.le
 const browser = await launch();
 const { page, complaints } = await browser.open(html);
 await page.waitForSelector(".timeline-canvas");
-const load = await page.evaluate(() => new Promise((resolve) => requestAnimationFrame(() => setTimeout(() => resolve(performance.now())))));
+const load = await page.evaluate(
+  () => new Promise((resolve) => requestAnimationFrame(() => setTimeout(() => resolve(performance.now())))),
+);
 console.log(`usable after ${Math.round(load)} ms (since the navigation began, first picture drawn)`);
 
 await frames("pan, everything folded", "Shift+ArrowRight", 8);
@@ -27,14 +29,18 @@ await frames("zoom, everything folded", "+", 0);
 await page.keyboard.press("u");
 await frames("pan, everything unfolded", "Shift+ArrowRight", 8);
 await frames("zoom, everything unfolded", "+", 0);
-await page.evaluate(() => { document.querySelector(".rows").scrollTop = 1e6; });
+await page.evaluate(() => {
+  document.querySelector(".rows").scrollTop = 1e6;
+});
 await frames("pan, scrolled to the last lanes", "Shift+ArrowRight", 8);
 await frames("playhead moves", "ArrowRight", 3);
 
 const session = await page.context().newCDPSession(page);
 await session.send("HeapProfiler.collectGarbage");
 const { usedSize, backingStorageSize = 0 } = await session.send("Runtime.getHeapUsage");
-console.log(`memory after garbage collection: heap ${(usedSize / 1e6).toFixed(1)} MB, array buffers ${(backingStorageSize / 1e6).toFixed(1)} MB`);
+console.log(
+  `memory after garbage collection: heap ${(usedSize / 1e6).toFixed(1)} MB, array buffers ${(backingStorageSize / 1e6).toFixed(1)} MB`,
+);
 if (complaints.length > 0) console.log(complaints);
 await browser.close();
 
@@ -42,19 +48,25 @@ await browser.close();
 async function frames(name, key, zoomFirst) {
   await page.keyboard.press("f");
   for (let i = 0; i < zoomFirst; i++) await page.keyboard.press("+");
-  const times = await page.evaluate(async ({ key, count }) => {
-    const opposite = { "Shift+ArrowRight": "Shift+ArrowLeft", ArrowRight: "ArrowLeft", "+": "-" }[key];
-    const press = (name) => document.dispatchEvent(new KeyboardEvent("keydown", { key: name.replace("Shift+", ""), shiftKey: name.startsWith("Shift+"), bubbles: true }));
-    const times = [];
-    for (let i = 0; i < count; i++) {
-      await new Promise(requestAnimationFrame);
-      const before = performance.now();
-      press(Math.floor(i / 20) % 2 === 0 ? key : opposite);
-      await new Promise((done) => requestAnimationFrame(() => setTimeout(done)));
-      times.push(performance.now() - before);
-    }
-    return times.sort((a, b) => a - b);
-  }, { key, count: FRAMES });
+  const times = await page.evaluate(
+    async ({ key, count }) => {
+      const opposite = { "Shift+ArrowRight": "Shift+ArrowLeft", ArrowRight: "ArrowLeft", "+": "-" }[key];
+      const press = (name) =>
+        document.dispatchEvent(
+          new KeyboardEvent("keydown", { key: name.replace("Shift+", ""), shiftKey: name.startsWith("Shift+"), bubbles: true }),
+        );
+      const times = [];
+      for (let i = 0; i < count; i++) {
+        await new Promise(requestAnimationFrame);
+        const before = performance.now();
+        press(Math.floor(i / 20) % 2 === 0 ? key : opposite);
+        await new Promise((done) => requestAnimationFrame(() => setTimeout(done)));
+        times.push(performance.now() - before);
+      }
+      return times.sort((a, b) => a - b);
+    },
+    { key, count: FRAMES },
+  );
   const at = (share) => times[Math.floor(share * (FRAMES - 1))].toFixed(1);
   console.log(`${name}: p50 ${at(0.5)} ms, p95 ${at(0.95)} ms, longest ${at(1)} ms over ${FRAMES} frames`);
 }

@@ -5,9 +5,22 @@ import { join } from "node:path";
 import { pathToFileURL } from "node:url";
 import { chromium } from "playwright-core";
 
-const ARGUMENTS = ["--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-background-networking", "--disable-component-update", "--disable-sync", "--enable-precise-memory-info"];
+const ARGUMENTS = [
+  "--no-sandbox",
+  "--disable-gpu",
+  "--disable-quic",
+  "--no-first-run",
+  "--disable-background-networking",
+  "--disable-component-update",
+  "--disable-sync",
+  "--enable-precise-memory-info",
+];
 
-export const SIZES = { wide: { width: 1600, height: 1000 }, middle: { width: 1024, height: 768 }, narrow: { width: 390, height: 844 } };
+export const SIZES = {
+  wide: { width: 1600, height: 1000 },
+  middle: { width: 1024, height: 768 },
+  narrow: { width: 390, height: 844 },
+};
 
 export async function launch() {
   const folder = await mkdtemp(join(tmpdir(), "viewer-"));

@@ -27,7 +27,10 @@ for (const [name, values, decimals, order] of [
     columns.integers([5, 6, 7], 0, 1);
     const column = columns.integers(values, decimals, order);
     const { integers, divisor } = decode(bytesOf(columns), column);
-    assert.deepEqual([...integers].map((integer) => integer / divisor), values);
+    assert.deepEqual(
+      [...integers].map((integer) => integer / divisor),
+      values,
+    );
   });
 }
 
@@ -63,10 +66,20 @@ test("steps are found by time, and values between them as the device moves", () 
   const columns = new Columns();
   const series = columns.series([0, 100, 100, 200], [0, 1, 5, 7]);
   const wave = new Waves(bytesOf(columns)).of(series);
-  assert.deepEqual([-1, 0, 99, 100, 150, 200, 900].map((ms) => wave.at(ms)), [-1, 0, 0, 2, 2, 3, 3]);
-  assert.deepEqual([-1, 0, 50, 100, 150, 900].map((ms) => wave.valueAt(ms, "linear")), [NaN, 0, 0.5, 5, 6, 7]);
-  assert.deepEqual([0, 99, 100, 199, 200].map((ms) => wave.valueAt(ms, "hold")), [0, 0, 5, 5, 7]);
-  for (let hint = 0; hint <= 4; hint++) for (let ms = -10; ms < 220; ms += 5) assert.equal(wave.fromHint(ms, hint), Math.max(hint, wave.from(ms)));
+  assert.deepEqual(
+    [-1, 0, 99, 100, 150, 200, 900].map((ms) => wave.at(ms)),
+    [-1, 0, 0, 2, 2, 3, 3],
+  );
+  assert.deepEqual(
+    [-1, 0, 50, 100, 150, 900].map((ms) => wave.valueAt(ms, "linear")),
+    [NaN, 0, 0.5, 5, 6, 7],
+  );
+  assert.deepEqual(
+    [0, 99, 100, 199, 200].map((ms) => wave.valueAt(ms, "hold")),
+    [0, 0, 5, 5, 7],
+  );
+  for (let hint = 0; hint <= 4; hint++)
+    for (let ms = -10; ms < 220; ms += 5) assert.equal(wave.fromHint(ms, hint), Math.max(hint, wave.from(ms)));
 });
 
 test("what controls a terminal or turns text around is an escape, letters of all scripts remain", () => {
@@ -75,5 +88,11 @@ test("what controls a terminal or turns text around is an escape, letters of all
 });
 
 test("times are rounded once, as a whole", () => {
-  assert.deepEqual([0, -0.2, -388.5, 59_999.6, 3_723_004].map(clock), ["0:00.000", "0:00.000", "-0:00.389", "1:00.000", "62:03.004"]);
+  assert.deepEqual([0, -0.2, -388.5, 59_999.6, 3_723_004].map(clock), [
+    "0:00.000",
+    "0:00.000",
+    "-0:00.389",
+    "1:00.000",
+    "62:03.004",
+  ]);
 });

@@ -22,7 +22,12 @@ test("numbers have the digits of the document", async () => {
     assert.deepEqual(cells, ["ended", `${robot.start_error_ms} ms`, "72/72", i === 4 ? "⚠ 2" : "0", ...clock]);
   }
   await page.keyboard.press("2");
-  for (const [step, value] of [[1, "-3.3"], [2, "-3.301"], [3, "-3.309"], [4, "-3.327"]]) {
+  for (const [step, value] of [
+    [1, "-3.3"],
+    [2, "-3.301"],
+    [3, "-3.309"],
+    [4, "-3.327"],
+  ]) {
     const cells = await page.locator("#values tbody tr").first().locator("td").allInnerTexts();
     assert.deepEqual(cells.slice(0, 2), [`${value} m`, `${step} of 18`]);
     await page.keyboard.press(".");
@@ -36,7 +41,12 @@ test("names of others are text, and what would turn the text around is an escape
   const hostile = "<script>alert(1)</script>\"'&\u202eevil\u0007\u0000 \u05e9\u05dc\u05d5\u05dd";
   const shownAs = "<script>alert(1)</script>\"'&\\u202eevil\\u0007\\u0000 \u05e9\u05dc\u05d5\u05dd";
   mission.scenario = mission.robots[0].id = mission.robots[0].devices[0].id = mission.plans[0].cues[0].name = hostile;
-  mission.acts[0].name = mission.events[0].text = mission.findings[0].message = mission.sources[0].name = mission.report.robots[0].robot = hostile;
+  mission.acts[0].name =
+    mission.events[0].text =
+    mission.findings[0].message =
+    mission.sources[0].name =
+    mission.report.robots[0].robot =
+      hostile;
   mission.sources[0].text = `${hostile}\n${mission.sources[0].text}`;
   const { page, complaints, close } = await browser.open(await pageWith(encode(mission, columns)));
   await shown(page);
@@ -52,11 +62,42 @@ test("names of others are text, and what would turn the text around is an escape
   await close();
 });
 
+test("a journal that knows no plans, and a mission of nothing, are shown as far as they are known", async () => {
+  const { mission, columns } = await choreography();
+  const journal = {
+    ...mission,
+    kind: "journal",
+    report: null,
+    plans: [],
+    sources: [],
+    findings: [],
+    set: [],
+    read: [],
+    acts: mission.acts.map((act) => ({ ...act, plan: null })),
+  };
+  const nothing = { ...journal, from: 0, to: 0, robots: [], groups: [], acts: [], events: [], clocks: [] };
+  for (const document of [journal, nothing]) {
+    const { page, complaints, close } = await browser.open(await pageWith(encode(document, columns)));
+    await shown(page);
+    for (const key of ["l", "k", "+", "f", "z", "n", ".", "c", "ArrowDown", "Enter", "u", "v", "2", "3", "4", "5", "6", "7", "1"])
+      await page.keyboard.press(key);
+    await page.waitForTimeout(100);
+    assert.deepEqual(complaints, []);
+    assert.equal(await page.locator("h1").innerText(), "swap, with an arm");
+    await close();
+  }
+});
+
 for (const [name, change, expected] of [
   ["without a mission", () => "@@MISSION@@", /holds no mission/],
   ["that is cut off", (base64) => base64.slice(0, base64.length / 2), /damaged or cut off/],
   ["that is no base64", () => "()", /damaged or cut off/],
-  ["of a column cut off", (_, { mission, columns }) => encode({ ...mission, plans: mission.plans.map((plan) => ({ ...plan, lanes: plan.lanes.map(beyond) })) }, columns), /cut off/],
+  [
+    "of a column cut off",
+    (_, { mission, columns }) =>
+      encode({ ...mission, plans: mission.plans.map((plan) => ({ ...plan, lanes: plan.lanes.map(beyond) })) }, columns),
+    /cut off/,
+  ],
 ]) {
   test(`a page ${name} says so`, async () => {
     const made = await choreography();
@@ -69,7 +110,10 @@ for (const [name, change, expected] of [
 }
 
 function beyond(lane) {
-  return { ...lane, scripts: lane.scripts.map((script) => ({ ...script, steps: { ...script.steps, v: { ...script.steps.v, at: 1e9 } } })) };
+  return {
+    ...lane,
+    scripts: lane.scripts.map((script) => ({ ...script, steps: { ...script.steps, v: { ...script.steps.v, at: 1e9 } } })),
+  };
 }
 
 test("a browser without DecompressionStream is told what it lacks", async () => {

@@ -35,7 +35,10 @@ export class Columns {
   }
 
   series(times, values, { timeDecimals = 0, decimals = 3 } = {}) {
-    return { t: this.integers(times, timeDecimals, 2), v: decimals === null ? this.floats(values) : this.integers(values, decimals, 1) };
+    return {
+      t: this.integers(times, timeDecimals, 2),
+      v: decimals === null ? this.floats(values) : this.integers(values, decimals, 1),
+    };
   }
 
   varint(difference) {

@@ -234,5 +234,7 @@ test("T changes the theme and V the stage", async () => {
 test("the focused lane is told to screen readers when the playhead rests", async () => {
   await page.getByRole("treeitem", { name: "x m", exact: true }).first().focus();
   await press(".");
-  await page.waitForFunction(() => document.querySelector("#spoken").textContent.includes("cf1 x: -3.301 m, step 2 of 18, cue drone 1"));
+  await page.waitForFunction(() =>
+    document.querySelector("#spoken").textContent.includes("cf1 x: -3.301 m, step 2 of 18, cue drone 1"),
+  );
 });

@@ -16,16 +16,54 @@ export function large({ robots, steps, spike = null }) {
     DEVICES.forEach((_, device) => {
       const [size, period, phase] = [1 + random(), 4000 + 9000 * random(), 7 * random()];
       const noise = () => Math.round(6 * random() - 3) / 1000;
-      const values = times.map((t, i) => (spike === i && robot === 0 && device === 0 ? 40 : size * Math.sin(phase + (2 * Math.PI * t) / period) + (robot % 10) + noise()));
-      lanes.push({ robot, device, control: "position", worst_error: 0.002, worst_at: 0, scripts: [{ start: 0, steps: columns.series(times, values) }] });
+      const values = times.map((t, i) =>
+        spike === i && robot === 0 && device === 0
+          ? 40
+          : size * Math.sin(phase + (2 * Math.PI * t) / period) + (robot % 10) + noise(),
+      );
+      lanes.push({
+        robot,
+        device,
+        control: "position",
+        worst_error: 0.002,
+        worst_at: 0,
+        scripts: [{ start: 0, steps: columns.series(times, values) }],
+      });
     });
   }
   const mission = {
-    version: 1, program: "downbeat 1.0.0", kind: "dry_run", scenario: "large", epoch: "2026-01-01T00:00:00Z", from: -400, to: duration, report: null,
-    sources: [], groups: [], findings: [], events: [], set: [], read: [], clocks: [],
+    version: 1,
+    program: "downbeat 1.0.0",
+    kind: "dry_run",
+    scenario: "large",
+    epoch: "2026-01-01T00:00:00Z",
+    from: -400,
+    to: duration,
+    report: null,
+    sources: [],
+    groups: [],
+    findings: [],
+    events: [],
+    set: [],
+    read: [],
+    clocks: [],
     robots: Array.from({ length: robots }, (_, i) => robotOf(i)),
     plans: [{ name: "", duration, start_tolerance: 5, cues: cuesOf(robots, duration), lanes, closest: null, waits: "" }],
-    acts: [{ name: "large", number: 0, plan: 0, start: 0, end: duration, sent: -400, decided: -300, committed: -120, no_return: -60, lease: -160, robots: [] }],
+    acts: [
+      {
+        name: "large",
+        number: 0,
+        plan: 0,
+        start: 0,
+        end: duration,
+        sent: -400,
+        decided: -300,
+        committed: -120,
+        no_return: -60,
+        lease: -160,
+        robots: [],
+      },
+    ],
   };
   return { mission, steps: count * DEVICES.length * robots, base64: encode(mission, columns) };
 }
@@ -34,15 +72,30 @@ function robotOf(i) {
   const by = (device) => ({ device, scale: 1, offset: 0 });
   return {
     id: `robot-${i + 1}`,
-    devices: DEVICES.map((id) => ({ id, unit: "m", interpolation: "linear", granularity: 0.001, min: null, max: null, default: null, sensor: false })),
+    devices: DEVICES.map((id) => ({
+      id,
+      unit: "m",
+      interpolation: "linear",
+      granularity: 0.001,
+      min: null,
+      max: null,
+      default: null,
+      sensor: false,
+    })),
     body: { x: by(0), y: by(1), z: by(2), yaw: { device: null, scale: 1, offset: 0 }, shape: { ball: 0.05 }, joints: [] },
   };
 }
 
 function cuesOf(robots, duration) {
   return Array.from({ length: 20 }, (_, i) => ({
-    name: `cue ${i + 1}`, start: (i * duration) / 20, end: ((i + 0.9) * duration) / 20, slack: i % 3 === 0 ? 0 : 500,
-    robots: Array.from({ length: robots }, (_, robot) => robot), source: 0, first_line: 1, last_line: 1,
+    name: `cue ${i + 1}`,
+    start: (i * duration) / 20,
+    end: ((i + 0.9) * duration) / 20,
+    slack: i % 3 === 0 ? 0 : 500,
+    robots: Array.from({ length: robots }, (_, robot) => robot),
+    source: 0,
+    first_line: 1,
+    last_line: 1,
     relations: i === 0 ? [] : [{ text: `after cue ${i}`, cue: i - 1 }],
   }));
 }

@@ -62,7 +62,8 @@ for (const [name, size] of Object.entries(SIZES)) {
         [...document.querySelectorAll("button, select, input, [role=treeitem], [role=option]")]
           .map((element) => ({ element, box: element.getBoundingClientRect() }))
           .filter(({ box }) => box.width > 0 && (box.width < 24 || box.height < 24))
-          .map(({ element, box }) => `${element.outerHTML.slice(0, 80)} ${box.width} x ${box.height}`));
+          .map(({ element, box }) => `${element.outerHTML.slice(0, 80)} ${box.width} x ${box.height}`),
+      );
       assert.deepEqual(small, [], tab);
     }
     await close();

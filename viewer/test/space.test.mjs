@@ -7,7 +7,8 @@ const { place, rolled, turned, within, shifted } = await load("stage/space.ts");
 const { poses } = await load("stage/pose.ts");
 const { closestPair } = await load("stage/closest.ts");
 
-const near = (actual, expected) => actual.forEach((value, i) => assert.ok(Math.abs(value - expected[i]) < 1e-12, `${actual} is not ${expected}`));
+const near = (actual, expected) =>
+  actual.forEach((value, i) => assert.ok(Math.abs(value - expected[i]) < 1e-12, `${actual} is not ${expected}`));
 const RIGHT = Math.PI / 2;
 
 test("a right angle about each axis turns one axis into the next", () => {
@@ -24,11 +25,26 @@ test("roll, pitch and yaw turn about the fixed axes in this order", () => {
 
 const fixed = (offset) => ({ device: null, scale: 1, offset });
 const show = (bodies) => ({ mission: { robots: bodies.map((body) => ({ id: "", devices: [], body })) }, track: () => undefined });
-const ball = (x, radius, joints = []) => ({ x: fixed(x), y: fixed(0), z: fixed(0), yaw: fixed(0), shape: { ball: radius }, joints });
+const ball = (x, radius, joints = []) => ({
+  x: fixed(x),
+  y: fixed(0),
+  z: fixed(0),
+  yaw: fixed(0),
+  shape: { ball: radius },
+  joints,
+});
 
 test("joints carry what comes after them", () => {
   const joint = (kind, xyz, axis, value) => ({ name: "", kind, xyz, rpy: [0, 0, 0], axis, value: fixed(value), radius: 0.1 });
-  const arm = { ...ball(1, 0.1), yaw: fixed(RIGHT), joints: [joint("revolute", [0, 0, 1], [0, 1, 0], RIGHT), joint("prismatic", [1, 0, 0], [1, 0, 0], 0.5), joint("fixed", [0, 0.25, 0], [0, 0, 1], 0)] };
+  const arm = {
+    ...ball(1, 0.1),
+    yaw: fixed(RIGHT),
+    joints: [
+      joint("revolute", [0, 0, 1], [0, 1, 0], RIGHT),
+      joint("prismatic", [1, 0, 0], [1, 0, 0], 0.5),
+      joint("fixed", [0, 0.25, 0], [0, 0, 1], 0),
+    ],
+  };
   const [{ chain }] = poses(show([arm]), 0);
   near(chain[0], [1, 0, 1]);
   near(chain[1], [1, 0, -0.5]);
@@ -39,5 +55,10 @@ test("balls are as far apart as their surfaces, and anything else as its centres
   const pair = closestPair(poses(show([ball(0, 0.25), ball(2, 0.5), ball(10, 0.1)]), 0));
   assert.deepEqual(pair, { robots: [0, 1], distance: 1.25, betweenCentres: false, certain: true });
   const box = { ...ball(2, 0), shape: { box: [1, 1, 1] } };
-  assert.deepEqual(closestPair(poses(show([ball(0, 0.25), box]), 0)), { robots: [0, 1], distance: 2, betweenCentres: true, certain: true });
+  assert.deepEqual(closestPair(poses(show([ball(0, 0.25), box]), 0)), {
+    robots: [0, 1],
+    distance: 2,
+    betweenCentres: true,
+    certain: true,
+  });
 });

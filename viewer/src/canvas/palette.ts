@@ -2,9 +2,27 @@
 import type { Theme } from "../state/session";
 
 const NAMES = {
-  ground: "--ground", raised: "--raised", sunken: "--sunken", line: "--line", faint: "--faint", text: "--text", dim: "--dim",
-  accent: "--accent", planned: "--planned", band: "--band", set: "--set", read: "--read", cue: "--cue", cueText: "--cue-text",
-  critical: "--critical", slack: "--slack", bad: "--bad", warn: "--warn", good: "--good", playhead: "--playhead", range: "--range",
+  ground: "--ground",
+  raised: "--raised",
+  sunken: "--sunken",
+  line: "--line",
+  faint: "--faint",
+  text: "--text",
+  dim: "--dim",
+  accent: "--accent",
+  planned: "--planned",
+  band: "--band",
+  set: "--set",
+  read: "--read",
+  cue: "--cue",
+  cueText: "--cue-text",
+  critical: "--critical",
+  slack: "--slack",
+  bad: "--bad",
+  warn: "--warn",
+  good: "--good",
+  playhead: "--playhead",
+  range: "--range",
 } as const;
 
 export type Palette = Record<keyof typeof NAMES, string>;

@@ -5,9 +5,17 @@ import { useSession } from "../state/session";
 import { redraw } from "./frames";
 import { palette, type Palette } from "./palette";
 
-export interface Sheet { context: CanvasRenderingContext2D; width: number; height: number; palette: Palette }
+export interface Sheet {
+  context: CanvasRenderingContext2D;
+  width: number;
+  height: number;
+  palette: Palette;
+}
 
-export interface DrawnCanvas { canvas: MutableRef<HTMLCanvasElement | null>; invalidate: () => void }
+export interface DrawnCanvas {
+  canvas: MutableRef<HTMLCanvasElement | null>;
+  invalidate: () => void;
+}
 
 export function useCanvas(cells: readonly Pick<Cell<unknown>, "subscribe">[], draw: (sheet: Sheet) => void): DrawnCanvas {
   const { theme } = useSession();

@@ -16,7 +16,8 @@ export function Curves() {
   const chosen = useCell(session.chosen);
   const [tip, setTip] = useState<TipContent | null>(null);
   const { canvas } = useCanvas([session.view, session.chosen], (sheet) => drawCurves(sheet, session));
-  const msAt = (element: HTMLElement, x: number) => scaleOf(session.view.value, element.clientWidth - MARGIN.left).ms(x - MARGIN.left);
+  const msAt = (element: HTMLElement, x: number) =>
+    scaleOf(session.view.value, element.clientWidth - MARGIN.left).ms(x - MARGIN.left);
   useEffect(() => {
     const element = canvas.current;
     if (element === null) return;
@@ -39,9 +40,15 @@ export function Curves() {
     <section class="panel curves" aria-label="Curves">
       <div class="bar">
         <h2>Curves</h2>
-        <span class="legend"><span class="planned">planned, with its error</span><span class="set">set</span><span class="read">read</span></span>
+        <span class="legend">
+          <span class="planned">planned, with its error</span>
+          <span class="set">set</span>
+          <span class="read">read</span>
+        </span>
         <span class="gap" />
-        <Tool label="Clear all curves" disabled={chosen.length === 0} press={() => (session.chosen.value = [])}>Clear</Tool>
+        <Tool label="Clear all curves" disabled={chosen.length === 0} press={() => (session.chosen.value = [])}>
+          Clear
+        </Tool>
       </div>
       <div class="fill">
         <canvas
@@ -64,7 +71,9 @@ export function Curves() {
 
 function tipAt(session: Session, element: HTMLElement, event: PointerEvent, ms: number): TipContent | null {
   const tracks = session.chosen.value;
-  const index = slots(tracks.length, element.clientHeight).findIndex(({ top, height }) => event.offsetY >= top && event.offsetY < top + height);
+  const index = slots(tracks.length, element.clientHeight).findIndex(
+    ({ top, height }) => event.offsetY >= top && event.offsetY < top + height,
+  );
   if (index < 0 || event.offsetX < MARGIN.left) return null;
   return { x: event.offsetX, y: event.offsetY, ...laneTip(session.show, tracks[index], ms) };
 }

@@ -16,7 +16,10 @@ const TITLE = 18;
 /** Pixels between two lines of the granularity, before they are drawn. */
 const GRAIN = 7;
 
-export interface Slot { top: number; height: number }
+export interface Slot {
+  top: number;
+  height: number;
+}
 
 /** Where the plot of each chosen lane is. */
 export function slots(count: number, height: number): Slot[] {

@@ -34,7 +34,9 @@ function extentOf(show: Show, track: Track, scale: Scale, envelope: Envelope): {
   }
   if (extent.low > extent.high) Object.assign(extent, track.extent.low <= track.extent.high ? track.extent : { low: 0, high: 1 });
   const error = Math.max(0, ...track.segments.map(({ lane }) => lane.worst_error));
-  const room = (extent.high - extent.low) * 0.08 + error || Math.max(Math.abs(extent.high) * 0.05, (track.device.granularity ?? 0) * 4, 1e-6);
+  const room =
+    (extent.high - extent.low) * 0.08 + error ||
+    Math.max(Math.abs(extent.high) * 0.05, (track.device.granularity ?? 0) * 4, 1e-6);
   return { low: extent.low - room, high: extent.high + room };
 }
 

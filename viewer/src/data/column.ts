@@ -3,7 +3,10 @@ import type { Column } from "../mission";
 import { PayloadError } from "./payload";
 
 /** `integers[i] / divisor` is the number, to the last digit. Where the page holds floats, the divisor is 1. */
-export interface Numbers { integers: Int32Array | Float64Array; divisor: number }
+export interface Numbers {
+  integers: Int32Array | Float64Array;
+  divisor: number;
+}
 
 export function decode(bytes: Uint8Array, column: Column): Numbers {
   if (column.decimals === null) return { integers: floats(bytes, column), divisor: 1 };

@@ -96,10 +96,14 @@ function startErrors(show: Show): Deviation[] {
   return (report?.acts ?? []).flatMap((reported) => {
     const act = acts.find(({ number }) => number === reported.number);
     if (act === undefined) return [];
-    return reported.robots.flatMap((robot) => robot.devices.flatMap((device) => {
-      const track = show.tracks.find((candidate) => candidate.robot.id === robot.robot && candidate.device.id === device.device);
-      const by = device.start_error_ms;
-      return track === undefined || by === null || by === 0 ? [] : [{ kind: "start" as const, track, at: act.start, by }];
-    }));
+    return reported.robots.flatMap((robot) =>
+      robot.devices.flatMap((device) => {
+        const track = show.tracks.find(
+          (candidate) => candidate.robot.id === robot.robot && candidate.device.id === device.device,
+        );
+        const by = device.start_error_ms;
+        return track === undefined || by === null || by === 0 ? [] : [{ kind: "start" as const, track, at: act.start, by }];
+      }),
+    );
   });
 }

@@ -2,10 +2,16 @@
 import type { Extent } from "./pyramid";
 import type { Segment, Track } from "./track";
 
-export interface View { from: number; to: number }
+export interface View {
+  from: number;
+  to: number;
+}
 
 /** Planned values in each column; NaN where nothing is planned. */
-export interface Envelope { low: Float64Array; high: Float64Array }
+export interface Envelope {
+  low: Float64Array;
+  high: Float64Array;
+}
 
 export function makeEnvelope(columns: number): Envelope {
   return { low: new Float64Array(columns), high: new Float64Array(columns) };

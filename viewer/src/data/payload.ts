@@ -1,7 +1,10 @@
 // From the text inside the page to the document and the bytes of its columns.
 import type { Mission } from "../mission";
 
-export interface Payload { mission: Mission; columns: Uint8Array }
+export interface Payload {
+  mission: Mission;
+  columns: Uint8Array;
+}
 
 /** Why the mission cannot be shown, as a sentence for people. */
 export class PayloadError extends Error {}
@@ -14,7 +17,9 @@ export async function readPayload(base64: string): Promise<Payload> {
     throw new PayloadError("This page holds no mission. Write one into it with `downbeat … --html FILE`.");
   }
   if (typeof DecompressionStream === "undefined") {
-    throw new PayloadError("This browser is too old for this page: it has no DecompressionStream. Firefox 113, Chrome 80, Safari 16.4 and newer have it.");
+    throw new PayloadError(
+      "This browser is too old for this page: it has no DecompressionStream. Firefox 113, Chrome 80, Safari 16.4 and newer have it.",
+    );
   }
   const bytes = await decompress(base64.trim()).catch(() => {
     throw new PayloadError("The mission in this page is damaged or cut off. Copy the file again, or write it again.");

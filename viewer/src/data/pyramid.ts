@@ -6,7 +6,10 @@ const FAN = 16;
 type Level = { low: Numbers["integers"]; high: Numbers["integers"] };
 
 /** Reused by every query, because a frame asks tens of thousands of times. */
-export interface Extent { low: number; high: number }
+export interface Extent {
+  low: number;
+  high: number;
+}
 
 export class Pyramid {
   private readonly levels: Level[] = [];

@@ -5,10 +5,21 @@ import { Track, type Segment } from "./track";
 import { Waves, type Wave } from "./wave";
 
 /** A cue where it was played: an act that is played twice places its cues twice. */
-export interface PlacedCue { index: number; act: number; plan: number; cueIndex: number; cue: Cue; start: number; end: number }
+export interface PlacedCue {
+  index: number;
+  act: number;
+  plan: number;
+  cueIndex: number;
+  cue: Cue;
+  start: number;
+  end: number;
+}
 
 /** What a robot set or a sensor read. */
-export interface Observed { source: DeviceSeries; wave: Wave }
+export interface Observed {
+  source: DeviceSeries;
+  wave: Wave;
+}
 
 export class Show {
   readonly mission: Mission;
@@ -30,7 +41,9 @@ export class Show {
     this.trackOfDevice = mission.robots.map(() => []);
     this.makeTracks();
     this.cues = placeCues(mission);
-    this.cuesOfFinding = mission.findings.map((finding) => (finding.source === null ? [] : this.cuesAt(finding.source, finding.line)));
+    this.cuesOfFinding = mission.findings.map((finding) =>
+      finding.source === null ? [] : this.cuesAt(finding.source, finding.line),
+    );
   }
 
   track(robot: number, device: number | null): Track | undefined {
@@ -134,7 +147,15 @@ function placeCues(mission: Mission): PlacedCue[] {
     if (act.plan === null) return;
     const plan = act.plan;
     mission.plans[plan].cues.forEach((cue, cueIndex) => {
-      placed.push({ index: placed.length, act: index, plan, cueIndex, cue, start: act.start + cue.start, end: act.start + cue.end });
+      placed.push({
+        index: placed.length,
+        act: index,
+        plan,
+        cueIndex,
+        cue,
+        start: act.start + cue.start,
+        end: act.start + cue.end,
+      });
     });
   });
   return placed;

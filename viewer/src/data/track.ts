@@ -3,7 +3,13 @@ import type { Device, Lane, Robot, Series } from "../mission";
 import type { Wave, Waves } from "./wave";
 
 /** A script of a played act. `start` and `end` are on the mission's axis; it holds its last value up to `end`. */
-export interface Segment { start: number; end: number; act: number; lane: Lane; series: Series }
+export interface Segment {
+  start: number;
+  end: number;
+  act: number;
+  lane: Lane;
+  series: Series;
+}
 
 /** Where a device is, and why that is known. `held`: at the last value of a script that is over. */
 export interface Reading {

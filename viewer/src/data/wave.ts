@@ -6,7 +6,10 @@ import { Pyramid, type Extent } from "./pyramid";
 export class Wave {
   private readonly pyramid: Pyramid;
 
-  constructor(private readonly t: Numbers, private readonly v: Numbers) {
+  constructor(
+    private readonly t: Numbers,
+    private readonly v: Numbers,
+  ) {
     this.pyramid = new Pyramid(v.integers);
   }
 
@@ -98,7 +101,11 @@ export class Waves {
   of(series: Series): Wave {
     let wave = this.waves.get(series);
     if (wave === undefined) {
-      wave = remembered(this.alike, `${nameOf(series.t)} ${nameOf(series.v)}`, () => new Wave(this.numbers(series.t), this.numbers(series.v)));
+      wave = remembered(
+        this.alike,
+        `${nameOf(series.t)} ${nameOf(series.v)}`,
+        () => new Wave(this.numbers(series.t), this.numbers(series.v)),
+      );
       this.waves.set(series, wave);
     }
     return wave;

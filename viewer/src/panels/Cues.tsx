@@ -15,15 +15,40 @@ export function Cues() {
     <Limited items={cues} name="cues">
       {(some) => (
         <table id="cues">
-          <thead><tr><th>cue</th><th class="number">start</th><th class="number">lasts</th><th class="number">slack</th><th>relations</th></tr></thead>
+          <thead>
+            <tr>
+              <th>cue</th>
+              <th class="number">start</th>
+              <th class="number">lasts</th>
+              <th class="number">slack</th>
+              <th>relations</th>
+            </tr>
+          </thead>
           <tbody>
             {some.map(({ index, cue, start, end }) => (
               <tr key={index} aria-current={index === selected ? "true" : undefined}>
-                <th scope="row"><button type="button" class="link" onClick={() => { selectCue(session, index); seekAndShow(session, start); }}><Name text={cue.name} /></button></th>
+                <th scope="row">
+                  <button
+                    type="button"
+                    class="link"
+                    onClick={() => {
+                      selectCue(session, index);
+                      seekAndShow(session, start);
+                    }}
+                  >
+                    <Name text={cue.name} />
+                  </button>
+                </th>
                 <td class="number">{clock(start)}</td>
                 <td class="number">{duration(end - start)}</td>
                 <td class="number">{cue.slack === 0 ? "◆ critical" : duration(cue.slack)}</td>
-                <td>{cue.relations.map((relation, i) => <div key={i}><Name text={relation.text} /></div>)}</td>
+                <td>
+                  {cue.relations.map((relation, i) => (
+                    <div key={i}>
+                      <Name text={relation.text} />
+                    </div>
+                  ))}
+                </td>
               </tr>
             ))}
           </tbody>

@@ -20,24 +20,46 @@ export function Deviations() {
   if (all.length === 0) return <p>{nothing(session, complete)}</p>;
   return (
     <>
-      <label>Kind <select value={kind} onChange={(event) => setKind(event.currentTarget.value as Deviation["kind"] | "all")}>
-        <option value="all">all deviations</option>
-        <option value="start">starts</option>
-        <option value="time">times of steps</option>
-        <option value="value">values</option>
-      </select></label>
-      <small> the {KEPT} largest of each kind{!complete && ", of the lanes whose curves are shown"}</small>
+      <label>
+        Kind{" "}
+        <select value={kind} onChange={(event) => setKind(event.currentTarget.value as Deviation["kind"] | "all")}>
+          <option value="all">all deviations</option>
+          <option value="start">starts</option>
+          <option value="time">times of steps</option>
+          <option value="value">values</option>
+        </select>
+      </label>
+      <small>
+        {" "}
+        the {KEPT} largest of each kind{!complete && ", of the lanes whose curves are shown"}
+      </small>
       <Limited items={all.filter((deviation) => kind === "all" || deviation.kind === kind)} name="deviations">
         {(some) => (
           <table id="deviations">
-            <thead><tr><th>at</th><th>device</th><th>of</th><th class="number">set minus planned</th><th class="number">clock known to</th></tr></thead>
+            <thead>
+              <tr>
+                <th>at</th>
+                <th>device</th>
+                <th>of</th>
+                <th class="number">set minus planned</th>
+                <th class="number">clock known to</th>
+              </tr>
+            </thead>
             <tbody>
               {some.map((deviation, i) => (
                 <tr key={i}>
-                  <td><button type="button" class="link" onClick={() => go(session, deviation)}>{clock(deviation.at)}</button></td>
-                  <th scope="row"><Name text={`${deviation.track.robot.id} / ${deviation.track.device.id}`} /></th>
+                  <td>
+                    <button type="button" class="link" onClick={() => go(session, deviation)}>
+                      {clock(deviation.at)}
+                    </button>
+                  </td>
+                  <th scope="row">
+                    <Name text={`${deviation.track.robot.id} / ${deviation.track.device.id}`} />
+                  </th>
                   <td>{deviation.kind}</td>
-                  <td class="number"><Name text={amount(deviation)} /></td>
+                  <td class="number">
+                    <Name text={amount(deviation)} />
+                  </td>
                   <td class="number">{certainty(session, deviation)}</td>
                 </tr>
               ))}
@@ -51,7 +73,9 @@ export function Deviations() {
 
 function nothing({ show }: Session, complete: boolean): string {
   if (show.mission.set.length === 0) return "Nothing tells what the robots set, so nothing can be compared with the plan.";
-  return complete ? "The robots did what was planned." : "The robots of the curves shown did what was planned. Choose other lanes to compare them.";
+  return complete
+    ? "The robots did what was planned."
+    : "The robots of the curves shown did what was planned. Choose other lanes to compare them.";
 }
 
 function go(session: Session, { at, track }: Deviation): void {

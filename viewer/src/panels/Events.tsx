@@ -7,7 +7,11 @@ import { describeEvent, isFailure } from "../timeline/events";
 import { phasesOf } from "../timeline/phases";
 import { Limited } from "./Limited";
 
-interface Entry { at: number; text: string; failure: boolean }
+interface Entry {
+  at: number;
+  text: string;
+  failure: boolean;
+}
 
 export function Events() {
   const session = useSession();
@@ -21,12 +25,24 @@ export function Events() {
     <Limited items={entries} name="events">
       {(some) => (
         <table id="events">
-          <thead><tr><th>at</th><th>event</th></tr></thead>
+          <thead>
+            <tr>
+              <th>at</th>
+              <th>event</th>
+            </tr>
+          </thead>
           <tbody>
             {some.map(({ at, text, failure }, i) => (
               <tr key={i}>
-                <td><button type="button" class="link" onClick={() => seekAndShow(session, at)}>{clock(at)}</button></td>
-                <td class={failure ? "error-text" : ""}>{failure && "✕ "}<Name text={text} /></td>
+                <td>
+                  <button type="button" class="link" onClick={() => seekAndShow(session, at)}>
+                    {clock(at)}
+                  </button>
+                </td>
+                <td class={failure ? "error-text" : ""}>
+                  {failure && "✕ "}
+                  <Name text={text} />
+                </td>
               </tr>
             ))}
           </tbody>

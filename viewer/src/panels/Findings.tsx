@@ -8,7 +8,13 @@ export function Findings() {
   const session = useSession();
   const { findings } = session.show.mission;
   if (findings.length === 0) return <p>No findings.</p>;
-  return <ul class="finding">{findings.map((finding, i) => <Item key={i} finding={finding} cues={session.show.cuesOfFinding[i]} />)}</ul>;
+  return (
+    <ul class="finding">
+      {findings.map((finding, i) => (
+        <Item key={i} finding={finding} cues={session.show.cuesOfFinding[i]} />
+      ))}
+    </ul>
+  );
 }
 
 function Item({ finding, cues }: { finding: Finding; cues: number[] }) {
@@ -17,13 +23,27 @@ function Item({ finding, cues }: { finding: Finding; cues: number[] }) {
   const file = source === null ? null : session.show.mission.sources[source];
   return (
     <li class="finding">
-      <strong class={severity === "error" ? "error-text" : "warn-text"}>{severity === "error" ? "✕ error" : "⚠ warning"} <Name text={code} /></strong>{" "}
+      <strong class={severity === "error" ? "error-text" : "warn-text"}>
+        {severity === "error" ? "✕ error" : "⚠ warning"} <Name text={code} />
+      </strong>{" "}
       <Name text={message} />
-      {hint !== null && <div class="hint">help: <Name text={hint} /></div>}
+      {hint !== null && (
+        <div class="hint">
+          help: <Name text={hint} />
+        </div>
+      )}
       <div>
         {file && <Name text={`${file.name}:${line}:${column} `} />}
         {cues.map((cue) => (
-          <button key={cue} type="button" class="link" onClick={() => { selectCue(session, cue); seekAndShow(session, session.show.cues[cue].start); }}>
+          <button
+            key={cue}
+            type="button"
+            class="link"
+            onClick={() => {
+              selectCue(session, cue);
+              seekAndShow(session, session.show.cues[cue].start);
+            }}
+          >
             cue <Name text={session.show.cues[cue].cue.name} />
           </button>
         ))}

@@ -17,14 +17,27 @@ export function Header() {
   const { scenario, kind, report } = session.show.mission;
   return (
     <header>
-      <h1><Name text={scenario} /></h1>
+      <h1>
+        <Name text={scenario} />
+      </h1>
       <span class="badge">{KINDS[kind]}</span>
-      {report !== null && <span class={`badge ${outcomeText(report) === "done" ? "good" : "bad"}`}><Name text={outcomeText(report)} /></span>}
+      {report !== null && (
+        <span class={`badge ${outcomeText(report) === "done" ? "good" : "bad"}`}>
+          <Name text={outcomeText(report)} />
+        </span>
+      )}
       <span class="gap" />
       <Transport />
       <span class="gap" />
-      <Tool label={theme === "dark" ? "Light theme (T)" : "Dark theme (T)"} press={() => (session.theme.value = theme === "dark" ? "light" : "dark")}><Icon name={theme === "dark" ? "sun" : "moon"} /></Tool>
-      <Tool label="Keys and help (?)" press={() => (session.help.value = true)}>?</Tool>
+      <Tool
+        label={theme === "dark" ? "Light theme (T)" : "Dark theme (T)"}
+        press={() => (session.theme.value = theme === "dark" ? "light" : "dark")}
+      >
+        <Icon name={theme === "dark" ? "sun" : "moon"} />
+      </Tool>
+      <Tool label="Keys and help (?)" press={() => (session.help.value = true)}>
+        ?
+      </Tool>
     </header>
   );
 }
@@ -35,13 +48,27 @@ function Transport() {
   const { from, to, epoch } = session.show.mission;
   return (
     <div class="transport" role="group" aria-label="Playback">
-      <Tool label="To the start (Home)" press={() => seekAndShow(session, from)}><Icon name="first" /></Tool>
-      <Tool label="To the step before, of the focused lane (,)" press={() => step(session, -1)}><Icon name="stepBefore" /></Tool>
-      <Tool label="Play backwards (J)" press={() => shuttle(session, -1)}><Icon name="back" /></Tool>
-      <Tool label={playing ? "Pause (Space)" : "Play (Space)"} press={() => toggle(session)}><Icon name={playing ? "pause" : "play"} /></Tool>
-      <Tool label="Play, again for twice the speed (L)" press={() => shuttle(session, 1)}><Icon name="forward" /></Tool>
-      <Tool label="To the step after, of the focused lane (.)" press={() => step(session, 1)}><Icon name="stepAfter" /></Tool>
-      <Tool label="To the end (End)" press={() => seekAndShow(session, to)}><Icon name="last" /></Tool>
+      <Tool label="To the start (Home)" press={() => seekAndShow(session, from)}>
+        <Icon name="first" />
+      </Tool>
+      <Tool label="To the step before, of the focused lane (,)" press={() => step(session, -1)}>
+        <Icon name="stepBefore" />
+      </Tool>
+      <Tool label="Play backwards (J)" press={() => shuttle(session, -1)}>
+        <Icon name="back" />
+      </Tool>
+      <Tool label={playing ? "Pause (Space)" : "Play (Space)"} press={() => toggle(session)}>
+        <Icon name={playing ? "pause" : "play"} />
+      </Tool>
+      <Tool label="Play, again for twice the speed (L)" press={() => shuttle(session, 1)}>
+        <Icon name="forward" />
+      </Tool>
+      <Tool label="To the step after, of the focused lane (.)" press={() => step(session, 1)}>
+        <Icon name="stepAfter" />
+      </Tool>
+      <Tool label="To the end (End)" press={() => seekAndShow(session, to)}>
+        <Icon name="last" />
+      </Tool>
       <Times epoch={epoch} />
       <Speed />
     </div>
@@ -53,7 +80,9 @@ function Times({ epoch }: { epoch: string }) {
   const playhead = useCell(session.playhead);
   return (
     <span class="times">
-      <output id="playhead" aria-label="Playhead" aria-live="off">{clock(playhead)}</output>
+      <output id="playhead" aria-label="Playhead" aria-live="off">
+        {clock(playhead)}
+      </output>
       <small title="Time of day here">{timeOfDay(epoch, playhead)}</small>
     </span>
   );

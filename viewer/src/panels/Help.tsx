@@ -20,18 +20,35 @@ export function Help() {
           <tbody>
             {KEYS.map(({ keys, does }) => (
               <tr key={does}>
-                <th scope="row">{keys.map((key) => <kbd key={key}>{named(key)}</kbd>)}</th>
+                <th scope="row">
+                  {keys.map((key) => (
+                    <kbd key={key}>{named(key)}</kbd>
+                  ))}
+                </th>
                 <td>{does}</td>
               </tr>
             ))}
           </tbody>
         </table>
-        <p>With the mouse: the wheel zooms at the pointer, Shift and the wheel pan, dragging pans, Shift and dragging select a range. A click on a cue shows its lines; a double click zooms to it. A drag on the axis of time moves the playhead. In the stage, dragging or arrows turn the view (with Shift: move it), plus and minus zoom, F fits.</p>
+        <p>
+          With the mouse: the wheel zooms at the pointer, Shift and the wheel pan, dragging pans, Shift and dragging select a
+          range. A click on a cue shows its lines; a double click zooms to it. A drag on the axis of time moves the playhead. In
+          the stage, dragging or arrows turn the view (with Shift: move it), plus and minus zoom, F fits.
+        </p>
       </div>
-      <button type="button" class="tool" onClick={() => (session.help.value = false)}>Close</button>
+      <button type="button" class="tool" onClick={() => (session.help.value = false)}>
+        Close
+      </button>
     </dialog>
   );
 }
 
 const named = (key: string) => key.replace(/[^+]+/g, (part) => NAMES[part] ?? part);
-const NAMES: Record<string, string> = { " ": "Space", ArrowLeft: "←", ArrowRight: "→", ArrowUp: "↑", ArrowDown: "↓", Escape: "Esc" };
+const NAMES: Record<string, string> = {
+  " ": "Space",
+  ArrowLeft: "←",
+  ArrowRight: "→",
+  ArrowUp: "↑",
+  ArrowDown: "↓",
+  Escape: "Esc",
+};

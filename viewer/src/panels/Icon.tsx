@@ -19,5 +19,9 @@ const PATHS = {
 } as const;
 
 export function Icon({ name }: { name: keyof typeof PATHS }) {
-  return <svg class="icon" viewBox="0 0 16 16" width="14" height="14" aria-hidden="true"><path d={PATHS[name]} fill="currentColor" /></svg>;
+  return (
+    <svg class="icon" viewBox="0 0 16 16" width="14" height="14" aria-hidden="true">
+      <path d={PATHS[name]} fill="currentColor" />
+    </svg>
+  );
 }

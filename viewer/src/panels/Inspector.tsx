@@ -48,11 +48,19 @@ export function Inspector() {
             tabIndex={tab === current ? 0 : -1}
             onClick={() => (session.tab.value = tab)}
           >
-            {name}{count !== undefined && count(session) > 0 && ` ${count(session)}`}
+            {name}
+            {count !== undefined && count(session) > 0 && ` ${count(session)}`}
           </button>
         ))}
       </div>
-      <div id="tab-body" key={current} class={`tab-body ${current}-tab`} role="tabpanel" aria-labelledby={`tab-${current}`} tabIndex={0}>
+      <div
+        id="tab-body"
+        key={current}
+        class={`tab-body ${current}-tab`}
+        role="tabpanel"
+        aria-labelledby={`tab-${current}`}
+        tabIndex={0}
+      >
         {TABS.find(({ tab }) => tab === current)?.body()}
       </div>
     </section>

@@ -4,14 +4,22 @@ import { useState } from "preact/hooks";
 
 const AT_ONCE = 300;
 
-interface LimitedProps<T> { items: readonly T[]; name: string; children: (some: readonly T[]) => ComponentChildren }
+interface LimitedProps<T> {
+  items: readonly T[];
+  name: string;
+  children: (some: readonly T[]) => ComponentChildren;
+}
 
 export function Limited<T>({ items, name, children }: LimitedProps<T>) {
   const [limit, setLimit] = useState(AT_ONCE);
   return (
     <>
       {children(items.slice(0, limit))}
-      {items.length > limit && <button type="button" class="tool" onClick={() => setLimit(limit + AT_ONCE)}>{limit} of {items.length} {name}: show more</button>}
+      {items.length > limit && (
+        <button type="button" class="tool" onClick={() => setLimit(limit + AT_ONCE)}>
+          {limit} of {items.length} {name}: show more
+        </button>
+      )}
     </>
   );
 }

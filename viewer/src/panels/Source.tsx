@@ -20,10 +20,21 @@ export function Source() {
   return (
     <>
       <div class="bar">
-        <label>File <select value={String(file)} onChange={(event) => setFile(Number(event.currentTarget.value))}>
-          {sources.map(({ name }, i) => <option key={i} value={String(i)}>{visible(name)}</option>)}
-        </select></label>
-        <small>{cue === null ? "Click a line to select its cue." : `cue ${visible(cue.name)}, lines ${cue.first_line} to ${cue.last_line}`}</small>
+        <label>
+          File{" "}
+          <select value={String(file)} onChange={(event) => setFile(Number(event.currentTarget.value))}>
+            {sources.map(({ name }, i) => (
+              <option key={i} value={String(i)}>
+                {visible(name)}
+              </option>
+            ))}
+          </select>
+        </label>
+        <small>
+          {cue === null
+            ? "Click a line to select its cue."
+            : `cue ${visible(cue.name)}, lines ${cue.first_line} to ${cue.last_line}`}
+        </small>
       </div>
       <Lines key={file} text={sources[file]?.text ?? ""} marks={marks} pick={(line) => pick(session, file, line)} />
     </>
@@ -37,7 +48,11 @@ function pick(session: Session, file: number, line: number): void {
   session.cue.value = cues.length === 0 ? null : cues[(cues.indexOf(now ?? -1) + 1) % cues.length];
 }
 
-interface LinesProps { text: string; marks: { first: number; last: number } | null; pick: (line: number) => void }
+interface LinesProps {
+  text: string;
+  marks: { first: number; last: number } | null;
+  pick: (line: number) => void;
+}
 
 function Lines({ text, marks, pick }: LinesProps) {
   const lines = useMemo(() => text.split(/\r?\n/), [text]);
@@ -48,7 +63,8 @@ function Lines({ text, marks, pick }: LinesProps) {
     const element = box.current;
     if (element === null) return;
     const y = (line - 1) * LINE;
-    if (y < element.scrollTop || y + 3 * LINE > element.scrollTop + element.clientHeight) element.scrollTop = Math.max(0, y - 2 * LINE);
+    if (y < element.scrollTop || y + 3 * LINE > element.scrollTop + element.clientHeight)
+      element.scrollTop = Math.max(0, y - 2 * LINE);
   };
   useEffect(() => {
     if (marks === null) return;
@@ -91,9 +107,13 @@ function Lines({ text, marks, pick }: LinesProps) {
               aria-selected={marked}
               class={`code-line${marked ? " marked" : ""}${number === active ? " active" : ""}`}
               style={{ top: `${(number - 1) * LINE}px` }}
-              onClick={() => { setActive(number); pick(number); }}
+              onClick={() => {
+                setActive(number);
+                pick(number);
+              }}
             >
-              <span>{number}</span><bdi>{visible(line)}</bdi>
+              <span>{number}</span>
+              <bdi>{visible(line)}</bdi>
             </div>
           );
         })}

@@ -21,7 +21,11 @@ export function Spoken() {
     const stops = [session.playhead, session.playing, session.focusedRow].map((cell) => cell.subscribe(later));
     return () => stops.forEach((stop) => stop());
   }, [session]);
-  return <p class="hidden" role="status" id="spoken">{spoken}</p>;
+  return (
+    <p class="hidden" role="status" id="spoken">
+      {spoken}
+    </p>
+  );
 }
 
 function describe(session: Session): string {

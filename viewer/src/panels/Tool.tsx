@@ -1,11 +1,25 @@
 // A small button with a sign or a word on it; `label` says what it does, and its key.
 import type { ComponentChildren } from "preact";
 
-interface ToolProps { label: string; press: () => void; pressed?: boolean; disabled?: boolean; children: ComponentChildren }
+interface ToolProps {
+  label: string;
+  press: () => void;
+  pressed?: boolean;
+  disabled?: boolean;
+  children: ComponentChildren;
+}
 
 export function Tool({ label, press, pressed, disabled, children }: ToolProps) {
   return (
-    <button type="button" class="tool" title={label} aria-label={label} aria-pressed={pressed} disabled={disabled} onClick={press}>
+    <button
+      type="button"
+      class="tool"
+      title={label}
+      aria-label={label}
+      aria-pressed={pressed}
+      disabled={disabled}
+      onClick={press}
+    >
       {children}
     </button>
   );

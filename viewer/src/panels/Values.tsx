@@ -19,8 +19,21 @@ export function Values() {
   return (
     <table id="values">
       <caption>At {clock(at)}</caption>
-      <thead><tr><th>device</th><th class="number">planned</th><th>step</th><th class="number">set</th><th class="number">read</th><th>cue</th></tr></thead>
-      <tbody>{tracks.map((track) => <ValuesOf key={track.index} show={session.show} track={track} at={at} />)}</tbody>
+      <thead>
+        <tr>
+          <th>device</th>
+          <th class="number">planned</th>
+          <th>step</th>
+          <th class="number">set</th>
+          <th class="number">read</th>
+          <th>cue</th>
+        </tr>
+      </thead>
+      <tbody>
+        {tracks.map((track) => (
+          <ValuesOf key={track.index} show={session.show} track={track} at={at} />
+        ))}
+      </tbody>
     </table>
   );
 }
@@ -31,8 +44,13 @@ function ValuesOf({ show, track, at }: { show: Show; track: Track; at: number })
   const observed = (kind: "set" | "read") => digits(latest(show.observed(kind, track), at));
   return (
     <tr>
-      <th scope="row"><Name text={`${track.robot.id} / ${track.device.id}`} /></th>
-      <td class="number" title={describeReading(track, reading)}><Name text={valueOf(track, reading)} />{NOTES[reading.known]}</td>
+      <th scope="row">
+        <Name text={`${track.robot.id} / ${track.device.id}`} />
+      </th>
+      <td class="number" title={describeReading(track, reading)}>
+        <Name text={valueOf(track, reading)} />
+        {NOTES[reading.known]}
+      </td>
       <td>{stepOf(track, reading).replace("step ", "")}</td>
       <td class="number">{observed("set")}</td>
       <td class="number">{observed("read")}</td>

@@ -29,12 +29,24 @@ export function Stage() {
       <div class="bar">
         <h2>Stage</h2>
         <span class="gap" />
-        <Tool label="3D view (V)" pressed={in3d} press={() => (stageIn3d.value = !in3d)}>3D</Tool>
-        <Tool label="Trails" pressed={withTrails} press={() => (trails.value = !withTrails)}>Trails</Tool>
-        <Tool label="Names" pressed={withLabels} press={() => (labels.value = !withLabels)}>Names</Tool>
-        <Tool label="Stage: farther" press={() => look(closer(camera.value, 0.8))}>−</Tool>
-        <Tool label="Stage: closer" press={() => look(closer(camera.value, 1.25))}>+</Tool>
-        <Tool label="Stage: fit" press={reset}>Fit</Tool>
+        <Tool label="3D view (V)" pressed={in3d} press={() => (stageIn3d.value = !in3d)}>
+          3D
+        </Tool>
+        <Tool label="Trails" pressed={withTrails} press={() => (trails.value = !withTrails)}>
+          Trails
+        </Tool>
+        <Tool label="Names" pressed={withLabels} press={() => (labels.value = !withLabels)}>
+          Names
+        </Tool>
+        <Tool label="Stage: farther" press={() => look(closer(camera.value, 0.8))}>
+          −
+        </Tool>
+        <Tool label="Stage: closer" press={() => look(closer(camera.value, 1.25))}>
+          +
+        </Tool>
+        <Tool label="Stage: fit" press={reset}>
+          Fit
+        </Tool>
       </div>
       <div class="fill">
         <canvas

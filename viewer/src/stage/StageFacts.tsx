@@ -21,13 +21,16 @@ export function StageFacts() {
     <div class="stage-facts">
       {now !== null && (
         <span id="closest-now">
-          closest now: <Name text={`${name(now.robots[0])} – ${name(now.robots[1])}`} /> {now.distance.toFixed(3)} m{now.betweenCentres && " between centres"}{!now.certain && ", not certain"}
+          closest now: <Name text={`${name(now.robots[0])} – ${name(now.robots[1])}`} /> {now.distance.toFixed(3)} m
+          {now.betweenCentres && " between centres"}
+          {!now.certain && ", not certain"}
         </span>
       )}
       <ClosestOfAct at={at} />
       {unsure.length > 0 && (
         <span title={unsure.map(({ robot, doubt }) => `${name(robot)}: ${doubt}`).join("\n")}>
-          ◌ hollow: <Name text={`${name(unsure[0].robot)}: ${unsure[0].doubt}`} />{unsure.length > 1 && ` and ${unsure.length - 1} more`}
+          ◌ hollow: <Name text={`${name(unsure[0].robot)}: ${unsure[0].doubt}`} />
+          {unsure.length > 1 && ` and ${unsure.length - 1} more`}
         </span>
       )}
     </div>
@@ -42,7 +45,13 @@ function ClosestOfAct({ at }: { at: number }) {
   if (closest === null || closest === undefined) return null;
   const names = closest.robots.map((robot) => nameOf(show, robot)).join(" – ");
   return (
-    <button type="button" class="link" id="closest-of-act" title={`To this instant (C). Exactly: ${digits(closest.distance)} m`} onClick={() => seekAndShow(session, played.start + closest.at)}>
+    <button
+      type="button"
+      class="link"
+      id="closest-of-act"
+      title={`To this instant (C). Exactly: ${digits(closest.distance)} m`}
+      onClick={() => seekAndShow(session, played.start + closest.at)}
+    >
       closest in this act: <Name text={names} /> {closest.distance.toFixed(3)} m at {clock(played.start + closest.at)}
     </button>
   );

@@ -13,7 +13,10 @@ const SMALLEST = 4;
 /** A robot's colour is one of these turns of the circle; its label tells which robot it is. */
 const HUES = [212, 28, 150, 275, 335, 95, 190, 55];
 
-export interface BodyStyle { dark: boolean; strong: ReadonlySet<number> }
+export interface BodyStyle {
+  dark: boolean;
+  strong: ReadonlySet<number>;
+}
 
 export function colourOf(robot: number, dark: boolean): string {
   return `hsl(${HUES[robot % HUES.length]} 65% ${dark ? 68 : 40}%)`;
@@ -48,10 +51,31 @@ function drawBall(context: CanvasRenderingContext2D, pose: Pose, radius: number,
   context.stroke();
 }
 
-const CORNERS: Point[] = [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]];
-const SIDES = [[0, 1, 2, 3], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7], [4, 5, 6, 7]];
+const CORNERS: Point[] = [
+  [-1, -1, -1],
+  [1, -1, -1],
+  [1, 1, -1],
+  [-1, 1, -1],
+  [-1, -1, 1],
+  [1, -1, 1],
+  [1, 1, 1],
+  [-1, 1, 1],
+];
+const SIDES = [
+  [0, 1, 2, 3],
+  [0, 1, 5, 4],
+  [1, 2, 6, 5],
+  [2, 3, 7, 6],
+  [3, 0, 4, 7],
+  [4, 5, 6, 7],
+];
 
-function drawBox(context: CanvasRenderingContext2D, pose: Pose, [length, width, height]: readonly number[], project: Projection): void {
+function drawBox(
+  context: CanvasRenderingContext2D,
+  pose: Pose,
+  [length, width, height]: readonly number[],
+  project: Projection,
+): void {
   const corners = CORNERS.map(([x, y, z]) => project(place(pose.frame, [(x * length) / 2, (y * width) / 2, (z * height) / 2])));
   if (corners.some((corner) => corner === null)) return;
   const spots = corners as Spot[];
@@ -104,7 +128,12 @@ export function drawLabels({ context, palette }: Sheet, show: Show, found: reado
     const text = `${visible(show.mission.robots[pose.robot].id)}${pose.doubt === null ? "" : " ?"}`;
     const size = "ball" in pose.body.shape ? pose.body.shape.ball : pose.body.shape.box[0] / 2;
     const place = { x: spot.x + Math.max(SMALLEST, size * spot.scale) + 6, y: spot.y, width: widthOf(context, text) };
-    if (taken.some((other) => Math.abs(other.y - place.y) < 12 && place.x < other.x + other.width && other.x < place.x + place.width)) continue;
+    if (
+      taken.some(
+        (other) => Math.abs(other.y - place.y) < 12 && place.x < other.x + other.width && other.x < place.x + place.width,
+      )
+    )
+      continue;
     taken.push(place);
     context.lineWidth = 3;
     context.strokeStyle = palette.ground;

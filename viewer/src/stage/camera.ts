@@ -12,7 +12,12 @@ export interface Camera {
 }
 
 /** On the screen; `depth` grows away from the eye, `scale` is pixels per metre there. */
-export interface Spot { x: number; y: number; depth: number; scale: number }
+export interface Spot {
+  x: number;
+  y: number;
+  depth: number;
+  scale: number;
+}
 
 export type Projection = (point: Point) => Spot | null;
 
@@ -40,7 +45,11 @@ export function inSpace({ target, reach, azimuth, elevation }: Camera, width: nu
 }
 
 export function orbit(camera: Camera, azimuth: number, elevation: number): Camera {
-  return { ...camera, azimuth: camera.azimuth + azimuth, elevation: Math.min(1.55, Math.max(-0.2, camera.elevation + elevation)) };
+  return {
+    ...camera,
+    azimuth: camera.azimuth + azimuth,
+    elevation: Math.min(1.55, Math.max(-0.2, camera.elevation + elevation)),
+  };
 }
 
 /** Moves what is looked at by a part of what is in view. */
@@ -53,4 +62,7 @@ export function slide(camera: Camera, right: number, up: number, in3d: boolean):
   return { ...camera, target: [x + r, y + u, z] };
 }
 
-export const closer = (camera: Camera, factor: number): Camera => ({ ...camera, reach: Math.min(1e5, Math.max(0.01, camera.reach / factor)) });
+export const closer = (camera: Camera, factor: number): Camera => ({
+  ...camera,
+  reach: Math.min(1e5, Math.max(0.01, camera.reach / factor)),
+});

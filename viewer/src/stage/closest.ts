@@ -2,7 +2,12 @@
 import type { Pose } from "./pose";
 import { distance } from "./space";
 
-export interface Pair { robots: [number, number]; distance: number; betweenCentres: boolean; certain: boolean }
+export interface Pair {
+  robots: [number, number];
+  distance: number;
+  betweenCentres: boolean;
+  certain: boolean;
+}
 
 let latest: { poses: readonly Pose[]; pair: Pair | null } | null = null;
 
@@ -18,7 +23,8 @@ function search(found: readonly Pose[]): Pair | null {
   for (let i = 0; i < found.length; i++) {
     for (let j = i + 1; j < found.length; j++) {
       const betweenCentres = radii[i] === null || radii[j] === null;
-      const between = distance(found[i].frame.origin, found[j].frame.origin) - (betweenCentres ? 0 : (radii[i] ?? 0) + (radii[j] ?? 0));
+      const between =
+        distance(found[i].frame.origin, found[j].frame.origin) - (betweenCentres ? 0 : (radii[i] ?? 0) + (radii[j] ?? 0));
       if (best !== null && between >= best.distance) continue;
       const certain = found[i].doubt === null && found[j].doubt === null;
       best = { robots: [found[i].robot, found[j].robot], distance: between, betweenCentres, certain };

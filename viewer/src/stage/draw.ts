@@ -32,7 +32,15 @@ export function drawStage(sheet: Sheet, session: Session, camera: Camera): void 
   if (session.labels.value) drawLabels(sheet, session.show, found, project);
 }
 
-function drawTrail({ context }: Sheet, show: Show, { robot, body }: Pose, at: number, parts: number, project: Projection, dark: boolean): void {
+function drawTrail(
+  { context }: Sheet,
+  show: Show,
+  { robot, body }: Pose,
+  at: number,
+  parts: number,
+  project: Projection,
+  dark: boolean,
+): void {
   if ([body.x, body.y, body.z].every(({ device }) => device === null)) return;
   context.strokeStyle = colourOf(robot, dark);
   context.globalAlpha = 0.5;
@@ -64,7 +72,9 @@ function drawPlumbs({ context, palette }: Sheet, found: readonly Pose[], project
 }
 
 function drawClosest({ context, palette }: Sheet, { robots }: Pair, found: readonly Pose[], project: Projection): void {
-  const [from, to] = robots.map((robot) => found.find((pose) => pose.robot === robot)).map((pose) => (pose === undefined ? null : project(pose.frame.origin)));
+  const [from, to] = robots
+    .map((robot) => found.find((pose) => pose.robot === robot))
+    .map((pose) => (pose === undefined ? null : project(pose.frame.origin)));
   if (from === null || to === null) return;
   context.strokeStyle = palette.warn;
   context.setLineDash([5, 3]);

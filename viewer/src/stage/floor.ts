@@ -38,7 +38,11 @@ function drawAxes({ context, palette, height }: Sheet, { target, reach }: Camera
   const here = project(target);
   if (here === null) return;
   const length = reach * 0.01;
-  const axes: [string, Point, string][] = [["x", [length, 0, 0], palette.bad], ["y", [0, length, 0], palette.good], ["z", [0, 0, length], palette.accent]];
+  const axes: [string, Point, string][] = [
+    ["x", [length, 0, 0], palette.bad],
+    ["y", [0, length, 0], palette.good],
+    ["z", [0, 0, length], palette.accent],
+  ];
   const foot = { x: 46, y: height - 40 };
   context.font = MONO;
   context.textBaseline = "middle";
@@ -60,7 +64,13 @@ function drawAxes({ context, palette, height }: Sheet, { target, reach }: Camera
 }
 
 /** Where the lines of the grid are, along the edges; in space the lines run askew, and labels would belong to none. */
-function drawCoordinates({ context, palette, width, height }: Sheet, step: number, project: Projection, centre: number[], reach: number): void {
+function drawCoordinates(
+  { context, palette, width, height }: Sheet,
+  step: number,
+  project: Projection,
+  centre: number[],
+  reach: number,
+): void {
   context.font = MONO;
   context.fillStyle = palette.dim;
   const every = (project([step, 0, 0])?.x ?? 0) - (project([0, 0, 0])?.x ?? 0) < 36 ? 2 : 1;
@@ -69,9 +79,11 @@ function drawCoordinates({ context, palette, width, height }: Sheet, step: numbe
     const column = project([x, 0, 0]);
     const row = project([0, y, 0]);
     context.textBaseline = "top";
-    if (column !== null && column.x > 30 && column.x < width - 20 && Math.round(x / step) % every === 0) context.fillText(rounded(x, 6), column.x + 3, 3);
+    if (column !== null && column.x > 30 && column.x < width - 20 && Math.round(x / step) % every === 0)
+      context.fillText(rounded(x, 6), column.x + 3, 3);
     context.textBaseline = "middle";
-    if (row !== null && row.y > 20 && row.y < height - 70 && Math.round(y / step) % every === 0) context.fillText(rounded(y, 6), 3, row.y - 6);
+    if (row !== null && row.y > 20 && row.y < height - 70 && Math.round(y / step) % every === 0)
+      context.fillText(rounded(y, 6), 3, row.y - 6);
   }
 }
 

@@ -1,9 +1,19 @@
 // Points and frames in space. A frame is a rotation, by rows, and an origin.
 
 export type Point = readonly [number, number, number];
-export interface Frame { rows: readonly [Point, Point, Point]; origin: Point }
+export interface Frame {
+  rows: readonly [Point, Point, Point];
+  origin: Point;
+}
 
-export const WORLD: Frame = { rows: [[1, 0, 0], [0, 1, 0], [0, 0, 1]], origin: [0, 0, 0] };
+export const WORLD: Frame = {
+  rows: [
+    [1, 0, 0],
+    [0, 1, 0],
+    [0, 0, 1],
+  ],
+  origin: [0, 0, 0],
+};
 
 const dot = (a: Point, b: Point) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 const column = (rows: Frame["rows"], i: 0 | 1 | 2): Point => [rows[0][i], rows[1][i], rows[2][i]];

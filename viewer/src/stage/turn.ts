@@ -1,7 +1,12 @@
 // Mouse, fingers and keys that move the camera.
 import { closer, orbit, slide, type Camera } from "./camera";
 
-export interface Turning { camera: () => Camera; in3d: () => boolean; look: (camera: Camera) => void; reset: () => void }
+export interface Turning {
+  camera: () => Camera;
+  in3d: () => boolean;
+  look: (camera: Camera) => void;
+  reset: () => void;
+}
 
 export function listenToTurns(canvas: HTMLCanvasElement, turning: Turning): () => void {
   let before: { x: number; y: number } | null = null;
@@ -16,15 +21,27 @@ export function listenToTurns(canvas: HTMLCanvasElement, turning: Turning): () =
     before = { x: event.offsetX, y: event.offsetY };
     const half = Math.min(canvas.clientWidth, canvas.clientHeight) / 2;
     const slides = !turning.in3d() || event.shiftKey;
-    turning.look(slides ? slide(turning.camera(), -right / half, down / half, turning.in3d()) : orbit(turning.camera(), -right / 120, down / 120));
+    turning.look(
+      slides
+        ? slide(turning.camera(), -right / half, down / half, turning.in3d())
+        : orbit(turning.camera(), -right / 120, down / 120),
+    );
   };
   const up = () => (before = null);
   const wheel = (event: WheelEvent) => {
     event.preventDefault();
     turning.look(closer(turning.camera(), Math.exp(-event.deltaY / 400)));
   };
-  const listeners = { pointerdown: down, pointermove: move, pointerup: up, pointercancel: up, wheel, keydown: (event: KeyboardEvent) => press(event, turning) };
-  for (const [name, listener] of Object.entries(listeners)) canvas.addEventListener(name, listener as EventListener, { passive: false });
+  const listeners = {
+    pointerdown: down,
+    pointermove: move,
+    pointerup: up,
+    pointercancel: up,
+    wheel,
+    keydown: (event: KeyboardEvent) => press(event, turning),
+  };
+  for (const [name, listener] of Object.entries(listeners))
+    canvas.addEventListener(name, listener as EventListener, { passive: false });
   return () => {
     for (const [name, listener] of Object.entries(listeners)) canvas.removeEventListener(name, listener as EventListener);
   };

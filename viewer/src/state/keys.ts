@@ -4,7 +4,11 @@ import { clearSelection, fit, pan, seek, seekAndShow, selectCue, zoom, zoomToSel
 import { pause, setSpeed, shuttle, step, toggle } from "./playback";
 import type { Session, Tab } from "./session";
 
-interface Key { keys: string[]; does: string; /** `null`: the browser does it; the help tells it. */ run: ((session: Session, key: string) => void) | null }
+interface Key {
+  keys: string[];
+  does: string;
+  /** `null`: the browser does it; the help tells it. */ run: ((session: Session, key: string) => void) | null;
+}
 
 const TABS: Tab[] = ["summary", "values", "cues", "deviations", "findings", "events", "source"];
 
@@ -13,28 +17,72 @@ export const KEYS: Key[] = [
   { keys: ["J"], does: "play backwards; again: twice as fast", run: (session) => shuttle(session, -1) },
   { keys: ["K"], does: "pause", run: pause },
   { keys: ["L"], does: "play; again: twice as fast", run: (session) => shuttle(session, 1) },
-  { keys: ["<", ">"], does: "half or twice the speed", run: (session, key) => setSpeed(session, Math.abs(session.speed.value) * (key === "<" ? 0.5 : 2)) },
-  { keys: ["ArrowLeft", "ArrowRight"], does: "move the playhead by a twentieth of what is in view", run: (session, key) => seekAndShow(session, session.playhead.value + sideways(key) * width(session) / 20) },
-  { keys: [",", "."], does: "to the step before or after, of the focused lane", run: (session, key) => step(session, key === "," ? -1 : 1) },
-  { keys: ["Home", "End"], does: "to the start or the end", run: (session, key) => seekAndShow(session, key === "Home" ? session.show.mission.from : session.show.mission.to) },
-  { keys: ["Shift+ArrowLeft", "Shift+ArrowRight"], does: "pan", run: (session, key) => pan(session, sideways(key) * width(session) / 8) },
-  { keys: ["+", "-"], does: "zoom in or out at the playhead", run: (session, key) => zoom(session, key === "+" ? 1.5 : 1 / 1.5, anchor(session)) },
+  {
+    keys: ["<", ">"],
+    does: "half or twice the speed",
+    run: (session, key) => setSpeed(session, Math.abs(session.speed.value) * (key === "<" ? 0.5 : 2)),
+  },
+  {
+    keys: ["ArrowLeft", "ArrowRight"],
+    does: "move the playhead by a twentieth of what is in view",
+    run: (session, key) => seekAndShow(session, session.playhead.value + (sideways(key) * width(session)) / 20),
+  },
+  {
+    keys: [",", "."],
+    does: "to the step before or after, of the focused lane",
+    run: (session, key) => step(session, key === "," ? -1 : 1),
+  },
+  {
+    keys: ["Home", "End"],
+    does: "to the start or the end",
+    run: (session, key) => seekAndShow(session, key === "Home" ? session.show.mission.from : session.show.mission.to),
+  },
+  {
+    keys: ["Shift+ArrowLeft", "Shift+ArrowRight"],
+    does: "pan",
+    run: (session, key) => pan(session, (sideways(key) * width(session)) / 8),
+  },
+  {
+    keys: ["+", "-"],
+    does: "zoom in or out at the playhead",
+    run: (session, key) => zoom(session, key === "+" ? 1.5 : 1 / 1.5, anchor(session)),
+  },
   { keys: ["F", "0", "Shift+Home"], does: "fit the whole mission", run: fit },
   { keys: ["Z"], does: "zoom to the selected range, or to the selected cue", run: zoomToSelection },
   { keys: ["[", "]"], does: "begin or end the selected range at the playhead", run: (session, key) => edge(session, key) },
-  { keys: ["X"], does: "let dragging select a range, or pan again", run: (session) => (session.drag.value = session.drag.value === "pan" ? "select" : "pan") },
+  {
+    keys: ["X"],
+    does: "let dragging select a range, or pan again",
+    run: (session) => (session.drag.value = session.drag.value === "pan" ? "select" : "pan"),
+  },
   { keys: ["Escape"], does: "clear the selected range and cue", run: clearSelection },
-  { keys: ["ArrowUp", "ArrowDown"], does: "to the row above or below", run: (session, key) => moveFocus(session, key === "ArrowUp" ? -1 : 1) },
+  {
+    keys: ["ArrowUp", "ArrowDown"],
+    does: "to the row above or below",
+    run: (session, key) => moveFocus(session, key === "ArrowUp" ? -1 : 1),
+  },
   { keys: ["Enter"], does: "draw the curve of the focused lane, or fold the focused robot", run: enter },
   { keys: ["PageUp", "PageDown"], does: "scroll the rows (while the timeline has the focus)", run: null },
   { keys: ["U"], does: "fold or unfold all robots", run: foldAll },
-  { keys: ["N", "P"], does: "select the next or the previous cue", run: (session, key) => nextCue(session, key === "n" ? 1 : -1) },
+  {
+    keys: ["N", "P"],
+    does: "select the next or the previous cue",
+    run: (session, key) => nextCue(session, key === "n" ? 1 : -1),
+  },
   { keys: ["R"], does: "show relations of cues", run: (session) => (session.relations.value = !session.relations.value) },
   { keys: ["V"], does: "stage from above or in space", run: (session) => (session.stageIn3d.value = !session.stageIn3d.value) },
   { keys: ["C"], does: "to the instant at which two robots are closest", run: closest },
   { keys: ["/"], does: "search", run: () => document.getElementById("search")?.focus() },
-  { keys: ["1", "2", "3", "4", "5", "6", "7"], does: "show a panel: summary, values, cues, deviations, findings, events, source", run: (session, key) => (session.tab.value = TABS[Number(key) - 1]) },
-  { keys: ["T"], does: "light or dark", run: (session) => (session.theme.value = session.theme.value === "dark" ? "light" : "dark") },
+  {
+    keys: ["1", "2", "3", "4", "5", "6", "7"],
+    does: "show a panel: summary, values, cues, deviations, findings, events, source",
+    run: (session, key) => (session.tab.value = TABS[Number(key) - 1]),
+  },
+  {
+    keys: ["T"],
+    does: "light or dark",
+    run: (session) => (session.theme.value = session.theme.value === "dark" ? "light" : "dark"),
+  },
   { keys: ["?"], does: "show this help", run: (session) => (session.help.value = true) },
 ];
 

@@ -8,7 +8,12 @@ export type Row = { top: number; height: number } & (
   | { kind: "lane"; track: Track }
 );
 
-export interface Filter { text: string; robot: number | null; group: number | null; cue: number | null }
+export interface Filter {
+  text: string;
+  robot: number | null;
+  group: number | null;
+  cue: number | null;
+}
 
 export const NO_FILTER: Filter = { text: "", robot: null, group: null, cue: null };
 
@@ -27,7 +32,15 @@ export function rowsOf(show: Show, filter: Filter, folded: ReadonlySet<number>):
   for (const placed of show.cues) for (const robot of placed.cue.robots) cuesOf[robot]?.push(placed);
   for (const { robot, tracks } of shownRobots(show, filter)) {
     const closed = folded.has(robot);
-    add({ kind: "robot", robot, tracks, folded: closed, cues: cuesOf[robot], top, height: closed ? HEIGHT.folded : HEIGHT.robot });
+    add({
+      kind: "robot",
+      robot,
+      tracks,
+      folded: closed,
+      cues: cuesOf[robot],
+      top,
+      height: closed ? HEIGHT.folded : HEIGHT.robot,
+    });
     if (!closed) for (const track of tracks) add({ kind: "lane", track, top, height: HEIGHT.lane });
   }
   return rows;
@@ -49,16 +62,22 @@ function packed(cues: PlacedCue[]): PlacedCue[][] {
 function shownCues(show: Show, filter: Filter): PlacedCue[] {
   const robots = chosenRobots(show, filter);
   const text = filter.text.toLowerCase();
-  return show.cues.filter(({ cue, index }) =>
-    (filter.cue === null || filter.cue === index) &&
-    (robots === null || cue.robots.length === 0 || cue.robots.some((robot) => robots.has(robot))) &&
-    (text === "" || cue.name.toLowerCase().includes(text) || cue.robots.some((robot) => show.mission.robots[robot]?.id.toLowerCase().includes(text))));
+  return show.cues.filter(
+    ({ cue, index }) =>
+      (filter.cue === null || filter.cue === index) &&
+      (robots === null || cue.robots.length === 0 || cue.robots.some((robot) => robots.has(robot))) &&
+      (text === "" ||
+        cue.name.toLowerCase().includes(text) ||
+        cue.robots.some((robot) => show.mission.robots[robot]?.id.toLowerCase().includes(text))),
+  );
 }
 
 function shownRobots(show: Show, filter: Filter): { robot: number; tracks: readonly Track[] }[] {
   const robots = chosenRobots(show, filter);
   const text = filter.text.toLowerCase();
-  const named = new Set(show.cues.filter(({ cue }) => text !== "" && cue.name.toLowerCase().includes(text)).flatMap(({ cue }) => cue.robots));
+  const named = new Set(
+    show.cues.filter(({ cue }) => text !== "" && cue.name.toLowerCase().includes(text)).flatMap(({ cue }) => cue.robots),
+  );
   return show.mission.robots.flatMap(({ id }, robot) => {
     if (robots !== null && !robots.has(robot)) return [];
     const all = show.tracksOf[robot];

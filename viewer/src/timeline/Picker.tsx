@@ -1,7 +1,12 @@
 // One of the document's names, or all of them.
 import { visible } from "../text/visible";
 
-interface PickerProps { label: string; names: readonly string[]; value: number | null; choose: (index: number | null) => void }
+interface PickerProps {
+  label: string;
+  names: readonly string[];
+  value: number | null;
+  choose: (index: number | null) => void;
+}
 
 /** A list of more entries cannot be used as a list; the search is there for them. */
 const MOST = 2000;
@@ -14,7 +19,11 @@ export function Picker({ label, names, value, choose }: PickerProps) {
       onChange={(event) => choose(event.currentTarget.value === "" ? null : Number(event.currentTarget.value))}
     >
       <option value="">{label}: all</option>
-      {names.slice(0, MOST).map((name, index) => <option key={index} value={String(index)}>{visible(name)}</option>)}
+      {names.slice(0, MOST).map((name, index) => (
+        <option key={index} value={String(index)}>
+          {visible(name)}
+        </option>
+      ))}
     </select>
   );
 }

@@ -4,7 +4,10 @@ import { redraw } from "../canvas/frames";
 import { useSession } from "../state/session";
 import { scaleOf } from "./scale";
 
-interface PlayheadProps { of: MutableRef<HTMLCanvasElement | null>; /** Where its axis of time begins, in pixels of the canvas. */ left: number }
+interface PlayheadProps {
+  of: MutableRef<HTMLCanvasElement | null>;
+  /** Where its axis of time begins, in pixels of the canvas. */ left: number;
+}
 
 export function Playhead({ of, left }: PlayheadProps) {
   const { playhead, view } = useSession();

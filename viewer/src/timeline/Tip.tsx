@@ -2,7 +2,12 @@
 import { useLayoutEffect, useRef } from "preact/hooks";
 import { Name } from "../text/Name";
 
-export interface TipContent { x: number; y: number; title: string; lines: readonly string[] }
+export interface TipContent {
+  x: number;
+  y: number;
+  title: string;
+  lines: readonly string[];
+}
 
 /** Pixels from the pointer. */
 const GAP = 14;
@@ -15,8 +20,14 @@ export function Tip({ content }: { content: TipContent | null }) {
   if (content === null) return null;
   return (
     <div class="tip" ref={box}>
-      <strong><Name text={content.title} /></strong>
-      {content.lines.map((line, i) => <div key={i}><Name text={line} /></div>)}
+      <strong>
+        <Name text={content.title} />
+      </strong>
+      {content.lines.map((line, i) => (
+        <div key={i}>
+          <Name text={line} />
+        </div>
+      ))}
     </div>
   );
 }

@@ -29,18 +29,59 @@ export function Toolbar() {
         onInput={(event) => change({ text: event.currentTarget.value })}
       />
       <Picker label="Robot" names={robots.map(({ id }) => id)} value={filter.robot} choose={(robot) => change({ robot })} />
-      {groups.length > 0 && <Picker label="Group" names={groups.map(({ name }) => name)} value={filter.group} choose={(group) => change({ group })} />}
-      <Picker label="Cue" names={session.show.cues.map((placed) => placed.cue.name)} value={filter.cue} choose={(chosen) => change({ cue: chosen })} />
-      <Tool label="Clear filters" press={() => (session.filter.value = NO_FILTER)} disabled={Object.values(filter).every((part) => part === null || part === "")}><Icon name="close" /></Tool>
+      {groups.length > 0 && (
+        <Picker label="Group" names={groups.map(({ name }) => name)} value={filter.group} choose={(group) => change({ group })} />
+      )}
+      <Picker
+        label="Cue"
+        names={session.show.cues.map((placed) => placed.cue.name)}
+        value={filter.cue}
+        choose={(chosen) => change({ cue: chosen })}
+      />
+      <Tool
+        label="Clear filters"
+        press={() => (session.filter.value = NO_FILTER)}
+        disabled={Object.values(filter).every((part) => part === null || part === "")}
+      >
+        <Icon name="close" />
+      </Tool>
       <span class="gap" />
-      <Tool label="Fold or unfold all robots (U)" press={() => foldAll(session)}><Icon name="fold" /></Tool>
-      <Tool label="Show relations (R)" pressed={relations} press={() => (session.relations.value = !relations)}><Icon name="arrow" /></Tool>
-      <Tool label="Drag selects a range (X)" pressed={drag === "select"} press={() => (session.drag.value = drag === "select" ? "pan" : "select")}><Icon name="range" /></Tool>
-      <Tool label="Zoom to the selected range or cue (Z)" disabled={range === null && cue === null} press={() => zoomToSelection(session)}><Icon name="closer" /></Tool>
-      <Tool label="Clear the selected range and cue (Esc)" disabled={range === null && cue === null} press={() => clearSelection(session)}><Icon name="close" /></Tool>
-      <Tool label="Zoom out (-)" press={() => zoom(session, 1 / 1.5, middle())}>−</Tool>
-      <Tool label="Zoom in (+)" press={() => zoom(session, 1.5, middle())}>+</Tool>
-      <Tool label="Fit all (F)" press={() => fit(session)}>Fit</Tool>
+      <Tool label="Fold or unfold all robots (U)" press={() => foldAll(session)}>
+        <Icon name="fold" />
+      </Tool>
+      <Tool label="Show relations (R)" pressed={relations} press={() => (session.relations.value = !relations)}>
+        <Icon name="arrow" />
+      </Tool>
+      <Tool
+        label="Drag selects a range (X)"
+        pressed={drag === "select"}
+        press={() => (session.drag.value = drag === "select" ? "pan" : "select")}
+      >
+        <Icon name="range" />
+      </Tool>
+      <Tool
+        label="Zoom to the selected range or cue (Z)"
+        disabled={range === null && cue === null}
+        press={() => zoomToSelection(session)}
+      >
+        <Icon name="closer" />
+      </Tool>
+      <Tool
+        label="Clear the selected range and cue (Esc)"
+        disabled={range === null && cue === null}
+        press={() => clearSelection(session)}
+      >
+        <Icon name="close" />
+      </Tool>
+      <Tool label="Zoom out (-)" press={() => zoom(session, 1 / 1.5, middle())}>
+        −
+      </Tool>
+      <Tool label="Zoom in (+)" press={() => zoom(session, 1.5, middle())}>
+        +
+      </Tool>
+      <Tool label="Fit all (F)" press={() => fit(session)}>
+        Fit
+      </Tool>
     </div>
   );
 }

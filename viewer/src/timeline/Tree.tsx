@@ -7,7 +7,10 @@ import type { Row } from "../state/rows";
 import { Name } from "../text/Name";
 import { HEAD_HEIGHT } from "./head";
 
-interface TreeProps { scroller: MutableRef<HTMLDivElement | null>; scrolled: () => void }
+interface TreeProps {
+  scroller: MutableRef<HTMLDivElement | null>;
+  scrolled: () => void;
+}
 
 export function Tree({ scroller, scrolled }: TreeProps) {
   const session = useSession();
@@ -28,14 +31,30 @@ export function Tree({ scroller, scrolled }: TreeProps) {
   return (
     <div class="rows" ref={scroller} onScroll={look}>
       <div class="rows-head" aria-hidden="true">
-        <span>time</span><span>acts</span><span>agreement</span><span>events</span>
+        <span>time</span>
+        <span>acts</span>
+        <span>agreement</span>
+        <span>events</span>
       </div>
       <div class="rows-space" style={{ height: `${last === undefined ? 0 : last.top + last.height}px` }}>
-        {rows[0]?.kind === "cues" && <div class="row-name row-cues" style={{ top: 0, height: `${rows[0].height}px` }}>cues</div>}
+        {rows[0]?.kind === "cues" && (
+          <div class="row-name row-cues" style={{ top: 0, height: `${rows[0].height}px` }}>
+            cues
+          </div>
+        )}
         <div role="tree" aria-label="Robots and devices" onKeyDown={(event) => treeKey(session, event)}>
-          {rows.map((row, index) => row.kind !== "cues" && inSight(row, index) && (
-            <RowName key={row.kind === "robot" ? `r${row.robot}` : `t${row.track.index}`} row={row} index={index} session={session} />
-          ))}
+          {rows.map(
+            (row, index) =>
+              row.kind !== "cues" &&
+              inSight(row, index) && (
+                <RowName
+                  key={row.kind === "robot" ? `r${row.robot}` : `t${row.track.index}`}
+                  row={row}
+                  index={index}
+                  session={session}
+                />
+              ),
+          )}
         </div>
         {last === undefined && <p class="empty">No robot or cue passes the filters.</p>}
       </div>
@@ -43,7 +62,11 @@ export function Tree({ scroller, scrolled }: TreeProps) {
   );
 }
 
-interface RowNameProps { row: Exclude<Row, { kind: "cues" }>; index: number; session: Session }
+interface RowNameProps {
+  row: Exclude<Row, { kind: "cues" }>;
+  index: number;
+  session: Session;
+}
 
 function RowName({ row, index, session }: RowNameProps) {
   const lane = row.kind === "lane";
@@ -66,9 +89,25 @@ function RowName({ row, index, session }: RowNameProps) {
       }}
       onFocus={() => focusRow(session, index)}
     >
-      {lane
-        ? <><span class="box" aria-hidden="true">{chosen ? "☑" : "☐"}</span><Name text={row.track.device.id} /><small><Name text={row.track.device.unit} /></small></>
-        : <><span class="box" aria-hidden="true">{row.folded ? "▸" : "▾"}</span><Name text={session.show.mission.robots[row.robot].id} /><small>{row.tracks.length}</small></>}
+      {lane ? (
+        <>
+          <span class="box" aria-hidden="true">
+            {chosen ? "☑" : "☐"}
+          </span>
+          <Name text={row.track.device.id} />
+          <small>
+            <Name text={row.track.device.unit} />
+          </small>
+        </>
+      ) : (
+        <>
+          <span class="box" aria-hidden="true">
+            {row.folded ? "▸" : "▾"}
+          </span>
+          <Name text={session.show.mission.robots[row.robot].id} />
+          <small>{row.tracks.length}</small>
+        </>
+      )}
     </div>
   );
 }

@@ -5,7 +5,10 @@ import type { Sheet } from "../canvas/useCanvas";
 import type { PlacedCue } from "../data/show";
 import type { Scale } from "./scale";
 
-export interface CueStyle { selected: number | null; findings: ReadonlyMap<number, string> }
+export interface CueStyle {
+  selected: number | null;
+  findings: ReadonlyMap<number, string>;
+}
 
 export function drawCue(sheet: Sheet, scale: Scale, placed: PlacedCue, top: number, height: number, style: CueStyle): void {
   const { context, palette, width } = sheet;
@@ -44,7 +47,14 @@ function outline({ context, palette }: Sheet, left: number, right: number, top: 
   context.lineWidth = 1;
 }
 
-function drawLabel({ context, palette }: Sheet, placed: PlacedCue, left: number, right: number, y: number, codes: string | undefined): void {
+function drawLabel(
+  { context, palette }: Sheet,
+  placed: PlacedCue,
+  left: number,
+  right: number,
+  y: number,
+  codes: string | undefined,
+): void {
   context.font = FONT;
   context.textBaseline = "middle";
   let x = Math.max(left, 0) + 7;

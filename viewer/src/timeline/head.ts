@@ -72,6 +72,12 @@ function drawActs({ context, palette, width }: Sheet, scale: Scale, show: Show):
     context.fillStyle = palette.text;
     const name = act.name === "" ? `act ${act.number + 1}` : act.name;
     const waits = show.planOf(act)?.waits ?? "";
-    fitText(context, waits === "" ? name : `${name} (waits: ${waits})`, Math.max(left, 0) + 7, BAND_TOP.acts + 12, right - Math.max(left, 0) - 12);
+    fitText(
+      context,
+      waits === "" ? name : `${name} (waits: ${waits})`,
+      Math.max(left, 0) + 7,
+      BAND_TOP.acts + 12,
+      right - Math.max(left, 0) - 12,
+    );
   }
 }

@@ -31,7 +31,10 @@ export function hit(session: Session, width: number, x: number, y: number, scrol
 
 function cueIn(row: Exclude<Row, { kind: "lane" }>, scale: Scale, x: number, y: number): PlacedCue | null {
   if (row.kind === "robot" && y > 24) return null;
-  const under = row.cues.filter((placed) => scale.x(placed.start) - 1 <= x && x <= Math.max(scale.x(placed.start) + 4, scale.x(placed.end + placed.cue.slack)) + 1);
+  const under = row.cues.filter(
+    (placed) =>
+      scale.x(placed.start) - 1 <= x && x <= Math.max(scale.x(placed.start) + 4, scale.x(placed.end + placed.cue.slack)) + 1,
+  );
   return under.length === 0 ? null : under.reduce((a, b) => (b.start >= a.start ? b : a));
 }
 

@@ -28,7 +28,14 @@ export function drawSummary(sheet: Sheet, scale: Scale, tracks: readonly Track[]
   context.globalAlpha = 1;
 }
 
-function drawColumns(context: CanvasRenderingContext2D, scale: Scale, track: Track, top: number, height: number, wide: number): void {
+function drawColumns(
+  context: CanvasRenderingContext2D,
+  scale: Scale,
+  track: Track,
+  top: number,
+  height: number,
+  wide: number,
+): void {
   const columns = Math.ceil(scale.width / wide);
   if (envelope.low.length !== columns) envelope = makeEnvelope(columns);
   const view = { from: scale.view.from, to: scale.view.from + columns * wide * scale.perPixel };

@@ -6,7 +6,12 @@ import type { Show } from "../data/show";
 import type { Played } from "../mission";
 import type { Scale } from "./scale";
 
-export interface Phase { act: number; at: number; letter: string; name: string }
+export interface Phase {
+  act: number;
+  at: number;
+  letter: string;
+  name: string;
+}
 
 const NAMES: { key: keyof Played; letter: string; name: string }[] = [
   { key: "sent", letter: "S", name: "requests sent" },

@@ -7,7 +7,15 @@ import { scaleOf } from "./scale";
 /** Fewer pixels than this are a click, not a drag. */
 const STILL = 4;
 
-interface Gesture { x: number; y: number; scrolled: number; kind: "scrub" | "pan" | "select"; moved: boolean; from: number; to: number }
+interface Gesture {
+  x: number;
+  y: number;
+  scrolled: number;
+  kind: "scrub" | "pan" | "select";
+  moved: boolean;
+  from: number;
+  to: number;
+}
 
 export interface PointerTarget {
   canvas: HTMLCanvasElement;

@@ -9,9 +9,17 @@ function fromStart(text: string): boolean {
   return /\bstart of\b/.test(text) || (/^with\b/.test(text) && !/\bend of\b/.test(text));
 }
 
-export function drawRelations(sheet: Sheet, scale: Scale, show: Show, rows: readonly Row[], offset: number, selected: number | null): void {
+export function drawRelations(
+  sheet: Sheet,
+  scale: Scale,
+  show: Show,
+  rows: readonly Row[],
+  offset: number,
+  selected: number | null,
+): void {
   const middle = new Map<number, number>();
-  for (const row of rows) if (row.kind === "cues") for (const { index } of row.cues) middle.set(index, row.top + row.height / 2 + offset);
+  for (const row of rows)
+    if (row.kind === "cues") for (const { index } of row.cues) middle.set(index, row.top + row.height / 2 + offset);
   for (const placed of show.cues) {
     const y = middle.get(placed.index);
     if (y === undefined) continue;
@@ -32,7 +40,12 @@ function anchor(other: PlacedCue, text: string): number {
   return fromStart(text) ? other.start : other.end;
 }
 
-function arrow({ context, palette, width }: Sheet, from: { x: number; y: number }, to: { x: number; y: number }, strong: boolean): void {
+function arrow(
+  { context, palette, width }: Sheet,
+  from: { x: number; y: number },
+  to: { x: number; y: number },
+  strong: boolean,
+): void {
   if (Math.max(from.x, to.x) < 0 || Math.min(from.x, to.x) > width) return;
   context.strokeStyle = context.fillStyle = strong ? palette.playhead : palette.dim;
   context.lineWidth = strong ? 2 : 1;

@@ -1,7 +1,13 @@
 // Between milliseconds and pixels.
 import type { View } from "../data/envelope";
 
-export interface Scale { x: (ms: number) => number; ms: (x: number) => number; perPixel: number; width: number; view: View }
+export interface Scale {
+  x: (ms: number) => number;
+  ms: (x: number) => number;
+  perPixel: number;
+  width: number;
+  view: View;
+}
 
 export function scaleOf(view: View, width: number): Scale {
   const perPixel = (view.to - view.from) / Math.max(1, width);

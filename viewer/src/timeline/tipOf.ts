@@ -12,8 +12,14 @@ export function tipOf(session: Session, found: Hit, x: number, y: number): TipCo
   const { show } = session;
   const place = { x, y };
   if (found.kind === "cue") return { ...place, title: found.placed.cue.name, lines: cueLines(show, found.placed) };
-  if (found.kind === "phase") return { ...place, title: found.phase.name, lines: [clock(found.phase.at), show.mission.acts[found.phase.act].name] };
-  if (found.kind === "event") return { ...place, title: found.event.kind.replaceAll("_", " "), lines: [clock(found.event.at), describeEvent(show, found.event)] };
+  if (found.kind === "phase")
+    return { ...place, title: found.phase.name, lines: [clock(found.phase.at), show.mission.acts[found.phase.act].name] };
+  if (found.kind === "event")
+    return {
+      ...place,
+      title: found.event.kind.replaceAll("_", " "),
+      lines: [clock(found.event.at), describeEvent(show, found.event)],
+    };
   if (found.kind === "row" && found.row.kind === "lane") return { ...place, ...laneTip(show, found.row.track, found.ms) };
   if (found.kind === "row" && found.row.kind === "robot") return { ...place, ...robotTip(show, found.row.robot, found.ms) };
   return null;
@@ -25,7 +31,8 @@ function robotTip(show: Show, robot: number, ms: number): { title: string; lines
   const part = act?.robots.find((candidate) => candidate.robot === robot);
   const lines = [clock(ms)];
   if (part?.left_out === true) lines.push(`left out of ${act.name}`);
-  if (part !== undefined && part.started !== null) lines.push(`▲ started at ${clock(part.started)}, ${signedMs(part.started - act.start)}`);
+  if (part !== undefined && part.started !== null)
+    lines.push(`▲ started at ${clock(part.started)}, ${signedMs(part.started - act.start)}`);
   if (part !== undefined && part.ended !== null) lines.push(`■ ended at ${clock(part.ended)}, ${signedMs(part.ended - act.end)}`);
   return { title: show.mission.robots[robot].id, lines };
 }
