@@ -112,6 +112,8 @@ export interface Cue {
   start: number; end: number;
   /** How much later it could start without the act ending later. */
   slack: number;
+  /** It is on the way that determines when the act ends. */
+  critical: boolean;
   robots: number[];
   /** Index into `Mission.sources`, and lines counted from 1. */
   source: number; first_line: number; last_line: number;

@@ -92,6 +92,7 @@ function cuesOf(robots, duration) {
     start: (i * duration) / 20,
     end: ((i + 0.9) * duration) / 20,
     slack: i % 3 === 0 ? 0 : 500,
+    critical: i % 3 === 0,
     robots: Array.from({ length: robots }, (_, robot) => robot),
     source: 0,
     first_line: 1,

@@ -41,7 +41,7 @@ export function Cues() {
                 </th>
                 <td class="number">{clock(start)}</td>
                 <td class="number">{duration(end - start)}</td>
-                <td class="number">{cue.slack === 0 ? "◆ critical" : duration(cue.slack)}</td>
+                <td class="number">{cue.critical ? "◆ critical" : duration(cue.slack)}</td>
                 <td>
                   {cue.relations.map((relation, i) => (
                     <div key={i}>

@@ -16,7 +16,7 @@ export function drawCue(sheet: Sheet, scale: Scale, placed: PlacedCue, top: numb
   const right = Math.min(scale.x(placed.end), width + 4);
   const slackEnd = Math.min(scale.x(placed.end + placed.cue.slack), width + 4);
   if (slackEnd < -3 || left > width) return;
-  const critical = placed.cue.slack === 0;
+  const critical = placed.cue.critical;
   drawSlack(sheet, right, slackEnd, top, height);
   context.fillStyle = palette.cue;
   context.strokeStyle = critical ? palette.critical : palette.accent;
@@ -64,7 +64,7 @@ function drawLabel(
     x += 14;
   }
   context.fillStyle = palette.cueText;
-  const critical = placed.cue.slack === 0 ? "◆ " : "";
+  const critical = placed.cue.critical ? "◆ " : "";
   fitText(context, `${critical}${codes === undefined ? "" : `${codes} `}${placed.cue.name}`, x, y + 0.5, right - x - 3);
 }
 

@@ -49,7 +49,7 @@ function cueLines(show: Show, placed: PlacedCue): string[] {
   const findings = show.mission.findings.filter((_, i) => show.cuesOfFinding[i].includes(placed.index));
   return [
     `${clock(placed.start)} to ${clock(placed.end)} (${duration(placed.end - placed.start)})`,
-    cue.slack === 0 ? "◆ critical: no slack" : `slack ${duration(cue.slack)}`,
+    cue.critical ? "◆ critical: it determines when the act ends" : `slack ${duration(cue.slack)}`,
     ...cue.relations.map((relation) => relation.text),
     ...findings.map((finding) => `${finding.code}: ${finding.message}`),
     lineOf(show, placed),

@@ -191,10 +191,14 @@ impl Said<'_> {
         act.robots().iter().any(left)
     }
 
-    /// One of its robots has not said what became of all that it was sent.
+    /// When it ended, one of its robots had not said what became of all that it was sent.
     fn has_one_unknown(&self, act: &SentAct<'_>) -> bool {
-        let unknown = self.report.robots.iter().filter(|row| row.unaccounted > 0);
-        unknown.filter_map(|row| self.facts.index_of(&row.robot)).any(|robot| act.robots().contains(&robot))
+        self.facts.ran.records.iter().any(|(_, record)| match record {
+            Record::ActEnded { report, flaws, .. } => {
+                report.number == act.promise.number && !flaws.unaccounted.is_empty()
+            }
+            _ => false,
+        })
     }
 
     /// A script of an act has reached a robot.
