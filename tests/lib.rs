@@ -29,6 +29,7 @@ mod missions;
 mod mistakes;
 mod ntp;
 mod output;
+mod page;
 mod picture;
 mod preflight;
 mod processes;

@@ -1,0 +1,216 @@
+//! Pages for a browser: what they show is what the command line says, whatever names look like, and a page is written whole or not
+//! at all. `viewer/test/` opens pages in a browser.
+
+use std::fs;
+use std::io::Read;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+use base64::Engine;
+use base64::engine::general_purpose::STANDARD;
+use flate2::read::GzDecoder;
+use serde_json::Value;
+
+use crate::session::{PROGRAM, Ran, Session, root};
+
+/// In the folder of the project, with the demo fleet.
+fn downbeat(args: &[&str]) -> Ran {
+    Ran(Command::new(PROGRAM).args(args).current_dir(root()).output().unwrap())
+}
+
+/// What a page shows.
+struct Page {
+    mission: Value,
+    columns: Vec<u8>,
+}
+
+impl Page {
+    fn read(path: &Path) -> Self {
+        let html = fs::read_to_string(path).unwrap();
+        let marked = html.split_once("type=\"application/octet-stream\">").unwrap().1;
+        let packed = STANDARD.decode(marked.split_once('<').unwrap().0).unwrap();
+        let mut bytes = Vec::new();
+        GzDecoder::new(packed.as_slice()).read_to_end(&mut bytes).unwrap();
+        let (length, rest) = bytes.split_at(4);
+        let (json, columns) = rest.split_at(u32::from_le_bytes(length.try_into().unwrap()) as usize);
+        Self { mission: serde_json::from_slice(json).unwrap(), columns: columns.to_vec() }
+    }
+
+    /// The numbers of a column, read independently of the program.
+    fn numbers(&self, column: &Value) -> Vec<f64> {
+        let mut bytes = self.columns[column["at"].as_u64().unwrap() as usize..].iter().copied();
+        let scale = 10.0_f64.powi(column["decimals"].as_i64().expect("steps are decimal") as i32);
+        let trend = column["order"] == 2;
+        let (mut last, mut before) = (0_i64, 0_i64);
+        let mut next = || {
+            let (mut shift, mut zigzag) = (0, 0_u64);
+            for byte in bytes.by_ref() {
+                zigzag |= u64::from(byte & 0x7f) << shift;
+                shift += 7;
+                if byte < 0x80 {
+                    break;
+                }
+            }
+            let difference = (zigzag >> 1) as i64 ^ -((zigzag & 1) as i64);
+            let expected = if trend { last + before } else { last };
+            before = expected + difference - last;
+            last = expected + difference;
+            last as f64 / scale
+        };
+        (0..column["n"].as_u64().unwrap()).map(|_| next()).collect()
+    }
+
+    /// The lane of a device in a plan.
+    fn lane(&self, plan: usize, robot: &str, device: &str) -> &Value {
+        let robots = self.mission["robots"].as_array().unwrap();
+        let index = robots.iter().position(|known| known["id"] == robot).unwrap();
+        let devices = robots[index]["devices"].as_array().unwrap();
+        let device = devices.iter().position(|known| known["id"] == device).unwrap();
+        let lanes = self.mission["plans"][plan]["lanes"].as_array().unwrap();
+        lanes.iter().find(|lane| lane["robot"] == index && lane["device"] == device).unwrap()
+    }
+
+    /// The steps of a device, by the time from the act's start in milliseconds.
+    fn steps(&self, robot: &str, device: &str) -> Vec<(f64, f64)> {
+        let script = &self.lane(0, robot, device)["scripts"][0];
+        let start = script["start"].as_f64().unwrap();
+        let times = self.numbers(&script["steps"]["t"]).into_iter().map(|at| start + at);
+        times.zip(self.numbers(&script["steps"]["v"])).collect()
+    }
+}
+
+fn in_folder(name: &str) -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join(name).display().to_string();
+    (folder, path)
+}
+
+const SWAP: &str = "scripts/examples/swap.yaml";
+
+#[test]
+fn the_page_of_a_dry_run_has_the_report_the_steps_and_the_cues_of_the_command_line() {
+    let (_folder, path) = in_folder("swap.html");
+    let report = downbeat(&["dry-run", SWAP, "--format", "json", "--html", &path]).json();
+    let planned = downbeat(&["plan", SWAP, "--format", "json"]).json();
+    let page = Page::read(Path::new(&path));
+    assert_eq!(page.mission["report"], report);
+    let (plan, act) = (&page.mission["plans"][0], &planned["acts"][0]);
+    assert_eq!(plan["closest"]["distance"], act["closest"]["distance_m"]);
+    for (shown, told) in plan["cues"].as_array().unwrap().iter().zip(act["cues"].as_array().unwrap()) {
+        for (on_page, in_plan) in [("name", "name"), ("start", "start"), ("end", "end"), ("slack", "slack")] {
+            let equal = shown[on_page].as_f64() == told[in_plan].as_f64()
+                && (shown[on_page].is_number() || shown[on_page] == told[in_plan]);
+            assert!(equal, "{on_page}: {shown} {told}");
+        }
+    }
+    let requests = act["robots"]["cf2"].as_array().unwrap();
+    let x = requests.iter().find(|request| request["control_request"]["device_id"] == "x").unwrap();
+    let told: Vec<(f64, f64)> = x["control_request"]["control_value"]
+        .as_array()
+        .unwrap_or_else(|| panic!("{x}"))
+        .iter()
+        .map(|step| (step["time_offset_to_start"].as_f64().unwrap(), step["control_value"].as_f64().unwrap()))
+        .collect();
+    assert_eq!(page.steps("cf2", "x"), told);
+}
+
+#[test]
+fn the_same_seed_gives_the_same_page() {
+    let (folder, _) = in_folder("");
+    let page = |name: &str, seed: &str| {
+        let path = folder.path().join(name);
+        downbeat(&["dry-run", SWAP, "--seed", seed, "--html", path.to_str().unwrap()]).says(0, &[]);
+        fs::read(path).unwrap()
+    };
+    assert!(page("a.html", "7") == page("b.html", "7"));
+    assert!(page("a.html", "7") != page("b.html", "8"));
+}
+
+#[test]
+fn a_name_cannot_escape_into_the_page() {
+    let session = Session::new();
+    let evil = "</script><script>alert(1)</script> \u{202e}";
+    session.file("robot.yaml", "id: r\napi_version: \"1\"\ndevices:\n  - id: x\n    available_control_types:\n      position: {min_value: 0, max_value: 9, granularity: 1, max_error: 1}\n      script: {min_value: 0, max_value: 9, granularity: 1, max_error: 1, max_number_of_steps: 9, control_types: [position]}\n");
+    session.file("fleet.yaml", "robots: {r: {init: robot.yaml, address: sim}}\n");
+    session.file("show.yaml", &format!("scenario: {written}\ncues: [{{cue: {written}, robots: r, tracks: {{x: [{{at: 0s, to: 1}}, {{at: 1s, to: 2}}]}}}}]\n"));
+    session.run(&["dry-run", "show.yaml", "--html", "show.html"]).says(0, &[]);
+    let html = fs::read_to_string(session.path("show.html")).unwrap();
+    assert!(!html.contains("alert(1)"), "the name is in the page as it is");
+    assert_eq!(Page::read(&session.path("show.html")).mission["scenario"], evil);
+}
+
+#[test]
+fn a_page_that_cannot_be_written_is_told_and_nothing_half_written_is_left() {
+    let (folder, path) = in_folder("show.html");
+    fs::write(&path, "before").unwrap();
+    let within = folder.path().join("no/such/folder/show.html");
+    downbeat(&["dry-run", SWAP, "--html", within.to_str().unwrap()])
+        .says(2, &["cannot write", "the folder does not exist"]);
+    downbeat(&["dry-run", SWAP, "--html", &path]).says(0, &[]);
+    assert!(fs::read_to_string(&path).unwrap().starts_with("<!doctype html>"));
+    let left: Vec<_> = fs::read_dir(folder.path()).unwrap().map(|entry| entry.unwrap().file_name()).collect();
+    assert_eq!(left, ["show.html"], "nothing else is left");
+}
+
+/// A mission that was recorded, its recording and its journal.
+fn recorded() -> Session {
+    let session = Session::new();
+    let (example, fleet) = (root().join(SWAP), root().join("fleet.yaml"));
+    let (example, fleet) = (example.display().to_string(), fleet.display().to_string());
+    session.run(&["run", &example, "--fleet", &fleet, "--record", "swap.mcap"]).says(0, &["done"]);
+    session
+}
+
+fn journal(session: &Session) -> PathBuf {
+    let mut missions = fs::read_dir(session.path("state")).unwrap().map(|entry| entry.unwrap().path());
+    missions.find_map(|folder| Some(folder.join("journal")).filter(|journal| journal.exists())).unwrap()
+}
+
+#[test]
+fn a_mission_that_was_recorded_is_shown_with_its_steps_and_its_starts() {
+    let session = recorded();
+    let report = session.run(&["report", "swap.mcap", "--html", "swap.html", "--format", "json"]).json();
+    assert_eq!(report["outcome"], "done");
+    let page = Page::read(&session.path("swap.html"));
+    assert_eq!(page.mission["report"], report);
+    assert_eq!(page.mission["kind"], "recording");
+    let (_folder, path) = in_folder("swap.html");
+    downbeat(&["dry-run", SWAP, "--html", &path]).says(0, &[]);
+    let rehearsed = Page::read(Path::new(&path));
+    for device in ["x", "y", "z", "yaw"] {
+        let close =
+            |(at, value): (f64, f64), (then, other): (f64, f64)| (at - then).abs() < 0.01 && value == other;
+        let (played, planned) = (page.steps("cf5", device), rehearsed.steps("cf5", device));
+        assert_eq!(played.len(), planned.len());
+        assert!(played.iter().zip(&planned).all(|(a, b)| close(*a, *b)), "{played:?} {planned:?}");
+    }
+    let act = &page.mission["acts"][0];
+    let phases =
+        ["sent", "decided", "committed", "no_return", "start"].map(|phase| act[phase].as_f64().unwrap());
+    assert!(phases.windows(2).all(|pair| pair[0] < pair[1]), "{phases:?}");
+    let started = act["robots"].as_array().unwrap().iter().filter(|robot| robot["started"].is_number());
+    assert_eq!(started.count(), 6);
+}
+
+#[test]
+fn a_recording_or_a_journal_that_is_not_whole_is_refused_unless_a_part_is_asked_for() {
+    let session = recorded();
+    let whole = fs::read(session.path("swap.mcap")).unwrap();
+    session.file("cut.mcap", &whole[..whole.len() * 2 / 3]);
+    session
+        .run(&["report", "cut.mcap", "--html", "cut.html"])
+        .says(2, &["`cut.mcap` is not whole: after ", "--partial"]);
+    assert!(!session.path("cut.html").exists());
+    session
+        .run(&["report", "cut.mcap", "--html", "cut.html", "--partial"])
+        .says(0, &["is not whole", "swap: "]);
+    assert_eq!(Page::read(&session.path("cut.html")).mission["acts"][0]["name"], "swap");
+    let journal = journal(&session);
+    session.run(&["report", journal.parent().unwrap().to_str().unwrap()]).says(0, &["swap: done"]);
+    let text = fs::read_to_string(&journal).unwrap();
+    session.file("bad", text.replacen("\"checked\"", "\"chocked\"", 1));
+    session.run(&["report", "bad"]).says(2, &["`bad` is not whole: line 3 is damaged"]);
+    session.run(&["report", "none"]).says(2, &["there is no such file"]);
+    session.file("other", b"robots: {}\n");
+    session.run(&["report", "other"]).says(2, &["neither a journal nor a recording"]);
+}
