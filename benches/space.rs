@@ -41,8 +41,7 @@ fn fleet(shape: Option<Shapes>) -> Fleet {
         robot.body = shape.map(|shape| Body {
             coordinates: [device("x"), device("y"), device("z"), Coordinate::Fixed(0.0)],
             shape: shape(index),
-            speed: None,
-            acceleration: None,
+            ..Body::default()
         });
         robot
     };

@@ -53,7 +53,7 @@ pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> InSpace {
         if path.known_from() > 0.0 && scripts.plays(stage.cast.id(robot)) {
             unknown.push((robot, Some(path.known_from())));
         }
-        paths.push((robot, path, Solid::of(&body.shape)));
+        paths.push((robot, path, Solid::of(body)));
     }
     if fleet.space.is_checked() {
         tell_unknown(findings, stage, &unknown);
@@ -69,9 +69,9 @@ pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> InSpace {
 
 impl Stage<'_> {
     /// The coordinates of a body; `None` if one of them is known at no time.
-    fn axes(&self, scripts: &Scripts<'_>, robot: usize, body: &Body) -> Option<[Axis; 4]> {
+    fn axes(&self, scripts: &Scripts<'_>, robot: usize, body: &Body) -> Option<Vec<Axis>> {
         let id = self.cast.id(robot);
-        let [x, y, z, yaw] = body.coordinates.each_ref().map(|coordinate| {
+        let axis = |coordinate: &Coordinate| {
             let Coordinate::Device { device, .. } = coordinate else {
                 return Axis::of(coordinate, &Played::default());
             };
@@ -81,8 +81,8 @@ impl Stage<'_> {
             let played =
                 Played { scripts: &scripts, interpolation, begin: self.positions.of(robot, index), error };
             Axis::of(coordinate, &played)
-        });
-        Some([x?, y?, z?, yaw?])
+        };
+        body.coordinates.iter().chain(body.joints.iter().map(|joint| &joint.value)).map(axis).collect()
     }
 
     fn id(&self, robot: usize) -> &str {
@@ -166,7 +166,7 @@ fn rates(
     stage: &Stage<'_>,
     cues: &Cues<'_>,
     (robot, body): (usize, &Body),
-    axes: &[Axis; 4],
+    axes: &[Axis],
 ) -> BodyUse {
     let peaks = peaks(axes);
     let limits = [(body.speed, "moves at", "m/s"), (body.acceleration, "accelerates by", "m/s²")];

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use urrcp::{Device, InitializationBlock};
 
+use super::joints::read_arm;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, one_of};
 use crate::keys::keys;
@@ -16,13 +17,13 @@ const COORDINATE_KEYS: [&str; 3] = ["device", "scale", "offset"];
 
 keys! {
     /// What is said of a body.
-    BodyKeys, BODY_KEYS { x, y, z, yaw, radius, size, speed, acceleration }
+    BodyKeys, BODY_KEYS { x, y, z, yaw, radius, size, joints, tip, speed, acceleration }
 }
 
 /// Metres in one unit.
-const LENGTHS: [(&str, f64); 3] = [("m", 1.0), ("cm", 0.01), ("mm", 0.001)];
+pub(super) const LENGTHS: [(&str, f64); 3] = [("m", 1.0), ("cm", 0.01), ("mm", 0.001)];
 /// Radians in one unit.
-const ANGLES: [(&str, f64); 3] =
+pub(super) const ANGLES: [(&str, f64); 3] =
     [("rad", 1.0), ("deg", std::f64::consts::PI / 180.0), ("°", std::f64::consts::PI / 180.0)];
 
 pub(super) fn read_space(findings: &mut Reader, at: &At<'_>) -> Space {
@@ -69,7 +70,7 @@ fn volume(findings: &mut Reader, at: &At<'_>) -> Option<Volume> {
     sound.then_some(volume)
 }
 
-fn length(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
+pub(super) fn length(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
     findings.positive(at, "a length above 0 in metres")
 }
 
@@ -92,10 +93,12 @@ pub(super) fn read_body(findings: &mut Reader, at: &At<'_>, init: &Initializatio
         (Some(at), None) => length(findings, &at).map(|radius| Shape::Ball { radius }),
         (None, None) => Some(Shape::Ball { radius: 0.0 }),
     };
+    let arm = read_arm(findings, at, [keys.joints, keys.tip], init);
     let mut rate = |at: Option<At<'_>>, expected| at.and_then(|at| findings.positive(&at, expected));
     let speed = rate(keys.speed, "a speed above 0 in metres a second");
     let acceleration = rate(keys.acceleration, "an acceleration above 0 in metres a second squared");
-    Some(Body { coordinates: [x?, y?, z?, yaw?], shape: shape?, speed, acceleration })
+    let (joints, tip) = arm?;
+    Some(Body { coordinates: [x?, y?, z?, yaw?], shape: shape?, joints, tip, speed, acceleration })
 }
 
 /// `[0.4, 0.3, 0.2]`
@@ -117,27 +120,46 @@ fn read_coordinate(
     init: &InitializationBlock,
     units: &[(&str, f64)],
 ) -> Option<Coordinate> {
-    // As people write a fixed angle: in degrees.
-    let own_unit = units.iter().find(|(unit, _)| *unit == "deg").map_or(1.0, |(_, scale)| *scale);
-    if let Node::Number(value) = at.node {
-        return Some(Coordinate::Fixed(value * own_unit));
+    if let Node::Number(_) = at.node {
+        return fixed(findings, at, units);
     }
     let Node::Map(_) = at.node else {
-        let name = findings.text(at, "a device, a number, or a map with a device")?;
-        let device = device(findings, at, &name, init)?;
-        let scale = scale_of(findings, at, device, units)?;
-        return Some(Coordinate::Device { device: device.id.clone(), scale, offset: 0.0 });
+        findings.text(at, "a device, a number, or a map with a device")?;
+        return of_device(findings, at, [None; 2], init, units);
     };
     let [name, scale, offset] = findings.map(at, "a coordinate", COORDINATE_KEYS, &["device"])?;
-    let name = name?;
-    let text = findings.text(&name, "a device of the robot")?;
-    let device = device(findings, &name, &text, init)?;
+    of_device(findings, &name?, [scale, offset], init, units)
+}
+
+/// As people write a fixed angle: in degrees.
+fn own_unit(units: &[(&str, f64)]) -> f64 {
+    units.iter().find(|(unit, _)| *unit == "deg").map_or(1.0, |(_, scale)| *scale)
+}
+
+/// A number in metres or degrees.
+pub(super) fn fixed(findings: &mut Reader, at: &At<'_>, units: &[(&str, f64)]) -> Option<Coordinate> {
+    let value = findings.number(at, "a number in metres, or in degrees")?;
+    Some(Coordinate::Fixed(value * own_unit(units)))
+}
+
+/// What a device has as its position, by its unit or by a scale.
+pub(super) fn of_device(
+    findings: &mut Reader,
+    name: &At<'_>,
+    [scale, offset]: [Option<At<'_>>; 2],
+    init: &InitializationBlock,
+    units: &[(&str, f64)],
+) -> Option<Coordinate> {
+    let text = findings.text(name, "a device of the robot")?;
+    let device = device(findings, name, &text, init)?;
     let scale = match scale {
-        Some(at) => findings.number(&at, "metres, or degrees, in one unit of the device")? * own_unit,
-        None => scale_of(findings, &name, device, units)?,
+        Some(at) => findings.number(&at, "metres, or degrees, in one unit of the device")? * own_unit(units),
+        None => scale_of(findings, name, device, units)?,
     };
     let offset = match offset {
-        Some(at) => findings.number(&at, "where the device's zero is, in metres or degrees")? * own_unit,
+        Some(at) => {
+            findings.number(&at, "where the device's zero is, in metres or degrees")? * own_unit(units)
+        }
         None => 0.0,
     };
     Some(Coordinate::Device { device: device.id.clone(), scale, offset })

@@ -113,7 +113,9 @@ robots:
     clock: measured
     wake_up: 1ms
     encoding: json
-    body: {x: {device: wheel, scale: 1, offset: 1}, y: wheel, z: 1, yaw: 0, radius: 1, size: [1, 1, 1], speed: 1, acceleration: 1}
+    body: {x: {device: wheel, scale: 1, offset: 1}, y: wheel, z: 1, yaw: 0, radius: 1, size: [1, 1, 1], speed: 1, acceleration: 1,
+      joints: [{device: wheel, value: 0, scale: 1, offset: 0, axis: -z, at: [0, 0, 1], rpy: [0, 0, 0], kind: prismatic, radius: 1}],
+      tip: [0, 0, 1]}
     require: {range: {above: 1, below: 2, within: [0, 1]}}
     simulate: {clock_offset: 1ms, drift: 5ppm, jitter: 1us, ntp_error: none, delay: [0ms, 1ms], fault: refuse,
       readings: {range: 1}}

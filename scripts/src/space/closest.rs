@@ -1,21 +1,16 @@
 //! The closest approach of two bodies over an act, also between their steps.
 //!
 //! A tree of boxes over time holds each body: the root over the whole act, two halves below it, and so on. A pair is followed
-//! only into times in which their boxes come closer than the best that is known (branch and bound). Within a leaf both bodies
-//! move linearly from knot to knot; there the distance changes by no more than the ways of their points, which bounds it from
-//! below between any two moments (Lipschitz), until it is known to a tenth of a millimetre. Two balls have a closed form.
+//! only into times in which their boxes come closer than the best that is known (branch and bound). Within a leaf the coordinates
+//! of both bodies change linearly from knot to knot; `way` bounds the distance there, until it is known to a tenth of a millimetre.
+//! Two balls have a closed form.
 
-use super::path::{Knot, Path};
-use super::solid::{Solid, distance};
-use super::{Volume, path};
+use parry3d_f64::math::Vector;
 
-/// Distances are known to this, in metres, or to this share of the way between two steps if that is more: nobody waits for bodies
-/// that move by hundreds of kilometres at once.
-const EXACT: f64 = 1e-4;
-const SHARE: f64 = 1e-5;
-/// A box that turns is looked at so often between two knots, in radians and at most.
-const TURN: f64 = 0.02;
-const LOOKS_MAX: f64 = 1e4;
+use super::path::{self, Knot, Path};
+use super::solid::Solid;
+use super::way::{Best, Way};
+
 /// Knots in a leaf of the tree, about.
 const LEAF: usize = 8;
 const DEPTH_MAX: u32 = 12;
@@ -29,7 +24,7 @@ pub(crate) struct Approach {
     pub(crate) distance: f64,
 }
 
-/// A body that moves, with the boxes that hold its middle.
+/// A body that moves, with the boxes that hold its parts.
 #[derive(Clone, Debug)]
 pub(crate) struct Mover {
     path: Path,
@@ -40,7 +35,7 @@ pub(crate) struct Mover {
     ends: f64,
 }
 
-/// A box that holds the middle of a body over some time.
+/// A box that holds the cores of a body's parts over some time.
 #[derive(Clone, Copy, Debug)]
 struct Held {
     least: [f64; 3],
@@ -50,12 +45,23 @@ struct Held {
 impl Held {
     const NOTHING: Self = Self { least: [f64::INFINITY; 3], most: [f64::NEG_INFINITY; 3] };
 
-    fn with(mut self, least: &[f64], most: &[f64]) -> Self {
+    fn with(mut self, least: &[f64; 3], most: &[f64; 3]) -> Self {
         for i in 0..3 {
             self.least[i] = self.least[i].min(least[i]);
             self.most[i] = self.most[i].max(most[i]);
         }
         self
+    }
+
+    /// With all that a body's cores pass from one knot to the next.
+    fn passing(self, solid: &Solid, from: &Knot, to: &Knot) -> Self {
+        // A point of a path is at most half its length from one of the ends; it bends away from the straight way by an eighth.
+        let sways = solid.sways(&from.place, &to.place);
+        let aside = sways.iter().map(|sway| (sway.length / 2.0).min(sway.bend / 8.0)).fold(0.0, f64::max);
+        let parts = [from, to].into_iter().flat_map(|knot| solid.parts(&knot.place));
+        parts.map(|part| part.hull()).fold(self, |held, [least, most]| {
+            held.with(&(least - Vector::splat(aside)).to_array(), &(most + Vector::splat(aside)).to_array())
+        })
     }
 
     /// Infinite if one of them holds nothing.
@@ -79,9 +85,11 @@ impl Mover {
             let (from, to) = (time(leaf, leaves, ends), time(leaf + 1, leaves, ends));
             let from = from.max(path.known_from());
             if from <= to {
-                boxes[leaves + leaf] = path
-                    .within(from, to)
-                    .fold(Held::NOTHING, |held, knot| held.with(&knot.place[..3], &knot.place[..3]));
+                let knots: Vec<Knot> = path.within(from, to).collect();
+                // One knot alone is a way that goes nowhere.
+                let ways = knots.iter().zip(knots.iter().skip(1).chain(knots.last()));
+                boxes[leaves + leaf] =
+                    ways.fold(Held::NOTHING, |held, (from, to)| held.passing(&solid, from, to));
             }
         }
         for node in (1..leaves).rev() {
@@ -89,6 +97,14 @@ impl Mover {
             boxes[node] = a.with(&b.least, &b.most);
         }
         Self { path, solid, boxes, depth, ends }
+    }
+
+    pub(super) fn path(&self) -> &Path {
+        &self.path
+    }
+
+    pub(super) fn solid(&self) -> &Solid {
+        &self.solid
     }
 }
 
@@ -99,16 +115,16 @@ fn time(leaf: usize, leaves: usize, ends: f64) -> f64 {
 /// The closest that two bodies come, if that is less than `below`. Both have trees of one depth.
 pub(crate) fn closest(a: &Mover, b: &Mover, below: f64) -> Option<Approach> {
     debug_assert_eq!((a.depth, a.ends), (b.depth, b.ends));
-    let mut search = Search { a, b, best: Approach { at: f64::NAN, distance: below }, found: false };
+    let best = Best { approach: Approach { at: f64::NAN, distance: below }, found: false };
+    let mut search = Search { a, b, best };
     search.node(1);
-    search.found.then_some(search.best)
+    search.best.found.then_some(search.best.approach)
 }
 
 struct Search<'a> {
     a: &'a Mover,
     b: &'a Mover,
-    best: Approach,
-    found: bool,
+    best: Best,
 }
 
 impl Search<'_> {
@@ -118,7 +134,8 @@ impl Search<'_> {
 
     fn node(&mut self, node: usize) {
         let leaves = self.a.boxes.len() / 2;
-        if self.best.distance <= 0.0 || self.least(node) >= self.best.distance {
+        let best = self.best.approach.distance;
+        if best <= 0.0 || self.least(node) >= best {
             return;
         }
         if node >= leaves {
@@ -133,117 +150,20 @@ impl Search<'_> {
     }
 
     fn leaf(&mut self, leaf: usize, leaves: usize) {
-        for way in ways(self.a, self.b, leaf, leaves) {
-            self.way(&way);
+        let moments = moments(self.a, self.b, leaf, leaves);
+        for pair in moments.windows(2) {
+            Way::new([&self.a.solid, &self.b.solid], &pair[0], &pair[1]).closest(&mut self.best);
         }
     }
-
-    fn way(&mut self, way: &Way<'_>) {
-        let mut note = |s: f64, distance: f64| {
-            if distance < self.best.distance {
-                self.best = Approach { at: way.time(s), distance };
-                self.found = true;
-            }
-            self.best.distance
-        };
-        let nearest = way.middles_are_nearest();
-        if way.is_of_balls() {
-            note(nearest, way.gap(nearest));
-            return;
-        }
-        let parts = [0.0, nearest, 1.0].map(|s| (s, way.gap(s)));
-        for (s, gap) in parts {
-            note(s, gap);
-        }
-        for pair in parts.windows(2) {
-            narrow((pair[0], pair[1]), way, &mut note);
-        }
-    }
-}
-
-/// Two bodies from one moment to the next, between which both move linearly.
-struct Way<'a> {
-    solids: [&'a Solid; 2],
-    from: path::Both,
-    to: path::Both,
-    /// How much the distance changes at most, over the whole way.
-    steepest: f64,
 }
 
 /// Within a leaf, in order of time.
-fn ways<'a>(a: &'a Mover, b: &'a Mover, leaf: usize, leaves: usize) -> Vec<Way<'a>> {
+fn moments(a: &Mover, b: &Mover, leaf: usize, leaves: usize) -> Vec<path::Both> {
     let from = time(leaf, leaves, a.ends).max(a.path.known_from()).max(b.path.known_from());
-    let to = time(leaf + 1, leaves, a.ends);
-    let moments = path::together(&a.path, &b.path, from, to);
-    moments.windows(2).map(|pair| Way::new([&a.solid, &b.solid], pair[0], pair[1])).collect()
+    path::together(&a.path, &b.path, from, time(leaf + 1, leaves, a.ends))
 }
 
-impl<'a> Way<'a> {
-    fn new(solids: [&'a Solid; 2], from: path::Both, to: path::Both) -> Self {
-        let mut way = Self { solids, from, to, steepest: 0.0 };
-        let (begin, end) = (way.relative(&from), way.relative(&to));
-        let moved: f64 = begin.iter().zip(&end).map(|(begin, end)| (end - begin).powi(2)).sum();
-        let turned = |body: usize| (to.places[body][3] - from.places[body][3]).abs();
-        way.steepest = moved.sqrt() + solids[0].lever() * turned(0) + solids[1].lever() * turned(1);
-        way
-    }
-
-    fn is_of_balls(&self) -> bool {
-        matches!(self.solids, [Solid::Ball(_), Solid::Ball(_)])
-    }
-
-    fn relative(&self, both: &path::Both) -> [f64; 3] {
-        std::array::from_fn(|i| both.places[1][i] - both.places[0][i])
-    }
-
-    /// At a share of the way.
-    fn gap(&self, s: f64) -> f64 {
-        let [at_a, at_b] =
-            std::array::from_fn(|body| mixed(&self.from.places[body], &self.to.places[body], s));
-        distance((self.solids[0], &at_a), (self.solids[1], &at_b))
-    }
-
-    fn time(&self, s: f64) -> f64 {
-        self.from.at + s * (self.to.at - self.from.at)
-    }
-
-    fn middles_are_nearest(&self) -> f64 {
-        let (begin, end) = (self.relative(&self.from), self.relative(&self.to));
-        let way: [f64; 3] = std::array::from_fn(|i| end[i] - begin[i]);
-        let squared = way.iter().map(|way| way * way).sum::<f64>();
-        let towards = begin.iter().zip(&way).map(|(begin, way)| -begin * way).sum::<f64>();
-        if squared > 0.0 { (towards / squared).clamp(0.0, 1.0) } else { 0.0 }
-    }
-
-    fn exact(&self) -> f64 {
-        EXACT.max(self.steepest * SHARE)
-    }
-
-    /// Whether the distance may change by more than is wanted to be known.
-    fn is_divided_between(&self, from: f64, to: f64) -> bool {
-        self.steepest.is_finite() && self.steepest * (to - from) >= self.exact()
-    }
-
-    /// The least distance that is possible between two shares of the way at which it is known.
-    fn least_between(&self, from: (f64, f64), to: (f64, f64)) -> f64 {
-        f64::midpoint(from.1, to.1) - self.steepest * (to.0 - from.0) / 2.0
-    }
-}
-
-/// Looks for less between two moments, unless it cannot be less than the best by more than [`EXACT`].
-fn narrow((from, to): ((f64, f64), (f64, f64)), way: &Way<'_>, note: &mut impl FnMut(f64, f64) -> f64) {
-    let s = f64::midpoint(from.0, to.0);
-    let least = way.least_between(from, to).max(0.0);
-    if least >= note(from.0, from.1) - way.exact() || !way.is_divided_between(from.0, to.0) {
-        return;
-    }
-    let middle = (s, way.gap(s));
-    note(middle.0, middle.1);
-    narrow((from, middle), way, note);
-    narrow((middle, to), way, note);
-}
-
-/// When two bodies first touch, in seconds; a graze by less than [`EXACT`] may be missed.
+/// When two bodies first touch, in seconds; a graze by less than a tenth of a millimetre may be missed.
 pub(crate) fn first_contact(a: &Mover, b: &Mover) -> Option<f64> {
     contact_in(a, b, 1)
 }
@@ -256,62 +176,6 @@ fn contact_in(a: &Mover, b: &Mover, node: usize) -> Option<f64> {
     if node < leaves {
         return contact_in(a, b, 2 * node).or_else(|| contact_in(a, b, 2 * node + 1));
     }
-    ways(a, b, node - leaves, leaves).iter().find_map(|way| {
-        let [from, to] = [0.0, 1.0].map(|s| (s, way.gap(s)));
-        contact_between((from, to), way).map(|s| way.time(s))
-    })
-}
-
-fn contact_between((from, to): ((f64, f64), (f64, f64)), way: &Way<'_>) -> Option<f64> {
-    if from.1 <= 0.0 {
-        return Some(from.0);
-    }
-    if way.least_between(from, to) > 0.0 {
-        return None;
-    }
-    if !way.is_divided_between(from.0, to.0) {
-        return (to.1 <= 0.0).then_some(to.0);
-    }
-    let s = f64::midpoint(from.0, to.0);
-    let middle = (s, way.gap(s));
-    contact_between((from, middle), way).or_else(|| contact_between((middle, to), way))
-}
-
-fn mixed(from: &[f64; 4], to: &[f64; 4], share: f64) -> [f64; 4] {
-    std::array::from_fn(|i| from[i] + share * (to[i] - from[i]))
-}
-
-/// How far a body is outside a volume at most, and when; `None`: it never leaves it.
-///
-/// Between two knots a box that turns may stand out further than at both; by no more than its corners move.
-pub(crate) fn furthest_out(mover: &Mover, volume: &Volume) -> Option<Approach> {
-    let out = |place: &[f64; 4]| {
-        let extent = mover.solid.extent(place[3]);
-        let sides = (0..3).map(|i| {
-            let (low, high) = (place[i] - extent[i], place[i] + extent[i]);
-            (volume.least[i] - low).max(high - volume.most[i])
-        });
-        sides.fold(f64::NEG_INFINITY, f64::max)
-    };
-    let mut worst = Approach { at: 0.0, distance: 0.0 };
-    let mut note = |at: f64, out: f64| {
-        // Half a micrometre is rounding.
-        if out > worst.distance + 5e-7 {
-            worst = Approach { at, distance: out };
-        }
-    };
-    for pair in mover.path.knots().windows(2) {
-        let [from, to]: [&Knot; 2] = [&pair[0], &pair[1]];
-        let turned = (to.place[3] - from.place[3]).abs();
-        let parts =
-            if mover.solid.lever() > 0.0 { (turned / TURN).ceil().clamp(1.0, LOOKS_MAX) } else { 1.0 };
-        for part in 0..parts as u32 {
-            let s = f64::from(part) / parts;
-            note(from.at + s * (to.at - from.at), out(&mixed(&from.place, &to.place, s)));
-        }
-    }
-    if let Some(last) = mover.path.knots().last() {
-        note(last.at, out(&last.place));
-    }
-    (worst.distance > 0.0).then_some(worst)
+    let moments = moments(a, b, node - leaves, leaves);
+    moments.windows(2).find_map(|pair| Way::new([&a.solid, &b.solid], &pair[0], &pair[1]).first_contact())
 }

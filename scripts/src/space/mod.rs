@@ -1,23 +1,29 @@
 //! Bodies in space: where robots are while they move, how close they come to each other, and which volumes they stay in.
 //!
 //! The fleet file says which device of a robot means which coordinate (`body`), and what has to hold (`space`). `path` follows a
-//! body through the steps of an act, `closest` finds the closest approach between the steps as well, and
+//! body through the steps of an act, `chain` its arm. `closest` and `way` find the closest approach, also between the steps, and
 //! `compile/check_space.rs` turns what it finds into findings. Lengths are in metres, angles in radians, times in seconds.
 
+mod chain;
 mod closest;
+mod part;
 mod path;
+mod place;
 mod solid;
 #[cfg(test)]
 mod tests;
+mod volume;
+mod way;
 
 use std::collections::BTreeMap;
 
 use serde::Serialize;
 use urrcp::{DeviceId, RobotId, Span};
 
-pub(crate) use closest::{Mover, closest, depth, first_contact, furthest_out};
+pub(crate) use closest::{Mover, closest, depth, first_contact};
 pub(crate) use path::{Axis, Path, Peak, Played, peaks};
 pub(crate) use solid::Solid;
+pub(crate) use volume::furthest_out;
 
 /// What has to hold in the space that all robots share.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -44,12 +50,48 @@ pub struct Volume {
 pub struct Body {
     /// x, y, z, and the rotation about z, counted from x to y.
     pub coordinates: [Coordinate; 4],
-    /// Its size.
+    /// Its size about x, y and z. A ball of radius 0 is nothing if the body has joints, otherwise a point.
     pub shape: Shape,
+    /// Its arm, from the base to the tip; most bodies have none.
+    pub joints: Vec<Joint>,
+    /// The end of the last link, in metres in the frame of the last joint.
+    pub tip: [f64; 3],
     /// Largest speed of its middle, whatever the direction.
     pub speed: Option<f64>,
     /// Largest acceleration of its middle, whatever the direction.
     pub acceleration: Option<f64>,
+}
+
+/// A joint of an arm, with the link from it to the next joint or to the tip.
+///
+/// Its frame is that of the link before (for the first joint that of the body, which turns with `yaw`), moved by `xyz` and turned
+/// by `rpy`, as in URDF. The link is a capsule: all points within `radius` of the line to where the next joint is.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Joint {
+    /// Its name: that of its device, or of the joint in a URDF.
+    pub name: String,
+    /// How it moves.
+    pub kind: JointKind,
+    /// Where it is, in metres in the frame of the link before.
+    pub xyz: [f64; 3],
+    /// Roll, pitch and yaw about the fixed axes x, y and z of the link before, one after another, in radians.
+    pub rpy: [f64; 3],
+    /// What it turns about or slides along, of length 1, in its own frame.
+    pub axis: [f64; 3],
+    /// How far it has turned, in radians, or slid, in metres.
+    pub value: Coordinate,
+    /// The radius about its link, in metres.
+    pub radius: f64,
+}
+
+/// How a joint moves.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum JointKind {
+    /// It turns about its axis.
+    #[default]
+    Revolute,
+    /// It slides along its axis.
+    Prismatic,
 }
 
 /// Where a coordinate comes from.
@@ -128,6 +170,20 @@ impl Space {
     #[must_use]
     pub fn is_checked(&self) -> bool {
         self.distance.is_some() || self.keep_in.is_some() || !self.keep_out.is_empty()
+    }
+}
+
+/// A point at 0 that never moves.
+impl Default for Body {
+    fn default() -> Self {
+        Self {
+            coordinates: [const { Coordinate::Fixed(0.0) }; 4],
+            shape: Shape::Ball { radius: 0.0 },
+            joints: Vec::new(),
+            tip: [0.0; 3],
+            speed: None,
+            acceleration: None,
+        }
     }
 }
 

@@ -1,8 +1,9 @@
-//! The path of a body through an act: a polyline in x, y, z and yaw over time.
+//! The path of a body through an act: a polyline in x, y, z, yaw and the values of its joints over time.
 
 use urrcp::{ControlType, Interpolation};
 
 use super::Coordinate;
+use super::place::Place;
 use crate::plan::DeviceScript;
 
 /// A value at a time, in seconds from the act's start. Two at one time are a jump.
@@ -123,7 +124,7 @@ pub(crate) struct Peak {
 }
 
 /// The largest speed and the largest acceleration in x, y and z together.
-pub(crate) fn peaks(axes: &[Axis; 4]) -> [Option<Peak>; 2] {
+pub(crate) fn peaks(axes: &[Axis]) -> [Option<Peak>; 2] {
     let speeds: [Vec<Stretch>; 3] = std::array::from_fn(|i| axes[i].speeds());
     let accelerations = speeds.each_ref().map(|speeds| changes(speeds));
     [largest(&speeds), largest(&accelerations)]
@@ -152,11 +153,10 @@ fn largest(rates: &[Vec<Stretch>; 3]) -> Option<Peak> {
 }
 
 /// Where a body is at a time.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Knot {
     pub(crate) at: f64,
-    /// x, y, z and yaw.
-    pub(crate) place: [f64; 4],
+    pub(crate) place: Place,
 }
 
 /// Where a body is from the moment at which all its coordinates are known.
@@ -167,19 +167,21 @@ pub(crate) struct Path {
 }
 
 impl Path {
-    /// `sure`: where the body is at the act's start is more than an assumption, so that a jump from there is a way, too.
-    pub(crate) fn of(axes: &[Axis; 4], sure: bool) -> Self {
+    /// `axes`: x, y, z, yaw and the joints. `sure`: where the body is at the act's start is more than an assumption, so that a jump from there is a way, too.
+    pub(crate) fn of(axes: &[Axis], sure: bool) -> Self {
         let from = axes.iter().map(Axis::known_from).fold(0.0, f64::max);
         let mut times: Vec<f64> = axes.iter().flat_map(|axis| &axis.points).map(|point| point.0).collect();
         times.retain(|at| *at >= from);
         times.push(from);
         times.sort_by(f64::total_cmp);
         times.dedup();
-        let mut cursors = axes.each_ref().map(|axis| Cursor { points: &axis.points, next: 0 });
+        let mut cursors: Vec<Cursor<'_>> =
+            axes.iter().map(|axis| Cursor { points: &axis.points, next: 0 }).collect();
         let mut knots: Vec<Knot> = Vec::with_capacity(times.len());
         for at in times {
-            let both = cursors.each_mut().map(|cursor| cursor.advance(at));
-            for place in [both.map(|both| both.0), both.map(|both| both.1)] {
+            let (before, after): (Vec<f64>, Vec<f64>) =
+                cursors.iter_mut().map(|cursor| cursor.advance(at)).unzip();
+            for place in [before, after].map(|values| Place::from_values(&values)) {
                 if knots.last().is_none_or(|last| last.at < at || last.place != place) {
                     knots.push(Knot { at, place });
                 }
@@ -194,8 +196,8 @@ impl Path {
     }
 
     /// Of a body that stays where it is.
-    pub(crate) fn resting(place: [f64; 4], ends: f64) -> Self {
-        Self { knots: vec![Knot { at: 0.0, place }, Knot { at: ends, place }] }
+    pub(crate) fn resting(place: Place, ends: f64) -> Self {
+        Self { knots: vec![Knot { at: 0.0, place: place.clone() }, Knot { at: ends, place }] }
     }
 
     /// From when on it is known, in seconds.
@@ -218,15 +220,15 @@ impl Path {
         let end = |at, index| Knot { at, place: between(&self.knots, at, index) };
         let begin = (self.knots.get(first).is_none_or(|knot| knot.at > from)).then(|| end(from, first));
         let finish = (last == 0 || self.knots[last - 1].at < to).then(|| end(to, last));
-        begin.into_iter().chain(self.knots[first..last].iter().copied()).chain(finish)
+        begin.into_iter().chain(self.knots[first..last].iter().cloned()).chain(finish)
     }
 }
 
 /// Where two bodies are at one moment.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 pub(super) struct Both {
     pub(super) at: f64,
-    pub(super) places: [[f64; 4]; 2],
+    pub(super) places: [Place; 2],
 }
 
 /// The moments of a time at which one of two bodies has a knot, and its ends. Between two of them both move linearly.
@@ -240,8 +242,8 @@ pub(super) fn together(a: &Path, b: &Path, from: f64, to: f64) -> Vec<Both> {
     times.dedup();
     let mut moments: Vec<Both> = Vec::with_capacity(times.len());
     for at in times {
-        let sides = paths.each_mut().map(|knots| Sides::at(knots, at));
-        for places in [sides.each_ref().map(|s| s.before), sides.each_ref().map(|s| s.after)] {
+        let [a, b] = paths.each_mut().map(|knots| Sides::at(knots, at));
+        for places in [[a.before, b.before], [a.after, b.after]] {
             if moments.last().is_none_or(|last| last.at < at || last.places != places) {
                 moments.push(Both { at, places });
             }
@@ -252,8 +254,8 @@ pub(super) fn together(a: &Path, b: &Path, from: f64, to: f64) -> Vec<Both> {
 
 /// Where a body is just before a moment and just after it.
 struct Sides {
-    before: [f64; 4],
-    after: [f64; 4],
+    before: Place,
+    after: Place,
 }
 
 impl Sides {
@@ -262,10 +264,10 @@ impl Sides {
         let first = knots.partition_point(|knot| knot.at < at);
         let last = knots.partition_point(|knot| knot.at <= at);
         let sides = if first < last {
-            Self { before: knots[first].place, after: knots[last - 1].place }
+            Self { before: knots[first].place.clone(), after: knots[last - 1].place.clone() }
         } else {
             let place = between(knots, at, first);
-            Self { before: place, after: place }
+            Self { before: place.clone(), after: place }
         };
         knots.drain(..first.saturating_sub(1));
         sides
@@ -273,12 +275,13 @@ impl Sides {
 }
 
 /// Between the knot before `index` and that one.
-fn between(knots: &[Knot], at: f64, index: usize) -> [f64; 4] {
-    let (Some(before), after) = (index.checked_sub(1), knots.get(index)) else { return knots[0].place };
-    let before = knots[before];
-    let Some(after) = after else { return before.place };
-    let share = (at - before.at) / (after.at - before.at);
-    std::array::from_fn(|i| before.place[i] + share * (after.place[i] - before.place[i]))
+fn between(knots: &[Knot], at: f64, index: usize) -> Place {
+    let (Some(before), after) = (index.checked_sub(1), knots.get(index)) else {
+        return knots[0].place.clone();
+    };
+    let before = &knots[before];
+    let Some(after) = after else { return before.place.clone() };
+    before.place.towards(&after.place, (at - before.at) / (after.at - before.at))
 }
 
 /// Runs along the points of an axis.

@@ -3,11 +3,15 @@
 use proptest::prelude::*;
 use urrcp::{Interpolation, Millis, Script, Setpoint, Step, StopCondition};
 
-use super::closest::{Approach, Mover, closest, depth, first_contact, furthest_out};
+use super::closest::{Approach, Mover, closest, depth, first_contact};
 use super::path::{Axis, Path, Played, peaks};
+use super::place::Place;
 use super::solid::Solid;
-use super::{Coordinate, Shape, Volume};
+use super::volume::furthest_out;
+use super::{Body, Coordinate, Shape, Volume};
 use crate::plan::DeviceScript;
+
+mod arms;
 
 const POINT: Shape = Shape::Ball { radius: 0.0 };
 
@@ -38,9 +42,20 @@ fn fixed(value: f64) -> Axis {
     Axis::of(&Coordinate::Fixed(value), &Played::default()).unwrap()
 }
 
+fn solid(shape: &Shape) -> Solid {
+    Solid::of(&Body { shape: *shape, ..Body::default() })
+}
+
+/// All parts of both against each other.
+fn distance((a, at_a): (&Solid, &Place), (b, at_b): (&Solid, &Place)) -> f64 {
+    let parts = b.parts(at_b);
+    let gaps = a.parts(at_a).into_iter().flat_map(|a| parts.iter().map(move |b| a.gap(b).distance));
+    gaps.fold(f64::INFINITY, f64::min)
+}
+
 fn mover(axes: [Axis; 4], shape: &Shape, ends: f64) -> Mover {
     let path = Path::of(&axes, true);
-    Mover::new(path, Solid::of(shape), ends, 3)
+    Mover::new(path, solid(shape), ends, 3)
 }
 
 fn between(a: &Mover, b: &Mover) -> Approach {
@@ -70,8 +85,10 @@ fn between_scripts_a_device_stays_and_before_its_first_step_it_moves_from_where_
     let (first, second) = (script(0.0, &[(1_000.0, 2.0)]), script(3_000.0, &[(1_000.0, 4.0)]));
     let moves = axis_of(&[&first, &second], Interpolation::Linear, Some(0.0)).unwrap();
     let path = Path::of(&[moves, fixed(0.0), fixed(0.0), fixed(0.0)], true);
-    let at: Vec<f64> =
-        [0.5, 1.0, 2.0, 3.5, 4.0].iter().map(|at| path.within(*at, *at).next().unwrap().place[0]).collect();
+    let at: Vec<f64> = [0.5, 1.0, 2.0, 3.5, 4.0]
+        .iter()
+        .map(|at| path.within(*at, *at).next().unwrap().place.base[0])
+        .collect();
     assert_eq!(at, [1.0, 2.0, 2.0, 3.0, 4.0]);
     let unknown = axis_of(&[&first], Interpolation::Linear, None).unwrap();
     assert_eq!(Path::of(&[unknown, fixed(0.0), fixed(0.0), fixed(0.0)], true).known_from(), 1.0);
@@ -84,7 +101,7 @@ fn a_jump_at_the_start_is_a_way_only_if_the_place_before_it_is_sure() {
     let axes = [jumps.unwrap(), fixed(0.0), fixed(0.0), fixed(0.0)];
     let b = mover([fixed(1.0), fixed(0.0), fixed(0.0), fixed(0.0)], &POINT, 1.0);
     for (sure, distance) in [(true, 0.0), (false, 3.0)] {
-        let a = Mover::new(Path::of(&axes, sure), Solid::of(&POINT), 1.0, 3);
+        let a = Mover::new(Path::of(&axes, sure), solid(&POINT), 1.0, 3);
         assert_eq!(between(&a, &b).distance, distance);
     }
 }
@@ -207,10 +224,10 @@ proptest! {
         });
         let found = between(&movers[0], &movers[1]);
         let paths = [&a, &b].map(|(points, _)| Path::of(&points.each_ref().map(|points| axis(points)), true));
-        let solids = [Solid::of(&a.1), Solid::of(&b.1)];
+        let solids = [solid(&a.1), solid(&b.1)];
         let gap = |at: f64| {
             let places = paths.each_ref().map(|path| path.within(at, at).next().unwrap().place);
-            super::solid::distance((&solids[0], &places[0]), (&solids[1], &places[1]))
+            distance((&solids[0], &places[0]), (&solids[1], &places[1]))
         };
         let slow = (0..=40_000).map(|n| gap(f64::from(n) * ends / 40_000.0)).fold(f64::INFINITY, f64::min);
         prop_assert!(found.distance <= slow + 2e-4, "{found:?}, but {slow}");
@@ -222,7 +239,7 @@ proptest! {
     fn the_depth_of_the_trees_changes_nothing(a in body(), b in body(), deep in 0u32..8) {
         let found = [3, deep].map(|depth| {
             let of = |(points, shape): &([Vec<(f64, f64)>; 4], Shape)| {
-                Mover::new(Path::of(&points.each_ref().map(|points| axis(points)), true), Solid::of(shape), 20.0, depth)
+                Mover::new(Path::of(&points.each_ref().map(|points| axis(points)), true), solid(shape), 20.0, depth)
             };
             closest(&of(&a), &of(&b), f64::INFINITY).unwrap().distance
         });
@@ -285,8 +302,8 @@ proptest! {
         size in [[0.05f64..1.0, 0.05..1.0, 0.05..1.0], [0.05f64..1.0, 0.05..1.0, 0.05..1.0]],
         place in [[-1.0f64..1.0, -1.0..1.0, -1.0..1.0, -3.0..3.0], [-1.0f64..1.0, -1.0..1.0, -1.0..1.0, -3.0..3.0]],
     ) {
-        let solids = size.map(|size| Solid::of(&Shape::Box { size }));
-        let found = super::solid::distance((&solids[0], &place[0]), (&solids[1], &place[1]));
+        let solids = size.map(|size| solid(&Shape::Box { size }));
+        let found = distance((&solids[0], &Place::of(place[0])), (&solids[1], &Place::of(place[1])));
         let expected = distance_of_boxes((size[0], place[0]), (size[1], place[1]));
         prop_assert!((found - expected).abs() < 1e-6, "{found}, expected {expected}");
     }

@@ -1,0 +1,167 @@
+//! An arm: where its links are, and how far and how curved their points move at most while its joints move linearly.
+//!
+//! A joint's frame is that of the link before, moved by `xyz` and turned by `rpy` about fixed axes; the joint then turns about
+//! its `axis`, or slides along it, as in URDF (<http://wiki.ros.org/urdf/XML/joint>).
+
+use parry3d_f64::math::{Pose, Rotation, Vector};
+
+use super::place::Place;
+use super::{Joint, JointKind};
+
+/// The joints of an arm, without their values.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Chain {
+    links: Vec<Link>,
+    tip: Vector,
+}
+
+#[derive(Clone, Debug)]
+struct Link {
+    kind: JointKind,
+    origin: Pose,
+    axis: Vector,
+    radius: f64,
+}
+
+/// How a point moves over a way at most, about the base of its body.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Sway {
+    /// The length of its path, in metres.
+    pub(super) length: f64,
+    /// The second derivative of its place by the share of the way, in metres.
+    pub(super) bend: f64,
+}
+
+impl Chain {
+    pub(super) fn of(joints: &[Joint], tip: [f64; 3]) -> Self {
+        let link = |joint: &Joint| Link {
+            kind: joint.kind,
+            origin: Pose::from_parts(Vector::from_array(joint.xyz), rotation(joint.rpy)),
+            axis: Vector::from_array(joint.axis),
+            radius: joint.radius,
+        };
+        Self { links: joints.iter().map(link).collect(), tip: Vector::from_array(tip) }
+    }
+
+    pub(super) fn is_empty(&self) -> bool {
+        self.links.is_empty()
+    }
+
+    /// The radius about each link.
+    pub(super) fn radii(&self) -> impl Iterator<Item = f64> + '_ {
+        self.links.iter().map(|link| link.radius)
+    }
+
+    /// Where each joint is, and the tip: one more than there are joints; none without joints.
+    pub(super) fn points(&self, place: &Place) -> Vec<Vector> {
+        if self.is_empty() {
+            return Vec::new();
+        }
+        let mut points = Vec::with_capacity(self.links.len() + 1);
+        let mut pose = base(place);
+        for (link, value) in self.links.iter().zip(&place.joints) {
+            pose *= link.origin;
+            points.push(pose.translation);
+            pose *= link.motion(*value);
+        }
+        points.push(pose.transform_point(self.tip));
+        points
+    }
+
+    /// How the points of each link move at most between two places: no further than one of its ends may.
+    ///
+    /// A point `p` depends on joints `i`, which turn about axes `z` through their origins `o`. Then `dp/di = z × (p - o)`, and the
+    /// second derivative by joints `i` and `j`, `j` the one that is further out, is `z_i × (z_j × (p - o_j))`, or `z_i × z_j` where
+    /// `j` slides (Siciliano and others, Robotics, 2009, section 3.1). What does not move in between keeps its lengths.
+    pub(super) fn sways(&self, from: &Place, to: &Place) -> Vec<Sway> {
+        let ends = [self.points(from), self.points(to)];
+        let origins = [from, to].map(|place| base(place).translation);
+        let mut moving = Moving::default();
+        moving.add(Turn { by: to.base[3] - from.base[3], kind: JointKind::Revolute, at: origins });
+        let at = |k: usize| ends.each_ref().map(|points| points[k]);
+        let mut sways = Vec::with_capacity(self.links.len());
+        for (k, link) in self.links.iter().enumerate() {
+            let near = moving.sway(at(k));
+            moving.add(Turn { by: to.joints[k] - from.joints[k], kind: link.kind, at: at(k) });
+            sways.push(near.or(moving.sway(at(k + 1))));
+        }
+        sways
+    }
+}
+
+impl Sway {
+    /// The larger one of each.
+    fn or(self, other: Self) -> Self {
+        Self { length: self.length.max(other.length), bend: self.bend.max(other.bend) }
+    }
+}
+
+impl Link {
+    fn motion(&self, value: f64) -> Pose {
+        match self.kind {
+            JointKind::Revolute => Pose::from_rotation(Rotation::from_axis_angle(self.axis, value)),
+            JointKind::Prismatic => Pose::from_translation(value * self.axis),
+        }
+    }
+}
+
+/// A joint that moves over a way.
+#[derive(Clone, Copy, Debug)]
+struct Turn {
+    by: f64,
+    kind: JointKind,
+    /// Where it is at both ends of the way.
+    at: [Vector; 2],
+}
+
+/// The joints that move, from the base on.
+#[derive(Default)]
+struct Moving {
+    turns: Vec<Turn>,
+}
+
+impl Moving {
+    fn add(&mut self, turn: Turn) {
+        if turn.by != 0.0 {
+            self.turns.push(turn);
+        }
+    }
+
+    /// Of a point beyond all of them, from where it is at both ends of the way.
+    fn sway(&self, mut point: [Vector; 2]) -> Sway {
+        let mut before: f64 = self.turning().sum();
+        let (mut sway, mut reach) = (Sway::default(), 0.0);
+        for turn in self.turns.iter().rev() {
+            // Only this joint changes this distance: it stays, or is convex in what a sliding joint adds.
+            reach += (0..2).map(|end| point[end].distance(turn.at[end])).fold(0.0, f64::max);
+            let by = turn.by.abs();
+            match turn.kind {
+                JointKind::Revolute => {
+                    before -= by;
+                    sway.length += by * reach;
+                    sway.bend += by * reach * (by + 2.0 * before.max(0.0));
+                }
+                JointKind::Prismatic => {
+                    sway.length += by;
+                    sway.bend += 2.0 * by * before.max(0.0);
+                }
+            }
+            point = turn.at;
+        }
+        sway
+    }
+
+    fn turning(&self) -> impl Iterator<Item = f64> + '_ {
+        self.turns.iter().filter(|turn| turn.kind == JointKind::Revolute).map(|turn| turn.by.abs())
+    }
+}
+
+pub(super) fn base(place: &Place) -> Pose {
+    let [x, y, z, yaw] = place.base;
+    Pose::from_parts(Vector::new(x, y, z), Rotation::from_rotation_z(yaw))
+}
+
+/// Roll about x, then pitch about y, then yaw about z, all axes fixed.
+fn rotation([roll, pitch, yaw]: [f64; 3]) -> Rotation {
+    Rotation::from_rotation_z(yaw) * Rotation::from_rotation_y(pitch) * Rotation::from_rotation_x(roll)
+}

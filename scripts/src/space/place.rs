@@ -1,0 +1,31 @@
+//! Where a body is at one moment: its base, and the values of its joints.
+
+/// The coordinates of a body.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Place {
+    /// x, y, z and yaw.
+    pub(crate) base: [f64; 4],
+    /// In radians, or in metres where a joint slides; none for a body without joints.
+    pub(crate) joints: Box<[f64]>,
+}
+
+impl Place {
+    /// Of a body without joints.
+    pub(crate) fn of(base: [f64; 4]) -> Self {
+        Self { base, joints: Box::default() }
+    }
+
+    /// From x, y, z, yaw and the joints, in this order.
+    pub(super) fn from_values(values: &[f64]) -> Self {
+        Self { base: std::array::from_fn(|i| values[i]), joints: values[4..].into() }
+    }
+
+    /// At a share of the straight way to another place of the same body.
+    pub(super) fn towards(&self, other: &Self, share: f64) -> Self {
+        let mixed = |from: f64, to: f64| from + share * (to - from);
+        Self {
+            base: std::array::from_fn(|i| mixed(self.base[i], other.base[i])),
+            joints: self.joints.iter().zip(&other.joints).map(|(from, to)| mixed(*from, *to)).collect(),
+        }
+    }
+}

@@ -1,0 +1,54 @@
+//! How far a body stands out of the volume in which it has to stay.
+
+use super::Volume;
+use super::closest::{Approach, Mover};
+use super::path::Knot;
+use super::place::Place;
+use super::solid::Solid;
+use super::way::EXACT;
+
+/// Looks between two knots, at most.
+const LOOKS_MAX: f64 = 1e4;
+/// Half a micrometre is rounding.
+const ROUNDING: f64 = 5e-7;
+
+/// How far a body is outside a volume at most, and when; `None`: it never leaves it.
+///
+/// Between two looks a body that turns may stand out further than at both, by no more than [`EXACT`]: an eighth of the second
+/// derivative of its points' ways, times the time squared.
+pub(crate) fn furthest_out(mover: &Mover, volume: &Volume) -> Option<Approach> {
+    let mut worst = Approach { at: 0.0, distance: 0.0 };
+    let mut note = |at: f64, place: &Place| {
+        let distance = out(mover.solid(), place, volume);
+        if distance > worst.distance + ROUNDING {
+            worst = Approach { at, distance };
+        }
+    };
+    for pair in mover.path().knots().windows(2) {
+        let [from, to]: [&Knot; 2] = [&pair[0], &pair[1]];
+        let looks = looks(mover.solid(), from, to);
+        for look in 0..looks {
+            let s = f64::from(look) / f64::from(looks);
+            note(from.at + s * (to.at - from.at), &from.place.towards(&to.place, s));
+        }
+    }
+    if let Some(last) = mover.path().knots().last() {
+        note(last.at, &last.place);
+    }
+    (worst.distance > 0.0).then_some(worst)
+}
+
+/// So many that the way bends by no more than [`EXACT`] between two of them.
+fn looks(solid: &Solid, from: &Knot, to: &Knot) -> u32 {
+    let bend = solid.sways(&from.place, &to.place).iter().map(|sway| sway.bend).fold(0.0, f64::max);
+    (bend / (8.0 * EXACT)).sqrt().ceil().clamp(1.0, LOOKS_MAX) as u32
+}
+
+fn out(solid: &Solid, place: &Place, volume: &Volume) -> f64 {
+    let parts = solid.parts(place);
+    let sides = parts.iter().flat_map(|part| {
+        let ([least, most], radius) = (part.hull().map(|corner| corner.to_array()), part.radius);
+        (0..3).map(move |i| (volume.least[i] - least[i]).max(most[i] - volume.most[i]) + radius)
+    });
+    sides.fold(f64::NEG_INFINITY, f64::max)
+}
