@@ -18,6 +18,7 @@ use crate::space::{Body, Space};
 use crate::tags::foreign_tags;
 
 mod body;
+mod drive;
 mod joints;
 mod mission_settings;
 

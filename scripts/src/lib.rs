@@ -76,7 +76,9 @@ pub use sarif::sarif;
 pub use scenario::{fleet_named_by, parse_time};
 pub use schema::{Schema, schema};
 pub use source::Source;
-pub use space::{Body, BodyUse, Closest, Coordinate, InSpace, Joint, JointKind, Shape, Space, Volume};
+pub use space::{
+    Body, BodyUse, Closest, Coordinate, Drive, InSpace, Joint, JointKind, Shape, Space, Steering, Volume,
+};
 
 /// Words for messages, shared with the program.
 #[doc(hidden)]

@@ -261,7 +261,17 @@ impl<'a> Positions<'a> {
 
     /// Known only where every way that leads here leaves the device at the same place.
     pub(super) fn of(&self, robot: usize, device: usize) -> Option<f64> {
-        let default = devices_of(&self.fleet.robots[robot]).get(device)?.default_value;
+        self.or(robot, device, devices_of(&self.fleet.robots[robot]).get(device)?.default_value)
+    }
+
+    /// The speed that a device has. Unlike a position, a speed without a default value is 0 in the default state.
+    pub(super) fn of_speed(&self, robot: usize, device: usize) -> Option<f64> {
+        let device_of = devices_of(&self.fleet.robots[robot]).get(device)?;
+        let is_first = device_of.primary_control_type() == Some(ControlType::Speed);
+        self.or(robot, device, Some(device_of.default_value.filter(|_| is_first).unwrap_or(0.0)))
+    }
+
+    fn or(&self, robot: usize, device: usize, default: Option<f64>) -> Option<f64> {
         let mut known = self.before.iter().map(|rest| rest.get(&(robot, device)).copied().or(default));
         let begin = if self.first { Some(default) } else { known.next() }?;
         known.all(|other| other == begin).then_some(begin).flatten()

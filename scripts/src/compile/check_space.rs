@@ -2,23 +2,34 @@
 
 use std::collections::HashMap;
 
-use urrcp::{DeviceId, RobotId, Span};
+use urrcp::Span;
 
 use super::Times;
 use super::cast::{Cast, Positions};
 use super::conflict::told;
+use super::courses::{Poses, Scripts, Standing};
 use crate::fields::Reader;
 use crate::finding::{Code, Place, names};
-use crate::plan::{DeviceScript, DeviceUse, RobotPlan};
+use crate::plan::{DeviceUse, RobotPlan};
 use crate::render::counted;
 use crate::scenario::Act;
 use crate::space::{
-    Axis, Body, BodyUse, Closest, Coordinate, DUST, InSpace, Mover, Path, Peak, Played, Solid, closest,
-    depth, first_contact, furthest_out, peaks,
+    Body, BodyUse, Closest, DUST, InSpace, Mover, Path, Peak, Solid, closest, depth, first_contact,
+    furthest_out,
 };
 
 /// Metres by which two balls may seem closer than they are.
 const ROUNDING: f64 = 1e-9;
+
+/// What is expected of bodies that are driven by speeds, and of all others, with a hint.
+const DRIVEN: (&str, &str) = (
+    "speeds of all devices that `drive` names, and acts before that leave them at 0",
+    "end every act that leads here with all speeds of the drive at 0, and drive these devices by speed alone",
+);
+const PLACED: (&str, &str) = (
+    "positions of all devices that `body` names",
+    "give them keyframes at the beginning, a `default_value`, or drive them by position",
+);
 
 /// An act with what its robots do in it.
 pub(super) struct Stage<'a> {
@@ -28,32 +39,34 @@ pub(super) struct Stage<'a> {
     pub(super) robots: &'a [RobotPlan],
     pub(super) devices: &'a [DeviceUse],
     pub(super) positions: &'a Positions<'a>,
+    pub(super) standing: &'a Standing<'a>,
 }
 
-/// Checks an act, and returns what its bodies do.
-pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> InSpace {
+/// Checks an act, and returns what its bodies do, and where it leaves those that are driven by speeds.
+pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> (InSpace, Poses) {
     let fleet = stage.cast.fleet;
     let bodies = fleet.robots.iter().enumerate();
     let bodies: Vec<(usize, &Body)> =
         bodies.filter_map(|(i, robot)| Some((i, robot.body.as_ref()?))).collect();
-    let mut in_space = InSpace::default();
+    let (mut in_space, mut left) = (InSpace::default(), Poses::new());
     if bodies.is_empty() {
-        return in_space;
+        return (in_space, left);
     }
     let (cues, scripts) = (Cues::of(stage), Scripts::of(stage));
     let mut unknown = Vec::new();
     let mut paths: Vec<(usize, Path, Solid)> = Vec::new();
     for (robot, body) in bodies {
-        let Some(axes) = stage.axes(&scripts, robot, body) else {
+        let Some(course) = stage.course(&scripts, robot, body) else {
             unknown.extend(scripts.plays(stage.cast.id(robot)).then_some((robot, None)));
             continue;
         };
-        in_space.bodies.push(rates(findings, stage, &cues, (robot, body), &axes));
-        let path = Path::of(&axes, !stage.positions.is_first());
+        in_space.bodies.push(rates(findings, stage, &cues, (robot, body), course.peaks));
+        left.extend(course.end.map(|end| (robot, end)));
+        let path = Path::of(&course.axes, !stage.positions.is_first());
         if path.known_from() > 0.0 && scripts.plays(stage.cast.id(robot)) {
             unknown.push((robot, Some(path.known_from())));
         }
-        paths.push((robot, path, Solid::of(body)));
+        paths.push((robot, path, Solid::of(body, course.margin)));
     }
     if fleet.space.is_checked() {
         tell_unknown(findings, stage, &unknown);
@@ -64,55 +77,12 @@ pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> InSpace {
         paths.into_iter().map(|(robot, path, solid)| (robot, Mover::new(path, solid, ends, depth))).collect();
     volumes(findings, stage, &cues, &movers, (ends, depth));
     in_space.closest = pairs(findings, stage, &cues, &movers);
-    in_space
+    (in_space, left)
 }
 
 impl Stage<'_> {
-    /// The coordinates of a body; `None` if one of them is known at no time.
-    fn axes(&self, scripts: &Scripts<'_>, robot: usize, body: &Body) -> Option<Vec<Axis>> {
-        let id = self.cast.id(robot);
-        let axis = |coordinate: &Coordinate| {
-            let Coordinate::Device { device, .. } = coordinate else {
-                return Axis::of(coordinate, &Played::default());
-            };
-            let index = self.cast.devices(robot).iter().position(|other| other.id == *device)?;
-            let (scripts, error) = scripts.of_device(id, device);
-            let interpolation = self.cast.devices(robot)[index].interpolation;
-            let played =
-                Played { scripts: &scripts, interpolation, begin: self.positions.of(robot, index), error };
-            Axis::of(coordinate, &played)
-        };
-        body.coordinates.iter().chain(body.joints.iter().map(|joint| &joint.value)).map(axis).collect()
-    }
-
     fn id(&self, robot: usize) -> &str {
         self.cast.id(robot).as_str()
-    }
-}
-
-/// What each robot is sent in an act.
-struct Scripts<'a> {
-    of_robot: HashMap<&'a RobotId, &'a RobotPlan>,
-    used: HashMap<(&'a RobotId, &'a DeviceId), &'a DeviceUse>,
-}
-
-impl<'a> Scripts<'a> {
-    fn of(stage: &Stage<'a>) -> Self {
-        let of_robot = stage.robots.iter().map(|plan| (&plan.robot, plan)).collect();
-        let used = stage.devices.iter().map(|used| ((&used.robot, &used.device), used)).collect();
-        Self { of_robot, used }
-    }
-
-    /// One that does not play may not be there at all.
-    fn plays(&self, robot: &RobotId) -> bool {
-        self.of_robot.contains_key(robot)
-    }
-
-    /// The scripts of a device, and how far its steps are off at most from the movement as written.
-    fn of_device(&self, robot: &RobotId, device: &DeviceId) -> (Vec<&'a DeviceScript>, f64) {
-        let scripts = self.of_robot.get(robot).into_iter().flat_map(|plan| &plan.scripts);
-        let error = self.used.get(&(robot, device)).map_or(0.0, |used| used.worst_error);
-        (scripts.filter(|script| script.device == *device).collect(), error)
     }
 }
 
@@ -166,9 +136,8 @@ fn rates(
     stage: &Stage<'_>,
     cues: &Cues<'_>,
     (robot, body): (usize, &Body),
-    axes: &[Axis],
+    peaks: [Option<Peak>; 2],
 ) -> BodyUse {
-    let peaks = peaks(axes);
     let limits = [(body.speed, "moves at", "m/s"), (body.acceleration, "accelerates by", "m/s²")];
     for (peak, (limit, moves, unit)) in peaks.into_iter().zip(limits) {
         let (Some(Peak { from, to, rate }), Some(limit)) = (peak, limit) else { continue };
@@ -188,24 +157,24 @@ fn rates(
 
 /// One warning for robots that become known at the same time.
 fn tell_unknown(findings: &mut Reader, stage: &Stage<'_>, unknown: &[(usize, Option<f64>)]) {
-    let mut told_already: Vec<Option<f64>> = Vec::new();
-    for (_, from) in unknown {
-        if told_already.contains(from) {
+    let is_driven =
+        |robot: usize| stage.cast.fleet.robots[robot].body.as_ref().is_some_and(|body| body.drive.is_some());
+    let mut told_already: Vec<(Option<f64>, bool)> = Vec::new();
+    for (robot, from) in unknown {
+        let driven = is_driven(*robot);
+        if told_already.contains(&(*from, driven)) {
             continue;
         }
-        told_already.push(*from);
-        let robots: Vec<&str> =
-            unknown.iter().filter(|(_, other)| other == from).map(|(robot, _)| stage.id(*robot)).collect();
+        told_already.push((*from, driven));
+        let alike = unknown.iter().filter(|(other, at)| at == from && is_driven(*other) == driven);
+        let robots: Vec<&str> = alike.map(|(robot, _)| stage.id(*robot)).collect();
         let are = if robots.len() == 1 { "is" } else { "are" };
         let until =
             from.map_or_else(|| "in this act".to_owned(), |from| format!("before {}", told(span(from))));
         let message =
             format!("nothing says where {} {are} {until}, so nothing is checked there", names(robots));
-        let expected = "positions of all devices that `body` names";
-        let hint = Some(
-            "give them keyframes at the beginning, a `default_value`, or drive them by position".to_owned(),
-        );
-        findings.add(Code::PlaceUnknown, stage.act.place.clone(), message, expected, hint);
+        let (expected, hint) = if driven { DRIVEN } else { PLACED };
+        findings.add(Code::PlaceUnknown, stage.act.place.clone(), message, expected, Some(hint.to_owned()));
     }
 }
 

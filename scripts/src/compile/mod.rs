@@ -12,6 +12,7 @@ mod check_safety;
 mod check_space;
 mod check_values;
 mod conflict;
+mod courses;
 mod join;
 mod outline;
 mod perform;
@@ -98,7 +99,7 @@ impl Compiler {
         let horizon = scenario.horizon();
         let mut known = self.first_times(&scenario, &cast).into_iter();
         let mut fits = ahead::fits(&timed(&scenario, known.as_slice()), &cast, horizon);
-        let mut rests = HashMap::new();
+        let (mut rests, mut poses) = (HashMap::new(), HashMap::new());
         let mut room = Budget::new(STEPS_MAX);
         let mut acts = Vec::with_capacity(scenario.acts.len());
         for (index, (act, ways)) in scenario.acts.iter().zip(ways).enumerate() {
@@ -124,8 +125,10 @@ impl Compiler {
                 robots: &robots,
                 devices: &devices,
                 positions: &positions,
+                standing: &courses::Standing::after(&before, &poses, index == 0),
             };
-            let in_space = check_space::check(&mut self.findings, &stage);
+            let (in_space, left) = check_space::check(&mut self.findings, &stage);
+            poses.insert(index, left);
             rests.insert(index, rest);
             let title = match act.name.as_str() {
                 "" => scenario.name.clone(),

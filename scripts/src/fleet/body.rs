@@ -4,12 +4,13 @@ use std::collections::BTreeMap;
 
 use urrcp::{Device, InitializationBlock};
 
+use super::drive::read_drive;
 use super::joints::read_arm;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, one_of};
 use crate::keys::keys;
 use crate::node::{self, Node};
-use crate::space::{Body, Coordinate, Shape, Space, Volume};
+use crate::space::{Body, Coordinate, Drive, Shape, Space, Volume};
 
 const SPACE_KEYS: [&str; 3] = ["distance", "keep_in", "keep_out"];
 const VOLUME_KEYS: [&str; 3] = ["x", "y", "z"];
@@ -17,7 +18,7 @@ const COORDINATE_KEYS: [&str; 3] = ["device", "scale", "offset"];
 
 keys! {
     /// What is said of a body.
-    BodyKeys, BODY_KEYS { x, y, z, yaw, radius, size, joints, tip, speed, acceleration }
+    BodyKeys, BODY_KEYS { x, y, z, yaw, drive, radius, size, joints, tip, speed, acceleration }
 }
 
 /// Metres in one unit.
@@ -83,6 +84,10 @@ pub(super) fn read_body(findings: &mut Reader, at: &At<'_>, init: &Initializatio
     let (x, y, z) =
         (coordinate(keys.x, &LENGTHS), coordinate(keys.y, &LENGTHS), coordinate(keys.z, &LENGTHS));
     let yaw = coordinate(keys.yaw, &ANGLES);
+    let drive = keys.drive.map(|at| read_drive(findings, &at, init));
+    if drive.is_some() {
+        tell_placed(findings, [("x", keys.x), ("y", keys.y), ("yaw", keys.yaw)]);
+    }
     if let (Some(radius), Some(_)) = (&keys.radius, &keys.size) {
         let hint = Some("remove one of them".to_owned());
         let message = "a body is a ball or a box, not both";
@@ -98,7 +103,20 @@ pub(super) fn read_body(findings: &mut Reader, at: &At<'_>, init: &Initializatio
     let speed = rate(keys.speed, "a speed above 0 in metres a second");
     let acceleration = rate(keys.acceleration, "an acceleration above 0 in metres a second squared");
     let (joints, tip) = arm?;
-    Some(Body { coordinates: [x?, y?, z?, yaw?], shape: shape?, joints, tip, speed, acceleration })
+    let (drive, mut coordinates) = (drive.map_or(Some(None), |drive| drive.map(Some))?, [x?, y?, z?, yaw?]);
+    if let Some(Drive { start, .. }) = &drive {
+        [coordinates[0], coordinates[1], coordinates[3]] = start.map(Coordinate::Fixed);
+    }
+    Some(Body { coordinates, drive, shape: shape?, joints, tip, speed, acceleration })
+}
+
+/// Coordinates that the drive decides on.
+fn tell_placed(findings: &mut Reader, keys: [(&str, Option<At<'_>>); 3]) {
+    for (name, at) in keys.into_iter().filter_map(|(name, key)| Some((name, key?))) {
+        let message = format!("the drive says what `{name}` is");
+        let hint = Some("write where the body starts as `start` of `drive`".to_owned());
+        findings.add(Code::WrongType, at.key_place(), message, "`drive` without x, y and yaw", hint);
+    }
 }
 
 /// `[0.4, 0.3, 0.2]`
@@ -133,7 +151,7 @@ fn read_coordinate(
 
 /// As people write a fixed angle: in degrees.
 fn own_unit(units: &[(&str, f64)]) -> f64 {
-    units.iter().find(|(unit, _)| *unit == "deg").map_or(1.0, |(_, scale)| *scale)
+    units.iter().find(|(unit, _)| ["deg", "deg/s"].contains(unit)).map_or(1.0, |(_, scale)| *scale)
 }
 
 /// A number in metres or degrees.

@@ -105,6 +105,7 @@ robots:
     devices:
       left: {control_type: speed, granularity: 1, unit: deg, max_number_of_steps: 9, interpolation: hold,
         min_value: 0, max_value: 1, default_value: 0, max_error: 1, script_queue: 2}
+    body: {drive: {speed: left, turn: left}}
   rover:
     init: DIAGNOSTICS/robots/rover.yaml
     address: sim
@@ -115,7 +116,8 @@ robots:
     encoding: json
     body: {x: {device: wheel, scale: 1, offset: 1}, y: wheel, z: 1, yaw: 0, radius: 1, size: [1, 1, 1], speed: 1, acceleration: 1,
       joints: [{device: wheel, value: 0, scale: 1, offset: 0, axis: -z, at: [0, 0, 1], rpy: [0, 0, 0], kind: prismatic, radius: 1}],
-      tip: [0, 0, 1]}
+      tip: [0, 0, 1],
+      drive: {left: wheel, right: {device: wheel, scale: 1}, wheel_radius: 1, track: 1, start: [0, 0, 0]}}
     require: {range: {above: 1, below: 2, within: [0, 1]}}
     simulate: {clock_offset: 1ms, drift: 5ppm, jitter: 1us, ntp_error: none, delay: [0ms, 1ms], fault: refuse,
       readings: {range: 1}}

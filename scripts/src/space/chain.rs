@@ -52,6 +52,15 @@ impl Chain {
         self.links.iter().map(|link| link.radius)
     }
 
+    /// How far the tip or a joint may be from the base, in metres, if no joint goes further than these values, either way.
+    pub(super) fn reach(&self, largest: &[f64]) -> f64 {
+        let far = |(link, value): (&Link, &f64)| {
+            let slides = if link.kind == JointKind::Prismatic { *value } else { 0.0 };
+            link.origin.translation.length() + slides
+        };
+        self.tip.length() + self.links.iter().zip(largest).map(far).sum::<f64>()
+    }
+
     /// Where each joint is, and the tip: one more than there are joints; none without joints.
     pub(super) fn points(&self, place: &Place) -> Vec<Vector> {
         if self.is_empty() {

@@ -1,11 +1,12 @@
 //! Bodies in space: where robots are while they move, how close they come to each other, and which volumes they stay in.
 //!
 //! The fleet file says which device of a robot means which coordinate (`body`), and what has to hold (`space`). `path` follows a
-//! body through the steps of an act, `chain` its arm. `closest` and `way` find the closest approach, also between the steps, and
+//! body through the steps of an act, `drive` integrates speeds, `chain` follows an arm. `closest` and `way` find the closest approach, also between the steps, and
 //! `compile/check_space.rs` turns what it finds into findings. Lengths are in metres, angles in radians, times in seconds.
 
 mod chain;
 mod closest;
+mod drive;
 mod part;
 mod path;
 mod place;
@@ -21,6 +22,7 @@ use serde::Serialize;
 use urrcp::{DeviceId, RobotId, Span};
 
 pub(crate) use closest::{Mover, closest, depth, first_contact};
+pub(crate) use drive::Pose;
 pub(crate) use path::{Axis, Path, Peak, Played, peaks};
 pub(crate) use solid::Solid;
 pub(crate) use volume::furthest_out;
@@ -48,8 +50,10 @@ pub struct Volume {
 /// What a robot's devices mean in space, and how large it is.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Body {
-    /// x, y, z, and the rotation about z, counted from x to y.
+    /// x, y, z, and the rotation about z, counted from x to y. Of a body with a drive, x, y and the rotation are where it starts.
     pub coordinates: [Coordinate; 4],
+    /// What drives it, if that is speeds.
+    pub drive: Option<Drive>,
     /// Its size about x, y and z. A ball of radius 0 is nothing if the body has joints, otherwise a point.
     pub shape: Shape,
     /// Its arm, from the base to the tip; most bodies have none.
@@ -60,6 +64,38 @@ pub struct Body {
     pub speed: Option<f64>,
     /// Largest acceleration of its middle, whatever the direction.
     pub acceleration: Option<f64>,
+}
+
+/// How a body moves whose devices are driven by speed: ahead along its yaw, and about itself.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Drive {
+    /// What its devices mean.
+    pub steering: Steering,
+    /// x and y in metres and yaw in radians at the beginning of the first act.
+    pub start: [f64; 3],
+}
+
+/// The speeds that drive a body. The value of a coordinate is one speed here, with a scale from the device's unit.
+#[derive(Clone, Debug, PartialEq)]
+#[non_exhaustive]
+pub enum Steering {
+    /// Two wheels, or tracks, side by side: the body goes ahead at the mean of their speeds, and turns at their difference over
+    /// the distance between them.
+    Wheels {
+        /// How fast the left wheel rolls, in m/s.
+        left: Coordinate,
+        /// How fast the right wheel rolls, in m/s.
+        right: Coordinate,
+        /// The distance between the wheels, in metres.
+        track: f64,
+    },
+    /// The robot itself translates what it is sent into the speeds of its wheels.
+    Twist {
+        /// How fast it goes ahead, in m/s.
+        speed: Coordinate,
+        /// How fast it turns from x to y, in rad/s.
+        turn: Coordinate,
+    },
 }
 
 /// A joint of an arm, with the link from it to the next joint or to the tip.
@@ -178,6 +214,7 @@ impl Default for Body {
     fn default() -> Self {
         Self {
             coordinates: [const { Coordinate::Fixed(0.0) }; 4],
+            drive: None,
             shape: Shape::Ball { radius: 0.0 },
             joints: Vec::new(),
             tip: [0.0; 3],

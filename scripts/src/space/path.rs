@@ -19,9 +19,10 @@ pub(crate) struct Axis {
 }
 
 /// What one device does in an act.
-#[derive(Default)]
 pub(crate) struct Played<'a> {
     pub(crate) scripts: &'a [&'a DeviceScript],
+    /// What its values are: all of its steps have to be of this type.
+    pub(crate) control_type: ControlType,
     pub(crate) interpolation: Interpolation,
     /// Where it is at the act's start, if that is known.
     pub(crate) begin: Option<f64>,
@@ -29,8 +30,26 @@ pub(crate) struct Played<'a> {
     pub(crate) error: f64,
 }
 
+/// Nothing, by position.
+impl Default for Played<'_> {
+    fn default() -> Self {
+        let control_type = ControlType::Position;
+        Self { scripts: &[], control_type, interpolation: Interpolation::default(), begin: None, error: 0.0 }
+    }
+}
+
 impl Axis {
-    /// `None` if it is nowhere known: nothing says where the device is, or it is not driven by position.
+    /// Its largest value, whatever the sign.
+    pub(crate) fn largest(&self) -> f64 {
+        self.points.iter().map(|(_, value)| value.abs()).fold(0.0, f64::max)
+    }
+
+    /// Linear from value to value; in order of time, at least one.
+    pub(super) fn through(points: Vec<Point>) -> Self {
+        Self { points, error: 0.0 }
+    }
+
+    /// `None` if it is nowhere known: nothing says where the device is, or it is driven by another control type.
     pub(crate) fn of(coordinate: &Coordinate, played: &Played<'_>) -> Option<Self> {
         let (scale, offset) = match coordinate {
             Coordinate::Fixed(value) => return Some(Self { points: vec![(0.0, *value)], error: 0.0 }),
@@ -45,7 +64,7 @@ impl Axis {
             // It stays where it is until the script starts.
             points.extend(points.last().map(|(_, last)| (start, *last)));
             for step in script.script.steps() {
-                if step.setpoint.control_type != ControlType::Position {
+                if step.setpoint.control_type != played.control_type {
                     return None;
                 }
                 let at = start + step.offset.get() / 1_000.0;
@@ -152,6 +171,21 @@ fn largest(rates: &[Vec<Stretch>; 3]) -> Option<Peak> {
     peak
 }
 
+/// The values of all axes whenever one of them has a point, from a time on: just before that moment, and just after it.
+pub(super) fn moments(axes: &[Axis], from: f64) -> impl Iterator<Item = (f64, Vec<f64>)> + '_ {
+    let mut times: Vec<f64> = axes.iter().flat_map(|axis| &axis.points).map(|point| point.0).collect();
+    times.retain(|at| *at >= from);
+    times.push(from);
+    times.sort_by(f64::total_cmp);
+    times.dedup();
+    let mut cursors: Vec<Cursor<'_>> =
+        axes.iter().map(|axis| Cursor { points: &axis.points, next: 0 }).collect();
+    times.into_iter().flat_map(move |at| {
+        let (before, after) = cursors.iter_mut().map(|cursor| cursor.advance(at)).unzip();
+        [(at, before), (at, after)]
+    })
+}
+
 /// Where a body is at a time.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Knot {
@@ -170,21 +204,11 @@ impl Path {
     /// `axes`: x, y, z, yaw and the joints. `sure`: where the body is at the act's start is more than an assumption, so that a jump from there is a way, too.
     pub(crate) fn of(axes: &[Axis], sure: bool) -> Self {
         let from = axes.iter().map(Axis::known_from).fold(0.0, f64::max);
-        let mut times: Vec<f64> = axes.iter().flat_map(|axis| &axis.points).map(|point| point.0).collect();
-        times.retain(|at| *at >= from);
-        times.push(from);
-        times.sort_by(f64::total_cmp);
-        times.dedup();
-        let mut cursors: Vec<Cursor<'_>> =
-            axes.iter().map(|axis| Cursor { points: &axis.points, next: 0 }).collect();
-        let mut knots: Vec<Knot> = Vec::with_capacity(times.len());
-        for at in times {
-            let (before, after): (Vec<f64>, Vec<f64>) =
-                cursors.iter_mut().map(|cursor| cursor.advance(at)).unzip();
-            for place in [before, after].map(|values| Place::from_values(&values)) {
-                if knots.last().is_none_or(|last| last.at < at || last.place != place) {
-                    knots.push(Knot { at, place });
-                }
+        let mut knots: Vec<Knot> = Vec::new();
+        for (at, values) in moments(axes, from) {
+            let place = Place::from_values(&values);
+            if knots.last().is_none_or(|last| last.at < at || last.place != place) {
+                knots.push(Knot { at, place });
             }
         }
         if from > 0.0 || !sure {

@@ -17,13 +17,16 @@ pub(crate) struct Solid {
     /// None where all of the body is its arm.
     base: Option<Shape>,
     chain: Chain,
+    /// How far all of it may be off, in metres.
+    margin: f64,
 }
 
 impl Solid {
-    pub(crate) fn of(body: &Body) -> Self {
+    /// `margin`: how far all of it may be off from its path, in metres; it counts as so much larger.
+    pub(crate) fn of(body: &Body, margin: f64) -> Self {
         let is_nothing = matches!(body.shape, Shape::Ball { radius } if radius <= 0.0);
         let base = Some(body.shape).filter(|_| !is_nothing || body.joints.is_empty());
-        Self { base, chain: Chain::of(&body.joints, body.tip) }
+        Self { base, chain: Chain::of(&body.joints, body.tip), margin }
     }
 
     /// A volume as a body that stays where it is.
@@ -32,14 +35,14 @@ impl Solid {
         let most = volume.most.map(|side| side.min(FAR));
         let size = std::array::from_fn(|i| most[i] - least[i]);
         let middle = |i| f64::midpoint(least[i], most[i]);
-        let solid = Self { base: Some(Shape::Box { size }), chain: Chain::default() };
+        let solid = Self { base: Some(Shape::Box { size }), chain: Chain::default(), margin: 0.0 };
         (solid, Place::of([middle(0), middle(1), middle(2), 0.0]))
     }
 
     /// Its radius if it is nothing but a ball.
     pub(super) fn ball(&self) -> Option<f64> {
         match self.base {
-            Some(Shape::Ball { radius }) if self.chain.is_empty() => Some(radius),
+            Some(Shape::Ball { radius }) if self.chain.is_empty() => Some(radius + self.margin),
             _ => None,
         }
     }
@@ -50,7 +53,13 @@ impl Solid {
             Some(Shape::Ball { radius }) => radius,
             _ => 0.0,
         };
-        self.chain.radii().fold(ball, f64::max)
+        self.margin + self.chain.radii().fold(ball, f64::max)
+    }
+
+    /// How far its cores are from the vertical line through its middle at most, in metres, if no joint goes further than these
+    /// values, either way.
+    pub(crate) fn lever(&self, largest: &[f64]) -> f64 {
+        self.base.map_or(0.0, Shape::lever).max(self.chain.reach(largest))
     }
 
     /// All of it: first its base, then the links from the base to the tip.
@@ -61,7 +70,8 @@ impl Solid {
             let core = Core::Segment(Segment::new(ends[0], ends[1]));
             Part { core, radius }
         };
-        shape.into_iter().chain(points.windows(2).zip(self.chain.radii()).map(link)).collect()
+        let parts = shape.into_iter().chain(points.windows(2).zip(self.chain.radii()).map(link));
+        parts.map(|part| Part { radius: part.radius + self.margin, ..part }).collect()
     }
 
     /// How the points of each part move at most between two places, beyond what x, y and z of the base move.

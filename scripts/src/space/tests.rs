@@ -12,6 +12,7 @@ use super::{Body, Coordinate, Shape, Volume};
 use crate::plan::DeviceScript;
 
 mod arms;
+mod drives;
 
 const POINT: Shape = Shape::Ball { radius: 0.0 };
 
@@ -29,7 +30,7 @@ fn script(start_ms: f64, steps: &[(f64, f64)]) -> DeviceScript {
 
 fn axis_of(scripts: &[&DeviceScript], interpolation: Interpolation, begin: Option<f64>) -> Option<Axis> {
     let coordinate = Coordinate::Device { device: "d".parse().unwrap(), scale: 1.0, offset: 0.0 };
-    Axis::of(&coordinate, &Played { scripts, interpolation, begin, error: 0.0 })
+    Axis::of(&coordinate, &Played { scripts, interpolation, begin, ..Played::default() })
 }
 
 /// Linear from value to value, at seconds.
@@ -43,7 +44,7 @@ fn fixed(value: f64) -> Axis {
 }
 
 fn solid(shape: &Shape) -> Solid {
-    Solid::of(&Body { shape: *shape, ..Body::default() })
+    Solid::of(&Body { shape: *shape, ..Body::default() }, 0.0)
 }
 
 /// All parts of both against each other.
@@ -186,7 +187,7 @@ fn speeds_count_in_all_directions_together_and_errors_of_steps_do_not() {
     let coordinate = Coordinate::Device { device: "d".parse().unwrap(), scale: 0.1, offset: 7.0 };
     let scripts = [&script(0.0, &[(0.0, 0.0), (1_000.0, 30.0)])];
     let doubtful =
-        Played { scripts: &scripts, interpolation: Interpolation::Linear, begin: None, error: 5.0 };
+        Played { scripts: &scripts, interpolation: Interpolation::Linear, error: 5.0, ..Played::default() };
     let axes = [Axis::of(&coordinate, &doubtful).unwrap(), fixed(0.0), fixed(0.0), fixed(0.0)];
     assert_eq!(peaks(&axes)[0].unwrap().rate, 2.0);
 }

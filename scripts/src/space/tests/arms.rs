@@ -31,7 +31,7 @@ fn planar() -> Body {
 
 fn arm(body: &Body, base: [f64; 4], joints: Vec<Axis>, ends: f64) -> Mover {
     let axes: Vec<Axis> = base.map(fixed).into_iter().chain(joints).collect();
-    Mover::new(Path::of(&axes, true), Solid::of(body), ends, 3)
+    Mover::new(Path::of(&axes, true), Solid::of(body, 0.0), ends, 3)
 }
 
 /// Its tip is at `2 cos(angle)` before the base, as the elbow turns back by twice the angle of the shoulder.
@@ -100,7 +100,7 @@ fn roll_pitch_and_yaw_are_about_fixed_axes_and_a_joint_may_slide() {
     (slides.kind, slides.axis) = (JointKind::Prismatic, [1.0, 0.0, 0.0]);
     let body = Body { joints: vec![turned, slides], tip: [0.1, 0.0, 0.0], ..Body::default() };
     let place = Place { base: [0.0; 4], joints: [0.0, 0.4].into() };
-    let Core::Segment(last) = Solid::of(&body).parts(&place)[1].core else { panic!("no link") };
+    let Core::Segment(last) = Solid::of(&body, 0.0).parts(&place)[1].core else { panic!("no link") };
     assert!((last.a - Vector::new(0.0, 0.0, 1.5)).length() < 1e-12, "{last:?}");
     assert!((last.b - Vector::new(0.0, 0.0, 2.0)).length() < 1e-12, "{last:?}");
 }
@@ -285,7 +285,7 @@ proptest! {
         let ends = 4.0;
         // The base of the first one is checked with boxes elsewhere.
         let bare = Body { shape: POINT, ..a.0.clone() };
-        let movers = [(&bare, &a), (&b.0, &b)].map(|(body, of)| Mover::new(path(of), Solid::of(body), ends, 3));
+        let movers = [(&bare, &a), (&b.0, &b)].map(|(body, of)| Mover::new(path(of), Solid::of(body, 0.0), ends, 3));
         let found = between(&movers[0], &movers[1]);
         let paths = [path(&a), path(&b)];
         let gap = |at: f64| {
@@ -301,7 +301,7 @@ proptest! {
     #[test]
     fn links_move_no_further_than_their_bound(of in (any_arm(), ways()), part in 0.0..1.0f64) {
         let (body, ways) = &of;
-        let solid = Solid::of(&Body { shape: POINT, ..body.clone() });
+        let solid = Solid::of(&Body { shape: POINT, ..body.clone() }, 0.0);
         let values = |i: usize| -> Vec<f64> { ways[..4 + body.joints.len()].iter().map(|way| way[i.min(way.len() - 1)].1).collect() };
         let (mut from, mut to) = (Place::from_values(&values(0)), Place::from_values(&values(1)));
         // Its base shifts besides.

@@ -1,0 +1,138 @@
+//! How each body moves in an act: its devices' scripts as coordinates, or as the speeds that drive it.
+
+use std::collections::HashMap;
+
+use urrcp::{ControlType, DeviceId, RobotId};
+
+use super::check_space::Stage;
+use crate::plan::{DeviceScript, DeviceUse, RobotPlan};
+use crate::space::{Axis, Body, Coordinate, Drive, Peak, Played, Pose, Solid, Steering, peaks};
+
+/// How a body moves in an act.
+pub(super) struct Course {
+    /// x, y, z, yaw and its joints.
+    pub(super) axes: Vec<Axis>,
+    /// How far its points may be off from there, in metres.
+    pub(super) margin: f64,
+    /// The largest speed and acceleration of its middle.
+    pub(super) peaks: [Option<Peak>; 2],
+    /// Where it is in the end, if it is driven by speeds and stands still then.
+    pub(super) end: Option<Pose>,
+}
+
+/// Where acts leave the bodies that are driven by speeds, by robot; those of whom that is not known are not listed.
+pub(super) type Poses = HashMap<usize, Pose>;
+
+/// Where bodies that are driven by speeds are when an act begins.
+pub(super) struct Standing<'a> {
+    /// Where each act that leads here leaves them; `None` for the first act.
+    before: Option<Vec<&'a Poses>>,
+}
+
+impl<'a> Standing<'a> {
+    pub(super) fn after(before: &[usize], poses: &'a HashMap<usize, Poses>, is_first: bool) -> Self {
+        Self { before: (!is_first).then(|| before.iter().filter_map(|act| poses.get(act)).collect()) }
+    }
+
+    /// Known only where every way that leads here leaves the body at the same place.
+    fn of(&self, robot: usize, drive: &Drive) -> Option<Pose> {
+        let Some(before) = &self.before else { return Some(Pose::at(drive.start)) };
+        let (first, others) = before.split_first()?;
+        let pose = first.get(&robot).copied();
+        others.iter().all(|other| other.get(&robot).copied() == pose).then_some(pose).flatten()
+    }
+}
+
+/// What each robot is sent in an act.
+pub(super) struct Scripts<'a> {
+    of_robot: HashMap<&'a RobotId, &'a RobotPlan>,
+    used: HashMap<(&'a RobotId, &'a DeviceId), &'a DeviceUse>,
+    /// When the last of them ends, in seconds.
+    ends: f64,
+}
+
+impl<'a> Scripts<'a> {
+    pub(super) fn of(stage: &Stage<'a>) -> Self {
+        let of_robot = stage.robots.iter().map(|plan| (&plan.robot, plan)).collect();
+        let used = stage.devices.iter().map(|used| ((&used.robot, &used.device), used)).collect();
+        let all = stage.robots.iter().flat_map(|plan| &plan.scripts);
+        let end = |script: &DeviceScript| {
+            let last = script.script.steps().last().map_or(0.0, |step| step.offset.get());
+            script.start.get() / 1_000.0 + last / 1_000.0
+        };
+        Self { of_robot, used, ends: all.map(end).fold(0.0, f64::max) }
+    }
+
+    /// One that does not play may not be there at all.
+    pub(super) fn plays(&self, robot: &RobotId) -> bool {
+        self.of_robot.contains_key(robot)
+    }
+
+    /// The scripts of a device, and how far its steps are off at most from the movement as written.
+    fn of_device(&self, robot: &RobotId, device: &DeviceId) -> (Vec<&'a DeviceScript>, f64) {
+        let scripts = self.of_robot.get(robot).into_iter().flat_map(|plan| &plan.scripts);
+        let error = self.used.get(&(robot, device)).map_or(0.0, |used| used.worst_error);
+        (scripts.filter(|script| script.device == *device).collect(), error)
+    }
+}
+
+impl Stage<'_> {
+    /// `None` if a coordinate of the body is known at no time.
+    pub(super) fn course(&self, scripts: &Scripts<'_>, robot: usize, body: &Body) -> Option<Course> {
+        let position = |coordinate| self.axis(scripts, robot, coordinate, ControlType::Position);
+        let joints: Option<Vec<Axis>> = body.joints.iter().map(|joint| position(&joint.value)).collect();
+        let joints = joints?;
+        let [x, y, z, yaw] = &body.coordinates;
+        let mut course = match &body.drive {
+            Some(drive) => {
+                let largest: Vec<f64> = joints.iter().map(Axis::largest).collect();
+                let lever = Solid::of(body, 0.0).lever(&largest);
+                self.driven(scripts, robot, (drive, lever), position(z)?)?
+            }
+            None => {
+                let axes = vec![position(x)?, position(y)?, position(z)?, position(yaw)?];
+                Course { margin: 0.0, peaks: peaks(&axes), axes, end: None }
+            }
+        };
+        course.axes.extend(joints);
+        Some(course)
+    }
+
+    fn driven(
+        &self,
+        scripts: &Scripts<'_>,
+        robot: usize,
+        (drive, lever): (&Drive, f64),
+        z: Axis,
+    ) -> Option<Course> {
+        let signals = match &drive.steering {
+            Steering::Wheels { left, right, .. } => [left, right],
+            Steering::Twist { speed, turn } => [speed, turn],
+        };
+        let [first, second] = signals.map(|signal| self.axis(scripts, robot, signal, ControlType::Speed));
+        let start = self.standing.of(robot, drive)?;
+        let driven = drive.path(start, &[first?, second?], scripts.ends, lever)?;
+        let [x, y, yaw] = driven.axes;
+        Some(Course { axes: vec![x, y, z, yaw], margin: driven.margin, peaks: driven.peaks, end: driven.end })
+    }
+
+    fn axis(
+        &self,
+        scripts: &Scripts<'_>,
+        robot: usize,
+        coordinate: &Coordinate,
+        control_type: ControlType,
+    ) -> Option<Axis> {
+        let Coordinate::Device { device, .. } = coordinate else {
+            return Axis::of(coordinate, &Played::default());
+        };
+        let index = self.cast.devices(robot).iter().position(|other| other.id == *device)?;
+        let (scripts, error) = scripts.of_device(self.cast.id(robot), device);
+        let interpolation = self.cast.devices(robot)[index].interpolation;
+        let begin = match control_type {
+            ControlType::Speed => self.positions.of_speed(robot, index),
+            _ => self.positions.of(robot, index),
+        };
+        Axis::of(coordinate, &Played { scripts: &scripts, control_type, interpolation, begin, error })
+    }
+}

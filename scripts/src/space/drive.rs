@@ -1,0 +1,247 @@
+//! Where robots come to that are driven by speeds: the integral of how fast they go ahead and turn.
+//!
+//! A body goes ahead at `v` along its yaw, and turns at `w`: `x' = v cos yaw`, `y' = v sin yaw`, `yaw' = w` (the unicycle; Siciliano and
+//! others, Robotics, 2009, section 11.2). While both stay the same, it moves on an arc, which has a closed form. While they change
+//! linearly, Simpson's rule takes it from moment to moment. The path becomes a polyline in x, y and yaw, and what a point of the
+//! body may be off from it is stated with it.
+
+use super::path::{Axis, Peak, moments};
+use super::{Drive, Steering};
+
+/// Points of the polyline are as close to each other as keeps the body this close to it, in metres.
+const CHORD: f64 = 5e-5;
+/// What Simpson's rule may be off after a whole act, in metres.
+const DRIFT: f64 = 1e-5;
+/// Most points of an act, about. If there were more, the body may be further off from its polyline, as is stated with it.
+const POINTS_MAX: f64 = 200_000.0;
+
+/// Where a driven body is.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Pose {
+    pub(crate) x: f64,
+    pub(crate) y: f64,
+    pub(crate) yaw: f64,
+    /// What x and y may be off, in metres.
+    pub(crate) drift: f64,
+}
+
+/// How a driven body moves in an act.
+#[derive(Clone, Debug)]
+pub(crate) struct Driven {
+    /// x, y and yaw.
+    pub(crate) axes: [Axis; 3],
+    /// How far a point of the body may be off from them, in metres.
+    pub(crate) margin: f64,
+    /// Where it is in the end; `None` if it still moves.
+    pub(crate) end: Option<Pose>,
+    /// The largest speed and the largest acceleration of its middle.
+    pub(crate) peaks: [Option<Peak>; 2],
+}
+
+/// Ahead in m/s, and to the left in rad/s.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Twist {
+    ahead: f64,
+    turn: f64,
+}
+
+impl Twist {
+    const REST: Self = Self { ahead: 0.0, turn: 0.0 };
+}
+
+/// A time in which both speeds change linearly.
+#[derive(Clone, Copy, Debug)]
+struct Leg {
+    from: f64,
+    to: f64,
+    begin: Twist,
+    end: Twist,
+}
+
+impl Pose {
+    /// x and y in metres, yaw in radians.
+    pub(crate) const fn at([x, y, yaw]: [f64; 3]) -> Self {
+        Self { x, y, yaw, drift: 0.0 }
+    }
+}
+
+impl Drive {
+    /// What two signals mean: those of the wheels in m/s, or the speed in m/s and the turn in rad/s.
+    fn twist(&self, [first, second]: [f64; 2]) -> Twist {
+        match &self.steering {
+            Steering::Wheels { track, .. } => {
+                Twist { ahead: f64::midpoint(first, second), turn: (second - first) / track }
+            }
+            Steering::Twist { .. } => Twist { ahead: first, turn: second },
+        }
+    }
+
+    /// The path from a pose until `ends`, in seconds. `signals`: both devices, from 0 on, in m/s and rad/s. `lever`: how far
+    /// the points of the body are from its middle at most. `None` where the path is beyond all numbers.
+    pub(crate) fn path(&self, start: Pose, signals: &[Axis; 2], ends: f64, lever: f64) -> Option<Driven> {
+        let (legs, rests) = self.legs(signals, ends);
+        let wanted: f64 = legs.iter().map(|leg| leg.parts(ends, lever)).sum();
+        let share = (POINTS_MAX / wanted).min(1.0);
+        let mut course = Course { points: vec![(0.0, start)], sag: 0.0 };
+        for leg in &legs {
+            course.follow(leg, (leg.parts(ends, lever) * share).ceil().max(1.0), lever);
+        }
+        let last = course.points[course.points.len() - 1].1;
+        let margin = course.sag + last.drift;
+        let is_finite = [last.x, last.y, last.yaw, margin].iter().all(|value| value.is_finite());
+        is_finite.then(|| Driven {
+            axes: course.axes(),
+            margin,
+            end: rests.then_some(last),
+            peaks: [peak(&legs, Leg::speed), acceleration(&legs)],
+        })
+    }
+
+    /// And whether both speeds are 0 in the end.
+    fn legs(&self, signals: &[Axis; 2], ends: f64) -> (Vec<Leg>, bool) {
+        let moments: Vec<(f64, Twist)> =
+            moments(signals, 0.0).map(|(at, values)| (at, self.twist([values[0], values[1]]))).collect();
+        let leg =
+            |pair: &[(f64, Twist)]| Leg { from: pair[0].0, to: pair[1].0, begin: pair[0].1, end: pair[1].1 };
+        let mut legs: Vec<Leg> = moments.windows(2).map(leg).filter(|leg| leg.to > leg.from).collect();
+        if let Some((at, twist)) = moments.last().filter(|(at, _)| *at < ends) {
+            legs.push(Leg { from: *at, to: ends, begin: *twist, end: *twist });
+        }
+        let rests = moments.last().is_none_or(|(_, twist)| *twist == Twist::REST);
+        (legs, rests)
+    }
+}
+
+impl Leg {
+    fn seconds(&self) -> f64 {
+        self.to - self.from
+    }
+
+    fn is_constant(&self) -> bool {
+        self.begin == self.end
+    }
+
+    fn speed(&self) -> f64 {
+        self.begin.ahead.abs().max(self.end.ahead.abs())
+    }
+
+    fn turn(&self) -> f64 {
+        self.begin.turn.abs().max(self.end.turn.abs())
+    }
+
+    /// How the speeds change, in m/s² and rad/s².
+    fn rates(&self) -> Twist {
+        let seconds = self.seconds();
+        Twist {
+            ahead: (self.end.ahead - self.begin.ahead) / seconds,
+            turn: (self.end.turn - self.begin.turn) / seconds,
+        }
+    }
+
+    /// A bound of its acceleration, along its way and across it.
+    fn acceleration(&self) -> f64 {
+        self.rates().ahead.hypot(self.speed() * self.turn())
+    }
+
+    /// The most that a point of the body is off from a straight way that took so many seconds: linear interpolation is off by
+    /// an eighth of the second derivative, times the time squared.
+    fn sag(&self, seconds: f64, lever: f64) -> f64 {
+        (self.acceleration() + lever * self.rates().turn.abs()) * seconds * seconds / 8.0
+    }
+
+    /// A bound of the fourth derivative of the velocity, whose direction `g` is that of the yaw: with the turn `w` and its
+    /// change `c`, `g'' = (ic - w²) g`, `g''' = -(3wc + iw³) g`, `g'''' = (w⁴ - 3c² - 6icw²) g`.
+    fn fourth(&self) -> f64 {
+        let (v, w, rates) = (self.speed(), self.turn(), self.rates());
+        let (a, c) = (rates.ahead.abs(), rates.turn.abs());
+        v * (w.powi(4) + 6.0 * w * w * c + 3.0 * c * c) + 4.0 * a * (3.0 * w * c + w.powi(3))
+    }
+
+    /// The error of Simpson's rule over so many seconds.
+    fn drift(&self, seconds: f64) -> f64 {
+        if self.is_constant() { 0.0 } else { seconds.powi(5) / 2_880.0 * self.fourth() }
+    }
+
+    /// Into how many parts it is divided.
+    fn parts(&self, ends: f64, lever: f64) -> f64 {
+        let seconds = self.seconds();
+        let for_chords = (self.sag(seconds, lever) / CHORD).sqrt();
+        // Each second has its share of the drift.
+        let for_drift = (self.drift(seconds) / (DRIFT * seconds / ends)).powf(0.25);
+        for_chords.max(for_drift).max(1.0)
+    }
+
+    /// Speed and yaw after some seconds.
+    fn after(&self, seconds: f64, yaw: f64) -> (Twist, f64) {
+        let rates = self.rates();
+        let twist = Twist {
+            ahead: self.begin.ahead + rates.ahead * seconds,
+            turn: self.begin.turn + rates.turn * seconds,
+        };
+        (twist, yaw + f64::midpoint(self.begin.turn, twist.turn) * seconds)
+    }
+
+    /// How far it gets in x and y between two moments of it.
+    fn way(&self, [from, to]: [f64; 2], yaw: f64) -> [f64; 2] {
+        let middle = f64::midpoint(from, to);
+        let (twist, course) = self.after(middle, yaw);
+        if self.is_constant() {
+            let half = twist.turn * (to - from) / 2.0;
+            // sin x / x, which is 1 to the last digit where x² / 6 is less than that.
+            let chord = if half.abs() < 1e-8 { 1.0 } else { half.sin() / half };
+            let long = twist.ahead * (to - from) * chord;
+            return [long * course.cos(), long * course.sin()];
+        }
+        let velocity = |at: f64| {
+            let (twist, yaw) = self.after(at, yaw);
+            [twist.ahead * yaw.cos(), twist.ahead * yaw.sin()]
+        };
+        let [begin, between, end] = [from, middle, to].map(velocity);
+        std::array::from_fn(|i| (to - from) / 6.0 * (begin[i] + 4.0 * between[i] + end[i]))
+    }
+}
+
+/// The poses along a path, in order of time.
+struct Course {
+    points: Vec<(f64, Pose)>,
+    /// The most that a point of the body is off between two of them, in metres.
+    sag: f64,
+}
+
+impl Course {
+    fn follow(&mut self, leg: &Leg, parts: f64, lever: f64) {
+        let (start, seconds) = (self.points[self.points.len() - 1].1, leg.seconds());
+        let mut pose = start;
+        for part in 0..parts as u32 {
+            let [from, to] = [part, part + 1].map(|part| seconds * f64::from(part) / parts);
+            let [x, y] = leg.way([from, to], start.yaw);
+            let drift = pose.drift + leg.drift(to - from);
+            pose = Pose { x: pose.x + x, y: pose.y + y, yaw: leg.after(to, start.yaw).1, drift };
+            self.points.push((leg.from + to, pose));
+        }
+        self.sag = self.sag.max(leg.sag(seconds / parts, lever));
+    }
+
+    fn axes(&self) -> [Axis; 3] {
+        let axis = |value: fn(&Pose) -> f64| {
+            Axis::through(self.points.iter().map(|(at, pose)| (*at, value(pose))).collect())
+        };
+        [axis(|pose| pose.x), axis(|pose| pose.y), axis(|pose| pose.yaw)]
+    }
+}
+
+fn peak(legs: &[Leg], rate: fn(&Leg) -> f64) -> Option<Peak> {
+    let peaks = legs.iter().map(|leg| Peak { from: leg.from, to: leg.to, rate: rate(leg) });
+    peaks.max_by(|a, b| a.rate.total_cmp(&b.rate))
+}
+
+/// Within a leg, or where the speed changes at once: over the mean of the times before and after.
+fn acceleration(legs: &[Leg]) -> Option<Peak> {
+    let jump = |pair: &[Leg]| {
+        let middles = [&pair[0], &pair[1]].map(|leg| f64::midpoint(leg.from, leg.to));
+        let change = (pair[1].begin.ahead - pair[0].end.ahead).abs();
+        Peak { from: middles[0], to: middles[1], rate: change / (middles[1] - middles[0]) }
+    };
+    let jumps = legs.windows(2).map(jump);
+    jumps.chain(peak(legs, Leg::acceleration)).max_by(|a, b| a.rate.total_cmp(&b.rate))
+}
