@@ -21,6 +21,7 @@ mod body;
 mod drive;
 mod joints;
 mod mission_settings;
+mod urdf;
 
 pub use mission_settings::{ClockMode, MissionSettings, Requirement};
 
@@ -201,12 +202,14 @@ pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
     let mut reader = FleetReader {
         folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
         inits: HashMap::new(),
+        urdfs: urdf::Urdfs::new(path.parent().unwrap_or(Path::new(""))),
         findings: Reader::default(),
         elsewhere: Vec::new(),
     };
     let fleet = reader.fleet(&At::document(&document, 0));
     let mut findings = locate(std::slice::from_ref(&source), reader.findings.finish());
     findings.append(&mut reader.elsewhere);
+    findings.append(&mut reader.urdfs.elsewhere);
     (fleet.filter(|_| findings.is_empty()), findings)
 }
 
@@ -214,6 +217,8 @@ struct FleetReader {
     folder: PathBuf,
     /// Descriptions read so far, by path: many robots share one.
     inits: HashMap<PathBuf, Option<Init>>,
+    /// Descriptions of arms.
+    urdfs: urdf::Urdfs,
     findings: Reader,
     /// Findings in other files.
     elsewhere: Vec<Finding>,
@@ -272,7 +277,8 @@ impl FleetReader {
         let own_id = keys.robot_id.and_then(|at| self.own_id(&at));
         init.id = own_id.unwrap_or_else(|| id.clone());
         let limits = keys.limits.map(|at| self.limits(&at, &init)).unwrap_or_default();
-        let body = keys.body.as_ref().and_then(|at| body::read_body(&mut self.findings, at, &init));
+        let body =
+            keys.body.as_ref().and_then(|at| body::read_body(&mut self.findings, at, &init, &mut self.urdfs));
         let mission = mission_settings::read(&mut self.findings, &keys, &init, handshake);
         Some(FleetRobot { simulation, limits, body, mission, ..FleetRobot::new(id, address?, Some(init)) })
     }

@@ -6,11 +6,12 @@ use urrcp::{Device, InitializationBlock};
 
 use super::drive::read_drive;
 use super::joints::read_arm;
+use super::urdf::{UrdfKeys, Urdfs};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, one_of};
 use crate::keys::keys;
 use crate::node::{self, Node};
-use crate::space::{Body, Coordinate, Drive, Shape, Space, Volume};
+use crate::space::{Body, Coordinate, Drive, Joint, Shape, Space, Volume};
 
 const SPACE_KEYS: [&str; 3] = ["distance", "keep_in", "keep_out"];
 const VOLUME_KEYS: [&str; 3] = ["x", "y", "z"];
@@ -18,7 +19,7 @@ const COORDINATE_KEYS: [&str; 3] = ["device", "scale", "offset"];
 
 keys! {
     /// What is said of a body.
-    BodyKeys, BODY_KEYS { x, y, z, yaw, drive, radius, size, joints, tip, speed, acceleration }
+    BodyKeys, BODY_KEYS { x, y, z, yaw, drive, radius, size, joints, tip, urdf, end, devices, speed, acceleration }
 }
 
 /// Metres in one unit.
@@ -75,7 +76,12 @@ pub(super) fn length(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
     findings.positive(at, "a length above 0 in metres")
 }
 
-pub(super) fn read_body(findings: &mut Reader, at: &At<'_>, init: &InitializationBlock) -> Option<Body> {
+pub(super) fn read_body(
+    findings: &mut Reader,
+    at: &At<'_>,
+    init: &InitializationBlock,
+    urdfs: &mut Urdfs,
+) -> Option<Body> {
     let keys = BodyKeys::of(findings.map(at, "a body", BODY_KEYS, &[])?);
     let mut coordinate = |at: Option<At<'_>>, units: &[(&str, f64)]| match at {
         Some(at) => read_coordinate(findings, &at, init, units),
@@ -88,17 +94,14 @@ pub(super) fn read_body(findings: &mut Reader, at: &At<'_>, init: &Initializatio
     if drive.is_some() {
         tell_placed(findings, [("x", keys.x), ("y", keys.y), ("yaw", keys.yaw)]);
     }
-    if let (Some(radius), Some(_)) = (&keys.radius, &keys.size) {
-        let hint = Some("remove one of them".to_owned());
-        let message = "a body is a ball or a box, not both";
-        findings.add(Code::WrongType, radius.key_place(), message, "`radius` or `size`", hint);
-    }
-    let shape = match (keys.radius, keys.size) {
-        (_, Some(at)) => read_box(findings, &at),
-        (Some(at), None) => length(findings, &at).map(|radius| Shape::Ball { radius }),
-        (None, None) => Some(Shape::Ball { radius: 0.0 }),
+    let shape = read_shape(findings, &keys);
+    let arm = match keys.urdf {
+        Some(urdf) => read_urdf(findings, urdf, &keys, init, urdfs).map(|joints| (joints, [0.0; 3])),
+        None => {
+            tell_without_urdf(findings, [("end", keys.end), ("devices", keys.devices)]);
+            read_arm(findings, at, [keys.joints, keys.tip], init)
+        }
     };
-    let arm = read_arm(findings, at, [keys.joints, keys.tip], init);
     let mut rate = |at: Option<At<'_>>, expected| at.and_then(|at| findings.positive(&at, expected));
     let speed = rate(keys.speed, "a speed above 0 in metres a second");
     let acceleration = rate(keys.acceleration, "an acceleration above 0 in metres a second squared");
@@ -108,6 +111,47 @@ pub(super) fn read_body(findings: &mut Reader, at: &At<'_>, init: &Initializatio
         [coordinates[0], coordinates[1], coordinates[3]] = start.map(Coordinate::Fixed);
     }
     Some(Body { coordinates, drive, shape: shape?, joints, tip, speed, acceleration })
+}
+
+fn read_shape(findings: &mut Reader, keys: &BodyKeys<'_>) -> Option<Shape> {
+    // With a URDF, the radius is that of the links.
+    let radius = keys.radius.filter(|_| keys.urdf.is_none());
+    if let (Some(radius), Some(_)) = (&radius, &keys.size) {
+        let hint = Some("remove one of them".to_owned());
+        let message = "a body is a ball or a box, not both";
+        findings.add(Code::WrongType, radius.key_place(), message, "`radius` or `size`", hint);
+    }
+    match (radius, keys.size) {
+        (_, Some(at)) => read_box(findings, &at),
+        (Some(at), None) => length(findings, &at).map(|radius| Shape::Ball { radius }),
+        (None, None) => Some(Shape::Ball { radius: 0.0 }),
+    }
+}
+
+/// An arm whose links end where the last one begins.
+fn read_urdf(
+    findings: &mut Reader,
+    urdf: At<'_>,
+    keys: &BodyKeys<'_>,
+    init: &InitializationBlock,
+    urdfs: &mut Urdfs,
+) -> Option<Vec<Joint>> {
+    for (name, at) in [("joints", keys.joints), ("tip", keys.tip)] {
+        let Some(at) = at else { continue };
+        let message = format!("the URDF says what `{name}` is");
+        findings.add(Code::WrongType, at.key_place(), message, "`urdf`, or `joints` and `tip`", None);
+    }
+    let radius = keys.radius.map(|at| length(findings, &at));
+    let arm = UrdfKeys { urdf, end: keys.end, devices: keys.devices, radius: radius.flatten() };
+    if radius == Some(None) { None } else { urdfs.read_arm(findings, &arm, init) }
+}
+
+fn tell_without_urdf(findings: &mut Reader, keys: [(&str, Option<At<'_>>); 2]) {
+    for (name, at) in keys.into_iter().filter_map(|(name, key)| Some((name, key?))) {
+        let message = format!("`{name}` is for an arm from a URDF");
+        let hint = Some(format!("remove `{name}`, or name the file as `urdf`"));
+        findings.add(Code::MissingKey, at.key_place(), message, "a key `urdf`", hint);
+    }
 }
 
 /// Coordinates that the drive decides on.
@@ -181,6 +225,19 @@ pub(super) fn of_device(
         None => 0.0,
     };
     Some(Coordinate::Device { device: device.id.clone(), scale, offset })
+}
+
+/// What the device of this name has as its position.
+pub(super) fn by_name(
+    findings: &mut Reader,
+    at: &At<'_>,
+    name: &str,
+    init: &InitializationBlock,
+    units: &[(&str, f64)],
+) -> Option<Coordinate> {
+    let device = device(findings, at, name, init)?;
+    let scale = scale_of(findings, at, device, units)?;
+    Some(Coordinate::Device { device: device.id.clone(), scale, offset: 0.0 })
 }
 
 fn device<'a>(

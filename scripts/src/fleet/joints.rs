@@ -10,7 +10,7 @@ use crate::node::Node;
 use crate::space::{Coordinate, Joint, JointKind};
 
 /// Most joints of a body: each of them is compared with all those of the others.
-const JOINTS_MAX: usize = 64;
+pub(super) const JOINTS_MAX: usize = 64;
 const KINDS: [(&str, JointKind); 2] =
     [("revolute", JointKind::Revolute), ("prismatic", JointKind::Prismatic)];
 const AXES: [(&str, [f64; 3]); 6] = [

@@ -30,6 +30,7 @@ mod timed_csv;
 mod tree;
 mod units;
 mod urdf;
+pub(crate) mod urdf_tree;
 mod waypoints;
 mod webots;
 mod yaml;

@@ -76,7 +76,8 @@ pub fn urdf(source: &Source, id: Option<&str>) -> UrdfOutcome {
     UrdfOutcome { files, devices: joints.len(), notes: sink.notes, findings: sink.findings }
 }
 
-fn read(source: &Source, id: Option<&str>, sink: &mut Sink) -> Option<(String, Vec<Joint>)> {
+/// The document, if it is one of a robot and not too large; findings otherwise.
+pub(super) fn parsed<'s>(source: &'s Source, sink: &mut Sink) -> Option<Document<'s>> {
     if source.text.len() > BYTES_MAX {
         let message = format!("the file has {} bytes", source.text.len());
         sink.about(&source.name, Code::ImportLimit, message, &format!("at most {BYTES_MAX} bytes"), None);
@@ -119,6 +120,12 @@ fn read(source: &Source, id: Option<&str>, sink: &mut Sink) -> Option<(String, V
         );
         return None;
     }
+    Some(document)
+}
+
+fn read(source: &Source, id: Option<&str>, sink: &mut Sink) -> Option<(String, Vec<Joint>)> {
+    let document = parsed(source, sink)?;
+    let robot = document.root_element();
     let joints = joints(robot, source, sink);
     let name = id.or(robot.attribute("name")).unwrap_or("robot");
     if let Err(error) = RobotId::new(name) {
@@ -250,8 +257,33 @@ fn range(
     None
 }
 
+/// Three numbers, or none where they are not written; nothing where they are something else, which is found.
+pub(super) fn numbers(
+    node: Node<'_, '_>,
+    name: &str,
+    source: &Source,
+    sink: &mut Sink,
+) -> Option<Option<[f64; 3]>> {
+    let Some(attribute) = node.attribute_node(name) else { return Some(None) };
+    let parts = attribute.value().split_ascii_whitespace().map(|part| part.parse::<f64>().ok());
+    let parts: Option<Vec<f64>> = parts.map(|part| part.filter(|part| part.is_finite())).collect();
+    let parts = parts.and_then(|parts| <[f64; 3]>::try_from(parts).ok());
+    if parts.is_none() {
+        let message = format!("`{name}` is `{}`", shortened(attribute.value()));
+        let place = node.document().text_pos_at(attribute.range_value().start);
+        let spot = spot_at(source, place.row as usize, place.col as usize);
+        sink.found(source, spot, Code::ImportNumber, message, "three finite numbers", None);
+    }
+    parts.map(Some)
+}
+
 /// A number, or none where it is not written; nothing where it is no number, which is found.
-fn attribute(node: Node<'_, '_>, name: &str, source: &Source, sink: &mut Sink) -> Option<Option<f64>> {
+pub(super) fn attribute(
+    node: Node<'_, '_>,
+    name: &str,
+    source: &Source,
+    sink: &mut Sink,
+) -> Option<Option<f64>> {
     let Some(attribute) = node.attribute_node(name) else { return Some(None) };
     let number = attribute.value().trim().parse::<f64>().ok().filter(|number| number.is_finite());
     if number.is_none() {
@@ -264,7 +296,7 @@ fn attribute(node: Node<'_, '_>, name: &str, source: &Source, sink: &mut Sink) -
     Some(number)
 }
 
-fn found(
+pub(super) fn found(
     node: Node<'_, '_>,
     source: &Source,
     code: Code,

@@ -105,7 +105,7 @@ robots:
     devices:
       left: {control_type: speed, granularity: 1, unit: deg, max_number_of_steps: 9, interpolation: hold,
         min_value: 0, max_value: 1, default_value: 0, max_error: 1, script_queue: 2}
-    body: {drive: {speed: left, turn: left}}
+    body: {urdf: arm.urdf, end: hand, devices: {elbow: left}, drive: {speed: left, turn: left}}
   rover:
     init: DIAGNOSTICS/robots/rover.yaml
     address: sim
