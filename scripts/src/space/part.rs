@@ -48,6 +48,23 @@ impl Part {
         }
     }
 
+    /// The middle and the radius of a ball that holds it.
+    fn ball(&self) -> (Vector, f64) {
+        match &self.core {
+            Core::Point(point) => (*point, self.radius),
+            Core::Segment(segment) => {
+                (segment.a.midpoint(segment.b), segment.a.distance(segment.b) / 2.0 + self.radius)
+            }
+            Core::Box(pose, cuboid) => (pose.translation, cuboid.half_extents.length() + self.radius),
+        }
+    }
+
+    /// How far apart the balls that hold two parts are: the parts are no closer.
+    pub(super) fn at_least(&self, other: &Self) -> f64 {
+        let ((a, reach), (b, other_reach)) = (self.ball(), other.ball());
+        (a.distance(b) - reach - other_reach).max(0.0)
+    }
+
     /// How far apart two parts are along a direction of length 1, from the first one to the second: no less than this.
     pub(super) fn apart(&self, other: &Self, normal: Vector) -> f64 {
         -other.furthest(-normal) - self.furthest(normal) - self.radius - other.radius

@@ -68,7 +68,7 @@ impl<'a> Way<'a> {
         self.measure();
         let looks = [0.0, nearest, 1.0].map(|s| self.look(s));
         for look in looks.windows(2) {
-            let pairs = self.pairs(&look[0], &look[1]);
+            let pairs = self.pairs([&look[0], &look[1]], best.approach.distance);
             for (end, look) in look.iter().enumerate() {
                 pairs.iter().for_each(|pair| best.note(self.time(look.s), pair.gaps[end].distance));
             }
@@ -80,7 +80,7 @@ impl<'a> Way<'a> {
     pub(super) fn first_contact(mut self) -> Option<f64> {
         self.measure();
         let (from, to) = (self.look(0.0), self.look(1.0));
-        let pairs = self.pairs(&from, &to);
+        let pairs = self.pairs([&from, &to], f64::MIN_POSITIVE);
         self.contact([&from, &to], pairs).map(|s| self.time(s))
     }
 
@@ -118,10 +118,17 @@ impl<'a> Way<'a> {
         Look { s, parts: [parts(0), parts(1)] }
     }
 
-    fn pairs(&self, from: &Look, to: &Look) -> Vec<Pair> {
+    /// All pairs of parts that may come closer than this.
+    fn pairs(&self, ends: [&Look; 2], below: f64) -> Vec<Pair> {
         let [a, b] = self.sways.each_ref().map(Vec::len);
         let all = (0..a).flat_map(|i| (0..b).map(move |j| [i, j]));
-        all.map(|parts| Pair { parts, gaps: [from.gap(parts), to.gap(parts)] }).collect()
+        let near = all.filter(|parts| {
+            let [from, to] = ends.map(|look| look.at_least(*parts));
+            let least = f64::midpoint(from, to) - self.steepest(*parts) * (ends[1].s - ends[0].s) / 2.0;
+            // What cannot be compared is looked at.
+            least < below || least.is_nan()
+        });
+        near.map(|parts| Pair { parts, gaps: ends.map(|look| look.gap(parts)) }).collect()
     }
 
     /// How much the distance of two parts changes at most over the whole way.
@@ -188,6 +195,10 @@ impl<'a> Way<'a> {
 }
 
 impl Look {
+    fn at_least(&self, [i, j]: [usize; 2]) -> f64 {
+        self.parts[0][i].at_least(&self.parts[1][j])
+    }
+
     fn gap(&self, [i, j]: [usize; 2]) -> Gap {
         self.parts[0][i].gap(&self.parts[1][j])
     }
