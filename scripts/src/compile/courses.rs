@@ -30,8 +30,9 @@ pub(super) struct Standing<'a> {
 }
 
 impl<'a> Standing<'a> {
-    pub(super) fn after(before: &[usize], poses: &'a HashMap<usize, Poses>, is_first: bool) -> Self {
-        Self { before: (!is_first).then(|| before.iter().filter_map(|act| poses.get(act)).collect()) }
+    /// `before`: the acts that lead here; `None` for the first act.
+    pub(super) fn after(before: Option<&[usize]>, poses: &'a HashMap<usize, Poses>) -> Self {
+        Self { before: before.map(|before| before.iter().filter_map(|act| poses.get(act)).collect()) }
     }
 
     /// Known only where every way that leads here leaves the body at the same place.

@@ -125,7 +125,7 @@ impl Compiler {
                 robots: &robots,
                 devices: &devices,
                 positions: &positions,
-                standing: &courses::Standing::after(&before, &poses, index == 0),
+                standing: &courses::Standing::after((index > 0).then_some(before.as_slice()), &poses),
             };
             let (in_space, left) = check_space::check(&mut self.findings, &stage);
             poses.insert(index, left);

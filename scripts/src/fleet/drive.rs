@@ -54,12 +54,40 @@ fn read_wheels(
 ) -> Option<Steering> {
     // A wheel that turns rolls by its radius for each radian.
     let radius = keys.wheel_radius.map(|at| length(findings, &at));
+    let needs_radius = radius.is_none() && tell_turning(findings, at, [keys.left, keys.right], init);
     let turning = |radius: f64| TURNS.map(|(unit, scale)| (unit, scale * radius)).to_vec();
-    let units = radius.map_or(SPEEDS.to_vec(), |radius| turning(radius.unwrap_or(1.0)));
+    let units = match radius {
+        None if !needs_radius => SPEEDS.to_vec(),
+        radius => turning(radius.flatten().unwrap_or(1.0)),
+    };
     let [left, right] =
         [("left", keys.left), ("right", keys.right)].map(|key| signal(findings, at, key, &units, init));
     let track = required(findings, at, ("track", keys.track)).and_then(|at| length(findings, &at));
-    (radius != Some(None)).then_some(Steering::Wheels { left: left?, right: right?, track: track? })
+    (radius != Some(None) && !needs_radius).then_some(Steering::Wheels {
+        left: left?,
+        right: right?,
+        track: track?,
+    })
+}
+
+/// Wheels in angles a second without a radius, as one finding.
+fn tell_turning(
+    findings: &mut Reader,
+    at: &At<'_>,
+    wheels: [Option<At<'_>>; 2],
+    init: &InitializationBlock,
+) -> bool {
+    let unit = |wheel: &At<'_>| match wheel.node {
+        Node::Text(name) => init.device(name)?.unit.as_ref().map(urrcp::Label::as_str),
+        _ => None,
+    };
+    let units = wheels.iter().flatten().filter_map(unit);
+    let turning = units.into_iter().find(|unit| TURNS.iter().any(|(known, _)| known == unit));
+    if let Some(unit) = turning {
+        let message = format!("the wheels turn in {unit}, and the drive has no `wheel_radius`");
+        findings.add(Code::MissingKey, at.place(), message, "the radius of the wheels in metres", None);
+    }
+    turning.is_some()
 }
 
 fn read_twist(

@@ -35,6 +35,8 @@ pub(super) struct UrdfKeys<'a> {
 /// What moves the joints, by their names.
 struct Movers<'a> {
     named: BTreeMap<&'a str, At<'a>>,
+    /// How many of them are joints that the description does not have.
+    unknown: usize,
     init: &'a InitializationBlock,
 }
 
@@ -158,7 +160,7 @@ const fn units(kind: JointKind) -> &'static [(&'static str, f64)] {
 
 impl<'a> Movers<'a> {
     fn of(findings: &mut Reader, keys: &'a UrdfKeys<'a>, tree: &Tree, init: &'a InitializationBlock) -> Self {
-        let mut named = BTreeMap::new();
+        let (mut named, mut unknown) = (BTreeMap::new(), 0);
         let known = || tree.joints.iter().map(|joint| joint.name.as_str());
         let entries = keys.devices.as_ref().map(|at| findings.entries(at, "joint to its device"));
         for (name, at) in entries.unwrap_or_default() {
@@ -166,10 +168,11 @@ impl<'a> Movers<'a> {
                 let message = format!("the URDF has no joint `{}`", shortened(name));
                 let hint = findings.did_you_mean(name, known());
                 findings.add(Code::UnknownWord, at.key_place(), message, one_of(known()), hint);
+                unknown += 1;
             }
             named.insert(name, at);
         }
-        Self { named, init }
+        Self { named, unknown, init }
     }
 
     /// The joint whose device moves this one.
@@ -177,12 +180,12 @@ impl<'a> Movers<'a> {
         joint.mimic.as_ref().map_or(&joint.name, |mimic| &mimic.joint)
     }
 
-    /// One finding for all joints of the arm that nothing moves.
+    /// One finding for all joints of the arm that nothing moves, unless their names are written wrong.
     fn tell_missing(&self, findings: &mut Reader, keys: &UrdfKeys<'_>, chain: &[&TreeJoint]) {
         let moving = chain.iter().filter(|joint| matches!(joint.motion, Motion::By(_)));
         let missing = moving.map(|joint| Self::leader(joint)).filter(|name| !self.has(name));
         let missing: std::collections::BTreeSet<&str> = missing.collect();
-        if let Some(first) = missing.first() {
+        if let Some(first) = missing.first().filter(|_| self.unknown == 0) {
             let message = format!("the robot has no device for {}", names(missing.iter().copied()));
             let devices = self.init.devices.iter().map(|device| device.id.as_str());
             let hint = Some(format!(
