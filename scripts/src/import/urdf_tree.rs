@@ -143,8 +143,8 @@ impl Tree {
         Ok(chain)
     }
 
-    /// The radius that holds the round shapes of a joint's child about the line to where the next joint is, in metres. `None` if it
-    /// has other shapes. A link without shapes is thin.
+    /// The radius that holds the round shapes of a joint's child about the line to where the next joint is, in metres. `None` if
+    /// it has other shapes. A link without shapes is thin.
     pub(crate) fn radius(&self, joint: &TreeJoint, next: [f64; 3]) -> Option<f64> {
         match self.covers.get(&joint.child) {
             None | Some(Cover::Nothing) => Some(0.0),

@@ -79,8 +79,8 @@ impl Chain {
 
     /// How the points of each link move at most between two places: no further than one of its ends may.
     ///
-    /// A point `p` depends on joints `i`, which turn about axes `z` through their origins `o`. Then `dp/di = z × (p - o)`, and the
-    /// second derivative by joints `i` and `j`, `j` the one that is further out, is `z_i × (z_j × (p - o_j))`, or `z_i × z_j` where
+    /// A point `p` depends on joints `i`, which turn about axes `z` through their origins `o`. Then `dp/di = z × (p - o)`. The
+    /// second derivative by joints `i` and `j`, `j` the one that is further out, is `z_i × (z_j × (p - o_j))`, or `z_i × z_j` if
     /// `j` slides (Siciliano and others, Robotics, 2009, section 3.1). What does not move in between keeps its lengths.
     pub(super) fn sways(&self, from: &Place, to: &Place) -> Vec<Sway> {
         let ends = [self.points(from), self.points(to)];

@@ -1,9 +1,9 @@
 //! Where robots come to that are driven by speeds: the integral of how fast they go ahead and turn.
 //!
-//! A body goes ahead at `v` along its yaw, and turns at `w`: `x' = v cos yaw`, `y' = v sin yaw`, `yaw' = w` (the unicycle; Siciliano and
-//! others, Robotics, 2009, section 11.2). While both stay the same, it moves on an arc, which has a closed form. While they change
-//! linearly, Simpson's rule takes it from moment to moment. The path becomes a polyline in x, y and yaw, and what a point of the
-//! body may be off from it is stated with it.
+//! A body goes ahead at `v` along its yaw, and turns at `w`: `x' = v cos yaw`, `y' = v sin yaw`, `yaw' = w` (the unicycle;
+//! Siciliano and others, Robotics, 2009, section 11.2). While both stay the same, it moves on an arc, which has a closed form.
+//! While they change linearly, Simpson's rule takes it from moment to moment. The path becomes a polyline in x, y and yaw, and
+//! what a point of the body may be off from it is stated with it.
 
 use super::path::{Axis, Peak, moments};
 use super::{Drive, Steering};

@@ -1,8 +1,8 @@
 //! Bodies in space: where robots are while they move, how close they come to each other, and which volumes they stay in.
 //!
 //! The fleet file says which device of a robot means which coordinate (`body`), and what has to hold (`space`). `path` follows a
-//! body through the steps of an act, `drive` integrates speeds, `chain` follows an arm. `closest` and `way` find the closest approach, also between the steps, and
-//! `compile/check_space.rs` turns what it finds into findings. Lengths are in metres, angles in radians, times in seconds.
+//! body through the steps of an act, `drive` integrates speeds, `chain` follows an arm. `closest` and `way` find the closest
+//! approach, also between the steps; `compile/check_space.rs` turns what they find into findings. Lengths are in metres, angles in radians, times in seconds.
 
 mod chain;
 mod closest;

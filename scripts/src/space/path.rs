@@ -201,7 +201,8 @@ pub(crate) struct Path {
 }
 
 impl Path {
-    /// `axes`: x, y, z, yaw and the joints. `sure`: where the body is at the act's start is more than an assumption, so that a jump from there is a way, too.
+    /// `axes`: x, y, z, yaw and the joints. `sure`: where the body is at the act's start is more than an assumption, so that a
+    /// jump from there is a way, too.
     pub(crate) fn of(axes: &[Axis], sure: bool) -> Self {
         let from = axes.iter().map(Axis::known_from).fold(0.0, f64::max);
         let mut knots: Vec<Knot> = Vec::new();

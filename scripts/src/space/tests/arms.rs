@@ -279,13 +279,17 @@ fn path((body, ways): &(Body, Vec<Vec<(f64, f64)>>)) -> Path {
 proptest! {
     #![proptest_config(ProptestConfig::with_cases(48))]
 
-    /// Looking every millisecond finds nothing closer.
+    /// Looking every millisecond finds nothing closer, whatever the depth of the trees.
     #[test]
-    fn the_closest_approach_of_arms_is_that_of_a_slow_search(a in (any_arm(), ways()), b in (any_body(), ways())) {
+    fn the_closest_approach_of_arms_is_that_of_a_slow_search(
+        a in (any_arm(), ways()), b in (any_body(), ways()), deep in 0u32..7,
+    ) {
         let ends = 4.0;
         // The base of the first one is checked with boxes elsewhere.
         let bare = Body { shape: POINT, ..a.0.clone() };
-        let movers = [(&bare, &a), (&b.0, &b)].map(|(body, of)| Mover::new(path(of), Solid::of(body, 0.0), ends, 3));
+        let movers = [(&bare, &a), (&b.0, &b)].map(|(body, of)| {
+            Mover::new(path(of), Solid::of(body, 0.0), ends, deep)
+        });
         let found = between(&movers[0], &movers[1]);
         let paths = [path(&a), path(&b)];
         let gap = |at: f64| {
@@ -302,7 +306,9 @@ proptest! {
     fn links_move_no_further_than_their_bound(of in (any_arm(), ways()), part in 0.0..1.0f64) {
         let (body, ways) = &of;
         let solid = Solid::of(&Body { shape: POINT, ..body.clone() }, 0.0);
-        let values = |i: usize| -> Vec<f64> { ways[..4 + body.joints.len()].iter().map(|way| way[i.min(way.len() - 1)].1).collect() };
+        let values = |i: usize| -> Vec<f64> {
+            ways[..4 + body.joints.len()].iter().map(|way| way[i.min(way.len() - 1)].1).collect()
+        };
         let (mut from, mut to) = (Place::from_values(&values(0)), Place::from_values(&values(1)));
         // Its base shifts besides.
         (0..3).for_each(|i| (from.base[i], to.base[i]) = (0.0, 0.0));
