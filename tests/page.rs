@@ -132,6 +132,7 @@ fn a_name_cannot_escape_into_the_page() {
     let evil = "</script><script>alert(1)</script> \u{202e}";
     session.file("robot.yaml", "id: r\napi_version: \"1\"\ndevices:\n  - id: x\n    available_control_types:\n      position: {min_value: 0, max_value: 9, granularity: 1, max_error: 1}\n      script: {min_value: 0, max_value: 9, granularity: 1, max_error: 1, max_number_of_steps: 9, control_types: [position]}\n");
     session.file("fleet.yaml", "robots: {r: {init: robot.yaml, address: sim}}\n");
+    let written = format!("\"{}\"", evil.replace('\u{202e}', "\\u202e"));
     session.file("show.yaml", &format!("scenario: {written}\ncues: [{{cue: {written}, robots: r, tracks: {{x: [{{at: 0s, to: 1}}, {{at: 1s, to: 2}}]}}}}]\n"));
     session.run(&["dry-run", "show.yaml", "--html", "show.html"]).says(0, &[]);
     let html = fs::read_to_string(session.path("show.html")).unwrap();

@@ -3,12 +3,14 @@
 use std::collections::HashMap;
 
 use downbeat_scripts as scripts;
-use downbeat_scripts::{Choreography, Fleet, FleetRobot, Outline, SensorRange, Severity, Wait, WrittenCue};
+use downbeat_scripts::{
+    Choreography, Fleet, FleetRobot, JointKind, Outline, SensorRange, Severity, Steering, Wait, WrittenCue,
+};
 use urrcp::{ControlType, DeviceId, Interpolation, RobotId};
 
 use super::columns::Columns;
 use super::document::{
-    Body, Closest, Coordinate, Cue, Device, Finding, Group, Lane, Plan, Robot, Script, Shape, Source,
+    Body, Closest, Coordinate, Cue, Device, Finding, Group, Joint, Lane, Plan, Robot, Script, Shape, Source,
 };
 
 /// Where robots and devices are in the document.
@@ -80,19 +82,57 @@ pub(super) fn device(device: &urrcp::Device) -> Device {
 }
 
 fn body(body: &scripts::Body, robot: usize, places: &Places) -> Body {
-    let [x, y, z, yaw] = body.coordinates.each_ref().map(|coordinate| match coordinate {
-        scripts::Coordinate::Device { device, scale, offset } => {
-            Coordinate { device: places.device(robot, device), scale: *scale, offset: *offset }
-        }
-        scripts::Coordinate::Fixed(value) => Coordinate { device: None, scale: 0.0, offset: *value },
-        _ => Coordinate { device: None, scale: 0.0, offset: 0.0 },
-    });
+    let coordinate = |coordinate: &scripts::Coordinate| self::coordinate(coordinate, robot, places);
+    let [mut x, mut y, z, mut yaw] = body.coordinates.each_ref().map(coordinate);
+    if let Some(drive) = &body.drive {
+        // The page does not integrate speeds: it shows that the place is not known to it.
+        [x, y, yaw] = [0; 3].map(|_| self::coordinate(driven_by(&drive.steering), robot, places));
+    }
     let shape = match body.shape {
         scripts::Shape::Box { size } => Shape::Box(size),
         scripts::Shape::Ball { radius } => Shape::Ball(radius),
         _ => Shape::Ball(0.0),
     };
-    Body { x, y, z, yaw, shape, joints: Vec::new() }
+    let joint = |joint: &scripts::Joint| Joint {
+        name: joint.name.clone(),
+        kind: match joint.kind {
+            JointKind::Revolute => "revolute",
+            JointKind::Prismatic => "prismatic",
+        },
+        xyz: joint.xyz,
+        rpy: joint.rpy,
+        axis: joint.axis,
+        value: coordinate(&joint.value),
+        radius: joint.radius,
+    };
+    let mut joints: Vec<Joint> = body.joints.iter().map(joint).collect();
+    joints.extend(body.joints.last().map(|last| tip(body.tip, last.radius)));
+    Body { x, y, z, yaw, shape, joints }
+}
+
+/// The end of the last link, as a joint that does not move.
+fn tip(xyz: [f64; 3], radius: f64) -> Joint {
+    let value = Coordinate { device: None, scale: 0.0, offset: 0.0 };
+    let (rpy, axis) = ([0.0; 3], [0.0, 0.0, 1.0]);
+    Joint { name: "tip".to_owned(), kind: "fixed", xyz, rpy, axis, value, radius }
+}
+
+const fn driven_by(steering: &Steering) -> &scripts::Coordinate {
+    match steering {
+        Steering::Twist { speed, .. } => speed,
+        Steering::Wheels { left, .. } => left,
+        _ => &scripts::Coordinate::Fixed(0.0),
+    }
+}
+
+fn coordinate(coordinate: &scripts::Coordinate, robot: usize, places: &Places) -> Coordinate {
+    match coordinate {
+        scripts::Coordinate::Device { device, scale, offset } => {
+            Coordinate { device: places.device(robot, device), scale: *scale, offset: *offset }
+        }
+        scripts::Coordinate::Fixed(value) => Coordinate { device: None, scale: 0.0, offset: *value },
+        _ => Coordinate { device: None, scale: 0.0, offset: 0.0 },
+    }
 }
 
 pub(super) fn plans(
