@@ -83,6 +83,9 @@ impl Chain {
     /// second derivative by joints `i` and `j`, `j` the one that is further out, is `z_i × (z_j × (p - o_j))`, or `z_i × z_j` if
     /// `j` slides (Siciliano and others, Robotics, 2009, section 3.1). What does not move in between keeps its lengths.
     pub(super) fn sways(&self, from: &Place, to: &Place) -> Vec<Sway> {
+        if self.is_empty() {
+            return Vec::new();
+        }
         let ends = [self.points(from), self.points(to)];
         let origins = [from, to].map(|place| base(place).translation);
         let mut moving = Moving::default();

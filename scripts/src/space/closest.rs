@@ -55,6 +55,10 @@ impl Held {
 
     /// With all that a body's cores pass from one knot to the next.
     fn passing(self, solid: &Solid, from: &Knot, to: &Knot) -> Self {
+        if solid.ball().is_some() {
+            let middles = [from, to].map(|knot| [0, 1, 2].map(|i| knot.place.base[i]));
+            return middles.iter().fold(self, |held, middle| held.with(middle, middle));
+        }
         // A point of a path is at most half its length from one of the ends; it bends away from the straight way by an eighth.
         let sways = solid.sways(&from.place, &to.place);
         let aside = sways.iter().map(|sway| (sway.length / 2.0).min(sway.bend / 8.0)).fold(0.0, f64::max);

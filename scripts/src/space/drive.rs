@@ -99,15 +99,15 @@ impl Drive {
 
     /// And whether both speeds are 0 in the end.
     fn legs(&self, signals: &[Axis; 2], ends: f64) -> (Vec<Leg>, bool) {
-        let moments: Vec<(f64, Twist)> =
-            moments(signals, 0.0).map(|(at, values)| (at, self.twist([values[0], values[1]]))).collect();
+        let mut twists: Vec<(f64, Twist)> = Vec::new();
+        moments(signals, 0.0, |at, values| twists.push((at, self.twist([values[0], values[1]]))));
         let leg =
             |pair: &[(f64, Twist)]| Leg { from: pair[0].0, to: pair[1].0, begin: pair[0].1, end: pair[1].1 };
-        let mut legs: Vec<Leg> = moments.windows(2).map(leg).filter(|leg| leg.to > leg.from).collect();
-        if let Some((at, twist)) = moments.last().filter(|(at, _)| *at < ends) {
+        let mut legs: Vec<Leg> = twists.windows(2).map(leg).filter(|leg| leg.to > leg.from).collect();
+        if let Some((at, twist)) = twists.last().filter(|(at, _)| *at < ends) {
             legs.push(Leg { from: *at, to: ends, begin: *twist, end: *twist });
         }
-        let rests = moments.last().is_none_or(|(_, twist)| *twist == Twist::REST);
+        let rests = twists.last().is_none_or(|(_, twist)| *twist == Twist::REST);
         (legs, rests)
     }
 }

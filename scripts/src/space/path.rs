@@ -172,7 +172,7 @@ fn largest(rates: &[Vec<Stretch>; 3]) -> Option<Peak> {
 }
 
 /// The values of all axes whenever one of them has a point, from a time on: just before that moment, and just after it.
-pub(super) fn moments(axes: &[Axis], from: f64) -> impl Iterator<Item = (f64, Vec<f64>)> + '_ {
+pub(super) fn moments(axes: &[Axis], from: f64, mut visit: impl FnMut(f64, &[f64])) {
     let mut times: Vec<f64> = axes.iter().flat_map(|axis| &axis.points).map(|point| point.0).collect();
     times.retain(|at| *at >= from);
     times.push(from);
@@ -180,10 +180,14 @@ pub(super) fn moments(axes: &[Axis], from: f64) -> impl Iterator<Item = (f64, Ve
     times.dedup();
     let mut cursors: Vec<Cursor<'_>> =
         axes.iter().map(|axis| Cursor { points: &axis.points, next: 0 }).collect();
-    times.into_iter().flat_map(move |at| {
-        let (before, after) = cursors.iter_mut().map(|cursor| cursor.advance(at)).unzip();
-        [(at, before), (at, after)]
-    })
+    let [mut before, mut after] = [(); 2].map(|()| vec![0.0; axes.len()]);
+    for at in times {
+        for (cursor, values) in cursors.iter_mut().zip(before.iter_mut().zip(&mut after)) {
+            (*values.0, *values.1) = cursor.advance(at);
+        }
+        visit(at, &before);
+        visit(at, &after);
+    }
 }
 
 /// Where a body is at a time.
@@ -206,12 +210,11 @@ impl Path {
     pub(crate) fn of(axes: &[Axis], sure: bool) -> Self {
         let from = axes.iter().map(Axis::known_from).fold(0.0, f64::max);
         let mut knots: Vec<Knot> = Vec::new();
-        for (at, values) in moments(axes, from) {
-            let place = Place::from_values(&values);
-            if knots.last().is_none_or(|last| last.at < at || last.place != place) {
-                knots.push(Knot { at, place });
+        moments(axes, from, |at, values| {
+            if knots.last().is_none_or(|last| last.at < at || !last.place.has(values)) {
+                knots.push(Knot { at, place: Place::from_values(values) });
             }
-        }
+        });
         if from > 0.0 || !sure {
             // Before the first moment nothing was known: there is no way to it.
             let first = knots.iter().take_while(|knot| knot.at == from).count();

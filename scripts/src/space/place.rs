@@ -20,6 +20,11 @@ impl Place {
         Self { base: std::array::from_fn(|i| values[i]), joints: values[4..].into() }
     }
 
+    /// Whether these are its coordinates.
+    pub(super) fn has(&self, values: &[f64]) -> bool {
+        self.base == values[..4] && *self.joints == values[4..]
+    }
+
     /// At a share of the straight way to another place of the same body.
     pub(super) fn towards(&self, other: &Self, share: f64) -> Self {
         let mixed = |from: f64, to: f64| from + share * (to - from);
