@@ -39,7 +39,7 @@ impl Page {
     /// The numbers of a column, read independently of the program.
     fn numbers(&self, column: &Value) -> Vec<f64> {
         let mut bytes = self.columns[column["at"].as_u64().unwrap() as usize..].iter().copied();
-        let scale = 10.0_f64.powi(column["decimals"].as_i64().expect("steps are decimal") as i32);
+        let scale = 10.0_f64.powi(column["decimals"].as_i64().unwrap() as i32);
         let trend = column["order"] == 2;
         let (mut last, mut before) = (0_i64, 0_i64);
         let mut next = || {
@@ -133,7 +133,7 @@ fn a_name_cannot_escape_into_the_page() {
     session.file("robot.yaml", "id: r\napi_version: \"1\"\ndevices:\n  - id: x\n    available_control_types:\n      position: {min_value: 0, max_value: 9, granularity: 1, max_error: 1}\n      script: {min_value: 0, max_value: 9, granularity: 1, max_error: 1, max_number_of_steps: 9, control_types: [position]}\n");
     session.file("fleet.yaml", "robots: {r: {init: robot.yaml, address: sim}}\n");
     let written = format!("\"{}\"", evil.replace('\u{202e}', "\\u202e"));
-    session.file("show.yaml", &format!("scenario: {written}\ncues: [{{cue: {written}, robots: r, tracks: {{x: [{{at: 0s, to: 1}}, {{at: 1s, to: 2}}]}}}}]\n"));
+    session.file("show.yaml", format!("scenario: {written}\ncues: [{{cue: {written}, robots: r, tracks: {{x: [{{at: 0s, to: 1}}, {{at: 1s, to: 2}}]}}}}]\n"));
     session.run(&["dry-run", "show.yaml", "--html", "show.html"]).says(0, &[]);
     let html = fs::read_to_string(session.path("show.html")).unwrap();
     assert!(!html.contains("alert(1)"), "the name is in the page as it is");
@@ -213,5 +213,5 @@ fn a_recording_or_a_journal_that_is_not_whole_is_refused_unless_a_part_is_asked_
     session.run(&["report", "bad"]).says(2, &["`bad` is not whole: line 3 is damaged"]);
     session.run(&["report", "none"]).says(2, &["there is no such file"]);
     session.file("other", b"robots: {}\n");
-    session.run(&["report", "other"]).says(2, &["neither a journal nor a recording"]);
+    session.run(&["report", "other"]).says(2, &["neither a recording nor a journal"]);
 }

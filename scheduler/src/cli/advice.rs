@@ -10,14 +10,13 @@ use downbeat_scripts::did_you_mean;
 use super::Cli;
 
 /// Words that other programs use for commands of this one.
-const COMMANDS: [(&str, &str); 16] = [
+const COMMANDS: [(&str, &str); 15] = [
     ("abort", "stop"),
     ("list", "missions"),
     ("lint", "check"),
     ("new", "init"),
     ("ping", "fleet ping"),
     ("play", "run"),
-    ("report", "run --format json"),
     ("rehearse", "dry-run"),
     ("show", "fleet show"),
     ("simulate", "dry-run"),

@@ -48,6 +48,27 @@ pub(super) struct Series {
     v: Column,
 }
 
+/// Values at times in milliseconds, which never go back.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Points {
+    times: Vec<f64>,
+    values: Vec<f64>,
+}
+
+impl Points {
+    pub(super) fn push(&mut self, at: f64, value: f64) {
+        self.times.push(at);
+        self.values.push(value);
+    }
+}
+
+impl FromIterator<(f64, f64)> for Points {
+    fn from_iter<I: IntoIterator<Item = (f64, f64)>>(points: I) -> Self {
+        let (times, values) = points.into_iter().unzip();
+        Self { times, values }
+    }
+}
+
 /// The bytes of all columns. Equal columns are kept once: robots that dance in unison play the same steps.
 #[derive(Debug, Default)]
 pub(super) struct Columns {
@@ -56,9 +77,8 @@ pub(super) struct Columns {
 }
 
 impl Columns {
-    /// Times in milliseconds that never go back, and a value for each.
-    pub(super) fn series(&mut self, times: &[f64], values: &[f64]) -> Series {
-        Series { t: self.column(times, Order::Trend), v: self.column(values, Order::Level) }
+    pub(super) fn series(&mut self, points: &Points) -> Series {
+        Series { t: self.column(&points.times, Order::Trend), v: self.column(&points.values, Order::Level) }
     }
 
     fn column(&mut self, numbers: &[f64], order: Order) -> Column {
@@ -188,11 +208,11 @@ mod tests {
     #[test]
     fn even_steps_take_two_bytes_and_equal_columns_none() {
         let mut columns = Columns::default();
-        let times: Vec<f64> = (0..1_000).map(|step| f64::from(step) * 20.0).collect();
-        let values: Vec<f64> = (0..1_000).map(|step| f64::from(step % 7) / 10.0).collect();
-        let one = columns.series(&times, &values);
+        let points: Points =
+            (0..1_000).map(|step| (f64::from(step) * 20.0, f64::from(step % 7) / 10.0)).collect();
+        let one = columns.series(&points);
         assert_eq!(columns.bytes().len(), 2_000);
-        assert_eq!(columns.series(&times, &values), one);
+        assert_eq!(columns.series(&points), one);
         assert_eq!(columns.bytes().len(), 2_000);
     }
 }

@@ -47,11 +47,19 @@ pub(super) struct KnownRobot {
     pub(super) id: RobotId,
     pub(super) init: Option<InitializationBlock>,
     /// Steps of scripts when they are due: by device and request.
-    pub(super) planned: BTreeMap<(String, String), Vec<(Timestamp<Server>, f64, String)>>,
+    pub(super) planned: BTreeMap<(String, String), Vec<PlannedStep>>,
     /// What it said of its devices, when that arrived.
     pub(super) reported: BTreeMap<String, Vec<(Timestamp<Server>, f64)>>,
     /// Offset and round trip of each exchange, in milliseconds.
     pub(super) clock: Vec<(Timestamp<Server>, f64, f64)>,
+}
+
+/// A step of a script.
+#[derive(Clone, Debug)]
+pub(super) struct PlannedStep {
+    pub(super) due: Timestamp<Server>,
+    pub(super) value: f64,
+    pub(super) control: String,
 }
 
 /// A file of which no mission can be shown.
@@ -67,8 +75,8 @@ pub enum NoHistory {
     },
     /// It is neither a journal nor a recording.
     #[error(
-        "`{}` is neither a journal nor a recording; a journal begins with a checksum, a recording is an MCAP file that `run \
-         --record` has written", path.display()
+        "`{}` is neither a recording nor a journal; give a file that `downbeat run --record FILE` has written, or the \
+         folder of a mission", path.display()
     )]
     Unknown {
         /// Which file.
@@ -119,8 +127,7 @@ impl History {
                 return history;
             }
         };
-        let mut count = 0;
-        for message in messages {
+        for (count, message) in messages.enumerate() {
             match message {
                 Ok(message) => history.take(&message),
                 Err(error) => {
@@ -128,7 +135,6 @@ impl History {
                     break;
                 }
             }
-            count += 1;
         }
         history.scenario = history.first_name();
         history
@@ -209,10 +215,10 @@ impl KnownRobot {
         }
     }
 
-    fn plans(&mut self, device: String, at: Timestamp<Server>, value: &Value) {
-        let Some(number) = value["value"].as_f64() else { return };
-        let request = value["request_id"].as_str().unwrap_or_default().to_owned();
-        let control = value["control_type"].as_str().unwrap_or_default().to_owned();
-        self.planned.entry((device, request)).or_default().push((at, number, control));
+    fn plans(&mut self, device: String, due: Timestamp<Server>, step: &Value) {
+        let Some(value) = step["value"].as_f64() else { return };
+        let request = step["request_id"].as_str().unwrap_or_default().to_owned();
+        let control = step["control_type"].as_str().unwrap_or_default().to_owned();
+        self.planned.entry((device, request)).or_default().push(PlannedStep { due, value, control });
     }
 }

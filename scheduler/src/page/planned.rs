@@ -8,7 +8,7 @@ use downbeat_scripts::{
 };
 use urrcp::{ControlType, DeviceId, Interpolation, RobotId};
 
-use super::columns::Columns;
+use super::columns::{Columns, Points};
 use super::document::{
     Body, Closest, Coordinate, Cue, Device, Finding, Group, Joint, Lane, Plan, Robot, Script, Shape, Source,
 };
@@ -85,8 +85,9 @@ fn body(body: &scripts::Body, robot: usize, places: &Places) -> Body {
     let coordinate = |coordinate: &scripts::Coordinate| self::coordinate(coordinate, robot, places);
     let [mut x, mut y, z, mut yaw] = body.coordinates.each_ref().map(coordinate);
     if let Some(drive) = &body.drive {
-        // The page does not integrate speeds: it shows that the place is not known to it.
-        [x, y, yaw] = [0; 3].map(|_| self::coordinate(driven_by(&drive.steering), robot, places));
+        // The page does not integrate speeds: it shows where the body began, and that it is not there any more.
+        let device = coordinate(driven_by(&drive.steering)).device;
+        [x, y, yaw] = drive.start.map(|offset| Coordinate { device, scale: 0.0, offset });
     }
     let shape = match body.shape {
         scripts::Shape::Box { size } => Shape::Box(size),
@@ -187,7 +188,7 @@ fn lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) -> Vec<Lane
             let used = used.get(&(&planned.robot, &script.device));
             for (value, (control, steps)) in values_of(&script.script).into_iter().enumerate() {
                 let control = named(control, value);
-                let script = Script { start: script.start.get(), steps: columns.series(&steps.0, &steps.1) };
+                let script = Script { start: script.start.get(), steps: columns.series(&steps) };
                 let of_device = |lane: &&mut Lane| {
                     lane.robot == robot && lane.device == device && lane.control == control
                 };
@@ -216,17 +217,15 @@ fn named(control: ControlType, value: usize) -> String {
     }
 }
 
-/// Times and values, for each value that steps have; with the control type of the first of them.
-fn values_of(script: &urrcp::Script) -> Vec<(ControlType, (Vec<f64>, Vec<f64>))> {
-    let mut all: Vec<(ControlType, (Vec<f64>, Vec<f64>))> = Vec::new();
+/// The steps of each value that they have, with the control type of the first of them.
+fn values_of(script: &urrcp::Script) -> Vec<(ControlType, Points)> {
+    let mut all: Vec<(ControlType, Points)> = Vec::new();
     for step in script.steps() {
         for (index, value) in step.setpoint.values().enumerate() {
             if all.len() == index {
-                all.push((step.setpoint.control_type, (Vec::new(), Vec::new())));
+                all.push((step.setpoint.control_type, Points::default()));
             }
-            let (times, values) = &mut all[index].1;
-            times.push(step.offset.get());
-            values.push(value);
+            all[index].1.push(step.offset.get(), value);
         }
     }
     all

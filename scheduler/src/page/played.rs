@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use downbeat_scripts::Choreography;
 use urrcp::{DeviceId, Server, Timestamp};
 
-use super::columns::Columns;
+use super::columns::{Columns, Points};
 use super::document::{Clock, DeviceSeries, Played, PlayedRobot};
 use super::planned::Places;
 use crate::dry_run::{self, act_of};
@@ -110,16 +110,15 @@ pub(super) fn set(
     let mut all = Vec::new();
     for (row, log) in played.report.robots.iter().zip(&played.logs) {
         let Some(robot) = places.robot(&row.robot) else { continue };
-        let mut of_device: BTreeMap<(Option<u32>, &DeviceId), (Vec<f64>, Vec<f64>)> = BTreeMap::new();
+        let mut of_device: BTreeMap<(Option<u32>, &DeviceId), Points> = BTreeMap::new();
         for entry in log.iter().filter(|entry| entry.motion == "set") {
             let act = entry.request_id.as_deref().and_then(act_of);
-            let (times, values) = of_device.entry((act, &entry.device)).or_default();
-            times.push(epoch.millis(Timestamp::from_nanos(entry.true_ns)));
-            values.push(entry.value);
+            let at = epoch.millis(Timestamp::from_nanos(entry.true_ns));
+            of_device.entry((act, &entry.device)).or_default().push(at, entry.value);
         }
-        for ((act, device), (times, values)) in of_device {
+        for ((act, device), points) in of_device {
             let Some(device) = places.device(robot, device) else { continue };
-            all.push(DeviceSeries { robot, device, act, series: columns.series(&times, &values) });
+            all.push(DeviceSeries { robot, device, act, series: columns.series(&points) });
         }
     }
     all
@@ -132,23 +131,22 @@ pub(super) fn read(
     epoch: Epoch,
     columns: &mut Columns,
 ) -> Vec<DeviceSeries> {
-    let mut of_sensor: BTreeMap<(usize, usize, u32), (Vec<f64>, Vec<f64>)> = BTreeMap::new();
+    let mut of_sensor: BTreeMap<(usize, usize, u32), Points> = BTreeMap::new();
     for act in &report.acts {
         for reading in &act.readings {
             let Some(robot) = places.robot(&reading.robot) else { continue };
             let Some((device, value)) = places.device(robot, &reading.sensor).zip(reading.value) else {
                 continue;
             };
-            let (times, values) = of_sensor.entry((robot, device, act.number)).or_default();
-            times.push(epoch.millis(act.start + reading.at));
-            values.push(value);
+            let at = epoch.millis(act.start + reading.at);
+            of_sensor.entry((robot, device, act.number)).or_default().push(at, value);
         }
     }
-    let series = of_sensor.into_iter().map(|((robot, device, act), (times, values))| DeviceSeries {
+    let series = of_sensor.into_iter().map(|((robot, device, act), points)| DeviceSeries {
         robot,
         device,
         act: Some(act),
-        series: columns.series(&times, &values),
+        series: columns.series(&points),
     });
     series.collect()
 }
@@ -160,14 +158,15 @@ pub(super) fn clocks(
     (from, to): (f64, f64),
     columns: &mut Columns,
 ) -> Vec<Clock> {
+    let always = |value: f64| [(from, value), (to, value)].into_iter().collect::<Points>();
     let mut all = Vec::new();
     for robot in &report.robots {
         let Some((place, reading)) = places.robot(&robot.robot).zip(robot.clock.as_ref()) else { continue };
         let (offset, uncertainty) = (reading.offset.as_millis_f64(), reading.uncertainty.as_millis_f64());
         all.push(Clock {
             robot: place,
-            offset: columns.series(&[from, to], &[offset, offset]),
-            uncertainty: columns.series(&[from, to], &[uncertainty, uncertainty]),
+            offset: columns.series(&always(offset)),
+            uncertainty: columns.series(&always(uncertainty)),
         });
     }
     all

@@ -10,7 +10,7 @@ use super::document::{
     Clock, Device, DeviceSeries, Kind, Lane, Mission, Plan, Played, PlayedRobot, Robot, Script, VERSION,
 };
 use super::events;
-use super::history::{History, HistorySource, KnownRobot};
+use super::history::{History, HistorySource, KnownRobot, PlannedStep};
 use super::planned::{self, Places};
 use super::played::Epoch;
 use crate::dry_run::act_of;
@@ -156,14 +156,9 @@ impl History {
                 let Some(device) = device.parse().ok().and_then(|id| places.device(place, &id)) else {
                     continue;
                 };
-                let times: Vec<f64> = values.iter().map(|(at, _)| epoch.millis(*at)).collect();
-                let values: Vec<f64> = values.iter().map(|(_, value)| *value).collect();
-                all.push(DeviceSeries {
-                    robot: place,
-                    device,
-                    act: None,
-                    series: columns.series(&times, &values),
-                });
+                let points = values.iter().map(|(at, value)| (epoch.millis(*at), *value));
+                let series = columns.series(&points.collect());
+                all.push(DeviceSeries { robot: place, device, act: None, series });
             }
         }
         all
@@ -173,13 +168,12 @@ impl History {
     fn clocks(&self, places: &Places, epoch: Epoch, columns: &mut Columns) -> Vec<Clock> {
         let known = self.robots.iter().filter(|robot| !robot.clock.is_empty());
         let clock = |robot: &KnownRobot| {
-            let times: Vec<f64> = robot.clock.iter().map(|(at, ..)| epoch.millis(*at)).collect();
-            let offsets: Vec<f64> = robot.clock.iter().map(|(_, offset, _)| *offset).collect();
-            let doubts: Vec<f64> = robot.clock.iter().map(|(.., delay)| delay / 2.0).collect();
+            let offsets = robot.clock.iter().map(|(at, offset, _)| (epoch.millis(*at), *offset));
+            let doubts = robot.clock.iter().map(|(at, _, delay)| (epoch.millis(*at), delay / 2.0));
             Some(Clock {
                 robot: places.robot(&robot.id)?,
-                offset: columns.series(&times, &offsets),
-                uncertainty: columns.series(&times, &doubts),
+                offset: columns.series(&offsets.collect()),
+                uncertainty: columns.series(&doubts.collect()),
             })
         };
         known.filter_map(clock).collect()
@@ -266,14 +260,16 @@ fn lanes_of(robot: &KnownRobot, act: &Sent, places: &Places, columns: &mut Colum
         }
         let Some(device) = device.parse().ok().and_then(|id| places.device(place, &id)) else { continue };
         // What is sent again is written down again.
-        let mut steps: Vec<&(Timestamp<Server>, f64, String)> = steps.iter().collect();
-        steps.sort_by_key(|(at, ..)| *at);
-        steps.dedup_by_key(|(at, ..)| *at);
-        let Some((first, _, control)) = steps.first().copied() else { continue };
-        let times: Vec<f64> = steps.iter().map(|(at, ..)| (*at - *first).as_millis_f64()).collect();
-        let values: Vec<f64> = steps.iter().map(|(_, value, _)| *value).collect();
-        let start = (*first - shift - act.start).as_millis_f64();
-        let script = Script { start, steps: columns.series(&times, &values) };
+        let mut steps: Vec<&PlannedStep> = steps.iter().collect();
+        steps.sort_by_key(|step| step.due);
+        steps.dedup_by_key(|step| step.due);
+        let Some(first) = steps.first() else { continue };
+        let points = steps.iter().map(|step| ((step.due - first.due).as_millis_f64(), step.value));
+        let script = Script {
+            start: (first.due - shift - act.start).as_millis_f64(),
+            steps: columns.series(&points.collect()),
+        };
+        let control = &first.control;
         match lanes.iter_mut().find(|lane| lane.device == device && lane.control == *control) {
             Some(lane) => lane.scripts.push(script),
             None => lanes.push(Lane {
