@@ -208,7 +208,7 @@ fn hands_were_there(facts: &Facts<'_>, verdict: &mut Verdict) {
                 .of(robot)
                 .filter(|script| names.iter().any(|name| *name == *script.promised.request_id.as_str()))
             {
-                let came = facts.ran.history.iter().find_map(|(at, happened)| match happened {
+                let came = facts.ran.history.iter().rev().find_map(|(at, happened)| match happened {
                     Happened::AtRobot(r, Message::ControlRequest(request)) if *r == robot => {
                         (request.request_id.as_ref() == Some(&script.promised.request_id)).then_some(*at)
                     }
