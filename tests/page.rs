@@ -115,6 +115,22 @@ fn the_page_of_a_dry_run_has_the_report_the_steps_and_the_cues_of_the_command_li
 }
 
 #[test]
+fn an_act_that_is_played_alone_has_its_own_lines() {
+    let (_folder, path) = in_folder("bow.html");
+    let meeting = "scripts/examples/meeting.yaml";
+    downbeat(&["dry-run", meeting, "--act", "bow", "--html", &path]).says(0, &[]);
+    let page = Page::read(Path::new(&path));
+    let source = page.mission["sources"][0]["text"].as_str().unwrap();
+    let cues = page.mission["plans"][0]["cues"].as_array().unwrap();
+    let first_line = |cue: &Value| source.lines().nth(cue["first_line"].as_u64().unwrap() as usize - 1);
+    for cue in cues {
+        let name = format!("cue: {}", cue["name"].as_str().unwrap());
+        assert!(first_line(cue).unwrap().contains(&name), "{cue}: {:?}", first_line(cue));
+    }
+    assert_eq!(cues.len(), 2);
+}
+
+#[test]
 fn the_same_seed_gives_the_same_page() {
     let (folder, _) = in_folder("");
     let page = |name: &str, seed: &str| {

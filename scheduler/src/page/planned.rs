@@ -142,9 +142,13 @@ pub(super) fn plans(
     places: &Places,
     columns: &mut Columns,
 ) -> Vec<Plan> {
-    let mut written = outline.acts.iter().map(Vec::as_slice);
-    let acts = choreography.acts.iter();
-    acts.map(|act| plan(act, written.next().unwrap_or_default(), places, columns)).collect()
+    let mut plans = Vec::with_capacity(choreography.acts.len());
+    for act in &choreography.acts {
+        // Not all acts of the file need to be played.
+        let written = outline.acts.iter().find(|written| written.name == act.name);
+        plans.push(plan(act, written.map_or(&[], |written| &written.cues), places, columns));
+    }
+    plans
 }
 
 fn plan(act: &scripts::Act, written: &[WrittenCue], places: &Places, columns: &mut Columns) -> Plan {

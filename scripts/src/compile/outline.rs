@@ -21,8 +21,17 @@ use crate::source::Source;
 pub struct Outline {
     /// The scenario, then its includes in the order of their reading.
     pub sources: Vec<Source>,
-    /// For each act the cues in the order of the file.
-    pub acts: Vec<Vec<WrittenCue>>,
+    /// In the order of the file.
+    pub acts: Vec<WrittenAct>,
+}
+
+/// The cues of an act as they are written.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct WrittenAct {
+    /// Empty where the scenario has no acts of its own.
+    pub name: String,
+    /// In the order of the file.
+    pub cues: Vec<WrittenCue>,
 }
 
 /// A cue as it is written.
@@ -72,7 +81,8 @@ pub fn outline(source: &Source, fleet: &Fleet, files: &dyn Files) -> Outline {
                 relations: cue.relations.iter().map(|relation| relation.written(act)).collect(),
             }
         };
-        acts.push(act.cues.iter().zip(lines.by_ref()).map(written).collect());
+        let cues = act.cues.iter().zip(lines.by_ref()).map(written).collect();
+        acts.push(WrittenAct { name: act.name.clone(), cues });
     }
     Outline { sources: sources.into_iter().map(Cow::into_owned).collect(), acts }
 }
@@ -133,7 +143,7 @@ mod tests {
 
     fn outlined(text: &str) -> Vec<WrittenCue> {
         let source = Source { name: "s.yaml".into(), text: text.to_owned() };
-        outline(&source, &Fleet::default(), &NoFiles).acts.remove(0)
+        outline(&source, &Fleet::default(), &NoFiles).acts.remove(0).cues
     }
 
     #[test]
