@@ -169,6 +169,43 @@ fn a_page_that_cannot_be_written_is_told_and_nothing_half_written_is_left() {
     assert_eq!(left, ["show.html"], "nothing else is left");
 }
 
+#[test]
+fn a_page_never_replaces_what_it_is_made_from_and_a_link_leads_to_the_file_that_is_written() {
+    let (folder, path) = in_folder("target.html");
+    fs::write(&path, "before").unwrap();
+    let link = folder.path().join("link.html");
+    std::os::unix::fs::symlink(&path, &link).unwrap();
+    downbeat(&["dry-run", SWAP, "--html", link.to_str().unwrap()]).says(0, &[]);
+    assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+    assert!(fs::read_to_string(&path).unwrap().starts_with("<!doctype html>"));
+    let text = fs::read_to_string(root().join(SWAP)).unwrap();
+    downbeat(&["dry-run", SWAP, "--html", SWAP]).says(2, &["would replace", "give another name"]);
+    downbeat(&["dry-run", SWAP, "--html", "-"]).says(2, &["`-` is not a file"]);
+    assert_eq!(fs::read_to_string(root().join(SWAP)).unwrap(), text);
+}
+
+const SHOW: &str = "scenario: show\ncues:\n  - cue: rise\n    robots: arms\n    tracks: {shoulder: [{at: 0s, to: 0}, {at: 1s, to: 45}]}\n";
+
+#[test]
+fn an_act_that_nobody_began_is_not_shown_as_played() {
+    let session = Session::new();
+    let fleet = "robots:\n  left: {init: arm.yaml, address: sim}\n  right: {init: arm.yaml, address: sim, simulate: {fault: refuse}}\ngroups: {arms: [left, right]}\n";
+    session.file("fleet.yaml", fleet).file("show.yaml", SHOW);
+    session.run(&["dry-run", "show.yaml", "--html", "dry.html"]).says(1, &[]);
+    session.run(&["run", "show.yaml", "--record", "show.mcap"]).says(1, &[]);
+    session
+        .run(&["report", "show.mcap", "--html", "run.html"])
+        .says(0, &["show: ", "withdrawn before anything moved", "right: "]);
+    for page in ["dry.html", "run.html"] {
+        let mission = Page::read(&session.path(page)).mission;
+        let act = &mission["acts"][0];
+        assert_eq!(act["fate"], "withdrawn", "{page}");
+        assert!(act["over"].as_f64().unwrap() < act["start"].as_f64().unwrap(), "{page}: {act}");
+        let failures = mission["report"]["failures"].as_array().unwrap();
+        assert!(failures.iter().any(|failure| failure["robot"] == "right" && failure["text"].is_string()));
+    }
+}
+
 /// A mission that was recorded, its recording and its journal.
 fn recorded() -> Session {
     let session = Session::new();
@@ -222,6 +259,13 @@ fn a_recording_or_a_journal_that_is_not_whole_is_refused_unless_a_part_is_asked_
         .run(&["report", "cut.mcap", "--html", "cut.html", "--partial"])
         .says(0, &["is not whole", "swap: "]);
     assert_eq!(Page::read(&session.path("cut.html")).mission["acts"][0]["name"], "swap");
+    let mut damaged = whole.clone();
+    let middle = whole.len() / 2;
+    damaged[middle] ^= 1;
+    session.file("damaged.mcap", &damaged);
+    session.run(&["report", "damaged.mcap"]).says(2, &["`damaged.mcap` is not whole: after "]);
+    session.file("none.mcap", &whole[..8]);
+    session.run(&["report", "none.mcap", "--partial"]).says(2, &["give the mission's journal"]);
     let journal = journal(&session);
     session.run(&["report", journal.parent().unwrap().to_str().unwrap()]).says(0, &["swap: done"]);
     let text = fs::read_to_string(&journal).unwrap();

@@ -64,7 +64,7 @@ fn reading(text: &str) -> Result<(RobotId, DeviceId, f64), String> {
 }
 
 pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
-    let (choreography, fleet, _, findings) = match load::load_whole(&args.scenario, format) {
+    let (choreography, fleet, fleet_path, findings) = match load::load_whole(&args.scenario, format) {
         Ok(loaded) => loaded,
         Err(exit) => return exit,
     };
@@ -72,6 +72,12 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         Ok(chosen) => chosen,
         Err(exit) => return exit,
     };
+    if let Some(error) =
+        args.html.as_ref().and_then(|path| load::replaces(path, &[&args.scenario.scenario, &fleet_path]))
+    {
+        console::error(&error);
+        return Exit::Usage;
+    }
     let mut viewers = Viewers { bar: Bar::new(format), told: args.html.is_some().then(Vec::new) };
     let played = play(args, &choreography, first_act, &fleet, &mut viewers);
     viewers.bar.0.finish_and_clear();

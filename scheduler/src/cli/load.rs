@@ -59,6 +59,16 @@ pub(super) fn outline(args: &ScenarioArgs, fleet: &Fleet) -> Outline {
     downbeat_scripts::outline(&source, fleet, &folder(args))
 }
 
+/// Why a page cannot be written there: it would replace what it is made from, or it is no file.
+pub(super) fn replaces(page: &Path, sources: &[&Path]) -> Option<String> {
+    let whole = |path: &Path| path.canonicalize().ok();
+    if page == Path::new("-") {
+        return Some("`-` is not a file; give a name, such as show.html".to_owned());
+    }
+    let replaced = sources.iter().find(|source| whole(page).is_some() && whole(page) == whole(source))?;
+    Some(format!("the page would replace `{}`, from which it is made; give another name", replaced.display()))
+}
+
 /// Where its includes are.
 fn folder(args: &ScenarioArgs) -> Folder {
     Folder(args.scenario.parent().map(Path::to_path_buf).unwrap_or_default())

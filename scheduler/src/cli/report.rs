@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 
+use downbeat_scripts::shown::shown;
 use downbeat_scripts::{Attempt, Refusal};
 use serde_json::Value;
 
-use super::{Exit, Format, console};
+use super::{Exit, Format, console, load};
 use crate::page::{self, History, NoHistory};
 
 /// Show a mission that was played, from its journal or its recording.
@@ -46,7 +47,15 @@ pub(super) fn report(args: &ReportArgs, format: Format) -> Exit {
                 "`{name}` is not whole: {cut_off}; --partial shows what comes before that"
             ));
         }
+        if history.is_empty() {
+            return refused(&format!(
+                "`{name}` is not whole: {cut_off}, so nothing can be shown; give the mission's journal, if it is still there"
+            ));
+        }
         console::note(&format!("`{name}` is not whole: {cut_off}"));
+    }
+    if let Some(error) = args.html.as_ref().and_then(|path| load::replaces(path, &[&args.file])) {
+        return refused(&error);
     }
     if let Some(path) = &args.html
         && let Err(error) = page::of_history(&history).and_then(|text| page::save(path, &text))
@@ -74,18 +83,21 @@ fn text(report: &Value) -> String {
         Value::String(outcome) => outcome.clone(),
         other => other["outcome"].as_str().map_or_else(|| other.to_string(), str::to_owned),
     };
-    let mut text = format!("{}: {outcome}\n", downbeat_scripts::shown::shown(name));
+    let mut text = format!("{}: {outcome}\n", shown(name));
     for act in report["acts"].as_array().into_iter().flatten() {
-        let spread =
-            act["spread_ms"].as_f64().map_or_else(|| "not known".to_owned(), |spread| format!("{spread} ms"));
         let (name, start) =
             (act["act"].as_str().unwrap_or_default(), act["start"].as_str().unwrap_or_default());
-        let robots = act["robots"].as_array().map_or(0, Vec::len);
-        let robots = downbeat_scripts::counted(robots, "robot");
-        text += &format!(
-            "  {}: start {start}, {robots}, spread {spread}\n",
-            downbeat_scripts::shown::shown(name)
-        );
+        let robots = downbeat_scripts::counted(act["robots"].as_array().map_or(0, Vec::len), "robot");
+        let spread = act["spread_ms"].as_f64();
+        let spread =
+            spread.map_or_else(|| "no starts known".to_owned(), |spread| format!("spread {spread} ms"));
+        let fate = page::fate_text(act);
+        text += &format!("  {}: {fate}, planned start {start}, {robots}, {spread}\n", shown(name));
+    }
+    for failure in report["failures"].as_array().into_iter().flatten() {
+        let (robot, why) =
+            (failure["robot"].as_str().unwrap_or_default(), failure["text"].as_str().unwrap_or_default());
+        text += &format!("  {}: {}\n", shown(robot), shown(why));
     }
     text
 }

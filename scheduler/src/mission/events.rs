@@ -164,6 +164,8 @@ pub enum Progress {
         /// How long it plays.
         #[serde(rename = "duration_ms")]
         duration: Span,
+        /// All leases end here unless the act is committed.
+        leases_end: Timestamp<Server>,
         /// A failure that is known by then is withdrawn before anything has moved; after it only stopping is possible.
         no_return: Timestamp<Server>,
         /// A robot that goes silent without a word later than so long before the start may be noticed too late.
@@ -212,6 +214,8 @@ pub enum Progress {
     Finished {
         /// Which robot.
         robot: RobotId,
+        /// Which of the mission's acts, counted from zero.
+        number: u32,
     },
     /// An act is not played, and the mission goes on.
     ActSkipped {

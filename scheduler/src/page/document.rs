@@ -5,6 +5,7 @@ use serde::Serialize;
 use serde_json::Value;
 
 use super::columns::Series;
+use super::fate::Fate;
 
 /// The version of what is written here.
 pub(super) const VERSION: u32 = 1;
@@ -14,6 +15,8 @@ pub(super) struct Mission {
     pub(super) version: u32,
     pub(super) program: &'static str,
     pub(super) kind: Kind,
+    /// Why the file behind the page is not whole.
+    pub(super) cut_off: Option<String>,
     pub(super) scenario: String,
     /// The instant at 0 ms.
     pub(super) epoch: String,
@@ -140,6 +143,8 @@ pub(super) struct Lane {
     pub(super) robot: usize,
     pub(super) device: usize,
     pub(super) control: String,
+    /// Which of the values of a step, from 0.
+    pub(super) value: usize,
     pub(super) worst_error: f64,
     pub(super) worst_at: f64,
     pub(super) scripts: Vec<Script>,
@@ -170,6 +175,9 @@ pub(super) struct Played {
     pub(super) committed: Option<f64>,
     pub(super) no_return: Option<f64>,
     pub(super) lease: Option<f64>,
+    pub(super) fate: Fate,
+    /// When it was over, or everything was being stopped.
+    pub(super) over: Option<f64>,
     pub(super) robots: Vec<PlayedRobot>,
 }
 

@@ -10,9 +10,9 @@ use super::played::{Epoch, Told};
 /// The keys that say what something is: of what the operator was told, and of the journal.
 const KINDS: [&str; 2] = ["progress", "record"];
 
-pub(super) fn of_told(told: &[Told], places: &Places, epoch: Epoch) -> Vec<MissionEvent> {
-    let values = told.iter().filter_map(|(at, progress)| Some((*at, serde_json::to_value(progress).ok()?)));
-    of_values(&values.collect::<Vec<_>>(), places, epoch)
+/// What was told as JSON, as recordings have it.
+pub(super) fn values(told: &[Told]) -> Vec<(Timestamp<Server>, Value)> {
+    told.iter().filter_map(|(at, progress)| Some((*at, serde_json::to_value(progress).ok()?))).collect()
 }
 
 pub(super) fn of_values(
@@ -46,6 +46,7 @@ fn sentence(kind: &str, value: &Value) -> Option<String> {
         "preparing" | "prepared" => format!("{} is sent", act()),
         "accepted" => "has accepted all its scripts".to_owned(),
         "decided" => format!("{} is decided: all robots have accepted", act()),
+        "committed" if value["record"].is_string() => format!("the commitment of {} is written down", act()),
         "committed" => format!("{} is committed: every lease reaches over its start", act()),
         "finished" => "has ended all its scripts".to_owned(),
         "at_rest" | "stop_confirmed" => "has confirmed its stop".to_owned(),

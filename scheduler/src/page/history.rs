@@ -1,11 +1,12 @@
 //! What a journal or a recording has kept of a mission that was played.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 use std::fs;
 use std::io;
 use std::path::{Path, PathBuf};
 
 use mcap::MessageStream;
+use mcap::read::Options;
 use serde::Deserialize;
 use serde_json::Value;
 use urrcp::{InitializationBlock, RobotId, Server, Timestamp};
@@ -29,6 +30,25 @@ pub struct History {
     /// What the operator was told.
     pub(super) told: Vec<(Timestamp<Server>, Value)>,
     pub(super) robots: Vec<KnownRobot>,
+    /// Of each topic, what it is about.
+    routes: HashMap<String, Option<Route>>,
+}
+
+/// What the messages of a topic are about.
+#[derive(Clone, Debug)]
+struct Route {
+    robot: usize,
+    device: String,
+    kind: Kind,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Response,
+    Clock,
+    Planned,
+    Reported,
+    Other,
 }
 
 /// What kind of file it was.
@@ -90,10 +110,15 @@ impl History {
     /// # Errors
     /// [`NoHistory`] where nothing can be read of it.
     pub fn read(path: &Path) -> Result<Self, NoHistory> {
-        let path = if path.is_dir() { path.join("journal") } else { path.to_path_buf() };
+        let journal = path.join("journal");
+        let path = match path.is_dir() {
+            true if !journal.exists() => return Err(NoHistory::Unknown { path: path.to_path_buf() }),
+            true => journal,
+            false => path.to_path_buf(),
+        };
         let bytes = fs::read(&path).map_err(|error| NoHistory::Io { path: path.clone(), error })?;
         if bytes.starts_with(MCAP_MAGIC) {
-            return Ok(Self::of_recording(&bytes));
+            return Self::of_recording(&bytes, &path);
         }
         match journal::records(&bytes, &path) {
             Ok(records) => Ok(Self::of_journal(records)),
@@ -115,29 +140,41 @@ impl History {
             records: records.all,
             told: Vec::new(),
             robots: robots.into_iter().map(|robot| KnownRobot::new(robot.robot, robot.init)).collect(),
+            routes: HashMap::new(),
         }
     }
 
-    fn of_recording(bytes: &[u8]) -> Self {
+    fn of_recording(bytes: &[u8], path: &Path) -> Result<Self, NoHistory> {
         let mut history = Self { source: HistorySource::Recording, ..Self::default() };
-        let messages = match MessageStream::new(bytes) {
-            Ok(messages) => messages,
-            Err(error) => {
-                history.cut_off = Some(format!("nothing can be read: {error}"));
-                return history;
-            }
-        };
-        for (count, message) in messages.enumerate() {
-            match message {
-                Ok(message) => history.take(&message),
-                Err(error) => {
-                    history.cut_off = Some(format!("after {count} messages: {error}"));
-                    break;
-                }
-            }
+        match MessageStream::new_with_options(bytes, Options::ValidateChunkCrcs.into()) {
+            Ok(messages) => history.take_all(messages),
+            Err(error) => history.cut_off = Some(format!("nothing can be read: {error}")),
+        }
+        let empty = history.records.is_empty() && history.told.is_empty() && history.robots.is_empty();
+        if empty && history.cut_off.is_none() {
+            return Err(NoHistory::Unknown { path: path.to_path_buf() });
         }
         history.scenario = history.first_name();
-        history
+        Ok(history)
+    }
+
+    /// Whether anything of a mission could be read.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.records.is_empty() && self.told.is_empty()
+    }
+
+    fn take_all(&mut self, messages: MessageStream<'_>) {
+        for (count, message) in messages.enumerate() {
+            let taken = match message {
+                Ok(message) => self.take(&message),
+                Err(error) => Err(error.to_string()),
+            };
+            if let Err(error) = taken {
+                self.cut_off = Some(format!("after {count} messages: {error}"));
+                break;
+            }
+        }
     }
 
     /// The scenario's name is the session's, up to the `@`.
@@ -147,41 +184,59 @@ impl History {
         Some(id.split(['@', '/']).next()?.to_owned())
     }
 
-    fn take(&mut self, message: &mcap::Message<'_>) {
-        let Ok(value) = serde_json::from_slice::<Value>(&message.data) else { return };
+    fn take(&mut self, message: &mcap::Message<'_>) -> Result<(), String> {
+        let topic = message.channel.topic.as_str();
+        if !topic.starts_with("/mission/") && !topic.starts_with("/robots/") {
+            return Ok(());
+        }
+        let value = serde_json::from_slice::<Value>(&message.data);
+        let value = value.map_err(|error| format!("a message on {topic} is damaged: {error}"))?;
         let at = Timestamp::from_nanos(i64::try_from(message.log_time).unwrap_or(i64::MAX));
-        match message.channel.topic.as_str() {
+        match topic {
             "/mission/decisions" => self.records.push((at, value)),
             "/mission/progress" => self.told.push((at, value)),
             topic => self.take_of_robot(topic, at, &value),
         }
+        Ok(())
     }
 
     fn take_of_robot(&mut self, topic: &str, at: Timestamp<Server>, value: &Value) {
-        let Some((of_robot, kind)) = topic.strip_prefix("/robots/").and_then(|rest| rest.rsplit_once('/'))
-        else {
+        if !self.routes.contains_key(topic) {
+            let route = self.route(topic);
+            self.routes.insert(topic.to_owned(), route);
+        }
+        let Some(Route { robot, device, kind }) = self.routes.get(topic).and_then(Option::as_ref) else {
             return;
         };
-        let robot = match kind {
-            "requests" | "responses" | "clock" => of_robot,
-            _ => self.named(of_robot),
-        };
-        let device = of_robot.get(robot.len() + 1..).unwrap_or_default().to_owned();
-        let Ok(robot) = robot.parse() else { return };
-        let robot = self.robot(robot);
+        let robot = &mut self.robots[*robot];
         match kind {
-            "responses" => robot.says(value),
-            "clock" => {
+            Kind::Response => robot.says(value),
+            Kind::Clock => {
                 let figures = value["offset_ms"].as_f64().zip(value["delay_ms"].as_f64());
                 robot.clock.extend(figures.map(|(offset, delay)| (at, offset, delay)));
             }
-            "planned" => robot.plans(device, at, value),
-            "reported" => {
-                let reported = robot.reported.entry(device).or_default();
+            Kind::Planned => robot.plans(device.clone(), at, value),
+            Kind::Reported => {
+                let reported = robot.reported.entry(device.clone()).or_default();
                 reported.extend(value["value"].as_f64().map(|value| (at, value)));
             }
-            _ => {}
+            Kind::Other => {}
         }
+    }
+
+    fn route(&mut self, topic: &str) -> Option<Route> {
+        let (of_robot, kind) = topic.strip_prefix("/robots/")?.rsplit_once('/')?;
+        let (kind, id) = match kind {
+            "requests" => (Kind::Other, of_robot),
+            "responses" => (Kind::Response, of_robot),
+            "clock" => (Kind::Clock, of_robot),
+            "planned" => (Kind::Planned, self.named(of_robot)),
+            "reported" => (Kind::Reported, self.named(of_robot)),
+            _ => return None,
+        };
+        let device = of_robot.get(id.len() + 1..).unwrap_or_default().to_owned();
+        let robot = self.robot(id.parse().ok()?);
+        Some(Route { robot, device, kind })
     }
 
     /// The robot whose device this is: names may have slashes, and a robot is spoken to before its devices are.
@@ -192,12 +247,11 @@ impl History {
         &of_robot[..length]
     }
 
-    fn robot(&mut self, id: RobotId) -> &mut KnownRobot {
-        let index = self.robots.iter().position(|robot| robot.id == id).unwrap_or_else(|| {
+    fn robot(&mut self, id: RobotId) -> usize {
+        self.robots.iter().position(|robot| robot.id == id).unwrap_or_else(|| {
             self.robots.push(KnownRobot::new(id, None));
             self.robots.len() - 1
-        });
-        &mut self.robots[index]
+        })
     }
 }
 

@@ -4,6 +4,7 @@
 mod columns;
 mod document;
 mod events;
+mod fate;
 mod history;
 mod planned;
 mod played;
@@ -21,6 +22,7 @@ use flate2::write::GzEncoder;
 
 use self::columns::Columns;
 use self::document::{Kind, Mission, VERSION};
+use self::fate::Fate;
 use self::played::Epoch;
 use crate::dry_run;
 
@@ -69,6 +71,17 @@ pub fn of_history(history: &History) -> io::Result<String> {
     page(&mission, &columns)
 }
 
+/// What became of an act, by its report as JSON, for people.
+#[must_use]
+pub fn fate_text(report: &serde_json::Value) -> &'static str {
+    match Fate::of(Some(report)) {
+        Fate::Played => "played",
+        Fate::Stopped => "stopped on the way",
+        Fate::Withdrawn => "withdrawn before anything moved",
+        Fate::Unknown | Fate::Open => "its end is not known",
+    }
+}
+
 impl Rehearsed<'_> {
     fn mission(&self, columns: &mut Columns) -> Mission {
         let Self { choreography, outline, fleet, findings, played, told } = *self;
@@ -76,7 +89,8 @@ impl Rehearsed<'_> {
         let of_mission = crate::fleet::robots_in(fleet, choreography);
         let places = planned::places(&of_mission);
         let epoch = Epoch(report.acts.first().map_or(dry_run::BEGIN, |act| act.start));
-        let acts = played::acts(report, told, choreography, &places, epoch);
+        let values = events::values(told);
+        let acts = played::acts(played, &values, choreography, &places, epoch);
         let begins = told.first().map(|(at, _)| epoch.millis(*at));
         let ends = told.last().map(|(at, _)| epoch.millis(*at));
         let from = begins.into_iter().chain(acts.iter().filter_map(|act| act.sent)).fold(0.0, f64::min);
@@ -85,6 +99,7 @@ impl Rehearsed<'_> {
             version: VERSION,
             program: concat!("downbeat ", env!("CARGO_PKG_VERSION")),
             kind: Kind::DryRun,
+            cut_off: None,
             scenario: choreography.scenario.clone(),
             epoch: epoch.0.to_string(),
             from,
@@ -95,7 +110,7 @@ impl Rehearsed<'_> {
             groups: planned::groups(fleet, &places),
             plans: planned::plans(choreography, outline, &places, columns),
             acts,
-            events: events::of_told(told, &places, epoch),
+            events: events::of_values(&values, &places, epoch),
             findings: planned::findings(findings, outline),
             set: played::set(played, &places, epoch, columns),
             read: played::read(report, &places, epoch, columns),
@@ -109,17 +124,28 @@ impl Rehearsed<'_> {
 /// # Errors
 /// The file cannot be written.
 pub fn save(path: &Path, page: &str) -> io::Result<()> {
-    // A pipe or a device is written to as it is.
-    if path.exists() && !path.is_file() {
-        return fs::write(path, page);
+    // What a link leads to is written, not the link; a pipe or a device is written to as it is.
+    let path = fs::canonicalize(path).unwrap_or_else(|_| path.to_path_buf());
+    if path.exists() && !path.is_file() || ["/dev", "/proc"].iter().any(|system| path.starts_with(system)) {
+        return fs::write(&path, page);
     }
-    let mut part = path.as_os_str().to_owned();
-    part.push(".part");
-    let written = fs::write(&part, page).and_then(|()| fs::rename(&part, path));
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."));
+    let part = folder.join(format!(".downbeat-{}.part", std::process::id()));
+    let written = write_new(&part, page, &path).and_then(|()| fs::rename(&part, &path));
     if written.is_err() {
         let _may_not_be_there = fs::remove_file(&part);
     }
     written
+}
+
+/// Writes a file that did not exist, with the permissions of the one that it will replace.
+fn write_new(part: &Path, page: &str, replaced: &Path) -> io::Result<()> {
+    let mut file = fs::File::create_new(part)?;
+    if let Ok(known) = fs::metadata(replaced) {
+        file.set_permissions(known.permissions())?;
+    }
+    file.write_all(page.as_bytes())?;
+    file.sync_all()
 }
 
 /// The template with the mission in it: gzip of the JSON's length, the JSON and the columns, as base64, which no name can escape

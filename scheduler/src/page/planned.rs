@@ -203,6 +203,7 @@ fn lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) -> Vec<Lane
                         robot,
                         device,
                         control,
+                        value,
                         worst_error: used.map_or(0.0, |used| used.worst_error),
                         worst_at: used.map_or(0.0, |used| used.worst_at.as_millis_f64()),
                         scripts: vec![script],

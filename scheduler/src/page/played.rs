@@ -2,11 +2,14 @@
 
 use std::collections::BTreeMap;
 
+use downbeat_robot::set_log::LogEntry;
 use downbeat_scripts::Choreography;
-use urrcp::{DeviceId, Server, Timestamp};
+use serde_json::Value;
+use urrcp::{DeviceId, RobotId, Server, Timestamp};
 
 use super::columns::{Columns, Points};
 use super::document::{Clock, DeviceSeries, Played, PlayedRobot};
+use super::fate::{self, Fate};
 use super::planned::Places;
 use crate::dry_run::{self, act_of};
 use crate::mission::Progress;
@@ -27,77 +30,107 @@ impl Epoch {
 }
 
 pub(super) fn acts(
-    report: &Report,
-    told: &[Told],
+    played: &dry_run::Played,
+    told: &[(Timestamp<Server>, Value)],
     choreography: &Choreography,
     places: &Places,
     epoch: Epoch,
 ) -> Vec<Played> {
-    let mut acts: Vec<Played> = Vec::with_capacity(report.acts.len());
-    for act in &report.acts {
+    let mut acts: Vec<Played> = Vec::with_capacity(played.report.acts.len());
+    for act in &played.report.acts {
         let plan = choreography.acts.iter().position(|planned| planned.is_named(&act.act));
         let duration = plan.map_or(0.0, |plan| choreography.acts[plan].plan.duration().as_millis_f64());
-        let mut played = Played {
+        let told = &told[told.partition_point(|(at, _)| *at < act.timestamp)..];
+        let report = serde_json::to_value(act).ok();
+        let over = fate::over(told, &act.act, act.number, act.timestamp);
+        let phases = Phases::of(told, &act.act, act.start);
+        acts.push(Played {
             name: act.act.clone(),
             number: act.number,
             plan,
             start: epoch.millis(act.start),
             end: epoch.millis(act.start) + duration,
             sent: Some(epoch.millis(act.timestamp)),
-            decided: None,
-            committed: None,
-            no_return: None,
-            lease: Some(epoch.millis(act.start - act.lead.margin)),
-            robots: robots(act, places, epoch),
-        };
-        phases(&mut played, act, told, (places, epoch));
-        acts.push(played);
+            decided: phases.decided.map(|at| epoch.millis(at)),
+            committed: phases.committed.map(|at| epoch.millis(at)),
+            no_return: phases.no_return.map(|at| epoch.millis(at)),
+            lease: phases.leases_end.map(|at| epoch.millis(at)),
+            fate: Fate::of(report.as_ref()),
+            over: over.map(|at| epoch.millis(at)),
+            robots: robots(act, played, told, (places, epoch)),
+        });
     }
     acts
 }
 
-/// When an act was decided and committed, and when its robots had ended all their scripts.
-fn phases(played: &mut Played, act: &ActReport, told: &[Told], (places, epoch): (&Places, Epoch)) {
-    let first = told.partition_point(|(at, _)| *at < act.timestamp);
-    for (at, progress) in &told[first..] {
-        match progress {
-            Progress::Decided { act: name, start, no_return, .. }
-                if *name == act.act && *start == act.start =>
-            {
-                played.decided = Some(epoch.millis(*at));
-                played.no_return = Some(epoch.millis(*no_return));
-            }
-            Progress::Committed { act: name, .. } if *name == act.act && played.committed.is_none() => {
-                played.committed = Some(epoch.millis(*at));
-            }
-            Progress::Finished { robot } if *at >= act.start => {
-                let place = places.robot(robot);
-                let of_act =
-                    played.robots.iter_mut().find(|row| Some(row.robot) == place && row.ended.is_none());
-                if let Some(row) = of_act {
-                    row.ended = Some(epoch.millis(*at));
-                }
-            }
-            Progress::ActEnded { act: name } | Progress::ActSkipped { act: name, .. } if *name == act.act => {
-                return;
-            }
-            _ => {}
+/// When an act was decided and committed, and the instants that were told then.
+#[derive(Debug, Default)]
+pub(super) struct Phases {
+    pub(super) decided: Option<Timestamp<Server>>,
+    pub(super) committed: Option<Timestamp<Server>>,
+    pub(super) no_return: Option<Timestamp<Server>>,
+    pub(super) leases_end: Option<Timestamp<Server>>,
+}
+
+impl Phases {
+    /// By what was told since an act was sent.
+    pub(super) fn of(told: &[(Timestamp<Server>, Value)], name: &str, start: Timestamp<Server>) -> Self {
+        let of_act = |kind: &'static str| {
+            told.iter().filter(move |(_, told)| told["progress"] == kind && told["act"] == name)
+        };
+        let Some((decided, told)) =
+            of_act("decided").find(|(_, told)| instant(&told["start"]) == Some(start))
+        else {
+            return Self::default();
+        };
+        Self {
+            decided: Some(*decided),
+            committed: of_act("committed").find(|(at, _)| at >= decided).map(|(at, _)| *at),
+            no_return: instant(&told["no_return"]),
+            leases_end: instant(&told["leases_end"]),
         }
     }
 }
 
-fn robots(act: &ActReport, places: &Places, epoch: Epoch) -> Vec<PlayedRobot> {
+pub(super) fn instant(value: &Value) -> Option<Timestamp<Server>> {
+    serde_json::from_value(value.clone()).ok()
+}
+
+fn robots(
+    act: &ActReport,
+    played: &dry_run::Played,
+    told: &[(Timestamp<Server>, Value)],
+    (places, epoch): (&Places, Epoch),
+) -> Vec<PlayedRobot> {
     let robot = |of_act: &crate::report::ActRobot| {
-        let starts =
-            of_act.devices.iter().filter_map(|script| Some(script.planned_start? + script.start_error?));
         Some(PlayedRobot {
             robot: places.robot(&of_act.robot)?,
             left_out: of_act.left_out,
-            started: starts.min().map(|at| epoch.millis(at)),
-            ended: None,
+            started: first_set(act.number, played.log_of(&of_act.robot)?).map(|at| epoch.millis(at)),
+            ended: finished(told, &of_act.robot, act.number).map(|at| epoch.millis(at)),
         })
     };
     act.robots.iter().filter_map(robot).collect()
+}
+
+/// When a robot set the first value of an act, in true time.
+fn first_set(number: u32, log: &[LogEntry]) -> Option<Timestamp<Server>> {
+    let of_act = |entry: &&LogEntry| {
+        entry.motion == "set" && entry.request_id.as_deref().and_then(act_of) == Some(number)
+    };
+    log.iter().find(of_act).map(|entry| Timestamp::from_nanos(entry.true_ns))
+}
+
+/// When a robot was told to have ended all its scripts of an act.
+pub(super) fn finished(
+    told: &[(Timestamp<Server>, Value)],
+    robot: &RobotId,
+    number: u32,
+) -> Option<Timestamp<Server>> {
+    let of_robot = |told: &Value| {
+        told["progress"] == "finished" && told["robot"] == robot.as_str() && told["number"] == number
+    };
+    told.iter().find(|(_, told)| of_robot(told)).map(|(at, _)| *at)
 }
 
 /// What robots set, each device of each act by itself, in true time.

@@ -10,9 +10,10 @@ use super::document::{
     Clock, Device, DeviceSeries, Kind, Lane, Mission, Plan, Played, PlayedRobot, Robot, Script, VERSION,
 };
 use super::events;
+use super::fate::{self, Fate};
 use super::history::{History, HistorySource, KnownRobot, PlannedStep};
 use super::planned::{self, Places};
-use super::played::Epoch;
+use super::played::{Epoch, Phases, finished, instant};
 use crate::dry_run::act_of;
 
 impl History {
@@ -23,14 +24,18 @@ impl History {
         let acts: Vec<&Value> = ended.map(|(_, record)| &record["report"]).collect();
         let spread = acts.iter().filter_map(|act| act["spread_ms"].as_f64()).reduce(f64::max);
         let outcome = self.records.iter().rev().find(|(_, record)| record["record"] == "ended");
+        let failures =
+            self.told.iter().filter(|(_, told)| told["progress"] == "failed").map(|(_, told)| told);
+        let failures: Vec<&Value> = failures.collect();
         json!({
             "scenario": self.scenario,
             "outcome": outcome.map(|(_, record)| &record["outcome"]),
             "start": self.of_kind("prepared").next().map(|(_, record)| &record["start"]),
             "spread_ms": spread,
             "acts": acts,
-            "robots": [],
-            "failures": self.told.iter().filter(|(_, told)| told["progress"] == "failed").map(|(_, told)| told).collect::<Vec<_>>(),
+            // A journal does not say why robots failed, and neither kind of file what each of them did over all acts.
+            "robots": null,
+            "failures": (self.source == HistorySource::Recording).then_some(failures),
         })
     }
 
@@ -63,6 +68,7 @@ impl History {
                 HistorySource::Journal => Kind::Journal,
                 HistorySource::Recording => Kind::Recording,
             },
+            cut_off: self.cut_off.clone(),
             scenario: self.scenario.clone().unwrap_or_default(),
             epoch: epoch.0.to_string(),
             from: times.iter().copied().fold(0.0, f64::min),
@@ -93,31 +99,35 @@ impl History {
     }
 
     fn played(&self, act: &Sent, plan: usize, places: &Places, epoch: Epoch) -> Played {
-        let at = |kind: &'static str| {
+        let written = |kind: &'static str| {
             let of_act = self.of_kind(kind).find(|(_, record)| record["number"] == act.number);
-            of_act.map(|(at, _)| epoch.millis(*at))
+            of_act.map(|(at, _)| *at)
         };
         let report = self.of_kind("act_ended").map(|(_, record)| &record["report"]);
         let report = report.filter(|report| report["number"] == act.number).last();
-        let decided = self
-            .told
-            .iter()
-            .find(|(_, told)| told["progress"] == "decided" && instant(&told["start"]) == Some(act.start));
-        let margin = report.and_then(|report| report["lead"]["margin_ms"].as_f64());
+        let name = report.and_then(|report| report["act"].as_str());
+        let name = name.map_or_else(|| self.name_of(act), str::to_owned);
+        let phases = Phases::of(&self.told, &name, act.start);
+        let told = if self.told.is_empty() { &self.records } else { &self.told };
+        // The commitment is written down before it is made: where it is known when that was, this counts.
+        let committed = if self.told.is_empty() { written("committed") } else { phases.committed };
+        let over = fate::over(told, &name, act.number, act.timestamp);
+        let robots = robots(act, report, &self.told, (places, epoch));
+        let at = |instant: Option<Timestamp<Server>>| instant.map(|instant| epoch.millis(instant));
         Played {
-            name: report
-                .and_then(|report| report["act"].as_str())
-                .map_or_else(|| self.name_of(act), str::to_owned),
+            name,
             number: act.number,
             plan: Some(plan),
             start: epoch.millis(act.start),
             end: epoch.millis(act.start + act.duration),
-            sent: Some(epoch.millis(act.timestamp)),
-            decided: at("decided"),
-            committed: at("committed"),
-            no_return: decided.and_then(|(_, told)| instant(&told["no_return"])).map(|at| epoch.millis(at)),
-            lease: margin.map(|margin| epoch.millis(act.start) - margin),
-            robots: robots(act, report, places, epoch),
+            sent: at(Some(act.timestamp)),
+            decided: at(phases.decided.or_else(|| written("decided"))),
+            committed: at(committed),
+            no_return: at(phases.no_return),
+            lease: at(phases.leases_end),
+            fate: Fate::of(report),
+            over: at(over),
+            robots,
         }
     }
 
@@ -215,10 +225,6 @@ impl Sent {
     }
 }
 
-fn instant(value: &Value) -> Option<Timestamp<Server>> {
-    serde_json::from_value(value.clone()).ok()
-}
-
 fn millis(value: &Value) -> Option<Span> {
     value.as_f64().map(Span::from_millis_f64)
 }
@@ -276,6 +282,7 @@ fn lanes_of(robot: &KnownRobot, act: &Sent, places: &Places, columns: &mut Colum
                 robot: place,
                 device,
                 control: control.clone(),
+                value: 0,
                 worst_error: 0.0,
                 worst_at: 0.0,
                 scripts: vec![script],
@@ -289,7 +296,12 @@ fn lanes_of(robot: &KnownRobot, act: &Sent, places: &Places, columns: &mut Colum
     lanes
 }
 
-fn robots(act: &Sent, report: Option<&Value>, places: &Places, epoch: Epoch) -> Vec<PlayedRobot> {
+fn robots(
+    act: &Sent,
+    report: Option<&Value>,
+    told: &[(Timestamp<Server>, Value)],
+    (places, epoch): (&Places, Epoch),
+) -> Vec<PlayedRobot> {
     let rows = report.and_then(|report| report["robots"].as_array());
     let robot = |id: &RobotId| {
         let row = rows.and_then(|rows| rows.iter().find(|row| row["robot"] == id.as_str()));
@@ -301,7 +313,7 @@ fn robots(act: &Sent, report: Option<&Value>, places: &Places, epoch: Epoch) -> 
             robot: places.robot(id)?,
             left_out: row.is_some_and(|row| row["left_out"] == true),
             started: starts.min().map(|at| epoch.millis(at)),
-            ended: None,
+            ended: finished(told, id, act.number).map(|at| epoch.millis(at)),
         })
     };
     act.robots.iter().filter_map(robot).collect()

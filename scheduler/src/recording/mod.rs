@@ -14,8 +14,8 @@ use mcap::{McapError, WriteOptions, Writer};
 use serde::Serialize;
 use serde_json::{Value, json};
 use urrcp::{
-    AvailabilityResponse, Command, ControlRequest, ControlResponse, Message, RobotId, Server, StatusValue,
-    Timestamp,
+    AvailabilityResponse, Command, ControlRequest, ControlResponse, Message, RobotId, Server, Span,
+    StatusValue, Timestamp,
 };
 
 use crate::clock::ClockSample;
@@ -57,12 +57,17 @@ fn reason(error: &McapError) -> String {
     }
 }
 
+/// How much of a mission may be missing in the file of a process that is killed.
+const FLUSH_EVERY: Span = Span::from_millis(1_000);
+
 /// A file that is being written.
 pub struct Recording {
     path: PathBuf,
     writer: Writer<BufWriter<File>>,
     channels: HashMap<String, u16>,
     sequence: u32,
+    /// When what was written was last brought to the file.
+    flushed: Timestamp<Server>,
     /// The first failure: nothing is written after it.
     failed: Option<McapError>,
 }
@@ -125,6 +130,7 @@ impl Recording {
                 writer,
                 channels: HashMap::new(),
                 sequence: 0,
+                flushed: Timestamp::from_nanos(0),
                 failed: None,
             }),
             Err(error) => Err(RecordingError { path: path.to_path_buf(), error }),
@@ -226,7 +232,13 @@ impl Recording {
             log_time: nanos(log),
             publish_time: nanos(published),
         };
-        self.writer.write_to_known_channel(&header, &data)
+        self.writer.write_to_known_channel(&header, &data)?;
+        // What a process that is killed leaves can be read but for the last second.
+        if published - self.flushed >= FLUSH_EVERY {
+            self.flushed = published;
+            self.writer.flush()?;
+        }
+        Ok(())
     }
 
     /// Writes the end of the file.

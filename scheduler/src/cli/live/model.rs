@@ -229,7 +229,7 @@ impl Model {
                     }
                 }
             }
-            Progress::Finished { robot } => {
+            Progress::Finished { robot, .. } => {
                 if let Some(row) = self.row(robot) {
                     row.steps_done = row.steps_planned;
                 }

@@ -59,6 +59,7 @@ fn decided(model: &mut Model) {
         act: "arrival".to_owned(),
         start: at(5_000),
         duration: SECOND * 40,
+        leases_end: at(0),
         no_return: at(4_700),
         doubt: Span::from_millis(50),
     };

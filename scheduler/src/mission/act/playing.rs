@@ -177,7 +177,7 @@ impl Act {
             }
             News::Completed => {
                 if member.is_done() {
-                    actions.push(ActAction::Tell(Progress::Finished { robot: id }));
+                    actions.push(ActAction::Tell(Progress::Finished { robot: id, number: self.number }));
                 }
                 actions.push(ActAction::Refill(vec![robot]));
                 self.look_again();

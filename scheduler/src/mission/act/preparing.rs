@@ -202,8 +202,8 @@ impl Act {
     pub(super) fn decided(&self) -> Option<Progress> {
         let timing = self.timing.as_ref()?;
         let (start, no_return, doubt) = (timing.start, timing.no_return(), timing.doubt());
-        let duration = self.written().plan.duration();
-        Some(Progress::Decided { act: self.name(), start, duration, no_return, doubt })
+        let (duration, leases_end) = (self.written().plan.duration(), timing.brink());
+        Some(Progress::Decided { act: self.name(), start, duration, leases_end, no_return, doubt })
     }
 }
 
