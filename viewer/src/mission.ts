@@ -31,7 +31,9 @@ export interface Mission {
   epoch: string;
   /** From when to when something is known. */
   from: number; to: number;
-  /** What `--format json` of the same command prints; `null` where it is not known. */
+  /** Why the file behind the page is not whole, for people; `null`: it is whole. */
+  cut_off?: string | null;
+  /** What `--format json` of the same command prints; `null` where it is not known. `data/report.ts` reads it: it may have any shape. */
   report: Report | null;
   /** Files that the mission was made of, for the lines of cues and findings. */
   sources: { name: string; text: string }[];
@@ -126,6 +128,8 @@ export interface Lane {
   robot: number;
   /** Index into `Robot.devices`. */
   device: number;
+  /** Which of several values of a step, counted from 0. */
+  value?: number;
   control: "position" | "speed" | "acceleration" | string;
   /** Largest difference between the steps and the movement as written, in the device's unit, and when that is. */
   worst_error: number; worst_at: number;
@@ -149,8 +153,17 @@ export interface Played {
   no_return: number | null;
   /** When pending leases end if they are not renewed. */
   lease: number | null;
+  /**
+   * What became of it. "withdrawn": nothing of it began; "unknown": a robot has not said how it went on; "open": its end is not
+   * known.
+   */
+  fate?: Fate;
+  /** When it ended, was stopped or was withdrawn, if that is known. */
+  over?: number | null;
   robots: { robot: number; left_out: boolean; started: number | null; ended: number | null }[];
 }
+
+export type Fate = "played" | "stopped" | "withdrawn" | "unknown" | "open";
 
 export interface MissionEvent {
   at: number;
@@ -168,14 +181,32 @@ export interface Finding {
 
 export interface DeviceSeries { robot: number; device: number; act: number | null; series: Series }
 
-/** The parts of a report that the page shows; the rest is in the document, too. */
+/** The parts of a report that the page shows, as `data/report.ts` reads them; the rest is in the document, too. */
 export interface Report {
-  scenario: string;
-  outcome: string | Record<string, unknown>;
-  start: string | null;
+  /** `null`: its end is not known. */
+  outcome: string | Record<string, unknown> | null;
   spread_ms: number | null;
   true_spread_ms?: number | null;
-  acts: { act: string; number: number; spread_ms: number | null; robots: { robot: string; left_out: boolean; devices: { device: string; state: string; started_at: string | null; start_error_ms: number | null; steps_done: number; steps_planned: number; late_steps: number }[] }[] }[];
-  robots: { robot: string; standing: string; started: number; scripts: number; start_error_ms: number | null; steps_done: number; steps_planned: number; late_steps: number; clock: { offset_ms: number; uncertainty_ms: number } | null }[];
-  failures: { robot?: string; device?: string; message?: string }[];
+  /** Every act of the scenario, also those that were never sent. */
+  course: ActCourse[];
+  acts: ReportedAct[];
+  robots: ReportedRobot[];
+  failures: ReportedFailure[];
 }
+
+/** `fate`: of the last time; `awaited` and `within_ms` where it is "timed_out". */
+export interface ActCourse { act: string; fate: string; played: number; awaited: string; within_ms: number | null }
+
+export interface ReportedAct {
+  act: string; number: number | null; spread_ms: number | null;
+  robots: { robot: string; left_out: boolean; devices: { device: string; planned_start: string | null; start_error_ms: number | null }[] }[];
+}
+
+export interface ReportedRobot {
+  robot: string; standing: string;
+  start_error_ms: number | null;
+  steps_done: number | null; steps_planned: number | null; late_steps: number | null;
+  clock: { offset_ms: number | null; uncertainty_ms: number | null } | null;
+}
+
+export interface ReportedFailure { robot: string; device: string; failure: string; text: string; error: string }

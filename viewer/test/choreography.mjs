@@ -73,6 +73,7 @@ export async function choreography() {
     kind: "recording",
     scenario: "swap, with an arm",
     epoch: "2026-01-01T00:00:00.394514404Z",
+    cut_off: null,
     from: -389,
     to: 2 * TEMPO_MS + 4000,
     robots,
@@ -106,7 +107,7 @@ export async function choreography() {
 }
 
 function lane(robot, index, control, steps, start = 0) {
-  return { robot, device: index, control, worst_error: 0.0125, worst_at: 500, scripts: [{ start, steps }] };
+  return { robot, device: index, control, value: 0, worst_error: 0.0125, worst_at: 500, scripts: [{ start, steps }] };
 }
 
 function swapPlan(swap, columns) {
@@ -181,6 +182,8 @@ function act(name, number, plan, start, end) {
     lease: start - 148.6,
     committed: start - 110,
     no_return: start - 50,
+    fate: "played",
+    over: end,
     robots: Array.from({ length: 8 }, (_, robot) => ({ robot, left_out: false, started: start + 0.1, ended: end })),
   };
 }
@@ -227,6 +230,7 @@ function report(robots) {
       .filter((d) => !d.sensor)
       .map((d) => ({
         device: d.id,
+        planned_start: "2026-01-01T00:00:00.394514404Z",
         state: "ended",
         started_at: null,
         start_error_ms: 0.025 * r,
@@ -240,6 +244,10 @@ function report(robots) {
     start: "2026-01-01T00:00:00.394514404Z",
     spread_ms: 0.125,
     true_spread_ms: 0.037117,
+    course: [
+      { act: "swap", played: 1, fate: "played" },
+      { act: "finale", played: 1, fate: "played" },
+    ],
     acts: [
       {
         act: "swap",
@@ -259,6 +267,23 @@ function report(robots) {
       late_steps: r === 4 ? 2 : 0,
       clock: r < 6 ? { offset_ms: 97.592 * r, uncertainty_ms: 0.241297 } : null,
     })),
-    failures: [{ robot: "cf5", message: "battery below 10 %" }],
+    failures: [{ robot: "cf5", device: null, failure: "battery", text: "battery below 10 %" }],
   };
+}
+
+/** The same, stopped in the middle of its first act, without its first robot; of the acts that follow nothing was played. */
+export async function stopped() {
+  const { mission, columns } = await choreography();
+  const [swap, finale] = mission.acts;
+  Object.assign(swap, { fate: "stopped", over: TEMPO_MS / 2, robots: swap.robots.map((part) => ({ ...part, ended: null })) });
+  Object.assign(swap.robots[0], { left_out: true, started: null });
+  Object.assign(finale, { fate: "withdrawn", over: TEMPO_MS + 850, robots: [], committed: null, no_return: null });
+  mission.report.outcome = "stopped";
+  mission.report.course = [
+    { act: "swap", played: 0, fate: "stopped" },
+    { act: "finale", played: 0, fate: "withdrawn" },
+    { act: "encore", played: 0, fate: "timed_out", awaited: "the operator's go", within_ms: 60_000 },
+    { act: "bows", played: 0, fate: "not_reached" },
+  ];
+  return { mission, columns, base64: encode(mission, columns) };
 }

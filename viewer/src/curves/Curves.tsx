@@ -42,6 +42,7 @@ export function Curves() {
         <h2>Curves</h2>
         <span class="legend">
           <span class="planned">planned, with its error</span>
+          <span class="unplayed">not played</span>
           <span class="set">set</span>
           <span class="read">read</span>
         </span>

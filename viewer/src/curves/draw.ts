@@ -91,7 +91,7 @@ function drawTitle({ context, palette }: Sheet, { track, scale }: Plot, top: num
   const error = Math.max(0, ...track.segments.map(({ lane }) => lane.worst_error));
   const band = error > 0 ? `, ± ${withUnit(rounded(error), track.device.unit)}` : "";
   const unit = track.device.unit === "" ? "" : ` (${track.device.unit})`;
-  fitText(context, `${track.robot.id} / ${track.device.id}${unit}${band}`, 6, top + 10, scale.width - 12);
+  fitText(context, `${track.robot.id} / ${track.name}${unit}${band}`, 6, top + 10, scale.width - 12);
 }
 
 function drawTimes({ context, palette }: Sheet, scale: ReturnType<typeof scaleOf>, height: number): void {

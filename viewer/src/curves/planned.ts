@@ -5,6 +5,8 @@ import { stepsInView, type Plot } from "./plot";
 
 /** Pixels that each step needs, to be drawn as a point. */
 const ROOM_OF_POINT = 7;
+/** Pixels around the plot that points and lines may reach. */
+const ROOM_AROUND = 4;
 
 export function drawPlanned(sheet: Sheet, plot: Plot): void {
   drawBand(sheet, plot);
@@ -14,7 +16,7 @@ export function drawPlanned(sheet: Sheet, plot: Plot): void {
     return;
   }
   for (const segment of plot.track.segments) {
-    if (segment.start <= plot.scale.view.to) drawSegment(sheet, plot, segment, steps * ROOM_OF_POINT < plot.scale.width);
+    if (segment.start <= plot.scale.view.to) drawParts(sheet, plot, segment, steps * ROOM_OF_POINT < plot.scale.width);
   }
 }
 
@@ -22,7 +24,7 @@ function drawBand({ context, palette }: Sheet, { track, scale, envelope, y }: Pl
   context.fillStyle = palette.band;
   context.beginPath();
   for (let x = 0; x < envelope.low.length; x++) {
-    const error = errorAt(track, scale.ms(x));
+    const error = envelope.unplayed[x] === 1 ? 0 : errorAt(track, scale.ms(x));
     if (!(error > 0) || Number.isNaN(envelope.low[x])) continue;
     const top = y(envelope.high[x] + error);
     context.rect(x, top, 1, y(envelope.low[x] - error) - top);
@@ -38,7 +40,7 @@ function drawColumns({ context, palette }: Sheet, { envelope, y }: Plot): void {
   context.fillStyle = palette.planned;
   context.beginPath();
   for (let x = 0; x < envelope.low.length; x++) {
-    if (Number.isNaN(envelope.low[x])) continue;
+    if (Number.isNaN(envelope.low[x]) || (envelope.unplayed[x] === 1 && x % 8 >= 4)) continue;
     const top = y(envelope.high[x]) - 0.75;
     context.rect(x, top, 1, y(envelope.low[x]) - top + 0.75);
   }
@@ -56,7 +58,25 @@ function drawHeld(context: CanvasRenderingContext2D, { track, scale }: Plot, seg
   context.setLineDash([]);
 }
 
-function drawSegment({ context, palette }: Sheet, plot: Plot, segment: Segment, points: boolean): void {
+/** What was played, and, fainter and in dashes, what was not. */
+function drawParts(sheet: Sheet, plot: Plot, segment: Segment, points: boolean): void {
+  const { context } = sheet;
+  const { scale, top, height } = plot;
+  const until = Math.max(0, Math.min(scale.width, scale.x(segment.playedUntil)));
+  for (const unplayed of [false, true]) {
+    const [from, to] = unplayed ? [until, scale.width] : [0, until];
+    if (to <= from) continue;
+    context.save();
+    context.beginPath();
+    context.rect(from, top - ROOM_AROUND, to - from, height + 2 * ROOM_AROUND);
+    context.clip();
+    context.globalAlpha = unplayed ? 0.55 : 1;
+    drawSegment(sheet, plot, segment, points && !unplayed, unplayed ? [4, 4] : []);
+    context.restore();
+  }
+}
+
+function drawSegment({ context, palette }: Sheet, plot: Plot, segment: Segment, points: boolean, dashes: number[]): void {
   const { track, scale, y } = plot;
   const wave = track.wave(segment);
   const first = Math.max(0, wave.at(scale.view.from - segment.start));
@@ -65,6 +85,7 @@ function drawSegment({ context, palette }: Sheet, plot: Plot, segment: Segment, 
   const x = (i: number) => scale.x(segment.start + wave.time(i));
   context.strokeStyle = context.fillStyle = palette.planned;
   context.lineWidth = 1.5;
+  context.setLineDash(dashes);
   context.beginPath();
   context.moveTo(x(first), y(wave.value(first)));
   for (let i = first + 1; i < end; i++) {
@@ -72,6 +93,7 @@ function drawSegment({ context, palette }: Sheet, plot: Plot, segment: Segment, 
     context.lineTo(x(i), y(wave.value(i)));
   }
   context.stroke();
+  context.setLineDash([]);
   context.lineWidth = 1;
   if (end === wave.count) drawHeld(context, plot, segment, y(wave.value(end - 1)), x(end - 1));
   if (!points) return;

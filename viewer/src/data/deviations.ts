@@ -1,6 +1,8 @@
 // Where robots differ from the plan: values that they set at another time, other values than planned, and starts that were off.
+import { millisSince } from "../text/instant";
 import type { Show } from "./show";
 import type { Segment, Track } from "./track";
+import type { Wave } from "./wave";
 
 export interface Deviation {
   kind: "time" | "value" | "start";
@@ -27,9 +29,9 @@ export function deviations(show: Show, tracks: readonly Track[]): Deviation[] {
   const times = new Largest(inMs);
   const values = new Largest(inExtents);
   for (const track of tracks) {
+    const planned = stepsOfActs(track);
     for (const { wave, source } of show.observed("set", track)) {
-      const segments = track.segments.filter((segment) => source.act === null || segment.act === source.act);
-      for (let i = 0; i < wave.count; i++) compare(track, segments, wave.time(i), wave.value(i), times, values);
+      for (const part of partsOf(wave, planned, source.act)) compare(track, wave, part, times, values);
     }
   }
   const starts = new Largest(inMs);
@@ -56,22 +58,114 @@ class Largest {
   }
 }
 
-function compare(track: Track, segments: readonly Segment[], at: number, value: number, times: Largest, values: Largest): void {
-  const segment = last(segments, at) ?? segments[0];
-  if (segment === undefined) return;
-  const wave = track.wave(segment);
-  if (wave.count === 0) return;
-  const local = at - segment.start;
-  const step = nearest(wave, local);
-  const late = local - wave.time(step);
-  const close = Math.abs(value - wave.value(step)) <= tolerance(track, value);
-  if (close) {
-    if (late !== 0) times.push({ kind: "time", track, at, by: late });
-    return;
+/** The steps of a device in one act: those of all its scripts, numbered one after the other. */
+interface Steps {
+  act: number;
+  segments: readonly Segment[];
+  waves: readonly Wave[];
+  /** Number of the first step of each segment. */
+  firsts: readonly number[];
+  count: number;
+  /** On the mission's axis. */
+  from: number;
+  to: number;
+  playedUntil: number;
+}
+
+/** Acts of which nothing was played have no steps that could be compared. */
+function stepsOfActs(track: Track): Steps[] {
+  const acts = new Map<number, Segment[]>();
+  for (const segment of track.segments) {
+    if (segment.playedUntil === -Infinity || track.wave(segment).count === 0) continue;
+    acts.set(segment.act, [...(acts.get(segment.act) ?? []), segment]);
   }
-  const planned = wave.valueAt(Math.max(local, wave.time(0)), track.device.interpolation);
-  const by = value - planned;
-  if (Math.abs(by) > tolerance(track, value)) values.push({ kind: "value", track, at, by });
+  return [...acts].map(([act, segments]) => {
+    const waves = segments.map((segment) => track.wave(segment));
+    let count = 0;
+    const firsts = waves.map((wave) => (count += wave.count) - wave.count);
+    const last = segments.length - 1;
+    const from = segments[0].start + waves[0].time(0);
+    const to = segments[last].start + waves[last].time(waves[last].count - 1);
+    return { act, segments, waves, firsts, count, from, to, playedUntil: segments[0].playedUntil };
+  });
+}
+
+/** Values that were set in one act: from `first` up to, but not including, `end`. */
+interface Part {
+  steps: Steps;
+  first: number;
+  end: number;
+}
+
+/** A robot may set the first value of an act this much too early, where nothing tells for which act it set it. */
+const EARLY_MS = 250;
+
+function partsOf(wave: Wave, planned: readonly Steps[], act: number | null): Part[] {
+  const begins = planned.map(({ from }, i) => {
+    if (act !== null) return -Infinity;
+    return i === 0 ? -Infinity : from - Math.min(EARLY_MS, Math.max(0, from - planned[i - 1].to) / 2);
+  });
+  return planned.flatMap((steps, i) => {
+    if (act !== null && steps.act !== act) return [];
+    const next = act === null ? (begins[i + 1] ?? Infinity) : Infinity;
+    const first = wave.from(begins[i]);
+    // What a robot sets once everything is being stopped is no step of the act.
+    const end = Math.min(wave.from(next), wave.at(steps.playedUntil) + 1);
+    return end > first ? [{ steps, first, end }] : [];
+  });
+}
+
+function compare(track: Track, wave: Wave, { steps, first, end }: Part, times: Largest, values: Largest): void {
+  const set = end - first;
+  // An act that was stopped was played up to a step, all others as a whole; a robot that left out a step has set fewer values.
+  const inOrder = steps.playedUntil < Infinity ? set <= steps.count : set === steps.count;
+  for (let i = first; i < end; i++) {
+    const [at, value] = [wave.time(i), wave.value(i)];
+    const step = inOrder ? stepOf(steps, i - first) : likely(steps, track, at, value);
+    const late = at - step.at;
+    const by = value - step.value;
+    if (Math.abs(late) >= LEAST_MS) times.push({ kind: "time", track, at, by: late });
+    if (Math.abs(by) > tolerance(track, value)) values.push({ kind: "value", track, at, by });
+  }
+}
+
+/** Half a nanosecond: less than that is lost when times are added up. */
+const LEAST_MS = 5e-7;
+
+interface Step {
+  at: number;
+  value: number;
+}
+
+function stepOf({ segments, waves, firsts }: Steps, number: number): Step {
+  let s = firsts.length - 1;
+  while (firsts[s] > number) s--;
+  const i = number - firsts[s];
+  return { at: segments[s].start + waves[s].time(i), value: waves[s].value(i) };
+}
+
+/** Steps before and after a time that may be meant. */
+const AROUND = 4;
+
+/** The nearest step with this value; without one, the nearest. */
+function likely(steps: Steps, track: Track, at: number, value: number): Step {
+  const number = before(steps, at);
+  let best: Step | null = null;
+  let bestFits = false;
+  for (let n = Math.max(0, number - AROUND); n <= Math.min(steps.count - 1, number + 1 + AROUND); n++) {
+    const step = stepOf(steps, n);
+    const fits = Math.abs(step.value - value) <= tolerance(track, value);
+    const nearer = best === null || Math.abs(step.at - at) < Math.abs(best.at - at);
+    if (best === null || (fits && !bestFits) || (fits === bestFits && nearer)) [best, bestFits] = [step, fits];
+  }
+  return best ?? stepOf(steps, 0);
+}
+
+/** Number of the last step at or before a time; -1 before the first. */
+function before({ segments, waves, firsts }: Steps, at: number): number {
+  let s = segments.length - 1;
+  while (s > 0 && segments[s].start + waves[s].time(0) > at) s--;
+  return firsts[s] + waves[s].at(at - segments[s].start);
 }
 
 /** Half of the device's granularity; without one, what floats lose. */
@@ -79,30 +173,18 @@ function tolerance(track: Track, value: number): number {
   return Math.max((track.device.granularity ?? 0) / 2, Math.abs(value) * 1e-9, 1e-12);
 }
 
-function last(segments: readonly Segment[], at: number): Segment | undefined {
-  let found: Segment | undefined;
-  for (const segment of segments) if (segment.start <= at) found = segment;
-  return found;
-}
-
-function nearest(wave: { at: (ms: number) => number; time: (i: number) => number; count: number }, ms: number): number {
-  const before = Math.max(0, wave.at(ms));
-  const after = Math.min(before + 1, wave.count - 1);
-  return Math.abs(wave.time(after) - ms) < Math.abs(wave.time(before) - ms) ? after : before;
-}
-
+/** Each at the start that its script was planned to have, which may come long after the act's. */
 function startErrors(show: Show): Deviation[] {
-  const { acts, report } = show.mission;
+  const { acts, epoch, report } = show.mission;
   return (report?.acts ?? []).flatMap((reported) => {
     const act = acts.find(({ number }) => number === reported.number);
     if (act === undefined) return [];
-    return reported.robots.flatMap((robot) =>
-      robot.devices.flatMap((device) => {
-        const track = show.tracks.find(
-          (candidate) => candidate.robot.id === robot.robot && candidate.device.id === device.device,
-        );
-        const by = device.start_error_ms;
-        return track === undefined || by === null || by === 0 ? [] : [{ kind: "start" as const, track, at: act.start, by }];
+    return reported.robots.flatMap(({ robot, devices }) =>
+      devices.flatMap(({ device, planned_start, start_error_ms: by }) => {
+        const track = show.tracks.find((candidate) => candidate.robot.id === robot && candidate.device.id === device);
+        if (track === undefined || by === null || by === 0) return [];
+        const planned = planned_start === null ? null : millisSince(epoch, planned_start);
+        return [{ kind: "start" as const, track, at: planned ?? act.start, by }];
       }),
     );
   });

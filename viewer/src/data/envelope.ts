@@ -11,15 +11,18 @@ export interface View {
 export interface Envelope {
   low: Float64Array;
   high: Float64Array;
+  /** 1 where nothing in the column was played. */
+  unplayed: Uint8Array;
 }
 
 export function makeEnvelope(columns: number): Envelope {
-  return { low: new Float64Array(columns), high: new Float64Array(columns) };
+  return { low: new Float64Array(columns), high: new Float64Array(columns), unplayed: new Uint8Array(columns) };
 }
 
 export function fillEnvelope(envelope: Envelope, track: Track, view: View): void {
   envelope.low.fill(NaN);
   envelope.high.fill(NaN);
+  envelope.unplayed.fill(0);
   const first = Math.max(0, track.segmentAt(view.from));
   for (let s = first; s < track.segments.length && track.segments[s].start < view.to; s++) {
     fillSegment(envelope, track, track.segments[s], view);
@@ -45,6 +48,8 @@ function fillSegment(envelope: Envelope, track: Track, segment: Segment, view: V
     wave.widen(extent, step, next);
     if (step > 0) include(extent, wave.between(step - 1, from, track.device.interpolation));
     if (next > 0) include(extent, wave.between(next - 1, from + width, track.device.interpolation));
+    const unplayed = view.from + x * width >= segment.playedUntil;
+    envelope.unplayed[x] = unplayed && (Number.isNaN(envelope.low[x]) || envelope.unplayed[x] === 1) ? 1 : 0;
     envelope.low[x] = Number.isNaN(envelope.low[x]) ? extent.low : Math.min(envelope.low[x], extent.low);
     envelope.high[x] = Number.isNaN(envelope.high[x]) ? extent.high : Math.max(envelope.high[x], extent.high);
     step = next;

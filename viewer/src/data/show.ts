@@ -1,6 +1,8 @@
 // The document, indexed: what the panels and canvases ask for, without a look at every act each time.
-import type { Cue, Device, DeviceSeries, Mission, Plan, Played, Robot } from "../mission";
+import type { Cue, DeviceSeries, Mission, Plan, Played, Report, Robot } from "../mission";
+import { playedUntil } from "./fate";
 import type { Payload } from "./payload";
+import { readReport } from "./report";
 import { Track, type Segment } from "./track";
 import { Waves, type Wave } from "./wave";
 
@@ -13,6 +15,8 @@ export interface PlacedCue {
   cue: Cue;
   start: number;
   end: number;
+  /** What comes after was not played; on the mission's axis. */
+  playedUntil: number;
 }
 
 /** What a robot set or a sensor read. */
@@ -22,11 +26,14 @@ export interface Observed {
 }
 
 export class Show {
-  readonly mission: Mission;
+  readonly mission: Mission & { report: Report | null };
   readonly tracks: Track[] = [];
   /** Tracks of each robot, in the order of its devices. */
   readonly tracksOf: Track[][];
+  /** The first value of each device. */
   private readonly trackOfDevice: (Track | undefined)[][];
+  /** Robots that were left out of each act. */
+  private readonly leftOutOf: ReadonlySet<number>[];
   readonly cues: PlacedCue[];
   /** Indices into `cues` of what each finding is about. */
   readonly cuesOfFinding: number[][];
@@ -34,11 +41,12 @@ export class Show {
   private readonly clockOf: ReadonlyMap<number, Mission["clocks"][number]>;
 
   constructor({ mission, columns }: Payload) {
-    this.mission = mission;
+    this.mission = { ...mission, report: readReport(mission.report) };
     this.waves = new Waves(columns);
     this.clockOf = new Map(mission.clocks.map((clock) => [clock.robot, clock]));
     this.tracksOf = mission.robots.map(() => []);
     this.trackOfDevice = mission.robots.map(() => []);
+    this.leftOutOf = mission.acts.map(leftOut);
     this.makeTracks();
     this.cues = placeCues(mission);
     this.cuesOfFinding = mission.findings.map((finding) =>
@@ -54,7 +62,21 @@ export class Show {
     return this.waves.of(source.series);
   }
 
+  isLeftOut(robot: number, act: number): boolean {
+    return this.leftOutOf[act]?.has(robot) ?? false;
+  }
+
+  /** When the robot was to begin with an act: its first script may come long after the act's start. */
+  plannedStart(robot: number, act: number): number {
+    const played = this.mission.acts[act];
+    const lanes = this.planOf(played)?.lanes.filter((lane) => lane.robot === robot) ?? [];
+    const starts = lanes.flatMap((lane) => lane.scripts.map((script) => script.start));
+    return played.start + (starts.length === 0 ? 0 : Math.min(...starts));
+  }
+
+  /** Where a step has several values, only the first is told. */
   observed(kind: "set" | "read", track: Track): Observed[] {
+    if (track.value !== 0) return [];
     return this.mission[kind]
       .filter((source) => source.robot === track.robotIndex && source.device === track.deviceIndex)
       .map((source) => ({ source, wave: this.wave(source) }));
@@ -99,22 +121,28 @@ export class Show {
 
   private makeTracks(): void {
     const { robots, set, read } = this.mission;
-    const segments = new Map<string, Segment[]>();
-    this.mission.acts.forEach((act, index) => addSegments(segments, this.planOf(act), act, index));
-    const known = new Set([...segments.keys(), ...[...set, ...read].map((source) => key(source.robot, source.device))]);
+    const planned = new Map<string, Segment[][]>();
+    this.mission.acts.forEach((act, index) => addSegments(planned, this.planOf(act), act, index));
+    const observed = new Set([...set, ...read].map((source) => key(source.robot, source.device)));
     robots.forEach((robot, r) => {
       robot.devices.forEach((device, d) => {
-        const moves = known.has(key(r, d)) || placesBody(robot, d);
-        if (moves) this.addTrack(robot, r, device, d, segments.get(key(r, d)) ?? []);
+        const values = planned.get(key(r, d)) ?? [];
+        values.forEach(inOrder);
+        const tells = observed.has(key(r, d)) || placesBody(robot, d);
+        if (values[0] === undefined && tells) values[0] = [];
+        // Not every value need have a lane, so there may be holes.
+        values.forEach((segments, value) => {
+          const track = new Track(
+            { index: this.tracks.length, robotIndex: r, robot, deviceIndex: d, device, value, several: values.length > 1 },
+            segments,
+            this.waves,
+          );
+          this.tracks.push(track);
+          this.tracksOf[r].push(track);
+          if (value === 0) this.trackOfDevice[r][d] = track;
+        });
       });
     });
-  }
-
-  private addTrack(robot: Robot, r: number, device: Device, d: number, segments: Segment[]): void {
-    const track = new Track(this.tracks.length, r, robot, d, device, segments, this.waves);
-    this.tracks.push(track);
-    this.tracksOf[r].push(track);
-    this.trackOfDevice[r][d] = track;
   }
 }
 
@@ -126,19 +154,28 @@ function placesBody(robot: Robot, device: number): boolean {
   return [body.x, body.y, body.z, body.yaw, ...body.joints.map((joint) => joint.value)].some((c) => c.device === device);
 }
 
-function addSegments(segments: Map<string, Segment[]>, plan: Plan | null, act: Played, index: number): void {
-  const leftOut = new Set(act.robots.filter((robot) => robot.left_out).map((robot) => robot.robot));
+const leftOut = (act: Played) => new Set(act.robots.filter((robot) => robot.left_out).map((robot) => robot.robot));
+
+/** Segments of each value of each device. */
+function addSegments(planned: Map<string, Segment[][]>, plan: Plan | null, act: Played, index: number): void {
+  const without = leftOut(act);
+  const until = playedUntil(act);
   for (const lane of plan?.lanes ?? []) {
-    if (leftOut.has(lane.robot)) continue;
-    const list = segments.get(key(lane.robot, lane.device)) ?? [];
-    segments.set(key(lane.robot, lane.device), list);
-    for (const script of lane.scripts) {
-      const start = act.start + script.start;
-      const before = list[list.length - 1];
-      if (before !== undefined) before.end = Math.min(before.end, start);
-      list.push({ start, end: act.end, act: index, lane, series: script.steps });
-    }
+    if (without.has(lane.robot)) continue;
+    const values = planned.get(key(lane.robot, lane.device)) ?? [];
+    planned.set(key(lane.robot, lane.device), values);
+    const list = (values[lane.value ?? 0] ??= []);
+    for (const { start, steps } of lane.scripts)
+      list.push({ start: act.start + start, end: act.end, playedUntil: until, act: index, lane, series: steps });
   }
+}
+
+/** One after the other, whichever lane they are of: a device plays one script at a time. */
+function inOrder(segments: Segment[]): void {
+  segments.sort((a, b) => a.start - b.start);
+  segments.forEach((segment, i) => {
+    if (i > 0) segments[i - 1].end = Math.min(segments[i - 1].end, segment.start);
+  });
 }
 
 function placeCues(mission: Mission): PlacedCue[] {
@@ -155,6 +192,7 @@ function placeCues(mission: Mission): PlacedCue[] {
         cue,
         start: act.start + cue.start,
         end: act.start + cue.end,
+        playedUntil: playedUntil(act),
       });
     });
   });

@@ -6,35 +6,64 @@ import type { Wave, Waves } from "./wave";
 export interface Segment {
   start: number;
   end: number;
+  /** What comes after was not played: the act was stopped then, or (`-Infinity`) withdrawn. */
+  playedUntil: number;
   act: number;
   lane: Lane;
   series: Series;
 }
 
-/** Where a device is, and why that is known. `held`: at the last value of a script that is over. */
+/** Where a device is planned to be, and why. `held`: at the last value of a script that is over. `unplayed`: nobody played that. */
 export interface Reading {
   value: number;
-  known: "moving" | "held" | "default" | "first" | "unknown";
+  known: "moving" | "held" | "unplayed" | "default" | "first" | "unknown";
   segment: Segment | null;
   /** Index of the last step at or before the time. */
   step: number;
 }
 
-/** `driven`: by its speed or acceleration since `value` was known; `null`: it is there. */
-export type Position = Reading & { driven: string | null };
+/**
+ * Where a device is, as far as what was played tells. `driven`: by its speed or acceleration since `value` was known. `stopped`: when
+ * an act was stopped in which it was there; where it went then is not known.
+ */
+export type Position = Reading & { driven: string | null; stopped: number | null };
+
+export interface TrackOf {
+  index: number;
+  robotIndex: number;
+  robot: Robot;
+  deviceIndex: number;
+  device: Device;
+  /** Which of the values of a step, and whether there are several. */
+  value: number;
+  several: boolean;
+}
 
 export class Track {
   private extentOnce: { low: number; high: number } | null = null;
 
+  readonly index: number;
+  readonly robotIndex: number;
+  readonly robot: Robot;
+  readonly deviceIndex: number;
+  readonly device: Device;
+  readonly value: number;
+  /** As people know it: the device, and which of its values if it has several. */
+  readonly name: string;
+
   constructor(
-    readonly index: number,
-    readonly robotIndex: number,
-    readonly robot: Robot,
-    readonly deviceIndex: number,
-    readonly device: Device,
+    of: TrackOf,
     readonly segments: readonly Segment[],
     private readonly waves: Waves,
-  ) {}
+  ) {
+    this.index = of.index;
+    this.robotIndex = of.robotIndex;
+    this.robot = of.robot;
+    this.deviceIndex = of.deviceIndex;
+    this.device = of.device;
+    this.value = of.value;
+    this.name = of.several ? `${of.device.id}, value ${of.value + 1}` : of.device.id;
+  }
 
   wave(segment: Segment): Wave {
     return this.waves.of(segment.series);
@@ -52,29 +81,34 @@ export class Track {
     return low - 1;
   }
 
+  /** What is planned. */
   at(ms: number): Reading {
     for (let s = this.segmentAt(ms); s >= 0; s--) {
       const segment = this.segments[s];
       const wave = this.wave(segment);
       const step = wave.at(ms - segment.start);
       if (step < 0) continue;
-      return this.readingIn(segment, step, ms);
+      const reading = this.readingIn(segment, step, ms);
+      return ms > segment.playedUntil ? { ...reading, known: "unplayed" } : reading;
     }
     return this.beforeFirst();
   }
 
-  /** The last position that is known. */
+  /** The last position that is known, of what was played. */
   positionAt(ms: number): Position {
     let driven: string | null = null;
+    let stopped: number | null = null;
     for (let s = this.segmentAt(ms); s >= 0; s--) {
       const segment = this.segments[s];
-      const wave = this.wave(segment);
-      const step = wave.at(ms - segment.start);
+      if (segment.playedUntil === -Infinity) continue;
+      if (ms > segment.playedUntil) stopped ??= segment.playedUntil;
+      const until = Math.min(ms, segment.playedUntil);
+      const step = this.wave(segment).at(until - segment.start);
       if (step < 0) continue;
-      if (segment.lane.control === "position") return { ...this.readingIn(segment, step, ms), driven };
+      if (segment.lane.control === "position") return { ...this.readingIn(segment, step, until), driven, stopped };
       driven ??= segment.lane.control;
     }
-    return { ...this.beforeFirst((segment) => segment.lane.control === "position"), driven };
+    return { ...this.beforeFirst((segment) => segment.lane.control === "position"), driven, stopped };
   }
 
   private readingIn(segment: Segment, step: number, ms: number): Reading {
@@ -86,7 +120,8 @@ export class Track {
   private beforeFirst(counts: (segment: Segment) => boolean = () => true): Reading {
     const unmoved = { segment: null, step: -1 };
     if (this.device.default !== null) return { value: this.device.default, known: "default", ...unmoved };
-    const first = this.segments.find((segment) => counts(segment) && this.wave(segment).count > 0);
+    const moves = this.segments.filter((segment) => counts(segment) && this.wave(segment).count > 0);
+    const first = moves.find(({ start, playedUntil }) => playedUntil > start) ?? moves[0];
     if (first === undefined) return { value: NaN, known: "unknown", ...unmoved };
     return { value: this.wave(first).value(0), known: "first", ...unmoved };
   }

@@ -2,6 +2,7 @@
 import { useCell } from "../state/cell";
 import { seekAndShow, selectCue } from "../state/moves";
 import { useSession } from "../state/session";
+import { notPlayed } from "../text/fate";
 import { Name } from "../text/Name";
 import { clock, duration } from "../text/time";
 import { Limited } from "./Limited";
@@ -9,7 +10,8 @@ import { Limited } from "./Limited";
 export function Cues() {
   const session = useSession();
   const selected = useCell(session.cue);
-  const { cues } = session.show;
+  const { cues, mission } = session.show;
+  const { acts } = mission;
   if (cues.length === 0) return <p>No cues are known.</p>;
   return (
     <Limited items={cues} name="cues">
@@ -25,7 +27,7 @@ export function Cues() {
             </tr>
           </thead>
           <tbody>
-            {some.map(({ index, cue, start, end }) => (
+            {some.map(({ index, act, cue, start, end }) => (
               <tr key={index} aria-current={index === selected ? "true" : undefined}>
                 <th scope="row">
                   <button
@@ -38,6 +40,7 @@ export function Cues() {
                   >
                     <Name text={cue.name} />
                   </button>
+                  <Unplayed text={notPlayed(acts[act], start, end)} />
                 </th>
                 <td class="number">{clock(start)}</td>
                 <td class="number">{duration(end - start)}</td>
@@ -56,4 +59,8 @@ export function Cues() {
       )}
     </Limited>
   );
+}
+
+function Unplayed({ text }: { text: string }) {
+  return text === "" ? null : <small class="warn-text">⊘ {text}</small>;
 }

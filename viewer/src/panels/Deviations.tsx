@@ -54,7 +54,7 @@ export function Deviations() {
                     </button>
                   </td>
                   <th scope="row">
-                    <Name text={`${deviation.track.robot.id} / ${deviation.track.device.id}`} />
+                    <Name text={`${deviation.track.robot.id} / ${deviation.track.name}`} />
                   </th>
                   <td>{deviation.kind}</td>
                   <td class="number">

@@ -1,4 +1,5 @@
 // What happened, in order of time.
+import { nameOfAct } from "../data/fate";
 import { seekAndShow } from "../state/moves";
 import { useSession } from "../state/session";
 import { Name } from "../text/Name";
@@ -17,7 +18,7 @@ export function Events() {
   const session = useSession();
   const { events, acts } = session.show.mission;
   const entries: Entry[] = [
-    ...phasesOf(session.show).map(({ at, act, name }) => ({ at, text: `${acts[act].name}: ${name}`, failure: false })),
+    ...phasesOf(session.show).map(({ at, act, name }) => ({ at, text: `${nameOfAct(acts[act])}: ${name}`, failure: false })),
     ...events.map((event) => ({ at: event.at, text: describeEvent(session.show, event), failure: isFailure(event) })),
   ].sort((a, b) => a.at - b.at);
   if (entries.length === 0) return <p>No events are known.</p>;

@@ -14,7 +14,7 @@ const KINDS = { dry_run: "dry run", recording: "recording", journal: "journal" }
 export function Header() {
   const session = useSession();
   const theme = useCell(session.theme);
-  const { scenario, kind, report } = session.show.mission;
+  const { scenario, kind, report, cut_off } = session.show.mission;
   return (
     <header>
       <h1>
@@ -22,7 +22,7 @@ export function Header() {
       </h1>
       <span class="badge">{KINDS[kind]}</span>
       {report !== null && (
-        <span class={`badge ${outcomeText(report) === "done" ? "good" : "bad"}`}>
+        <span class={`badge ${report.outcome === "done" ? "good" : report.outcome === null ? "" : "bad"}`}>
           <Name text={outcomeText(report)} />
         </span>
       )}
@@ -38,6 +38,11 @@ export function Header() {
       <Tool label="Keys and help (?)" press={() => (session.help.value = true)}>
         ?
       </Tool>
+      {typeof cut_off === "string" && cut_off !== "" && (
+        <p class="cut-off">
+          ⚠ not whole: <Name text={cut_off} />
+        </p>
+      )}
     </header>
   );
 }

@@ -34,5 +34,5 @@ function describe(session: Session): string {
   if (track === null) return clock(at);
   const cue = session.show.cueAt(track.robotIndex, at);
   const where = cue === null ? "" : `, cue ${cue.cue.name}`;
-  return visible(`${clock(at)}, ${track.robot.id} ${track.device.id}: ${describeReading(track, track.at(at))}${where}`);
+  return visible(`${clock(at)}, ${track.robot.id} ${track.name}: ${describeReading(track, track.at(at))}${where}`);
 }

@@ -1,7 +1,9 @@
 // How the mission went, in the digits of the report.
-import type { Report } from "../mission";
+import { nameOfAct } from "../data/fate";
+import type { Mission, Report, ReportedFailure } from "../mission";
 import { useSession } from "../state/session";
 import { digits } from "../text/digits";
+import { courseText, fateText } from "../text/fate";
 import { Name } from "../text/Name";
 import { clock, duration } from "../text/time";
 import { outcomeText } from "./outcome";
@@ -36,14 +38,14 @@ export function Summary() {
         </dd>
       </dl>
       {report !== null && report.failures.length > 0 && <Failures report={report} />}
-      {report !== null && <Robots report={report} />}
-      {report !== null && <Acts report={report} />}
+      {report !== null && report.robots.length > 0 && <Robots report={report} />}
+      <Acts />
     </>
   );
 }
 
 function Outcome({ report }: { report: Report }) {
-  const details = typeof report.outcome === "string" ? "" : JSON.stringify(Object.values(report.outcome)[0]);
+  const details = typeof report.outcome !== "object" || report.outcome === null ? "" : JSON.stringify(Object.values(report.outcome)[0]);
   return (
     <>
       <dt>outcome</dt>
@@ -64,14 +66,18 @@ function Outcome({ report }: { report: Report }) {
 
 const inMs = (value: number | null) => (value === null ? "–" : `${digits(value)} ms`);
 
+function reasonOf({ text, error, failure }: ReportedFailure): string {
+  return text || error || failure.replaceAll("_", " ") || "why is not known";
+}
+
 function Failures({ report }: { report: Report }) {
   return (
     <>
       <h2>Failures</h2>
       <ul>
-        {report.failures.map(({ robot, device, message }, i) => (
+        {report.failures.map((failure, i) => (
           <li key={i} class="error-text">
-            ✕ <Name text={[robot, device].filter(Boolean).join(" / ")} /> <Name text={message ?? ""} />
+            ✕ <Name text={[failure.robot, failure.device].filter(Boolean).join(" / ")} /> <Name text={reasonOf(failure)} />
           </li>
         ))}
       </ul>
@@ -101,14 +107,14 @@ function Robots({ report }: { report: Report }) {
               <Name text={robot.robot} />
             </th>
             <td>
-              <Name text={robot.standing} />
+              <Name text={robot.standing || "–"} />
             </td>
             <td class="number">{inMs(robot.start_error_ms)}</td>
             <td class="number">
               {digits(robot.steps_done)}/{digits(robot.steps_planned)}
             </td>
-            <td class={robot.late_steps > 0 ? "number warn-text" : "number"}>
-              {robot.late_steps > 0 && "⚠ "}
+            <td class={(robot.late_steps ?? 0) > 0 ? "number warn-text" : "number"}>
+              {(robot.late_steps ?? 0) > 0 && "⚠ "}
               {digits(robot.late_steps)}
             </td>
             <td class="number">{inMs(robot.clock?.offset_ms ?? null)}</td>
@@ -120,25 +126,67 @@ function Robots({ report }: { report: Report }) {
   );
 }
 
-function Acts({ report }: { report: Report }) {
+interface ActRow {
+  name: string;
+  fate: string;
+  spread: number | null;
+  robots: number | null;
+}
+
+/** Acts as they were sent, then those of the scenario that were not, or not any more. */
+function rowsOf({ acts, report }: Mission & { report: Report | null }): ActRow[] {
+  const fateOf = new Map(acts.map((act) => [act.number, act.fate === undefined ? "–" : fateText(act)]));
+  const reported = report?.acts ?? [];
+  const sent = reported.map(({ act, number, spread_ms, robots }) => ({
+    name: act || (number === null ? "act" : nameOfAct({ name: "", number })),
+    fate: (number === null ? undefined : fateOf.get(number)) ?? "–",
+    spread: spread_ms,
+    robots: robots.filter((robot) => !robot.left_out).length,
+  }));
+  const numbers = new Set(reported.map(({ number }) => number));
+  const unreported = acts
+    .filter(({ number }) => !numbers.has(number))
+    .map((act) => ({
+      name: nameOfAct(act),
+      fate: act.fate === undefined ? "–" : fateText(act),
+      spread: null,
+      robots: act.robots.filter((robot) => !robot.left_out).length,
+    }));
+  const known = new Set([...acts.map(({ name }) => name), ...reported.map(({ act }) => act)]);
+  const skipped = (report?.course ?? [])
+    .filter(({ act, fate }) => !(known.has(act) && SENT.has(fate)))
+    .map((act) => ({ name: act.act || "act", fate: courseText(act), spread: null, robots: null }));
+  return [...sent, ...unreported, ...skipped];
+}
+
+/** What these became is told where they were played. */
+const SENT = new Set(["played", "stopped", "withdrawn", "unknown"]);
+
+function Acts() {
+  const rows = rowsOf(useSession().show.mission);
+  if (rows.length === 0) return null;
   return (
-    <table>
+    <table id="acts">
       <caption>Acts</caption>
       <thead>
         <tr>
           <th>act</th>
+          <th>what became of it</th>
           <th class="number">spread</th>
           <th class="number">robots</th>
         </tr>
       </thead>
       <tbody>
-        {report.acts.map((act, i) => (
+        {rows.map((act, i) => (
           <tr key={i}>
             <th scope="row">
-              <Name text={act.act} />
+              <Name text={act.name} />
             </th>
-            <td class="number">{inMs(act.spread_ms)}</td>
-            <td class="number">{act.robots.filter((robot) => !robot.left_out).length}</td>
+            <td>
+              <Name text={act.fate} />
+            </td>
+            <td class="number">{inMs(act.spread)}</td>
+            <td class="number">{digits(act.robots)}</td>
           </tr>
         ))}
       </tbody>

@@ -45,7 +45,7 @@ function ValuesOf({ show, track, at }: { show: Show; track: Track; at: number })
   return (
     <tr>
       <th scope="row">
-        <Name text={`${track.robot.id} / ${track.device.id}`} />
+        <Name text={`${track.robot.id} / ${track.name}`} />
       </th>
       <td class="number" title={describeReading(track, reading)}>
         <Name text={valueOf(track, reading)} />
@@ -59,7 +59,7 @@ function ValuesOf({ show, track, at }: { show: Show; track: Track; at: number })
   );
 }
 
-const NOTES = { moving: "", held: " (held)", default: " (default)", first: " (not known)", unknown: "not known" };
+const NOTES = { moving: "", held: " (held)", unplayed: " (not played)", default: " (default)", first: " (not known)", unknown: "not known" };
 
 function latest(observed: Observed[], at: number): number | null {
   let found: { time: number; value: number } | null = null;

@@ -3,6 +3,7 @@ import type { Report } from "../mission";
 
 /** An outcome with details is an object with one key. */
 export function outcomeText({ outcome }: Report): string {
+  if (outcome === null) return "its end is not known";
   const name = typeof outcome === "string" ? outcome : (Object.keys(outcome)[0] ?? "");
   return name.replaceAll("_", " ");
 }

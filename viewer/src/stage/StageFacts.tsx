@@ -1,4 +1,5 @@
 // The stage as text: who is closest now, who is closest in the act, and of whom the place is not known.
+import { playedUntil } from "../data/fate";
 import type { Show } from "../data/show";
 import { useCell } from "../state/cell";
 import { seekAndShow } from "../state/moves";
@@ -53,6 +54,7 @@ function ClosestOfAct({ at }: { at: number }) {
       onClick={() => seekAndShow(session, played.start + closest.at)}
     >
       closest in this act: <Name text={names} /> {closest.distance.toFixed(3)} m at {clock(played.start + closest.at)}
+      {played.start + closest.at > playedUntil(played) && " (planned, not played)"}
     </button>
   );
 }

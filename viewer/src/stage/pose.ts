@@ -2,6 +2,7 @@
 import type { Body, Coordinate } from "../mission";
 import type { Show } from "../data/show";
 import type { Position } from "../data/track";
+import { clock } from "../text/time";
 import { place, rolled, scaled, shifted, turned, within, type Frame, type Point } from "./space";
 
 export interface Pose {
@@ -64,6 +65,7 @@ function valueOf(show: Show, robot: number, { device, scale, offset }: Coordinat
 
 function doubtOf(reading: Position | null): string | null {
   if (reading === null) return "is not known";
+  if (reading.stopped !== null) return `is not known since its act was over at ${clock(reading.stopped)}: shown where it was then`;
   if (reading.driven !== null) return `is driven by ${reading.driven}: shown where it was last known`;
   if (reading.known === "unknown") return "is not known";
   return reading.known === "first" ? "is not known before its first step" : null;

@@ -82,7 +82,7 @@ function shownRobots(show: Show, filter: Filter): { robot: number; tracks: reado
     if (robots !== null && !robots.has(robot)) return [];
     const all = show.tracksOf[robot];
     if (text === "" || named.has(robot) || id.toLowerCase().includes(text)) return [{ robot, tracks: all }];
-    const tracks = all.filter((track) => `${id}/${track.device.id}`.toLowerCase().includes(text));
+    const tracks = all.filter((track) => `${id}/${track.name}`.toLowerCase().includes(text));
     return tracks.length > 0 ? [{ robot, tracks }] : [];
   });
 }

@@ -5,6 +5,7 @@ import { digits, rounded, withUnit } from "./digits";
 const WHY: Record<Reading["known"], string> = {
   moving: "",
   held: "",
+  unplayed: " (planned, not played)",
   default: " (default)",
   first: " (not known; its first step)",
   unknown: "not known",
@@ -32,7 +33,8 @@ function exactly(track: Track, { segment, step, value }: Reading): boolean {
 function unitOf(track: Track, { segment }: Reading): string {
   const { unit } = track.device;
   const control = segment?.lane.control ?? "position";
-  if (control === "speed") return unit === "" ? "" : `${unit}/s`;
-  if (control === "acceleration") return unit === "" ? "" : `${unit}/s²`;
+  // Of a second or third value, the control has its number behind it.
+  if (control.startsWith("speed")) return unit === "" ? "" : `${unit}/s`;
+  if (control.startsWith("acceleration")) return unit === "" ? "" : `${unit}/s²`;
   return unit;
 }

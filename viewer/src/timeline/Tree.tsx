@@ -94,7 +94,7 @@ function RowName({ row, index, session }: RowNameProps) {
           <span class="box" aria-hidden="true">
             {chosen ? "☑" : "☐"}
           </span>
-          <Name text={row.track.device.id} />
+          <Name text={row.track.name} />
           <small>
             <Name text={row.track.device.unit} />
           </small>

@@ -1,5 +1,7 @@
-// Cues as bars: their name, their slack as a lighter extension, and a heavy edge with a mark where there is none.
+// Cues as bars: their name, their slack as a lighter extension, and a heavy edge with a mark where there is none. What was not played is
+// an empty bar with dashes around it.
 import { FONT } from "../canvas/palette";
+import { hatch } from "../canvas/hatch";
 import { fitText } from "../canvas/text";
 import type { Sheet } from "../canvas/useCanvas";
 import type { PlacedCue } from "../data/show";
@@ -8,6 +10,8 @@ import type { Scale } from "./scale";
 export interface CueStyle {
   selected: number | null;
   findings: ReadonlyMap<number, string>;
+  /** Whether the robot in whose row the bar is was left out. */
+  leftOut?: (placed: PlacedCue) => boolean;
 }
 
 export function drawCue(sheet: Sheet, scale: Scale, placed: PlacedCue, top: number, height: number, style: CueStyle): void {
@@ -17,19 +21,39 @@ export function drawCue(sheet: Sheet, scale: Scale, placed: PlacedCue, top: numb
   const slackEnd = Math.min(scale.x(placed.end + placed.cue.slack), width + 4);
   if (slackEnd < -3 || left > width) return;
   const critical = placed.cue.critical;
+  const leftOut = style.leftOut?.(placed) ?? false;
+  const played = leftOut ? left : Math.max(left, Math.min(right, scale.x(placed.playedUntil)));
   drawSlack(sheet, right, slackEnd, top, height);
-  context.fillStyle = palette.cue;
   context.strokeStyle = critical ? palette.critical : palette.accent;
-  context.beginPath();
-  context.roundRect(left + 0.5, top + 2.5, Math.max(2, right - left - 1), height - 5, 3);
-  context.fill();
-  context.stroke();
+  if (played < right) drawUnplayed(sheet, left, played, right, top, height);
+  if (played > left) {
+    context.fillStyle = palette.cue;
+    context.beginPath();
+    context.roundRect(left + 0.5, top + 2.5, Math.max(2, played - left - 1), height - 5, 3);
+    context.fill();
+    context.stroke();
+  }
   if (critical) {
     context.fillStyle = palette.critical;
     context.fillRect(left, top + 2, Math.min(3, right - left), height - 4);
   }
   if (placed.index === style.selected) outline(sheet, left, right, top, height);
-  drawLabel(sheet, placed, left, right, top + height / 2, style.findings.get(placed.index));
+  drawLabel(sheet, placed, left, right, top + height / 2, style.findings.get(placed.index), markOf(leftOut, played <= left && scale.x(placed.playedUntil) <= left));
+}
+
+/** Before the name, so that it does not depend on colours and lines. */
+function markOf(leftOut: boolean, unplayed: boolean): string {
+  return leftOut ? "⊘ left out: " : unplayed ? "⊘ not played: " : "";
+}
+
+/** The whole bar as an empty one, and slanted lines in what was not played. */
+function drawUnplayed({ context, palette }: Sheet, left: number, from: number, right: number, top: number, height: number): void {
+  hatch(context, palette.slack, from, top + 3, right - from, height - 6);
+  context.setLineDash([3, 3]);
+  context.beginPath();
+  context.roundRect(left + 0.5, top + 2.5, Math.max(2, right - left - 1), height - 5, 3);
+  context.stroke();
+  context.setLineDash([]);
 }
 
 function drawSlack({ context, palette }: Sheet, from: number, to: number, top: number, height: number): void {
@@ -54,6 +78,7 @@ function drawLabel(
   right: number,
   y: number,
   codes: string | undefined,
+  mark: string,
 ): void {
   context.font = FONT;
   context.textBaseline = "middle";
@@ -65,7 +90,7 @@ function drawLabel(
   }
   context.fillStyle = palette.cueText;
   const critical = placed.cue.critical ? "◆ " : "";
-  fitText(context, `${critical}${codes === undefined ? "" : `${codes} `}${placed.cue.name}`, x, y + 0.5, right - x - 3);
+  fitText(context, `${mark}${critical}${codes === undefined ? "" : `${codes} `}${placed.cue.name}`, x, y + 0.5, right - x - 3);
 }
 
 function warning(context: CanvasRenderingContext2D, x: number, y: number): void {

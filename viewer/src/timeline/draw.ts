@@ -1,6 +1,6 @@
 // The whole picture of the timeline: only rows in sight are drawn.
 import type { Sheet } from "../canvas/useCanvas";
-import type { Show } from "../data/show";
+import type { PlacedCue, Show } from "../data/show";
 import type { Session } from "../state/session";
 import type { Row } from "../state/rows";
 import { niceTime } from "../text/time";
@@ -37,7 +37,8 @@ function drawRow(sheet: Sheet, scale: Scale, session: Session, row: Row, top: nu
   if (row.kind === "cues") for (const placed of row.cues) drawCue(sheet, scale, placed, top, row.height, style);
   if (row.kind === "lane") drawLane(sheet, scale, row.track, top, row.height, session.chosen.value.includes(row.track));
   if (row.kind === "robot") {
-    for (const placed of row.cues) drawCue(sheet, scale, placed, top + 2, 22, style);
+    const leftOut = (placed: PlacedCue) => session.show.isLeftOut(row.robot, placed.act);
+    for (const placed of row.cues) drawCue(sheet, scale, placed, top + 2, 22, { ...style, leftOut });
     drawStarts(sheet, scale, session.show, row.robot, top + row.height - 1);
     if (row.folded) drawSummary(sheet, scale, row.tracks, top + 23, row.height - 23);
   }

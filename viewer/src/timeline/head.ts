@@ -1,8 +1,11 @@
 // What stays at the top of the timeline while the lanes scroll: the axis, the acts, their phases, and events.
 import type { Sheet } from "../canvas/useCanvas";
 import { FONT, MONO } from "../canvas/palette";
+import { hatch } from "../canvas/hatch";
 import { fitText } from "../canvas/text";
+import { nameOfAct, playedUntil } from "../data/fate";
 import type { Show } from "../data/show";
+import { fateText } from "../text/fate";
 import { duration, niceTime } from "../text/time";
 import { drawEvents } from "./events";
 import { drawPhases } from "./phases";
@@ -67,10 +70,15 @@ function drawActs({ context, palette, width }: Sheet, scale: Scale, show: Show):
     context.strokeStyle = palette.accent;
     context.beginPath();
     context.roundRect(left + 0.5, BAND_TOP.acts + 3.5, Math.max(2, right - left - 1), BAND.acts - 8, 3);
+    context.setLineDash(act.fate === "withdrawn" ? [3, 3] : []);
     context.fill();
     context.stroke();
+    context.setLineDash([]);
+    const played = Math.max(left, Math.min(right, scale.x(playedUntil(act))));
+    hatch(context, palette.line, played, BAND_TOP.acts + 4, right - played, BAND.acts - 9);
     context.fillStyle = palette.text;
-    const name = act.name === "" ? `act ${act.number + 1}` : act.name;
+    const ended = act.fate === undefined || act.fate === "played" ? "" : `: ${fateText(act)}`;
+    const name = `${nameOfAct(act)}${ended}`;
     const waits = show.planOf(act)?.waits ?? "";
     fitText(
       context,

@@ -8,7 +8,8 @@ import { phasesOf, type Phase } from "./phases";
 import { scaleOf, type Scale } from "./scale";
 
 export type Hit =
-  | { kind: "cue"; placed: PlacedCue; ms: number }
+  | { kind: "cue"; placed: PlacedCue; row: Row; ms: number }
+  | { kind: "act"; act: number; ms: number }
   | { kind: "row"; row: Row; index: number; ms: number }
   | { kind: "phase"; phase: Phase; ms: number }
   | { kind: "event"; event: MissionEvent; ms: number }
@@ -26,7 +27,7 @@ export function hit(session: Session, width: number, x: number, y: number, scrol
   const row = session.rows.value[index];
   if (row === undefined) return { kind: "nothing", ms };
   const placed = row.kind === "lane" ? null : cueIn(row, scale, x, at - row.top);
-  return placed === null ? { kind: "row", row, index, ms } : { kind: "cue", placed, ms };
+  return placed === null ? { kind: "row", row, index, ms } : { kind: "cue", placed, row, ms };
 }
 
 function cueIn(row: Exclude<Row, { kind: "lane" }>, scale: Scale, x: number, y: number): PlacedCue | null {
@@ -49,6 +50,10 @@ function hitHead(session: Session, scale: Scale, x: number, y: number): Hit {
   } else if (y >= BAND_TOP.phases) {
     const phase = nearest(phasesOf(session.show));
     if (phase !== undefined) return { kind: "phase", phase, ms };
+  } else if (y >= BAND_TOP.acts) {
+    const { acts } = session.show.mission;
+    const act = acts.findIndex(({ start, end }) => start <= ms && ms <= end);
+    if (act >= 0) return { kind: "act", act, ms };
   }
   return { kind: "nothing", ms };
 }

@@ -1,4 +1,4 @@
-// Planned movement of devices, one lane each, and all of a folded robot in one.
+// Planned movement of devices, one lane each, and all of a folded robot in one. What was not played is broken into dashes.
 import { fillEnvelope, makeEnvelope, type Envelope } from "../data/envelope";
 import type { Track } from "../data/track";
 import type { Sheet } from "../canvas/useCanvas";
@@ -28,6 +28,10 @@ export function drawSummary(sheet: Sheet, scale: Scale, tracks: readonly Track[]
   context.globalAlpha = 1;
 }
 
+/** Pixels of a dash and of the gap behind it. */
+const DASH = 3;
+const isGap = (x: number) => x % (2 * DASH) >= DASH;
+
 function drawColumns(
   context: CanvasRenderingContext2D,
   scale: Scale,
@@ -45,7 +49,7 @@ function drawColumns(
   const base = high > low ? top + height : top + height / 2;
   context.beginPath();
   for (let x = 0; x < columns; x++) {
-    if (Number.isNaN(envelope.low[x])) continue;
+    if (Number.isNaN(envelope.low[x]) || (envelope.unplayed[x] === 1 && isGap(x * wide))) continue;
     const bottom = base - (envelope.low[x] - low) * perUnit;
     const size = (envelope.high[x] - envelope.low[x]) * perUnit + 1.5;
     context.rect(x * wide, bottom - size, wide, size);

@@ -24,7 +24,12 @@ const NAMES: { key: keyof Played; letter: string; name: string }[] = [
 
 export function phasesOf(show: Show): Phase[] {
   return show.mission.acts
-    .flatMap((act, index) => NAMES.map(({ key, letter, name }) => ({ act: index, at: act[key], letter, name })))
+    .flatMap((act, index) => NAMES.map(({ key, letter, name }) => ({
+        act: index,
+        at: act[key],
+        letter,
+        name: key === "start" && act.fate === "withdrawn" ? "planned start" : name,
+      })))
     .filter((phase): phase is Phase => typeof phase.at === "number")
     .sort((a, b) => a.at - b.at);
 }
