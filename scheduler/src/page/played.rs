@@ -13,7 +13,7 @@ use super::fate::{self, Fate};
 use super::planned::Places;
 use crate::dry_run::{self, act_of};
 use crate::mission::Progress;
-use crate::report::{ActReport, Report};
+use crate::report::{ActReport, ActRobot, Report};
 
 /// What the operator was told, and when.
 pub type Told = (Timestamp<Server>, Progress);
@@ -102,23 +102,25 @@ fn robots(
     told: &[(Timestamp<Server>, Value)],
     (places, epoch): (&Places, Epoch),
 ) -> Vec<PlayedRobot> {
-    let robot = |of_act: &crate::report::ActRobot| {
+    let robot = |of_act: &ActRobot| {
         Some(PlayedRobot {
             robot: places.robot(&of_act.robot)?,
             left_out: of_act.left_out,
-            started: first_set(act.number, played.log_of(&of_act.robot)?).map(|at| epoch.millis(at)),
+            started: started(act.number, of_act, played.log_of(&of_act.robot)?).map(|at| epoch.millis(at)),
             ended: finished(told, &of_act.robot, act.number).map(|at| epoch.millis(at)),
         })
     };
     act.robots.iter().filter_map(robot).collect()
 }
 
-/// When a robot set the first value of an act, in true time.
-fn first_set(number: u32, log: &[LogEntry]) -> Option<Timestamp<Server>> {
+/// When the first script of a robot really started, in true time: its first step comes a while after that.
+fn started(number: u32, robot: &ActRobot, log: &[LogEntry]) -> Option<Timestamp<Server>> {
     let of_act = |entry: &&LogEntry| {
         entry.motion == "set" && entry.request_id.as_deref().and_then(act_of) == Some(number)
     };
-    log.iter().find(of_act).map(|entry| Timestamp::from_nanos(entry.true_ns))
+    let first = log.iter().find(of_act)?;
+    let script = robot.devices.iter().find(|script| script.device == first.device)?;
+    Some(Timestamp::from_nanos(first.true_ns) - script.first_step)
 }
 
 /// When a robot was told to have ended all its scripts of an act.
