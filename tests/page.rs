@@ -131,6 +131,23 @@ fn an_act_that_is_played_alone_has_its_own_lines() {
 }
 
 #[test]
+fn a_body_that_is_driven_by_speed_moves_on_the_page() {
+    let (_folder, path) = in_folder("meeting.html");
+    downbeat(&["dry-run", "scripts/examples/meeting.yaml", "--html", &path]).says(0, &[]);
+    let page = Page::read(Path::new(&path));
+    let robots = page.mission["robots"].as_array().unwrap();
+    let rover = robots.iter().find(|robot| robot["id"] == "rover-1").unwrap();
+    let driven = rover["devices"][rover["body"]["x"]["device"].as_u64().unwrap() as usize].clone();
+    assert_eq!((&driven["id"], &driven["default"]), (&"x of its drive".into(), &0.0.into()));
+    let x = page.steps("rover-1", "x of its drive");
+    let y = page.steps("rover-1", "y of its drive");
+    // It starts at (0, -4), comes 1.5 m closer and goes back.
+    assert_eq!((x[0], y[0]), ((0.0, 0.0), (0.0, -4.0)));
+    assert!(x.len() < 200 && x.windows(2).all(|pair| pair[0].0 <= pair[1].0), "{x:?}");
+    assert!(x.iter().any(|(_, x)| *x > 0.5), "{x:?}");
+}
+
+#[test]
 fn the_same_seed_gives_the_same_page() {
     let (folder, _) = in_folder("");
     let page = |name: &str, seed: &str| {

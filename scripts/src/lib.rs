@@ -77,7 +77,8 @@ pub use scenario::{fleet_named_by, parse_time};
 pub use schema::{Schema, schema};
 pub use source::Source;
 pub use space::{
-    Body, BodyUse, Closest, Coordinate, Drive, InSpace, Joint, JointKind, Shape, Space, Steering, Volume,
+    Body, BodyUse, Closest, Coordinate, Drive, DrivenPath, DrivenPoint, InSpace, Joint, JointKind, Shape,
+    Space, Steering, Volume,
 };
 
 /// Words for messages, shared with the program.

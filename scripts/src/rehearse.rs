@@ -29,6 +29,7 @@ impl Choreography {
             // Where the others stand is not known.
             act.in_space.closest = None;
             act.in_space.bodies.retain(|body| robots.contains(&body.robot));
+            act.in_space.driven.retain(|path| robots.contains(&path.robot));
         }
         Ok(self)
     }
@@ -70,6 +71,9 @@ fn stretch_act(act: &mut Act, speed: f64, fleet: &Fleet, faults: &mut Vec<String
     }
     if let Some(closest) = &mut act.in_space.closest {
         closest.at = at(closest.at);
+    }
+    for point in act.in_space.driven.iter_mut().flat_map(|path| &mut path.points) {
+        point.at = at(point.at);
     }
     for used in &mut act.in_space.bodies {
         (used.speed, used.acceleration) = (used.speed * speed, used.acceleration * speed * speed);

@@ -4,7 +4,7 @@ use std::collections::HashMap;
 
 use downbeat_scripts as scripts;
 use downbeat_scripts::{
-    Choreography, Fleet, FleetRobot, JointKind, Outline, SensorRange, Severity, Steering, Wait, WrittenCue,
+    Choreography, DrivenPath, Fleet, FleetRobot, JointKind, Outline, SensorRange, Severity, Wait, WrittenCue,
 };
 use urrcp::{ControlType, DeviceId, Interpolation, RobotId};
 
@@ -17,7 +17,7 @@ use super::document::{
 #[derive(Debug, Default)]
 pub(super) struct Places {
     robots: HashMap<RobotId, usize>,
-    devices: HashMap<(usize, DeviceId), usize>,
+    devices: HashMap<(usize, String), usize>,
 }
 
 impl Places {
@@ -26,22 +26,27 @@ impl Places {
     }
 
     pub(super) fn device(&self, robot: usize, id: &DeviceId) -> Option<usize> {
-        self.devices.get(&(robot, id.clone())).copied()
+        self.named(robot, id.as_str())
+    }
+
+    pub(super) fn named(&self, robot: usize, device: &str) -> Option<usize> {
+        self.devices.get(&(robot, device.to_owned())).copied()
     }
 
     /// The next robot, and its devices.
-    pub(super) fn add<'a>(&mut self, id: &RobotId, devices: impl Iterator<Item = &'a DeviceId>) {
+    pub(super) fn add(&mut self, id: &RobotId, devices: impl Iterator<Item = String>) {
         let robot = self.robots.len();
         self.robots.insert(id.clone(), robot);
-        self.devices.extend(devices.enumerate().map(|(index, device)| ((robot, device.clone()), index)));
+        self.devices.extend(devices.enumerate().map(|(index, device)| ((robot, device), index)));
     }
 }
 
 pub(super) fn places(robots: &[&FleetRobot]) -> Places {
     let mut places = Places::default();
     for robot in robots {
-        let devices = robot.init.iter().flat_map(|init| &init.devices);
-        places.add(&robot.id, devices.map(|device| &device.id));
+        let devices = robot.init.iter().flat_map(|init| &init.devices).map(|device| device.id.to_string());
+        let driven = driven(robot).into_iter().map(|device| device.id);
+        places.add(&robot.id, devices.chain(driven));
     }
     places
 }
@@ -49,10 +54,56 @@ pub(super) fn places(robots: &[&FleetRobot]) -> Places {
 pub(super) fn robots(robots: &[&FleetRobot], places: &Places) -> Vec<Robot> {
     let robot = |(index, robot): (usize, &&FleetRobot)| Robot {
         id: robot.id.to_string(),
-        devices: robot.init.iter().flat_map(|init| &init.devices).map(device).collect(),
+        devices: robot.init.iter().flat_map(|init| &init.devices).map(device).chain(driven(robot)).collect(),
         body: robot.body.as_ref().map(|body| self::body(body, index, places)),
     };
     robots.iter().enumerate().map(robot).collect()
+}
+
+/// What the page shows of a body that is driven by speeds as if it had devices for it: names and units.
+const DRIVEN: [(&str, &str); 3] =
+    [("x of its drive", "m"), ("y of its drive", "m"), ("yaw of its drive", "rad")];
+
+fn driven(robot: &FleetRobot) -> Vec<Device> {
+    let Some(drive) = robot.body.as_ref().and_then(|body| body.drive.as_ref()) else { return Vec::new() };
+    let device = |((name, unit), start): ((&str, &str), f64)| Device {
+        id: name.to_owned(),
+        unit: unit.to_owned(),
+        interpolation: "linear",
+        granularity: None,
+        min: None,
+        max: None,
+        default: Some(start),
+        sensor: false,
+    };
+    DRIVEN.into_iter().zip(drive.start).map(device).collect()
+}
+
+fn driven_lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) -> Vec<Lane> {
+    let mut lanes = Vec::new();
+    for path in &act.in_space.driven {
+        let Some(robot) = places.robot(&path.robot) else { continue };
+        for (index, (name, _)) in DRIVEN.into_iter().enumerate() {
+            let Some(device) = places.named(robot, name) else { continue };
+            let points =
+                path.points.iter().map(|point| (point.at.as_millis_f64(), rounded(point.pose[index])));
+            lanes.push(Lane {
+                robot,
+                device,
+                control: "position".to_owned(),
+                value: 0,
+                worst_error: DrivenPath::DRAWN,
+                worst_at: 0.0,
+                scripts: vec![Script { start: 0.0, steps: columns.series(&points.collect()) }],
+            });
+        }
+    }
+    lanes
+}
+
+/// To a tenth of a millimetre: a small part of what the path is off anyway.
+fn rounded(value: f64) -> f64 {
+    (value * 1e4).round() / 1e4
 }
 
 pub(super) fn groups(fleet: &Fleet, places: &Places) -> Vec<Group> {
@@ -84,10 +135,9 @@ pub(super) fn device(device: &urrcp::Device) -> Device {
 fn body(body: &scripts::Body, robot: usize, places: &Places) -> Body {
     let coordinate = |coordinate: &scripts::Coordinate| self::coordinate(coordinate, robot, places);
     let [mut x, mut y, z, mut yaw] = body.coordinates.each_ref().map(coordinate);
-    if let Some(drive) = &body.drive {
-        // The page does not integrate speeds: it shows where the body began, and that it is not there any more.
-        let device = coordinate(driven_by(&drive.steering)).device;
-        [x, y, yaw] = drive.start.map(|offset| Coordinate { device, scale: 0.0, offset });
+    if body.drive.is_some() {
+        let driven = DRIVEN.map(|(name, ..)| places.named(robot, name));
+        [x, y, yaw] = driven.map(|device| Coordinate { device, scale: 1.0, offset: 0.0 });
     }
     let shape = match body.shape {
         scripts::Shape::Box { size } => Shape::Box(size),
@@ -116,14 +166,6 @@ fn tip(xyz: [f64; 3], radius: f64) -> Joint {
     let value = Coordinate { device: None, scale: 0.0, offset: 0.0 };
     let (rpy, axis) = ([0.0; 3], [0.0, 0.0, 1.0]);
     Joint { name: "tip".to_owned(), kind: "fixed", xyz, rpy, axis, value, radius }
-}
-
-const fn driven_by(steering: &Steering) -> &scripts::Coordinate {
-    match steering {
-        Steering::Twist { speed, .. } => speed,
-        Steering::Wheels { left, .. } => left,
-        _ => &scripts::Coordinate::Fixed(0.0),
-    }
 }
 
 fn coordinate(coordinate: &scripts::Coordinate, robot: usize, places: &Places) -> Coordinate {
@@ -212,6 +254,7 @@ fn lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) -> Vec<Lane
             }
         }
     }
+    lanes.append(&mut driven_lanes(act, places, columns));
     lanes
 }
 

@@ -50,7 +50,7 @@ impl History {
         let described: Vec<Described> = self.robots.iter().map(Described::of).collect();
         let mut places = Places::default();
         for robot in &described {
-            places.add(&robot.id, robot.devices.iter().map(|(id, _)| id));
+            places.add(&robot.id, robot.devices.iter().map(|(id, _)| id.to_string()));
         }
         let epoch = self.epoch();
         let sent: Vec<Sent> = self.of_kind("prepared").filter_map(|(_, record)| Sent::of(record)).collect();

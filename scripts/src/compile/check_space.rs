@@ -14,10 +14,12 @@ use crate::plan::{DeviceUse, RobotPlan};
 use crate::render::counted;
 use crate::scenario::Act;
 use crate::space::{
-    Body, BodyUse, Closest, DUST, InSpace, Mover, Path, Peak, Solid, closest, depth, first_contact,
-    furthest_out,
+    Body, BodyUse, Closest, DUST, DrivenPath, DrivenPoint, InSpace, Knot, Mover, Path, Peak, Solid, closest,
+    depth, first_contact, furthest_out,
 };
 
+/// Knots in a row that a drawn path leaves out, at most.
+const LEFT_OUT_MAX: usize = 200;
 /// Metres by which two balls may seem closer than they are.
 const ROUNDING: f64 = 1e-9;
 
@@ -66,6 +68,9 @@ pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> (InSpace, Poses
         if path.known_from() > 0.0 && scripts.plays(stage.cast.id(robot)) {
             unknown.push((robot, Some(path.known_from())));
         }
+        if body.drive.is_some() {
+            in_space.driven.push(DrivenPath { robot: stage.cast.id(robot).clone(), points: drawn(&path) });
+        }
         paths.push((robot, path, Solid::of(body, course.margin)));
     }
     if fleet.space.is_checked() {
@@ -78,6 +83,34 @@ pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> (InSpace, Poses
     volumes(findings, stage, &cues, &movers, (ends, depth));
     in_space.closest = pairs(findings, stage, &cues, &movers);
     (in_space, left)
+}
+
+/// As few knots as draw the path: one is left out as long as the line that replaces it is close to all that are left out.
+fn drawn(path: &Path) -> Vec<DrivenPoint> {
+    let pose = |knot: &Knot| [knot.place.base[0], knot.place.base[1], knot.place.base[3]];
+    let point = |knot: &Knot| DrivenPoint { at: span(knot.at), pose: pose(knot) };
+    let close = |from: &Knot, to: &Knot, left_out: &Knot| {
+        let share = if to.at > from.at { (left_out.at - from.at) / (to.at - from.at) } else { 0.0 };
+        let off = |i: usize| {
+            let (from, to) = (pose(from)[i], pose(to)[i]);
+            (from + share * (to - from) - pose(left_out)[i]).abs()
+        };
+        (0..3).all(|i| off(i) <= DrivenPath::DRAWN)
+    };
+    let knots = path.knots();
+    let mut points: Vec<DrivenPoint> = knots.first().map(point).into_iter().collect();
+    let mut kept = 0;
+    for next in 2..knots.len() {
+        let left_out = &knots[kept + 1..next];
+        if left_out.len() >= LEFT_OUT_MAX
+            || !left_out.iter().all(|knot| close(&knots[kept], &knots[next], knot))
+        {
+            kept = next - 1;
+            points.push(point(&knots[kept]));
+        }
+    }
+    points.extend(knots.iter().skip(1).last().map(point));
+    points
 }
 
 impl Stage<'_> {

@@ -23,7 +23,7 @@ use urrcp::{DeviceId, RobotId, Span};
 
 pub(crate) use closest::{Mover, closest, depth, first_contact};
 pub(crate) use drive::Pose;
-pub(crate) use path::{Axis, Path, Peak, Played, peaks};
+pub(crate) use path::{Axis, Knot, Path, Peak, Played, peaks};
 pub(crate) use solid::Solid;
 pub(crate) use volume::furthest_out;
 
@@ -170,6 +170,31 @@ pub struct InSpace {
     pub closest: Option<Closest>,
     /// How fast each of them moves.
     pub bodies: Vec<BodyUse>,
+    /// The paths of those that are driven by speeds, to be drawn.
+    pub driven: Vec<DrivenPath>,
+}
+
+/// Where a body is that is driven by speeds. Between two points it moves evenly, to within [`DrivenPath::DRAWN`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct DrivenPath {
+    /// Of which robot.
+    pub robot: RobotId,
+    /// In order of time.
+    pub points: Vec<DrivenPoint>,
+}
+
+/// Where a body is at a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct DrivenPoint {
+    /// From the act's start.
+    pub at: Span,
+    /// x and y in metres, and yaw in radians.
+    pub pose: [f64; 3],
+}
+
+impl DrivenPath {
+    /// Metres by which, or radians, a picture of the path may be off. The checks follow the body more closely.
+    pub const DRAWN: f64 = 2e-3;
 }
 
 /// How fast the middle of a body moves at most in an act, in all directions together.
