@@ -255,6 +255,20 @@ fn a_mission_that_was_recorded_is_shown_with_its_steps_and_its_starts() {
         assert_eq!(played.len(), planned.len());
         assert!(played.iter().zip(&planned).all(|(a, b)| close(*a, *b)), "{played:?} {planned:?}");
     }
+    let (swap, fleet) =
+        (root().join(SWAP).display().to_string(), root().join("fleet.yaml").display().to_string());
+    let with = ["report", "swap.mcap", "--html", "with.html", "--fleet", &fleet, "--scenario"];
+    session.run(&[&with[..], &[&swap]].concat()).says(0, &["swap: done"]);
+    let with_scenario = Page::read(&session.path("with.html"));
+    assert_eq!(
+        with_scenario.mission["plans"], rehearsed.mission["plans"],
+        "cues, lanes and the closest approach"
+    );
+    assert_eq!(with_scenario.mission["robots"], rehearsed.mission["robots"], "bodies");
+    let other = root().join("scripts/examples/tank.yaml").display().to_string();
+    session
+        .run(&[&with[..], &[&other]].concat())
+        .says(2, &["the scenario is not what was played", "`cf1/x`"]);
     let act = &page.mission["acts"][0];
     let phases =
         ["sent", "decided", "committed", "no_return", "start"].map(|phase| act[phase].as_f64().unwrap());

@@ -1,13 +1,13 @@
 //! `downbeat report`: a mission that was played, from its journal or its recording.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use downbeat_scripts::shown::shown;
 use downbeat_scripts::{Attempt, Refusal};
 use serde_json::Value;
 
-use super::{Exit, Format, console, load};
-use crate::page::{self, History, NoHistory};
+use super::{Exit, Format, ScenarioArgs, console, load};
+use crate::page::{self, History, NoHistory, Written};
 
 /// Show a mission that was played, from its journal or its recording.
 #[derive(Debug, clap::Args)]
@@ -17,6 +17,7 @@ that is not whole, as after a power failure, is refused: --partial shows what co
 
 Examples:
   downbeat report show.mcap --html show.html
+  downbeat report show.mcap --html show.html --scenario show.yaml
   downbeat report ~/.local/state/downbeat/swap@stage-4711-20261123T193000000
   downbeat report show.mcap --partial --format json"
 )]
@@ -26,6 +27,12 @@ pub(super) struct ReportArgs {
     /// Write a page for a browser. It needs no network.
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
+    /// The scenario that was played: the page then has its cues, its lines and its bodies.
+    #[arg(long, value_name = "FILE", requires = "html")]
+    scenario: Option<PathBuf>,
+    /// The fleet file of that scenario. By default the one that the scenario names, or else ./fleet.yaml.
+    #[arg(long, value_name = "FILE", requires = "scenario")]
+    fleet: Option<PathBuf>,
     /// Show what comes before the damage of a file that is not whole.
     #[arg(long)]
     partial: bool,
@@ -58,10 +65,9 @@ pub(super) fn report(args: &ReportArgs, format: Format) -> Exit {
         return refused(&error);
     }
     if let Some(path) = &args.html
-        && let Err(error) = page::of_history(&history).and_then(|text| page::save(path, &text))
+        && let Err(exit) = write(args, &history, path, format)
     {
-        let refusal = Refusal::of(Attempt::Write(path), &error);
-        return refused(&format!("cannot write `{}`: {refusal}", path.display()));
+        return exit;
     }
     let report = history.report();
     match format {
@@ -69,6 +75,29 @@ pub(super) fn report(args: &ReportArgs, format: Format) -> Exit {
         Format::Json => console::print_json(&report),
     }
     Exit::Done
+}
+
+fn write(args: &ReportArgs, history: &History, path: &Path, format: Format) -> Result<(), Exit> {
+    let page = match &args.scenario {
+        None => page::of_history(history, None),
+        Some(scenario) => {
+            let scenario = ScenarioArgs { scenario: scenario.clone(), fleet: args.fleet.clone() };
+            let (choreography, fleet, _, findings) = load::load_whole(&scenario, format)?;
+            let outline = load::outline(&scenario, &fleet);
+            let written = Written {
+                choreography: &choreography,
+                outline: &outline,
+                fleet: &fleet,
+                findings: &findings,
+            };
+            written.check(history).map_err(|error| refused(&error.to_string()))?;
+            page::of_history(history, Some(&written))
+        }
+    };
+    page.and_then(|text| page::save(path, &text)).map_err(|error| {
+        let refusal = Refusal::of(Attempt::Write(path), &error);
+        refused(&format!("cannot write `{}`: {refusal}", path.display()))
+    })
 }
 
 fn refused(error: &str) -> Exit {

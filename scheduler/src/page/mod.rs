@@ -9,6 +9,7 @@ mod history;
 mod planned;
 mod played;
 mod recorded;
+mod written;
 
 use std::fs;
 use std::io::{self, Write};
@@ -28,6 +29,7 @@ use crate::dry_run;
 
 pub use self::history::{History, HistorySource, NoHistory};
 pub use self::played::Told;
+pub use self::written::{OtherScenario, Written};
 
 /// The page without a mission.
 const TEMPLATE: &str = include_str!("page.html");
@@ -61,13 +63,13 @@ pub fn of_dry_run(rehearsed: &Rehearsed<'_>) -> io::Result<String> {
     page(&mission, &columns)
 }
 
-/// The page of a mission that was played.
+/// The page of a mission that was played, with the cues and bodies of its scenario if that is given.
 ///
 /// # Errors
 /// As for [`of_dry_run`].
-pub fn of_history(history: &History) -> io::Result<String> {
+pub fn of_history(history: &History, written: Option<&Written<'_>>) -> io::Result<String> {
     let mut columns = Columns::default();
-    let mission = history.mission(&mut columns);
+    let mission = history.mission(written, &mut columns);
     page(&mission, &columns)
 }
 

@@ -184,13 +184,13 @@ pub(super) fn plans(
     places: &Places,
     columns: &mut Columns,
 ) -> Vec<Plan> {
-    let mut plans = Vec::with_capacity(choreography.acts.len());
-    for act in &choreography.acts {
-        // Not all acts of the file need to be played.
-        let written = outline.acts.iter().find(|written| written.name == act.name);
-        plans.push(plan(act, written.map_or(&[], |written| &written.cues), places, columns));
-    }
-    plans
+    choreography.acts.iter().map(|act| plan_of(act, outline, places, columns)).collect()
+}
+
+/// An act with its cues by its name: not all acts of the file need to be played.
+pub(super) fn plan_of(act: &scripts::Act, outline: &Outline, places: &Places, columns: &mut Columns) -> Plan {
+    let written = outline.acts.iter().find(|written| written.name == act.name);
+    plan(act, written.map_or(&[], |written| &written.cues), places, columns)
 }
 
 fn plan(act: &scripts::Act, written: &[WrittenCue], places: &Places, columns: &mut Columns) -> Plan {

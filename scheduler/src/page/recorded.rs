@@ -14,6 +14,7 @@ use super::fate::{self, Fate};
 use super::history::{History, HistorySource, KnownRobot, PlannedStep};
 use super::planned::{self, Places};
 use super::played::{Epoch, Phases, finished, instant};
+use super::written::Written;
 use crate::dry_run::act_of;
 
 impl History {
@@ -46,12 +47,16 @@ impl History {
         self.records.iter().filter(move |(_, record)| record["record"] == *kind)
     }
 
-    pub(super) fn mission(&self, columns: &mut Columns) -> Mission {
-        let described: Vec<Described> = self.robots.iter().map(Described::of).collect();
-        let mut places = Places::default();
-        for robot in &described {
-            places.add(&robot.id, robot.devices.iter().map(|(id, _)| id.to_string()));
-        }
+    pub(super) fn mission(&self, written: Option<&Written<'_>>, columns: &mut Columns) -> Mission {
+        let (places, robots) = match written {
+            Some(written) => {
+                let robots = crate::fleet::robots_in(written.fleet, written.choreography);
+                let places = planned::places(&robots);
+                let robots = planned::robots(&robots, &places);
+                (places, robots)
+            }
+            None => self.described(),
+        };
         let epoch = self.epoch();
         let sent: Vec<Sent> = self.of_kind("prepared").filter_map(|(_, record)| Sent::of(record)).collect();
         let acts: Vec<Played> =
@@ -74,21 +79,45 @@ impl History {
             from: times.iter().copied().fold(0.0, f64::min),
             to: times.iter().copied().fold(0.0, f64::max),
             report: Some(self.report()),
-            sources: Vec::new(),
-            groups: Vec::new(),
-            plans: sent
-                .iter()
-                .zip(&acts)
-                .map(|(act, played)| self.plan(act, played, &places, columns))
-                .collect(),
+            sources: written.map(|written| planned::sources(written.outline)).unwrap_or_default(),
+            groups: written.map(|written| planned::groups(written.fleet, &places)).unwrap_or_default(),
+            plans: self.plans(written, &sent, &acts, (&places, columns)),
             acts,
             events,
-            findings: Vec::new(),
+            findings: written
+                .map(|written| planned::findings(written.findings, written.outline))
+                .unwrap_or_default(),
             set: Vec::new(),
             read: self.reported(&places, epoch, columns),
             clocks: self.clocks(&places, epoch, columns),
-            robots: described.into_iter().map(Described::robot).collect(),
+            robots,
         }
+    }
+
+    /// The robots as they described themselves.
+    fn described(&self) -> (Places, Vec<Robot>) {
+        let described: Vec<Described> = self.robots.iter().map(Described::of).collect();
+        let mut places = Places::default();
+        for robot in &described {
+            places.add(&robot.id, robot.devices.iter().map(|(id, _)| id.to_string()));
+        }
+        (places, described.into_iter().map(Described::robot).collect())
+    }
+
+    fn plans(
+        &self,
+        written: Option<&Written<'_>>,
+        sent: &[Sent],
+        acts: &[Played],
+        (places, columns): (&Places, &mut Columns),
+    ) -> Vec<Plan> {
+        let records = self.of_kind("prepared").map(|(_, record)| record);
+        let mut plans = Vec::with_capacity(sent.len());
+        for ((act, played), record) in sent.iter().zip(acts).zip(records) {
+            let plan = written.and_then(|written| written.plan(record, places, columns));
+            plans.push(plan.unwrap_or_else(|| self.plan(act, played, places, columns)));
+        }
+        plans
     }
 
     /// The planned start of the first act; before anything was sent, the first thing that is known.
