@@ -121,7 +121,7 @@ pub fn read(path: &Path) -> Result<Kept, Unreadable> {
     Kept::of_bytes(&bytes).ok_or_else(|| Unreadable::NoBegin { path: path.to_path_buf() })
 }
 
-/// All that a journal says, for whoever shows it.
+/// All that a journal says, for reports and pages.
 #[derive(Clone, Debug)]
 pub struct Records {
     /// Its first line.

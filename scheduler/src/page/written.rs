@@ -1,4 +1,4 @@
-//! The scenario of a mission that was played, if it is at hand: it has the cues, the lines and the bodies, which no recording has.
+//! The scenario of a mission that was played, where it is given: it has the cues, lines and bodies, which no recording has.
 
 use std::collections::HashSet;
 

@@ -1,4 +1,4 @@
-//! Where the cues of a scenario are written and how they relate to each other, for whoever shows a plan next to its files.
+//! Where the cues of a scenario are written and how they relate to each other, for a view that shows a plan next to its files.
 
 use std::borrow::Cow;
 
