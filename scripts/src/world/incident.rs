@@ -34,8 +34,8 @@ pub struct Incident {
     pub robots: Vec<usize>,
     /// What.
     pub trouble: Trouble,
-    /// It is counted from the planned start of the act of this name, whenever that is played for the first time; `None`: from the
-    /// beginning of the mission.
+    /// It is counted from the planned start of the act of this name, when that is sent for the first time; `None`: from the beginning
+    /// of the mission. What is refused is refused from when the act is sent on.
     pub act: Option<String>,
     /// When.
     pub at: Between<Span>,
@@ -107,6 +107,8 @@ pub(super) fn read(
     let probability = keys.probability.map(|at| amount::probability(findings, &at));
     let what = what?;
     unneeded(findings, keys.lasts.as_ref(), "lasts", what == What::Dies, "`back_after` says when it is back");
+    let sent = what == What::Refuses && keys.act.is_some();
+    unneeded(findings, keys.at.as_ref(), "at", sent, "it refuses what it is sent for the act");
     let why = "only a robot that dies comes back; `lasts` says for how long";
     unneeded(findings, keys.back_after.as_ref(), "back_after", what != What::Dies, why);
     if matches!(what, What::Stalls | What::LinkDown) && keys.lasts.is_none() {

@@ -30,6 +30,14 @@ pub struct LinkWorld {
     pub interruptions: Vec<Interruptions>,
 }
 
+impl LinkWorld {
+    /// A link that does nothing but delay.
+    #[must_use]
+    pub const fn with_delay(delay: Delay) -> Self {
+        Self { delay, jitter: Span::ZERO, loss: 0.0, resent_after: RESENT_AFTER, interruptions: Vec::new() }
+    }
+}
+
 /// How long a message travels one way.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Delay {

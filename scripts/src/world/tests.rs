@@ -86,7 +86,8 @@ incidents:
   - {robot: cf1, what: dies, lasts: 3s}
   - {robot: cf1, what: stalls}
   - {robot: cf1, what: explodes}
-  - {robot: cf1, what: refuses, act: final, at: 1s}
+  - {robot: cf1, what: refuses, act: final}
+  - {robot: cf1, what: refuses, act: finale, at: 1s}
   - {robot: cf1, what: refuses, at: -1s}
   - {robot: cf1, what: refuses, at: {from: 2s, to: 1s}}",
     )
@@ -106,6 +107,7 @@ incidents:
         "it is not said for how long",
         "unknown word `explodes`",
         "no act `final`",
+        "`at` does not belong to this incident",
         "did you mean `finale`",
         "the mission has not begun by then",
         "`to` lies below `from`",
