@@ -36,6 +36,7 @@ mod processes;
 mod real_scenarios;
 mod realtime;
 mod refills;
+mod require;
 mod robots;
 mod schema;
 mod session;

@@ -15,6 +15,7 @@ use crate::fleet;
 use crate::mission::{MissionOptions, Progress};
 use crate::page::{self, Rehearsed, Told};
 use crate::report::{picture, report_text};
+use crate::requirements::{Figures, any_unmet, closest_of, judge};
 
 /// Play a scenario in virtual time with simulated robots.
 #[derive(Debug, clap::Args)]
@@ -22,7 +23,8 @@ use crate::report::{picture, report_text};
     after_help = "A dry run opens no connections and does not wait, so an hour of show takes moments. All robots are \
 simulated as the fleet file describes them, with their clocks, delays and faults. An act that waits for the operator begins \
 one second after the act before it has ended. An act that waits for a sensor gets the reading for which it waits, unless \
---reading gives another. Acts that repeat forever end after a while.
+--reading gives another. Acts that repeat forever end after a while. What the scenario requires (`require`) is judged: if something is not met, the \
+exit code is 1.
 
 Examples:
   downbeat dry-run show.yaml
@@ -81,13 +83,16 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
     let mut viewers = Viewers { bar: Bar::new(format), told: args.html.is_some().then(Vec::new) };
     let played = play(args, &choreography, first_act, &fleet, &mut viewers);
     viewers.bar.0.finish_and_clear();
-    let played = match played {
+    let mut played = match played {
         Ok(played) => played,
         Err((exit, error)) => {
             console::error(&error);
             return exit;
         }
     };
+    let required = judge(&choreography.requirements, &figures(&choreography, &played));
+    let unmet = any_unmet(&required);
+    played.report.requirements = required;
     let drawn = args.picture.as_ref().map(|path| (path, draw(path, &choreography, &fleet, &played)));
     let page = args.html.as_ref().map(|path| {
         let outline = load::outline(&args.scenario, &fleet);
@@ -122,7 +127,12 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
             "the dry run ended after {acts}, {ROUNDS} times the acts of the scenario; --acts sets another limit"
         ));
     }
-    super::run::exit_of(&played.report)
+    if unmet { Exit::Failed } else { super::run::exit_of(&played.report) }
+}
+
+/// What one run says of what is required.
+fn figures(choreography: &Choreography, played: &Played) -> Figures {
+    Figures { spread_max: played.report.true_spread, closest: closest_of(choreography), ..Figures::default() }
 }
 
 fn cut_text(cut: &Cut) -> String {

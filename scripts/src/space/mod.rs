@@ -172,6 +172,8 @@ pub struct InSpace {
     pub bodies: Vec<BodyUse>,
     /// The paths of those that are driven by speeds, to be drawn.
     pub driven: Vec<DrivenPath>,
+    /// Robots that play and whose place is not known all the time. They count for nothing here as long as it is not.
+    pub unknown: Vec<RobotId>,
 }
 
 /// Where a body is that is driven by speeds. Between two points it moves evenly, to within [`DrivenPath::DRAWN`].
