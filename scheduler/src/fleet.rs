@@ -115,6 +115,16 @@ pub fn rehearsed(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit
     simulated_with(robot, Settings { delay, ..settings })
 }
 
+/// The same with this fault instead of what the fleet file says.
+///
+/// # Errors
+/// As [`simulated`].
+pub fn rehearsed_with(robot: &FleetRobot, seed: u64, fault: Fault) -> Result<SimulatedRobot, NoInit> {
+    let settings = settings(robot, seed);
+    let delay = settings.delay.or(Some(WIRED));
+    simulated_with(robot, Settings { delay, fault: Some(fault), ..settings })
+}
+
 /// Least and largest delay each way in a wired network.
 const WIRED: (Span, Span) = (Span::from_micros(100), Span::from_micros(500));
 

@@ -7,6 +7,7 @@ use downbeat_scripts::{Attempt, Choreography, Fleet, FleetRobot, Refusal, counte
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use urrcp::{DeviceId, RobotId, Server, Timestamp};
 
+use super::certify;
 use super::choice::{self, ChoiceArgs};
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console};
@@ -32,7 +33,8 @@ Examples:
   downbeat dry-run show.yaml --picture show.svg
   downbeat dry-run show.yaml --act finale
   downbeat dry-run show.yaml --acts 12
-  downbeat dry-run show.yaml --reading rover-1/range=2.5"
+  downbeat dry-run show.yaml --reading rover-1/range=2.5
+  downbeat dry-run show.yaml --certify show.cert.json"
 )]
 pub(super) struct DryRunArgs {
     #[command(flatten)]
@@ -51,6 +53,9 @@ pub(super) struct DryRunArgs {
     /// End after this number of acts. By default after three times the number of acts of the scenario, which only a loop reaches.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     acts: Option<u32>,
+    /// Play the plan against faults of every robot, and write that what is promised held, for `run --require-certificate`.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["reading", "picture", "html", "acts"])]
+    certify: Option<PathBuf>,
     /// Seed of the random delays and clock errors. The same seed gives the same run.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -74,6 +79,12 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         Ok(chosen) => chosen,
         Err(exit) => return exit,
     };
+    if let Some(path) = &args.certify {
+        let asked = args.choice.asked();
+        let plan = certify::Plan { choreography: &choreography, fleet: &fleet, asked: &asked, first_act };
+        let sources = [args.scenario.scenario.as_path(), &fleet_path];
+        return certify::certify(&plan, args.seed, path, &sources, format);
+    }
     if let Some(error) =
         args.html.as_ref().and_then(|path| load::replaces(path, &[&args.scenario.scenario, &fleet_path]))
     {

@@ -6,6 +6,7 @@
 
 mod operator;
 mod spread;
+mod watch;
 mod world;
 
 use downbeat_robot::set_log::LogEntry;
@@ -14,6 +15,7 @@ use downbeat_scripts::{Choreography, SensorRange, Wait};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
 use self::operator::VirtualOperator;
+pub use self::watch::Watched;
 use self::world::VirtualWorld;
 use crate::drive::{at_once, drive};
 use crate::mission::{MissingParticipant, Mission, MissionOptions, Participant, Progress, next_time_of_day};
@@ -63,6 +65,8 @@ pub enum Logs {
     Dropped,
     /// As for a picture.
     Kept,
+    /// The audience sees everything, and nothing is kept.
+    Watched,
 }
 
 /// Watches a dry run while it plays.
@@ -72,6 +76,9 @@ pub trait Audience {
 
     /// Another second of virtual time has begun.
     fn second(&mut self, now: Timestamp<Server>);
+
+    /// A robot has set something that is kept or watched.
+    fn set(&mut self, _robot: usize, _entry: &LogEntry) {}
 }
 
 impl Audience for () {

@@ -73,6 +73,18 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         (self.logs, self.operator.cut)
     }
 
+    /// Lets this much time pass without a scheduler. Which robots still have something to do then.
+    pub(super) fn settle(mut self, length: Span) -> Vec<bool> {
+        let until = self.now + length;
+        self.connecting.clear();
+        while let Some((at, robot)) = self.first_due().filter(|(at, _)| *at <= until) {
+            self.now = self.now.max(at);
+            self.advance(robot);
+            self.arrived.clear();
+        }
+        self.due.iter().map(Option::is_some).collect()
+    }
+
     /// The robot that is due first.
     fn first_due(&mut self) -> Option<(Timestamp<Server>, usize)> {
         loop {
@@ -126,7 +138,10 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         }
         self.out = out;
         let mut log = self.robots[robot].take_log();
-        log.iter().for_each(|entry| self.spread.see(robot, entry));
+        for entry in &log {
+            self.spread.see(robot, entry);
+            self.audience.set(robot, entry);
+        }
         if self.keeps == Logs::Kept {
             self.logs[robot].append(&mut log);
         }
