@@ -102,6 +102,26 @@ pub fn play(
     (first_act, seed): (usize, u64),
     injected: &Injected,
 ) -> Result<Trial, String> {
+    let (report, watched) = rehearse(choreography, fleet, (first_act, seed), injected)?;
+    let broken = broken(choreography, injected, &report, &watched);
+    let ids = report.robots.iter().map(|row| row.robot.clone());
+    let moved = ids.zip(&watched).filter(|(_, watched)| watched.moved()).map(|(id, _)| id).collect();
+    Ok(Trial {
+        injected: injected.clone(),
+        outcome: value_of(&report.outcome),
+        true_spread_ms: report.true_spread,
+        moved,
+        broken,
+    })
+}
+
+/// The report, and what the robots really did.
+fn rehearse(
+    choreography: &Choreography,
+    fleet: &Fleet,
+    (first_act, seed): (usize, u64),
+    injected: &Injected,
+) -> Result<(Report, Vec<Watched>), String> {
     let robots = fleet::robots_in(fleet, choreography);
     let faulty = injected.robot();
     let machine = |(index, robot): (usize, &&downbeat_scripts::FleetRobot)| {
@@ -117,17 +137,7 @@ pub fn play(
     let options = MissionOptions { greeting: fleet::greeting(fleet), first_act, ..MissionOptions::default() };
     let rehearsal = Rehearsal::new(choreography.clone(), fleet::participants(&robots), options, machines)
         .map_err(|error| error.to_string())?;
-    let (report, watched) = rehearsal.play_watched();
-    let broken = broken(choreography, injected, &report, &watched);
-    let ids = report.robots.iter().map(|row| row.robot.clone());
-    let moved = ids.zip(&watched).filter(|(_, watched)| watched.moved()).map(|(id, _)| id).collect();
-    Ok(Trial {
-        injected: injected.clone(),
-        outcome: value_of(&report.outcome),
-        true_spread_ms: report.true_spread,
-        moved,
-        broken,
-    })
+    Ok(rehearsal.play_watched())
 }
 
 /// What was promised and did not hold, for people.
@@ -256,5 +266,137 @@ fn told(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
                 row.robot, row.started
             ));
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use downbeat_scripts::{Address, DeviceScript, FleetRobot, Plan, RobotPlan};
+    use urrcp::{ControlType, InitializationBlock, Millis, Script, Setpoint, Step, StopCondition};
+
+    use super::*;
+
+    const ARM: &str = r#"{"id": "NAME", "api_version": "1", "reports": true, "devices": [
+      {"id": "shoulder", "name": "shoulder", "default_value": 0, "interpolation": "linear", "available_control_types": {
+         "position": {"min_value": 0, "max_value": 90, "granularity": 1},
+         "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
+
+    fn script() -> DeviceScript {
+        let millis = |millis: i64| Millis::from_span(Span::from_millis(millis));
+        let step = |at, value| Step {
+            offset: millis(at),
+            setpoint: Setpoint::new(ControlType::Position, value),
+            stop_condition: None,
+        };
+        let lease = Some(millis(2_000));
+        DeviceScript {
+            device: "shoulder".parse().unwrap(),
+            start: millis(0),
+            stop_condition: StopCondition { pending: None, running: lease },
+            script: Script::new(vec![step(0, 0.0), step(3_000, 45.0)]).unwrap(),
+        }
+    }
+
+    /// Three arms that move together.
+    fn three() -> (Choreography, Fleet) {
+        let names = ["a", "b", "c"];
+        let robots = names.map(|name| RobotPlan { robot: name.parse().unwrap(), scripts: vec![script()] });
+        let plan = Plan {
+            scenario: "three".to_owned(),
+            start_tolerance: Span::from_millis(10),
+            lead: None,
+            stop_condition: StopCondition::default(),
+            robots: robots.to_vec(),
+        };
+        let robots = names.map(|name| {
+            let block: InitializationBlock = serde_json::from_str(&ARM.replace("NAME", name)).unwrap();
+            FleetRobot::new(block.id.clone(), Address::Simulated, Some(block))
+        });
+        (Choreography::of_plan(plan), Fleet { robots: robots.to_vec(), ..Fleet::default() })
+    }
+
+    fn id(name: &str) -> RobotId {
+        name.parse().unwrap()
+    }
+
+    #[test]
+    fn every_robot_is_faulty_in_three_ways_and_all_promises_hold() {
+        let (choreography, fleet) = three();
+        let all = faults(&choreography);
+        assert_eq!(all.len(), 10);
+        for fault in &all {
+            let trial = play(&choreography, &fleet, (0, 0), fault).unwrap();
+            assert_eq!(trial.broken, Vec::<String>::new(), "{fault:?}");
+            assert_eq!(trial.moved.len(), if *fault == Injected::None { 3 } else { 0 }, "{fault:?}");
+        }
+    }
+
+    /// What a trial would say if the robots had done something else.
+    #[track_caller]
+    fn check(injected: &Injected, doctor: fn(&mut Report, &mut Vec<Watched>), says: &str) {
+        let (choreography, fleet) = three();
+        let (mut report, mut watched) = rehearse(&choreography, &fleet, (0, 0), injected).unwrap();
+        assert_eq!(broken(&choreography, injected, &report, &watched), Vec::<String>::new());
+        doctor(&mut report, &mut watched);
+        let found = broken(&choreography, injected, &report, &watched);
+        assert!(found.iter().any(|sentence| sentence.contains(says)), "`{says}` is not in {found:?}");
+    }
+
+    #[test]
+    fn each_broken_promise_is_found() {
+        let refuses = Injected::Refuses { robot: id("b") };
+        check(
+            &Injected::None,
+            |_, watched| watched[1].begun.clear(),
+            "the scenario: a, c started, and b did not",
+        );
+        check(&refuses, |_, watched| drop(watched[0].begun.insert(0, 1)), "a started, and b, c did not");
+        check(
+            &Injected::None,
+            |_, watched| watched[2].still_moves = true,
+            "`c` still moves after the mission",
+        );
+        check(
+            &Injected::None,
+            |report, _| report.robots[0].started = 2,
+            "the report says 2 scripts started, and 1 did",
+        );
+        check(
+            &Injected::None,
+            |report, _| report.outcome = Outcome::Failed,
+            "without a fault the mission ends as",
+        );
+        check(&refuses, |report, _| report.outcome = Outcome::Done, "says that it is done");
+        check(&refuses, |report, _| report.failures.clear(), "no failure is reported");
+        check(
+            &Injected::None,
+            |report, _| report.true_spread = Some(Span::from_millis(11)),
+            "robots start 11 ms apart, 10 ms is allowed",
+        );
+        check(
+            &Injected::None,
+            |report, watched| {
+                report.robots[0].stop = StopState::Confirmed;
+                watched[0].last.insert("shoulder".parse().unwrap(), "set");
+            },
+            "`a` confirmed its stop, and `shoulder` is not in its default state",
+        );
+        check(
+            &Injected::None,
+            |report, _| {
+                report.outcome = Outcome::Failed;
+                report.robots[1].stop = StopState::Unconfirmed { lease_ends: None };
+            },
+            "`b` moved, and nothing stops it",
+        );
+        check(
+            &Injected::None,
+            |report, watched| {
+                report.acts[0].robots[1].left_out = true;
+                watched[1].begun.clear();
+                report.robots[1].started = 0;
+            },
+            "`b` was left out against its policy",
+        );
     }
 }
