@@ -2,6 +2,7 @@
 #![expect(clippy::unwrap_used, clippy::panic, reason = "a test fails by panicking")]
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
+mod certificates;
 mod claims;
 mod commands;
 mod compiled;
@@ -36,6 +37,7 @@ mod processes;
 mod real_scenarios;
 mod realtime;
 mod refills;
+mod require;
 mod robots;
 mod schema;
 mod session;

@@ -4,7 +4,7 @@
 use downbeat::mission::{Action, Event, Mission, MissionOptions, Participant, Progress, Rest};
 use downbeat_robot::simulated::{Outgoing, Settings, SimulatedRobot};
 use downbeat_robot::{Input, LinkId};
-use downbeat_scripts::{Choreography, DeviceScript, Plan, RobotPlan, Way};
+use downbeat_scripts::{Choreography, DeviceScript, Plan, Requirements, RobotPlan, Way};
 use urrcp::{
     ControlType, DeviceId, InitializationBlock, Millis, RobotId, Script, Server, Setpoint, Span, Step,
     StopCondition, Timestamp,
@@ -55,7 +55,11 @@ fn choreography() -> Choreography {
         act.next = Way::Act(next);
         act
     };
-    Choreography { scenario: "hour".into(), acts: vec![act(1), act(0)] }
+    Choreography {
+        scenario: "hour".into(),
+        acts: vec![act(1), act(0)],
+        requirements: Requirements::default(),
+    }
 }
 
 struct World {

@@ -197,7 +197,7 @@ fn names(pointer: &str, schema: &Value, found: &mut Vec<(String, String)>) {
 }
 
 /// Which section describes what, by the beginning of the place in the schema; the first that fits counts.
-const SECTIONS: [(&str, &str, &str, &str); 21] = [
+const SECTIONS: [(&str, &str, &str, &str); 22] = [
     ("scenario", "/$defs/keyframe/properties/ease", "docs/scenario.md", "### Movements"),
     ("scenario", "/$defs/keyframe", "docs/scenario.md", "### A track"),
     ("scenario", "/$defs/point", "docs/scenario.md", "### A track"),
@@ -210,6 +210,7 @@ const SECTIONS: [(&str, &str, &str, &str); 21] = [
     ("scenario", "/$defs/off_grid", "docs/scenario.md", "### The scenario"),
     ("scenario", "/$defs/failure_word", "docs/scenario.md", "### The scenario"),
     ("scenario", "/$defs/on_", "docs/scenario.md", "### The scenario"),
+    ("scenario", "/$defs/require", "docs/scenario.md", "### The scenario"),
     ("scenario", "/$defs/act", "docs/scenario.md", "### An act"),
     ("scenario", "/$defs/wait", "docs/scenario.md", "### An act"),
     ("scenario", "/$defs/cue", "docs/scenario.md", "### A cue"),

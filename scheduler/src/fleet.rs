@@ -115,7 +115,7 @@ pub fn rehearsed(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit
     simulated_with(robot, Settings { delay, ..settings })
 }
 
-/// The robot as a trial has it, whose world says how long messages travel, and may say how its clock goes.
+/// The same with settings that are changed.
 ///
 /// # Errors
 /// As [`simulated`].

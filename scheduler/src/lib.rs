@@ -27,10 +27,13 @@
 //! | [`fleet`] | robots of a fleet file: participants, endpoints, simulated robots |
 //! | [`journal`], [`recording`] | what is kept on the disk |
 //! | [`report`] | what became of it, as text, JSON or a picture |
+//! | [`certificate`] | a plan that was played against faults |
+//! | [`requirements`] | whether figures are as a scenario requires |
 //! | [`dry_run`], [`simulation`] | the same in virtual time, and under random faults |
 //! | [`conformance`] | whether a robot does what the protocol demands |
 //! | [`clock`], [`open_files`] | how far a robot's clock is off; room for many sockets |
 
+pub mod certificate;
 mod cli;
 pub mod clock;
 pub mod conformance;
@@ -44,6 +47,7 @@ pub mod open_files;
 pub mod page;
 pub mod recording;
 pub mod report;
+pub mod requirements;
 pub mod run;
 pub mod server_clock;
 mod signals;

@@ -104,6 +104,7 @@ codes! {
     OutOfSpace = "DB0053", Error, "a body where it may not be";
     BodyTooFast = "DB0054", Error, "a body faster than allowed";
     PlaceUnknown = "DB0055", Warning, "a body whose place is not known";
+    Unmet = "DB0056", Warning, "a requirement that is not met";
     ImportTable = "DB0060", Error, "a table that does not match its format";
     ImportNumber = "DB0061", Error, "an imported value is not a finite number";
     ImportTime = "DB0062", Error, "imported times that do not go forward";

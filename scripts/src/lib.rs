@@ -42,6 +42,7 @@ mod refill;
 mod refusal;
 mod rehearse;
 mod render;
+mod requirements;
 mod rows;
 mod sarif;
 mod scenario;
@@ -67,8 +68,8 @@ pub use fleet::{
 };
 pub use init::{init_of, init_text, read_init};
 pub use plan::{
-    Act, Choreography, DeviceScript, DeviceUse, FailurePolicy, OnDoubt, OnFailure, Plan, PlannedCue,
-    PlannedReading, RobotPlan, SensorRange, Wait, Way,
+    Act, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, Floor, OnDoubt, OnFailure, Plan,
+    PlannedCue, PlannedReading, Requirements, RobotPlan, SensorRange, Share, Wait, Way,
 };
 pub use refill::{Freed, Refill, RefillKind, refills, refills_of_robots, tightest_refill};
 pub use refusal::{Attempt, Refusal};

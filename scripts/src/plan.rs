@@ -3,8 +3,9 @@
 use serde::Serialize;
 use urrcp::{ControlType, DeviceId, Millis, RobotId, Script, Span, StopCondition};
 
-use crate::space::InSpace;
+use crate::space::{Closest, InSpace};
 
+pub use crate::requirements::{Ceiling, Floor, Requirements, Share};
 pub use crate::scenario::{OnDoubt, OnFailure, SensorRange, Wait};
 
 /// A whole scenario: acts with the ways between them.
@@ -14,6 +15,8 @@ pub struct Choreography {
     pub scenario: String,
     /// In the order of the file; the first one begins.
     pub acts: Vec<Act>,
+    /// What the scenario requires of it. Nothing enforces this while it plays.
+    pub requirements: Requirements,
 }
 
 /// What is prepared, decided and started together, and what leads to it and from it.
@@ -194,7 +197,14 @@ impl Choreography {
             on_doubt: OnDoubt::default(),
             plan,
         };
-        Self { scenario: act.plan.scenario.clone(), acts: vec![act] }
+        Self { scenario: act.plan.scenario.clone(), acts: vec![act], requirements: Requirements::default() }
+    }
+
+    /// The closest that two bodies come in any act, with that act. `None` where no two bodies are known.
+    #[must_use]
+    pub fn closest(&self) -> Option<(&Act, &Closest)> {
+        let known = self.acts.iter().filter_map(|act| Some((act, act.in_space.closest.as_ref()?)));
+        known.min_by(|(_, a), (_, b)| a.distance.total_cmp(&b.distance))
     }
 
     /// The acts one after another from the first, each followed by its `next`; ends before an act that was there already.

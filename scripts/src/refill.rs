@@ -231,6 +231,7 @@ mod tests {
 
     use super::*;
     use crate::plan::{FailurePolicy, OnDoubt, Plan, RobotPlan};
+    use crate::requirements::Requirements;
 
     fn script(device: &str, start: i64, duration: i64) -> DeviceScript {
         let millis = |millis: i64| Millis::from_span(Span::from_millis(millis));
@@ -268,7 +269,11 @@ mod tests {
     }
 
     fn of(acts: Vec<Act>, queue: u32) -> Vec<(usize, RefillKind, i64)> {
-        let refills = refills(&Choreography { scenario: "s".into(), acts }, |_, _| Some(queue), Span::ZERO);
+        let refills = refills(
+            &Choreography { scenario: "s".into(), acts, requirements: Requirements::default() },
+            |_, _| Some(queue),
+            Span::ZERO,
+        );
         refills.iter().map(|r| (r.act, r.kind, r.time.as_nanos() / 1_000_000)).collect()
     }
 
@@ -300,7 +305,8 @@ mod tests {
         let mut both = act(&[300, 300, 300], Way::End);
         let slower = act(&[500, 500, 500], Way::End).plan.robots.remove(0);
         both.plan.robots.push(RobotPlan { robot: "s".parse().unwrap(), ..slower });
-        let choreography = Choreography { scenario: "s".into(), acts: vec![both] };
+        let choreography =
+            Choreography { scenario: "s".into(), acts: vec![both], requirements: Requirements::default() };
         let of_each = refills_of_robots(&choreography, |_, _| Some(2), Span::ZERO);
         let of_each: Vec<_> = of_each.iter().map(|it| (it.robot.as_str(), it.time)).collect();
         assert_eq!(of_each, [("r", Span::from_millis(300)), ("s", Span::from_millis(500))]);
@@ -333,7 +339,7 @@ mod tests {
     #[test]
     fn the_tightest_is_the_one_that_a_mission_cannot_wait_for() {
         let acts = vec![act(&[900, 100], Way::Act(1)), act(&[400, 300, 200, 100], Way::End)];
-        let choreography = Choreography { scenario: "s".into(), acts };
+        let choreography = Choreography { scenario: "s".into(), acts, requirements: Requirements::default() };
         let tightest = tightest_refill(&choreography, |_, _| Some(2), Span::ZERO).unwrap();
         assert_eq!((tightest.act, tightest.script), (1, 3));
         assert_eq!((tightest.freed_by, tightest.time), (Freed { act: 1, script: 1 }, Span::from_millis(200)));
@@ -346,7 +352,11 @@ mod tests {
         let mut first = act(&[1_000, 0], Way::Act(1));
         first.plan.robots[0].scripts.remove(0);
         first.plan.robots[0].scripts.push(script("arm", 1_000, 0));
-        let choreography = Choreography { scenario: "s".into(), acts: vec![first, act(&[0, 500], Way::End)] };
+        let choreography = Choreography {
+            scenario: "s".into(),
+            acts: vec![first, act(&[0, 500], Way::End)],
+            requirements: Requirements::default(),
+        };
         let times = |sending: i64| {
             let refills = refills(&choreography, |_, _| Some(2), Span::from_millis(sending));
             refills.iter().map(|refill| refill.time.as_nanos() / 1_000_000).collect::<Vec<_>>()

@@ -30,6 +30,7 @@ impl Choreography {
             act.in_space.closest = None;
             act.in_space.bodies.retain(|body| robots.contains(&body.robot));
             act.in_space.driven.retain(|path| robots.contains(&path.robot));
+            act.in_space.unknown.retain(|robot| robots.contains(robot));
         }
         Ok(self)
     }

@@ -4,11 +4,13 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use downbeat_scripts::shown::shown;
-use downbeat_scripts::{Attempt, Refusal};
+use downbeat_scripts::{Attempt, Choreography, Refusal, Requirements};
 use serde::Serialize;
 
 use super::load::{self, Loaded};
 use super::{Exit, Format, ScenarioArgs, console};
+use crate::report::requirements_table;
+use crate::requirements::{Figures, Judged, any_unmet, closest_of, judge};
 
 /// Find the mistakes in a scenario and its fleet, without moving anything.
 #[derive(Debug, clap::Args)]
@@ -39,6 +41,8 @@ struct Checked<'a> {
     scenario: String,
     ok: bool,
     findings: &'a [downbeat_scripts::Finding],
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    requirements: Vec<Judged>,
     #[serde(skip_serializing_if = "Option::is_none")]
     acts: Option<Vec<super::plan::ActFigures<'a>>>,
 }
@@ -54,11 +58,13 @@ pub(super) fn check(args: &CheckArgs, format: Format) -> Exit {
         }
     }
     let denied = args.deny == Some(Deny::Warnings) && !findings.is_empty();
-    let ok = choreography.is_some() && !denied;
+    let requirements = choreography.as_ref().map(of_the_plan).unwrap_or_default();
+    let unmet = any_unmet(&requirements);
+    let ok = choreography.is_some() && !denied && !unmet;
     match format {
         Format::Json => {
             let acts = choreography.as_ref().map(super::plan::figures);
-            console::print_json(&Checked { scenario, ok, findings: &findings, acts });
+            console::print_json(&Checked { scenario, ok, findings: &findings, requirements, acts });
         }
         Format::Text => {
             load::show_findings(&findings);
@@ -66,6 +72,7 @@ pub(super) fn check(args: &CheckArgs, format: Format) -> Exit {
                 let errors = if denied { "warnings denied" } else { "no errors" };
                 let figures = crate::report::choreography_figures(choreography);
                 console::print(&format!("{}: {errors}, {figures}\n", shown(&scenario)));
+                console::print(&requirements_table(&requirements, console::columns()));
             }
         }
     }
@@ -74,4 +81,10 @@ pub(super) fn check(args: &CheckArgs, format: Format) -> Exit {
         false if unreadable => Exit::Usage,
         false => Exit::Failed,
     }
+}
+
+/// What is required and can be judged without playing.
+pub(super) fn of_the_plan(choreography: &Choreography) -> Vec<Judged> {
+    let asked = Requirements { closest: choreography.requirements.closest, ..Requirements::default() };
+    judge(&asked, &Figures { closest: closest_of(choreography), ..Figures::default() })
 }

@@ -7,6 +7,7 @@ use downbeat_scripts::{Attempt, Choreography, Fleet, FleetRobot, Refusal, counte
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use urrcp::{DeviceId, RobotId, Server, Timestamp};
 
+use super::certify;
 use super::choice::{self, ChoiceArgs};
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console, trials};
@@ -15,6 +16,7 @@ use crate::fleet;
 use crate::mission::{MissionOptions, Progress};
 use crate::page::{self, Rehearsed, Told};
 use crate::report::{picture, report_text};
+use crate::requirements::{Figures, any_unmet, closest_of, judge};
 use crate::trials::Trials;
 
 /// Play a scenario in virtual time with simulated robots.
@@ -23,9 +25,10 @@ use crate::trials::Trials;
     after_help = "A dry run opens no connections and does not wait, so an hour of show takes moments. All robots are \
 simulated as the fleet file describes them, with their clocks, delays and faults. An act that waits for the operator begins \
 one second after the act before it has ended. An act that waits for a sensor gets the reading for which it waits, unless \
---reading gives another. Acts that repeat forever end after a while.
+--reading gives another. Acts that repeat forever end after a while. What the scenario requires (`require`) is judged: if something is not met, the \
+exit code is 1.
 
-A world file (--world) says what the mission meets on the day: docs/world.md has its keys. With --trials many missions are played in it, and the exit code is 0 however they end; --trial plays one of them again.
+A world file (--world) says what the mission meets on the day: docs/world.md has its keys. With --trials many missions are played in it, and only what the scenario requires makes the exit code 1; --trial plays one of them again.
 
 Examples:
   downbeat dry-run show.yaml
@@ -35,7 +38,8 @@ Examples:
   downbeat dry-run show.yaml --acts 12
   downbeat dry-run show.yaml --reading rover-1/range=2.5
   downbeat dry-run show.yaml --world friday.yaml --trials 1000 --seed 7
-  downbeat dry-run show.yaml --world friday.yaml --seed 7 --trial 417 --html 417.html"
+  downbeat dry-run show.yaml --world friday.yaml --seed 7 --trial 417 --html 417.html
+  downbeat dry-run show.yaml --certify show.cert.json"
 )]
 pub(super) struct DryRunArgs {
     #[command(flatten)]
@@ -63,6 +67,9 @@ pub(super) struct DryRunArgs {
     /// Play this one of the trials alone, counted from 0.
     #[arg(long, value_name = "K", conflicts_with = "trials")]
     trial: Option<u32>,
+    /// Play the plan against faults of every robot, and write that what is promised held, for `run --require-certificate`.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["reading", "picture", "html", "acts"])]
+    certify: Option<PathBuf>,
     /// Seed of the random delays and clock errors. The same seed gives the same run.
     #[arg(long, default_value_t = 0)]
     seed: u64,
@@ -86,6 +93,12 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         Ok(chosen) => chosen,
         Err(exit) => return exit,
     };
+    if let Some(path) = &args.certify {
+        let asked = args.choice.asked();
+        let plan = certify::Plan { choreography: &choreography, fleet: &fleet, asked: &asked, first_act };
+        let sources = [args.scenario.scenario.as_path(), &fleet_path];
+        return certify::certify(&plan, args.seed, path, &sources, format);
+    }
     if let Some(error) =
         args.html.as_ref().and_then(|path| load::replaces(path, &[&args.scenario.scenario, &fleet_path]))
     {
@@ -101,7 +114,7 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         return match trials::play((&choreography, &fleet, &world), options, (count, args.seed), format) {
             Ok(results) => {
                 trials::print(&results, format);
-                Exit::Done
+                if any_unmet(&results.requirements) { Exit::Failed } else { Exit::Done }
             }
             Err(exit) => exit,
         };
@@ -115,13 +128,16 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         false => play(args, &choreography, options, &fleet, &mut viewers),
     };
     viewers.bar.0.finish_and_clear();
-    let played = match played {
+    let mut played = match played {
         Ok(played) => played,
         Err((exit, error)) => {
             console::error(&error);
             return exit;
         }
     };
+    let required = judge(&choreography.requirements, &figures(&choreography, &played));
+    let unmet = any_unmet(&required);
+    played.report.requirements = required;
     let drawn = args.picture.as_ref().map(|path| (path, draw(path, &choreography, &fleet, &played)));
     let page = args.html.as_ref().map(|path| {
         let outline = load::outline(&args.scenario, &fleet);
@@ -156,7 +172,12 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
             "the dry run ended after {acts}, {ROUNDS} times the acts of the scenario; --acts sets another limit"
         ));
     }
-    super::run::exit_of(&played.report)
+    if unmet { Exit::Failed } else { super::run::exit_of(&played.report) }
+}
+
+/// What one run says of what is required.
+fn figures(choreography: &Choreography, played: &Played) -> Figures {
+    Figures { spread_max: played.report.true_spread, closest: closest_of(choreography), ..Figures::default() }
 }
 
 fn cut_text(cut: &Cut) -> String {

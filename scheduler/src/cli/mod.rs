@@ -6,6 +6,7 @@
 //! or the recording could not be written.
 
 mod advice;
+mod certify;
 mod check;
 mod choice;
 mod completions;

@@ -10,7 +10,8 @@ use super::load;
 use super::{Exit, Format, ScenarioArgs, console};
 use crate::fleet;
 use crate::report::gantt::gantt;
-use crate::report::plan_table;
+use crate::report::{plan_table, requirements_table};
+use crate::requirements::{Judged, any_unmet};
 
 /// Show when each cue takes place and what each robot is sent.
 #[derive(Debug, clap::Args)]
@@ -42,6 +43,8 @@ pub(super) fn plan(args: &PlanArgs, format: Format) -> Exit {
         Ok((choreography, fleet, _)) => (choreography, fleet),
         Err(exit) => return exit,
     };
+    let requirements = super::check::of_the_plan(&choreography);
+    let exit = if any_unmet(&requirements) { Exit::Failed } else { Exit::Done };
     match format {
         Format::Text => {
             for act in &choreography.acts {
@@ -51,15 +54,17 @@ pub(super) fn plan(args: &PlanArgs, format: Format) -> Exit {
                     false => plan_table(act, columns),
                 });
             }
+            console::print(&requirements_table(&requirements, console::columns()));
         }
         Format::Json => console::print_json(&Planned {
             scenario: &choreography.scenario,
             duration_ms: crate::report::main_duration(&choreography),
             start_tolerance_ms: choreography.acts.first().map(|act| act.plan.start_tolerance),
             acts: choreography.acts.iter().map(|act| planned_act(act, &choreography)).collect(),
+            requirements,
         }),
     }
-    Exit::Done
+    exit
 }
 
 #[derive(Serialize)]
@@ -67,6 +72,8 @@ struct Planned<'a> {
     scenario: &'a str,
     duration_ms: Span,
     start_tolerance_ms: Option<Span>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    requirements: Vec<Judged>,
     acts: Vec<PlannedAct<'a>>,
 }
 

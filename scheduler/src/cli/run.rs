@@ -12,6 +12,7 @@ use downbeat_scripts::{Choreography, Fleet, FleetRobot, Wait};
 use tokio::sync::mpsc;
 use urrcp::{Server, SessionId, Span, Timestamp};
 
+use super::certify::CertifiedArgs;
 use super::choice::{self, ChoiceArgs};
 use super::live::{Live, Speaker};
 use super::load;
@@ -41,7 +42,8 @@ Examples:
   downbeat run show.yaml --fleet stage.yaml --at 19:30 --record show.mcap
   downbeat run show.yaml --at 19:30 --detach
   downbeat run show.yaml --speed 0.25 --only arm-1,arm-2
-  downbeat run show.yaml --from finale --format json"
+  downbeat run show.yaml --from finale --format json
+  downbeat run show.yaml --require-certificate show.cert.json"
 )]
 pub(super) struct RunArgs {
     #[command(flatten)]
@@ -50,6 +52,8 @@ pub(super) struct RunArgs {
     choice: ChoiceArgs,
     #[command(flatten)]
     how: HowArgs,
+    #[command(flatten)]
+    certified: CertifiedArgs,
     #[command(flatten)]
     realtime: RealtimeArgs,
     /// Start at this time of day, for example 19:30 or 19:30:00.5, or at this instant in RFC 3339.
@@ -81,7 +85,8 @@ late this host wakes the robots of its own process.
 
 Examples:
   downbeat preflight show.yaml
-  downbeat preflight show.yaml --fleet stage.yaml --format json"
+  downbeat preflight show.yaml --fleet stage.yaml --format json
+  downbeat preflight show.yaml --require-certificate show.cert.json"
 )]
 pub(super) struct PreflightArgs {
     #[command(flatten)]
@@ -90,6 +95,8 @@ pub(super) struct PreflightArgs {
     choice: ChoiceArgs,
     #[command(flatten)]
     how: HowArgs,
+    #[command(flatten)]
+    certified: CertifiedArgs,
     #[command(flatten)]
     realtime: RealtimeArgs,
 }
@@ -148,6 +155,7 @@ pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
         scenario: &args.scenario,
         asked: args.choice.asked(),
         how: &args.how,
+        certified: &args.certified,
         realtime: args.realtime,
         at: args.at,
         lead: args.lead,
@@ -169,6 +177,7 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
         scenario: &args.scenario,
         asked: args.choice.asked(),
         how: &args.how,
+        certified: &args.certified,
         realtime: args.realtime,
         at: None,
         lead: None,
@@ -220,6 +229,7 @@ struct Work<'a> {
     scenario: &'a ScenarioArgs,
     asked: Asked,
     how: &'a HowArgs,
+    certified: &'a CertifiedArgs,
     realtime: RealtimeArgs,
     at: Option<StartAt>,
     lead: Option<Span>,
@@ -241,6 +251,9 @@ impl Work<'_> {
             Ok(chosen) => chosen,
             Err(exit) => return exit,
         };
+        if let Err(exit) = self.certified.check(&choreography, &fleet, &self.asked, self.format) {
+            return exit;
+        }
         if matches!(self.place, Place::Detaching) {
             let session = session_name(&choreography.scenario, &ServerClock::anchored(Span::ZERO));
             return detach::detach(&session, &journal::state_folder().join(session.as_str()), self.format);

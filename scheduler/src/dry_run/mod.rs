@@ -8,6 +8,7 @@ mod circumstances;
 mod link;
 mod operator;
 mod spread;
+mod watch;
 mod world;
 
 use downbeat_robot::set_log::LogEntry;
@@ -19,6 +20,7 @@ pub(crate) use self::circumstances::{Circumstances, Stream, mixed};
 pub(crate) use self::link::between;
 use self::operator::VirtualOperator;
 pub use self::spread::ActStarts;
+pub use self::watch::Watched;
 use self::world::VirtualWorld;
 use crate::drive::{at_once, drive};
 use crate::mission::{MissingParticipant, Mission, MissionOptions, Participant, Progress, next_time_of_day};
@@ -70,6 +72,8 @@ pub enum Logs {
     Dropped,
     /// As for a picture.
     Kept,
+    /// The audience sees everything, and nothing is kept.
+    Watched,
 }
 
 /// Watches a dry run while it plays.
@@ -79,6 +83,9 @@ pub trait Audience {
 
     /// Another second of virtual time has begun.
     fn second(&mut self, now: Timestamp<Server>);
+
+    /// A robot has set something that is kept or watched.
+    fn set(&mut self, _robot: usize, _entry: &LogEntry) {}
 }
 
 impl Audience for () {

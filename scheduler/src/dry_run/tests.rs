@@ -2,7 +2,9 @@
 
 use downbeat_robot::set_log::LogEntry;
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
-use downbeat_scripts::{Act, Choreography, DeviceScript, Plan, RobotPlan, SensorRange, Wait, Way};
+use downbeat_scripts::{
+    Act, Choreography, DeviceScript, Plan, Requirements, RobotPlan, SensorRange, Wait, Way,
+};
 use urrcp::{
     ControlType, DeviceId, InitializationBlock, Millis, RobotId, Script, Server, Setpoint, Span, Step,
     StopCondition, Timestamp,
@@ -250,7 +252,7 @@ fn acts_on(
     change(&mut acts);
     let machines = (0..2).map(|id| SimulatedRobot::new(block(id), Settings::default())).collect();
     let participants = (0..2).map(|id| Participant::new(block(id).id, Some(block(id)))).collect();
-    let choreography = Choreography { scenario: "acts".into(), acts };
+    let choreography = Choreography { scenario: "acts".into(), acts, requirements: Requirements::default() };
     Rehearsal::new(choreography, participants, options, machines).unwrap()
 }
 

@@ -151,6 +151,17 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         (self.logs, self.operator.cut)
     }
 
+    /// Lets this much time pass without a scheduler. Which robots still have something to do then.
+    pub(super) fn settle(mut self, length: Span) -> Vec<bool> {
+        let until = self.now + length;
+        while let Some(at) = self.next_in_world().filter(|at| *at <= until) {
+            self.now = self.now.max(at);
+            self.step();
+            self.arrived.clear();
+        }
+        self.due.iter().map(Option::is_some).collect()
+    }
+
     /// The robot that is due first.
     fn first_due(&mut self) -> Option<(Timestamp<Server>, usize)> {
         loop {
@@ -163,9 +174,14 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
     }
 
     fn next_instant(&mut self) -> Option<Timestamp<Server>> {
+        self.next_in_world().into_iter().chain(self.operator.speaks()).min()
+    }
+
+    /// When something happens by itself.
+    fn next_in_world(&mut self) -> Option<Timestamp<Server>> {
         let robots = self.first_due().map(|(at, _)| at);
         let items = self.items.first_key_value().map(|((at, _), _)| *at);
-        robots.into_iter().chain(items).chain(self.operator.speaks()).min()
+        robots.into_iter().chain(items).min()
     }
 
     fn pass(&mut self, at: Timestamp<Server>) {
@@ -327,7 +343,10 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
     fn collect(&mut self, robot: usize) {
         let Some(machine) = &mut self.places[robot].machine else { return };
         let mut log = machine.take_log();
-        log.iter().for_each(|entry| self.spread.see(robot, entry));
+        for entry in &log {
+            self.spread.see(robot, entry);
+            self.audience.set(robot, entry);
+        }
         if self.keeps == Logs::Kept {
             self.logs[robot].append(&mut log);
         }

@@ -2,7 +2,7 @@
 
 use std::sync::Arc;
 
-use downbeat_scripts::Choreography;
+use downbeat_scripts::{Choreography, Requirements};
 use urrcp::{Server, Timestamp};
 
 use super::act::{Act, Reached};
@@ -98,7 +98,7 @@ impl Mission {
         rest: Rest,
         now: Timestamp<Server>,
     ) -> Self {
-        let choreography = Choreography { scenario, acts: Vec::new() };
+        let choreography = Choreography { scenario, acts: Vec::new(), requirements: Requirements::default() };
         // No robot is asked for: there is none to miss.
         let mut mission = Self::with_robots(choreography.into(), participants, options, now);
         for robot in 0..mission.robots.len() {

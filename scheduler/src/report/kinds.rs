@@ -10,6 +10,7 @@ use super::{DeviceState, Outcome, SCHEMA, StopState};
 use crate::cli::InsideWhat;
 use crate::mission::robot_state::Standing;
 use crate::mission::{ActFate, Check, Claim, ClockMode, FailureKind, Greeting, Progress, Record, Verdict};
+use crate::requirements::Judgement;
 
 const CHECKS: &str = "/$defs/preflight/properties/rows/items/properties/checks/items/prefixItems";
 
@@ -26,6 +27,7 @@ fn listed_in_schema() -> Vec<(String, &'static [&'static str])> {
         (at("failure/properties/claim"), Claim::VARIANTS),
         (at("preflight/properties/greeting"), Greeting::VARIANTS),
         (at("course/properties/fate"), ActFate::VARIANTS),
+        (at("judged/properties/result"), Judgement::VARIANTS),
         (format!("{CHECKS}/0"), Check::VARIANTS),
         (format!("{CHECKS}/1/properties/verdict"), Verdict::VARIANTS),
         ("/properties/inside/items/properties/what".to_owned(), InsideWhat::VARIANTS),

@@ -7,6 +7,7 @@ pub(crate) mod gantt;
 mod kinds;
 pub(crate) mod local;
 pub mod picture;
+mod required;
 mod ruler;
 pub(crate) mod table;
 mod text;
@@ -21,8 +22,10 @@ use crate::mission::robot_state::{Rest, RobotState, SentStop, Standing, Stop};
 pub use crate::mission::{ActCourse, ActFate, ActReport, ActRobot, DeviceReport, DeviceState, Outcome};
 use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight};
 use crate::recording::Recorded;
+use crate::requirements::Judged;
 use crate::server_clock::NtpState;
 pub(crate) use course::course_lines;
+pub(crate) use required::requirements_table;
 pub use text::report_text;
 pub(crate) use text::{
     TAKEN_OVER, UNBOUNDED, choreography_figures, main_duration, plan_table, preflight_table,
@@ -60,6 +63,9 @@ pub struct Report {
     /// The same by the one true clock, which only a dry run has.
     #[serde(rename = "true_spread_ms", skip_serializing_if = "Option::is_none")]
     pub true_spread: Option<Span>,
+    /// What the scenario requires, judged by this dry run.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub requirements: Vec<Judged>,
     /// Every act of the scenario, in the order of the file, and what became of it.
     pub course: Vec<ActCourse>,
     /// The acts that were sent, in order.
@@ -178,6 +184,7 @@ impl Report {
             lead: acts.front().map(|act| act.lead),
             spread: acts.iter().filter_map(|act| act.spread).max(),
             true_spread: None,
+            requirements: Vec::new(),
             course: mission.fates().to_vec(),
             acts: acts.iter().cloned().collect(),
             acts_omitted,

@@ -7,7 +7,9 @@ use urrcp::Span;
 
 use super::local::{date_and_time, time_of_day};
 use super::table::{Rows, wrapped};
-use super::{ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState, course_lines};
+use super::{
+    ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState, course_lines, requirements_table,
+};
 use crate::mission::{Check, Failure, FailureKind, Greeting, Preflight, PreflightRow, Verdict};
 
 /// Removed by the printing end where that is no terminal.
@@ -220,6 +222,7 @@ pub fn report_text(report: &Report, columns: usize) -> String {
     }
     sentences.extend(closing_sentences(report));
     sentences.iter().for_each(|sentence| say(&mut text, columns, sentence));
+    text.push_str(&requirements_table(&report.requirements, columns));
     text
 }
 

@@ -8,6 +8,7 @@ use urrcp::{RobotId, Span};
 
 use super::figures::{Quantiles, Share};
 use super::trial::{Evidence, Started, Trial};
+use crate::requirements::{Figures, Judged, closest_of, judge};
 
 /// The results of trials.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -44,6 +45,9 @@ pub struct Results {
     pub weakest_robot: Option<RobotId>,
     /// The robot whose link took longest until it had accepted, at the 99 % quantile.
     pub weakest_link: Option<RobotId>,
+    /// What the scenario requires, and what became of it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub requirements: Vec<Judged>,
     /// Each trial, in order.
     pub each: Vec<Trial>,
 }
@@ -129,23 +133,38 @@ impl Results {
         let weakest_robot = weakest_robot.filter(|robot| robot.fails_first.count > 0);
         let slowest = robots.iter().filter_map(|robot| Some((robot.accepts_within?.p99, robot)));
         let weakest_link = slowest.reduce(|slowest, next| if next.0 > slowest.0 { next } else { slowest });
+        let (starts, finishes) = (
+            Share::of(evidence.iter().filter(first_began).count(), all),
+            count(&|trial| trial.outcome == "done"),
+        );
+        let spread = Quantiles::of(each.iter().filter_map(|trial| trial.spread));
+        let figures = Figures {
+            trials: Some(starts.of),
+            spread_p50: spread.map(|spread| spread.p50),
+            spread_p99: spread.map(|spread| spread.p99),
+            spread_max: spread.map(|spread| spread.max),
+            starts: Some(starts.count),
+            finishes: Some(finishes.count),
+            closest: closest_of(choreography),
+        };
         Self {
             scenario: choreography.scenario.clone(),
             world: world.name.clone(),
             trials: all,
             seed,
-            starts: Share::of(evidence.iter().filter(first_began).count(), all),
-            finishes: count(&|trial| trial.outcome == "done"),
+            starts,
+            finishes,
             aborts: count(&|trial| !CAME_TO_AN_END.contains(&trial.outcome.as_str())),
             mixed: count(&|trial| trial.started == Started::Some),
             outcomes: outcomes(&each),
-            spread: Quantiles::of(each.iter().filter_map(|trial| trial.spread)),
+            spread,
             acts: acts(choreography, &evidence),
             lead: lead(&evidence),
             reasons: reasons(&each),
             weakest_robot: weakest_robot.map(|robot| robot.robot.clone()),
             weakest_link: weakest_link.map(|(_, robot)| robot.robot.clone()),
             robots,
+            requirements: judge(&choreography.requirements, &figures),
             each,
         }
     }

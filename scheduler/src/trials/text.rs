@@ -5,7 +5,7 @@ use downbeat_scripts::shown::within;
 
 use super::figures::{Quantiles, Share};
 use super::results::Results;
-use crate::report::table::Rows;
+use crate::report::{requirements_table, table::Rows};
 
 /// Reasons and robots that are listed; JSON has all.
 const LISTED_MAX: usize = 12;
@@ -59,7 +59,11 @@ pub fn text(results: &Results, columns: usize) -> String {
         text += "\n";
     }
     text += &reasons(results, columns);
-    text + &robots(results, columns)
+    text += &robots(results, columns);
+    if !results.requirements.is_empty() {
+        text += "\n";
+    }
+    text + &requirements_table(&results.requirements, columns)
 }
 
 fn reasons(results: &Results, columns: usize) -> String {

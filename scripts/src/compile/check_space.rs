@@ -12,6 +12,7 @@ use crate::fields::Reader;
 use crate::finding::{Code, Place, names};
 use crate::plan::{DeviceUse, RobotPlan};
 use crate::render::counted;
+use crate::requirements::Requirements;
 use crate::scenario::Act;
 use crate::space::{
     Body, BodyUse, Closest, DUST, DrivenPath, DrivenPoint, InSpace, Knot, Mover, Path, Peak, Solid, closest,
@@ -36,6 +37,7 @@ const PLACED: (&str, &str) = (
 /// An act with what its robots do in it.
 pub(super) struct Stage<'a> {
     pub(super) cast: &'a Cast<'a>,
+    pub(super) requirements: &'a Requirements,
     pub(super) act: &'a Act,
     pub(super) times: &'a Times,
     pub(super) robots: &'a [RobotPlan],
@@ -73,9 +75,10 @@ pub(super) fn check(findings: &mut Reader, stage: &Stage<'_>) -> (InSpace, Poses
         }
         paths.push((robot, path, Solid::of(body, course.margin)));
     }
-    if fleet.space.is_checked() {
+    if fleet.space.is_checked() || stage.requirements.closest.is_some() {
         tell_unknown(findings, stage, &unknown);
     }
+    in_space.unknown = unknown.iter().map(|(robot, _)| stage.cast.id(*robot).clone()).collect();
     let ends = paths.iter().map(|(_, path, _)| path.ends()).fold(0.0, f64::max);
     let depth = depth(paths.iter().map(|(_, path, _)| path.knots().len()).max().unwrap_or(0));
     let movers: Vec<(usize, Mover)> =

@@ -8,6 +8,7 @@ mod ahead;
 mod cast;
 mod check_motion;
 mod check_refill;
+mod check_require;
 mod check_safety;
 mod check_space;
 mod check_values;
@@ -120,6 +121,7 @@ impl Compiler {
                 join::join(&mut self.findings, &scenario, &cast, segments, &positions, &mut room);
             let stage = check_space::Stage {
                 cast: &cast,
+                requirements: &scenario.requirements,
                 act,
                 times: &times,
                 robots: &robots,
@@ -158,7 +160,12 @@ impl Compiler {
         }
         check_safety::check(&mut self.findings, &scenario, &acts);
         let acts: Option<Vec<Act>> = acts.into_iter().collect();
-        let choreography = Choreography { scenario: scenario.name.clone(), acts: acts? };
+        let choreography = Choreography {
+            scenario: scenario.name.clone(),
+            acts: acts?,
+            requirements: scenario.requirements.clone(),
+        };
+        check_require::check(&mut self.findings, &scenario, &choreography);
         check_refill::check(&mut self.findings, &scenario, &cast, &choreography);
         Some(choreography)
     }

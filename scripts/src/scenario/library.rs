@@ -19,7 +19,7 @@ use crate::tags::foreign_tags;
 /// Most files that a scenario may include, directly or through others.
 const INCLUDES_MAX: usize = 256;
 
-pub(crate) const SCENARIO_KEYS: [&str; 18] = [
+pub(crate) const SCENARIO_KEYS: [&str; 19] = [
     "scenario",
     "fleet",
     "include",
@@ -36,6 +36,7 @@ pub(crate) const SCENARIO_KEYS: [&str; 18] = [
     "stop_condition",
     "on_failure",
     "on_doubt",
+    "require",
     "cues",
     "acts",
 ];

@@ -7,6 +7,7 @@ mod cue;
 mod data;
 mod library;
 mod movement;
+mod require;
 mod track;
 mod vectors;
 mod when;
@@ -24,6 +25,7 @@ use crate::files::Files;
 use crate::finding::{Code, Finding, Place};
 use crate::motion::Curve;
 use crate::node::{self, Node};
+use crate::requirements::Requirements;
 use crate::source::Source;
 
 pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
@@ -48,6 +50,9 @@ pub(crate) struct Scenario {
     pub(crate) lead: Option<Span>,
     pub(crate) stop_condition: StopCondition,
     pub(crate) lease_place: Option<Place>,
+    pub(crate) requirements: Requirements,
+    /// Where the least distance of bodies is required.
+    pub(crate) closest_place: Option<Place>,
     pub(crate) roles: HashMap<String, Vec<Name>>,
     pub(crate) acts: Vec<Act>,
 }
@@ -264,6 +269,7 @@ pub(crate) fn read(reader: &mut Reader, documents: &Documents<'_>, files: &dyn F
         stop_condition,
         on_failure,
         on_doubt,
+        require,
         cues,
         acts,
     ] = reader.map(&at, "the scenario", SCENARIO_KEYS, &["scenario"])?;
@@ -275,6 +281,7 @@ pub(crate) fn read(reader: &mut Reader, documents: &Documents<'_>, files: &dyn F
     }
     library.add(reader, [variables, moves, roles]);
     library::music(reader, tempo, signature);
+    let (requirements, closest_place) = require.map(|at| require::read(reader, &at)).unwrap_or_default();
     let default = StopCondition { pending: None, running: Millis::new(RUNNING_LEASE_MS).ok() };
     let mut scenario = Scenario {
         name: name.and_then(|at| reader.name(&at, "the scenario's name")).unwrap_or_default(),
@@ -282,6 +289,8 @@ pub(crate) fn read(reader: &mut Reader, documents: &Documents<'_>, files: &dyn F
         lead: lead.and_then(|at| read_lead(reader, &at)),
         stop_condition: stop_condition.and_then(|at| cue::lease(reader, &at, default)).unwrap_or(default),
         lease_place: stop_condition.map(|at| at.place()),
+        requirements,
+        closest_place,
         ..Scenario::default()
     };
     let defaults = acts::Defaults {

@@ -28,7 +28,7 @@ pub(crate) use solid::Solid;
 pub(crate) use volume::furthest_out;
 
 /// What has to hold in the space that all robots share.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
 pub struct Space {
     /// Least distance between any two bodies, from surface to surface.
     pub distance: Option<f64>,
@@ -39,7 +39,7 @@ pub struct Space {
 }
 
 /// A box whose sides are parallel to the axes; infinite where nothing is said.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 pub struct Volume {
     /// The least x, y and z.
     pub least: [f64; 3],
@@ -48,7 +48,7 @@ pub struct Volume {
 }
 
 /// What a robot's devices mean in space, and how large it is.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Body {
     /// x, y, z, and the rotation about z, counted from x to y. Of a body with a drive, x, y and the rotation are where it starts.
     pub coordinates: [Coordinate; 4],
@@ -67,7 +67,7 @@ pub struct Body {
 }
 
 /// How a body moves whose devices are driven by speed: ahead along its yaw, and about itself.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Drive {
     /// What its devices mean.
     pub steering: Steering,
@@ -76,7 +76,7 @@ pub struct Drive {
 }
 
 /// The speeds that drive a body. The value of a coordinate is one speed here, with a scale from the device's unit.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub enum Steering {
     /// Two wheels, or tracks, side by side: the body goes ahead at the mean of their speeds, and turns at their difference over
@@ -102,7 +102,7 @@ pub enum Steering {
 ///
 /// Its frame is that of the link before (for the first joint that of the body, which turns with `yaw`), moved by `xyz` and turned
 /// by `rpy`, as in URDF. The link is a capsule: all points within `radius` of the line to where the next joint is.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Joint {
     /// Its name: that of its device, or of the joint in a URDF.
     pub name: String,
@@ -121,7 +121,7 @@ pub struct Joint {
 }
 
 /// How a joint moves.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub enum JointKind {
     /// It turns about its axis.
     #[default]
@@ -131,7 +131,7 @@ pub enum JointKind {
 }
 
 /// Where a coordinate comes from.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub enum Coordinate {
     /// It never changes.
@@ -148,7 +148,7 @@ pub enum Coordinate {
 }
 
 /// The size of a body, about its middle.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
 #[non_exhaustive]
 pub enum Shape {
     /// A ball; a point if its radius is 0.
@@ -172,6 +172,8 @@ pub struct InSpace {
     pub bodies: Vec<BodyUse>,
     /// The paths of those that are driven by speeds, to be drawn.
     pub driven: Vec<DrivenPath>,
+    /// Robots that play and whose place is not known all the time. They count for nothing here as long as it is not.
+    pub unknown: Vec<RobotId>,
 }
 
 /// Where a body is that is driven by speeds. Between two points it moves evenly, to within [`DrivenPath::DRAWN`].

@@ -1,8 +1,8 @@
 //! What is played: acts with chains of scripts, what they wait for, and what a failure does.
 
 use downbeat_scripts::{
-    Act, Choreography, DeviceScript, FailurePolicy, OnDoubt, OnFailure, Plan, PlannedReading, RobotPlan,
-    SensorRange, Wait, Way,
+    Act, Choreography, DeviceScript, FailurePolicy, OnDoubt, OnFailure, Plan, PlannedReading, Requirements,
+    RobotPlan, SensorRange, Wait, Way,
 };
 use fastrand::Rng;
 use urrcp::{ControlType, Device, Millis, Script, Setpoint, Span, Step, StopCondition};
@@ -47,7 +47,7 @@ pub(super) fn draw_choreography(rng: &mut Rng, robots: &[DrawnRobot], show: Show
     });
     let plans: Vec<Plan> = acts.collect();
     let acts = plans.into_iter().enumerate().map(|(index, plan)| draw_act(rng, robots, plan, index, count));
-    Choreography { scenario: "soak".to_owned(), acts: acts.collect() }
+    Choreography { scenario: "soak".to_owned(), acts: acts.collect(), requirements: Requirements::default() }
 }
 
 fn draw_act(rng: &mut Rng, robots: &[DrawnRobot], plan: Plan, index: usize, count: usize) -> Act {

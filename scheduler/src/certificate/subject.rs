@@ -1,0 +1,185 @@
+//! What is certified: everything that changes what robots do, in parts, so that a difference can be named. Structs are taken apart
+//! whole, so that a new field does not compile until it is decided whether it counts.
+
+use std::collections::BTreeMap;
+
+use downbeat_scripts::{
+    Act, Choreography, DeviceScript, FailurePolicy, Fleet, FleetRobot, Handshake, MissionSettings, Plan,
+    RateLimits, Way,
+};
+use serde::{Deserialize, Serialize};
+use serde_json::{Value, json};
+use urrcp::{ContentHash, InitializationBlock, RobotId};
+
+use super::{hash_of, sorted};
+use crate::fleet;
+use crate::journal::Asked;
+
+/// A plan and the fleet for which it was made.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Subject {
+    /// The scenario's name.
+    pub scenario: String,
+    /// What was asked for on the command line.
+    pub options: Options,
+    /// SHA-256 over the name, the acts and the options.
+    pub plan_hash: ContentHash,
+    /// SHA-256 over the fleet as it counts here.
+    pub fleet_hash: ContentHash,
+    /// Acts in the order of the scenario.
+    pub acts: Vec<CertifiedAct>,
+    /// Settings of the whole fleet.
+    pub fleet: BTreeMap<String, Value>,
+    /// The robots that play or are read.
+    pub robots: BTreeMap<RobotId, CertifiedRobot>,
+}
+
+/// Options that change what is played.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Options {
+    /// Only this act.
+    pub act: Option<String>,
+    /// Beginning with this act.
+    pub from: Option<String>,
+    /// Only these robots.
+    pub only: Vec<RobotId>,
+    /// Times the speed as written.
+    pub speed: f64,
+}
+
+/// An act: what leads to it and from it as it is, scripts as hashes.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CertifiedAct {
+    /// Its name; empty where the scenario has no acts of its own.
+    pub act: String,
+    /// Waits, ways, policies, leases.
+    pub settings: BTreeMap<String, Value>,
+    /// For each `robot/device` SHA-256 over its scripts: starts, leases, steps.
+    pub scripts: BTreeMap<String, ContentHash>,
+}
+
+/// A robot of the fleet file.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct CertifiedRobot {
+    /// `clock`, `wake_up`, `encoding`, `require`, and `limits` by device.
+    pub settings: BTreeMap<String, Value>,
+    /// SHA-256 over its description, but for its devices.
+    pub description: ContentHash,
+    /// For each device SHA-256 over its description.
+    pub devices: BTreeMap<String, ContentHash>,
+    /// SHA-256 over its body.
+    pub body: ContentHash,
+}
+
+impl Subject {
+    /// What was chosen of a scenario, with the robots that it needs.
+    #[must_use]
+    pub fn of(choreography: &Choreography, fleet: &Fleet, asked: &Asked) -> Self {
+        // Requirements are judged, not played.
+        let Choreography { scenario, acts: played, requirements: _ } = choreography;
+        let acts: Vec<CertifiedAct> = played.iter().map(|act| certified_act(act, choreography)).collect();
+        let robots = fleet::robots_in(fleet, choreography);
+        let robots: BTreeMap<RobotId, CertifiedRobot> =
+            robots.into_iter().map(|robot| (robot.id.clone(), certified_robot(robot))).collect();
+        // Groups are put in; which NTP server this machine follows changes no plan.
+        let Fleet { ntp: _, handshake, space, robots: _, groups: _ } = fleet;
+        let handshake = match handshake {
+            Handshake::Full => "full",
+            Handshake::Skip => "skip",
+        };
+        let settings = [("handshake", json!(handshake)), ("space", json!(hash_of(space)))];
+        let settings: BTreeMap<String, Value> = named(settings);
+        let options = options_of(asked);
+        Self {
+            scenario: scenario.clone(),
+            plan_hash: hash_of(&(scenario, &acts, &options)),
+            fleet_hash: hash_of(&(&settings, &robots)),
+            options,
+            acts,
+            fleet: settings,
+            robots,
+        }
+    }
+}
+
+fn options_of(asked: &Asked) -> Options {
+    let Asked { act, from, only, speed } = asked.clone();
+    Options { act, from, only, speed: speed.unwrap_or(1.0) }
+}
+
+fn named<const N: usize>(settings: [(&str, Value); N]) -> BTreeMap<String, Value> {
+    settings.into_iter().map(|(key, value)| (key.to_owned(), sorted(value))).collect()
+}
+
+fn certified_act(act: &Act, choreography: &Choreography) -> CertifiedAct {
+    // What cues are called, how steps came about and where bodies are follows from the rest, or moves nothing.
+    let Act {
+        name,
+        plan,
+        cues: _,
+        devices: _,
+        in_space: _,
+        readings,
+        wait,
+        timeout,
+        on_timeout,
+        next,
+        on_failure,
+        on_doubt,
+    } = act;
+    let Plan { scenario: _, start_tolerance, lead, stop_condition, robots } = plan;
+    let FailurePolicy { default, robots: by_robot, then } = on_failure;
+    let called = |index: usize| choreography.acts.get(index).map(|act| act.name.clone());
+    let way = |way: Way| match way {
+        Way::Act(index) => json!({ "act": called(index) }),
+        Way::End => json!("end"),
+        Way::Fail => json!("fail"),
+    };
+    let settings = named([
+        ("wait", json!(wait)),
+        ("timeout_ms", json!(timeout)),
+        ("otherwise", way(*on_timeout)),
+        ("next", way(*next)),
+        ("on_failure", json!(default)),
+        ("on_failure_of", json!(by_robot)),
+        ("on_failure_then", json!(then.map(called))),
+        ("on_doubt", json!(on_doubt)),
+        ("start_tolerance_ms", json!(start_tolerance)),
+        ("lead_ms", json!(lead)),
+        ("stop_condition", json!(stop_condition)),
+        ("readings", json!(readings)),
+    ]);
+    let mut scripts: BTreeMap<String, Vec<Value>> = BTreeMap::new();
+    for robot in robots {
+        for DeviceScript { device, start, stop_condition, script } in &robot.scripts {
+            let one = json!({ "start_ms": start, "stop_condition": stop_condition, "steps": script });
+            scripts.entry(format!("{}/{device}", robot.robot)).or_default().push(one);
+        }
+    }
+    let scripts = scripts.into_iter().map(|(of, scripts)| (of, hash_of(&scripts))).collect();
+    CertifiedAct { act: name.clone(), settings, scripts }
+}
+
+fn certified_robot(robot: &FleetRobot) -> CertifiedRobot {
+    // A robot may move to another address, and real ones are not simulated.
+    let FleetRobot { id: _, address: _, init, simulation: _, limits, body, mission } = robot;
+    let MissionSettings { clock, wake_up, encoding, require } = mission;
+    let mut settings = named([
+        ("clock", json!(clock)),
+        ("wake_up_ms", json!(wake_up)),
+        ("encoding", json!(encoding.as_str())),
+        ("require", json!(require)),
+    ]);
+    for (device, RateLimits { speed, acceleration }) in limits {
+        let value = sorted(json!({ "speed": speed, "acceleration": acceleration }));
+        settings.insert(format!("limits of `{device}`"), value);
+    }
+    let devices = init.iter().flat_map(|init| &init.devices);
+    let devices = devices.map(|device| (device.id.to_string(), hash_of(device))).collect();
+    let alone = init.as_ref().map(|init| InitializationBlock { devices: Vec::new(), ..init.clone() });
+    CertifiedRobot { settings, description: hash_of(&alone), devices, body: hash_of(body) }
+}

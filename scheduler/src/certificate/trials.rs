@@ -1,0 +1,404 @@
+//! Plays a plan against each fault, and holds what was promised against what the robots really set.
+
+use std::collections::BTreeSet;
+
+use downbeat_robot::simulated::{Fault, SimulatedRobot};
+use downbeat_scripts::{Choreography, Fleet, OnFailure};
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+use urrcp::{RobotId, Span};
+
+use super::value_of;
+use crate::dry_run::{Rehearsal, Watched};
+use crate::fleet;
+use crate::mission::{MissionOptions, Outcome};
+use crate::report::{Report, StopState};
+
+/// A fault that is injected.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", tag = "fault")]
+#[non_exhaustive]
+pub enum Injected {
+    /// Nothing goes wrong.
+    None,
+    /// A robot refuses every script.
+    Refuses {
+        /// Which one.
+        robot: RobotId,
+    },
+    /// A robot never answers a control request, and does not execute it.
+    Silent {
+        /// Which one.
+        robot: RobotId,
+    },
+    /// A robot closes its link right after it has accepted a script, and is never reached again.
+    Disconnects {
+        /// Which one.
+        robot: RobotId,
+    },
+}
+
+impl Injected {
+    fn robot(&self) -> Option<(&RobotId, Fault)> {
+        match self {
+            Self::None => None,
+            Self::Refuses { robot } => Some((robot, Fault::Refuse)),
+            Self::Silent { robot } => Some((robot, Fault::Silent)),
+            Self::Disconnects { robot } => Some((robot, Fault::Disconnect)),
+        }
+    }
+
+    /// For people.
+    #[must_use]
+    pub fn text(&self) -> String {
+        match self {
+            Self::None => "no fault".to_owned(),
+            Self::Refuses { robot } => format!("`{robot}` refuses"),
+            Self::Silent { robot } => format!("`{robot}` is silent"),
+            Self::Disconnects { robot } => format!("`{robot}` disconnects after it has accepted"),
+        }
+    }
+}
+
+/// A fault, and what the mission made of it.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Trial {
+    /// What went wrong.
+    pub injected: Injected,
+    /// As in a report.
+    pub outcome: Value,
+    /// True spread of starts, the largest of all acts.
+    pub true_spread_ms: Option<Span>,
+    /// The robots that set anything, in the order of the fleet.
+    pub moved: Vec<RobotId>,
+    /// What was promised and did not hold; empty in every certificate.
+    pub broken: Vec<String>,
+}
+
+/// Every fault that is played: none, and for each robot that moves that it refuses, is silent, and disconnects.
+#[must_use]
+pub fn faults(choreography: &Choreography) -> Vec<Injected> {
+    let moves: BTreeSet<&RobotId> =
+        choreography.acts.iter().flat_map(|act| &act.plan.robots).map(|robot| &robot.robot).collect();
+    let of_robot = |robot: &RobotId| {
+        let robot = robot.clone();
+        [
+            Injected::Refuses { robot: robot.clone() },
+            Injected::Silent { robot: robot.clone() },
+            Injected::Disconnects { robot },
+        ]
+    };
+    std::iter::once(Injected::None).chain(moves.into_iter().flat_map(of_robot)).collect()
+}
+
+/// Plays one of them to its end.
+///
+/// # Errors
+/// A robot that cannot be simulated, for people.
+pub fn play(
+    choreography: &Choreography,
+    fleet: &Fleet,
+    (first_act, seed): (usize, u64),
+    injected: &Injected,
+) -> Result<Trial, String> {
+    let (report, watched) = rehearse(choreography, fleet, (first_act, seed), injected)?;
+    let broken = broken(choreography, injected, &report, &watched);
+    let ids = report.robots.iter().map(|row| row.robot.clone());
+    let moved = ids.zip(&watched).filter(|(_, watched)| watched.moved()).map(|(id, _)| id).collect();
+    Ok(Trial {
+        injected: injected.clone(),
+        outcome: value_of(&report.outcome),
+        true_spread_ms: report.true_spread,
+        moved,
+        broken,
+    })
+}
+
+/// The report, and what the robots really did.
+fn rehearse(
+    choreography: &Choreography,
+    fleet: &Fleet,
+    (first_act, seed): (usize, u64),
+    injected: &Injected,
+) -> Result<(Report, Vec<Watched>), String> {
+    let robots = fleet::robots_in(fleet, choreography);
+    let faulty = injected.robot();
+    let machine = |(index, robot): (usize, &&downbeat_scripts::FleetRobot)| {
+        let seed = seed.wrapping_add(index as u64);
+        let fault = faulty.filter(|(of, _)| **of == robot.id).map(|(_, fault)| fault);
+        match fault {
+            Some(fault) => fleet::rehearsed_with(robot, |settings| {
+                (settings.seed, settings.fault) = (seed, Some(fault));
+            }),
+            None => fleet::rehearsed(robot, seed),
+        }
+    };
+    let machines: Result<Vec<SimulatedRobot>, _> = robots.iter().enumerate().map(machine).collect();
+    let machines = machines.map_err(|error| error.to_string())?;
+    let options = MissionOptions { greeting: fleet::greeting(fleet), first_act, ..MissionOptions::default() };
+    let rehearsal = Rehearsal::new(choreography.clone(), fleet::participants(&robots), options, machines)
+        .map_err(|error| error.to_string())?;
+    Ok(rehearsal.play_watched())
+}
+
+/// What was promised and did not hold, for people.
+fn broken(
+    choreography: &Choreography,
+    injected: &Injected,
+    report: &Report,
+    watched: &[Watched],
+) -> Vec<String> {
+    let mut broken = Vec::new();
+    ended(choreography, injected, report, &mut broken);
+    all_or_none(choreography, injected, report, watched, &mut broken);
+    at_rest(report, watched, &mut broken);
+    told(report, watched, &mut broken);
+    broken
+}
+
+/// Without a fault the mission is done and starts are close together; with one it says so.
+fn ended(choreography: &Choreography, injected: &Injected, report: &Report, broken: &mut Vec<String>) {
+    let outcome = &report.outcome;
+    let tolerance = choreography.acts.iter().map(|act| act.plan.start_tolerance).max().unwrap_or_default();
+    match injected {
+        Injected::None if *outcome != Outcome::Done => {
+            broken.push(format!("without a fault the mission ends as: {outcome}"));
+        }
+        Injected::None => {}
+        _ if *outcome == Outcome::Done => {
+            broken.push("the mission says that it is done, as if nothing had gone wrong".to_owned());
+        }
+        _ if report.failures.is_empty() => broken.push("no failure is reported".to_owned()),
+        _ => {}
+    }
+    if let Some(spread) = report.true_spread.filter(|spread| *spread > tolerance) {
+        broken.push(format!("robots start {spread} apart, {tolerance} is allowed"));
+    }
+}
+
+/// Each act starts on all robots that have a part in it, or on none; only the faulty one is left out, and only if the policy of the
+/// act says so.
+fn all_or_none(
+    choreography: &Choreography,
+    injected: &Injected,
+    report: &Report,
+    watched: &[Watched],
+    broken: &mut Vec<String>,
+) {
+    let index_of = |robot: &RobotId| report.robots.iter().position(|row| row.robot == *robot);
+    let begun: BTreeSet<u32> = watched.iter().flat_map(|watched| watched.begun.keys().copied()).collect();
+    for number in &begun {
+        if !report.acts.iter().any(|act| act.number == *number) && report.acts_omitted == 0 {
+            broken.push(format!("act number {number} began, and the report does not know it"));
+        }
+    }
+    for act in &report.acts {
+        let Some(planned) = choreography.acts.iter().find(|planned| planned.is_named(&act.act)) else {
+            continue;
+        };
+        let name =
+            if planned.name.is_empty() { "the scenario".to_owned() } else { format!("act `{}`", act.act) };
+        let (mut started, mut waited) = (Vec::new(), Vec::new());
+        for robot in &act.robots {
+            let began = index_of(&robot.robot)
+                .and_then(|index| watched.get(index)?.begun.get(&act.number).copied())
+                .unwrap_or_default();
+            match (robot.left_out, began > 0) {
+                (false, true) => started.push(robot.robot.to_string()),
+                (false, false) => waited.push(robot.robot.to_string()),
+                (true, true) => broken.push(format!("{name}: `{}` was left out and moved", robot.robot)),
+                (true, false) => {
+                    let rules = &planned.on_failure;
+                    let rule = rules.robots.iter().find(|(of, _)| *of == robot.robot);
+                    let rule = rule.map_or(rules.default, |(_, rule)| *rule);
+                    let is_faulty = injected.robot().is_some_and(|(of, _)| *of == robot.robot);
+                    // An act before may have left it out for the rest of the mission, as its own policy says.
+                    let may = choreography.acts.iter().any(|act| {
+                        let of = act.on_failure.robots.iter().find(|(of, _)| *of == robot.robot);
+                        of.map_or(act.on_failure.default, |(_, rule)| *rule) == OnFailure::Without
+                            || act.on_failure.then.is_some()
+                    });
+                    if !is_faulty || !(rule == OnFailure::Without || may) {
+                        broken.push(format!("{name}: `{}` was left out against its policy", robot.robot));
+                    }
+                }
+            }
+        }
+        if !started.is_empty() && !waited.is_empty() {
+            broken.push(format!("{name}: {} started, and {} did not", started.join(", "), waited.join(", ")));
+        }
+    }
+}
+
+/// Nothing moves in the end, and what is said to be stopped went to its default state or holds.
+fn at_rest(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
+    for (row, watched) in report.robots.iter().zip(watched) {
+        if watched.still_moves {
+            broken.push(format!("`{}` still moves after the mission and all leases have ended", row.robot));
+        }
+        if row.stop == StopState::Confirmed {
+            let moving = watched.last.iter().find(|(_, motion)| matches!(**motion, "set" | "ramp"));
+            if let Some((device, _)) = moving {
+                broken.push(format!(
+                    "`{}` confirmed its stop, and `{device}` is not in its default state",
+                    row.robot
+                ));
+            }
+        }
+        let stops = matches!(report.outcome, Outcome::Failed | Outcome::NotStarted);
+        let runs_on = matches!(row.stop, StopState::Unconfirmed { lease_ends: None } | StopState::TakenOver);
+        if stops && watched.moved() && runs_on {
+            broken.push(format!("`{}` moved, and nothing stops it", row.robot));
+        }
+    }
+}
+
+/// What the report says of starts is what the robots did; of one that went away it may know less.
+fn told(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
+    for (row, watched) in report.robots.iter().zip(watched) {
+        let began: usize = watched.begun.values().sum();
+        let agrees = match row.unaccounted {
+            0 => row.started == began,
+            _ => row.started <= began,
+        };
+        if !agrees && report.acts_omitted == 0 {
+            broken.push(format!(
+                "`{}`: the report says {} scripts started, and {began} did",
+                row.robot, row.started
+            ));
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use downbeat_scripts::{Address, DeviceScript, FleetRobot, Plan, RobotPlan};
+    use urrcp::{ControlType, InitializationBlock, Millis, Script, Setpoint, Step, StopCondition};
+
+    use super::*;
+
+    const ARM: &str = r#"{"id": "NAME", "api_version": "1", "reports": true, "devices": [
+      {"id": "shoulder", "name": "shoulder", "default_value": 0, "interpolation": "linear", "available_control_types": {
+         "position": {"min_value": 0, "max_value": 90, "granularity": 1},
+         "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
+
+    fn script() -> DeviceScript {
+        let millis = |millis: i64| Millis::from_span(Span::from_millis(millis));
+        let step = |at, value| Step {
+            offset: millis(at),
+            setpoint: Setpoint::new(ControlType::Position, value),
+            stop_condition: None,
+        };
+        let lease = Some(millis(2_000));
+        DeviceScript {
+            device: "shoulder".parse().unwrap(),
+            start: millis(0),
+            stop_condition: StopCondition { pending: None, running: lease },
+            script: Script::new(vec![step(0, 0.0), step(3_000, 45.0)]).unwrap(),
+        }
+    }
+
+    /// Three arms that move together.
+    fn three() -> (Choreography, Fleet) {
+        let names = ["a", "b", "c"];
+        let robots = names.map(|name| RobotPlan { robot: name.parse().unwrap(), scripts: vec![script()] });
+        let plan = Plan {
+            scenario: "three".to_owned(),
+            start_tolerance: Span::from_millis(10),
+            lead: None,
+            stop_condition: StopCondition::default(),
+            robots: robots.to_vec(),
+        };
+        let robots = names.map(|name| {
+            let block: InitializationBlock = serde_json::from_str(&ARM.replace("NAME", name)).unwrap();
+            FleetRobot::new(block.id.clone(), Address::Simulated, Some(block))
+        });
+        (Choreography::of_plan(plan), Fleet { robots: robots.to_vec(), ..Fleet::default() })
+    }
+
+    fn id(name: &str) -> RobotId {
+        name.parse().unwrap()
+    }
+
+    #[test]
+    fn every_robot_is_faulty_in_three_ways_and_all_promises_hold() {
+        let (choreography, fleet) = three();
+        let all = faults(&choreography);
+        assert_eq!(all.len(), 10);
+        for fault in &all {
+            let trial = play(&choreography, &fleet, (0, 0), fault).unwrap();
+            assert_eq!(trial.broken, Vec::<String>::new(), "{fault:?}");
+            assert_eq!(trial.moved.len(), if *fault == Injected::None { 3 } else { 0 }, "{fault:?}");
+        }
+    }
+
+    /// What a trial would say if the robots had done something else.
+    #[track_caller]
+    fn check(injected: &Injected, doctor: fn(&mut Report, &mut Vec<Watched>), says: &str) {
+        let (choreography, fleet) = three();
+        let (mut report, mut watched) = rehearse(&choreography, &fleet, (0, 0), injected).unwrap();
+        assert_eq!(broken(&choreography, injected, &report, &watched), Vec::<String>::new());
+        doctor(&mut report, &mut watched);
+        let found = broken(&choreography, injected, &report, &watched);
+        assert!(found.iter().any(|sentence| sentence.contains(says)), "`{says}` is not in {found:?}");
+    }
+
+    #[test]
+    fn each_broken_promise_is_found() {
+        let refuses = Injected::Refuses { robot: id("b") };
+        check(
+            &Injected::None,
+            |_, watched| watched[1].begun.clear(),
+            "the scenario: a, c started, and b did not",
+        );
+        check(&refuses, |_, watched| drop(watched[0].begun.insert(0, 1)), "a started, and b, c did not");
+        check(
+            &Injected::None,
+            |_, watched| watched[2].still_moves = true,
+            "`c` still moves after the mission",
+        );
+        check(
+            &Injected::None,
+            |report, _| report.robots[0].started = 2,
+            "the report says 2 scripts started, and 1 did",
+        );
+        check(
+            &Injected::None,
+            |report, _| report.outcome = Outcome::Failed,
+            "without a fault the mission ends as",
+        );
+        check(&refuses, |report, _| report.outcome = Outcome::Done, "says that it is done");
+        check(&refuses, |report, _| report.failures.clear(), "no failure is reported");
+        check(
+            &Injected::None,
+            |report, _| report.true_spread = Some(Span::from_millis(11)),
+            "robots start 11 ms apart, 10 ms is allowed",
+        );
+        check(
+            &Injected::None,
+            |report, watched| {
+                report.robots[0].stop = StopState::Confirmed;
+                watched[0].last.insert("shoulder".parse().unwrap(), "set");
+            },
+            "`a` confirmed its stop, and `shoulder` is not in its default state",
+        );
+        check(
+            &Injected::None,
+            |report, _| {
+                report.outcome = Outcome::Failed;
+                report.robots[1].stop = StopState::Unconfirmed { lease_ends: None };
+            },
+            "`b` moved, and nothing stops it",
+        );
+        check(
+            &Injected::None,
+            |report, watched| {
+                report.acts[0].robots[1].left_out = true;
+                watched[1].begun.clear();
+                report.robots[1].started = 0;
+            },
+            "`b` was left out against its policy",
+        );
+    }
+}

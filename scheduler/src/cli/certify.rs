@@ -1,0 +1,146 @@
+//! `dry-run --certify` writes a certificate; `run` and `preflight` with `--require-certificate` play nothing else.
+
+use std::path::{Path, PathBuf};
+
+use downbeat_scripts::shown::shown;
+use downbeat_scripts::{Attempt, Choreography, Fleet, Refusal, counted};
+use indicatif::{ProgressBar, ProgressDrawTarget};
+use serde_json::json;
+
+use super::{Exit, Format, console, load};
+use crate::certificate::{self, Certificate, Subject, Trial};
+use crate::journal::Asked;
+
+/// What is certified.
+pub(super) struct Plan<'a> {
+    pub(super) choreography: &'a Choreography,
+    pub(super) fleet: &'a Fleet,
+    pub(super) asked: &'a Asked,
+    /// With which act it begins.
+    pub(super) first_act: usize,
+}
+
+/// Plays every fault, and writes the certificate if everything held.
+pub(super) fn certify(plan: &Plan<'_>, seed: u64, path: &Path, sources: &[&Path], format: Format) -> Exit {
+    if let Some(error) = load::replaces(path, sources) {
+        console::error(&error.replace("the page", "the certificate"));
+        return Exit::Usage;
+    }
+    let trials = match played(plan, seed, format) {
+        Ok(trials) => trials,
+        Err(error) => {
+            console::error(&error);
+            return Exit::Failed;
+        }
+    };
+    let held = trials.iter().all(|trial| trial.broken.is_empty());
+    let subject = Subject::of(plan.choreography, plan.fleet, plan.asked);
+    if held {
+        let text = Certificate::new(seed, subject.clone(), trials.clone()).text();
+        if let Err(error) = crate::page::save(path, &text) {
+            let refusal = Refusal::of(Attempt::Write(path), &error);
+            console::error(&format!("cannot write `{}`: {refusal}", path.display()));
+            return Exit::Usage;
+        }
+    }
+    match format {
+        Format::Text => console::print(&text(plan, &subject, &trials, held.then_some(path))),
+        Format::Json => console::print_json(&json!({
+            "scenario": subject.scenario,
+            "certified": held,
+            "plan_hash": subject.plan_hash,
+            "fleet_hash": subject.fleet_hash,
+            "trials": trials,
+        })),
+    }
+    if held { Exit::Done } else { Exit::Failed }
+}
+
+fn played(plan: &Plan<'_>, seed: u64, format: Format) -> Result<Vec<Trial>, String> {
+    let faults = certificate::faults(plan.choreography);
+    let target = match format {
+        Format::Text => ProgressDrawTarget::stderr(),
+        Format::Json => ProgressDrawTarget::hidden(),
+    };
+    let bar = ProgressBar::with_draw_target(Some(faults.len() as u64), target);
+    let trials = faults
+        .iter()
+        .map(|fault| {
+            bar.inc(1);
+            certificate::play(plan.choreography, plan.fleet, (plan.first_act, seed), fault)
+        })
+        .collect();
+    bar.finish_and_clear();
+    trials
+}
+
+fn text(plan: &Plan<'_>, subject: &Subject, trials: &[Trial], written: Option<&Path>) -> String {
+    let name = shown(&plan.choreography.scenario);
+    let mut text = format!("{name}: played against {}\n", counted(trials.len() - 1, "fault"));
+    for trial in trials.iter().filter(|trial| !trial.broken.is_empty()) {
+        for broken in &trial.broken {
+            text.push_str(&format!("  {}: {}\n", shown(&trial.injected.text()), shown(broken)));
+        }
+    }
+    match written {
+        Some(path) => {
+            text.push_str("  without a fault it is done; with each fault, each act started on all its robots or on none, and all came to rest\n");
+            text.push_str(&format!(
+                "certified plan {} for fleet {}: `{}`\n",
+                short(subject.plan_hash),
+                short(subject.fleet_hash),
+                path.display()
+            ));
+        }
+        None => text.push_str("no certificate is written, because what is promised did not hold\n"),
+    }
+    text
+}
+
+/// Enough of a hash for people.
+fn short(hash: urrcp::ContentHash) -> String {
+    hash.to_string().chars().take(12).collect()
+}
+
+/// What may be played.
+#[derive(Clone, Debug, Default, clap::Args)]
+pub(super) struct CertifiedArgs {
+    /// Refuse to play anything but the plan and the fleet of this certificate, which `dry-run --certify` writes.
+    #[arg(long, value_name = "FILE")]
+    require_certificate: Option<PathBuf>,
+}
+
+impl CertifiedArgs {
+    /// Whether this may be played; says why not.
+    pub(super) fn check(
+        &self,
+        choreography: &Choreography,
+        fleet: &Fleet,
+        asked: &Asked,
+        format: Format,
+    ) -> Result<(), Exit> {
+        let Some(path) = &self.require_certificate else { return Ok(()) };
+        let certificate = Certificate::read(path).map_err(|error| {
+            console::error(&error.to_string());
+            Exit::Usage
+        })?;
+        let differences = certificate::differences(&certificate, &Subject::of(choreography, fleet, asked));
+        if differences.is_empty() {
+            return Ok(());
+        }
+        let error = format!("`{}` does not certify what is to be played, so nothing is sent", path.display());
+        match format {
+            Format::Json => {
+                console::print_json(&json!({ "error": error, "differences": differences }));
+            }
+            Format::Text => {
+                console::error(&format!("{error}:"));
+                differences.iter().for_each(|difference| console::note(&format!("  {difference}")));
+                console::note(
+                    "  `downbeat dry-run --certify` with the same options certifies it as it is now",
+                );
+            }
+        }
+        Err(Exit::Failed)
+    }
+}

@@ -1,0 +1,81 @@
+//! A mission that is watched to its end and beyond: what robots set is counted, not kept, and robots that were lost play on until
+//! their leases have ended.
+
+use std::collections::BTreeMap;
+
+use downbeat_robot::set_log::LogEntry;
+use urrcp::{DeviceId, Server, Span, Timestamp};
+
+use super::operator::VirtualOperator;
+use super::world::VirtualWorld;
+use super::{Audience, Logs, Rehearsal, act_of};
+use crate::drive::{at_once, drive};
+use crate::mission::Progress;
+use crate::report::Report;
+
+/// What one robot really did.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Watched {
+    /// Scripts that it began, by the number of their act.
+    pub begun: BTreeMap<u32, usize>,
+    /// How each device was moved last: `set`, `ramp`, `slow` or `default`.
+    pub last: BTreeMap<DeviceId, &'static str>,
+    /// It still had something to do when the longest lease and the longest act were over.
+    pub still_moves: bool,
+}
+
+impl Watched {
+    /// Whether it set any value of a script.
+    #[must_use]
+    pub fn moved(&self) -> bool {
+        !self.begun.is_empty()
+    }
+}
+
+/// Added to the longest act and the longest lease: what travels arrives, and signals slow down.
+const AFTERWARDS: Span = Span::from_millis(60_000);
+
+struct Watcher(Vec<Watched>);
+
+impl Audience for Watcher {
+    fn told(&mut self, _: Timestamp<Server>, _: &Progress) {}
+
+    fn second(&mut self, _: Timestamp<Server>) {}
+
+    fn set(&mut self, robot: usize, entry: &LogEntry) {
+        let watched = &mut self.0[robot];
+        watched.last.insert(entry.device.clone(), entry.motion);
+        let act = entry.request_id.as_deref().and_then(act_of);
+        if let (Some(act), Some(0), "set") = (act, entry.step, entry.motion) {
+            *watched.begun.entry(act).or_default() += 1;
+        }
+    }
+}
+
+impl Rehearsal {
+    /// Plays to the end, and goes on until every robot has come to rest or all its leases have ended. What each robot did, in the
+    /// order of the report's robots.
+    #[must_use]
+    pub fn play_watched(self) -> (Report, Vec<Watched>) {
+        let Self { mut mission, robots, begin, circumstances, .. } = self;
+        let choreography = mission.choreography();
+        let operator = VirtualOperator::new(choreography);
+        let scripts =
+            choreography.acts.iter().flat_map(|act| &act.plan.robots).flat_map(|robot| &robot.scripts);
+        let leases = scripts.filter_map(|script| Some(script.stop_condition.running?.span()));
+        let lease = leases.max().unwrap_or_default();
+        let acts = choreography.acts.iter().map(|act| act.plan.duration()).max().unwrap_or_default();
+        let ids: Vec<_> = mission.robots().iter().map(|robot| robot.id.clone()).collect();
+        let mut watcher = Watcher(vec![Watched::default(); ids.len()]);
+        let mut world =
+            VirtualWorld::new(robots, ids, begin, (operator, circumstances), Logs::Watched, &mut watcher);
+        let report = at_once(drive(&mut mission, &mut world));
+        let mut report = report.unwrap_or_else(|| Report::as_left(&mut mission, begin));
+        report.true_spread = world.true_spread();
+        let busy = world.settle(lease + acts + AFTERWARDS);
+        for (watched, busy) in watcher.0.iter_mut().zip(busy) {
+            watched.still_moves = busy && watched.moved();
+        }
+        (report, watcher.0)
+    }
+}

@@ -1,0 +1,176 @@
+//! Bounds that a scenario sets for what its trials show. The scheduler judges them.
+
+use std::fmt;
+
+use urrcp::Span;
+
+/// What a scenario requires under `require`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Requirements {
+    /// Of the true spread of starts in half of the trials.
+    pub spread_p50: Option<Ceiling>,
+    /// The same in 99 of 100 trials.
+    pub spread_p99: Option<Ceiling>,
+    /// The same in all trials.
+    pub spread_max: Option<Ceiling>,
+    /// Share of the trials in which the mission starts.
+    pub starts: Option<Floor<Share>>,
+    /// Share of the trials whose mission is done.
+    pub finishes: Option<Floor<Share>>,
+    /// The closest approach of any two bodies, from surface to surface, in metres.
+    pub closest: Option<Floor<f64>>,
+}
+
+impl Requirements {
+    /// Whether nothing is required.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// A figure has to be smaller.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ceiling {
+    /// Than this.
+    Below(Span),
+    /// Than this, or equal.
+    AtMost(Span),
+}
+
+impl Ceiling {
+    /// Whether a figure satisfies it.
+    #[must_use]
+    pub fn holds(self, figure: Span) -> bool {
+        match self {
+            Self::Below(bound) => figure < bound,
+            Self::AtMost(bound) => figure <= bound,
+        }
+    }
+
+    /// The bound itself.
+    #[must_use]
+    pub const fn bound(self) -> Span {
+        match self {
+            Self::Below(bound) | Self::AtMost(bound) => bound,
+        }
+    }
+
+    /// As it is written: `below` or `at most`.
+    #[must_use]
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Below(_) => "below",
+            Self::AtMost(_) => "at most",
+        }
+    }
+}
+
+/// A figure has to be larger.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Floor<T> {
+    /// Than this.
+    Above(T),
+    /// Than this, or equal.
+    AtLeast(T),
+}
+
+impl<T: Copy> Floor<T> {
+    /// The bound itself.
+    #[must_use]
+    pub const fn bound(self) -> T {
+        match self {
+            Self::Above(bound) | Self::AtLeast(bound) => bound,
+        }
+    }
+
+    /// As it is written: `above` or `at least`.
+    #[must_use]
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Above(_) => "above",
+            Self::AtLeast(_) => "at least",
+        }
+    }
+}
+
+impl Floor<f64> {
+    /// Whether a figure satisfies it; what is not a number does not.
+    #[must_use]
+    pub fn holds(self, figure: f64) -> bool {
+        match self {
+            Self::Above(bound) => figure > bound,
+            Self::AtLeast(bound) => figure >= bound,
+        }
+    }
+}
+
+impl Floor<Share> {
+    /// Whether so many of all satisfy it, exactly.
+    #[must_use]
+    pub fn holds(self, count: u64, all: u64) -> bool {
+        let figure = u128::from(count) * u128::from(Share::WHOLE);
+        let bound = u128::from(self.bound().billionths()) * u128::from(all);
+        match self {
+            Self::Above(_) => figure > bound,
+            Self::AtLeast(_) => figure >= bound,
+        }
+    }
+}
+
+/// A share of the whole, in billionths, so that 999 of 1,000 are exactly 99.9 %.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Share(u32);
+
+impl Share {
+    const WHOLE: u32 = 1_000_000_000;
+
+    /// So many billionths, at most the whole.
+    #[must_use]
+    pub fn from_billionths(billionths: u32) -> Self {
+        Self(billionths.min(Self::WHOLE))
+    }
+
+    /// From 0 to 1,000,000,000.
+    #[must_use]
+    pub const fn billionths(self) -> u32 {
+        self.0
+    }
+
+    /// From 0 to 100.
+    #[must_use]
+    pub fn percent(self) -> f64 {
+        f64::from(self.0) / 1e7
+    }
+}
+
+impl fmt::Display for Share {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}%", self.percent())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_share_of_trials_is_compared_exactly() {
+        let share = Share::from_billionths(999_000_000);
+        assert!(Floor::AtLeast(share).holds(999, 1_000));
+        assert!(!Floor::Above(share).holds(999, 1_000));
+        assert!(Floor::Above(share).holds(1_000, 1_000));
+        assert!(!Floor::AtLeast(share).holds(9_989, 10_000));
+        assert_eq!(share.to_string(), "99.9%");
+    }
+
+    #[test]
+    fn bounds_differ_in_whether_they_are_allowed_themselves() {
+        let bound = Span::from_millis(5);
+        assert!(!Ceiling::Below(bound).holds(bound));
+        assert!(Ceiling::AtMost(bound).holds(bound));
+        assert!(!Floor::Above(0.3).holds(0.3));
+        assert!(Floor::AtLeast(0.3).holds(0.3));
+        assert!(!Floor::AtLeast(0.3).holds(f64::NAN));
+    }
+}

@@ -1,0 +1,181 @@
+//! What a scenario requires of its starts, its ends and its distances: bounds that are judged, never enforced while it plays.
+
+use crate::duration;
+use crate::fields::{At, Reader};
+use crate::finding::{Code, Place, names};
+use crate::node::{Node, shortened};
+use crate::plan::{Ceiling, Floor, Requirements, Share};
+
+pub(crate) const REQUIRE_KEYS: [&str; 6] =
+    ["spread_p50", "spread_p99", "spread_max", "starts", "finishes", "closest"];
+
+const SPREAD: &str = "a longest time, such as `below 5ms` or `at most 5ms`";
+const SHARE: &str = "a least share of the trials, such as `above 99.9%` or `at least 100%`";
+const DISTANCE: &str = "a least distance with its unit, such as `above 0.3m` or `at least 30cm`";
+
+/// Metres in each unit of a distance.
+const METRES: [(&str, f64); 3] = [("mm", 1e-3), ("cm", 1e-2), ("m", 1.0)];
+/// Billionths in one percent.
+const OF_PERCENT: u32 = 10_000_000;
+
+/// The bounds, and where that of `closest` stands.
+pub(super) fn read(reader: &mut Reader, at: &At<'_>) -> (Requirements, Option<Place>) {
+    let Some([p50, p99, max, starts, finishes, closest]) = reader.map(at, "`require`", REQUIRE_KEYS, &[])
+    else {
+        return (Requirements::default(), None);
+    };
+    let place = closest.map(|at| at.place());
+    let requirements = Requirements {
+        spread_p50: p50.and_then(|at| ceiling(reader, &at)),
+        spread_p99: p99.and_then(|at| ceiling(reader, &at)),
+        spread_max: max.and_then(|at| ceiling(reader, &at)),
+        starts: starts.and_then(|at| floor(reader, &at, SHARE, share)),
+        finishes: finishes.and_then(|at| floor(reader, &at, SHARE, share)),
+        closest: closest.and_then(|at| floor(reader, &at, DISTANCE, metres)),
+    };
+    (requirements, place)
+}
+
+/// The words before a bound.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Word {
+    Below,
+    AtMost,
+    Above,
+    AtLeast,
+}
+
+const WORDS: [(&str, Word); 4] =
+    [("below", Word::Below), ("at most", Word::AtMost), ("above", Word::Above), ("at least", Word::AtLeast)];
+
+/// A text cut into its words and what follows, which is not empty.
+fn cut(text: &str) -> Option<(Word, &str)> {
+    let text = text.trim();
+    let rest_of = |word: &str| {
+        word.split(' ').try_fold(text, |rest, part| {
+            let rest = rest.strip_prefix(part)?;
+            rest.starts_with(char::is_whitespace).then(|| rest.trim_start())
+        })
+    };
+    WORDS.iter().find_map(|(word, bound)| Some((*bound, rest_of(word)?)))
+}
+
+/// The same, where it is one of the words that fit; everything else is found.
+fn bound<'t>(
+    reader: &mut Reader,
+    at: &At<'_>,
+    text: &'t str,
+    (fitting, expected): ([Word; 2], &str),
+) -> Option<(Word, &'t str)> {
+    let word_of = |word: Word| WORDS.iter().find(|(_, of)| *of == word).map_or("", |(text, _)| *text);
+    let wrong = match cut(text) {
+        Some((word, rest)) if fitting.contains(&word) => return Some((word, rest)),
+        Some((word, rest)) => {
+            // `below` and `above` are the first of their pairs.
+            let other = word_of(fitting[usize::from(matches!(word, Word::AtMost | Word::AtLeast))]);
+            (
+                format!("`{}` does not fit here", word_of(word)),
+                Some(format!("write `{other} {}`", shortened(rest))),
+            )
+        }
+        None => {
+            let value = text.trim().trim_start_matches(['<', '>', '=', ' ']);
+            let hint = value.starts_with(|c: char| c.is_ascii_digit());
+            let hint = hint.then(|| format!("write `{} {}`", word_of(fitting[0]), shortened(value)));
+            (format!("`{}` does not say on which side of it the figure has to be", shortened(text)), hint)
+        }
+    };
+    reader.add(Code::WrongType, at.place(), wrong.0, expected, wrong.1);
+    None
+}
+
+fn ceiling(reader: &mut Reader, at: &At<'_>) -> Option<Ceiling> {
+    let text = reader.text(at, SPREAD)?;
+    let (word, rest) = bound(reader, at, &text, ([Word::Below, Word::AtMost], SPREAD))?;
+    let Some(span) = duration::parse_duration(rest) else {
+        let hint = duration::hint(rest)
+            .or_else(|| rest.parse::<f64>().is_ok().then(|| format!("add the unit: `{rest}ms`")));
+        let found = format!("the time `{}` cannot be read", shortened(rest));
+        reader.add(Code::BadDuration, at.place(), found, duration::EXPECTED, hint);
+        return None;
+    };
+    if span <= urrcp::Span::ZERO {
+        let found = format!("`{}` asks for less than robots can do", shortened(&text));
+        reader.add(Code::WrongType, at.place(), found, "a time above 0", None);
+        return None;
+    }
+    Some(if word == Word::Below { Ceiling::Below(span) } else { Ceiling::AtMost(span) })
+}
+
+/// Why a value cannot be a bound: what is wrong, and how to write it.
+type Unfit = (String, Option<String>);
+
+fn floor<T: Copy>(
+    reader: &mut Reader,
+    at: &At<'_>,
+    expected: &str,
+    value: fn(&str, Word) -> Result<T, Unfit>,
+) -> Option<Floor<T>> {
+    let text = match at.node {
+        // A plain number reads better in the message than its type.
+        Node::Number(number) => number.to_string().into(),
+        _ => reader.text(at, expected)?,
+    };
+    let (word, rest) = bound(reader, at, &text, ([Word::Above, Word::AtLeast], expected))?;
+    match value(rest, word) {
+        Ok(value) => Some(if word == Word::Above { Floor::Above(value) } else { Floor::AtLeast(value) }),
+        Err((found, hint)) => {
+            reader.add(Code::WrongType, at.place(), found, expected, hint);
+            None
+        }
+    }
+}
+
+/// `99.9%` or `99.9 %`, to seven decimals: the unit is part of it, so that 0.99 and 99 cannot be confused.
+fn share(text: &str, word: Word) -> Result<Share, Unfit> {
+    let Some(number) = text.strip_suffix('%') else {
+        let is_number = text.parse::<f64>().is_ok();
+        let hint = is_number.then(|| format!("add the unit: `{text}%`"));
+        return Err((format!("`{}` is not a percentage", shortened(text)), hint));
+    };
+    let Some(billionths) = billionths(number.trim()) else {
+        let hint =
+            number.contains(',').then(|| format!("write a decimal point: `{}`", text.replace(',', ".")));
+        return Err((format!("`{}` is not a percentage from 0 to 100", shortened(text)), hint));
+    };
+    if billionths == 100 * OF_PERCENT && word == Word::Above {
+        let hint = Some("write `at least 100%`".to_owned());
+        return Err(("no share is above 100%".to_owned(), hint));
+    }
+    Ok(Share::from_billionths(billionths))
+}
+
+/// A percentage from 0 to 100 in billionths of the whole, exactly.
+fn billionths(number: &str) -> Option<u32> {
+    let (whole, fraction) = number.split_once('.').unwrap_or((number, "0"));
+    let plain = |digits: &str| !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+    if !plain(whole) || !plain(fraction) || fraction.len() > 7 || whole.len() > 3 {
+        return None;
+    }
+    let sum = whole.parse::<u32>().ok()?.checked_mul(OF_PERCENT)?;
+    let sum = sum.checked_add(format!("{fraction:0<7}").parse::<u32>().ok()?)?;
+    (sum <= 100 * OF_PERCENT).then_some(sum)
+}
+
+fn metres(text: &str, _: Word) -> Result<f64, Unfit> {
+    let cut = METRES.iter().find_map(|(unit, metres)| Some((text.strip_suffix(unit)?.trim(), *metres)));
+    let Some((number, metres)) = cut else {
+        let hint = text.parse::<f64>().is_ok().then(|| format!("add the unit: `{text}m`"));
+        let units = names(METRES.map(|(unit, _)| unit));
+        return Err((format!("`{}` has none of the units {units}", shortened(text)), hint));
+    };
+    match number.parse::<f64>() {
+        Ok(value) if value.is_finite() && value >= 0.0 => Ok(value * metres),
+        Ok(_) => Err((format!("`{}` is no distance", shortened(text)), None)),
+        Err(_) => {
+            let hint =
+                number.contains(',').then(|| format!("write a decimal point: `{}`", text.replace(',', ".")));
+            Err((format!("`{}` cannot be read as a distance", shortened(text)), hint))
+        }
+    }
+}
