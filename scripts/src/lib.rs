@@ -56,7 +56,9 @@ mod tags;
 pub mod timing;
 
 pub use address::{Address, NoAddress};
-pub use compile::{Compiled, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline};
+pub use compile::{
+    Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
+};
 pub use duration::parse_duration;
 pub use files::{Files, Folder, NoFiles};
 pub use finding::{Code, Finding, Related, Severity};

@@ -20,6 +20,7 @@ mod explain;
 mod export;
 mod fleet;
 mod go;
+mod graph;
 mod import;
 mod init;
 mod live;
@@ -104,6 +105,8 @@ enum Command {
     Explain(explain::ExplainArgs),
     /// Show when each cue takes place and what each robot is sent.
     Plan(plan::PlanArgs),
+    /// Write acts, cues and their relations as a graph, for Graphviz or Mermaid.
+    Graph(graph::GraphArgs),
     /// Play a scenario in virtual time with simulated robots.
     DryRun(dry_run::DryRunArgs),
     /// Check whether every robot of a scenario is ready, without moving anything.
@@ -213,6 +216,7 @@ pub fn main() -> ExitCode {
         Command::Check(args) => check::check(&args, format),
         Command::Explain(args) => explain::explain(&args, format),
         Command::Plan(args) => plan::plan(&args, format),
+        Command::Graph(args) => graph::graph(&args, format),
         Command::DryRun(args) => dry_run::dry_run(&args, format),
         Command::Preflight(args) => run::preflight(&args, format),
         Command::Run(args) => run::run(&args, format),

@@ -27,6 +27,8 @@ use self::fate::Fate;
 use self::played::Epoch;
 use crate::dry_run;
 
+pub(crate) use self::planned::waits;
+
 pub use self::history::{History, HistorySource, NoHistory};
 pub use self::played::Told;
 pub use self::written::{OtherScenario, Written};

@@ -279,7 +279,8 @@ fn values_of(script: &urrcp::Script) -> Vec<(ControlType, Points)> {
     all
 }
 
-fn waits(wait: &Wait) -> String {
+/// What an act waits for, for people; nothing if it follows the act before it at once.
+pub(crate) fn waits(wait: &Wait) -> String {
     match wait {
         Wait::Operator => "the operator".to_owned(),
         Wait::Instant(at) => at.to_string(),
