@@ -33,6 +33,7 @@
 
 mod cli;
 pub mod clock;
+mod compare;
 pub mod conformance;
 pub mod drive;
 pub mod dry_run;

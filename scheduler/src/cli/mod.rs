@@ -12,6 +12,7 @@ mod completions;
 mod conformance;
 mod console;
 mod detach;
+mod diff;
 #[cfg(test)]
 mod documented;
 mod dry_run;
@@ -123,6 +124,8 @@ enum Command {
     Missions(missions::MissionsArgs),
     /// Show a mission that was played, from its journal or its recording.
     Report(report::ReportArgs),
+    /// Show what differs between two scenarios as they compile, or between two missions that were played.
+    Diff(diff::DiffArgs),
     /// Check whether a robot does what the protocol demands.
     Conformance(conformance::ConformanceArgs),
     /// Run one simulated robot that listens on TCP.
@@ -225,6 +228,7 @@ pub fn main() -> ExitCode {
         Command::Resume(args) => resume::resume(&args, format),
         Command::Missions(args) => missions::missions(&args, format),
         Command::Report(args) => report::report(&args, format),
+        Command::Diff(args) => diff::diff(&args, format),
         Command::Conformance(args) => conformance::conformance(&args, format),
         Command::Robot(args) => robot::robot(&args, format),
         Command::Edge(args) => edge::edge(&args, format),

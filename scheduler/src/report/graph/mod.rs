@@ -266,7 +266,7 @@ acts:
 
     /// A name with everything that means something in DOT, Mermaid or HTML.
     pub(in crate::report::graph) const HOSTILE: &str =
-        r#"a"]; end <script>alert(1)</script> & #quot; `x` " %% {{ | -->"#;
+        r#"a"]; end <script>alert(1)</script> & #quot; `x` \" %% {{ | -->"#;
 
     pub(in crate::report::graph) fn hostile() -> Graph {
         let name = serde_json::Value::from(format!("{HOSTILE}\n2"));
