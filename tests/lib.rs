@@ -4,6 +4,7 @@
 
 mod claims;
 mod commands;
+mod compare;
 mod compiled;
 mod conformance;
 mod copied;

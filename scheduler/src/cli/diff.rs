@@ -6,9 +6,9 @@ use downbeat_scripts::{Attempt, Refusal, parse_duration};
 use serde::Serialize;
 use urrcp::Span;
 
-use super::{Exit, Format, ScenarioArgs, console, load};
+use super::{Exit, Format, ScenarioArgs, console, dry_run, load};
 use crate::compare::{self, text};
-use crate::page::{History, NoHistory};
+use crate::page::{self, History, NoHistory, OtherPlan, Rehearsed};
 
 /// Show what differs between two scenarios as they compile, or between two missions that were played.
 #[derive(Debug, clap::Args)]
@@ -25,6 +25,7 @@ Examples:
   downbeat diff show.yaml changed.yaml
   downbeat diff show.yaml show.yaml --fleet stage.yaml --fleet-b tour.yaml
   downbeat diff monday.mcap tuesday.mcap --within 1ms
+  downbeat diff show.yaml changed.yaml --html changes.html
   downbeat diff show.yaml changed.yaml --format json"
 )]
 pub(super) struct DiffArgs {
@@ -41,6 +42,9 @@ pub(super) struct DiffArgs {
     /// Start errors and spreads of missions that differ by no more than this count as equal.
     #[arg(long, value_name = "DURATION", value_parser = within)]
     within: Option<Span>,
+    /// Write a page for a browser: the second scenario, the first one behind it, and what differs. It needs no network.
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
     /// Compare what comes before the damage of a recording or a journal that is not whole.
     #[arg(long)]
     partial: bool,
@@ -96,9 +100,33 @@ fn plans(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
     let a = ScenarioArgs { scenario: args.a.clone(), fleet: args.fleet.clone() };
     let b = ScenarioArgs { scenario: args.b.clone(), fleet: fleet_b };
     // Exit code 1 says that they differ.
-    let load = |side: &ScenarioArgs| load::load_choreography(side, format).map_err(|_| Exit::Usage);
-    let ((plan_a, fleet_a, _), (plan_b, fleet_b, _)) = (load(&a)?, load(&b)?);
+    let load = |side: &ScenarioArgs| load::load_whole(side, format).map_err(|_| Exit::Usage);
+    let ((plan_a, fleet_a, path_a, _), (plan_b, fleet_b, path_b, findings)) = (load(&a)?, load(&b)?);
     let found = compare::plans((&plan_a, &fleet_a), (&plan_b, &fleet_b));
+    if let Some(page) = &args.html {
+        let sources: [&Path; 4] = [&args.a, &args.b, &path_a, &path_b];
+        if let Some(error) = load::replaces(page, &sources) {
+            return Err(refused(&error));
+        }
+        let other = OtherPlan { name: args.a.display().to_string(), choreography: &plan_a, found: &found };
+        let (played, told) = dry_run::rehearse(&plan_b, &fleet_b, format).map_err(|(_, error)| {
+            refused(&format!("cannot play `{}` for the page: {error}", args.b.display()))
+        })?;
+        let rehearsed = Rehearsed {
+            choreography: &plan_b,
+            outline: &load::outline(&b, &fleet_b),
+            fleet: &fleet_b,
+            findings: &findings,
+            played: &played,
+            told: &told,
+        };
+        page::of_difference(&rehearsed, &other).and_then(|text| page::save(page, &text)).map_err(
+            |error| {
+                let refusal = Refusal::of(Attempt::Write(page), &error);
+                refused(&format!("cannot write `{}`: {refusal}", page.display()))
+            },
+        )?;
+    }
     show(&found, format, |columns| text::plan_text(&found, columns));
     Ok(!found.same)
 }
@@ -106,6 +134,11 @@ fn plans(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
 fn runs(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
     if args.fleet.is_some() || args.fleet_b.is_some() {
         return Err(refused("--fleet is for scenarios, and these are missions that were played"));
+    }
+    if args.html.is_some() {
+        return Err(refused(
+            "--html is for scenarios; `downbeat report FILE --html PAGE` writes the page of a mission that was played",
+        ));
     }
     let (a, b) = (history(&args.a, args.partial)?, history(&args.b, args.partial)?);
     let found = compare::runs(&a, &b, args.within.unwrap_or_default());

@@ -79,7 +79,9 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         return Exit::Usage;
     }
     let mut viewers = Viewers { bar: Bar::new(format), told: args.html.is_some().then(Vec::new) };
-    let played = play(args, &choreography, first_act, &fleet, &mut viewers);
+    let logs = if args.picture.is_some() || args.html.is_some() { Logs::Kept } else { Logs::Dropped };
+    let choice = Choice { readings: &args.reading, acts: args.acts, seed: args.seed, logs };
+    let played = play(&choice, &choreography, first_act, &fleet, &mut viewers);
     viewers.bar.0.finish_and_clear();
     let played = match played {
         Ok(played) => played,
@@ -123,6 +125,27 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         ));
     }
     super::run::exit_of(&played.report)
+}
+
+/// Plays a whole scenario, for a page.
+pub(super) fn rehearse(
+    choreography: &Choreography,
+    fleet: &Fleet,
+    format: Format,
+) -> Result<(Played, Vec<Told>), (Exit, String)> {
+    let mut viewers = Viewers { bar: Bar::new(format), told: Some(Vec::new()) };
+    let whole = Choice { readings: &[], acts: None, seed: 0, logs: Logs::Kept };
+    let played = play(&whole, choreography, 0, fleet, &mut viewers);
+    viewers.bar.0.finish_and_clear();
+    Ok((played?, viewers.told.unwrap_or_default()))
+}
+
+/// What the arguments say of how a dry run is played.
+struct Choice<'a> {
+    readings: &'a [(RobotId, DeviceId, f64)],
+    acts: Option<u32>,
+    seed: u64,
+    logs: Logs,
 }
 
 fn cut_text(cut: &Cut) -> String {
@@ -220,7 +243,7 @@ fn no_sensor(robot: &RobotId, sensor: &DeviceId, robots: &[&FleetRobot]) -> Stri
 }
 
 fn play(
-    args: &DryRunArgs,
+    choice: &Choice<'_>,
     choreography: &Choreography,
     first_act: usize,
     fleet: &Fleet,
@@ -230,22 +253,21 @@ fn play(
     let machines: Result<Vec<_>, _> = robots
         .iter()
         .enumerate()
-        .map(|(index, robot)| fleet::rehearsed(robot, args.seed.wrapping_add(index as u64)))
+        .map(|(index, robot)| fleet::rehearsed(robot, choice.seed.wrapping_add(index as u64)))
         .collect();
     let machines = machines.map_err(|error| (Exit::Failed, error.to_string()))?;
     let options = MissionOptions {
         greeting: fleet::greeting(fleet),
         first_act,
-        acts_max: args.acts,
+        acts_max: choice.acts,
         ..MissionOptions::default()
     };
     let mut rehearsal = Rehearsal::new(choreography.clone(), fleet::participants(&robots), options, machines)
         .map_err(|error| (Exit::Failed, error.to_string()))?;
-    for (robot, sensor, value) in &args.reading {
+    for (robot, sensor, value) in choice.readings {
         if !rehearsal.set_reading(robot, sensor, *value) {
             return Err((Exit::Usage, no_sensor(robot, sensor, &robots)));
         }
     }
-    let logs = if args.picture.is_some() || args.html.is_some() { Logs::Kept } else { Logs::Dropped };
-    Ok(rehearsal.with_logs(logs).play_before(viewers))
+    Ok(rehearsal.with_logs(choice.logs).play_before(viewers))
 }

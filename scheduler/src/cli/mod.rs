@@ -1,6 +1,6 @@
 //! The command line: one file per subcommand. Only this module prints.
 //!
-//! Exit codes: 0 done; 1 findings, or the mission failed or did not start; 2 usage, or a file that cannot be read or written;
+//! Exit codes: 0 done; 1 findings or differences, or the mission failed or did not start; 2 usage, or a file that cannot be read or written;
 //! 3 stopped by the operator, every robot confirmed; 4 ended with robots whose stop is not confirmed; 5 done without robots that
 //! failed, or without acts whose wait ran out; 6 played to its end, but not as promised or not known; 7 done, but standard output
 //! or the recording could not be written.
@@ -66,7 +66,7 @@ use crate::signals;
 
 Exit codes:
   0  done
-  1  mistakes were found, or the mission failed or did not start
+  1  mistakes or differences were found, or the mission failed or did not start
   2  wrong arguments, no such mission, or a file that cannot be read or written
   3  stopped by the operator; every robot confirmed the stop
   4  ended, but a robot did not confirm its stop
@@ -165,7 +165,7 @@ pub struct ScenarioArgs {
 pub enum Exit {
     /// All went well.
     Done = 0,
-    /// Findings, or a mission that failed or did not start.
+    /// Findings, differences, or a mission that failed or did not start.
     Failed = 1,
     /// Usage or unreadable input.
     Usage = 2,

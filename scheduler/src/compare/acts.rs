@@ -227,6 +227,9 @@ fn cue(a: Option<&PlannedCue>, b: Option<&PlannedCue>) -> Option<CueDifference> 
     })
 }
 
+/// What the setting begins with that stands for the path of a body, as a hash: its steps say more.
+pub(super) const PATH: &str = "path of ";
+
 /// What is said of an act besides its cues and scripts. Acts that it leads to have their names.
 fn settings(act: &Act, choreography: &Choreography) -> BTreeMap<String, Value> {
     let named = |index: usize| choreography.acts.get(index).map(|act| act.name.clone());
@@ -253,10 +256,10 @@ fn settings(act: &Act, choreography: &Choreography) -> BTreeMap<String, Value> {
         settings.insert(format!("on_failure.{robot}"), json!(rule));
     }
     // It follows from the steps, the fleet file and the acts before.
-    for path in &act.in_space.driven {
+    for path in act.in_space.driven.iter().filter(|path| robots_of(act).any(|robot| *robot == path.robot)) {
         let points = path.points.iter().map(|point| json!([point.at, point.pose]));
         let hash = ContentHash::of(json!(points.collect::<Vec<_>>()).to_string().as_bytes());
-        settings.insert(format!("path of {}", path.robot), json!(hash));
+        settings.insert(format!("{PATH}{}", path.robot), json!(hash));
     }
     settings
 }

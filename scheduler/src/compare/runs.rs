@@ -290,8 +290,7 @@ mod tests {
             json!({"record": "act_ended", "act": 0, "fate": "played", "report": report}),
             json!({"record": "ended", "outcome": "done"}),
         ];
-        let records = records.into_iter().map(|record| (Timestamp::from_nanos(0), record)).collect();
-        History { records, ..History::default() }
+        History::of_records(records.into_iter().map(|record| (Timestamp::from_nanos(0), record)).collect())
     }
 
     #[test]

@@ -5,7 +5,7 @@ use downbeat_scripts::{Closest, counted};
 use serde_json::Value;
 use urrcp::Span;
 
-use super::acts::{ActDifferences, CueDifference};
+use super::acts::{ActDifferences, CueDifference, PATH};
 use super::runs::{Figure, RunAct, RunRobot, ScriptDifferences};
 use super::scripts::DeviceDifferences;
 use super::steps::{Largest, ShownStep, StepDifference, StepDifferences};
@@ -107,7 +107,7 @@ impl Text {
 
     fn act(&mut self, act: &ActDifferences) {
         let title = match act.act.as_str() {
-            "" => "acts".to_owned(),
+            "" => "the only act".to_owned(),
             name => format!("act {}", shown(name)),
         };
         self.lines += "\n";
@@ -130,6 +130,10 @@ impl Text {
         self.names("robots removed", &act.robots_removed);
         for setting in &act.settings {
             let Change { a, b } = &setting.change;
+            if setting.setting.starts_with(PATH) {
+                self.say(&format!("{}: another one", shown(&setting.setting)));
+                continue;
+            }
             self.say(&format!("{}: {} → {}", shown(&setting.setting), value(a), value(b)));
         }
         if let Some(Change { a, b }) = &act.closest {
@@ -393,4 +397,102 @@ fn outcome(outcome: &Value) -> String {
         Value::Null => "not known".to_owned(),
         other => value(other["outcome"].as_str().map(Value::from).as_ref().unwrap_or(other)),
     }
+}
+
+/// One difference in words, for a list.
+pub(crate) struct Entry {
+    /// The act that it is about.
+    pub(crate) act: Option<String>,
+    /// From the act's start.
+    pub(crate) at: Option<Span>,
+    pub(crate) device: Option<(urrcp::RobotId, urrcp::DeviceId)>,
+    pub(crate) subject: String,
+    pub(crate) text: String,
+}
+
+/// All differences of two plans, act by act.
+pub(crate) fn entries(found: &PlanDifferences) -> Vec<Entry> {
+    let mut all = Vec::new();
+    let plain = |subject: &str, text: String| Entry {
+        act: None,
+        at: None,
+        device: None,
+        subject: subject.to_owned(),
+        text,
+    };
+    all.extend(found.scenario.as_ref().map(|scenario| plain("scenario", change(Some(scenario)))));
+    for (robots, word) in [(&found.robots_added, "added"), (&found.robots_removed, "removed")] {
+        all.extend(robots.iter().map(|robot| plain(robot.as_str(), word.to_owned())));
+    }
+    for act in &found.acts {
+        let of_act = |entry: Entry| Entry { act: Some(act.act.clone()), ..entry };
+        all.extend(entries_of(act).into_iter().map(of_act));
+    }
+    all
+}
+
+fn entries_of(act: &ActDifferences) -> Vec<Entry> {
+    let at_start = |subject: &str, text: String| Entry {
+        act: None,
+        at: Some(Span::ZERO),
+        device: None,
+        subject: subject.to_owned(),
+        text,
+    };
+    let name = if act.act.is_empty() { "the only act" } else { &act.act };
+    if act.presence != Presence::Changed {
+        return vec![at_start(name, word(act.presence).to_owned())];
+    }
+    let mut all = Vec::new();
+    all.extend(act.place.as_ref().map(|place| at_start(name, format!("place {}", change(Some(place))))));
+    all.extend(
+        act.duration_ms.as_ref().map(|lasts| at_start(name, format!("lasts {}", change(Some(lasts))))),
+    );
+    for setting in act.settings.iter().filter(|setting| !setting.setting.starts_with(PATH)) {
+        let Change { a, b } = &setting.change;
+        all.push(at_start(&setting.setting, format!("{} → {}", value(a), value(b))));
+    }
+    if let Some(Change { a, b }) = &act.closest {
+        let verdict = a.as_ref().zip(b.as_ref()).map_or("", |(a, b)| verdict(a.distance, b.distance));
+        let text = format!("{} → {}{verdict}", closest(a.as_ref()), closest(b.as_ref()));
+        let at = b.as_ref().or(a.as_ref()).map(|closest| closest.at);
+        all.push(Entry { at, ..at_start("closest approach", text) });
+    }
+    let mut timed: Vec<Entry> =
+        act.cues.iter().map(cue_entry).chain(act.devices.iter().map(device_entry)).collect();
+    timed.sort_by_key(|entry| entry.at);
+    all.extend(timed);
+    all
+}
+
+fn cue_entry(cue: &CueDifference) -> Entry {
+    let figure = |name: &str, figure: Option<&Change<Span>>| {
+        figure.map(|figure| format!("{name} {}", change(Some(figure))))
+    };
+    let critical = cue
+        .critical
+        .as_ref()
+        .map(|critical| if critical.b { "now critical" } else { "no longer critical" }.to_owned());
+    let figures = [
+        (cue.presence != Presence::Changed).then(|| word(cue.presence).to_owned()),
+        figure("start", cue.start_ms.as_ref()),
+        figure("duration", cue.duration_ms.as_ref()),
+        figure("slack", cue.slack_ms.as_ref()),
+        critical,
+    ];
+    let text = figures.into_iter().flatten().collect::<Vec<_>>().join(", ");
+    Entry { act: None, at: Some(cue.at_ms), device: None, subject: cue.cue.clone(), text }
+}
+
+fn device_entry(device: &DeviceDifferences) -> Entry {
+    let unit = device.unit.as_deref().unwrap_or_default();
+    let steps = &device.steps;
+    let counted = format!("{} added, {} removed, {} changed", steps.added, steps.removed, steps.changed());
+    let counted = (!steps.steps.is_empty()).then(|| format!("steps: {counted}"));
+    let most = steps.largest.as_ref().map(|largest| format!("most by {}", self::largest(largest, unit)));
+    let what = device_row(device)[1].clone();
+    let text = std::iter::once(what).chain(counted).chain(most).collect::<Vec<_>>().join("; ");
+    let at = steps.largest.map(|largest| largest.at_ms).or_else(|| Some(device.at()));
+    let place = (device.robot.clone(), device.device.clone());
+    Entry { act: None, at, device: Some(place), subject: device.name(), text }
 }

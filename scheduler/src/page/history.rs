@@ -175,6 +175,12 @@ impl History {
         Ok(first.starts_with(MCAP_MAGIC) || sum.is_some_and(|(_, line)| line.starts_with(b" {")))
     }
 
+    /// A journal of these records.
+    #[cfg(test)]
+    pub(crate) fn of_records(records: Vec<(Timestamp<Server>, Value)>) -> Self {
+        Self { records, ..Self::default() }
+    }
+
     /// What the operator was told; nothing in a journal.
     pub(crate) fn told(&self) -> &[(Timestamp<Server>, Value)] {
         &self.told

@@ -224,7 +224,7 @@ fn cue(cue: &scripts::PlannedCue, written: &WrittenCue, places: &Places) -> Cue 
     }
 }
 
-fn lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) -> Vec<Lane> {
+pub(super) fn lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) -> Vec<Lane> {
     let used: HashMap<_, _> = act.devices.iter().map(|used| ((&used.robot, &used.device), used)).collect();
     let mut lanes: Vec<Lane> = Vec::new();
     for planned in &act.plan.robots {
