@@ -166,10 +166,10 @@ fn what_cannot_be_compared_ends_with_2() {
 
 #[test]
 fn names_from_outside_drive_no_terminal() {
-    let name = r#""\u001b[31m\"]; <b>\n""#;
+    let name = r#""\u001b[31m\"]; <b>\n2""#;
     let session = two(&[("cue: up", &format!("cue: {name}")), ("after: up", &format!("after: {name}"))]);
     let ran = session.run(&["diff", "a.yaml", "b.yaml"]);
-    ran.says(1, &[r#"\u{1b}[31m"]; <b>\n"#]);
+    ran.says(1, &[r#"\u{1b}[31m"]; <b>\n2"#]);
     assert!(!ran.out().contains('\u{1b}'), "{}", ran.out());
 }
 

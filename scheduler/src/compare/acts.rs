@@ -101,6 +101,12 @@ fn without<T: Clone + PartialEq>(all: &[T], others: &[T]) -> Vec<T> {
     all.iter().filter(|one| !others.contains(one)).cloned().collect()
 }
 
+/// Readings that the first has more often than the second.
+fn beyond(all: &[PlannedReading], others: &[PlannedReading]) -> Vec<PlannedReading> {
+    let pairs = matched(all, others, |reading| (&reading.robot, &reading.sensor, reading.at));
+    pairs.into_iter().filter_map(|(one, other)| one.filter(|_| other.is_none()).cloned()).collect()
+}
+
 fn robots_of(act: &Act) -> impl Iterator<Item = &RobotId> {
     act.plan.robots.iter().map(|robot| &robot.robot)
 }
@@ -160,8 +166,8 @@ fn act(a: Option<Side<'_>>, b: Option<Side<'_>>) -> ActDifferences {
             (None, Some(b)) => devices(&none(), &b),
             (None, None) => Vec::new(),
         },
-        readings_added: without(&read_b, &read_a),
-        readings_removed: without(&read_a, &read_b),
+        readings_added: beyond(&read_b, &read_a),
+        readings_removed: beyond(&read_a, &read_b),
         closest: Change::of(closest(act_a), closest(act_b)),
         bodies: matched(&bodies(act_a), &bodies(act_b), |body| &body.robot)
             .into_iter()
@@ -316,4 +322,147 @@ fn content(act: &Act, choreography: &Choreography) -> Value {
         "readings": readings,
         "settings": settings(act, choreography),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use downbeat_scripts::{
+        DeviceScript, DeviceUse, DrivenPath, DrivenPoint, NoFiles, OnDoubt, OnFailure, RobotPlan, Source,
+        Wait, compile,
+    };
+    use urrcp::{ControlType, Millis, Script, Setpoint, Step, StopCondition};
+
+    fn script(value: f64, start: f64) -> DeviceScript {
+        let step = Step::new(Millis::new(5.0).unwrap(), Setpoint::new(ControlType::Position, value));
+        DeviceScript {
+            device: "d".parse().unwrap(),
+            start: Millis::new(start).unwrap(),
+            stop_condition: StopCondition::default(),
+            script: Script::new(vec![step]).unwrap(),
+        }
+    }
+
+    fn robot(id: &str) -> RobotPlan {
+        RobotPlan { robot: id.parse().unwrap(), scripts: vec![script(1.0, 0.0)] }
+    }
+
+    fn body(speed: f64) -> BodyUse {
+        BodyUse { robot: "r".parse().unwrap(), speed, acceleration: 1.0 }
+    }
+
+    fn closest_at(distance: f64) -> Option<Closest> {
+        let robots = ["r", "q"].map(|id| id.parse().unwrap());
+        Some(Closest { robots, at: Span::ZERO, distance })
+    }
+
+    fn path(x: f64) -> DrivenPath {
+        let points = vec![DrivenPoint { at: Span::ZERO, pose: [x, 0.0, 0.0] }];
+        DrivenPath { robot: "r".parse().unwrap(), points }
+    }
+
+    fn reading(at: i64) -> PlannedReading {
+        PlannedReading {
+            robot: "r".parse().unwrap(),
+            sensor: "s".parse().unwrap(),
+            at: Span::from_millis(at),
+        }
+    }
+
+    fn used(worst_error: f64) -> DeviceUse {
+        DeviceUse {
+            robot: "r".parse().unwrap(),
+            device: "d".parse().unwrap(),
+            steps: 1,
+            at_least: 1,
+            scripts: 1,
+            budget: 8,
+            worst_error,
+            worst_at: Span::ZERO,
+        }
+    }
+
+    fn choreography() -> Choreography {
+        let text = "scenario: s\nacts:\n  - {act: one, cues: [{cue: a, at: 0s}]}\n  - {act: two, cues: [{cue: b, at: 0s}]}\n";
+        let source = Source { name: "s.yaml".into(), text: text.to_owned() };
+        let mut choreography = compile(&source, &Fleet::default(), &NoFiles).choreography.unwrap();
+        let act = &mut choreography.acts[0];
+        act.plan.robots = vec![robot("r"), robot("q")];
+        act.devices = vec![used(0.1)];
+        act.readings = vec![reading(1)];
+        act.in_space.closest = closest_at(1.0);
+        act.in_space.bodies = vec![body(1.0)];
+        act.in_space.driven = vec![path(1.0)];
+        choreography
+    }
+
+    #[track_caller]
+    fn check(change: impl FnOnce(&mut Choreography), told: bool) {
+        let (a, mut b) = (choreography(), choreography());
+        change(&mut b);
+        let fleet = Fleet::default();
+        for found in [plans((&a, &fleet), (&b, &fleet)), plans((&b, &fleet), (&a, &fleet))] {
+            let listed = !found.acts.is_empty() || found.scenario.is_some();
+            assert_eq!((found.same, listed), (!told, told), "{found:#?}");
+        }
+    }
+
+    #[test]
+    fn whatever_changes_the_hash_is_listed() {
+        let act = |change: fn(&mut Act)| check(|b| change(&mut b.acts[0]), true);
+        check(|b| b.scenario.push('x'), true);
+        check(|b| b.acts.swap(0, 1), true);
+        check(|b| drop(b.acts.pop()), true);
+        act(|act| act.name.push('x'));
+        act(|act| act.cues[0].name.push('x'));
+        act(|act| act.cues[0].start = Span::from_nanos(1));
+        act(|act| act.cues[0].end = Span::from_nanos(1));
+        act(|act| act.cues[0].slack = Span::from_nanos(1));
+        act(|act| act.cues[0].critical ^= true);
+        act(|act| act.devices = vec![used(0.2)]);
+        act(|act| act.devices.clear());
+        act(|act| act.in_space.closest = closest_at(0.5));
+        act(|act| act.in_space.bodies = vec![body(2.0)]);
+        act(|act| act.in_space.driven = vec![path(2.0)]);
+        act(|act| act.readings.push(reading(2)));
+        act(|act| act.readings.push(reading(1)));
+        act(|act| act.wait = Wait::Operator);
+        act(|act| act.timeout = Some(Span::ZERO));
+        act(|act| act.on_timeout = Way::End);
+        act(|act| act.next = Way::End);
+        act(|act| act.on_failure.default = OnFailure::Hold);
+        act(|act| act.on_failure.then = Some(1));
+        act(|act| act.on_failure.robots.push(("r".parse().unwrap(), OnFailure::Hold)));
+        act(|act| act.on_doubt = OnDoubt::Withdraw);
+        act(|act| act.plan.lead = Some(Span::ZERO));
+        act(|act| act.plan.start_tolerance = Span::ZERO);
+        act(|act| act.plan.stop_condition = StopCondition::both(Millis::new(7.0).unwrap()));
+        act(|act| drop(act.plan.robots.pop()));
+        act(|act| act.plan.robots[0].scripts[0] = script(1.5, 0.0));
+        act(|act| act.plan.robots[0].scripts[0] = script(1.0, 1.0));
+        act(|act| act.plan.robots[0].scripts.push(script(1.0, 9.0)));
+        act(|act| {
+            act.plan.robots[0].scripts[0].stop_condition = StopCondition::both(Millis::new(7.0).unwrap());
+        });
+    }
+
+    #[test]
+    fn the_order_of_robots_is_no_difference() {
+        check(|_| {}, false);
+        check(|b| b.acts[0].plan.robots.swap(0, 1), false);
+        check(|b| b.acts[0].in_space.closest.as_mut().unwrap().robots.reverse(), false);
+    }
+
+    #[test]
+    fn an_act_is_followed_by_its_name_wherever_that_stands() {
+        let (mut a, fleet) = (choreography(), Fleet::default());
+        a.acts[0].next = Way::Act(1);
+        let mut b = a.clone();
+        let mut between = b.acts[1].clone();
+        between.name = "between".to_owned();
+        b.acts.insert(1, between);
+        b.acts[0].next = Way::Act(2);
+        let found = plans((&a, &fleet), (&b, &fleet));
+        assert_eq!(found.acts.iter().map(|act| act.act.as_str()).collect::<Vec<_>>(), ["between"]);
+    }
 }
