@@ -6,11 +6,12 @@ use crate::robots::play::SOON;
 use crate::session::PROGRAM;
 use crate::terminal::Terminal;
 
-const COMMANDS: [&str; 25] = [
+const COMMANDS: [&str; 27] = [
     "",
     "check",
     "completions",
     "conformance",
+    "diff",
     "dry-run",
     "edge",
     "explain",
@@ -20,6 +21,7 @@ const COMMANDS: [&str; 25] = [
     "fleet ping",
     "fleet show",
     "go",
+    "graph",
     "import",
     "init",
     "man",

@@ -5,6 +5,7 @@
 mod certificates;
 mod claims;
 mod commands;
+mod compare;
 mod compiled;
 mod conformance;
 mod copied;

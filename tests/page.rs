@@ -19,13 +19,13 @@ fn downbeat(args: &[&str]) -> Ran {
 }
 
 /// What a page shows.
-struct Page {
-    mission: Value,
+pub struct Page {
+    pub mission: Value,
     columns: Vec<u8>,
 }
 
 impl Page {
-    fn read(path: &Path) -> Self {
+    pub fn read(path: &Path) -> Self {
         let html = fs::read_to_string(path).unwrap();
         let marked = html.split_once("type=\"application/octet-stream\">").unwrap().1;
         let packed = STANDARD.decode(marked.split_once('<').unwrap().0).unwrap();
@@ -37,7 +37,7 @@ impl Page {
     }
 
     /// The numbers of a column, read independently of the program.
-    fn numbers(&self, column: &Value) -> Vec<f64> {
+    pub fn numbers(&self, column: &Value) -> Vec<f64> {
         let mut bytes = self.columns[column["at"].as_u64().unwrap() as usize..].iter().copied();
         let scale = 10.0_f64.powi(column["decimals"].as_i64().unwrap() as i32);
         let trend = column["order"] == 2;

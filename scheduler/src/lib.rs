@@ -36,6 +36,7 @@
 pub mod certificate;
 mod cli;
 pub mod clock;
+mod compare;
 pub mod conformance;
 pub mod drive;
 pub mod dry_run;

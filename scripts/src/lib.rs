@@ -58,7 +58,9 @@ pub mod timing;
 mod world;
 
 pub use address::{Address, NoAddress};
-pub use compile::{Compiled, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline};
+pub use compile::{
+    Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
+};
 pub use duration::parse_duration;
 pub use files::{Files, Folder, NoFiles};
 pub use finding::{Code, Finding, Related, Severity};

@@ -52,6 +52,33 @@ export interface Mission {
   read: DeviceSeries[];
   /** Clock of each robot that was asked: `offset` is robot minus server in ms, `uncertainty` how far off that may be. */
   clocks: { robot: number; offset: Series; uncertainty: Series }[];
+  /** What it is compared with, on the page of a diff. */
+  compared?: Compared | null;
+}
+
+/** Another plan, of which this one is a change. */
+export interface Compared {
+  /** Its file. */
+  with: string;
+  differences: Difference[];
+  ghosts: Ghost[];
+}
+
+export interface Difference {
+  /** Index into `Mission.plans`; `null` if only the other has the act, or for what is about no act. */
+  plan: number | null;
+  /** From the act's start. */
+  at: number | null;
+  robot: number | null; device: number | null;
+  subject: string; text: string;
+}
+
+/** What the other plan has in the act of this plan: cues that are elsewhere there, and lanes that differ. */
+export interface Ghost {
+  plan: number;
+  /** `cue`: index into `Plan.cues`. */
+  cues: { cue: number; start: number; end: number }[];
+  lanes: Lane[];
 }
 
 export interface Robot {

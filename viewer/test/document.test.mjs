@@ -123,3 +123,34 @@ test("a browser without DecompressionStream is told what it lacks", async () => 
   assert.match(await page.locator(".notice").innerText(), /DecompressionStream/);
   await close();
 });
+
+test("the page of a diff lists what differs, as text, and a click leads there", async () => {
+  const { mission, columns } = await choreography();
+  const hostile = "</script><script>alert(1)</script>\u202e";
+  const shownAs = "</script><script>alert(1)</script>\\u202e";
+  const of = { plan: 0, robot: null, device: null };
+  mission.compared = {
+    with: hostile,
+    ghosts: [{ plan: 0, cues: [{ cue: 0, start: 100, end: 700 }], lanes: mission.plans[0].lanes.slice(0, 1) }],
+    differences: [
+      { ...of, at: 1500, subject: hostile, text: hostile },
+      { ...of, at: null, plan: null, subject: "robots", text: "removed" },
+    ],
+  };
+  const { page, complaints, close } = await browser.open(await pageWith(encode(mission, columns)));
+  await shown(page);
+  assert.equal(await page.locator("#tab-differences").getAttribute("aria-selected"), "true");
+  const rows = page.locator("#differences tbody tr");
+  assert.equal(await rows.count(), 2);
+  assert.deepEqual(await rows.first().locator("bdi").allTextContents(), [shownAs, shownAs]);
+  assert.equal(await rows.nth(1).locator("button").count(), 0);
+  await page.keyboard.press("1");
+  assert.equal(await page.locator("#tab-summary").getAttribute("aria-selected"), "true");
+  await page.keyboard.press("8");
+  const before = await page.locator(".times output").innerText();
+  await rows.first().locator("button").click();
+  assert.notEqual(await page.locator(".times output").innerText(), before);
+  assert.equal(await page.locator("#page script").count(), 0);
+  assert.deepEqual(complaints, []);
+  await close();
+});

@@ -18,7 +18,7 @@ const fixed = { device: null, scale: 1, offset: 0 };
 const body = { x: { device: 0, scale: 1, offset: 0 }, y: fixed, z: fixed, yaw: fixed, shape: { ball: 0.1 }, joints: [] };
 
 /** One robot with one device, of which `lanes` and `set` are made; `acts` say what is different from one played act. */
-function showOf({ lanes, set = () => [], acts = [{}], ...more }) {
+function showOf({ lanes, set = () => [], acts = [{}], ghosts = null, ...more }) {
   const columns = new Columns();
   const mission = {
     epoch: "2026-01-01T00:00:00.394514404Z",
@@ -35,6 +35,7 @@ function showOf({ lanes, set = () => [], acts = [{}], ...more }) {
     read: [],
     clocks: [],
     report: null,
+    compared: ghosts === null ? null : { with: "a.yaml", differences: [], ghosts: ghosts(columns) },
     ...more,
   };
   return new Show({ mission, columns: new Uint8Array(columns.bytes.subarray(0, columns.length)) });
@@ -168,4 +169,21 @@ test("fates are told in words", () => {
   assert.equal(course("nobody_left", 1), "played once, then skipped: no robot was left to play it");
   assert.equal(course("timed_out", 0, { awaited: "the operator's go", within_ms: 2000 }), "skipped: the operator's go did not come within 2 s");
   assert.equal(course("", 0), "not known");
+});
+
+test("the plan that this one is compared with is behind it wherever the act was played", () => {
+  const lane = (columns, value) => ({ robot: 0, device: 0, control: "position", worst_error: 0, worst_at: 0, scripts: [{ start: 500, steps: columns.series([0, 100], [0, value]) }] });
+  const show = showOf({
+    lanes: (columns) => [lane(columns, 1)],
+    acts: [{}, { start: 5000, end: 9000 }],
+    ghosts: (columns) => [{ plan: 0, cues: [{ cue: 0, start: 100, end: 3000 }], lanes: [lane(columns, 2)] }],
+  });
+  const ghosts = show.ghostsOf(show.tracks[0]);
+  assert.deepEqual(ghosts.map(({ start, wave }) => [start, wave.value(1)]), [[500, 2], [5500, 2]]);
+  assert.deepEqual(show.cues.map((cue) => show.ghostOfCue(cue)), [{ start: 100, end: 3000 }, { start: 5100, end: 8000 }]);
+});
+
+test("without another plan there are no ghosts", () => {
+  const show = showOf({ lanes: () => [] });
+  assert.equal(show.ghostOfCue(show.cues[0]), null);
 });

@@ -45,7 +45,11 @@ fn meant(name: &str, names: &[String]) -> String {
 }
 
 fn no_act(name: &str, choreography: &Choreography, asked: &Asked) -> String {
-    let option = if asked.act.is_some() { "--act" } else { "--from" };
+    no_such_act(if asked.act.is_some() { "--act" } else { "--from" }, name, choreography)
+}
+
+/// What is wrong with the name that this option gives.
+pub(super) fn no_such_act(option: &str, name: &str, choreography: &Choreography) -> String {
     let acts: Vec<String> = choreography.acts.iter().map(|act| act.name.clone()).collect();
     let acts: Vec<String> = acts.into_iter().filter(|act| !act.is_empty()).collect();
     match acts.is_empty() {

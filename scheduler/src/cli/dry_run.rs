@@ -125,7 +125,10 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         true => Trials::new(&choreography, &fleet, &world, options, args.seed)
             .play_one(args.trial.unwrap_or_default(), args.logs(), &mut viewers)
             .map_err(|error| (Exit::Failed, error.to_string())),
-        false => play(args, &choreography, options, &fleet, &mut viewers),
+        false => {
+            let choice = Choice { readings: &args.reading, seed: args.seed, logs: args.logs() };
+            play(&choice, &choreography, options, &fleet, &mut viewers)
+        }
     };
     viewers.bar.0.finish_and_clear();
     let mut played = match played {
@@ -178,6 +181,27 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
 /// What one run says of what is required.
 fn figures(choreography: &Choreography, played: &Played) -> Figures {
     Figures { spread_max: played.report.true_spread, closest: closest_of(choreography), ..Figures::default() }
+}
+
+/// Plays a whole scenario, for a page.
+pub(super) fn rehearse(
+    choreography: &Choreography,
+    fleet: &Fleet,
+    format: Format,
+) -> Result<(Played, Vec<Told>), (Exit, String)> {
+    let mut viewers = Viewers { bar: Bar::new(format), told: Some(Vec::new()) };
+    let whole = Choice { readings: &[], seed: 0, logs: Logs::Kept };
+    let options = MissionOptions { greeting: fleet::greeting(fleet), ..MissionOptions::default() };
+    let played = play(&whole, choreography, options, fleet, &mut viewers);
+    viewers.bar.0.finish_and_clear();
+    Ok((played?, viewers.told.unwrap_or_default()))
+}
+
+/// What the arguments say of how a dry run is played.
+struct Choice<'a> {
+    readings: &'a [(RobotId, DeviceId, f64)],
+    seed: u64,
+    logs: Logs,
 }
 
 fn cut_text(cut: &Cut) -> String {
@@ -290,7 +314,7 @@ fn options(args: &DryRunArgs, fleet: &Fleet, first_act: usize) -> MissionOptions
 }
 
 fn play(
-    args: &DryRunArgs,
+    choice: &Choice<'_>,
     choreography: &Choreography,
     options: MissionOptions,
     fleet: &Fleet,
@@ -300,15 +324,15 @@ fn play(
     let machines: Result<Vec<_>, _> = robots
         .iter()
         .enumerate()
-        .map(|(index, robot)| fleet::rehearsed(robot, args.seed.wrapping_add(index as u64)))
+        .map(|(index, robot)| fleet::rehearsed(robot, choice.seed.wrapping_add(index as u64)))
         .collect();
     let machines = machines.map_err(|error| (Exit::Failed, error.to_string()))?;
     let mut rehearsal = Rehearsal::new(choreography.clone(), fleet::participants(&robots), options, machines)
         .map_err(|error| (Exit::Failed, error.to_string()))?;
-    for (robot, sensor, value) in &args.reading {
+    for (robot, sensor, value) in choice.readings {
         if !rehearsal.set_reading(robot, sensor, *value) {
             return Err((Exit::Usage, no_sensor(robot, sensor, &robots)));
         }
     }
-    Ok(rehearsal.with_logs(args.logs()).play_before(viewers))
+    Ok(rehearsal.with_logs(choice.logs).play_before(viewers))
 }

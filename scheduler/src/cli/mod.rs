@@ -1,6 +1,6 @@
 //! The command line: one file per subcommand. Only this module prints.
 //!
-//! Exit codes: 0 done; 1 findings, or the mission failed or did not start; 2 usage, or a file that cannot be read or written;
+//! Exit codes: 0 done; 1 findings or differences, or the mission failed or did not start; 2 usage, or a file that cannot be read or written;
 //! 3 stopped by the operator, every robot confirmed; 4 ended with robots whose stop is not confirmed; 5 done without robots that
 //! failed, or without acts whose wait ran out; 6 played to its end, but not as promised or not known; 7 done, but standard output
 //! or the recording could not be written.
@@ -13,6 +13,7 @@ mod completions;
 mod conformance;
 mod console;
 mod detach;
+mod diff;
 #[cfg(test)]
 mod documented;
 mod dry_run;
@@ -21,6 +22,7 @@ mod explain;
 mod export;
 mod fleet;
 mod go;
+mod graph;
 mod import;
 mod init;
 mod live;
@@ -66,7 +68,7 @@ use crate::signals;
 
 Exit codes:
   0  done
-  1  mistakes were found, or the mission failed or did not start
+  1  mistakes or differences were found, or the mission failed or did not start
   2  wrong arguments, no such mission, or a file that cannot be read or written
   3  stopped by the operator; every robot confirmed the stop
   4  ended, but a robot did not confirm its stop
@@ -106,6 +108,8 @@ enum Command {
     Explain(explain::ExplainArgs),
     /// Show when each cue takes place and what each robot is sent.
     Plan(plan::PlanArgs),
+    /// Write acts, cues and their relations as a graph, for Graphviz or Mermaid.
+    Graph(graph::GraphArgs),
     /// Play a scenario in virtual time with simulated robots.
     DryRun(dry_run::DryRunArgs),
     /// Check whether every robot of a scenario is ready, without moving anything.
@@ -122,6 +126,8 @@ enum Command {
     Missions(missions::MissionsArgs),
     /// Show a mission that was played, from its journal or its recording.
     Report(report::ReportArgs),
+    /// Show what differs between two scenarios as they compile, or between two missions that were played.
+    Diff(diff::DiffArgs),
     /// Check whether a robot does what the protocol demands.
     Conformance(conformance::ConformanceArgs),
     /// Run one simulated robot that listens on TCP.
@@ -161,7 +167,7 @@ pub struct ScenarioArgs {
 pub enum Exit {
     /// All went well.
     Done = 0,
-    /// Findings, or a mission that failed or did not start.
+    /// Findings, differences, or a mission that failed or did not start.
     Failed = 1,
     /// Usage or unreadable input.
     Usage = 2,
@@ -215,6 +221,7 @@ pub fn main() -> ExitCode {
         Command::Check(args) => check::check(&args, format),
         Command::Explain(args) => explain::explain(&args, format),
         Command::Plan(args) => plan::plan(&args, format),
+        Command::Graph(args) => graph::graph(&args, format),
         Command::DryRun(args) => dry_run::dry_run(&args, format),
         Command::Preflight(args) => run::preflight(&args, format),
         Command::Run(args) => run::run(&args, format),
@@ -223,6 +230,7 @@ pub fn main() -> ExitCode {
         Command::Resume(args) => resume::resume(&args, format),
         Command::Missions(args) => missions::missions(&args, format),
         Command::Report(args) => report::report(&args, format),
+        Command::Diff(args) => diff::diff(&args, format),
         Command::Conformance(args) => conformance::conformance(&args, format),
         Command::Robot(args) => robot::robot(&args, format),
         Command::Edge(args) => edge::edge(&args, format),

@@ -34,6 +34,48 @@ pub(super) struct Mission {
     pub(super) set: Vec<DeviceSeries>,
     pub(super) read: Vec<DeviceSeries>,
     pub(super) clocks: Vec<Clock>,
+    /// What it is compared with, if that was asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) compared: Option<Compared>,
+}
+
+/// Another plan, of which this one is a change.
+#[derive(Debug, Serialize)]
+pub(super) struct Compared {
+    /// Its file.
+    pub(super) with: String,
+    pub(super) differences: Vec<Difference>,
+    pub(super) ghosts: Vec<Ghost>,
+}
+
+/// A difference, in words.
+#[derive(Debug, Serialize)]
+pub(super) struct Difference {
+    /// The plan of the act; `None` if only the other has it, or for what is about no act.
+    pub(super) plan: Option<usize>,
+    /// From the act's start.
+    pub(super) at: Option<f64>,
+    pub(super) robot: Option<usize>,
+    pub(super) device: Option<usize>,
+    pub(super) subject: String,
+    pub(super) text: String,
+}
+
+/// What the other plan has in the act of this plan.
+#[derive(Debug, Serialize)]
+pub(super) struct Ghost {
+    pub(super) plan: usize,
+    /// Of cues of this plan that are elsewhere in the other.
+    pub(super) cues: Vec<GhostCue>,
+    pub(super) lanes: Vec<Lane>,
+}
+
+#[derive(Debug, Serialize)]
+pub(super) struct GhostCue {
+    /// Index into the cues of the plan.
+    pub(super) cue: usize,
+    pub(super) start: f64,
+    pub(super) end: f64,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]

@@ -2,19 +2,22 @@
 
 use std::collections::{BTreeMap, HashMap};
 use std::fs;
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use mcap::MessageStream;
 use mcap::read::Options;
 use serde::Deserialize;
 use serde_json::Value;
-use urrcp::{InitializationBlock, RobotId, Server, Timestamp};
+use urrcp::{InitializationBlock, Interpolation, RobotId, Server, Timestamp};
 
 use crate::journal::{self, Unreadable};
 
 /// The first bytes of every MCAP file.
 const MCAP_MAGIC: &[u8] = b"\x89MCAP";
+
+/// As many as tell what kind of file it is.
+const FIRST_BYTES: u64 = 16;
 
 /// What is left of a mission.
 #[derive(Clone, Debug, Default)]
@@ -156,6 +159,56 @@ impl History {
         }
         history.scenario = history.first_name();
         Ok(history)
+    }
+
+    /// Whether a file is what is left of a mission, by its first bytes: a recording, a journal, or a folder.
+    ///
+    /// # Errors
+    /// The file cannot be read.
+    pub fn is_at(path: &Path) -> io::Result<bool> {
+        if path.is_dir() {
+            return Ok(true);
+        }
+        let mut first = Vec::new();
+        fs::File::open(path)?.take(FIRST_BYTES).read_to_end(&mut first)?;
+        let sum = first.split_at_checked(8).filter(|(sum, _)| sum.iter().all(u8::is_ascii_hexdigit));
+        Ok(first.starts_with(MCAP_MAGIC) || sum.is_some_and(|(_, line)| line.starts_with(b" {")))
+    }
+
+    /// A journal of these records.
+    #[cfg(test)]
+    pub(crate) fn of_records(records: Vec<(Timestamp<Server>, Value)>) -> Self {
+        Self { records, ..Self::default() }
+    }
+
+    /// What the operator was told; nothing in a journal.
+    pub(crate) fn told(&self) -> &[(Timestamp<Server>, Value)] {
+        &self.told
+    }
+
+    /// How a device goes from step to step, as its robot described it.
+    pub(crate) fn is_linear(&self, robot: &str, device: &str) -> bool {
+        let robot = self.robots.iter().find(|known| known.id.as_str() == robot);
+        let mut devices = robot.into_iter().flat_map(|robot| &robot.init).flat_map(|init| &init.devices);
+        devices.any(|known| known.id.as_str() == device && known.interpolation == Interpolation::Linear)
+    }
+
+    /// The steps that a request asks of a device, in order of time, each with its value and its control type. Only recordings have
+    /// them.
+    pub(crate) fn steps_of(
+        &self,
+        robot: &str,
+        device: &str,
+        request: &str,
+    ) -> Vec<(Timestamp<Server>, f64, &str)> {
+        let robot = self.robots.iter().find(|known| known.id.as_str() == robot);
+        let key = (device.to_owned(), request.to_owned());
+        let steps = robot.and_then(|robot| robot.planned.get(&key)).into_iter().flatten();
+        let mut steps: Vec<_> = steps.map(|step| (step.due, step.value, step.control.as_str())).collect();
+        // What is sent again is written down again.
+        steps.sort_by_key(|(due, ..)| *due);
+        steps.dedup();
+        steps
     }
 
     /// Whether anything of a mission could be read.

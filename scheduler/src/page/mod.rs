@@ -2,6 +2,7 @@
 //! page; here is what it shows.
 
 mod columns;
+mod compared;
 mod document;
 mod events;
 mod fate;
@@ -27,6 +28,9 @@ use self::fate::Fate;
 use self::played::Epoch;
 use crate::dry_run;
 
+pub(crate) use self::planned::waits;
+
+pub(crate) use self::compared::OtherPlan;
 pub use self::history::{History, HistorySource, NoHistory};
 pub use self::played::Told;
 pub use self::written::{OtherScenario, Written};
@@ -60,6 +64,17 @@ pub struct Rehearsed<'a> {
 pub fn of_dry_run(rehearsed: &Rehearsed<'_>) -> io::Result<String> {
     let mut columns = Columns::default();
     let mission = rehearsed.mission(&mut columns);
+    page(&mission, &columns)
+}
+
+/// The page of a dry run, with another plan behind it and what differs.
+///
+/// # Errors
+/// As for [`of_dry_run`].
+pub(crate) fn of_difference(rehearsed: &Rehearsed<'_>, other: &OtherPlan<'_>) -> io::Result<String> {
+    let mut columns = Columns::default();
+    let mut mission = rehearsed.mission(&mut columns);
+    mission.compared = Some(compared::compared(rehearsed, other, &mut columns));
     page(&mission, &columns)
 }
 
@@ -117,6 +132,7 @@ impl Rehearsed<'_> {
             set: played::set(played, &places, epoch, columns),
             read: played::read(report, &places, epoch, columns),
             clocks: played::clocks(report, &places, (from, to), columns),
+            compared: None,
         }
     }
 }

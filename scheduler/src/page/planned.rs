@@ -224,7 +224,7 @@ fn cue(cue: &scripts::PlannedCue, written: &WrittenCue, places: &Places) -> Cue 
     }
 }
 
-fn lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) -> Vec<Lane> {
+pub(super) fn lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) -> Vec<Lane> {
     let used: HashMap<_, _> = act.devices.iter().map(|used| ((&used.robot, &used.device), used)).collect();
     let mut lanes: Vec<Lane> = Vec::new();
     for planned in &act.plan.robots {
@@ -279,7 +279,8 @@ fn values_of(script: &urrcp::Script) -> Vec<(ControlType, Points)> {
     all
 }
 
-fn waits(wait: &Wait) -> String {
+/// What an act waits for, for people; nothing if it follows the act before it at once.
+pub(crate) fn waits(wait: &Wait) -> String {
     match wait {
         Wait::Operator => "the operator".to_owned(),
         Wait::Instant(at) => at.to_string(),

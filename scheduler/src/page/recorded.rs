@@ -90,6 +90,7 @@ impl History {
             set: Vec::new(),
             read: self.reported(&places, epoch, columns),
             clocks: self.clocks(&places, epoch, columns),
+            compared: None,
             robots,
         }
     }

@@ -3,6 +3,7 @@
 mod busy;
 mod course;
 pub(crate) mod gantt;
+pub(crate) mod graph;
 #[cfg(test)]
 mod kinds;
 pub(crate) mod local;

@@ -40,7 +40,7 @@ use crate::source::Source;
 use cast::Cast;
 use join::Joined;
 
-pub use outline::{Outline, WrittenAct, WrittenCue, WrittenRelation, outline};
+pub use outline::{Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, outline};
 
 /// What became of a scenario.
 #[derive(Clone, Debug)]

@@ -56,6 +56,41 @@ pub struct WrittenRelation {
     pub text: String,
     /// Index of the other cue in its act; `None` for the act itself.
     pub cue: Option<usize>,
+    /// The same as an inequality of two instants; `None` for the act itself.
+    #[serde(skip)]
+    pub gap: Option<Gap>,
+}
+
+/// The time from one instant to another is at least `least` and, if that is given, at most `most`.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Gap {
+    /// The instant that is counted from.
+    pub from: Moment,
+    /// The instant that is bound to it.
+    pub to: Moment,
+    /// Negative if `to` may come first.
+    pub least: Span,
+    /// `None`: as late as it likes.
+    pub most: Option<Span>,
+}
+
+/// An instant of a cue, which is an index into its act.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Moment {
+    /// Its start.
+    StartOf(usize),
+    /// Its end.
+    EndOf(usize),
+}
+
+impl Moment {
+    /// Index of the cue in its act.
+    #[must_use]
+    pub const fn cue(self) -> usize {
+        match self {
+            Self::StartOf(cue) | Self::EndOf(cue) => cue,
+        }
+    }
 }
 
 /// The outline of a scenario that compiles; of one that does not, as much as can be read.
@@ -71,30 +106,41 @@ pub fn outline(source: &Source, fleet: &Fleet, files: &dyn Files) -> Outline {
     let mut lines = lines_of(&sources, &places).into_iter();
     let mut acts = Vec::with_capacity(scenario.acts.len());
     for act in &scenario.acts {
-        let written = |(cue, (first_line, last_line)): (&Cue, (usize, usize))| {
+        let written = |(own, (cue, (first_line, last_line))): (usize, (&Cue, (usize, usize)))| {
             let members = cast.members(&mut reader, cue, scenario.horizon()).all;
             WrittenCue {
                 robots: members.iter().map(|member| cast.id(member.robot).clone()).collect(),
                 source: usize::from(cue.place.file),
                 first_line,
                 last_line,
-                relations: cue.relations.iter().map(|relation| relation.written(act)).collect(),
+                relations: cue.relations.iter().map(|relation| relation.written(act, own)).collect(),
             }
         };
-        let cues = act.cues.iter().zip(lines.by_ref()).map(written).collect();
+        let cues = act.cues.iter().zip(lines.by_ref()).enumerate().map(written).collect();
         acts.push(WrittenAct { name: act.name.clone(), cues });
     }
     Outline { sources: sources.into_iter().map(Cow::into_owned).collect(), acts }
 }
 
 impl Relation {
-    fn written(&self, act: &Act) -> WrittenRelation {
+    /// `own` is the index of the cue that says so.
+    fn written(&self, act: &Act, own: usize) -> WrittenRelation {
         let other = [&self.from, &self.to].into_iter().find_map(|anchor| match anchor {
             Anchor::StartOf(cue) | Anchor::EndOf(cue) => Some(cue),
             Anchor::Origin | Anchor::Start | Anchor::End => None,
         });
         let cue = other.and_then(|name| act.cues.iter().position(|cue| cue.name == *name));
-        WrittenRelation { text: self.text(), cue }
+        let moment = |anchor: &Anchor| match anchor {
+            Anchor::Origin => None,
+            Anchor::Start => Some(Moment::StartOf(own)),
+            Anchor::End => Some(Moment::EndOf(own)),
+            Anchor::StartOf(_) => cue.map(Moment::StartOf),
+            Anchor::EndOf(_) => cue.map(Moment::EndOf),
+        };
+        let both = moment(&self.from).zip(moment(&self.to)).filter(|_| cue.is_some());
+        let gap =
+            both.map(|(from, to)| Gap { from, to, least: self.min.unwrap_or_default(), most: self.max });
+        WrittenRelation { text: self.text(), cue, gap }
     }
 
     fn text(&self) -> String {

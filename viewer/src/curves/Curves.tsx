@@ -45,6 +45,7 @@ export function Curves() {
           <span class="unplayed">not played</span>
           <span class="set">set</span>
           <span class="read">read</span>
+          {session.show.mission.compared && <span class="ghost">in the other plan</span>}
         </span>
         <span class="gap" />
         <Tool label="Clear all curves" disabled={chosen.length === 0} press={() => (session.chosen.value = [])}>

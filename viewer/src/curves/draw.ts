@@ -6,6 +6,7 @@ import type { Session } from "../state/session";
 import { rounded, withUnit } from "../text/digits";
 import { clock, niceStep, niceTime } from "../text/time";
 import { scaleOf, ticks } from "../timeline/scale";
+import { drawGhosts } from "./ghosts";
 import { drawObserved } from "./observed";
 import { drawPlanned } from "./planned";
 import { makePlot, type Plot } from "./plot";
@@ -40,6 +41,7 @@ export function drawCurves(sheet: Sheet, session: Session): void {
     context.beginPath();
     context.rect(0, slot.top, scale.width, slot.height);
     context.clip();
+    drawGhosts(sheet, plot, session.show);
     drawPlanned(sheet, plot);
     drawObserved(sheet, plot, session.show);
     context.restore();

@@ -2,6 +2,7 @@
 import { fillEnvelope, makeEnvelope, type Envelope } from "../data/envelope";
 import type { Show } from "../data/show";
 import type { Track } from "../data/track";
+import { inView } from "./ghosts";
 import type { Scale } from "../timeline/scale";
 
 export interface Plot {
@@ -31,6 +32,10 @@ function extentOf(show: Show, track: Track, scale: Scale, envelope: Envelope): {
   }
   for (const { wave } of [...show.observed("set", track), ...show.observed("read", track)]) {
     wave.widen(extent, Math.max(0, wave.at(scale.view.from)), wave.from(scale.view.to));
+  }
+  for (const { start, wave } of show.ghostsOf(track)) {
+    const { first, end } = inView(wave, start, scale);
+    if (first < end) wave.widen(extent, first, end);
   }
   if (extent.low > extent.high) Object.assign(extent, track.extent.low <= track.extent.high ? track.extent : { low: 0, high: 1 });
   const error = Math.max(0, ...track.segments.map(({ lane }) => lane.worst_error));

@@ -1,5 +1,5 @@
 // The document, indexed: what the panels and canvases ask for, without a look at every act each time.
-import type { Cue, DeviceSeries, Mission, Plan, Played, Report, Robot } from "../mission";
+import type { Cue, DeviceSeries, Ghost, Mission, Plan, Played, Report, Robot } from "../mission";
 import { playedUntil } from "./fate";
 import type { Payload } from "./payload";
 import { readReport } from "./report";
@@ -25,6 +25,12 @@ export interface Observed {
   wave: Wave;
 }
 
+/** Steps of the plan that this one is compared with; their times are from `start`. */
+export interface GhostWave {
+  start: number;
+  wave: Wave;
+}
+
 export class Show {
   readonly mission: Mission & { report: Report | null };
   readonly tracks: Track[] = [];
@@ -37,6 +43,8 @@ export class Show {
   readonly cues: PlacedCue[];
   /** Indices into `cues` of what each finding is about. */
   readonly cuesOfFinding: number[][];
+  private readonly ghostsOfTrack: GhostWave[][] = [];
+  private readonly ghostsOfCues = new Map<number, { start: number; end: number }>();
   private readonly waves: Waves;
   private readonly clockOf: ReadonlyMap<number, Mission["clocks"][number]>;
 
@@ -49,6 +57,7 @@ export class Show {
     this.leftOutOf = mission.acts.map(leftOut);
     this.makeTracks();
     this.cues = placeCues(mission);
+    this.mission.compared?.ghosts.forEach((ghost) => this.placeGhost(ghost));
     this.cuesOfFinding = mission.findings.map((finding) =>
       finding.source === null ? [] : this.cuesAt(finding.source, finding.line),
     );
@@ -80,6 +89,16 @@ export class Show {
     return this.mission[kind]
       .filter((source) => source.robot === track.robotIndex && source.device === track.deviceIndex)
       .map((source) => ({ source, wave: this.wave(source) }));
+  }
+
+  /** What the plan that this one is compared with has for a lane, wherever an act was played. */
+  ghostsOf(track: Track): readonly GhostWave[] {
+    return this.ghostsOfTrack[track.index] ?? [];
+  }
+
+  /** Where a cue is in the plan that this one is compared with, if it is elsewhere there. */
+  ghostOfCue(placed: PlacedCue): { start: number; end: number } | null {
+    return this.ghostsOfCues.get(placed.index) ?? null;
   }
 
   /** How far off a time of this robot may be, in ms; 0 where nobody asked its clock. */
@@ -117,6 +136,21 @@ export class Show {
     const holds = this.cues.filter(({ cue }) => cue.source === source && cue.first_line <= line && line <= cue.last_line);
     const fewest = Math.min(...holds.map(({ cue }) => cue.last_line - cue.first_line));
     return holds.filter(({ cue }) => cue.last_line - cue.first_line === fewest).map(({ index }) => index);
+  }
+
+  private placeGhost(ghost: Ghost): void {
+    this.mission.acts.forEach((act, index) => {
+      if (act.plan !== ghost.plan) return;
+      for (const lane of ghost.lanes) {
+        const track = this.tracksOf[lane.robot]?.find((t) => t.deviceIndex === lane.device && t.value === (lane.value ?? 0));
+        if (track === undefined) continue;
+        const waves = lane.scripts.map(({ start, steps }) => ({ start: act.start + start, wave: this.waves.of(steps) }));
+        (this.ghostsOfTrack[track.index] ??= []).push(...waves);
+      }
+      const first = this.cues.findIndex((placed) => placed.act === index);
+      for (const { cue, start, end } of ghost.cues)
+        this.ghostsOfCues.set(first + cue, { start: act.start + start, end: act.start + end });
+    });
   }
 
   private makeTracks(): void {

@@ -5,13 +5,28 @@ import { useCell } from "../state/cell";
 import { useSession, type Session, type Tab } from "../state/session";
 import { Cues } from "./Cues";
 import { Deviations } from "./Deviations";
+import { Differences } from "./Differences";
 import { Events } from "./Events";
 import { Findings } from "./Findings";
 import { Source } from "./Source";
 import { Summary } from "./Summary";
 import { Values } from "./Values";
 
-const TABS: { tab: Tab; name: string; body: () => ComponentChildren; count?: (session: Session) => number }[] = [
+interface Panel {
+  tab: Tab;
+  name: string;
+  body: () => ComponentChildren;
+  count?: (session: Session) => number;
+}
+
+const DIFFERENCES: Panel = {
+  tab: "differences",
+  name: "Differences",
+  body: () => <Differences />,
+  count: ({ show }) => show.mission.compared?.differences.length ?? 0,
+};
+
+const ALWAYS: Panel[] = [
   { tab: "summary", name: "Summary", body: () => <Summary /> },
   { tab: "values", name: "Values", body: () => <Values /> },
   { tab: "cues", name: "Cues", body: () => <Cues /> },
@@ -24,20 +39,21 @@ const TABS: { tab: Tab; name: string; body: () => ComponentChildren; count?: (se
 export function Inspector() {
   const session = useSession();
   const current = useCell(session.tab);
+  const tabs = session.show.mission.compared ? [...ALWAYS, DIFFERENCES] : ALWAYS;
   const list = useRef<HTMLDivElement>(null);
   const turn = (event: KeyboardEvent) => {
     const by = { ArrowLeft: -1, ArrowRight: 1 }[event.key];
     if (by === undefined) return;
     event.preventDefault();
     event.stopPropagation();
-    const now = TABS.findIndex(({ tab }) => tab === current);
-    session.tab.value = TABS[(now + by + TABS.length) % TABS.length].tab;
+    const now = tabs.findIndex(({ tab }) => tab === current);
+    session.tab.value = tabs[(now + by + tabs.length) % tabs.length].tab;
     requestAnimationFrame(() => list.current?.querySelector<HTMLElement>("[aria-selected=true]")?.focus());
   };
   return (
     <section class="panel inspector" aria-label="Details">
       <div class="tabs" role="tablist" aria-label="Details" ref={list} onKeyDown={turn}>
-        {TABS.map(({ tab, name, count }) => (
+        {tabs.map(({ tab, name, count }) => (
           <button
             key={tab}
             type="button"
@@ -61,7 +77,7 @@ export function Inspector() {
         aria-labelledby={`tab-${current}`}
         tabIndex={0}
       >
-        {TABS.find(({ tab }) => tab === current)?.body()}
+        {tabs.find(({ tab }) => tab === current)?.body()}
       </div>
     </section>
   );

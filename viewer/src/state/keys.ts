@@ -79,6 +79,13 @@ export const KEYS: Key[] = [
     run: (session, key) => (session.tab.value = TABS[Number(key) - 1]),
   },
   {
+    keys: ["8"],
+    does: "show what differs, on a page that compares two plans",
+    run: (session) => {
+      if (session.show.mission.compared) session.tab.value = "differences";
+    },
+  },
+  {
     keys: ["T"],
     does: "light or dark",
     run: (session) => (session.theme.value = session.theme.value === "dark" ? "light" : "dark"),

@@ -8,7 +8,7 @@ import { Cell } from "./cell";
 import { NO_FILTER, rowsOf, type Filter, type Row } from "./rows";
 
 export type Theme = "light" | "dark";
-export type Tab = "summary" | "values" | "cues" | "deviations" | "findings" | "events" | "source";
+export type Tab = "summary" | "values" | "cues" | "deviations" | "findings" | "events" | "source" | "differences";
 export type Range = { from: number; to: number };
 /** What dragging over the timeline does. */
 export type Drag = "pan" | "select";
@@ -51,6 +51,7 @@ export class Session {
     this.chosen = new Cell<readonly Track[]>(show.tracks.filter((track) => track.segments.length > 0).slice(0, CURVES_AT_FIRST));
     this.rows = new Cell<readonly Row[]>(rowsOf(show, this.filter.value, this.folded.value));
     this.theme = new Cell<Theme>(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+    if (show.mission.compared) this.tab.value = "differences";
     this.playhead.value = Math.max(show.mission.from, Math.min(0, show.mission.to));
     const relist = () => {
       this.rows.value = rowsOf(show, this.filter.value, this.folded.value);

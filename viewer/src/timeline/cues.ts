@@ -10,12 +10,16 @@ import type { Scale } from "./scale";
 export interface CueStyle {
   selected: number | null;
   findings: ReadonlyMap<number, string>;
+  /** Where the cue is in the plan that this one is compared with. */
+  ghost: (placed: PlacedCue) => { start: number; end: number } | null;
   /** Whether the robot in whose row the bar is was left out. */
   leftOut?: (placed: PlacedCue) => boolean;
 }
 
 export function drawCue(sheet: Sheet, scale: Scale, placed: PlacedCue, top: number, height: number, style: CueStyle): void {
   const { context, palette, width } = sheet;
+  const ghost = style.ghost(placed);
+  if (ghost !== null) drawGhost(sheet, scale.x(ghost.start), scale.x(ghost.end), top, height);
   const left = Math.max(scale.x(placed.start), -4);
   const right = Math.min(scale.x(placed.end), width + 4);
   const slackEnd = Math.min(scale.x(placed.end + placed.cue.slack), width + 4);
@@ -39,6 +43,18 @@ export function drawCue(sheet: Sheet, scale: Scale, placed: PlacedCue, top: numb
   }
   if (placed.index === style.selected) outline(sheet, left, right, top, height);
   drawLabel(sheet, placed, left, right, top + height / 2, style.findings.get(placed.index), markOf(leftOut, played <= left && scale.x(placed.playedUntil) <= left));
+}
+
+/** An empty bar. Its dashes stand in for no colour. */
+function drawGhost({ context, palette, width }: Sheet, from: number, to: number, top: number, height: number): void {
+  if (to < -4 || from > width + 4) return;
+  const left = Math.max(from, -4);
+  context.strokeStyle = palette.dim;
+  context.setLineDash([6, 3]);
+  context.beginPath();
+  context.roundRect(left + 0.5, top + 1.5, Math.max(2, Math.min(to, width + 4) - left - 1), height - 3, 3);
+  context.stroke();
+  context.setLineDash([]);
 }
 
 /** Before the name, so that it does not depend on colours and lines. */

@@ -15,7 +15,7 @@ export function drawTimeline(sheet: Sheet, session: Session, scrolled: number): 
   const { width, height } = sheet;
   const scale = scaleOf(session.view.value, width);
   const offset = HEAD_HEIGHT - scrolled;
-  const style = { selected: session.cue.value, findings: findingsOfCues(session.show) };
+  const style = { selected: session.cue.value, findings: findingsOfCues(session.show), ghost: (placed: PlacedCue) => session.show.ghostOfCue(placed) };
   const rows = session.rows.value;
   drawGrid(sheet, scale);
   rows.forEach((row, index) => {

@@ -1,0 +1,176 @@
+//! `downbeat diff`: what differs between two scenarios as they compile, or between two missions that were played.
+
+use std::path::{Path, PathBuf};
+
+use downbeat_scripts::{Attempt, Refusal, parse_duration};
+use serde::Serialize;
+use urrcp::Span;
+
+use super::{Exit, Format, ScenarioArgs, console, dry_run, load};
+use crate::compare::{self, text};
+use crate::page::{self, History, NoHistory, OtherPlan, Rehearsed};
+
+/// Show what differs between two scenarios as they compile, or between two missions that were played.
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Scenarios are compared by what they compile to: text that means the same is the same. Recordings, journals and \
+folders of missions are compared by what was sent and what became of it. Tables have at most 20 rows; --format json has everything.
+
+Exit codes:
+  0  no difference
+  1  they differ
+  2  one of them cannot be read, does not compile, or is of another kind than the other
+
+Examples:
+  downbeat diff show.yaml changed.yaml
+  downbeat diff show.yaml show.yaml --fleet stage.yaml --fleet-b tour.yaml
+  downbeat diff monday.mcap tuesday.mcap --within 1ms
+  downbeat diff show.yaml changed.yaml --html changes.html
+  downbeat diff show.yaml changed.yaml --format json"
+)]
+pub(super) struct DiffArgs {
+    /// A scenario; or a recording, a journal, or the folder of a mission.
+    a: PathBuf,
+    /// Another one of the same kind.
+    b: PathBuf,
+    /// The fleet file of both scenarios. By default the one that each names, or else ./fleet.yaml.
+    #[arg(long, value_name = "FILE")]
+    fleet: Option<PathBuf>,
+    /// The fleet file of the second scenario, if that is another one.
+    #[arg(long, value_name = "FILE")]
+    fleet_b: Option<PathBuf>,
+    /// Start errors and spreads of missions that differ by no more than this count as equal.
+    #[arg(long, value_name = "DURATION", value_parser = within)]
+    within: Option<Span>,
+    /// Write a page for a browser: the second scenario, the first one behind it, and what differs. It needs no network.
+    #[arg(long, value_name = "FILE")]
+    html: Option<PathBuf>,
+    /// Compare what comes before the damage of a recording or a journal that is not whole.
+    #[arg(long)]
+    partial: bool,
+}
+
+fn within(text: &str) -> Result<Span, String> {
+    parse_duration(text).ok_or_else(|| "expected a duration such as 500us or 1ms".to_owned())
+}
+
+pub(super) fn diff(args: &DiffArgs, format: Format) -> Exit {
+    match differs(args, format) {
+        Ok(false) => Exit::Done,
+        Ok(true) => Exit::Failed,
+        Err(exit) => exit,
+    }
+}
+
+fn differs(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
+    match (is_run(&args.a)?, is_run(&args.b)?) {
+        (false, false) => plans(args, format),
+        (true, true) => runs(args, format),
+        (a_is_run, _) => {
+            let (run, plan) = if a_is_run { (&args.a, &args.b) } else { (&args.b, &args.a) };
+            Err(refused(&format!(
+                "`{}` is a mission that was played and `{}` is not: give two scenarios, or two recordings, journals or folders \
+                 of missions",
+                run.display(),
+                plan.display()
+            )))
+        }
+    }
+}
+
+fn is_run(path: &Path) -> Result<bool, Exit> {
+    History::is_at(path).map_err(|error| {
+        let refusal = Refusal::of(Attempt::Read(path), &error);
+        refused(&format!("cannot read `{}`: {refusal}", path.display()))
+    })
+}
+
+fn refused(error: &str) -> Exit {
+    console::error(error);
+    Exit::Usage
+}
+
+fn plans(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
+    if args.within.is_some() || args.partial {
+        return Err(refused(
+            "--within and --partial are for missions that were played, and these are scenarios",
+        ));
+    }
+    let fleet_b = args.fleet_b.as_ref().or(args.fleet.as_ref()).cloned();
+    let a = ScenarioArgs { scenario: args.a.clone(), fleet: args.fleet.clone() };
+    let b = ScenarioArgs { scenario: args.b.clone(), fleet: fleet_b };
+    // Exit code 1 says that they differ.
+    let load = |side: &ScenarioArgs| load::load_whole(side, format).map_err(|_| Exit::Usage);
+    let ((plan_a, fleet_a, path_a, _), (plan_b, fleet_b, path_b, findings)) = (load(&a)?, load(&b)?);
+    let found = compare::plans((&plan_a, &fleet_a), (&plan_b, &fleet_b));
+    if let Some(page) = &args.html {
+        let sources: [&Path; 4] = [&args.a, &args.b, &path_a, &path_b];
+        if let Some(error) = load::replaces(page, &sources) {
+            return Err(refused(&error));
+        }
+        let other = OtherPlan { name: args.a.display().to_string(), choreography: &plan_a, found: &found };
+        let (played, told) = dry_run::rehearse(&plan_b, &fleet_b, format).map_err(|(_, error)| {
+            refused(&format!("cannot play `{}` for the page: {error}", args.b.display()))
+        })?;
+        let rehearsed = Rehearsed {
+            choreography: &plan_b,
+            outline: &load::outline(&b, &fleet_b),
+            fleet: &fleet_b,
+            findings: &findings,
+            played: &played,
+            told: &told,
+        };
+        page::of_difference(&rehearsed, &other).and_then(|text| page::save(page, &text)).map_err(
+            |error| {
+                let refusal = Refusal::of(Attempt::Write(page), &error);
+                refused(&format!("cannot write `{}`: {refusal}", page.display()))
+            },
+        )?;
+    }
+    show(&found, format, |columns| text::plan_text(&found, columns));
+    Ok(!found.same)
+}
+
+fn runs(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
+    if args.fleet.is_some() || args.fleet_b.is_some() {
+        return Err(refused("--fleet is for scenarios, and these are missions that were played"));
+    }
+    if args.html.is_some() {
+        return Err(refused(
+            "--html is for scenarios; `downbeat report FILE --html PAGE` writes the page of a mission that was played",
+        ));
+    }
+    let (a, b) = (history(&args.a, args.partial)?, history(&args.b, args.partial)?);
+    let found = compare::runs(&a, &b, args.within.unwrap_or_default());
+    show(&found, format, |columns| text::run_text(&found, columns));
+    Ok(!found.same)
+}
+
+fn history(path: &Path, partial: bool) -> Result<History, Exit> {
+    let history = match History::read(path) {
+        Ok(history) => history,
+        Err(NoHistory::Io { path, error }) => {
+            let refusal = Refusal::of(Attempt::Read(&path), &error);
+            return Err(refused(&format!("cannot read `{}`: {refusal}", path.display())));
+        }
+        Err(error) => return Err(refused(&error.to_string())),
+    };
+    let name = path.display();
+    match &history.cut_off {
+        Some(cut_off) if !partial || history.is_empty() => Err(refused(&format!(
+            "`{name}` is not whole: {cut_off}; --partial compares what comes before that"
+        ))),
+        Some(cut_off) => {
+            console::note(&format!("`{name}` is not whole: {cut_off}"));
+            Ok(history)
+        }
+        None => Ok(history),
+    }
+}
+
+fn show(found: &impl Serialize, format: Format, text: impl FnOnce(usize) -> String) {
+    match format {
+        Format::Text => console::print(&text(console::columns())),
+        Format::Json => console::print_json(found),
+    }
+}

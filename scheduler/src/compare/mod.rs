@@ -1,0 +1,117 @@
+//! What differs between two plans, or between two missions that were played. Everything is compared exactly; text for people is in
+//! `text`.
+
+mod acts;
+mod played;
+mod runs;
+mod scripts;
+mod steps;
+pub(crate) mod text;
+
+use serde::Serialize;
+
+pub(crate) use acts::{PlanDifferences, plans};
+pub(crate) use runs::{RunDifferences, runs};
+
+/// A value in the first and in the second.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct Change<T> {
+    pub(crate) a: T,
+    pub(crate) b: T,
+}
+
+impl<T: PartialEq> Change<T> {
+    /// `None` for two equal values.
+    fn of(a: T, b: T) -> Option<Self> {
+        (a != b).then_some(Self { a, b })
+    }
+}
+
+/// Whether both have it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub(crate) enum Presence {
+    /// Both have it, and it differs.
+    Changed,
+    /// Only the second has it.
+    Added,
+    /// Only the first has it.
+    Removed,
+}
+
+impl Presence {
+    const fn of<T, U>(a: Option<&T>, b: Option<&U>) -> Self {
+        match (a, b) {
+            (Some(_), None) => Self::Removed,
+            (None, Some(_)) => Self::Added,
+            _ => Self::Changed,
+        }
+    }
+}
+
+/// What stands at the same key in two lists: the first, in its order, each with its counterpart, then what only the second has. Of
+/// equal keys the first belongs to the first, the second to the second.
+fn matched<'a, T, K: Ord>(
+    a: &'a [T],
+    b: &'a [T],
+    key: impl Fn(&'a T) -> K,
+) -> Vec<(Option<&'a T>, Option<&'a T>)> {
+    use std::collections::{BTreeMap, VecDeque};
+    let mut of_b: BTreeMap<K, VecDeque<usize>> = BTreeMap::new();
+    for (index, item) in b.iter().enumerate() {
+        of_b.entry(key(item)).or_default().push_back(index);
+    }
+    let mut taken = vec![false; b.len()];
+    let mut pairs = Vec::with_capacity(a.len().max(b.len()));
+    for item in a {
+        let other = of_b.get_mut(&key(item)).and_then(VecDeque::pop_front);
+        if let Some(index) = other {
+            taken[index] = true;
+        }
+        pairs.push((Some(item), other.map(|index| &b[index])));
+    }
+    pairs.extend(b.iter().zip(taken).filter(|(_, taken)| !taken).map(|(item, _)| (None, Some(item))));
+    pairs
+}
+
+/// Which of these numbers, all different, are not in order: all but a longest rising row.
+fn out_of_order(numbers: &[usize]) -> Vec<bool> {
+    // The last index of the best row of each length, and what comes before each number in its best row.
+    let mut rows: Vec<usize> = Vec::new();
+    let mut before: Vec<Option<usize>> = Vec::with_capacity(numbers.len());
+    for (index, number) in numbers.iter().enumerate() {
+        let length = rows.partition_point(|last| numbers[*last] < *number);
+        before.push(length.checked_sub(1).map(|shorter| rows[shorter]));
+        match rows.get_mut(length) {
+            Some(last) => *last = index,
+            None => rows.push(index),
+        }
+    }
+    let mut moved = vec![true; numbers.len()];
+    let mut next = rows.last().copied();
+    while let Some(index) = next {
+        moved[index] = false;
+        next = before[index];
+    }
+    moved
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_changed_its_place_is_out_of_order() {
+        assert_eq!(out_of_order(&[0, 3, 1, 2]), [false, true, false, false]);
+        assert_eq!(out_of_order(&[1, 0]).iter().filter(|moved| **moved).count(), 1);
+        assert_eq!(out_of_order(&[]), [] as [bool; 0]);
+    }
+
+    #[test]
+    fn equal_keys_are_matched_in_their_order() {
+        let (a, b) = ([("x", 1), ("x", 2), ("y", 3)], [("z", 4), ("x", 5)]);
+        let pairs: Vec<_> =
+            matched(&a, &b, |item| item.0).iter().map(|(a, b)| (a.map(|a| a.1), b.map(|b| b.1))).collect();
+        assert_eq!(pairs, [(Some(1), Some(5)), (Some(2), None), (Some(3), None), (None, Some(4))]);
+    }
+}

@@ -1,0 +1,321 @@
+//! What differs between two missions that were played.
+
+use std::collections::BTreeMap;
+
+use serde::Serialize;
+use serde_json::Value;
+use urrcp::Span;
+
+use super::played::{PlayedAct, SentScript, acts, movement};
+use super::steps::{StepDifferences, compare};
+use super::{Change, Presence, matched};
+use crate::page::{History, HistorySource};
+
+/// What differs between two missions that were played.
+#[derive(Clone, Debug, Serialize)]
+pub(crate) struct RunDifferences {
+    /// Whether nothing differs.
+    pub(crate) same: bool,
+    pub(crate) scenario: Option<Change<Option<String>>>,
+    /// How the mission ended; `null` where that is not known.
+    pub(crate) outcome: Option<Change<Value>>,
+    /// In the order of the first mission; then those that only the second one has.
+    pub(crate) acts: Vec<RunAct>,
+    /// Robots that were left out.
+    pub(crate) dropped_added: Vec<String>,
+    pub(crate) dropped_removed: Vec<String>,
+    /// Why robots failed. `null` if one of the files is a journal, which does not say that.
+    pub(crate) failures: Option<FailureDifferences>,
+}
+
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub(crate) struct FailureDifferences {
+    pub(crate) added: Vec<RobotFailure>,
+    pub(crate) removed: Vec<RobotFailure>,
+}
+
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub(crate) struct RobotFailure {
+    pub(crate) robot: String,
+    pub(crate) text: String,
+}
+
+/// An act of which something differs.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct RunAct {
+    pub(crate) act: String,
+    /// Which time it was, from 1, of an act that was played several times.
+    pub(crate) time: usize,
+    pub(crate) presence: Presence,
+    pub(crate) fate: Option<Change<String>>,
+    pub(crate) spread_ms: Option<Figure>,
+    pub(crate) robots: Vec<RunRobot>,
+    /// Devices that were sent other scripts.
+    pub(crate) scripts: Vec<ScriptDifferences>,
+}
+
+/// A number of milliseconds that is better the closer it is to 0.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub(crate) struct Figure {
+    pub(crate) a: Option<f64>,
+    pub(crate) b: Option<f64>,
+    /// `None` where one is not known, or both are equally far from 0.
+    pub(crate) better: Option<bool>,
+}
+
+/// What a robot did otherwise.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct RunRobot {
+    pub(crate) robot: String,
+    pub(crate) presence: Presence,
+    pub(crate) left_out: Option<Change<bool>>,
+    /// The start error of largest size of its scripts.
+    pub(crate) start_error_ms: Option<Figure>,
+    pub(crate) steps_done: Option<Change<u64>>,
+    pub(crate) late_steps: Option<Change<u64>>,
+    pub(crate) states: Vec<StateChange>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct StateChange {
+    pub(crate) device: String,
+    /// One for each script.
+    #[serde(flatten)]
+    pub(crate) states: Change<Vec<String>>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct ScriptDifferences {
+    pub(crate) robot: String,
+    pub(crate) device: String,
+    pub(crate) presence: Presence,
+    /// When the first one starts, in milliseconds from the act's start.
+    pub(crate) start_ms: Option<Change<f64>>,
+    /// `None` where a file does not have the steps.
+    pub(crate) steps: Option<StepDifferences>,
+}
+
+/// What differs between two missions. Start errors and spreads that differ by at most `within` count as equal.
+pub(crate) fn runs(a: &History, b: &History, within: Span) -> RunDifferences {
+    let outcome = |history: &History| history.report()["outcome"].clone();
+    let (acts_a, acts_b) = (acts(a), acts(b));
+    let pairs = matched(&acts_a, &acts_b, |act| (act.name.as_str(), act.before));
+    let acts = pairs.into_iter().map(|(in_a, in_b)| act((a, in_a), (b, in_b), within));
+    let (dropped_a, dropped_b) = (dropped(a), dropped(b));
+    let mut found = RunDifferences {
+        same: false,
+        scenario: Change::of(a.scenario.clone(), b.scenario.clone()),
+        outcome: Change::of(outcome(a), outcome(b)),
+        acts: acts.filter(|act| !act.is_empty()).collect(),
+        dropped_added: beyond(&dropped_b, &dropped_a),
+        dropped_removed: beyond(&dropped_a, &dropped_b),
+        failures: failures(a).zip(failures(b)).map(|(of_a, of_b)| FailureDifferences {
+            added: beyond(&of_b, &of_a),
+            removed: beyond(&of_a, &of_b),
+        }),
+    };
+    found.same = found.scenario.is_none()
+        && (found.outcome.is_none() && found.acts.is_empty())
+        && (found.dropped_added.is_empty() && found.dropped_removed.is_empty())
+        && found.failures.as_ref().is_none_or(|failures| *failures == FailureDifferences::default());
+    found
+}
+
+/// What the first list has more often than the second.
+fn beyond<T: Clone + Ord>(all: &[T], others: &[T]) -> Vec<T> {
+    let pairs = matched(all, others, |one| one);
+    pairs.into_iter().filter_map(|(one, other)| one.filter(|_| other.is_none()).cloned()).collect()
+}
+
+fn dropped(history: &History) -> Vec<String> {
+    let records = history.records.iter().map(|(_, record)| record);
+    let dropped = records.filter(|record| record["record"] == "dropped");
+    dropped.filter_map(|record| record["robot"].as_str().map(str::to_owned)).collect()
+}
+
+fn failures(history: &History) -> Option<Vec<RobotFailure>> {
+    let text = |value: &Value| value.as_str().unwrap_or_default().to_owned();
+    let failed = history.told().iter().map(|(_, told)| told).filter(|told| told["progress"] == "failed");
+    let failures = failed.map(|told| RobotFailure { robot: text(&told["robot"]), text: text(&told["text"]) });
+    (history.source == HistorySource::Recording).then(|| failures.collect())
+}
+
+impl Figure {
+    fn of(a: Option<f64>, b: Option<f64>, within: Span) -> Option<Self> {
+        let differs = match (a, b) {
+            (Some(a), Some(b)) => Span::from_millis_f64(a - b).abs() > within,
+            (None, None) => false,
+            _ => true,
+        };
+        let better = a.zip(b).filter(|(a, b)| a.abs() != b.abs()).map(|(a, b)| b.abs() < a.abs());
+        differs.then_some(Self { a, b, better })
+    }
+}
+
+type Side<'a> = (&'a History, Option<&'a PlayedAct<'a>>);
+
+fn act((history_a, a): Side<'_>, (history_b, b): Side<'_>, within: Span) -> RunAct {
+    let report = |act: Option<&PlayedAct<'_>>| act.and_then(|act| act.report).cloned().unwrap_or_default();
+    let (report_a, report_b) = (report(a), report(b));
+    let spread = |report: &Value| report["spread_ms"].as_f64();
+    let both = a.zip(b);
+    let rows = |report: &Value| report["robots"].as_array().cloned().unwrap_or_default();
+    let (rows_a, rows_b) = (rows(&report_a), rows(&report_b));
+    let rows = matched(&rows_a, &rows_b, |row| row["robot"].as_str());
+    let robots = rows.into_iter().map(|(a, b)| robot(a, b, within));
+    RunAct {
+        act: b.or(a).map(|act| act.name.clone()).unwrap_or_default(),
+        time: b.or(a).map_or(1, |act| act.before + 1),
+        presence: Presence::of(a, b),
+        fate: both.and_then(|(a, b)| Change::of(a.fate.clone(), b.fate.clone())),
+        spread_ms: both.and_then(|_| Figure::of(spread(&report_a), spread(&report_b), within)),
+        robots: robots.filter(|robot| both.is_some() && !robot.is_empty()).collect(),
+        scripts: both.map_or_else(Vec::new, |(a, b)| scripts((history_a, a), (history_b, b))),
+    }
+}
+
+impl RunAct {
+    fn is_empty(&self) -> bool {
+        let quiet = self.fate.is_none() && self.spread_ms.is_none();
+        self.presence == Presence::Changed && quiet && self.robots.is_empty() && self.scripts.is_empty()
+    }
+}
+
+fn robot(a: Option<&Value>, b: Option<&Value>, within: Span) -> RunRobot {
+    let shown = b.or(a).and_then(|row| row["robot"].as_str()).unwrap_or_default();
+    let both = a.zip(b);
+    let change = |of: fn(&Value) -> u64| both.and_then(|(a, b)| Change::of(of(a), of(b)));
+    let states = both.map_or_else(Vec::new, |(a, b)| {
+        let (a, b) = (states(a), states(b));
+        let mut devices: Vec<&String> = a.keys().chain(b.keys()).collect();
+        devices.sort();
+        devices.dedup();
+        let change = |device: &String| {
+            let states = Change::of(a.get(device).cloned(), b.get(device).cloned())?;
+            let states = Change { a: states.a.unwrap_or_default(), b: states.b.unwrap_or_default() };
+            Some(StateChange { device: device.clone(), states })
+        };
+        devices.into_iter().filter_map(change).collect()
+    });
+    RunRobot {
+        robot: shown.to_owned(),
+        presence: Presence::of(a, b),
+        left_out: both.and_then(|(a, b)| Change::of(a["left_out"] == true, b["left_out"] == true)),
+        start_error_ms: both.and_then(|(a, b)| Figure::of(start_error(a), start_error(b), within)),
+        steps_done: change(|row| sum(row, "steps_done")),
+        late_steps: change(|row| sum(row, "late_steps")),
+        states,
+    }
+}
+
+impl RunRobot {
+    fn is_empty(&self) -> bool {
+        let Self { robot: _, presence, left_out, start_error_ms, steps_done, late_steps, states } = self;
+        let quiet = left_out.is_none() && start_error_ms.is_none() && states.is_empty();
+        *presence == Presence::Changed && quiet && steps_done.is_none() && late_steps.is_none()
+    }
+}
+
+fn devices(row: &Value) -> impl Iterator<Item = &Value> {
+    row["devices"].as_array().into_iter().flatten()
+}
+
+fn start_error(row: &Value) -> Option<f64> {
+    let errors = devices(row).filter_map(|script| script["start_error_ms"].as_f64());
+    errors.max_by(|a, b| a.abs().total_cmp(&b.abs()))
+}
+
+fn sum(row: &Value, key: &str) -> u64 {
+    devices(row).filter_map(|script| script[key].as_u64()).sum()
+}
+
+fn states(row: &Value) -> BTreeMap<String, Vec<String>> {
+    let mut states: BTreeMap<String, Vec<String>> = BTreeMap::new();
+    for script in devices(row) {
+        let text = |key: &str| script[key].as_str().unwrap_or_default().to_owned();
+        states.entry(text("device")).or_default().push(text("state"));
+    }
+    states
+}
+
+fn scripts(
+    (history_a, a): (&History, &PlayedAct<'_>),
+    (history_b, b): (&History, &PlayedAct<'_>),
+) -> Vec<ScriptDifferences> {
+    let mut keys: Vec<&(String, String)> = a.scripts.keys().chain(b.scripts.keys()).collect();
+    keys.sort();
+    keys.dedup();
+    let mut all = Vec::new();
+    for key in keys {
+        let (of_a, of_b) = (a.scripts.get(key), b.scripts.get(key));
+        if of_a.zip(of_b).is_some_and(|(a, b)| are_same(a, b)) {
+            continue;
+        }
+        let (robot, device) = key;
+        let first = |scripts: &Vec<SentScript>| scripts.first().map(|script| script.start);
+        let starts = of_a.and_then(first).zip(of_b.and_then(first));
+        let steps = |history, scripts: Option<&Vec<SentScript>>| {
+            movement(history, robot, device, scripts.map_or(&[], Vec::as_slice))
+        };
+        let movements = steps(history_a, of_a).zip(steps(history_b, of_b));
+        all.push(ScriptDifferences {
+            robot: robot.clone(),
+            device: device.clone(),
+            presence: Presence::of(of_a, of_b),
+            start_ms: starts.and_then(|(a, b)| Change::of(a, b)),
+            steps: movements.map(|(a, b)| compare(&a, &b)),
+        });
+    }
+    all
+}
+
+fn are_same(a: &[SentScript], b: &[SentScript]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| a.is_same(b))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use serde_json::json;
+    use urrcp::Timestamp;
+
+    fn history(error: f64, state: &str, hash: &str) -> History {
+        let device = json!({"device": "d", "state": state, "start_error_ms": error, "steps_done": 3});
+        let report = json!({"act": "one", "number": 0, "spread_ms": error, "robots": [
+            {"robot": "r", "left_out": false, "devices": [device]}]});
+        let scripts =
+            json!([{"robot": "r", "device": "d", "start": 0, "content_hash": hash, "request_id": "x"}]);
+        let records = [
+            json!({"record": "prepared", "number": 0, "act": 0, "scripts": scripts}),
+            json!({"record": "act_ended", "act": 0, "fate": "played", "report": report}),
+            json!({"record": "ended", "outcome": "done"}),
+        ];
+        History::of_records(records.into_iter().map(|record| (Timestamp::from_nanos(0), record)).collect())
+    }
+
+    #[test]
+    fn a_start_error_that_is_closer_to_zero_is_better() {
+        let found = runs(&history(2.0, "ended", "h"), &history(-0.5, "ended", "h"), Span::ZERO);
+        let robot = &found.acts[0].robots[0];
+        assert_eq!(robot.start_error_ms, Some(Figure { a: Some(2.0), b: Some(-0.5), better: Some(true) }));
+        assert!(!found.same && robot.states.is_empty() && found.acts[0].scripts.is_empty());
+    }
+
+    #[test]
+    fn what_differs_by_less_than_was_allowed_is_the_same() {
+        let (a, b) = (history(2.0, "ended", "h"), history(2.5, "ended", "h"));
+        assert!(runs(&a, &b, Span::from_micros(500)).same);
+        assert!(!runs(&a, &b, Span::from_micros(499)).same);
+        assert!(runs(&a, &a, Span::ZERO).same);
+    }
+
+    #[test]
+    fn other_scripts_and_other_states_are_differences_however_much_is_allowed() {
+        let a = history(2.0, "ended", "h");
+        let found = runs(&a, &history(2.0, "failed", "h"), Span::MAX);
+        assert_eq!(found.acts[0].robots[0].states[0].states.b, ["failed"]);
+        let found = runs(&a, &history(2.0, "ended", "other"), Span::MAX);
+        assert_eq!(found.acts[0].scripts[0].steps, None, "a journal has no steps");
+        assert!(!found.same);
+    }
+}

@@ -1,0 +1,129 @@
+//! What differs between the scripts of a device in two plans.
+
+use std::collections::HashMap;
+
+use downbeat_scripts::{Act, DeviceScript, DeviceUse, Fleet};
+use serde::Serialize;
+use urrcp::{DeviceId, Interpolation, Millis, RobotId, Span, StopCondition};
+
+use super::steps::{Movement, StepDifferences, TimedStep, compare};
+use super::{Change, Presence};
+
+/// A device of which something differs.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub(crate) struct DeviceDifferences {
+    pub(crate) robot: RobotId,
+    pub(crate) device: DeviceId,
+    pub(crate) presence: Presence,
+    /// Its unit, where the fleet file has one.
+    pub(crate) unit: Option<String>,
+    /// When its first script starts, from the act's start.
+    pub(crate) start_ms: Option<Change<Millis>>,
+    /// How many scripts.
+    pub(crate) scripts: Option<Change<usize>>,
+    /// The steps are the same, but divided differently into scripts.
+    pub(crate) divided: bool,
+    /// The leases of its scripts.
+    pub(crate) leases: Option<Change<Vec<StopCondition>>>,
+    #[serde(flatten)]
+    pub(crate) steps: StepDifferences,
+    /// How the steps came about.
+    #[serde(rename = "use")]
+    pub(crate) used: Option<Change<Option<DeviceUse>>>,
+}
+
+/// The scripts of the devices of an act, and what they are for.
+pub(super) struct Devices<'a> {
+    scripts: HashMap<(&'a RobotId, &'a DeviceId), Vec<&'a DeviceScript>>,
+    uses: HashMap<(&'a RobotId, &'a DeviceId), &'a DeviceUse>,
+    fleet: &'a Fleet,
+}
+
+impl<'a> Devices<'a> {
+    pub(super) fn of(act: &'a Act, fleet: &'a Fleet) -> Self {
+        let mut scripts: HashMap<_, Vec<_>> = HashMap::new();
+        for robot in &act.plan.robots {
+            for script in &robot.scripts {
+                scripts.entry((&robot.robot, &script.device)).or_default().push(script);
+            }
+        }
+        let uses = act.devices.iter().map(|used| ((&used.robot, &used.device), used)).collect();
+        Self { scripts, uses, fleet }
+    }
+
+    fn described(&self, robot: &RobotId, device: &DeviceId) -> Option<&'a urrcp::Device> {
+        let robot = self.fleet.robots.iter().find(|known| known.id == *robot)?;
+        robot.init.iter().flat_map(|init| &init.devices).find(|known| known.id == *device)
+    }
+
+    fn movement(&self, robot: &RobotId, device: &DeviceId) -> Movement {
+        let linear =
+            self.described(robot, device).is_some_and(|device| device.interpolation == Interpolation::Linear);
+        let mut steps = Vec::new();
+        for script in self.scripts.get(&(robot, device)).into_iter().flatten() {
+            let of_script = script.script.steps();
+            steps.extend(of_script.iter().enumerate().map(|(index, step)| TimedStep {
+                at: script.start.span() + step.offset.span(),
+                setpoint: step.setpoint.clone(),
+                lease: step.stop_condition,
+                ends: index + 1 == of_script.len(),
+            }));
+        }
+        Movement { steps, linear }
+    }
+}
+
+/// The devices of which something differs, by the time of their first difference.
+pub(super) fn devices(a: &Devices<'_>, b: &Devices<'_>) -> Vec<DeviceDifferences> {
+    let keys = [a, b].into_iter().flat_map(|of| of.scripts.keys().chain(of.uses.keys()));
+    let mut keys: Vec<(&RobotId, &DeviceId)> = keys.copied().collect();
+    keys.sort();
+    keys.dedup();
+    let mut all: Vec<DeviceDifferences> = keys.into_iter().filter_map(|key| device(key, a, b)).collect();
+    all.sort_by_key(DeviceDifferences::at);
+    all
+}
+
+fn device(key: (&RobotId, &DeviceId), of_a: &Devices<'_>, of_b: &Devices<'_>) -> Option<DeviceDifferences> {
+    let (robot, device) = key;
+    let (a, b) = (of_a.scripts.get(&key), of_b.scripts.get(&key));
+    let used = Change::of(of_a.uses.get(&key).copied().cloned(), of_b.uses.get(&key).copied().cloned());
+    if a == b && used.is_none() {
+        return None;
+    }
+    let steps = match a == b {
+        true => StepDifferences::default(),
+        false => compare(&of_a.movement(robot, device), &of_b.movement(robot, device)),
+    };
+    let start = |scripts: Option<&Vec<&DeviceScript>>| Some(scripts?.first()?.start);
+    let count = |scripts: Option<&Vec<&DeviceScript>>| scripts.map_or(0, Vec::len);
+    let leases = |scripts: Option<&Vec<&DeviceScript>>| {
+        scripts.into_iter().flatten().map(|script| script.stop_condition).collect::<Vec<_>>()
+    };
+    let (starts, leases) = (start(a).zip(start(b)), Change::of(leases(a), leases(b)));
+    let described = of_b.described(robot, device).or_else(|| of_a.described(robot, device));
+    let scripts = Change::of(count(a), count(b));
+    let start_ms = starts.and_then(|(a, b)| Change::of(a, b));
+    Some(DeviceDifferences {
+        robot: robot.clone(),
+        device: device.clone(),
+        presence: Presence::of(a, b),
+        unit: described.and_then(|device| device.unit.as_ref()).map(ToString::to_string),
+        divided: a != b
+            && steps.steps.is_empty()
+            && (leases.is_none() || scripts.is_some() || start_ms.is_some()),
+        start_ms,
+        leases: leases.filter(|leases| leases.a.len() == leases.b.len()),
+        scripts,
+        steps,
+        used,
+    })
+}
+
+impl DeviceDifferences {
+    /// When the first difference is, from the act's start.
+    pub(crate) fn at(&self) -> Span {
+        let step = self.steps.first().and_then(|step| step.b.as_ref().or(step.a.as_ref()));
+        step.map_or(Span::ZERO, |step| step.at_ms)
+    }
+}
