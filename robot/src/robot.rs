@@ -153,6 +153,11 @@ impl Robot {
         self.devices[*self.index_of.get(device)?].value(control_type, now)
     }
 
+    /// What its sensors read by themselves.
+    pub(crate) fn readings(&self) -> impl Iterator<Item = (&DeviceId, f64)> {
+        self.readings.iter().map(|(sensor, reading)| (sensor, *reading))
+    }
+
     /// What a sensor reads from now on.
     pub fn set_reading(&mut self, device: DeviceId, reading: f64) {
         self.readings.insert(device, reading);

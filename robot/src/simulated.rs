@@ -203,6 +203,28 @@ impl SimulatedRobot {
         self.in_flight.is_empty() && self.robot.is_idle()
     }
 
+    /// Its process begins again at `now`: it has forgotten everything but what its sensors read, and its clock has gone on.
+    #[must_use]
+    pub fn restarted(&self, now: Timestamp<True>) -> Self {
+        let settings = Settings {
+            clock_offset: self.settings.clock_offset + self.drifted(now),
+            ..self.settings.clone()
+        };
+        let mut robot = Self::new(self.robot.block().clone(), settings);
+        robot.ntp_residue = self.ntp_residue;
+        robot.rng = self.rng.clone();
+        robot.kept = self.kept;
+        for (sensor, reading) in self.robot.readings() {
+            robot.robot.set_reading(sensor.clone(), reading);
+        }
+        robot
+    }
+
+    /// What it does wrong from now on; returns what it did wrong before.
+    pub const fn replace_fault(&mut self, fault: Option<Fault>) -> Option<Fault> {
+        std::mem::replace(&mut self.settings.fault, fault)
+    }
+
     /// Its clock is set forward or back while it runs.
     pub fn step_clock(&mut self, by: Span) {
         self.settings.clock_offset += by;

@@ -115,18 +115,22 @@ pub fn rehearsed(robot: &FleetRobot, seed: u64) -> Result<SimulatedRobot, NoInit
     simulated_with(robot, Settings { delay, ..settings })
 }
 
-/// The same with this fault instead of what the fleet file says.
+/// The same with settings that are changed.
 ///
 /// # Errors
 /// As [`simulated`].
-pub fn rehearsed_with(robot: &FleetRobot, seed: u64, fault: Fault) -> Result<SimulatedRobot, NoInit> {
-    let settings = settings(robot, seed);
-    let delay = settings.delay.or(Some(WIRED));
-    simulated_with(robot, Settings { delay, fault: Some(fault), ..settings })
+pub(crate) fn rehearsed_with(
+    robot: &FleetRobot,
+    change: impl FnOnce(&mut Settings),
+) -> Result<SimulatedRobot, NoInit> {
+    let mut settings = settings(robot, 0);
+    settings.delay = settings.delay.or(Some(WIRED));
+    change(&mut settings);
+    simulated_with(robot, settings)
 }
 
 /// Least and largest delay each way in a wired network.
-const WIRED: (Span, Span) = (Span::from_micros(100), Span::from_micros(500));
+pub(crate) const WIRED: (Span, Span) = (Span::from_micros(100), Span::from_micros(500));
 
 fn settings(robot: &FleetRobot, seed: u64) -> Settings {
     let from = &robot.simulation;

@@ -53,6 +53,7 @@ pub mod server_clock;
 mod signals;
 pub mod simulation;
 pub mod stop_lane;
+pub mod trials;
 
 #[doc(hidden)]
 pub use cli::main;

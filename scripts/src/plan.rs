@@ -157,6 +157,12 @@ pub struct DeviceScript {
 }
 
 impl Act {
+    /// What it is called in reports: its name, or that of the scenario where it has none.
+    #[must_use]
+    pub fn called(&self) -> &str {
+        if self.name.is_empty() { &self.plan.scenario } else { &self.name }
+    }
+
     /// Whether people know it by this name; a scenario without acts of its own is known by the scenario's.
     #[must_use]
     pub fn is_named(&self, name: &str) -> bool {

@@ -128,7 +128,9 @@ fn rehearse(
         let seed = seed.wrapping_add(index as u64);
         let fault = faulty.filter(|(of, _)| **of == robot.id).map(|(_, fault)| fault);
         match fault {
-            Some(fault) => fleet::rehearsed_with(robot, seed, fault),
+            Some(fault) => fleet::rehearsed_with(robot, |settings| {
+                (settings.seed, settings.fault) = (seed, Some(fault));
+            }),
             None => fleet::rehearsed(robot, seed),
         }
     };

@@ -10,13 +10,14 @@ use urrcp::{DeviceId, RobotId, Server, Timestamp};
 use super::certify;
 use super::choice::{self, ChoiceArgs};
 use super::load;
-use super::{Exit, Format, ScenarioArgs, console};
+use super::{Exit, Format, ScenarioArgs, console, trials};
 use crate::dry_run::{Audience, Cut, Logs, Played, ROUNDS, Rehearsal};
 use crate::fleet;
 use crate::mission::{MissionOptions, Progress};
 use crate::page::{self, Rehearsed, Told};
 use crate::report::{picture, report_text};
 use crate::requirements::{Figures, any_unmet, closest_of, judge};
+use crate::trials::Trials;
 
 /// Play a scenario in virtual time with simulated robots.
 #[derive(Debug, clap::Args)]
@@ -27,6 +28,8 @@ one second after the act before it has ended. An act that waits for a sensor get
 --reading gives another. Acts that repeat forever end after a while. What the scenario requires (`require`) is judged: if something is not met, the \
 exit code is 1.
 
+A world file (--world) says what the mission meets on the day: docs/world.md has its keys. With --trials many missions are played in it, and only what the scenario requires makes the exit code 1; --trial plays one of them again.
+
 Examples:
   downbeat dry-run show.yaml
   downbeat dry-run show.yaml --html show.html
@@ -34,6 +37,8 @@ Examples:
   downbeat dry-run show.yaml --act finale
   downbeat dry-run show.yaml --acts 12
   downbeat dry-run show.yaml --reading rover-1/range=2.5
+  downbeat dry-run show.yaml --world friday.yaml --trials 1000 --seed 7
+  downbeat dry-run show.yaml --world friday.yaml --seed 7 --trial 417 --html 417.html
   downbeat dry-run show.yaml --certify show.cert.json"
 )]
 pub(super) struct DryRunArgs {
@@ -42,7 +47,7 @@ pub(super) struct DryRunArgs {
     #[command(flatten)]
     choice: ChoiceArgs,
     /// Give a sensor a reading, for example rover-1/range=0.4.
-    #[arg(long, value_name = "ROBOT/SENSOR=VALUE", value_parser = reading)]
+    #[arg(long, value_name = "ROBOT/SENSOR=VALUE", value_parser = reading, conflicts_with_all = ["world", "trial"])]
     reading: Vec<(RobotId, DeviceId, f64)>,
     /// Draw what every device does over time as SVG. Several acts are written to numbered files.
     #[arg(long, value_name = "FILE")]
@@ -53,6 +58,15 @@ pub(super) struct DryRunArgs {
     /// End after this number of acts. By default after three times the number of acts of the scenario, which only a loop reaches.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     acts: Option<u32>,
+    /// What the mission meets: links, clocks, sensors, the operator, and what goes wrong.
+    #[arg(long, value_name = "FILE")]
+    world: Option<PathBuf>,
+    /// Play this number of missions, each with another draw of the world, and say how they go.
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000), conflicts_with_all = ["reading", "picture", "html"])]
+    trials: Option<u32>,
+    /// Play this one of the trials alone, counted from 0.
+    #[arg(long, value_name = "K", conflicts_with = "trials")]
+    trial: Option<u32>,
     /// Play the plan against faults of every robot, and write that what is promised held, for `run --require-certificate`.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["reading", "picture", "html", "acts"])]
     certify: Option<PathBuf>,
@@ -91,8 +105,28 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         console::error(&error);
         return Exit::Usage;
     }
+    let world = match trials::world(args.world.as_deref(), &fleet, &choreography, format) {
+        Ok(world) => world,
+        Err(exit) => return exit,
+    };
+    if let Some(count) = args.trials {
+        let options = options(args, &fleet, first_act);
+        return match trials::play((&choreography, &fleet, &world), options, (count, args.seed), format) {
+            Ok(results) => {
+                trials::print(&results, format);
+                if any_unmet(&results.requirements) { Exit::Failed } else { Exit::Done }
+            }
+            Err(exit) => exit,
+        };
+    }
     let mut viewers = Viewers { bar: Bar::new(format), told: args.html.is_some().then(Vec::new) };
-    let played = play(args, &choreography, first_act, &fleet, &mut viewers);
+    let options = options(args, &fleet, first_act);
+    let played = match args.world.is_some() || args.trial.is_some() {
+        true => Trials::new(&choreography, &fleet, &world, options, args.seed)
+            .play_one(args.trial.unwrap_or_default(), args.logs(), &mut viewers)
+            .map_err(|error| (Exit::Failed, error.to_string())),
+        false => play(args, &choreography, options, &fleet, &mut viewers),
+    };
     viewers.bar.0.finish_and_clear();
     let mut played = match played {
         Ok(played) => played,
@@ -240,10 +274,25 @@ fn no_sensor(robot: &RobotId, sensor: &DeviceId, robots: &[&FleetRobot]) -> Stri
     }
 }
 
+impl DryRunArgs {
+    const fn logs(&self) -> Logs {
+        if self.picture.is_some() || self.html.is_some() { Logs::Kept } else { Logs::Dropped }
+    }
+}
+
+fn options(args: &DryRunArgs, fleet: &Fleet, first_act: usize) -> MissionOptions {
+    MissionOptions {
+        greeting: fleet::greeting(fleet),
+        first_act,
+        acts_max: args.acts,
+        ..MissionOptions::default()
+    }
+}
+
 fn play(
     args: &DryRunArgs,
     choreography: &Choreography,
-    first_act: usize,
+    options: MissionOptions,
     fleet: &Fleet,
     viewers: &mut Viewers,
 ) -> Result<Played, (Exit, String)> {
@@ -254,12 +303,6 @@ fn play(
         .map(|(index, robot)| fleet::rehearsed(robot, args.seed.wrapping_add(index as u64)))
         .collect();
     let machines = machines.map_err(|error| (Exit::Failed, error.to_string()))?;
-    let options = MissionOptions {
-        greeting: fleet::greeting(fleet),
-        first_act,
-        acts_max: args.acts,
-        ..MissionOptions::default()
-    };
     let mut rehearsal = Rehearsal::new(choreography.clone(), fleet::participants(&robots), options, machines)
         .map_err(|error| (Exit::Failed, error.to_string()))?;
     for (robot, sensor, value) in &args.reading {
@@ -267,6 +310,5 @@ fn play(
             return Err((Exit::Usage, no_sensor(robot, sensor, &robots)));
         }
     }
-    let logs = if args.picture.is_some() || args.html.is_some() { Logs::Kept } else { Logs::Dropped };
-    Ok(rehearsal.with_logs(logs).play_before(viewers))
+    Ok(rehearsal.with_logs(args.logs()).play_before(viewers))
 }

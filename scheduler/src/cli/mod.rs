@@ -36,6 +36,7 @@ mod run;
 mod schema;
 mod sim;
 mod stop;
+mod trials;
 mod withdraw;
 
 #[cfg(test)]

@@ -4,6 +4,8 @@
 //! A virtual operator says go whenever an act waits and nothing else plays. Nothing lasts forever: a loop of acts is played
 //! a stated number of times, and an act that waits for what never comes is given up ([`Cut`]).
 
+mod circumstances;
+mod link;
 mod operator;
 mod spread;
 mod watch;
@@ -14,7 +16,10 @@ use downbeat_robot::simulated::SimulatedRobot;
 use downbeat_scripts::{Choreography, SensorRange, Wait};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
+pub(crate) use self::circumstances::{Circumstances, Stream, mixed};
+pub(crate) use self::link::between;
 use self::operator::VirtualOperator;
+pub use self::spread::ActStarts;
 pub use self::watch::Watched;
 use self::world::VirtualWorld;
 use crate::drive::{at_once, drive};
@@ -35,6 +40,8 @@ pub struct Played {
     pub report: Report,
     /// What each robot set, in the order of the mission's robots; empty unless it was to be kept.
     pub logs: Vec<Vec<LogEntry>>,
+    /// How many scripts of each act that has ended really began, in order.
+    pub starts: Vec<ActStarts>,
     /// Why the virtual operator ended what would have gone on.
     pub cut: Option<Cut>,
 }
@@ -94,6 +101,7 @@ pub struct Rehearsal {
     robots: Vec<SimulatedRobot>,
     begin: Timestamp<Server>,
     logs: Logs,
+    circumstances: Circumstances,
 }
 
 impl Rehearsal {
@@ -122,7 +130,7 @@ impl Rehearsal {
     fn of(mut mission: Mission, robots: Vec<SimulatedRobot>, begin: Timestamp<Server>) -> Self {
         let acts = u32::try_from(mission.choreography().acts.len()).unwrap_or(u32::MAX);
         mission.bound_acts(acts.saturating_mul(ROUNDS));
-        Self { mission, robots, begin, logs: Logs::Dropped }
+        Self { mission, robots, begin, logs: Logs::Dropped, circumstances: Circumstances::default() }
     }
 
     /// Lets a sensor read this. `false` where the robot takes no part, or has no such sensor.
@@ -134,6 +142,12 @@ impl Rehearsal {
         };
         let index = index.filter(has);
         index.map(|index| self.robots[index].set_reading(sensor.clone(), value)).is_some()
+    }
+
+    /// What the mission meets, which is drawn for the instant at which it begins.
+    pub(crate) fn meets(self, draw: impl FnOnce(Timestamp<Server>) -> Circumstances) -> Self {
+        let circumstances = draw(self.begin);
+        Self { circumstances, ..self }
     }
 
     /// Whether to keep what every robot sets.
@@ -151,16 +165,17 @@ impl Rehearsal {
     /// Plays to the end before an audience.
     #[must_use]
     pub fn play_before(self, audience: &mut impl Audience) -> Played {
-        let Self { mut mission, robots, begin, logs } = self;
+        let Self { mut mission, robots, begin, logs, circumstances } = self;
         let operator = VirtualOperator::new(mission.choreography());
         let ids = mission.robots().iter().map(|robot| robot.id.clone()).collect();
-        let mut world = VirtualWorld::new(robots, ids, begin, operator, logs, audience);
+        let mut world = VirtualWorld::new(robots, ids, begin, (operator, circumstances), logs, audience);
         let report = at_once(drive(&mut mission, &mut world));
         // A virtual process is not killed.
         let mut report = report.unwrap_or_else(|| Report::as_left(&mut mission, begin));
         report.true_spread = world.true_spread();
+        let starts = world.take_starts();
         let (logs, cut) = world.end();
-        Played { report, logs, cut }
+        Played { report, logs, starts, cut }
     }
 }
 

@@ -15,17 +15,35 @@ pub(super) struct TrueSpread {
     /// For each robot, by act and device: the true times of its scripts' first steps, in order.
     firsts: Vec<HashMap<(u32, DeviceId), Vec<i64>>>,
     largest: Option<Span>,
+    starts: Vec<ActStarts>,
+}
+
+/// How many scripts of an act really began: the first steps that robots set.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ActStarts {
+    /// Name of the act.
+    pub act: String,
+    /// Scripts of robots that were not left out.
+    pub planned: usize,
+    /// Those of them that began.
+    pub begun: usize,
+    /// Largest minus smallest error of their starts, by the true time; `None` where not all began.
+    pub spread: Option<Span>,
 }
 
 impl TrueSpread {
     pub(super) fn new(ids: Vec<RobotId>) -> Self {
         let firsts = vec![HashMap::new(); ids.len()];
         let index_of = ids.into_iter().enumerate().map(|(index, id)| (id, index)).collect();
-        Self { index_of, firsts, largest: None }
+        Self { index_of, firsts, largest: None, starts: Vec::new() }
     }
 
     pub(super) const fn largest(&self) -> Option<Span> {
         self.largest
+    }
+
+    pub(super) fn take_starts(&mut self) -> Vec<ActStarts> {
+        std::mem::take(&mut self.starts)
     }
 
     pub(super) fn see(&mut self, robot: usize, entry: &LogEntry) {
@@ -40,8 +58,21 @@ impl TrueSpread {
 
     /// An act has ended: largest minus smallest error of the first steps of its scripts.
     pub(super) fn act_ended(&mut self, act: &ActReport) {
-        self.largest = self.largest.max(self.spread(act));
+        let spread = self.spread(act);
+        self.largest = self.largest.max(spread);
+        self.starts.push(self.starts_of(act, spread));
         self.firsts.iter_mut().for_each(|firsts| firsts.retain(|(number, _), _| *number > act.number));
+    }
+
+    fn starts_of(&self, act: &ActReport, spread: Option<Span>) -> ActStarts {
+        let (mut planned, mut begun) = (0, 0);
+        for robot in act.robots.iter().filter(|robot| !robot.left_out) {
+            let firsts = self.index_of.get(&robot.robot).map(|index| &self.firsts[*index]);
+            planned += robot.devices.len();
+            let of_act = firsts.into_iter().flatten().filter(|((number, _), _)| *number == act.number);
+            begun += of_act.map(|(_, starts)| starts.len()).sum::<usize>().min(robot.devices.len());
+        }
+        ActStarts { act: act.act.clone(), planned, begun, spread }
     }
 
     /// `None` where a robot that was not left out did not start a script.

@@ -57,7 +57,7 @@ impl Rehearsal {
     /// order of the report's robots.
     #[must_use]
     pub fn play_watched(self) -> (Report, Vec<Watched>) {
-        let Self { mut mission, robots, begin, .. } = self;
+        let Self { mut mission, robots, begin, circumstances, .. } = self;
         let choreography = mission.choreography();
         let operator = VirtualOperator::new(choreography);
         let scripts =
@@ -67,7 +67,8 @@ impl Rehearsal {
         let acts = choreography.acts.iter().map(|act| act.plan.duration()).max().unwrap_or_default();
         let ids: Vec<_> = mission.robots().iter().map(|robot| robot.id.clone()).collect();
         let mut watcher = Watcher(vec![Watched::default(); ids.len()]);
-        let mut world = VirtualWorld::new(robots, ids, begin, operator, Logs::Watched, &mut watcher);
+        let mut world =
+            VirtualWorld::new(robots, ids, begin, (operator, circumstances), Logs::Watched, &mut watcher);
         let report = at_once(drive(&mut mission, &mut world));
         let mut report = report.unwrap_or_else(|| Report::as_left(&mut mission, begin));
         report.true_spread = world.true_spread();

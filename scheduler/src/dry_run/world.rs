@@ -1,30 +1,72 @@
-//! The world of a dry run: robots, links without faults, and a clock that jumps.
+//! The world of a dry run: robots, links, what goes wrong in a trial, and a clock that jumps.
 
 use std::cmp::Reverse;
-use std::collections::{BTreeSet, BinaryHeap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap, VecDeque};
 
 use downbeat_robot::set_log::{Kept, LogEntry};
-use downbeat_robot::simulated::{Outgoing, SimulatedRobot, True};
+use downbeat_robot::simulated::{Fault, Outgoing, SimulatedRobot, True};
 use downbeat_robot::{Input, LinkId};
-use urrcp::{Message, RobotId, Server, Span, Timestamp};
+use urrcp::{DeviceId, Message, RobotId, Server, Span, Timestamp};
 
+use super::circumstances::{Circumstances, Drawn, Mishap};
+use super::link::{Link, Way};
 use super::operator::VirtualOperator;
-use super::spread::TrueSpread;
+use super::spread::{ActStarts, TrueSpread};
 use super::{Audience, Cut, Logs};
 use crate::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use crate::mission::{Event, Loss, Progress, Record};
 
 /// In nanoseconds.
 const SECOND: i64 = 1_000_000_000;
+/// A connection that does not stand by then is given up, as over TCP (`link/tcp.rs`).
+const CONNECT_TIMEOUT: Span = Span::from_millis(3_000);
+
+/// A robot, and the network to it.
+struct Place {
+    /// `None`: its process is not there.
+    machine: Option<SimulatedRobot>,
+    /// The process that died, as far as the next one goes on from it.
+    died: Option<SimulatedRobot>,
+    /// It stands still until then.
+    stalls_until: Timestamp<Server>,
+    /// `None`: the robot delays its messages itself, and nothing is lost.
+    link: Option<Link>,
+    /// The connections that it has.
+    connections: BTreeSet<LinkNumber>,
+}
+
+/// Something that happens at an instant outside of the robots.
+enum Item {
+    /// A connection is begun.
+    Connect { robot: usize, link: LinkNumber },
+    /// A connection would stand.
+    Connected { robot: usize, link: LinkNumber },
+    /// Something arrives at a robot.
+    AtRobot { robot: usize, link: LinkNumber, input: Box<Input> },
+    /// Something arrives from a robot.
+    AtScheduler { robot: usize, link: LinkNumber, event: Box<Event> },
+    /// Something goes wrong.
+    Mishap { robot: usize, mishap: Mishap },
+    /// A robot's process begins again.
+    Back { robot: usize },
+    /// A robot no longer does what it did wrong.
+    Obeys { robot: usize, fault: Option<Fault> },
+    /// A sensor reads something else.
+    Reads { robot: usize, sensor: DeviceId, value: f64 },
+}
 
 pub(super) struct VirtualWorld<'a, A> {
     now: Timestamp<Server>,
-    robots: Vec<SimulatedRobot>,
+    places: Vec<Place>,
     /// When each robot is next due, in order, and by robot. What `due` does not confirm is outdated.
     agenda: BinaryHeap<Reverse<(Timestamp<Server>, usize)>>,
     due: Vec<Option<Timestamp<Server>>>,
-    /// Links to be made.
-    connecting: BTreeSet<(Timestamp<Server>, usize, LinkNumber)>,
+    /// In the order of time, and of those at one instant in that in which they came about.
+    items: BTreeMap<(Timestamp<Server>, u64), Item>,
+    /// Items so far.
+    count: u64,
+    /// Incidents that wait for their act to be sent.
+    awaiting: Vec<Drawn>,
     arrived: VecDeque<Happened>,
     operator: VirtualOperator,
     spread: TrueSpread,
@@ -40,7 +82,7 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         mut robots: Vec<SimulatedRobot>,
         ids: Vec<RobotId>,
         begin: Timestamp<Server>,
-        operator: VirtualOperator,
+        (mut operator, circumstances): (VirtualOperator, Circumstances),
         keeps: Logs,
         audience: &'a mut A,
     ) -> Self {
@@ -48,12 +90,25 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         if keeps == Logs::Dropped {
             robots.iter_mut().for_each(|robot| robot.keep(Kept::FirstSteps));
         }
-        Self {
+        let Circumstances { links, incidents, readings, operator: manner } = circumstances;
+        let still = readings.iter().map(|(at, ..)| *at).max().unwrap_or(begin);
+        operator.behaves(manner, still);
+        let links = links.into_iter().chain(std::iter::repeat(None));
+        let place = |(machine, link)| Place {
+            machine: Some(machine),
+            died: None,
+            stalls_until: begin,
+            link,
+            connections: BTreeSet::new(),
+        };
+        let mut world = Self {
             now: begin,
-            robots,
+            places: robots.into_iter().zip(links).map(place).collect(),
             agenda: (0..count).map(|robot| Reverse((begin, robot))).collect(),
             due: vec![Some(begin); count],
-            connecting: BTreeSet::new(),
+            items: BTreeMap::new(),
+            count: 0,
+            awaiting: Vec::new(),
             arrived: VecDeque::new(),
             operator,
             spread: TrueSpread::new(ids),
@@ -61,11 +116,34 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
             keeps,
             audience,
             out: Vec::new(),
+        };
+        for (at, robot, sensor, value) in readings {
+            world.put(at, Item::Reads { robot, sensor, value });
         }
+        for incident in incidents {
+            match incident.act {
+                Some(_) => world.awaiting.push(incident),
+                None => {
+                    let Drawn { robot, mishap, at, .. } = incident;
+                    world.put(begin + at, Item::Mishap { robot, mishap });
+                }
+            }
+        }
+        world
+    }
+
+    fn put(&mut self, at: Timestamp<Server>, item: Item) {
+        self.items.insert((at.max(self.now), self.count), item);
+        self.count += 1;
     }
 
     pub(super) const fn true_spread(&self) -> Option<Span> {
         self.spread.largest()
+    }
+
+    /// How many scripts of the acts that have ended really began.
+    pub(super) fn take_starts(&mut self) -> Vec<ActStarts> {
+        self.spread.take_starts()
     }
 
     /// What the robots set, and why the operator ended the mission.
@@ -76,10 +154,9 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
     /// Lets this much time pass without a scheduler. Which robots still have something to do then.
     pub(super) fn settle(mut self, length: Span) -> Vec<bool> {
         let until = self.now + length;
-        self.connecting.clear();
-        while let Some((at, robot)) = self.first_due().filter(|(at, _)| *at <= until) {
+        while let Some(at) = self.next_in_world().filter(|at| *at <= until) {
             self.now = self.now.max(at);
-            self.advance(robot);
+            self.step();
             self.arrived.clear();
         }
         self.due.iter().map(Option::is_some).collect()
@@ -97,9 +174,14 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
     }
 
     fn next_instant(&mut self) -> Option<Timestamp<Server>> {
+        self.next_in_world().into_iter().chain(self.operator.speaks()).min()
+    }
+
+    /// When something happens by itself.
+    fn next_in_world(&mut self) -> Option<Timestamp<Server>> {
         let robots = self.first_due().map(|(at, _)| at);
-        let links = self.connecting.first().map(|(at, ..)| *at);
-        robots.into_iter().chain(links).chain(self.operator.speaks()).min()
+        let items = self.items.first_key_value().map(|((at, _), _)| *at);
+        robots.into_iter().chain(items).min()
     }
 
     fn pass(&mut self, at: Timestamp<Server>) {
@@ -110,34 +192,157 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         self.now = self.now.max(at);
     }
 
-    /// All robots do what is due, in the order of the mission; then links are made.
+    /// All robots do what is due, in the order of the mission; then comes what else happens, which may let them do more.
     fn step(&mut self) {
+        self.advance_robots();
+        while let Some(entry) = self.items.first_entry().filter(|entry| entry.key().0 <= self.now) {
+            let item = entry.remove();
+            self.happen(item);
+            if self.items.first_key_value().is_none_or(|((at, _), _)| *at > self.now) {
+                self.advance_robots();
+            }
+        }
+    }
+
+    fn advance_robots(&mut self) {
         while let Some((_, robot)) = self.first_due().filter(|(at, _)| *at <= self.now) {
             self.advance(robot);
         }
-        while let Some(first) = self.connecting.first().copied().filter(|(at, ..)| *at <= self.now) {
-            self.connecting.remove(&first);
-            let (_, robot, link) = first;
-            self.arrive(robot, link, Event::LinkUp { robot });
+    }
+
+    fn happen(&mut self, item: Item) {
+        match item {
+            Item::Connect { robot, link } => self.begin_connection(robot, link),
+            Item::Connected { robot, link } => match self.places[robot].machine {
+                Some(_) => {
+                    self.places[robot].connections.insert(link);
+                    self.arrive(robot, link, Event::LinkUp { robot });
+                }
+                None => {
+                    let reason = "connection refused".to_owned();
+                    self.arrive(robot, link, Event::LinkDown { robot, loss: Loss::Refused, reason });
+                }
+            },
+            Item::AtRobot { robot, link, input } => self.reach_robot(robot, link, *input),
+            Item::AtScheduler { robot, link, event } => self.arrive(robot, link, *event),
+            Item::Mishap { robot, mishap } => self.go_wrong(robot, mishap),
+            Item::Back { robot } => {
+                let now = self.now.assume_clock();
+                let place = &mut self.places[robot];
+                place.machine = place.died.take().map(|died| died.restarted(now)).or(place.machine.take());
+                self.note_due(robot);
+            }
+            Item::Obeys { robot, fault } => {
+                if let Some(machine) = &mut self.places[robot].machine {
+                    machine.replace_fault(fault);
+                }
+            }
+            Item::Reads { robot, sensor, value } => {
+                let Place { machine, died, .. } = &mut self.places[robot];
+                for machine in machine.iter_mut().chain(died) {
+                    machine.set_reading(sensor.clone(), value);
+                }
+            }
+        }
+    }
+
+    fn begin_connection(&mut self, robot: usize, link: LinkNumber) {
+        match self.places[robot].link.as_mut().map(|path| path.connects(self.now, CONNECT_TIMEOUT)) {
+            None => self.happen(Item::Connected { robot, link }),
+            Some(Some(at)) => self.put(at, Item::Connected { robot, link }),
+            Some(None) => {
+                let reason = format!("no answer within {CONNECT_TIMEOUT}");
+                let event = Box::new(Event::LinkDown { robot, loss: Loss::Unreachable, reason });
+                self.put(self.now + CONNECT_TIMEOUT, Item::AtScheduler { robot, link, event });
+            }
+        }
+    }
+
+    fn reach_robot(&mut self, robot: usize, link: LinkNumber, input: Input) {
+        let place = &mut self.places[robot];
+        let stands = match input {
+            Input::LinkDown => place.connections.remove(&link),
+            _ => place.connections.contains(&link),
+        };
+        if let Some(machine) = place.machine.as_mut().filter(|_| stands) {
+            machine.receive(self.now.assume_clock(), LinkId(link.0), input);
+            self.note_due(robot);
+        }
+    }
+
+    fn go_wrong(&mut self, robot: usize, mishap: Mishap) {
+        let now = self.now;
+        match mishap {
+            Mishap::Dies { back_after } => {
+                self.collect(robot);
+                let place = &mut self.places[robot];
+                let Some(machine) = place.machine.take() else { return };
+                place.died = Some(machine);
+                self.due[robot] = None;
+                for link in std::mem::take(&mut self.places[robot].connections) {
+                    let (loss, reason) = (Loss::Closed, "the robot closed the connection".to_owned());
+                    self.send_back(robot, link, Event::LinkDown { robot, loss, reason });
+                }
+                if let Some(after) = back_after {
+                    self.put(now + after, Item::Back { robot });
+                }
+            }
+            Mishap::Stalls { lasts } => {
+                let place = &mut self.places[robot];
+                place.stalls_until = place.stalls_until.max(now + lasts);
+                self.note_due(robot);
+            }
+            Mishap::Refuses { lasts } => {
+                let Some(machine) = &mut self.places[robot].machine else { return };
+                let fault = machine.replace_fault(Some(Fault::Refuse));
+                if let Some(lasts) = lasts {
+                    self.put(now + lasts, Item::Obeys { robot, fault });
+                }
+            }
+            Mishap::LinkDown { lasts } => {
+                if let Some(path) = &mut self.places[robot].link {
+                    path.interrupt(now, lasts);
+                }
+            }
+        }
+    }
+
+    /// An act is being sent: what is to go wrong around its start is known now.
+    fn act_sent(&mut self, act: &str, start: Timestamp<Server>) {
+        let is_of_act = |incident: &mut Drawn| incident.act.as_deref() == Some(act);
+        let due: Vec<Drawn> = self.awaiting.extract_if(.., is_of_act).collect();
+        for Drawn { robot, mishap, at, .. } in due {
+            let at = if let Mishap::Refuses { .. } = mishap { self.now } else { start + at };
+            self.put(at, Item::Mishap { robot, mishap });
         }
     }
 
     fn advance(&mut self, robot: usize) {
         let mut out = std::mem::take(&mut self.out);
-        self.robots[robot].advance(self.now.assume_clock::<True>(), &mut out);
+        if let Some(machine) = &mut self.places[robot].machine {
+            machine.advance(self.now.assume_clock::<True>(), &mut out);
+        }
         for outgoing in out.drain(..) {
             match outgoing {
                 Outgoing::Message { link, message } => {
-                    self.arrive(robot, LinkNumber(link.0), Event::Received { robot, message });
+                    self.send_back(robot, LinkNumber(link.0), Event::Received { robot, message });
                 }
                 Outgoing::Close { link } => {
+                    self.places[robot].connections.remove(&LinkNumber(link.0));
                     let (loss, reason) = (Loss::Closed, "the robot closed the link".to_owned());
-                    self.arrive(robot, LinkNumber(link.0), Event::LinkDown { robot, loss, reason });
+                    self.send_back(robot, LinkNumber(link.0), Event::LinkDown { robot, loss, reason });
                 }
             }
         }
         self.out = out;
-        let mut log = self.robots[robot].take_log();
+        self.collect(robot);
+        self.note_due(robot);
+    }
+
+    /// Takes what the robot has set.
+    fn collect(&mut self, robot: usize) {
+        let Some(machine) = &mut self.places[robot].machine else { return };
+        let mut log = machine.take_log();
         for entry in &log {
             self.spread.see(robot, entry);
             self.audience.set(robot, entry);
@@ -145,11 +350,38 @@ impl<'a, A: Audience> VirtualWorld<'a, A> {
         if self.keeps == Logs::Kept {
             self.logs[robot].append(&mut log);
         }
-        self.note_due(robot);
+    }
+
+    /// Something from a robot sets out.
+    fn send_back(&mut self, robot: usize, link: LinkNumber, event: Event) {
+        match self.places[robot].link.as_mut().map(|path| path.arrival(self.now, Way::FromRobot)) {
+            None => self.arrive(robot, link, event),
+            Some(Some(at)) => self.put(at, Item::AtScheduler { robot, link, event: Box::new(event) }),
+            Some(None) => self.give_up(robot, link),
+        }
+    }
+
+    /// Something to a robot sets out.
+    fn send_there(&mut self, robot: usize, link: LinkNumber, input: Input) {
+        match self.places[robot].link.as_mut().map(|path| path.arrival(self.now, Way::ToRobot)) {
+            None => self.reach_robot(robot, link, input),
+            Some(Some(at)) => self.put(at, Item::AtRobot { robot, link, input: Box::new(input) }),
+            Some(None) => self.give_up(robot, link),
+        }
+    }
+
+    /// The systems at both ends find that nothing passes on a connection.
+    fn give_up(&mut self, robot: usize, link: LinkNumber) {
+        let (loss, reason) = (Loss::Unreachable, "connection timed out".to_owned());
+        self.reach_robot(robot, link, Input::LinkDown);
+        self.arrive(robot, link, Event::LinkDown { robot, loss, reason });
     }
 
     fn note_due(&mut self, robot: usize) {
-        let next = self.robots[robot].next_wakeup().map(Timestamp::assume_clock::<Server>);
+        let place = &self.places[robot];
+        let machine = place.machine.as_ref();
+        let next = machine.and_then(SimulatedRobot::next_wakeup).map(Timestamp::assume_clock::<Server>);
+        let next = next.map(|at| at.max(place.stalls_until));
         let known = std::mem::replace(&mut self.due[robot], next);
         if known != next {
             self.agenda.extend(next.map(|at| Reverse((at, robot))));
@@ -191,7 +423,11 @@ impl<A: Audience> World for VirtualWorld<'_, A> {
     }
 
     fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
-        self.connecting.insert((self.now + after, robot, link));
+        if self.places[robot].link.is_some() {
+            let older: Vec<LinkNumber> = self.places[robot].connections.iter().copied().collect();
+            older.into_iter().for_each(|older| self.send_there(robot, older, Input::LinkDown));
+        }
+        self.put(self.now + after, Item::Connect { robot, link });
     }
 
     fn send(
@@ -201,14 +437,12 @@ impl<A: Audience> World for VirtualWorld<'_, A> {
         message: Message,
         _: Urgency,
     ) -> Result<(), QueueFull> {
-        self.robots[robot].receive(self.now.assume_clock(), LinkId(link.0), Input::Message(message));
-        self.note_due(robot);
+        self.send_there(robot, link, Input::Message(message));
         Ok(())
     }
 
     fn cut(&mut self, robot: usize, link: LinkNumber) {
-        self.robots[robot].receive(self.now.assume_clock(), LinkId(link.0), Input::LinkDown);
-        self.note_due(robot);
+        self.send_there(robot, link, Input::LinkDown);
     }
 
     fn write(&mut self, _: Timestamp<Server>, record: Record) -> Filed {
@@ -220,6 +454,9 @@ impl<A: Audience> World for VirtualWorld<'_, A> {
 
     fn tell(&mut self, at: Timestamp<Server>, progress: Progress) {
         self.operator.see(at, &progress);
+        if let Progress::Preparing { act, start, .. } = &progress {
+            self.act_sent(act, *start);
+        }
         self.audience.told(at, &progress);
     }
 }

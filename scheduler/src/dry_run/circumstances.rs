@@ -1,0 +1,143 @@
+//! What one trial meets, drawn from a world.
+
+use downbeat_scripts::{
+    Between, Delay, FleetRobot, Incident, LinkWorld, OperatorWorld, Reading, Trouble, World,
+};
+use fastrand::Rng;
+use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
+
+use super::link::{Link, between};
+use crate::fleet::WIRED;
+
+/// Everything that differs from a perfect world. Each robot's link, each incident and the operator draw from streams of their own, so
+/// that none of them changes because another one draws more.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Circumstances {
+    /// By robot of the mission; `None`: the robot delays its messages itself, as the fleet file says.
+    pub(super) links: Vec<Option<Link>>,
+    pub(super) incidents: Vec<Drawn>,
+    /// What sensors read, and from when on.
+    pub(super) readings: Vec<(Timestamp<Server>, usize, DeviceId, f64)>,
+    pub(super) operator: Option<(OperatorWorld, Rng)>,
+}
+
+/// An incident that happens.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Drawn {
+    /// Index in the mission.
+    pub(super) robot: usize,
+    /// It is counted from the start of this act, or from the beginning.
+    pub(super) act: Option<String>,
+    pub(super) at: Span,
+    pub(super) mishap: Mishap,
+}
+
+/// What goes wrong, with the times that were drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Mishap {
+    Dies { back_after: Option<Span> },
+    Stalls { lasts: Span },
+    Refuses { lasts: Option<Span> },
+    LinkDown { lasts: Span },
+}
+
+/// Where random numbers are used.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Stream {
+    Robot(usize),
+    Link(usize),
+    Incident(usize, usize),
+    Sensor(usize),
+    Operator,
+}
+
+impl Stream {
+    /// A generator for this use alone, from the seed of a trial.
+    pub(crate) fn rng(self, seed: u64) -> Rng {
+        let (kind, first, second) = match self {
+            Self::Robot(index) => (1, index, 0),
+            Self::Link(index) => (2, index, 0),
+            Self::Incident(index, robot) => (3, index, robot),
+            Self::Sensor(index) => (4, index, 0),
+            Self::Operator => (5, 0, 0),
+        };
+        let mixed =
+            [kind, first as u64, second as u64].iter().fold(seed, |seed, part| mixed(seed ^ mixed(*part)));
+        Rng::with_seed(mixed)
+    }
+}
+
+/// The output function of `SplitMix64` (Steele, Lea, Flood: Fast splittable pseudorandom number generators, 2014).
+pub(crate) const fn mixed(value: u64) -> u64 {
+    let value = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let value = (value ^ (value >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let value = (value ^ (value >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    value ^ (value >> 31)
+}
+
+impl Circumstances {
+    /// Draws a trial of `world`, whose robots are those of the fleet, for the robots of a mission that begins at `begin`.
+    pub(crate) fn draw(
+        world: &World,
+        fleet: &[FleetRobot],
+        robots: &[&FleetRobot],
+        seed: u64,
+        begin: Timestamp<Server>,
+    ) -> Self {
+        let in_mission = |id: &RobotId| robots.iter().position(|robot| robot.id == *id);
+        let in_fleet = |robot: &FleetRobot| fleet.iter().position(|known| known.id == robot.id);
+        let link = |index: usize, robot: &&FleetRobot| {
+            let said = in_fleet(robot).and_then(|place| world.links.get(place)?.clone());
+            Link::new(said.unwrap_or_else(|| as_in_fleet(robot)), Stream::Link(index).rng(seed), begin)
+        };
+        let mut incidents = Vec::new();
+        for (index, incident) in world.incidents.iter().enumerate() {
+            for robot in &incident.robots {
+                let Some(place) = fleet.get(*robot).and_then(|robot| in_mission(&robot.id)) else { continue };
+                let mut rng = Stream::Incident(index, *robot).rng(seed);
+                incidents.extend(happens(incident, place, &mut rng));
+            }
+        }
+        let mut readings = Vec::new();
+        for (index, sensor) in world.sensors.iter().enumerate() {
+            let Some(robot) = in_mission(&sensor.robot) else { continue };
+            let mut reads = |at, value| readings.push((at, robot, sensor.sensor.clone(), value));
+            match &sensor.reading {
+                Reading::Drawn(Between { least, largest }) => {
+                    reads(begin, least + Stream::Sensor(index).rng(seed).f64() * (largest - least));
+                }
+                Reading::OverTime(points) => {
+                    reads(begin, 0.0);
+                    points.iter().for_each(|(at, value)| reads(begin + *at, *value));
+                }
+            }
+        }
+        Self {
+            links: robots.iter().enumerate().map(|(index, robot)| Some(link(index, robot))).collect(),
+            incidents,
+            readings,
+            operator: world.operator.clone().map(|operator| (operator, Stream::Operator.rng(seed))),
+        }
+    }
+}
+
+/// The link of a robot of which the world says nothing.
+fn as_in_fleet(robot: &FleetRobot) -> LinkWorld {
+    let (least, largest) = robot.simulation.delay.unwrap_or(WIRED);
+    LinkWorld::with_delay(Delay::Between(Between { least, largest }))
+}
+
+fn happens(incident: &Incident, robot: usize, rng: &mut Rng) -> Option<Drawn> {
+    // Also what does not happen draws, so that another probability does not change when it happens.
+    let happens = rng.f64() < incident.probability;
+    let at = between(rng, incident.at);
+    let mishap = match &incident.trouble {
+        Trouble::Dies { back_after } => {
+            Mishap::Dies { back_after: back_after.map(|after| between(rng, after)) }
+        }
+        Trouble::Stalls { lasts } => Mishap::Stalls { lasts: between(rng, *lasts) },
+        Trouble::Refuses { lasts } => Mishap::Refuses { lasts: lasts.map(|lasts| between(rng, lasts)) },
+        Trouble::LinkDown { lasts } => Mishap::LinkDown { lasts: between(rng, *lasts) },
+    };
+    happens.then(|| Drawn { robot, act: incident.act.clone(), at, mishap })
+}

@@ -1,0 +1,252 @@
+//! What all trials together showed.
+
+use std::collections::BTreeMap;
+
+use downbeat_scripts::{Choreography, World};
+use serde::Serialize;
+use urrcp::{RobotId, Span};
+
+use super::figures::{Quantiles, Share};
+use super::trial::{Evidence, Started, Trial};
+use crate::requirements::{Figures, Judged, closest_of, judge};
+
+/// The results of trials.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Results {
+    /// The scenario's name.
+    pub scenario: String,
+    /// The world's name.
+    pub world: String,
+    /// Trials played.
+    pub trials: usize,
+    /// From which they were drawn.
+    pub seed: u64,
+    /// Missions in which the first act began on all of its robots that were not left out.
+    pub starts: Share,
+    /// Missions that were done: all robots came to the end, as planned.
+    pub finishes: Share,
+    /// Missions that did not start, failed or were stopped on the way.
+    pub aborts: Share,
+    /// Missions in which some robots of an act began and others of it did not.
+    pub mixed: Share,
+    /// How missions ended, the most frequent end first.
+    pub outcomes: Vec<(String, Share)>,
+    /// Largest true spread of the starts of an act, over the missions in which all robots of one began.
+    pub spread: Option<Quantiles>,
+    /// Each act that was sent in some trial, in the order of the scenario.
+    pub acts: Vec<ActResult>,
+    /// How much lead would be enough.
+    pub lead: Option<LeadResult>,
+    /// Why missions did not end as planned, the most frequent reason first.
+    pub reasons: Vec<Reason>,
+    /// Each robot, in the order of the fleet.
+    pub robots: Vec<RobotResult>,
+    /// The robot whose failure came first in the most missions.
+    pub weakest_robot: Option<RobotId>,
+    /// The robot whose link took longest until it had accepted, at the 99 % quantile.
+    pub weakest_link: Option<RobotId>,
+    /// What the scenario requires, and what became of it.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub requirements: Vec<Judged>,
+    /// Each trial, in order.
+    pub each: Vec<Trial>,
+}
+
+/// An act over all trials.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct ActResult {
+    /// Its name.
+    pub act: String,
+    /// How often it began on all its robots, of the times that it was sent.
+    pub starts: Share,
+    /// True spread of its starts.
+    pub spread: Option<Quantiles>,
+    /// The scenario's `start_tolerance`.
+    #[serde(rename = "tolerance_ms")]
+    pub tolerance: Span,
+    /// Starts that were further apart than that.
+    pub beyond_tolerance: Share,
+}
+
+/// Lead times over all acts that were decided. An act that is not decided, because a robot refuses or says nothing, has none that would
+/// have been enough.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct LeadResult {
+    /// What acts had, from the sending timestamp to the start.
+    pub had: Quantiles,
+    /// With so much the last acceptance would just have come in time: its time, the lease and the margin.
+    pub enough: Quantiles,
+    /// Acts that were sent and not decided.
+    pub undecided: usize,
+}
+
+/// A reason for which missions did not end as planned.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Reason {
+    /// The robot that failed first; `None`: no robot did.
+    pub robot: Option<RobotId>,
+    /// The kind of its failure, or the outcome.
+    pub kind: String,
+    /// How often.
+    pub share: Share,
+    /// The first trial of which it is true.
+    pub example: u32,
+    /// What was said there.
+    pub text: String,
+}
+
+/// A robot over all trials.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct RobotResult {
+    /// Its id.
+    pub robot: RobotId,
+    /// Missions in which it failed first.
+    pub fails_first: Share,
+    /// Time from the sending of an act until it had accepted all of its scripts.
+    pub accepts_within: Option<Quantiles>,
+    /// Acts in which it was the last to accept, of those that were decided.
+    pub accepts_last: Share,
+    /// Missions in which its link had to be made again.
+    pub reconnects: Share,
+}
+
+/// Outcomes that a mission has which began and came to its planned end, if with losses.
+const CAME_TO_AN_END: [&str; 5] = ["done", "done_without", "done_skipping", "out_of_tolerance", "unknown"];
+
+impl Results {
+    pub(super) fn of(
+        choreography: &Choreography,
+        world: &World,
+        ids: Vec<RobotId>,
+        seed: u64,
+        trials: Vec<(Trial, Evidence)>,
+    ) -> Self {
+        let (each, evidence): (Vec<Trial>, Vec<Evidence>) = trials.into_iter().unzip();
+        let all = each.len();
+        let count =
+            |is: &dyn Fn(&Trial) -> bool| Share::of(each.iter().filter(|trial| is(trial)).count(), all);
+        let first_began = |evidence: &&Evidence| {
+            evidence.acts.first().is_some_and(|act| act.begun == act.planned && act.planned > 0)
+        };
+        let robots = robots(ids, &each, &evidence);
+        let weakest_robot = robots.iter().max_by_key(|robot| robot.fails_first.count);
+        let weakest_robot = weakest_robot.filter(|robot| robot.fails_first.count > 0);
+        let slowest = robots.iter().filter_map(|robot| Some((robot.accepts_within?.p99, robot)));
+        let weakest_link = slowest.reduce(|slowest, next| if next.0 > slowest.0 { next } else { slowest });
+        let (starts, finishes) = (
+            Share::of(evidence.iter().filter(first_began).count(), all),
+            count(&|trial| trial.outcome == "done"),
+        );
+        let spread = Quantiles::of(each.iter().filter_map(|trial| trial.spread));
+        let figures = Figures {
+            trials: Some(starts.of),
+            spread_p50: spread.map(|spread| spread.p50),
+            spread_p99: spread.map(|spread| spread.p99),
+            spread_max: spread.map(|spread| spread.max),
+            starts: Some(starts.count),
+            finishes: Some(finishes.count),
+            closest: closest_of(choreography),
+        };
+        Self {
+            scenario: choreography.scenario.clone(),
+            world: world.name.clone(),
+            trials: all,
+            seed,
+            starts,
+            finishes,
+            aborts: count(&|trial| !CAME_TO_AN_END.contains(&trial.outcome.as_str())),
+            mixed: count(&|trial| trial.started == Started::Some),
+            outcomes: outcomes(&each),
+            spread,
+            acts: acts(choreography, &evidence),
+            lead: lead(&evidence),
+            reasons: reasons(&each),
+            weakest_robot: weakest_robot.map(|robot| robot.robot.clone()),
+            weakest_link: weakest_link.map(|(_, robot)| robot.robot.clone()),
+            robots,
+            requirements: judge(&choreography.requirements, &figures),
+            each,
+        }
+    }
+}
+
+fn outcomes(each: &[Trial]) -> Vec<(String, Share)> {
+    let mut counts: BTreeMap<&str, usize> = BTreeMap::new();
+    each.iter().for_each(|trial| *counts.entry(&trial.outcome).or_default() += 1);
+    let mut counts: Vec<_> = counts.into_iter().collect();
+    counts.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
+    counts.into_iter().map(|(name, count)| (name.to_owned(), Share::of(count, each.len()))).collect()
+}
+
+fn acts(choreography: &Choreography, evidence: &[Evidence]) -> Vec<ActResult> {
+    let result = |act: &downbeat_scripts::Act| {
+        let starts =
+            evidence.iter().flat_map(|evidence| &evidence.acts).filter(|seen| act.is_named(&seen.act));
+        let (mut sent, mut began, mut spreads) = (0, 0, Vec::new());
+        for seen in starts {
+            sent += 1;
+            began += usize::from(seen.begun == seen.planned && seen.planned > 0);
+            spreads.extend(seen.spread);
+        }
+        let tolerance = act.plan.start_tolerance;
+        let beyond = spreads.iter().filter(|spread| **spread > tolerance).count();
+        (sent > 0).then(|| ActResult {
+            act: act.called().to_owned(),
+            starts: Share::of(began, sent),
+            beyond_tolerance: Share::of(beyond, spreads.len()),
+            spread: Quantiles::of(spreads),
+            tolerance,
+        })
+    };
+    choreography.acts.iter().filter_map(result).collect()
+}
+
+fn lead(evidence: &[Evidence]) -> Option<LeadResult> {
+    let leads = || evidence.iter().flat_map(|evidence| &evidence.leads);
+    Some(LeadResult {
+        had: Quantiles::of(leads().map(|(had, _)| *had))?,
+        enough: Quantiles::of(leads().map(|(_, enough)| *enough))?,
+        undecided: evidence.iter().map(|evidence| evidence.undecided).sum(),
+    })
+}
+
+fn reasons(each: &[Trial]) -> Vec<Reason> {
+    let mut by_reason: BTreeMap<(Option<&str>, &str), Vec<&Trial>> = BTreeMap::new();
+    for trial in each {
+        let Some(why) = &trial.why else { continue };
+        by_reason.entry((why.robot.as_ref().map(RobotId::as_str), &why.kind)).or_default().push(trial);
+    }
+    let reason = |trials: Vec<&Trial>| {
+        let first = trials.first()?;
+        let why = first.why.as_ref()?;
+        Some(Reason {
+            robot: why.robot.clone(),
+            kind: why.kind.clone(),
+            share: Share::of(trials.len(), each.len()),
+            example: first.trial,
+            text: why.text.clone(),
+        })
+    };
+    let mut reasons: Vec<_> = by_reason.into_values().filter_map(reason).collect();
+    reasons.sort_by_key(|reason| std::cmp::Reverse(reason.share.count));
+    reasons
+}
+
+fn robots(ids: Vec<RobotId>, each: &[Trial], evidence: &[Evidence]) -> Vec<RobotResult> {
+    let decided: usize = evidence.iter().map(|evidence| evidence.last.len()).sum();
+    let result = |(index, robot): (usize, RobotId)| {
+        let failed_first =
+            |trial: &&Trial| trial.why.as_ref().is_some_and(|why| why.robot.as_ref() == Some(&robot));
+        let last = evidence.iter().flat_map(|evidence| &evidence.last).filter(|last| **last == index);
+        let again = |evidence: &&Evidence| evidence.reconnects.get(index).is_some_and(|count| *count > 0);
+        let accepted = evidence.iter().filter_map(|evidence| evidence.accepted.get(index)).flatten().copied();
+        RobotResult {
+            fails_first: Share::of(each.iter().filter(failed_first).count(), each.len()),
+            accepts_within: Quantiles::of(accepted),
+            accepts_last: Share::of(last.count(), decided),
+            reconnects: Share::of(evidence.iter().filter(again).count(), each.len()),
+            robot,
+        }
+    };
+    ids.into_iter().enumerate().map(result).collect()
+}

@@ -1,0 +1,167 @@
+//! What one trial showed.
+
+use downbeat_scripts::FleetRobot;
+use serde::Serialize;
+use urrcp::{RobotId, Server, Span, Timestamp};
+
+use crate::dry_run::{ActStarts, Audience, Played};
+use crate::mission::{Failure, Progress};
+use crate::report::Outcome;
+
+/// One trial, for reports.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Trial {
+    /// Its number, counted from 0.
+    pub trial: u32,
+    /// How its mission ended, as in a report.
+    pub outcome: String,
+    /// Which robots of its acts really began.
+    pub started: Started,
+    /// Largest spread of the starts of an act, by the true time; `None` where no act began on all robots.
+    #[serde(rename = "spread_ms")]
+    pub spread: Option<Span>,
+    /// Why it did not end as planned; `None`: it did.
+    pub why: Option<Why>,
+}
+
+/// Which robots really began what was planned, over all acts that were sent.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Started {
+    /// All, in every act.
+    All,
+    /// None, in every act.
+    None,
+    /// In each act all or none.
+    AllOrNone,
+    /// In one act some robots, and others not.
+    Some,
+}
+
+/// Why a mission did not end as planned: the first failure of a robot, or else the end itself.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Why {
+    /// Which robot failed first; `None`: none did.
+    pub robot: Option<RobotId>,
+    /// The kind of the failure, as in a report, or the outcome.
+    pub kind: String,
+    /// The same for people.
+    pub text: String,
+}
+
+/// What is needed of a trial beyond what is reported of it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Evidence {
+    /// What really began in each act, in order.
+    pub(super) acts: Vec<ActStarts>,
+    /// From the sending of an act to a robot's acceptance of all of its scripts: by robot, for each act.
+    pub(super) accepted: Vec<Vec<Span>>,
+    /// The robot that accepted last, for each act that was decided.
+    pub(super) last: Vec<usize>,
+    /// For each act that was decided: the lead that it had, and the one with which its decision would just have been in time.
+    pub(super) leads: Vec<(Span, Span)>,
+    /// Acts that were sent and not decided.
+    pub(super) undecided: usize,
+    /// How often each robot's link was made again.
+    pub(super) reconnects: Vec<u32>,
+}
+
+/// Watches a trial.
+pub(super) struct Witness<'a> {
+    robots: &'a [&'a FleetRobot],
+    /// The act that is being prepared: when it was sent, and its lead without the time for preparing.
+    sent: Option<(Timestamp<Server>, Span, Span)>,
+    latest: Option<(usize, Span)>,
+    failure: Option<Failure>,
+    evidence: Evidence,
+}
+
+impl<'a> Witness<'a> {
+    pub(super) fn new(robots: &'a [&'a FleetRobot]) -> Self {
+        let evidence = Evidence { accepted: vec![Vec::new(); robots.len()], ..Evidence::default() };
+        Self { robots, sent: None, latest: None, failure: None, evidence }
+    }
+
+    fn index(&self, id: &RobotId) -> Option<usize> {
+        self.robots.iter().position(|robot| robot.id == *id)
+    }
+
+    pub(super) fn says(mut self, trial: u32, played: &Played) -> (Trial, Evidence) {
+        let report = &played.report;
+        self.evidence.undecided += usize::from(self.sent.is_some());
+        self.evidence.acts.clone_from(&played.starts);
+        self.evidence.reconnects = report.robots.iter().map(|robot| robot.reconnects).collect();
+        let outcome = kind_of(&report.outcome);
+        let why = (report.outcome != Outcome::Done).then(|| match (&self.failure, &played.cut) {
+            (Some(failure), _) => Why {
+                robot: Some(failure.robot.clone()),
+                kind: tag_of(failure, "failure").unwrap_or_default(),
+                text: failure.kind.to_string(),
+            },
+            (None, Some(cut)) => Why {
+                robot: None,
+                kind: "waited".to_owned(),
+                text: format!("`{}` waits for {}, which does not come", cut.act, cut.awaits),
+            },
+            (None, None) => Why { robot: None, kind: outcome.clone(), text: report.outcome.to_string() },
+        });
+        let trial =
+            Trial { trial, outcome, started: started(&played.starts), spread: report.true_spread, why };
+        (trial, self.evidence)
+    }
+}
+
+impl Audience for Witness<'_> {
+    fn told(&mut self, at: Timestamp<Server>, progress: &Progress) {
+        match progress {
+            Progress::Preparing { timestamp, lead, .. } => {
+                self.evidence.undecided += usize::from(self.sent.is_some());
+                self.sent = Some((*timestamp, lead.total(), lead.lease + lead.margin));
+                self.latest = None;
+            }
+            Progress::Accepted { robot } => {
+                let (Some(index), Some((sent, ..))) = (self.index(robot), self.sent) else { return };
+                self.evidence.accepted[index].push(at - sent);
+                self.latest = Some((index, at - sent));
+            }
+            Progress::Decided { .. } => {
+                let (Some((_, had, beyond)), Some((robot, took))) = (self.sent.take(), self.latest) else {
+                    return;
+                };
+                self.evidence.last.push(robot);
+                self.evidence.leads.push((had, took + beyond));
+            }
+            Progress::Failed(failure) => {
+                self.failure.get_or_insert_with(|| failure.clone());
+            }
+            _ => {}
+        }
+    }
+
+    fn second(&mut self, _: Timestamp<Server>) {}
+}
+
+fn started(acts: &[ActStarts]) -> Started {
+    let all = |act: &ActStarts| act.begun == act.planned && act.planned > 0;
+    let none = |act: &ActStarts| act.begun == 0;
+    match acts {
+        [] => Started::None,
+        acts if acts.iter().all(all) => Started::All,
+        acts if acts.iter().all(none) => Started::None,
+        acts if acts.iter().all(|act| all(act) || none(act)) => Started::AllOrNone,
+        _ => Started::Some,
+    }
+}
+
+/// The name of an outcome, as in JSON.
+fn kind_of(outcome: &Outcome) -> String {
+    match serde_json::to_value(outcome) {
+        Ok(serde_json::Value::String(name)) => name,
+        Ok(serde_json::Value::Object(map)) => map.keys().next().cloned().unwrap_or_default(),
+        _ => String::new(),
+    }
+}
+
+fn tag_of(value: &impl Serialize, tag: &str) -> Option<String> {
+    Some(serde_json::to_value(value).ok()?.get(tag)?.as_str()?.to_owned())
+}
