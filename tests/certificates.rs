@@ -81,7 +81,7 @@ fn refused(file: &str, from: &str, to: &str, says: &[&str]) {
         let ran = session.run(&[&[command], &REQUIRED[1..]].concat());
         ran.says(1, says);
         ran.says(1, &["does not certify what is to be played, so nothing is sent"]);
-        assert!(!ran.text().contains("done"), "{}", ran.text());
+        assert!(!ran.text().contains("show: done"), "{}", ran.text());
     }
 }
 

@@ -186,6 +186,7 @@ fn all_or_none(
     watched: &[Watched],
     broken: &mut Vec<String>,
 ) {
+    let is_faulty = |robot: &RobotId| injected.robot().is_some_and(|(of, _)| of == robot);
     let index_of = |robot: &RobotId| report.robots.iter().position(|row| row.robot == *robot);
     let begun: BTreeSet<u32> = watched.iter().flat_map(|watched| watched.begun.keys().copied()).collect();
     for number in &begun {
@@ -208,20 +209,9 @@ fn all_or_none(
                 (false, true) => started.push(robot.robot.to_string()),
                 (false, false) => waited.push(robot.robot.to_string()),
                 (true, true) => broken.push(format!("{name}: `{}` was left out and moved", robot.robot)),
+                (true, false) if is_faulty(&robot.robot) && may_be_left_out(choreography, &robot.robot) => {}
                 (true, false) => {
-                    let rules = &planned.on_failure;
-                    let rule = rules.robots.iter().find(|(of, _)| *of == robot.robot);
-                    let rule = rule.map_or(rules.default, |(_, rule)| *rule);
-                    let is_faulty = injected.robot().is_some_and(|(of, _)| *of == robot.robot);
-                    // An act before may have left it out for the rest of the mission, as its own policy says.
-                    let may = choreography.acts.iter().any(|act| {
-                        let of = act.on_failure.robots.iter().find(|(of, _)| *of == robot.robot);
-                        of.map_or(act.on_failure.default, |(_, rule)| *rule) == OnFailure::Without
-                            || act.on_failure.then.is_some()
-                    });
-                    if !is_faulty || !(rule == OnFailure::Without || may) {
-                        broken.push(format!("{name}: `{}` was left out against its policy", robot.robot));
-                    }
+                    broken.push(format!("{name}: `{}` was left out against its policy", robot.robot));
                 }
             }
         }
@@ -229,6 +219,14 @@ fn all_or_none(
             broken.push(format!("{name}: {} started, and {} did not", started.join(", "), waited.join(", ")));
         }
     }
+}
+
+/// Whether an act goes on without this robot, or another act follows its failure. A robot that was left out stays out.
+fn may_be_left_out(choreography: &Choreography, robot: &RobotId) -> bool {
+    choreography.acts.iter().map(|act| &act.on_failure).any(|rules| {
+        let rule = rules.robots.iter().find(|(of, _)| of == robot);
+        rule.map_or(rules.default, |(_, rule)| *rule) == OnFailure::Without || rules.then.is_some()
+    })
 }
 
 /// Nothing moves in the end, and what is said to be stopped went to its default state or holds.
