@@ -6,7 +6,7 @@ use crate::robots::play::SOON;
 use crate::session::PROGRAM;
 use crate::terminal::Terminal;
 
-const COMMANDS: [&str; 25] = [
+const COMMANDS: [&str; 26] = [
     "",
     "check",
     "completions",
@@ -32,6 +32,7 @@ const COMMANDS: [&str; 25] = [
     "schema",
     "sim",
     "stop",
+    "world",
 ];
 
 /// Wider terminals get no longer lines: those are hard to read.

@@ -27,6 +27,7 @@
 //! | [`fleet`] | robots of a fleet file: participants, endpoints, simulated robots |
 //! | [`journal`], [`recording`] | what is kept on the disk |
 //! | [`report`] | what became of it, as text, JSON or a picture |
+//! | [`measured`] | the network and the clocks of a mission that was recorded, as a world file |
 //! | [`dry_run`], [`simulation`] | the same in virtual time, and under random faults |
 //! | [`conformance`] | whether a robot does what the protocol demands |
 //! | [`clock`], [`open_files`] | how far a robot's clock is off; room for many sockets |
@@ -39,6 +40,7 @@ pub mod dry_run;
 pub mod fleet;
 pub mod journal;
 pub mod link;
+pub mod measured;
 pub mod mission;
 pub mod open_files;
 pub mod page;

@@ -36,6 +36,7 @@ mod schema;
 mod sim;
 mod stop;
 mod withdraw;
+mod world;
 
 #[cfg(test)]
 pub(crate) use withdraw::InsideWhat;
@@ -120,6 +121,8 @@ enum Command {
     Missions(missions::MissionsArgs),
     /// Show a mission that was played, from its journal or its recording.
     Report(report::ReportArgs),
+    /// Write a world file from a recording: delays, losses and clocks as they were measured.
+    World(world::WorldArgs),
     /// Check whether a robot does what the protocol demands.
     Conformance(conformance::ConformanceArgs),
     /// Run one simulated robot that listens on TCP.
@@ -221,6 +224,7 @@ pub fn main() -> ExitCode {
         Command::Resume(args) => resume::resume(&args, format),
         Command::Missions(args) => missions::missions(&args, format),
         Command::Report(args) => report::report(&args, format),
+        Command::World(args) => world::world(&args, format),
         Command::Conformance(args) => conformance::conformance(&args, format),
         Command::Robot(args) => robot::robot(&args, format),
         Command::Edge(args) => edge::edge(&args, format),

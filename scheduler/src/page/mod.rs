@@ -27,6 +27,7 @@ use self::fate::Fate;
 use self::played::Epoch;
 use crate::dry_run;
 
+pub(crate) use self::history::{Exchange, KnownRobot};
 pub use self::history::{History, HistorySource, NoHistory};
 pub use self::played::Told;
 pub use self::written::{OtherScenario, Written};
