@@ -29,6 +29,11 @@ fn constant(_: &mut Rng) -> f64 {
     5.0
 }
 
+/// From 0.5 to 1.5 ms.
+fn short(rng: &mut Rng) -> f64 {
+    0.5 + rng.f64()
+}
+
 /// From 2 to 10 ms.
 fn uniform(rng: &mut Rng) -> f64 {
     2.0 + 8.0 * rng.f64()
@@ -81,13 +86,13 @@ impl Truth {
     fn history(&self, seed: u64) -> History {
         let mut rng = Rng::with_seed(seed);
         let mut robot = KnownRobot::new("r".parse().unwrap(), None);
-        let (mut last_there, mut last_back) = (BEGAN, BEGAN);
+        let (mut last_there, mut last_back, mut answered) = (BEGAN, BEGAN, BEGAN);
         for question in 0..self.questions {
             let sent = BEGAN + self.every * question;
             let took = (self.there)(&mut rng);
             let there = self.arrives(sent, took, &mut last_there, &mut rng);
-            // The robot takes its time, which is no delay of the link.
-            let answered = there + Span::from_millis_f64(30.0 * rng.f64());
+            // The robot takes its time, which is no delay of the link, and answers in order.
+            answered = answered.max(there + Span::from_millis_f64(30.0 * rng.f64()));
             let took = (self.back)(&mut rng);
             let received = self.arrives(answered, took, &mut last_back, &mut rng);
             robot.exchanges.push(Exchange {
@@ -123,9 +128,9 @@ fn a_constant_delay_is_found_whatever_the_clock_shows() {
         let link = truth.measured(1).link.unwrap();
         assert_eq!(link.method, Method::EachWay);
         assert_eq!(link.samples, 800);
-        // Timestamps are whole nanoseconds.
-        near(link.delay.least, 5.0, 1e-5);
-        near(link.delay.largest, 5.0, 1e-5);
+        // While a message is under way the clock gains 5 ms * 80 ppm = 0.4 us.
+        near(link.delay.least, 5.0, 1e-3);
+        near(link.delay.largest, 5.0, 1e-3);
     }
 }
 
@@ -212,11 +217,18 @@ fn a_clock_that_is_set_leaves_half_of_each_round_trip() {
 
 #[test]
 fn losses_are_counted_a_packet_also_where_only_round_trips_are_known() {
-    let truth = Truth { counts_in: Span::from_millis(10), loss: 0.02, questions: 2_000, ..Truth::default() };
+    let truth = Truth {
+        counts_in: Span::from_millis(1),
+        loss: 0.02,
+        questions: 2_000,
+        there: short,
+        back: short,
+        ..Truth::default()
+    };
     let link = truth.measured(3).link.unwrap();
     assert_eq!(link.method, Method::HalfRoundTrip);
     assert!((link.loss.share - 0.02).abs() < 0.009, "{:?}", link.loss);
-    near(link.delay.p50, 6.0, 1.0);
+    near(link.delay.p50, 1.0, 0.5);
 }
 
 #[test]
@@ -243,6 +255,7 @@ fn told(history: &mut History) {
         (5_500, json!({"progress": "preparing", "act": "two"})),
         (6_000, json!({"progress": "waiting", "act": "three", "awaits": "the operator's go"})),
         (9_000, json!({"progress": "link_lost", "robot": "r", "reason": "reset"})),
+        (10_500, json!({"progress": "at_rest"})),
     ];
     history.told.extend(told.map(|(ms, value)| (at(ms), value)));
     let readings = [(1_000, 2.0), (2_000, 2.0), (3_000, 0.4)].map(|(ms, value)| (at(ms), value));
@@ -274,10 +287,10 @@ fn a_world_file_says_what_was_measured_and_how() {
         written,
         "show-2027-01-15
 links:
-  # 82 delays of 41 exchanges, each way by itself; too few for a 99th percentile of their own
+  # 82 delays of 41 exchanges, each way by itself; p99 is of few
   r:
     delay: {least: 5ms, p50: 5ms, p90: 5ms, p99: 5ms, largest: 5ms}
-    # lost: none of 82 packets, so below 3.6585% with 95 % confidence
+    # lost: none of 82 packets, so below 3.66% with 95 % confidence
 clocks:
   r: {offset: 120ms}
 sensors:
@@ -288,7 +301,7 @@ operator: {go_after: 2.5s}
 incidents:
   - {robot: r, what: link_down, at: 4s, lasts: 800ms}
   # The connection was not back by the end of the file: the robot may have failed.
-  - {robot: r, what: link_down, at: 9s, lasts: 1.01s}
+  - {robot: r, what: link_down, at: 9s, lasts: 1.5s}
 "
     );
 }

@@ -76,14 +76,12 @@ fn link(robot: &RobotId, link: &LinkMeasured) -> String {
     let delay = &link.delay;
     let way = match link.method {
         Method::EachWay => "each way by itself",
-        Method::HalfRoundTrip => {
-            "half of each round trip, because the robot's clock was set or counts coarsely; the spread is understated"
-        }
+        Method::HalfRoundTrip => "half of each round trip: its clock was set, or counts coarsely",
     };
     let samples =
         format!("{} of {}, {way}", counted(link.samples, "delay"), counted(link.exchanges, "exchange"));
     let few = match link.samples < SAMPLES_FOR_P99 {
-        true => "; too few for a 99th percentile of their own",
+        true => "; p99 is of few",
         false => "",
     };
     let mut text = format!(
@@ -227,11 +225,16 @@ fn micros(span: Span) -> String {
     written(Span::from_micros((span.as_nanos() + half) / 1_000))
 }
 
-/// With as many digits as one packet in a million takes.
+/// With three digits that count.
 fn percent(share: f64) -> String {
-    let text = format!("{:.4}", share * 100.0);
-    let text = text.trim_end_matches('0').trim_end_matches('.');
-    format!("{text}%")
+    let percent = share * 100.0;
+    let digits = (0..6).find(|digits| percent * 10f64.powi(*digits) >= 100.0).unwrap_or(6);
+    let digits = usize::try_from(digits).unwrap_or(0);
+    let text = format!("{percent:.digits$}");
+    match text.contains('.') {
+        true => format!("{}%", text.trim_end_matches('0').trim_end_matches('.')),
+        false => format!("{text}%"),
+    }
 }
 
 fn times(count: u32) -> String {

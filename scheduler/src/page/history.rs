@@ -10,7 +10,7 @@ use mcap::MessageStream;
 use mcap::read::Options;
 use serde::Deserialize;
 use serde_json::Value;
-use urrcp::{InitializationBlock, Robot, RobotId, Server, Timestamp};
+use urrcp::{InitializationBlock, Robot, RobotId, Server, Span, Timestamp};
 
 use crate::journal::{self, Unreadable};
 
@@ -93,6 +93,9 @@ pub(crate) struct Exchange {
     /// T4: when the answer arrived.
     pub(crate) received: Timestamp<Server>,
 }
+
+/// A message is noted once it has been handed to its link, which may have sent it by then: so much earlier it had not left.
+const NOTED_WITHIN: Span = Span::from_millis(1);
 
 /// Messages that carry the times of an exchange: the question, and its answer.
 const QUESTIONS: [(&str, &str); 2] =
@@ -299,14 +302,14 @@ impl KnownRobot {
         }
     }
 
-    /// It describes itself, or answers a question with its times. A question may have waited on this machine: it counts from
-    /// when it left.
+    /// It describes itself, or answers a question with its times. A question that waited on this machine counts from when it
+    /// left, but no later than surely so.
     fn says(&mut self, at: Timestamp<Server>, response: &Value) {
         for (question, answer) in QUESTIONS {
             let answer = &response[answer];
             let Ok(own) = Timestamp::deserialize(&answer["originate_timestamp"]) else { continue };
             let Entry::Occupied(mut open) = self.open.entry((question, own)) else { continue };
-            let sent = open.get_mut().pop_front();
+            let sent = open.get_mut().pop_front().map(|noted| own.max(noted + -NOTED_WITHIN));
             if open.get().is_empty() {
                 open.remove();
             }
