@@ -429,7 +429,12 @@ impl FleetReader {
 }
 
 /// A sensor of the robot, or a finding where the name stands.
-fn sensor(findings: &mut Reader, name: &str, at: &At<'_>, init: &InitializationBlock) -> Option<DeviceId> {
+pub(crate) fn sensor(
+    findings: &mut Reader,
+    name: &str,
+    at: &At<'_>,
+    init: &InitializationBlock,
+) -> Option<DeviceId> {
     let is_sensor = |device: &&Device| device.available_control_types.sensor().is_some();
     let sensors = || init.devices.iter().filter(is_sensor).map(|device| device.id.as_str());
     let found = init.device(name).filter(is_sensor).map(|device| device.id.clone());
@@ -485,7 +490,7 @@ fn unknown_robot(findings: &mut Reader, at: &At<'_>, name: &str, known: &[&str])
     findings.add(Code::UnknownRobot, at.place(), message, expected, hint);
 }
 
-fn drift_ppm(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
+pub(crate) fn drift_ppm(findings: &mut Reader, at: &At<'_>) -> Option<f64> {
     let expected = "a drift such as 5ppm";
     let text = findings.text(at, expected)?;
     let number = text.strip_suffix("ppm").and_then(|number| number.trim().parse::<f64>().ok());

@@ -14,6 +14,7 @@ pub(crate) enum Document {
     Scenario,
     Fleet,
     Robot,
+    World,
 }
 
 impl Document {
@@ -22,6 +23,7 @@ impl Document {
             Self::Scenario => "a scenario",
             Self::Fleet => "a fleet file",
             Self::Robot => "the description of a robot",
+            Self::World => "a world file",
         }
     }
 
@@ -30,6 +32,7 @@ impl Document {
             Self::Scenario => "a map with `scenario`, and `cues` or `acts`",
             Self::Fleet => "a map with `robots`",
             Self::Robot => "a map with `id`, `api_version` and `devices`",
+            Self::World => "a map with `world`",
         }
     }
 
@@ -38,6 +41,8 @@ impl Document {
         let has = |name: &str| entries.iter().any(|(key, _)| key == name);
         if has("cues") || has("acts") || has("scenario") {
             Some(Self::Scenario)
+        } else if has("world") {
+            Some(Self::World)
         } else if has("robots") {
             Some(Self::Fleet)
         } else if has("devices") {
@@ -56,6 +61,7 @@ impl Document {
                 "name a fleet file; it refers to this file as `robots: {arm-1: {init: FILE, address: sim}}`"
             }
             (Self::Fleet, _) => "name the file that lists the robots, usually `fleet.yaml`",
+            (Self::World, _) => "name the world file with `--world FILE`",
             (Self::Robot, _) => "name the file that a robot of the fleet has as its `init`",
         }
     }
@@ -96,6 +102,7 @@ pub(crate) fn begin(wanted: Document) -> String {
         Document::Scenario => ("a scenario", "show.yaml"),
         Document::Fleet => ("a fleet file", "fleet.yaml"),
         Document::Robot => ("the description of a robot", "robots/arm.yaml"),
+        Document::World => return "`world: NAME` begins a world file; docs/world.md has its keys".to_owned(),
     };
     format!("`downbeat init first-show` writes {what} to begin with: `first-show/{name}`")
 }

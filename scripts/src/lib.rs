@@ -54,6 +54,7 @@ mod space;
 mod syntax;
 mod tags;
 pub mod timing;
+mod world;
 
 pub use address::{Address, NoAddress};
 pub use compile::{Compiled, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline};
@@ -79,6 +80,10 @@ pub use source::Source;
 pub use space::{
     Body, BodyUse, Closest, Coordinate, Drive, DrivenPath, DrivenPoint, InSpace, Joint, JointKind, Shape,
     Space, Steering, Volume,
+};
+pub use world::{
+    Between, ClockWorld, Delay, Incident, Interruptions, LinkWorld, OperatorWorld, QUANTILES, Reading,
+    SensorWorld, Trouble, World, read_world,
 };
 
 /// Words for messages, shared with the program.
