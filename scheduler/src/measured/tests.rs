@@ -5,6 +5,7 @@ use serde_json::json;
 use urrcp::{Robot, Server, Span, Timestamp};
 
 use super::*;
+use downbeat_scripts::Delay;
 
 const BEGAN: Timestamp<Server> = Timestamp::from_nanos(1_800_000_000_000_000_000);
 
@@ -232,6 +233,27 @@ fn losses_are_counted_a_packet_also_where_only_round_trips_are_known() {
 }
 
 #[test]
+fn every_kind_of_measurement_is_a_world_that_is_read() {
+    let held = Some((Span::from_millis(10_100), Span::from_millis(3_000)));
+    let worlds = [
+        Truth { loss: 0.02, ..Truth::default() },
+        Truth { held, every: Span::from_millis(50), ..Truth::default() },
+        Truth { counts_in: Span::from_millis(1), there: short, back: short, ..Truth::default() },
+        Truth { questions: 1, ..Truth::default() },
+        Truth { offset: Span::from_millis(-7_200_000), drift_ppm: -80.0, ..Truth::default() },
+        // A clock that begins in 1970.
+        Truth { offset: BEGAN - Timestamp::from_nanos(0), ..Truth::default() },
+    ];
+    for truth in worlds {
+        let mut history = truth.history(7);
+        text_of(&history, "show.mcap");
+        let scripts = json!([{"robot": "r", "shift_ms": 1.0}]);
+        history.records.push((BEGAN, json!({"record": "prepared", "scripts": scripts})));
+        assert_eq!(text_of(&history, "show.mcap"), text_of(&history.clone(), "show.mcap"));
+    }
+}
+
+#[test]
 fn few_exchanges_tell_no_drift() {
     let truth = Truth { questions: 5, offset: Span::from_millis(7), ..Truth::default() };
     let clock = truth.measured(2).clock.unwrap();
@@ -263,8 +285,42 @@ fn told(history: &mut History) {
 }
 
 fn text(truth: &Truth) -> String {
-    world_text(&Measured::of(&truth.history(1)).unwrap(), "show.mcap")
+    text_of(&truth.history(1), "show.mcap")
 }
+
+/// The world file, which is read as it is meant.
+#[track_caller]
+fn text_of(history: &History, file: &str) -> String {
+    let text = world_text(&Measured::of(history).unwrap(), file);
+    let folder = tempfile::tempdir().unwrap();
+    let path = |name: &str| folder.path().join(name);
+    std::fs::write(path("fleet.yaml"), "robots:\n  r: {init: r.yaml, address: sim}\n").unwrap();
+    std::fs::write(path("r.yaml"), ROBOT).unwrap();
+    std::fs::write(path("world.yaml"), &text).unwrap();
+    let (fleet, findings) = downbeat_scripts::read_fleet(&path("fleet.yaml"));
+    let fleet = fleet.unwrap_or_else(|| panic!("{findings:?}"));
+    let (world, findings) = downbeat_scripts::read_world(&path("world.yaml"), &fleet, &[]);
+    let world = world.unwrap_or_else(|| panic!("{text}\n{findings:?}"));
+    let measured = Measured::of(history).unwrap();
+    assert_eq!(world.links[0].is_some(), measured.robots[0].link.is_some(), "{text}");
+    assert_eq!(world.sensors.len(), measured.sensors.len(), "{text}");
+    assert_eq!(world.incidents.len(), measured.robots[0].breaks.len(), "{text}");
+    if let (Some(read), Some(link)) = (&world.links[0], &measured.robots[0].link) {
+        assert!((read.loss - link.loss.share).abs() <= 0.005 * link.loss.share, "{text}");
+        assert_eq!(read.interruptions.len(), usize::from(!link.interruptions.is_empty()), "{text}");
+        let Delay::Quantiles([least, .., largest]) = read.delay else { panic!("{text}") };
+        near(least, link.delay.least.as_millis_f64(), 0.000_51);
+        near(largest, link.delay.largest.as_millis_f64(), 0.000_51);
+    }
+    text
+}
+
+const ROBOT: &str = "id: r
+api_version: '1'
+devices:
+  - id: range
+    available_control_types: {sensor: {min_value: 0, max_value: 5}}
+";
 
 #[test]
 fn a_world_file_says_what_was_measured_and_how() {
@@ -277,7 +333,7 @@ fn a_world_file_says_what_was_measured_and_how() {
     };
     let mut history = truth.history(1);
     told(&mut history);
-    let written = world_text(&Measured::of(&history).unwrap(), "show.mcap");
+    let written = text_of(&history, "show.mcap");
     let (_, written) = written.split_once("\nworld: ").unwrap();
     let clock = written.lines().find(|line| line.starts_with("  # offset")).unwrap();
     assert!(clock.starts_with("  # offset 120ms ±5ms, 41 exchanges, drift "), "{clock}");
@@ -310,7 +366,7 @@ incidents:
 fn names_cannot_leave_their_comments_or_keys() {
     let mut history = Truth::default().history(1);
     history.scenario = Some("a\nb: {".to_owned());
-    let text = world_text(&Measured::of(&history).unwrap(), "x\ny.mcap");
+    let text = text_of(&history, "x\ny.mcap");
     assert!(text.starts_with("# Measured in \"x\\u000ay.mcap\" by"), "{text}");
     assert!(text.contains("\nworld: \"a\\u000ab: {-2027-01-15\"\n"), "{text}");
 }
@@ -324,7 +380,7 @@ fn a_robot_that_follows_ntp_has_the_error_that_was_seen_or_the_one_that_would_no
         history
             .records
             .push((BEGAN, json!({"record": "prepared", "scripts": [{"robot": "r", "shift_ms": 0.0}]})));
-        world_text(&Measured::of(&history).unwrap(), "show.mcap")
+        text_of(&history, "show.mcap")
     };
     assert!(ntp(3).contains("would not be\n  r: {error: 5ms}\n"), "{}", ntp(3));
     assert!(ntp(-20).contains("it was surely off by this\n  r: {error: 20ms}\n"), "{}", ntp(-20));

@@ -77,6 +77,8 @@ pub(super) fn sensors(robot: &KnownRobot, began: Timestamp<Server>) -> Vec<Senso
     let measured = |(device, values): (&String, &Vec<(Timestamp<Server>, f64)>)| {
         let mut changes: Vec<(Span, f64)> = values.iter().map(|(at, value)| (*at - began, *value)).collect();
         changes.dedup_by(|(_, value), (_, before)| value == before);
+        // The file has microseconds: of two readings within one, the first one counts.
+        changes.dedup_by_key(|(at, _)| at.as_nanos() / 1_000);
         SensorMeasured {
             robot: robot.id.to_string(),
             sensor: device.clone(),

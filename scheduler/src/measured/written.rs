@@ -32,9 +32,11 @@ pub fn world_text(measured: &Measured, file: &str) -> String {
 /// Lines under a key, if there are any.
 fn section(text: &mut String, key: &str, entries: impl Iterator<Item = String>) {
     let entries: String = entries.collect();
-    if !entries.is_empty() {
-        *text += &format!("{key}:\n{entries}");
-    }
+    let says_something = entries.lines().any(|line| !line.trim_start().starts_with('#'));
+    *text += &match says_something {
+        true => format!("{key}:\n{entries}"),
+        false => entries,
+    };
 }
 
 fn head(measured: &Measured, file: &str) -> String {
@@ -161,6 +163,9 @@ fn clock(robot: &RobotId, clock: &ClockMeasured) -> String {
             format!("error: {}", micros(uncertainty))
         }
     };
+    if clock.largest.as_millis_f64() > urrcp::OFFSET_MS_MAX {
+        return format!("  # {}: {comment}: beyond what a world can say\n", scalar(robot.as_str()));
+    }
     if clock.follows.is_none() {
         comment += "; it was sent no script, so it is taken to follow NTP";
     }
