@@ -24,8 +24,9 @@ fn recorded() -> Session {
     session.file(
         "show.yaml",
         "scenario: show
+start_tolerance: 100ms
 cues:
-  - {at: 0s, robots: [left, right], tracks: {shoulder: [{at: 0s, to: 10}, {at: 4s, to: 60}]}}
+  - {at: 0s, robots: [left, right], tracks: {shoulder: [{at: 0s, to: 0}, {at: 4s, to: 60}]}}
 ",
     );
     session.run(&["run", "show.yaml", "--record", "show.mcap"]).says(0, &["done"]);

@@ -22,9 +22,9 @@ pub struct ClockMeasured {
     /// The true offset is within this, whatever the asymmetry of the path; `None`: a journal does not say it.
     #[serde(rename = "uncertainty_ms")]
     pub uncertainty: Option<Span>,
-    /// The largest offset of the whole mission, either way.
-    #[serde(rename = "largest_offset_ms")]
-    pub largest: Span,
+    /// How far it was off, either way, where an exchange leaves no room for an offset of zero; `None`: none does.
+    #[serde(rename = "surely_off_ms")]
+    pub surely_off: Option<Span>,
     /// How fast it gained on the server's clock; `None`: its exchanges do not tell.
     #[serde(flatten)]
     pub drift: Option<DriftMeasured>,
@@ -75,30 +75,24 @@ impl ClockMeasured {
         exchanges: &[Exchange],
         line: Option<&ClockLine>,
         told: Told,
-        (began, ended): (Timestamp<Server>, Timestamp<Server>),
+        began: Timestamp<Server>,
     ) -> Option<Self> {
         let samples: Vec<ClockSample> = exchanges.iter().map(sample).collect();
         let mut estimate = ClockEstimate::default();
         samples.iter().for_each(|sample| estimate.add(*sample));
         let resolution = counts_in(exchanges);
         let best = samples.iter().min_by_key(|sample| sample.delay);
-        let (offset, uncertainty, largest) = match (line, best) {
-            (Some(line), _) => {
-                let ends = [began, ended].map(|at| line.offset_at(at));
-                (ends[0], Some(line.uncertainty() + resolution), ends[0].abs().max(ends[1].abs()))
-            }
+        let (offset, uncertainty) = match (line, best) {
+            (Some(line), _) => (line.offset_at(began), Some(line.uncertainty() + resolution)),
             // No line holds: of each exchange its own offset is known, and the best of them is told.
-            (None, Some(best)) => {
-                let surely = |sample: &ClockSample| (sample.offset.abs() - sample.delay / 2).max(Span::ZERO);
-                let largest = samples.iter().map(surely).max().unwrap_or_default();
-                (best.offset, Some(best.delay / 2 + resolution), largest.max(best.offset.abs()))
-            }
+            (None, Some(best)) => (best.offset, Some(best.delay / 2 + resolution)),
             // A journal has what was added to timestamps, where anything was.
-            (None, None) => {
-                let shift = told.shift.filter(|shift| *shift != Span::ZERO)?;
-                (shift, None, shift.abs())
-            }
+            (None, None) => (told.shift.filter(|shift| *shift != Span::ZERO)?, None),
         };
+        // A rate that fits a short recording best may be far from the true one, so the ends of the line count for nothing here.
+        let surely = samples.iter().map(|sample| sample.offset.abs() - sample.delay / 2 - resolution).max();
+        let surely = surely.filter(|surely| *surely > Span::ZERO);
+        let surely_off = surely.zip(best).map(|(surely, best)| surely.max(best.offset.abs()));
         Some(Self {
             follows: told.shift.map(|shift| match shift == Span::ZERO {
                 true => Follows::Ntp,
@@ -106,7 +100,7 @@ impl ClockMeasured {
             }),
             offset,
             uncertainty,
-            largest,
+            surely_off,
             drift: line.and_then(DriftMeasured::of),
             exchanges: exchanges.len(),
             steps: estimate.steps(),

@@ -129,7 +129,7 @@ impl RobotMeasured {
             robot: robot.id.clone(),
             link: LinkMeasured::of(&exchanges, line.as_ref()),
             breaks: told::breaks(history, robot.id.as_str(), bounds),
-            clock: ClockMeasured::of(&exchanges, line.as_ref(), told, bounds),
+            clock: ClockMeasured::of(&exchanges, line.as_ref(), told, bounds.0),
         }
     }
 

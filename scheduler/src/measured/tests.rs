@@ -163,7 +163,7 @@ fn the_clock_of_a_robot_is_found_with_its_drift() {
         assert!((drift.ppm - drift_ppm).abs() < 1.0, "{drift:?}");
         assert!(drift.least <= drift_ppm && drift_ppm <= drift.most, "{drift:?}");
         let moved = drift_ppm.abs() * 1e-6 * 300_000.0;
-        near(clock.largest, if drift_ppm < 0.0 { 120.0 } else { 120.0 + moved }, 0.5);
+        near(clock.surely_off.unwrap(), if drift_ppm < 0.0 { 120.0 } else { 120.0 + moved }, 3.0);
     }
 }
 
@@ -383,7 +383,19 @@ fn a_robot_that_follows_ntp_has_the_error_that_was_seen_or_the_one_that_would_no
         text_of(&history, "show.mcap")
     };
     assert!(ntp(3).contains("would not be\n  r: {error: 5ms}\n"), "{}", ntp(3));
-    assert!(ntp(-20).contains("it was surely off by this\n  r: {error: 20ms}\n"), "{}", ntp(-20));
+    assert!(ntp(-20).contains("it was surely off, by about this\n  r: {error: 20ms}\n"), "{}", ntp(-20));
+}
+
+/// As on one host: 5 s of quick exchanges that the system held up now and then. What fits best has a drift that is none.
+#[test]
+fn no_error_of_a_clock_is_claimed_because_of_the_drift_that_fits_a_short_recording_best() {
+    let quick = |rng: &mut Rng| 0.02 + 0.1 / (rng.f64() + 0.07);
+    for seed in 0..50 {
+        let every = Span::from_millis(70);
+        let truth = Truth { there: quick, back: quick, questions: 70, every, ..Truth::default() };
+        let clock = truth.measured(seed).clock.unwrap();
+        assert_eq!((clock.surely_off, clock.drift), (None, None), "{clock:?}");
+    }
 }
 
 #[test]

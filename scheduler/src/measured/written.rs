@@ -142,7 +142,6 @@ fn clock(robot: &RobotId, clock: &ClockMeasured) -> String {
     if let Some(error) = clock.start_error {
         comment += &format!(", starts at most {} off by its own clock", micros(error));
     }
-    let uncertainty = clock.uncertainty.unwrap_or_default();
     let keys = match clock.follows {
         Some(Follows::Measured) => {
             match clock.drift {
@@ -154,16 +153,18 @@ fn clock(robot: &RobotId, clock: &ClockMeasured) -> String {
             let drift = clock.drift.map_or_else(String::new, |drift| format!(", drift: {:.1}ppm", drift.ppm));
             format!("offset: {}{drift}", micros(clock.offset))
         }
-        Some(Follows::Ntp) | None if clock.largest > uncertainty => {
-            comment += ": it was surely off by this";
-            format!("error: {}", micros(clock.largest))
-        }
-        Some(Follows::Ntp) | None => {
-            comment += ": no error was seen, and one of this size would not be";
-            format!("error: {}", micros(uncertainty))
-        }
+        Some(Follows::Ntp) | None => match clock.surely_off {
+            Some(off) => {
+                comment += ": it was surely off, by about this";
+                format!("error: {}", micros(off))
+            }
+            None => {
+                comment += ": no error was seen, and one of this size would not be";
+                format!("error: {}", micros(clock.uncertainty.unwrap_or_default()))
+            }
+        },
     };
-    if clock.largest.as_millis_f64() > urrcp::OFFSET_MS_MAX {
+    if clock.offset.as_millis_f64().abs() > urrcp::OFFSET_MS_MAX {
         return format!("  # {}: {comment}: beyond what a world can say\n", scalar(robot.as_str()));
     }
     if clock.follows.is_none() {
