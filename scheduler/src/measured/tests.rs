@@ -394,7 +394,7 @@ fn no_error_of_a_clock_is_claimed_because_of_the_drift_that_fits_a_short_recordi
         let every = Span::from_millis(70);
         let truth = Truth { there: quick, back: quick, questions: 70, every, ..Truth::default() };
         let clock = truth.measured(seed).clock.unwrap();
-        assert_eq!((clock.surely_off, clock.drift), (None, None), "{clock:?}");
+        assert_eq!(clock.surely_off, None, "{clock:?}");
     }
 }
 
