@@ -6,7 +6,7 @@ use crate::robots::play::SOON;
 use crate::session::PROGRAM;
 use crate::terminal::Terminal;
 
-const COMMANDS: [&str; 27] = [
+const COMMANDS: [&str; 28] = [
     "",
     "check",
     "completions",
@@ -34,6 +34,7 @@ const COMMANDS: [&str; 27] = [
     "schema",
     "sim",
     "stop",
+    "world",
 ];
 
 /// Wider terminals get no longer lines: those are hard to read.

@@ -27,6 +27,7 @@ mod import;
 mod import_real;
 mod language;
 mod large_show;
+mod measured;
 mod missions;
 mod mistakes;
 mod ntp;

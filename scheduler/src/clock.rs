@@ -71,7 +71,7 @@ impl ClockSample {
 }
 
 /// Many robots write milliseconds or microseconds. On a fast link that is longer than the way.
-fn resolution(one: Timestamp<Robot>, other: Timestamp<Robot>) -> Span {
+pub(crate) fn resolution(one: Timestamp<Robot>, other: Timestamp<Robot>) -> Span {
     let counts_in = |step: &i64| one.as_nanos() % step == 0 && other.as_nanos() % step == 0;
     Span::from_nanos([1_000_000, 1_000].into_iter().find(counts_in).unwrap_or(1))
 }

@@ -29,6 +29,7 @@
 //! | [`report`] | what became of it, as text, JSON or a picture |
 //! | [`certificate`] | a plan that was played against faults |
 //! | [`requirements`] | whether figures are as a scenario requires |
+//! | [`measured`] | the network and the clocks of a mission that was recorded, as a world file |
 //! | [`dry_run`], [`simulation`] | the same in virtual time, and under random faults |
 //! | [`conformance`] | whether a robot does what the protocol demands |
 //! | [`clock`], [`open_files`] | how far a robot's clock is off; room for many sockets |
@@ -43,6 +44,7 @@ pub mod dry_run;
 pub mod fleet;
 pub mod journal;
 pub mod link;
+pub mod measured;
 pub mod mission;
 pub mod open_files;
 pub mod page;

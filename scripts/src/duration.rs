@@ -94,7 +94,8 @@ pub(crate) fn parse_signed(text: &str) -> Option<Span> {
 }
 
 /// A time as written in a scenario, exactly: `1.5s`, `250ms`, `-2us`.
-pub(crate) fn written(span: Span) -> String {
+#[must_use]
+pub fn written(span: Span) -> String {
     let (sign, nanos) = (if span < Span::ZERO { "-" } else { "" }, span.as_nanos().unsigned_abs());
     let (per_unit, digits, unit) = match nanos {
         1_000_000_000.. | 0 => (1_000_000_000, 9, "s"),

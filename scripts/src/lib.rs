@@ -91,7 +91,7 @@ pub use world::{
 
 /// Words for messages, shared with the program.
 #[doc(hidden)]
-pub use {address::address_fault, finding::did_you_mean, render::counted};
+pub use {address::address_fault, duration::written, finding::did_you_mean, import::scalar, render::counted};
 
 #[cfg(test)]
 mod tests;

@@ -59,14 +59,14 @@ pub(super) fn outline(args: &ScenarioArgs, fleet: &Fleet) -> Outline {
     downbeat_scripts::outline(&source, fleet, &folder(args))
 }
 
-/// Why a page cannot be written there: it would replace what it is made from, or it is no file.
+/// Why a page or another file cannot be written there: it would replace what it is made from, or it is no file.
 pub(super) fn replaces(page: &Path, sources: &[&Path]) -> Option<String> {
     let whole = |path: &Path| path.canonicalize().ok();
     if page == Path::new("-") {
         return Some("`-` is not a file; give a name, such as show.html".to_owned());
     }
     let replaced = sources.iter().find(|source| whole(page).is_some() && whole(page) == whole(source))?;
-    Some(format!("the page would replace `{}`, from which it is made; give another name", replaced.display()))
+    Some(format!("this would replace `{}`, from which it is made; give another name", replaced.display()))
 }
 
 /// Where its includes are.

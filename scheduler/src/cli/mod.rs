@@ -40,6 +40,7 @@ mod sim;
 mod stop;
 mod trials;
 mod withdraw;
+mod world;
 
 #[cfg(test)]
 pub(crate) use withdraw::InsideWhat;
@@ -128,6 +129,8 @@ enum Command {
     Report(report::ReportArgs),
     /// Show what differs between two scenarios as they compile, or between two missions that were played.
     Diff(diff::DiffArgs),
+    /// Write a world file from a recording: delays, losses and clocks as they were measured.
+    World(world::WorldArgs),
     /// Check whether a robot does what the protocol demands.
     Conformance(conformance::ConformanceArgs),
     /// Run one simulated robot that listens on TCP.
@@ -231,6 +234,7 @@ pub fn main() -> ExitCode {
         Command::Missions(args) => missions::missions(&args, format),
         Command::Report(args) => report::report(&args, format),
         Command::Diff(args) => diff::diff(&args, format),
+        Command::World(args) => world::world(&args, format),
         Command::Conformance(args) => conformance::conformance(&args, format),
         Command::Robot(args) => robot::robot(&args, format),
         Command::Edge(args) => edge::edge(&args, format),

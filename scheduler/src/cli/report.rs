@@ -39,28 +39,10 @@ pub(super) struct ReportArgs {
 }
 
 pub(super) fn report(args: &ReportArgs, format: Format) -> Exit {
-    let history = match History::read(&args.file) {
+    let history = match read(&args.file, args.partial, "shows") {
         Ok(history) => history,
-        Err(NoHistory::Io { path, error }) => {
-            let refusal = Refusal::of(Attempt::Read(&path), &error);
-            return refused(&format!("cannot read `{}`: {refusal}", path.display()));
-        }
-        Err(error) => return refused(&error.to_string()),
+        Err(exit) => return exit,
     };
-    if let Some(cut_off) = &history.cut_off {
-        let name = args.file.display();
-        if !args.partial {
-            return refused(&format!(
-                "`{name}` is not whole: {cut_off}; --partial shows what comes before that"
-            ));
-        }
-        if history.is_empty() {
-            return refused(&format!(
-                "`{name}` is not whole: {cut_off}, so nothing can be shown; give the mission's journal, if it is still there"
-            ));
-        }
-        console::note(&format!("`{name}` is not whole: {cut_off}"));
-    }
     if let Some(error) = args.html.as_ref().and_then(|path| load::replaces(path, &[&args.file])) {
         return refused(&error);
     }
@@ -75,6 +57,32 @@ pub(super) fn report(args: &ReportArgs, format: Format) -> Exit {
         Format::Json => console::print_json(&report),
     }
     Exit::Done
+}
+
+/// What a file has kept of a mission. A file that is not whole is refused unless a part will do, of which the command `does` this.
+pub(super) fn read(file: &Path, partial: bool, does: &str) -> Result<History, Exit> {
+    let history = match History::read(file) {
+        Ok(history) => history,
+        Err(NoHistory::Io { path, error }) => {
+            let refusal = Refusal::of(Attempt::Read(&path), &error);
+            return Err(refused(&format!("cannot read `{}`: {refusal}", path.display())));
+        }
+        Err(error) => return Err(refused(&error.to_string())),
+    };
+    let Some(cut_off) = &history.cut_off else { return Ok(history) };
+    let name = file.display();
+    if !partial {
+        return Err(refused(&format!(
+            "`{name}` is not whole: {cut_off}; --partial {does} what comes before that"
+        )));
+    }
+    if history.is_empty() {
+        return Err(refused(&format!(
+            "`{name}` is not whole: {cut_off}, so nothing can be read of it; give the mission's journal, if it is still there"
+        )));
+    }
+    console::note(&format!("`{name}` is not whole: {cut_off}"));
+    Ok(history)
 }
 
 fn write(args: &ReportArgs, history: &History, path: &Path, format: Format) -> Result<(), Exit> {

@@ -1,6 +1,7 @@
 //! What a journal or a recording has kept of a mission that was played.
 
-use std::collections::{BTreeMap, HashMap};
+use std::collections::hash_map::Entry;
+use std::collections::{BTreeMap, HashMap, VecDeque};
 use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
@@ -9,7 +10,7 @@ use mcap::MessageStream;
 use mcap::read::Options;
 use serde::Deserialize;
 use serde_json::Value;
-use urrcp::{InitializationBlock, Interpolation, RobotId, Server, Timestamp};
+use urrcp::{InitializationBlock, Interpolation, Robot, RobotId, Server, Span, Timestamp};
 
 use crate::journal::{self, Unreadable};
 
@@ -31,8 +32,8 @@ pub struct History {
     /// What was decided, as in the journal.
     pub records: Vec<(Timestamp<Server>, Value)>,
     /// What the operator was told.
-    pub(super) told: Vec<(Timestamp<Server>, Value)>,
-    pub(super) robots: Vec<KnownRobot>,
+    pub(crate) told: Vec<(Timestamp<Server>, Value)>,
+    pub(crate) robots: Vec<KnownRobot>,
     /// Of each topic, what it is about.
     routes: HashMap<String, Option<Route>>,
 }
@@ -47,11 +48,11 @@ struct Route {
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Kind {
+    Request,
     Response,
     Clock,
     Planned,
     Reported,
-    Other,
 }
 
 /// What kind of file it was.
@@ -66,16 +67,42 @@ pub enum HistorySource {
 
 /// What is known of a robot.
 #[derive(Clone, Debug)]
-pub(super) struct KnownRobot {
-    pub(super) id: RobotId,
-    pub(super) init: Option<InitializationBlock>,
+pub(crate) struct KnownRobot {
+    pub(crate) id: RobotId,
+    pub(crate) init: Option<InitializationBlock>,
     /// Steps of scripts when they are due: by device and request.
     pub(super) planned: BTreeMap<(String, String), Vec<PlannedStep>>,
     /// What it said of its devices, when that arrived.
     pub(super) reported: BTreeMap<String, Vec<(Timestamp<Server>, f64)>>,
     /// Offset and round trip of each exchange, in milliseconds.
     pub(super) clock: Vec<(Timestamp<Server>, f64, f64)>,
+    /// Questions that it has answered with its times.
+    pub(crate) exchanges: Vec<Exchange>,
+    /// When questions that it has not answered yet were sent, by their name and own timestamp.
+    open: HashMap<(&'static str, Timestamp<Server>), VecDeque<Timestamp<Server>>>,
+    /// What its sensors read, by device, when that arrived.
+    pub(crate) readings: BTreeMap<String, Vec<(Timestamp<Server>, f64)>>,
 }
+
+/// A question and its answer: the four times of RFC 5905, section 8.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Exchange {
+    /// T1: when the question left.
+    pub(crate) sent: Timestamp<Server>,
+    /// T2: when the robot had it.
+    pub(crate) robot_received: Timestamp<Robot>,
+    /// T3: when the robot answered.
+    pub(crate) robot_sent: Timestamp<Robot>,
+    /// T4: when the answer arrived.
+    pub(crate) received: Timestamp<Server>,
+}
+
+/// A message is noted once it has been handed to its link, which may have sent it by then: so much earlier it had not left.
+const NOTED_WITHIN: Span = Span::from_millis(1);
+
+/// Messages that carry the times of an exchange: the question, and its answer.
+const QUESTIONS: [(&str, &str); 2] =
+    [("availability_request", "availability_response"), ("inquiry", "inquiry_response")];
 
 /// A step of a script.
 #[derive(Clone, Debug)]
@@ -263,7 +290,8 @@ impl History {
         };
         let robot = &mut self.robots[*robot];
         match kind {
-            Kind::Response => robot.says(value),
+            Kind::Request => robot.is_asked(at, value),
+            Kind::Response => robot.says(at, value),
             Kind::Clock => {
                 let figures = value["offset_ms"].as_f64().zip(value["delay_ms"].as_f64());
                 robot.clock.extend(figures.map(|(offset, delay)| (at, offset, delay)));
@@ -271,16 +299,19 @@ impl History {
             Kind::Planned => robot.plans(device.clone(), at, value),
             Kind::Reported => {
                 let reported = robot.reported.entry(device.clone()).or_default();
-                reported.extend(value["value"].as_f64().map(|value| (at, value)));
+                let point = value["value"].as_f64().map(|value| (at, value));
+                reported.extend(point);
+                if value["status"] == "Provide" {
+                    robot.readings.entry(device.clone()).or_default().extend(point);
+                }
             }
-            Kind::Other => {}
         }
     }
 
     fn route(&mut self, topic: &str) -> Option<Route> {
         let (of_robot, kind) = topic.strip_prefix("/robots/")?.rsplit_once('/')?;
         let (kind, id) = match kind {
-            "requests" => (Kind::Other, of_robot),
+            "requests" => (Kind::Request, of_robot),
             "responses" => (Kind::Response, of_robot),
             "clock" => (Kind::Clock, of_robot),
             "planned" => (Kind::Planned, self.named(of_robot)),
@@ -309,13 +340,42 @@ impl History {
 }
 
 impl KnownRobot {
-    fn new(id: RobotId, init: Option<InitializationBlock>) -> Self {
-        let (planned, reported) = (BTreeMap::new(), BTreeMap::new());
-        Self { id, init, planned, reported, clock: Vec::new() }
+    pub(crate) fn new(id: RobotId, init: Option<InitializationBlock>) -> Self {
+        let (planned, reported, readings) = (BTreeMap::new(), BTreeMap::new(), BTreeMap::new());
+        let (clock, exchanges, open) = (Vec::new(), Vec::new(), HashMap::new());
+        Self { id, init, planned, reported, clock, exchanges, open, readings }
     }
 
-    /// It describes itself.
-    fn says(&mut self, response: &Value) {
+    /// It is asked something that it may answer with its times.
+    fn is_asked(&mut self, at: Timestamp<Server>, request: &Value) {
+        for (question, _) in QUESTIONS {
+            if let Ok(own) = Timestamp::deserialize(&request[question]["timestamp"]) {
+                self.open.entry((question, own)).or_default().push_back(at);
+            }
+        }
+    }
+
+    /// It describes itself, or answers a question with its times. A question that waited on this machine counts from when it
+    /// left, but no later than surely so.
+    fn says(&mut self, at: Timestamp<Server>, response: &Value) {
+        for (question, answer) in QUESTIONS {
+            let answer = &response[answer];
+            let Ok(own) = Timestamp::deserialize(&answer["originate_timestamp"]) else { continue };
+            let Entry::Occupied(mut open) = self.open.entry((question, own)) else { continue };
+            let sent = open.get_mut().pop_front().map(|noted| own.max(noted + -NOTED_WITHIN));
+            if open.get().is_empty() {
+                open.remove();
+            }
+            let robot_received = Timestamp::deserialize(&answer["receive_timestamp"]).ok();
+            let robot_sent = Timestamp::deserialize(&answer["timestamp"]).ok();
+            let times = sent.zip(robot_received.zip(robot_sent));
+            self.exchanges.extend(times.map(|(sent, (robot_received, robot_sent))| Exchange {
+                sent,
+                robot_received,
+                robot_sent,
+                received: at,
+            }));
+        }
         let block = &response["initialization_block"];
         if let Ok(block) = InitializationBlock::deserialize(block) {
             self.init = Some(block);

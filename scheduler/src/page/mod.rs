@@ -31,6 +31,7 @@ use crate::dry_run;
 pub(crate) use self::planned::waits;
 
 pub(crate) use self::compared::OtherPlan;
+pub(crate) use self::history::{Exchange, KnownRobot};
 pub use self::history::{History, HistorySource, NoHistory};
 pub use self::played::Told;
 pub use self::written::{OtherScenario, Written};

@@ -40,7 +40,7 @@ impl History {
         })
     }
 
-    pub(super) fn of_kind<'a>(
+    pub(crate) fn of_kind<'a>(
         &'a self,
         kind: &'a str,
     ) -> impl Iterator<Item = &'a (Timestamp<Server>, Value)> {

@@ -48,7 +48,8 @@ use sink::Sink;
 pub use fleet_part::{FilePart, files_of};
 pub use moments::TimeUnit;
 pub use urdf::{UrdfOutcome, urdf};
-pub(crate) use yaml::scalar;
+#[doc(hidden)]
+pub use yaml::scalar;
 pub use yaml::{Scenes, scenario_text, steps_written};
 
 /// Most keyframes of one import: two million, far beyond what any device takes.

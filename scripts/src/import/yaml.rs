@@ -203,7 +203,8 @@ fn list(values: &[f64]) -> String {
 }
 
 /// A text as a YAML scalar: plain where it cannot be taken for anything else, in double quotes otherwise.
-pub(crate) fn scalar(text: &str) -> Cow<'_, str> {
+#[must_use]
+pub fn scalar(text: &str) -> Cow<'_, str> {
     if is_plain(text) {
         return Cow::Borrowed(text);
     }

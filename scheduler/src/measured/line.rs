@@ -1,0 +1,149 @@
+//! The line that a robot's clock follows against the server's, between the bounds of all exchanges. `docs/measured.md` has the
+//! method and its sources.
+
+use std::ops::Neg;
+
+use urrcp::{Server, Span, Timestamp};
+
+use crate::clock::resolution;
+use crate::page::Exchange;
+
+/// Fastest drift that is looked for, as a fraction: beyond any real clock, and what a simulated one has at most.
+const RATE_MAX: f64 = 0.1;
+/// Fewer exchanges, or exchanges over less time, do not tell a drift from delays that differ: none is assumed.
+const EXCHANGES_FOR_DRIFT: usize = 20;
+const TIME_FOR_DRIFT: Span = Span::from_millis(1_000);
+/// Thirds of the range that are cut off: what remains of it moves a clock by less than a nanosecond in an hour.
+const CUTS: usize = 100;
+
+/// How far a robot's clock is ahead of the server's, as a line over time.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct ClockLine {
+    origin: Timestamp<Server>,
+    /// At the origin, in nanoseconds.
+    offset: f64,
+    /// As a fraction.
+    pub(super) rate: f64,
+    /// All rates at which a line is possible; `None`: none was looked for.
+    pub(super) rates: Option<(f64, f64)>,
+    /// Between the two bounds where they come closest, in nanoseconds: twice the least delay.
+    gap: f64,
+}
+
+/// Bounds of the offset: upper ones by the ways there, lower ones by the ways back; instants and offsets in nanoseconds.
+struct Bounds {
+    upper: Vec<(f64, f64)>,
+    lower: Vec<(f64, f64)>,
+}
+
+impl ClockLine {
+    /// The line with the most room to the bounds on both sides; the least delay is then the same both ways. `None`: there is
+    /// no line between them, because the clock was set or does not run evenly.
+    pub(super) fn fit(exchanges: &[Exchange]) -> Option<Self> {
+        let first = exchanges.first()?;
+        let origin = first.sent;
+        let zero = nanos(first.robot_received.assume_clock() - first.sent);
+        let bounds = Bounds::of(exchanges, origin, zero);
+        let last = exchanges.last().map_or(origin, |exchange| exchange.received);
+        let step = -nanos(counts_in(exchanges));
+        let drift_shows = exchanges.len() >= EXCHANGES_FOR_DRIFT && last - origin >= TIME_FOR_DRIFT;
+        let (rate, rates) = match !drift_shows && bounds.gap(0.0) >= step {
+            true => (0.0, None),
+            false => {
+                let rate = bounds.widest();
+                (rate, bounds.possible(rate))
+            }
+        };
+        let gap = bounds.gap(rate);
+        let offset = zero + f64::midpoint(bounds.least_upper(rate), bounds.greatest_lower(rate));
+        (gap >= step).then_some(Self { origin, offset, rate, rates, gap: gap.max(0.0) })
+    }
+
+    /// The robot's clock minus the server's at an instant, in nanoseconds.
+    fn at(&self, at: Timestamp<Server>) -> f64 {
+        self.offset + self.rate * nanos(at - self.origin)
+    }
+
+    /// The robot's clock minus the server's at an instant.
+    pub(super) fn offset_at(&self, at: Timestamp<Server>) -> Span {
+        span(self.at(at))
+    }
+
+    /// How long a question and its answer took, each on its own way.
+    pub(super) fn ways(&self, exchange: &Exchange) -> [Span; 2] {
+        let there = nanos(exchange.robot_received.assume_clock() - exchange.sent) - self.at(exchange.sent);
+        let back = nanos(exchange.received - exchange.robot_sent.assume_clock()) + self.at(exchange.received);
+        [there, back].map(|way| span(way.max(0.0)))
+    }
+
+    /// The offset may be off by this where the least delays of the two ways differ as much as they can.
+    pub(super) fn uncertainty(&self) -> Span {
+        span(self.gap / 2.0)
+    }
+}
+
+impl Bounds {
+    fn of(exchanges: &[Exchange], origin: Timestamp<Server>, zero: f64) -> Self {
+        let upper = |exchange: &Exchange| {
+            let bound = nanos(exchange.robot_received.assume_clock() - exchange.sent);
+            (nanos(exchange.sent - origin), bound - zero)
+        };
+        let lower = |exchange: &Exchange| {
+            let bound = nanos(exchange.robot_sent.assume_clock() - exchange.received);
+            (nanos(exchange.received - origin), bound - zero)
+        };
+        Self { upper: exchanges.iter().map(upper).collect(), lower: exchanges.iter().map(lower).collect() }
+    }
+
+    fn least_upper(&self, rate: f64) -> f64 {
+        self.upper.iter().map(|(at, bound)| bound - rate * at).fold(f64::INFINITY, f64::min)
+    }
+
+    fn greatest_lower(&self, rate: f64) -> f64 {
+        self.lower.iter().map(|(at, bound)| bound - rate * at).fold(f64::INFINITY.neg(), f64::max)
+    }
+
+    /// Room for a line of this rate. It is concave in the rate: the least of some lines minus the greatest of others.
+    fn gap(&self, rate: f64) -> f64 {
+        self.least_upper(rate) - self.greatest_lower(rate)
+    }
+
+    /// The rate with the most room.
+    fn widest(&self) -> f64 {
+        let (mut least, mut most) = (-RATE_MAX, RATE_MAX);
+        for _ in 0..CUTS {
+            let third = (most - least) / 3.0;
+            let (low, high) = (least + third, most - third);
+            if self.gap(low) < self.gap(high) { least = low } else { most = high }
+        }
+        f64::midpoint(least, most)
+    }
+
+    /// Between which rates there is room at all.
+    fn possible(&self, widest: f64) -> Option<(f64, f64)> {
+        let end = |far: f64| {
+            let (mut inside, mut outside) = (widest, far);
+            for _ in 0..CUTS {
+                let middle = f64::midpoint(inside, outside);
+                if self.gap(middle) >= 0.0 { inside = middle } else { outside = middle }
+            }
+            inside
+        };
+        (self.gap(widest) >= 0.0).then(|| (end(-RATE_MAX), end(RATE_MAX)))
+    }
+}
+
+/// The step in which a robot's timestamps count.
+pub(super) fn counts_in(exchanges: &[Exchange]) -> Span {
+    let steps = exchanges.iter().map(|exchange| resolution(exchange.robot_received, exchange.robot_sent));
+    steps.min().unwrap_or_default()
+}
+
+#[expect(clippy::cast_precision_loss, reason = "exact up to 104 days, else rounded")]
+const fn nanos(span: Span) -> f64 {
+    span.as_nanos() as f64
+}
+
+fn span(nanos: f64) -> Span {
+    Span::from_millis_f64(nanos / 1e6)
+}

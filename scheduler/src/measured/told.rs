@@ -1,0 +1,111 @@
+//! What the operator was told of links, sensors and waits.
+
+use serde::Serialize;
+use urrcp::{ControlType, Server, Span, Timestamp};
+
+use crate::page::{History, KnownRobot};
+
+/// How an act announces that it waits for the operator.
+const OPERATOR: &str = "the operator's go";
+
+/// A connection that broke.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Break {
+    /// From the beginning of the mission.
+    #[serde(rename = "at_ms")]
+    pub at: Span,
+    /// Until the robot was back on a new connection, or to the end of the file.
+    #[serde(rename = "lasted_ms")]
+    pub lasted: Span,
+    /// Whether it was back.
+    pub back: bool,
+}
+
+/// What a sensor read.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct SensorMeasured {
+    /// The sensor's robot.
+    pub robot: String,
+    /// Which device.
+    pub sensor: String,
+    /// How often it was read.
+    pub readings: usize,
+    /// What it read, each since the beginning of the mission and where it differs from the reading before; in milliseconds in
+    /// JSON.
+    pub values: Vec<(Span, f64)>,
+}
+
+/// How long acts waited for the operator's go.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct OperatorMeasured {
+    /// Waits that ended with a go.
+    #[serde(rename = "waits_ms")]
+    pub waits: Vec<Span>,
+    /// Waits without a go.
+    pub unanswered: usize,
+}
+
+pub(super) fn breaks(
+    history: &History,
+    robot: &str,
+    (began, ended): (Timestamp<Server>, Timestamp<Server>),
+) -> Vec<Break> {
+    let mut breaks: Vec<Break> = Vec::new();
+    let own = history.told.iter().filter(|(_, told)| told["robot"] == robot);
+    for (at, told) in own {
+        let open = breaks.last_mut().filter(|last| !last.back);
+        match (told["progress"].as_str(), open) {
+            (Some("link_lost"), None) => {
+                breaks.push(Break { at: *at - began, lasted: ended - *at, back: false });
+            }
+            (Some("reattached"), Some(open)) => (open.lasted, open.back) = (*at - (began + open.at), true),
+            _ => {}
+        }
+    }
+    breaks
+}
+
+/// Of devices that are nothing but sensors: what a device that moves reads is where it stands.
+pub(super) fn sensors(robot: &KnownRobot, began: Timestamp<Server>) -> Vec<SensorMeasured> {
+    let moves = |device: &str| {
+        let described = robot.init.as_ref().and_then(|init| init.device(device));
+        described.is_some_and(|device| {
+            device.available_control_types.iter().any(|(control, _)| control != ControlType::Sensor)
+        })
+    };
+    let only_read = robot.readings.iter().filter(|(device, values)| !moves(device) && !values.is_empty());
+    let measured = |(device, values): (&String, &Vec<(Timestamp<Server>, f64)>)| {
+        let mut changes: Vec<(Span, f64)> = values.iter().map(|(at, value)| (*at - began, *value)).collect();
+        changes.dedup_by(|(_, value), (_, before)| value == before);
+        // The file has microseconds: of two readings within one, the first one counts.
+        changes.dedup_by_key(|(at, _)| at.as_nanos() / 1_000);
+        SensorMeasured {
+            robot: robot.id.to_string(),
+            sensor: device.clone(),
+            readings: values.len(),
+            values: changes,
+        }
+    };
+    only_read.map(measured).collect()
+}
+
+pub(super) fn operator(history: &History) -> OperatorMeasured {
+    let mut measured = OperatorMeasured::default();
+    let mut waiting: Option<(&str, Timestamp<Server>)> = None;
+    for (at, told) in &history.told {
+        let act = told["act"].as_str().unwrap_or_default();
+        match told["progress"].as_str() {
+            Some("waiting") if told["awaits"].as_str().is_some_and(|awaits| awaits.starts_with(OPERATOR)) => {
+                measured.unanswered += usize::from(waiting.is_some());
+                waiting = Some((act, *at));
+            }
+            Some("preparing") => {
+                let own = waiting.take_if(|(name, _)| *name == act);
+                measured.waits.extend(own.map(|(_, since)| *at - since));
+            }
+            _ => {}
+        }
+    }
+    measured.unanswered += usize::from(waiting.is_some());
+    measured
+}

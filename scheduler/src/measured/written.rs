@@ -1,0 +1,251 @@
+//! What was measured as a world file, with how it was measured in its comments. The same recording gives the same bytes.
+
+use downbeat_scripts::{counted, scalar, written};
+use urrcp::{RobotId, Span};
+
+use super::clock::{ClockMeasured, Follows};
+use super::link::{Interruption, LinkMeasured, Loss, Method};
+use super::told::{Break, OperatorMeasured, SensorMeasured};
+use super::{Measured, RobotMeasured};
+use crate::page::HistorySource;
+
+/// Fewer samples than this: a percentile of theirs is hardly below the largest.
+const SAMPLES_FOR_P99: usize = 100;
+/// So many readings are written on one line.
+const READINGS_ON_A_LINE: usize = 4;
+
+/// The world file of what was measured in the file of this name.
+#[must_use]
+pub fn world_text(measured: &Measured, file: &str) -> String {
+    let mut text = head(measured, file);
+    let robots = &measured.robots;
+    let links = robots.iter().filter_map(|robot| Some(link(&robot.robot, robot.link.as_ref()?)));
+    section(&mut text, "links", links);
+    let clocks = robots.iter().filter_map(|robot| Some(clock(&robot.robot, robot.clock.as_ref()?)));
+    section(&mut text, "clocks", clocks);
+    section(&mut text, "sensors", measured.sensors.iter().map(sensor));
+    text += &operator(&measured.operator);
+    section(&mut text, "incidents", robots.iter().flat_map(incidents));
+    text
+}
+
+/// Lines under a key, if there are any.
+fn section(text: &mut String, key: &str, entries: impl Iterator<Item = String>) {
+    let entries: String = entries.collect();
+    let says_something = entries.lines().any(|line| !line.trim_start().starts_with('#'));
+    *text += &match says_something {
+        true => format!("{key}:\n{entries}"),
+        false => entries,
+    };
+}
+
+fn head(measured: &Measured, file: &str) -> String {
+    let began = measured.began.to_string();
+    let (date, second) = (began.get(..10).unwrap_or_default(), began.get(..19).unwrap_or_default());
+    let scenario = measured.scenario.as_deref().unwrap_or("mission");
+    let mut text = format!(
+        "# Measured in {} by downbeat {}.\n# Mission {}, {second}Z, {}.\n",
+        scalar(file),
+        env!("CARGO_PKG_VERSION"),
+        scalar(scenario),
+        micros(measured.duration),
+    );
+    if let Some(cut_off) = &measured.cut_off {
+        text += &format!("# The file is not whole: {}. This is what comes before that.\n", scalar(cut_off));
+    }
+    text += match measured.source {
+        HistorySource::Recording => {
+            "#
+# Delays are of one way, from the times that robots put into their answers. The least delay is taken to be the same both ways:
+# exchanges of timestamps cannot tell an asymmetric path from an offset of the clock (RFC 5905, section 8).
+# Packets that came 200 ms or more after the quickest were lost and sent again by TCP; a pause of the robot, of the radio or of this
+# machine looks the same. Not measured: what robots did wrong, and delays while no question was asked.
+"
+        }
+        HistorySource::Journal => {
+            "#
+# A journal has no messages: delays, losses, sensors and drifts were not measured.
+"
+        }
+    };
+    for robot in measured.robots.iter().filter(|robot| !robot.says_something()) {
+        text += &format!("# {}: nothing was measured.\n", scalar(robot.robot.as_str()));
+    }
+    text + &format!("world: {}\n", scalar(&format!("{scenario}-{date}")))
+}
+
+fn link(robot: &RobotId, link: &LinkMeasured) -> String {
+    let delay = &link.delay;
+    let way = match link.method {
+        Method::EachWay => "each way by itself",
+        Method::HalfRoundTrip => "half of each round trip: its clock was set, or counts coarsely",
+    };
+    let samples =
+        format!("{} of {}, {way}", counted(link.samples, "delay"), counted(link.exchanges, "exchange"));
+    let few = match link.samples < SAMPLES_FOR_P99 {
+        true => "; p99 is of few",
+        false => "",
+    };
+    let mut text = format!(
+        "  # {samples}{few}\n  {}:\n    delay: {{least: {}, p50: {}, p90: {}, p99: {}, largest: {}}}\n",
+        scalar(robot.as_str()),
+        micros(delay.least),
+        micros(delay.p50),
+        micros(delay.p90),
+        micros(delay.p99),
+        micros(delay.largest),
+    );
+    text += &loss(&link.loss);
+    text + &interruptions(link)
+}
+
+fn loss(loss: &Loss) -> String {
+    let Loss { lost, packets, share, below, resent_after } = loss;
+    let of = counted(*packets, "packet");
+    match (below, resent_after) {
+        (Some(below), _) => {
+            format!("    # lost: none of {of}, so below {} with 95 % confidence\n", percent(*below))
+        }
+        (None, Some(resent)) => format!(
+            "    # lost: {lost} of {of}\n    loss: {}\n    resent_after: {}\n",
+            percent(*share),
+            written(Span::from_millis(resent.as_nanos() / 1_000_000))
+        ),
+        (None, None) => String::new(),
+    }
+}
+
+fn interruptions(link: &LinkMeasured) -> String {
+    let lasted = link.interruptions.iter().map(|one: &Interruption| one.lasted);
+    let Some((least, most)) = lasted.clone().min().zip(lasted.max()) else { return String::new() };
+    let every = micros(link.interruption_every.unwrap_or_default());
+    format!(
+        "    # {} at least this long, of which the connection knew nothing\n    interruptions: [{{every: {every}, lasts: {}}}]\n",
+        counted(link.interruptions.len(), "pause"),
+        from_to(least, most),
+    )
+}
+
+fn clock(robot: &RobotId, clock: &ClockMeasured) -> String {
+    let mut comment = match clock.uncertainty {
+        Some(uncertainty) => format!(
+            "offset {} ±{}, {}",
+            micros(clock.offset),
+            micros(uncertainty),
+            counted(clock.exchanges, "exchange")
+        ),
+        None => "what was added to its timestamps".to_owned(),
+    };
+    if clock.steps > 0 {
+        comment += &format!(", set {} on the way", times(clock.steps));
+    }
+    if let Some(error) = clock.start_error {
+        comment += &format!(", starts at most {} off by its own clock", micros(error));
+    }
+    let keys = match clock.follows {
+        Some(Follows::Measured) => {
+            match clock.drift {
+                Some(drift) => {
+                    comment += &format!(", drift {:.1} to {:.1} ppm", drift.least, drift.most);
+                }
+                None => comment += ", drift not measured",
+            }
+            let drift = clock.drift.map_or_else(String::new, |drift| format!(", drift: {:.1}ppm", drift.ppm));
+            format!("offset: {}{drift}", micros(clock.offset))
+        }
+        Some(Follows::Ntp) | None => match clock.surely_off {
+            Some(off) => {
+                comment += ": it was surely off, by about this";
+                format!("error: {}", micros(off))
+            }
+            None => {
+                comment += ": no error was seen, and one of this size would not be";
+                format!("error: {}", micros(clock.uncertainty.unwrap_or_default()))
+            }
+        },
+    };
+    if clock.offset.as_millis_f64().abs() > urrcp::OFFSET_MS_MAX {
+        return format!("  # {}: {comment}: beyond what a world can say\n", scalar(robot.as_str()));
+    }
+    if clock.follows.is_none() {
+        comment += "; it was sent no script, so it is taken to follow NTP";
+    }
+    format!("  # {comment}\n  {}: {{{keys}}}\n", scalar(robot.as_str()))
+}
+
+fn sensor(sensor: &SensorMeasured) -> String {
+    let key = format!("{}/{}", sensor.robot, sensor.sensor);
+    let mut text = format!(
+        "  # {}; the first one holds from the beginning\n  {}:",
+        counted(sensor.readings, "reading"),
+        scalar(&key)
+    );
+    let at = |index: usize, at: Span| if index == 0 { "0s".to_owned() } else { micros(at) };
+    let values = sensor.values.iter().enumerate();
+    let values: Vec<String> =
+        values.map(|(index, (time, value))| format!("[{}, {value}]", at(index, *time))).collect();
+    match values.len() > READINGS_ON_A_LINE {
+        true => values.iter().for_each(|value| text += &format!("\n    - {value}")),
+        false => text += &format!(" [{}]", values.join(", ")),
+    }
+    text + "\n"
+}
+
+fn operator(operator: &OperatorMeasured) -> String {
+    let (waits, unanswered) = (&operator.waits, operator.unanswered);
+    let Some((least, most)) = waits.iter().min().zip(waits.iter().max()) else { return String::new() };
+    let mut text = format!("# {} for the operator's go", counted(waits.len(), "wait"));
+    if unanswered > 0 {
+        text += &format!(", and {unanswered} without one");
+    }
+    text + &format!("\noperator: {{go_after: {}}}\n", from_to(*least, *most))
+}
+
+fn incidents(robot: &RobotMeasured) -> Vec<String> {
+    let incident = |one: &Break| {
+        let note = match one.back {
+            true => "",
+            false => "  # The connection was not back by the end of the file: the robot may have failed.\n",
+        };
+        format!(
+            "{note}  - {{robot: {}, what: link_down, at: {}, lasts: {}}}\n",
+            scalar(robot.robot.as_str()),
+            micros(one.at),
+            micros(one.lasted)
+        )
+    };
+    robot.breaks.iter().map(incident).collect()
+}
+
+/// One time, or the range of several.
+fn from_to(least: Span, most: Span) -> String {
+    match micros(least) == micros(most) {
+        true => micros(least),
+        false => format!("{{from: {}, to: {}}}", micros(least), micros(most)),
+    }
+}
+
+/// Rounded to microseconds: what timestamps of robots are worth.
+fn micros(span: Span) -> String {
+    let half = if span < Span::ZERO { -500 } else { 500 };
+    written(Span::from_micros((span.as_nanos() + half) / 1_000))
+}
+
+/// With three digits that count.
+fn percent(share: f64) -> String {
+    let percent = share * 100.0;
+    let digits = (0..6).find(|digits| percent * 10f64.powi(*digits) >= 100.0).unwrap_or(6);
+    let digits = usize::try_from(digits).unwrap_or(0);
+    let text = format!("{percent:.digits$}");
+    match text.contains('.') {
+        true => format!("{}%", text.trim_end_matches('0').trim_end_matches('.')),
+        false => format!("{text}%"),
+    }
+}
+
+fn times(count: u32) -> String {
+    match count {
+        1 => "once".to_owned(),
+        count => format!("{count} times"),
+    }
+}
