@@ -287,7 +287,7 @@ fn device_row(device: &DeviceDifferences) -> Vec<String> {
         }
         other => word(other).to_owned(),
     };
-    let start = change(device.start_ms.as_ref().map(|start| start_text(start)).as_ref());
+    let start = change(device.start_ms.as_ref().map(start_text).as_ref());
     [vec![device.name(), what, start], counts(&device.steps)].concat()
 }
 
