@@ -140,7 +140,7 @@ fn the_closest_approach_is_better_or_worse() {
     let fleet = root().join("fleet.yaml");
     let (swap, fleet) = (swap.to_str().unwrap(), fleet.to_str().unwrap());
     let text =
-        std::fs::read_to_string(&fleet).unwrap().replace("init: ", &format!("init: {}/", root().display()));
+        std::fs::read_to_string(fleet).unwrap().replace("init: ", &format!("init: {}/", root().display()));
     assert!(text.contains("radius: 0.07"), "the bodies of the demo fleet: {text}");
     session.file("slim.yaml", text.replace("radius: 0.07", "radius: 0.05"));
     let ran = session.run(&["diff", swap, swap, "--fleet", fleet, "--fleet-b", "slim.yaml"]);
