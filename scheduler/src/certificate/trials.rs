@@ -90,8 +90,8 @@ impl Injected {
         }
     }
 
-    /// A fault that the robot has from the beginning.
-    fn from_the_beginning(&self) -> Option<(&RobotId, Fault)> {
+    /// A fault that the robot has all the time.
+    fn lasting(&self) -> Option<(&RobotId, Fault)> {
         match self {
             Self::Refuses { robot } => Some((robot, Fault::Refuse)),
             Self::Silent { robot } => Some((robot, Fault::Silent)),
@@ -223,7 +223,7 @@ fn rehearse(
     injected: &Injected,
 ) -> Result<(Report, Vec<Watched>), String> {
     let robots = fleet::robots_in(fleet, choreography);
-    let faulty = injected.from_the_beginning();
+    let faulty = injected.lasting();
     let world = world_with(choreography, fleet, injected);
     let machine = |(index, robot): (usize, &&downbeat_scripts::FleetRobot)| {
         let seed = seed.wrapping_add(index as u64);
