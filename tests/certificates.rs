@@ -25,7 +25,7 @@ fn certify(session: &Session) -> Ran {
 
 fn certified() -> Session {
     let session = session();
-    certify(&session).says(0, &["played against 6 faults", "certified plan"]);
+    certify(&session).says(0, &["played against 15 faults", "certified plan"]);
     session
 }
 
@@ -53,7 +53,7 @@ fn a_certificate_lists_every_fault_and_what_became_of_it() {
     let text = fs::read_to_string(session.path("show.cert.json")).unwrap();
     let certificate: Value = serde_json::from_str(&text).unwrap();
     let trials = certificate["trials"].as_array().unwrap();
-    assert_eq!(trials.len(), 7);
+    assert_eq!(trials.len(), 16);
     let of = |fault: &str, robot: &str| {
         let is = |trial: &&Value| trial["injected"]["fault"] == fault && trial["injected"]["robot"] == robot;
         trials.iter().find(is).unwrap()
@@ -224,4 +224,14 @@ fn the_certificate_does_not_replace_what_it_is_made_from() {
         .run(&["dry-run", "show.yaml", "--certify", "show.yaml"])
         .says(2, &["the certificate would replace"]);
     session.file("arm.yaml", ARM);
+}
+
+#[test]
+fn what_a_certificate_does_not_cover_is_not_taken_with_it() {
+    let session = session();
+    for more in [["--acts", "2"], ["--world", "world.yaml"], ["--trials", "10"], ["--html", "show.html"]] {
+        session
+            .run(&[&["dry-run", "show.yaml", "--certify", "show.cert.json"][..], &more].concat())
+            .says(2, &["cannot be used with", more[0]]);
+    }
 }

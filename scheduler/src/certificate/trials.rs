@@ -3,13 +3,13 @@
 use std::collections::BTreeSet;
 
 use downbeat_robot::simulated::{Fault, SimulatedRobot};
-use downbeat_scripts::{Choreography, Fleet, OnFailure};
+use downbeat_scripts::{Act, Between, Choreography, Fleet, Incident, OnFailure, Trouble, World};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use urrcp::{RobotId, Span};
 
 use super::value_of;
-use crate::dry_run::{Rehearsal, Watched};
+use crate::dry_run::{Circumstances, Rehearsal, Watched};
 use crate::fleet;
 use crate::mission::{MissionOptions, Outcome};
 use crate::report::{Report, StopState};
@@ -36,15 +36,67 @@ pub enum Injected {
         /// Which one.
         robot: RobotId,
     },
+    /// A robot's process ends in the middle of an act, and does not begin again.
+    Dies {
+        /// Which one.
+        robot: RobotId,
+        /// In which act.
+        act: String,
+    },
+    /// A robot's link is interrupted in the middle of an act, for [`INTERRUPTED`].
+    LinkDown {
+        /// Which one.
+        robot: RobotId,
+        /// In which act.
+        act: String,
+    },
+    /// A robot stands still in the middle of an act, for [`STALLED`].
+    Stalls {
+        /// Which one.
+        robot: RobotId,
+        /// In which act.
+        act: String,
+    },
 }
 
+/// Longer than the usual lease: a robot that hears nothing for so long comes to rest.
+pub const INTERRUPTED: Span = Span::from_millis(5_000);
+/// As long as a process that the system puts off under load.
+pub const STALLED: Span = Span::from_millis(400);
+
 impl Injected {
-    fn robot(&self) -> Option<(&RobotId, Fault)> {
+    /// Which robot has the fault.
+    fn whose(&self) -> Option<&RobotId> {
         match self {
             Self::None => None,
+            Self::Refuses { robot }
+            | Self::Silent { robot }
+            | Self::Disconnects { robot }
+            | Self::Dies { robot, .. }
+            | Self::LinkDown { robot, .. }
+            | Self::Stalls { robot, .. } => Some(robot),
+        }
+    }
+
+    /// What goes wrong while an act plays.
+    fn incident(&self) -> Option<(&RobotId, &str, Trouble)> {
+        match self {
+            Self::None | Self::Refuses { .. } | Self::Silent { .. } | Self::Disconnects { .. } => None,
+            Self::Dies { robot, act } => Some((robot, act, Trouble::Dies { back_after: None })),
+            Self::LinkDown { robot, act } => {
+                Some((robot, act, Trouble::LinkDown { lasts: always(INTERRUPTED) }))
+            }
+            Self::Stalls { robot, act } => Some((robot, act, Trouble::Stalls { lasts: always(STALLED) })),
+        }
+    }
+
+    /// A fault that the robot has all the time.
+    fn lasting(&self) -> Option<(&RobotId, Fault)> {
+        match self {
             Self::Refuses { robot } => Some((robot, Fault::Refuse)),
             Self::Silent { robot } => Some((robot, Fault::Silent)),
             Self::Disconnects { robot } => Some((robot, Fault::Disconnect)),
+            Self::None | Self::Dies { .. } | Self::LinkDown { .. } | Self::Stalls { .. } => None,
         }
     }
 
@@ -56,6 +108,13 @@ impl Injected {
             Self::Refuses { robot } => format!("`{robot}` refuses"),
             Self::Silent { robot } => format!("`{robot}` is silent"),
             Self::Disconnects { robot } => format!("`{robot}` disconnects after it has accepted"),
+            Self::Dies { robot, act } => format!("`{robot}` dies in the middle of `{act}`"),
+            Self::LinkDown { robot, act } => {
+                format!("the link of `{robot}` is down for {INTERRUPTED} from the middle of `{act}` on")
+            }
+            Self::Stalls { robot, act } => {
+                format!("`{robot}` stands still for {STALLED} in the middle of `{act}`")
+            }
         }
     }
 }
@@ -76,7 +135,8 @@ pub struct Trial {
     pub broken: Vec<String>,
 }
 
-/// Every fault that is played: none, and for each robot that moves that it refuses, is silent, and disconnects.
+/// Every fault that is played: none; for each robot that moves that it refuses, is silent, and disconnects; and for each act in
+/// which it moves that it dies, loses its link, and stands still.
 #[must_use]
 pub fn faults(choreography: &Choreography) -> Vec<Injected> {
     let moves: BTreeSet<&RobotId> =
@@ -89,7 +149,47 @@ pub fn faults(choreography: &Choreography) -> Vec<Injected> {
             Injected::Disconnects { robot },
         ]
     };
-    std::iter::once(Injected::None).chain(moves.into_iter().flat_map(of_robot)).collect()
+    let in_acts = |robot: &RobotId| {
+        let acts = choreography.acts.iter();
+        let acts = acts.filter(|act| act.plan.robots.iter().any(|planned| planned.robot == *robot));
+        let of_act = |act: &Act| {
+            let (robot, act) = (robot.clone(), told_as(act));
+            [
+                Injected::Dies { robot: robot.clone(), act: act.clone() },
+                Injected::LinkDown { robot: robot.clone(), act: act.clone() },
+                Injected::Stalls { robot, act },
+            ]
+        };
+        acts.flat_map(of_act).collect::<Vec<_>>()
+    };
+    let of_robots = moves.into_iter().flat_map(|robot| of_robot(robot).into_iter().chain(in_acts(robot)));
+    std::iter::once(Injected::None).chain(of_robots).collect()
+}
+
+/// What an act is called where it is told.
+fn told_as(act: &Act) -> String {
+    if act.name.is_empty() { act.plan.scenario.clone() } else { act.name.clone() }
+}
+
+const fn always(span: Span) -> Between<Span> {
+    Between { least: span, largest: span }
+}
+
+/// A world in which nothing but this goes wrong, half of the act after its planned start.
+fn world_with(choreography: &Choreography, fleet: &Fleet, injected: &Injected) -> Option<World> {
+    let (robot, act, trouble) = injected.incident()?;
+    let place = fleet.robots.iter().position(|listed| listed.id == *robot)?;
+    let length = choreography.acts.iter().find(|planned| planned.is_named(act))?.plan.duration();
+    let at = always(Span::from_nanos(length.as_nanos() / 2));
+    let incident = Incident { robots: vec![place], trouble, act: Some(act.to_owned()), at, probability: 1.0 };
+    Some(World {
+        name: String::new(),
+        links: Vec::new(),
+        clocks: Vec::new(),
+        sensors: Vec::new(),
+        operator: None,
+        incidents: vec![incident],
+    })
 }
 
 /// Plays one of them to its end.
@@ -123,13 +223,18 @@ fn rehearse(
     injected: &Injected,
 ) -> Result<(Report, Vec<Watched>), String> {
     let robots = fleet::robots_in(fleet, choreography);
-    let faulty = injected.robot();
+    let faulty = injected.lasting();
+    let world = world_with(choreography, fleet, injected);
     let machine = |(index, robot): (usize, &&downbeat_scripts::FleetRobot)| {
         let seed = seed.wrapping_add(index as u64);
         let fault = faulty.filter(|(of, _)| **of == robot.id).map(|(_, fault)| fault);
         match fault {
             Some(fault) => fleet::rehearsed_with(robot, |settings| {
                 (settings.seed, settings.fault) = (seed, Some(fault));
+            }),
+            // The world's links delay, not the robot itself.
+            None if world.is_some() => fleet::rehearsed_with(robot, |settings| {
+                (settings.seed, settings.delay) = (seed, Some((Span::ZERO, Span::ZERO)));
             }),
             None => fleet::rehearsed(robot, seed),
         }
@@ -139,6 +244,12 @@ fn rehearse(
     let options = MissionOptions { greeting: fleet::greeting(fleet), first_act, ..MissionOptions::default() };
     let rehearsal = Rehearsal::new(choreography.clone(), fleet::participants(&robots), options, machines)
         .map_err(|error| error.to_string())?;
+    let rehearsal = match &world {
+        Some(world) => {
+            rehearsal.meets(|begin| Circumstances::draw(world, &fleet.robots, &robots, seed, begin))
+        }
+        None => rehearsal,
+    };
     Ok(rehearsal.play_watched())
 }
 
@@ -166,18 +277,23 @@ fn ended(choreography: &Choreography, injected: &Injected, report: &Report, brok
             broken.push(format!("without a fault the mission ends as: {outcome}"));
         }
         Injected::None => {}
+        // A link that comes back and a short standstill may leave nothing behind.
+        Injected::LinkDown { .. } | Injected::Stalls { .. } => {}
         _ if *outcome == Outcome::Done => {
             broken.push("the mission says that it is done, as if nothing had gone wrong".to_owned());
         }
         _ if report.failures.is_empty() => broken.push("no failure is reported".to_owned()),
         _ => {}
     }
-    if let Some(spread) = report.true_spread.filter(|spread| *spread > tolerance) {
+    // A robot that stands still or is gone in one act may be late for the next one.
+    let apart = report.true_spread.filter(|spread| *spread > tolerance && injected.incident().is_none());
+    if let Some(spread) = apart {
         broken.push(format!("robots start {spread} apart, {tolerance} is allowed"));
     }
 }
 
-/// Each act starts on all robots that have a part in it, or on none; only the faulty one is left out, and only if the policy of the
+/// Each act starts on all robots that have a part in it, or on none. A robot whose fault comes while an act plays may miss the next
+/// one. Only the faulty one is left out, and only if the policy of the
 /// act says so.
 fn all_or_none(
     choreography: &Choreography,
@@ -186,7 +302,9 @@ fn all_or_none(
     watched: &[Watched],
     broken: &mut Vec<String>,
 ) {
-    let is_faulty = |robot: &RobotId| injected.robot().is_some_and(|(of, _)| of == robot);
+    let is_faulty = |robot: &RobotId| injected.whose() == Some(robot);
+    // Where its fault comes while acts play, the next act may lose it; the others have to agree.
+    let may_miss = |robot: &RobotId| is_faulty(robot) && injected.incident().is_some();
     let index_of = |robot: &RobotId| report.robots.iter().position(|row| row.robot == *robot);
     let begun: BTreeSet<u32> = watched.iter().flat_map(|watched| watched.begun.keys().copied()).collect();
     for number in &begun {
@@ -207,6 +325,7 @@ fn all_or_none(
                 .unwrap_or_default();
             match (robot.left_out, began > 0) {
                 (false, true) => started.push(robot.robot.to_string()),
+                (false, false) if may_miss(&robot.robot) => {}
                 (false, false) => waited.push(robot.robot.to_string()),
                 (true, true) => broken.push(format!("{name}: `{}` was left out and moved", robot.robot)),
                 (true, false) if is_faulty(&robot.robot) && may_be_left_out(choreography, &robot.robot) => {}
@@ -323,11 +442,15 @@ mod tests {
     fn every_robot_is_faulty_in_three_ways_and_all_promises_hold() {
         let (choreography, fleet) = three();
         let all = faults(&choreography);
-        assert_eq!(all.len(), 10);
+        assert_eq!(all.len(), 19);
         for fault in &all {
             let trial = play(&choreography, &fleet, (0, 0), fault).unwrap();
             assert_eq!(trial.broken, Vec::<String>::new(), "{fault:?}");
-            assert_eq!(trial.moved.len(), if *fault == Injected::None { 3 } else { 0 }, "{fault:?}");
+            let moves = *fault == Injected::None || fault.incident().is_some();
+            assert_eq!(trial.moved.len(), if moves { 3 } else { 0 }, "{fault:?}");
+            if let Injected::Dies { .. } = fault {
+                assert_eq!(trial.outcome, "failed", "{fault:?}");
+            }
         }
     }
 
@@ -350,7 +473,7 @@ mod tests {
             |_, watched| watched[1].begun.clear(),
             "the scenario: a, c started, and b did not",
         );
-        check(&refuses, |_, watched| drop(watched[0].begun.insert(0, 1)), "a started, and b, c did not");
+        check(&refuses, |_, watched| watched[0].begun = [(0, 1)].into(), "a started, and b, c did not");
         check(
             &Injected::None,
             |_, watched| watched[2].still_moves = true,

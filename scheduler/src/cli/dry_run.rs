@@ -68,7 +68,7 @@ pub(super) struct DryRunArgs {
     #[arg(long, value_name = "K", conflicts_with = "trials")]
     trial: Option<u32>,
     /// Play the plan against faults of every robot, and write that what is promised held, for `run --require-certificate`.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["reading", "picture", "html", "acts"])]
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["reading", "picture", "html", "acts", "world", "trials", "trial"])]
     certify: Option<PathBuf>,
     /// Seed of the random delays and clock errors. The same seed gives the same run.
     #[arg(long, default_value_t = 0)]
