@@ -15,8 +15,8 @@ export function Lead({ lead }: Pick<Trials, "lead">) {
       ) : (
         <>
           <p>
-            With a lead of {digits(lead.enough.p99_ms)} ms, 99 % of the {counted(lead.had.count, "act")} that were decided would
-            have been decided in time.
+            A lead of {digits(lead.enough.p99_ms)} ms would have been enough for 99 % of the {counted(lead.enough.count, "act")} that
+            were decided, and one of {digits(lead.enough.max_ms)} ms for all of them.
           </p>
           <Wide label="Lead">
             <table id="lead">
@@ -32,7 +32,7 @@ export function Lead({ lead }: Pick<Trials, "lead">) {
               <tbody>
                 {(["had", "enough"] as const).map((which) => (
                   <tr key={which}>
-                    <th scope="row">{which === "had" ? "had" : "would be enough"}</th>
+                    <th scope="row">{which}</th>
                     <td class="range-column">
                       <RangeBar range={lead[which]} end={Math.max(lead.had.max_ms, lead.enough.max_ms)} />
                     </td>

@@ -65,6 +65,7 @@ function Chart({ histogram: { width_ms, counts, beyond }, marks }: { histogram: 
   );
   const step = niceStep(end / 5, 1);
   const ticks = Array.from({ length: Math.floor(end / step + 1e-9) + 1 }, (_, i) => i * step);
+  const isFar = ({ kind, ms }: Mark) => kind === "tolerance" && ms > end;
   const told = marks.map(({ name, ms }) => `${name} ${digits(ms)} ms`).join(", ");
   return (
     <svg class="histogram" width="100%" height={bottom + 20} role="img" aria-label={`Histogram of the spread: ${told}`}>
@@ -82,16 +83,27 @@ function Chart({ histogram: { width_ms, counts, beyond }, marks }: { histogram: 
           more
         </text>
       )}
-      {marks.map(({ name, ms, kind }, i) => {
-        const near = x(ms) < 55;
-        const far = kind === "tolerance" && ms > end;
+      {marks.map(
+        (mark, i) =>
+          !isFar(mark) && (
+            <line key={mark.name} class={mark.kind} x1={`${x(mark.ms)}%`} x2={`${x(mark.ms)}%`} y1={i * LABEL + 2} y2={bottom} />
+          ),
+      )}
+      {/* Over all lines, so that none crosses a label. */}
+      {marks.map((mark, i) => {
+        const far = isFar(mark);
+        const near = !far && x(mark.ms) < 55;
         return (
-          <g key={name} class={`mark ${kind}`}>
-            {!far && <line x1={`${x(ms)}%`} x2={`${x(ms)}%`} y1={i * LABEL + 2} y2={bottom} />}
-            <text x={`${far ? 100 : x(ms)}%`} dx={far ? 0 : near ? 4 : -4} y={i * LABEL + 12} text-anchor={near ? "start" : "end"}>
-              {name} {digits(ms)} ms{far ? " →" : ""}
-            </text>
-          </g>
+          <text
+            key={mark.name}
+            class={`label ${mark.kind}`}
+            x={`${far ? 100 : x(mark.ms)}%`}
+            dx={far ? 0 : near ? 4 : -4}
+            y={i * LABEL + 12}
+            text-anchor={near ? "start" : "end"}
+          >
+            {mark.name} {digits(mark.ms)} ms{far ? " →" : ""}
+          </text>
         );
       })}
     </svg>
