@@ -16,7 +16,7 @@ export function Acts({ acts }: Pick<Trials, "acts">) {
       ) : (
         <Limited items={acts} name="acts">
           {(some) => (
-            <Wide label="Acts">
+            <Wide label="acts">
               <table id="acts">
                 <thead>
                   <tr>

@@ -18,11 +18,11 @@ export function Lead({ lead }: Pick<Trials, "lead">) {
             A lead of {digits(lead.enough.p99_ms)} ms would have been enough for 99 % of the {counted(lead.enough.count, "act")} that
             were decided, and one of {digits(lead.enough.max_ms)} ms for all of them.
           </p>
-          <Wide label="Lead">
+          <Wide label="lead">
             <table id="lead">
               <thead>
                 <tr>
-                  <th />
+                  <th>lead</th>
                   <th class="range-column">from 0</th>
                   <th class="number">p50</th>
                   <th class="number">p99</th>

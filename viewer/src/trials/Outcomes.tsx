@@ -43,7 +43,7 @@ export function Outcomes({ outcomes }: Pick<Trials, "outcomes">) {
               <th scope="row">
                 <svg class="swatch" width="12" height="12" aria-hidden="true">
                   <rect class={colour} width="12" height="12" />
-                </svg>{" "}
+                </svg>
                 <Name text={name.replaceAll("_", " ")} />
               </th>
               <td class="number">{share.count}</td>

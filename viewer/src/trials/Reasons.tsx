@@ -20,7 +20,7 @@ export function Reasons({ trials: { reasons, replay } }: { trials: Trials }) {
           <Replay command={replayOf(replay, trial)} trial={trial} />
           <Limited items={reasons} name="reasons">
             {(some) => (
-              <Wide label="Reasons">
+              <Wide label="reasons">
                 <table id="reasons">
                   <thead>
                     <tr>

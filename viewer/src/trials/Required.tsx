@@ -12,7 +12,7 @@ export function Required({ requirements }: { requirements: readonly Requirement[
   return (
     <section class="wide" aria-labelledby="required-title">
       <h2 id="required-title">Requirements</h2>
-      <Wide label="Requirements">
+      <Wide label="requirements">
         <table id="requirements">
           <thead>
             <tr>

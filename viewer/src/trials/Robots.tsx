@@ -19,7 +19,7 @@ export function Robots({ trials }: { trials: Trials }) {
       </p>
       <Limited items={robots} name="robots">
         {(some) => (
-          <Wide label="Robots">
+          <Wide label="robots">
             <table id="robots">
               <thead>
                 <tr>

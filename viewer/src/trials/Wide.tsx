@@ -3,7 +3,7 @@ import type { ComponentChildren } from "preact";
 
 export function Wide({ label, children }: { label: string; children: ComponentChildren }) {
   return (
-    <div class="scrolls" tabIndex={0} role="region" aria-label={label}>
+    <div class="scrolls" tabIndex={0} role="region" aria-label={`Table: ${label}`}>
       {children}
     </div>
   );
