@@ -306,3 +306,66 @@ fn a_recording_or_a_journal_that_is_not_whole_is_refused_unless_a_part_is_asked_
     session.file("other", b"robots: {}\n");
     session.run(&["report", "other"]).says(2, &["neither a recording nor a journal"]);
 }
+
+const WORLD: &str = "world: a bad evening
+links:
+  all: {delay: 0.3ms, jitter: 0.2ms}
+  cf2: {delay: 0.5ms, loss: 5%}
+clocks:
+  all: {error: 0.5ms}
+incidents:
+  - {robot: cf4, what: refuses, probability: 20%}
+";
+
+#[test]
+fn the_page_of_trials_says_what_the_command_line_says() {
+    let (folder, path) = in_folder("trials.html");
+    let world = folder.path().join("it's friday.yaml").display().to_string();
+    fs::write(&world, WORLD).unwrap();
+    let trials = |more: &[&str]| {
+        let args = ["dry-run", SWAP, "--world", &world, "--trials", "60", "--seed", "18446744073709551615"];
+        downbeat(&[args.as_slice(), more].concat())
+    };
+    let told = trials(&["--format", "json", "--html", &path]).json();
+    let page = Page::read(Path::new(&path)).mission;
+    assert_eq!((&page["kind"], &page["seed"]), (&"trials".into(), &"18446744073709551615".into()));
+    let facts = told.as_object().unwrap().iter().filter(|(key, _)| !["each", "seed"].contains(&key.as_str()));
+    for (key, value) in facts {
+        assert_eq!(page[key], *value, "{key}");
+    }
+
+    let each = told["each"].as_array().unwrap();
+    let spreads: Vec<f64> = each.iter().filter_map(|trial| trial["spread_ms"].as_f64()).collect();
+    let width = page["histogram"]["width_ms"].as_f64().unwrap();
+    let counts = page["histogram"]["counts"].as_array().unwrap();
+    for (place, count) in counts.iter().enumerate() {
+        let within = |spread: &&f64| ((place as f64 * width)..((place + 1) as f64 * width)).contains(*spread);
+        assert_eq!(*count, spreads.iter().filter(within).count(), "{place}");
+    }
+    assert!(!spreads.is_empty() && spreads.len() < 60 && page["histogram"]["beyond"] == 0, "{page:#}");
+
+    let reason = &page["reasons"][0];
+    let number = reason["example"].to_string();
+    let words: Vec<&str> =
+        page["replay"].as_array().unwrap().iter().map(|word| word.as_str().unwrap()).collect();
+    let again = downbeat(&[&words[1..], &["--trial", &number, "--format", "json"]].concat());
+    let again: Value = serde_json::from_slice(&again.0.stdout).unwrap();
+    assert_eq!(words[0], "downbeat");
+    assert_eq!(again["outcome"], each[reason["example"].as_u64().unwrap() as usize]["outcome"]);
+    assert_eq!(again["failures"][0]["robot"], reason["robot"]);
+
+    let before = fs::read(&path).unwrap();
+    trials(&["--html", &path]).says(0, &["60 trials"]);
+    assert_eq!(fs::read(&path).unwrap(), before);
+}
+
+#[test]
+fn a_page_of_trials_never_replaces_their_world() {
+    let (_folder, path) = in_folder("world.yaml");
+    fs::write(&path, WORLD).unwrap();
+    for count in [["--trials", "2"], ["--trial", "1"]] {
+        let args = ["dry-run", SWAP, "--world", &path, "--html", &path];
+        downbeat(&[args.as_slice(), &count].concat()).says(2, &["this would replace", "world.yaml"]);
+    }
+    assert_eq!(fs::read_to_string(&path).unwrap(), WORLD);
+}

@@ -1,11 +1,12 @@
-// Reads the mission out of the page and shows it, or says why that is impossible.
+// Reads the mission or the trials out of the page and shows them, or says why that is impossible.
 import { render } from "preact";
 import { App } from "./App";
-import { PayloadError, readPayload } from "./data/payload";
+import { isOfTrials, PayloadError, readPayload } from "./data/payload";
 import { Show } from "./data/show";
 import { Session } from "./state/session";
 import { runPlayback } from "./state/playback";
 import { visible } from "./text/visible";
+import { TrialsApp } from "./trials/TrialsApp";
 
 document.addEventListener("DOMContentLoaded", () => void start());
 
@@ -17,8 +18,14 @@ async function start(): Promise<void> {
     const base64 = holder?.textContent ?? "";
     // The text is as large as the file; nothing needs it once it is read.
     holder?.remove();
-    const session = new Session(new Show(await readPayload(base64)));
-    document.title = `${visible(session.show.mission.scenario)} – Downbeat`;
+    const payload = await readPayload(base64);
+    document.title = `${visible(payload.mission.scenario)} – Downbeat`;
+    if (isOfTrials(payload)) {
+      page.replaceChildren();
+      render(<TrialsApp trials={payload.mission} />, page);
+      return;
+    }
+    const session = new Session(new Show(payload));
     runPlayback(session);
     page.replaceChildren();
     render(<App session={session} />, page);

@@ -38,6 +38,7 @@ Examples:
   downbeat dry-run show.yaml --acts 12
   downbeat dry-run show.yaml --reading rover-1/range=2.5
   downbeat dry-run show.yaml --world friday.yaml --trials 1000 --seed 7
+  downbeat dry-run show.yaml --world friday.yaml --trials 1000 --seed 7 --html friday.html
   downbeat dry-run show.yaml --world friday.yaml --seed 7 --trial 417 --html 417.html
   downbeat dry-run show.yaml --certify show.cert.json"
 )]
@@ -52,7 +53,7 @@ pub(super) struct DryRunArgs {
     /// Draw what every device does over time as SVG. Several acts are written to numbered files.
     #[arg(long, value_name = "FILE")]
     picture: Option<PathBuf>,
-    /// Write a page for a browser: timeline, curves, and robots in space. It needs no network.
+    /// Write a page for a browser: timeline, curves, and robots in space; with --trials, what they showed. It needs no network.
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
     /// End after this number of acts. By default after three times the number of acts of the scenario, which only a loop reaches.
@@ -62,7 +63,7 @@ pub(super) struct DryRunArgs {
     #[arg(long, value_name = "FILE")]
     world: Option<PathBuf>,
     /// Play this number of missions, each with another draw of the world, and say how they go.
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000), conflicts_with_all = ["reading", "picture", "html"])]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1_000_000), conflicts_with_all = ["reading", "picture"])]
     trials: Option<u32>,
     /// Play this one of the trials alone, counted from 0.
     #[arg(long, value_name = "K", conflicts_with = "trials")]
@@ -99,9 +100,9 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         let sources = [args.scenario.scenario.as_path(), &fleet_path];
         return certify::certify(&plan, args.seed, path, &sources, format);
     }
-    if let Some(error) =
-        args.html.as_ref().and_then(|path| load::replaces(path, &[&args.scenario.scenario, &fleet_path]))
-    {
+    let sources = [Some(args.scenario.scenario.as_path()), Some(&fleet_path), args.world.as_deref()];
+    let sources: Vec<&Path> = sources.into_iter().flatten().collect();
+    if let Some(error) = args.html.as_ref().and_then(|path| load::replaces(path, &sources)) {
         console::error(&error);
         return Exit::Usage;
     }
@@ -113,6 +114,11 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         let options = options(args, &fleet, first_act);
         return match trials::play((&choreography, &fleet, &world), options, (count, args.seed), format) {
             Ok(results) => {
+                let page =
+                    |path| page::of_trials(&results, &args.replay()).and_then(|text| page::save(path, &text));
+                if let Some((path, Err(error))) = args.html.as_ref().map(|path| (path, page(path))) {
+                    return not_written(path, &error);
+                }
                 trials::print(&results, format);
                 if any_unmet(&results.requirements) { Exit::Failed } else { Exit::Done }
             }
@@ -157,9 +163,7 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
     });
     for (path, written) in drawn.into_iter().chain(page) {
         if let Err(error) = written {
-            let refusal = Refusal::of(Attempt::Write(path), &error);
-            console::error(&format!("cannot write `{}`: {refusal}", path.display()));
-            return Exit::Usage;
+            return not_written(path, &error);
         }
     }
     match format {
@@ -176,6 +180,12 @@ pub(super) fn dry_run(args: &DryRunArgs, format: Format) -> Exit {
         ));
     }
     if unmet { Exit::Failed } else { super::run::exit_of(&played.report) }
+}
+
+fn not_written(path: &Path, error: &std::io::Error) -> Exit {
+    let refusal = Refusal::of(Attempt::Write(path), error);
+    console::error(&format!("cannot write `{}`: {refusal}", path.display()));
+    Exit::Usage
 }
 
 /// What one run says of what is required.
@@ -302,6 +312,29 @@ impl DryRunArgs {
     const fn logs(&self) -> Logs {
         if self.picture.is_some() || self.html.is_some() { Logs::Kept } else { Logs::Dropped }
     }
+
+    /// The words of the command that plays one of the trials again, but for `--trial K`.
+    fn replay(&self) -> Vec<String> {
+        let mut words = vec!["downbeat".to_owned(), "dry-run".to_owned(), named(&self.scenario.scenario)];
+        let mut add = |option: &str, value: Option<String>| {
+            words.extend(value.into_iter().flat_map(|value| [option.to_owned(), value]));
+        };
+        add("--fleet", self.scenario.fleet.as_deref().map(named));
+        let asked = self.choice.asked();
+        add("--act", asked.act);
+        add("--from", asked.from);
+        let only: Vec<&str> = asked.only.iter().map(RobotId::as_str).collect();
+        add("--only", (!only.is_empty()).then(|| only.join(",")));
+        add("--speed", asked.speed.map(|speed| speed.to_string()));
+        add("--acts", self.acts.map(|acts| acts.to_string()));
+        add("--world", self.world.as_deref().map(named));
+        add("--seed", Some(self.seed.to_string()));
+        words
+    }
+}
+
+fn named(path: &Path) -> String {
+    path.display().to_string()
 }
 
 fn options(args: &DryRunArgs, fleet: &Fleet, first_act: usize) -> MissionOptions {

@@ -84,6 +84,7 @@ pub(super) enum Kind {
     DryRun,
     Recording,
     Journal,
+    Trials,
 }
 
 #[derive(Debug, Serialize)]

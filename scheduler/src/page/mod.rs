@@ -1,4 +1,4 @@
-//! A mission as a page for a browser: one file, which needs neither a network nor this program. `viewer/` has the code of the
+//! A mission, or trials of one, as a page for a browser: one file, which needs neither a network nor this program. `viewer/` has the code of the
 //! page; here is what it shows.
 
 mod columns;
@@ -10,6 +10,7 @@ mod history;
 mod planned;
 mod played;
 mod recorded;
+mod tried;
 mod written;
 
 use std::fs;
@@ -21,12 +22,15 @@ use base64::engine::general_purpose::STANDARD;
 use downbeat_scripts::{Choreography, Finding, Fleet, Outline};
 use flate2::Compression;
 use flate2::write::GzEncoder;
+use serde::Serialize;
 
 use self::columns::Columns;
 use self::document::{Kind, Mission, VERSION};
 use self::fate::Fate;
 use self::played::Epoch;
+use self::tried::Tried;
 use crate::dry_run;
+use crate::trials::Results;
 
 pub(crate) use self::planned::waits;
 
@@ -38,6 +42,8 @@ pub use self::written::{OtherScenario, Written};
 
 /// The page without a mission.
 const TEMPLATE: &str = include_str!("page.html");
+/// The program and its version.
+const PROGRAM: &str = concat!("downbeat ", env!("CARGO_PKG_VERSION"));
 /// Where the mission belongs.
 const PLACE: &str = "@@MISSION@@";
 
@@ -89,6 +95,15 @@ pub fn of_history(history: &History, written: Option<&Written<'_>>) -> io::Resul
     page(&mission, &columns)
 }
 
+/// The page of trials. `replay` are the words of the command that plays one of them again, but for `--trial K`. The same results
+/// give the same bytes.
+///
+/// # Errors
+/// As for [`of_dry_run`].
+pub fn of_trials(results: &Results, replay: &[String]) -> io::Result<String> {
+    page(&Tried::of(results, replay), &Columns::default())
+}
+
 /// What became of an act, by its report as JSON, for people.
 #[must_use]
 pub fn fate_text(report: &serde_json::Value) -> &'static str {
@@ -115,7 +130,7 @@ impl Rehearsed<'_> {
         let to = ends.into_iter().chain(acts.iter().map(|act| act.end)).fold(0.0, f64::max);
         Mission {
             version: VERSION,
-            program: concat!("downbeat ", env!("CARGO_PKG_VERSION")),
+            program: PROGRAM,
             kind: Kind::DryRun,
             cut_off: None,
             scenario: choreography.scenario.clone(),
@@ -167,9 +182,9 @@ fn write_new(part: &Path, page: &str, replaced: &Path) -> io::Result<()> {
     file.sync_all()
 }
 
-/// The template with the mission in it: gzip of the JSON's length, the JSON and the columns, as base64, which no name can escape
+/// The template with the mission or the trials in it: gzip of the JSON's length, the JSON and the columns, as base64, which no name can escape
 /// from.
-fn page(mission: &Mission, columns: &Columns) -> io::Result<String> {
+fn page(mission: &impl Serialize, columns: &Columns) -> io::Result<String> {
     let json = serde_json::to_vec(mission)?;
     let length =
         u32::try_from(json.len()).map_err(|_| io::Error::other("the mission is too large for a page"))?;

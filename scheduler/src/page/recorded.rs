@@ -68,7 +68,7 @@ impl History {
         let times: Vec<f64> = times.chain(acts.iter().filter_map(|act| act.sent)).collect();
         Mission {
             version: VERSION,
-            program: concat!("downbeat ", env!("CARGO_PKG_VERSION")),
+            program: super::PROGRAM,
             kind: match self.source {
                 HistorySource::Journal => Kind::Journal,
                 HistorySource::Recording => Kind::Recording,

@@ -1,8 +1,9 @@
 // From the text inside the page to the document and the bytes of its columns.
 import type { Mission } from "../mission";
+import type { Trials } from "../trials";
 
-export interface Payload {
-  mission: Mission;
+export interface Payload<Document = Mission> {
+  mission: Document;
   columns: Uint8Array;
 }
 
@@ -12,7 +13,7 @@ export class PayloadError extends Error {}
 /** Characters of base64 decoded at once: a multiple of 4, small enough that no second copy of the whole is ever in memory. */
 const PIECE = 1 << 20;
 
-export async function readPayload(base64: string): Promise<Payload> {
+export async function readPayload(base64: string): Promise<Payload<Mission> | Payload<Trials>> {
   if (base64.trim() === "" || base64.trim().startsWith("@@")) {
     throw new PayloadError("This page holds no mission. Write one into it with `downbeat … --html FILE`.");
   }
@@ -62,17 +63,21 @@ async function collect(stream: ReadableStream<Uint8Array>): Promise<Uint8Array> 
   return all;
 }
 
-function split(bytes: Uint8Array): Payload {
+function split(bytes: Uint8Array): Payload<Mission> | Payload<Trials> {
   const length = bytes.length < 4 ? Infinity : new DataView(bytes.buffer).getUint32(0, true);
   if (!(4 + length <= bytes.length)) throw new PayloadError("The mission in this page is cut off.");
-  let mission: Mission;
+  let mission: Mission | Trials;
   try {
-    mission = JSON.parse(new TextDecoder("utf-8", { fatal: true }).decode(bytes.subarray(4, 4 + length))) as Mission;
+    mission = JSON.parse(new TextDecoder("utf-8", { fatal: true }).decode(bytes.subarray(4, 4 + length))) as Mission | Trials;
   } catch {
     throw new PayloadError("The mission in this page is damaged: its description is not JSON.");
   }
   if (mission.version !== 1) {
     throw new PayloadError(`This page cannot show version ${String(mission.version)} of the format; it shows version 1.`);
   }
-  return { mission, columns: bytes.subarray(4 + length) };
+  return { mission, columns: bytes.subarray(4 + length) } as Payload<Mission> | Payload<Trials>;
+}
+
+export function isOfTrials(payload: Payload<Mission> | Payload<Trials>): payload is Payload<Trials> {
+  return payload.mission.kind === "trials";
 }

@@ -7,13 +7,13 @@ import { Name } from "../text/Name";
 import { clock, timeOfDay } from "../text/time";
 import { Icon } from "./Icon";
 import { outcomeText } from "./outcome";
+import { ThemeTool } from "./ThemeTool";
 import { Tool } from "./Tool";
 
 const KINDS = { dry_run: "dry run", recording: "recording", journal: "journal" };
 
 export function Header() {
   const session = useSession();
-  const theme = useCell(session.theme);
   const { scenario, kind, report, cut_off } = session.show.mission;
   return (
     <header>
@@ -29,12 +29,7 @@ export function Header() {
       <span class="gap" />
       <Transport />
       <span class="gap" />
-      <Tool
-        label={theme === "dark" ? "Light theme (T)" : "Dark theme (T)"}
-        press={() => (session.theme.value = theme === "dark" ? "light" : "dark")}
-      >
-        <Icon name={theme === "dark" ? "sun" : "moon"} />
-      </Tool>
+      <ThemeTool theme={session.theme} />
       <Tool label="Keys and help (?)" press={() => (session.help.value = true)}>
         ?
       </Tool>

@@ -50,7 +50,7 @@ export class Session {
     this.folded = new Cell<ReadonlySet<number>>(new Set(folds ? show.mission.robots.map((_, index) => index) : []));
     this.chosen = new Cell<readonly Track[]>(show.tracks.filter((track) => track.segments.length > 0).slice(0, CURVES_AT_FIRST));
     this.rows = new Cell<readonly Row[]>(rowsOf(show, this.filter.value, this.folded.value));
-    this.theme = new Cell<Theme>(matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light");
+    this.theme = new Cell(preferredTheme());
     if (show.mission.compared) this.tab.value = "differences";
     this.playhead.value = Math.max(show.mission.from, Math.min(0, show.mission.to));
     const relist = () => {
@@ -70,6 +70,10 @@ export class Session {
     const row = this.rows.value[this.focusedRow.value];
     return row?.kind === "lane" ? row.track : null;
   }
+}
+
+export function preferredTheme(): Theme {
+  return matchMedia("(prefers-color-scheme: dark)").matches ? "dark" : "light";
 }
 
 function wholeView({ mission }: Show): View {

@@ -1,0 +1,150 @@
+//! The page of trials: what they showed together. Single trials become a histogram, so that the page of 100,000 is as small as the
+//! page of a hundred. `viewer/src/trials.ts` is the other side of these types.
+
+use serde::Serialize;
+use urrcp::{RobotId, Span};
+
+use super::document::{Kind, VERSION};
+use crate::requirements::Judged;
+use crate::trials::{ActResult, LeadResult, Quantiles, Reason, Results, RobotResult, Share};
+
+/// Columns of a histogram at most, but for the one of all beyond.
+const COLUMNS_MAX: i64 = 60;
+/// A histogram ends at so many times the 99 % quantile: a few trials far away do not push all others into one column.
+const P99S_SHOWN: i64 = 3;
+
+#[derive(Debug, Serialize)]
+pub(super) struct Tried<'a> {
+    version: u32,
+    program: &'static str,
+    kind: Kind,
+    scenario: &'a str,
+    world: &'a str,
+    trials: usize,
+    /// As text: a number of JSON in a browser does not hold 64 bits.
+    seed: String,
+    /// The command that plays one of them again, but for `--trial K`.
+    replay: &'a [String],
+    starts: Share,
+    finishes: Share,
+    aborts: Share,
+    mixed: Share,
+    outcomes: &'a [(String, Share)],
+    spread: Option<Quantiles>,
+    histogram: Option<Histogram>,
+    acts: &'a [ActResult],
+    lead: Option<LeadResult>,
+    reasons: &'a [Reason],
+    robots: &'a [RobotResult],
+    weakest_robot: &'a Option<RobotId>,
+    weakest_link: &'a Option<RobotId>,
+    requirements: &'a [Judged],
+}
+
+/// How often the spread was in each of several steps of equal width from 0: with its lower edge and without its upper one.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+struct Histogram {
+    #[serde(rename = "width_ms")]
+    width: Span,
+    counts: Vec<usize>,
+    /// Trials beyond the last of these.
+    beyond: usize,
+}
+
+impl<'a> Tried<'a> {
+    pub(super) fn of(results: &'a Results, replay: &'a [String]) -> Self {
+        let spreads: Vec<Span> = results.each.iter().filter_map(|trial| trial.spread).collect();
+        Self {
+            version: VERSION,
+            program: super::PROGRAM,
+            kind: Kind::Trials,
+            scenario: &results.scenario,
+            world: &results.world,
+            trials: results.trials,
+            seed: results.seed.to_string(),
+            replay,
+            starts: results.starts,
+            finishes: results.finishes,
+            aborts: results.aborts,
+            mixed: results.mixed,
+            outcomes: &results.outcomes,
+            spread: results.spread,
+            histogram: results.spread.map(|quantiles| Histogram::of(&spreads, quantiles)),
+            acts: &results.acts,
+            lead: results.lead,
+            reasons: &results.reasons,
+            robots: &results.robots,
+            weakest_robot: &results.weakest_robot,
+            weakest_link: &results.weakest_link,
+            requirements: &results.requirements,
+        }
+    }
+}
+
+impl Histogram {
+    fn of(spreads: &[Span], quantiles: Quantiles) -> Self {
+        let largest = quantiles.max.as_nanos();
+        let end = largest.min(quantiles.p99.as_nanos().saturating_mul(P99S_SHOWN));
+        let width = width(end);
+        // The last column holds `end`.
+        let mut counts = vec![0; usize::try_from(end / width).unwrap_or_default() + 1];
+        let mut beyond = 0;
+        for spread in spreads {
+            let place = usize::try_from(spread.as_nanos() / width).ok();
+            match place.and_then(|place| counts.get_mut(place)) {
+                Some(count) => *count += 1,
+                None => beyond += 1,
+            }
+        }
+        Self { width: Span::from_nanos(width), counts, beyond }
+    }
+}
+
+/// The smallest of 1, 2 and 5 times a power of 10 nanoseconds with which columns up to `end` are few enough.
+fn width(end: i64) -> i64 {
+    let powers = std::iter::successors(Some(1_i64), |power| power.checked_mul(10));
+    let widths = powers.flat_map(|power| [1, 2, 5].map(|factor| power.saturating_mul(factor)));
+    widths.into_iter().find(|width| end / width < COLUMNS_MAX).unwrap_or(i64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use proptest::prelude::*;
+
+    use super::*;
+
+    fn histogram(nanos: &[i64]) -> Histogram {
+        let spreads: Vec<Span> = nanos.iter().copied().map(Span::from_nanos).collect();
+        Histogram::of(&spreads, Quantiles::of(spreads.iter().copied()).unwrap())
+    }
+
+    #[test]
+    fn an_edge_belongs_to_the_column_above_it() {
+        let made = histogram(&[0, 99_999, 100_000, 5_900_000]);
+        assert_eq!((made.width, made.counts.len()), (Span::from_nanos(100_000), 60));
+        assert_eq!((made.counts[0], made.counts[1], made.counts[59], made.beyond), (2, 1, 1, 0));
+    }
+
+    #[test]
+    fn one_trial_far_away_leaves_the_others_apart() {
+        let mut nanos: Vec<i64> = (1..=1_000).map(|trial| trial * 1_000).collect();
+        nanos.push(60_000_000_000);
+        let made = histogram(&nanos);
+        assert_eq!(made.beyond, 1);
+        assert!(made.counts.iter().filter(|count| **count > 0).count() > 15, "{made:?}");
+    }
+
+    #[test]
+    fn robots_that_all_start_at_once_make_one_column() {
+        assert_eq!(histogram(&[0, 0]), Histogram { width: Span::from_nanos(1), counts: vec![2], beyond: 0 });
+    }
+
+    proptest! {
+        #[test]
+        fn every_trial_is_counted_once(nanos in prop::collection::vec(0..i64::MAX, 1..300)) {
+            let made = histogram(&nanos);
+            prop_assert_eq!(made.counts.iter().sum::<usize>() + made.beyond, nanos.len());
+            prop_assert!(made.counts.len() <= COLUMNS_MAX as usize);
+        }
+    }
+}

@@ -1,0 +1,10 @@
+// A table that may be wider than the window: it scrolls by itself, also by keys.
+import type { ComponentChildren } from "preact";
+
+export function Wide({ label, children }: { label: string; children: ComponentChildren }) {
+  return (
+    <div class="scrolls" tabIndex={0} role="region" aria-label={label}>
+      {children}
+    </div>
+  );
+}
