@@ -223,6 +223,39 @@ fn a_graph_of_one_act_has_no_course() {
 }
 
 #[test]
+fn the_page_of_two_missions_has_what_the_first_was_sent_behind_the_second() {
+    let stage = SHORT.stage(&[Via::Direct, Via::Direct]);
+    let play = std::fs::read_to_string(stage.path("play.yaml")).unwrap();
+    let changed = play.replace("to: 4}", "to: 9}");
+    assert_ne!(play, changed);
+    stage.file("changed.yaml", changed);
+    for (scenario, recording) in [("play.yaml", "one.mcap"), ("changed.yaml", "two.mcap")] {
+        let ran = stage.run(&["run", scenario, "--record", recording]);
+        assert_eq!(ran.code, Some(0), "{ran}");
+    }
+    let ran = stage.run(&["diff", "one.mcap", "two.mcap", "--html", "page.html"]);
+    assert_eq!(ran.code, Some(1), "{ran}");
+    let page = Page::read(&stage.path("page.html"));
+    let compared = &page.mission["compared"];
+    assert_eq!(compared["with"], "one.mcap");
+    let ghost = &compared["ghosts"][0];
+    assert_eq!((ghost["plan"].as_u64(), ghost["lanes"].as_array().map(Vec::len)), (Some(0), Some(2)));
+    let sent = |lane: &Value| page.numbers(&lane["scripts"][0]["steps"]["v"]);
+    assert_eq!(sent(&ghost["lanes"][0]).last(), Some(&4.0));
+    assert_eq!(sent(&page.mission["plans"][0]["lanes"][0]).last(), Some(&9.0));
+    let differences = compared["differences"].as_array().unwrap();
+    let script = differences.iter().find(|difference| difference["subject"] == "r0/d").unwrap();
+    assert_eq!((&script["plan"], &script["robot"]), (&0.into(), &0.into()), "{script}");
+    assert!(differences.iter().any(|difference| difference["subject"] == "spread"), "{differences:?}");
+    stage.run(&["diff", "one.mcap", "one.mcap", "--html", "same.html"]);
+    let same = Page::read(&stage.path("same.html"));
+    assert_eq!(same.mission["compared"]["differences"], serde_json::json!([]));
+    assert_eq!(same.mission["compared"]["ghosts"][0]["lanes"], serde_json::json!([]));
+    let replaced = stage.run(&["diff", "one.mcap", "two.mcap", "--html", "two.mcap"]);
+    assert_eq!(replaced.code, Some(2), "{replaced}");
+}
+
+#[test]
 fn the_page_has_the_first_plan_behind_the_second() {
     let session = two(&[("up, at: 0s", "up, at: 500ms")]);
     let ran = session.run(&["diff", "a.yaml", "b.yaml", "--html", "page.html"]);

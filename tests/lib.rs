@@ -50,4 +50,5 @@ mod terminal;
 mod thrift_robot;
 mod tied;
 mod told;
+mod trials;
 mod vectors;

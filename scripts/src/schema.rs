@@ -8,6 +8,8 @@ pub enum Schema {
     Scenario,
     /// A fleet file.
     Fleet,
+    /// A world file.
+    World,
 }
 
 /// The schema as JSON text.
@@ -16,6 +18,7 @@ pub const fn schema(of: Schema) -> &'static str {
     match of {
         Schema::Scenario => include_str!("schema/scenario.json"),
         Schema::Fleet => include_str!("schema/fleet.json"),
+        Schema::World => include_str!("schema/world.json"),
     }
 }
 

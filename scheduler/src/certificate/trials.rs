@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use downbeat_robot::simulated::{Fault, SimulatedRobot};
-use downbeat_scripts::{Act, Between, Choreography, Fleet, Incident, OnFailure, Trouble, World};
+use downbeat_scripts::{Act, Between, Choreography, Fleet, Incident, OnFailure, RobotPlan, Trouble, World};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;
 use urrcp::{RobotId, Span};
@@ -179,8 +179,7 @@ const fn always(span: Span) -> Between<Span> {
 fn world_with(choreography: &Choreography, fleet: &Fleet, injected: &Injected) -> Option<World> {
     let (robot, act, trouble) = injected.incident()?;
     let place = fleet.robots.iter().position(|listed| listed.id == *robot)?;
-    let length = choreography.acts.iter().find(|planned| planned.is_named(act))?.plan.duration();
-    let at = always(Span::from_nanos(length.as_nanos() / 2));
+    let at = always(middle(choreography.acts.iter().find(|planned| planned.is_named(act))?));
     let incident = Incident { robots: vec![place], trouble, act: Some(act.to_owned()), at, probability: 1.0 };
     Some(World {
         name: String::new(),
@@ -325,8 +324,11 @@ fn all_or_none(
                 .unwrap_or_default();
             match (robot.left_out, began > 0) {
                 (false, true) => started.push(robot.robot.to_string()),
-                (false, false) if may_miss(&robot.robot) => {}
+                (false, false) if may_miss(&robot.robot) || begins_after(injected, planned, &robot.robot) => {
+                }
                 (false, false) => waited.push(robot.robot.to_string()),
+                // It was left out when its fault came.
+                (true, true) if may_miss(&robot.robot) && may_be_left_out(choreography, &robot.robot) => {}
                 (true, true) => broken.push(format!("{name}: `{}` was left out and moved", robot.robot)),
                 (true, false) if is_faulty(&robot.robot) && may_be_left_out(choreography, &robot.robot) => {}
                 (true, false) => {
@@ -338,6 +340,27 @@ fn all_or_none(
             broken.push(format!("{name}: {} started, and {} did not", started.join(", "), waited.join(", ")));
         }
     }
+}
+
+/// Whether a robot's first script comes so late that the act may have been stopped by then, because of a fault that came while acts
+/// play: in the act of the fault not before it, in others not with the first.
+fn begins_after(injected: &Injected, act: &Act, robot: &RobotId) -> bool {
+    let Some((_, faulty_act, _)) = injected.incident() else { return false };
+    let first = |planned: &RobotPlan| planned.scripts.iter().map(|script| script.start.span()).min();
+    let of_robot = act.plan.robots.iter().find(|planned| planned.robot == *robot).and_then(first);
+    let bound = match act.is_named(faulty_act) {
+        true => Some(middle(act)),
+        false => act.plan.robots.iter().filter_map(first).min().map(|earliest| earliest + NEXT),
+    };
+    of_robot.zip(bound).is_some_and(|(start, bound)| start >= bound)
+}
+
+/// The shortest time between two instants.
+const NEXT: Span = Span::from_nanos(1);
+
+/// When a fault comes that comes in the middle of an act, from its start.
+fn middle(act: &Act) -> Span {
+    Span::from_nanos(act.plan.duration().as_nanos() / 2)
 }
 
 /// Whether an act goes on without this robot, or another act follows its failure. A robot that was left out stays out.
@@ -390,7 +413,7 @@ fn told(report: &Report, watched: &[Watched], broken: &mut Vec<String>) {
 
 #[cfg(test)]
 mod tests {
-    use downbeat_scripts::{Address, DeviceScript, FleetRobot, Plan, RobotPlan};
+    use downbeat_scripts::{Address, DeviceScript, FleetRobot, Plan};
     use urrcp::{ControlType, InitializationBlock, Millis, Script, Setpoint, Step, StopCondition};
 
     use super::*;
@@ -400,7 +423,8 @@ mod tests {
          "position": {"min_value": 0, "max_value": 90, "granularity": 1},
          "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 8}}}]}"#;
 
-    fn script() -> DeviceScript {
+    /// A movement of this length, in milliseconds.
+    fn script(length: i64) -> DeviceScript {
         let millis = |millis: i64| Millis::from_span(Span::from_millis(millis));
         let step = |at, value| Step {
             offset: millis(at),
@@ -412,14 +436,15 @@ mod tests {
             device: "shoulder".parse().unwrap(),
             start: millis(0),
             stop_condition: StopCondition { pending: None, running: lease },
-            script: Script::new(vec![step(0, 0.0), step(3_000, 45.0)]).unwrap(),
+            script: Script::new(vec![step(0, 0.0), step(length, 45.0)]).unwrap(),
         }
     }
 
     /// Three arms that move together.
     fn three() -> (Choreography, Fleet) {
         let names = ["a", "b", "c"];
-        let robots = names.map(|name| RobotPlan { robot: name.parse().unwrap(), scripts: vec![script()] });
+        let robots =
+            names.map(|name| RobotPlan { robot: name.parse().unwrap(), scripts: vec![script(3_000)] });
         let plan = Plan {
             scenario: "three".to_owned(),
             start_tolerance: Span::from_millis(10),
@@ -521,5 +546,38 @@ mod tests {
             },
             "`b` was left out against its policy",
         );
+    }
+
+    #[test]
+    fn a_robot_whose_part_comes_later_in_an_act_need_not_begin_once_another_has_failed() {
+        let (mut choreography, fleet) = three();
+        // After the middle of the act, where faults come.
+        let start = Millis::from_span(Span::from_millis(2_000));
+        choreography.acts[0].plan.robots[2].scripts = vec![DeviceScript { start, ..script(500) }];
+        for injected in faults(&choreography) {
+            let trial = play(&choreography, &fleet, (0, 0), &injected).unwrap();
+            assert_eq!(trial.broken, Vec::<String>::new(), "{injected:?}");
+            if let Injected::Dies { robot, .. } = &injected
+                && *robot == id("a")
+            {
+                assert!(!trial.moved.contains(&id("c")), "{trial:?}");
+            }
+        }
+        // What had its part before the fault has to have begun.
+        let dies = Injected::Dies { robot: id("a"), act: "three".to_owned() };
+        let (report, mut watched) = rehearse(&choreography, &fleet, (0, 0), &dies).unwrap();
+        watched[1].begun.clear();
+        let found = broken(&choreography, &dies, &report, &watched);
+        assert!(found.iter().any(|sentence| sentence.contains("a started, and b did not")), "{found:?}");
+    }
+
+    #[test]
+    fn a_robot_that_dies_while_it_may_be_left_out_is_and_the_others_play_on() {
+        let (mut choreography, fleet) = three();
+        choreography.acts[0].on_failure.default = OnFailure::Without;
+        for injected in faults(&choreography) {
+            let trial = play(&choreography, &fleet, (0, 0), &injected).unwrap();
+            assert_eq!(trial.broken, Vec::<String>::new(), "{injected:?}");
+        }
     }
 }

@@ -8,7 +8,7 @@ use urrcp::Span;
 
 use super::{Exit, Format, ScenarioArgs, console, dry_run, load};
 use crate::compare::{self, text};
-use crate::page::{self, History, NoHistory, OtherPlan, Rehearsed};
+use crate::page::{self, History, NoHistory, OtherPlan, OtherRun, Rehearsed};
 
 /// Show what differs between two scenarios as they compile, or between two missions that were played.
 #[derive(Debug, clap::Args)]
@@ -26,6 +26,7 @@ Examples:
   downbeat diff show.yaml show.yaml --fleet stage.yaml --fleet-b tour.yaml
   downbeat diff monday.mcap tuesday.mcap --within 1ms
   downbeat diff show.yaml changed.yaml --html changes.html
+  downbeat diff monday.mcap tuesday.mcap --html week.html
   downbeat diff show.yaml changed.yaml --format json"
 )]
 pub(super) struct DiffArgs {
@@ -42,7 +43,7 @@ pub(super) struct DiffArgs {
     /// Start errors and spreads of missions that differ by no more than this count as equal.
     #[arg(long, value_name = "DURATION", value_parser = within)]
     within: Option<Span>,
-    /// Write a page for a browser: the second scenario, the first one behind it, and what differs. It needs no network.
+    /// Write a page for a browser: the second scenario or mission, the first one behind it, and what differs. It needs no network.
     #[arg(long, value_name = "FILE")]
     html: Option<PathBuf>,
     /// Compare what comes before the damage of a recording or a journal that is not whole.
@@ -135,13 +136,18 @@ fn runs(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
     if args.fleet.is_some() || args.fleet_b.is_some() {
         return Err(refused("--fleet is for scenarios, and these are missions that were played"));
     }
-    if args.html.is_some() {
-        return Err(refused(
-            "--html is for scenarios; `downbeat report FILE --html PAGE` writes the page of a mission that was played",
-        ));
-    }
     let (a, b) = (history(&args.a, args.partial)?, history(&args.b, args.partial)?);
     let found = compare::runs(&a, &b, args.within.unwrap_or_default());
+    if let Some(page) = &args.html {
+        if let Some(error) = load::replaces(page, &[&args.a, &args.b]) {
+            return Err(refused(&error));
+        }
+        let other = OtherRun { name: args.a.display().to_string(), history: &a, found: &found };
+        page::of_run_difference(&b, &other).and_then(|text| page::save(page, &text)).map_err(|error| {
+            let refusal = Refusal::of(Attempt::Write(page), &error);
+            refused(&format!("cannot write `{}`: {refusal}", page.display()))
+        })?;
+    }
     show(&found, format, |columns| text::run_text(&found, columns));
     Ok(!found.same)
 }

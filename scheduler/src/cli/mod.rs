@@ -143,7 +143,7 @@ enum Command {
     Import(import::ImportArgs),
     /// Convert a scenario into files of other tools.
     Export(export::ExportArgs),
-    /// Print the JSON Schema of a scenario, a fleet file, a report or the protocol's messages.
+    /// Print the JSON Schema of a scenario, a fleet file, a world file, a report or the protocol's messages.
     Schema(schema::SchemaArgs),
     /// Print completions for a shell.
     Completions(completions::CompletionsArgs),

@@ -2,6 +2,7 @@
 //! `text`.
 
 mod acts;
+pub(crate) mod listed;
 mod played;
 mod runs;
 mod scripts;

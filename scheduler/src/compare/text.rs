@@ -241,7 +241,7 @@ impl ScriptDifferences {
     }
 }
 
-const fn word(presence: Presence) -> &'static str {
+pub(super) const fn word(presence: Presence) -> &'static str {
     match presence {
         Presence::Changed => "changed",
         Presence::Added => "added",
@@ -253,7 +253,7 @@ fn dash() -> String {
     "-".to_owned()
 }
 
-fn change<T: ToString>(change: Option<&Change<T>>) -> String {
+pub(super) fn change<T: ToString>(change: Option<&Change<T>>) -> String {
     change.map_or_else(dash, |Change { a, b }| format!("{} → {}", a.to_string(), b.to_string()))
 }
 
@@ -301,7 +301,7 @@ fn counts(steps: &StepDifferences) -> Vec<String> {
     vec![change(steps.count.as_ref()), added, removed, changed]
 }
 
-fn script_row(script: &ScriptDifferences) -> Vec<String> {
+pub(super) fn script_row(script: &ScriptDifferences) -> Vec<String> {
     let start = script.start_ms.as_ref();
     let start =
         start.map(|start| Change { a: Span::from_millis_f64(start.a), b: Span::from_millis_f64(start.b) });
@@ -310,7 +310,7 @@ fn script_row(script: &ScriptDifferences) -> Vec<String> {
     [vec![script.name(), word(script.presence).to_owned(), change(start.as_ref())], counts].concat()
 }
 
-fn robot_row(robot: &RunRobot) -> Vec<String> {
+pub(super) fn robot_row(robot: &RunRobot) -> Vec<String> {
     let mut other = Vec::new();
     if robot.presence != Presence::Changed {
         other.push(word(robot.presence).to_owned());
@@ -331,7 +331,7 @@ fn robot_row(robot: &RunRobot) -> Vec<String> {
     ]
 }
 
-fn figure(figure: &Figure) -> String {
+pub(super) fn figure(figure: &Figure) -> String {
     let shown = |value: Option<f64>| {
         value.map_or_else(|| "not known".to_owned(), |value| Span::from_millis_f64(value).to_string())
     };
@@ -392,7 +392,7 @@ fn value(value: &Value) -> String {
     }
 }
 
-fn outcome(outcome: &Value) -> String {
+pub(super) fn outcome(outcome: &Value) -> String {
     match outcome {
         Value::Null => "not known".to_owned(),
         other => value(other["outcome"].as_str().map(Value::from).as_ref().unwrap_or(other)),

@@ -102,13 +102,15 @@ impl Circumstances {
         for (index, sensor) in world.sensors.iter().enumerate() {
             let Some(robot) = in_mission(&sensor.robot) else { continue };
             let mut reads = |at, value| readings.push((at, robot, sensor.sensor.clone(), value));
+            let mut rng = Stream::Sensor(index).rng(seed);
             match &sensor.reading {
-                Reading::Drawn(Between { least, largest }) => {
-                    reads(begin, least + Stream::Sensor(index).rng(seed).f64() * (largest - least));
-                }
+                Reading::Drawn(reading) => reads(begin, number(&mut rng, *reading)),
                 Reading::OverTime(points) => {
                     reads(begin, 0.0);
-                    points.iter().for_each(|(at, value)| reads(begin + *at, *value));
+                    for (at, reading) in points {
+                        let at = begin + between(&mut rng, *at);
+                        reads(at, number(&mut rng, *reading));
+                    }
                 }
             }
         }
@@ -119,6 +121,10 @@ impl Circumstances {
             operator: world.operator.clone().map(|operator| (operator, Stream::Operator.rng(seed))),
         }
     }
+}
+
+fn number(rng: &mut Rng, bounds: Between<f64>) -> f64 {
+    bounds.least + rng.f64() * (bounds.largest - bounds.least)
 }
 
 /// The link of a robot of which the world says nothing.

@@ -1,6 +1,6 @@
 //! What goes to the robots and to the journal, and what comes back: requests by their names, answers to their scripts.
 
-use urrcp::{ControlResponse, DeviceId, Message, Server, Span, Status, Timestamp};
+use urrcp::{ControlResponse, DeviceId, ErrorCode, Message, Server, Span, Status, Timestamp};
 
 use super::act::Act;
 use super::failure_kind::FailureKind;
@@ -253,8 +253,15 @@ pub(super) fn open_without_name(
     let off = |(act, script, state): &(&Act, ScriptRef, &ScriptState)| {
         (**state != ScriptState::Running, act.off_its_time(*script, response))
     };
+    // What waits under a short lease is lost before what stands ahead of it under a longer one.
+    let lease = |(act, script, _): &(&Act, ScriptRef, &ScriptState)| {
+        let lease = act.shortest_lease_of(*script);
+        (lease.is_none(), lease)
+    };
+    let ran_out = response.error.as_ref().is_some_and(|error| error.code == ErrorCode::LinkLost);
     let found = match response.status {
         Status::Started | Status::Ok => open.min_by_key(off),
+        Status::Failed if ran_out => open.min_by_key(lease),
         _ => open.next(),
     };
     found.map(|(_, script, _)| script)

@@ -125,6 +125,8 @@ pub(crate) struct Questions {
     answered: Option<Timestamp<Server>>,
     /// Between that one and the one answered before it others were asked, and never answered.
     passed_over: bool,
+    /// When the newest one was sent of those that are not owed any more and may have been heard.
+    forgiven: Option<Timestamp<Server>>,
 }
 
 /// Questions that are remembered; more are open only on a link that carries nothing.
@@ -140,7 +142,8 @@ impl Questions {
     /// Whether this is an answer to a question that was asked.
     pub(crate) fn answer(&mut self, sent: Timestamp<Server>) {
         if self.answered.is_none_or(|answered| answered < sent) {
-            self.passed_over = self.open.front().is_some_and(|oldest| *oldest < sent);
+            let forgiven = self.forgiven.filter(|forgiven| self.answered < Some(*forgiven));
+            self.passed_over = self.open.front().copied().into_iter().chain(forgiven).any(|at| at < sent);
         }
         self.answered = self.answered.max(Some(sent));
         self.open.retain(|open| *open > sent);
@@ -173,6 +176,7 @@ impl Questions {
 
     /// This machine itself was held up, or the link is new: what was open says nothing about the robot.
     pub(crate) fn forgive(&mut self) {
+        self.forgiven = self.forgiven.max(self.last_unanswered());
         self.open.clear();
     }
 }

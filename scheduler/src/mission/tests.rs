@@ -3,11 +3,11 @@
 use std::sync::Arc;
 
 use downbeat_scripts::{SensorRange, Wait, Way};
-use urrcp::{RequestId, Status};
+use urrcp::{ErrorCode, RequestId, Status};
 
 use super::act::ActAction;
 use super::bench::Tells::Everything;
-use super::bench::{TOLERANCE, Tells, at, by_robot, choreography, device_script, robot};
+use super::bench::{Planned, TOLERANCE, Tells, at, by_robot, choreography, device_script, robot};
 use super::preflight::{Check, Verdict};
 use super::robot_state::{Standing, Stop};
 use super::script::ScriptRef;
@@ -410,6 +410,34 @@ fn a_start_without_a_name_belongs_to_a_script_that_is_held() {
     let started = super::bench::response(&device, None, Status::Started, at(2));
     let found = requests::open_without_name(&mission.acts, (0, requests::Says::Answers), &device, &started);
     assert_eq!(found, Some(ScriptRef { act: 0, member: 0, script: 0 }));
+}
+
+#[test]
+fn a_lease_that_ran_out_without_a_name_is_the_shortest_of_those_that_are_open() {
+    let sent = |scripts: &[Planned]| {
+        let participant = Participant::new(RobotId::new("r0").unwrap(), robot("r0", Tells::Reports, 4).block);
+        let options = MissionOptions { greeting: Greeting::Skip, ..MissionOptions::default() };
+        let choreography = Arc::new(choreography(&[scripts]));
+        let mut mission = Mission::new(choreography, vec![participant], options, at(0)).unwrap();
+        let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
+        mission
+    };
+    let device = "a".parse().unwrap();
+    let failed = |code| urrcp::ControlResponse {
+        error: super::bench::refusal(code),
+        ..super::bench::response(&device, None, Status::Failed, at(2))
+    };
+    let script = |script| ScriptRef { act: 0, member: 0, script };
+    // What waits behind another script of its act has the lease under which that one runs. Another act waits under a shorter one.
+    let (mut before, mut behind) = (sent(&[("a", 0, 400), ("a", 500, 400)]), sent(&[("a", 0, 400)]));
+    let mut acts = vec![before.acts.remove(0), behind.acts.remove(0)];
+    let _over = acts[0].answered(script(0), &failed(ErrorCode::Cancelled), at(2), &before.robots);
+    acts[0].sent(at(2), script(1));
+    for (code, expected) in [(ErrorCode::Cancelled, 1), (ErrorCode::LinkLost, 0)] {
+        let says = (0, requests::Says::ByItself);
+        let found = requests::open_without_name(&acts, says, &device, &failed(code.clone()));
+        assert_eq!(found, Some(script(expected)), "{code}");
+    }
 }
 
 #[test]

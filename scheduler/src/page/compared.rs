@@ -1,14 +1,17 @@
-//! Another plan behind the page of a plan: its curves and cues as ghosts, and what differs in words.
+//! What a page is compared with, behind it: another plan with its curves and cues as ghosts, or another mission that was played with what
+//! its robots were sent; and what differs in words.
 
 use downbeat_scripts::{Act, Choreography};
 use urrcp::Span;
 
 use super::Rehearsed;
 use super::columns::Columns;
-use super::document::{Compared, Difference, Ghost, GhostCue};
+use super::document::{Compared, Difference, Ghost, GhostCue, Lane, Mission};
+use super::history::History;
 use super::planned::{self, Places};
-use crate::compare::PlanDifferences;
+use crate::compare::listed::{Listed, listed};
 use crate::compare::text::{Entry, entries};
+use crate::compare::{PlanDifferences, RunDifferences};
 
 /// The plan that a page is compared with.
 #[derive(Debug)]
@@ -53,17 +56,72 @@ fn ghost((plan, act): (usize, &Act), before: &Act, places: &Places, columns: &mu
             end: before.end.as_millis_f64(),
         })
     });
-    // Where both have the same steps, nothing of the ghost could be seen.
     let own = planned::lanes(act, places, columns);
-    let mut lanes = planned::lanes(before, places, columns);
+    let lanes = others(&own, planned::lanes(before, places, columns));
+    Ghost { plan, cues: cues.collect(), lanes }
+}
+
+/// The lanes that are not the same: of one that is, nothing could be seen behind the other.
+fn others(own: &[Lane], mut lanes: Vec<Lane>) -> Vec<Lane> {
+    let key = |lane: &Lane| (lane.robot, lane.device, lane.value);
     lanes.retain(|lane| {
-        let key = |lane: &super::document::Lane| (lane.robot, lane.device, lane.value);
         let same = own.iter().find(|own| key(own) == key(lane));
         same.is_none_or(|own| {
-            let scripts = own.scripts.iter().zip(&lane.scripts);
+            let mut scripts = own.scripts.iter().zip(&lane.scripts);
             own.scripts.len() != lane.scripts.len()
-                || !scripts.clone().all(|(a, b)| a.start.to_bits() == b.start.to_bits() && a.steps == b.steps)
+                || !scripts.all(|(a, b)| a.start.to_bits() == b.start.to_bits() && a.steps == b.steps)
         })
     });
-    Ghost { plan, cues: cues.collect(), lanes }
+    lanes
+}
+
+/// The mission with which the page of another one is compared.
+#[derive(Debug)]
+pub(crate) struct OtherRun<'a> {
+    /// Its file.
+    pub(crate) name: String,
+    /// What is known of it.
+    pub(crate) history: &'a History,
+    /// From it to the mission of the page.
+    pub(crate) found: &'a RunDifferences,
+}
+
+pub(super) fn compared_runs(
+    own: (&History, &Mission),
+    other: &OtherRun<'_>,
+    columns: &mut Columns,
+) -> Compared {
+    let (history, mission) = own;
+    let places = history.places();
+    // The same playing of the act of this name.
+    let playing = |name: &str, time: usize| {
+        let mut plans = mission.plans.iter().enumerate().filter(|(_, plan)| plan.name == name);
+        plans.nth(time.saturating_sub(1)).map(|(index, _)| index)
+    };
+    let difference = |(time, entry): Listed| {
+        let robot = entry.device.as_ref().and_then(|(robot, _)| places.robot(robot));
+        let device = entry.device.as_ref().and_then(|(_, device)| places.device(robot?, device));
+        Difference {
+            plan: entry.act.as_ref().and_then(|act| playing(act, time)),
+            at: entry.at.map(Span::as_millis_f64),
+            robot,
+            device,
+            subject: entry.subject,
+            text: entry.text,
+        }
+    };
+    let mut times = std::collections::HashMap::new();
+    let mut ghosts = Vec::new();
+    for before in other.history.plans_among(&places, columns) {
+        let time = times.entry(before.name.clone()).or_insert(0);
+        *time += 1;
+        let Some(plan) = playing(&before.name, *time) else { continue };
+        let lanes = others(&mission.plans[plan].lanes, before.lanes);
+        ghosts.push(Ghost { plan, cues: Vec::new(), lanes });
+    }
+    Compared {
+        with: other.name.clone(),
+        ghosts,
+        differences: listed(other.found).into_iter().map(difference).collect(),
+    }
 }

@@ -34,7 +34,7 @@ use crate::trials::Results;
 
 pub(crate) use self::planned::waits;
 
-pub(crate) use self::compared::OtherPlan;
+pub(crate) use self::compared::{OtherPlan, OtherRun};
 pub(crate) use self::history::{Exchange, KnownRobot};
 pub use self::history::{History, HistorySource, NoHistory};
 pub use self::played::Told;
@@ -92,6 +92,17 @@ pub(crate) fn of_difference(rehearsed: &Rehearsed<'_>, other: &OtherPlan<'_>) ->
 pub fn of_history(history: &History, written: Option<&Written<'_>>) -> io::Result<String> {
     let mut columns = Columns::default();
     let mission = history.mission(written, &mut columns);
+    page(&mission, &columns)
+}
+
+/// The page of a mission that was played, with another one behind it and what differs.
+///
+/// # Errors
+/// As for [`of_dry_run`].
+pub(crate) fn of_run_difference(history: &History, other: &OtherRun<'_>) -> io::Result<String> {
+    let mut columns = Columns::default();
+    let mut mission = history.mission(None, &mut columns);
+    mission.compared = Some(compared::compared_runs((history, &mission), other, &mut columns));
     page(&mission, &columns)
 }
 

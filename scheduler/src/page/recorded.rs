@@ -95,6 +95,20 @@ impl History {
         }
     }
 
+    /// The robots as they described themselves, and their devices.
+    pub(super) fn places(&self) -> Places {
+        self.described().0
+    }
+
+    /// What was sent in each act, for the robots and devices of another mission.
+    pub(super) fn plans_among(&self, places: &Places, columns: &mut Columns) -> Vec<Plan> {
+        let epoch = self.epoch();
+        let sent: Vec<Sent> = self.of_kind("prepared").filter_map(|(_, record)| Sent::of(record)).collect();
+        let acts: Vec<Played> =
+            sent.iter().enumerate().map(|(plan, act)| self.played(act, plan, places, epoch)).collect();
+        self.plans(None, &sent, &acts, (places, columns))
+    }
+
     /// The robots as they described themselves.
     fn described(&self) -> (Places, Vec<Robot>) {
         let described: Vec<Described> = self.robots.iter().map(Described::of).collect();

@@ -211,10 +211,11 @@ fn lead(evidence: &[Evidence]) -> Option<LeadResult> {
 }
 
 fn reasons(each: &[Trial]) -> Vec<Reason> {
-    let mut by_reason: BTreeMap<(Option<&str>, &str), Vec<&Trial>> = BTreeMap::new();
+    let mut by_reason: BTreeMap<(Option<&str>, String), Vec<&Trial>> = BTreeMap::new();
     for trial in each {
         let Some(why) = &trial.why else { continue };
-        by_reason.entry((why.robot.as_ref().map(RobotId::as_str), &why.kind)).or_default().push(trial);
+        let key = (why.robot.as_ref().map(RobotId::as_str), alike(&why.text));
+        by_reason.entry(key).or_default().push(trial);
     }
     let reason = |trials: Vec<&Trial>| {
         let first = trials.first()?;
@@ -230,6 +231,13 @@ fn reasons(each: &[Trial]) -> Vec<Reason> {
     let mut reasons: Vec<_> = by_reason.into_values().filter_map(reason).collect();
     reasons.sort_by_key(|reason| std::cmp::Reverse(reason.share.count));
     reasons
+}
+
+/// A text without its numbers and the names in it, so that failures that differ only in these are one reason.
+fn alike(text: &str) -> String {
+    let unquoted = text.split('`').step_by(2).map(|part| part.trim_matches([',', ' ']));
+    let words: Vec<&str> = unquoted.filter(|part| !part.is_empty()).collect();
+    words.join(" ").chars().filter(|c| !c.is_ascii_digit() && !matches!(c, '.' | '-' | '+')).collect()
 }
 
 fn robots(ids: Vec<RobotId>, each: &[Trial], evidence: &[Evidence]) -> Vec<RobotResult> {
@@ -249,4 +257,17 @@ fn robots(ids: Vec<RobotId>, each: &[Trial], evidence: &[Evidence]) -> Vec<Robot
         }
     };
     ids.into_iter().enumerate().map(result).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::alike;
+
+    #[test]
+    fn numbers_and_names_do_not_make_another_reason() {
+        let silent = alike("silent: no acceptance by `z`, `yaw` within 101.101 ms");
+        assert_eq!(silent, alike("silent: no acceptance by `x` within 98 ms"));
+        assert_ne!(silent, alike("silent: no word shortly before the start within 98 ms"));
+        assert_ne!(alike("device `x`: busy: simulated refusal"), alike("device `x`: link_lost: silent"));
+    }
 }

@@ -175,7 +175,7 @@ fn an_operator_who_never_says_go_leaves_the_act_waiting_and_that_is_the_reason()
 #[test]
 fn a_sensor_reads_what_the_world_says_when_it_says_so() {
     let scenario = ACTS.replace("WAIT", "{sensor: rover-1/range, below: 0.5}");
-    let comes = results(&scenario, "sensors: {rover-1/range: [[0s, 2], [100s, 0.4]]}", 3);
+    let comes = results(&scenario, "sensors: {rover-1/range: [[0s, 2], [{from: 90s, to: 100s}, 0.4]]}", 3);
     assert_eq!(comes.finishes.count, 3, "{:?}", comes.reasons);
     let never = results(&scenario, "sensors: {rover-1/range: [[0s, 2], [100s, 0.6]]}", 3);
     assert_eq!((never.finishes.count, never.reasons[0].kind.as_str()), (0, "waited"), "{:?}", never.reasons);

@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::*;
 use crate::finding::Part;
 use crate::known::{self, Known};
-use crate::{Fleet, NoFiles, Source, compile, read_fleet};
+use crate::{Fleet, NoFiles, Source, compile, read_fleet, read_world};
 
 /// Documents in which every key of a scenario stands. They need not be sound.
 const SCENARIOS: [&str; 4] = [
@@ -208,7 +208,13 @@ fn known(root: &Value, recorded: Vec<Known>) -> Lists {
         for step in &place.path {
             parts = below(root, &parts, step);
         }
-        let described = parts.iter().find(|(_, schema)| schema.get(kind).is_some());
+        // Of several forms with lists the one that was read.
+        let same = |schema: &Value| match &schema[kind] {
+            Value::Object(keys) => known.iter().all(|key| keys.contains_key(*key)),
+            _ => true,
+        };
+        let listing = || parts.iter().filter(|(_, schema)| schema.get(kind).is_some());
+        let described = listing().find(|(_, schema)| same(schema)).or_else(|| listing().next());
         let (pointer, _) = described.unwrap_or_else(|| {
             panic!("the schema lists no {kind} where the reader knows {known:?}: {place:?}")
         });
@@ -299,4 +305,28 @@ fn the_schema_of_fleets_lists_what_is_read() {
     let _before = known::take();
     let _fleet = read_fleet(&path);
     check(Schema::Fleet, &[text], known::take());
+}
+
+/// A world in which every key stands. It need not be sound.
+const WORLD: &str = "
+world: all keys
+links:
+  all: {delay: {from: 1ms, to: 2ms}, jitter: 1ms, loss: 1%, resent_after: 200ms, interruptions: [{every: 9s, lasts: 1s}]}
+  arm: {delay: {least: 1ms, p50: 2ms, p90: 3ms, p99: 4ms, largest: 5ms}}
+clocks: {all: {offset: {from: -1ms, to: 1ms}, drift: {from: 1ppm, to: 2ppm}, error: 1ms}}
+sensors: {arm/s: {from: 1, to: 2}, arm/t: [[0s, 1]]}
+operator: {go_after: 1s, never: 0.1}
+incidents:
+  - {robot: arm, what: dies, act: one, at: 1s, back_after: 2s, probability: 10%}
+  - {robot: all, what: stalls, lasts: 1s}
+";
+
+#[test]
+fn the_schema_of_worlds_lists_what_is_read() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("world.yaml");
+    std::fs::write(&path, WORLD).unwrap();
+    let _before = known::take();
+    let _world = read_world(&path, &fleet(), &["one"]);
+    check(Schema::World, &[WORLD.to_owned()], known::take());
 }

@@ -32,12 +32,12 @@ const WHAT_WORDS: [(&str, What); 4] = [
 pub struct Incident {
     /// Each of these robots, as indices into the fleet; whether and when is drawn for each of them.
     pub robots: Vec<usize>,
-    /// What.
+    /// What goes wrong.
     pub trouble: Trouble,
     /// It is counted from the planned start of the act of this name, when that is sent for the first time; `None`: from the beginning
     /// of the mission. What is refused is refused from when the act is sent on.
     pub act: Option<String>,
-    /// When.
+    /// When it happens.
     pub at: Between<Span>,
     /// Probability that it happens.
     pub probability: f64,

@@ -38,8 +38,9 @@ pub struct SensorWorld {
 pub enum Reading {
     /// Drawn once a trial.
     Drawn(Between<f64>),
-    /// From each of these times on, counted from the beginning of the mission; 0 before the first of them.
-    OverTime(Vec<(Span, f64)>),
+    /// From each of these times on, counted from the beginning of the mission and drawn once a trial, what is drawn with it; 0 before
+    /// the first of them.
+    OverTime(Vec<(Between<Span>, Between<f64>)>),
 }
 
 /// How the operator behaves.
@@ -74,14 +75,14 @@ pub(super) fn read_operator(findings: &mut Reader, at: &At<'_>) -> Option<Operat
     })
 }
 
-/// A number, `{from: NUMBER, to: NUMBER}`, or `[[TIME, NUMBER], ...]`.
+/// A number, `{from: NUMBER, to: NUMBER}`, or `[[TIME, NUMBER], ...]`, in which each may be drawn as well.
 pub(super) fn read_reading(findings: &mut Reader, at: &At<'_>) -> Option<Reading> {
     let number =
         |findings: &mut Reader, at: &At<'_>| findings.number(at, "a number, in the unit of the sensor");
     if !matches!(at.node, Node::List(_)) {
         return between(findings, at, number).map(Reading::Drawn);
     }
-    let mut points: Vec<(Span, f64)> = Vec::new();
+    let mut points: Vec<(Between<Span>, Between<f64>)> = Vec::new();
     for item in findings.list(at, "a list of times and readings") {
         let expected = "a time and a reading, as [5s, 0.4]";
         let pair = findings.list(&item, expected);
@@ -92,9 +93,9 @@ pub(super) fn read_reading(findings: &mut Reader, at: &At<'_>) -> Option<Reading
             }
             continue;
         };
-        let (at, value) = (findings.duration(time), number(findings, value));
+        let (at, value) = (between(findings, time, amount::duration), between(findings, value, number));
         let (Some(at), Some(value)) = (at, value) else { continue };
-        if points.last().is_some_and(|(before, _)| *before >= at) {
+        if points.last().is_some_and(|(before, _)| before.largest >= at.least) {
             let expected = "ascending times";
             findings.add(Code::TimeOrder, time.place(), "not after the time before", expected, None);
         }

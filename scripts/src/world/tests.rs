@@ -43,7 +43,7 @@ fn everything_that_a_world_can_hold_is_read() {
         "world: w
 links: {cf1: {delay: {least: 1ms, p50: 2ms, p90: 3ms, p99: 10ms, largest: 40ms}, interruptions: [{every: 2min, lasts: {from: 1s, to: 2s}}]}}
 clocks: {cf2: {offset: -5ms, drift: {from: -2ppm, to: 3ppm}, error: 0.4ms}}
-sensors: {rover-1/range: [[0s, 2], [5s, 0.4]], rover-1/battery: {from: 10, to: 90}}
+sensors: {rover-1/range: [[0s, 2], [{from: 5s, to: 9s}, 0.4]], rover-1/battery: {from: 10, to: 90}}
 operator: {go_after: 3s, never: 1%}
 incidents:
   - {robot: drones, what: dies, act: finale, at: -50ms, back_after: 3s, probability: 0.05}
@@ -60,7 +60,13 @@ incidents:
     assert_eq!(clock.drift_ppm, Some(Between { least: -2.0, largest: 3.0 }));
     assert_eq!(
         world.sensors[0].reading,
-        Reading::OverTime(vec![(Span::ZERO, 2.0), (Span::from_millis(5_000), 0.4)])
+        Reading::OverTime(vec![
+            (Between::fixed(Span::ZERO), Between::fixed(2.0)),
+            (
+                Between { least: Span::from_millis(5_000), largest: Span::from_millis(9_000) },
+                Between::fixed(0.4)
+            ),
+        ])
     );
     assert_eq!(world.operator.as_ref().unwrap().never, 0.01);
     assert_eq!(world.incidents[0].robots.len(), 6);

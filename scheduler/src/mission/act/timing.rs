@@ -91,6 +91,8 @@ pub(crate) struct Pace {
     pub(crate) late: Span,
     /// The pending lease of the last rounds.
     final_lease: Span,
+    /// The shortest that it could be.
+    lease_least: Span,
     /// Between two of the last rounds.
     pub(crate) period: Span,
     record: Span,
@@ -100,11 +102,11 @@ impl Pace {
     /// For a fleet whose requests carry this pending lease.
     pub(crate) fn of(measured: &Measured, lease: Span) -> Self {
         let round = measured.round();
+        let lease_least = measured.lease_least().min(lease);
         let (final_lease, period) = match measured.leases {
             Leases::Shortened => {
-                let final_lease = measured.lease_least().min(lease);
                 // Several rounds may be under way at once, as far as a link that carries little lets them.
-                (final_lease, PERIOD_MIN.max(measured.round_trip / 2) * measured.questions())
+                (lease_least, PERIOD_MIN.max(measured.round_trip / 2) * measured.questions())
             }
             Leases::Fixed => (lease, PERIOD_MIN_FIXED),
         };
@@ -114,21 +116,22 @@ impl Pace {
             early: measured.early,
             late: measured.late,
             final_lease,
+            lease_least,
             period: period.max(round),
             record: measured.record,
         }
     }
 
     /// For a fleet that may start earlier and later than it was measured to; `None` where the last rounds cannot carry so
-    /// long a lease.
+    /// long a lease: one message could no longer reach over all starts.
     fn widened(self, (early, late): (Span, Span), lease: Span) -> Option<Self> {
         let (early, late) = (self.early.max(early), self.late.max(late));
-        let more = early - self.early + (late - self.late);
+        let lease_least = self.lease_least + (early - self.early) + (late - self.late);
         let final_lease = match self.leases {
-            Leases::Shortened => self.final_lease + more,
+            Leases::Shortened => lease_least,
             Leases::Fixed => self.final_lease,
         };
-        (final_lease <= lease).then_some(Self { early, late, final_lease, ..self })
+        (lease_least <= lease).then_some(Self { early, late, final_lease, lease_least, ..self })
     }
 
     /// From the decision to the start this is needed at least: four of the last rounds, in which the commitment is

@@ -47,6 +47,24 @@ fn what_is_forgiven_is_not_owed_and_what_was_answered_stays_so() {
 }
 
 #[test]
+fn what_is_forgiven_may_have_been_heard_as_long_as_nothing_newer_was_answered() {
+    for (answered, passed_over) in [(&[3][..], true), (&[2, 3], false), (&[1, 3], true)] {
+        let mut questions = Questions::default();
+        questions.asked(at(0));
+        questions.answer(at(0));
+        [1, 2].into_iter().for_each(|millis| questions.asked(at(millis)));
+        questions.forgive();
+        questions.forgive();
+        questions.asked(at(3));
+        answered.iter().for_each(|millis| questions.answer(at(*millis)));
+        assert_eq!(questions.passed_over(), passed_over, "answers to {answered:?}");
+        questions.asked(at(4));
+        questions.answer(at(4));
+        assert!(!questions.passed_over(), "that was before the last answer");
+    }
+}
+
+#[test]
 fn on_a_link_that_carries_nothing_the_oldest_questions_are_remembered() {
     let mut questions = Questions::default();
     (0..1_000).for_each(|millis| questions.asked(at(millis)));

@@ -141,10 +141,11 @@ fn why_it_missed(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<C
     own.or(hardware).or_else(|| left_out_on_the_way(facts, act, robot))
 }
 
-/// A robot whose turn comes later than the start of the act was left out in between, for a fault of its own that may have begun
-/// before: as a report that was lost, and is not awaited any longer.
+/// A robot whose turn comes later than the start of the act, as planned or by its clock that is behind, was left out in between, for a
+/// fault of its own that may have begun before: as a report that was lost, and is not awaited any longer.
 fn left_out_on_the_way(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<Cause> {
-    let first = act.first_start(robot)?;
+    let (_, late) = early_and_late(facts, robot);
+    let first = act.first_start(robot)? + late;
     let dropped = facts.dropped[robot].filter(|at| *at >= act.promise.start && *at < first)?;
     own_fault(facts, robot, (dropped - AWAITED, dropped), |_| true)
 }
@@ -175,12 +176,14 @@ fn why_it_started(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Option<
     set.or_else(|| facts.hits.iter().filter(missed_the_stop).map(|hit| hit.cause).min())
 }
 
-/// A script of an act that was never decided came so late, since the robot's link carried nothing, that its lease reached over the
-/// start or that the script which it was to follow had been dropped; and the scheduler was not there to take it back.
+/// A script of an act that was never decided came so late, since the robot's link carried nothing or its process stood still, that
+/// its lease reached over the start or that the script which it was to follow had been dropped; and the scheduler was not there to
+/// take it back.
 fn came_late(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, until: Timestamp<Server>) -> Option<Cause> {
     let lasts = |hit: &&Hit| hit.overlaps(act.at, until);
     let away = facts.hits.iter().filter(lasts).any(|hit| hit.robot.is_none());
-    let late = |hit: &&Hit| hit.is_of(robot) && hit.cause.is_of_link();
+    let keeps_waiting = |cause: Cause| cause.is_of_link() || cause == Cause::RobotPause;
+    let late = |hit: &&Hit| hit.is_of(robot) && keeps_waiting(hit.cause);
     let hits = facts.hits.iter().filter(|_| away && act.decided.is_none());
     hits.filter(lasts).filter(late).map(|hit| hit.cause).min()
 }

@@ -212,16 +212,26 @@ impl<'a> Facts<'a> {
 
     /// Whether a robot was asked for its times since an instant, early enough for its answer to be there at another.
     pub(super) fn was_asked(&self, robot: usize, since: Timestamp<Server>, by: Timestamp<Server>) -> bool {
+        self.asked(robot, since, by).next().is_some()
+    }
+
+    /// When these questions reached it.
+    pub(super) fn asked(
+        &self,
+        robot: usize,
+        since: Timestamp<Server>,
+        by: Timestamp<Server>,
+    ) -> impl Iterator<Item = Timestamp<Server>> {
         let drawn = self.drawn();
         let until = match drawn.network {
             Network::Stream => by - drawn.delay.1 - drawn.robots[robot].slow,
             Network::Datagram { .. } => by - SEEN_AFTER,
         };
-        self.between(since, until).iter().any(|(_, happened)| match happened {
-            Happened::AtRobot(r, message) => {
-                *r == robot && matches!(message, Message::Inquiry(_) | Message::AvailabilityRequest(_))
+        self.between(since, until).iter().filter_map(move |(at, happened)| match happened {
+            Happened::AtRobot(r, Message::Inquiry(_) | Message::AvailabilityRequest(_)) => {
+                (*r == robot).then_some(*at)
             }
-            _ => false,
+            _ => None,
         })
     }
 

@@ -90,7 +90,7 @@ fn error_of(act: &SentAct<'_>, script: &SentScript<'_>) -> Option<Span> {
 }
 
 /// A fault of the robot's own clock since it was measured, or of its own process at the start. A clock that was set by less than
-/// a round trip takes no exchange shows to be another one than before.
+/// an exchange takes is not shown by that to be another one than before.
 fn excuse(
     facts: &Facts<'_>,
     act: &SentAct<'_>,
@@ -102,8 +102,9 @@ fn excuse(
     let hidden = facts.drawn().delay.1 * 2 + facts.drawn().robots[script.robot].slow;
     let excuses = own.filter(|hit| match hit.cause {
         Cause::ClockSet => {
-            let unseen = hit.by.abs() <= hidden || !was_asked(facts, act, script.robot, hit.from);
-            unseen && hit.from <= due + START_LATE_MAX
+            let shows = |at| hit.by.abs() > hidden + held_up(facts, script.robot, at);
+            let seen = facts.asked(script.robot, hit.from, act.at).any(shows);
+            !seen && hit.from <= due + START_LATE_MAX
         }
         Cause::RobotPause => told.is_some_and(|told| {
             let (earliest, latest) = range(told);
@@ -114,7 +115,9 @@ fn excuse(
     excuses.map(|hit| hit.cause).min()
 }
 
-/// Whether the robot was asked for its times since then, early enough for its answer to be there when the budget was told.
-fn was_asked(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize, since: Timestamp<Server>) -> bool {
-    facts.was_asked(robot, since, act.at)
+/// For how long messages of an exchange were under way whose question reached a robot at an instant, if that was longer than usual.
+fn held_up(facts: &Facts<'_>, robot: usize, at: Timestamp<Server>) -> Span {
+    let answered = at + facts.drawn().robots[robot].slow;
+    let slow = facts.hits.iter().filter(|hit| hit.is_of(robot) && hit.cause == Cause::Slow);
+    slow.filter(|hit| hit.overlaps(at, answered)).map(|hit| hit.until - hit.from).max().unwrap_or_default()
 }

@@ -398,6 +398,21 @@ fn a_clock_that_lets_a_robot_start_before_its_lease_can_end_fails_it_though_it_p
 }
 
 #[test]
+fn a_clock_that_was_set_back_by_more_than_a_lease_does_not_put_off_the_commitment_for_ever() {
+    for leases in [Leases::Shortened, Leases::Fixed] {
+        let mut bench = Bench::new(&[Tells::Reports], &[&[("a", 0, 100)]]);
+        bench.decide(leases);
+        let (now, there) = (bench.now, by_robot(bench.now) - ms(2_200));
+        bench.robots[0].clock.add(ClockSample::from_exchange(now - ROUND_TRIP, there, there, now));
+        assert_eq!(bench.act.strayed(now, &bench.robots), [], "it is with the others, as there are none");
+        let _told = bench.act.allow_for(now, &bench.robots);
+        let timing = bench.timing();
+        assert!(timing.commit_from() < timing.commit_by(timing.critical()), "{leases:?}");
+        bench.commit_from_here();
+    }
+}
+
+#[test]
 fn a_robot_that_no_question_reached_for_longer_than_its_lease_has_lost_its_script() {
     let mut bench = Bench::new(&[Tells::Everything, Tells::Nothing], &[&[("a", 0, 400)], &[("a", 0, 400)]]);
     bench.decide(Leases::Fixed);

@@ -1,5 +1,8 @@
 //! Who is said to have failed, and why: no robot is blamed for what it and its link had no part in.
 
+use downbeat_scripts::{RefillKind, refills_of_robots};
+use urrcp::{DeviceId, ErrorCode, RobotId, Span};
+
 use super::Said;
 use crate::mission::{FailureKind, Progress};
 use crate::simulation::{Happened, Network};
@@ -27,7 +30,7 @@ impl Said<'_> {
     }
 
     /// If a robot is honest, met no fault, and has a link that loses and delays nothing, only its clock and the time to send
-    /// may be wrong.
+    /// may be wrong: as measured, or, where its link was faster at first than it can be, as a script that comes late.
     fn no_innocent(&self, wrong: &mut Vec<String>) {
         let drawn = self.facts.drawn();
         let steady = drawn.network == Network::Stream && drawn.tail == 0.0;
@@ -39,10 +42,31 @@ impl Said<'_> {
             let measured =
                 matches!(failure.kind, FailureKind::Clock { .. } | FailureKind::NoTimeToSend { .. });
             let Some(robot) = self.facts.index_of(&failure.robot).filter(|_| !measured) else { continue };
+            if self.had_no_time(robot, &failure.kind) {
+                continue;
+            }
             let hit = self.facts.hits.iter().any(|hit| hit.is_of(robot));
             if self.facts.honest(robot) && !hit {
                 wrong.push(format!("r{robot} is blamed, and nothing was wrong with it: {}", failure.kind));
             }
         }
+    }
+    /// A script came late for which its device has room for a shorter time than an exchange may take on this link: the few of the
+    /// greeting did not show that.
+    fn had_no_time(&self, robot: usize, kind: &FailureKind) -> bool {
+        let FailureKind::Script { device, error } = kind else { return false };
+        let drawn = &self.facts.drawn().robots[robot];
+        if error.code != ErrorCode::Late || !drawn.block.reports {
+            return false;
+        }
+        let longest = self.facts.drawn().delay.1 * 2 + drawn.slow;
+        let queue = |id: &RobotId, device: &DeviceId| {
+            let described = drawn.block.device(device.as_str()).filter(|_| *id == drawn.block.id);
+            described.map(|device| device.script_queue)
+        };
+        let refills = refills_of_robots(&self.facts.drawn().choreography, queue, Span::ZERO);
+        refills.iter().any(|refill| {
+            refill.kind == RefillKind::Later && refill.device == *device && refill.time < longest
+        })
     }
 }
