@@ -101,6 +101,9 @@ impl Show {
         let ended = ended.unwrap_or_else(|told| panic!("{} hangs: {told}", self.name));
         let measured = stage.run(&["world", "real.mcap", "--output", "world.yaml"]);
         assert_eq!(measured.code, Some(0), "{}: {ended}{measured}", self.name);
+        let measured = stage.run(&["world", "real.mcap", "--format", "json"]).report();
+        let surely_off = largest(&measured, "surely_off_ms");
+        assert!(surely_off < 1.0, "{}: all read one clock, and one is {surely_off} ms off", self.name);
         ended.report()
     }
 
