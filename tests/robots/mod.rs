@@ -110,6 +110,15 @@ impl Stage {
         self.robots.len() - 1
     }
 
+    /// Starts a robot with an id of its own, which the fleet file does not name; returns its port.
+    pub fn robot_called(&mut self, id: &str, init: &str, args: Vec<String>) -> u16 {
+        let log = self.path(&format!("{id}-0.jsonl"));
+        let (process, port) = start(self.folder.path(), init, &args, id, 0, &log);
+        let (id, init, logs) = (id.to_owned(), init.to_owned(), vec![log]);
+        self.robots.push(Robot { id, link: None, process, init, args, keys: "", port, logs });
+        port
+    }
+
     fn write_fleet(&self) {
         let row = |robot: &Robot| {
             let port = robot.link.as_ref().map_or(robot.port, |link| link.port);

@@ -97,7 +97,8 @@ pub(crate) struct Exchange {
     pub(crate) received: Timestamp<Server>,
 }
 
-/// A message is noted once it has been handed to its link, which may have sent it by then: so much earlier it had not left.
+/// Earlier recordings noted a message once it had been handed to its link, which may have sent it by then: so much earlier it had
+/// not left, unless the machine was busy.
 const NOTED_WITHIN: Span = Span::from_millis(1);
 
 /// Messages that carry the times of an exchange: the question, and its answer.

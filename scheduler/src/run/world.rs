@@ -168,10 +168,11 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
         if self.stop_lane.as_ref().is_some_and(|lane| lane.passes(robot, &message) == Passage::Closed) {
             return Ok(());
         }
-        let copy = self.recording.is_some().then(|| message.clone());
+        // Taken before: the link may have sent it long before a busy machine runs this again, which would look
+        // like an error of the robot's clock in the recording.
+        let copy = self.recording.is_some().then(|| (self.clock.now(), message.clone()));
         link.send(message, urgency)?;
-        if let Some(message) = copy {
-            let at = self.clock.now();
+        if let Some((at, message)) = copy {
             self.note(move |recording, ids| recording.sent(at, &ids[robot], &message));
         }
         Ok(())
