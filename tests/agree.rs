@@ -235,6 +235,7 @@ struct Apart {
 }
 
 #[track_caller]
+#[expect(clippy::print_stdout, reason = "the figures that docs/rehearse.md shows")]
 fn agree(show: &Show, stage: &Stage, real: &Value, (dry, world): &(Played, World)) {
     let name = show.name;
     let report = serde_json::to_value(&dry.report).unwrap();
