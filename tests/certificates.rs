@@ -222,7 +222,7 @@ fn the_certificate_does_not_replace_what_it_is_made_from() {
     let session = session();
     session
         .run(&["dry-run", "show.yaml", "--certify", "show.yaml"])
-        .says(2, &["the certificate would replace"]);
+        .says(2, &["this would replace `show.yaml`"]);
     session.file("arm.yaml", ARM);
 }
 

@@ -272,7 +272,5 @@ fn the_page_has_the_first_plan_behind_the_second() {
     let up = differences.iter().find(|difference| difference["subject"] == "up").unwrap();
     assert_eq!((&up["at"], &up["text"]), (&500.0.into(), &"start 0 ms → 500 ms".into()));
     assert!(differences.iter().any(|difference| difference["subject"] == "left/shoulder"), "{differences:?}");
-    session
-        .run(&["diff", "a.yaml", "b.yaml", "--html", "a.yaml"])
-        .says(2, &["the page would replace `a.yaml`"]);
+    session.run(&["diff", "a.yaml", "b.yaml", "--html", "a.yaml"]).says(2, &["this would replace `a.yaml`"]);
 }

@@ -5,7 +5,7 @@ use serde_json::Value;
 use crate::session::Session;
 
 const WORLD: &str = "world: friday
-links: {all: {delay: 0.5ms, jitter: 0.3ms, loss: 0.5%}}
+links: {all: {delay: 0.5ms, jitter: 0.3ms}}
 clocks: {arms: {error: 1ms}}
 incidents: [{robot: left, what: refuses, probability: 20%}]
 ";
@@ -129,7 +129,7 @@ fn files_that_are_no_worlds_are_refused_in_a_sentence() {
         (b"\xff\xfe\x00binary".as_slice(), "UTF-8"),
         (b"", "world"),
         (b"[1, 2]", "world"),
-        (b"world: w\nlinks: [", "line"),
+        (b"world: w\nlinks: [", "world.yaml:2"),
     ] {
         session.file("world.yaml", content);
         let ran = session.run(&TRIALS[..6]);
