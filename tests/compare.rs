@@ -245,7 +245,8 @@ fn the_page_of_two_missions_has_what_the_first_was_sent_behind_the_second() {
     assert_eq!(sent(&page.mission["plans"][0]["lanes"][0]).last(), Some(&9.0));
     let differences = compared["differences"].as_array().unwrap();
     let script = differences.iter().find(|difference| difference["subject"] == "r0/d").unwrap();
-    assert_eq!((&script["plan"], &script["robot"]), (&0.into(), &0.into()), "{script}");
+    let robot = &page.mission["robots"][usize::try_from(script["robot"].as_u64().unwrap()).unwrap()];
+    assert_eq!((&script["plan"], &robot["id"]), (&0.into(), &"r0".into()), "{script}");
     assert!(differences.iter().any(|difference| difference["subject"] == "spread"), "{differences:?}");
     stage.run(&["diff", "one.mcap", "one.mcap", "--html", "same.html"]);
     let same = Page::read(&stage.path("same.html"));
