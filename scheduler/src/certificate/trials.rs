@@ -43,14 +43,14 @@ pub enum Injected {
         /// In which act.
         act: String,
     },
-    /// A robot's link is interrupted in the middle of an act, for [`INTERRUPTED`].
+    /// A robot's link is interrupted in the middle of an act, for longer than the usual lease (5 s).
     LinkDown {
         /// Which one.
         robot: RobotId,
         /// In which act.
         act: String,
     },
-    /// A robot stands still in the middle of an act, for [`STALLED`].
+    /// A robot stands still in the middle of an act, as a process under load does (0.4 s).
     Stalls {
         /// Which one.
         robot: RobotId,
@@ -60,9 +60,9 @@ pub enum Injected {
 }
 
 /// Longer than the usual lease: a robot that hears nothing for so long comes to rest.
-pub const INTERRUPTED: Span = Span::from_millis(5_000);
+const INTERRUPTED: Span = Span::from_millis(5_000);
 /// As long as a process that the system puts off under load.
-pub const STALLED: Span = Span::from_millis(400);
+const STALLED: Span = Span::from_millis(400);
 
 impl Injected {
     /// Which robot has the fault.
