@@ -92,6 +92,26 @@ pub fn refills_of_robots(
     refills
 }
 
+/// The refills of one act behind another, whatever the scenario says of what it waits for: an act whose time has passed when
+/// another ends follows at once. It starts `pause` after the end of the one before, and finds on the devices what that one leaves.
+#[must_use]
+pub fn refills_behind(
+    choreography: &Choreography,
+    (before, act): (usize, usize),
+    pause: Span,
+    queue: impl Fn(&RobotId, &DeviceId) -> Option<u32>,
+    sending: Span,
+) -> Vec<Refill> {
+    let acts = &choreography.acts;
+    let (Some(first), Some(_)) = (acts.get(before), acts.get(act)) else { return Vec::new() };
+    let mut walk = Walk { acts, queue, sending, tightest: HashMap::new() };
+    let mut held = Held::new();
+    let begin = walk.act(before, Span::ZERO, &mut held);
+    walk.tightest.clear();
+    walk.act(act, begin + first.plan.duration() + pause, &mut held);
+    walk.tightest.into_values().collect()
+}
+
 /// The script that leaves the least time to send it while its act plays. If that is less than `sending`, what sending takes
 /// as measured, the mission cannot be played as written.
 #[must_use]
@@ -298,6 +318,20 @@ mod tests {
         let mut waiting = acts();
         waiting[1].wait = Wait::Operator;
         assert_eq!(of(waiting, 2), []);
+    }
+
+    #[test]
+    fn an_act_that_waits_for_a_time_may_find_what_the_one_before_leaves() {
+        let mut acts = vec![act(&[1_000, 500], Way::Act(1)), act(&[300, 700], Way::End)];
+        acts[1].wait = Wait::Operator;
+        let choreography = Choreography { scenario: "s".into(), acts, requirements: Requirements::default() };
+        let later = |pause| {
+            let pause = Span::from_millis(pause);
+            let refills = refills_behind(&choreography, (0, 1), pause, |_, _| Some(2), Span::ZERO);
+            let later = refills.iter().filter(|refill| refill.kind == Later);
+            later.map(|refill| (refill.act, refill.time.as_nanos() / 1_000_000)).collect::<Vec<_>>()
+        };
+        assert_eq!((later(0), later(150)), (vec![(1, 300)], vec![(1, 450)]));
     }
 
     #[test]

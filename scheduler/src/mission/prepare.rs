@@ -36,7 +36,8 @@ impl Mission {
         if !self.disk_is_known() {
             return self.await_disk(now, index);
         }
-        if !act.is_alone() && !ledger::fits(&self.acts, index, &self.robots) {
+        let fits = || ledger::fits(&self.acts, index, &self.robots) && !self.is_too_tight_behind(now, index);
+        if !act.is_alone() && !fits() {
             // Looked at again whenever something ends.
             return self.acts[index].look_again_at(Some(now + AHEAD));
         }

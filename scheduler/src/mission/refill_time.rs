@@ -3,7 +3,7 @@
 //! A script that comes late is refused by its robot, in mid-show. `check` finds what no link could do; what the links of
 //! today cannot do is found here, before anything has moved.
 
-use downbeat_scripts::{Refill, RefillKind, refills_of_robots};
+use downbeat_scripts::{Refill, RefillKind, Wait, refills_behind, refills_of_robots};
 use urrcp::{DeviceId, RobotId, Server, Span, Timestamp};
 
 use super::act::LAPSE;
@@ -14,14 +14,10 @@ use super::{ClockMode, Mission};
 impl Mission {
     /// Refuses robots whose devices cannot be sent one of their scripts in time.
     pub(super) fn check_refills(&mut self, now: Timestamp<Server>) {
-        let sending = self.robots.iter().map(|robot| sending(robot, now)).max().unwrap_or_default();
-        let queue = |robot: &RobotId, device: &DeviceId| {
-            let state = self.robots.iter().find(|state| state.id == *robot)?;
-            let described = state.block.as_ref()?.device(device.as_str())?;
-            Some(described.script_queue)
-        };
+        let queue = |robot: &RobotId, device: &DeviceId| self.queue(robot, device);
         let later = |refill: &Refill| refill.kind == RefillKind::Later;
-        for refill in refills_of_robots(&self.choreography, queue, sending).into_iter().filter(later) {
+        let refills = refills_of_robots(&self.choreography, queue, self.longest_sending(now));
+        for refill in refills.into_iter().filter(later) {
             let Some(robot) = self.robots.iter().position(|robot| robot.id == refill.robot) else { continue };
             let needed = self::sending(&self.robots[robot], now);
             if refill.time < needed {
@@ -31,6 +27,35 @@ impl Mission {
                 self.note_failure(robot, FailureKind::NoTimeToSend { device, act, script, time, needed });
             }
         }
+    }
+
+    /// Whether one of the later scripts of an act could not be sent in time if it followed the one that still plays: the greeting
+    /// took the devices for empty, because the act waits for a time, and that has passed.
+    pub(super) fn is_too_tight_behind(&self, now: Timestamp<Server>, index: usize) -> bool {
+        let act = &self.acts[index];
+        let before = index.checked_sub(1).map(|before| &self.acts[before]);
+        let (Some(before), Wait::Instant(_) | Wait::TimeOfDay(_)) = (before, &act.written().wait) else {
+            return false;
+        };
+        let (Some(timing), Some(target)) = (before.timing(), act.target()) else { return false };
+        let pause = (target - timing.end).max(Span::ZERO);
+        let queue = |robot: &RobotId, device: &DeviceId| self.queue(robot, device);
+        let acts = (before.index(), act.index());
+        let refills = refills_behind(&self.choreography, acts, pause, queue, self.longest_sending(now));
+        refills.iter().filter(|refill| refill.kind == RefillKind::Later).any(|refill| {
+            let robot = self.robots.iter().find(|robot| robot.id == refill.robot);
+            robot.is_some_and(|robot| refill.time < sending(robot, now))
+        })
+    }
+
+    /// How many scripts a device holds, as its robot has said.
+    fn queue(&self, robot: &RobotId, device: &DeviceId) -> Option<u32> {
+        let state = self.robots.iter().find(|state| state.id == *robot)?;
+        Some(state.block.as_ref()?.device(device.as_str())?.script_queue)
+    }
+
+    fn longest_sending(&self, now: Timestamp<Server>) -> Span {
+        self.robots.iter().map(|robot| sending(robot, now)).max().unwrap_or_default()
     }
 }
 
