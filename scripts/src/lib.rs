@@ -73,9 +73,7 @@ pub use plan::{
     Act, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, Floor, OnDoubt, OnFailure, Plan,
     PlannedCue, PlannedReading, Requirements, RobotPlan, SensorRange, Share, Wait, Way,
 };
-pub use refill::{
-    Freed, Refill, RefillKind, refills, refills_behind, refills_of_robots, tightest_refill,
-};
+pub use refill::{Freed, Refill, RefillKind, refills, refills_behind, refills_of_robots, tightest_refill};
 pub use refusal::{Attempt, Refusal};
 pub use render::render;
 pub use sarif::sarif;
