@@ -67,7 +67,7 @@ fn compiled(folder: &Path) -> (Choreography, Fleet) {
     let source = Source::read(&folder.join("long.yaml")).unwrap();
     let (fleet, _) = downbeat_scripts::read_fleet(&folder.join("fleet.yaml"));
     let fleet = fleet.unwrap();
-    let compiled = downbeat_scripts::compile(&source, &fleet, &Folder(folder.to_path_buf()));
+    let compiled = downbeat_scripts::compile(&source, &fleet, &Folder::new(folder.to_path_buf()));
     (compiled.choreography.unwrap(), fleet)
 }
 

@@ -16,7 +16,7 @@ use std::io::{BufRead, BufReader, Read, Write};
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
-use downbeat::link::{Endpoint, LinkEncoding};
+use downbeat::link::{Endpoint, LinkEncoding, Security};
 use downbeat::mission::{Mission, MissionOptions, Participant, Progress};
 use downbeat::server_clock::ServerClock;
 use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
@@ -156,6 +156,7 @@ fn downbeat(count: usize) -> (Duration, Duration, f64) {
                 host: "127.0.0.1".into(),
                 port: *port,
                 encoding: LinkEncoding::default(),
+                security: Security::Plain,
             })
             .collect();
         let (_operator, said) = tokio::sync::mpsc::channel(1);

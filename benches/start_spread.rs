@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 
 use downbeat::drive::{Happened, LinkNumber, Urgency};
-use downbeat::link::{Endpoint, Link, LinkEncoding};
+use downbeat::link::{Endpoint, Link, LinkEncoding, Security};
 use downbeat::mission::{Event, Mission, MissionOptions, Participant};
 use downbeat::server_clock::ServerClock;
 use downbeat_scripts::{DeviceScript, Plan, RobotPlan};
@@ -81,7 +81,12 @@ impl Fleet {
     }
 
     fn endpoint(&self, id: usize) -> Endpoint {
-        Endpoint::Tcp { host: "127.0.0.1".into(), port: self.ports[id], encoding: LinkEncoding::default() }
+        Endpoint::Tcp {
+            host: "127.0.0.1".into(),
+            port: self.ports[id],
+            encoding: LinkEncoding::default(),
+            security: Security::Plain,
+        }
     }
 
     /// When a robot began its scripts.

@@ -24,7 +24,8 @@ fn load() -> (Choreography, Fleet, World) {
     let root = Path::new(ROOT);
     let fleet = read_fleet(&root.join("fleet.yaml")).0.unwrap();
     let source = Source::read(&root.join("scripts/examples/swap.yaml")).unwrap();
-    let choreography = compile(&source, &fleet, &Folder(root.join("scripts/examples"))).choreography.unwrap();
+    let choreography =
+        compile(&source, &fleet, &Folder::new(root.join("scripts/examples"))).choreography.unwrap();
     let acts: Vec<&str> = choreography.acts.iter().map(Act::called).collect();
     let world = read_world(&root.join("scripts/examples/worlds/wifi.yaml"), &fleet, &acts).0.unwrap();
     (choreography, fleet, world)

@@ -6,12 +6,13 @@
 //! machine makes figures larger and no test fail.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 use std::time::Duration;
 
 use downbeat::dry_run::{Logs, Played};
 use downbeat::mission::MissionOptions;
 use downbeat::trials::Trials;
-use downbeat_scripts::{ClockWorld, Folder, Source, World, compile, read_fleet, read_world};
+use downbeat_scripts::{ClockWorld, Folder, Project, Source, World, compile, read_fleet_within, read_world};
 use serde_json::{Value, json};
 use urrcp::Span;
 
@@ -93,7 +94,9 @@ impl Show {
 
     /// Plays it with the processes, and measures the world in which that was.
     fn play(&self, stage: &Stage) -> Value {
-        let running = stage.start(&["run", "show.yaml", "--record", "real.mcap", "--format", "json"]);
+        // The descriptions of the robots are in the repository, and the stage is not.
+        let run = ["run", "show.yaml", "--project", "/", "--record", "real.mcap", "--format", "json"];
+        let running = stage.start(&run);
         while self.attended && stage.run(&["go"]).code != Some(0) {
             std::thread::sleep(Duration::from_millis(50));
         }
@@ -109,10 +112,11 @@ impl Show {
 
     /// Plays it in that world in virtual time.
     fn rehearse(&self, stage: &Stage) -> (Played, World) {
-        let (fleet, findings) = read_fleet(&stage.path("fleet.yaml"));
+        let (fleet, findings) =
+            read_fleet_within(&stage.path("fleet.yaml"), &Project::within(Path::new("/")).unwrap());
         let fleet = fleet.unwrap_or_else(|| panic!("{findings:?}"));
         let source = Source::read(&stage.path("show.yaml")).unwrap();
-        let compiled = compile(&source, &fleet, &Folder(stage.path("")));
+        let compiled = compile(&source, &fleet, &Folder::new(stage.path("")));
         let choreography = compiled.choreography.unwrap_or_else(|| panic!("{:?}", compiled.findings));
         let acts: Vec<_> = choreography.acts.iter().map(|act| act.called()).collect();
         let (world, findings) = read_world(&stage.path("world.yaml"), &fleet, &acts);

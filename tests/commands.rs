@@ -123,7 +123,7 @@ fn nothing_of_a_ping_is_cut_in_a_pipe() {
     let host = format!("{}.invalid", "a-long-name".repeat(6));
     session.file(
         "fleet.yaml",
-        format!("robots:\n  left: {{init: arm.yaml, address: 'tcp://{host}:7401'}}\n  right: {{init: arm.yaml, address: sim}}\n"),
+        format!("insecure: true\nrobots:\n  left: {{init: arm.yaml, address: 'tcp://{host}:7401'}}\n  right: {{init: arm.yaml, address: sim}}\n"),
     );
     let ran = session.run(&["fleet", "ping"]);
     assert!(ran.out().contains(&format!("tcp://{host}:7401 ")), "{}", ran.out());

@@ -143,9 +143,13 @@ fn the_closest_approach_is_better_or_worse() {
         std::fs::read_to_string(fleet).unwrap().replace("init: ", &format!("init: {}/", root().display()));
     assert!(text.contains("radius: 0.07"), "the bodies of the demo fleet: {text}");
     session.file("slim.yaml", text.replace("radius: 0.07", "radius: 0.05"));
-    let ran = session.run(&["diff", swap, swap, "--fleet", fleet, "--fleet-b", "slim.yaml"]);
+    // The descriptions of the robots are in the repository, and the changed fleet is not.
+    let diff = |fleet: &str, other: &str| {
+        session.run(&["diff", swap, swap, "--fleet", fleet, "--fleet-b", other, "--project", "/"])
+    };
+    let ran = diff(fleet, "slim.yaml");
     ran.says(1, &["closest approach: ", "better, they stay further apart"]);
-    let ran = session.run(&["diff", swap, swap, "--fleet", "slim.yaml", "--fleet-b", fleet]);
+    let ran = diff("slim.yaml", fleet);
     ran.says(1, &["worse, they come closer"]);
 }
 

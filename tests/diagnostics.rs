@@ -64,7 +64,7 @@ fn a_diagnostic_that_bears_a_code_shows_it() {
 
 #[test]
 fn every_code_has_a_test_that_triggers_it() {
-    let mut tests: String = ["findings.rs", "import.rs", "import_real.rs"]
+    let mut tests: String = ["findings.rs", "host.rs", "import.rs", "import_real.rs"]
         .map(|file| std::fs::read_to_string(root().join("tests").join(file)).unwrap())
         .concat();
     tests.push_str(&names().join(" "));

@@ -227,7 +227,7 @@ fn hardware_that_a_killed_scheduler_drove_is_not_said_to_be_held_and_does_not_mo
     assert!(stopped.out.contains("w: NOT held; what drove it ended with the scheduler"), "{stopped}");
     assert!(!told(&stage).contains("set d position 0\n"), "{}", told(&stage));
     let stopped = stage.run(&["stop"]);
-    assert!(stopped.out.contains("w: default state confirmed"), "{stopped}");
+    assert!(stopped.out.contains("w: stop NOT confirmed; a program drove it"), "{stopped}");
 }
 
 #[test]

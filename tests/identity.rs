@@ -208,7 +208,8 @@ fn two_robots_with_one_address_are_found_however_it_is_written() {
     let session = Session::new();
     let fleet = |left: &str, right: &str| {
         let row = |id: &str, address: &str| format!("  {id}: {{init: arm.yaml, address: '{address}'}}\n");
-        format!("robots:\n{}{}groups: {{arms: [left, right]}}\n", row("left", left), row("right", right))
+        let robots = format!("{}{}", row("left", left), row("right", right));
+        format!("robots:\n{robots}groups: {{arms: [left, right]}}\ninsecure: true\n")
     };
     session.file(
         "test.yaml",

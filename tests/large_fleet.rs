@@ -1,7 +1,7 @@
 //! A thousand simulated robots in one process over loopback TCP.
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a test fails by panicking and may print")]
 
-use downbeat::link::{Endpoint, LinkEncoding};
+use downbeat::link::{Endpoint, LinkEncoding, Security};
 use downbeat::mission::{Mission, MissionOptions, Participant};
 use downbeat::server_clock::ServerClock;
 use downbeat_robot::simulated::{Settings, SimulatedRobot};
@@ -64,6 +64,7 @@ fn a_thousand_robots_on_tcp_prepare_start_and_report_without_a_failure() {
                 host: "127.0.0.1".into(),
                 port,
                 encoding: LinkEncoding::default(),
+                security: Security::Plain,
             });
             tokio::spawn(serve(listener, host.handle(), index));
         }

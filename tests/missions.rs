@@ -180,7 +180,7 @@ fn a_robot_that_belongs_to_a_mission_is_refused_to_a_second_by_name() {
     // A scheduler on another machine, which has no journal of the first, is told by the robots.
     let mut elsewhere = session.command(&["run", "evening.yaml"]);
     let elsewhere = Ran(elsewhere.env("DOWNBEAT_STATE", session.path("elsewhere")).output().unwrap());
-    elsewhere.says(1, &["not started", "`left` belongs to session `evening@", "end it with `downbeat stop`"]);
+    elsewhere.says(1, &["not started", "`left` belongs to another session", "end it with `downbeat stop`"]);
     session.run(&["stop"]).says(0, &["confirmed"]);
     finished(first).says(3, &["stopped by the operator"]);
     session.run(&["run", "evening.yaml", "--act", "opening"]).says(0, &["done"]);

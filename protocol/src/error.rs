@@ -4,7 +4,7 @@ use std::fmt;
 
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-use crate::text::Label;
+use crate::text::{self, Label};
 
 /// The reason in a failed response (key `error`, our extension).
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -13,8 +13,8 @@ use crate::text::Label;
 pub struct ControlError {
     /// What kind of failure, for machines.
     pub code: ErrorCode,
-    /// What was found and expected, for people.
-    #[serde(default)]
+    /// What was found and expected, for people. Of one that is read, the first 256 characters.
+    #[serde(default, deserialize_with = "text::shortened_on_reading")]
     pub message: String,
 }
 
@@ -80,6 +80,8 @@ error_codes! {
     Malformed = "malformed",
     /// The queue is full, or the robot cannot take commands now.
     Busy = "busy",
+    /// The peer has proven who it is, and may not do this (ours).
+    Forbidden = "forbidden",
     /// The robot itself failed.
     Internal = "internal",
     /// An empty script cancelled the command (ours).

@@ -10,6 +10,10 @@ pub const DEVICES_MAX: usize = 32_000;
 pub const CONTROL_VALUES_MAX: usize = 256;
 /// Largest number of values in the parameters of one custom control type (ours).
 pub const PARAMETERS_MAX: usize = 4_096;
+/// Largest number of values in the parameters of all custom control types of one robot (ours), each dictionary counted as well.
+pub const ROBOT_PARAMETERS_MAX: usize = 262_144;
+/// Largest number of encodings that a robot lists (ours).
+pub const ENCODINGS_MAX: usize = 64;
 /// Largest number of steps of one script on the wire (ours): as many as a line of [`LINE_BYTES_MAX`] may hold. A frame,
 /// whose steps are shorter, holds no more, so that a message takes no more memory for coming in one.
 pub const SCRIPT_STEPS_MAX: usize = 262_144;
@@ -57,6 +61,12 @@ pub enum LimitError {
     /// A custom control type has more than [`PARAMETERS_MAX`] values.
     #[error("more than {PARAMETERS_MAX} values in the parameters of one control type")]
     ParameterCount,
+    /// The custom control types of a robot have more than [`ROBOT_PARAMETERS_MAX`] values together.
+    #[error("more than {ROBOT_PARAMETERS_MAX} values in the parameters of all custom control types")]
+    RobotParameterCount,
+    /// A robot lists more than [`ENCODINGS_MAX`] encodings.
+    #[error("more than {ENCODINGS_MAX} encodings")]
+    EncodingCount,
     /// A script has more than [`SCRIPT_STEPS_MAX`] steps.
     #[error("more than {SCRIPT_STEPS_MAX} steps in one script")]
     StepCount,

@@ -167,6 +167,7 @@ schema_of!(ControlRequest, "ControlRequest", |generator| {
         serde_json::json!({(FURTHER_VALUES): {"type": ["number", "null"]}}),
     );
     let of_script = serde_json::json!({"properties": {"control_type": {"const": "script"}}});
+    let of_sensor = serde_json::json!({"properties": {"control_type": {"const": "sensor"}}});
     let of_motion = serde_json::json!({"properties": {"control_type": {"pattern": MOTION}}});
     keys.insert(
         "allOf".into(),
@@ -182,7 +183,11 @@ schema_of!(ControlRequest, "ControlRequest", |generator| {
                 "else": {
                     "if": of_motion,
                     "then": {"properties": {"control_value": {"type": "number"}}, "required": ["control_value"]},
-                    "else": {"properties": {"control_value": {"type": ["number", "array", "null"]}}},
+                    // The value of a control type that is not known may be anything.
+                    "else": {
+                        "if": of_sensor,
+                        "then": {"properties": {"control_value": {"type": ["number", "array", "null"]}}},
+                    },
                 },
             },
         ]),

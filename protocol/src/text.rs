@@ -7,7 +7,35 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer, de};
 
 use crate::limits::{LimitError, STRING_CHARS_MAX};
 
-fn check_length(text: &str) -> Result<(), LimitError> {
+/// A text for people as far as it is shown: cut where it is longer than any string may be.
+pub(crate) fn shortened(text: &str) -> String {
+    match text.char_indices().nth(STRING_CHARS_MAX - 1) {
+        Some((end, last)) if end + last.len_utf8() < text.len() => format!("{}…", &text[..end]),
+        _ => text.to_owned(),
+    }
+}
+
+/// Reads a text for people, and keeps as much of it as is shown: what another party writes is not kept at its whole length.
+pub(crate) fn shortened_on_reading<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    struct Text;
+
+    impl de::Visitor<'_> for Text {
+        type Value = String;
+
+        fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+            f.write_str("a string")
+        }
+
+        fn visit_str<E: de::Error>(self, text: &str) -> Result<String, E> {
+            Ok(shortened(text))
+        }
+    }
+
+    deserializer.deserialize_str(Text)
+}
+
+/// Whether a string is as short as the protocol wants it.
+pub(crate) fn check_length(text: &str) -> Result<(), LimitError> {
     // Bytes bound characters from above, so most strings are never counted.
     if text.len() <= STRING_CHARS_MAX {
         return Ok(());
@@ -118,6 +146,16 @@ mod tests {
     fn the_limit_counts_characters_and_not_bytes() {
         assert!(Label::new("я".repeat(256)).is_ok());
         assert_eq!(Label::new("я".repeat(257)), Err(LimitError::StringTooLong { chars: 257 }));
+    }
+
+    #[test]
+    fn of_the_reason_of_an_error_as_much_is_kept_as_any_string_may_have() {
+        for (chars, kept) in [(256, 256), (257, 256), (1_000_000, 256)] {
+            let json = format!(r#"{{"code":"internal","message":"{}"}}"#, "я".repeat(chars));
+            let error: crate::ControlError = serde_json::from_str(&json).unwrap();
+            assert_eq!(error.message.chars().count(), kept);
+            assert_eq!(error.message.ends_with('…'), chars > 256);
+        }
     }
 
     #[test]

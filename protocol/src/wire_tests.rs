@@ -174,6 +174,57 @@ fn parameters_of_a_custom_control_type_are_bounded_with_all_that_is_in_them() {
 }
 
 #[test]
+fn parameters_of_all_custom_control_types_of_a_robot_are_bounded_together() {
+    let block = |types: usize, values: usize| {
+        let custom = |i: usize| format!(r#""custom_{i}":{{"deep":[{}0]}}"#, "0,".repeat(values - 1));
+        let devices: Vec<_> = (0..2)
+            .map(|device| {
+                let types: Vec<_> = (0..types).map(custom).collect();
+                format!(
+                    r#"{{"id":"d{device}","name":"d","available_control_types":{{{}}}}}"#,
+                    types.join(",")
+                )
+            })
+            .collect();
+        let devices = devices.join(",");
+        decode_one(&format!(
+            r#"{{"initialization_block":{{"id":"r","api_version":"1","devices":[{devices}]}}}}"#
+        ))
+    };
+    // The dictionary, the list and 4,094 numbers in each of 64.
+    assert!(block(32, 4_094).is_ok());
+    assert!(block(32, 4_094).is_ok(), "of every block by itself");
+    let more = block(33, 4_094).unwrap_err().to_string();
+    assert!(more.contains("more than 262144 values in the parameters of all"), "{more}");
+}
+
+#[test]
+fn a_text_in_the_parameters_of_a_custom_control_type_is_as_short_as_any_string() {
+    let block = |parameters: String| {
+        decode_one(&format!(
+            r#"{{"initialization_block":{{"id":"r","api_version":"1","devices":[{{"id":"d","name":"d","available_control_types":{{"custom_1":{parameters}}}}}]}}}}"#
+        ))
+    };
+    for (chars, taken) in [(256, true), (257, false)] {
+        let text = "x".repeat(chars);
+        assert_eq!(block(format!(r#"{{"a":"{text}"}}"#)).is_ok(), taken);
+        assert_eq!(block(format!(r#"{{"{text}":1}}"#)).is_ok(), taken);
+    }
+}
+
+#[test]
+fn sixty_four_encodings_are_taken_and_one_more_is_not() {
+    let block = |count: usize| {
+        let encodings = vec![r#""x""#; count].join(",");
+        decode_one(&format!(
+            r#"{{"initialization_block":{{"id":"r","api_version":"1","encodings":[{encodings}],"devices":[{{"id":"d","name":"d","available_control_types":{{}}}}]}}}}"#
+        ))
+    };
+    assert!(block(64).is_ok());
+    assert!(block(65).unwrap_err().to_string().contains("more than 64 encodings"));
+}
+
+#[test]
 fn thirty_two_thousand_devices_are_taken_and_one_more_is_not() {
     let block = |count: usize| {
         let devices: Vec<_> = (0..count)
@@ -214,6 +265,42 @@ fn an_error_names_the_device_and_request_that_an_answer_needs() {
 fn unknown_keys_are_ignored_so_that_versions_can_differ() {
     let line = r#"{"control_request":{"device_id":"d","colour":{"r":[1]},"control_type":"sensor"}}"#;
     assert!(decode_one(line).is_ok());
+}
+
+#[test]
+fn an_unknown_control_type_is_a_request_whatever_its_values_are_and_wherever_they_stand() {
+    for value in ["[1,2]", "\"fast\"", "{\"x\":1}", "true", "[{\"time_offset_to_start\":0}]", "null"] {
+        for request in [
+            format!(
+                r#"{{"control_request":{{"device_id":"d","control_type":"dance","control_value":{value}}}}}"#
+            ),
+            format!(
+                r#"{{"control_request":{{"control_value":{value},"device_id":"d","control_type":"dance"}}}}"#
+            ),
+            format!(
+                r#"{{"control_request":{{"control_value_2":"x","control_value":{value},"control_type":"dance","device_id":"d"}}}}"#
+            ),
+        ] {
+            let Ok(Message::ControlRequest(read)) = decode_one(&request) else { panic!("{request}") };
+            assert!(matches!(&read.command, Command::Unknown(name) if name.as_str() == "dance"), "{request}");
+            let document: serde_json::Value = serde_json::from_str(&request).unwrap();
+            let payload = rmp_serde::to_vec_named(&document).unwrap();
+            let mut decoder = Decoder::default();
+            decoder.push(&[0xC1]);
+            decoder.push(&u32::try_from(payload.len()).unwrap().to_be_bytes());
+            decoder.push(&payload);
+            assert_eq!(decoder.next_message(), Some(Ok(Message::ControlRequest(read))), "{request}");
+        }
+    }
+    // One that is known has its values read, and nothing else of a request is let pass.
+    for wrong in [
+        r#"{"control_request":{"device_id":"d","control_type":"speed","control_value":"fast"}}"#,
+        r#"{"control_request":{"device_id":"","control_type":"dance","control_value":[1]}}"#,
+        r#"{"control_request":{"control_value":[1],"control_type":"dance"}}"#,
+        r#"{"control_request":{"device_id":"d","control_type":7,"control_value":[1]}}"#,
+    ] {
+        assert!(decode_one(wrong).is_err(), "{wrong}");
+    }
 }
 
 #[test]

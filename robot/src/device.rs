@@ -16,6 +16,7 @@ use urrcp::{
 
 use crate::held::{Held, Limit, Steps};
 use crate::lease::{LastHeard, Lease};
+use crate::reach::Reach;
 use crate::robot::LinkId;
 use crate::signal::{Rates, Signal, default_of, first_value, is_rate, resting_value};
 
@@ -62,8 +63,11 @@ pub(crate) enum Effect {
 /// A robot that was delayed longer than this over a start, for example by a stopped process, drops the command: late is
 /// out of sync.
 pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
-/// A stop takes back what is sent up to this long after its receipt, whatever its own timestamp.
+/// A stop takes back what its own party sends up to this long after its receipt, whatever its own timestamp.
 pub(crate) const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
+/// And what others send up to this long after its receipt: as much as clocks that are kept may differ. More would let a
+/// stop with a timestamp of the future close the device to everyone.
+pub(crate) const TAKEN_BACK_FROM_OTHERS_MAX: Span = Span::from_millis(250);
 /// A step that is done later than this after its deadline counts as late.
 const LATE: Span = Span::from_millis(1);
 
@@ -88,6 +92,8 @@ pub(crate) struct DeviceMachine {
     guards: Vec<Guard>,
     /// Everything that was sent up to then has been taken back, also what arrives later.
     taken_back: Option<Timestamp<Server>>,
+    /// The same for what the party of the last stop has sent, whose clock may be ahead.
+    taken_back_by: Option<(LinkId, Timestamp<Server>)>,
 }
 
 impl DeviceMachine {
@@ -100,7 +106,7 @@ impl DeviceMachine {
             .map(|(control_type, _)| (control_type, Signal::resting(first_value(&spec, control_type), begin)))
             .collect();
         let (driven, queue, guards) = (BTreeMap::new(), VecDeque::new(), Vec::new());
-        Self { spec, signals, driven, queue, guards, taken_back: None }
+        Self { spec, signals, driven, queue, guards, taken_back: None, taken_back_by: None }
     }
 
     pub(crate) fn value(&self, control_type: ControlType, now: Timestamp<Robot>) -> Option<f64> {
@@ -423,11 +429,20 @@ impl DeviceMachine {
         }
     }
 
-    /// A stop that was sent then has arrived: what was sent before it and comes behind it must not begin. A clock that
-    /// is far ahead does not block the device for good.
-    pub(crate) fn take_back(&mut self, now: Timestamp<Robot>, sent: Timestamp<Server>) {
-        let latest = (now + TAKEN_BACK_AHEAD_MAX).assume_clock();
-        self.taken_back = self.taken_back.max(Some(sent.min(latest)));
+    /// A stop of this party that was sent then has arrived: what was sent before it and comes behind it must not begin. A
+    /// clock that is ahead does not block the device: for others hardly, for its own party not for good.
+    pub(crate) fn take_back(&mut self, now: Timestamp<Robot>, sent: Timestamp<Server>, party: LinkId) {
+        let at_most = |ahead: Span| sent.min((now + ahead).assume_clock());
+        self.taken_back = self.taken_back.max(Some(at_most(TAKEN_BACK_FROM_OTHERS_MAX)));
+        let before = self.taken_back_by.filter(|(by, _)| *by == party).map(|(_, until)| until);
+        let own = before.into_iter().chain([at_most(TAKEN_BACK_AHEAD_MAX)]).max();
+        self.taken_back_by = own.map(|until| (party, until));
+    }
+
+    /// Whether a stop that came ahead of it took this back.
+    fn was_taken_back(&self, party: LinkId, sent: Option<Timestamp<Server>>) -> bool {
+        let own = self.taken_back_by.filter(|(by, _)| *by == party).map(|(_, until)| until);
+        sent.is_some() && sent <= self.taken_back.max(own)
     }
 
     /// Takes a command that starts at `start`, after every check.
@@ -443,11 +458,13 @@ impl DeviceMachine {
             let message = format!("the start passed {} ago; a late command is never started", now - start);
             return Err(ControlError::new(ErrorCode::Late, message));
         }
-        if self.taken_back.is_some() && request.timestamp <= self.taken_back && request.timestamp.is_some() {
+        let end = start + duration;
+        let (stop_condition, is_first) = (request.stop_condition, self.queue.is_empty());
+        Reach { start, end, stop_condition, steps: &steps, is_first }.check(now)?;
+        if self.was_taken_back(link, request.timestamp) {
             let message = "it was taken back by a stop that came ahead of it";
             return Err(ControlError::new(ErrorCode::Cancelled, message));
         }
-        let end = start + duration;
         // At one instant a command of no length comes before one that has yet to begin, and never into a running one.
         let overlaps = |held: &&Held| {
             let into_running = held.began && (start, end) < (held.start, held.end);

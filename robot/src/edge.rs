@@ -44,6 +44,15 @@ impl Edge {
         Arc::clone(&self.mailbox)
     }
 
+    pub(crate) const fn machine(&self) -> &Robot {
+        &self.machine
+    }
+
+    /// Looks whether the session to which the robot belonged is over.
+    pub(crate) fn look(&mut self, now: Timestamp<HostTime>) {
+        self.machine.release_if_over(now.assume_clock());
+    }
+
     pub(crate) fn is_idle(&self) -> bool {
         self.leaving.is_empty() && self.machine.is_idle()
     }

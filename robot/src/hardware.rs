@@ -9,6 +9,37 @@ use crate::robot::LinkId;
 
 /// Readings that may be open at a time; more are refused.
 pub(crate) const READINGS_MAX: usize = 64;
+
+/// How an asker stands to the robot. What it may ask for depends on this, so that no stranger fills the queue of the
+/// hardware, which answers one reading after another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Standing {
+    /// The robot belongs to its session.
+    Owner,
+    /// The robot belongs to no session.
+    Free,
+    /// It belongs to another one.
+    Stranger,
+}
+
+impl Standing {
+    /// Readings that one party may have open, and all parties together to which the robot does not belong.
+    pub(crate) const fn readings_max(self) -> (usize, usize) {
+        match self {
+            Self::Owner => (READINGS_MAX, READINGS_MAX),
+            Self::Free => (READINGS_MAX / 4, READINGS_MAX / 2),
+            Self::Stranger => (4, 8),
+        }
+    }
+}
+
+/// Who asks for a reading.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Asker {
+    pub(crate) link: LinkId,
+    pub(crate) party: LinkId,
+    pub(crate) standing: Standing,
+}
 /// How long a reading may take where the sensor declares no `max_delay`, in milliseconds.
 const READING_WAIT_MS: f64 = 1_000.0;
 /// And at most, whatever the sensor declares.
@@ -50,6 +81,8 @@ enum Presence {
 pub(crate) struct OpenReading {
     pub(crate) link: LinkId,
     pub(crate) request: ControlRequest,
+    party: LinkId,
+    standing: Standing,
     until: Timestamp<Robot>,
     wait: Span,
 }
@@ -113,22 +146,36 @@ impl Hardware {
     /// Opens a reading.
     ///
     /// # Errors
-    /// `busy` when too many are open.
+    /// `busy` when too many are open: in all, of this party, or of those to which the robot does not belong.
     pub(crate) fn ask(
         &mut self,
         now: Timestamp<Robot>,
-        link: LinkId,
+        asker: Asker,
         request: &ControlRequest,
         max_delay: Option<f64>,
     ) -> Result<ReadingId, ControlError> {
-        if self.readings.len() >= READINGS_MAX {
-            let message = format!("{READINGS_MAX} readings are open already");
+        let Asker { link, party, standing } = asker;
+        let open = |of: fn(&OpenReading, LinkId) -> bool| {
+            self.readings.values().filter(|open| of(open, party)).count()
+        };
+        let (own_max, others_max) = standing.readings_max();
+        let own = open(|open, party| open.party == party);
+        let others = open(|open, _| open.standing != Standing::Owner);
+        let full = match standing {
+            _ if self.readings.len() >= READINGS_MAX => Some(READINGS_MAX),
+            _ if own >= own_max => Some(own_max),
+            Standing::Free | Standing::Stranger if others >= others_max => Some(others_max),
+            _ => None,
+        };
+        if let Some(max) = full {
+            let message = format!("{max} readings are open already");
             return Err(ControlError::new(ErrorCode::Busy, message));
         }
         let wait = Span::from_millis_f64(max_delay.unwrap_or(READING_WAIT_MS).min(READING_WAIT_MS_MAX));
         self.last += 1;
         let id = ReadingId(self.last);
-        let open = OpenReading { link, request: request.clone(), until: now + wait, wait };
+        let request = request.clone();
+        let open = OpenReading { link, request, party, standing, until: now + wait, wait };
         self.readings.insert(id, open);
         Ok(id)
     }

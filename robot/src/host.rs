@@ -2,6 +2,7 @@
 
 mod body;
 mod hosted;
+mod outbox;
 
 use std::collections::{BTreeSet, HashMap};
 use std::fs::File;
@@ -13,23 +14,26 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use serde::Serialize;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc, oneshot};
-use urrcp::{Message, RobotId, Timestamp};
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot, watch};
+use urrcp::{ErrorCode, Message, RobotId, Timestamp};
 
 use self::body::Body;
 use self::hosted::DriverThread;
 pub use self::hosted::Hosted;
+use self::outbox::{Inbox, Outbox, outbox};
 use crate::clock::{HostClock, HostTime};
 use crate::driver::{Mailbox, News};
 use crate::hardware::AtEnd;
 use crate::outgoing::Outgoing;
+use crate::parties::Claimant;
+use crate::peer::Peer;
 use crate::precise_wait::{PreciseWait, Woken};
+use crate::refusals::{Reason, Refusals};
 use crate::robot::{Input, LinkId};
 use crate::scheduling::{Realtime, Scheduling};
+use crate::serve::Strangers;
 use crate::set_log::LogEntry;
 
-/// Messages that may wait for a peer; one that does not read is hung up on.
-const OUTGOING_MAX: usize = 65_536;
 /// Inputs that a peer outside this process may have handed over and the robot not yet taken; more have to wait.
 const WINDOW: usize = 32;
 
@@ -103,7 +107,7 @@ enum Order {
     Open {
         robot: usize,
         link: LinkId,
-        peer: mpsc::Sender<LinkEvent>,
+        outbox: Outbox,
     },
     /// The permit, where there is one, is given back once the robot has taken the input.
     Input {
@@ -111,6 +115,12 @@ enum Order {
         link: LinkId,
         input: Input,
         permit: Option<OwnedSemaphorePermit>,
+    },
+    /// It is asked whether the session to which the robot belonged is over; [`HostHandle::owner`] knows it once the permit
+    /// is given back.
+    Look {
+        robot: usize,
+        permit: oneshot::Sender<()>,
     },
     /// A driver's thread has something to say.
     Hardware {
@@ -142,6 +152,9 @@ pub struct HostHandle {
     orders: flume::Sender<Order>,
     robots: Arc<[RobotId]>,
     next_link: Arc<AtomicU64>,
+    refusals: Arc<Refusals>,
+    strangers: Arc<Strangers>,
+    owners: Arc<[watch::Receiver<Option<Claimant>>]>,
 }
 
 /// A link to one robot. Dropping it breaks the link.
@@ -150,7 +163,7 @@ pub struct RobotLink {
     orders: flume::Sender<Order>,
     robot: usize,
     link: LinkId,
-    incoming: mpsc::Receiver<LinkEvent>,
+    incoming: Inbox,
 }
 
 /// The sending end of a link, for use next to the receiving end.
@@ -191,8 +204,17 @@ impl Host {
         };
         // With a lock: on a lock-free channel a real-time thread could spin forever for a sender that it interrupted.
         let (orders, inbox) = flume::unbounded();
-        let handle = HostHandle { orders, robots: ids, next_link: Arc::new(AtomicU64::new(0)) };
-        let (thread, ready, scheduling) = prepared_thread(options.realtime, log, inbox)?;
+        let (owners, watched): (Vec<_>, Vec<_>) = ids.iter().map(|_| watch::channel(None)).unzip();
+        let handle = HostHandle {
+            orders,
+            robots: ids,
+            next_link: Arc::new(AtomicU64::new(0)),
+            refusals: Arc::default(),
+            strangers: Arc::default(),
+            owners: watched.into(),
+        };
+        let told = Told { log, owners, refusals: Arc::clone(&handle.refusals) };
+        let (thread, ready, scheduling) = prepared_thread(options.realtime, told, inbox)?;
         let (mut robots, mut drivers) = (Vec::new(), Vec::new());
         for (index, hosted) in hosted.into_iter().enumerate() {
             let (robot, thread) = hosted.attach(index, &handle.orders).map_err(HostError::Thread)?;
@@ -222,6 +244,12 @@ impl Host {
     #[must_use]
     pub fn handle(&self) -> HostHandle {
         self.handle.clone()
+    }
+
+    /// How often peers were refused, slowed down or hung up on, and why.
+    #[must_use]
+    pub fn refusals(&self) -> &Refusals {
+        &self.handle.refusals
     }
 
     /// Hears why the log ends ahead of the robots, which continue without it; nothing where it does not. To be taken once.
@@ -274,16 +302,53 @@ impl HostHandle {
         &self.robots
     }
 
-    /// Opens a link to a robot; `None` when there is no such robot or the host has stopped.
+    /// Opens a link to a robot from within this process; `None` when there is no such robot or the host has stopped.
     #[must_use]
     pub fn connect(&self, robot: usize) -> Option<RobotLink> {
+        self.connect_as(robot, Peer::in_process())
+    }
+
+    /// Opens a link to a robot for a peer; `None` when there is no such robot or the host has stopped. What the peer leaves
+    /// unread is bounded, unless it is in this process, and a session that it claims belongs to its name.
+    #[must_use]
+    pub fn connect_as(&self, robot: usize, peer: Peer) -> Option<RobotLink> {
         if robot >= self.robots.len() {
             return None;
         }
         let link = LinkId(self.next_link.fetch_add(1, Ordering::Relaxed));
-        let (peer, incoming) = mpsc::channel(OUTGOING_MAX);
-        self.orders.send(Order::Open { robot, link, peer }).ok()?;
-        Some(RobotLink { orders: self.orders.clone(), robot, link, incoming })
+        let proof = peer.proof().cloned();
+        let (outbox, incoming) = outbox(peer);
+        self.orders.send(Order::Open { robot, link, outbox }).ok()?;
+        let link = RobotLink { orders: self.orders.clone(), robot, link, incoming };
+        proof.into_iter().for_each(|proof| link.order(Input::Proven(proof)));
+        Some(link)
+    }
+
+    /// Whether no robot runs here any more.
+    pub(crate) fn has_stopped(&self) -> bool {
+        self.orders.is_disconnected()
+    }
+
+    /// How often peers were refused, slowed down or hung up on, and why.
+    pub(crate) fn refusals(&self) -> &Refusals {
+        &self.refusals
+    }
+
+    /// What all peers share that have no robot of this host.
+    pub(crate) fn strangers(&self) -> Arc<Strangers> {
+        Arc::clone(&self.strangers)
+    }
+
+    /// To whom a robot belongs, or belonged last, as it changes.
+    pub(crate) fn owner(&self, robot: usize) -> Option<watch::Receiver<Option<Claimant>>> {
+        self.owners.get(robot).cloned()
+    }
+
+    /// Lets a robot look whether its session is over. Back when it has, or the host has stopped.
+    pub(crate) async fn look(&self, robot: usize) {
+        let (permit, looked) = oneshot::channel();
+        let _stopped = self.orders.send(Order::Look { robot, permit });
+        let _stopped = looked.await;
     }
 }
 
@@ -305,7 +370,7 @@ impl RobotLink {
 
     /// What the robot has said already.
     pub(crate) fn try_recv(&mut self) -> Option<LinkEvent> {
-        self.incoming.try_recv().ok()
+        self.incoming.try_recv()
     }
 
     pub(crate) fn sender(&self) -> LinkSender {
@@ -337,25 +402,33 @@ type Prepared = (JoinHandle<()>, std_mpsc::Sender<Vec<Body>>, Scheduling);
 /// [`Order::Stop`], when every handle is gone, or when it is given no robots.
 fn prepared_thread(
     realtime: Realtime,
-    log: Option<std_mpsc::Sender<LoggedBatch>>,
+    told: Told,
     inbox: flume::Receiver<Order>,
 ) -> Result<Prepared, HostError> {
     let (ready, robots) = std_mpsc::channel();
-    let (tell, told) = std_mpsc::channel();
+    let (tell, granted) = std_mpsc::channel();
     let run = move || {
         let scheduling = Scheduling::of_this_thread(realtime);
         let waits = PreciseWait::new(&scheduling);
         let _given_up = tell.send(scheduling);
         if let Ok(robots) = robots.recv() {
-            Executor::new(robots, log, waits).run(&inbox);
+            Executor::new(robots, told, waits).run(&inbox);
         }
     };
     let thread = std::thread::Builder::new().name("robots".into()).spawn(run).map_err(HostError::Thread)?;
-    let scheduling = told.recv().map_err(|error| HostError::Thread(io::Error::other(error)))?;
+    let scheduling = granted.recv().map_err(|error| HostError::Thread(io::Error::other(error)))?;
     if realtime == Realtime::Required && scheduling.lacks_something() {
         return Err(HostError::Realtime(scheduling));
     }
     Ok((thread, ready, scheduling))
+}
+
+/// To whom the precise thread tells what happens.
+struct Told {
+    log: Option<std_mpsc::Sender<LoggedBatch>>,
+    /// Of each robot.
+    owners: Vec<watch::Sender<Option<Claimant>>>,
+    refusals: Arc<Refusals>,
 }
 
 /// The precise thread's state.
@@ -363,24 +436,27 @@ struct Executor {
     robots: Vec<Body>,
     wakeups: BTreeSet<(Timestamp<HostTime>, usize)>,
     wakeup_of: Vec<Option<Timestamp<HostTime>>>,
-    peers: HashMap<LinkId, mpsc::Sender<LinkEvent>>,
+    peers: HashMap<LinkId, (usize, Outbox)>,
     clock: HostClock,
     waits: PreciseWait,
-    log: Option<std_mpsc::Sender<LoggedBatch>>,
+    told: Told,
+    /// How often the owner of each robot had changed when it was told last.
+    owner_changes: Vec<u64>,
     out: Vec<Outgoing>,
     due: Vec<usize>,
 }
 
 impl Executor {
-    fn new(robots: Vec<Body>, log: Option<std_mpsc::Sender<LoggedBatch>>, waits: PreciseWait) -> Self {
+    fn new(robots: Vec<Body>, told: Told, waits: PreciseWait) -> Self {
         Self {
             wakeup_of: vec![None; robots.len()],
+            owner_changes: vec![0; robots.len()],
             robots,
             wakeups: BTreeSet::new(),
             peers: HashMap::new(),
             clock: HostClock::anchored(),
             waits,
-            log,
+            told,
             out: Vec::new(),
             due: Vec::new(),
         }
@@ -400,12 +476,12 @@ impl Executor {
 
     fn obey(&mut self, order: Order) {
         match order {
-            Order::Open { robot, link, peer } => {
+            Order::Open { robot, link, outbox } => {
                 // Nothing is scheduled on an idle host, so it may follow the system's clock again.
                 if self.robots.len() <= 64 && self.robots.iter().all(Body::is_idle) {
                     self.clock = HostClock::anchored();
                 }
-                self.peers.insert(link, peer);
+                self.peers.insert(link, (robot, outbox));
                 self.advance(robot);
             }
             Order::Input { robot, link, input, permit } => {
@@ -416,6 +492,11 @@ impl Executor {
                 self.robots[robot].receive(now, link, input);
                 self.advance(robot);
                 drop(permit);
+            }
+            Order::Look { robot, permit } => {
+                self.robots[robot].look(self.clock.now());
+                self.advance(robot);
+                let _gone = permit.send(());
             }
             Order::Hardware { robot, news } => {
                 self.robots[robot].hear(self.clock.now(), news);
@@ -461,34 +542,59 @@ impl Executor {
         self.robots[robot].advance(now, &mut self.out);
         self.robots[robot].post(&self.clock);
         let log = self.robots[robot].take_log();
-        if let (Some(sink), false) = (&self.log, log.is_empty()) {
+        if let (Some(sink), false) = (&self.told.log, log.is_empty()) {
             let _writer_gone = sink.send((robot, log));
         }
         let next = self.robots[robot].next_wakeup();
         let known = std::mem::replace(&mut self.wakeup_of[robot], next);
         known.map(|at| self.wakeups.remove(&(at, robot)));
         next.map(|at| self.wakeups.insert((at, robot)));
+        self.tell_owner(robot);
         self.send_out();
+    }
+
+    /// Before an answer that claims the robot leaves: what follows it may be treated as its owner's.
+    fn tell_owner(&mut self, robot: usize) {
+        let (changes, claimant) = self.robots[robot].machine().last_claimant();
+        if self.owner_changes[robot] != changes {
+            self.owner_changes[robot] = changes;
+            self.told.owners[robot].send_replace(claimant.cloned());
+        }
     }
 
     fn send_out(&mut self) {
         for outgoing in self.out.drain(..) {
             match outgoing {
                 Outgoing::Message { link, message } => {
-                    let Some(peer) = self.peers.get(&link) else { continue };
-                    if peer.try_send(LinkEvent::Message(message)).is_err() {
-                        tracing::warn!("a peer that does not read is hung up on");
+                    let Some((robot, outbox)) = self.peers.get(&link) else { continue };
+                    if is_busy(&message) {
+                        self.told.refusals.note(Reason::Busy, outbox.peer());
+                    }
+                    let is_owner = || self.robots[*robot].machine().is_owner(link);
+                    if !outbox.say(message, is_owner) {
+                        self.told.refusals.note(Reason::Unread, outbox.peer());
                         self.peers.remove(&link);
                     }
                 }
                 Outgoing::Close { link } => {
-                    if let Some(peer) = self.peers.remove(&link) {
-                        let _full_or_gone = peer.try_send(LinkEvent::Closed);
+                    if let Some((_, outbox)) = self.peers.remove(&link) {
+                        outbox.close();
                     }
                 }
             }
         }
     }
+}
+
+/// Whether a message refuses because the robot is busy.
+fn is_busy(message: &Message) -> bool {
+    let error = match message {
+        Message::ControlResponse(response) => &response.error,
+        Message::AvailabilityResponse(response) => &response.error,
+        Message::InquiryResponse(response) => &response.error,
+        _ => return false,
+    };
+    error.as_ref().is_some_and(|error| error.code == ErrorCode::Busy)
 }
 
 #[derive(Serialize)]

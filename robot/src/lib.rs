@@ -63,11 +63,12 @@
 //! |---|---|
 //! | `host`, on by default | [`run()`], [`Host`], [`serve()`], [`driver`], [`realtime`]: Linux only, with tokio |
 //! | `thrift` | a driver for robots that speak the early Thrift form of the protocol |
+//! | `tls` | [`tls`]: TLS 1.3, with certificates on both sides |
 //!
 //! With `default-features = false` the machine and [`simulated`] remain.
 #![cfg_attr(
-    not(feature = "host"),
-    allow(rustdoc::broken_intra_doc_links, reason = "links to what `host` adds")
+    not(all(feature = "host", feature = "tls")),
+    allow(rustdoc::broken_intra_doc_links, reason = "links to what features add")
 )]
 
 mod answers;
@@ -86,11 +87,16 @@ pub mod invariants;
 mod lease;
 mod outgoing;
 mod parties;
+mod peer;
 #[cfg(feature = "host")]
 mod precise_wait;
+mod reach;
 #[cfg(feature = "host")]
 pub mod realtime;
+#[cfg(feature = "host")]
+mod refusals;
 mod robot;
+mod role;
 #[cfg(feature = "host")]
 mod run;
 #[cfg(feature = "host")]
@@ -100,6 +106,8 @@ mod serve;
 pub mod set_log;
 mod signal;
 pub mod simulated;
+#[cfg(feature = "tls")]
+pub mod tls;
 #[cfg(feature = "host")]
 mod wake_up;
 
@@ -107,11 +115,17 @@ pub use device::Motion;
 pub use hardware::{AtEnd, ReadingId};
 #[cfg(feature = "host")]
 pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink};
+pub use peer::Peer;
+#[cfg(feature = "host")]
+pub use refusals::{Reason, Refusals};
 pub use robot::{Input, LinkId, Output, Robot, SetValue};
+pub use role::{Proof, Role, Roles};
 #[cfg(feature = "host")]
 pub use run::{RunError, run};
 #[cfg(feature = "host")]
 pub use serve::serve;
+#[cfg(feature = "tls")]
+pub use serve::serve_guarded;
 /// The types of the protocol, in the version that this crate uses.
 pub use urrcp;
 

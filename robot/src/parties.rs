@@ -5,24 +5,37 @@
 
 use std::collections::{BTreeMap, HashMap};
 
-use urrcp::{Robot, SessionId, Span, Timestamp};
+use urrcp::{Label, Robot, SessionId, Span, Timestamp};
 
 use crate::lease::LastHeard;
 use crate::robot::LinkId;
+use crate::role::Proof;
 
 /// An idle robot whose session has been silent for this long may be claimed by another.
 const CLAIM_SILENCE: Span = Span::from_millis(5_000);
 /// Sessions that are remembered.
 pub(crate) const SESSIONS_MAX: usize = 256;
 
+/// To whom a robot may belong. The name of a session is a secret of the peers that use it; where a peer has proven a name of
+/// its own, its session is another one than that of the same name of any other peer.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Claimant {
+    pub(crate) session: SessionId,
+    pub(crate) peer: Option<Label>,
+}
+
 /// Parties are named by their first link, as long as that has no other.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Parties {
     of_link: BTreeMap<LinkId, LinkId>,
-    of_session: HashMap<SessionId, LinkId>,
+    of_session: HashMap<Claimant, LinkId>,
+    /// What the peers of links have proven.
+    proof_of: BTreeMap<LinkId, Proof>,
     /// Where a party was last heard.
     route: BTreeMap<LinkId, LinkId>,
-    owner: Option<(SessionId, LinkId)>,
+    owner: Option<(Claimant, LinkId)>,
+    /// How often the owner has changed.
+    changes: u64,
     /// Parties that were given a name of their own, counted down from the largest so that no link has it.
     named: u64,
 }
@@ -38,9 +51,34 @@ impl Parties {
         self.route.get(&party).copied().unwrap_or(party)
     }
 
+    /// The peer of this link has proven who it is.
+    pub(crate) fn proven(&mut self, link: LinkId, proof: Proof) {
+        self.proof_of.insert(link, proof);
+    }
+
+    /// What the peer of a link has proven; `None` where nothing is asked for a proof.
+    pub(crate) fn proof(&self, link: LinkId) -> Option<&Proof> {
+        self.proof_of.get(&link)
+    }
+
+    fn name(&self, link: LinkId) -> Option<&Label> {
+        self.proof(link).map(|proof| &proof.name)
+    }
+
+    /// Who names this session on this link.
+    pub(crate) fn claimant(&self, link: LinkId, session: &SessionId) -> Claimant {
+        Claimant { session: session.clone(), peer: self.name(link).cloned() }
+    }
+
+    /// Whether the one who names this session on this link is this one.
+    pub(crate) fn is_claimant(&self, link: LinkId, session: &SessionId, claimant: &Claimant) -> bool {
+        claimant.session == *session && claimant.peer.as_ref() == self.name(link)
+    }
+
     /// A message of this session came on this link.
     pub(crate) fn join(&mut self, link: LinkId, session: &SessionId) -> LinkId {
-        let party = match self.of_session.get(session) {
+        let claimant = self.claimant(link, session);
+        let party = match self.of_session.get(&claimant) {
             Some(party) => *party,
             None => {
                 if self.of_session.len() >= SESSIONS_MAX {
@@ -50,7 +88,7 @@ impl Parties {
                 let taken = self.of_session.values().any(|party| *party == link);
                 self.named += u64::from(taken);
                 let party = if taken { LinkId(u64::MAX - self.named) } else { link };
-                self.of_session.insert(session.clone(), party);
+                self.of_session.insert(claimant, party);
                 party
             }
         };
@@ -64,6 +102,7 @@ impl Parties {
     pub(crate) fn link_down(&mut self, link: LinkId) {
         let party = self.party(link);
         self.of_link.remove(&link);
+        self.proof_of.remove(&link);
         self.leave(party, link);
     }
 
@@ -83,7 +122,7 @@ impl Parties {
         now: Timestamp<Robot>,
         idle: bool,
         heard: &LastHeard,
-    ) -> Option<&(SessionId, LinkId)> {
+    ) -> Option<&(Claimant, LinkId)> {
         self.owner.as_ref().filter(|(_, party)| {
             let recent = heard.last(*party).is_some_and(|at| now < at + CLAIM_SILENCE);
             !idle || (recent && self.route.contains_key(party))
@@ -91,15 +130,30 @@ impl Parties {
     }
 
     /// From now on the robot belongs to this session.
-    pub(crate) fn claim(&mut self, session: &SessionId, party: LinkId) {
-        if self.owner.as_ref().is_none_or(|(owner, _)| owner != session) {
-            self.owner = Some((session.clone(), party));
+    pub(crate) fn claim(&mut self, claimant: Claimant, party: LinkId) {
+        if self.owner.as_ref().is_none_or(|(owner, _)| *owner != claimant) {
+            self.owner = Some((claimant, party));
+            self.changes += 1;
         }
     }
 
     /// It belongs to no session any more.
     pub(crate) fn release(&mut self) {
-        self.owner = None;
+        if self.owner.take().is_some() {
+            self.changes += 1;
+        }
+    }
+
+    /// To whom the robot belongs, or belonged last.
+    #[cfg(feature = "host")]
+    pub(crate) fn last_claimant(&self) -> Option<&Claimant> {
+        self.owner.as_ref().map(|(claimant, _)| claimant)
+    }
+
+    /// A number that is another one whenever [`Parties::last_claimant`] is.
+    #[cfg(feature = "host")]
+    pub(crate) const fn changes(&self) -> u64 {
+        self.changes
     }
 
     /// The party to which the robot belongs, or belonged last.
@@ -110,16 +164,16 @@ impl Parties {
     /// How many entries it keeps about parties.
     #[cfg(test)]
     pub(crate) fn remembered(&self) -> usize {
-        self.of_link.len() + self.of_session.len() + self.route.len()
+        self.of_link.len() + self.of_session.len() + self.route.len() + self.proof_of.len()
     }
 
     fn forget_oldest(&mut self) {
-        let silent = self.of_session.iter().filter(|(session, party)| {
-            let owns = self.owner.as_ref().is_some_and(|(owner, _)| owner == *session);
+        let silent = self.of_session.iter().filter(|(claimant, party)| {
+            let owns = self.owner.as_ref().is_some_and(|(owner, _)| owner == *claimant);
             !owns && !self.route.contains_key(*party)
         });
-        let oldest = silent.min_by_key(|(_, party)| **party).map(|(session, _)| session.clone());
+        let oldest = silent.min_by_key(|(_, party)| **party).map(|(claimant, _)| claimant.clone());
         // All links stand: then the number of links bounds the sessions.
-        oldest.and_then(|session| self.of_session.remove(&session));
+        oldest.and_then(|claimant| self.of_session.remove(&claimant));
     }
 }

@@ -3,6 +3,7 @@
 mod control;
 mod driven;
 mod inquiry;
+mod permission;
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -16,8 +17,10 @@ use crate::answers::Answers;
 use crate::device::{DeviceMachine, Effect, Motion};
 use crate::hardware::{Hardware, ReadingId};
 use crate::lease::LastHeard;
+#[cfg(feature = "host")]
+use crate::parties::Claimant;
 use crate::parties::Parties;
-use control::Owner;
+use crate::role::Proof;
 
 /// One connection of a server with this robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -30,6 +33,8 @@ pub enum Input {
     Message(Message),
     /// A request with the hash of what it carries, computed where it was read: a long script takes long.
     Hashed(ControlRequest, ContentHash),
+    /// The peer of the link has proven who it is; before its messages.
+    Proven(Proof),
     /// A line that is no message. It is answered and renews no lease: noise on a line is no server.
     Undecodable(DecodeError),
     /// The link broke. Its silence counts from its last message on.
@@ -193,8 +198,14 @@ impl Robot {
     /// Takes what reached the robot at `now`, after everything that was due until then.
     pub fn handle(&mut self, now: Now, link: LinkId, input: Input, out: &mut Vec<Output>) {
         self.advance(now, out);
+        if let Input::Message(message) = &input
+            && let Some(error) = self.forbids(link, message)
+        {
+            return self.answer_forbidden(now, link, message, error, out);
+        }
         match input {
             Input::LinkDown => self.parties.link_down(link),
+            Input::Proven(proof) => self.parties.proven(link, proof),
             Input::Undecodable(error) => self.answer_undecodable(now, link, &error, out),
             Input::Message(message) => {
                 if matches!(message, Message::Inquiry(_)) {
@@ -210,6 +221,9 @@ impl Robot {
                 self.handle_message(now, link, message, out);
             }
             Input::Hashed(request, computed) => {
+                if let Some(error) = self.forbids_request(link, &request) {
+                    return tell(link, ControlResponse::refusal(now, &request, error), out);
+                }
                 self.heard_from(now, link, request.session.as_ref());
                 self.control(now, link, request, Some(computed), out);
             }
@@ -227,10 +241,23 @@ impl Robot {
     }
 
     /// What an inquiry renews is no claim: a robot whose session is over does not belong to it again by one.
-    fn release_if_over(&mut self, now: Now) {
-        if matches!(self.owner(now, None), Owner::Nobody) {
+    pub(crate) fn release_if_over(&mut self, now: Now) {
+        let idle = self.devices.iter().all(DeviceMachine::is_idle);
+        if self.parties.owner(now, idle, &self.heard).is_none() {
             self.parties.release();
         }
+    }
+
+    /// To whom the robot belongs, or belonged last, with the number of changes of this so far.
+    #[cfg(feature = "host")]
+    pub(crate) fn last_claimant(&self) -> (u64, Option<&Claimant>) {
+        (self.parties.changes(), self.parties.last_claimant())
+    }
+
+    /// Whether it belongs, or belonged last, to the party of this link.
+    #[cfg(feature = "host")]
+    pub(crate) fn is_owner(&self, link: LinkId) -> bool {
+        self.parties.last_owner() == Some(self.parties.party(link))
     }
 
     /// However many strangers speak, only their silence is forgotten, and never that of those whose commands are held.

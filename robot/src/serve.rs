@@ -1,32 +1,30 @@
 //! Messages over TCP round a robot of a host: lines of JSON, or frames of MessagePack to a peer that writes these.
 
+mod budget;
+mod connection;
+mod described;
+mod places;
+
 use std::io;
 use std::net::SocketAddr;
-use std::sync::{Arc, Mutex, PoisonError};
-use std::time::{Duration, Instant};
+use std::sync::Arc;
+use std::time::Duration;
 
-use tokio::io::{AsyncReadExt, AsyncWriteExt};
-use tokio::net::tcp::OwnedReadHalf;
 use tokio::net::{TcpListener, TcpStream};
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, watch};
-use tokio::task::JoinHandle;
-use urrcp::{Command, Decoder, Encoding, LINE_BYTES_MAX, Message, encode_as};
 
-use crate::host::{HostHandle, LinkEvent, LinkSender, RobotLink};
-use crate::robot::Input;
+pub(crate) use self::budget::Strangers;
+use self::connection::{Patience, Shared, carry};
+use self::described::Described;
+use self::places::{Places, Ticket};
+use crate::host::HostHandle;
+use crate::peer::Peer;
+#[cfg(feature = "tls")]
+use crate::refusals::Reason;
+#[cfg(feature = "tls")]
+use crate::tls::Guard;
 
-/// Connections that have a place at the same time: the robot accepts everything that arrives on them.
-const PLACES: usize = 16;
-/// Further connections: the robot accepts stops and questions for its identity on them; everything else waits for a place.
-const WAITING_MAX: usize = 8;
-/// If all of these are taken and one more arrives, a connection without a place is closed once it is this old.
-const WAITS_MIN: Duration = Duration::from_secs(1);
-/// If another connection waits for a place, one that has been silent for this long is closed: its peer may be long gone.
-const SILENCE_MAX: Duration = Duration::from_secs(30);
-/// How often it is looked for one.
-const ROOM_RETRY: Duration = Duration::from_millis(50);
-/// How long a peer may refuse to read before it is hung up on.
-const WRITE_WAIT_MAX: Duration = Duration::from_secs(10);
+/// How often a new connection asks for room again, where all others are as new.
+const ROOM_RETRY: Duration = Duration::from_millis(5);
 /// Before the next try when the system has no file descriptor left: others must close first.
 const ACCEPT_RETRY: Duration = Duration::from_millis(50);
 
@@ -35,167 +33,100 @@ const ACCEPT_RETRY: Duration = Duration::from_millis(50);
 /// # Errors
 /// When the listening socket fails.
 pub async fn serve(listener: TcpListener, host: HostHandle, robot: usize) -> io::Result<()> {
-    serve_with(listener, host, robot, SILENCE_MAX).await
+    serve_with(listener, host, robot, Patience::default(), Door::Open).await
+}
+
+/// The same for operators who prove by TLS who they are, and for nobody else.
+///
+/// # Errors
+/// As [`serve()`].
+#[cfg(feature = "tls")]
+pub async fn serve_guarded(
+    listener: TcpListener,
+    host: HostHandle,
+    robot: usize,
+    guard: Arc<Guard>,
+) -> io::Result<()> {
+    serve_with(listener, host, robot, Patience::default(), Door::Guarded(guard)).await
+}
+
+/// Who may come in.
+#[derive(Clone)]
+enum Door {
+    /// Anyone.
+    Open,
+    /// Operators of the authority.
+    #[cfg(feature = "tls")]
+    Guarded(Arc<Guard>),
 }
 
 async fn serve_with(
     listener: TcpListener,
     host: HostHandle,
     robot: usize,
-    silence_max: Duration,
+    patience: Patience,
+    door: Door,
 ) -> io::Result<()> {
-    let mut connections = Connections { all: Vec::new(), silence_max };
-    let places = Arc::new(Semaphore::new(PLACES));
+    let Some(places) = Places::new(host.clone(), robot, patience.silence) else { return Ok(()) };
+    let strangers = host.strangers();
+    let shared =
+        Shared { host: host.clone(), described: Arc::new(Described::default()), strangers, patience };
     loop {
-        let accepted = tokio::select! {
-            accepted = accept(&listener) => Some(accepted?),
-            () = tokio::time::sleep(ROOM_RETRY), if connections.one_has_no_place() => None,
+        let (stream, address) = accept(&listener).await?;
+        let peer = Peer::at(address);
+        let ticket = loop {
+            match places.admit(&peer) {
+                Some(ticket) => break ticket,
+                None => tokio::time::sleep(ROOM_RETRY).await,
+            }
         };
-        connections.tidy();
-        let Some((stream, peer)) = accepted else { continue };
-        connections.await_room().await;
-        let Some(link) = host.connect(robot) else { return Ok(()) };
-        let seen = Arc::new(Mutex::new(Seen { heard: now(), seat: Seat::None }));
-        let chair = Chair::new(Arc::clone(&places), Arc::clone(&seen));
+        if host.has_stopped() {
+            return Ok(());
+        }
+        let (shared, door) = (shared.clone(), door.clone());
         // One task a connection, so that a slow or broken peer harms only itself; ends when either side closes, or when
         // its place is needed.
-        let task = tokio::spawn(async move {
-            if let Err(error) = carry(stream, link, chair).await {
+        tokio::spawn(async move {
+            if let Err(error) = admit(stream, door, peer.clone(), robot, ticket, shared).await {
                 tracing::debug!(%peer, "connection ended: {error}");
             }
         });
-        connections.all.push(Connection { task, since: now(), seen });
     }
 }
 
-/// What is seen of a connection from outside its task.
-struct Seen {
-    /// When its peer was last heard.
-    heard: Instant,
-    seat: Seat,
-}
-
-/// Whether a connection has a place.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Seat {
-    /// It has none, and has not needed one.
-    None,
-    /// Something came that waits for one.
-    Wanted,
-    Taken,
-}
-
-/// A connection that stands.
-struct Connection {
-    task: JoinHandle<()>,
-    since: Instant,
-    seen: Arc<Mutex<Seen>>,
-}
-
-impl Connection {
-    fn seat(&self) -> Seat {
-        self.seen.lock().unwrap_or_else(PoisonError::into_inner).seat
-    }
-
-    fn silence(&self) -> Duration {
-        now().saturating_duration_since(self.seen.lock().unwrap_or_else(PoisonError::into_inner).heard)
-    }
-}
-
-#[expect(clippy::disallowed_methods, reason = "real sockets are silent in real time")]
-fn now() -> Instant {
-    Instant::now()
-}
-
-/// All that stand.
-struct Connections {
-    all: Vec<Connection>,
-    silence_max: Duration,
-}
-
-impl Connections {
-    /// It may want one at any time.
-    fn one_has_no_place(&self) -> bool {
-        self.all.iter().any(|connection| connection.seat() != Seat::Taken)
-    }
-
-    fn one_wants_a_place(&self) -> bool {
-        self.all.iter().any(|connection| connection.seat() == Seat::Wanted)
-    }
-
-    /// Forgets those that have ended. Where a place is wanted, the one that has been silent for longest gives its own up.
-    fn tidy(&mut self) {
-        self.all.retain(|connection| !connection.task.is_finished());
-        if self.one_wants_a_place() {
-            let seated = self.all.iter().filter(|connection| connection.seat() == Seat::Taken);
-            let silent = seated.max_by_key(|connection| connection.silence());
-            let silent = silent.filter(|connection| connection.silence() >= self.silence_max);
-            silent.into_iter().for_each(|connection| connection.task.abort());
+/// Carries a connection, once its peer has proven who it is where that is asked for.
+async fn admit(
+    stream: TcpStream,
+    door: Door,
+    peer: Peer,
+    robot: usize,
+    ticket: Ticket,
+    shared: Shared,
+) -> io::Result<()> {
+    stream.set_nodelay(true)?;
+    match door {
+        Door::Open => {
+            let Some(link) = shared.host.connect_as(robot, peer.clone()) else { return Ok(()) };
+            carry(stream.into_split(), peer, link, ticket, shared).await
         }
-    }
-
-    /// Waits until another connection may be served: the oldest without a place gives way.
-    async fn await_room(&mut self) {
-        while self.all.len() >= PLACES + WAITING_MAX {
-            let standing = self.all.iter().filter(|connection| connection.seat() != Seat::Taken);
-            let oldest = standing.min_by_key(|connection| connection.since);
-            let old_enough =
-                |connection: &&Connection| now().saturating_duration_since(connection.since) >= WAITS_MIN;
-            oldest.filter(old_enough).into_iter().for_each(|connection| connection.task.abort());
-            tokio::time::sleep(ROOM_RETRY).await;
-            self.tidy();
+        #[cfg(feature = "tls")]
+        Door::Guarded(guard) => {
+            let proving = tokio::time::timeout(shared.patience.first_message, guard.accept(stream));
+            let proven = tokio::select! {
+                proven = proving => proven.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into())),
+                () = ticket.hung_up() => return Ok(()),
+            };
+            let (stream, proof) = match proven {
+                Ok(proven) => proven,
+                Err(error) => {
+                    shared.host.refusals().note(Reason::NotProven, &peer);
+                    return Err(error);
+                }
+            };
+            let peer = peer.with_proof(proof);
+            let Some(link) = shared.host.connect_as(robot, peer.clone()) else { return Ok(()) };
+            carry(tokio::io::split(stream), peer, link, ticket, shared).await
         }
-    }
-}
-
-/// The place of a connection, if it has one.
-struct Chair {
-    places: Arc<Semaphore>,
-    /// Given back with the connection.
-    permit: Option<OwnedSemaphorePermit>,
-    seen: Arc<Mutex<Seen>>,
-}
-
-impl Chair {
-    fn new(places: Arc<Semaphore>, seen: Arc<Mutex<Seen>>) -> Self {
-        let permit = Arc::clone(&places).try_acquire_owned().ok();
-        let chair = Self { places, permit, seen };
-        if chair.permit.is_some() {
-            chair.note(Seat::Taken);
-        }
-        chair
-    }
-
-    fn note(&self, seat: Seat) {
-        self.seen.lock().unwrap_or_else(PoisonError::into_inner).seat = seat;
-    }
-
-    fn heard(&self) {
-        self.seen.lock().unwrap_or_else(PoisonError::into_inner).heard = now();
-    }
-
-    /// Waits for a place.
-    async fn take(&mut self) {
-        if self.permit.is_none() {
-            self.note(Seat::Wanted);
-            // The semaphore is never closed.
-            self.permit = Arc::clone(&self.places).acquire_owned().await.ok();
-            self.note(Seat::Taken);
-        }
-    }
-}
-
-/// Whether a connection without a place may send it: a stop, or a question for the robot's identity.
-fn needs_no_place(message: &Message) -> bool {
-    match message {
-        Message::InitializationRequest(_) => true,
-        // With a session it claims the robot.
-        Message::AvailabilityRequest(request) => request.session.is_none(),
-        Message::ControlRequest(request) => {
-            let stops = matches!(&request.command, Command::Script(script) if script.is_empty());
-            stops && request.starts_at().is_none()
-        }
-        _ => false,
     }
 }
 
@@ -218,70 +149,6 @@ fn is_passing(error: &io::Error) -> bool {
     use rustix::io::Errno;
     let passing = [Errno::CONNABORTED, Errno::INTR, Errno::MFILE, Errno::NFILE, Errno::NOBUFS, Errno::NOMEM];
     Errno::from_io_error(error).is_some_and(|errno| passing.contains(&errno))
-}
-
-/// Carries both ways. While the peer does not read, nothing more is read from it either.
-async fn carry(stream: TcpStream, mut link: RobotLink, chair: Chair) -> io::Result<()> {
-    stream.set_nodelay(true)?;
-    let (reader, mut writer) = stream.into_split();
-    // How the peer wrote last is how it is answered.
-    let (heard, encoding) = watch::channel(Encoding::Json);
-    let reading = read(reader, link.sender(), heard, chair);
-    tokio::pin!(reading);
-    let mut bytes = Vec::new();
-    loop {
-        tokio::select! {
-            ended = &mut reading => return ended,
-            event = link.recv() => {
-                let Some(LinkEvent::Message(message)) = event else { return Ok(()) };
-                let encoding = *encoding.borrow();
-                encode_as(encoding, &message, &mut bytes);
-                let open = encode_waiting(&mut link, encoding, &mut bytes);
-                tokio::time::timeout(WRITE_WAIT_MAX, writer.write_all(&bytes)).await??;
-                bytes.clear();
-                if !open {
-                    return Ok(());
-                }
-            }
-        }
-    }
-}
-
-/// Adds what else the robot has said already; false once the robot has closed the link.
-fn encode_waiting(link: &mut RobotLink, encoding: Encoding, bytes: &mut Vec<u8>) -> bool {
-    while bytes.len() < 64 * 1024 {
-        match link.try_recv() {
-            Some(LinkEvent::Message(message)) => encode_as(encoding, &message, bytes),
-            Some(LinkEvent::Closed) => return false,
-            None => return true,
-        }
-    }
-    true
-}
-
-async fn read(
-    mut reader: OwnedReadHalf,
-    robot: LinkSender,
-    heard: watch::Sender<Encoding>,
-    mut chair: Chair,
-) -> io::Result<()> {
-    let mut decoder = Decoder::new(LINE_BYTES_MAX);
-    let mut bytes = vec![0; 8 * 1024];
-    loop {
-        let n = reader.read(&mut bytes).await?;
-        if n == 0 {
-            return Ok(());
-        }
-        chair.heard();
-        decoder.push(&bytes[..n]);
-        while let Some(decoded) = decoder.next_message() {
-            heard.send_replace(decoder.encoding());
-            if !decoded.as_ref().is_ok_and(needs_no_place) {
-                chair.take().await;
-            }
-            robot.send(decoded.map_or_else(Input::Undecodable, Input::read)).await;
-        }
-    }
 }
 
 #[cfg(test)]

@@ -242,6 +242,13 @@ impl SimulatedRobot {
         std::mem::take(&mut self.log)
     }
 
+    /// Looks whether the session to which the robot belonged is over.
+    #[cfg(feature = "host")]
+    pub(crate) fn look(&mut self, now: Timestamp<True>) {
+        let at = self.robot_from_true(now);
+        self.robot.release_if_over(at);
+    }
+
     #[cfg(feature = "host")]
     pub(crate) const fn has_log(&self) -> bool {
         !self.log.is_empty()

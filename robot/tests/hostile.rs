@@ -19,6 +19,7 @@ const ARM: &str = r#""name": "arm", "available_control_types": {
     "position": {"min_value": 0, "max_value": 90, "granularity": 1},
     "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 4}}"#;
 const ASK: &[u8] = b"{\"availability_request\": {}}\n";
+const CLAIM: &[u8] = b"{\"availability_request\": {\"session\": \"hostile\"}}\n";
 /// The longest wait for an answer, however busy the machine is.
 const PATIENCE: Duration = Duration::from_secs(60);
 const MIB: usize = 1024 * 1024;
@@ -54,8 +55,13 @@ impl Stage {
         stage
     }
 
+    /// One that has claimed the robot, so that its lines may be long.
     async fn hostile(&self) -> Peer {
-        Peer::connected(self.addresses[0]).await
+        let mut peer = Peer::connected(self.addresses[0]).await;
+        peer.write(CLAIM).await;
+        let Message::AvailabilityResponse(response) = peer.read().await else { panic!() };
+        assert_eq!(response.status, Status::Ok);
+        peer
     }
 
     async fn others_notice_nothing(&mut self) {
@@ -175,7 +181,7 @@ async fn lines_that_are_no_message_are_refused_and_the_link_goes_on() {
 #[tokio::test]
 async fn what_is_strange_and_no_error_is_taken() {
     let mut stage = Stage::set().await;
-    let mut peer = stage.hostile().await;
+    let mut peer = Peer::connected(stage.addresses[0]).await;
     let deep = format!("{}{}", "[".repeat(100_000), "]".repeat(100_000));
     for inner in [
         r#""control_value":-0"#.to_owned(),

@@ -6,11 +6,13 @@
 use std::error::Error;
 use std::path::Path;
 
-use downbeat::fleet;
+use downbeat::fleet::{self, StartPrograms};
+use downbeat::link::Site;
 use downbeat::mission::{Mission, MissionOptions, Rest};
 use downbeat::report::{Report, report_text};
 use downbeat::run::{Operator, run};
 use downbeat::server_clock::ServerClock;
+use downbeat::session::{Session, SessionKey};
 use downbeat_robot::HostOptions;
 use downbeat_scripts::{Folder, Source, compile, read_fleet, render};
 use tokio::sync::mpsc;
@@ -25,17 +27,20 @@ pub async fn play(
     let (fleet, findings) = read_fleet(fleet);
     let fleet = fleet.ok_or_else(|| render(&findings, false))?;
     let source = Source::read(scenario).map_err(|finding| render(&[finding], false))?;
-    let folder = Folder(scenario.parent().unwrap_or(Path::new("")).to_owned());
+    let folder = Folder::new(scenario.parent().unwrap_or(Path::new("")).to_owned());
     let compiled = compile(&source, &fleet, &folder);
     let choreography = compiled.choreography.ok_or_else(|| render(&compiled.findings, false))?;
 
     // The system's clock is taken as it is; `server_clock::ask_ntp` tells how far it is off.
     let clock = ServerClock::anchored(Span::ZERO);
     let mut options = MissionOptions::default();
-    options.session = Some("example".parse()?);
+    // Robots are told a name with a random key, so that nobody else can drive them.
+    options.session = Some(Session::with_key("example".parse()?, &SessionKey::random()?)?);
     let robots = fleet::robots_in(&fleet, &choreography);
     // Simulated robots and drivers run in this process, on the host.
-    let (host, endpoints) = fleet::endpoints(&robots, fleet.handshake, HostOptions::default())?;
+    let (site, options_of_host) = (Site::of(&fleet, None)?, HostOptions::default());
+    let (host, endpoints) =
+        fleet::endpoints(&robots, fleet.handshake, &site, options_of_host, StartPrograms::Yes)?;
     let mission = Mission::new(choreography, fleet::participants(&robots), options, clock.now())?;
     let report = run(mission, endpoints, clock, operator, |_, _| {}).await;
     drop(host);

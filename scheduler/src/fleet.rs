@@ -1,12 +1,12 @@
 //! From the fleet file to robots that can be talked to.
 
-use downbeat_robot::driver::{DriverError, DriverOptions, DriverSpec};
+use downbeat_robot::driver::{Driver, DriverError, DriverOptions, DriverSpec};
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostError, HostOptions, Hosted};
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, Wait};
-use urrcp::{Encoding, RobotId, Span};
+use urrcp::{DeviceId, Encoding, RobotId, Setpoint, Span};
 
-use crate::link::{Endpoint, LinkEncoding};
+use crate::link::{Endpoint, LinkEncoding, Security, Site};
 use crate::mission::{Greeting, Participant};
 
 /// A robot cannot be simulated.
@@ -32,6 +32,9 @@ pub enum EndpointError {
         /// Why not.
         error: DriverError,
     },
+    /// The operator's identity cannot be used.
+    #[error("{0}")]
+    Identity(String),
     /// The host of all of them cannot start.
     #[error(transparent)]
     Host(#[from] HostError),
@@ -152,8 +155,45 @@ fn settings(robot: &FleetRobot, seed: u64) -> Settings {
 /// How long the hardware of all robots in this process may take to be found before the mission begins without it.
 const HARDWARE_WAIT: std::time::Duration = std::time::Duration::from_secs(10);
 
+/// Whether the programs are started that the fleet file names as drivers.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum StartPrograms {
+    /// They are: the operator has said so, or plays a mission.
+    Yes,
+    /// Their robots are not available. A command that only looks executes nothing that a file names.
+    No,
+}
+
+/// In place of a program that is not started.
+struct NotStarted;
+
+impl NotStarted {
+    fn refused<T>() -> Result<T, DriverError> {
+        let reason = "its program is not started without --start-programs";
+        Err(DriverError::Away(reason.to_owned()))
+    }
+}
+
+impl Driver for NotStarted {
+    fn connect(&mut self) -> Result<(), DriverError> {
+        Self::refused()
+    }
+
+    fn set(&mut self, _device: &DeviceId, _setpoint: &Setpoint) -> Result<(), DriverError> {
+        Self::refused()
+    }
+
+    fn read(&mut self, _sensor: &DeviceId) -> Result<f64, DriverError> {
+        Self::refused()
+    }
+
+    fn ping(&mut self) -> Result<(), DriverError> {
+        Self::refused()
+    }
+}
+
 /// What runs in this process for a robot: a simulated one, or an edge with a driver; nothing for one that listens itself.
-fn hosted(robot: &FleetRobot, seed: u64) -> Result<Option<Hosted>, EndpointError> {
+fn hosted(robot: &FleetRobot, seed: u64, programs: StartPrograms) -> Result<Option<Hosted>, EndpointError> {
     let spec = match &robot.address {
         Address::Tcp { .. } => return Ok(None),
         Address::Simulated => return Ok(Some(simulated(robot, seed)?.into())),
@@ -162,20 +202,25 @@ fn hosted(robot: &FleetRobot, seed: u64) -> Result<Option<Hosted>, EndpointError
     };
     let block = robot.init.clone().ok_or_else(|| NoInit { robot: robot.id.clone() })?;
     let refused = |error| EndpointError::Driver { robot: robot.id.clone(), error };
-    let driver = spec.driver(&block).map_err(refused)?;
+    let driver = match (&spec, programs) {
+        (DriverSpec::Program { .. }, StartPrograms::No) => Box::new(NotStarted),
+        _ => spec.driver(&block).map_err(refused)?,
+    };
     Ok(Some(Hosted::driven(block, driver, DriverOptions::default())))
 }
 
-/// Where each robot is reached; all but those with `address: tcp://` are started in this process.
+/// Where each robot is reached; all but those with `address: tcp://` or `tls://` are started in this process.
 ///
 /// # Errors
 /// [`EndpointError`] for a robot that cannot be simulated or driven, or when the host cannot start.
 pub fn endpoints(
     robots: &[&FleetRobot],
     handshake: Handshake,
+    site: &Site,
     options: HostOptions,
+    programs: StartPrograms,
 ) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
-    let (host, endpoints) = endpoints_at_once(robots, handshake, options)?;
+    let (host, endpoints) = endpoints_at_once(robots, handshake, site, options, programs)?;
     if let Some(host) = &host {
         host.await_hardware(HARDWARE_WAIT);
     }
@@ -189,21 +234,25 @@ pub fn endpoints(
 pub fn endpoints_at_once(
     robots: &[&FleetRobot],
     handshake: Handshake,
+    site: &Site,
     options: HostOptions,
+    programs: StartPrograms,
 ) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
     let mut machines: Vec<Hosted> = Vec::new();
     // The index in the host of those that run there.
     let mut places = Vec::new();
     for robot in robots {
-        let hosted = hosted(robot, machines.len() as u64)?;
+        let hosted = hosted(robot, machines.len() as u64, programs)?;
         places.push(hosted.is_some().then_some(machines.len()));
         machines.extend(hosted);
     }
     let host = if machines.is_empty() { None } else { Some(Host::start(machines, options)?) };
     let endpoint = |(robot, place): (&&FleetRobot, Option<usize>)| match (&robot.address, place, &host) {
-        (Address::Tcp { host, port }, ..) => {
+        (Address::Tcp { host, port, tls }, ..) => {
             let encoding = encoding(robot, handshake);
-            Some(Endpoint::Tcp { host: host.clone(), port: *port, encoding })
+            let own_id = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
+            let security = if *tls { site.with(own_id) } else { Security::Plain };
+            Some(Endpoint::Tcp { host: host.clone(), port: *port, encoding, security })
         }
         (_, Some(index), Some(host)) => Some(Endpoint::InProcess { host: host.handle(), index }),
         _ => None,

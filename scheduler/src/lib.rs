@@ -32,6 +32,7 @@
 //! | [`measured`] | the network and the clocks of a mission that was recorded, as a world file |
 //! | [`dry_run`], [`simulation`] | the same in virtual time, and under random faults |
 //! | [`conformance`] | whether a robot does what the protocol demands |
+//! | [`session`] | on whose behalf robots are driven |
 //! | [`clock`], [`open_files`] | how far a robot's clock is off; room for many sockets |
 
 pub mod certificate;
@@ -43,6 +44,7 @@ pub mod drive;
 pub mod dry_run;
 pub mod fleet;
 pub mod journal;
+pub mod keys;
 pub mod link;
 pub mod measured;
 pub mod mission;
@@ -53,6 +55,7 @@ pub mod report;
 pub mod requirements;
 pub mod run;
 pub mod server_clock;
+pub mod session;
 mod signals;
 pub mod simulation;
 pub mod stop_lane;

@@ -13,7 +13,7 @@ fn compiled(fleet: &Path, scenario: &Path) -> Result<Choreography, String> {
     let fleet = fleet.ok_or_else(|| render(&findings, false))?;
     let source = Source::read(scenario).map_err(|finding| render(&[finding], false))?;
     // Files that the scenario names are looked for in its folder.
-    let folder = Folder(scenario.parent().unwrap_or(Path::new("")).to_owned());
+    let folder = Folder::new(scenario.parent().unwrap_or(Path::new("")).to_owned());
     let compiled = compile(&source, &fleet, &folder);
     compiled.choreography.ok_or_else(|| render(&compiled.findings, false))
 }

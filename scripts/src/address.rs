@@ -9,12 +9,14 @@ use std::str::FromStr;
 pub enum Address {
     /// `sim`: simulated in the same process.
     Simulated,
-    /// `tcp://host:port`.
+    /// `tls://host:port`, or `tcp://host:port` without encryption.
     Tcp {
         /// Host name or address.
         host: String,
         /// Port.
         port: u16,
+        /// Whether both sides prove who they are, and nobody else can read along.
+        tls: bool,
     },
     /// `thrift://host:port`: a robot that speaks the early Thrift form, driven from this process.
     Thrift {
@@ -34,7 +36,8 @@ impl fmt::Display for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Simulated => f.write_str("sim"),
-            Self::Tcp { host, port } => write!(f, "tcp://{host}:{port}"),
+            Self::Tcp { host, port, tls: false } => write!(f, "tcp://{host}:{port}"),
+            Self::Tcp { host, port, tls: true } => write!(f, "tls://{host}:{port}"),
             Self::Thrift { host, port } => write!(f, "thrift://{host}:{port}"),
             Self::Program { command } => write!(f, "program:{command}"),
         }
@@ -58,9 +61,26 @@ enum ReachedHost {
 impl Address {
     /// The places to which it leads, as far as that is known without DNS: none where nothing listens.
     pub(crate) fn places(&self) -> Vec<Reached> {
-        let (Self::Tcp { host, port } | Self::Thrift { host, port }) = self else { return Vec::new() };
+        let (Self::Tcp { host, port, .. } | Self::Thrift { host, port }) = self else { return Vec::new() };
         let place = |host| Reached { host, port: *port };
         hosts(host).into_iter().map(place).collect()
+    }
+}
+
+impl Address {
+    /// Whether commands to it cross a network where others can read and send them: plain TCP to anything but this machine.
+    #[must_use]
+    pub fn is_open(&self) -> bool {
+        matches!(self, Self::Tcp { tls: false, .. }) && self.is_beyond()
+    }
+
+    /// Whether it leads, or may lead, to another machine.
+    fn is_beyond(&self) -> bool {
+        let is_here = |place: &ReachedHost| matches!(place, ReachedHost::Ip(ip) if ip.is_loopback());
+        match self {
+            Self::Tcp { host, .. } => !hosts(host).iter().all(is_here),
+            _ => false,
+        }
     }
 }
 
@@ -86,7 +106,8 @@ fn hosts(host: &str) -> Vec<ReachedHost> {
 pub struct NoAddress;
 
 /// What an address looks like.
-pub(crate) const ADDRESS: &str = "`sim`, tcp://host:port, thrift://host:port or program:COMMAND";
+pub(crate) const ADDRESS: &str =
+    "`sim`, tls://host:port, tcp://host:port, thrift://host:port or program:COMMAND";
 
 impl fmt::Display for NoAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -106,7 +127,7 @@ pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
     let place = rest.trim_end_matches('/');
     let port = place.rsplit_once(':').map(|(_, port)| port);
     let has_port = port.is_some_and(|port| port.parse::<u16>().is_ok_and(|port| port > 0));
-    let known = scheme.filter(|scheme| ["tcp", "thrift"].contains(scheme));
+    let known = scheme.filter(|scheme| ["tcp", "tls", "thrift"].contains(scheme));
     match (known, port) {
         (Some(_), Some(port)) if !has_port && port.bytes().all(|byte| byte.is_ascii_digit()) => {
             ("has no valid port", Some("a port is a number from 1 to 65535".to_owned()))
@@ -116,7 +137,12 @@ pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
             let hint = format!("add the port on which the robot listens, as in `{scheme}://{host}:7401`");
             ("has no port", Some(hint))
         }
-        (None, _) if has_port => ("does not begin with `tcp://`", Some(format!("write `tcp://{place}`"))),
+        (None, _) if has_port => {
+            let tls = format!("tls://{place}");
+            let here = tls.parse().is_ok_and(|address: Address| !address.is_beyond());
+            let write = if here { format!("write `tcp://{place}`") } else { format!("write `{tls}`") };
+            ("does not begin with `tls://` or `tcp://`", Some(write))
+        }
         _ => ("is not an address", None),
     }
 }
@@ -145,7 +171,8 @@ impl Address {
         let host = host.trim_start_matches('[').trim_end_matches(']').to_owned();
         match scheme {
             _ if host.is_empty() => None,
-            "tcp" => Some(Self::Tcp { host, port }),
+            "tcp" => Some(Self::Tcp { host, port, tls: false }),
+            "tls" => Some(Self::Tcp { host, port, tls: true }),
             "thrift" => Some(Self::Thrift { host, port }),
             _ => None,
         }

@@ -6,7 +6,9 @@ use std::cell::Cell;
 use crate::budget::{Budget, COMPARISONS_MAX, FINDINGS_MAX, KNOTS_MAX, longest};
 use crate::duration;
 use crate::exact::{Exact, Laps};
-use crate::finding::{Code, Part, Pending, Place, Severity, did_you_mean_this, names, nearest, one_of};
+use crate::finding::{
+    Code, Finding, Part, Pending, Place, Severity, did_you_mean_this, names, nearest, one_of,
+};
 use crate::music::Music;
 use crate::node::{Node, shortened};
 use crate::scenario::Unset;
@@ -132,6 +134,12 @@ impl Reader {
         (told.count, told.last) = (told.count + 1, self.found.len());
         let (message, expected) = (message.into(), expected.into());
         self.found.push(Pending { code, place, message, expected, hint, related: Vec::new() });
+    }
+
+    /// A finding about a file, at the place at which the file is named.
+    pub(crate) fn add_named(&mut self, place: Place, about: Finding) {
+        let Finding { code, message, expected, hint, .. } = about;
+        self.add(code, place, message, expected, hint);
     }
 
     /// A finding that several places make together, each with what it says; the first one is where the finding stands.

@@ -3,6 +3,7 @@
 use std::path::PathBuf;
 
 use crate::finding::Finding;
+use crate::project::Project;
 use crate::source::Source;
 
 /// Finds files by the names that are in a scenario.
@@ -14,13 +15,31 @@ pub trait Files {
     fn read(&self, name: &str) -> Result<Source, Finding>;
 }
 
-/// Files of a folder: names count from there.
-#[derive(Clone, Debug, Default)]
-pub struct Folder(pub PathBuf);
+/// Files of a folder: names count from there, and lead to files of one project.
+#[derive(Clone, Debug)]
+pub struct Folder {
+    path: PathBuf,
+    project: Project,
+}
+
+impl Folder {
+    /// A folder, with the project that is found for it ([`Project::of_folder`]).
+    #[must_use]
+    pub fn new(path: PathBuf) -> Self {
+        let project = Project::of_folder(&path);
+        Self { path, project }
+    }
+
+    /// A folder in a project.
+    #[must_use]
+    pub const fn within(path: PathBuf, project: Project) -> Self {
+        Self { path, project }
+    }
+}
 
 impl Files for Folder {
     fn read(&self, name: &str) -> Result<Source, Finding> {
-        Source::read(&self.0.join(name))
+        self.project.read(&self.path.join(name))
     }
 }
 

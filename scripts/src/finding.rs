@@ -105,6 +105,8 @@ codes! {
     BodyTooFast = "DB0054", Error, "a body faster than allowed";
     PlaceUnknown = "DB0055", Warning, "a body whose place is not known";
     Unmet = "DB0056", Warning, "a requirement that is not met";
+    OutsideProject = "DB0057", Error, "a file outside the project";
+    OpenNetwork = "DB0058", Error, "a robot that anyone on the network can move";
     ImportTable = "DB0060", Error, "a table that does not match its format";
     ImportNumber = "DB0061", Error, "an imported value is not a finite number";
     ImportTime = "DB0062", Error, "imported times that do not go forward";
@@ -186,7 +188,7 @@ impl Finding {
     /// Whether a file itself is at fault, not what is written in it: it cannot be read or written, or is in the way.
     #[must_use]
     pub fn is_about_access(&self) -> bool {
-        matches!(self.code, Code::Unreadable | Code::Include | Code::FileExists)
+        matches!(self.code, Code::Unreadable | Code::Include | Code::OutsideProject | Code::FileExists)
     }
 
     pub(crate) fn about_file(

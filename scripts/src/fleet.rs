@@ -13,6 +13,7 @@ use crate::init::{Init, read_supplements};
 use crate::keys::keys;
 use crate::locate::locate;
 use crate::node::{self, Node};
+use crate::project::{Project, folder_of};
 use crate::source::Source;
 use crate::space::{Body, Space};
 use crate::tags::foreign_tags;
@@ -25,7 +26,8 @@ mod urdf;
 
 pub use mission_settings::{ClockMode, MissionSettings, Requirement};
 
-const FLEET_KEYS: [&str; 5] = ["ntp", "handshake", "space", "robots", "groups"];
+const FLEET_KEYS: [&str; 8] =
+    ["ntp", "handshake", "identity", "revoked", "insecure", "space", "robots", "groups"];
 const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
 const SIMULATE_KEYS: [&str; 7] =
     ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault", "readings"];
@@ -47,6 +49,10 @@ pub struct Fleet {
     pub ntp: Option<String>,
     /// Whether robots are asked for their identity.
     pub handshake: Handshake,
+    /// The operator's key and certificate, for robots with `tls://` addresses.
+    pub identity: Option<PathBuf>,
+    /// The list of revoked certificates.
+    pub revoked: Option<PathBuf>,
     /// What has to hold in the space that all robots share.
     pub space: Space,
     /// In the order of the file.
@@ -174,11 +180,31 @@ pub enum Fault {
     Disconnect,
 }
 
-/// Reads a fleet file and the initialization blocks that it names. All findings of all files come together; the fleet is
-/// there only without errors.
+/// Reads a fleet file that the user has named, and the initialization blocks that it names in its project ([`Project::of`]).
+/// All findings of all files come together; the fleet is there only without errors.
 #[must_use]
 pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
-    let source = match Source::read(path) {
+    read_fleet_within(path, &Project::of(path))
+}
+
+/// The same with files of this project.
+#[must_use]
+pub fn read_fleet_within(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
+    of_source(path, Source::read(path), project)
+}
+
+/// The same for a fleet file that a scenario names, which has to be in the project, too.
+#[must_use]
+pub fn read_fleet_named(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
+    of_source(path, project.read(path), project)
+}
+
+fn of_source(
+    path: &Path,
+    source: Result<Source, Finding>,
+    project: &Project,
+) -> (Option<Fleet>, Vec<Finding>) {
+    let source = match source {
         Ok(source) => source,
         Err(mut finding) => {
             // A name that is only misspelt has its hint.
@@ -200,9 +226,10 @@ pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
         return (None, tags);
     }
     let mut reader = FleetReader {
-        folder: path.parent().map(Path::to_path_buf).unwrap_or_default(),
+        folder: folder_of(path).to_path_buf(),
+        project,
         inits: HashMap::new(),
-        urdfs: urdf::Urdfs::new(path.parent().unwrap_or(Path::new(""))),
+        urdfs: urdf::Urdfs::new(folder_of(path), project.clone()),
         findings: Reader::default(),
         elsewhere: Vec::new(),
     };
@@ -213,8 +240,9 @@ pub fn read_fleet(path: &Path) -> (Option<Fleet>, Vec<Finding>) {
     (fleet.filter(|_| findings.is_empty()), findings)
 }
 
-struct FleetReader {
+struct FleetReader<'a> {
     folder: PathBuf,
+    project: &'a Project,
     /// Descriptions read so far, by path: many robots share one.
     inits: HashMap<PathBuf, Option<Init>>,
     /// Descriptions of arms.
@@ -224,9 +252,9 @@ struct FleetReader {
     elsewhere: Vec<Finding>,
 }
 
-impl FleetReader {
+impl FleetReader<'_> {
     fn fleet(&mut self, at: &At<'_>) -> Option<Fleet> {
-        let [ntp, handshake, space, robots, groups] =
+        let [ntp, handshake, identity, revoked, insecure, space, robots, groups] =
             self.findings.map(at, "the fleet file", FLEET_KEYS, &["robots"])?;
         let mut fleet = Fleet::default();
         if let Some(ntp) = ntp.filter(|at| *at.node != Node::Null) {
@@ -235,11 +263,22 @@ impl FleetReader {
         if let Some(handshake) = handshake {
             fleet.handshake = self.findings.word(&handshake, &HANDSHAKE_WORDS).unwrap_or_default();
         }
+        let mut file = |at: Option<At<'_>>, expected| {
+            at.and_then(|at| self.findings.text(&at, expected)).map(|path| self.folder.join(path.as_ref()))
+        };
+        fleet.identity =
+            file(identity, "the path of an identity file, which `downbeat keys operator` writes");
+        fleet.revoked =
+            file(revoked, "the path of a list of revoked certificates, which `downbeat keys` writes");
+        let insecure = insecure.and_then(|at| self.findings.truth(&at)).unwrap_or(false);
         fleet.space = space.map(|at| body::read_space(&mut self.findings, &at)).unwrap_or_default();
         let robots = robots?;
         for (name, at) in self.findings.entries(&robots, "robot id to its address and init file") {
             let robot = self.robot(name, &at, fleet.handshake);
             fleet.robots.extend(robot);
+        }
+        if !insecure {
+            none_open(&mut self.findings, &robots, &fleet.robots);
         }
         one_place_each(&mut self.findings, &robots, &fleet.robots);
         if fleet.robots.is_empty() && matches!(robots.node, Node::Map(entries) if entries.is_empty()) {
@@ -357,8 +396,12 @@ impl FleetReader {
     }
 
     fn read_init(&mut self, at: &At<'_>, path: &Path) -> Option<Init> {
-        match Source::read(path) {
+        match self.project.read(path) {
             Ok(source) => Init::read(source).map_err(|findings| self.elsewhere.extend(findings)).ok(),
+            Err(finding) if finding.code == Code::OutsideProject => {
+                self.findings.add_named(at.place(), finding);
+                None
+            }
             Err(finding) => {
                 let message = format!("cannot read the init file `{}`: {}", path.display(), finding.message);
                 let hint = finding.hint.filter(|hint| !hint.starts_with("name a "));
@@ -445,6 +488,22 @@ pub(crate) fn sensor(
         findings.add(Code::UnknownSensor, at.key_place(), message, expected, hint);
     }
     found
+}
+
+/// Anyone who can send a message to such a robot can move it.
+fn none_open(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
+    for robot in fleet.iter().filter(|robot| robot.address.is_open()) {
+        findings.add(
+            Code::OpenNetwork,
+            robots.place().of_key(robot.id.as_str()).of_key("address"),
+            format!(
+                "`{}` would be moved over plain TCP, where anyone on the network can move it too",
+                robot.id
+            ),
+            "a `tls://` address, for which `downbeat keys` makes the certificates",
+            Some("in a network of its own, write `insecure: true` at the top of the fleet file".into()),
+        );
+    }
 }
 
 /// Robots that are reached at one place, or call themselves by one id, cannot be told from each other.

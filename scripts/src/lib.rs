@@ -37,7 +37,9 @@ mod locate;
 mod motion;
 mod music;
 mod node;
+mod open;
 mod plan;
+mod project;
 mod refill;
 mod refusal;
 mod rehearse;
@@ -66,18 +68,20 @@ pub use files::{Files, Folder, NoFiles};
 pub use finding::{Code, Finding, Related, Severity};
 pub use fleet::{
     ClockMode, Fault, Fleet, FleetRobot, Handshake, MissionSettings, RateLimits, Requirement,
-    SimulationSettings, read_fleet,
+    SimulationSettings, read_fleet, read_fleet_named, read_fleet_within,
 };
 pub use init::{init_of, init_text, read_init};
+pub use open::open;
 pub use plan::{
     Act, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, Floor, OnDoubt, OnFailure, Plan,
     PlannedCue, PlannedReading, Requirements, RobotPlan, SensorRange, Share, Wait, Way,
 };
+pub use project::Project;
 pub use refill::{Freed, Refill, RefillKind, refills, refills_behind, refills_of_robots, tightest_refill};
 pub use refusal::{Attempt, Refusal};
 pub use render::render;
 pub use sarif::sarif;
-pub use scenario::{fleet_named_by, parse_time};
+pub use scenario::{fleet_named_by, parse_time, place_at_fleet};
 pub use schema::{Schema, schema};
 pub use source::Source;
 pub use space::{

@@ -1,11 +1,12 @@
 //! Files as they are read: bounded in size, UTF-8.
 
 use std::fs::File;
-use std::io::{ErrorKind, Read};
+use std::io::{self, ErrorKind, Read};
 use std::path::Path;
 
 use crate::finding::{Code, Finding, did_you_mean};
 use crate::identify;
+use crate::open::open;
 use crate::refusal::{Attempt, Refusal};
 
 /// Largest file that is read, in bytes: 64 MiB.
@@ -26,7 +27,7 @@ pub struct Source {
 }
 
 impl Source {
-    /// Reads a file of at most 64 MiB.
+    /// Reads a file of at most 64 MiB that the user has named: a regular file, or a pipe of the user's shell.
     ///
     /// # Errors
     /// A finding when it cannot be read, is larger, or is not UTF-8 text.
@@ -92,39 +93,44 @@ fn similar(path: &Path) -> Option<String> {
     }
 }
 
-/// The bytes of a file of at most 64 MiB, or a finding when it cannot be read or is larger.
+/// The bytes of a file of at most 64 MiB that the user has named, or a finding when it cannot be read or is larger.
 pub(crate) fn read_bytes(path: &Path) -> Result<Vec<u8>, Finding> {
-    let name = path.display().to_string();
-    let unreadable = |message: String, hint: Option<&str>| {
-        let hint = hint.map(str::to_owned);
-        Finding::about_file(Code::Unreadable, &name, message, "a readable file", hint)
-    };
-    let refused = |error: &std::io::Error| {
-        let Refusal { reason, remedy } = Refusal::of(Attempt::Read(path), error);
-        let hint = remedy.or_else(|| similar(path).filter(|_| error.kind() == ErrorKind::NotFound));
-        unreadable(reason, hint.as_deref())
-    };
-    let file = File::open(path).map_err(|error| refused(&error))?;
-    let metadata = file.metadata().map_err(|error| refused(&error))?;
-    if metadata.is_dir() {
-        return Err(unreadable("this is a folder, not a file".into(), Some("name a file in it")));
-    }
-    let size = metadata.len();
+    bytes_of(path, open(path).map_err(|error| refused(path, &error))?)
+}
+
+/// The bytes of a file of at most 64 MiB. `path` is for messages.
+pub(crate) fn bytes_of(path: &Path, file: File) -> Result<Vec<u8>, Finding> {
+    let refused = |error| refused(path, &error);
+    let size = file.metadata().map_err(refused)?.len();
     let too_large = |size: u64| {
         let message = format!("the file has {size} bytes, the limit is {FILE_BYTES_MAX}");
-        unreadable(message, Some("split it into several files"))
+        unreadable(path, message, Some("split it into several files".to_owned()))
     };
     if size > FILE_BYTES_MAX {
         return Err(too_large(size));
     }
     let mut bytes = Vec::new();
     // A pipe has no size to ask for beforehand.
-    let read = file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes);
-    read.map_err(|error| refused(&error))?;
+    file.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes).map_err(refused)?;
     if bytes.len() as u64 > FILE_BYTES_MAX {
         return Err(too_large(bytes.len() as u64));
     }
     Ok(bytes)
+}
+
+/// The finding for a file that cannot be opened or read.
+pub(crate) fn refused(path: &Path, error: &io::Error) -> Finding {
+    if error.kind() == ErrorKind::IsADirectory {
+        let hint = Some("name a file in it".to_owned());
+        return unreadable(path, "this is a folder, not a file".to_owned(), hint);
+    }
+    let Refusal { reason, remedy } = Refusal::of(Attempt::Read(path), error);
+    let hint = remedy.or_else(|| similar(path).filter(|_| error.kind() == ErrorKind::NotFound));
+    unreadable(path, reason, hint)
+}
+
+fn unreadable(path: &Path, message: String, hint: Option<String>) -> Finding {
+    Finding::about_file(Code::Unreadable, &path.display().to_string(), message, "a readable file", hint)
 }
 
 #[cfg(test)]

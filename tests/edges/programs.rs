@@ -8,7 +8,7 @@ use rustix::process::Signal;
 use super::processes::Edge;
 use super::{LEAD, SCENARIO, await_that, session};
 use crate::robots::signal;
-use crate::session::{Session, root};
+use crate::session::{Ran, Session, root};
 
 pub const DRIVE: &str = include_str!("../drivers/drive.sh");
 
@@ -41,7 +41,7 @@ fn a_shell_script_drives_a_robot_and_is_restarted_when_it_dies() {
 }
 
 #[test]
-fn a_program_that_a_killed_scheduler_drove_is_stopped_from_another_folder() {
+fn a_program_that_a_killed_scheduler_drove_is_started_by_no_stop_and_by_the_resume_after_it() {
     let session = session();
     session
         .file("drive.sh", DRIVE)
@@ -54,8 +54,25 @@ fn a_program_that_a_killed_scheduler_drove_is_stopped_from_another_folder() {
     running.kill().unwrap();
     running.wait().unwrap();
     let elsewhere = tempfile::TempDir::new().unwrap();
-    let stopped = session.command(&["stop"]).current_dir(elsewhere.path()).output().unwrap();
-    crate::session::Ran(stopped).says(0, &["tank-1: default state confirmed"]);
+    let there = |args: &[&str]| Ran(session.command(args).current_dir(elsewhere.path()).output().unwrap());
+    let before = driven();
+    there(&["stop"])
+        .says(4, &["tank-1: stop NOT confirmed; a program drove it, and a stop starts no program"]);
+    assert_eq!(driven(), before, "the stop started it");
+    // Another program than before is started only if the operator names the file.
+    let fleet = std::fs::read_to_string(session.path("fleet.yaml")).unwrap();
+    session.file("fleet.yaml", fleet.replace("sh drive.sh", "touch other; sh drive.sh"));
+    let not_started = ["no program is started: ", "says another program for robot `tank-1`", "--fleet "];
+    there(&["resume"]).says(4, &not_started);
+    assert_eq!(driven(), before, "the resume started it");
+    session.file("fleet.yaml", fleet);
+    if rustix::process::geteuid().is_root() {
+        std::os::unix::fs::chown(session.path("fleet.yaml"), Some(65_534), None).unwrap();
+        there(&["resume"]).says(4, &["says which programs to start, and is not yours alone"]);
+        assert_eq!(driven(), before, "the resume started it");
+    }
+    let named = session.path("fleet.yaml");
+    there(&["resume", "--fleet", named.to_str().unwrap()]).says(0, &["tank-1: default state confirmed"]);
     let after = driven().split_once("set left position -20\n").unwrap().1.to_owned();
     assert!(after.contains("set left position 0\n"), "{after}");
 }

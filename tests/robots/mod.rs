@@ -4,6 +4,7 @@
 pub mod busy;
 pub mod play;
 mod proxy;
+pub mod raw;
 
 use std::fmt;
 use std::io::{BufRead, BufReader, Read};

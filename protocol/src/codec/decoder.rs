@@ -28,6 +28,15 @@ pub struct Decoder {
     encoding: Encoding,
 }
 
+/// What is buffered of the message that is read next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Front {
+    /// Its length in bytes as far as it is known: a frame says its own at once, a line when its end has come.
+    pub bytes: usize,
+    /// Whether all of it has come.
+    pub whole: bool,
+}
+
 /// What stood at the front: nothing, where it was an empty line or the rest of an overlong one.
 type Found = Option<Result<Message, DecodeError>>;
 
@@ -87,6 +96,36 @@ impl Decoder {
             self.buffer.reserve_exact(grown - self.buffer.len());
         }
         self.buffer.extend_from_slice(bytes);
+    }
+
+    /// The limit from now on, in bytes of a line or payload. What is buffered stays.
+    pub const fn set_limit(&mut self, limit: usize) {
+        self.limit = limit;
+    }
+
+    /// What is buffered of the next message, empty lines included, without reading it; `None` where nothing is, or only the
+    /// rest of an overlong message. The reader of a message that takes long to read can choose where to do so.
+    pub fn front(&mut self) -> Option<Front> {
+        let unread = self.buffer.get(self.read..).filter(|unread| !unread.is_empty())?;
+        match (self.skipping, unread.first()?) {
+            (Skipping::Nothing, &frame::MARK) => {
+                let bytes = frame::length(unread)?.saturating_add(frame::HEAD_BYTES);
+                Some(Front { bytes, whole: unread.len() >= bytes })
+            }
+            (Skipping::Nothing, _) => {
+                let newline = memchr::memchr(line::END, &self.buffer[self.searched..]);
+                let end = newline.map(|at| self.searched + at + 1);
+                self.searched = end.map_or(self.buffer.len(), |end| end - 1);
+                Some(Front { bytes: end.unwrap_or(self.buffer.len()) - self.read, whole: end.is_some() })
+            }
+            (Skipping::Line | Skipping::Frame(_), _) => None,
+        }
+    }
+
+    /// Whether the rest of an overlong message is still to be dropped.
+    #[must_use]
+    pub fn is_skipping(&self) -> bool {
+        self.skipping != Skipping::Nothing
     }
 
     /// How many bytes are held that have not been read out.
@@ -226,6 +265,39 @@ mod tests {
         assert!(largest_buffer(head(LIMIT).into_iter()) <= 2 * CHUNK, "a head alone");
         let lines = repeated(b'x', 99).chain([b'\n']).cycle().take(LIMIT);
         assert!(largest_buffer(lines) <= 2 * CHUNK, "short lines");
+    }
+
+    #[track_caller]
+    fn check_front(pushed: &[u8], expected: Option<Front>) {
+        let mut decoder = Decoder::new(LIMIT);
+        decoder.push(pushed);
+        assert_eq!((decoder.front(), decoder.front()), (expected, expected), "{pushed:?}");
+    }
+
+    #[test]
+    fn the_next_message_is_measured_without_being_read() {
+        check_front(b"", None);
+        check_front(b"{\"a", Some(Front { bytes: 3, whole: false }));
+        check_front(b"{}\n{}\n", Some(Front { bytes: 3, whole: true }));
+        check_front(&[frame::MARK, 0, 0], None);
+        check_front(&[frame::MARK, 0, 0, 0, 2, 1], Some(Front { bytes: 7, whole: false }));
+        check_front(&[frame::MARK, 0, 0, 0, 2, 1, 2, 3], Some(Front { bytes: 7, whole: true }));
+        let mut decoder = Decoder::new(LIMIT);
+        decoder.push(b"{\"availability_request\": ");
+        assert!(!decoder.front().unwrap().whole);
+        decoder.push(b"{}}\n{");
+        assert_eq!(decoder.front(), Some(Front { bytes: 29, whole: true }));
+        assert!(matches!(decoder.next_message(), Some(Ok(Message::AvailabilityRequest(_)))));
+        assert_eq!(decoder.front(), Some(Front { bytes: 1, whole: false }));
+    }
+
+    #[test]
+    fn a_limit_that_is_lowered_holds_for_what_is_buffered() {
+        let mut decoder = Decoder::new(LIMIT);
+        decoder.push(&[b' '; 100]);
+        decoder.set_limit(50);
+        assert!(matches!(decoder.next_message(), Some(Err(_))));
+        assert_eq!(decoder.front(), None);
     }
 
     #[test]

@@ -4,8 +4,8 @@ use std::fmt;
 
 use serde::Deserialize;
 
-use crate::limits::STRING_CHARS_MAX;
-use crate::text::{DeviceId, RequestId};
+use crate::message::{Message, OfUnknownType};
+use crate::text::{DeviceId, RequestId, shortened};
 
 /// Why a line or frame is not a message, and the device and request that an answer would concern.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -68,6 +68,7 @@ impl DecodeError {
     /// An error in text that is well formed but not a message.
     pub(super) fn invalid(path: String, message: String, of: Addressee) -> Self {
         Self {
+            // What is wrong may be quoted from the line, so it may be as long as that: an answer is short.
             kind: DecodeErrorKind::Invalid { path: shortened(&path), message: shortened(&message) },
             device_id: of.device_id.and_then(|id| DeviceId::new(id).ok()),
             request_id: of.request_id.and_then(|id| RequestId::new(id).ok()),
@@ -96,14 +97,6 @@ impl fmt::Display for DecodeError {
     }
 }
 
-/// What is wrong may be quoted from the line, so it may be as long as that: an answer is short.
-pub(super) fn shortened(text: &str) -> String {
-    match text.char_indices().nth(STRING_CHARS_MAX - 1) {
-        Some((end, last)) if end + last.len_utf8() < text.len() => format!("{}…", &text[..end]),
-        _ => text.to_owned(),
-    }
-}
-
 /// Whom a control request is for, read without regard to the rest.
 #[derive(Default, Deserialize)]
 pub(super) struct Addressee {
@@ -111,6 +104,18 @@ pub(super) struct Addressee {
     device_id: Option<String>,
     #[serde(default)]
     request_id: Option<String>,
+}
+
+/// A control request of a control type that this version does not know, whatever its values are.
+#[derive(Deserialize)]
+pub(super) struct UnknownType {
+    control_request: OfUnknownType,
+}
+
+impl From<UnknownType> for Message {
+    fn from(unknown: UnknownType) -> Self {
+        Self::ControlRequest(unknown.control_request.0)
+    }
 }
 
 /// A control request around its addressee.

@@ -4,9 +4,10 @@ use rmp_serde::decode::Error;
 use serde::de::IgnoredAny;
 use serde::{Deserialize, Serialize};
 
-use super::error::{DecodeError, DecodeErrorKind, Envelope};
+use super::error::{DecodeError, DecodeErrorKind, Envelope, UnknownType};
 use super::line;
 use crate::message::Message;
+use crate::text::shortened;
 
 /// What begins a frame: never valid in UTF-8, never used by MessagePack.
 pub(super) const MARK: u8 = 0xC1;
@@ -46,7 +47,10 @@ pub(super) fn read(payload: &[u8]) -> Result<Message, DecodeError> {
         true => read_whole(payload),
         false => Err(Error::Syntax("expected a dictionary of one key, which names the message".to_owned())),
     };
-    message.map_err(|error| explain(payload, &error))
+    message.or_else(|error| match names_one_message(payload).then(|| read_whole::<UnknownType>(payload)) {
+        Some(Ok(unknown)) => Ok(unknown.into()),
+        _ => Err(explain(payload, &error)),
+    })
 }
 
 /// Whether it begins as a dictionary of one entry, in any of MessagePack's ways to say so. The parser itself would take
@@ -86,7 +90,7 @@ fn told(error: &Error) -> String {
     match error {
         Error::InvalidMarkerRead(_) | Error::InvalidDataRead(_) => "it ends too early".to_owned(),
         Error::DepthLimitExceeded => format!("more than {DEPTH_MAX} levels within each other"),
-        other => other.to_string(),
+        other => shortened(&other.to_string()),
     }
 }
 

@@ -5,8 +5,9 @@ use std::fmt;
 use serde::de::{IgnoredAny, MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
-use super::error::{DecodeError, DecodeErrorKind, Envelope, shortened};
+use super::error::{DecodeError, DecodeErrorKind, Envelope, UnknownType};
 use crate::message::Message;
+use crate::text::shortened;
 
 /// What ends a line.
 pub(super) const END: u8 = b'\n';
@@ -23,7 +24,10 @@ pub(super) fn write(message: &Message, line: &mut Vec<u8>) {
 pub(super) fn read(line: &[u8]) -> Result<Message, DecodeError> {
     let text = std::str::from_utf8(line)
         .map_err(|e| DecodeError::bare(DecodeErrorKind::NotUtf8 { valid_up_to: e.valid_up_to() }))?;
-    serde_json::from_str(text).map_err(|error| explain(text, &error))
+    serde_json::from_str(text).or_else(|error| match serde_json::from_str::<UnknownType>(text) {
+        Ok(unknown) => Ok(unknown.into()),
+        Err(_) => Err(explain(text, &error)),
+    })
 }
 
 /// Reads a bad line again, more slowly, for the path of the fault and the ids that an answer needs.

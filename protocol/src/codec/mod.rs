@@ -9,7 +9,7 @@ mod line;
 
 use std::fmt;
 
-pub use decoder::Decoder;
+pub use decoder::{Decoder, Front};
 pub use error::{DecodeError, DecodeErrorKind};
 
 use crate::message::Message;

@@ -46,7 +46,7 @@ pub enum Command {
     Script(Script),
     /// sensor.
     ReadSensor,
-    /// A control type that this version does not know: one that no device has. Its values are not read.
+    /// A control type that this version does not know: one that no device has. Its values are not read, whatever they are.
     Unknown(Label),
 }
 
@@ -181,7 +181,7 @@ impl Serialize for ControlRequest {
 
 impl<'de> Deserialize<'de> for ControlRequest {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
-        deserializer.deserialize_map(RequestVisitor)
+        deserializer.deserialize_map(RequestVisitor { values: Values::Read })
     }
 }
 
@@ -190,6 +190,23 @@ enum RawValue {
     Null,
     Number(f64),
     Script(Script),
+}
+
+/// A control request of a control type that this version does not know. Its values are not read, so that a list or a text
+/// there makes it no less a request: a robot has to go to its default state because of it (paper, step 6).
+pub(crate) struct OfUnknownType(pub(crate) ControlRequest);
+
+impl<'de> Deserialize<'de> for OfUnknownType {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        deserializer.deserialize_map(RequestVisitor { values: Values::Ignored }).map(Self)
+    }
+}
+
+/// Whether the values of a request are read.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Values {
+    Read,
+    Ignored,
 }
 
 impl<'de> Deserialize<'de> for RawValue {
@@ -230,7 +247,9 @@ impl<'de> Visitor<'de> for RawValueVisitor {
     }
 }
 
-struct RequestVisitor;
+struct RequestVisitor {
+    values: Values,
+}
 
 #[derive(Default)]
 struct Fields {
@@ -257,9 +276,21 @@ impl<'de> Visitor<'de> for RequestVisitor {
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<ControlRequest, A::Error> {
         let mut fields = Fields::default();
         while let Some(key) = map.next_key::<Key<RequestKey>>()? {
-            read_field(&mut fields, key.0, &mut map)?;
+            let ignored =
+                self.values == Values::Ignored || matches!(fields.control_type, Some(Named::Unknown(_)));
+            match key.0 {
+                RequestKey::Value | RequestKey::Further(_) if ignored => {
+                    map.next_value::<IgnoredAny>()?;
+                }
+                key => read_field(&mut fields, key, &mut map)?,
+            }
         }
-        finish(fields)
+        match (self.values, &fields.control_type) {
+            (Values::Ignored, Some(Named::Known(known))) => {
+                Err(de::Error::custom(format!("`{known}` is a control type whose values are read")))
+            }
+            _ => finish(fields),
+        }
     }
 }
 

@@ -1,12 +1,15 @@
 //! Steps 3 and 4: what the robot is, and which devices it has.
 
 use std::collections::HashSet;
+use std::fmt;
+use std::marker::PhantomData;
 
-use serde::{Deserialize, Serialize};
+use serde::de::{self, IgnoredAny, SeqAccess, Visitor};
+use serde::{Deserialize, Deserializer, Serialize};
 
-use super::Device;
+use super::{Device, Devices, parameters};
 use crate::codec::Encoding;
-use crate::limits::{DEVICES_MAX, LimitError};
+use crate::limits::{DEVICES_MAX, ENCODINGS_MAX, LimitError, ROBOT_PARAMETERS_MAX};
 use crate::object::Object;
 use crate::text::{Label, RobotId};
 use crate::time::{Server, Timestamp};
@@ -57,8 +60,8 @@ pub struct InitializationBlock {
     #[cfg_attr(feature = "schema", schemars(default))]
     pub inquiry: bool,
     /// 1 to 32,000 devices, ids unique.
-    #[cfg_attr(feature = "schema", schemars(length(min = 1, max = DEVICES_MAX)))]
-    pub devices: Vec<Device>,
+    #[cfg_attr(feature = "schema", schemars(with = "Vec<Device>", length(min = 1, max = DEVICES_MAX)))]
+    pub devices: Devices,
 }
 
 #[derive(Deserialize)]
@@ -75,11 +78,61 @@ struct RawBlock {
     api_version: Label,
     #[serde(default)]
     reports: bool,
-    #[serde(default)]
+    #[serde(default, deserialize_with = "encodings")]
     encodings: Vec<Label>,
     #[serde(default)]
     inquiry: bool,
+    #[serde(deserialize_with = "devices")]
     devices: Vec<Object<Device>>,
+}
+
+/// Reads a list of at most [`ENCODINGS_MAX`] encodings.
+fn encodings<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Label>, D::Error> {
+    match deserializer.deserialize_seq(Bounded { most: ENCODINGS_MAX, of: PhantomData })? {
+        (encodings, count) if count <= ENCODINGS_MAX => Ok(encodings),
+        _ => Err(de::Error::custom(LimitError::EncodingCount)),
+    }
+}
+
+/// Reads a list of at most [`DEVICES_MAX`] devices, whose custom control types are bounded together.
+fn devices<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<Object<Device>>, D::Error> {
+    let list = Bounded { most: DEVICES_MAX, of: PhantomData };
+    match parameters::together(ROBOT_PARAMETERS_MAX, || deserializer.deserialize_seq(list))? {
+        (devices, count) if count <= DEVICES_MAX => Ok(devices),
+        (_, count) => Err(de::Error::custom(LimitError::DeviceCount { count })),
+    }
+}
+
+/// Reads a list, and how long it is: what is beyond so many entries is counted and not kept.
+struct Bounded<T> {
+    most: usize,
+    of: PhantomData<T>,
+}
+
+impl<'de, T: Deserialize<'de>> Visitor<'de> for Bounded<T> {
+    type Value = (Vec<T>, usize);
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a list")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Self::Value, A::Error> {
+        let mut kept = Vec::new();
+        while kept.len() < self.most {
+            match list.next_element()? {
+                Some(entry) => kept.push(entry),
+                None => {
+                    let count = kept.len();
+                    return Ok((kept, count));
+                }
+            }
+        }
+        let mut count = kept.len();
+        while list.next_element::<IgnoredAny>()?.is_some() {
+            count += 1;
+        }
+        Ok((kept, count))
+    }
 }
 
 impl TryFrom<Object<RawBlock>> for InitializationBlock {

@@ -1,5 +1,6 @@
 //! The parameters of a custom control type: whatever JSON can say, within a limit.
 
+use std::cell::Cell;
 use std::fmt;
 
 use serde::de::{self, DeserializeSeed, MapAccess, SeqAccess, Visitor};
@@ -7,6 +8,21 @@ use serde::{Deserialize, Deserializer};
 use serde_json::{Map, Number, Value};
 
 use crate::limits::{LimitError, PARAMETERS_MAX};
+use crate::text::check_length;
+
+thread_local! {
+    /// Values that all dictionaries which are read on this thread may still have together.
+    static ROOM: Cell<usize> = const { Cell::new(usize::MAX) };
+}
+
+/// Reads something in which all dictionaries have at most so many values together: a robot that lists many of them takes no more
+/// memory than one.
+pub(super) fn together<T>(values: usize, read: impl FnOnce() -> T) -> T {
+    let before = ROOM.replace(values);
+    let read = read();
+    ROOM.set(before);
+    read
+}
 
 /// A dictionary whose numbers are finite, with at most [`PARAMETERS_MAX`] values in all.
 pub(super) struct Parameters(pub(super) Map<String, Value>);
@@ -14,8 +30,13 @@ pub(super) struct Parameters(pub(super) Map<String, Value>);
 impl<'de> Deserialize<'de> for Parameters {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         // The dictionary itself is one of what is counted.
-        let mut room = PARAMETERS_MAX + 1;
-        match (AnyValue { room: &mut room }).deserialize(deserializer)? {
+        let (own, together) = (PARAMETERS_MAX + 1, ROOM.get());
+        let mut room = own.min(together);
+        let beyond =
+            if together < own { LimitError::RobotParameterCount } else { LimitError::ParameterCount };
+        let read = AnyValue { room: &mut room, beyond: &beyond }.deserialize(deserializer)?;
+        ROOM.set(together - (own.min(together) - room));
+        match read {
             Value::Object(parameters) => Ok(Self(parameters)),
             _ => Err(de::Error::custom("parameters of a custom control type, expected a dictionary")),
         }
@@ -26,13 +47,15 @@ impl<'de> Deserialize<'de> for Parameters {
 struct AnyValue<'a> {
     /// Values that may still come.
     room: &'a mut usize,
+    /// What is said of more.
+    beyond: &'a LimitError,
 }
 
 impl<'de> DeserializeSeed<'de> for AnyValue<'_> {
     type Value = Value;
 
     fn deserialize<D: Deserializer<'de>>(self, deserializer: D) -> Result<Value, D::Error> {
-        *self.room = self.room.checked_sub(1).ok_or_else(|| de::Error::custom(LimitError::ParameterCount))?;
+        *self.room = self.room.checked_sub(1).ok_or_else(|| de::Error::custom(self.beyond))?;
         deserializer.deserialize_any(self)
     }
 }
@@ -65,12 +88,15 @@ impl<'de> Visitor<'de> for AnyValue<'_> {
     }
 
     fn visit_str<E: de::Error>(self, text: &str) -> Result<Value, E> {
+        check_length(text).map_err(E::custom)?;
         Ok(text.into())
     }
 
     fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Value, A::Error> {
         let mut values = Vec::new();
-        while let Some(value) = list.next_element_seed(AnyValue { room: &mut *self.room })? {
+        while let Some(value) =
+            list.next_element_seed(AnyValue { room: &mut *self.room, beyond: self.beyond })?
+        {
             values.push(value);
         }
         Ok(values.into())
@@ -79,7 +105,8 @@ impl<'de> Visitor<'de> for AnyValue<'_> {
     fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Value, A::Error> {
         let mut values = Map::new();
         while let Some(key) = map.next_key::<String>()? {
-            values.insert(key, map.next_value_seed(AnyValue { room: &mut *self.room })?);
+            check_length(&key).map_err(de::Error::custom)?;
+            values.insert(key, map.next_value_seed(AnyValue { room: &mut *self.room, beyond: self.beyond })?);
         }
         Ok(values.into())
     }

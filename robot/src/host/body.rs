@@ -9,7 +9,7 @@ use crate::driver::{Mailbox, News};
 use crate::edge::Edge;
 use crate::hardware::AtEnd;
 use crate::outgoing::Outgoing;
-use crate::robot::{Input, LinkId};
+use crate::robot::{Input, LinkId, Robot};
 use crate::set_log::LogEntry;
 use crate::simulated::SimulatedRobot;
 
@@ -26,6 +26,22 @@ impl Body {
         match self {
             Self::Edge(edge) => edge.is_idle(),
             Self::Simulated(robot) => robot.is_idle(),
+        }
+    }
+
+    /// The machine inside.
+    pub(super) const fn machine(&self) -> &Robot {
+        match self {
+            Self::Edge(edge) => edge.machine(),
+            Self::Simulated(robot) => robot.robot(),
+        }
+    }
+
+    /// It looks whether the session to which it belonged is over.
+    pub(super) fn look(&mut self, now: Timestamp<HostTime>) {
+        match self {
+            Self::Edge(edge) => edge.look(now),
+            Self::Simulated(robot) => robot.look(now.assume_clock()),
         }
     }
 

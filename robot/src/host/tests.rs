@@ -7,6 +7,7 @@ use urrcp::{
     InitializationBlock, Millis, RequestId, Script, Server, Setpoint, Status, Step,
 };
 
+use super::outbox::MESSAGES_MAX;
 use super::*;
 use crate::simulated::{Fault, Settings, SimulatedRobot};
 
@@ -146,7 +147,7 @@ async fn a_peer_that_does_not_read_is_hung_up_on_and_harms_no_other() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let mut deaf = host.handle().connect(0).unwrap();
     let ping = Message::AvailabilityRequest(AvailabilityRequest::default());
-    for _ in 0..=OUTGOING_MAX {
+    for _ in 0..=MESSAGES_MAX {
         deaf.send(ping.clone());
     }
     let mut other = host.handle().connect(0).unwrap();
@@ -156,5 +157,55 @@ async fn a_peer_that_does_not_read_is_hung_up_on_and_harms_no_other() {
     while deaf.recv().await.is_some() {
         waiting += 1;
     }
-    assert_eq!(waiting, OUTGOING_MAX, "what had been said before, and no more");
+    assert_eq!(waiting, MESSAGES_MAX, "what had been said before, and no more");
+}
+
+#[tokio::test]
+async fn a_stranger_that_leaves_too_much_unread_is_hung_up_on_and_counted() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let stranger = Peer::at("192.0.2.7:1000".parse().unwrap());
+    let mut deaf = host.handle().connect_as(0, stranger).unwrap();
+    let mut other = host.handle().connect(0).unwrap();
+    let ping = Message::AvailabilityRequest(AvailabilityRequest::default());
+    for _ in 0..8_000 {
+        deaf.send(ping.clone());
+    }
+    other.send(ping);
+    assert!(matches!(other.recv().await, Some(LinkEvent::Message(_))));
+    let mut waiting = 0;
+    while deaf.recv().await.is_some() {
+        waiting += 1;
+    }
+    assert!((4_000..5_000).contains(&waiting), "about a mebibyte of short answers: {waiting}");
+    assert_eq!(host.refusals().iter().collect::<Vec<_>>(), [(Reason::Unread, 1)]);
+}
+
+#[tokio::test]
+async fn a_session_belongs_to_the_name_of_the_peer_that_claims_it() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let named = |name: &str| {
+        let peer = Peer::at("192.0.2.7:1000".parse().unwrap()).with_proof(proof(name));
+        host.handle().connect_as(0, peer).unwrap()
+    };
+    let claim = || {
+        let session = urrcp::SessionId::new("show").ok();
+        Message::AvailabilityRequest(AvailabilityRequest { session, ..AvailabilityRequest::default() })
+    };
+    let (mut desk, mut other, mut again) = (named("desk"), named("other"), named("desk"));
+    for (link, status) in [(&mut desk, Status::Ok), (&mut other, Status::Failed), (&mut again, Status::Ok)] {
+        link.send(claim());
+        let Some(LinkEvent::Message(Message::AvailabilityResponse(response))) = link.recv().await else {
+            panic!()
+        };
+        assert_eq!(response.status, status);
+    }
+    assert_eq!(host.refusals().count(Reason::Busy), 1);
+}
+
+/// Of an operator who may drive.
+fn proof(name: &str) -> crate::role::Proof {
+    crate::role::Proof {
+        name: urrcp::Label::new(name).unwrap(),
+        roles: [crate::role::Role::Observe, crate::role::Role::Drive].into_iter().collect(),
+    }
 }

@@ -10,7 +10,7 @@ use urrcp::{
 use super::judge::{Asked, Judge, is_refused};
 use super::model::{DeviceModel, Order, cancels_from, start_of};
 use super::{Violation, hold};
-use crate::device::TAKEN_BACK_AHEAD_MAX;
+use crate::device::{TAKEN_BACK_AHEAD_MAX, TAKEN_BACK_FROM_OTHERS_MAX};
 use crate::robot::Robot;
 
 type Now = Timestamp<urrcp::Robot>;
@@ -97,8 +97,12 @@ impl Judge {
         let from = cancels_from(now, request);
         let Some(device) = self.devices.get_mut(&request.device_id) else { return HashSet::new() };
         if from.is_none() {
-            let latest: Timestamp<Server> = (now + TAKEN_BACK_AHEAD_MAX).assume_clock();
-            device.taken_back = device.taken_back.max(request.timestamp.map(|sent| sent.min(latest)));
+            let at_most = |ahead| {
+                let latest: Timestamp<Server> = (now + ahead).assume_clock();
+                request.timestamp.map(|sent| sent.min(latest))
+            };
+            device.taken_back = device.taken_back.max(at_most(TAKEN_BACK_FROM_OTHERS_MAX));
+            device.taken_back_at_most = device.taken_back_at_most.max(at_most(TAKEN_BACK_AHEAD_MAX));
         }
         // What has fallen already is gone from the queue: what is still there must not fall.
         let standing: HashSet<_> =
@@ -144,7 +148,7 @@ impl Judge {
             Some(ErrorCode::Overlap) => device.queue.iter().any(|held| overlap(held, &order)),
             Some(ErrorCode::Busy) => full || others,
             Some(ErrorCode::Cancelled) => {
-                request.timestamp.is_some() && request.timestamp <= device.taken_back
+                request.timestamp.is_some() && request.timestamp <= device.taken_back_at_most
             }
             Some(ErrorCode::Malformed) => !right_hash || several,
             Some(ErrorCode::TooManySteps | ErrorCode::OutOfRange | ErrorCode::OffGranularity) => {

@@ -202,13 +202,24 @@ pub(super) struct DeviceModel {
     pub(super) released: Vec<Guard>,
     /// Where each signal rests in the end.
     pub(super) targets: BTreeMap<ControlType, f64>,
+    /// What was sent up to then has been taken back, whoever sent it.
     pub(super) taken_back: Option<Timestamp<Server>>,
+    /// What was sent later has not been, whoever sent it.
+    pub(super) taken_back_at_most: Option<Timestamp<Server>>,
 }
 
 impl DeviceModel {
     pub(super) fn new(spec: Device) -> Self {
         let (queue, guards, released) = (Vec::new(), Vec::new(), Vec::new());
-        Self { spec, queue, guards, released, targets: BTreeMap::new(), taken_back: None }
+        Self {
+            spec,
+            queue,
+            guards,
+            released,
+            targets: BTreeMap::new(),
+            taken_back: None,
+            taken_back_at_most: None,
+        }
     }
 
     pub(super) fn insert(&mut self, order: Order) {

@@ -7,6 +7,7 @@ use urrcp::{
 
 use super::{LinkId, Now, Output, Robot, tell};
 use crate::device::DeviceMachine;
+use crate::role::{Role, is_stop};
 
 /// The party to which the robot belongs.
 pub(super) enum Owner {
@@ -31,6 +32,7 @@ impl Robot {
             return tell(link, ControlResponse { timestamp: now, ..answer.clone() }, out);
         }
         if !self.only_reads(&request)
+            && !self.stops_others(link, &request)
             && let Err(error) = self.claim(now, link, request.session.as_ref())
         {
             // Not remembered: the same request may be taken once the robot is free.
@@ -78,6 +80,11 @@ impl Robot {
             && device.is_some_and(|spec| spec.available_control_types.sensor().is_some())
     }
 
+    /// Whether its sender may stop the robot, whichever session that belongs to.
+    fn stops_others(&self, link: LinkId, request: &ControlRequest) -> bool {
+        is_stop(request) && self.parties.proof(link).is_some_and(|proof| proof.roles.has(Role::Stop))
+    }
+
     /// Takes the robot for a session, if it is free. Without a session nothing is taken, and what another session has
     /// taken stays out of reach.
     pub(super) fn claim(
@@ -86,26 +93,32 @@ impl Robot {
         link: LinkId,
         session: Option<&SessionId>,
     ) -> Result<(), ControlError> {
-        match self.owner(now, session) {
+        match self.owner(now, link, session) {
             Owner::Another(busy) => return Err(busy),
             Owner::Asker => {}
             // Once over it stays so, whatever others hold from now on.
             Owner::Nobody => self.parties.release(),
         }
         if let Some(session) = session {
-            self.parties.claim(session, self.parties.party(link));
+            let claimant = self.parties.claimant(link, session);
+            self.parties.claim(claimant, self.parties.party(link));
         }
         Ok(())
     }
 
-    /// The party to which the robot belongs, as this session sees it.
-    pub(super) fn owner(&self, now: Now, session: Option<&SessionId>) -> Owner {
+    /// The party to which the robot belongs, as this session sees it. The name of another session is a secret: with it
+    /// anyone could stop the robot, renew leases and divert reports.
+    pub(super) fn owner(&self, now: Now, link: LinkId, session: Option<&SessionId>) -> Owner {
         let idle = self.devices.iter().all(DeviceMachine::is_idle);
         match self.parties.owner(now, idle, &self.heard) {
             None => Owner::Nobody,
-            Some((owner, _)) if session == Some(owner) => Owner::Asker,
-            Some((owner, _)) => {
-                let message = format!("`{}` belongs to session `{owner}` until that ends", self.block.id);
+            Some((owner, _))
+                if session.is_some_and(|session| self.parties.is_claimant(link, session, owner)) =>
+            {
+                Owner::Asker
+            }
+            Some(_) => {
+                let message = format!("`{}` belongs to another session until that ends", self.block.id);
                 Owner::Another(ControlError::new(ErrorCode::Busy, message))
             }
         }
@@ -190,14 +203,21 @@ impl Robot {
         content_hash: Option<ContentHash>,
         out: &mut Vec<Output>,
     ) {
-        let why = "cancelled by an empty script";
+        let why = match self.parties.proof(link) {
+            Some(proof) => format!("stopped by {}", proof.name),
+            None => "cancelled by an empty script".to_owned(),
+        };
+        if self.stops_others(link, request) {
+            tracing::warn!(robot = %self.block.id, device = %request.device_id, "{why}");
+        }
         let from: Option<Now> = request.starts_at().map(Timestamp::assume_clock);
         match from.filter(|from| *from > now) {
             None => {
                 if let Some(sent) = request.timestamp {
-                    self.devices[index].take_back(now, sent);
+                    let party = self.parties.party(link);
+                    self.devices[index].take_back(now, sent, party);
                 }
-                self.stop(now, index, why, request.hold, out);
+                self.stop(now, index, &why, request.hold, out);
             }
             Some(from) => {
                 let error = ControlError::new(ErrorCode::Cancelled, why);

@@ -5,8 +5,11 @@ use urrcp::{
     StatusValue,
 };
 
+use super::control::Owner;
 use super::{LinkId, Now, Output, Robot, tell};
-use crate::hardware::{AtEnd, Hardware, OpenReading, ReadingId, STALE, START_NEAR, unanswered};
+use crate::hardware::{
+    Asker, AtEnd, Hardware, OpenReading, ReadingId, STALE, START_NEAR, Standing, unanswered,
+};
 #[cfg(feature = "host")]
 use crate::signal::Signal;
 
@@ -163,7 +166,15 @@ impl Robot {
         max_delay: Option<f64>,
         out: &mut Vec<Output>,
     ) {
-        match self.hardware.ask(now, link, request, max_delay) {
+        // Without a session it counts for the one that its link named last.
+        let party = self.parties.party(link);
+        let standing = match self.owner(now, link, request.session.as_ref()) {
+            Owner::Nobody => Standing::Free,
+            _ if self.parties.last_owner() == Some(party) => Standing::Owner,
+            Owner::Asker | Owner::Another(_) => Standing::Stranger,
+        };
+        let asker = Asker { link, party, standing };
+        match self.hardware.ask(now, asker, request, max_delay) {
             Ok(reading) => out.push(Output::Read { reading, sensor: request.device_id.clone() }),
             Err(error) => tell(link, ControlResponse::refusal(now, request, error), out),
         }

@@ -12,7 +12,7 @@ use crate::held::Limit;
 
 impl Robot {
     pub(super) fn inquire(&mut self, now: Now, link: LinkId, inquiry: &Inquiry, out: &mut Vec<Output>) {
-        let busy = match self.owner(now, inquiry.session.as_ref()) {
+        let busy = match self.owner(now, link, inquiry.session.as_ref()) {
             Owner::Another(busy) => Some(busy),
             Owner::Nobody | Owner::Asker => None,
         };

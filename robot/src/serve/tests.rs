@@ -1,20 +1,27 @@
 //! A robot behind a real socket on the loopback interface.
 
-use tokio::io::{AsyncBufReadExt, BufReader};
-use urrcp::{Message, Status, encode};
+use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
+use urrcp::{Command, Decoder, Encoding, Message, Status, encode, encode_as};
 
+use super::connection::{FREE_LINE_MAX, STRANGERS_LINE_MAX};
+use super::places::{CONNECTIONS_MAX, OWNER_PLACES, PLACES};
 use super::*;
 use crate::host::tests::{LogFile, arms, paper};
 use crate::host::{Host, HostOptions};
+use crate::peer::Peer as Remote;
+use crate::refusals::Reason;
 use crate::simulated::Settings;
 
 /// A served robot and the address at which it listens.
 async fn served(log: &LogFile) -> (Host, SocketAddr) {
     let options = HostOptions { log: Some(log.0.clone()), ..HostOptions::default() };
-    let host = Host::start(arms(1, &Settings::default()), options).unwrap();
+    served_as(Host::start(arms(1, &Settings::default()), options).unwrap(), Patience::default()).await
+}
+
+async fn served_as(host: Host, patience: Patience) -> (Host, SocketAddr) {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let address = listener.local_addr().unwrap();
-    tokio::spawn(serve(listener, host.handle(), 0));
+    tokio::spawn(serve_with(listener, host.handle(), 0, patience, Door::Open));
     (host, address)
 }
 
@@ -151,7 +158,7 @@ async fn all_places_taken(address: SocketAddr) -> Vec<Peer> {
     let mut peers = Vec::new();
     for _ in 0..PLACES {
         let mut peer = Peer::connected(address).await;
-        peer.write(b"{\"availability_request\": {}}\n").await;
+        peer.write(INQUIRE).await;
         peer.read().await;
         peers.push(peer);
     }
@@ -176,18 +183,275 @@ async fn no_more_than_the_limit_of_connections_is_obeyed_at_a_time() {
 }
 
 #[tokio::test]
-async fn no_connection_claims_a_robot_without_a_place() {
+async fn who_claims_a_free_robot_comes_before_those_that_claim_nothing() {
     let log = LogFile::new("claim");
+    let (host, address) = served(&log).await;
+    let _peers = all_places_taken(address).await;
+    let mut claiming = Peer::connected(address).await;
+    claiming.write(CLAIM).await;
+    let Message::AvailabilityResponse(response) = claiming.soon().await else { panic!() };
+    assert_eq!(response.status, Status::Ok);
+    assert_eq!(host.refusals().count(Reason::MadeRoom), 0, "it has a place that is kept for this");
+}
+
+const ASK: &[u8] = b"{\"availability_request\": {}}\n";
+/// A question that needs a place, as it is about commands.
+const INQUIRE: &[u8] = b"{\"inquiry\": {}}\n";
+const CLAIM: &[u8] = b"{\"availability_request\": {\"session\": \"show\"}}\n";
+
+impl Peer {
+    /// What comes next, which is not to take long, however busy the machine is.
+    async fn soon(&mut self) -> Message {
+        tokio::time::timeout(Duration::from_secs(20), self.read()).await.unwrap()
+    }
+
+    /// Whether the robot closes the connection before it says anything more.
+    async fn is_hung_up_on(&mut self) -> bool {
+        let mut line = String::new();
+        let ended = tokio::time::timeout(Duration::from_secs(20), self.0.read_line(&mut line)).await;
+        matches!(ended, Ok(Ok(0) | Err(_)))
+    }
+}
+
+fn with_session(message: Message, session: &str) -> Message {
+    let Message::ControlRequest(request) = message else { panic!() };
+    let session = urrcp::SessionId::new(session).ok();
+    Message::ControlRequest(urrcp::ControlRequest { session, ..request })
+}
+
+#[tokio::test]
+async fn strangers_that_hold_all_places_keep_neither_the_owner_out_nor_its_stop() {
+    let log = LogFile::new("owner-first");
+    let (host, address) = served(&log).await;
+    let mut first = Peer::connected(address).await;
+    first.write(CLAIM).await;
+    first.soon().await;
+    // Its connection breaks, and strangers take all that there is, and keep talking.
+    drop(first);
+    let mut strangers = Vec::new();
+    for _ in 0..CONNECTIONS_MAX + 8 {
+        let mut stranger = Peer::connected(address).await;
+        stranger.write(INQUIRE).await;
+        stranger.write(b"{").await;
+        strangers.push(stranger);
+        tokio::time::sleep(Duration::from_millis(2)).await;
+    }
+    let mut owners = Vec::new();
+    for i in 0..8 {
+        let mut owner = Peer::connected(address).await;
+        owner.write(CLAIM).await;
+        let Message::AvailabilityResponse(response) = owner.soon().await else { panic!() };
+        assert_eq!(response.status, Status::Ok, "{i}");
+        owners.push(owner);
+    }
+    owners[7].send(&with_session(paper(10_000.0), "show")).await;
+    assert!(is_accepted(&owners[7].soon().await));
+    let device = urrcp::DeviceId::new("arm").unwrap();
+    let stop = urrcp::ControlRequest::immediate(device, Command::Script(urrcp::Script::cancel()));
+    let mut stopping = Peer::connected(address).await;
+    stopping.send(&with_session(Message::ControlRequest(stop), "show")).await;
+    let Message::ControlResponse(response) = stopping.soon().await else { panic!() };
+    assert_eq!(response.status, Status::Failed, "its script is cancelled, and it hears that");
+    assert!(host.refusals().count(Reason::MadeRoom) >= 4, "{:?}", host.refusals());
+}
+
+#[tokio::test]
+async fn a_connection_that_brings_no_message_in_time_is_closed_whatever_it_drips() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let patience = Patience { first_message: Duration::from_millis(300), ..Patience::default() };
+    let (host, address) = served_as(host, patience).await;
+    let mut silent = Peer::connected(address).await;
+    let mut noisy = Peer::connected(address).await;
+    noisy.write(b"noise\n").await;
+    noisy.soon().await;
+    let mut talking = Peer::connected(address).await;
+    talking.write(ASK).await;
+    talking.soon().await;
+    let dripping = Peer::connected(address).await;
+    let (mut reader, mut writer) = dripping.0.into_inner().into_split();
+    let drip = tokio::spawn(async move {
+        while writer.write_all(b"{").await.is_ok() {
+            tokio::time::sleep(Duration::from_millis(20)).await;
+        }
+    });
+    let ended = tokio::time::timeout(Duration::from_secs(20), reader.read(&mut [0; 8])).await;
+    assert!(matches!(ended, Ok(Ok(0) | Err(_))), "{ended:?}");
+    assert!(silent.is_hung_up_on().await && noisy.is_hung_up_on().await);
+    drip.await.unwrap();
+    talking.write(ASK).await;
+    talking.soon().await;
+    assert_eq!(host.refusals().count(Reason::SaidNothing), 3);
+}
+
+#[tokio::test]
+async fn a_stranger_ends_each_message_in_time_and_the_owner_takes_its_time() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let patience = Patience { message: Duration::from_millis(200), ..Patience::default() };
+    let (host, address) = served_as(host, patience).await;
+    let mut owner = Peer::connected(address).await;
+    owner.write(CLAIM).await;
+    owner.soon().await;
+    owner.write(&CLAIM[..20]).await;
+    let mut stranger = Peer::connected(address).await;
+    stranger.write(ASK).await;
+    stranger.soon().await;
+    stranger.write(&ASK[..20]).await;
+    assert!(stranger.is_hung_up_on().await);
+    assert_eq!(host.refusals().count(Reason::HalfAMessage), 1);
+    owner.write(&CLAIM[20..]).await;
+    owner.soon().await;
+}
+
+#[tokio::test]
+async fn one_host_has_a_share_of_the_connections_and_leaves_the_others_theirs() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let places = Places::new(host.handle(), 0, Duration::from_secs(30)).unwrap();
+    let peer = |address: &str| Remote::at(address.parse().unwrap());
+    let other = places.admit(&peer("192.0.2.8:1000")).unwrap();
+    other.spoke(None);
+    let tickets: Vec<_> =
+        (0..100).map(|i| places.admit(&peer(&format!("192.0.2.7:{}", 1_000 + i))).unwrap()).collect();
+    assert_eq!(host.refusals().count(Reason::ManyFromOneHost), 100 - 16);
+    let hung_up = tokio::time::timeout(Duration::ZERO, other.hung_up()).await;
+    assert!(hung_up.is_err(), "another host's connection stands");
+    // The oldest of the host itself give way.
+    for (i, ticket) in tickets.iter().enumerate() {
+        let hung_up = tokio::time::timeout(Duration::ZERO, ticket.hung_up()).await;
+        assert_eq!(hung_up.is_ok(), i < 100 - 16, "{i}");
+    }
+}
+
+#[tokio::test]
+async fn the_owners_own_dead_connections_give_their_places_up() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let patience = Patience { silence: Duration::from_millis(300), ..Patience::default() };
+    let (_host, address) = served_as(host, patience).await;
+    let mut connections = Vec::new();
+    for _ in 0..PLACES + OWNER_PLACES + 2 {
+        let mut owner = Peer::connected(address).await;
+        owner.write(CLAIM).await;
+        owner.soon().await;
+        connections.push(owner);
+    }
+}
+
+/// An availability request after blanks, of this length.
+fn padded(line: &[u8], bytes: usize) -> Vec<u8> {
+    let mut padded = vec![b' '; bytes - line.len()];
+    padded.extend_from_slice(line);
+    padded
+}
+
+fn malformed(message: &Message) -> Option<&str> {
+    let Message::AvailabilityResponse(response) = message else { panic!("{message:?}") };
+    response.error.as_ref().map(|error| error.message.as_str())
+}
+
+#[tokio::test]
+async fn how_long_a_line_may_be_depends_on_whose_the_robot_is() {
+    let log = LogFile::new("lines");
     let (_host, address) = served(&log).await;
-    let mut peers = all_places_taken(address).await;
-    let mut waiting = Peer::connected(address).await;
-    waiting.write(b"{\"availability_request\": {}}\n").await;
-    assert!(matches!(waiting.read().await, Message::AvailabilityResponse(_)), "a mere question is answered");
-    waiting.write(b"{\"availability_request\": {\"session\": \"show\"}}\n").await;
-    let answer = tokio::time::timeout(Duration::from_millis(100), waiting.read()).await;
-    assert!(answer.is_err(), "claimed although {PLACES} others are connected");
-    peers.pop();
-    assert!(matches!(waiting.read().await, Message::AvailabilityResponse(_)));
+    let mut stranger = Peer::connected(address).await;
+    for length in [FREE_LINE_MAX, 3 * FREE_LINE_MAX, 3 * FREE_LINE_MAX] {
+        stranger.write(&padded(ASK, length)).await;
+        assert_eq!(malformed(&stranger.soon().await), None);
+    }
+    // The first owner sends its claim and what is long at once.
+    let mut owner = Peer::connected(address).await;
+    let mut bytes = CLAIM.to_vec();
+    bytes.extend(padded(ASK, 3 * FREE_LINE_MAX));
+    owner.write(&bytes).await;
+    for _ in 0..2 {
+        assert_eq!(malformed(&owner.soon().await), None);
+    }
+    stranger.write(&padded(ASK, STRANGERS_LINE_MAX)).await;
+    assert_eq!(malformed(&stranger.soon().await), None);
+    stranger.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
+    assert_eq!(malformed(&stranger.soon().await), Some("a line longer than 65536 bytes"));
+    // A claim that is refused opens nothing.
+    stranger.write(b"{\"availability_request\": {\"session\": \"other\"}}\n").await;
+    stranger.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
+    assert_eq!(malformed(&stranger.soon().await), Some("`r0` belongs to another session until that ends"));
+    assert_eq!(malformed(&stranger.soon().await), Some("a line longer than 65536 bytes"));
+    // Once the session is over the robot is free again, though nobody has claimed it since.
+    drop(owner);
+    tokio::time::sleep(Duration::from_millis(100)).await;
+    stranger.write(&padded(ASK, STRANGERS_LINE_MAX + 2)).await;
+    assert_eq!(malformed(&stranger.soon().await), None);
+}
+
+#[tokio::test]
+async fn a_robot_that_belongs_to_no_session_reads_two_long_lines_at_a_time() {
+    let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
+    let patience = Patience { message: Duration::from_millis(500), ..Patience::default() };
+    let (host, address) = served_as(host, patience).await;
+    let mut peers = Vec::new();
+    for _ in 0..2 {
+        let mut peer = Peer::connected(address).await;
+        peer.write(&vec![b' '; 2 * FREE_LINE_MAX]).await;
+        peers.push(peer);
+    }
+    tokio::time::sleep(Duration::from_millis(100)).await;
+    let mut third = Peer::connected(address).await;
+    let long = padded(ASK, 2 * FREE_LINE_MAX);
+    third.write(&long).await;
+    assert_eq!(malformed(&third.soon().await), Some("a line longer than 1048576 bytes"));
+    assert_eq!(host.refusals().count(Reason::LongLine), 1);
+    drop(peers);
+    third.write(&long).await;
+    assert_eq!(malformed(&third.soon().await), None);
+}
+
+#[tokio::test]
+async fn a_claim_with_a_long_line_behind_it_is_waited_for_on_a_slow_link() {
+    let delay = Some((urrcp::Span::from_millis(200), urrcp::Span::from_millis(200)));
+    let host = Host::start(arms(1, &Settings { delay, ..Settings::default() }), HostOptions::default());
+    let (_host, address) = served_as(host.unwrap(), Patience::default()).await;
+    let mut owner = Peer::connected(address).await;
+    let mut bytes = CLAIM.to_vec();
+    bytes.extend(padded(ASK, 3 * FREE_LINE_MAX));
+    owner.write(&bytes).await;
+    for _ in 0..2 {
+        assert_eq!(malformed(&owner.soon().await), None);
+    }
+}
+
+#[tokio::test]
+async fn strangers_that_flood_a_robot_are_read_slowly_and_its_owner_is_not() {
+    let log = LogFile::new("flooded");
+    let (host, address) = served(&log).await;
+    let mut owner = Peer::connected(address).await;
+    owner.write(CLAIM).await;
+    owner.soon().await;
+    let mut floods = Vec::new();
+    for lines in
+        [ASK.repeat(200), b"noise\n".repeat(1_000), b"{\"initialization_request\": {}}\n".repeat(200)]
+    {
+        for _ in 0..4 {
+            let (mut reader, mut writer) = TcpStream::connect(address).await.unwrap().into_split();
+            let lines = lines.clone();
+            floods.push(tokio::spawn(async move { while writer.write_all(&lines).await.is_ok() {} }));
+            floods.push(tokio::spawn(async move {
+                let mut bytes = vec![0; 65_536];
+                while reader.read(&mut bytes).await.is_ok_and(|n| n > 0) {}
+            }));
+        }
+    }
+    let began = now();
+    let mut asked = 0;
+    while began.elapsed() < Duration::from_secs(2) || asked < 100 {
+        owner.write(CLAIM).await;
+        assert!(malformed(&owner.soon().await).is_none());
+        asked += 1;
+    }
+    floods.iter().for_each(tokio::task::JoinHandle::abort);
+    assert!(host.refusals().count(Reason::Paused) >= 12, "{:?}", host.refusals());
+    assert!(asked > 500, "{asked} round trips of the owner in {:?}", began.elapsed());
+}
+
+#[expect(clippy::disallowed_methods, reason = "measures real round trips")]
+fn now() -> std::time::Instant {
+    std::time::Instant::now()
 }
 
 #[tokio::test]
@@ -199,7 +463,7 @@ async fn a_stop_is_obeyed_however_many_are_connected() {
     assert!(is_accepted(&peers[0].read().await));
     // They also take all that is beyond the places, and say what waits.
     let mut beyond = Vec::new();
-    for _ in 0..WAITING_MAX {
+    for _ in 0..CONNECTIONS_MAX - PLACES {
         let mut peer = Peer::connected(address).await;
         peer.send(&paper(10_000.0)).await;
         beyond.push(peer);
@@ -216,9 +480,8 @@ async fn a_stop_is_obeyed_however_many_are_connected() {
 #[tokio::test]
 async fn a_peer_that_has_long_been_silent_makes_room_for_one_that_waits() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
-    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
-    let address = listener.local_addr().unwrap();
-    tokio::spawn(serve_with(listener, host.handle(), 0, Duration::from_secs(1)));
+    let patience = Patience { silence: Duration::from_secs(1), ..Patience::default() };
+    let (host, address) = served_as(host, patience).await;
     let hello = Message::AvailabilityRequest(urrcp::AvailabilityRequest::default());
     let mut peers = all_places_taken(address).await;
     let mut talking = peers.pop().unwrap();

@@ -163,7 +163,7 @@ fn a_start_at_the_end_of_time_hangs_nothing() {
         request.timestamp = Some(Timestamp::from_nanos(i64::MAX));
         request.stop_condition = None;
         robot.receive(at(0), LINK, Input::Message(Message::ControlRequest(request)));
-        assert_eq!(words(&run(&mut robot, at(60_000))), ["Accepted"]);
+        assert_eq!(words(&run(&mut robot, at(60_000))), ["Failed out_of_range"]);
     }
 }
 

@@ -922,7 +922,7 @@ static enum kind kind_of(const struct text *name)
 /* A control request that is a message. */
 struct request {
     struct text device_id, request_id, session, timestamp, control_type;
-    bool named, has_session, has_sent, has_start, hold, script, sensor;
+    bool named, has_session, has_sent, has_start, hold, script, sensor, unknown; /* unknown: no control type of the protocol */
     enum kind kind;            /* of neither */
     int64_t sent, start;
     char content_hash[65];
@@ -960,6 +960,7 @@ static void read_request(int body)
     }
     r->script = is(&r->control_type, "script");
     r->sensor = is(&r->control_type, "sensor");
+    r->unknown = false;
     r->size = 1;
     if (r->sensor || r->script) {
         r->size = 0;
@@ -974,7 +975,8 @@ static void read_request(int body)
         r->steps[0].offset = 0;
         r->steps[0].kind = r->kind = kind_of(&r->control_type);
         r->steps[0].lease.form = NO_LEASE;
-        r->step_values[0] = values_at(body, &r->steps[0].value);
+        r->unknown = r->kind == OTHER && (r->control_type.length < 8 || memcmp(r->control_type.bytes, "custom_", 7) != 0);
+        r->step_values[0] = r->unknown ? 0 : values_at(body, &r->steps[0].value); /* whatever the value of that is */
     }
     if (!r->script || fault)
         return;
@@ -1059,7 +1061,7 @@ static bool refused(const struct request *r, struct device *device, int body, in
     int i, held = 0;
     if (!device)
         return refuse(a, "unknown_device", "the robot has no such device");
-    if (r->content_hash[0] && !r->sensor) {
+    if (r->content_hash[0] && !r->sensor && !r->unknown) {
         hash_request(body, hex);
         if (strcmp(hex, r->content_hash) != 0)
             return refuse(a, "malformed", "content_hash is not that of control_value");
@@ -1145,9 +1147,8 @@ static bool hear(struct link *link, const struct text *session, bool claims)
 
 static const char *busy_message(void)
 {
-    static char message[2 * sizeof owner.bytes + 64];
-    snprintf(message, sizeof message, "`%.*s` belongs to session `%.*s` until that ends", (int)robot_id.length, robot_id.bytes,
-        (int)owner.length, owner.bytes);
+    static char message[sizeof robot_id.bytes + 64]; /* without the session's name, which is a secret */
+    snprintf(message, sizeof message, "`%.*s` belongs to another session until that ends", (int)robot_id.length, robot_id.bytes);
     return message;
 }
 

@@ -1,10 +1,10 @@
 #!/usr/bin/env python3
 """A URRCP robot to copy: describe your own in BLOCK and put its hardware into Arm; the rest is the protocol.
 
-Needs Python 3.9 and its standard library: python3 robot.py --listen 127.0.0.1:7000
+Needs Python 3.9 and its standard library: python3 robot.py --listen 127.0.0.1:7000 [--identity arm-1.pem [--revoked revoked.pem]]
 Each device is a sensor, or is driven by one control type and scripts of it, and holds a value until the next is set.
 """
-import asyncio, contextlib, datetime, hashlib, json, math, re, sys, time, types
+import argparse, asyncio, contextlib, datetime, hashlib, json, math, re, ssl, time, types, urllib.parse
 
 ANGLES = {"min_value": 0, "max_value": 90, "granularity": 0.5, "max_error": 0.25}
 SPEEDS = {"min_value": -10, "max_value": 10, "granularity": 0.1}
@@ -90,14 +90,15 @@ class Command(Fields):
         self.link, self.sensor, self.script = link, self.control_type == "sensor", self.control_type == "script"
         self.value, self.passed, self.done, self.late, self.until = body.get("control_value"), 0, 0, 0, NEVER
         need(not self.script or isinstance(self.value, list) and not self.further, "a script's value is one list")
-        steps = self.value if self.script else [] if self.sensor else [{**body, "time_offset_to_start": 0}]
+        valued = re.fullmatch("position|speed|acceleration|custom_[0-9]+", self.control_type)
+        steps = self.value if self.script else [{**body, "time_offset_to_start": 0}] if valued else []
         self.steps = [Fields(step, STEP, "time_offset_to_start", "control_type", "control_value") for step in steps]
         need(all(step.control_type not in ("script", "sensor") for step in self.steps), "no control type for a step")
         self.offsets = [ns(step.time_offset_to_start) for step in self.steps]
         need(self.offsets == sorted(self.offsets), "a step lies before the one ahead of it")
         leases = [self.stop_condition if step.stop_condition is None else step.stop_condition for step in self.steps]
         self.leases = phases(self.stop_condition) + [phases(each)[1] for each in leases]    # ahead, begun, by steps
-        self.hash = None if self.sensor or not self.content_hash else self.content_hash.lower()
+        self.hash = self.content_hash.lower() if self.content_hash and (valued or self.script) else None
         if self.hash:                           # over control_value as it came, which then is in the canonical form
             key = re.search(r'"control_value"\s*:\s*', line)
             found, end = JSON.raw_decode(line, key.end()) if key else (None, 0)
@@ -230,9 +231,12 @@ class Robot:
         if link.session == self.owner:
             self.owner_heard = now
         if self.owner not in (None, session):
-            return f"`{BLOCK['id']}` belongs to session `{self.owner}` until that ends"
+            return f"`{BLOCK['id']}` belongs to another session until that ends"    # whose name is a secret
     def take(self, link, line, received):
         """The answer to a line."""
+        def permit(*roles):                     # of someone who has proven who it is; before anything is renewed or claimed
+            told = ", ".join(sorted(link.roles or [])) or "do nothing"
+            need(link.roles is None or link.roles & set(roles), f"{link.who} may {told}, and this takes {' or '.join(roles)}", "forbidden")
         name, body, result, kind = None, None, {"status": "OK"}, "availability_response"
         try:
             message = JSON.decode(line := line.decode())
@@ -242,8 +246,15 @@ class Robot:
                 return None
             need(name in REQUESTS, "no such message")
             if name == "control_request":
-                return self.control(link, Command(body, line, link))
+                c = Command(body, line, link)
+                stops = not c.sensor and not c.steps and (not c.timestamp or c.time_offset_to_start is None)
+                permit(*["observe", "drive"] if c.sensor else ["stop", "drive"] if stops else ["drive"])
+                return self.control(link, c, stops and "stop" in (link.roles or ()))
             request = Fields(body, REQUESTS[name])
+            asks = name == "initialization_request" or request.session is None
+            permit(*["drive"] if not asks else ["observe", "drive"] if name == "inquiry" else ["observe", "drive", "stop"])
+            if name != "initialization_request":
+                request.session = own(link, request.session)
             result.update({"originate_timestamp": request.timestamp} if request.timestamp else {})
             busy = self.hear(link, getattr(request, "session", None), name != "inquiry")
             if name == "initialization_request":
@@ -279,8 +290,10 @@ class Robot:
         if c:
             told.update(state="running" if c.passed else "held", start_timestamp=stamp(c.times[0]))
         return told
-    def control(self, link, c):
+    def control(self, link, c, stops_others):
+        c.session = own(link, c.session)
         busy, now = self.hear(link, c.session, not c.sensor), time.time_ns()    # so that a lease of 0 ends in time
+        busy = None if stops_others else busy
         device = self.devices.get(c.device_id)
         if c.request_id in self.answers:
             return {"control_response": {**self.answers[c.request_id], "timestamp": stamp(now)}}
@@ -297,7 +310,7 @@ class Robot:
             if code == "unsupported_control_type":
                 self.rest(device, "cancelled", "default state after an unsupported control type", now)
             return self.respond(c, "Failed", error={"code": code, "message": message})
-        why = "cancelled", "cancelled by an empty script", now
+        why = "cancelled", f"stopped by {link.who}" if link.who else "cancelled by an empty script", now
         if c.steps:
             device.held.append(c)
             value = [{key: step[key] for key in STEP if key in step} for step in c.value] if c.script else c.value
@@ -310,6 +323,7 @@ class Robot:
         return self.respond(c, "OK")
     async def converse(self, reader, writer):
         link = types.SimpleNamespace(writer=writer, session=None, heard=0)
+        link.who, link.roles = proven(writer.get_extra_info("peercert"))
         if len(self.links) >= MAX_LINKS:
             return writer.transport.abort()
         self.links.append(link)
@@ -324,6 +338,30 @@ class Robot:
                 self.run()                      # and what it brings
                 await asyncio.sleep(0)          # the turn of the others
 
+def own(link, session):
+    """A session belongs to who has proven a name with it; to others the same name of a session is another session."""
+    return session and (link.who, session)
+
+def proven(certificate):
+    """Who the peer is and what it may do, by the URIs of its certificate; nothing of both without TLS."""
+    if certificate is None:
+        return None, None
+    uris = [uri.split(":", 2)[1:] for kind, uri in certificate.get("subjectAltName", ()) if kind == "URI" and uri.count(":") > 1]
+    names = [f"{kind} {urllib.parse.unquote(name)}" for kind, name in uris if kind in ("operator", "robot")]
+    return "".join(names) or "nobody", {role for kind, role in uris if kind == "role"}
+
+def guard(identity, revoked):
+    """TLS 1.3 for operators of the authority that made this identity file: a key, its certificate, and the authority's."""
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.minimum_version, context.verify_mode, context.num_tickets = ssl.TLSVersion.TLSv1_3, ssl.CERT_REQUIRED, 0
+    context.load_cert_chain(identity)
+    with open(identity) as file:
+        context.load_verify_locations(cadata="".join(file.read().rpartition("-----BEGIN CERTIFICATE-----")[1:]))
+    if revoked:
+        context.verify_flags |= ssl.VERIFY_CRL_CHECK_LEAF
+        context.load_verify_locations(revoked)
+    return context
+
 def send(link, message):
     if message and not link.writer.is_closing():
         link.writer.write(json.dumps(message, separators=(",", ":")).encode() + b"\n")
@@ -331,8 +369,14 @@ def send(link, message):
             link.writer.transport.abort()
 
 async def main():
-    host, _, port = (["127.0.0.1:0"] + sys.argv[1:])[-1].rpartition(":")        # port 0 is any that is free
-    server = await asyncio.start_server(Robot(Arm()).converse, host.strip("[]"), int(port), limit=MAX_LINE)
+    arguments = argparse.ArgumentParser()
+    arguments.add_argument("--listen", default="127.0.0.1:0", help="HOST:PORT; port 0 is any that is free")
+    arguments.add_argument("--identity", help="the file that `downbeat keys robot` made; without it anyone can move the robot")
+    arguments.add_argument("--revoked", help="the list that `downbeat keys revoke` wrote; read once")
+    given = arguments.parse_args()
+    host, _, port = given.listen.rpartition(":")
+    tls = guard(given.identity, given.revoked) if given.identity else None
+    server = await asyncio.start_server(Robot(Arm()).converse, host.strip("[]"), int(port), limit=MAX_LINE, ssl=tls)
     print("listening on %s:%d" % server.sockets[0].getsockname()[:2], flush=True)
     await server.serve_forever()
 

@@ -7,6 +7,7 @@ mod differences;
 mod subject;
 mod trials;
 
+use std::io::Read;
 use std::path::Path;
 
 use downbeat_scripts::{Attempt, Refusal};
@@ -107,11 +108,13 @@ impl Certificate {
             let reason = Refusal::of(Attempt::Read(path), &error).to_string();
             CertificateError::Unreadable { file: file.clone(), reason }
         };
-        if std::fs::metadata(path).map_err(unreadable)?.len() > BYTES_MAX {
+        let mut bytes = Vec::new();
+        let opened = downbeat_scripts::open(path).map_err(unreadable)?;
+        opened.take(BYTES_MAX + 1).read_to_end(&mut bytes).map_err(unreadable)?;
+        if bytes.len() as u64 > BYTES_MAX {
             let reason = format!("it is larger than {} MiB", BYTES_MAX >> 20);
             return Err(CertificateError::Damaged { file, reason });
         }
-        let bytes = std::fs::read(path).map_err(unreadable)?;
         Self::parsed(&bytes, file)
     }
 

@@ -86,7 +86,7 @@ impl Subject {
         let robots: BTreeMap<RobotId, CertifiedRobot> =
             robots.into_iter().map(|robot| (robot.id.clone(), certified_robot(robot))).collect();
         // Groups are put in; which NTP server this machine follows changes no plan.
-        let Fleet { ntp: _, handshake, space, robots: _, groups: _ } = fleet;
+        let Fleet { ntp: _, handshake, space, robots: _, groups: _, identity: _, revoked: _ } = fleet;
         let handshake = match handshake {
             Handshake::Full => "full",
             Handshake::Skip => "skip",
@@ -180,6 +180,6 @@ fn certified_robot(robot: &FleetRobot) -> CertifiedRobot {
     }
     let devices = init.iter().flat_map(|init| &init.devices);
     let devices = devices.map(|device| (device.id.to_string(), hash_of(device))).collect();
-    let alone = init.as_ref().map(|init| InitializationBlock { devices: Vec::new(), ..init.clone() });
+    let alone = init.as_ref().map(|init| InitializationBlock { devices: Vec::new().into(), ..init.clone() });
     CertifiedRobot { settings, description: hash_of(&alone), devices, body: hash_of(body) }
 }

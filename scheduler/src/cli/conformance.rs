@@ -139,7 +139,12 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
 }
 
 fn resolve(text: &str) -> Result<SocketAddr, (String, Exit)> {
-    let Ok(Address::Tcp { host, port }) = text.parse() else {
+    if matches!(text.parse(), Ok(Address::Tcp { tls: true, .. })) {
+        let message =
+            "conformance speaks plain TCP: let the robot listen on this machine alone, tcp://127.0.0.1:PORT";
+        return Err((message.to_owned(), Exit::Usage));
+    }
+    let Ok(Address::Tcp { host, port, .. }) = text.parse() else {
         let (fault, hint) = address_fault(text);
         let hint = hint.unwrap_or_else(|| "write tcp://HOST:PORT".to_owned());
         return Err((format!("the address `{text}` {fault}; {hint}"), Exit::Usage));

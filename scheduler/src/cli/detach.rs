@@ -1,7 +1,6 @@
 //! `downbeat run --detach`: the mission goes on as a process of its own, away from the terminal, with its own log.
 
-use std::fs::{File, OpenOptions};
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::time::Duration;
@@ -13,11 +12,14 @@ use urrcp::SessionId;
 
 use super::{Exit, Format, console};
 use crate::journal::has_begun;
+use crate::journal::private::{self, How};
 use crate::run::control;
 use crate::signals::{OnHangUp, Signals};
 
 /// Tells the process in the background the name of its mission.
 const NAME: &str = "DOWNBEAT_DETACHED_AS";
+/// Its log, in its folder.
+const LOG: &str = "log";
 /// How often it is looked whether the mission has begun.
 const LOOK_EVERY: Duration = Duration::from_millis(20);
 /// A mission that has begun has its socket within so many looks, or never: it plays without one, too.
@@ -34,9 +36,10 @@ pub(super) fn detached_as() -> Option<SessionId> {
 
 /// Starts this very command again in the background, and waits until its fleet is checked and it can be stopped from other
 /// terminals. One that ends before that tells why, by what it printed and by its exit code.
-pub(super) fn detach(session: &SessionId, folder: &Path, format: Format) -> Exit {
-    let log = folder.join("log");
-    let mut child = match start(session, folder, &log) {
+pub(super) fn detach(session: &SessionId, state: &Path, format: Format) -> Exit {
+    let folder = &state.join(session.as_str());
+    let log = folder.join(LOG);
+    let mut child = match start(session, state, folder) {
         Ok(child) => child,
         Err(error) => {
             console::error(&format!(
@@ -52,7 +55,7 @@ pub(super) fn detach(session: &SessionId, folder: &Path, format: Format) -> Exit
         let mut looks = 0;
         loop {
             if let Ok(Some(status)) = child.try_wait() {
-                console::note_block(&std::fs::read_to_string(&log).unwrap_or_default());
+                console::note_block(&logged(folder).unwrap_or_default());
                 return status.code().map_or(Exit::Failed, Exit::of_code);
             }
             looks += u32::from(has_begun(folder));
@@ -78,12 +81,20 @@ async fn asked_to_stop(signals: Option<&mut Signals>) -> bool {
     tokio::time::timeout(LOOK_EVERY, asked).await.is_ok()
 }
 
-fn start(session: &SessionId, folder: &Path, log: &Path) -> io::Result<Child> {
-    std::fs::create_dir_all(folder)?;
-    let out: File = OpenOptions::new().create(true).append(true).open(log)?;
+fn start(session: &SessionId, state: &Path, folder: &Path) -> io::Result<Child> {
+    private::create_folder(state)?;
+    private::create_folder(folder)?;
+    let out = private::file(folder, LOG, How::Create)?;
     let mut command = Command::new(std::env::current_exe()?);
     command.args(std::env::args_os().skip(1)).env(NAME, session.as_str());
     command.stdin(Stdio::null()).stdout(out.try_clone()?).stderr(out).spawn()
+}
+
+/// What the process in the background has said.
+fn logged(folder: &Path) -> io::Result<String> {
+    let mut text = String::new();
+    private::file(folder, LOG, How::Read)?.read_to_string(&mut text)?;
+    Ok(text)
 }
 
 fn announce(session: &SessionId, process: u32, log: PathBuf, format: Format) {

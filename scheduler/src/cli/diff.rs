@@ -6,7 +6,7 @@ use downbeat_scripts::{Attempt, Refusal, parse_duration};
 use serde::Serialize;
 use urrcp::Span;
 
-use super::{Exit, Format, ScenarioArgs, console, dry_run, load};
+use super::{Exit, Format, ProjectArgs, ScenarioArgs, console, dry_run, load};
 use crate::compare::{self, text};
 use crate::page::{self, History, NoHistory, OtherPlan, OtherRun, Rehearsed};
 
@@ -40,6 +40,8 @@ pub(super) struct DiffArgs {
     /// The fleet file of the second scenario, if that is another one.
     #[arg(long, value_name = "FILE")]
     fleet_b: Option<PathBuf>,
+    #[command(flatten)]
+    project: ProjectArgs,
     /// Start errors and spreads of missions that differ by no more than this count as equal.
     #[arg(long, value_name = "DURATION", value_parser = within)]
     within: Option<Span>,
@@ -98,8 +100,9 @@ fn plans(args: &DiffArgs, format: Format) -> Result<bool, Exit> {
         ));
     }
     let fleet_b = args.fleet_b.as_ref().or(args.fleet.as_ref()).cloned();
-    let a = ScenarioArgs { scenario: args.a.clone(), fleet: args.fleet.clone() };
-    let b = ScenarioArgs { scenario: args.b.clone(), fleet: fleet_b };
+    let a =
+        ScenarioArgs { scenario: args.a.clone(), fleet: args.fleet.clone(), project: args.project.clone() };
+    let b = ScenarioArgs { scenario: args.b.clone(), fleet: fleet_b, project: args.project.clone() };
     // Exit code 1 says that they differ.
     let load = |side: &ScenarioArgs| load::load_whole(side, format).map_err(|_| Exit::Usage);
     let ((plan_a, fleet_a, path_a, _), (plan_b, fleet_b, path_b, findings)) = (load(&a)?, load(&b)?);

@@ -54,7 +54,8 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
     let used = DriverOptions::default()
         .with_samples_per_second(args.samples_per_second)
         .with_at_start(AtStart::Default);
-    args.process.run(Hosted::driven(block, driver, used), format)
+    let id = block.id.clone();
+    args.process.run(id, Hosted::driven(block, driver, used), format)
 }
 
 /// The file that a program's command begins with, if there is no such file. What the shell finds elsewhere it finds itself.

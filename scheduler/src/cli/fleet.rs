@@ -13,11 +13,11 @@ use urrcp::{
 };
 
 use super::run::parse_span;
-use super::{Exit, Format, console, load};
+use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::clock::{ClockEstimate, ClockReading, ClockSample};
 use crate::drive::{Happened, LinkNumber, Urgency};
-use crate::fleet;
-use crate::link::{Endpoint, Link, LinkEncoding};
+use crate::fleet::{self, StartPrograms};
+use crate::link::{Endpoint, Link, LinkEncoding, Security};
 use crate::mission::Event;
 use crate::report::table::Rows;
 use crate::server_clock::ServerClock;
@@ -65,9 +65,28 @@ pub(super) struct FleetArgs {
     /// The fleet file.
     #[arg(default_value = "fleet.yaml")]
     fleet: PathBuf,
+    #[command(flatten)]
+    project: ProjectArgs,
+    #[command(flatten)]
+    programs: ProgramArgs,
     /// How long to wait for answers.
     #[arg(long, value_parser = parse_span, default_value = "5s", value_name = "TIME")]
     patience: Span,
+}
+
+/// Whether programs are started.
+#[derive(Clone, Copy, Debug, Args)]
+pub(super) struct ProgramArgs {
+    /// Start the programs that the fleet file names as drivers (`address: program:COMMAND`). By default their robots are not
+    /// available.
+    #[arg(long)]
+    start_programs: bool,
+}
+
+impl ProgramArgs {
+    pub(super) const fn asked(self) -> StartPrograms {
+        if self.start_programs { StartPrograms::Yes } else { StartPrograms::No }
+    }
 }
 
 #[derive(Debug, Args)]
@@ -109,12 +128,12 @@ pub(super) fn fleet(command: &FleetCommand, format: Format) -> Exit {
         FleetCommand::Ping(args) => (&args.asked, Some(args.tolerance)),
         FleetCommand::Show(args) => (args, None),
     };
-    let fleet = match load::load_fleet(&args.fleet, format) {
+    let fleet = match load::load_fleet(&args.fleet, &args.project, format) {
         Ok(fleet) => fleet,
         Err(exit) => return exit,
     };
     super::with_runtime(async {
-        let mut answers = match ask_all(&fleet, args.patience).await {
+        let mut answers = match ask_all(&fleet, args.programs.asked(), args.patience).await {
             Ok(answers) => answers,
             Err(message) => {
                 console::error(&message);
@@ -161,7 +180,16 @@ fn wrong_with(answer: &Answer, robot: &FleetRobot, tolerance: Option<Span>) -> O
 
 fn describe(args: &DescribeArgs, format: Format) -> Exit {
     let told = match &args.address {
-        Address::Tcp { host, port } => ask_block(host.clone(), *port, args.patience),
+        Address::Tcp { host, port, tls } => {
+            match if *tls {
+                identity::site_of_terminal().map(|site| site.with_any())
+            } else {
+                Ok(Security::Plain)
+            } {
+                Ok(security) => ask_block(host.clone(), *port, security, args.patience),
+                Err(error) => Err(error),
+            }
+        }
         Address::Thrift { host, port } => match describe_thrift(host, *port) {
             Ok(text) => match init_of(&Source { name: args.address.to_string(), text }) {
                 Ok(block) => Ok(block),
@@ -195,12 +223,17 @@ fn describe(args: &DescribeArgs, format: Format) -> Exit {
     Exit::Done
 }
 
-fn ask_block(host: String, port: u16, patience: Span) -> Result<InitializationBlock, String> {
+fn ask_block(
+    host: String,
+    port: u16,
+    security: Security,
+    patience: Span,
+) -> Result<InitializationBlock, String> {
     let mut told = Err("no answer".to_owned());
     super::with_runtime(async {
         let clock = ServerClock::anchored(Span::ZERO);
         let (events, happened) = mpsc::channel(64);
-        let endpoint = Endpoint::Tcp { host, port, encoding: LinkEncoding::default() };
+        let endpoint = Endpoint::Tcp { host, port, encoding: LinkEncoding::default(), security };
         let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
         let answer = ask(unnamed(), link, happened, clock, patience).await;
         let problem = answer.problem.unwrap_or_else(|| "the robot did not describe itself".to_owned());
@@ -215,11 +248,13 @@ fn unnamed() -> RobotId {
     "robot".parse().expect("a constant below every limit")
 }
 
-async fn ask_all(fleet: &Fleet, patience: Span) -> Result<Vec<Answer>, String> {
+async fn ask_all(fleet: &Fleet, programs: StartPrograms, patience: Span) -> Result<Vec<Answer>, String> {
     let clock = ServerClock::anchored(Span::ZERO);
     let robots: Vec<&FleetRobot> = fleet.robots.iter().collect();
-    let (host, endpoints) = fleet::endpoints(&robots, fleet.handshake, HostOptions::default())
-        .map_err(|error| error.to_string())?;
+    let site = identity::site(fleet)?;
+    let (host, endpoints) =
+        fleet::endpoints(&robots, fleet.handshake, &site, HostOptions::default(), programs)
+            .map_err(|error| error.to_string())?;
     let asked = robots.iter().zip(endpoints).map(|(robot, endpoint)| {
         let (events, happened) = mpsc::channel(64);
         let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);

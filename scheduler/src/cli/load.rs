@@ -2,9 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use downbeat_scripts::{Choreography, Finding, Fleet, Folder, Outline, Severity, Source};
+use downbeat_scripts::{
+    Choreography, Code, Finding, Fleet, Folder, Outline, Project, Severity, Source, place_at_fleet,
+};
 
-use super::{Exit, Format, ScenarioArgs, console};
+use super::{Exit, Format, ProjectArgs, ScenarioArgs, console};
 
 /// A scenario that was read, whatever became of it.
 pub(super) struct Loaded {
@@ -38,8 +40,7 @@ pub(super) fn load(args: &ScenarioArgs) -> Loaded {
             return loaded;
         }
     };
-    let fleet_path = fleet_path(args, &source);
-    let (fleet, mut findings) = downbeat_scripts::read_fleet(&fleet_path);
+    let (fleet_path, (fleet, mut findings)) = read_fleet(args, &source);
     say_how_to_name_it(&mut findings, "`--fleet FILE` names one");
     loaded.findings.extend(findings);
     if let Some(fleet) = &fleet {
@@ -71,17 +72,52 @@ pub(super) fn replaces(page: &Path, sources: &[&Path]) -> Option<String> {
 
 /// Where its includes are.
 fn folder(args: &ScenarioArgs) -> Folder {
-    Folder(args.scenario.parent().map(Path::to_path_buf).unwrap_or_default())
+    Folder::within(beside(args).to_path_buf(), args.project.of(&args.scenario))
 }
 
-fn fleet_path(args: &ScenarioArgs, source: &Source) -> PathBuf {
-    if let Some(path) = &args.fleet {
-        return path.clone();
+fn beside(args: &ScenarioArgs) -> &Path {
+    args.scenario.parent().unwrap_or(Path::new(""))
+}
+
+/// The fleet file, and what it says. One that the scenario names has to be in the project.
+fn read_fleet(args: &ScenarioArgs, source: &Source) -> (PathBuf, (Option<Fleet>, Vec<Finding>)) {
+    let project = args.project.of(&args.scenario);
+    let named = match &args.fleet {
+        Some(_) => None,
+        None => downbeat_scripts::fleet_named_by(source).map(|named| beside(args).join(named)),
+    };
+    if let Some(path) = named {
+        let (fleet, findings) = downbeat_scripts::read_fleet_named(&path, &project);
+        let is_itself_outside = |finding: &Finding| {
+            finding.code == Code::OutsideProject && finding.line == 0 && Path::new(&finding.file) == path
+        };
+        let place = |finding| {
+            if is_itself_outside(&finding) { place_at_fleet(source, finding) } else { finding }
+        };
+        let findings = findings.into_iter().map(place).collect();
+        return (path, (fleet, findings));
     }
-    let beside = args.scenario.parent().unwrap_or(Path::new(""));
-    match downbeat_scripts::fleet_named_by(source) {
-        Some(named) => beside.join(named),
-        None => PathBuf::from("fleet.yaml"),
+    let path = args.fleet.clone().unwrap_or_else(|| PathBuf::from("fleet.yaml"));
+    // One in the project of the scenario belongs to it, though it may lie deeper.
+    let project = if project.holds(&path) { project } else { args.project.of(&path) };
+    let read = downbeat_scripts::read_fleet_within(&path, &project);
+    (path, read)
+}
+
+impl ProjectArgs {
+    /// The project of a file that the operator has named.
+    fn of(&self, file: &Path) -> Project {
+        self.project.clone().unwrap_or_else(|| Project::of(file))
+    }
+
+    /// The project that a journal remembers.
+    pub(super) fn remembered(folder: Option<&Path>) -> Self {
+        Self { project: folder.and_then(|folder| Project::within(folder).ok()) }
+    }
+
+    /// The folder that the operator has named.
+    pub(super) fn folder(&self) -> Option<PathBuf> {
+        self.project.as_ref().map(|project| project.root().to_path_buf())
     }
 }
 
@@ -124,8 +160,8 @@ fn say_how_to_name_it(findings: &mut [Finding], how: &str) {
 }
 
 /// Reads a fleet file alone.
-pub(super) fn load_fleet(path: &Path, format: Format) -> Result<Fleet, Exit> {
-    let (fleet, mut findings) = downbeat_scripts::read_fleet(path);
+pub(super) fn load_fleet(path: &Path, project: &ProjectArgs, format: Format) -> Result<Fleet, Exit> {
+    let (fleet, mut findings) = downbeat_scripts::read_fleet_within(path, &project.of(path));
     say_how_to_name_it(&mut findings, "or name one as the argument of this command");
     match format {
         Format::Text => show_findings(&findings),

@@ -1,18 +1,22 @@
 //! `downbeat missions`: missions that other processes run, or ran.
 
-use downbeat_scripts::counted;
+use std::io;
+use std::path::Path;
+
+use downbeat_scripts::{Attempt, Refusal, counted};
 use serde::Serialize;
 use serde_json::json;
 use urrcp::{RobotId, SessionId};
 
 use super::{Exit, Format, console};
-use crate::journal::{self, Found, Life, Missions};
+use crate::journal::{self, Found, Life, Missions, NotPrivate};
 use crate::report::table::Rows;
 
 /// List the missions of this machine that run or were cut off.
 #[derive(Debug, clap::Args)]
 #[command(
-    after_help = "Journals are kept in $DOWNBEAT_STATE, or else in $XDG_STATE_HOME/downbeat, or else in ~/.local/state/downbeat.
+    after_help = "Journals are kept in $DOWNBEAT_STATE, or else in $XDG_STATE_HOME/downbeat, or else in ~/.local/state/downbeat. \
+Only you can read that folder; the command refuses one that another user owns or can write to.
 
 Examples:
   downbeat missions
@@ -50,12 +54,16 @@ impl From<Found> for Row {
 }
 
 pub(super) fn missions(args: &MissionsArgs, format: Format) -> Exit {
-    let listed = listed();
+    let listed = match listed() {
+        Ok(listed) => listed,
+        Err(exit) => return exit,
+    };
+    let unread = listed.unread();
     let shown = listed.found.into_iter().filter(|found| args.all || found.life != Life::Ended);
     let rows: Vec<Row> = shown.map(Row::from).collect();
     match format {
         Format::Json => console::print_json(&rows),
-        Format::Text if rows.is_empty() && !listed.damaged.is_empty() => {
+        Format::Text if rows.is_empty() && unread > 0 => {
             console::note("no other mission runs, and none was cut off");
         }
         Format::Text if rows.is_empty() => console::note("no mission runs, and none was cut off"),
@@ -78,16 +86,35 @@ pub(super) fn missions(args: &MissionsArgs, format: Format) -> Exit {
     Exit::Done
 }
 
-/// The missions of this machine; those that cannot be read are named.
-pub(super) fn listed() -> Missions {
-    let missions = Missions::of(&journal::state_folder());
+/// The missions of this machine; those that cannot be read, and what is not for this user alone, are named.
+pub(super) fn listed() -> Result<Missions, Exit> {
+    let told = |message: &str| {
+        console::error(message);
+        Exit::Usage
+    };
+    let state = journal::state_folder().map_err(|error| told(&error.to_string()))?;
+    let missions = Missions::of(&state).map_err(|error| told(&unusable(&state, &error)))?;
+    for refused in &missions.refused {
+        console::warn(&format!("{refused}; if a mission runs there, this command does not reach it"));
+    }
     for journal in &missions.damaged {
         console::warn(&format!(
             "the first line of {} cannot be read, so the robots of its mission are not known; make sure that no robot moves, then delete the file",
             journal.display()
         ));
     }
-    missions
+    Ok(missions)
+}
+
+/// Why missions cannot be looked for.
+pub(super) fn unusable(state: &Path, error: &io::Error) -> String {
+    match NotPrivate::of(error) {
+        Some(refused) => format!("the missions of this machine cannot be used: {refused}"),
+        None => {
+            let refusal = Refusal::of(Attempt::Read(state), error).reason;
+            format!("the missions in {} cannot be read: {refusal}", state.display())
+        }
+    }
 }
 
 /// The one mission that is meant, of those that run or were cut off.
@@ -98,7 +125,7 @@ pub(super) fn one(named: Option<&str>, life: Life, format: Format) -> Result<Fou
         Life::Ended => ("has ended", "have ended"),
     };
     let fits = |found: &Found| found.life == life && is_called(found, named);
-    let mut fitting: Vec<Found> = listed().found.into_iter().filter(fits).collect();
+    let mut fitting: Vec<Found> = listed()?.found.into_iter().filter(fits).collect();
     match (fitting.pop(), fitting.is_empty()) {
         (Some(found), true) => Ok(found),
         (Some(last), false) => {

@@ -23,8 +23,10 @@ mod export;
 mod fleet;
 mod go;
 mod graph;
+mod identity;
 mod import;
 mod init;
+mod keys;
 mod live;
 mod load;
 mod missions;
@@ -46,10 +48,11 @@ mod world;
 pub(crate) use withdraw::InsideWhat;
 
 use std::io::Write;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use clap::{Args, Parser, Subcommand, ValueEnum};
+use downbeat_scripts::{Attempt, Project, Refusal};
 use tracing_subscriber::filter::Targets;
 use tracing_subscriber::layer::SubscriberExt;
 use tracing_subscriber::util::SubscriberInitExt;
@@ -152,6 +155,9 @@ enum Command {
     /// Ask the robots of a fleet what they are.
     #[command(subcommand)]
     Fleet(fleet::FleetCommand),
+    /// Make keys and certificates for robots and operators.
+    #[command(subcommand)]
+    Keys(keys::KeysCommand),
 }
 
 /// A scenario with its fleet, as most commands take them.
@@ -162,6 +168,26 @@ pub struct ScenarioArgs {
     /// The fleet file. By default the one that the scenario names, or else ./fleet.yaml.
     #[arg(long, value_name = "FILE")]
     fleet: Option<PathBuf>,
+    #[command(flatten)]
+    project: ProjectArgs,
+}
+
+/// In which folder the files have to be that scenarios and fleets name.
+#[derive(Clone, Debug, Default, Args)]
+pub struct ProjectArgs {
+    /// The folder in which files have to be that scenarios and fleets name. By default the nearest one with .git, or else
+    /// with fleet.yaml, or else their own.
+    #[arg(long, value_name = "DIR", value_parser = parse_project)]
+    project: Option<Project>,
+}
+
+fn parse_project(text: &str) -> Result<Project, String> {
+    let folder = Path::new(text);
+    Project::within(folder).map_err(|error| match error.kind() {
+        std::io::ErrorKind::NotFound => "there is no such folder".to_owned(),
+        std::io::ErrorKind::NotADirectory => "this is not a folder".to_owned(),
+        _ => Refusal::of(Attempt::Read(folder), &error).to_string(),
+    })
 }
 
 /// How a command ended, as scripts see it.
@@ -245,6 +271,7 @@ pub fn main() -> ExitCode {
         Command::Completions(args) => completions::completions(&args),
         Command::Man(args) => completions::man(&args),
         Command::Fleet(command) => fleet::fleet(&command, format),
+        Command::Keys(command) => keys::keys(&command, format),
     };
     if format == Format::Json {
         console::document_failure(exit);

@@ -6,7 +6,7 @@ use downbeat_scripts::shown::shown;
 use downbeat_scripts::{Attempt, Refusal};
 use serde_json::Value;
 
-use super::{Exit, Format, ScenarioArgs, console, load};
+use super::{Exit, Format, ProjectArgs, ScenarioArgs, console, load};
 use crate::page::{self, History, NoHistory, Written};
 
 /// Show a mission that was played, from its journal or its recording.
@@ -33,6 +33,8 @@ pub(super) struct ReportArgs {
     /// The fleet file of that scenario. By default the one that the scenario names, or else ./fleet.yaml.
     #[arg(long, value_name = "FILE", requires = "scenario")]
     fleet: Option<PathBuf>,
+    #[command(flatten)]
+    project: ProjectArgs,
     /// Show what comes before the damage of a file that is not whole.
     #[arg(long)]
     partial: bool,
@@ -89,7 +91,11 @@ fn write(args: &ReportArgs, history: &History, path: &Path, format: Format) -> R
     let page = match &args.scenario {
         None => page::of_history(history, None),
         Some(scenario) => {
-            let scenario = ScenarioArgs { scenario: scenario.clone(), fleet: args.fleet.clone() };
+            let scenario = ScenarioArgs {
+                scenario: scenario.clone(),
+                fleet: args.fleet.clone(),
+                project: args.project.clone(),
+            };
             let (choreography, fleet, _, findings) = load::load_whole(&scenario, format)?;
             let outline = load::outline(&scenario, &fleet);
             let written = Written {

@@ -1,18 +1,19 @@
 //! `downbeat resume`: takes up a mission whose scheduler was killed.
 
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use downbeat_robot::{Host, HostOptions};
-use downbeat_scripts::{Choreography, Fleet, FleetRobot};
+use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot};
 
 use super::live::{Live, Speaker};
 use super::missions::{failed, one};
 use super::realtime::{self, RealtimeArgs};
 use super::run::{HowArgs, finish, listen, server_clock, stop_lane, utc_offset};
-use super::withdraw::{How, Scheduler, Taken, Unconfirmed, started_in, withdraw_and_record};
-use super::{Exit, Format, ScenarioArgs, choice, console, load, robot, stop};
-use crate::fleet::{self, EndpointError};
-use crate::journal::{Fate, Found, Journal, Kept, Life, OpenedRobot};
+use super::withdraw::{How, Programs, Scheduler, Taken, Unconfirmed, started_in, withdraw_and_record};
+use super::{Exit, Format, ProjectArgs, ScenarioArgs, choice, console, identity, load, robot, stop};
+use crate::fleet::{self, EndpointError, StartPrograms};
+use crate::journal::{Fate, Found, Journal, Kept, Life, Opened, OpenedRobot};
 use crate::link::Endpoint;
 use crate::mission::{Mission, MissionOptions};
 use crate::report::Report;
@@ -27,13 +28,20 @@ use crate::signals::OnHangUp;
 the mission to its end. If the start of an act was not decided yet, the command takes the act back instead. It refuses if \
 the fleet file has another address for a robot than the one to which its scripts were sent.
 
+It starts the programs again that drive robots (`address: program:COMMAND`), as the fleet file says, never as a journal says: \
+the file that you name with --fleet, or the file of the mission if it is yours and names the same programs as before.
+
 Examples:
   downbeat resume
+  downbeat resume --fleet stage.yaml
   downbeat resume swap@stage-4711-20261121T193000000"
 )]
 pub(super) struct ResumeArgs {
     /// The mission. Needed only if several were cut off.
     mission: Option<String>,
+    /// The fleet file. By default the one with which the mission began.
+    #[arg(long, value_name = "FILE")]
+    fleet: Option<PathBuf>,
     #[command(flatten)]
     how: HowArgs,
     #[command(flatten)]
@@ -53,6 +61,7 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
     if let Fate::Withdraw(why) = taken.kept.fate() {
         console::note(&format!("{why}: withdrawing what was promised"));
         let rest = taken.kept.stopping.unwrap_or_default();
+        let programs = programs_to_reach(&taken.kept, args, format);
         return super::with_runtime(async {
             let how = How {
                 scheduler: Scheduler::Gone,
@@ -61,7 +70,11 @@ pub(super) fn resume(args: &ResumeArgs, format: Format) -> Exit {
                 patience: args.how.patience,
                 told: format,
             };
-            stop::conclude(found.opened.session.clone(), withdraw_and_record(taken, how).await, format)
+            stop::conclude(
+                found.opened.session.clone(),
+                withdraw_and_record(taken, &programs, how).await,
+                format,
+            )
         });
     }
     match Resumption::of(found, taken, args, format) {
@@ -87,14 +100,19 @@ struct Resumption<'a> {
 
 impl<'a> Resumption<'a> {
     fn of(found: Found, taken: Taken, args: &'a ResumeArgs, format: Format) -> Result<Self, Exit> {
-        let scenario =
-            ScenarioArgs { scenario: found.opened.scenario.clone(), fleet: Some(found.opened.fleet.clone()) };
+        let scenario = ScenarioArgs {
+            scenario: found.opened.scenario.clone(),
+            fleet: Some(fleet_file(&found.opened, args).to_path_buf()),
+            project: ProjectArgs::remembered(found.opened.project.as_deref()),
+        };
         let (choreography, fleet, _) = load::load_choreography(&scenario, format)?;
         let (choreography, _) = choice::choose(choreography, &fleet, &found.opened.asked)?;
         let moved = moved(&found.opened.robots, &fleet);
         if !moved.is_empty() {
             return Err(failed(&moved.join("; ")));
         }
+        may_start(&found.opened, &fleet::robots_in(&fleet, &choreography), args)
+            .map_err(|why| failed(&why))?;
         let (kept, journal) = taken.journal().map_err(|reason| failed(&reason))?;
         Ok(Self {
             found,
@@ -124,7 +142,7 @@ impl<'a> Resumption<'a> {
         let options = MissionOptions {
             greeting: fleet::greeting(&self.fleet),
             patience: self.how.patience,
-            session: Some(self.found.opened.session.clone()),
+            session: Some(self.found.opened.drives_as()),
             utc_offset: utc_offset(),
             ..MissionOptions::default()
         };
@@ -152,12 +170,69 @@ impl<'a> Resumption<'a> {
 
     fn endpoints(&self, robots: &[&FleetRobot]) -> Result<(Option<Host>, Vec<Endpoint>), EndpointError> {
         let options = HostOptions::default().with_realtime(self.realtime.realtime());
-        let (host, endpoints) = fleet::endpoints(robots, self.fleet.handshake, options)?;
+        let site = identity::site(&self.fleet).map_err(EndpointError::Identity)?;
+        let (host, endpoints) =
+            fleet::endpoints(robots, self.fleet.handshake, &site, options, StartPrograms::Yes)?;
         if let Some(host) = &host {
             self.realtime.tell(host, self.format);
         }
         Ok((host, endpoints))
     }
+}
+
+/// The fleet file that the operator names, or else that of the mission.
+fn fleet_file<'a>(opened: &'a Opened, args: &'a ResumeArgs) -> &'a Path {
+    args.fleet.as_deref().unwrap_or(&opened.fleet)
+}
+
+/// Whether the programs that drive these robots may be started. A fleet file that the operator names says so by itself. That of
+/// the mission has to be one that only the operator writes, with the programs that the operator has started before.
+fn may_start(opened: &Opened, robots: &[&FleetRobot], args: &ResumeArgs) -> Result<(), String> {
+    let mut programs = robots.iter().filter(|robot| matches!(robot.address, Address::Program { .. }));
+    let Some(first) = programs.next() else { return Ok(()) };
+    if args.fleet.is_some() {
+        return Ok(());
+    }
+    let path = opened.fleet.display();
+    let look = format!("look at it, then name it with `--fleet {path}`");
+    let found = rustix::fs::stat(&opened.fleet).map_err(|error| format!("cannot look at {path}: {error}"))?;
+    if found.st_uid != rustix::process::geteuid().as_raw() || found.st_mode & 0o002 != 0 {
+        return Err(format!(
+            "the fleet file {path} says which programs to start, and is not yours alone: {look}"
+        ));
+    }
+    let is_as_before = |robot: &FleetRobot| {
+        let address = robot.address.to_string();
+        opened.robots.iter().any(|before| before.robot == robot.id && before.address == address)
+    };
+    match [first].into_iter().chain(programs).find(|robot| !is_as_before(robot)) {
+        Some(other) => Err(format!(
+            "the fleet file {path} says another program for robot `{}` than when the mission began: {look}",
+            other.id
+        )),
+        None => Ok(()),
+    }
+}
+
+/// The programs of a mission that is withdrawn, as far as they may be started; why others may not is told.
+fn programs_to_reach(kept: &Kept, args: &ResumeArgs, format: Format) -> Programs {
+    let opened = &kept.opened;
+    let is_program = |robot: &&OpenedRobot| matches!(robot.address.parse(), Ok(Address::Program { .. }));
+    let driven: Vec<_> = opened.robots.iter().filter(is_program).map(|robot| &robot.robot).collect();
+    if driven.is_empty() {
+        return Programs::new();
+    }
+    let project = ProjectArgs::remembered(opened.project.as_deref());
+    let Ok(fleet) = load::load_fleet(fleet_file(opened, args), &project, format) else {
+        console::warn("without its fleet file no program is started");
+        return Programs::new();
+    };
+    let robots: Vec<_> = fleet.robots.iter().filter(|robot| driven.contains(&&robot.id)).collect();
+    if let Err(why) = may_start(opened, &robots, args) {
+        console::warn(&format!("no program is started: {why}"));
+        return Programs::new();
+    }
+    robots.into_iter().map(|robot| (robot.id.clone(), robot.address.clone())).collect()
 }
 
 /// Robots that are no longer where they were sent their scripts, each with both addresses.

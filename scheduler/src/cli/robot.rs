@@ -2,10 +2,12 @@
 
 use std::io;
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use clap::ValueEnum;
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
-use downbeat_robot::{Host, HostError, HostOptions, Hosted, serve};
+use downbeat_robot::tls::{Credentials, Guard, Name, Revoked};
+use downbeat_robot::{Host, HostError, HostOptions, Hosted, serve, serve_guarded};
 use downbeat_scripts::shown::{self, shown};
 use downbeat_scripts::{Attempt, Refusal};
 use tokio::net::TcpListener;
@@ -25,7 +27,8 @@ use crate::signals::{OnHangUp, Signals};
 
 Examples:
   downbeat robot --init robots/arm.yaml --listen 127.0.0.1:7401
-  downbeat robot --init arm.yaml --id arm-2 --clock-offset 120ms")]
+  downbeat robot --init arm.yaml --id arm-2 --clock-offset 120ms
+  downbeat robot --init arm.yaml --listen 0.0.0.0:7401 --identity keys/robots/arm.pem")]
 pub(super) struct RobotArgs {
     #[command(flatten)]
     process: ProcessArgs,
@@ -68,7 +71,53 @@ pub(super) struct ProcessArgs {
     #[arg(long, value_name = "FILE")]
     log_file: Option<PathBuf>,
     #[command(flatten)]
+    guard: GuardArgs,
+    #[command(flatten)]
     realtime: RealtimeArgs,
+}
+
+/// Who may drive what listens.
+#[derive(Debug, clap::Args)]
+pub(super) struct GuardArgs {
+    /// Hear only operators of the authority that made this identity file (`downbeat keys robot`), by TLS.
+    #[arg(long, value_name = "FILE")]
+    identity: Option<PathBuf>,
+    /// Refuse the certificates on this list (`downbeat keys revoke`). It is read again when it changes.
+    #[arg(long, value_name = "FILE", requires = "identity")]
+    revoked: Option<PathBuf>,
+    /// Let anyone drive the robot who reaches its port, without TLS: for a network of its own.
+    #[arg(long, conflicts_with = "identity")]
+    insecure: bool,
+}
+
+impl GuardArgs {
+    /// The robot's door; `None` where it is open. What listens for more than this machine needs one.
+    pub(super) fn guard(
+        &self,
+        robot: &RobotId,
+        listener: &TcpListener,
+    ) -> Result<Option<Arc<Guard>>, String> {
+        let Some(path) = &self.identity else {
+            return match listener.local_addr() {
+                Ok(address) if !address.ip().to_canonical().is_loopback() && !self.insecure => Err(format!(
+                    "anyone who reaches {address} could drive the robot; give --identity FILE, which `downbeat keys robot` makes, \
+                     or --insecure in a network of its own"
+                )),
+                _ => Ok(None),
+            };
+        };
+        let own = Credentials::read(path).map_err(|error| error.to_string())?;
+        if own.identity().name != Name::Robot(robot.clone()) {
+            let name = &own.identity().name;
+            return Err(format!(
+                "{}: this is the identity of {name}, expected robot {robot}",
+                path.display()
+            ));
+        }
+        let revoked = self.revoked.as_deref().map(Revoked::in_file).transpose();
+        let guard = Guard::new(own, revoked.map_err(|error| error.to_string())?)?;
+        Ok(Some(Arc::new(guard)))
+    }
 }
 
 impl ProcessArgs {
@@ -86,7 +135,7 @@ impl ProcessArgs {
     }
 
     /// Runs the robot until it is interrupted. Moves nothing before it has its socket.
-    pub(super) fn run(&self, robot: Hosted, format: Format) -> Exit {
+    pub(super) fn run(&self, id: RobotId, robot: Hosted, format: Format) -> Exit {
         let mut options = HostOptions::default().with_realtime(self.realtime.realtime());
         options.log.clone_from(&self.log_file);
         super::with_runtime(async {
@@ -99,6 +148,10 @@ impl ProcessArgs {
                 Ok(listener) => listener,
                 Err(error) => return failed(&not_listening(&self.listen, &error)),
             };
+            let guard = match self.guard.guard(&id, &listener) {
+                Ok(guard) => guard,
+                Err(error) => return failed(&error),
+            };
             let mut host = match Host::start(vec![robot], options) {
                 Ok(host) => host,
                 Err(error) => return failed(&not_hosted(&error)),
@@ -106,7 +159,7 @@ impl ProcessArgs {
             let log = LogWatch::of(&mut host);
             self.realtime.tell(&host, format);
             announce(&host, 0, &listener, format);
-            let exit = serve_until_asked_to_end(vec![(listener, 0)], &host, signals).await;
+            let exit = serve_until_asked_to_end(vec![(listener, 0, guard)], &host, signals).await;
             if stop(host) { log.spoils(exit).await } else { Exit::Unconfirmed }
         })
     }
@@ -179,9 +232,10 @@ pub(super) fn robot(args: &RobotArgs, format: Format) -> Exit {
         console::error(&format!("--reading: `{}` has no sensor `{sensor}`; {known}", block.id));
         return Exit::Usage;
     }
+    let id = block.id.clone();
     let mut robot = SimulatedRobot::new(block, settings);
     args.readings.iter().for_each(|(sensor, reading)| robot.set_reading(sensor.clone(), *reading));
-    args.process.run(robot.into(), format)
+    args.process.run(id, robot.into(), format)
 }
 
 fn parse_reading(text: &str) -> Result<(DeviceId, f64), String> {
@@ -246,13 +300,19 @@ pub(super) fn announce(host: &Host, index: usize, listener: &TcpListener, format
 
 /// Serves robots until a signal asks the program to end.
 pub(super) async fn serve_until_asked_to_end(
-    listeners: Vec<(TcpListener, usize)>,
+    listeners: Vec<(TcpListener, usize, Option<Arc<Guard>>)>,
     host: &Host,
     mut signals: Signals,
 ) -> Exit {
     let mut serving = tokio::task::JoinSet::new();
-    for (listener, index) in listeners {
-        serving.spawn(serve(listener, host.handle(), index));
+    for (listener, index, guard) in listeners {
+        let host = host.handle();
+        serving.spawn(async move {
+            match guard {
+                Some(guard) => serve_guarded(listener, host, index, guard).await,
+                None => serve(listener, host, index).await,
+            }
+        });
     }
     tokio::select! {
         _ = signals.next() => Exit::Done,

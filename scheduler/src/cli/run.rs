@@ -14,18 +14,21 @@ use urrcp::{Server, SessionId, Span, Timestamp};
 
 use super::certify::CertifiedArgs;
 use super::choice::{self, ChoiceArgs};
+use super::fleet::ProgramArgs;
 use super::live::{Live, Speaker};
 use super::load;
+use super::missions::unusable;
 use super::realtime::{self, RealtimeArgs};
-use super::{Exit, Format, ScenarioArgs, console, detach, robot};
-use crate::fleet;
-use crate::journal::{self, Asked, Opened};
+use super::{Exit, Format, ScenarioArgs, console, detach, identity, robot};
+use crate::fleet::{self, StartPrograms};
+use crate::journal::{self, Asked, Missions, Opened};
 use crate::mission::{Join, Mission, MissionOptions};
 use crate::recording::{Recorder, Recording};
 use crate::report::{HostWakeUp, Outcome, Report, report_text};
 use crate::run::control::Control;
 use crate::run::{Keep, Operator};
 use crate::server_clock::{self, NTP_WATCH_INTERVAL, NtpWatch, ServerClock};
+use crate::session::{Session, SessionKey};
 use crate::signals::OnHangUp;
 use crate::stop_lane::StopLane;
 
@@ -81,7 +84,8 @@ pub(super) struct RunArgs {
 #[command(
     after_help = "The command asks every robot of the scenario for its identity, its clock, the positions of its devices \
 and the readings of its sensors, and prints a table with one row per robot and one column per check. It also measures how \
-late this host wakes the robots of its own process.
+late this host wakes the robots of its own process. It starts no program that the fleet file names: with --start-programs \
+it does.
 
 Examples:
   downbeat preflight show.yaml
@@ -99,6 +103,8 @@ pub(super) struct PreflightArgs {
     certified: CertifiedArgs,
     #[command(flatten)]
     realtime: RealtimeArgs,
+    #[command(flatten)]
+    programs: ProgramArgs,
 }
 
 /// How the fleet is talked to.
@@ -166,6 +172,7 @@ pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
         record: args.record.as_deref(),
         journal: !args.no_journal,
         preflight_only: false,
+        programs: StartPrograms::Yes,
         place,
         format,
     };
@@ -185,6 +192,7 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
         record: None,
         journal: false,
         preflight_only: true,
+        programs: args.programs.asked(),
         place: Place::Terminal,
         format,
     };
@@ -237,6 +245,7 @@ struct Work<'a> {
     record: Option<&'a Path>,
     journal: bool,
     preflight_only: bool,
+    programs: StartPrograms,
     place: Place,
     format: Format,
 }
@@ -256,7 +265,13 @@ impl Work<'_> {
         }
         if matches!(self.place, Place::Detaching) {
             let session = session_name(&choreography.scenario, &ServerClock::anchored(Span::ZERO));
-            return detach::detach(&session, &journal::state_folder().join(session.as_str()), self.format);
+            return match journal::state_folder() {
+                Ok(state) => detach::detach(&session, &state, self.format),
+                Err(error) => {
+                    console::error(&error.to_string());
+                    Exit::Usage
+                }
+            };
         }
         super::with_runtime(async {
             match self.play(choreography, first_act, &fleet, &fleet_path).await {
@@ -283,16 +298,17 @@ impl Work<'_> {
             Place::Background(session) => session.clone(),
             Place::Terminal | Place::Detaching => session_name(&choreography.scenario, &clock),
         };
-        let state = journal::state_folder();
-        if !self.preflight_only {
-            others::look_for(&state, &robots).map_err(failed)?;
-        }
-        let options = self.options(fleet, (clock, server_uncertainty), session.clone(), first_act);
+        let state = if self.preflight_only { None } else { self.state(&robots)? };
+        let key = SessionKey::random().map_err(|error| failed(error.to_string()))?;
+        let driven_as =
+            Session::with_key(session.clone(), &key).map_err(|error| failed(error.to_string()))?;
+        let options = self.options(fleet, (clock, server_uncertainty), driven_as, first_act);
         let mut keep = self.keep(fleet, clock)?;
         let (lane, mut operator) = stop_lane(self.on_hang_up()).map_err(failed)?;
         let mut control = None;
-        if self.journal {
-            let opened = self.opened(session, &choreography.scenario, (fleet, fleet_path), clock, &robots);
+        if let Some(state) = state.filter(|_| self.journal) {
+            let opened =
+                self.opened((session, key), &choreography.scenario, (fleet, fleet_path), clock, &robots);
             let folder = state.join(opened.session.as_str());
             keep.journal = Some(opening::begin(state, opened, clock, &mut operator).await?);
             control = listen(&folder, &lane);
@@ -302,11 +318,30 @@ impl Work<'_> {
             .await
     }
 
+    /// Where its journal is to be, if no other mission there has its robots. A mission without a journal need not know.
+    fn state(&self, robots: &[&FleetRobot]) -> Result<Option<PathBuf>, Stopped> {
+        let read = journal::state_folder().map_err(|error| error.to_string()).and_then(|state| {
+            let missions = Missions::of(&state).map_err(|error| unusable(&state, &error))?;
+            Ok((state, missions))
+        });
+        match read {
+            Ok((state, missions)) => {
+                others::look_at(&missions, robots).map_err(failed)?;
+                Ok(Some(state))
+            }
+            Err(error) if self.journal => Err(usage(format!("{error}, or run with --no-journal"))),
+            Err(error) => {
+                console::warn(&format!("other missions that may have these robots are not known: {error}"));
+                Ok(None)
+            }
+        }
+    }
+
     fn options(
         &self,
         fleet: &Fleet,
         (clock, server_uncertainty): (ServerClock, Span),
-        session: SessionId,
+        session: Session,
         first_act: usize,
     ) -> MissionOptions {
         let utc_offset = utc_offset();
@@ -350,7 +385,7 @@ impl Work<'_> {
     /// The first line of its journal.
     fn opened(
         &self,
-        session: SessionId,
+        (session, key): (SessionId, SessionKey),
         scenario: &str,
         (fleet, fleet_path): (&Fleet, &Path),
         clock: ServerClock,
@@ -359,14 +394,17 @@ impl Work<'_> {
         let absolute = |path: &Path| std::path::absolute(path).unwrap_or_else(|_| path.to_path_buf());
         Opened {
             session,
+            key: Some(key),
             pid: std::process::id(),
             name: Some(scenario.to_owned()),
             scenario: absolute(&self.scenario.scenario),
             fleet: absolute(fleet_path),
             folder: std::env::current_dir().ok(),
+            project: self.scenario.project.folder(),
             asked: self.asked.clone(),
             greeting: fleet::greeting(fleet),
             clock_offset: clock.offset(),
+            keys: identity::keys(fleet),
             robots: robots.iter().map(|robot| opening::opened_robot(robot)).collect(),
         }
     }
@@ -379,8 +417,10 @@ impl Work<'_> {
         keep.stop_lane = Some(lane);
         let wake_up = if self.preflight_only { measured_wake_up(self.realtime).await } else { None };
         let host_options = HostOptions::default().with_realtime(self.realtime.realtime());
-        let (host, endpoints) = fleet::endpoints(&robots, fleet.handshake, host_options)
-            .map_err(|error| (error.to_string(), realtime::exit_of(&error)))?;
+        let site = identity::site(fleet).map_err(|error| (error, Exit::Usage))?;
+        let (host, endpoints) =
+            fleet::endpoints(&robots, fleet.handshake, &site, host_options, self.programs)
+                .map_err(|error| (error.to_string(), realtime::exit_of(&error)))?;
         let tolerance = choreography.acts.get(options.first_act).map(|act| act.plan.start_tolerance);
         if let (Some(host), false) = (&host, self.preflight_only) {
             self.realtime.tell(host, self.format);

@@ -1,15 +1,16 @@
 //! `downbeat sim`: all TCP robots of a fleet as simulated ones in this process.
 
 use std::path::PathBuf;
+use std::sync::Arc;
 
 use downbeat_robot::{Host, HostOptions};
 use downbeat_scripts::Address;
 use tokio::net::TcpListener;
 
 use super::realtime::RealtimeArgs;
-use super::{Exit, Format, console, load, robot};
-use crate::fleet;
+use super::{Exit, Format, ProjectArgs, console, load, robot};
 use crate::signals::{OnHangUp, Signals};
+use crate::{fleet, keys};
 
 /// Simulate all TCP robots of a fleet in one process.
 #[derive(Debug, clap::Args)]
@@ -21,6 +22,11 @@ pub(super) struct SimArgs {
     /// The fleet file.
     #[arg(default_value = "fleet.yaml")]
     fleet: PathBuf,
+    /// The folder of `downbeat keys` with the identities of robots at `tls://` addresses.
+    #[arg(long, value_name = "FOLDER")]
+    keys: Option<PathBuf>,
+    #[command(flatten)]
+    project: ProjectArgs,
     /// Write every value that they set to this file, one JSON line each.
     #[arg(long, value_name = "FILE")]
     log_file: Option<PathBuf>,
@@ -28,15 +34,26 @@ pub(super) struct SimArgs {
     realtime: RealtimeArgs,
 }
 
+fn speaks_tls(address: &Address) -> bool {
+    matches!(address, Address::Tcp { tls: true, .. })
+}
+
 pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
-    let fleet = match load::load_fleet(&args.fleet, format) {
+    let fleet = match load::load_fleet(&args.fleet, &args.project, format) {
         Ok(fleet) => fleet,
         Err(exit) => return exit,
     };
+    if let (None, Some(robot)) = (&args.keys, fleet.robots.iter().find(|robot| speaks_tls(&robot.address))) {
+        console::error(&format!(
+            "`{}` is at {}: name the folder of the keys with --keys, or simulate it with `address: sim`",
+            robot.id, robot.address
+        ));
+        return Exit::Usage;
+    }
     let mut machines = Vec::new();
     let mut addresses = Vec::new();
     for (seed, robot) in fleet.robots.iter().enumerate() {
-        let Address::Tcp { host, port } = &robot.address else { continue };
+        let Address::Tcp { host, port, tls } = &robot.address else { continue };
         match fleet::simulated(robot, seed as u64) {
             Ok(machine) => machines.push(machine),
             Err(error) => {
@@ -44,7 +61,15 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
                 return Exit::Failed;
             }
         }
-        addresses.push((host.clone(), *port));
+        let own_id = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
+        let guard = args.keys.as_ref().filter(|_| *tls).map(|keys| keys::guard_of(keys, own_id));
+        match guard.transpose() {
+            Ok(guard) => addresses.push((host.clone(), *port, guard.map(Arc::new))),
+            Err(error) => {
+                console::error(&error);
+                return Exit::Usage;
+            }
+        }
     }
     if machines.is_empty() {
         console::error(
@@ -69,11 +94,11 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
         };
         let log = robot::LogWatch::of(&mut host);
         let mut listeners = Vec::new();
-        for (index, (name, port)) in addresses.into_iter().enumerate() {
+        for (index, (name, port, guard)) in addresses.into_iter().enumerate() {
             match TcpListener::bind((name.as_str(), port)).await {
                 Ok(listener) => {
                     robot::announce(&host, index, &listener, format);
-                    listeners.push((listener, index));
+                    listeners.push((listener, index, guard));
                 }
                 Err(error) => {
                     console::error(&robot::not_listening(&format!("{name}:{port}"), &error));

@@ -11,10 +11,10 @@ use urrcp::{RobotId, Server, SessionId, Timestamp};
 use super::missions::{is_called, listed, none};
 use super::run::HowArgs;
 use super::withdraw::{
-    How, Inside, InsideWhat, NotTaken, Scheduler, Taken, Unconfirmed, Withdrawn, withdraw,
-    withdraw_and_record,
+    How, Inside, InsideWhat, NotTaken, Programs, Scheduler, Taken, Unconfirmed, Withdrawn, stop_fleet,
+    withdraw, withdraw_and_record,
 };
-use super::{Exit, Format, console};
+use super::{Exit, Format, ProjectArgs, console, load};
 use crate::journal::{Found, Kept, Life};
 use crate::mission::Rest;
 use crate::report::local::time_of_day;
@@ -27,11 +27,16 @@ use crate::signals;
 #[command(
     after_help = "Without a name, the command stops all missions that run or were cut off. It stops a running mission \
 through its scheduler and waits for the report. If the scheduler was killed, or does not answer within one second, the \
-command stops the robots directly: the journal names them, and no other file is read. The command says which robots \
+command stops the robots directly: the journal names them, and no other file is read. A stop starts no program: if a program \
+drove a robot, `downbeat resume` starts it again and brings the robot to rest. The command says which robots \
 confirmed the stop, which did not, and when their leases end. A mission can be stopped again, even after it has ended.
+
+With --fleet no journal is needed: all robots with a `tcp://` or `tls://` address are stopped, whoever plays on them and from \
+which machine. Robots with TLS do so if your certificate has the role `stop`; robots without obey while they are free.
 
 Examples:
   downbeat stop
+  downbeat stop --fleet fleet.yaml
   downbeat stop --hold
   downbeat stop swap@stage-4711-20261121T193000000 --patience 2s"
 )]
@@ -41,6 +46,11 @@ pub(super) struct StopArgs {
     /// Stop all missions that run or were cut off. JSON output is then always an array.
     #[arg(long, conflicts_with = "mission")]
     all: bool,
+    /// Stop all robots of this fleet file, whichever mission they play.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["mission", "all", "forget"])]
+    fleet: Option<PathBuf>,
+    #[command(flatten)]
+    project: ProjectArgs,
     /// Count a mission that was cut off as ended even if a robot does not confirm, for example because it is gone for good.
     #[arg(long, requires = "mission")]
     forget: bool,
@@ -66,8 +76,14 @@ struct Stopped {
 
 pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     console::never_wait();
-    let missions = listed();
-    let unreadable = if missions.damaged.is_empty() { Exit::Done } else { Exit::Failed };
+    if let Some(fleet) = &args.fleet {
+        return stop_all_of(fleet, args, format);
+    }
+    let missions = match listed() {
+        Ok(missions) => missions,
+        Err(exit) => return exit,
+    };
+    let unreadable = if missions.unread() == 0 { Exit::Done } else { Exit::Failed };
     let named = args.mission.as_deref();
     let meant = |found: &Found| is_called(found, named) && (named.is_some() || found.life != Life::Ended);
     let found: Vec<Found> = missions.found.into_iter().filter(meant).collect();
@@ -89,6 +105,24 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     let how = How { scheduler: Scheduler::Gone, unconfirmed: forgotten, rest, patience, told };
     let stops = stop_all(found, unread, how, shown, format);
     worst(unreadable, super::with_runtime(LocalSet::new().run_until(stops)))
+}
+
+/// Without a journal: by the certificate of who says so.
+fn stop_all_of(path: &Path, args: &StopArgs, format: Format) -> Exit {
+    let fleet = match load::load_fleet(path, &args.project, format) {
+        Ok(fleet) => fleet,
+        Err(exit) => return exit,
+    };
+    let rest = if args.hold { Rest::Hold } else { Rest::Default };
+    let (scheduler, unconfirmed) = (Scheduler::Gone, Unconfirmed::Kept);
+    let how = How { scheduler, unconfirmed, rest, patience: args.how.patience, told: format };
+    let stopping = async { conclude(fleet_as_mission(), stop_fleet(&fleet, how).await, format) };
+    super::with_runtime(stopping)
+}
+
+#[expect(clippy::expect_used, reason = "a constant, read by every test of this command")]
+fn fleet_as_mission() -> SessionId {
+    SessionId::new("the fleet").expect("a constant below every limit")
 }
 
 /// A mission whose journal cannot be read, and whose scheduler may hear all the same.
@@ -203,7 +237,7 @@ async fn unanswered(found: &Found, unheard: &str, how: How) -> Stopped {
 async fn cut_off(found: &Found, how: How) -> Stopped {
     let mission = found.opened.session.clone();
     match Taken::of(found) {
-        Ok(taken) => Stopped::of(mission, withdraw_and_record(taken, how).await),
+        Ok(taken) => Stopped::of(mission, withdraw_and_record(taken, &Programs::new(), how).await),
         // By another stop, most likely, which is told of by its socket.
         Err(NotTaken::Held) => match control::stop(&found.folder, how.rest).await {
             Ok(report) => Stopped::by_itself(mission, &report),
@@ -380,6 +414,9 @@ fn inside_line(inside: &Inside) -> String {
         InsideWhat::Unmoved => format!("{robot}: nothing had been sent to it"),
         InsideWhat::Ended => format!(
             "{robot}: NOT held; what drove it ended with the scheduler, and nothing was sent to it. `downbeat stop` without --hold brings it to its default state"
+        ),
+        InsideWhat::Program => format!(
+            "{robot}: stop NOT confirmed; a program drove it, and a stop starts no program: `downbeat resume` starts it as the fleet file says, and brings the robot to its default state"
         ),
         InsideWhat::Driver => {
             format!(

@@ -1,19 +1,21 @@
 //! Takes back what a mission left on its robots, by its journal alone: files may have changed since it began.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use downbeat_robot::HostOptions;
-use downbeat_scripts::{Address, FleetRobot, Handshake, counted};
+use downbeat_scripts::{Address, Fleet, FleetRobot, Handshake, counted};
 use serde::Serialize;
 use tokio::sync::mpsc;
-use urrcp::{RobotId, Server, Span, Timestamp};
+use urrcp::{Device, RobotId, Server, Span, Timestamp};
 
 use super::live::Live;
 use super::run::{listen, stop_lane, utc_offset};
-use super::{Format, console, robot};
-use crate::fleet;
-use crate::journal::{FileDisk, Found, Journal, Kept, Left, Opened, OpenedRobot, Torn, read};
+use super::{Format, console, identity, robot};
+use crate::fleet::{self, StartPrograms};
+use crate::journal::{FileDisk, Found, Journal, Kept, Left, LeftOn, Opened, OpenedRobot, Torn, read};
+use crate::link::Site;
 use crate::mission::{Mission, MissionOptions, Record, Rest};
 use crate::report::{Report, StopState, Withdrawal};
 use crate::run::{Keep, Operator};
@@ -110,6 +112,8 @@ pub(crate) enum InsideWhat {
     Driver,
     /// A driver of hardware that ended with the process, while a hold is wanted.
     Ended,
+    /// A program that ended with the process, and that only the fleet file can have started again.
+    Program,
     /// A driver of hardware to which the mission had sent nothing.
     Unmoved,
 }
@@ -128,7 +132,9 @@ impl Withdrawn {
     /// Robots that may still move.
     fn unconfirmed(&self) -> Vec<RobotId> {
         let robots = self.report.robots.iter().filter(|robot| robot.stop.is_unconfirmed());
-        let driven = |inside: &&Inside| matches!(inside.what, InsideWhat::Driver | InsideWhat::Ended);
+        let driven = |inside: &&Inside| {
+            matches!(inside.what, InsideWhat::Driver | InsideWhat::Ended | InsideWhat::Program)
+        };
         let driven = self.inside.iter().filter(driven);
         robots.map(|robot| &robot.robot).chain(driven.map(|inside| &inside.robot)).cloned().collect()
     }
@@ -161,12 +167,19 @@ pub(super) struct How {
     pub(super) told: Format,
 }
 
+/// The programs that this process may start again, by their robots: as the fleet file says. A journal has none started.
+pub(super) type Programs = BTreeMap<RobotId, Address>;
+
 /// Stops what a mission left behind, and writes that down afterwards, where the journal is taken: a stop waits for no disk.
-pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdrawn, String> {
+pub(super) async fn withdraw_and_record(
+    taken: Taken,
+    programs: &Programs,
+    how: How,
+) -> Result<Withdrawn, String> {
     let (lane, operator) = stop_lane(OnHangUp::End)?;
     // A stop from another terminal meanwhile is answered with the result of this one.
     let control = listen(&taken.folder, &lane);
-    let mut withdrawn = withdraw_as(&taken.kept, how, (lane, operator)).await?;
+    let mut withdrawn = withdraw_as(&taken.kept, programs, how, (lane, operator)).await?;
     let (begun, records) = (withdrawn.begun, records_of(&withdrawn, how));
     let recorded = tokio::task::spawn_blocking(move || write_down(taken, begun, &records));
     match tokio::time::timeout(RECORD_MAX, recorded).await {
@@ -185,38 +198,97 @@ pub(super) async fn withdraw_and_record(taken: Taken, how: How) -> Result<Withdr
     Ok(withdrawn)
 }
 
-/// Stops what a mission left behind.
+/// Stops what a mission left behind. Starts no programs.
 pub(super) async fn withdraw(kept: &Kept, how: How) -> Result<Withdrawn, String> {
-    withdraw_as(kept, how, stop_lane(OnHangUp::End)?).await
+    withdraw_as(kept, &Programs::new(), how, stop_lane(OnHangUp::End)?).await
 }
 
 async fn withdraw_as(
     kept: &Kept,
+    programs: &Programs,
     how: How,
     (lane, operator): (StopLane, mpsc::Receiver<Operator>),
 ) -> Result<Withdrawn, String> {
     let left = kept.left();
-    let (robots, inside) = robots_of(&kept.opened, &left, how);
+    let (robots, inside) = robots_of(&kept.opened, &left, programs, how);
     let robots: Vec<&FleetRobot> = robots.iter().collect();
     let clock = ServerClock::anchored(kept.opened.clock_offset);
     let options = MissionOptions {
         greeting: kept.opened.greeting,
         patience: how.patience,
-        session: Some(kept.opened.session.clone()),
+        session: Some(kept.opened.drives_as()),
         utc_offset: utc_offset(),
         ..MissionOptions::default()
     };
     let begun = clock.now();
     let scenario = scenario_of(&kept.opened);
     let mission = Mission::withdraw(scenario, fleet::participants(&robots), options, &left, how.rest, begun);
-    let (host, endpoints) = fleet::endpoints_at_once(&robots, Handshake::Full, HostOptions::default())
-        .map_err(|error| error.to_string())?;
+    let site = identity::site_of(&kept.opened.keys)?;
+    let report = carry_out(mission, &robots, &site, clock, how, (lane, operator)).await?;
+    Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
+}
+
+/// Stops every device of a fleet, whichever mission its robots play: their certificates tell robots who may do so.
+pub(super) async fn stop_fleet(of: &Fleet, how: How) -> Result<Withdrawn, String> {
+    let is_reached = |robot: &&FleetRobot| matches!(robot.address, Address::Tcp { .. });
+    let (robots, inside): (Vec<&FleetRobot>, Vec<&FleetRobot>) = of.robots.iter().partition(is_reached);
+    let inside = inside.into_iter().map(|robot| Inside {
+        robot: robot.id.clone(),
+        what: match robot.address {
+            Address::Simulated => InsideWhat::Simulated,
+            _ => InsideWhat::Driver,
+        },
+    });
+    let inside = inside.collect();
+    let clock = ServerClock::anchored(Span::ZERO);
+    let options =
+        MissionOptions { patience: how.patience, utc_offset: utc_offset(), ..MissionOptions::default() };
+    let left = Left {
+        robots: robots.iter().map(|robot| (robot.id.clone(), anything_on(robot))).collect(),
+        own_ids: robots
+            .iter()
+            .filter_map(|robot| Some((robot.id.clone(), robot.init.as_ref()?.id.clone())))
+            .collect(),
+        renewed_until: None,
+    };
+    let begun = clock.now();
+    let name = "the fleet".to_owned();
+    let mission = Mission::withdraw(name, fleet::participants(&robots), options, &left, how.rest, begun);
+    let site = identity::site(of)?;
+    let report = carry_out(mission, &robots, &site, clock, how, stop_lane(OnHangUp::End)?).await?;
+    Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
+}
+
+/// Whatever others have sent it.
+fn anything_on(robot: &FleetRobot) -> LeftOn {
+    let devices = robot.init.iter().flat_map(|init| init.devices.iter());
+    let is_driven = |device: &&Device| {
+        let types = &device.available_control_types;
+        types.sensor().is_none() || types.iter().count() > 1
+    };
+    LeftOn {
+        devices: devices.filter(is_driven).map(|device| device.id.clone()).collect(),
+        ..LeftOn::default()
+    }
+}
+
+async fn carry_out(
+    mission: Mission,
+    robots: &[&FleetRobot],
+    site: &Site,
+    clock: ServerClock,
+    how: How,
+    (lane, operator): (StopLane, mpsc::Receiver<Operator>),
+) -> Result<Report, String> {
+    let (host, endpoints) =
+        fleet::endpoints_at_once(robots, Handshake::Full, site, HostOptions::default(), StartPrograms::Yes)
+            .map_err(|error| error.to_string())?;
     let live = Live::lines(how.told);
     let tell = |at, progress: &_| live.tell(at, progress);
     let mut keep = Keep { stop_lane: Some(lane), ..Keep::default() };
     let mut report = crate::run::run_and_keep(mission, endpoints, clock, operator, tell, &mut keep).await;
     robot::stop_for(&mut report, host);
-    Ok(Withdrawn { begun, report, inside, forgotten: Vec::new() })
+    Ok(report)
 }
 
 /// The name of its scenario. Where the journal does not have it, the session begins with as much of it as it could keep.
@@ -227,24 +299,29 @@ fn scenario_of(mission: &Opened) -> String {
 }
 
 /// The robots of a journal as far as this process can reach them, and the others.
-fn robots_of(mission: &Opened, left: &Left, how: How) -> (Vec<FleetRobot>, Vec<Inside>) {
+fn robots_of(mission: &Opened, left: &Left, programs: &Programs, how: How) -> (Vec<FleetRobot>, Vec<Inside>) {
     let (mut reached, mut inside) = (Vec::new(), Vec::new());
     for opened in &mission.robots {
-        let what = match (opened.address.parse(), how.scheduler) {
+        let reachable =
+            how.scheduler == Scheduler::Gone && how.rest == Rest::Default && opened.init.is_some();
+        let what = match (opened.address.parse(), programs.get(&opened.robot)) {
             (Ok(address @ Address::Tcp { .. }), _) => {
                 reached.push(fleet_robot(opened, address));
                 continue;
             }
-            (Ok(address @ (Address::Thrift { .. } | Address::Program { .. })), Scheduler::Gone)
-                if opened.init.is_some() && how.rest == Rest::Default =>
-            {
-                reached.push(fleet_robot(opened, started_in(mission.folder.as_deref(), address)));
+            (Ok(address @ Address::Thrift { .. }), _) if reachable => {
+                reached.push(fleet_robot(opened, address));
+                continue;
+            }
+            (Ok(Address::Program { .. }), Some(program)) if reachable => {
+                reached.push(fleet_robot(opened, started_in(mission.folder.as_deref(), program.clone())));
                 continue;
             }
             (Ok(Address::Simulated), _) => InsideWhat::Simulated,
             _ if !left.robots.contains_key(&opened.robot) => InsideWhat::Unmoved,
             // A new driver does not know where its devices stand, so it cannot have them stay there.
             _ if how.scheduler == Scheduler::Gone && how.rest == Rest::Hold => InsideWhat::Ended,
+            (Ok(Address::Program { .. }), None) if how.scheduler == Scheduler::Gone => InsideWhat::Program,
             _ => InsideWhat::Driver,
         };
         inside.push(Inside { robot: opened.robot.clone(), what });

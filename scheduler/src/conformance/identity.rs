@@ -37,7 +37,7 @@ pub(super) const ALL: [Requirement; 6] = [
     },
     Requirement {
         name: "session",
-        demands: "A robot that belongs to a session refuses others with `busy` and names its session; once that has gone, the next one gets it.",
+        demands: "A robot that belongs to a session refuses others with `busy` and does not name its session; once that has gone, the next one gets it.",
         section: "Sessions and connections (D)",
         check: session,
     },
@@ -206,10 +206,10 @@ fn session(trial: &Trial) -> Checked {
         return Err(differs(&sent, &taken.text, "status `OK`: the robot is free"));
     }
     let holder = format!(
-        "status `Failed` with error code `busy` and the name `{ours}` in its message: the robot belongs to that session"
+        "status `Failed` with error code `busy`, and not the name `{ours}`, which is a secret of the session that owns the robot"
     );
     let told = |error: Option<&urrcp::ControlError>| {
-        error.is_some_and(|e| e.code == ErrorCode::Busy && e.message.contains(ours.as_str()))
+        error.is_some_and(|e| e.code == ErrorCode::Busy && !e.message.contains(ours.as_str()))
     };
     let (sent, refused) = claim(trial, &mut second, &theirs)?;
     if refused.message.status != Status::Failed || !told(refused.message.error.as_ref()) {

@@ -1,10 +1,11 @@
 //! Where the bytes of a journal lie: in a file, or on the disk of a simulation.
 
-use std::fs::{File, OpenOptions};
+use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom, Write};
 use std::path::Path;
 
 use super::lock;
+use super::private::{self, How};
 
 /// As much of a disk as a journal needs: one file that grows at its end.
 pub trait Disk {
@@ -38,14 +39,14 @@ pub trait Disk {
 pub struct FileDisk(File);
 
 impl FileDisk {
-    /// Opens or creates `journal` in a folder, which is created as well, and locks it.
+    /// Opens or creates `journal` in a folder, which is created as well, and locks it. Both are for this user alone.
     ///
     /// # Errors
-    /// The file cannot be opened, or another process holds the lock.
+    /// The file cannot be opened, is not for this user alone, or another process holds the lock.
     pub fn open(folder: &Path) -> io::Result<Self> {
-        std::fs::create_dir_all(folder)?;
+        private::create_folder(folder)?;
         let new = !folder.join("journal").exists();
-        let file = OpenOptions::new().create(true).append(true).read(true).open(folder.join("journal"))?;
+        let file = private::file(folder, "journal", How::Create)?;
         lock::take(&file)?;
         // The names of a new file and a new folder are on the disk only then.
         for folder in [Some(folder), folder.parent()].into_iter().flatten().filter(|_| new) {
@@ -62,7 +63,7 @@ impl FileDisk {
     /// # Errors
     /// There is none that can be written, or another process holds the lock.
     pub fn take_up(folder: &Path) -> io::Result<Self> {
-        let file = OpenOptions::new().append(true).read(true).open(folder.join("journal"))?;
+        let file = private::file(folder, "journal", How::Append)?;
         lock::take(&file)?;
         Ok(Self(file))
     }

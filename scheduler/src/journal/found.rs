@@ -9,7 +9,8 @@ use serde::Deserialize;
 use serde_json::Value;
 use urrcp::{Server, Timestamp};
 
-use super::read::whole;
+use super::private::{self, How, NotPrivate};
+use super::read::{bytes_of, whole};
 use super::{Kept, Opened, Unreadable, lock, read};
 
 /// A mission that left a folder.
@@ -45,23 +46,45 @@ pub struct Missions {
     pub found: Vec<Found>,
     /// Journals with lines of which the first one is damaged: it is unknown whose they are.
     pub damaged: Vec<PathBuf>,
+    /// Folders and journals that are not for this user alone. Nothing in them is read.
+    pub refused: Vec<NotPrivate>,
 }
 
 impl Missions {
-    /// Looks at all folders.
-    #[must_use]
-    pub fn of(state: &Path) -> Self {
+    /// Looks at all folders; there are none while the folder in which they are does not exist.
+    ///
+    /// # Errors
+    /// [`NotPrivate`] where that folder is not for this user alone; else what the system says.
+    pub fn of(state: &Path) -> io::Result<Self> {
         let mut missions = Self::default();
-        let Ok(entries) = std::fs::read_dir(state) else { return missions };
-        for entry in entries.flatten() {
+        let entries = match private::folder(state).and_then(|_own| std::fs::read_dir(state)) {
+            Ok(entries) => entries,
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(missions),
+            Err(error) => return Err(error),
+        };
+        for entry in entries {
+            let entry = entry?;
+            // Files are of no mission; links are refused by their names.
+            if entry.file_type()?.is_file() {
+                continue;
+            }
             match Found::look_at(&entry.path()) {
                 Ok(Some(found)) => missions.found.push(found),
                 Ok(None) => missions.damaged.push(entry.path().join("journal")),
-                Err(error) => tracing::debug!("{}: {error}", entry.path().display()),
+                Err(error) => match NotPrivate::of(&error) {
+                    Some(refused) => missions.refused.push(refused.clone()),
+                    None => tracing::debug!("{}: {error}", entry.path().display()),
+                },
             }
         }
         missions.found.sort_by_key(|found| found.opened_at);
-        missions
+        Ok(missions)
+    }
+
+    /// How many folders there are of which nothing else is known.
+    #[must_use]
+    pub fn unread(&self) -> usize {
+        self.damaged.len() + self.refused.len()
     }
 }
 
@@ -69,9 +92,9 @@ impl Found {
     /// Looks at one folder; `None` where the first line of its journal is damaged.
     ///
     /// # Errors
-    /// There is no journal, or nothing in it yet.
+    /// There is no journal, or nothing in it yet, or it is not for this user alone ([`NotPrivate`]).
     pub fn look_at(folder: &Path) -> io::Result<Option<Self>> {
-        let file = File::open(folder.join("journal"))?;
+        let file = private::file(folder, "journal", How::Read)?;
         let running = lock::is_taken(&file);
         let mut first = Vec::new();
         let mut reader = BufReader::new(&file);
@@ -109,7 +132,7 @@ impl Found {
 /// Whether the mission of this folder has checked its fleet: it plays, or waits for its first act.
 #[must_use]
 pub fn has_begun(folder: &Path) -> bool {
-    let journal = std::fs::read(folder.join("journal")).unwrap_or_default();
+    let journal = bytes_of(&folder.join("journal")).unwrap_or_default();
     let mut records = journal.split_inclusive(|byte| *byte == b'\n').filter_map(whole);
     records.any(|line| line["record"].as_str() == Some("checked"))
 }
@@ -136,7 +159,7 @@ const ENDED_BYTES: u64 = 64 * 1024 * 1024;
 /// Removes the folders of missions that ended: of those beyond the last 50, and of the older ones where their journals are
 /// longer than 64 MiB together. Those that were cut off stay until they are resumed or stopped.
 pub fn forget_old(state: &Path) {
-    let found = Missions::of(state).found;
+    let found = Missions::of(state).unwrap_or_default().found;
     let ended = found.into_iter().rev().filter(|found| found.life == Life::Ended);
     let mut bytes = 0;
     for (index, found) in ended.enumerate() {

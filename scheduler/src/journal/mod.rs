@@ -5,6 +5,7 @@
 mod disk;
 mod found;
 mod lock;
+pub(crate) mod private;
 mod read;
 pub(crate) mod simulated;
 mod writer;
@@ -17,8 +18,10 @@ use serde::{Deserialize, Serialize};
 use urrcp::{InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
 use crate::mission::{Greeting, Record};
+use crate::session::{Session, SessionKey};
 pub use disk::{Disk, FileDisk};
 pub use found::{Found, Life, Missions, forget_old, has_begun};
+pub use private::NotPrivate;
 pub use read::{Fate, Kept, Left, LeftOn, Progressed, Records, Torn, Unreadable, read, records};
 pub(crate) use writer::{WAITING_MAX, append_all};
 pub use writer::{Writer, Written};
@@ -27,8 +30,12 @@ pub use writer::{Writer, Written};
 /// mission plays.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Opened {
-    /// The session that the robots know.
+    /// The name of the mission, by which people know its session.
     pub session: SessionId,
+    /// What follows the name of the session on the wire. `None` in journals of earlier versions: their robots know the name
+    /// alone.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub key: Option<SessionKey>,
     /// The process that drives them.
     pub pid: u32,
     /// The scenario's name; `None` in journals of earlier versions.
@@ -41,6 +48,9 @@ pub struct Opened {
     /// The working directory, where programs that drive robots are started; `None` in journals of earlier versions.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub folder: Option<PathBuf>,
+    /// The folder in which the files have to be that scenario and fleet name, if the operator named one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub project: Option<PathBuf>,
     /// The further choices of the operator: acts, robots, speed.
     pub asked: Asked,
     /// Whether robots are asked for their identity.
@@ -48,8 +58,40 @@ pub struct Opened {
     /// The server's time minus this machine's, as NTP said when the mission began.
     #[serde(rename = "clock_offset_ms")]
     pub clock_offset: Span,
+    /// Who speaks to them; empty where that is nobody, and in journals of earlier versions.
+    #[serde(default, skip_serializing_if = "OpenedKeys::is_empty")]
+    pub keys: OpenedKeys,
     /// The robots.
     pub robots: Vec<OpenedRobot>,
+}
+
+/// The files by which an operator speaks to robots with TLS. Their contents are no part of a journal.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OpenedKeys {
+    /// The identity file.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub identity: Option<PathBuf>,
+    /// The list of revoked certificates.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub revoked: Option<PathBuf>,
+}
+
+impl OpenedKeys {
+    /// Whether there are none.
+    #[must_use]
+    pub const fn is_empty(&self) -> bool {
+        self.identity.is_none() && self.revoked.is_none()
+    }
+}
+
+impl Opened {
+    /// The session that its robots know.
+    #[must_use]
+    pub fn drives_as(&self) -> Session {
+        let name = || self.session.clone();
+        let with_key = self.key.as_ref().and_then(|key| Session::with_key(name(), key).ok());
+        with_key.unwrap_or_else(|| Session::named(name()))
+    }
 }
 
 /// A robot of a mission, and how it can be reached without the fleet file.
@@ -229,14 +271,33 @@ fn line(line: &impl Serialize) -> io::Result<Vec<u8>> {
     Ok(bytes)
 }
 
+/// It is not known where missions leave their folders. A folder that every user can write to would not do: what is found there
+/// can be of anybody.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "no folder for the journals of missions: HOME is not set; set HOME, or set DOWNBEAT_STATE to a folder of your own"
+)]
+pub struct NoStateFolder;
+
 /// Where missions leave their folders: `$DOWNBEAT_STATE`, else `$XDG_STATE_HOME/downbeat`, else `~/.local/state/downbeat`.
-#[must_use]
-pub fn state_folder() -> PathBuf {
+///
+/// # Errors
+/// None of these variables is set. A path in the latter two that is not absolute counts as none.
+pub fn state_folder() -> Result<PathBuf, NoStateFolder> {
     let from = |name: &str| std::env::var_os(name).filter(|value| !value.is_empty()).map(PathBuf::from);
+    let absolute = |name: &str| from(name).filter(|path| path.is_absolute());
     from("DOWNBEAT_STATE")
-        .or_else(|| from("XDG_STATE_HOME").map(|folder| folder.join("downbeat")))
-        .or_else(|| from("HOME").map(|home| home.join(".local/state/downbeat")))
-        .unwrap_or_else(|| std::env::temp_dir().join("downbeat"))
+        .or_else(|| absolute("XDG_STATE_HOME").map(|folder| folder.join("downbeat")))
+        .or_else(|| absolute("HOME").map(|home| home.join(".local/state/downbeat")))
+        .ok_or(NoStateFolder)
+}
+
+/// Creates the folder in which missions leave theirs, for this user alone, unless it exists.
+///
+/// # Errors
+/// [`NotPrivate`] for one that is not, or was not, for this user alone; else what the system says.
+pub fn create_state_folder(state: &Path) -> io::Result<()> {
+    private::create_folder(state).map(drop)
 }
 
 #[cfg(test)]

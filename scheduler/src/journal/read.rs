@@ -2,13 +2,14 @@
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
-use std::io;
+use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
 use serde::Deserialize;
 use serde_json::Value;
 use urrcp::{DeviceId, Millis, RobotId, Server, Span, Timestamp};
 
+use super::private::{self, How};
 use super::{Opened, OpenedRobot};
 use crate::mission::{ActFlaws, ActOver, OutOfTolerance, Promise, Rest};
 
@@ -112,13 +113,21 @@ pub struct Torn {
     pub whole_after: usize,
 }
 
-/// Reads a journal up to the first line that is not whole.
+/// Reads a journal of this user up to the first line that is not whole.
 ///
 /// # Errors
 /// [`Unreadable`] where not even the first line is whole.
 pub fn read(path: &Path) -> Result<Kept, Unreadable> {
-    let bytes = std::fs::read(path).map_err(|error| Unreadable::Io { path: path.to_path_buf(), error })?;
+    let bytes = bytes_of(path).map_err(|error| Unreadable::Io { path: path.to_path_buf(), error })?;
     Kept::of_bytes(&bytes).ok_or_else(|| Unreadable::NoBegin { path: path.to_path_buf() })
+}
+
+/// The bytes of a journal in the state folder.
+pub(super) fn bytes_of(path: &Path) -> io::Result<Vec<u8>> {
+    let name = path.file_name().and_then(std::ffi::OsStr::to_str).ok_or(io::ErrorKind::NotFound)?;
+    let mut bytes = Vec::new();
+    private::file(path.parent().unwrap_or(Path::new(".")), name, How::Read)?.read_to_end(&mut bytes)?;
+    Ok(bytes)
 }
 
 /// All that a journal says, for reports and pages.

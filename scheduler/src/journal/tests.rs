@@ -8,14 +8,17 @@ use crate::report::Outcome;
 fn opened() -> Opened {
     Opened {
         session: SessionId::new("s").unwrap(),
+        key: serde_json::from_str("\"000102030405060708090a0b0c0d0e0f\"").unwrap(),
         pid: 1,
         name: Some("show".to_owned()),
         scenario: "s.yaml".into(),
         fleet: "fleet.yaml".into(),
         folder: Some("/show".into()),
+        project: None,
         asked: Asked { speed: Some(0.5), ..Asked::default() },
         greeting: Greeting::Full,
         clock_offset: Span::from_millis(3),
+        keys: OpenedKeys::default(),
         robots: vec![OpenedRobot {
             robot: RobotId::new("arm").unwrap(),
             own_id: Some(RobotId::new("UR5-1").unwrap()),
@@ -220,11 +223,11 @@ fn a_journal_whose_first_line_is_damaged_is_named() {
     let mut bytes = std::fs::read(&path).unwrap();
     bytes[15] ^= 1;
     std::fs::write(&path, &bytes).unwrap();
-    let missions = Missions::of(state.path());
+    let missions = Missions::of(state.path()).unwrap();
     assert_eq!((missions.found.len(), missions.damaged), (0, vec![path.clone()]));
     // Cut off while it began: nothing had been sent.
     std::fs::write(&path, &bytes[..40]).unwrap();
-    assert!(Missions::of(state.path()).damaged.is_empty());
+    assert!(Missions::of(state.path()).unwrap().damaged.is_empty());
 }
 
 /// A mission of that many megabytes, most of them a hole in the file.

@@ -18,7 +18,7 @@ pub(super) async fn carry(sink: EventSink, host: HostHandle, index: usize, mut q
                 None => return,
             },
             event = link.recv() => match event {
-                Some(LinkEvent::Message(message)) => sink.received(message).await,
+                Some(LinkEvent::Message(message)) => sink.received(message, 0).await,
                 Some(LinkEvent::Closed) | None => {
                     return sink.down(Loss::Closed, "the robot closed the link").await;
                 }

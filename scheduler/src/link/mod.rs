@@ -1,25 +1,52 @@
 //! Links to robots. A link is a pair of channels with tasks behind it; which transport carries the messages, the mission
 //! never knows.
 
+mod budget;
 mod encoding;
 mod in_process;
+mod secure;
 mod tcp;
 
+use std::sync::Arc;
 use std::time::Duration;
 
+pub(crate) use budget::{Asked, Budget};
 pub use encoding::LinkEncoding;
+pub(crate) use secure::{ReadEnd, WriteEnd, denial, secured};
+pub use secure::{Security, Site, Tls};
 
 use downbeat_robot::HostHandle;
-use tokio::sync::mpsc;
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};
 use tokio::task::AbortHandle;
 use urrcp::Message;
 
 use crate::drive::{Happened, LinkNumber, QueueFull, Urgency};
 use crate::mission::{Event, Loss};
 use crate::server_clock::ServerClock;
+use crate::session;
 
 /// Messages that may wait for one robot's socket; beyond that the link counts as broken.
 const OUTGOING_MAX: usize = 40_000;
+
+/// Places that what comes on one link has in the mission's queue; the link waits beyond that, and the others have theirs.
+const PLACES: usize = 256;
+/// A message takes a place for each so many bytes that it began.
+const PLACE_BYTES: usize = 64 * 1024;
+
+/// Something that happened, and the places that it takes until it is heard.
+#[derive(Debug)]
+pub(crate) struct Waiting {
+    /// What happened.
+    pub(crate) happened: Happened,
+    /// Given back when this is dropped; `None` for what is bounded otherwise.
+    _places: Option<OwnedSemaphorePermit>,
+}
+
+impl From<Happened> for Waiting {
+    fn from(happened: Happened) -> Self {
+        Self { happened, _places: None }
+    }
+}
 
 /// Where a robot is reached.
 #[derive(Clone, Debug)]
@@ -40,6 +67,8 @@ pub enum Endpoint {
         port: u16,
         /// How it is written to.
         encoding: LinkEncoding,
+        /// Whether both sides prove who they are.
+        security: Security,
     },
 }
 
@@ -58,6 +87,8 @@ struct Peer {
     host: String,
     port: u16,
     encoding: LinkEncoding,
+    security: Security,
+    asked: Asked,
 }
 
 /// The other ends of a link's channels.
@@ -70,10 +101,34 @@ struct Queue {
 impl Link {
     /// Opens a link after a while; what happens on it comes as events of `robot` on the link of this number.
     pub fn open(
-        (robot, number): (usize, LinkNumber),
+        of: (usize, LinkNumber),
         endpoint: Endpoint,
         clock: ServerClock,
         events: mpsc::Sender<Happened>,
+        after: Duration,
+    ) -> Self {
+        Self::carrying(of, (endpoint, Asked::default()), clock, Events::Plain(events), after)
+    }
+
+    /// The same, where what comes on one link leaves the others their places. `asked` is what the robot was asked on all links to
+    /// it.
+    pub(crate) fn open_beside_others(
+        of: (usize, LinkNumber),
+        (endpoint, asked): (Endpoint, Asked),
+        clock: ServerClock,
+        events: mpsc::Sender<Waiting>,
+        after: Duration,
+    ) -> Self {
+        // A robot of this process is no stranger, and its host keeps what waits.
+        let places = matches!(endpoint, Endpoint::Tcp { .. }).then(|| Arc::new(Semaphore::new(PLACES)));
+        Self::carrying(of, (endpoint, asked), clock, Events::Placed(events, places), after)
+    }
+
+    fn carrying(
+        (robot, number): (usize, LinkNumber),
+        (endpoint, asked): (Endpoint, Asked),
+        clock: ServerClock,
+        events: Events,
         after: Duration,
     ) -> Self {
         let (outgoing, queue) = mpsc::channel(OUTGOING_MAX);
@@ -90,8 +145,8 @@ impl Link {
             }
             match endpoint {
                 Endpoint::InProcess { host, index } => in_process::carry(sink, host, index, queue).await,
-                Endpoint::Tcp { host, port, encoding } => {
-                    tcp::carry(Peer { sink, host, port, encoding }, queue).await;
+                Endpoint::Tcp { host, port, encoding, security } => {
+                    tcp::carry(Peer { sink, host, port, encoding, security, asked }, queue).await;
                 }
             }
         });
@@ -148,18 +203,39 @@ struct EventSink {
     /// `None` on an additional connection, which says nothing about the link.
     link: Option<LinkNumber>,
     clock: ServerClock,
-    events: mpsc::Sender<Happened>,
+    events: Events,
+}
+
+/// Where events go.
+#[derive(Clone)]
+enum Events {
+    Plain(mpsc::Sender<Happened>),
+    /// Each with its places, as far as they are counted.
+    Placed(mpsc::Sender<Waiting>, Option<Arc<Semaphore>>),
 }
 
 impl EventSink {
-    /// The driver's end is gone only when the mission has ended; then the event is not needed.
     async fn put(&self, event: Event) {
+        self.put_long(event, 0).await;
+    }
+
+    /// Hands on an event that came in so many bytes, once it has a place. The driver's end is gone only when the mission has
+    /// ended; then the event is not needed.
+    async fn put_long(&self, event: Event, bytes: usize) {
         let (at, robot, event) = (self.clock.now(), self.robot, Box::new(event));
         let happened = match self.link {
             Some(link) => Happened::OnLink { at, robot, link, event },
             None => Happened::Event { at, event },
         };
-        let _ended = self.events.send(happened).await;
+        match &self.events {
+            Events::Plain(events) => drop(events.send(happened).await),
+            Events::Placed(events, None) => drop(events.send(happened.into()).await),
+            Events::Placed(events, Some(places)) => {
+                let count = u32::try_from((bytes / PLACE_BYTES + 1).min(PLACES)).unwrap_or(1);
+                let places = Arc::clone(places).acquire_many_owned(count).await.ok();
+                drop(events.send(Waiting { happened, _places: places }).await);
+            }
+        }
     }
 
     async fn up(&self) {
@@ -170,7 +246,8 @@ impl EventSink {
         self.put(Event::LinkDown { robot: self.robot, loss, reason: reason.into() }).await;
     }
 
-    async fn received(&self, message: Message) {
-        self.put(Event::Received { robot: self.robot, message }).await;
+    async fn received(&self, message: Message, bytes: usize) {
+        let message = session::told_without_keys(message);
+        self.put_long(Event::Received { robot: self.robot, message }, bytes).await;
     }
 }

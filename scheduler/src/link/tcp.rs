@@ -3,14 +3,14 @@
 use std::io::{self, ErrorKind};
 use std::time::Duration;
 
+use downbeat_robot::tls::Identity;
 use downbeat_scripts::{Attempt, Refusal};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
-use tokio::net::tcp::{OwnedReadHalf, OwnedWriteHalf};
 use tokio::sync::mpsc;
-use urrcp::{Decoder, Message, Server, Span, Timestamp, encode_as};
+use urrcp::{Decoder, Encoding, Message, Server, Span, Timestamp, encode_as};
 
-use super::{Peer, Queue};
+use super::{Budget, Peer, Queue, ReadEnd, WriteEnd, denial, secured};
 use crate::mission::{Event, Loss};
 use crate::server_clock::ServerClock;
 
@@ -26,9 +26,12 @@ const WRITE_BATCH: usize = 64 * 1024;
 pub(super) async fn carry(peer: Peer, queue: Queue) {
     let Peer { sink, host, port, .. } = &peer;
     let (host, port) = (host.as_str(), *port);
-    let stream = match tokio::time::timeout(CONNECT_TIMEOUT, TcpStream::connect((host, port))).await {
-        Ok(Ok(stream)) => stream,
+    let ((reader, writer), met) = match tokio::time::timeout(CONNECT_TIMEOUT, peer.connect()).await {
+        Ok(Ok(ends)) => ends,
         Ok(Err(error)) => {
+            if let Some(denial) = denial(&error) {
+                return sink.down(Loss::Denied, format!("no connection to {host}:{port}: {denial}")).await;
+            }
             let loss = match error.kind() {
                 ErrorKind::ConnectionRefused => Loss::Refused,
                 _ => Loss::Unreachable,
@@ -42,10 +45,10 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
             return sink.down(Loss::Unreachable, reason).await;
         }
     };
-    if let Err(error) = stream.set_nodelay(true) {
-        tracing::debug!("TCP_NODELAY: {error}");
+    if let Some(met) = met {
+        let until = Timestamp::from_nanos(met.expires.saturating_mul(1_000_000_000));
+        sink.put(Event::Certified { robot: sink.robot, until }).await;
     }
-    let (reader, writer) = stream.into_split();
     sink.up().await;
     let reason = tokio::select! {
         reason = read(&peer, reader) => Some(reason),
@@ -57,21 +60,38 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
 }
 
 /// Ends with the reason for which no more can be read.
-async fn read(peer: &Peer, mut reader: OwnedReadHalf) -> (Loss, String) {
+async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
     let sink = &peer.sink;
     let mut decoder = Decoder::default();
+    let mut budget = Budget::new(peer.asked.clone());
     let mut bytes = vec![0; 8 * 1024];
     loop {
-        match reader.read(&mut bytes).await {
+        let came = match reader.read(&mut bytes).await {
             Ok(0) => return (Loss::Closed, "the robot closed the connection".to_owned()),
-            Ok(n) => decoder.push(&bytes[..n]),
+            Ok(came) => came,
             Err(error) => return ended(&error),
+        };
+        if let Err(loss) = budget.take_bytes(sink.clock.now(), came) {
+            return flooding(loss);
         }
+        if budget.is_sifted() {
+            // However much it says, the others have their turn.
+            tokio::task::yield_now().await;
+        }
+        decoder.push(&bytes[..came]);
+        let mut held = decoder.buffered();
         while let Some(decoded) = decoder.next_message() {
+            if let Err(loss) = budget.take_message() {
+                return flooding(loss);
+            }
+            let length = held.saturating_sub(decoder.buffered());
+            held = decoder.buffered();
             match decoded {
+                Ok(message) if !budget.passes(&message) => {}
+                Err(_) if budget.is_sifted() => {}
                 Ok(message) => {
                     peer.encoding.hear(&message);
-                    sink.received(message).await;
+                    sink.received(message, length).await;
                 }
                 Err(error) => {
                     sink.put(Event::Garbled { robot: sink.robot, reason: error.to_string() }).await;
@@ -81,8 +101,12 @@ async fn read(peer: &Peer, mut reader: OwnedReadHalf) -> (Loss, String) {
     }
 }
 
+fn flooding(loss: Loss) -> (Loss, String) {
+    (loss, "it sends far more than it was asked for".to_owned())
+}
+
 /// Ends with a reason when writing fails, without one when the mission has let go of the link.
-async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, peer: &Peer) -> Option<(Loss, String)> {
+async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(Loss, String)> {
     let mut bytes = Vec::new();
     let clock: &ServerClock = &peer.sink.clock;
     let mut long_until: Option<Timestamp<Server>> = None;
@@ -93,10 +117,10 @@ async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, peer: &Peer) -> Opt
             continue;
         }
         let encoding = peer.encoding.current();
-        encode_as(encoding, &message, &mut bytes);
+        peer.encode(encoding, &message, &mut bytes);
         while bytes.len() < WRITE_BATCH {
             let Some(message) = queue.try_next() else { break };
-            encode_as(encoding, &message, &mut bytes);
+            peer.encode(encoding, &message, &mut bytes);
         }
         if bytes.len() >= WRITE_BATCH {
             long_until = Some(clock.now() + LONG_UPLOAD);
@@ -118,6 +142,9 @@ async fn write(mut writer: OwnedWriteHalf, mut queue: Queue, peer: &Peer) -> Opt
 
 /// What the error of an established connection says.
 fn ended(error: &io::Error) -> (Loss, String) {
+    if let Some(denial) = denial(error) {
+        return (Loss::Denied, denial);
+    }
     let loss = match error.kind() {
         ErrorKind::ConnectionReset | ErrorKind::ConnectionAborted | ErrorKind::BrokenPipe => Loss::Closed,
         _ => Loss::Unreachable,
@@ -126,23 +153,32 @@ fn ended(error: &io::Error) -> (Loss, String) {
 }
 
 impl Peer {
+    async fn connect(&self) -> io::Result<((ReadEnd, WriteEnd), Option<Identity>)> {
+        secured(TcpStream::connect((self.host.as_str(), self.port)).await?, &self.security).await
+    }
+
+    /// Appends a message, which allows the robot to answer it.
+    fn encode(&self, encoding: Encoding, message: &Message, bytes: &mut Vec<u8>) {
+        let before = bytes.len();
+        encode_as(encoding, message, bytes);
+        self.asked.note(message, bytes.len() - before);
+    }
+
     /// Sends all that is urgent by a connection of its own, and hands on what is answered there. What it carries may be
     /// carried twice: the robot knows it by its id.
     fn overtake(&self, first: &Message, more: &mut mpsc::UnboundedReceiver<Message>) {
         let mut bytes = Vec::new();
         let encoding = self.encoding.current();
-        encode_as(encoding, first, &mut bytes);
+        self.encode(encoding, first, &mut bytes);
         while let Ok(message) = more.try_recv() {
-            encode_as(encoding, &message, &mut bytes);
+            self.encode(encoding, &message, &mut bytes);
         }
         let mut peer = self.clone();
         peer.sink.link = None;
         // Ends when the robot closes, or when no request can be waiting for its answers any more.
         tokio::spawn(async move {
-            let stream = TcpStream::connect((peer.host.as_str(), peer.port));
-            let Ok(Ok(stream)) = tokio::time::timeout(CONNECT_TIMEOUT, stream).await else { return };
-            let _slower_then = stream.set_nodelay(true);
-            let (reader, mut writer) = stream.into_split();
+            let connected = tokio::time::timeout(CONNECT_TIMEOUT, peer.connect()).await;
+            let Ok(Ok(((reader, mut writer), _))) = connected else { return };
             if let Err(error) = writer.write_all(&bytes).await {
                 return tracing::debug!("the stop that overtakes: {error}");
             }

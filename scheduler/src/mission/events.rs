@@ -18,6 +18,13 @@ pub enum Event {
         /// Index of the robot.
         robot: usize,
     },
+    /// A robot has proven who it is, on the link that stands next.
+    Certified {
+        /// Index of the robot.
+        robot: usize,
+        /// Until when its certificate counts.
+        until: Timestamp<Server>,
+    },
     /// A link broke or could not be made.
     LinkDown {
         /// Index of the robot.
@@ -73,8 +80,17 @@ pub enum Loss {
     Closed,
     /// Connecting was refused: no process listens there.
     Refused,
+    /// One side does not prove who it is, or is not let in: another attempt changes nothing.
+    Denied,
     /// No route, no answer in time, or anything else that leaves open whether the robot lives.
     Unreachable,
+    /// The robot sends far more than it was asked for. It is connected to again only to be stopped.
+    Flooding {
+        /// Messages that have come on the link.
+        messages: u64,
+        /// Bytes that have come on it.
+        bytes: u64,
+    },
 }
 
 /// What the driver has to do.

@@ -5,6 +5,7 @@ use urrcp::{Server, Span, Timestamp};
 
 use super::course::may_have_moved;
 use super::failure_kind::{Failure, FailureKind};
+use super::failures::Noted;
 use super::record::Record;
 use super::robot_state::{Link, Lost, Rest, Standing};
 use super::script::{Script, ScriptRef, ScriptState};
@@ -17,6 +18,9 @@ impl Mission {
     pub(super) fn link_down(&mut self, now: Timestamp<Server>, robot: usize, loss: Loss, reason: String) {
         if self.phase == Phase::Ended {
             return;
+        }
+        if let Loss::Flooding { messages, bytes } = loss {
+            return self.flooded(now, robot, reason, (messages, bytes));
         }
         let state = &mut self.robots[robot];
         let (since, give_up) = state.lost().map_or((now, None), |lost| (lost.since, lost.give_up));
@@ -35,6 +39,38 @@ impl Mission {
         }
     }
 
+    /// It says far more than it was asked for: it is lost, and connected to again only to stop it.
+    fn flooded(
+        &mut self,
+        now: Timestamp<Server>,
+        robot: usize,
+        reason: String,
+        (messages, bytes): (u64, u64),
+    ) {
+        let loss = Loss::Flooding { messages, bytes };
+        let state = &mut self.robots[robot];
+        state.link = Link::Lost(Lost { reason, loss, since: now, connecting: false, give_up: None });
+        let floods = |failure: &Failure| matches!(failure.kind, FailureKind::Flooding { .. });
+        let known = self.robots[robot].failures.iter().any(floods);
+        let kind = FailureKind::Flooding { messages, bytes };
+        match (self.phase, self.robots[robot].standing) {
+            _ if known => {}
+            (Phase::Greeting { .. } | Phase::Performing, Standing::In) => self.fail(now, robot, kind),
+            (_, standing) => {
+                self.note_failure(robot, kind);
+                if standing == Standing::Absent {
+                    self.robots[robot].standing = Standing::Out;
+                }
+            }
+        }
+        self.reconnect(robot);
+        match self.phase {
+            Phase::Greeting { .. } => self.greeting_progress(now),
+            Phase::Stopping { .. } => self.stop_progress(now),
+            Phase::Performing | Phase::Ended => {}
+        }
+    }
+
     /// A robot that was reached, or may still be starting, is tried again as long as patience lasts.
     fn link_down_in_greeting(
         &mut self,
@@ -50,7 +86,7 @@ impl Mission {
         }
         let Link::Lost(lost) = &self.robots[robot].link else { return };
         let off = lost.loss == Loss::Refused && now >= lost.since + STARTS_WITHIN;
-        match off || now >= deadline {
+        match off || lost.loss == Loss::Denied || now >= deadline {
             true => self.fail(now, robot, FailureKind::LinkDown { reason }),
             false => self.reconnect(robot),
         }
@@ -59,7 +95,9 @@ impl Mission {
     /// Makes a link again, one attempt at a time.
     pub(super) fn reconnect(&mut self, robot: usize) {
         let state = &mut self.robots[robot];
+        let to_be_stopped = state.awaits_stop();
         if let Link::Lost(lost) = &mut state.link
+            && (to_be_stopped || !matches!(lost.loss, Loss::Flooding { .. }))
             && !std::mem::replace(&mut lost.connecting, true)
         {
             let after = state.next_attempt();
@@ -189,9 +227,10 @@ impl Mission {
 
     pub(super) fn note_failure(&mut self, robot: usize, kind: FailureKind) {
         let failure = Failure { robot: self.robots[robot].id.clone(), kind };
-        tracing::warn!(robot = %failure.robot, "{}", failure.kind);
-        self.robots[robot].failures.push(failure.clone());
-        self.tell(Progress::Failed(failure));
+        if self.robots[robot].failures.note(failure.clone()) == Noted::Kept {
+            tracing::warn!(robot = %failure.robot, "{}", failure.kind);
+            self.tell(Progress::Failed(failure));
+        }
     }
 
     /// The strictest policy of those that failed: abort, then hold, then going on without them.

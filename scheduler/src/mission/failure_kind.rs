@@ -42,6 +42,23 @@ pub enum FailureKind {
         /// What the system or the robot gave as the reason.
         reason: String,
     },
+    /// It sends far more than it was asked for. It is connected to again only to be stopped.
+    #[error(
+        "flooding: {messages} messages and {bytes} bytes came on its link, far more than it was asked for; in this mission it is connected to again only to be stopped"
+    )]
+    Flooding {
+        /// Messages that came on the link that was closed for it.
+        messages: u64,
+        /// Bytes that came on it.
+        bytes: u64,
+    },
+    /// Its answers take so long, or leave its clock so uncertain, that all others would have to wait for it.
+    #[error("the link to it is too slow: {slow}; use a faster or steadier link, and check its clock")]
+    TooSlow {
+        /// What is too slow, and what is possible.
+        #[serde(flatten)]
+        slow: Slow,
+    },
     /// It sent what is no message, or one out of place.
     #[error("garbled: {reason}")]
     Garbled {
@@ -156,6 +173,45 @@ pub enum FailureKind {
     },
 }
 
+/// What makes a link too slow.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, thiserror::Error)]
+#[serde(tag = "slow", rename_all = "snake_case")]
+#[cfg_attr(test, derive(strum::VariantNames), strum(serialize_all = "snake_case"))]
+#[non_exhaustive]
+pub enum Slow {
+    /// Its round trips.
+    #[error("a round trip takes {round_trip}, at most {longest} is possible")]
+    RoundTrip {
+        /// What its link keeps to nearly always.
+        #[serde(rename = "round_trip_ms")]
+        round_trip: Span,
+        /// The longest that is taken.
+        #[serde(rename = "longest_ms")]
+        longest: Span,
+    },
+    /// The lease before the start that the act would need because of it.
+    #[error(
+        "the act would need a lease of {lease} before its start, at most {longest} is possible, because a round trip to it takes {round_trip} and its clock lets it start up to {early} early or {late} late"
+    )]
+    Lease {
+        /// The lease that would be needed.
+        #[serde(rename = "lease_ms")]
+        lease: Span,
+        /// The longest that is given.
+        #[serde(rename = "longest_ms")]
+        longest: Span,
+        /// Of its link.
+        #[serde(rename = "round_trip_ms")]
+        round_trip: Span,
+        /// How much earlier than planned it may start.
+        #[serde(rename = "early_ms")]
+        early: Span,
+        /// How much later.
+        #[serde(rename = "late_ms")]
+        late: Span,
+    },
+}
+
 /// A program that never says what it is may be no robot.
 fn remedy_of_silence(awaited: &str) -> &'static str {
     match awaited {
@@ -196,7 +252,11 @@ mod tests {
         let span = Span::ZERO;
         let Some(kind) = kind else { return Some(FailureKind::LinkDown { reason: text() }) };
         Some(match kind {
-            FailureKind::LinkDown { .. } => FailureKind::Garbled { reason: text() },
+            FailureKind::LinkDown { .. } => FailureKind::Flooding { messages: 2_000, bytes: 3_000 },
+            FailureKind::Flooding { .. } => {
+                FailureKind::TooSlow { slow: Slow::RoundTrip { round_trip: span, longest: span } }
+            }
+            FailureKind::TooSlow { .. } => FailureKind::Garbled { reason: text() },
             FailureKind::Garbled { .. } => FailureKind::AnotherRobot { expected: id(), told: id() },
             FailureKind::AnotherRobot { .. } => FailureKind::Silent { awaited: text(), within: span },
             FailureKind::Silent { .. } => FailureKind::NotAvailable { error: error() },

@@ -6,13 +6,14 @@ use urrcp::{
     InitializationBlock, Message, RequestId, Server, Span, Status, StatusValue, Timestamp,
 };
 
-use super::failure_kind::FailureKind;
+use super::exchanges::Times;
+use super::failure_kind::{FailureKind, Slow};
+use super::lead::{self, ROUND_TRIP_LONGEST};
 use super::preflight;
 use super::record::Record;
 use super::robot_state::{Link, Reading, RobotState, Standing};
 use super::skew::SkewBudget;
 use super::{ClockMode, Greeting, Join, Mission, Outcome, Phase, Progress, act, error_of_status};
-use crate::clock::ClockSample;
 
 /// Exchanges of timestamps with each robot before anything is decided.
 const CLOCK_SAMPLES: u32 = 8;
@@ -43,16 +44,15 @@ impl Mission {
             let error = error_of_status(response.error.as_ref());
             return self.fail(now, robot, FailureKind::NotAvailable { error });
         }
-        if let Some(sent) = response.originate_timestamp.filter(|sent| *sent <= self.arrived) {
-            let sample = ClockSample::from_exchange(
-                sent,
-                response.receive_timestamp,
-                response.timestamp,
-                self.arrived,
-            );
-            self.take_times(now, robot, sample);
-            self.question_reached(now, robot, response.receive_timestamp);
-        }
+        let times = Times {
+            originate: response.originate_timestamp,
+            received: response.receive_timestamp,
+            answered: response.timestamp,
+            arrived: self.arrived,
+        };
+        let Some(sample) = self.robots[robot].exchanges.answered(times) else { return };
+        self.take_times(now, robot, sample);
+        self.question_reached(now, robot, response.receive_timestamp);
         match self.phase {
             Phase::Greeting { .. } if self.robots[robot].clock.samples() < CLOCK_SAMPLES => {
                 self.ask_further(now, robot);
@@ -93,7 +93,8 @@ impl Mission {
         let state = &self.robots[robot];
         let mut reasons = Vec::new();
         if !block.understands(state.settings.encoding) {
-            let listed: Vec<_> = block.encodings.iter().map(|listed| format!("`{listed}`")).collect();
+            let listed = block.encodings.iter().take(ENCODINGS_SHOWN);
+            let listed: Vec<_> = listed.map(|listed| format!("`{listed}`")).collect();
             let listed = if listed.is_empty() { "none".to_owned() } else { listed.join(", ") };
             reasons.push(format!(
                 "it lists no encoding `{}` (besides JSON: {listed}), expected as the fleet file says; \
@@ -134,12 +135,15 @@ impl Mission {
     }
 
     pub(super) fn read(&mut self, now: Timestamp<Server>, robot: usize, sensor: DeviceId, what: Reading) {
-        let session = self.options.session.as_ref().map_or("", |session| session.as_str());
+        let session = self.options.session_name().map_or("", |session| session.as_str());
+        if self.robots[robot].reads.len() >= READS_MAX {
+            self.robots[robot].reads.retain(|_, what| !matches!(what, Reading::Wait(_)));
+        }
         let count = self.robots[robot].reads.len();
         let id = RequestId::new(format!("read/{session}/{}/{robot}/{count}", now.as_nanos() / 1_000)).ok();
         let mut request = ControlRequest::immediate(sensor, Command::ReadSensor);
         request.request_id.clone_from(&id);
-        request.session.clone_from(&self.options.session);
+        request.session = self.options.session_on_the_wire();
         id.map(|id| self.robots[robot].reads.insert(id, what));
         self.send(now, robot, Message::ControlRequest(request));
     }
@@ -194,6 +198,7 @@ impl Mission {
         if !self.robots.iter().all(heard) || self.still_sampling(now) {
             return;
         }
+        self.check_links();
         self.check_clocks(now);
         self.check_sensors();
         self.check_refills(now);
@@ -256,7 +261,7 @@ impl Mission {
     /// Asks a robot for its times again, unless an answer is on its way: a network that doubles answers would double questions.
     fn ask_further(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
-        let longest = state.round_trip() * 3 + SAMPLING_INTERVAL;
+        let longest = lead::counted(state.round_trip()) * 3 + SAMPLING_INTERVAL;
         if state.questions.last_unanswered().is_none_or(|at| now >= at + longest) {
             self.ask_availability(now, robot);
         }
@@ -266,6 +271,18 @@ impl Mission {
         let plan = &self.choreography.acts[self.options.first_act].plan;
         let members = act::members(plan, &self.robots);
         SkewBudget::of(members.iter(), &self.robots, plan.start_tolerance, now)
+    }
+
+    /// Refuses robots whose answers take longer than any lease: the others would wait for them.
+    pub(super) fn check_links(&mut self) {
+        for index in 0..self.robots.len() {
+            let robot = &self.robots[index];
+            let round_trip = robot.round_trip();
+            if robot.standing == Standing::In && round_trip > ROUND_TRIP_LONGEST {
+                let slow = Slow::RoundTrip { round_trip, longest: ROUND_TRIP_LONGEST };
+                self.note_failure(index, FailureKind::TooSlow { slow });
+            }
+        }
     }
 
     /// Refuses robots whose clock is surely further off than the scenario tolerates, and those that spread the fleet.
@@ -368,7 +385,13 @@ impl Mission {
                 self.reconnect(index);
                 continue;
             }
-            self.fail(now, index, FailureKind::Silent { awaited: awaited.to_owned(), within });
+            let awaited = match robot.exchanges.ignored() {
+                0 => awaited.to_owned(),
+                ignored => format!(
+                    "{awaited} to a question ({ignored} came that answer none, or whose times cannot be true)"
+                ),
+            };
+            self.fail(now, index, FailureKind::Silent { awaited, within });
         }
         self.sampling = None;
         self.greeting_progress(now);
@@ -411,6 +434,11 @@ fn others_that_read(robot: &RobotState, block: &InitializationBlock, read: &[Dev
     });
     others.take(SHOWN_MAX).cloned().collect()
 }
+
+/// Encodings of one robot that are listed.
+const ENCODINGS_SHOWN: usize = 8;
+/// Readings that a robot owes at most: of what an act waits for, the newest count.
+const READS_MAX: usize = 1_024;
 
 /// Faults of one robot that are listed; one with another unit would bury the others.
 const UNFIT_SHOWN: usize = 12;

@@ -13,6 +13,11 @@ const LEASE_MIN: Span = Span::from_millis(240);
 /// Longer round trips count as this one: a lead and a lease that follow every delay make a show wait for one bad link.
 /// Preparing and leases still leave room for two and more times as much.
 const ROUND_TRIP_MAX: Span = Span::from_millis(500);
+/// A robot whose round trips are longer is refused: it could keep none of the leases.
+pub(crate) const ROUND_TRIP_LONGEST: Span = Span::from_millis(3_000);
+/// The longest pending lease that an act is given, and the longest margin behind it. What round trips need is at most 3 s; the rest
+/// is how early and how late robots may start by their clocks.
+pub(crate) const LEASE_MAX: Span = Span::from_millis(10_000);
 /// Bytes a second that any link and robot is trusted to take in, also on a host whose cores are all busy.
 const BYTES_A_SECOND: i64 = 10_000_000;
 /// Time to encode, send, check and answer one request, in addition to the time of its bytes.

@@ -15,9 +15,11 @@ mod bench;
 mod claim;
 mod course;
 mod events;
+mod exchanges;
 mod facts;
 mod failure;
 mod failure_kind;
+mod failures;
 mod fates;
 mod greet;
 mod identity;
@@ -49,7 +51,7 @@ pub use claim::Claim;
 pub use downbeat_scripts::{ClockMode, MissionSettings, Requirement};
 pub use events::{Action, Event, Loss, Progress, TakenReading};
 pub use facts::{ActReport, ActRobot, DeviceReport, DeviceState};
-pub use failure_kind::{Failure, FailureKind};
+pub use failure_kind::{Failure, FailureKind, Slow};
 pub use fates::{ActCourse, ActFate};
 pub use lead::{LEAD_MARGIN_MIN, LeadTime};
 pub use options::{Greeting, Join, MissionOptions, Participant};
@@ -237,6 +239,7 @@ impl Mission {
         self.notice_hold_up(now);
         match event {
             Event::LinkUp { robot } => self.link_up(now, robot),
+            Event::Certified { robot, until } => self.robots[robot].certified_until = Some(until),
             Event::LinkDown { robot, loss, reason } => self.link_down(now, robot, loss, reason),
             Event::Received { robot, message } => self.receive(now, robot, message),
             Event::Garbled { robot, reason } => self.fail(now, robot, FailureKind::Garbled { reason }),

@@ -4,6 +4,8 @@ use downbeat_scripts::MissionSettings;
 use serde::{Deserialize, Serialize};
 use urrcp::{InitializationBlock, RobotId, Server, SessionId, Span, Timestamp};
 
+use crate::session::Session;
+
 /// A robot that takes part, by its index in the mission from here on.
 #[derive(Clone, Debug)]
 pub struct Participant {
@@ -65,7 +67,7 @@ pub struct MissionOptions {
     /// Uncertainty of the server's own clock against NTP.
     pub server_uncertainty: Span,
     /// On whose behalf robots are driven. Without one a robot cannot tell this scheduler from another.
-    pub session: Option<SessionId>,
+    pub session: Option<Session>,
     /// When the first act starts, instead of as soon as possible.
     pub start_at: Option<Timestamp<Server>>,
     /// With which act to begin, by its index.
@@ -79,6 +81,23 @@ pub struct MissionOptions {
     pub preflight_only: bool,
     /// The server's local time minus UTC, for acts that wait for a time of day.
     pub utc_offset: Span,
+}
+
+impl MissionOptions {
+    /// The session as robots are told it, which is not to be shown.
+    pub(crate) fn session_on_the_wire(&self) -> Option<SessionId> {
+        self.session.as_ref().map(|session| session.on_the_wire().clone())
+    }
+
+    /// The session as people know it.
+    pub(crate) fn session_name(&self) -> Option<&SessionId> {
+        self.session.as_ref().map(Session::name)
+    }
+
+    /// With what the names of this session's requests begin.
+    pub(crate) fn names_begin(&self) -> String {
+        self.session_name().map(|name| format!("{name}/")).unwrap_or_default()
+    }
 }
 
 impl Default for MissionOptions {

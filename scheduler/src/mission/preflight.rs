@@ -1,5 +1,6 @@
 //! The checks before a mission as one table: a row a robot, a column a check.
 
+use downbeat_scripts::counted;
 use serde::Serialize;
 use urrcp::{DeviceId, ErrorCode, Millis, RobotId, Server, Span, Timestamp};
 
@@ -151,6 +152,24 @@ fn readings(mission: &Mission, index: usize) -> Vec<DeviceReading> {
     required.chain(stands).chain(shown).collect()
 }
 
+/// A certificate that ends sooner than this is told of: time enough to make a new one and take it to the robot.
+const EXPIRES_SOON: Span = Span::from_millis(30 * DAY_MS);
+const DAY_MS: i64 = 24 * 3_600 * 1_000;
+
+fn identity(robot: &RobotState, now: Timestamp<Server>) -> Verdict {
+    match robot.certified_until.map(|until| until - now).filter(|left| *left < EXPIRES_SOON) {
+        None => Verdict::Pass(robot.own_id.to_string()),
+        Some(left) => {
+            let days = left.as_nanos() / 1_000_000 / DAY_MS;
+            Verdict::Warning(format!(
+                "its certificate counts for {} more: `downbeat keys renew {}` makes a new one",
+                counted(usize::try_from(days).unwrap_or_default(), "day"),
+                robot.own_id
+            ))
+        }
+    }
+}
+
 fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>) -> Verdict {
     let robot = &mission.robots[index];
     let failures: Vec<String> = robot
@@ -160,7 +179,10 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
         .map(|failure| failure.kind.to_string())
         .collect();
     if !failures.is_empty() {
-        return Verdict::Failure(failures.join("; "));
+        let omitted = robot.failures.omitted();
+        let first = robot.failures.first().map(|failure| column(&failure.kind));
+        let rest = (omitted > 0 && first == Some(check)).then(|| format!("{omitted} more failures"));
+        return Verdict::Failure(failures.into_iter().chain(rest).collect::<Vec<_>>().join("; "));
     }
     let greeted = mission.options.greeting == Greeting::Full;
     match check {
@@ -174,7 +196,7 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
             Link::Connecting => Verdict::Warning("not there".to_owned()),
         },
         Check::Identity | Check::Version | Check::Description if !robot.introduced => Verdict::NotChecked,
-        Check::Identity => Verdict::Pass(robot.own_id.to_string()),
+        Check::Identity => identity(robot, now),
         Check::Version => {
             Verdict::Pass(robot.block.as_ref().map(|block| block.api_version.to_string()).unwrap_or_default())
         }
@@ -224,9 +246,11 @@ fn ms(span: Span) -> String {
 /// Where a failure stands in the table.
 fn column(kind: &FailureKind) -> Check {
     match kind {
-        FailureKind::LinkDown { .. } | FailureKind::Garbled { .. } | FailureKind::Silent { .. } => {
-            Check::Link
-        }
+        FailureKind::LinkDown { .. }
+        | FailureKind::Flooding { .. }
+        | FailureKind::TooSlow { .. }
+        | FailureKind::Garbled { .. }
+        | FailureKind::Silent { .. } => Check::Link,
         FailureKind::WrongVersion { .. } => Check::Version,
         FailureKind::Unfit { .. } | FailureKind::NoTimeToSend { .. } => Check::Description,
         FailureKind::Clock { .. } => Check::Clock,

@@ -4,7 +4,7 @@ use urrcp::{Command, ControlRequest, Message, Millis, RobotId, Server, Span, Tim
 
 use super::act::timing::{CLOCK_UNKNOWN, Leases, Measured, Pace};
 use super::act::{Act, Member, Timing};
-use super::failure_kind::FailureKind;
+use super::failure_kind::{FailureKind, Slow};
 use super::lead::{self, LeadTime};
 use super::robot_state::RobotState;
 use super::skew::SkewBudget;
@@ -46,6 +46,10 @@ impl Mission {
             return self.await_clocks(now, index, unknown);
         }
         let skew = self.skew_of(act, now);
+        let slow = self.too_slow(act, skew.as_ref());
+        if !slow.is_empty() {
+            return self.refuse_or_look_again(now, index, slow);
+        }
         let need = match self.need(now, act, skew.as_ref()) {
             Ok(need) => need,
             Err(outcome) => return self.cannot_prepare(now, outcome),
@@ -58,12 +62,8 @@ impl Mission {
         let offenders = self.skew_ahead(act, now, start).map(|skew| skew.offenders()).unwrap_or_default();
         if !offenders.is_empty() {
             let at = |id| self.robots.iter().position(|robot| robot.id == id);
-            let failing: Vec<_> =
-                offenders.into_iter().filter_map(|(id, kind)| Some((at(id)?, kind))).collect();
-            if failing.iter().any(|(robot, _)| self.plays_before(index, *robot)) {
-                return self.acts[index].look_again_at(Some(now + LOOK_AGAIN));
-            }
-            return self.fail_all(now, failing);
+            let failing = offenders.into_iter().filter_map(|(id, kind)| Some((at(id)?, kind))).collect();
+            return self.refuse_or_look_again(now, index, failing);
         }
         if let Some(until) = self.links_known_at(&self.acts[index]).filter(|until| now < *until) {
             return self.acts[index].look_again_at(Some(until));
@@ -71,12 +71,49 @@ impl Mission {
         self.send_act(now, index, need);
     }
 
+    /// Refuses robots, unless one of them still has its part in an act ahead.
+    fn refuse_or_look_again(
+        &mut self,
+        now: Timestamp<Server>,
+        index: usize,
+        failing: Vec<(usize, FailureKind)>,
+    ) {
+        if failing.iter().any(|(robot, _)| self.plays_before(index, *robot)) {
+            return self.acts[index].look_again_at(Some(now + LOOK_AGAIN));
+        }
+        self.fail_all(now, failing);
+    }
+
+    /// The robots for which the act would need a longer lease than is given: no robot makes all others wait without bound.
+    fn too_slow(&self, act: &Act, skew: Option<&SkewBudget>) -> Vec<(usize, FailureKind)> {
+        let longest = lead::LEASE_MAX;
+        let prescribed = act.written().plan.stop_condition.pending;
+        let round_trip = lead::counted(self.slowest(act).map_or(Span::ZERO, |(_, round_trip)| round_trip));
+        let lease = self.measured(act, round_trip, None, skew).lease_least();
+        if prescribed.is_some() || lease <= longest {
+            return Vec::new();
+        }
+        let needs = |member: &Member| {
+            let robot = &self.robots[member.robot];
+            let (early, late) = skew.and_then(|skew| skew.early_and_late_of(&robot.id)).unwrap_or_default();
+            let round_trip = lead::counted(robot.round_trip());
+            let slow = Slow::Lease { lease, longest, round_trip, early, late };
+            (early + late + round_trip * 5, member.robot, FailureKind::TooSlow { slow })
+        };
+        let needs: Vec<_> = act.present().map(needs).collect();
+        let most = needs.iter().map(|(needed, ..)| *needed).max().unwrap_or_default();
+        let slow = needs.into_iter().filter(|(needed, ..)| *needed >= most.min(longest));
+        slow.map(|(_, robot, kind)| (robot, kind)).collect()
+    }
+
     /// When the answers will be there without which a link that was slow for once cannot be told from one that is slow: waiting for
     /// them takes less than they may take off the lead.
     fn links_known_at(&self, act: &Act) -> Option<Timestamp<Server>> {
         let members = act.present().map(|member| &self.robots[member.robot]);
         let unknown = members.filter(|robot| robot.is_up() && !robot.clock.tells_outliers());
-        unknown.filter_map(|robot| Some(robot.questions.last_unanswered()? + robot.round_trip())).max()
+        unknown
+            .filter_map(|robot| Some(robot.questions.last_unanswered()? + lead::counted(robot.round_trip())))
+            .max()
     }
 
     /// Whether a robot still has its part in an act ahead: that it fits, whatever comes next.
@@ -231,7 +268,7 @@ impl Mission {
             let measured = robot.clock_at(now).filter(|_| robot.settings.clock == ClockMode::Measured);
             measured.map_or(Span::ZERO, |reading| reading.offset)
         };
-        let session = self.options.session.as_ref();
+        let session = self.options.session_name();
         let (names, actions) = self.acts[index].promise(timing, &self.robots, session, shift_of);
         for (robot, id, script) in names {
             self.robots[robot].requests.insert(id, script);

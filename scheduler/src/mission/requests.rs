@@ -67,6 +67,7 @@ impl Mission {
             None => unnamed,
         };
         let Some(script) = script else {
+            self.robots[robot].exchanges.ignore();
             return tracing::debug!(robot = %self.robots[robot].id, "answer to no open request: {response:?}");
         };
         let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
@@ -84,7 +85,7 @@ impl Mission {
         }
     }
 
-    /// A robot that belongs to another session by now says which: it is told once.
+    /// A robot that belongs to another session by now refuses the stop: it is told once.
     fn stop_refused(&mut self, robot: usize) {
         let state = &self.robots[robot];
         let told = |failure: &super::Failure| matches!(failure.kind, FailureKind::NotAvailable { .. });
@@ -111,7 +112,7 @@ impl Mission {
     pub(super) fn send_script(&mut self, now: Timestamp<Server>, script: ScriptRef) {
         let Some(act) = self.acts.iter_mut().find(|act| act.number() == script.act) else { return };
         let robot = act.robot_of(script);
-        let Some(request) = act.request(script, self.options.session.as_ref()) else { return };
+        let Some(request) = act.request(script, self.options.session_on_the_wire().as_ref()) else { return };
         act.sent(now, script);
         let lease = act.shortest_lease_of(script);
         let state = &mut self.robots[robot];

@@ -8,7 +8,9 @@ use urrcp::{
     RobotId, Server, Span, Status, Timestamp,
 };
 
-use super::failure_kind::{Failure, FailureKind};
+use super::exchanges::Exchanges;
+use super::failure_kind::FailureKind;
+use super::failures::Failures;
 use super::script::ScriptRef;
 use super::{Loss, MissionSettings, Participant};
 use crate::clock::{ClockEstimate, ClockReading};
@@ -187,6 +189,8 @@ pub(crate) struct RobotState {
     pub(crate) id: RobotId,
     /// What it has to call itself.
     pub(crate) own_id: RobotId,
+    /// Until when its certificate counts, if it has shown one.
+    pub(crate) certified_until: Option<Timestamp<Server>>,
     pub(crate) link: Link,
     /// Attempts to reach it since it was last heard.
     attempts: u32,
@@ -223,7 +227,9 @@ pub(crate) struct RobotState {
     pub(crate) last_sent: Option<Timestamp<Server>>,
     /// When it was last sent anything but a question.
     spoken_at: Option<Timestamp<Server>>,
-    pub(crate) failures: Vec<Failure>,
+    pub(crate) failures: Failures,
+    /// The questions that its answers may answer.
+    pub(crate) exchanges: Exchanges,
     pub(crate) totals: Totals,
     /// Nobody knows what it did of a script of an act that has ended.
     pub(crate) was_lost_sight_of: bool,
@@ -239,6 +245,7 @@ impl RobotState {
     pub(crate) fn new(participant: Participant) -> Self {
         Self {
             own_id: participant.own_id().clone(),
+            certified_until: None,
             id: participant.id,
             link: Link::Connecting,
             attempts: 0,
@@ -262,7 +269,8 @@ impl RobotState {
             left: Vec::new(),
             last_sent: None,
             spoken_at: None,
-            failures: Vec::new(),
+            failures: Failures::default(),
+            exchanges: Exchanges::default(),
             totals: Totals::default(),
             was_lost_sight_of: false,
         }
@@ -323,6 +331,7 @@ impl RobotState {
         let unheard = self.lost_mut().cloned();
         self.link = Link::Unnamed { since: now, unheard };
         self.questions.forgive();
+        self.exchanges.begin_again();
     }
 
     /// It is the one that is meant, or it is not asked. `false`: that was known of this link.

@@ -9,6 +9,7 @@ use urrcp::{
 };
 
 use super::act::Act;
+use super::exchanges::Times;
 use super::failure_kind::FailureKind;
 use super::lead::LeadTime;
 use super::{Mission, Phase, Progress, error_of_status};
@@ -107,7 +108,8 @@ impl Mission {
             return;
         }
         state.questions.asked(now);
-        let session = self.options.session.clone();
+        state.exchanges.asked(now, named.len().max(1));
+        let session = self.options.session_on_the_wire();
         if !state.takes_inquiries() {
             let request = AvailabilityRequest { timestamp: Some(now), session };
             return self.post(now, robot, Message::AvailabilityRequest(request));
@@ -127,7 +129,8 @@ impl Mission {
     /// Asks for the robot's times and claims it for the session, which also renews all leases.
     pub(super) fn ask_availability(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].questions.asked(now);
-        let session = self.options.session.clone();
+        self.robots[robot].exchanges.asked(now, 1);
+        let session = self.options.session_on_the_wire();
         let request = AvailabilityRequest { timestamp: Some(now), session };
         self.post(now, robot, Message::AvailabilityRequest(request));
     }
@@ -192,15 +195,14 @@ impl Mission {
         robot: usize,
         response: &InquiryResponse,
     ) {
-        let Some(asked_at) = response.originate_timestamp.filter(|sent| *sent <= self.arrived) else {
-            return;
+        let times = Times {
+            originate: response.originate_timestamp,
+            received: response.receive_timestamp,
+            answered: response.timestamp,
+            arrived: self.arrived,
         };
-        let sample = ClockSample::from_exchange(
-            asked_at,
-            response.receive_timestamp,
-            response.timestamp,
-            self.arrived,
-        );
+        let Some(sample) = self.robots[robot].exchanges.answered(times) else { return };
+        let asked_at = sample.sent;
         self.take_times(now, robot, sample);
         for report in &response.requests {
             let Some(&script) = self.robots[robot].requests.get(&report.request_id) else { continue };

@@ -123,6 +123,12 @@ impl SkewBudget {
         Some(Self { predicted, tolerance, robots, place })
     }
 
+    /// How much earlier, and how much later, than planned this robot may start.
+    pub(crate) fn early_and_late_of(&self, robot: &RobotId) -> Option<(Span, Span)> {
+        let (earliest, latest) = self.robots[*self.place.get(robot)?].range();
+        Some(((Span::ZERO - earliest).max(Span::ZERO), latest.max(Span::ZERO)))
+    }
+
     /// How much earlier, and how much later, than planned a robot may start.
     pub(crate) fn early_and_late(&self) -> (Span, Span) {
         let earliest = self.robots.iter().map(|robot| robot.range().0).min().unwrap_or_default();

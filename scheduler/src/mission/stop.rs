@@ -112,7 +112,7 @@ impl Mission {
             return;
         }
         self.stopped_at = self.stopped_at.max(Some(now));
-        let session = self.options.session.as_ref().map(|session| format!("{session}/")).unwrap_or_default();
+        let session = self.options.names_begin();
         let named = |(index, device): (usize, &DeviceId)| {
             // Sessions are named by this program, far below the limit.
             let id = RequestId::new(format!("{session}stop/{}/{robot}/{index}", now.as_nanos() / 1_000));
@@ -148,7 +148,7 @@ impl Mission {
             request.request_id = Some(id.clone());
             // What was sent before it and arrives after it is taken back as well.
             request.timestamp = Some(stopped_at + state.shift);
-            request.session.clone_from(&self.options.session);
+            request.session = self.options.session_on_the_wire();
             request.hold = sent.rest == Rest::Hold;
             Message::ControlRequest(request)
         };
@@ -264,7 +264,12 @@ impl Mission {
         for robot in 0..self.robots.len() {
             let state = &self.robots[robot];
             let told = state.failures.iter().any(|failure| {
-                matches!(failure.kind, FailureKind::LinkDown { .. } | FailureKind::AnotherRobot { .. })
+                matches!(
+                    failure.kind,
+                    FailureKind::LinkDown { .. }
+                        | FailureKind::Flooding { .. }
+                        | FailureKind::AnotherRobot { .. }
+                )
             });
             let Link::Lost(lost) = &state.link else { continue };
             if state.awaits_stop() && !told {

@@ -1,5 +1,7 @@
 //! Missions without links, as far as they can be seen by what they answer.
 
+mod hostile;
+
 use std::sync::Arc;
 
 use downbeat_scripts::{SensorRange, Wait, Way};
@@ -13,6 +15,7 @@ use super::robot_state::{Standing, Stop};
 use super::script::ScriptRef;
 use super::*;
 use crate::clock::ClockSample;
+use crate::session::Session;
 
 /// Two acts, `one` and `two`, that one robot plays. The named one waits for the operator.
 fn waits_in(waiting: usize) -> Mission {
@@ -365,7 +368,7 @@ fn a_robot_is_ours_once_it_was_asked_on_its_link_on_behalf_of_a_session() {
     ] {
         let mut mission = begins_at_once(Everything);
         mission.options.greeting = greeting;
-        mission.options.session = session.then(|| "s".parse().unwrap());
+        mission.options.session = session.then(|| Session::named("s".parse().unwrap()));
         if up {
             mission.robots[0].connected(at(0));
             mission.robots[0].named();

@@ -2,7 +2,6 @@
 
 use std::collections::hash_map::Entry;
 use std::collections::{BTreeMap, HashMap, VecDeque};
-use std::fs;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -147,7 +146,9 @@ impl History {
             true => journal,
             false => path.to_path_buf(),
         };
-        let bytes = fs::read(&path).map_err(|error| NoHistory::Io { path: path.clone(), error })?;
+        let mut bytes = Vec::new();
+        let read = downbeat_scripts::open(&path).and_then(|mut file| file.read_to_end(&mut bytes));
+        read.map_err(|error| NoHistory::Io { path: path.clone(), error })?;
         if bytes.starts_with(MCAP_MAGIC) {
             return Self::of_recording(&bytes, &path);
         }
@@ -198,7 +199,7 @@ impl History {
             return Ok(true);
         }
         let mut first = Vec::new();
-        fs::File::open(path)?.take(FIRST_BYTES).read_to_end(&mut first)?;
+        downbeat_scripts::open(path)?.take(FIRST_BYTES).read_to_end(&mut first)?;
         let sum = first.split_at_checked(8).filter(|(sum, _)| sum.iter().all(u8::is_ascii_hexdigit));
         Ok(first.starts_with(MCAP_MAGIC) || sum.is_some_and(|(_, line)| line.starts_with(b" {")))
     }

@@ -20,6 +20,7 @@ use urrcp::{
 
 use crate::clock::ClockSample;
 use crate::mission::{Progress, Record};
+use crate::session;
 
 pub use recorder::{Recorded, Recorder};
 
@@ -137,10 +138,11 @@ impl Recording {
         }
     }
 
-    /// A message left for a robot.
-    pub fn sent(&mut self, at: Timestamp<Server>, robot: &RobotId, message: &Message) {
-        self.put(&format!("/robots/{robot}/requests"), Kind::Message, at, at, message);
-        if let Message::ControlRequest(request) = message {
+    /// A message left for a robot. The key of its session is left out.
+    pub fn sent(&mut self, at: Timestamp<Server>, robot: &RobotId, message: Message) {
+        let message = session::without_key(message);
+        self.put(&format!("/robots/{robot}/requests"), Kind::Message, at, at, &message);
+        if let Message::ControlRequest(request) = &message {
             self.planned(at, robot, request);
         }
     }

@@ -9,7 +9,9 @@ use strum::VariantNames;
 use super::{DeviceState, Outcome, SCHEMA, StopState};
 use crate::cli::InsideWhat;
 use crate::mission::robot_state::Standing;
-use crate::mission::{ActFate, Check, Claim, ClockMode, FailureKind, Greeting, Progress, Record, Verdict};
+use crate::mission::{
+    ActFate, Check, Claim, ClockMode, FailureKind, Greeting, Progress, Record, Slow, Verdict,
+};
 use crate::requirements::Judgement;
 
 const CHECKS: &str = "/$defs/preflight/properties/rows/items/properties/checks/items/prefixItems";
@@ -25,6 +27,7 @@ fn listed_in_schema() -> Vec<(String, &'static [&'static str])> {
         (at("robot/properties/clock_mode"), &CLOCK_MODES),
         (at("failure/properties/failure"), FailureKind::VARIANTS),
         (at("failure/properties/claim"), Claim::VARIANTS),
+        (at("failure/properties/slow"), Slow::VARIANTS),
         (at("preflight/properties/greeting"), Greeting::VARIANTS),
         (at("course/properties/fate"), ActFate::VARIANTS),
         (at("judged/properties/result"), Judgement::VARIANTS),

@@ -42,7 +42,7 @@ pub const SCHEMA: &str = include_str!("schema.json");
 pub struct Report {
     /// The scenario's name.
     pub scenario: String,
-    /// The session on whose behalf robots were driven.
+    /// The name of the session on whose behalf robots were driven.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub session: Option<SessionId>,
     /// How it ended.
@@ -75,7 +75,7 @@ pub struct Report {
     pub acts_omitted: usize,
     /// Robots in the order of the fleet, over all acts.
     pub robots: Vec<RobotReport>,
-    /// All failures, in order.
+    /// The failures of each robot, in order; of a robot that fails again and again the first ones.
     pub failures: Vec<Failure>,
     /// Robots driven in this process whose hardware may not be in its default state, each with the reason.
     #[serde(skip_serializing_if = "Vec::is_empty")]
@@ -122,6 +122,12 @@ pub struct RobotReport {
     pub retries: u32,
     /// How often its link was made again.
     pub reconnects: u32,
+    /// Answers that answered nothing it was asked, or whose times could not be true. They counted for nothing.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub ignored_answers: u64,
+    /// Further failures of this robot, beyond those that the report lists.
+    #[serde(skip_serializing_if = "is_zero")]
+    pub failures_omitted: u64,
     /// How its time was brought to agree with the server's.
     pub clock_mode: ClockMode,
     /// Its clock against the server's.
@@ -177,7 +183,7 @@ impl Report {
         let robots = mission.robots();
         Self {
             scenario: mission.choreography().scenario.clone(),
-            session: mission.options().session.clone(),
+            session: mission.options().session_name().cloned(),
             outcome,
             because: mission.because().map(str::to_owned),
             acts_max_reached: mission.bound_reached(),
@@ -225,10 +231,17 @@ fn robot_report(robot: &RobotState) -> RobotReport {
         unaccounted: totals.unaccounted,
         retries: totals.retries,
         reconnects: totals.reconnects,
+        ignored_answers: robot.exchanges.ignored(),
+        failures_omitted: robot.failures.omitted(),
         clock_mode: robot.settings.clock,
         clock: robot.clock.reading(),
         stop: stop_state(robot),
     }
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde wants a reference")]
+const fn is_zero(count: &u64) -> bool {
+    *count == 0
 }
 
 fn stop_state(robot: &RobotState) -> StopState {

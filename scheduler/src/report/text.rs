@@ -210,6 +210,9 @@ pub fn report_text(report: &Report, columns: usize) -> String {
     for failure in &report.failures {
         say(&mut text, columns, &format!("  {}: {}", failure.robot, failure.kind));
     }
+    for robot in report.robots.iter().filter(|robot| robot.failures_omitted > 0) {
+        say(&mut text, columns, &format!("  {}: {} more failures", robot.robot, robot.failures_omitted));
+    }
     if report.acts.len() > 1 {
         text.push_str(&acts_table(report, columns));
     }

@@ -4,7 +4,9 @@
 //! or `hold`, which leaves robots where they are, is answered by `heard` once the mission has taken it, by `alive` four times a second as long as it stops, and in the end
 //! by its report, a line of JSON. So a client knows within a second whether the mission listens.
 
+use std::fs::Permissions;
 use std::io;
+use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -16,6 +18,7 @@ use tokio::task::AbortHandle;
 use tokio::time::timeout;
 
 use super::Operator;
+use crate::journal::private;
 use crate::mission::Rest;
 use crate::stop_lane::{StopLane, Voice};
 
@@ -33,7 +36,15 @@ const TAKEN_RETRY: Duration = Duration::from_millis(2);
 /// The socket in a mission's folder.
 #[must_use]
 pub fn socket(folder: &Path) -> PathBuf {
-    folder.join("control")
+    folder.join(SOCKET)
+}
+
+const SOCKET: &str = "control";
+
+/// Whether the other end of a connection is a process of this user, or of root.
+fn is_ours(stream: &UnixStream) -> bool {
+    let own = rustix::process::geteuid().as_raw();
+    stream.peer_cred().is_ok_and(|peer| peer.uid() == own || peer.uid() == 0)
 }
 
 /// Listens for other terminals as long as a mission runs.
@@ -58,10 +69,15 @@ impl Control {
         let _in_the_lane = lane.runtime().enter();
         let voice = lane.voice();
         let listener = UnixListener::bind(&path)?;
+        // The folder is for this user alone, too.
+        std::fs::set_permissions(&path, Permissions::from_mode(0o600))?;
         let (report, reported) = watch::channel(None);
         let (telling, told) = mpsc::channel(1);
         let accepting = tokio::spawn(async move {
             while let Ok((stream, _)) = listener.accept().await {
+                if !is_ours(&stream) {
+                    continue;
+                }
                 let (reader, writer) = stream.into_split();
                 let listener = Listener { writer, voice: voice.clone(), report: reported.clone() };
                 let telling = telling.clone();
@@ -206,8 +222,12 @@ struct Speaker {
 
 impl Speaker {
     async fn to(folder: &Path) -> Result<Self, Unheard> {
-        let stream = UnixStream::connect(socket(folder));
-        let (reader, writer) = timeout(SILENCE_MAX, stream).await.map_err(|_| Unheard::Silent)??.into_split();
+        let stream = UnixStream::connect(private::socket(folder, SOCKET)?);
+        let stream = timeout(SILENCE_MAX, stream).await.map_err(|_| Unheard::Silent)??;
+        if !is_ours(&stream) {
+            return Err(io::Error::other("the process that listens there is of another user").into());
+        }
+        let (reader, writer) = stream.into_split();
         Ok(Self { reader: BufReader::new(reader), writer })
     }
 

@@ -79,7 +79,7 @@ pub async fn run_and_keep(
 ) -> Report {
     let ids = (0..endpoints.len()).map(|robot| mission.robot_id(robot).clone()).collect();
     let before = Before {
-        session: mission.options().session.clone(),
+        session: mission.options().session_on_the_wire(),
         devices: mission.robots().iter().map(to_be_stopped).collect(),
     };
     let mut world = RealWorld::new((endpoints, before), ids, clock, operator, tell, std::mem::take(keep));

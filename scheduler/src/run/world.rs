@@ -10,7 +10,7 @@ use urrcp::{Message, RobotId, Server, Span, Timestamp};
 use super::{Keep, Operator};
 use crate::drive::{Filed, Happened, LinkNumber, QueueFull, Urgency, World};
 use crate::journal::{Journal, Writer, Written};
-use crate::link::{Endpoint, Link};
+use crate::link::{Asked, Endpoint, Link, Waiting};
 use crate::mission::{Event, Progress, Record};
 use crate::recording::{Recorder, Recording};
 use crate::server_clock::{NtpState, NtpWatch, ServerClock};
@@ -19,13 +19,18 @@ use crate::stop_lane::{Before, Passage, StopLane};
 /// Events that may wait for the mission; links wait beyond that.
 const EVENTS_MAX: usize = 65_536;
 
+/// Scripts of another process that one device is expected to tell of at most, beyond what a link takes unasked.
+const SCRIPTS_HELD: usize = 16;
+
 pub(super) struct RealWorld<T> {
     clock: ServerClock,
     endpoints: Vec<Endpoint>,
+    /// What each robot was asked, on all links to it.
+    asked: Vec<Asked>,
     ids: Arc<[RobotId]>,
     links: Vec<Option<Link>>,
-    events: mpsc::Sender<Happened>,
-    happened: mpsc::Receiver<Happened>,
+    events: mpsc::Sender<Waiting>,
+    happened: mpsc::Receiver<Waiting>,
     operator: mpsc::Receiver<Operator>,
     /// Who waits for the answer to a go, the oldest first.
     unanswered: VecDeque<oneshot::Sender<Result<String, String>>>,
@@ -64,6 +69,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> RealWorld<T> {
         Self {
             clock,
             links: endpoints.iter().map(|_| None).collect(),
+            asked: asked_before(&endpoints, &before),
             endpoints,
             ids: ids.into(),
             events,
@@ -138,7 +144,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
                 Some(reason) => Event::JournalLost { reason },
                 None => Event::Recorded { count: written.count },
             }),
-            Some(happened) = self.happened.recv() => {
+            Some(Waiting { happened, .. }) = self.happened.recv() => {
                 self.note_received(&happened);
                 Some(happened)
             }
@@ -148,9 +154,9 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
     }
 
     fn connect(&mut self, robot: usize, link: LinkNumber, after: Span) {
-        let endpoint = self.endpoints[robot].clone();
+        let endpoint = (self.endpoints[robot].clone(), self.asked[robot].clone());
         let events = self.events.clone();
-        let link = Link::open((robot, link), endpoint, self.clock, events, after.to_duration());
+        let link = Link::open_beside_others((robot, link), endpoint, self.clock, events, after.to_duration());
         if let Some(lane) = &self.stop_lane {
             lane.links(robot, &link);
         }
@@ -173,7 +179,7 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
         let copy = self.recording.is_some().then(|| (self.clock.now(), message.clone()));
         link.send(message, urgency)?;
         if let Some((at, message)) = copy {
-            self.note(move |recording, ids| recording.sent(at, &ids[robot], &message));
+            self.note(move |recording, ids| recording.sent(at, &ids[robot], message));
         }
         Ok(())
     }
@@ -208,6 +214,16 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
             let _gone = asked.send(answer);
         }
     }
+}
+
+/// Devices of which a robot may still tell what becomes of scripts that another process has sent.
+fn asked_before(endpoints: &[Endpoint], before: &Before) -> Vec<Asked> {
+    let asked = |robot: usize| {
+        let asked = Asked::default();
+        asked.note_held(before.devices.get(robot).map_or(0, |devices| devices.len() * SCRIPTS_HELD));
+        asked
+    };
+    (0..endpoints.len()).map(asked).collect()
 }
 
 async fn next_written(journal: &mut FileJournal) -> Written {

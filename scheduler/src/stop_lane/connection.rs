@@ -9,7 +9,9 @@ use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use urrcp::{AvailabilityRequest, Decoder, Message, encode_as};
 
-use crate::link::{Endpoint, LinkEncoding};
+use crate::link::{Asked, Budget, Endpoint, LinkEncoding, ReadEnd, WriteEnd, secured};
+use crate::server_clock::ServerClock;
+use crate::session;
 
 const CONNECT_TIMEOUT: Duration = Duration::from_secs(3);
 /// How often a connection that is kept is asked for a sign of life: well within the 30 s after which robots let go of a
@@ -25,38 +27,51 @@ pub(super) enum Connection {
 }
 
 pub(super) struct Tcp {
-    stream: TcpStream,
+    reader: ReadEnd,
+    writer: WriteEnd,
     encoding: LinkEncoding,
     decoder: Decoder,
     bytes: Vec<u8>,
+    clock: ServerClock,
+    asked: Asked,
+    budget: Budget,
     /// Something was written in part, so that what follows would not be understood.
     torn: bool,
 }
 
 impl Connection {
     /// Connects. `known` is the robot's address, once it has been resolved: a stop must not wait for a name server.
-    pub(super) async fn open(endpoint: &Endpoint, known: &mut Option<SocketAddr>) -> io::Result<Self> {
+    pub(super) async fn open(
+        endpoint: &Endpoint,
+        (clock, asked): (ServerClock, &Asked),
+        known: &mut Option<SocketAddr>,
+    ) -> io::Result<Self> {
         match endpoint {
             Endpoint::InProcess { host, index } => {
                 let gone = || io::Error::other("the robot in this process is gone");
                 host.connect(*index).map(Self::InProcess).ok_or_else(gone)
             }
-            Endpoint::Tcp { host, port, encoding } => {
+            Endpoint::Tcp { host, port, encoding, security } => {
                 let connect = async {
-                    match known {
+                    let stream = match known {
                         Some(address) => TcpStream::connect(*address).await,
                         None => TcpStream::connect((host.as_str(), *port)).await,
-                    }
+                    }?;
+                    *known = stream.peer_addr().ok();
+                    secured(stream, security).await
                 };
-                let stream = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
-                *known = stream.peer_addr().ok();
-                stream.set_nodelay(true)?;
+                let ((reader, writer), _) = tokio::time::timeout(CONNECT_TIMEOUT, connect).await??;
                 let (decoder, bytes) = (Decoder::default(), vec![0; 8 * 1024]);
+                let budget = Budget::new(asked.clone());
                 Ok(Self::Tcp(Box::new(Tcp {
-                    stream,
+                    reader,
+                    writer,
                     encoding: encoding.clone(),
                     decoder,
                     bytes,
+                    clock,
+                    asked: asked.clone(),
+                    budget,
                     torn: false,
                 })))
             }
@@ -110,23 +125,37 @@ impl Tcp {
             return Err(io::Error::other("the last message was written in part"));
         }
         let mut bytes = Vec::new();
-        messages.for_each(|message| encode_as(self.encoding.current(), message, &mut bytes));
-        self.stream.write_all(&bytes).await?;
+        for message in messages {
+            let before = bytes.len();
+            encode_as(self.encoding.current(), message, &mut bytes);
+            self.asked.note(message, bytes.len() - before);
+        }
+        self.writer.write_all(&bytes).await?;
         self.torn = false;
         Ok(())
     }
 
+    /// The next message; `None` once the connection has ended, or is to be ended because the robot says more than it was asked
+    /// for.
     async fn next(&mut self) -> Option<Message> {
         loop {
-            match self.decoder.next_message() {
-                Some(Ok(message)) => return Some(message),
+            let decoded = self.decoder.next_message();
+            if decoded.is_some() {
+                self.budget.take_message().ok()?;
+            }
+            match decoded {
+                Some(Ok(message)) if !self.budget.passes(&message) => {}
+                Some(Ok(message)) => return Some(session::told_without_keys(message)),
                 Some(Err(error)) => tracing::debug!("on the connection for stops: {error}"),
                 None => {
                     // However much one robot says, the others have their turn.
                     tokio::task::yield_now().await;
-                    match self.stream.read(&mut self.bytes).await {
+                    match self.reader.read(&mut self.bytes).await {
                         Ok(0) | Err(_) => return None,
-                        Ok(n) => self.decoder.push(&self.bytes[..n]),
+                        Ok(came) => {
+                            self.budget.take_bytes(self.clock.now(), came).ok()?;
+                            self.decoder.push(&self.bytes[..came]);
+                        }
                     }
                 }
             }

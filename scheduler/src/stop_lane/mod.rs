@@ -23,8 +23,7 @@ pub(crate) use self::sent::Passage;
 use self::sent::{Book, Sent};
 use self::stopping::Guard;
 pub use self::words::{MissionOver, Voice};
-use crate::drive::Happened;
-use crate::link::{Endpoint, Link};
+use crate::link::{Asked, Endpoint, Link, Waiting};
 use crate::mission::Rest;
 use crate::run::Operator;
 use crate::server_clock::ServerClock;
@@ -44,6 +43,7 @@ enum Alarm {
 /// What an earlier process of the mission has moved.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Before {
+    /// As the robots know it.
     pub(crate) session: Option<SessionId>,
     /// The devices of each robot, by its index.
     pub(crate) devices: Vec<BTreeSet<DeviceId>>,
@@ -112,7 +112,7 @@ impl StopLane {
         endpoints: &[Endpoint],
         before: &Before,
         clock: ServerClock,
-        events: &mpsc::Sender<Happened>,
+        events: &mpsc::Sender<Waiting>,
     ) {
         for (robot, endpoint) in endpoints.iter().enumerate() {
             let devices = before.devices.get(robot).cloned().unwrap_or_default();
@@ -121,6 +121,7 @@ impl StopLane {
                 robot,
                 endpoint: endpoint.clone(),
                 clock,
+                asked: Asked::default(),
                 events: events.clone(),
                 sent: sent.subscribe(),
                 alarm: self.alarm.clone(),

@@ -9,6 +9,7 @@ use urrcp::{Command, ControlRequest, DeviceId, Message, RequestId, Script, Serve
 use super::Alarm;
 use crate::link::Link;
 use crate::mission::robot_state::Rest;
+use crate::session;
 
 /// What a robot was sent.
 #[derive(Clone, Debug, Default)]
@@ -18,6 +19,7 @@ pub(super) struct Sent {
     /// The latest timestamp of a request, by the robot's own clock where that is not the server's: a stop takes back all up
     /// to it that arrives later.
     latest: Option<Timestamp<Server>>,
+    /// As the robot knows it.
     session: Option<SessionId>,
     /// The mission's own link, for messages that overtake.
     pub(super) link: Option<mpsc::UnboundedSender<Message>>,
@@ -107,7 +109,8 @@ impl Sent {
         robot: usize,
         rest: Rest,
     ) -> Vec<(RequestId, Message)> {
-        let session = self.session.as_ref().map(|session| format!("{session}/")).unwrap_or_default();
+        let name = |session: &SessionId| format!("{}/", session::name_of(session));
+        let session = self.session.as_ref().map(name).unwrap_or_default();
         let stop = |(index, (device, stopped)): (usize, (&DeviceId, &Rest))| {
             let name = format!("{session}stop/{}/lane/{robot}/{index}", now.as_nanos() / 1_000);
             // Sessions are named by this program, far below the limit.

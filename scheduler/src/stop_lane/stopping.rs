@@ -13,7 +13,7 @@ use super::Alarm;
 use super::connection::Connection;
 use super::sent::Sent;
 use crate::drive::Happened;
-use crate::link::Endpoint;
+use crate::link::{Asked, Endpoint, Waiting};
 use crate::mission::{Event, Rest};
 use crate::server_clock::ServerClock;
 
@@ -40,7 +40,9 @@ pub(super) struct Guard {
     pub(super) robot: usize,
     pub(super) endpoint: Endpoint,
     pub(super) clock: ServerClock,
-    pub(super) events: mpsc::Sender<Happened>,
+    /// What the robot was asked by the lane.
+    pub(super) asked: Asked,
+    pub(super) events: mpsc::Sender<Waiting>,
     pub(super) sent: watch::Receiver<Sent>,
     pub(super) alarm: watch::Receiver<Alarm>,
 }
@@ -66,7 +68,7 @@ impl Guard {
             let opened = tokio::select! {
                 biased;
                 rest = &mut ringing => return (None, rest),
-                opened = Connection::open(&self.endpoint, known) => opened,
+                opened = Connection::open(&self.endpoint, (self.clock, &self.asked), known) => opened,
             };
             match opened {
                 // Nothing comes between this process and itself.
@@ -142,7 +144,7 @@ impl Guard {
     ) -> Attempt {
         let begun = match connection {
             Some(connection) => connection,
-            None => match Connection::open(&self.endpoint, known).await {
+            None => match Connection::open(&self.endpoint, (self.clock, &self.asked), known).await {
                 Ok(opened) => connection.insert(opened),
                 Err(error) => return self.failed(&error, open),
             },
@@ -190,7 +192,7 @@ impl Guard {
     fn hand_on(&self, message: Message) {
         if let Message::ControlResponse(ControlResponse { request_id: Some(_), .. }) = &message {
             let event = Box::new(Event::Received { robot: self.robot, message });
-            let _it_asks_again = self.events.try_send(Happened::Event { at: self.clock.now(), event });
+            let _it_asks_again = self.events.try_send(Happened::Event { at: self.clock.now(), event }.into());
         }
     }
 

@@ -37,7 +37,7 @@ fn stage(scenario: &str, world: &str) -> Stage {
     };
     let fleet = read_fleet(&Path::new(ROOT).join("fleet.yaml")).0.unwrap();
     let source = Source::read(&file("scenario.yaml", scenario)).unwrap();
-    let compiled = compile(&source, &fleet, &Folder(folder.path().to_path_buf()));
+    let compiled = compile(&source, &fleet, &Folder::new(folder.path().to_path_buf()));
     let choreography = compiled.choreography.unwrap_or_else(|| panic!("{:?}", compiled.findings));
     let acts: Vec<&str> = choreography.acts.iter().map(Act::called).collect();
     let (world, findings) = read_world(&file("world.yaml", &format!("world: w\n{world}")), &fleet, &acts);

@@ -12,12 +12,13 @@ use crate::fields::{At, Reader};
 use crate::finding::{Code, Finding, names, one_of};
 use crate::import::urdf_tree::{Motion, NoChain, Tree, TreeJoint, tree};
 use crate::node::{Node, shortened};
-use crate::source::Source;
+use crate::project::Project;
 use crate::space::{Coordinate, Joint, JointKind};
 
 /// Descriptions read so far, by path: many robots share one.
 pub(super) struct Urdfs {
     folder: PathBuf,
+    project: Project,
     read: HashMap<PathBuf, Option<Rc<Tree>>>,
     /// Findings in them.
     pub(super) elsewhere: Vec<Finding>,
@@ -41,8 +42,8 @@ struct Movers<'a> {
 }
 
 impl Urdfs {
-    pub(super) fn new(folder: &Path) -> Self {
-        Self { folder: folder.to_path_buf(), read: HashMap::new(), elsewhere: Vec::new() }
+    pub(super) fn new(folder: &Path, project: Project) -> Self {
+        Self { folder: folder.to_path_buf(), project, read: HashMap::new(), elsewhere: Vec::new() }
     }
 
     fn tree(&mut self, findings: &mut Reader, at: &At<'_>) -> Option<Rc<Tree>> {
@@ -50,8 +51,12 @@ impl Urdfs {
         if let Some(read) = self.read.get(&path) {
             return read.clone();
         }
-        let read = match Source::read(&path) {
+        let read = match self.project.read(&path) {
             Ok(source) => tree(&source).map_err(|found| self.elsewhere.extend(found)).ok(),
+            Err(finding) if finding.code == Code::OutsideProject => {
+                findings.add_named(at.place(), finding);
+                None
+            }
             Err(finding) => {
                 let message = format!("cannot read the URDF `{}`: {}", path.display(), finding.message);
                 let hint = Some("the path counts from the folder of the fleet file".to_owned());

@@ -27,6 +27,10 @@ pub(super) fn samples(reader: &mut Reader, files: &dyn Files, at: &At<'_>) -> Op
     let (file, name) = (file?, name?);
     let source = match files.read(&name) {
         Ok(source) => source,
+        Err(finding) if finding.code == Code::OutsideProject => {
+            reader.add_named(file.place(), finding);
+            return None;
+        }
         Err(finding) => {
             let message = format!("cannot read `{}`: {}", shortened(&name), finding.message);
             let hint = Some("the path counts from the folder of the scenario".to_owned());

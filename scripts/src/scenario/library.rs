@@ -68,6 +68,11 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
                     documents.sources.push(Cow::Owned(source));
                     documents.nodes.push(node);
                 }
+                Err(finding) if finding.code == Code::OutsideProject => {
+                    let mut reader = Reader::default();
+                    reader.add_named(place, finding);
+                    findings.extend(locate(&documents.sources, reader.found));
+                }
                 Err(finding) if finding.code == Code::Unreadable => {
                     let mut reader = Reader::default();
                     let message = format!("cannot read `{}`: {}", shortened(&name), finding.message);

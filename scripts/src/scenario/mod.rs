@@ -23,6 +23,7 @@ use crate::exact::{Exact, Laps};
 use crate::fields::{At, Reader};
 use crate::files::Files;
 use crate::finding::{Code, Finding, Place};
+use crate::locate::locate;
 use crate::motion::Curve;
 use crate::node::{self, Node};
 use crate::requirements::Requirements;
@@ -246,6 +247,14 @@ pub fn fleet_named_by(source: &Source) -> Option<PathBuf> {
         Node::Text(path) if key == "fleet" => Some(PathBuf::from(path)),
         _ => None,
     })
+}
+
+/// A finding about the fleet file that a scenario names, at the place at which it names it.
+#[must_use]
+pub fn place_at_fleet(source: &Source, about: Finding) -> Finding {
+    let mut reader = Reader::default();
+    reader.add_named(Place::default().of_key("fleet"), about.clone());
+    locate(std::slice::from_ref(source), reader.finish()).pop().unwrap_or(about)
 }
 
 /// Reads the trees of a scenario and its includes. What is wrong is left out and found.

@@ -60,6 +60,11 @@ fn cut(text: &str) -> Option<(Word, &str)> {
     WORDS.iter().find_map(|(word, bound)| Some((*bound, rest_of(word)?)))
 }
 
+/// As it is written.
+fn word_of(word: Word) -> &'static str {
+    WORDS.iter().find(|(_, of)| *of == word).map_or("", |(text, _)| *text)
+}
+
 /// The same, where it is one of the words that fit; everything else is found.
 fn bound<'t>(
     reader: &mut Reader,
@@ -67,7 +72,6 @@ fn bound<'t>(
     text: &'t str,
     (fitting, expected): ([Word; 2], &str),
 ) -> Option<(Word, &'t str)> {
-    let word_of = |word: Word| WORDS.iter().find(|(_, of)| *of == word).map_or("", |(text, _)| *text);
     let wrong = match cut(text) {
         Some((word, rest)) if fitting.contains(&word) => return Some((word, rest)),
         Some((word, rest)) => {
@@ -93,8 +97,10 @@ fn ceiling(reader: &mut Reader, at: &At<'_>) -> Option<Ceiling> {
     let text = reader.text(at, SPREAD)?;
     let (word, rest) = bound(reader, at, &text, ([Word::Below, Word::AtMost], SPREAD))?;
     let Some(span) = duration::parse_duration(rest) else {
-        let hint = duration::hint(rest)
-            .or_else(|| rest.parse::<f64>().is_ok().then(|| format!("add the unit: `{rest}ms`")));
+        let with_unit = || format!("add the unit: `{} {rest}ms`", word_of(word));
+        // The place is that of the whole bound.
+        let whole = |hint: String| hint.replacen('`', &format!("`{} ", word_of(word)), 1);
+        let hint = duration::hint(rest).map(whole).or_else(|| rest.parse::<f64>().is_ok().then(with_unit));
         let found = format!("the time `{}` cannot be read", shortened(rest));
         reader.add(Code::BadDuration, at.place(), found, duration::EXPECTED, hint);
         return None;
@@ -131,16 +137,21 @@ fn floor<T: Copy>(
     }
 }
 
+/// What a bound with a comma may have meant.
+fn with_point(text: &str, word: Word) -> Option<String> {
+    text.contains(',')
+        .then(|| format!("write a decimal point: `{} {}`", word_of(word), text.replace(',', ".")))
+}
+
 /// `99.9%` or `99.9 %`, to seven decimals: the unit is part of it, so that 0.99 and 99 cannot be confused.
 fn share(text: &str, word: Word) -> Result<Share, Unfit> {
     let Some(number) = text.strip_suffix('%') else {
         let is_number = text.parse::<f64>().is_ok();
-        let hint = is_number.then(|| format!("add the unit: `{text}%`"));
+        let hint = is_number.then(|| format!("add the unit: `{} {text}%`", word_of(word)));
         return Err((format!("`{}` is not a percentage", shortened(text)), hint));
     };
     let Some(billionths) = billionths(number.trim()) else {
-        let hint =
-            number.contains(',').then(|| format!("write a decimal point: `{}`", text.replace(',', ".")));
+        let hint = with_point(text, word);
         return Err((format!("`{}` is not a percentage from 0 to 100", shortened(text)), hint));
     };
     if billionths == 100 * OF_PERCENT && word == Word::Above {
@@ -162,10 +173,11 @@ fn billionths(number: &str) -> Option<u32> {
     (sum <= 100 * OF_PERCENT).then_some(sum)
 }
 
-fn metres(text: &str, _: Word) -> Result<f64, Unfit> {
+fn metres(text: &str, word: Word) -> Result<f64, Unfit> {
     let cut = METRES.iter().find_map(|(unit, metres)| Some((text.strip_suffix(unit)?.trim(), *metres)));
     let Some((number, metres)) = cut else {
-        let hint = text.parse::<f64>().is_ok().then(|| format!("add the unit: `{text}m`"));
+        let hint = text.parse::<f64>().is_ok();
+        let hint = hint.then(|| format!("add the unit: `{} {text}m`", word_of(word)));
         let units = names(METRES.map(|(unit, _)| unit));
         return Err((format!("`{}` has none of the units {units}", shortened(text)), hint));
     };
@@ -173,9 +185,7 @@ fn metres(text: &str, _: Word) -> Result<f64, Unfit> {
         Ok(value) if value.is_finite() && value >= 0.0 => Ok(value * metres),
         Ok(_) => Err((format!("`{}` is no distance", shortened(text)), None)),
         Err(_) => {
-            let hint =
-                number.contains(',').then(|| format!("write a decimal point: `{}`", text.replace(',', ".")));
-            Err((format!("`{}` cannot be read as a distance", shortened(text)), hint))
+            Err((format!("`{}` cannot be read as a distance", shortened(text)), with_point(text, word)))
         }
     }
 }

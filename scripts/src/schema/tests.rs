@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::*;
 use crate::finding::Part;
 use crate::known::{self, Known};
-use crate::{Fleet, NoFiles, Source, compile, read_fleet, read_world};
+use crate::{Fleet, NoFiles, Project, Source, compile, read_fleet_within, read_world};
 
 /// Documents in which every key of a scenario stands. They need not be sound.
 const SCENARIOS: [&str; 4] = [
@@ -98,6 +98,9 @@ cues:
 const FLEET: &str = "
 ntp: pool.ntp.org
 handshake: full
+identity: anna.pem
+revoked: revoked.pem
+insecure: false
 space: {distance: 1, keep_in: {x: [0, 1], y: [0, 1], z: [0, 1]}, keep_out: {pillar: {x: [0, 1]}}}
 robots:
   thrift:
@@ -303,7 +306,8 @@ fn the_schema_of_fleets_lists_what_is_read() {
     let path = folder.path().join("fleet.yaml");
     std::fs::write(&path, &text).unwrap();
     let _before = known::take();
-    let _fleet = read_fleet(&path);
+    // The URDF is in the repository.
+    let _fleet = read_fleet_within(&path, &Project::within(std::path::Path::new("/")).unwrap());
     check(Schema::Fleet, &[text], known::take());
 }
 

@@ -13,7 +13,7 @@ fn compiled(name: &str, text: &str) -> Compiled {
     let fleet = if own.exists() { own } else { folder().join("fleet.yaml") };
     let (fleet, _) = read_fleet(&fleet);
     let source = Source { name: format!("{name}.yaml"), text: text.to_owned() };
-    compile(&source, &fleet.unwrap_or_default(), &Folder(folder()))
+    compile(&source, &fleet.unwrap_or_default(), &Folder::new(folder()))
 }
 
 /// Replaces this many characters of a line by others.

@@ -81,12 +81,20 @@ pub fn of_identity() -> Vec<Mutant> {
             }
             Then::Pass
         }),
-        mutant("who has the robot is a secret", &["session"], |_, passing| {
+        mutant("who has the robot is told", &["session"], |memory, passing| {
+            if let Some(session) =
+                passing.json.pointer("/availability_request/session").and_then(Value::as_str)
+            {
+                memory.seen.insert((u64::MAX, session.to_owned()));
+            }
+            let sessions =
+                memory.seen.iter().filter(|(link, _)| *link == u64::MAX).map(|(_, name)| name.as_str());
+            let sessions: Vec<&str> = sessions.collect();
             for message in ["availability_response", "control_response"] {
                 if let Some(error) = passing.json.pointer_mut(&format!("/{message}/error"))
                     && error["code"] == "busy"
                 {
-                    error["message"] = json!("not now");
+                    error["message"] = json!(format!("not now: {}", sessions.join(", ")));
                 }
             }
             Then::Pass

@@ -217,15 +217,39 @@ fn readings_that_are_refused_or_no_numbers_or_cut_off_fail_with_the_reason() {
     assert!(bench.robot.is_idle());
 }
 
+/// Asks for a reading on behalf of a session; whether it is open now.
+fn opens(bench: &mut Bench, link: u64, session: Option<&str>) -> bool {
+    let request = ControlRequest::immediate(DeviceId::new("thermometer").unwrap(), Command::ReadSensor);
+    let session = session.and_then(|session| urrcp::SessionId::new(session).ok());
+    let message = Message::ControlRequest(ControlRequest { session, ..request });
+    bench.robot.handle(bench.now, LinkId(link), Input::Message(message), &mut bench.out);
+    matches!(bench.out.last(), Some(Output::Read { .. }))
+}
+
 #[test]
-fn readings_are_open_up_to_a_limit() {
+fn readings_are_open_up_to_a_limit_and_all_of_them_are_answered() {
     let mut bench = ready();
-    for i in 0..=READINGS_MAX {
-        read(&mut bench, &format!("r{i}"));
-    }
-    assert_eq!(bench.statuses(), ["Failed busy"]);
+    let opened: Vec<_> =
+        (0..5).map(|link| (0..64).filter(|_| opens(&mut bench, link, None)).count()).collect();
+    assert_eq!(opened, [16, 16, 0, 0, 0], "of each peer and of all that own nothing");
+    assert!(bench.statuses().iter().all(|status| status == "Failed busy"));
     bench.until(1_000);
-    assert_eq!(bench.statuses().len(), READINGS_MAX + 1);
+    assert_eq!(bench.statuses().len(), 5 * 64);
+}
+
+#[test]
+fn strangers_however_many_leave_the_owner_room_for_its_readings() {
+    let mut bench = ready();
+    bench.send(Message::AvailabilityRequest(AvailabilityRequest {
+        session: urrcp::SessionId::new("show").ok(),
+        ..AvailabilityRequest::default()
+    }));
+    let opened: Vec<_> =
+        (10..20).map(|link| (0..20).filter(|_| opens(&mut bench, link, None)).count()).collect();
+    assert_eq!(opened, [4, 4, 0, 0, 0, 0, 0, 0, 0, 0]);
+    // Its link has named the session before.
+    let own = (0..READINGS_MAX).filter(|i| opens(&mut bench, 1, Some("show").filter(|_| i % 2 == 0))).count();
+    assert_eq!(own, READINGS_MAX - 8);
 }
 
 #[test]

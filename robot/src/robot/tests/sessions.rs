@@ -1,6 +1,7 @@
 //! The session to which a robot belongs, and how it comes to rest on a stop.
 
 use super::*;
+use crate::role::{Proof, Role};
 use urrcp::SessionId;
 
 const OTHER: LinkId = LinkId(2);
@@ -35,20 +36,20 @@ impl Bench {
 }
 
 #[test]
-fn a_second_session_is_told_to_whom_the_robot_belongs() {
+fn a_second_session_is_told_that_the_robot_belongs_to_another_one() {
     let mut bench = Bench::new();
     bench.send_on(LINK, hello("first"));
     assert_eq!(bench.last_said(), "1 OK ");
     bench.send_on(OTHER, hello("second"));
-    assert_eq!(bench.last_said(), "2 Failed `r` belongs to session `first` until that ends");
+    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that ends");
     bench.send_on(OTHER, of("second", timed("arm", "b", 900.0, script(ControlType::Position, &PAPER))));
-    assert_eq!(bench.last_said(), "2 Failed `r` belongs to session `first` until that ends");
+    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that ends");
     // Neither does one that names no session, nor may the second stop what the first does.
     bench.send_on(
         OTHER,
         Message::ControlRequest(timed("arm", "c", 900.0, script(ControlType::Position, &PAPER))),
     );
-    assert_eq!(bench.last_said(), "2 Failed `r` belongs to session `first` until that ends");
+    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that ends");
     bench.send_on(LINK, of("first", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
     bench.send_on(
         OTHER,
@@ -67,7 +68,7 @@ fn a_stranger_who_asks_for_a_reading_that_there_is_not_stops_nothing() {
     bench.send_on(LINK, of("first", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
     let read = |device: &str| ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::ReadSensor);
     bench.send_on(OTHER, Message::ControlRequest(read("arm")));
-    assert_eq!(bench.last_said(), "2 Failed `r` belongs to session `first` until that ends");
+    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that ends");
     bench.send_on(OTHER, Message::ControlRequest(read("thermometer")));
     assert_eq!(bench.last_said(), "2 Provide ", "to read is free to all");
     bench.until(5_000);
@@ -93,7 +94,7 @@ fn a_robot_is_free_once_its_session_has_gone_and_nothing_is_held() {
     bench.send_on(LINK, of("first", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
     bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
     bench.send_on(OTHER, hello("second"));
-    assert_eq!(bench.last_said(), "2 Failed `r` belongs to session `first` until that ends");
+    assert_eq!(bench.last_said(), "2 Failed `r` belongs to another session until that ends");
     bench.until(3_000);
     bench.send_on(OTHER, hello("second"));
     assert_eq!(bench.last_said(), "2 OK ");
@@ -229,4 +230,223 @@ fn no_session_renews_the_lease_of_another_however_many_have_been() {
     }
     bench.until(20_000);
     assert_eq!(bench.values(), [], "the owner was silent from 9 s on");
+}
+
+/// Everything that the robot has said, as it goes over the wire.
+fn all_said(bench: &Bench) -> String {
+    let mut bytes = Vec::new();
+    for output in &bench.out {
+        if let Output::Send { message, .. } = output {
+            urrcp::encode(message, &mut bytes);
+        }
+    }
+    String::from_utf8(bytes).unwrap()
+}
+
+#[test]
+fn a_stranger_learns_the_sessions_name_by_no_question() {
+    let mut bench = Bench::new();
+    bench.send_on(LINK, of("a-secret", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
+    bench.out.clear();
+    for session in [None, SessionId::new("guess").ok()] {
+        let availability = AvailabilityRequest { timestamp: None, session: session.clone() };
+        bench.send_on(OTHER, Message::AvailabilityRequest(availability));
+        let inquiry = urrcp::Inquiry {
+            session: session.clone(),
+            requests: vec![RequestId::new("a").unwrap()],
+            devices: vec![DeviceId::new("arm").unwrap()],
+            ..urrcp::Inquiry::default()
+        };
+        bench.send_on(OTHER, Message::Inquiry(inquiry));
+        for device in ["arm", "wheel", "thermometer", "none"] {
+            let set = Command::Set(Setpoint::new(ControlType::Speed, 1.0));
+            for command in [Command::ReadSensor, Command::Script(Script::cancel()), set] {
+                let request = ControlRequest::immediate(DeviceId::new(device).unwrap(), command);
+                let request = ControlRequest { session: session.clone(), ..request };
+                bench.send_on(OTHER, Message::ControlRequest(request));
+            }
+        }
+        bench.send_on(OTHER, Message::InitializationRequest(urrcp::InitializationRequest::default()));
+    }
+    let said = all_said(&bench);
+    assert!(said.contains("belongs to another session") && !said.contains("a-secret"), "{said}");
+}
+
+#[test]
+fn a_stranger_renews_no_lease_and_diverts_no_report() {
+    let mut bench = Bench::new();
+    let mut request = timed("arm", "a", 900.0, script(ControlType::Position, &PAPER));
+    request.stop_condition = lease(1_000.0, 500.0);
+    bench.send_on(LINK, of("first", request));
+    for millis in (100..1_400).step_by(100) {
+        bench.until(millis);
+        bench.send_on(OTHER, hello("second"));
+        bench.send_on(OTHER, Message::AvailabilityRequest(AvailabilityRequest::default()));
+        bench.send_on(OTHER, Message::Inquiry(urrcp::Inquiry::default()));
+    }
+    // The owner's link breaks: its reports go nowhere, rather than to a link that speaks for another.
+    bench.robot.handle(bench.now, LINK, Input::LinkDown, &mut bench.out);
+    bench.until(9_000);
+    assert_eq!(bench.values(), [], "its lease over the start was over at 0.5 s, whatever others said");
+    let diverted = bench.out.iter().any(|output| {
+        matches!(output, Output::Send { link, message: Message::ControlResponse(r) }
+            if *link == OTHER && r.event_timestamp.is_some())
+    });
+    assert!(!diverted);
+}
+
+#[test]
+fn a_session_belongs_to_the_name_that_its_peer_has_proven() {
+    let mut bench = Bench::new();
+    let named = |name: &str| {
+        Input::Proven(Proof {
+            name: Label::new(name).unwrap(),
+            roles: [Role::Observe, Role::Drive].into_iter().collect(),
+        })
+    };
+    bench.robot.handle(bench.now, LINK, named("desk"), &mut bench.out);
+    bench.robot.handle(bench.now, OTHER, named("intruder"), &mut bench.out);
+    let mut request = timed("arm", "a", 900.0, script(ControlType::Position, &PAPER));
+    request.stop_condition = lease(500.0, 500.0);
+    bench.send_on(LINK, of("show", request));
+    let stop = ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()));
+    // Neither another name nor none, by the same session.
+    for link in [OTHER, LinkId(3)] {
+        bench.send_on(link, of("show", stop.clone()));
+        let refused = format!("{} Failed `r` belongs to another session until that ends", link.0);
+        assert_eq!(bench.last_said(), refused);
+    }
+    bench.until(400);
+    bench.send_on(OTHER, hello("show"));
+    bench.until(2_000);
+    assert_eq!(bench.statuses().last().map(String::as_str), Some("Failed link_lost"), "nor do they renew");
+    // The same name on another link is the same session.
+    bench.send_on(LINK, of("show", timed("arm", "b", 3_000.0, script(ControlType::Position, &PAPER))));
+    let again = LinkId(4);
+    bench.robot.handle(bench.now, again, named("desk"), &mut bench.out);
+    bench.send_on(again, of("show", stop));
+    assert_eq!(bench.last_said(), "4 OK ");
+}
+
+#[test]
+fn a_stop_with_a_timestamp_of_the_future_does_not_close_a_device_to_the_next_session() {
+    let mut bench = Bench::new();
+    let in_an_hour = Some(Timestamp::from_nanos(BEGIN + 3_600_000_000_000));
+    let stop = ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()));
+    bench.send_on(OTHER, Message::ControlRequest(ControlRequest { timestamp: in_an_hour, ..stop.clone() }));
+    bench.until(300);
+    let sent_now = |id: &str| ControlRequest {
+        timestamp: Some(Timestamp::from_nanos(BEGIN + 300_000_000)),
+        ..timed("arm", id, 900.0, script(ControlType::Position, &PAPER))
+    };
+    bench.send_on(LINK, of("show", sent_now("a")));
+    assert_eq!(bench.last_said(), "1 Accepted ");
+    // What the sender of the stop itself had sent by a clock that is ahead is still taken back.
+    let mut bench = Bench::new();
+    let ahead = Some(Timestamp::from_nanos(BEGIN + 4_000_000_000));
+    bench.send_on(LINK, of("show", ControlRequest { timestamp: ahead, ..stop }));
+    let overtaken = ControlRequest {
+        timestamp: Some(Timestamp::from_nanos(BEGIN + 3_900_000_000)),
+        ..timed("arm", "b", 900.0, script(ControlType::Position, &PAPER))
+    };
+    bench.send_on(OTHER, of("show", overtaken));
+    assert_eq!(bench.statuses(), ["OK", "Failed cancelled"]);
+}
+
+/// What the robot answers to a script of the arm that starts and ends so late, with this lease.
+#[track_caller]
+fn check_reach(start_ms: f64, last_ms: f64, lease: Option<StopCondition>, expected: &str) {
+    let mut bench = Bench::new();
+    let far = script(ControlType::Position, &[(0.0, 45.0), (last_ms, 0.0)]);
+    bench.request(ControlRequest { stop_condition: lease, ..timed("arm", "a", start_ms, far) });
+    assert_eq!(bench.statuses(), [expected], "{:?}", bench.last_said());
+}
+
+#[test]
+fn one_line_does_not_occupy_a_robot_for_years() {
+    const HOUR: f64 = 3_600_000.0;
+    let short = lease(1_000.0, 1_000.0);
+    check_reach(0.9 * HOUR, 0.0, None, "Accepted");
+    check_reach(1.1 * HOUR, 0.0, None, "Failed out_of_range");
+    check_reach(1.1 * HOUR, 0.0, short, "Accepted");
+    check_reach(23.9 * HOUR, 0.0, short, "Accepted");
+    check_reach(24.1 * HOUR, 0.0, short, "Failed out_of_range");
+    check_reach(1_000.0, 23.9 * HOUR, None, "Accepted");
+    check_reach(1_000.0, 24.1 * HOUR, None, "Failed out_of_range");
+    check_reach(1_000.0, 1e11, short, "Accepted");
+    // A limit that is too long is none.
+    check_reach(1_000.0, 1e11, lease(1_000.0, 1e11), "Failed out_of_range");
+    check_reach(2.0 * HOUR, 0.0, lease(1e11, 1_000.0), "Failed out_of_range");
+}
+
+#[test]
+fn what_follows_another_command_of_its_device_needs_no_lease_of_its_own_before_its_start() {
+    const HOUR: f64 = 3_600_000.0;
+    let mut bench = Bench::new();
+    let long = script(ControlType::Position, &[(0.0, 45.0), (2.0 * HOUR, 0.0)]);
+    bench.request(timed("arm", "a", 1_000.0, long));
+    bench.request(timed("arm", "b", 3.0 * HOUR, script(ControlType::Position, &PAPER)));
+    assert_eq!(bench.statuses()[..2], ["Accepted", "Accepted"]);
+}
+
+/// An operator on a link with these roles.
+fn operator(name: &str, roles: &[Role]) -> Input {
+    Input::Proven(Proof { name: Label::new(name).unwrap(), roles: roles.iter().copied().collect() })
+}
+
+fn stop_of(device: &str) -> ControlRequest {
+    ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::Script(Script::cancel()))
+}
+
+#[test]
+fn an_operator_does_what_its_roles_allow_and_nothing_else() {
+    let ask = || Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session: None });
+    let set = || {
+        of(
+            "s",
+            ControlRequest::immediate(
+                DeviceId::new("arm").unwrap(),
+                Command::Set(Setpoint::new(ControlType::Position, 30.0)),
+            ),
+        )
+    };
+    let allowed = |role: Role, message: Message| {
+        let mut bench = Bench::new();
+        bench.robot.handle(bench.now, LINK, operator("anna", &[role]), &mut bench.out);
+        bench.send_on(LINK, message);
+        !bench.last_said().contains("and this takes")
+    };
+    let table = [
+        (Role::Observe, [true, false, false, false]),
+        (Role::Drive, [true, true, true, true]),
+        (Role::Stop, [true, false, false, true]),
+        (Role::Seize, [false, false, false, false]),
+    ];
+    for (role, expected) in table {
+        let messages = [ask(), hello("s"), set(), Message::ControlRequest(stop_of("arm"))];
+        assert_eq!(messages.map(|message| allowed(role, message)), expected, "{role}");
+    }
+}
+
+#[test]
+fn who_may_stop_stops_the_robot_of_another_session_and_is_named_and_others_do_not() {
+    let mut bench = Bench::new();
+    bench.robot.handle(bench.now, LINK, operator("operator anna", &[Role::Drive]), &mut bench.out);
+    bench.robot.handle(bench.now, OTHER, operator("operator bert", &[Role::Drive]), &mut bench.out);
+    let third = LinkId(3);
+    bench.robot.handle(bench.now, third, operator("operator cleo", &[Role::Stop]), &mut bench.out);
+    let mut request = timed("arm", "a", 100.0, script(ControlType::Position, &PAPER));
+    request.stop_condition = lease(5_000.0, 5_000.0);
+    bench.send_on(LINK, of("show", request));
+    bench.send_on(OTHER, of("other", stop_of("arm")));
+    assert!(bench.last_said().contains("belongs to another session"), "{}", bench.last_said());
+    assert!(!bench.robot.is_idle());
+    bench.out.clear();
+    bench.send_on(third, Message::ControlRequest(stop_of("arm")));
+    assert!(bench.robot.is_idle());
+    let told = bench.out.iter().find_map(|output| match output {
+        Output::Send { link: LINK, message: Message::ControlResponse(r) } => r.error.clone(),
+        _ => None,
+    });
+    assert_eq!(told.map(|error| error.message).as_deref(), Some("stopped by operator cleo"));
 }

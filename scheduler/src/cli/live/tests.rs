@@ -20,7 +20,7 @@ fn meeting() -> Model {
     let root = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).parent().unwrap();
     let (fleet, findings) = read_fleet(&root.join("fleet.yaml"));
     let source = Source::read(&root.join("scripts/examples/meeting.yaml")).unwrap();
-    let folder = Folder(root.join("scripts/examples"));
+    let folder = Folder::new(root.join("scripts/examples"));
     let compiled = compile(&source, &fleet.unwrap_or_else(|| panic!("{findings:?}")), &folder);
     let choreography = compiled.choreography.unwrap();
     let robots: Vec<RobotId> = ["arm-1", "arm-2", "rover-1"].map(|robot| robot.parse().unwrap()).into();

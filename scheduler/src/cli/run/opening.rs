@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use downbeat_scripts::{Address, FleetRobot};
+use downbeat_scripts::{Address, Attempt, FleetRobot, Refusal};
 use tokio::sync::mpsc;
 
 use super::{Stopped, failed, usage};
@@ -23,6 +23,7 @@ pub(super) async fn begin(
 ) -> Result<Journal, Stopped> {
     let opening = move || {
         journal::forget_old(&state);
+        journal::create_state_folder(&state).map_err(|error| unwritable(&state, &error))?;
         open_journal(&state.join(opened.session.as_str()), &opened, &clock)
     };
     unless_stopped(operator, opening).await?.map_err(usage)
@@ -55,10 +56,16 @@ pub(super) fn opened_robot(robot: &FleetRobot) -> OpenedRobot {
     OpenedRobot { robot: robot.id.clone(), own_id, address: robot.address.to_string(), init }
 }
 
+fn unwritable(state: &Path, error: &std::io::Error) -> String {
+    let reason = Refusal::of(Attempt::Write(state), error).reason;
+    format!("cannot create the folder {} for journals: {reason}; {OTHERWISE}", state.display())
+}
+
+/// What to do where no journal can be written.
+const OTHERWISE: &str = "set DOWNBEAT_STATE to a folder that can be written, or run with --no-journal";
+
 fn open_journal(folder: &Path, opened: &Opened, clock: &ServerClock) -> Result<Journal, String> {
-    let hint = |error: journal::JournalError| {
-        format!("{error}; set DOWNBEAT_STATE to a folder that can be written, or run with --no-journal")
-    };
+    let hint = |error: journal::JournalError| format!("{error}; {OTHERWISE}");
     let mut journal = Journal::open(folder).map_err(hint)?;
     journal.begin(clock.now(), opened).map_err(hint)?;
     Ok(journal)

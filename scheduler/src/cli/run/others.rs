@@ -1,7 +1,5 @@
 //! Other missions of this machine that have robots of the one that is about to begin.
 
-use std::path::Path;
-
 use downbeat_scripts::{Address, FleetRobot};
 use urrcp::RobotId;
 
@@ -13,10 +11,12 @@ use crate::journal::{Found, Life, Missions};
 ///
 /// # Errors
 /// Which robots are taken, and by whom.
-pub(super) fn look_for(state: &Path, robots: &[&FleetRobot]) -> Result<(), String> {
-    let missions = Missions::of(state).found;
-    warn_of_unfinished(&missions, robots);
-    taken_here(&missions, robots)
+pub(super) fn look_at(missions: &Missions, robots: &[&FleetRobot]) -> Result<(), String> {
+    for refused in &missions.refused {
+        console::warn(&format!("{refused}; if a mission runs there, its robots are not known"));
+    }
+    warn_of_unfinished(&missions.found, robots);
+    taken_here(&missions.found, robots)
 }
 
 fn taken_here(missions: &[Found], robots: &[&FleetRobot]) -> Result<(), String> {

@@ -5,7 +5,7 @@ use urrcp::{Command, ControlRequest, Script};
 
 use super::*;
 use crate::drive::{Happened, LinkNumber, Urgency};
-use crate::link::{Endpoint, Link, LinkEncoding};
+use crate::link::{Endpoint, Link, LinkEncoding, Security};
 
 #[tokio::test]
 async fn a_stop_never_waits_behind_an_upload_that_the_robot_does_not_read() {
@@ -13,7 +13,12 @@ async fn a_stop_never_waits_behind_an_upload_that_the_robot_does_not_read() {
     let port = listener.local_addr().unwrap().port();
     let (events, _happened) = mpsc::channel(64);
     let clock = ServerClock::anchored(Span::ZERO);
-    let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, encoding: LinkEncoding::default() };
+    let endpoint = Endpoint::Tcp {
+        host: "127.0.0.1".into(),
+        port,
+        encoding: LinkEncoding::default(),
+        security: Security::Plain,
+    };
     let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, Duration::ZERO);
     let (_unread, _) = listener.accept().await.unwrap();
     let stop = |device: String| {
@@ -46,19 +51,25 @@ async fn events_of(bytes: Vec<u8>, count: usize) -> Vec<Event> {
     for (robot, bytes) in [bytes, b"{\"initialization_request\":{}}\n".to_vec()].into_iter().enumerate() {
         let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();
-        let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, encoding: LinkEncoding::default() };
-        links.push(Link::open(
-            (robot, LinkNumber(robot as u64)),
-            endpoint,
-            clock,
-            events.clone(),
-            Duration::ZERO,
-        ));
+        let endpoint = Endpoint::Tcp {
+            host: "127.0.0.1".into(),
+            port,
+            encoding: LinkEncoding::default(),
+            security: Security::Plain,
+        };
+        let link =
+            Link::open((robot, LinkNumber(robot as u64)), endpoint, clock, events.clone(), Duration::ZERO);
+        // What it says may be as long as a description, which it is asked for.
+        let asked = Message::InitializationRequest(urrcp::InitializationRequest::default());
+        link.send(asked, Urgency::InOrder).unwrap();
+        links.push(link);
         // Ends when the link is dropped, at the end of the test.
         tokio::spawn(async move {
             let (mut stream, _) = listener.accept().await.unwrap();
+            let mut asked = [0; 256];
+            let _asked = stream.read(&mut asked).await;
             let _hung_up = stream.write_all(&bytes).await;
-            let _until_dropped = stream.read(&mut [0]).await;
+            let _until_dropped = stream.read(&mut asked).await;
         });
     }
     let (mut of_hostile, mut of_other) = (Vec::new(), 0);
@@ -86,7 +97,6 @@ async fn whatever_a_robot_writes_is_told_and_the_link_goes_on() {
         (block(&format!("{},{}", device(1), device(1))), "`d1` stands twice"),
         (block(&twice), "duplicate field `id`"),
         ("x".repeat(17 * 1024 * 1024), "a line longer than 16777216 bytes"),
-        ("x".repeat(60 * 1024 * 1024), "a line longer than 16777216 bytes"),
         (r#"{"control_response":"#.repeat(100_000), "not JSON"),
         (format!(r#"{{"control_response":{}1}}"#, r#"{"status_value":["#.repeat(50_000)), ""),
         (
@@ -115,10 +125,80 @@ async fn whatever_a_robot_writes_is_told_and_the_link_goes_on() {
     );
 }
 
+/// What comes of a robot that never stops writing these bytes: all that was told, and the last of it.
+async fn flooded_by(bytes: &'static [u8]) -> (usize, Event) {
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let (link, mut happened) = linked(listener.local_addr().unwrap().port());
+    let asked = urrcp::AvailabilityRequest::default();
+    link.send(Message::AvailabilityRequest(asked), Urgency::InOrder).unwrap();
+    // Ends when the link is closed.
+    let flooding = tokio::spawn(async move {
+        let (mut stream, _) = listener.accept().await.unwrap();
+        while stream.write_all(bytes).await.is_ok() {}
+    });
+    let mut count = 0;
+    loop {
+        count += 1;
+        if let down @ Event::LinkDown { .. } = next(&mut happened).await {
+            tokio::time::timeout(Duration::from_secs(10), flooding).await.unwrap().unwrap();
+            return (count, down);
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_link_is_closed_on_which_far_more_comes_than_was_asked_for() {
+    const ANSWER: &str = "{\"availability_response\":{\"receive_timestamp\":\"2026-11-20T19:00:00Z\",\
+        \"timestamp\":\"2026-11-20T19:00:00Z\",\"status\":\"OK\"}}\n";
+    static LINE: [u8; 64 * 1024] = [b'x'; 64 * 1024];
+    for (bytes, most) in
+        [("x\n".as_bytes(), 1_200), (ANSWER.as_bytes(), 1_200), (&LINE[..], 3), (b"\n\n\n", 3)]
+    {
+        let (count, down) = flooded_by(bytes).await;
+        let Event::LinkDown { loss: Loss::Flooding { messages, bytes: came }, reason, .. } = down else {
+            panic!("{down:?}");
+        };
+        assert!(count <= most, "{count} events of {:?}", &bytes[..3]);
+        assert!(messages <= 1_200 && came < 6 * 1024 * 1024, "{messages} messages, {came} bytes");
+        assert!(reason.contains("more than it was asked for"), "{reason}");
+    }
+}
+
+#[tokio::test]
+async fn one_link_takes_no_more_of_the_queue_than_its_places() {
+    let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let (host, port) = ("127.0.0.1".to_owned(), listener.local_addr().unwrap().port());
+    let (events, mut happened) = mpsc::channel(10_000);
+    let endpoint = Endpoint::Tcp { host, port, encoding: LinkEncoding::default(), security: Security::Plain };
+    let (asked, clock) = (crate::link::Asked::default(), ServerClock::anchored(Span::ZERO));
+    let of = (0, LinkNumber(0));
+    let _link = Link::open_beside_others(of, (endpoint, asked), clock, events, Duration::ZERO);
+    let (mut stream, _) = listener.accept().await.unwrap();
+    stream.write_all("x\n".repeat(900).as_bytes()).await.unwrap();
+    let mut waiting = Vec::new();
+    // Nothing that waits is let go of, so no place is free again.
+    while let Ok(event) = tokio::time::timeout(Duration::from_millis(300), happened.recv()).await {
+        waiting.push(event.unwrap());
+    }
+    assert_eq!(waiting.len(), 256);
+    drop(waiting);
+    let mut further = 0;
+    while tokio::time::timeout(Duration::from_millis(300), happened.recv()).await.is_ok() {
+        further += 1;
+    }
+    // The link is up, and 900 lines are garbled.
+    assert_eq!(256 + further, 1 + 900);
+}
+
 /// A link to this port, and what happens on it.
 fn linked(port: u16) -> (Link, mpsc::Receiver<Happened>) {
     let (events, happened) = mpsc::channel(64);
-    let endpoint = Endpoint::Tcp { host: "127.0.0.1".into(), port, encoding: LinkEncoding::default() };
+    let endpoint = Endpoint::Tcp {
+        host: "127.0.0.1".into(),
+        port,
+        encoding: LinkEncoding::default(),
+        security: Security::Plain,
+    };
     let clock = ServerClock::anchored(Span::ZERO);
     (Link::open((0, LinkNumber(0)), endpoint, clock, events, Duration::ZERO), happened)
 }

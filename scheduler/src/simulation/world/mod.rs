@@ -20,6 +20,7 @@ use super::{Drawn, DrawnRobot, Fault, Happened, Ran};
 use crate::drive::{at_once, drive};
 use crate::dry_run::BEGIN;
 use crate::mission::{Event, Mission, MissionOptions, Participant, Record};
+use crate::session::Session;
 
 /// A mission that lasts longer hangs.
 const LASTS_MAX: Span = Span::from_millis(180_000);
@@ -110,7 +111,12 @@ fn session() -> Option<SessionId> {
 }
 
 fn options(drawn: &Drawn) -> MissionOptions {
-    MissionOptions { patience: PATIENCE, session: session(), join: drawn.join, ..MissionOptions::default() }
+    MissionOptions {
+        patience: PATIENCE,
+        session: session().map(Session::named),
+        join: drawn.join,
+        ..MissionOptions::default()
+    }
 }
 
 fn participants(drawn: &Drawn) -> Vec<Participant> {

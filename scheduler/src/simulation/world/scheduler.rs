@@ -9,7 +9,7 @@ use urrcp::{Message, RobotId, Server, SessionId, Span, Timestamp};
 use super::{BEGIN, Item, LASTS_MAX, World, options, participants, session};
 use crate::drive::{self, Filed, LinkNumber, QueueFull, Urgency};
 use crate::journal::simulated::SimulatedDisk;
-use crate::journal::{Asked, Fate, Journal, Kept, Opened, OpenedRobot, WAITING_MAX, append_all};
+use crate::journal::{Asked, Fate, Journal, Kept, Opened, OpenedKeys, OpenedRobot, WAITING_MAX, append_all};
 use crate::mission::{Event, Greeting, Mission, Progress, Promise, Record, Rest};
 use crate::simulation::{Drawn, Fault, Happened};
 
@@ -78,15 +78,18 @@ impl Scheduler {
     pub(super) fn new(drawn: &Drawn) -> Self {
         let mut journal = on(SimulatedDisk::with_capacity(drawn.disk.capacity));
         let opened = Opened {
+            key: None,
             session: session().unwrap_or_else(unreachable_session),
             pid: 0,
             name: None,
             scenario: "soak".into(),
             fleet: "soak".into(),
             folder: None,
+            project: None,
             asked: Asked::default(),
             greeting: Greeting::Full,
             clock_offset: Span::ZERO,
+            keys: OpenedKeys::default(),
             robots: drawn.robots.iter().map(|robot| opened(robot.block.id.clone())).collect(),
         };
         if let Some(Err(error)) = journal.as_mut().map(|journal| journal.begin(BEGIN, &opened)) {

@@ -1,0 +1,142 @@
+//! What a robot has said to a peer and the peer has not taken: bounded by bytes, so that a peer that asks and does not read
+//! costs little.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+use tokio::sync::mpsc;
+use urrcp::{Message, StatusValue};
+
+use super::LinkEvent;
+use crate::peer::Peer;
+
+/// Messages that may wait for any peer.
+pub(super) const MESSAGES_MAX: usize = 65_536;
+/// Bytes that may wait for a peer that does not have the session of the robot, as they would go over the wire.
+pub(super) const BYTES_MAX: usize = 1024 * 1024;
+/// And for one that has.
+pub(super) const OWNER_BYTES_MAX: usize = 64 * 1024 * 1024;
+
+/// The robot's end.
+pub(super) struct Outbox {
+    events: mpsc::Sender<LinkEvent>,
+    unread: Arc<AtomicUsize>,
+    peer: Peer,
+}
+
+/// The peer's end.
+#[derive(Debug)]
+pub(super) struct Inbox {
+    events: mpsc::Receiver<LinkEvent>,
+    unread: Arc<AtomicUsize>,
+}
+
+/// Both ends for one peer.
+pub(super) fn outbox(peer: Peer) -> (Outbox, Inbox) {
+    let (events, incoming) = mpsc::channel(MESSAGES_MAX);
+    let unread = Arc::new(AtomicUsize::new(0));
+    (Outbox { events, unread: Arc::clone(&unread), peer }, Inbox { events: incoming, unread })
+}
+
+impl Outbox {
+    pub(super) const fn peer(&self) -> &Peer {
+        &self.peer
+    }
+
+    /// Says something; false where so much waits already that the peer is to be hung up on. One message is always taken,
+    /// however long it is.
+    pub(super) fn say(&self, message: Message, is_owner: impl FnOnce() -> bool) -> bool {
+        let unread = self.unread.load(Ordering::Relaxed);
+        let too_much = unread > BYTES_MAX && (unread > OWNER_BYTES_MAX || !is_owner());
+        if too_much && !self.peer.is_in_process() {
+            return false;
+        }
+        self.unread.fetch_add(weight(&message), Ordering::Relaxed);
+        self.events.try_send(LinkEvent::Message(message)).is_ok()
+    }
+
+    /// Closes the link behind what was said.
+    pub(super) fn close(&self) {
+        let _full_or_gone = self.events.try_send(LinkEvent::Closed);
+    }
+}
+
+impl Inbox {
+    pub(super) async fn recv(&mut self) -> Option<LinkEvent> {
+        let event = self.events.recv().await;
+        self.taken(event)
+    }
+
+    pub(super) fn try_recv(&mut self) -> Option<LinkEvent> {
+        let event = self.events.try_recv().ok();
+        self.taken(event)
+    }
+
+    fn taken(&self, event: Option<LinkEvent>) -> Option<LinkEvent> {
+        if let Some(LinkEvent::Message(message)) = &event {
+            self.unread.fetch_sub(weight(message), Ordering::Relaxed);
+        }
+        event
+    }
+}
+
+/// About how many bytes a message has on the wire, without writing it.
+pub(super) fn weight(message: &Message) -> usize {
+    const BASE: usize = 256;
+    let lists = match message {
+        Message::InitializationBlock(block) => block.devices.len() * 256,
+        Message::ControlResponse(response) => match &response.status_value {
+            StatusValue::Script(script) => script.steps().len() * 80,
+            _ => 0,
+        },
+        Message::InquiryResponse(response) => response.requests.len() * 256 + response.devices.len() * 64,
+        _ => 0,
+    };
+    BASE + lists
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::{AvailabilityRequest, InitializationBlock};
+
+    use super::*;
+
+    fn block(devices: usize) -> Message {
+        let devices: Vec<_> =
+            (0..devices).map(|i| format!(r#"{{"id":"d{i}","available_control_types":{{}}}}"#)).collect();
+        let block = format!(r#"{{"id":"r","api_version":"1","devices":[{}]}}"#, devices.join(","));
+        serde_json::from_str::<InitializationBlock>(&block).unwrap().into()
+    }
+
+    fn stranger() -> Peer {
+        Peer::at("192.0.2.7:1000".parse().unwrap())
+    }
+
+    #[test]
+    fn what_a_stranger_leaves_unread_is_bounded_by_bytes() {
+        let (said, mut heard) = outbox(stranger());
+        let block = block(3_000);
+        let taken = (0..100).take_while(|_| said.say(block.clone(), || false)).count();
+        assert_eq!(taken, 2, "the one with which the budget is exceeded is the last");
+        assert!(heard.try_recv().is_some() && heard.try_recv().is_some());
+        assert!(said.say(block, || false), "all was read");
+    }
+
+    #[test]
+    fn the_owner_of_the_robot_may_leave_more_unread_and_a_part_of_this_process_anything() {
+        let block = block(3_000);
+        let (said, _heard) = outbox(stranger());
+        let taken = (0..1_000).take_while(|_| said.say(block.clone(), || true)).count();
+        assert_eq!(taken, OWNER_BYTES_MAX / weight(&block) + 1);
+        let (said, _heard) = outbox(Peer::in_process());
+        assert!((0..1_000).all(|_| said.say(block.clone(), || false)));
+    }
+
+    #[test]
+    fn short_messages_are_bounded_too() {
+        let (said, _heard) = outbox(stranger());
+        let ask = Message::AvailabilityRequest(AvailabilityRequest::default());
+        let taken = (0..MESSAGES_MAX).take_while(|_| said.say(ask.clone(), || false)).count();
+        assert_eq!(taken, BYTES_MAX / weight(&ask) + 1);
+    }
+}

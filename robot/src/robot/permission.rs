@@ -1,0 +1,73 @@
+//! What a peer may ask of the robot that has proven who it is. Where nothing is asked for a proof, sessions alone decide.
+
+use urrcp::{
+    AvailabilityResponse, ControlError, ControlRequest, ControlResponse, ErrorCode, InquiryResponse, Message,
+    Status,
+};
+
+use super::{LinkId, Now, Output, Robot, tell};
+use crate::role::Role;
+
+impl Robot {
+    /// Why the peer of this link may not send this.
+    pub(super) fn forbids(&self, link: LinkId, message: &Message) -> Option<ControlError> {
+        self.lacks(link, Role::needed_for(message))
+    }
+
+    /// The same of a control request.
+    pub(super) fn forbids_request(&self, link: LinkId, request: &ControlRequest) -> Option<ControlError> {
+        self.lacks(link, Role::needed_for_request(request))
+    }
+
+    fn lacks(&self, link: LinkId, needed: &[Role]) -> Option<ControlError> {
+        let proof = self.parties.proof(link)?;
+        if needed.iter().any(|role| proof.roles.has(*role)) {
+            return None;
+        }
+        let needed: Vec<&str> = needed.iter().map(|role| role.as_str()).collect();
+        let message = format!(
+            "{} may {}, and this takes {}",
+            proof.name,
+            if proof.roles.iter().next().is_some() {
+                proof.roles.to_string()
+            } else {
+                "do nothing".to_owned()
+            },
+            needed.join(" or ")
+        );
+        tracing::warn!(robot = %self.block.id, "refused: {message}");
+        Some(ControlError::new(ErrorCode::Forbidden, message))
+    }
+
+    /// The answer renews no lease, claims nothing, and is not kept.
+    pub(super) fn answer_forbidden(
+        &self,
+        now: Now,
+        link: LinkId,
+        message: &Message,
+        error: ControlError,
+        out: &mut Vec<Output>,
+    ) {
+        let message = match message {
+            Message::ControlRequest(request) => {
+                return tell(link, ControlResponse::refusal(now, request, error), out);
+            }
+            Message::Inquiry(inquiry) => Message::InquiryResponse(InquiryResponse {
+                error: Some(error),
+                ..InquiryResponse::new(inquiry, now, now, Status::Failed)
+            }),
+            Message::AvailabilityRequest(request) => Message::AvailabilityResponse(AvailabilityResponse {
+                error: Some(error),
+                ..AvailabilityResponse::new(request, now, now, Status::Failed)
+            }),
+            _ => Message::AvailabilityResponse(AvailabilityResponse {
+                originate_timestamp: None,
+                receive_timestamp: now,
+                timestamp: now,
+                status: Status::Failed,
+                error: Some(error),
+            }),
+        };
+        out.push(Output::Send { link, message });
+    }
+}

@@ -1,0 +1,257 @@
+//! What a peer may send: bytes, messages, and the time that it takes to read them. Who sends more is read more slowly, so that
+//! the network holds back the rest.
+#![expect(clippy::disallowed_methods, reason = "budgets fill up in real time")]
+
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::{OwnedSemaphorePermit, Semaphore, SemaphorePermit};
+
+use crate::hardware::Standing;
+
+/// Tokens that come in at a steady rate. More can be taken than there are: the debt is waited for.
+#[derive(Clone, Copy, Debug)]
+struct Bucket {
+    level: f64,
+    rate: Rate,
+    filled: Instant,
+}
+
+/// How many tokens come in a second, and how many there are at most.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Rate {
+    per_second: f64,
+    most: f64,
+}
+
+impl Bucket {
+    const fn full(rate: Rate, now: Instant) -> Self {
+        Self { level: rate.most, rate, filled: now }
+    }
+
+    fn fill(&mut self, now: Instant) {
+        let passed = now.saturating_duration_since(self.filled).as_secs_f64();
+        self.level = (self.level + passed * self.rate.per_second).min(self.rate.most);
+        self.filled = now;
+    }
+
+    fn take(&mut self, now: Instant, tokens: f64) {
+        self.fill(now);
+        self.level -= tokens;
+    }
+
+    /// How long until there are tokens again.
+    fn empty_for(&mut self, now: Instant) -> Duration {
+        self.fill(now);
+        Duration::from_secs_f64((-self.level).max(0.0) / self.rate.per_second)
+    }
+}
+
+/// What one kind of peer may send.
+#[derive(Clone, Copy, Debug)]
+struct Share {
+    bytes: Rate,
+    messages: Rate,
+    /// In seconds.
+    reading: Rate,
+}
+
+const KIB: f64 = 1024.0;
+const MIB: f64 = 1024.0 * KIB;
+
+const fn rate(per_second: f64, most: f64) -> Rate {
+    Rate { per_second, most }
+}
+
+const fn share_of(standing: Standing) -> Share {
+    match standing {
+        Standing::Owner => Share {
+            bytes: rate(128.0 * MIB, 512.0 * MIB),
+            messages: rate(100_000.0, 200_000.0),
+            reading: rate(1.0, 60.0),
+        },
+        Standing::Free => Share {
+            bytes: rate(16.0 * MIB, 32.0 * MIB),
+            messages: rate(5_000.0, 10_000.0),
+            reading: rate(0.25, 1.0),
+        },
+        Standing::Stranger => Share {
+            bytes: rate(64.0 * KIB, 256.0 * KIB),
+            messages: rate(50.0, 100.0),
+            reading: rate(0.01, 0.05),
+        },
+    }
+}
+
+/// All strangers of a host together, for what goes beyond a first few messages of each.
+const ALL_STRANGERS: (Rate, Rate) = (rate(200.0, 400.0), rate(0.05, 0.2));
+/// So many messages of a stranger count against its own budget alone, so that a newcomer is heard however many others send.
+const FIRST_MESSAGES: u64 = 16;
+
+/// What one peer may send from now on.
+#[derive(Debug)]
+pub(super) struct Budget {
+    standing: Standing,
+    bytes: Bucket,
+    messages: Bucket,
+    reading: Bucket,
+    heard: u64,
+}
+
+impl Budget {
+    pub(super) fn new(standing: Standing) -> Self {
+        let (share, now) = (share_of(standing), Instant::now());
+        Self {
+            standing,
+            bytes: Bucket::full(share.bytes, now),
+            messages: Bucket::full(share.messages, now),
+            reading: Bucket::full(share.reading, now),
+            heard: 0,
+        }
+    }
+
+    /// The peer stands to the robot in this way now.
+    pub(super) fn follow(&mut self, standing: Standing) {
+        if self.standing != standing {
+            *self = Self { heard: self.heard, ..Self::new(standing) };
+        }
+    }
+
+    pub(super) fn came(&mut self, bytes: usize) {
+        self.bytes.take(Instant::now(), tokens(bytes));
+    }
+
+    /// A message, or a line in its place, was read in this time. `answer` is the length of a long answer: to send it is work
+    /// too, though less than to read as much.
+    pub(super) fn read(&mut self, strangers: &Strangers, took: Duration, answer: usize) {
+        let now = Instant::now();
+        self.heard += 1;
+        self.messages.take(now, 1.0);
+        self.reading.take(now, took.as_secs_f64());
+        self.bytes.take(now, tokens(answer) / 16.0);
+        if self.shares() {
+            strangers.took(now, took);
+        }
+    }
+
+    /// How long nothing more is to be read.
+    pub(super) fn pause(&mut self, strangers: &Strangers) -> Duration {
+        let now = Instant::now();
+        let own =
+            [&mut self.bytes, &mut self.messages, &mut self.reading].map(|bucket| bucket.empty_for(now));
+        let shared = if self.shares() { strangers.empty_for(now) } else { Duration::ZERO };
+        own.into_iter().fold(shared, Duration::max)
+    }
+
+    fn shares(&self) -> bool {
+        self.standing == Standing::Stranger && self.heard > FIRST_MESSAGES
+    }
+}
+
+#[expect(clippy::cast_precision_loss, reason = "a count of bytes in memory")]
+fn tokens(bytes: usize) -> f64 {
+    bytes as f64
+}
+
+/// Long lines that robots of a host read at a time while they belong to no session: each takes memory until its end.
+const LONG_LINES: usize = 2;
+
+/// What those that do not have the session of a robot share: their messages are read one at a time.
+#[derive(Debug)]
+pub(crate) struct Strangers {
+    turn: Semaphore,
+    long_lines: Arc<Semaphore>,
+    /// Messages, and the time that it takes to read them.
+    budget: Mutex<(Bucket, Bucket)>,
+}
+
+impl Default for Strangers {
+    fn default() -> Self {
+        let (now, (messages, reading)) = (Instant::now(), ALL_STRANGERS);
+        let budget = Mutex::new((Bucket::full(messages, now), Bucket::full(reading, now)));
+        Self { turn: Semaphore::new(1), long_lines: Arc::new(Semaphore::new(LONG_LINES)), budget }
+    }
+}
+
+impl Strangers {
+    /// Waits until no other of them reads a message.
+    pub(super) async fn turn(&self) -> Option<SemaphorePermit<'_>> {
+        // The semaphore is never closed.
+        self.turn.acquire().await.ok()
+    }
+
+    /// Waits for leave to send a long line to a robot that belongs to no session; `None` when that takes too long.
+    pub(super) async fn long_line(&self, patience: Duration) -> Option<OwnedSemaphorePermit> {
+        let leave = Arc::clone(&self.long_lines).acquire_owned();
+        tokio::time::timeout(patience, leave).await.ok()?.ok()
+    }
+
+    fn took(&self, now: Instant, took: Duration) {
+        let mut budget = self.budget.lock().unwrap_or_else(PoisonError::into_inner);
+        budget.0.take(now, 1.0);
+        budget.1.take(now, took.as_secs_f64());
+    }
+
+    fn empty_for(&self, now: Instant) -> Duration {
+        let mut budget = self.budget.lock().unwrap_or_else(PoisonError::into_inner);
+        let (messages, reading) = &mut *budget;
+        messages.empty_for(now).max(reading.empty_for(now))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_bucket_gives_its_burst_and_then_its_rate_and_waits_for_its_debt() {
+        let begin = Instant::now();
+        let after = |millis| begin + Duration::from_millis(millis);
+        let mut bucket = Bucket::full(rate(10.0, 5.0), begin);
+        bucket.take(begin, 5.0);
+        assert_eq!(bucket.empty_for(begin), Duration::ZERO);
+        bucket.take(begin, 20.0);
+        assert_eq!(bucket.empty_for(begin), Duration::from_secs(2));
+        assert_eq!(bucket.empty_for(after(1_500)), Duration::from_millis(500));
+        bucket.take(after(60_000), 5.0);
+        assert_eq!(
+            bucket.empty_for(after(60_000)),
+            Duration::ZERO,
+            "it holds its burst, however long it filled"
+        );
+        bucket.take(after(60_000), 1.0);
+        assert_eq!(bucket.empty_for(after(60_000)), Duration::from_millis(100));
+    }
+
+    /// After how many messages without a pause this peer has to pause.
+    fn messages_until_pause(strangers: &Strangers, standing: Standing) -> usize {
+        let mut budget = Budget::new(standing);
+        (0..1_000_000)
+            .take_while(|_| {
+                budget.read(strangers, Duration::ZERO, 0);
+                budget.pause(strangers).is_zero()
+            })
+            .count()
+    }
+
+    #[test]
+    fn strangers_pause_early_and_together_and_the_owner_late() {
+        let strangers = Strangers::default();
+        let counts: Vec<_> = (0..20).map(|_| messages_until_pause(&strangers, Standing::Stranger)).collect();
+        assert!(counts[0] >= 100 && counts[0] < 120, "{counts:?}");
+        assert!(counts[19] >= 15 && counts[19] < 40, "a newcomer has its first messages: {counts:?}");
+        assert!(messages_until_pause(&strangers, Standing::Owner) >= 200_000);
+    }
+
+    #[test]
+    fn questions_with_long_answers_cost_more() {
+        let strangers = Strangers::default();
+        let mut budget = Budget::new(Standing::Stranger);
+        let block = 2 * 1024 * 1024;
+        let asked = (0..100).take_while(|_| {
+            budget.read(&strangers, Duration::ZERO, block);
+            budget.pause(&strangers).is_zero()
+        });
+        assert!((2..=4).contains(&asked.count()));
+    }
+}

@@ -1,0 +1,433 @@
+//! One connection of a robot: what it brings is read within its budget and handed on, what the robot says is written.
+#![expect(clippy::disallowed_methods, reason = "real sockets are silent in real time")]
+
+use std::io;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use tokio::io::{AsyncRead, AsyncReadExt, AsyncWrite, AsyncWriteExt};
+use tokio::sync::{OwnedSemaphorePermit, watch};
+use urrcp::{
+    Command, DecodeError, Decoder, Encoding, InitializationBlock, LINE_BYTES_MAX, Message, SessionId,
+    encode_as,
+};
+
+use super::budget::{Budget, Strangers};
+use super::described::Described;
+use super::places::Ticket;
+use crate::hardware::Standing;
+use crate::host::{HostHandle, LinkEvent, LinkSender, RobotLink};
+use crate::parties::Claimant;
+use crate::peer::Peer;
+use crate::refusals::Reason;
+use crate::robot::Input;
+
+/// The longest line or frame of a peer without the robot's session, in bytes.
+pub(super) const STRANGERS_LINE_MAX: usize = 64 * 1024;
+/// While the robot belongs to no session, longer ones are read one or two at a time.
+pub(super) const FREE_LINE_MAX: usize = 1024 * 1024;
+/// Messages that are longer are read on a thread of their own, so that no other connection waits for that.
+const READ_AT_ONCE: usize = 64 * 1024;
+/// How long a claim that is on its way may take to be decided, before the line behind it counts as too long.
+const CLAIM_WITHIN: Duration = Duration::from_secs(2);
+/// The longest single pause before the budget is looked at again: how a peer stands to the robot may change meanwhile.
+const PAUSE_MAX: Duration = Duration::from_millis(100);
+/// How long a peer may take no bytes before it is hung up on.
+const WRITE_WAIT_MAX: Duration = Duration::from_secs(10);
+/// Bytes that are written at a time.
+const WRITE_BATCH: usize = 64 * 1024;
+
+/// How long peers may take.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Patience {
+    /// If another connection waits for a place, one that has been silent for this long is closed: its peer may be long gone.
+    pub(super) silence: Duration,
+    /// The first whole message comes within this time.
+    pub(super) first_message: Duration,
+    /// A message of a peer without the robot's session ends this long after it begins.
+    pub(super) message: Duration,
+}
+
+impl Default for Patience {
+    fn default() -> Self {
+        Self {
+            silence: Duration::from_secs(30),
+            first_message: Duration::from_secs(5),
+            message: Duration::from_secs(10),
+        }
+    }
+}
+
+/// What all connections of one robot share.
+#[derive(Clone, Debug)]
+pub(super) struct Shared {
+    pub(super) host: HostHandle,
+    pub(super) described: Arc<Described>,
+    pub(super) strangers: Arc<Strangers>,
+    pub(super) patience: Patience,
+}
+
+/// Carries both ways until either side closes or the connection has to give way.
+pub(super) async fn carry<R, W>(
+    ends: (R, W),
+    peer: Peer,
+    link: RobotLink,
+    ticket: Ticket,
+    shared: Shared,
+) -> io::Result<()>
+where
+    R: AsyncRead + Unpin,
+    W: AsyncWrite + Unpin,
+{
+    let hung_up = ticket.hung_up();
+    tokio::select! {
+        ended = converse(ends, peer, link, ticket, shared) => ended,
+        () = hung_up => Ok(()),
+    }
+}
+
+/// While the peer does not read, nothing more is read from it either.
+async fn converse<R, W>(
+    (reader, writer): (R, W),
+    peer: Peer,
+    mut link: RobotLink,
+    ticket: Ticket,
+    shared: Shared,
+) -> io::Result<()>
+where
+    R: AsyncRead + Unpin,
+    W: AsyncWrite + Unpin,
+{
+    // How the peer wrote last is how it is answered.
+    let (heard, encoding) = watch::channel(Encoding::Json);
+    let (writes, being_written) = watch::channel(false);
+    let reading = Reading {
+        reader,
+        decoder: Decoder::new(LINE_BYTES_MAX),
+        robot: link.sender(),
+        peer: peer.clone(),
+        heard,
+        budget: Budget::new(ticket.standing(None)),
+        ticket,
+        shared: shared.clone(),
+        speaks_for: None,
+        spoke: false,
+        until: Some(Instant::now() + shared.patience.first_message),
+        long_line: None,
+        being_written,
+    };
+    let mut writing = Writing { writer, peer, shared, bytes: Vec::new() };
+    // Both go on all the time: what waits for its turn among strangers must take it when it comes, or it keeps the others.
+    let writing = async {
+        loop {
+            let event = link.recv().await;
+            writes.send_replace(true);
+            let encoding = *encoding.borrow();
+            let open = writing.tell(event, &mut link, encoding).await?;
+            writing.flush().await?;
+            writes.send_replace(false);
+            if !open {
+                return Ok(());
+            }
+        }
+    };
+    tokio::select! {
+        ended = reading.run() => ended,
+        ended = writing => ended,
+    }
+}
+
+/// The robot's words, on their way to a peer.
+struct Writing<W> {
+    writer: W,
+    peer: Peer,
+    shared: Shared,
+    bytes: Vec<u8>,
+}
+
+impl<W: AsyncWrite + Unpin> Writing<W> {
+    /// Takes an event and what else the robot has said already; false once the robot has closed the link.
+    async fn tell(
+        &mut self,
+        event: Option<LinkEvent>,
+        link: &mut RobotLink,
+        encoding: Encoding,
+    ) -> io::Result<bool> {
+        let mut next = event;
+        loop {
+            match next {
+                Some(LinkEvent::Message(Message::InitializationBlock(block))) => {
+                    self.describe(block, encoding).await?;
+                }
+                Some(LinkEvent::Message(message)) => encode_as(encoding, &message, &mut self.bytes),
+                Some(LinkEvent::Closed) | None => return Ok(false),
+            }
+            if self.bytes.len() >= WRITE_BATCH {
+                return Ok(true);
+            }
+            next = match link.try_recv() {
+                None => return Ok(true),
+                more => more,
+            };
+        }
+    }
+
+    /// The description is written once for all, and not copied.
+    async fn describe(&mut self, block: InitializationBlock, encoding: Encoding) -> io::Result<()> {
+        self.flush().await?;
+        let described = Arc::clone(&self.shared.described);
+        let bytes = described.bytes(block, encoding).await;
+        self.write(&bytes).await
+    }
+
+    async fn flush(&mut self) -> io::Result<()> {
+        let mut bytes = std::mem::take(&mut self.bytes);
+        self.write(&bytes).await?;
+        bytes.clear();
+        // A large message leaves no large buffer behind.
+        if bytes.capacity() <= 2 * WRITE_BATCH {
+            self.bytes = bytes;
+        }
+        Ok(())
+    }
+
+    async fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
+        for batch in bytes.chunks(WRITE_BATCH) {
+            let written = tokio::time::timeout(WRITE_WAIT_MAX, self.writer.write_all(batch)).await;
+            let Ok(written) = written else {
+                self.shared.host.refusals().note(Reason::Stuck, &self.peer);
+                return Err(io::ErrorKind::TimedOut.into());
+            };
+            written?;
+        }
+        Ok(())
+    }
+}
+
+/// A peer's words, on their way to the robot.
+struct Reading<R> {
+    reader: R,
+    decoder: Decoder,
+    robot: LinkSender,
+    peer: Peer,
+    heard: watch::Sender<Encoding>,
+    ticket: Ticket,
+    shared: Shared,
+    budget: Budget,
+    /// The session that it named last.
+    speaks_for: Option<Claimant>,
+    /// A whole message came.
+    spoke: bool,
+    /// The first message, or the one that was begun, has to end by then.
+    until: Option<Instant>,
+    /// The message that is coming may be long.
+    long_line: Option<OwnedSemaphorePermit>,
+    /// What the robot has said is on its way to the peer.
+    being_written: watch::Receiver<bool>,
+}
+
+type Decoded = Result<Message, DecodeError>;
+
+impl<R: AsyncRead + Unpin> Reading<R> {
+    async fn run(mut self) -> io::Result<()> {
+        let mut bytes = vec![0; 8 * 1024];
+        loop {
+            self.pause().await;
+            self.until_written().await;
+            let Some(n) = self.read(&mut bytes).await? else { return Ok(()) };
+            self.budget.came(n);
+            self.decoder.push(&bytes[..n]);
+            loop {
+                self.bound_line().await;
+                let Some(decoded) = self.decode().await else { break };
+                self.heard.send_replace(self.decoder.encoding());
+                self.deliver(decoded).await;
+                self.pause().await;
+                self.until_written().await;
+            }
+            self.set_deadline();
+        }
+    }
+
+    /// While the peer takes nothing, nothing more is taken from it. A message is not late for that.
+    async fn until_written(&mut self) {
+        let begin = Instant::now();
+        // It fails where the connection ends.
+        let _ended = self.being_written.wait_for(|being_written| !being_written).await;
+        self.until = self.until.map(|until| until + begin.elapsed());
+    }
+
+    fn standing(&self) -> Standing {
+        self.ticket.standing(self.speaks_for.as_ref())
+    }
+
+    fn note(&self, reason: Reason) {
+        self.shared.host.refusals().note(reason, &self.peer);
+    }
+
+    /// What came; `None` once nothing more will, or a message has taken too long.
+    async fn read(&mut self, bytes: &mut [u8]) -> io::Result<Option<usize>> {
+        let reading = self.reader.read(bytes);
+        let n = match self.until {
+            None => reading.await?,
+            Some(until) => match tokio::time::timeout_at(until.into(), reading).await {
+                Ok(n) => n?,
+                Err(_) => {
+                    self.note(if self.spoke { Reason::HalfAMessage } else { Reason::SaidNothing });
+                    return Ok(None);
+                }
+            },
+        };
+        Ok(Some(n).filter(|n| *n > 0))
+    }
+
+    /// A peer that has the session of the robot may take its time: a script may be long and a link thin, and leases say
+    /// when it has been silent for too long.
+    fn set_deadline(&mut self) {
+        let owns = self.standing() == Standing::Owner;
+        if owns {
+            self.ticket.heard();
+        }
+        if self.spoke {
+            let begun = self.decoder.buffered() > 0 || self.decoder.is_skipping();
+            self.until = match begun && !owns {
+                true => self.until.or_else(|| Some(Instant::now() + self.shared.patience.message)),
+                false => None,
+            };
+        }
+    }
+
+    /// Reads no more for as long as the peer is beyond its budget.
+    async fn pause(&mut self) {
+        let (begin, mut noted) = (Instant::now(), false);
+        loop {
+            self.budget.follow(self.standing());
+            let pause = self.budget.pause(&self.shared.strangers);
+            if pause.is_zero() {
+                break;
+            }
+            if !std::mem::replace(&mut noted, true) {
+                self.note(Reason::Paused);
+            }
+            tokio::time::sleep(pause.min(PAUSE_MAX)).await;
+        }
+        // A message is not late because nobody reads it.
+        self.until = self.until.map(|until| until + begin.elapsed());
+    }
+
+    /// Sets how long the message that is coming may be.
+    async fn bound_line(&mut self) {
+        let Some(front) = self.decoder.front().filter(|front| front.bytes > STRANGERS_LINE_MAX) else {
+            return;
+        };
+        let limit = |standing| match standing {
+            Standing::Owner => LINE_BYTES_MAX,
+            Standing::Free => FREE_LINE_MAX,
+            Standing::Stranger => STRANGERS_LINE_MAX,
+        };
+        if front.bytes > limit(self.standing()) {
+            // The session to which the robot belonged may be over, and a claim may still be on its way.
+            self.ticket.look().await;
+            if let (true, Some(claimant)) = (front.bytes > limit(self.standing()), &self.speaks_for) {
+                self.ticket.await_claim(claimant, CLAIM_WITHIN).await;
+            }
+        }
+        let mut limit = limit(self.standing());
+        if front.bytes > limit && self.standing() == Standing::Free {
+            if self.long_line.is_none() {
+                self.long_line = self.shared.strangers.long_line(self.shared.patience.message).await;
+            }
+            limit = if self.long_line.is_some() { LINE_BYTES_MAX } else { limit };
+        }
+        if front.bytes > limit {
+            self.note(Reason::LongLine);
+        }
+        self.decoder.set_limit(limit);
+    }
+
+    /// The next message. Those without the session of the robot take turns, and long ones keep no other connection waiting.
+    async fn decode(&mut self) -> Option<Decoded> {
+        let Some(front) = self.decoder.front().filter(|front| front.whole) else {
+            return self.decoder.next_message();
+        };
+        let strangers = Arc::clone(&self.shared.strangers);
+        let _turn = match self.standing() {
+            Standing::Owner => None,
+            Standing::Free | Standing::Stranger => strangers.turn().await,
+        };
+        let begin = Instant::now();
+        let decoded = match front.bytes > READ_AT_ONCE {
+            false => self.decoder.next_message(),
+            true => self.decode_elsewhere().await,
+        };
+        let answer = match &decoded {
+            Some(Ok(Message::InitializationRequest(_))) => self.shared.described.length(),
+            _ => 0,
+        };
+        self.budget.read(&strangers, begin.elapsed(), answer);
+        self.long_line = None;
+        decoded
+    }
+
+    async fn decode_elsewhere(&mut self) -> Option<Decoded> {
+        let mut decoder = std::mem::take(&mut self.decoder);
+        let reading = tokio::task::spawn_blocking(move || {
+            let decoded = decoder.next_message();
+            if let Some(Ok(Message::ControlRequest(request))) = &decoded
+                && request.content_hash.is_some()
+            {
+                // The script keeps it.
+                let _computed = request.command.content_hash();
+            }
+            (decoder, decoded)
+        });
+        // It fails where the runtime ends.
+        let (decoder, decoded) = reading.await.ok()?;
+        self.decoder = decoder;
+        decoded
+    }
+
+    async fn deliver(&mut self, decoded: Decoded) {
+        if let Ok(message) = &decoded {
+            if let Some(session) = session_of(message) {
+                let peer = self.peer.name().cloned();
+                self.speaks_for = Some(Claimant { session: session.clone(), peer });
+            }
+            self.spoke = true;
+            self.until = None;
+            self.ticket.spoke(self.speaks_for.as_ref());
+        }
+        if !decoded.as_ref().is_ok_and(needs_no_place) {
+            self.ticket.take(decoded.as_ref().is_ok_and(claims)).await;
+        }
+        self.robot.send(decoded.map_or_else(Input::Undecodable, Input::read)).await;
+    }
+}
+
+fn session_of(message: &Message) -> Option<&SessionId> {
+    match message {
+        Message::AvailabilityRequest(request) => request.session.as_ref(),
+        Message::ControlRequest(request) => request.session.as_ref(),
+        Message::Inquiry(inquiry) => inquiry.session.as_ref(),
+        _ => None,
+    }
+}
+
+/// Whether it asks for the robot itself.
+fn claims(message: &Message) -> bool {
+    !matches!(message, Message::Inquiry(_)) && session_of(message).is_some()
+}
+
+/// Whether a connection without a place may send it: a stop, or a question for the robot's identity.
+fn needs_no_place(message: &Message) -> bool {
+    match message {
+        Message::InitializationRequest(_) => true,
+        // With a session it claims the robot.
+        Message::AvailabilityRequest(request) => request.session.is_none(),
+        Message::ControlRequest(request) => {
+            let stops = matches!(&request.command, Command::Script(script) if script.is_empty());
+            stops && request.starts_at().is_none()
+        }
+        _ => false,
+    }
+}

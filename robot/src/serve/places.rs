@@ -1,0 +1,265 @@
+//! Which connections of a robot have a place, and which give way. Whoever has the session of the robot comes before those that
+//! have not, and a stop needs no place.
+#![expect(clippy::disallowed_methods, reason = "connections are silent in real time")]
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+use tokio::sync::{Notify, watch};
+
+use crate::hardware::Standing;
+use crate::host::HostHandle;
+use crate::parties::Claimant;
+use crate::peer::Peer;
+use crate::refusals::Reason;
+
+/// Connections without the robot's session that have a place at the same time: the robot accepts everything on them.
+pub(super) const PLACES: usize = 16;
+/// Further places for connections with its session.
+pub(super) const OWNER_PLACES: usize = 4;
+/// All connections. On those without a place the robot accepts stops and questions; everything else waits for a place.
+pub(super) const CONNECTIONS_MAX: usize = 64;
+/// Of one host, without the robot's session.
+const HOST_MAX: usize = 16;
+/// Before it gives way a connection has this long to say what it wants.
+const YOUNG: Duration = Duration::from_millis(50);
+/// How often a connection that waits looks for a place again.
+const ROOM_RETRY: Duration = Duration::from_millis(50);
+/// So often while it waits it is asked whether the session of the robot is over.
+const LOOK_EVERY: u32 = 20;
+
+/// Whether a connection has a place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Seat {
+    None,
+    Taken,
+}
+
+#[derive(Debug)]
+struct Entry {
+    id: u64,
+    peer: Peer,
+    since: Instant,
+    heard: Instant,
+    /// A whole message came.
+    spoke: bool,
+    seat: Seat,
+    speaks_for: Option<Claimant>,
+    /// It was told to end and does not count any more.
+    leaving: bool,
+    hang_up: Arc<Notify>,
+}
+
+impl Entry {
+    fn owns(&self, owner: Option<&Claimant>) -> bool {
+        owner.is_some() && self.speaks_for.as_ref() == owner
+    }
+
+    /// The least gives way first.
+    fn rank(&self) -> (Seat, bool, Instant) {
+        (self.seat, self.spoke, self.heard)
+    }
+}
+
+#[derive(Debug, Default)]
+struct Entries {
+    all: Vec<Entry>,
+    last: u64,
+}
+
+impl Entries {
+    fn standing(&self) -> impl Iterator<Item = &Entry> {
+        self.all.iter().filter(|entry| !entry.leaving)
+    }
+
+    fn get(&mut self, id: u64) -> Option<&mut Entry> {
+        self.all.iter_mut().find(|entry| entry.id == id)
+    }
+}
+
+/// The connections of one robot.
+#[derive(Debug)]
+pub(super) struct Places {
+    entries: Mutex<Entries>,
+    changed: Notify,
+    owner: watch::Receiver<Option<Claimant>>,
+    host: HostHandle,
+    robot: usize,
+    silence_max: Duration,
+}
+
+impl Places {
+    /// `None` when there is no such robot.
+    pub(super) fn new(host: HostHandle, robot: usize, silence_max: Duration) -> Option<Arc<Self>> {
+        let owner = host.owner(robot)?;
+        let (entries, changed) = (Mutex::default(), Notify::new());
+        Some(Arc::new(Self { entries, changed, owner, host, robot, silence_max }))
+    }
+
+    /// Takes a new connection in. Another one gives way if it has to; `None` if none can yet.
+    pub(super) fn admit(self: &Arc<Self>, peer: &Peer) -> Option<Ticket> {
+        let now = Instant::now();
+        let owner = self.owner.borrow().clone();
+        let mut entries = self.lock();
+        let without_session = |entry: &&Entry| !entry.owns(owner.as_ref());
+        if let Some(host) = peer.quota_key() {
+            let of_host = |entry: &&Entry| entry.peer.quota_key() == Some(host);
+            if entries.standing().filter(of_host).filter(without_session).count() >= HOST_MAX {
+                let weakest =
+                    entries.standing().filter(of_host).filter(without_session).min_by_key(|e| e.rank());
+                let weakest = weakest.map(|entry| entry.id);
+                weakest.into_iter().for_each(|id| self.hang_up(&mut entries, id, Reason::ManyFromOneHost));
+            }
+        }
+        if entries.standing().count() >= CONNECTIONS_MAX {
+            let old = |entry: &&Entry| now.saturating_duration_since(entry.since) >= YOUNG;
+            let weakest = entries.standing().filter(old).filter(without_session).min_by_key(|e| e.rank());
+            let weakest = weakest.map(|entry| entry.id)?;
+            self.hang_up(&mut entries, weakest, Reason::MadeRoom);
+        }
+        // Those that leave do so as soon as their tasks run.
+        if entries.all.len() >= 2 * CONNECTIONS_MAX {
+            return None;
+        }
+        entries.last += 1;
+        let (id, hang_up) = (entries.last, Arc::new(Notify::new()));
+        entries.all.push(Entry {
+            id,
+            peer: peer.clone(),
+            since: now,
+            heard: now,
+            spoke: false,
+            seat: Seat::None,
+            speaks_for: None,
+            leaving: false,
+            hang_up: Arc::clone(&hang_up),
+        });
+        Some(Ticket { places: Arc::clone(self), id, hang_up })
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Entries> {
+        self.entries.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn hang_up(&self, entries: &mut Entries, id: u64, reason: Reason) {
+        if let Some(entry) = entries.get(id) {
+            entry.leaving = true;
+            entry.hang_up.notify_one();
+            self.host.refusals().note(reason, &entry.peer);
+        }
+    }
+
+    /// Gives a connection a place, if there is one for it. `claims`: it asks for the robot itself, so that it comes before
+    /// those that do not where the robot belongs to no session.
+    fn try_take(&self, id: u64, claims: bool) -> bool {
+        let now = Instant::now();
+        let owner = self.owner.borrow().clone();
+        let mut entries = self.lock();
+        let Some(own) = entries.standing().find(|entry| entry.id == id) else { return false };
+        let comes_first = own.owns(owner.as_ref()) || (claims && owner.is_none());
+        if own.seat == Seat::Taken {
+            return true;
+        }
+        let seated = |entry: &&Entry| entry.seat == Seat::Taken;
+        let strangers = |entry: &&Entry| seated(entry) && !entry.owns(owner.as_ref());
+        let all = entries.standing().filter(seated).count();
+        let free = all < PLACES + OWNER_PLACES
+            && (comes_first || entries.standing().filter(strangers).count() < PLACES);
+        if !free {
+            let silence = |entry: &Entry| now.saturating_duration_since(entry.heard);
+            let longest = |of: &dyn Fn(&Entry) -> bool| {
+                let seated = entries.standing().filter(seated).filter(|entry| of(entry));
+                seated.max_by_key(|entry| silence(entry)).map(|entry| (entry.id, silence(entry)))
+            };
+            let stranger = longest(&|entry| !entry.owns(owner.as_ref())).filter(|_| comes_first);
+            // The owner's own connections may be long gone as well.
+            let silent = || longest(&|_| true).filter(|(_, silence)| *silence >= self.silence_max);
+            let Some((gives_way, _)) = stranger.or_else(silent) else { return false };
+            self.hang_up(&mut entries, gives_way, Reason::MadeRoom);
+        }
+        if let Some(own) = entries.get(id) {
+            own.seat = Seat::Taken;
+        }
+        true
+    }
+}
+
+/// One connection among the others, until it is dropped.
+#[derive(Debug)]
+pub(super) struct Ticket {
+    places: Arc<Places>,
+    id: u64,
+    hang_up: Arc<Notify>,
+}
+
+impl Ticket {
+    /// Waits until another connection needs this one's place.
+    pub(super) fn hung_up(&self) -> impl Future<Output = ()> + use<> {
+        let hang_up = Arc::clone(&self.hang_up);
+        async move { hang_up.notified().await }
+    }
+
+    /// How one that speaks for this session stands to the robot.
+    pub(super) fn standing(&self, speaks_for: Option<&Claimant>) -> Standing {
+        match (&*self.places.owner.borrow(), speaks_for) {
+            (None, _) => Standing::Free,
+            (Some(owner), Some(claimant)) if owner == claimant => Standing::Owner,
+            (Some(_), _) => Standing::Stranger,
+        }
+    }
+
+    /// Waits until the robot belongs to this session, or the time is over.
+    pub(super) async fn await_claim(&self, claimant: &Claimant, patience: Duration) {
+        let mut owner = self.places.owner.clone();
+        let claimed = owner.wait_for(|owner| owner.as_ref() == Some(claimant));
+        let _over = tokio::time::timeout(patience, claimed).await;
+    }
+
+    /// Lets the robot look whether its session is over.
+    pub(super) async fn look(&self) {
+        self.places.host.look(self.places.robot).await;
+    }
+
+    /// Something came that shows that the peer is there.
+    pub(super) fn heard(&self) {
+        if let Some(entry) = self.places.lock().get(self.id) {
+            entry.heard = Instant::now();
+        }
+    }
+
+    /// A whole message came, and from now on it speaks for this session.
+    pub(super) fn spoke(&self, speaks_for: Option<&Claimant>) {
+        if let Some(entry) = self.places.lock().get(self.id) {
+            entry.heard = Instant::now();
+            entry.spoke = true;
+            if entry.speaks_for.as_ref() != speaks_for {
+                entry.speaks_for = speaks_for.cloned();
+            }
+        }
+    }
+
+    /// Waits for a place.
+    pub(super) async fn take(&self, claims: bool) {
+        for tried in 0_u32.. {
+            let mut changed = std::pin::pin!(self.places.changed.notified());
+            changed.as_mut().enable();
+            if self.places.try_take(self.id, claims) {
+                return;
+            }
+            if tried % LOOK_EVERY == 0 {
+                self.look().await;
+                if self.places.try_take(self.id, claims) {
+                    return;
+                }
+            }
+            let _again = tokio::time::timeout(ROOM_RETRY, changed).await;
+        }
+    }
+}
+
+impl Drop for Ticket {
+    fn drop(&mut self) {
+        self.places.lock().all.retain(|entry| entry.id != self.id);
+        self.places.changed.notify_waiters();
+    }
+}

@@ -1,0 +1,74 @@
+//! TLS as both sides configure it: version 1.3 alone, and no connection without a certificate of the authority.
+
+use std::sync::Arc;
+
+use rustls::client::WebPkiServerVerifier;
+use rustls::crypto::CryptoProvider;
+use rustls::pki_types::CertificateDer;
+use rustls::server::WebPkiClientVerifier;
+use rustls::version::TLS13;
+use rustls::{ClientConfig, RootCertStore, ServerConfig};
+
+use super::credentials::Credentials;
+use super::revoked::Revoked;
+
+/// The DNS name in the certificate of every robot, which a client asks for. It says that the certificate is a robot's; which
+/// robot it is, its URI says, since ids need not be DNS names. `.invalid` is no real domain (RFC 2606).
+pub const SERVER_NAME: &str = "robot.urrcp.invalid";
+
+fn provider() -> Arc<CryptoProvider> {
+    Arc::new(rustls::crypto::ring::default_provider())
+}
+
+fn roots(authority: &CertificateDer<'static>) -> Result<Arc<RootCertStore>, rustls::Error> {
+    let mut roots = RootCertStore::empty();
+    roots.add(authority.clone())?;
+    Ok(Arc::new(roots))
+}
+
+/// What a robot needs to accept operators of its authority.
+///
+/// # Errors
+/// The key does not belong to the certificate, or what is in the files cannot be used.
+pub fn server_config(own: &Credentials, revoked: Option<&Revoked>) -> Result<ServerConfig, String> {
+    let of_tls = |error: rustls::Error| error.to_string();
+    let roots = roots(&own.authority).map_err(of_tls)?;
+    let mut verifier = WebPkiClientVerifier::builder_with_provider(roots, provider());
+    if let Some(revoked) = revoked {
+        let list = revoked.read().map_err(|error| error.to_string())?;
+        verifier = verifier.with_crls([list]).only_check_end_entity_revocation();
+    }
+    let verifier = verifier.build().map_err(|error| error.to_string())?;
+    let mut config = ServerConfig::builder_with_provider(provider())
+        .with_protocol_versions(&[&TLS13])
+        .map_err(of_tls)?
+        .with_client_cert_verifier(verifier)
+        .with_single_cert(vec![own.certificate.clone()], own.key.clone_key())
+        .map_err(of_tls)?;
+    // A session that is resumed would not look at the list of revoked certificates again.
+    config.send_tls13_tickets = 0;
+    Ok(config)
+}
+
+/// What an operator needs to speak to robots of its authority.
+///
+/// # Errors
+/// As [`server_config`].
+pub fn client_config(own: &Credentials, revoked: Option<&Revoked>) -> Result<ClientConfig, String> {
+    let of_tls = |error: rustls::Error| error.to_string();
+    let roots = roots(&own.authority).map_err(of_tls)?;
+    let mut verifier = WebPkiServerVerifier::builder_with_provider(roots, provider());
+    if let Some(revoked) = revoked {
+        let list = revoked.read().map_err(|error| error.to_string())?;
+        verifier = verifier.with_crls([list]).only_check_end_entity_revocation();
+    }
+    let verifier = verifier.build().map_err(|error| error.to_string())?;
+    let mut config = ClientConfig::builder_with_provider(provider())
+        .with_protocol_versions(&[&TLS13])
+        .map_err(of_tls)?
+        .with_webpki_verifier(verifier)
+        .with_client_auth_cert(vec![own.certificate.clone()], own.key.clone_key())
+        .map_err(of_tls)?;
+    config.resumption = rustls::client::Resumption::disabled();
+    Ok(config)
+}

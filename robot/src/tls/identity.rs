@@ -1,0 +1,127 @@
+//! Who a certificate stands for, and what it may do.
+//!
+//! Both are URIs among the certificate's alternative names (RFC 5280, section 4.2.1.6): one `urrcp:robot:ID` or
+//! `urrcp:operator:NAME`, and for an operator one `urrcp:role:ROLE` for each role. Ids and names are percent-encoded
+//! (RFC 3986), so any text of the protocol has one form here.
+
+use std::fmt;
+
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
+use urrcp::{Label, RobotId};
+use x509_parser::extensions::GeneralName;
+use x509_parser::prelude::{FromDer, X509Certificate};
+
+use crate::role::{Proof, Role, Roles};
+
+/// What stays as it is: the unreserved characters of RFC 3986.
+const ENCODED: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'.').remove(b'_').remove(b'~');
+
+/// Whom a certificate names.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Name {
+    /// A robot, by the id with which it introduces itself.
+    Robot(RobotId),
+    /// A person, or a program that acts for one.
+    Operator(String),
+}
+
+impl fmt::Display for Name {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Robot(id) => write!(f, "robot {id}"),
+            Self::Operator(name) => write!(f, "operator {name}"),
+        }
+    }
+}
+
+/// A certificate does not say whom it stands for.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum IdentityError {
+    /// Its bytes are no certificate.
+    #[error("not an X.509 certificate")]
+    NotACertificate,
+    /// Not exactly one URI names a robot or an operator.
+    #[error(
+        "the certificate has {0} names that begin with `urrcp:robot:` or `urrcp:operator:`, expected one"
+    )]
+    Names(usize),
+    /// A URI of ours that cannot be read.
+    #[error("the certificate has the name `{0}`, which says nothing")]
+    Unreadable(String),
+}
+
+/// What a certificate says of its owner.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Identity {
+    /// Whose certificate it is.
+    pub name: Name,
+    /// What its owner may do; robots have none.
+    pub roles: Roles,
+    /// The second after which it counts no more, since 1970 in UTC.
+    pub expires: i64,
+    /// Its number, in hexadecimal digits.
+    pub serial: String,
+}
+
+impl Identity {
+    /// Reads it from a certificate. Whether that is genuine is for TLS to check.
+    ///
+    /// # Errors
+    /// [`IdentityError`].
+    pub fn of_certificate(der: &[u8]) -> Result<Self, IdentityError> {
+        let (_, certificate) = X509Certificate::from_der(der).map_err(|_| IdentityError::NotACertificate)?;
+        let names = certificate.subject_alternative_name().map_err(|_| IdentityError::NotACertificate)?;
+        let names = names.map(|names| names.value.general_names.as_slice()).unwrap_or_default();
+        let uris = names.iter().filter_map(|name| match name {
+            GeneralName::URI(uri) => uri.strip_prefix("urrcp:"),
+            _ => None,
+        });
+        let (mut named, mut roles) = (Vec::new(), Vec::new());
+        for uri in uris {
+            match Self::part(uri).ok_or_else(|| IdentityError::Unreadable(format!("urrcp:{uri}")))? {
+                Part::Name(name) => named.push(name),
+                Part::Role(role) => roles.push(role),
+            }
+        }
+        let count = named.len();
+        let name = named.pop().filter(|_| count == 1).ok_or(IdentityError::Names(count))?;
+        let roles =
+            if matches!(name, Name::Robot(_)) { Roles::default() } else { roles.into_iter().collect() };
+        let expires = certificate.validity().not_after.timestamp();
+        Ok(Self { name, roles, expires, serial: certificate.raw_serial_as_string() })
+    }
+
+    fn part(uri: &str) -> Option<Part> {
+        let (kind, text) = uri.split_once(':')?;
+        let text = percent_decode_str(text).decode_utf8().ok()?;
+        match kind {
+            "robot" => Some(Part::Name(Name::Robot(text.parse().ok()?))),
+            "operator" => Some(Part::Name(Name::Operator(text.into_owned()))),
+            "role" => Some(Part::Role(text.parse().ok()?)),
+            _ => None,
+        }
+    }
+
+    /// What it proves of a peer; `None` for a name that is too long for the protocol.
+    #[must_use]
+    pub fn proof(&self) -> Option<Proof> {
+        let name = Label::new(self.name.to_string()).ok()?;
+        Some(Proof { name, roles: self.roles.clone() })
+    }
+
+    /// The URIs that say so in a certificate.
+    #[must_use]
+    pub fn uris(name: &Name, roles: &Roles) -> Vec<String> {
+        let encoded = |text: &str| utf8_percent_encode(text, ENCODED).to_string();
+        let name = match name {
+            Name::Robot(id) => format!("urrcp:robot:{}", encoded(id.as_str())),
+            Name::Operator(name) => format!("urrcp:operator:{}", encoded(name)),
+        };
+        std::iter::once(name).chain(roles.iter().map(|role| format!("urrcp:role:{role}"))).collect()
+    }
+}
+
+enum Part {
+    Name(Name),
+    Role(Role),
+}

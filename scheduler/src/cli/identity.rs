@@ -1,0 +1,52 @@
+//! Who this terminal is to robots with TLS: the identity file of the fleet file, unless the environment names another.
+
+use std::path::PathBuf;
+
+use downbeat_scripts::Fleet;
+
+use super::console;
+use crate::journal::OpenedKeys;
+use crate::keys::calendar;
+use crate::link::Site;
+
+/// Names an operator's identity file: several people may use one fleet file.
+const IDENTITY: &str = "DOWNBEAT_IDENTITY";
+
+/// Days before the end of a certificate from which on it is told of.
+const SOON: i64 = 30;
+const DAY: i64 = 24 * 3_600;
+
+/// The files, with paths that count in any folder.
+pub(super) fn keys(fleet: &Fleet) -> OpenedKeys {
+    let own = std::env::var_os(IDENTITY).filter(|path| !path.is_empty()).map(PathBuf::from);
+    let whole = |path: PathBuf| std::path::absolute(&path).unwrap_or(path);
+    OpenedKeys {
+        identity: own.or_else(|| fleet.identity.clone()).map(whole),
+        revoked: fleet.revoked.clone().map(whole),
+    }
+}
+
+/// How the robots of a fleet are spoken to.
+pub(super) fn site(fleet: &Fleet) -> Result<Site, String> {
+    site_of(&keys(fleet))
+}
+
+/// How a robot is spoken to that no fleet file names: the environment names the files.
+pub(super) fn site_of_terminal() -> Result<Site, String> {
+    site(&Fleet::default())
+}
+
+/// The same with files that are known.
+pub(super) fn site_of(keys: &OpenedKeys) -> Result<Site, String> {
+    let site = Site::of_files(keys.identity.as_deref(), keys.revoked.as_deref())?;
+    if let Some(identity) = site.identity() {
+        let days = (identity.expires - calendar()) / DAY;
+        if days < SOON {
+            let name = &identity.name;
+            console::warn(&format!(
+                "the certificate of {name} counts for {days} more days: `downbeat keys renew` makes a new one"
+            ));
+        }
+    }
+    Ok(site)
+}

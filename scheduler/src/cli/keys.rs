@@ -1,0 +1,245 @@
+//! `downbeat keys`: an authority of one's own, and keys for robots and operators.
+
+use std::path::PathBuf;
+
+use clap::Subcommand;
+use downbeat_robot::tls::Name;
+use downbeat_robot::{Role, Roles};
+use downbeat_scripts::shown::shown;
+use urrcp::RobotId;
+
+use super::{Exit, Format, console};
+use crate::keys::{Authority, Entry, KeysError, Kind, calendar};
+use crate::report::table::Rows;
+
+/// Days for which a certificate counts unless something else is asked for.
+const DAYS: i64 = 365;
+/// The longest that can be asked for: longer than the authority itself lasts is of no use.
+const DAYS_MAX: i64 = 3_650;
+const DAY: i64 = 24 * 3_600;
+
+/// Make keys and certificates for robots and operators.
+#[derive(Debug, Subcommand)]
+#[command(
+    after_help = "Begin with `downbeat keys init`. Copy each robot's file, and `revoked.pem`, to the robot; keep `authority.key` \
+to yourself. docs/security.md says more.
+
+Examples:
+  downbeat keys init
+  downbeat keys robot cf1 cf2 cf3
+  downbeat keys operator anna --role observe,drive,stop
+  downbeat keys revoke cf2"
+)]
+pub(super) enum KeysCommand {
+    /// Make the authority whose certificates all robots and operators of a site trust.
+    Init(FolderArgs),
+    /// Make keys for robots, by the ids with which they introduce themselves.
+    Robot(RobotKeysArgs),
+    /// Make a key for an operator.
+    Operator(OperatorArgs),
+    /// Make a new key for a robot or an operator; the old one counts until it expires or is revoked.
+    Renew(RenewArgs),
+    /// Revoke all keys of a robot or an operator.
+    Revoke(NamedArgs),
+    /// List all certificates.
+    List(FolderArgs),
+}
+
+/// Where the authority is.
+#[derive(Debug, clap::Args)]
+pub(super) struct FolderArgs {
+    /// The folder of the authority.
+    #[arg(long, value_name = "FOLDER", default_value = "keys")]
+    keys: PathBuf,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct DaysArgs {
+    /// For how many days the certificate counts.
+    #[arg(long, value_name = "DAYS", default_value_t = DAYS, value_parser = clap::value_parser!(i64).range(1..=DAYS_MAX))]
+    days: i64,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Example:
+  downbeat keys robot cf1 cf2 cf3 --days 90")]
+pub(super) struct RobotKeysArgs {
+    #[command(flatten)]
+    folder: FolderArgs,
+    #[command(flatten)]
+    days: DaysArgs,
+    /// The robots' ids.
+    #[arg(required = true, value_name = "ID")]
+    robots: Vec<RobotId>,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(after_help = "Roles:
+  observe  ask robots what they are, what they do and what their sensors read
+  drive    play missions
+  stop     stop any robot, also in a mission of others
+  seize    take robots from a mission of others
+
+Example:
+  downbeat keys operator anna --role observe,drive,stop")]
+pub(super) struct OperatorArgs {
+    #[command(flatten)]
+    folder: FolderArgs,
+    #[command(flatten)]
+    days: DaysArgs,
+    /// Who it is.
+    name: String,
+    /// What the operator may do: observe, drive, stop, seize.
+    #[arg(long = "role", required = true, value_name = "ROLE", value_delimiter = ',')]
+    roles: Vec<Role>,
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct NamedArgs {
+    #[command(flatten)]
+    folder: FolderArgs,
+    /// The robot's id.
+    #[arg(required_unless_present = "operator", value_name = "ROBOT")]
+    robot: Option<RobotId>,
+    /// The operator's name, instead of a robot.
+    #[arg(long, value_name = "NAME", conflicts_with = "robot")]
+    operator: Option<String>,
+}
+
+impl NamedArgs {
+    fn name(&self) -> Option<Name> {
+        let robot = self.robot.clone().map(Name::Robot);
+        robot.or_else(|| self.operator.clone().map(Name::Operator))
+    }
+}
+
+#[derive(Debug, clap::Args)]
+pub(super) struct RenewArgs {
+    #[command(flatten)]
+    named: NamedArgs,
+    #[command(flatten)]
+    days: DaysArgs,
+}
+
+pub(super) fn keys(command: &KeysCommand, format: Format) -> Exit {
+    let done = match command {
+        KeysCommand::Init(args) => init(args, format),
+        KeysCommand::Robot(args) => {
+            let names = args.robots.iter().cloned().map(Name::Robot);
+            issue(&args.folder, names.collect(), &Roles::default(), args.days.days, format)
+        }
+        KeysCommand::Operator(args) => {
+            let roles = args.roles.iter().copied().collect();
+            issue(&args.folder, vec![Name::Operator(args.name.clone())], &roles, args.days.days, format)
+        }
+        KeysCommand::Renew(args) => renew(args, format),
+        KeysCommand::Revoke(args) => revoke(args, format),
+        KeysCommand::List(args) => list(args, format),
+    };
+    match done {
+        Ok(()) => Exit::Done,
+        Err(error) => {
+            console::error(&error.to_string());
+            match error {
+                KeysError::Taken(_) | KeysError::RevokedAlready(_) | KeysError::Exists(_) => Exit::Failed,
+                _ => Exit::Usage,
+            }
+        }
+    }
+}
+
+fn init(args: &FolderArgs, format: Format) -> Result<(), KeysError> {
+    let authority = Authority::create(&args.keys, calendar())?;
+    let folder = args.keys.display().to_string();
+    match format {
+        Format::Json => {
+            console::print_json(&serde_json::json!({ "keys": folder, "revoked": authority.revoked() }));
+        }
+        Format::Text => console::print(&format!(
+            "made an authority in {}\n\
+             next: `downbeat keys robot ID` for each robot, `downbeat keys operator NAME --role observe,drive,stop` for yourself\n\
+             keep {folder}/authority.key to yourself, and a copy in a safe: whoever has it can make keys\n",
+            shown(&folder)
+        )),
+    }
+    Ok(())
+}
+
+fn issue(
+    folder: &FolderArgs,
+    names: Vec<Name>,
+    roles: &Roles,
+    days: i64,
+    format: Format,
+) -> Result<(), KeysError> {
+    let authority = Authority::open(&folder.keys)?;
+    for name in names {
+        let path = authority.issue(&name, roles, calendar(), days)?;
+        tell(&name, &path, days, format);
+    }
+    Ok(())
+}
+
+fn renew(args: &RenewArgs, format: Format) -> Result<(), KeysError> {
+    let authority = Authority::open(&args.named.folder.keys)?;
+    let Some(name) = args.named.name() else { return Ok(()) };
+    let path = authority.renew(&name, calendar(), args.days.days)?;
+    tell(&name, &path, args.days.days, format);
+    Ok(())
+}
+
+fn tell(name: &Name, path: &std::path::Path, days: i64, format: Format) {
+    match format {
+        Format::Json => {
+            console::print_json(&serde_json::json!({ "name": name.to_string(), "file": path, "days": days }))
+        }
+        Format::Text => console::print(&format!(
+            "{}: {}, counts for {days} days\n",
+            shown(&name.to_string()),
+            shown(&path.display().to_string())
+        )),
+    }
+}
+
+fn revoke(args: &NamedArgs, format: Format) -> Result<(), KeysError> {
+    let authority = Authority::open(&args.folder.keys)?;
+    let Some(name) = args.name() else { return Ok(()) };
+    let revoked = authority.revoke(&name, calendar())?;
+    let list = authority.revoked();
+    match format {
+        Format::Json => console::print_json(
+            &serde_json::json!({ "name": name.to_string(), "revoked": revoked, "list": list }),
+        ),
+        Format::Text => console::print(&format!(
+            "revoked {revoked} of {}; now copy {} to every robot: one that has the old list still accepts it\n",
+            shown(&name.to_string()),
+            shown(&list.display().to_string())
+        )),
+    }
+    Ok(())
+}
+
+fn list(args: &FolderArgs, format: Format) -> Result<(), KeysError> {
+    let issued = Authority::open(&args.keys)?.issued()?;
+    match format {
+        Format::Json => console::print_json(&serde_json::json!({ "certificates": issued.entries() })),
+        Format::Text => {
+            let mut rows = Rows::new(&["name", "of a", "roles", "state"], 4);
+            for entry in issued.entries() {
+                let kind = if entry.kind == Kind::Robot { "robot" } else { "operator" };
+                rows.add([&entry.name, kind, &entry.roles.join(", "), &state(entry)]);
+            }
+            console::print(&rows.text(console::columns()));
+        }
+    }
+    Ok(())
+}
+
+fn state(entry: &Entry) -> String {
+    let left = entry.expires - calendar();
+    match entry.revoked {
+        Some(_) => "revoked".to_owned(),
+        None if left < 0 => "expired".to_owned(),
+        None => format!("counts for {} days", left / DAY),
+    }
+}

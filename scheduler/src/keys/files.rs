@@ -1,0 +1,77 @@
+//! The files of an authority: private where a key is in them, and replaced as a whole.
+
+use std::fs::{self, File, OpenOptions};
+use std::io::{self, Write};
+use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
+use std::path::{Path, PathBuf};
+
+use downbeat_robot::tls::Name;
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
+
+use super::KeysError;
+
+/// What a file's name may hold as it is. A full stop is not among it, so no name is `..` or hidden.
+const KEPT: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'_');
+
+fn at(path: &Path) -> impl FnOnce(io::Error) -> KeysError + '_ {
+    |error| KeysError::File { path: path.into(), error }
+}
+
+/// Makes a folder that its owner alone can open, unless it is there.
+pub(super) fn make_private_folder(path: &Path) -> Result<(), KeysError> {
+    fs::DirBuilder::new().recursive(true).mode(0o700).create(path).map_err(at(path))
+}
+
+/// Keeps other processes away from a folder until the file is closed.
+pub(super) fn lock(folder: &Path) -> Result<File, KeysError> {
+    let file = File::open(folder).map_err(at(folder))?;
+    file.lock().map_err(at(folder))?;
+    Ok(file)
+}
+
+/// Where a robot's or operator's identity is.
+pub(super) fn identity_path(folder: &Path, name: &Name) -> PathBuf {
+    let (kind, name) = match name {
+        Name::Robot(id) => ("robots", id.as_str()),
+        Name::Operator(name) => ("operators", name.as_str()),
+    };
+    folder.join(kind).join(format!("{}.pem", utf8_percent_encode(name, KEPT)))
+}
+
+pub(super) fn read(path: &Path) -> Result<String, KeysError> {
+    fs::read_to_string(path).map_err(at(path))
+}
+
+/// A key that others may read is none.
+pub(super) fn check_private(path: &Path) -> Result<(), KeysError> {
+    let mode = fs::metadata(path).map_err(at(path))?.permissions().mode() & 0o777;
+    if mode & 0o077 == 0 {
+        return Ok(());
+    }
+    let what = format!(
+        "others may read this key (mode {mode:03o}); make it yours alone: chmod 600 {}",
+        path.display()
+    );
+    Err(KeysError::Damaged { path: path.into(), what })
+}
+
+pub(super) fn write_private(path: &Path, text: &str) -> Result<(), KeysError> {
+    write(path, text, 0o600)
+}
+
+pub(super) fn write_public(path: &Path, text: &str) -> Result<(), KeysError> {
+    write(path, text, 0o644)
+}
+
+/// Whoever reads it sees the old file or the new one, never a part.
+fn write(path: &Path, text: &str, mode: u32) -> Result<(), KeysError> {
+    let part = path.with_extension("part");
+    let _left_by_an_interrupted_one = fs::remove_file(&part);
+    let written =
+        OpenOptions::new().write(true).create_new(true).mode(mode).open(&part).and_then(|mut file| {
+            file.write_all(text.as_bytes())?;
+            file.sync_all()?;
+            fs::rename(&part, path)
+        });
+    written.map_err(at(path))
+}

@@ -1,0 +1,132 @@
+//! The record of all certificates that an authority has issued: a line of JSON each.
+
+use std::path::Path;
+
+use downbeat_robot::tls::{Identity, Name};
+use downbeat_robot::{Role, Roles};
+use serde::{Deserialize, Serialize};
+
+use super::{KeysError, files};
+
+const FILE: &str = "issued.jsonl";
+
+/// One certificate.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Entry {
+    /// Its number, in hexadecimal digits with colons.
+    pub serial: String,
+    /// `robot` or `operator`.
+    pub kind: Kind,
+    /// The robot's id, or the operator's name.
+    pub name: String,
+    /// What an operator may do.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub roles: Vec<String>,
+    /// Since when it counts, in seconds since 1970, UTC.
+    pub issued: i64,
+    /// Until when it counts, in the same.
+    pub expires: i64,
+    /// Since when it counts no more, in the same.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub revoked: Option<i64>,
+}
+
+/// Whose certificate it is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Kind {
+    /// A robot's.
+    Robot,
+    /// An operator's.
+    Operator,
+}
+
+impl Entry {
+    /// What its owner may do.
+    #[must_use]
+    pub fn roles(&self) -> Roles {
+        self.roles.iter().filter_map(|role| role.parse::<Role>().ok()).collect()
+    }
+
+    fn is_of(&self, name: &Name) -> bool {
+        match name {
+            Name::Robot(id) => self.kind == Kind::Robot && self.name == id.as_str(),
+            Name::Operator(name) => self.kind == Kind::Operator && self.name == *name,
+        }
+    }
+
+    fn serial(&self) -> Option<Vec<u8>> {
+        self.serial.split(':').map(|byte| u8::from_str_radix(byte, 16).ok()).collect()
+    }
+}
+
+/// All of them, in the order in which they were issued.
+#[derive(Clone, Debug, Default)]
+pub struct Issued {
+    entries: Vec<Entry>,
+}
+
+impl Issued {
+    pub(super) fn read(folder: &Path) -> Result<Self, KeysError> {
+        let path = folder.join(FILE);
+        if !path.exists() {
+            return Ok(Self::default());
+        }
+        let text = files::read(&path)?;
+        let entry = |(number, line): (usize, &str)| {
+            let entry = serde_json::from_str::<Entry>(line).ok().filter(|entry| entry.serial().is_some());
+            let what = || format!("line {}: this is no certificate as `downbeat keys` notes it", number + 1);
+            entry.ok_or_else(|| KeysError::Damaged { path: path.clone(), what: what() })
+        };
+        Ok(Self { entries: text.lines().enumerate().map(entry).collect::<Result<_, _>>()? })
+    }
+
+    pub(super) fn write(&self, folder: &Path) -> Result<(), KeysError> {
+        let path = folder.join(FILE);
+        let lines: Result<Vec<String>, _> = self.entries.iter().map(serde_json::to_string).collect();
+        let lines =
+            lines.map_err(|error| KeysError::Damaged { path: path.clone(), what: error.to_string() })?;
+        files::write_private(&path, &lines.iter().map(|line| format!("{line}\n")).collect::<String>())
+    }
+
+    pub(super) fn add(&mut self, identity: &Identity, now: i64) {
+        let (kind, name) = match &identity.name {
+            Name::Robot(id) => (Kind::Robot, id.to_string()),
+            Name::Operator(name) => (Kind::Operator, name.clone()),
+        };
+        let roles = identity.roles.iter().map(|role| role.to_string()).collect();
+        let (serial, expires) = (identity.serial.clone(), identity.expires);
+        self.entries.push(Entry { serial, kind, name, roles, issued: now, expires, revoked: None });
+    }
+
+    /// All of them.
+    #[must_use]
+    pub fn entries(&self) -> &[Entry] {
+        &self.entries
+    }
+
+    /// The last one of a name.
+    #[must_use]
+    pub fn latest(&self, name: &Name) -> Option<&Entry> {
+        self.entries.iter().rev().find(|entry| entry.is_of(name))
+    }
+
+    /// Revokes all of a name; returns how many counted until now.
+    pub(super) fn revoke(&mut self, name: &Name, now: i64) -> usize {
+        let counts = self.entries.iter_mut().filter(|entry| entry.is_of(name) && entry.revoked.is_none());
+        counts.map(|entry| entry.revoked = Some(now)).count()
+    }
+
+    /// Number and instant of each that is revoked.
+    pub(super) fn revoked(&self) -> impl Iterator<Item = (Vec<u8>, i64)> + '_ {
+        self.entries.iter().filter_map(|entry| entry.serial().zip(entry.revoked))
+    }
+
+    pub(super) fn unknown(&self, name: &Name) -> KeysError {
+        let mut known: Vec<&str> = self.entries.iter().map(|entry| entry.name.as_str()).collect();
+        known.sort_unstable();
+        known.dedup();
+        let known = if known.is_empty() { "nobody".to_owned() } else { known.join(", ") };
+        KeysError::Unknown { name: name.to_string(), known }
+    }
+}

@@ -1,0 +1,286 @@
+//! The authority of a site: a folder with its key, from which robots and operators get theirs.
+//!
+//! The folder is its owner's alone. It holds `authority.key`, `authority.pem`, the list of revoked certificates
+//! `revoked.pem`, a record of all that were issued (`issued.rs`), and an identity file for each robot and operator: the private key,
+//! its certificate, and behind it the authority's. What is in a certificate is defined in `downbeat_robot::tls`.
+
+mod files;
+mod issued;
+#[cfg(test)]
+mod tests;
+
+use std::fs::File;
+use std::io;
+use std::path::{Path, PathBuf};
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use downbeat_robot::Roles;
+use downbeat_robot::tls::{Credentials, Guard, Identity, Name, Revoked, SERVER_NAME};
+use rcgen::{
+    BasicConstraints, CertificateParams, CertificateRevocationListParams, DistinguishedName, DnType,
+    ExtendedKeyUsagePurpose, IsCa, Issuer, KeyIdMethod, KeyPair, KeyUsagePurpose, RevokedCertParams, SanType,
+    SerialNumber,
+};
+use time::OffsetDateTime;
+use urrcp::RobotId;
+
+pub use issued::{Entry, Issued, Kind};
+
+const AUTHORITY_KEY: &str = "authority.key";
+const AUTHORITY: &str = "authority.pem";
+const REVOKED: &str = "revoked.pem";
+/// How long an authority lasts.
+const AUTHORITY_DAYS: i64 = 3_650;
+/// A list of revoked certificates says when the next one comes. It is made when something is revoked, so this is far away.
+const LIST_DAYS: i64 = AUTHORITY_DAYS;
+/// Certificates are valid from a little earlier on, because clocks differ.
+const BACKDATED: i64 = 300;
+const DAY: i64 = 24 * 3_600;
+/// Longest common name (RFC 5280, appendix A.1: `ub-common-name`). It is for people alone.
+const COMMON_NAME_MAX: usize = 64;
+
+/// Keys could not be made.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum KeysError {
+    /// A file cannot be read or written.
+    #[error("{}: {error}", path.display())]
+    File {
+        /// Which file.
+        path: PathBuf,
+        /// The error of the system.
+        error: io::Error,
+    },
+    /// There is an authority already.
+    #[error("{} has an authority already: its robots would trust a second one no more", .0.display())]
+    Exists(PathBuf),
+    /// There is no authority.
+    #[error("{} has no authority; `downbeat keys init` makes one, or name its folder with --keys", .0.display())]
+    NoAuthority(PathBuf),
+    /// What is in a file cannot be used.
+    #[error("{}: {what}", path.display())]
+    Damaged {
+        /// Which file.
+        path: PathBuf,
+        /// What is wrong with it.
+        what: String,
+    },
+    /// This name has a key already.
+    #[error("{0} has a key already: `downbeat keys renew` makes a new one")]
+    Taken(Name),
+    /// No key was issued under this name.
+    #[error("{name} has no key here; those that have one: {known}")]
+    Unknown {
+        /// The name that was asked for.
+        name: String,
+        /// Names that there are, for people.
+        known: String,
+    },
+    /// All certificates of this name are revoked already.
+    #[error("every certificate of {0} is revoked already")]
+    RevokedAlready(Name),
+    /// It could not be signed.
+    #[error("cannot make a certificate: {0}")]
+    Signing(#[from] rcgen::Error),
+}
+
+/// The folder of an authority.
+#[derive(Debug)]
+pub struct Authority {
+    folder: PathBuf,
+    /// One process at a time: held as long as this lives.
+    _lock: File,
+}
+
+impl Authority {
+    /// Makes a new one.
+    ///
+    /// # Errors
+    /// [`KeysError`], also where there is one already.
+    pub fn create(folder: &Path, now: i64) -> Result<Self, KeysError> {
+        files::make_private_folder(folder)?;
+        let own = Self { folder: folder.into(), _lock: files::lock(folder)? };
+        if own.path(AUTHORITY_KEY).exists() || own.path(AUTHORITY).exists() {
+            return Err(KeysError::Exists(folder.into()));
+        }
+        let key = KeyPair::generate()?;
+        // With a mark of its key: two authorities of one name could not be told from each other.
+        let mark: String =
+            key.public_key_raw().iter().rev().take(4).map(|byte| format!("{byte:02x}")).collect();
+        let mut of_authority = params(&format!("Downbeat authority {mark}"), now, AUTHORITY_DAYS)?;
+        of_authority.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
+        of_authority.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
+        let certificate = of_authority.self_signed(&key)?;
+        files::write_private(&own.path(AUTHORITY_KEY), &key.serialize_pem())?;
+        files::write_public(&own.path(AUTHORITY), &certificate.pem())?;
+        own.write_revoked(&Issued::default(), now)?;
+        Ok(own)
+    }
+
+    /// One that was made earlier.
+    ///
+    /// # Errors
+    /// [`KeysError`].
+    pub fn open(folder: &Path) -> Result<Self, KeysError> {
+        if !folder.join(AUTHORITY_KEY).exists() {
+            return Err(KeysError::NoAuthority(folder.into()));
+        }
+        files::check_private(&folder.join(AUTHORITY_KEY))?;
+        Ok(Self { folder: folder.into(), _lock: files::lock(folder)? })
+    }
+
+    /// What it has issued.
+    ///
+    /// # Errors
+    /// The record cannot be read.
+    pub fn issued(&self) -> Result<Issued, KeysError> {
+        Issued::read(&self.folder)
+    }
+
+    /// Makes the key and certificate of a robot or an operator, valid for some days from `now`, in seconds since 1970. Returns
+    /// the identity file.
+    ///
+    /// # Errors
+    /// [`KeysError`], also where the name has a key already.
+    pub fn issue(&self, name: &Name, roles: &Roles, now: i64, days: i64) -> Result<PathBuf, KeysError> {
+        if self.issued()?.latest(name).is_some_and(|entry| entry.revoked.is_none()) {
+            return Err(KeysError::Taken(name.clone()));
+        }
+        self.write_identity(name, roles, now, days)
+    }
+
+    /// Makes a new key and certificate for the same name and roles. The old one remains valid until it expires or is revoked.
+    ///
+    /// # Errors
+    /// [`KeysError`], also where the name has no key.
+    pub fn renew(&self, name: &Name, now: i64, days: i64) -> Result<PathBuf, KeysError> {
+        let issued = self.issued()?;
+        let known = issued.latest(name).ok_or_else(|| issued.unknown(name))?;
+        self.write_identity(name, &known.roles(), now, days)
+    }
+
+    /// Revokes all certificates of a name, and writes the list of revoked ones. Returns how many.
+    ///
+    /// # Errors
+    /// [`KeysError`], also where the name has no key, or none that counts.
+    pub fn revoke(&self, name: &Name, now: i64) -> Result<usize, KeysError> {
+        let mut issued = self.issued()?;
+        if issued.latest(name).is_none() {
+            return Err(issued.unknown(name));
+        }
+        let revoked = issued.revoke(name, now);
+        if revoked == 0 {
+            return Err(KeysError::RevokedAlready(name.clone()));
+        }
+        // First the list that robots obey: a record without it would promise too much.
+        self.write_revoked(&issued, now)?;
+        issued.write(&self.folder)?;
+        Ok(revoked)
+    }
+
+    /// Where the list of revoked certificates is.
+    #[must_use]
+    pub fn revoked(&self) -> PathBuf {
+        self.path(REVOKED)
+    }
+
+    fn path(&self, name: &str) -> PathBuf {
+        self.folder.join(name)
+    }
+
+    fn issuer(&self) -> Result<(Issuer<'static, KeyPair>, String), KeysError> {
+        let (key_path, path) = (self.path(AUTHORITY_KEY), self.path(AUTHORITY));
+        let damaged = |path: &Path, error: rcgen::Error| KeysError::Damaged {
+            path: path.into(),
+            what: format!("this is no key or certificate of an authority: {error}"),
+        };
+        let key = KeyPair::from_pem(&files::read(&key_path)?).map_err(|error| damaged(&key_path, error))?;
+        let certificate = files::read(&path)?;
+        let issuer = Issuer::from_ca_cert_pem(&certificate, key).map_err(|error| damaged(&path, error))?;
+        Ok((issuer, certificate))
+    }
+
+    fn write_identity(&self, name: &Name, roles: &Roles, now: i64, days: i64) -> Result<PathBuf, KeysError> {
+        let (issuer, authority) = self.issuer()?;
+        let key = KeyPair::generate()?;
+        let mut params = params(&name.to_string(), now, days)?;
+        for uri in Identity::uris(name, roles) {
+            params.subject_alt_names.push(SanType::URI(uri.try_into()?));
+        }
+        params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
+        params.use_authority_key_identifier_extension = true;
+        params.extended_key_usages = match name {
+            Name::Robot(_) => {
+                params.subject_alt_names.push(SanType::DnsName(SERVER_NAME.try_into()?));
+                vec![ExtendedKeyUsagePurpose::ServerAuth]
+            }
+            Name::Operator(_) => vec![ExtendedKeyUsagePurpose::ClientAuth],
+        };
+        let certificate = params.signed_by(&key, &issuer)?;
+        let identity = Identity::of_certificate(certificate.der())
+            .map_err(|error| KeysError::Damaged { path: self.path(AUTHORITY), what: error.to_string() })?;
+        let path = files::identity_path(&self.folder, name);
+        path.parent().map(files::make_private_folder).transpose()?;
+        // First the record: what is not in it cannot be revoked.
+        let mut issued = self.issued()?;
+        issued.add(&identity, now);
+        issued.write(&self.folder)?;
+        files::write_private(&path, &format!("{}{}{authority}", key.serialize_pem(), certificate.pem()))?;
+        Ok(path)
+    }
+
+    fn write_revoked(&self, issued: &Issued, now: i64) -> Result<(), KeysError> {
+        let (issuer, _) = self.issuer()?;
+        let revoked = |(serial, at): (Vec<u8>, i64)| {
+            Ok::<_, KeysError>(RevokedCertParams {
+                serial_number: SerialNumber::from(serial),
+                revocation_time: instant(at)?,
+                reason_code: None,
+                invalidity_date: None,
+            })
+        };
+        let list = CertificateRevocationListParams {
+            this_update: instant(now - BACKDATED)?,
+            next_update: instant(now + LIST_DAYS * DAY)?,
+            // A later list has a larger number.
+            crl_number: SerialNumber::from(u64::try_from(now).unwrap_or_default()),
+            issuing_distribution_point: None,
+            revoked_certs: issued.revoked().map(revoked).collect::<Result<_, _>>()?,
+            key_identifier_method: KeyIdMethod::Sha256,
+        };
+        files::write_public(&self.path(REVOKED), &list.signed_by(&issuer)?.pem()?)
+    }
+}
+
+/// The calendar's time, by which certificates count: in seconds since 1970, UTC.
+#[must_use]
+#[expect(clippy::disallowed_methods, reason = "certificates count by the calendar")]
+pub fn calendar() -> i64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    i64::try_from(since.as_secs()).unwrap_or(i64::MAX)
+}
+
+/// The door of a robot whose keys are in the folder of their authority.
+///
+/// # Errors
+/// The robot has no key there, or one that cannot be used, as a sentence.
+pub fn guard_of(folder: &Path, robot: &RobotId) -> Result<Guard, String> {
+    let path = files::identity_path(folder, &Name::Robot(robot.clone()));
+    let own = Credentials::read(&path).map_err(|error| error.to_string())?;
+    let revoked = Revoked::in_file(&folder.join(REVOKED)).map_err(|error| error.to_string())?;
+    Guard::new(own, Some(revoked))
+}
+
+fn params(common_name: &str, now: i64, days: i64) -> Result<CertificateParams, KeysError> {
+    let mut params = CertificateParams::new(Vec::new())?;
+    params.distinguished_name = DistinguishedName::new();
+    let common_name: String = common_name.chars().take(COMMON_NAME_MAX).collect();
+    params.distinguished_name.push(DnType::CommonName, common_name);
+    params.not_before = instant(now - BACKDATED)?;
+    params.not_after = instant(now + days * DAY)?;
+    Ok(params)
+}
+
+fn instant(seconds: i64) -> Result<OffsetDateTime, KeysError> {
+    OffsetDateTime::from_unix_timestamp(seconds).map_err(|_| KeysError::Signing(rcgen::Error::Time))
+}

@@ -1,0 +1,182 @@
+//! Certificates as they are made are tried against each other in real handshakes.
+
+use std::os::unix::fs::PermissionsExt;
+use std::sync::Arc;
+
+use downbeat_robot::tls::{
+    Credentials, CredentialsError, Identity, Name, Revoked, SERVER_NAME, client_config, server_config,
+};
+use downbeat_robot::{Role, Roles};
+use rustls::pki_types::ServerName;
+use tempfile::TempDir;
+use tokio::io::{AsyncReadExt, AsyncWriteExt};
+use tokio_rustls::{TlsAcceptor, TlsConnector};
+
+use super::*;
+
+fn robot(id: &str) -> Name {
+    Name::Robot(id.parse().unwrap())
+}
+
+struct Site {
+    folder: TempDir,
+    authority: Authority,
+}
+
+impl Site {
+    fn new() -> Self {
+        let folder = TempDir::new().unwrap();
+        let authority = Authority::create(&folder.path().join("keys"), calendar()).unwrap();
+        Self { folder, authority }
+    }
+
+    fn of(&self, name: &Name, roles: &[Role]) -> Credentials {
+        self.until(name, roles, calendar(), 10)
+    }
+
+    fn until(&self, name: &Name, roles: &[Role], from: i64, days: i64) -> Credentials {
+        let path = self.authority.issue(name, &roles.iter().copied().collect(), from, days).unwrap();
+        Credentials::read(&path).unwrap()
+    }
+
+    fn revoked(&self) -> Revoked {
+        Revoked::in_file(&self.authority.revoked()).unwrap()
+    }
+}
+
+/// A real handshake and one word each way; returns whom each has met, or what each says went wrong.
+fn meet(
+    robot: &Credentials,
+    operator: &Credentials,
+    revoked: Option<&Revoked>,
+) -> (Result<Identity, String>, Result<Identity, String>) {
+    let server = Arc::new(server_config(robot, revoked).unwrap());
+    let client = Arc::new(client_config(operator, revoked).unwrap());
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let (near, far) = tokio::io::duplex(64 * 1024);
+        let accepted = async {
+            let mut stream = TlsAcceptor::from(server).accept(far).await.map_err(|e| e.to_string())?;
+            stream.write_all(b"robot").await.map_err(|e| e.to_string())?;
+            let mut word = [0; 8];
+            stream.read_exact(&mut word).await.map_err(|e| e.to_string())?;
+            let certificate = stream.get_ref().1.peer_certificates().unwrap()[0].clone();
+            Ok(Identity::of_certificate(&certificate).unwrap())
+        };
+        let connected = async {
+            let name = ServerName::try_from(SERVER_NAME).unwrap();
+            let mut stream =
+                TlsConnector::from(client).connect(name, near).await.map_err(|e| e.to_string())?;
+            stream.write_all(b"operator").await.map_err(|e| e.to_string())?;
+            let mut word = [0; 5];
+            stream.read_exact(&mut word).await.map_err(|e| e.to_string())?;
+            let certificate = stream.get_ref().1.peer_certificates().unwrap()[0].clone();
+            Ok(Identity::of_certificate(&certificate).unwrap())
+        };
+        tokio::join!(accepted, connected)
+    })
+}
+
+const OPERATOR: &str = "anna";
+
+fn operator() -> Name {
+    Name::Operator(OPERATOR.into())
+}
+
+#[test]
+fn robot_and_operator_of_one_authority_know_each_other() {
+    let site = Site::new();
+    let cf1 = site.of(&robot("cf 1/ö"), &[]);
+    let anna = site.of(&operator(), &[Role::Observe, Role::Stop]);
+    let (met_by_robot, met_by_operator) = meet(&cf1, &anna, Some(&site.revoked()));
+    let met = met_by_robot.unwrap();
+    assert_eq!((met.name, met.roles.to_string()), (operator(), "observe, stop".to_owned()));
+    assert_eq!(met_by_operator.unwrap().name, robot("cf 1/ö"));
+}
+
+#[test]
+fn an_operator_of_another_authority_is_no_operator() {
+    let (site, other) = (Site::new(), Site::new());
+    let (by_robot, by_operator) =
+        meet(&site.of(&robot("cf1"), &[]), &other.of(&operator(), &Role::ALL), None);
+    assert!(by_robot.is_err() && by_operator.is_err());
+}
+
+#[test]
+fn a_certificate_that_has_expired_or_does_not_count_yet_is_refused() {
+    let site = Site::new();
+    let cf1 = site.of(&robot("cf1"), &[]);
+    let expired = site.until(&operator(), &Role::ALL, calendar() - 20 * DAY, 10);
+    let (refused, _) = meet(&cf1, &expired, None);
+    assert!(refused.unwrap_err().contains("xpired"));
+    let early = site.until(&Name::Operator("early".into()), &Role::ALL, calendar() + 2 * DAY, 10);
+    let (refused, _) = meet(&cf1, &early, None);
+    assert!(refused.unwrap_err().contains("alid"));
+    let old = site.until(&robot("old"), &[], calendar() - 20 * DAY, 10);
+    let anna = site.of(&Name::Operator("late".into()), &Role::ALL);
+    let (_, refused) = meet(&old, &anna, None);
+    assert!(refused.unwrap_err().contains("xpired"));
+}
+
+#[test]
+fn what_is_revoked_is_refused_from_the_next_connection_on_and_what_is_renewed_is_not() {
+    let site = Site::new();
+    let (cf1, cf2) = (site.of(&robot("cf1"), &[]), site.of(&robot("cf2"), &[]));
+    let anna = site.of(&operator(), &Role::ALL);
+    let revoked = site.revoked();
+    assert!(meet(&cf1, &anna, Some(&revoked)).0.is_ok());
+    assert_eq!(site.authority.revoke(&operator(), calendar()).unwrap(), 1);
+    let (refused, _) = meet(&cf1, &anna, Some(&revoked));
+    assert!(refused.unwrap_err().contains("evoked"));
+    assert!(matches!(
+        site.authority.revoke(&operator(), calendar()),
+        Err(KeysError::RevokedAlready(name)) if name == operator()
+    ));
+    let path = site.authority.renew(&operator(), calendar(), 10).unwrap();
+    let again = Credentials::read(&path).unwrap();
+    assert_eq!(again.identity().roles, Role::ALL.into_iter().collect());
+    assert!(meet(&cf1, &again, Some(&revoked)).0.is_ok());
+    site.authority.revoke(&robot("cf2"), calendar()).unwrap();
+    let (_, refused) = meet(&cf2, &again, Some(&revoked));
+    assert!(refused.unwrap_err().contains("evoked"));
+}
+
+#[test]
+fn a_robot_is_no_operator_and_an_operator_no_robot() {
+    let site = Site::new();
+    let (cf1, cf2) = (site.of(&robot("cf1"), &[]), site.of(&robot("cf2"), &[]));
+    let anna = site.of(&operator(), &Role::ALL);
+    assert!(meet(&cf1, &cf2, None).0.is_err(), "a robot's key drives no robot");
+    assert!(meet(&anna, &anna, None).1.is_err(), "an operator's key pretends to be no robot");
+}
+
+#[test]
+fn keys_are_private_and_not_made_twice() {
+    let site = Site::new();
+    let keys = site.folder.path().join("keys");
+    let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
+    let path = site.authority.issue(&robot("../cf1"), &Roles::default(), calendar(), 10).unwrap();
+    assert_eq!(path.parent(), Some(keys.join("robots").as_path()));
+    assert_eq!((mode(&keys), mode(&keys.join("authority.key")), mode(&path)), (0o700, 0o600, 0o600));
+    assert!(matches!(
+        site.authority.issue(&robot("../cf1"), &Roles::default(), calendar(), 10),
+        Err(KeysError::Taken(_))
+    ));
+    std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o640)).unwrap();
+    assert!(matches!(Credentials::read(&path), Err(CredentialsError::NotPrivate { mode: 0o640, .. })));
+    let unknown = site.authority.revoke(&robot("cf9"), calendar()).unwrap_err().to_string();
+    assert_eq!(unknown, "robot cf9 has no key here; those that have one: ../cf1");
+}
+
+#[test]
+fn an_authority_is_made_once_and_has_to_be_there() {
+    let site = Site::new();
+    let keys = site.folder.path().join("keys");
+    drop(site.authority);
+    assert!(matches!(Authority::create(&keys, calendar()), Err(KeysError::Exists(_))));
+    assert!(Authority::open(&keys).is_ok());
+    assert!(matches!(Authority::open(site.folder.path()), Err(KeysError::NoAuthority(_))));
+    std::fs::write(keys.join("issued.jsonl"), "{}\n").unwrap();
+    let damaged = Authority::open(&keys).unwrap().issued().unwrap_err().to_string();
+    assert!(damaged.ends_with("line 1: this is no certificate as `downbeat keys` notes it"), "{damaged}");
+}
