@@ -248,6 +248,8 @@ fn certificates_that_end_soon_are_told_of_weeks_ahead() {
     let mut sim = session.command(&["sim", "--keys", "keys"]).stdout(Stdio::piped()).spawn().unwrap();
     listens(&mut sim);
     let _sim = Process(sim);
+    // Days count as whole ones, and times of certificates as whole seconds: in the same second 9 days are left.
+    std::thread::sleep(std::time::Duration::from_millis(1_100));
     session.run(&["preflight", "s.yaml"]).says(
         0,
         &[
