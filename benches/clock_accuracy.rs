@@ -30,7 +30,7 @@ const CHRONY_TRIALS: u64 = 60;
 const AT_ONCE: u64 = 100;
 const EXCHANGES_FOR: Span = Span::from_millis(2_000);
 const PAUSE: Span = Span::from_millis(30);
-/// How long after the last exchange the estimate is asked once more.
+/// How long after the last exchange the estimate is asked again.
 const LATER: Span = Span::from_millis(10_000);
 const DELAY_MAX_MS: f64 = 40.0;
 

@@ -1,4 +1,4 @@
-//! How fast messages are read, beside the JSON library alone; how large and how fast compact encodings are.
+//! How fast messages are read, next to the JSON library alone; how large and how fast compact encodings are.
 //!
 //! `cargo bench -p urrcp --bench codec`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]

@@ -1,4 +1,4 @@
-//! How fast scenarios compile, beside what the YAML library alone takes; how memory and time grow.
+//! How fast scenarios compile, next to what the YAML library alone takes; how memory and time grow.
 //!
 //! `cargo bench -p downbeat-scripts --bench compile`
 #![expect(clippy::unwrap_used, clippy::print_stdout, reason = "a benchmark at a terminal")]

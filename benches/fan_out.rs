@@ -1,5 +1,5 @@
-//! From the first request to the decision for thousands of robots on loopback, beside a raw exchange of messages of the
-//! same size over tokio's TCP, and beside MQTT through mosquitto where that is installed. Robots are simulated in a process
+//! From the first request to the decision for thousands of robots on loopback, next to a raw exchange of messages of the
+//! same size over tokio's TCP, and next to MQTT through mosquitto where that is installed. Robots are simulated in a process
 //! of their own.
 //!
 //! `cargo bench --bench fan_out`; with numbers behind it those fleets: `cargo bench --bench fan_out -- 1000 4000`.

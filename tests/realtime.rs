@@ -30,7 +30,7 @@ fn session() -> Session {
     session
 }
 
-/// The program without the right to real-time scheduling and locked memory, whoever runs the tests.
+/// The program without the right to real-time scheduling and locked memory, also when root runs the tests.
 fn without_permission(session: &Session, args: &[&str]) -> Command {
     let mut command = Command::new("prlimit");
     command.args(["--rtprio=0:0", "--memlock=65536:65536"]);
@@ -136,7 +136,7 @@ fn real_time_scheduling_that_is_off_is_neither_asked_for_nor_told() {
 }
 
 #[test]
-fn whoever_requires_real_time_scheduling_and_does_not_get_it_is_told_and_nothing_starts() {
+fn real_time_scheduling_that_is_required_and_not_to_be_had_is_told_of_and_nothing_starts() {
     let session = session();
     session.file("edge.sh", "touch moved; cat > /dev/null");
     let edge = ["edge", "--init", "arm.yaml", "--listen", "127.0.0.1:0", "--driver", "program:sh edge.sh"];

@@ -1,8 +1,8 @@
 //! On whose behalf robots are driven: a name that people read, and a key that only the robots and the journal know.
 //!
-//! A robot obeys any party that names its session, so whoever knows the session can stop or move the robot. On the wire a session
-//! is therefore `NAME/KEY`, and the key is 128 random bits. People see the name alone: in reports, on the display, in folders of
-//! missions, in names of requests. The key stands in the first line of the journal, so that `resume` and `stop` have it.
+//! A robot obeys any party that names its session. On the wire a session is therefore `NAME/KEY`, and the key is 128 random
+//! bits. People see the name alone: in reports, on the display, in folders of missions, in names of requests. The key stands in
+//! the first line of the journal, so that `resume` and `stop` have it.
 
 use std::fmt;
 

@@ -202,9 +202,9 @@ pub(super) struct DeviceModel {
     pub(super) released: Vec<Guard>,
     /// Where each signal rests in the end.
     pub(super) targets: BTreeMap<ControlType, f64>,
-    /// What was sent up to then has been taken back, whoever sent it.
+    /// What was sent up to then has been taken back, from any sender.
     pub(super) taken_back: Option<Timestamp<Server>>,
-    /// What was sent later has not been, whoever sent it.
+    /// What was sent later has not been, from any sender.
     pub(super) taken_back_at_most: Option<Timestamp<Server>>,
 }
 

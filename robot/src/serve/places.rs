@@ -1,5 +1,5 @@
-//! Which connections of a robot have a place, and which give way. Whoever has the session of the robot comes before those that
-//! have not, and a stop needs no place.
+//! Which connections of a robot have a place, and which give way. The owner of the robot's session comes before
+//! strangers, and a stop needs no place.
 #![expect(clippy::disallowed_methods, reason = "connections are silent in real time")]
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

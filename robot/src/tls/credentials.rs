@@ -3,7 +3,7 @@
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use rustix::fs::{Mode, OFlags};
+use rustix::fs::{Mode, OFlags, Stat};
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 
@@ -31,6 +31,12 @@ pub enum CredentialsError {
         path: PathBuf,
         /// Its permissions.
         mode: u32,
+    },
+    /// A file that is to list revoked certificates does not.
+    #[error("{}: there is no list of revoked certificates in it; expected the file `revoked.pem` that `downbeat keys` wrote", path.display())]
+    NoList {
+        /// Which file.
+        path: PathBuf,
     },
     /// It does not hold what it has to.
     #[error("{}: {what}; expected a file that `downbeat keys` wrote: a private key, its certificate, and the authority's", path.display())]
@@ -86,13 +92,7 @@ impl Credentials {
 
 fn read_private(path: &Path) -> Result<Vec<u8>, CredentialsError> {
     let unreadable = |error: std::io::Error| CredentialsError::Unreadable { path: path.into(), error };
-    // A pipe in its place is not waited for.
-    let file = rustix::fs::open(path, OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NONBLOCK, Mode::empty());
-    let file = std::fs::File::from(file.map_err(|error| unreadable(error.into()))?);
-    let stat = rustix::fs::fstat(&file).map_err(|error| unreadable(error.into()))?;
-    if !rustix::fs::FileType::from_raw_mode(stat.st_mode).is_file() {
-        return Err(unreadable(std::io::Error::other("it is no regular file")));
-    }
+    let (file, stat) = open_regular(path).map_err(unreadable)?;
     let mode = stat.st_mode & 0o777;
     // A file of root may be handed to a service by its group, as systemd does with credentials.
     let handed_over = stat.st_uid == 0 && !rustix::process::geteuid().is_root();
@@ -102,4 +102,14 @@ fn read_private(path: &Path) -> Result<Vec<u8>, CredentialsError> {
     let mut text = Vec::new();
     file.take(BYTES_MAX).read_to_end(&mut text).map_err(unreadable)?;
     Ok(text)
+}
+
+/// Opens a file, and nothing else in its place: a pipe would not be waited for.
+pub(super) fn open_regular(path: &Path) -> std::io::Result<(std::fs::File, Stat)> {
+    let file = rustix::fs::open(path, OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NONBLOCK, Mode::empty())?;
+    let stat = rustix::fs::fstat(&file)?;
+    if !rustix::fs::FileType::from_raw_mode(stat.st_mode).is_file() {
+        return Err(std::io::Error::other("it is no regular file"));
+    }
+    Ok((file.into(), stat))
 }

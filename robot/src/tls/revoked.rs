@@ -1,12 +1,16 @@
 //! Certificates that count no more, though they have not expired: the authority's list, as a file that may be replaced.
 
+use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use rustls::pki_types::CertificateRevocationListDer;
 use rustls::pki_types::pem::PemObject;
 
-use super::credentials::CredentialsError;
+use super::credentials::{CredentialsError, open_regular};
+
+/// Bytes of a list at most: an entry takes some 40.
+const BYTES_MAX: u64 = 8 * 1024 * 1024;
 
 /// A list of revoked certificates (RFC 5280, section 5) in a file. Replace the file, and the next connection obeys it.
 #[derive(Clone, Debug)]
@@ -28,12 +32,11 @@ impl Revoked {
     /// The list as it is now.
     pub(super) fn read(&self) -> Result<CertificateRevocationListDer<'static>, CredentialsError> {
         let path = || self.path.clone();
-        let text = std::fs::read(&self.path)
-            .map_err(|error| CredentialsError::Unreadable { path: path(), error })?;
-        CertificateRevocationListDer::from_pem_slice(&text).map_err(|_| CredentialsError::Incomplete {
-            path: path(),
-            what: "there is no list of revoked certificates in it".into(),
-        })
+        let mut text = Vec::new();
+        let read = open_regular(&self.path).and_then(|(file, _)| file.take(BYTES_MAX).read_to_end(&mut text));
+        read.map_err(|error| CredentialsError::Unreadable { path: path(), error })?;
+        CertificateRevocationListDer::from_pem_slice(&text)
+            .map_err(|_| CredentialsError::NoList { path: path() })
     }
 
     /// When the file was last written; `None` where that is not known.

@@ -120,7 +120,7 @@ enum status { ACCEPTED, STARTED, OK, FAILED, PROVIDE };
 
 static const char *const STATUS_NAMES[] = {"Accepted", "Started", "OK", "Failed", "Provide"};
 
-/* The last answer to a request, for whoever asks again. */
+/* The last answer to a request, for when it is repeated. */
 struct answer {
     bool used, ended, named, has_value, is_report;
     uint64_t number;
@@ -700,7 +700,7 @@ static void go_on(struct device *device, struct command *c, int64_t now)
 }
 
 /* Does what is due in the order of time, at one instant leases before steps; returns when the next thing is due. The lease of
-   what runs comes first once it has ended: whoever was held up would do now what was due before. */
+   what runs comes first once it has ended: a program that was held up would do now what was due before. */
 static int64_t run(void)
 {
     for (;;) {

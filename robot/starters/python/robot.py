@@ -204,7 +204,7 @@ class Robot:
         for c in sorted(commands, key=lambda c: c.times):
             self.respond(c, "Failed", None, now, steps_done=c.done, error={"code": code, "message": message})
     def respond(self, c, status, value=None, event=None, **more):
-        """Sends a report of an event, or returns an answer; both are kept for whoever asks again."""
+        """Sends a report of an event, or returns an answer; both are kept for a request that is repeated."""
         body = {"timestamp": stamp(time.time_ns()), "device_id": c.device_id, "status": status, "status_value": value,
                 **more, **({"event_timestamp": stamp(event)} if event else {})}
         if c.request_id is not None:

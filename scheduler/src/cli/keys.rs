@@ -1,5 +1,6 @@
 //! `downbeat keys`: an authority of one's own, and keys for robots and operators.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use clap::Subcommand;
@@ -88,6 +89,7 @@ pub(super) struct OperatorArgs {
     #[command(flatten)]
     days: DaysArgs,
     /// Who it is.
+    #[arg(value_parser = operator_name)]
     name: String,
     /// What the operator may do: observe, drive, stop, seize.
     #[arg(long = "role", required = true, value_name = "ROLE", value_delimiter = ',')]
@@ -102,7 +104,7 @@ pub(super) struct NamedArgs {
     #[arg(required_unless_present = "operator", value_name = "ROBOT")]
     robot: Option<RobotId>,
     /// The operator's name, instead of a robot.
-    #[arg(long, value_name = "NAME", conflicts_with = "robot")]
+    #[arg(long, value_name = "NAME", conflicts_with = "robot", value_parser = operator_name)]
     operator: Option<String>,
 }
 
@@ -121,16 +123,28 @@ pub(super) struct RenewArgs {
     days: DaysArgs,
 }
 
+/// Longest name of an operator, in characters: that of a robot's id.
+const OPERATOR_NAME_MAX: usize = 256;
+
+fn operator_name(text: &str) -> Result<String, String> {
+    let length = text.chars().count();
+    if text.trim().is_empty() || length > OPERATOR_NAME_MAX || text.chars().any(char::is_control) {
+        return Err(format!("a name has 1 to {OPERATOR_NAME_MAX} characters, without line breaks"));
+    }
+    Ok(text.to_owned())
+}
+
 pub(super) fn keys(command: &KeysCommand, format: Format) -> Exit {
     let done = match command {
         KeysCommand::Init(args) => init(args, format),
         KeysCommand::Robot(args) => {
             let names = args.robots.iter().cloned().map(Name::Robot);
-            issue(&args.folder, names.collect(), &Roles::default(), args.days.days, format)
+            issue(&args.folder, &names.collect(), &Roles::default(), args.days.days, format)
         }
         KeysCommand::Operator(args) => {
             let roles = args.roles.iter().copied().collect();
-            issue(&args.folder, vec![Name::Operator(args.name.clone())], &roles, args.days.days, format)
+            let names = BTreeSet::from([Name::Operator(args.name.clone())]);
+            issue(&args.folder, &names, &roles, args.days.days, format)
         }
         KeysCommand::Renew(args) => renew(args, format),
         KeysCommand::Revoke(args) => revoke(args, format),
@@ -158,7 +172,7 @@ fn init(args: &FolderArgs, format: Format) -> Result<(), KeysError> {
         Format::Text => console::print(&format!(
             "made an authority in {}\n\
              next: `downbeat keys robot ID` for each robot, `downbeat keys operator NAME --role observe,drive,stop` for yourself\n\
-             keep {folder}/authority.key to yourself, and a copy in a safe: whoever has it can make keys\n",
+             keep {folder}/authority.key to yourself, and a copy in a safe: with it anybody can make keys\n",
             shown(&folder)
         )),
     }
@@ -167,15 +181,14 @@ fn init(args: &FolderArgs, format: Format) -> Result<(), KeysError> {
 
 fn issue(
     folder: &FolderArgs,
-    names: Vec<Name>,
+    names: &BTreeSet<Name>,
     roles: &Roles,
     days: i64,
     format: Format,
 ) -> Result<(), KeysError> {
-    let authority = Authority::open(&folder.keys)?;
-    for name in names {
-        let path = authority.issue(&name, roles, calendar(), days)?;
-        tell(&name, &path, days, format);
+    let paths = Authority::open(&folder.keys)?.issue(names, roles, calendar(), days)?;
+    for (name, path) in names.iter().zip(&paths) {
+        tell(name, path, days, format);
     }
     Ok(())
 }

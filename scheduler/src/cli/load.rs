@@ -72,10 +72,10 @@ pub(super) fn replaces(page: &Path, sources: &[&Path]) -> Option<String> {
 
 /// Where its includes are.
 fn folder(args: &ScenarioArgs) -> Folder {
-    Folder::within(beside(args).to_path_buf(), args.project.of(&args.scenario))
+    Folder::within(folder_of(args).to_path_buf(), args.project.of(&args.scenario))
 }
 
-fn beside(args: &ScenarioArgs) -> &Path {
+fn folder_of(args: &ScenarioArgs) -> &Path {
     args.scenario.parent().unwrap_or(Path::new(""))
 }
 
@@ -84,7 +84,7 @@ fn read_fleet(args: &ScenarioArgs, source: &Source) -> (PathBuf, (Option<Fleet>,
     let project = args.project.of(&args.scenario);
     let named = match &args.fleet {
         Some(_) => None,
-        None => downbeat_scripts::fleet_named_by(source).map(|named| beside(args).join(named)),
+        None => downbeat_scripts::fleet_named_by(source).map(|named| folder_of(args).join(named)),
     };
     if let Some(path) = named {
         let (fleet, findings) = downbeat_scripts::read_fleet_named(&path, &project);

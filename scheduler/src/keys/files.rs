@@ -1,7 +1,7 @@
 //! The files of an authority: private where a key is in them, and replaced as a whole.
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, Write};
+use std::io::{self, Read, Write};
 use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
@@ -12,6 +12,9 @@ use super::KeysError;
 
 /// What a file's name may hold as it is. A full stop is not among it, so no name is `..` or hidden.
 const KEPT: &AsciiSet = &NON_ALPHANUMERIC.remove(b'-').remove(b'_');
+
+/// Bytes that are read of a file at most: the record of some 100,000 certificates.
+const BYTES_MAX: u64 = 32 * 1024 * 1024;
 
 fn at(path: &Path) -> impl FnOnce(io::Error) -> KeysError + '_ {
     |error| KeysError::File { path: path.into(), error }
@@ -38,8 +41,10 @@ pub(super) fn identity_path(folder: &Path, name: &Name) -> PathBuf {
     folder.join(kind).join(format!("{}.pem", utf8_percent_encode(name, KEPT)))
 }
 
+/// Reads a file whole; a pipe or a device in its place is refused, not waited for.
 pub(super) fn read(path: &Path) -> Result<String, KeysError> {
-    fs::read_to_string(path).map_err(at(path))
+    let text = downbeat_scripts::open(path).and_then(|file| io::read_to_string(file.take(BYTES_MAX)));
+    text.map_err(at(path))
 }
 
 /// A key that others may read is none.
@@ -63,7 +68,7 @@ pub(super) fn write_public(path: &Path, text: &str) -> Result<(), KeysError> {
     write(path, text, 0o644)
 }
 
-/// Whoever reads it sees the old file or the new one, never a part.
+/// A reader sees the old file or the new one, never a part.
 fn write(path: &Path, text: &str, mode: u32) -> Result<(), KeysError> {
     let part = path.with_extension("part");
     let _left_by_an_interrupted_one = fs::remove_file(&part);

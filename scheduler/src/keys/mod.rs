@@ -9,6 +9,7 @@ mod issued;
 #[cfg(test)]
 mod tests;
 
+use std::collections::BTreeSet;
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -65,9 +66,9 @@ pub enum KeysError {
         /// What is wrong with it.
         what: String,
     },
-    /// This name has a key already.
-    #[error("{0} has a key already: `downbeat keys renew` makes a new one")]
-    Taken(Name),
+    /// These names have a key already.
+    #[error("{} already: `downbeat keys renew` makes a new one", have_keys(.0))]
+    Taken(Vec<Name>),
     /// No key was issued under this name.
     #[error("{name} has no key here; those that have one: {known}")]
     Unknown {
@@ -82,6 +83,15 @@ pub enum KeysError {
     /// It could not be signed.
     #[error("cannot make a certificate: {0}")]
     Signing(#[from] rcgen::Error),
+}
+
+fn have_keys(names: &[Name]) -> String {
+    let listed: Vec<String> = names.iter().map(Name::to_string).collect();
+    if let [one] = listed.as_slice() {
+        format!("{one} has a key")
+    } else {
+        format!("{} have keys", listed.join(", "))
+    }
 }
 
 /// The folder of an authority.
@@ -137,16 +147,25 @@ impl Authority {
         Issued::read(&self.folder)
     }
 
-    /// Makes the key and certificate of a robot or an operator, valid for some days from `now`, in seconds since 1970. Returns
-    /// the identity file.
+    /// Makes the keys and certificates of robots or of an operator, valid for some days from `now`, in seconds since 1970. Returns
+    /// the identity files.
     ///
     /// # Errors
-    /// [`KeysError`], also where the name has a key already.
-    pub fn issue(&self, name: &Name, roles: &Roles, now: i64, days: i64) -> Result<PathBuf, KeysError> {
-        if self.issued()?.latest(name).is_some_and(|entry| entry.revoked.is_none()) {
-            return Err(KeysError::Taken(name.clone()));
+    /// [`KeysError`], also where any of the names has a key already: then nothing is made.
+    pub fn issue(
+        &self,
+        names: &BTreeSet<Name>,
+        roles: &Roles,
+        now: i64,
+        days: i64,
+    ) -> Result<Vec<PathBuf>, KeysError> {
+        let issued = self.issued()?;
+        let has_key = |name: &&Name| issued.latest(name).is_some_and(|entry| entry.revoked.is_none());
+        let taken: Vec<Name> = names.iter().filter(has_key).cloned().collect();
+        if !taken.is_empty() {
+            return Err(KeysError::Taken(taken));
         }
-        self.write_identity(name, roles, now, days)
+        names.iter().map(|name| self.write_identity(name, roles, now, days)).collect()
     }
 
     /// Makes a new key and certificate for the same name and roles. The old one remains valid until it expires or is revoked.

@@ -1,5 +1,6 @@
 //! Certificates as they are made are tried against each other in real handshakes.
 
+use std::collections::BTreeSet;
 use std::os::unix::fs::PermissionsExt;
 use std::sync::Arc;
 
@@ -7,6 +8,7 @@ use downbeat_robot::tls::{
     Credentials, CredentialsError, Identity, Name, Revoked, SERVER_NAME, client_config, server_config,
 };
 use downbeat_robot::{Role, Roles};
+use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustls::pki_types::ServerName;
 use tempfile::TempDir;
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
@@ -35,8 +37,9 @@ impl Site {
     }
 
     fn until(&self, name: &Name, roles: &[Role], from: i64, days: i64) -> Credentials {
-        let path = self.authority.issue(name, &roles.iter().copied().collect(), from, days).unwrap();
-        Credentials::read(&path).unwrap()
+        let roles = roles.iter().copied().collect();
+        let paths = self.authority.issue(&BTreeSet::from([name.clone()]), &roles, from, days).unwrap();
+        Credentials::read(&paths[0]).unwrap()
     }
 
     fn revoked(&self) -> Revoked {
@@ -155,17 +158,22 @@ fn keys_are_private_and_not_made_twice() {
     let site = Site::new();
     let keys = site.folder.path().join("keys");
     let mode = |path: &Path| std::fs::metadata(path).unwrap().permissions().mode() & 0o777;
-    let path = site.authority.issue(&robot("../cf1"), &Roles::default(), calendar(), 10).unwrap();
+    let issue = |names: &[&str]| {
+        let names = names.iter().map(|name| robot(name)).collect();
+        site.authority.issue(&names, &Roles::default(), calendar(), 10)
+    };
+    let path = issue(&["../cf1"]).unwrap().remove(0);
     assert_eq!(path.parent(), Some(keys.join("robots").as_path()));
     assert_eq!((mode(&keys), mode(&keys.join("authority.key")), mode(&path)), (0o700, 0o600, 0o600));
-    assert!(matches!(
-        site.authority.issue(&robot("../cf1"), &Roles::default(), calendar(), 10),
-        Err(KeysError::Taken(_))
-    ));
+    let taken = issue(&["../cf1", "cf2"]).unwrap_err().to_string();
+    assert_eq!(taken, "robot ../cf1 has a key already: `downbeat keys renew` makes a new one");
+    assert_eq!(issue(&["cf2", "cf3", "cf2"]).unwrap().len(), 2, "nothing was made of what was refused");
+    let taken = issue(&["cf4", "cf3", "cf2"]).unwrap_err().to_string();
+    assert!(taken.starts_with("robot cf2, robot cf3 have keys already"), "{taken}");
     std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o640)).unwrap();
     assert!(matches!(Credentials::read(&path), Err(CredentialsError::NotPrivate { mode: 0o640, .. })));
     let unknown = site.authority.revoke(&robot("cf9"), calendar()).unwrap_err().to_string();
-    assert_eq!(unknown, "robot cf9 has no key here; those that have one: ../cf1");
+    assert_eq!(unknown, "robot cf9 has no key here; those that have one: ../cf1, cf2, cf3");
 }
 
 #[test]
@@ -179,4 +187,27 @@ fn an_authority_is_made_once_and_has_to_be_there() {
     std::fs::write(keys.join("issued.jsonl"), "{}\n").unwrap();
     let damaged = Authority::open(&keys).unwrap().issued().unwrap_err().to_string();
     assert!(damaged.ends_with("line 1: this is no certificate as `downbeat keys` notes it"), "{damaged}");
+}
+
+#[test]
+fn no_pipe_is_waited_for_in_place_of_a_file() {
+    let site = Site::new();
+    let keys = site.folder.path().join("keys");
+    for name in ["issued.jsonl", "revoked.pem"] {
+        let path = keys.join(name);
+        let _there_or_not = std::fs::remove_file(&path);
+        mknodat(CWD, &path, FileType::Fifo, Mode::RUSR | Mode::WUSR, 0).unwrap();
+    }
+    let record = site.authority.issued().unwrap_err().to_string();
+    assert!(record.ends_with("this is a pipe, not a file"), "{record}");
+    let list = Revoked::in_file(&site.authority.revoked()).unwrap_err().to_string();
+    assert!(list.ends_with("it is no regular file"), "{list}");
+}
+
+#[test]
+fn a_list_of_revoked_certificates_is_not_taken_for_an_identity() {
+    let site = Site::new();
+    let authority = site.folder.path().join("keys/authority.pem");
+    let no_list = Revoked::in_file(&authority).unwrap_err().to_string();
+    assert!(no_list.ends_with("expected the file `revoked.pem` that `downbeat keys` wrote"), "{no_list}");
 }
