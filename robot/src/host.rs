@@ -1,38 +1,33 @@
 //! Runs robots in real time: one thread of its own that wakes precisely, however many robots live on it.
 
 mod body;
+mod executor;
 mod hosted;
+mod log;
 mod outbox;
 
-use std::collections::{BTreeSet, HashMap};
-use std::fs::File;
-use std::io::{self, Write};
+use std::io;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, mpsc as std_mpsc};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
-use serde::Serialize;
-use tokio::sync::{OwnedSemaphorePermit, Semaphore, oneshot, watch};
-use urrcp::{ErrorCode, Message, RobotId, Timestamp};
+use tokio::sync::{Semaphore, oneshot, watch};
+use urrcp::{Message, RobotId};
 
 use self::body::Body;
+use self::executor::{Order, Told, prepared_thread};
 use self::hosted::DriverThread;
 pub use self::hosted::Hosted;
-use self::outbox::{Inbox, Outbox, outbox};
-use crate::clock::{HostClock, HostTime};
-use crate::driver::{Mailbox, News};
-use crate::hardware::AtEnd;
-use crate::outgoing::Outgoing;
+use self::outbox::{Inbox, outbox};
+use crate::driver::Mailbox;
 use crate::parties::Claimant;
 use crate::peer::Peer;
-use crate::precise_wait::{PreciseWait, Woken};
-use crate::refusals::{Reason, Refusals};
+use crate::refusals::Refusals;
 use crate::robot::{Input, LinkId};
 use crate::scheduling::{Realtime, Scheduling};
 use crate::serve::Strangers;
-use crate::set_log::LogEntry;
 
 /// Inputs that a peer outside this process may have handed over and the robot not yet taken; more have to wait.
 const WINDOW: usize = 32;
@@ -103,36 +98,6 @@ pub enum LinkEvent {
     Closed,
 }
 
-enum Order {
-    Open {
-        robot: usize,
-        link: LinkId,
-        outbox: Outbox,
-    },
-    /// The permit, where there is one, is given back once the robot has taken the input.
-    Input {
-        robot: usize,
-        link: LinkId,
-        input: Input,
-        permit: Option<OwnedSemaphorePermit>,
-    },
-    /// It is asked whether the session to which the robot belonged is over; [`HostHandle::owner`] knows it once the permit
-    /// is given back.
-    Look {
-        robot: usize,
-        permit: oneshot::Sender<()>,
-    },
-    /// A driver's thread has something to say.
-    Hardware {
-        robot: usize,
-        news: News,
-    },
-    /// The host ends; these robots, by their indices, were told to stay where they are.
-    Stop {
-        held: Vec<usize>,
-    },
-}
-
 /// Robots running on a precise thread.
 #[derive(Debug)]
 pub struct Host {
@@ -184,24 +149,14 @@ impl Host {
     pub fn start<R: Into<Hosted>>(robots: Vec<R>, options: HostOptions) -> Result<Self, HostError> {
         let hosted: Vec<Hosted> = robots.into_iter().map(Into::into).collect();
         let ids: Arc<[RobotId]> = hosted.iter().map(|hosted| hosted.id().clone()).collect();
-        let (log, writer, log_lost) = match options.log {
-            None => (None, None, None),
+        let (log, writer) = match options.log {
+            None => (None, None),
             Some(path) => {
-                let lost = |path, error| HostError::Log { path, error };
-                let file = File::create(&path).map_err(|error| lost(path.clone(), error))?;
-                let (log, entries) = std_mpsc::channel();
-                let (tell, told) = oneshot::channel();
-                let ids = Arc::clone(&ids);
-                let writer = std::thread::Builder::new().name("set-log".into());
-                // Ends when the precise thread drops its sender.
-                let write = move || {
-                    if let Err(error) = write_log(file, &ids, &entries) {
-                        let _nobody_asked = tell.send(lost(path, error));
-                    }
-                };
-                (Some(log), Some(writer.spawn(write).map_err(HostError::Thread)?), Some(told))
+                let (log, writer) = log::start(path, Arc::clone(&ids))?;
+                (Some(log), Some(writer))
             }
         };
+        let (writer, log_lost) = writer.map(|writer| (writer.thread, writer.lost)).unzip();
         // With a lock: on a lock-free channel a real-time thread could spin forever for a sender that it interrupted.
         let (orders, inbox) = flume::unbounded();
         let (owners, watched): (Vec<_>, Vec<_>) = ids.iter().map(|_| watch::channel(None)).unzip();
@@ -392,236 +347,6 @@ impl Drop for RobotLink {
     fn drop(&mut self) {
         self.order(Input::LinkDown);
     }
-}
-
-type LoggedBatch = (usize, Vec<LogEntry>);
-/// The precise thread, the channel on which it takes its robots, and what it was granted.
-type Prepared = (JoinHandle<()>, std_mpsc::Sender<Vec<Body>>, Scheduling);
-
-/// Starts the precise thread before there are robots, so that nothing moves if it is not granted what is required. Ends by
-/// [`Order::Stop`], when every handle is gone, or when it is given no robots.
-fn prepared_thread(
-    realtime: Realtime,
-    told: Told,
-    inbox: flume::Receiver<Order>,
-) -> Result<Prepared, HostError> {
-    let (ready, robots) = std_mpsc::channel();
-    let (tell, granted) = std_mpsc::channel();
-    let run = move || {
-        let scheduling = Scheduling::of_this_thread(realtime);
-        let waits = PreciseWait::new(&scheduling);
-        let _given_up = tell.send(scheduling);
-        if let Ok(robots) = robots.recv() {
-            Executor::new(robots, told, waits).run(&inbox);
-        }
-    };
-    let thread = std::thread::Builder::new().name("robots".into()).spawn(run).map_err(HostError::Thread)?;
-    let scheduling = granted.recv().map_err(|error| HostError::Thread(io::Error::other(error)))?;
-    if realtime == Realtime::Required && scheduling.lacks_something() {
-        return Err(HostError::Realtime(scheduling));
-    }
-    Ok((thread, ready, scheduling))
-}
-
-/// To whom the precise thread tells what happens.
-struct Told {
-    log: Option<std_mpsc::Sender<LoggedBatch>>,
-    /// Of each robot.
-    owners: Vec<watch::Sender<Option<Claimant>>>,
-    refusals: Arc<Refusals>,
-}
-
-/// The precise thread's state.
-struct Executor {
-    robots: Vec<Body>,
-    wakeups: BTreeSet<(Timestamp<HostTime>, usize)>,
-    wakeup_of: Vec<Option<Timestamp<HostTime>>>,
-    peers: HashMap<LinkId, (usize, Outbox)>,
-    clock: HostClock,
-    waits: PreciseWait,
-    told: Told,
-    /// How often the owner of each robot had changed when it was told last.
-    owner_changes: Vec<u64>,
-    out: Vec<Outgoing>,
-    due: Vec<usize>,
-}
-
-impl Executor {
-    fn new(robots: Vec<Body>, told: Told, waits: PreciseWait) -> Self {
-        Self {
-            wakeup_of: vec![None; robots.len()],
-            owner_changes: vec![0; robots.len()],
-            robots,
-            wakeups: BTreeSet::new(),
-            peers: HashMap::new(),
-            clock: HostClock::anchored(),
-            waits,
-            told,
-            out: Vec::new(),
-            due: Vec::new(),
-        }
-    }
-
-    fn run(mut self, inbox: &flume::Receiver<Order>) {
-        loop {
-            let deadline = self.wakeups.first().map(|(at, _)| self.clock.instant_of(*at));
-            match self.waits.wait(inbox, deadline) {
-                Woken::Deadline => self.advance_due(),
-                Woken::Message(Order::Stop { held }) => return self.shut_down(&held),
-                Woken::Closed => return self.shut_down(&[]),
-                Woken::Message(order) => self.obey(order),
-            }
-        }
-    }
-
-    fn obey(&mut self, order: Order) {
-        match order {
-            Order::Open { robot, link, outbox } => {
-                // Nothing is scheduled on an idle host, so it may follow the system's clock again.
-                if self.robots.len() <= 64 && self.robots.iter().all(Body::is_idle) {
-                    self.clock = HostClock::anchored();
-                }
-                self.peers.insert(link, (robot, outbox));
-                self.advance(robot);
-            }
-            Order::Input { robot, link, input, permit } => {
-                if matches!(input, Input::LinkDown) {
-                    self.peers.remove(&link);
-                }
-                let now = self.clock.now();
-                self.robots[robot].receive(now, link, input);
-                self.advance(robot);
-                drop(permit);
-            }
-            Order::Look { robot, permit } => {
-                self.robots[robot].look(self.clock.now());
-                self.advance(robot);
-                let _gone = permit.send(());
-            }
-            Order::Hardware { robot, news } => {
-                self.robots[robot].hear(self.clock.now(), news);
-                self.advance(robot);
-            }
-            Order::Stop { .. } => {}
-        }
-    }
-
-    /// Hardware goes to its default state; the drivers' threads end when they have seen to that, as their ends here are gone.
-    fn shut_down(mut self, held: &[usize]) {
-        for robot in 0..self.robots.len() {
-            let at_end = if held.contains(&robot) { AtEnd::Held } else { AtEnd::Default };
-            self.robots[robot].shut_down(self.clock.now(), at_end);
-            self.advance(robot);
-        }
-    }
-
-    /// First moves every robot that is due, then lets each speak: no robot's start waits for another's report.
-    fn advance_due(&mut self) {
-        let now = self.clock.now();
-        let mut due = std::mem::take(&mut self.due);
-        due.extend(self.wakeups.iter().take_while(|(at, _)| *at <= now).map(|(_, robot)| *robot));
-        for robot in &due {
-            let now = self.clock.now();
-            self.robots[*robot].advance_movements(now);
-            self.robots[*robot].post(&self.clock);
-        }
-        // Words wake other threads, here and in the scheduler. Another process may need this core to move its robots.
-        if due.iter().any(|robot| self.robots[*robot].has_log()) {
-            let next = self.wakeups.iter().find(|(at, _)| *at > now);
-            self.waits.let_others_move(next.map(|(at, _)| self.clock.instant_of(*at)));
-        }
-        for robot in due.drain(..) {
-            self.advance(robot);
-        }
-        // Back goes the empty vector, so that its memory serves again.
-        self.due = due;
-    }
-
-    fn advance(&mut self, robot: usize) {
-        let now = self.clock.now();
-        self.robots[robot].advance(now, &mut self.out);
-        self.robots[robot].post(&self.clock);
-        let log = self.robots[robot].take_log();
-        if let (Some(sink), false) = (&self.told.log, log.is_empty()) {
-            let _writer_gone = sink.send((robot, log));
-        }
-        let next = self.robots[robot].next_wakeup();
-        let known = std::mem::replace(&mut self.wakeup_of[robot], next);
-        known.map(|at| self.wakeups.remove(&(at, robot)));
-        next.map(|at| self.wakeups.insert((at, robot)));
-        self.tell_owner(robot);
-        self.send_out();
-    }
-
-    /// Before an answer that claims the robot leaves: what follows it may be treated as its owner's.
-    fn tell_owner(&mut self, robot: usize) {
-        let (changes, claimant) = self.robots[robot].machine().last_claimant();
-        if self.owner_changes[robot] != changes {
-            self.owner_changes[robot] = changes;
-            self.told.owners[robot].send_replace(claimant.cloned());
-        }
-    }
-
-    fn send_out(&mut self) {
-        for outgoing in self.out.drain(..) {
-            match outgoing {
-                Outgoing::Message { link, message } => {
-                    let Some((robot, outbox)) = self.peers.get(&link) else { continue };
-                    if is_busy(&message) {
-                        self.told.refusals.note(Reason::Busy, outbox.peer());
-                    }
-                    let is_owner = || self.robots[*robot].machine().is_owner(link);
-                    if !outbox.say(message, is_owner) {
-                        self.told.refusals.note(Reason::Unread, outbox.peer());
-                        self.peers.remove(&link);
-                    }
-                }
-                Outgoing::Close { link } => {
-                    if let Some((_, outbox)) = self.peers.remove(&link) {
-                        outbox.close();
-                    }
-                }
-            }
-        }
-    }
-}
-
-/// Whether a message refuses because the robot is busy.
-fn is_busy(message: &Message) -> bool {
-    let error = match message {
-        Message::ControlResponse(response) => &response.error,
-        Message::AvailabilityResponse(response) => &response.error,
-        Message::InquiryResponse(response) => &response.error,
-        _ => return false,
-    };
-    error.as_ref().is_some_and(|error| error.code == ErrorCode::Busy)
-}
-
-#[derive(Serialize)]
-struct LogLine<'a> {
-    robot: &'a RobotId,
-    #[serde(flatten)]
-    entry: &'a LogEntry,
-}
-
-/// Writes what was set, away from the precise thread. Whenever nothing waits to be written all is on its way to the
-/// file, so that a killed process loses little. Ends when the precise thread has ended, or where the file takes no more.
-fn write_log(file: File, ids: &[RobotId], entries: &std_mpsc::Receiver<LoggedBatch>) -> io::Result<()> {
-    let mut file = io::BufWriter::new(file);
-    while let Ok(first) = entries.recv() {
-        let mut batches = std::iter::once(first).chain(entries.try_iter());
-        batches.try_for_each(|(robot, batch)| write_batch(&mut file, &ids[robot], &batch))?;
-        file.flush()?;
-    }
-    Ok(())
-}
-
-fn write_batch(file: &mut impl Write, robot: &RobotId, batch: &[LogEntry]) -> io::Result<()> {
-    for entry in batch {
-        serde_json::to_writer(&mut *file, &LogLine { robot, entry })?;
-        file.write_all(b"\n")?;
-    }
-    Ok(())
 }
 
 #[cfg(test)]

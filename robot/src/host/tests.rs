@@ -4,11 +4,13 @@ use std::path::PathBuf;
 
 use urrcp::{
     AvailabilityRequest, Command, ControlRequest, ControlResponse, ControlType, DeviceId, ErrorCode,
-    InitializationBlock, Millis, RequestId, Script, Server, Setpoint, Status, Step,
+    InitializationBlock, Millis, RequestId, Script, Server, Setpoint, Status, Step, Timestamp,
 };
 
 use super::outbox::MESSAGES_MAX;
 use super::*;
+use crate::clock::HostClock;
+use crate::refusals::Reason;
 use crate::simulated::{Fault, Settings, SimulatedRobot};
 
 const ARM: &str = r#"{"id": "arm", "name": "arm", "available_control_types": {
