@@ -29,13 +29,10 @@ fn stage(play: &Play, robots: usize, further: &[(&str, u16)]) -> Stage {
 fn watched(stage: &Stage, args: &[&str]) -> (Ended, u64, Duration) {
     let began = Instant::now();
     let mut run = stage.start(args);
-    let status = format!("/proc/{}/status", run.process.0.id());
     let mut peak = 0;
     while run.process.0.try_wait().unwrap().is_none() {
-        let status = std::fs::read_to_string(&status).unwrap_or_default();
-        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
-        let kilobytes = line.and_then(|line| line.trim().split(' ').next()?.parse::<u64>().ok());
-        peak = peak.max(kilobytes.unwrap_or(0) / 1024);
+        // The last reading: before it becomes the program, the process is a copy of this one.
+        peak = Some(run.process.memory()).filter(|now| *now > 0).unwrap_or(peak);
         std::thread::sleep(Duration::from_millis(10));
     }
     (run.ended(), peak, began.elapsed())

@@ -3,6 +3,7 @@
 #![expect(clippy::disallowed_methods, reason = "real processes take real time")]
 
 mod agree;
+mod attacks;
 mod certificates;
 mod claims;
 mod commands;

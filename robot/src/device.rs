@@ -67,7 +67,7 @@ pub(crate) const START_LATE_MAX: Span = Span::from_millis(50);
 pub(crate) const TAKEN_BACK_AHEAD_MAX: Span = Span::from_millis(5_000);
 /// And what others send up to this long after its receipt: as much as clocks that are kept may differ. More would let a
 /// stop with a timestamp of the future close the device to everyone.
-pub(crate) const TAKEN_BACK_FROM_OTHERS_MAX: Span = Span::from_millis(250);
+const TAKEN_BACK_FROM_OTHERS_MAX: Span = Span::from_millis(250);
 /// A step that is done later than this after its deadline counts as late.
 const LATE: Span = Span::from_millis(1);
 
@@ -437,6 +437,12 @@ impl DeviceMachine {
         let before = self.taken_back_by.filter(|(by, _)| *by == party).map(|(_, until)| until);
         let own = before.into_iter().chain([at_most(TAKEN_BACK_AHEAD_MAX)]).max();
         self.taken_back_by = own.map(|until| (party, until));
+    }
+
+    /// A session claims the robot, which was free. What the session sends from now on, no stop that came before has taken back:
+    /// strangers may have stopped a free robot with timestamps of the future.
+    pub(crate) fn claimed(&mut self, now: Timestamp<Robot>) {
+        self.taken_back = self.taken_back.map(|until| until.min(now.assume_clock()));
     }
 
     /// Whether a stop that came ahead of it took this back.

@@ -123,8 +123,9 @@ pub fn play(drawn: Drawn) -> Played {
         let init = format!("robot-{robot}.yaml");
         stage.file(&init, drawn.init(robot));
         stage.robot_with(&init, Via::Proxy, args, keys);
-        if !drawn.tells[robot].answers_inquiries() {
-            stage.robots[robot].link.as_ref().unwrap().leave_out(&["inquiry"]);
+        let link = stage.robots[robot].link.as_ref().unwrap();
+        if !drawn.tells[robot].answers_inquiries() && link.reads() {
+            link.leave_out(&["inquiry"]);
         }
     }
     let began = Instant::now();

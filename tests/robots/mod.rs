@@ -29,6 +29,14 @@ impl Process {
         self::signal(&self.0, signal);
     }
 
+    /// The most memory that it has taken, in megabytes; 0 once it is gone.
+    pub fn memory(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.0.id())).unwrap_or_default();
+        let line = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
+        let kilobytes = line.and_then(|line| line.trim().split(' ').next()?.parse::<u64>().ok());
+        kilobytes.unwrap_or(0) / 1024
+    }
+
     /// Ends it as a power cut would.
     pub fn kill(&mut self) {
         self.0.kill().unwrap();
@@ -74,15 +82,50 @@ pub struct Robot {
     logs: Vec<PathBuf>,
 }
 
+/// With this in the environment, robots speak TLS alone, so that any trial can be made with it.
+const BY_TLS: &str = "DOWNBEAT_TLS";
+
 /// A folder with robots that run, the fleet file that names them, and scenarios.
 pub struct Stage {
     folder: TempDir,
     pub robots: Vec<Robot>,
+    by_tls: bool,
 }
 
 impl Stage {
     pub fn new() -> Self {
-        Self { folder: TempDir::new().unwrap(), robots: Vec::new() }
+        Self::by(std::env::var_os(BY_TLS).is_some())
+    }
+
+    /// One whose robots have keys, and hear only the operator of the fleet file.
+    pub fn with_keys() -> Self {
+        Self::by(true)
+    }
+
+    fn by(by_tls: bool) -> Self {
+        let stage = Self { folder: TempDir::new().unwrap(), robots: Vec::new(), by_tls };
+        if by_tls {
+            stage.keys(&["init"]);
+            stage.keys(&["operator", "anna", "--role", "observe,drive,stop"]);
+        }
+        stage
+    }
+
+    fn keys(&self, args: &[&str]) {
+        let made = self.command(&[&["keys"], args].concat()).output().unwrap();
+        assert!(made.status.success(), "{}", String::from_utf8_lossy(&made.stderr));
+    }
+
+    /// What a robot's process is told besides: its key, where it has one.
+    fn with_key(&self, id: &str, mut args: Vec<String>) -> Vec<String> {
+        let key = format!("keys/robots/{id}.pem");
+        if self.by_tls && !args.contains(&key) {
+            if !self.path(&key).exists() {
+                self.keys(&["robot", id]);
+            }
+            args.extend(["--identity".to_owned(), key]);
+        }
+        args
     }
 
     pub fn path(&self, name: &str) -> PathBuf {
@@ -103,8 +146,10 @@ impl Stage {
     pub fn robot_with(&mut self, init: &str, via: Via, args: Vec<String>, keys: &'static str) -> usize {
         let id = format!("r{}", self.robots.len());
         let log = self.path(&format!("{id}-0.jsonl"));
+        let args = self.with_key(&id, args);
         let (process, port) = start(self.folder.path(), init, &args, &id, 0, &log);
-        let link = (via == Via::Proxy).then(|| Proxy::to(port));
+        let proxy = if self.by_tls { Proxy::encrypted_to } else { Proxy::to };
+        let link = (via == Via::Proxy).then(|| proxy(port));
         let (init, logs) = (init.to_owned(), vec![log]);
         self.robots.push(Robot { id, link, process, init, args, keys, port, logs });
         self.write_fleet();
@@ -114,6 +159,7 @@ impl Stage {
     /// Starts a robot with an id of its own, which the fleet file does not name; returns its port.
     pub fn robot_called(&mut self, id: &str, init: &str, args: Vec<String>) -> u16 {
         let log = self.path(&format!("{id}-0.jsonl"));
+        let args = self.with_key(id, args);
         let (process, port) = start(self.folder.path(), init, &args, id, 0, &log);
         let (id, init, logs) = (id.to_owned(), init.to_owned(), vec![log]);
         self.robots.push(Robot { id, link: None, process, init, args, keys: "", port, logs });
@@ -121,14 +167,16 @@ impl Stage {
     }
 
     fn write_fleet(&self) {
+        let (scheme, identity) =
+            if self.by_tls { ("tls", "identity: keys/operators/anna.pem\n") } else { ("tcp", "") };
         let row = |robot: &Robot| {
             let port = robot.link.as_ref().map_or(robot.port, |link| link.port);
             let Robot { id, init, keys, .. } = robot;
-            format!("  {id}: {{init: {init}, address: \"tcp://127.0.0.1:{port}\"{keys}}}\n")
+            format!("  {id}: {{init: {init}, address: \"{scheme}://127.0.0.1:{port}\"{keys}}}\n")
         };
         let rows: String = self.robots.iter().map(row).collect();
         let ids: Vec<_> = self.robots.iter().map(|robot| robot.id.as_str()).collect();
-        self.file("fleet.yaml", format!("robots:\n{rows}groups:\n  all: [{}]\n", ids.join(", ")));
+        self.file("fleet.yaml", format!("{identity}robots:\n{rows}groups:\n  all: [{}]\n", ids.join(", ")));
     }
 
     /// Ends a robot's process and starts it again on the same port, remembering nothing.
@@ -146,6 +194,11 @@ impl Stage {
     /// The same, with other arguments of its process.
     pub fn replace_with(&mut self, index: usize, id: &str, args: Vec<String>) {
         self.robots[index].kill();
+        let mut args = args;
+        if self.robots[index].id != id {
+            args.truncate(args.iter().position(|arg| arg == "--identity").unwrap_or(args.len()));
+        }
+        let args = self.with_key(id, args);
         let robot = &self.robots[index];
         let log = self.path(&format!("{}-{}.jsonl", robot.id, robot.logs.len()));
         let (process, _) = start(self.folder.path(), &robot.init, &args, id, robot.port, &log);
@@ -195,6 +248,11 @@ impl Robot {
     /// Where it listens itself, past its proxy.
     pub const fn port(&self) -> u16 {
         self.port
+    }
+
+    /// The most memory that its process has taken, in megabytes.
+    pub fn memory(&self) -> u64 {
+        self.process.memory()
     }
 
     /// Ends it as a power cut would.

@@ -35,10 +35,18 @@ pub const SHORT: Play = Play { steps: 4, every_ms: 100, ..LONG };
 
 impl Play {
     pub fn stage(&self, vias: &[Via]) -> Stage {
+        self.set_up(Stage::new(), vias)
+    }
+
+    /// With robots that speak TLS alone.
+    pub fn stage_with_keys(&self, vias: &[Via]) -> Stage {
+        self.set_up(Stage::with_keys(), vias)
+    }
+
+    fn set_up(&self, mut stage: Stage, vias: &[Via]) -> Stage {
         let Self { steps, every_ms, script, queue, running, on_failure, tolerance } = self;
         let keyframe = |step: u32| format!("{{at: {}ms, to: {}}}", step * every_ms, step + 1);
         let track = (0..*steps).map(keyframe).collect::<Vec<_>>().join(", ");
-        let mut stage = Stage::new();
         stage.file("robot.yaml", super::one_device(*queue, 200, *script));
         stage.file(
             "play.yaml",

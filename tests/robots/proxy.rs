@@ -45,6 +45,8 @@ struct Link {
     delay: Duration,
     /// What becomes of each message that the robot says.
     rewrite: Option<fn(&mut Value)>,
+    /// Lines cannot be told apart, nor what is in them.
+    encrypted: bool,
 }
 
 struct Shared {
@@ -61,6 +63,15 @@ pub struct Proxy {
 
 impl Proxy {
     pub fn to(robot: u16) -> Self {
+        Self::carrying(robot, false)
+    }
+
+    /// A link of which only an attacker's view is to be had: nothing can be rewritten, and any bytes are lost in place of a line.
+    pub fn encrypted_to(robot: u16) -> Self {
+        Self::carrying(robot, true)
+    }
+
+    fn carrying(robot: u16, encrypted: bool) -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
         let port = listener.local_addr().unwrap().port();
         let link = Link {
@@ -74,6 +85,7 @@ impl Proxy {
             without: &[],
             delay: Duration::ZERO,
             rewrite: None,
+            encrypted,
         };
         let shared = Arc::new(Shared { link: Mutex::new(link), changed: Condvar::new() });
         let own = Arc::clone(&shared);
@@ -131,8 +143,14 @@ impl Proxy {
         self.shared.lock().lines_lost
     }
 
+    /// Whether it can change what is said.
+    pub fn reads(&self) -> bool {
+        !self.shared.lock().encrypted
+    }
+
     /// Takes these keys out of everything that the robot says, as if it knew only a part of the protocol.
     pub fn leave_out(&self, keys: &'static [&'static str]) {
+        assert!(self.reads(), "what is encrypted cannot be changed");
         self.shared.lock().without = keys;
     }
 
@@ -143,6 +161,7 @@ impl Proxy {
 
     /// Makes something else of everything that the robot says.
     pub fn rewrite(&self, rewrite: fn(&mut Value)) {
+        assert!(self.reads(), "what is encrypted cannot be changed");
         self.shared.lock().rewrite = Some(rewrite);
     }
 
@@ -280,7 +299,8 @@ impl Shared {
         let mut lines = BufReader::new(from);
         let mut line = Vec::new();
         let mut outlet = Outlet::new(to);
-        while lines.read_until(b'\n', &mut line).is_ok_and(|n| n > 0) {
+        let encrypted = self.lock().encrypted;
+        while next(&mut lines, encrypted, &mut line).is_ok_and(|n| n > 0) {
             let link = self.lock();
             let mut link = self.changed.wait_while(link, |link| link.holds_back(way)).unwrap();
             if matches!(link.flow, Flow::Interrupted | Flow::Cut | Flow::Ended) {
@@ -326,6 +346,17 @@ impl Shared {
     }
 }
 
+/// A line, or what comes at a time where lines cannot be told apart.
+fn next(from: &mut BufReader<TcpStream>, encrypted: bool, into: &mut Vec<u8>) -> std::io::Result<usize> {
+    if !encrypted {
+        return from.read_until(b'\n', into);
+    }
+    let bytes = from.fill_buf()?.to_vec();
+    from.consume(bytes.len());
+    into.extend_from_slice(&bytes);
+    Ok(bytes.len())
+}
+
 impl Link {
     fn holds_back(&self, way: Way) -> bool {
         match way {
@@ -351,7 +382,8 @@ impl Link {
             self.resets -= 1;
             return Pass::Break;
         }
-        match self.lose.take_if(|(text, _)| line.contains(text.as_str())) {
+        let encrypted = self.encrypted;
+        match self.lose.take_if(|(text, _)| encrypted || line.contains(text.as_str())) {
             Some((_, away)) => {
                 self.lines_lost += 1;
                 Pass::Lose(away)

@@ -4,13 +4,13 @@ use std::collections::HashSet;
 
 use urrcp::{
     Command, ContentHash, ControlRequest, ControlResponse, ControlType, ErrorCode, RequestId, Server,
-    SessionId, Status, StatusValue, Timestamp,
+    SessionId, Span, Status, StatusValue, Timestamp,
 };
 
 use super::judge::{Asked, Judge, is_refused};
 use super::model::{DeviceModel, Order, cancels_from, start_of};
 use super::{Violation, hold};
-use crate::device::{TAKEN_BACK_AHEAD_MAX, TAKEN_BACK_FROM_OTHERS_MAX};
+use crate::device::TAKEN_BACK_AHEAD_MAX;
 use crate::robot::Robot;
 
 type Now = Timestamp<urrcp::Robot>;
@@ -101,7 +101,8 @@ impl Judge {
                 let latest: Timestamp<Server> = (now + ahead).assume_clock();
                 request.timestamp.map(|sent| sent.min(latest))
             };
-            device.taken_back = device.taken_back.max(at_most(TAKEN_BACK_FROM_OTHERS_MAX));
+            // What lies ahead may be given back when a session claims the robot.
+            device.taken_back = device.taken_back.max(at_most(Span::ZERO));
             device.taken_back_at_most = device.taken_back_at_most.max(at_most(TAKEN_BACK_AHEAD_MAX));
         }
         // What has fallen already is gone from the queue: what is still there must not fall.

@@ -97,7 +97,12 @@ impl Robot {
             Owner::Another(busy) => return Err(busy),
             Owner::Asker => {}
             // Once over it stays so, whatever others hold from now on.
-            Owner::Nobody => self.parties.release(),
+            Owner::Nobody => {
+                self.parties.release();
+                if session.is_some() {
+                    self.devices.iter_mut().for_each(|device| device.claimed(now));
+                }
+            }
         }
         if let Some(session) = session {
             let claimant = self.parties.claimant(link, session);

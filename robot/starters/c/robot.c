@@ -1107,7 +1107,7 @@ static bool refused(const struct request *r, struct device *device, int body, in
 /* Renews leases and settles whose the robot is; false if it is another session's. */
 static bool hear(struct link *link, const struct text *session, bool claims)
 {
-    int64_t now = silence_ns();
+    int64_t now = silence_ns(), received = now_ns();
     bool busy = false, open = false, renews;
     struct device *device;
     int i;
@@ -1127,6 +1127,8 @@ static bool hear(struct link *link, const struct text *session, bool claims)
     if (session && claims && !owned) {
         owned = true;
         owner = *session;
+        for (device = devices; device < devices + device_count; device++) /* by stops of strangers that name the future */
+            device->taken_back = device->taken_back < received ? device->taken_back : received;
     }
     if (session) /* a message without one counts for the session that its connection named last */
         link->of_owner = owned && same(session, &owner);

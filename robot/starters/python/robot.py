@@ -226,7 +226,10 @@ class Robot:
         gone = now - self.owner_heard >= SILENCE or all(other.session != self.owner for other in self.links)
         if gone and not any(device.held or device.left_on for device in devices):
             self.owner = None
-        self.owner = self.owner or (session if claims else None)
+        if self.owner is None and session and claims:
+            self.owner = session
+            for device in devices:      # strangers may have stopped a free robot by a timestamp of the future
+                device.taken_back = min(device.taken_back, time.time_ns())
         link.heard, link.session = now, session or link.session
         if link.session == self.owner:
             self.owner_heard = now

@@ -334,12 +334,27 @@ fn a_stop_with_a_timestamp_of_the_future_does_not_close_a_device_to_the_next_ses
     let in_an_hour = Some(Timestamp::from_nanos(BEGIN + 3_600_000_000_000));
     let stop = ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()));
     bench.send_on(OTHER, Message::ControlRequest(ControlRequest { timestamp: in_an_hour, ..stop.clone() }));
-    bench.until(300);
-    let sent_now = |id: &str| ControlRequest {
-        timestamp: Some(Timestamp::from_nanos(BEGIN + 300_000_000)),
+    let sent_at = |id: &str, ms: i64| ControlRequest {
+        timestamp: Some(Timestamp::from_nanos(BEGIN + ms * 1_000_000)),
         ..timed("arm", id, 900.0, script(ControlType::Position, &PAPER))
     };
-    bench.send_on(LINK, of("show", sent_now("a")));
+    bench.send_on(LINK, Message::ControlRequest(sent_at("early", 240)));
+    assert_eq!(
+        bench.last_said(),
+        "1 Failed it was taken back by a stop that came ahead of it",
+        "clocks may differ by so much"
+    );
+    bench.send_on(LINK, Message::ControlRequest(sent_at("a", 260)));
+    assert_eq!(bench.last_said(), "1 Accepted ");
+    bench.send_on(OTHER, Message::ControlRequest(ControlRequest { timestamp: in_an_hour, ..stop.clone() }));
+    bench.until(10);
+    bench.send_on(LINK, of("show", sent_at("b", 0)));
+    assert_eq!(
+        bench.last_said(),
+        "1 Failed it was taken back by a stop that came ahead of it",
+        "it may have been sent before the stop"
+    );
+    bench.send_on(LINK, of("show", sent_at("c", 11)));
     assert_eq!(bench.last_said(), "1 Accepted ");
     // What the sender of the stop itself had sent by a clock that is ahead is still taken back.
     let mut bench = Bench::new();
