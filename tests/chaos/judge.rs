@@ -200,11 +200,11 @@ impl Judge<'_> {
         }
     }
 
-    /// A mission whose scheduler lives is not there to be resumed.
+    /// A mission whose scheduler lives is not there to be resumed. One that was killed lives until it is gone, which takes
+    /// some time on a busy machine.
     fn lives(&self, resume: &Told) -> bool {
-        let killed = self.faults(None).filter(|struck| matches!(struck.what, What::SchedulerKilled));
-        let killed = killed.map(|struck| struck.from).min().unwrap_or(i64::MAX);
-        resume.began < killed
+        let run = self.played.told.iter().find(|told| told.kind == Kind::Run);
+        run.is_none_or(|run| resume.began < run.gone)
     }
 
     /// All robots of an act start, or none does.
