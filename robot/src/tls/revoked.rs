@@ -7,6 +7,7 @@ use rustls::pki_types::CertificateRevocationListDer;
 use rustls::pki_types::pem::PemObject;
 
 use super::credentials::CredentialsError;
+use crate::key_file::KeyFileError;
 
 /// A list of revoked certificates (RFC 5280, section 5) in a file. Replace the file, and the next connection obeys it.
 #[derive(Clone, Debug)]
@@ -28,8 +29,8 @@ impl Revoked {
     /// The list as it is now.
     pub(super) fn read(&self) -> Result<CertificateRevocationListDer<'static>, CredentialsError> {
         let path = || self.path.clone();
-        let text = std::fs::read(&self.path)
-            .map_err(|error| CredentialsError::Unreadable { path: path(), error })?;
+        let text =
+            std::fs::read(&self.path).map_err(|error| KeyFileError::Unreadable { path: path(), error })?;
         CertificateRevocationListDer::from_pem_slice(&text).map_err(|_| CredentialsError::Incomplete {
             path: path(),
             what: "there is no list of revoked certificates in it".into(),

@@ -9,7 +9,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use anstyle::{AnsiColor, Style};
 use clap::ValueEnum;
 use downbeat_scripts::shown::shown;
-use downbeat_scripts::{Address, Attempt, Refusal, address_fault};
+use downbeat_scripts::{Address, Attempt, Protection, Refusal, address_fault};
 use serde_json::json;
 use urrcp::Span;
 
@@ -139,7 +139,7 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
 }
 
 fn resolve(text: &str) -> Result<SocketAddr, (String, Exit)> {
-    if matches!(text.parse(), Ok(Address::Tcp { tls: true, .. })) {
+    if matches!(text.parse(), Ok(Address::Tcp { protection: Protection::Tls | Protection::Hmac, .. })) {
         let message =
             "conformance speaks plain TCP: let the robot listen on this machine alone, tcp://127.0.0.1:PORT";
         return Err((message.to_owned(), Exit::Usage));
