@@ -22,6 +22,7 @@ mod findings;
 mod first_steps;
 mod flooding;
 mod help;
+mod hmac;
 mod hold;
 mod host;
 mod hostile;

@@ -113,7 +113,16 @@ pub struct Hmac {
 }
 
 impl Hmac {
-    /// The pass to begin with.
+    /// The same for one robot alone.
+    pub(crate) fn for_robot(&self, robot: RobotId) -> Self {
+        Self { passes: Arc::clone(&self.passes), robot: Some(robot) }
+    }
+
+    /// The pass to begin with, or why there is none.
+    pub(crate) fn pass(&self) -> io::Result<&Held> {
+        self.first().map_err(io::Error::other)
+    }
+
     fn first(&self) -> Result<&Held, Denied> {
         let none = |of: String| {
             Denied(format!(
@@ -129,7 +138,7 @@ impl Hmac {
     /// Connects. A robot that refuses the pass of another names itself; if any robot is meant, it is asked again with its own.
     async fn connect(&self, stream: TcpStream) -> io::Result<Sealed<TcpStream>> {
         let address = stream.peer_addr()?;
-        let held = self.first().map_err(io::Error::other)?;
+        let held = self.pass()?;
         let error = match sealed::connect(stream, held).await {
             Err(error) if self.robot.is_none() => error,
             connected => return connected,
@@ -151,6 +160,13 @@ pub struct Tls {
     config: Arc<ClientConfig>,
     /// Whom its certificate has to name; `None`: any robot of the authority.
     robot: Option<RobotId>,
+}
+
+impl Tls {
+    /// How this side proves who it is.
+    pub(crate) const fn config(&self) -> &Arc<ClientConfig> {
+        &self.config
+    }
 }
 
 /// Connects to a robot, makes sure that it is this one, and says whose certificate it has shown.
