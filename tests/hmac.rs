@@ -1,6 +1,8 @@
 //! Robots that share a secret with their authority, as processes: ours, and the one to copy in C. Every attempt of others moves
 //! nothing.
 
+mod sloppy;
+
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
@@ -20,6 +22,7 @@ fn a_mission_by_hmac_is_played_and_every_attempt_of_others_is_refused() {
     let moved = site.moved();
     assert!(moved > 0);
     site.session.run(&["fleet", "ping"]).says(0, &["r2"]);
+    conforms(&site, "repeated-connection");
     let passes = |operator: &str| site.session.path(&format!("keys/operators/{operator}.passes"));
 
     // Without the role.
@@ -83,6 +86,22 @@ fn a_mission_by_hmac_is_played_and_every_attempt_of_others_is_refused() {
     fleet("anna");
     site.run().says(0, &["test: done"]);
     assert_eq!(site.moved(), 2 * moved);
+}
+
+/// The conformance test at one of the robots.
+fn conforms(site: &Site, requirement: &str) {
+    let only = format!("no-plain,proven-in-time,altered,repeated,reordered,roles,session,{requirement}");
+    let address = &site.addresses("hmac")[0];
+    let mut command = site.session.command(&[
+        "conformance",
+        address,
+        "--observer",
+        "keys/operators/bert.pem",
+        "--only",
+        &only,
+    ]);
+    let ran = Ran(command.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").output().unwrap());
+    ran.says(0, &["8 pass, 0 fail"]);
 }
 
 #[test]
@@ -193,6 +212,10 @@ fn the_robot_to_copy_in_c_hears_its_operators_and_no_others() {
     fleet(&address.replace("hmac", "tcp"));
     by("anna", &["run", "short.yaml", "--patience", "2s"]).says(1, &["arm-2"]);
     fleet(&address);
+
+    let conformance = ["conformance", &address, "--observer", "keys/operators/bert.pem", "--only"];
+    let requirements = "no-plain,altered,repeated,reordered,wrong-secret,expired-claim,other-robot,forged-roles,repeated-connection,roles";
+    by("anna", &[&conformance[..], &[requirements]].concat()).says(0, &["10 pass, 0 fail"]);
 
     // Who may stop stops the mission of another, and is named.
     let mut playing = session.command(&["run", "long.yaml"]);

@@ -30,8 +30,8 @@ pub enum Deed {
 struct Told {
     deed: Option<Deed>,
     done: usize,
-    /// All that was said to the robot on the first connection.
-    said: Option<Vec<u8>>,
+    /// The most that was said to the robot on one connection.
+    said: Vec<u8>,
 }
 
 /// Carries connections to one robot.
@@ -66,7 +66,11 @@ impl Meddler {
                 let told = Arc::clone(&told);
                 std::thread::spawn(move || {
                     let said = carry(near, &far, wire, number, &told);
-                    told.lock().unwrap().said.get_or_insert(said);
+                    let mut told = told.lock().unwrap();
+                    if said.len() > told.said.len() {
+                        told.said = said;
+                    }
+                    drop(told);
                     let _gone = far.shutdown(Shutdown::Both);
                 });
             }
@@ -84,9 +88,9 @@ impl Meddler {
         self.told.lock().unwrap().done
     }
 
-    /// Says to the robot all that was said to it on the first connection; returns what it says once it has been greeted.
+    /// Says to the robot all that was said to it on an earlier connection; returns what it says once it has been greeted.
     pub fn said_again(&self) -> Vec<u8> {
-        let said = self.told.lock().unwrap().said.clone().unwrap();
+        let said = self.told.lock().unwrap().said.clone();
         assert!(said.len() > LONG);
         let mut stream = TcpStream::connect(("127.0.0.1", self.robot)).unwrap();
         stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
