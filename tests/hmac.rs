@@ -1,7 +1,7 @@
 //! Robots that share a secret with their authority, as processes: ours, and the one to copy in C. Every attempt of others moves
 //! nothing.
 
-mod sloppy;
+pub mod sloppy;
 
 use std::path::PathBuf;
 use std::process::{Command, Stdio};

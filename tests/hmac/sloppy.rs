@@ -1,5 +1,6 @@
 //! A door of a robot with a shared secret that is right but for one fault, and what the conformance test says of it.
 
+use std::collections::HashSet;
 use std::io::{Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
 use std::sync::Arc;
@@ -38,6 +39,8 @@ enum Fault {
     OnePass,
     /// Its number is the same each time.
     OneNumber,
+    /// Roles are not handed on to the robot.
+    NoRoles,
 }
 
 /// A connection of the door, with what it needs to know.
@@ -173,6 +176,20 @@ fn plain_robot() -> SocketAddr {
     told.recv().unwrap()
 }
 
+/// The requirements that a door alone can fail.
+pub const OF_PROOFS: [&str; 10] = [
+    "no-plain",
+    "proven-in-time",
+    "altered",
+    "repeated",
+    "reordered",
+    "wrong-secret",
+    "expired-claim",
+    "other-robot",
+    "forged-roles",
+    "repeated-connection",
+];
+
 /// The requirements that a door with this fault fails.
 fn fails(session: &Session, fault: Fault) -> Vec<&'static str> {
     let secret = Secret::read(&session.path("keys/secrets/arm.secret")).unwrap();
@@ -182,7 +199,12 @@ fn fails(session: &Session, fault: Fault) -> Vec<&'static str> {
     let mut options = Options::default();
     options.security = site.with(Protection::Hmac, None);
     options.patience = Span::from_millis(1_000);
-    let ours = requirements().filter(|requirement| requirement.section.starts_with("Proving"));
+    if fault == Fault::NoRoles {
+        let observer = Site::of_files(Some(&session.path("keys/operators/bert.pem")), None).unwrap();
+        options.observer = Some(observer.with(Protection::Hmac, None));
+    }
+    let about_proofs = |name: &str| OF_PROOFS.contains(&name) || (name == "roles" && fault == Fault::NoRoles);
+    let ours = requirements().filter(|requirement| about_proofs(requirement.name));
     // It takes seconds.
     let ours = ours.filter(|r| r.name != "proven-in-time" || matches!(fault, Fault::None | Fault::Patient));
     options.only = ours.map(|requirement| requirement.name.to_owned()).collect();
@@ -198,7 +220,8 @@ fn each_fault_of_a_door_fails_what_it_breaks_and_nothing_else() {
     session.run(&["keys", "init"]).says(0, &[]);
     session.run(&["keys", "operator", "anna", "--role", "observe,drive"]).says(0, &[]);
     session.run(&["keys", "secret", "arm"]).says(0, &[]);
-    let expected: [(Fault, &[&str]); 9] = [
+    session.run(&["keys", "operator", "bert", "--role", "observe"]).says(0, &[]);
+    let expected: [(Fault, &[&str]); 10] = [
         (Fault::None, &[]),
         (Fault::Plain, &["no-plain"]),
         (Fault::Patient, &["proven-in-time"]),
@@ -208,7 +231,10 @@ fn each_fault_of_a_door_fails_what_it_breaks_and_nothing_else() {
         (Fault::AnyRobot, &["other-robot"]),
         (Fault::OnePass, &["forged-roles"]),
         (Fault::OneNumber, &["repeated-connection"]),
+        (Fault::NoRoles, &["roles"]),
     ];
+    let failed: HashSet<&str> = expected.iter().flat_map(|(_, fails)| fails.iter().copied()).collect();
+    assert!(OF_PROOFS.iter().all(|requirement| failed.contains(requirement)));
     std::thread::scope(|scope| {
         let session = &session;
         let tried =
