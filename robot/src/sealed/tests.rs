@@ -1,12 +1,13 @@
 //! Both ends of a connection in one process, and what lies between them.
 
+use proptest::prelude::*;
 use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
 
 use super::*;
 use crate::role::{Role, Roles};
 use crate::sealed::handshake::NotSealed;
 use crate::sealed::passes::Held;
-use crate::sealed::{Claim, connect};
+use crate::sealed::{Claim, Keys, connect};
 
 const LATER: i64 = 4_000_000_000;
 
@@ -178,4 +179,39 @@ fn what_speaks_something_else_is_not_waited_for() {
         near.read_to_string(&mut said).await.unwrap();
         assert_eq!(said, "URRCP-HMAC 1 refused claim\n");
     });
+}
+
+proptest! {
+    #[test]
+    fn a_first_line_is_read_as_it_was_written_whatever_the_names_are(
+        nonce in any::<[u8; 16]>(),
+        robot in "\\PC{1,40}",
+        name in "[^\\x00]{1,40}",
+        roles in proptest::sample::subsequence(Role::ALL.to_vec(), 0..=4),
+        expires in any::<i64>(),
+        serial in "[0-9a-f:]{1,60}",
+    ) {
+        let claim = Claim { name, roles: roles.into_iter().collect(), expires, serial };
+        let hello = Hello { nonce, robot: robot.parse().unwrap(), claim };
+        let line = hello.line();
+        prop_assert_eq!(line.matches('\n').count(), 1);
+        prop_assert_eq!(Hello::read(&line), Ok(hello));
+    }
+
+    #[test]
+    fn what_no_peer_has_sealed_is_never_heard(raw in proptest::collection::vec(any::<u8>(), 0..200), begin in 0_u8..40) {
+        let secret = Secret::of_bytes([1; 32]);
+        let (_, mut opening) = Keys::of(&secret.pass(&claim(&[])), "hello\n", "answer\n").of_robot();
+        opening.push(&[0, 0, 0, begin]);
+        opening.push(&raw);
+        let mut opened = Vec::new();
+        prop_assert_ne!(opening.open(&mut opened), Ok(true));
+        prop_assert!(opened.is_empty());
+    }
+
+    #[test]
+    fn any_line_is_judged_without_a_panic(line in "\\PC{0,200}", begun in any::<bool>()) {
+        let line = if begun { format!("URRCP-HMAC 1 {line}\n") } else { line };
+        let _judged = Hello::read(&line);
+    }
 }
