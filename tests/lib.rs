@@ -23,6 +23,7 @@ mod findings;
 mod first_steps;
 mod flooding;
 mod help;
+mod hmac;
 mod hold;
 mod host;
 mod hostile;

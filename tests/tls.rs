@@ -5,6 +5,7 @@ use std::process::{Child, Command, Stdio};
 
 use rustix::process::Signal;
 
+use crate::robots::meddler::{Deed, Meddler, Wire};
 use crate::robots::{Process, free_port};
 use crate::session::{ARM, PROGRAM, Ran, Session, root};
 
@@ -12,29 +13,40 @@ const SCENARIO: &str = "scenario: test
 cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 300ms, to: 10}]}}]
 ";
 
+/// What the conformance test asks of robots that ask who one is.
+const REQUIREMENTS: &str = "no-plain,proven-in-time,altered,repeated,reordered,roles";
+
 /// Three robots with keys, and operators.
-struct Site {
-    session: Session,
-    ports: Vec<u16>,
+pub struct Site {
+    pub session: Session,
+    /// `tls` or `hmac`.
+    scheme: &'static str,
+    pub ports: Vec<u16>,
     robots: Vec<Process>,
 }
 
 impl Site {
     fn new() -> Self {
+        Self::with("tls")
+    }
+
+    pub fn with(scheme: &'static str) -> Self {
         let session = Session::new();
         session.file("arm.yaml", ARM).file("test.yaml", SCENARIO);
         session.run(&["keys", "init"]).says(0, &["keys/authority.key"]);
-        session.run(&["keys", "robot", "r0", "r1", "r2"]).says(0, &["robots/r2.pem", "365 days"]);
+        let (make, says) =
+            if scheme == "tls" { ("robot", "365 days") } else { ("secret", "secrets/r1.secret") };
+        session.run(&["keys", make, "r0", "r1", "r2"]).says(0, &["r2", says]);
         for (name, roles) in
             [("anna", "observe,drive"), ("bert", "observe"), ("cleo", "observe,drive"), ("dora", "stop")]
         {
             session.run(&["keys", "operator", name, "--role", roles]).says(0, &[name]);
         }
-        let mut site = Self { session, ports: Vec::new(), robots: Vec::new() };
+        let mut site = Self { session, scheme, ports: Vec::new(), robots: Vec::new() };
         for id in 0..3 {
             site.start(id);
         }
-        site.fleet(&site.addresses("tls"), "anna");
+        site.fleet(&site.addresses(scheme), "anna");
         site
     }
 
@@ -43,19 +55,25 @@ impl Site {
         let mut command = Command::new(PROGRAM);
         let listen = format!("127.0.0.1:{port}");
         command.args(["robot", "--init", "arm.yaml", "--id", &format!("r{id}"), "--listen", &listen]);
-        command.args(["--identity", &format!("keys/robots/r{id}.pem"), "--revoked", "keys/revoked.pem"]);
-        command.args(["--log-file", &format!("r{id}.jsonl")]).current_dir(self.session.path(""));
+        match self.scheme {
+            "tls" => command.args(["--identity", &format!("keys/robots/r{id}.pem")]),
+            _ => command.args(["--secret", &format!("keys/secrets/r{id}.secret")]),
+        };
+        let list = if self.scheme == "tls" { "keys/revoked.pem" } else { "keys/revoked.serials" };
+        command.args(["--revoked", list, "--log-file", &format!("r{id}.jsonl"), "--log", "warn"]);
+        command.current_dir(self.session.path(""));
+        command.stderr(std::fs::File::create(self.session.path(&format!("r{id}.err"))).unwrap());
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         listens(&mut child);
         self.ports.push(port);
         self.robots.push(Process(child));
     }
 
-    fn addresses(&self, scheme: &str) -> Vec<String> {
+    pub fn addresses(&self, scheme: &str) -> Vec<String> {
         self.ports.iter().map(|port| format!("{scheme}://127.0.0.1:{port}")).collect()
     }
 
-    fn fleet(&self, addresses: &[String], operator: &str) {
+    pub fn fleet(&self, addresses: &[String], operator: &str) {
         let robot = |(id, address)| format!("  r{id}: {{init: arm.yaml, address: '{address}'}}\n");
         let robots: String = addresses.iter().enumerate().map(robot).collect();
         let head = format!("identity: keys/operators/{operator}.pem\nrevoked: keys/revoked.pem\n");
@@ -63,20 +81,25 @@ impl Site {
         self.session.file("fleet.yaml", fleet);
     }
 
-    fn run(&self) -> Ran {
+    pub fn run(&self) -> Ran {
         self.session.run(&["run", "test.yaml", "--patience", "3s"])
     }
 
-    /// How often the robots have set anything.
-    fn moved(&self) -> usize {
-        let lines =
-            |id| std::fs::read_to_string(self.session.path(&format!("r{id}.jsonl"))).unwrap().lines().count();
-        (0..3).map(lines).sum()
+    /// What a robot has logged.
+    pub fn logged(&self, id: usize) -> String {
+        std::fs::read_to_string(self.session.path(&format!("r{id}.err"))).unwrap()
+    }
+
+    /// How often the robots have set anything but their default state.
+    pub fn moved(&self) -> usize {
+        let text = |id| std::fs::read_to_string(self.session.path(&format!("r{id}.jsonl"))).unwrap();
+        let moved = |id| text(id).lines().filter(|line| !line.contains("\"default\"")).count();
+        (0..3).map(moved).sum()
     }
 
     /// Runs the mission, which has to be refused with these words while nothing moves.
     #[track_caller]
-    fn refused(&self, words: &[&str]) {
+    pub fn refused(&self, words: &[&str]) {
         let before = self.moved();
         self.run().says(1, words);
         assert_eq!(self.moved(), before);
@@ -84,7 +107,7 @@ impl Site {
 }
 
 /// Waits until a robot says where it listens.
-fn listens(child: &mut Child) -> String {
+pub fn listens(child: &mut Child) -> String {
     use std::io::{BufRead, BufReader};
     let mut line = String::new();
     BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();
@@ -99,6 +122,12 @@ fn a_mission_by_tls_is_played_and_every_attempt_of_others_is_refused() {
     let moved = site.moved();
     assert!(moved > 0);
     site.session.run(&["fleet", "ping"]).says(0, &["r2"]);
+    let address = &site.addresses("tls")[0];
+    let conformance =
+        ["conformance", address, "--observer", "keys/operators/bert.pem", "--only", REQUIREMENTS];
+    let mut command = site.session.command(&conformance);
+    let ran = Ran(command.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").output().unwrap());
+    ran.says(0, &["6 pass, 0 fail"]);
 
     // Without the role.
     site.fleet(&site.addresses("tls"), "bert");
@@ -142,6 +171,7 @@ fn a_mission_by_tls_is_played_and_every_attempt_of_others_is_refused() {
     site.fleet(&site.addresses("tls"), "cleo");
     site.refused(&["revoked"]);
     assert_eq!(site.moved(), moved);
+    assert!(site.logged(0).contains("a peer that does not prove who it is is hung up on"));
     site.fleet(&site.addresses("tls"), "anna");
     site.run().says(0, &["test: done"]);
     assert_eq!(site.moved(), 2 * moved);
@@ -174,8 +204,10 @@ fn a_fleet_with_open_robots_elsewhere_says_so_or_is_refused() {
     session.run(&["check", "s.yaml"]).says(1, &["DB0058", "fleet.yaml:2:", "insecure: true"]);
     session.file("fleet.yaml", format!("insecure: true\n{fleet}"));
     session.run(&["check", "s.yaml"]).says(0, &[]);
-    session.file("fleet.yaml", fleet.replace("tcp:", "tls:"));
-    session.run(&["check", "s.yaml"]).says(0, &[]);
+    for protected in ["tls:", "hmac:"] {
+        session.file("fleet.yaml", fleet.replace("tcp:", protected));
+        session.run(&["check", "s.yaml"]).says(0, &[]);
+    }
 }
 
 #[test]
@@ -293,6 +325,9 @@ fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
     by("anna", &["run", "short.yaml"]).says(0, &["test: done"]);
     by("bert", &["run", "short.yaml"]).says(1, &["operator bert may observe, and this takes drive"]);
     by("bert", &["fleet", "ping"]).says(0, &["arm-1"]);
+    let conformance =
+        ["conformance", &address, "--observer", "keys/operators/bert.pem", "--only", REQUIREMENTS];
+    by("anna", &conformance).says(0, &["6 pass, 0 fail"]);
     session.run(&["run", "short.yaml"]).says(1, &["name your identity file"]);
     let mut playing = session.command(&["run", "long.yaml"]);
     playing.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -307,4 +342,56 @@ fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
     std::io::Read::read_to_string(playing.stdout.as_mut().unwrap(), &mut report).unwrap();
     assert!(report.contains("stopped by operator dora"), "{report}");
     assert!(!playing.wait().unwrap().success());
+}
+
+#[test]
+fn what_is_altered_repeated_or_reordered_on_the_way_ends_the_connection_and_moves_nothing() {
+    let site = Site::new();
+    site.session.file("test.yaml", LONG_SCRIPT);
+    // The first long record is that of the operator's certificate, the second that of the script.
+    on_the_way(&site, Wire::Tls, 2);
+}
+
+/// A scenario whose scripts are the only long messages to a robot.
+pub const LONG_SCRIPT: &str = "scenario: test
+cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 100ms, to: 10}, {at: 200ms, to: 20}, {at: 300ms, to: 30},
+{at: 400ms, to: 40}, {at: 500ms, to: 50}, {at: 600ms, to: 10}]}}]
+";
+
+/// Missions whose way to one robot is meddled with.
+pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
+    let meddler = Meddler::to(site.ports[1], wire, long_record);
+    let mut addresses = site.addresses(site.scheme);
+    addresses[1] = format!("{}://127.0.0.1:{}", site.scheme, meddler.port);
+    site.fleet(&addresses, "anna");
+    let before = site.moved();
+    site.run().says(0, &["test: done"]);
+    let once = site.moved() - before;
+    for deed in [Deed::Alter, Deed::Reorder, Deed::Repeat] {
+        // Robots log each reason once a second.
+        std::thread::sleep(std::time::Duration::from_millis(1_100));
+        let (logged, before) = (site.logged(1).len(), site.moved());
+        meddler.does(deed);
+        if deed == Deed::Repeat {
+            // The first of both is what the operator has said: the mission may go on by another connection.
+            let played = usize::from(site.run().code() == 0);
+            assert_eq!(site.moved(), before + played * once);
+        } else {
+            site.refused(&["r1"]);
+        }
+        assert!(meddler.done() > 0, "{deed:?}");
+        let logged = site.logged(1).split_off(logged);
+        assert!(logged.contains("altered, repeated or put in another order"), "{deed:?}: {logged}");
+    }
+    // What was said on an earlier connection, said again.
+    let before = site.moved();
+    assert!(meddler.said_again().is_empty() || site.scheme == "tls");
+    let begun = std::time::Instant::now();
+    while !site.logged(1).contains("does not prove who it is") {
+        assert!(begun.elapsed().as_secs() < 10, "{}", site.logged(1));
+        std::thread::sleep(std::time::Duration::from_millis(20));
+    }
+    assert_eq!(site.moved(), before);
+    meddler.does(Deed::Pass);
+    site.run().says(0, &["test: done"]);
 }

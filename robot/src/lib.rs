@@ -63,11 +63,12 @@
 //! |---|---|
 //! | `host`, on by default | [`run()`], [`Host`], [`serve()`], [`driver`], [`realtime`]: Linux only, with tokio |
 //! | `thrift` | a driver for robots that speak the early Thrift form of the protocol |
+//! | `sealed` | [`sealed`]: a secret shared with the robot, and a code for each message, for microcontrollers |
 //! | `tls` | [`tls`]: TLS 1.3, with certificates on both sides |
 //!
 //! With `default-features = false` the machine and [`simulated`] remain.
 #![cfg_attr(
-    not(all(feature = "host", feature = "tls")),
+    not(all(feature = "host", feature = "sealed", feature = "tls")),
     allow(rustdoc::broken_intra_doc_links, reason = "links to what features add")
 )]
 
@@ -84,6 +85,8 @@ mod held;
 mod host;
 #[cfg(any(test, feature = "invariants"))]
 pub mod invariants;
+#[cfg(any(feature = "sealed", feature = "tls"))]
+mod key_file;
 mod lease;
 mod outgoing;
 mod parties;
@@ -101,6 +104,8 @@ mod role;
 mod run;
 #[cfg(feature = "host")]
 mod scheduling;
+#[cfg(feature = "sealed")]
+pub mod sealed;
 #[cfg(feature = "host")]
 mod serve;
 pub mod set_log;
@@ -115,6 +120,8 @@ pub use device::Motion;
 pub use hardware::{AtEnd, ReadingId};
 #[cfg(feature = "host")]
 pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotAtRest, RobotLink};
+#[cfg(any(feature = "sealed", feature = "tls"))]
+pub use key_file::KeyFileError;
 pub use peer::Peer;
 #[cfg(feature = "host")]
 pub use refusals::{Reason, Refusals};
@@ -124,8 +131,8 @@ pub use role::{Proof, Role, Roles};
 pub use run::{RunError, run};
 #[cfg(feature = "host")]
 pub use serve::serve;
-#[cfg(feature = "tls")]
-pub use serve::serve_guarded;
+#[cfg(feature = "host")]
+pub use serve::{Door, serve_behind};
 /// The types of the protocol, in the version that this crate uses.
 pub use urrcp;
 

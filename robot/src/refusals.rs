@@ -48,8 +48,10 @@ reasons! {
     Paused = "a peer that sends too much is read more slowly",
     /// Refused: a line longer than a peer may send that does not have the session of the robot.
     LongLine = "a long line of a peer without the session of the robot is skipped",
-    /// Hung up on: it has not proven by TLS who it is.
+    /// Hung up on: it has not proven, by TLS or a pass, who it is.
     NotProven = "a peer that does not prove who it is is hung up on",
+    /// Hung up on: bytes came that the peer did not send, or not in this order.
+    Altered = "a connection with something altered, repeated or put in another order is closed",
     /// Refused: the robot belongs to another session, or holds as much as it can.
     Busy = "a peer is refused because the robot is busy",
 }

@@ -10,6 +10,8 @@ use std::net::SocketAddr;
 use std::sync::Arc;
 use std::time::Duration;
 
+#[cfg(any(feature = "sealed", feature = "tls"))]
+use tokio::io::{AsyncRead, AsyncWrite};
 use tokio::net::{TcpListener, TcpStream};
 
 pub(crate) use self::budget::Strangers;
@@ -18,10 +20,14 @@ use self::described::Described;
 use self::places::{Places, Ticket};
 use crate::host::HostHandle;
 use crate::peer::Peer;
-#[cfg(feature = "tls")]
+#[cfg(any(feature = "sealed", feature = "tls"))]
 use crate::refusals::Reason;
+#[cfg(any(feature = "sealed", feature = "tls"))]
+use crate::role::Proof;
+#[cfg(feature = "sealed")]
+use crate::sealed;
 #[cfg(feature = "tls")]
-use crate::tls::Guard;
+use crate::tls;
 
 /// How often a new connection asks for room again, where all others are as new.
 const ROOM_RETRY: Duration = Duration::from_millis(5);
@@ -36,28 +42,32 @@ pub async fn serve(listener: TcpListener, host: HostHandle, robot: usize) -> io:
     serve_with(listener, host, robot, Patience::default(), Door::Open).await
 }
 
-/// The same for operators who prove by TLS who they are, and for nobody else.
+/// The same for those alone whom the door lets in.
 ///
 /// # Errors
 /// As [`serve()`].
-#[cfg(feature = "tls")]
-pub async fn serve_guarded(
+pub async fn serve_behind(
     listener: TcpListener,
     host: HostHandle,
     robot: usize,
-    guard: Arc<Guard>,
+    door: Door,
 ) -> io::Result<()> {
-    serve_with(listener, host, robot, Patience::default(), Door::Guarded(guard)).await
+    serve_with(listener, host, robot, Patience::default(), door).await
 }
 
 /// Who may come in.
-#[derive(Clone)]
-enum Door {
+#[derive(Clone, Debug, Default)]
+#[non_exhaustive]
+pub enum Door {
     /// Anyone.
+    #[default]
     Open,
-    /// Operators of the authority.
+    /// Operators with a certificate of the robot's authority.
     #[cfg(feature = "tls")]
-    Guarded(Arc<Guard>),
+    Tls(Arc<tls::Guard>),
+    /// Operators with a pass that follows from the robot's secret.
+    #[cfg(feature = "sealed")]
+    Sealed(Arc<sealed::Guard>),
 }
 
 async fn serve_with(
@@ -110,24 +120,57 @@ async fn admit(
             carry(stream.into_split(), peer, link, ticket, shared).await
         }
         #[cfg(feature = "tls")]
-        Door::Guarded(guard) => {
-            let proving = tokio::time::timeout(shared.patience.first_message, guard.accept(stream));
-            let proven = tokio::select! {
-                proven = proving => proven.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into())),
-                () = ticket.hung_up() => return Ok(()),
-            };
-            let (stream, proof) = match proven {
-                Ok(proven) => proven,
-                Err(error) => {
-                    shared.host.refusals().note(Reason::NotProven, &peer);
-                    return Err(error);
-                }
-            };
-            let peer = peer.with_proof(proof);
-            let Some(link) = shared.host.connect_as(robot, peer.clone()) else { return Ok(()) };
-            carry(tokio::io::split(stream), peer, link, ticket, shared).await
-        }
+        Door::Tls(guard) => carry_proven(guard.accept(stream), peer, robot, ticket, shared).await,
+        #[cfg(feature = "sealed")]
+        Door::Sealed(guard) => carry_proven(guard.accept(stream), peer, robot, ticket, shared).await,
     }
+}
+
+#[cfg(any(feature = "sealed", feature = "tls"))]
+async fn carry_proven<S>(
+    proving: impl Future<Output = io::Result<(S, Proof)>>,
+    peer: Peer,
+    robot: usize,
+    ticket: Ticket,
+    shared: Shared,
+) -> io::Result<()>
+where
+    S: AsyncRead + AsyncWrite,
+{
+    let proven = tokio::select! {
+        proven = tokio::time::timeout(shared.patience.first_message, proving) => {
+            proven.unwrap_or_else(|_| Err(io::ErrorKind::TimedOut.into()))
+        }
+        () = ticket.hung_up() => return Ok(()),
+    };
+    let host = shared.host.clone();
+    let refusals = host.refusals();
+    let (stream, proof) = proven.inspect_err(|_| {
+        refusals.note(Reason::NotProven, &peer);
+    })?;
+    let peer = peer.with_proof(proof);
+    let Some(link) = shared.host.connect_as(robot, peer.clone()) else { return Ok(()) };
+    let carried = carry(tokio::io::split(stream), peer.clone(), link, ticket, shared).await;
+    carried.inspect_err(|error| {
+        if is_altered(error) {
+            refusals.note(Reason::Altered, &peer);
+        }
+    })
+}
+
+/// Whether a connection ended because something came that its peer has not sent so.
+#[cfg(any(feature = "sealed", feature = "tls"))]
+fn is_altered(error: &io::Error) -> bool {
+    let Some(inner) = error.get_ref() else { return false };
+    #[cfg(feature = "sealed")]
+    if inner.is::<sealed::BadRecord>() {
+        return true;
+    }
+    #[cfg(feature = "tls")]
+    if let Some(error) = inner.downcast_ref::<rustls::Error>() {
+        return !matches!(error, rustls::Error::AlertReceived(_));
+    }
+    false
 }
 
 /// The next connection. One that breaks before it is accepted, or a system short of file descriptors, is no reason to

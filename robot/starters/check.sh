@@ -1,5 +1,6 @@
 #!/usr/bin/env bash
 # check.sh 'PROGRAM ARGUMENTS' [OPTIONS]: starts a robot on a free port and runs `downbeat conformance OPTIONS` against it.
+# SCHEME=tls or hmac speaks so, as DOWNBEAT_IDENTITY.
 # The program takes --listen HOST:PORT and says `listening on HOST:PORT`, or `listens on`. DOWNBEAT names another downbeat than the built one.
 set -euo pipefail
 downbeat=${DOWNBEAT:-$(cd "$(dirname "$0")/../.." && pwd)/target/release/downbeat}
@@ -20,7 +21,7 @@ if [ -z "$address" ]; then
   exit 1
 fi
 
-timeout 300 "$downbeat" conformance "tcp://$address" "${@:2}"
+timeout 300 "$downbeat" conformance "${SCHEME:-tcp}://$address" "${@:2}"
 if ! kill -0 "$robot" 2>/dev/null; then
   echo "$1 ended meanwhile" >&2
   exit 1

@@ -6,7 +6,7 @@ use downbeat_robot::{Host, HostError, HostOptions, Hosted};
 use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, Wait};
 use urrcp::{DeviceId, Encoding, RobotId, Setpoint, Span};
 
-use crate::link::{Endpoint, LinkEncoding, Security, Site};
+use crate::link::{Endpoint, LinkEncoding, Site};
 use crate::mission::{Greeting, Participant};
 
 /// A robot cannot be simulated.
@@ -209,7 +209,7 @@ fn hosted(robot: &FleetRobot, seed: u64, programs: StartPrograms) -> Result<Opti
     Ok(Some(Hosted::driven(block, driver, DriverOptions::default())))
 }
 
-/// Where each robot is reached; all but those with `address: tcp://` or `tls://` are started in this process.
+/// Where each robot is reached; all but those with `address: tcp://`, `tls://` or `hmac://` are started in this process.
 ///
 /// # Errors
 /// [`EndpointError`] for a robot that cannot be simulated or driven, or when the host cannot start.
@@ -248,10 +248,10 @@ pub fn endpoints_at_once(
     }
     let host = if machines.is_empty() { None } else { Some(Host::start(machines, options)?) };
     let endpoint = |(robot, place): (&&FleetRobot, Option<usize>)| match (&robot.address, place, &host) {
-        (Address::Tcp { host, port, tls }, ..) => {
+        (Address::Tcp { host, port, protection }, ..) => {
             let encoding = encoding(robot, handshake);
             let own_id = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
-            let security = if *tls { site.with(own_id) } else { Security::Plain };
+            let security = site.with(*protection, Some(own_id));
             Some(Endpoint::Tcp { host: host.clone(), port: *port, encoding, security })
         }
         (_, Some(index), Some(host)) => Some(Endpoint::InProcess { host: host.handle(), index }),

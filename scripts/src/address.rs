@@ -9,14 +9,14 @@ use std::str::FromStr;
 pub enum Address {
     /// `sim`: simulated in the same process.
     Simulated,
-    /// `tls://host:port`, or `tcp://host:port` without encryption.
+    /// `tls://host:port`, `hmac://host:port`, or `tcp://host:port` without either.
     Tcp {
         /// Host name or address.
         host: String,
         /// Port.
         port: u16,
-        /// Whether both sides prove who they are, and nobody else can read along.
-        tls: bool,
+        /// Whether both sides prove who they are.
+        protection: Protection,
     },
     /// `thrift://host:port`: a robot that speaks the early Thrift form, driven from this process.
     Thrift {
@@ -32,12 +32,34 @@ pub enum Address {
     },
 }
 
+/// What keeps others from moving a robot by its address.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Protection {
+    /// `tcp`: nothing does.
+    Open,
+    /// `tls`: both sides prove who they are, and nobody else can read along.
+    Tls,
+    /// `hmac`: both sides prove who they are, and nobody can alter or repeat what is sent; but others can read along.
+    Hmac,
+}
+
+impl Protection {
+    /// The scheme of addresses with it.
+    #[must_use]
+    pub const fn scheme(self) -> &'static str {
+        match self {
+            Self::Open => "tcp",
+            Self::Tls => "tls",
+            Self::Hmac => "hmac",
+        }
+    }
+}
+
 impl fmt::Display for Address {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Simulated => f.write_str("sim"),
-            Self::Tcp { host, port, tls: false } => write!(f, "tcp://{host}:{port}"),
-            Self::Tcp { host, port, tls: true } => write!(f, "tls://{host}:{port}"),
+            Self::Tcp { host, port, protection } => write!(f, "{}://{host}:{port}", protection.scheme()),
             Self::Thrift { host, port } => write!(f, "thrift://{host}:{port}"),
             Self::Program { command } => write!(f, "program:{command}"),
         }
@@ -68,10 +90,10 @@ impl Address {
 }
 
 impl Address {
-    /// Whether commands to it cross a network where others can read and send them: plain TCP to anything but this machine.
+    /// Whether commands to it cross a network where others can send them too: plain TCP to anything but this machine.
     #[must_use]
     pub fn is_open(&self) -> bool {
-        matches!(self, Self::Tcp { tls: false, .. }) && self.is_beyond()
+        matches!(self, Self::Tcp { protection: Protection::Open, .. }) && self.is_beyond()
     }
 
     /// Whether it leads, or may lead, to another machine.
@@ -107,7 +129,7 @@ pub struct NoAddress;
 
 /// What an address looks like.
 pub(crate) const ADDRESS: &str =
-    "`sim`, tls://host:port, tcp://host:port, thrift://host:port or program:COMMAND";
+    "`sim`, tls://host:port, hmac://host:port, tcp://host:port, thrift://host:port or program:COMMAND";
 
 impl fmt::Display for NoAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -127,7 +149,7 @@ pub fn address_fault(text: &str) -> (&'static str, Option<String>) {
     let place = rest.trim_end_matches('/');
     let port = place.rsplit_once(':').map(|(_, port)| port);
     let has_port = port.is_some_and(|port| port.parse::<u16>().is_ok_and(|port| port > 0));
-    let known = scheme.filter(|scheme| ["tcp", "tls", "thrift"].contains(scheme));
+    let known = scheme.filter(|scheme| ["tcp", "tls", "hmac", "thrift"].contains(scheme));
     match (known, port) {
         (Some(_), Some(port)) if !has_port && port.bytes().all(|byte| byte.is_ascii_digit()) => {
             ("has no valid port", Some("a port is a number from 1 to 65535".to_owned()))
@@ -171,8 +193,9 @@ impl Address {
         let host = host.trim_start_matches('[').trim_end_matches(']').to_owned();
         match scheme {
             _ if host.is_empty() => None,
-            "tcp" => Some(Self::Tcp { host, port, tls: false }),
-            "tls" => Some(Self::Tcp { host, port, tls: true }),
+            "tcp" => Some(Self::Tcp { host, port, protection: Protection::Open }),
+            "tls" => Some(Self::Tcp { host, port, protection: Protection::Tls }),
+            "hmac" => Some(Self::Tcp { host, port, protection: Protection::Hmac }),
             "thrift" => Some(Self::Thrift { host, port }),
             _ => None,
         }

@@ -49,7 +49,7 @@ pub struct Fleet {
     pub ntp: Option<String>,
     /// Whether robots are asked for their identity.
     pub handshake: Handshake,
-    /// The operator's key and certificate, for robots with `tls://` addresses.
+    /// The operator's key and certificate, for robots with `tls://` and `hmac://` addresses.
     pub identity: Option<PathBuf>,
     /// The list of revoked certificates.
     pub revoked: Option<PathBuf>,
@@ -500,7 +500,7 @@ fn none_open(findings: &mut Reader, robots: &At<'_>, fleet: &[FleetRobot]) {
                 "`{}` would be moved over plain TCP, where anyone on the network can move it too",
                 robot.id
             ),
-            "a `tls://` address, for which `downbeat keys` makes the certificates",
+            "a `tls://` or `hmac://` address, for which `downbeat keys` makes the keys",
             Some("in a network of its own, write `insecure: true` at the top of the fleet file".into()),
         );
     }

@@ -59,7 +59,7 @@ mod tags;
 pub mod timing;
 mod world;
 
-pub use address::{Address, NoAddress};
+pub use address::{Address, NoAddress, Protection};
 pub use compile::{
     Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
 };

@@ -2,6 +2,7 @@
 #![allow(dead_code, reason = "every binary with this module uses a part of it")]
 
 pub mod busy;
+pub mod meddler;
 pub mod play;
 mod proxy;
 pub mod raw;

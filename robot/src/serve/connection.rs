@@ -193,7 +193,12 @@ impl<W: AsyncWrite + Unpin> Writing<W> {
 
     async fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
         for batch in bytes.chunks(WRITE_BATCH) {
-            let written = tokio::time::timeout(WRITE_WAIT_MAX, self.writer.write_all(batch)).await;
+            let writing = async {
+                self.writer.write_all(batch).await?;
+                // What is sealed or encrypted may wait to be written.
+                self.writer.flush().await
+            };
+            let written = tokio::time::timeout(WRITE_WAIT_MAX, writing).await;
             let Ok(written) = written else {
                 self.shared.host.refusals().note(Reason::Stuck, &self.peer);
                 return Err(io::ErrorKind::TimedOut.into());

@@ -1,37 +1,20 @@
 //! The file by which a robot or an operator proves who it is.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 
-use rustix::fs::{Mode, OFlags, Stat};
 use rustls::pki_types::pem::PemObject;
 use rustls::pki_types::{CertificateDer, PrivateKeyDer};
 
 use super::identity::{Identity, IdentityError};
-
-/// Bytes of an identity file at most: a key and two certificates are some three thousand.
-const BYTES_MAX: u64 = 64 * 1024;
+use crate::key_file::{KeyFileError, read_private};
 
 /// An identity file cannot be used.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum CredentialsError {
-    /// It cannot be read.
-    #[error("{}: {error}", path.display())]
-    Unreadable {
-        /// Which file.
-        path: PathBuf,
-        /// The error of the system.
-        error: std::io::Error,
-    },
-    /// Others may read the key.
-    #[error("{}: others may read this key (mode {mode:03o}); make it yours alone: chmod 600 {}", path.display(), path.display())]
-    NotPrivate {
-        /// Which file.
-        path: PathBuf,
-        /// Its permissions.
-        mode: u32,
-    },
+    /// It cannot be read, or others may read it too.
+    #[error(transparent)]
+    File(#[from] KeyFileError),
     /// A file that is to list revoked certificates does not.
     #[error("{}: there is no list of revoked certificates in it; expected the file `revoked.pem` that `downbeat keys` wrote", path.display())]
     NoList {
@@ -88,28 +71,4 @@ impl Credentials {
     pub const fn identity(&self) -> &Identity {
         &self.identity
     }
-}
-
-fn read_private(path: &Path) -> Result<Vec<u8>, CredentialsError> {
-    let unreadable = |error: std::io::Error| CredentialsError::Unreadable { path: path.into(), error };
-    let (file, stat) = open_regular(path).map_err(unreadable)?;
-    let mode = stat.st_mode & 0o777;
-    // A file of root may be handed to a service by its group, as systemd does with credentials.
-    let handed_over = stat.st_uid == 0 && !rustix::process::geteuid().is_root();
-    if mode & if handed_over { 0o037 } else { 0o077 } != 0 {
-        return Err(CredentialsError::NotPrivate { path: path.into(), mode });
-    }
-    let mut text = Vec::new();
-    file.take(BYTES_MAX).read_to_end(&mut text).map_err(unreadable)?;
-    Ok(text)
-}
-
-/// Opens a file, and nothing else in its place: a pipe would not be waited for.
-pub(super) fn open_regular(path: &Path) -> std::io::Result<(std::fs::File, Stat)> {
-    let file = rustix::fs::open(path, OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NONBLOCK, Mode::empty())?;
-    let stat = rustix::fs::fstat(&file)?;
-    if !rustix::fs::FileType::from_raw_mode(stat.st_mode).is_file() {
-        return Err(std::io::Error::other("it is no regular file"));
-    }
-    Ok((file.into(), stat))
 }

@@ -1,13 +1,13 @@
 //! Certificates that count no more, though they have not expired: the authority's list, as a file that may be replaced.
 
-use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
 use rustls::pki_types::CertificateRevocationListDer;
 use rustls::pki_types::pem::PemObject;
 
-use super::credentials::{CredentialsError, open_regular};
+use super::credentials::CredentialsError;
+use crate::key_file::read_regular;
 
 /// Bytes of a list at most: an entry takes some 40.
 const BYTES_MAX: u64 = 8 * 1024 * 1024;
@@ -31,12 +31,9 @@ impl Revoked {
 
     /// The list as it is now.
     pub(super) fn read(&self) -> Result<CertificateRevocationListDer<'static>, CredentialsError> {
-        let path = || self.path.clone();
-        let mut text = Vec::new();
-        let read = open_regular(&self.path).and_then(|(file, _)| file.take(BYTES_MAX).read_to_end(&mut text));
-        read.map_err(|error| CredentialsError::Unreadable { path: path(), error })?;
+        let text = read_regular(&self.path, BYTES_MAX)?;
         CertificateRevocationListDer::from_pem_slice(&text)
-            .map_err(|_| CredentialsError::NoList { path: path() })
+            .map_err(|_| CredentialsError::NoList { path: self.path.clone() })
     }
 
     /// When the file was last written; `None` where that is not known.

@@ -1,7 +1,8 @@
 /* A URRCP robot to copy: put your own description into BLOCK and your own hardware into arm_set and arm_read.
 
-   cc -std=c99 -D_POSIX_C_SOURCE=200809L -O2 -o robot robot.c json.c -lm
+   cc -std=c99 -D_POSIX_C_SOURCE=200809L -O2 -o robot robot.c json.c sealed.c sha256.c -lm
    ./robot --listen 127.0.0.1:7000
+   ./robot --listen 0.0.0.0:7000 --secret arm-1.secret --revoked revoked.serials
 
    Nothing is allocated: everything has its place in the pools below, whose sizes are the limits. */
 #include <arpa/inet.h>
@@ -24,6 +25,7 @@
 #include <unistd.h>
 
 #include "json.h"
+#include "sealed.h"
 
 /* Limits. A line must have room for the largest script. */
 
@@ -35,6 +37,7 @@
 #define MAX_OUT (160 * 1024) /* bytes left unread at which a peer is cut off; from MAX_UNREAD on it is not listened to */
 #define MAX_UNREAD (48 * 1024)
 #define KEPT 300          /* last answers of requests that have ended; the protocol asks for 256 */
+#define AUTHORS 16        /* operators whose stops answers name */
 #define MAX_ID 256        /* characters of a string */
 #define MAX_NAMES 128     /* requests, and devices, of an inquiry; its answer must fit into MAX_OUT */
 
@@ -91,6 +94,7 @@ static bool arm_read(int device, double *value)
 #define LATE_START (50 * MS)
 #define SILENCE (5 * SECOND)  /* after which a session without commands ends */
 #define FUTURE (5 * SECOND)   /* how far ahead of the clock a stop takes back */
+#define HANDSHAKE (5 * SECOND) /* within which a peer proves who it is, where the robot has a secret */
 #define SPIN MS               /* so long before it is due, a step is waited for without sleeping */
 
 struct text {
@@ -175,9 +179,10 @@ struct link {
     int socket;                    /* -1: free */
     uint64_t number;
     bool of_owner, skipping, dead, more;
-    int64_t heard;
-    size_t in_length, out_length;
-    char in[MAX_LINE + 2], out[MAX_OUT];
+    int64_t heard, since;
+    size_t in_length, out_length, ready; /* ready: bytes of `out` that are records already */
+    struct sealed sealed;
+    char in[MAX_LINE + 2 + SEALED_RECORD], out[MAX_OUT];
 };
 
 static struct device devices[MAX_DEVICES];
@@ -186,7 +191,10 @@ static struct answer answers[KEPT + MAX_DEVICES * MAX_QUEUE];
 static struct link links[MAX_LINKS];
 static struct json json;
 static struct text robot_id, owner;
-static bool owned, reports;
+static char owner_name[SEALED_NAME]; /* who proved to be it */
+static size_t owner_name_length;
+static bool owned, reports, secured; /* secured: only those are heard who prove a pass */
+static struct sealed_key key;
 static int64_t owner_heard;
 static uint64_t numbers;
 
@@ -217,85 +225,30 @@ static bool same(const struct text *a, const struct text *b)
     return a->length == b->length && !memcmp(a->bytes, b->bytes, a->length);
 }
 
-/* SHA-256, FIPS 180-4. */
-
-struct sha256 {
-    uint32_t state[8];
-    uint64_t length;
-    unsigned char block[64];
-};
-
-static uint32_t turn(uint32_t x, int by)
-{
-    return x >> by | x << (32 - by);
-}
-
-static void sha256_block(struct sha256 *sha)
-{
-    static const uint32_t k[64] = {
-        0x428a2f98, 0x71374491, 0xb5c0fbcf, 0xe9b5dba5, 0x3956c25b, 0x59f111f1, 0x923f82a4, 0xab1c5ed5,
-        0xd807aa98, 0x12835b01, 0x243185be, 0x550c7dc3, 0x72be5d74, 0x80deb1fe, 0x9bdc06a7, 0xc19bf174,
-        0xe49b69c1, 0xefbe4786, 0x0fc19dc6, 0x240ca1cc, 0x2de92c6f, 0x4a7484aa, 0x5cb0a9dc, 0x76f988da,
-        0x983e5152, 0xa831c66d, 0xb00327c8, 0xbf597fc7, 0xc6e00bf3, 0xd5a79147, 0x06ca6351, 0x14292967,
-        0x27b70a85, 0x2e1b2138, 0x4d2c6dfc, 0x53380d13, 0x650a7354, 0x766a0abb, 0x81c2c92e, 0x92722c85,
-        0xa2bfe8a1, 0xa81a664b, 0xc24b8b70, 0xc76c51a3, 0xd192e819, 0xd6990624, 0xf40e3585, 0x106aa070,
-        0x19a4c116, 0x1e376c08, 0x2748774c, 0x34b0bcb5, 0x391c0cb3, 0x4ed8aa4a, 0x5b9cca4f, 0x682e6ff3,
-        0x748f82ee, 0x78a5636f, 0x84c87814, 0x8cc70208, 0x90befffa, 0xa4506ceb, 0xbef9a3f7, 0xc67178f2};
-    uint32_t w[64], s[8];
-    int i;
-    for (i = 0; i < 16; i++)
-        w[i] = (uint32_t)sha->block[4 * i] << 24 | (uint32_t)sha->block[4 * i + 1] << 16
-             | (uint32_t)sha->block[4 * i + 2] << 8 | sha->block[4 * i + 3];
-    for (; i < 64; i++)
-        w[i] = w[i - 16] + (turn(w[i - 15], 7) ^ turn(w[i - 15], 18) ^ w[i - 15] >> 3) + w[i - 7]
-             + (turn(w[i - 2], 17) ^ turn(w[i - 2], 19) ^ w[i - 2] >> 10);
-    memcpy(s, sha->state, sizeof s);
-    for (i = 0; i < 64; i++) {
-        uint32_t one = s[7] + (turn(s[4], 6) ^ turn(s[4], 11) ^ turn(s[4], 25)) + ((s[4] & s[5]) ^ (~s[4] & s[6])) + k[i] + w[i];
-        uint32_t two = (turn(s[0], 2) ^ turn(s[0], 13) ^ turn(s[0], 22)) + ((s[0] & s[1]) ^ (s[0] & s[2]) ^ (s[1] & s[2]));
-        memmove(s + 1, s, 7 * sizeof *s);
-        s[4] += one;
-        s[0] = one + two;
-    }
-    for (i = 0; i < 8; i++)
-        sha->state[i] += s[i];
-}
-
-static void sha256_start(struct sha256 *sha)
-{
-    static const uint32_t state[8] = {0x6a09e667, 0xbb67ae85, 0x3c6ef372, 0xa54ff53a, 0x510e527f, 0x9b05688c, 0x1f83d9ab, 0x5be0cd19};
-    memcpy(sha->state, state, sizeof state);
-    sha->length = 0;
-}
-
-static void sha256_add(struct sha256 *sha, const char *bytes, size_t length)
-{
-    for (; length; length--) {
-        sha->block[sha->length++ % 64] = (unsigned char)*bytes++;
-        if (sha->length % 64 == 0)
-            sha256_block(sha);
-    }
-}
-
-static void sha256_end(struct sha256 *sha, char *hex)
-{
-    uint64_t bits = sha->length * 8;
-    char end[8];
-    int i;
-    sha256_add(sha, "\x80", 1);
-    while (sha->length % 64 != 56)
-        sha256_add(sha, "", 1);
-    for (i = 0; i < 8; i++)
-        end[i] = (char)(bits >> (56 - 8 * i));
-    sha256_add(sha, end, 8);
-    for (i = 0; i < 8; i++)
-        sprintf(hex + 8 * i, "%08" PRIx32, sha->state[i]);
-}
-
 /* Writing. A link that is NULL or dead takes everything and sends nothing. */
+
+/* Makes records of what was said. */
+static void link_seal(struct link *link)
+{
+    while (link->ready < link->out_length && !link->dead) {
+        char *at = link->out + link->ready;
+        size_t size = link->out_length - link->ready;
+        if (MAX_OUT - link->out_length < SEALED_HEAD) {
+            link->dead = true; /* a peer that does not read */
+            return;
+        }
+        memmove(at + SEALED_HEAD, at, size);
+        size = size < SEALED_RECORD ? size : SEALED_RECORD;
+        sealed_seal(&link->sealed, at + SEALED_HEAD, size, (unsigned char *)at);
+        link->out_length += SEALED_HEAD;
+        link->ready += SEALED_HEAD + size;
+    }
+}
 
 static void link_flush(struct link *link)
 {
+    if (secured)
+        link_seal(link);
     while (link->out_length && !link->dead) {
         ssize_t sent = send(link->socket, link->out, link->out_length, MSG_NOSIGNAL);
         if (sent < 0) {
@@ -306,6 +259,7 @@ static void link_flush(struct link *link)
             return;
         }
         link->out_length -= (size_t)sent;
+        link->ready -= link->ready < (size_t)sent ? link->ready : (size_t)sent;
         memmove(link->out, link->out + sent, link->out_length);
     }
 }
@@ -1012,6 +966,7 @@ static void read_request(int body)
 static void hash_request(int body, char *hex)
 {
     struct sha256 sha;
+    unsigned char digest[SHA256_BYTES];
     int n;
     sha256_start(&sha);
     for (n = 1; n <= 256; n++) {
@@ -1029,7 +984,8 @@ static void hash_request(int body, char *hex)
     }
     if (n > 2)
         sha256_add(&sha, "]", 1);
-    sha256_end(&sha, hex);
+    sha256_end(&sha, digest);
+    hex_of(digest, sizeof digest, hex);
 }
 
 /* Checking. */
@@ -1104,6 +1060,13 @@ static bool refused(const struct request *r, struct device *device, int body, in
 
 /* Whose the robot is. */
 
+/* A session belongs to the name that claimed it. */
+static bool owns(const struct link *link, const struct text *session)
+{
+    return same(session, &owner) && link->sealed.name_length == owner_name_length
+        && !memcmp(link->sealed.name, owner_name, owner_name_length);
+}
+
 /* Renews leases and settles whose the robot is; false if it is another session's. */
 static bool hear(struct link *link, const struct text *session, bool claims)
 {
@@ -1127,13 +1090,15 @@ static bool hear(struct link *link, const struct text *session, bool claims)
     if (session && claims && !owned) {
         owned = true;
         owner = *session;
+        owner_name_length = link->sealed.name_length;
+        memcpy(owner_name, link->sealed.name, owner_name_length);
         for (device = devices; device < devices + device_count; device++) /* by stops of strangers that name the future */
             device->taken_back = device->taken_back < received ? device->taken_back : received;
     }
     if (session) /* a message without one counts for the session that its connection named last */
-        link->of_owner = owned && same(session, &owner);
+        link->of_owner = owned && owns(link, session);
     link->heard = now;
-    renews = link->of_owner && (!session || same(session, &owner));
+    renews = link->of_owner && (!session || owns(link, session));
     if (renews)
         owner_heard = now;
     for (device = devices; device < devices + device_count; device++) {
@@ -1144,7 +1109,7 @@ static bool hear(struct link *link, const struct text *session, bool claims)
             if (device->commands[i].of_owner ? renews : device->commands[i].link == link->number)
                 device->commands[i].heard = now;
     }
-    return !owned || (session && same(session, &owner));
+    return !owned || (session && owns(link, session));
 }
 
 static const char *busy_message(void)
@@ -1166,8 +1131,30 @@ static struct answer *new_answer(void)
     return oldest; /* never NULL: there are KEPT more places than commands */
 }
 
+/* Whether the request that was read ends at once what its device does. */
+static bool stops(void)
+{
+    return request.script && !request.size && !request.has_start;
+}
+
+/* The reason for a stop. Answers keep it, so each operator has one of its own, up to the last AUTHORS of them. */
+static const char *stopped_by(const struct link *link)
+{
+    static char authors[AUTHORS][SEALED_NAME + 32];
+    static int next;
+    char text[SEALED_NAME + 32];
+    int i;
+    snprintf(text, sizeof text, "stopped by operator %.*s", (int)link->sealed.name_length, link->sealed.name);
+    for (i = 0; i < AUTHORS; i++)
+        if (!strcmp(authors[i], text))
+            return authors[i];
+    i = next++ % AUTHORS;
+    return strcpy(authors[i], text);
+}
+
 static void control(struct link *link, int body, int64_t heard, int64_t now)
 {
+    const char *why = "cancelled by an empty script";
     struct request *r = &request;
     struct answer *place = NULL, passing;
     struct device *device = NULL;
@@ -1187,11 +1174,13 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
     for (i = 0; i < device_count; i++)
         if (same(&devices[i].id, &r->device_id))
             device = &devices[i];
-    if (!mine && !(r->sensor && (!device || device->sensor))) {
+    if (!mine && !(r->sensor && (!device || device->sensor)) && !(stops() && link->sealed.roles & ROLE_STOP)) {
         refuse(&passing, "busy", busy_message());
         send_answer(link, &passing);
         return;
     }
+    if (secured && r->script && !r->size)
+        why = stopped_by(link);
     if (refused(r, device, body, now, &passing)) {
         if (!strcmp(passing.code, "unsupported_control_type"))
             rest(device, false, "cancelled", "default state after an unsupported control type", now);
@@ -1204,13 +1193,13 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
         }
     } else if (!r->size) {
         if (r->has_start && r->start > now) {
-            drop(device, r->start, true, "cancelled", "cancelled by an empty script", now);
+            drop(device, r->start, true, "cancelled", why, now);
         } else {
             if (r->has_sent) { /* no further ahead than FUTURE: no wrong clock blocks a device for good */
                 int64_t until = r->sent < now + FUTURE ? r->sent : now + FUTURE;
                 device->taken_back = until > device->taken_back ? until : device->taken_back;
             }
-            rest(device, r->hold, "cancelled", "cancelled by an empty script", now);
+            rest(device, r->hold, "cancelled", why, now);
         }
         passing.status = OK;
     } else {
@@ -1397,8 +1386,45 @@ static void malformed(struct link *link, int64_t received, int body, const char 
     }
 }
 
+/* Whether the peer has one of these roles; else `message` says what it lacks. It renews and claims nothing before that. */
+static bool permits(struct link *link, unsigned needed, char *message, size_t room)
+{
+    char may[64], takes[64], *comma;
+    if (!secured || link->sealed.roles & needed)
+        return true;
+    sealed_roles(link->sealed.roles, may);
+    sealed_roles(needed, takes);
+    while ((comma = strstr(takes, ", ")) != NULL) {
+        memmove(comma + 4, comma + 2, strlen(comma + 2) + 1);
+        memcpy(comma, " or ", 4);
+    }
+    snprintf(message, room, "operator %.*s may %s, and this takes %s", (int)link->sealed.name_length, link->sealed.name, may, takes);
+    fprintf(stderr, "refused: %s\n", message);
+    return false;
+}
+
+static void forbid_control(struct link *link, const char *message)
+{
+    static struct answer a;
+    memset(&a, 0, sizeof a);
+    a.named = request.named;
+    a.request_id = request.request_id;
+    a.device_id = request.device_id;
+    a.status = FAILED;
+    refuse(&a, "forbidden", message);
+    send_answer(link, &a);
+}
+
+static void forbid_inquiry(struct link *link, int64_t received, const struct text *sent, const char *message)
+{
+    begin_clock(link, "inquiry_response", received, sent, "forbidden", message);
+    put(link, ",\"requests\":[],\"devices\":[]");
+    send_end(link);
+}
+
 static void take(struct link *link, char *line, size_t length, int64_t received)
 {
+    static char message[SEALED_NAME + 160];
     int name, body;
     bool control_request, ping, inquiry, mine, has_sent, has_session;
     double limit;
@@ -1432,6 +1458,11 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
         return;
     }
     if (control_request) {
+        unsigned needed = request.sensor ? ROLE_OBSERVE | ROLE_DRIVE : stops() ? ROLE_STOP | ROLE_DRIVE : ROLE_DRIVE;
+        if (!permits(link, needed, message, sizeof message)) {
+            forbid_control(link, message);
+            return;
+        }
         at = silence_ns(); /* ahead of the other clock, so that a lease of 0 ends before what begins at once */
         control(link, body, at, now_ns());
         return;
@@ -1443,6 +1474,14 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
         timestamp_at(body, "pending_until", &until, &at);
     if (fault) {
         malformed(link, received, JSON_NONE, fault);
+        return;
+    }
+    if (!permits(link, has_session ? ROLE_DRIVE : inquiry ? ROLE_OBSERVE | ROLE_DRIVE : ROLE_OBSERVE | ROLE_DRIVE | ROLE_STOP,
+            message, sizeof message)) {
+        if (inquiry)
+            forbid_inquiry(link, received, has_sent ? &sent : NULL, message);
+        else
+            availability(link, received, has_sent ? &sent : NULL, "forbidden", message);
         return;
     }
     mine = hear(link, has_session ? &session : NULL, !inquiry);
@@ -1497,14 +1536,46 @@ static void link_lines(struct link *link)
     }
 }
 
+/* Hands on what records carry, once the peer has proven who it is. */
+static void link_open(struct link *link)
+{
+    static char answer[SEALED_LINE + 1];
+    unsigned char nonce[SEALED_NONCE];
+    struct sealed *s = &link->sealed;
+    int got = 0;
+    while (s->stage != SEALED_OPEN && !link->dead) {
+        size_t before = s->raw_length;
+        bool good = sealed_random(nonce, sizeof nonce) && sealed_greet(&key, s, time(NULL), nonce, answer);
+        put_bytes(link, answer, strlen(answer));
+        link->ready = link->out_length;
+        link_flush(link);
+        if (!good) {
+            fprintf(stderr, "a peer that does not prove who it is is hung up on\n");
+            link->dead = true;
+        }
+        if (s->raw_length == before)
+            return;
+    }
+    while (!link->dead && (got = sealed_open(s, link->in + link->in_length, sizeof link->in - 1 - link->in_length)) > 0)
+        link->in_length += (size_t)got;
+    if (got < 0) {
+        fprintf(stderr, "a connection with something altered, repeated or put in another order is closed\n");
+        link->dead = true;
+    }
+}
+
 static void link_read(struct link *link)
 {
-    size_t room = sizeof link->in - 1 - link->in_length;
-    ssize_t got = recv(link->socket, link->in + link->in_length, room < 16384 ? room : 16384, 0);
+    char *to = secured ? (char *)link->sealed.raw : link->in;
+    size_t *length = secured ? &link->sealed.raw_length : &link->in_length;
+    size_t room = (secured ? sizeof link->sealed.raw : sizeof link->in - 1) - *length;
+    ssize_t got = room ? recv(link->socket, to + *length, room < 16384 ? room : 16384, 0) : -1;
+    if (!room)
+        return;
     if (got == 0 || (got < 0 && errno != EAGAIN && errno != EWOULDBLOCK && errno != EINTR))
         link->dead = true;
     else if (got > 0)
-        link->in_length += (size_t)got;
+        *length += (size_t)got;
 }
 
 static void link_accept(int listener)
@@ -1523,6 +1594,7 @@ static void link_accept(int listener)
     memset(&links[i], 0, offsetof(struct link, in));
     links[i].socket = socket;
     links[i].number = ++numbers;
+    links[i].since = silence_ns();
 }
 
 static int listen_at(const char *address)
@@ -1617,16 +1689,31 @@ static bool read_block(void)
 
 int main(int argc, char **argv)
 {
-    const char *address = argc == 3 && !strcmp(argv[1], "--listen") ? argv[2] : argc == 1 ? "127.0.0.1:0" : NULL;
+    const char *address = "127.0.0.1:0", *secret = NULL;
     int listener, i;
-    if (!address) {
-        fprintf(stderr, "robot [--listen HOST:PORT]; port 0 is any that is free\n");
+    for (i = 1; i + 1 < argc; i += 2) {
+        if (!strcmp(argv[i], "--listen"))
+            address = argv[i + 1];
+        else if (!strcmp(argv[i], "--secret"))
+            secret = argv[i + 1];
+        else if (!strcmp(argv[i], "--revoked"))
+            key.revoked = argv[i + 1];
+        else
+            break;
+    }
+    if (i != argc || (key.revoked && !secret)) {
+        fprintf(stderr, "robot [--listen HOST:PORT] [--secret FILE [--revoked FILE]]; port 0 is any that is free\n");
         return 2;
     }
+    secured = secret != NULL;
+    if (secured && !sealed_read_secret(&key, secret))
+        return 1;
     if (!read_block()) {
         fprintf(stderr, "BLOCK cannot be read, or does not keep to the limits\n");
         return 1;
     }
+    key.robot = robot_id.bytes;
+    key.robot_length = robot_id.length;
     for (i = 0; i < MAX_LINKS; i++)
         links[i].socket = -1;
     listener = listen_at(address);
@@ -1661,6 +1748,10 @@ int main(int argc, char **argv)
             if (polls[i].revents & POLLIN)
                 link_read(link);
             else if (polls[i].revents & (POLLERR | POLLHUP | POLLNVAL))
+                link->dead = true;
+            if (secured && !link->dead)
+                link_open(link);
+            if (secured && link->sealed.stage != SEALED_OPEN && silence_ns() - link->since > HANDSHAKE)
                 link->dead = true;
             if (!link->dead && link->in_length)
                 link_lines(link);

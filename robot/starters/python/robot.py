@@ -379,7 +379,8 @@ async def main():
     given = arguments.parse_args()
     host, _, port = given.listen.rpartition(":")
     tls = guard(given.identity, given.revoked) if given.identity else None
-    server = await asyncio.start_server(Robot(Arm()).converse, host.strip("[]"), int(port), limit=MAX_LINE, ssl=tls)
+    server = await asyncio.start_server(Robot(Arm()).converse, host.strip("[]"), int(port), limit=MAX_LINE, ssl=tls,
+                                        ssl_handshake_timeout=5 if tls else None)
     print("listening on %s:%d" % server.sockets[0].getsockname()[:2], flush=True)
     await server.serve_forever()
 

@@ -3,22 +3,24 @@
 use std::fmt::Write as _;
 use std::io::IsTerminal;
 use std::net::{SocketAddr, ToSocketAddrs};
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
 use anstyle::{AnsiColor, Style};
 use clap::ValueEnum;
 use downbeat_scripts::shown::shown;
-use downbeat_scripts::{Address, Attempt, Refusal, address_fault};
+use downbeat_scripts::{Address, Attempt, Protection, Refusal, address_fault};
 use serde_json::json;
 use urrcp::Span;
 
 use super::outlet::Display;
 use super::run::parse_span;
-use super::{Exit, Format, console};
+use super::{Exit, Format, console, identity};
 use crate::conformance::{
     Examined, Judged, NotExamined, Options, Requirement, Verdict, examine, requirements,
 };
+use crate::link::{Security, Site};
 use crate::signals::{OnHangUp, Signals};
 
 /// Check whether a robot does what the protocol demands.
@@ -37,6 +39,7 @@ Examples:
   downbeat conformance tcp://127.0.0.1:7401
   downbeat conformance tcp://robot.local:7401 --device elbow --tolerance 5ms
   downbeat conformance tcp://127.0.0.1:7401 --only late,queue --format json
+  DOWNBEAT_IDENTITY=keys/operators/anna.pem downbeat conformance hmac://10.0.0.14:7401
   downbeat conformance --list
 
 Exit codes:
@@ -47,8 +50,8 @@ Exit codes:
   4  ended by the operator; the robot did not confirm that it is at rest"
 )]
 pub(super) struct ConformanceArgs {
-    /// The address on which the robot listens.
-    #[arg(value_name = "tcp://HOST:PORT", required_unless_present = "list")]
+    /// The address on which the robot listens: tcp://HOST:PORT, or tls:// or hmac:// with an identity in DOWNBEAT_IDENTITY.
+    #[arg(value_name = "ADDRESS", required_unless_present = "list")]
     address: Option<String>,
     /// List the requirements and check nothing.
     #[arg(long)]
@@ -59,6 +62,9 @@ pub(super) struct ConformanceArgs {
     /// The device to move. By default the first that takes scripts, or else the first that can be moved.
     #[arg(long, value_name = "ID")]
     device: Option<String>,
+    /// The identity file of another operator, with the role `observe` alone: to check that it cannot move the robot.
+    #[arg(long, value_name = "FILE")]
+    observer: Option<PathBuf>,
     /// How long to wait for an answer.
     #[arg(long, value_parser = parse_span, default_value = "2s", value_name = "TIME")]
     patience: Span,
@@ -93,8 +99,8 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
         list(format);
         return Exit::Done;
     };
-    let address = match resolve(address) {
-        Ok(address) => address,
+    let (address, security, observer) = match reach(address, args.observer.as_deref()) {
+        Ok(reached) => reached,
         Err((message, exit)) => {
             console::error(&message);
             return exit;
@@ -106,6 +112,8 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
         device: args.device.clone(),
         clock_measured: args.clock == Clock::Measured,
         only: args.only.clone(),
+        security,
+        observer,
     };
     let interrupted = Arc::new(AtomicBool::new(false));
     super::with_runtime(async {
@@ -138,22 +146,37 @@ pub(super) fn conformance(args: &ConformanceArgs, format: Format) -> Exit {
     })
 }
 
-fn resolve(text: &str) -> Result<SocketAddr, (String, Exit)> {
-    if matches!(text.parse(), Ok(Address::Tcp { tls: true, .. })) {
-        let message =
-            "conformance speaks plain TCP: let the robot listen on this machine alone, tcp://127.0.0.1:PORT";
-        return Err((message.to_owned(), Exit::Usage));
-    }
-    let Ok(Address::Tcp { host, port, .. }) = text.parse() else {
+/// Where the robot is, and how the test and an observer prove who they are.
+fn reach(
+    text: &str,
+    observer: Option<&Path>,
+) -> Result<(SocketAddr, Security, Option<Security>), (String, Exit)> {
+    let Ok(Address::Tcp { host, port, protection }) = text.parse() else {
         let (fault, hint) = address_fault(text);
         let hint = hint.unwrap_or_else(|| "write tcp://HOST:PORT".to_owned());
         return Err((format!("the address `{text}` {fault}; {hint}"), Exit::Usage));
     };
+    let usage = |message: String| (message, Exit::Usage);
+    let security = match protection {
+        Protection::Open => Security::Plain,
+        _ => identity::site_of_terminal().map_err(usage)?.with(protection, None),
+    };
+    if matches!(security, Security::Nameless) {
+        let scheme = protection.scheme();
+        return Err(usage(format!(
+            "{scheme}:// needs to know who you are: name your identity file, DOWNBEAT_IDENTITY"
+        )));
+    }
+    let observer = observer.map(|path| Site::of_files(Some(path), None)).transpose().map_err(usage)?;
+    Ok((resolve(&host, port)?, security, observer.map(|site| site.with(protection, None))))
+}
+
+fn resolve(host: &str, port: u16) -> Result<SocketAddr, (String, Exit)> {
     let unknown = |error: std::io::Error| {
         let refusal = Refusal::of(Attempt::Connect, &error);
         (format!("no connection to {host}:{port}: {refusal}"), Exit::Failed)
     };
-    let mut found = (host.as_str(), port).to_socket_addrs().map_err(unknown)?;
+    let mut found = (host, port).to_socket_addrs().map_err(unknown)?;
     found.next().ok_or_else(|| (format!("no address belongs to the name `{host}`; correct it"), Exit::Failed))
 }
 

@@ -5,7 +5,9 @@ use std::path::PathBuf;
 use clap::{Args, Subcommand};
 use downbeat_robot::HostOptions;
 use downbeat_robot::driver::describe_thrift;
-use downbeat_scripts::{Address, ClockMode, Fleet, FleetRobot, Source, address_fault, init_of, init_text};
+use downbeat_scripts::{
+    Address, ClockMode, Fleet, FleetRobot, Protection, Source, address_fault, init_of, init_text,
+};
 use serde::Serialize;
 use tokio::sync::mpsc;
 use urrcp::{
@@ -180,12 +182,12 @@ fn wrong_with(answer: &Answer, robot: &FleetRobot, tolerance: Option<Span>) -> O
 
 fn describe(args: &DescribeArgs, format: Format) -> Exit {
     let told = match &args.address {
-        Address::Tcp { host, port, tls } => {
-            match if *tls {
-                identity::site_of_terminal().map(|site| site.with_any())
-            } else {
-                Ok(Security::Plain)
-            } {
+        Address::Tcp { host, port, protection } => {
+            let security = match protection {
+                Protection::Open => Ok(Security::Plain),
+                _ => identity::site_of_terminal().map(|site| site.with(*protection, None)),
+            };
+            match security {
                 Ok(security) => ask_block(host.clone(), *port, security, args.patience),
                 Err(error) => Err(error),
             }

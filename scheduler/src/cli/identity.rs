@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use downbeat_robot::sealed::Held;
 use downbeat_scripts::Fleet;
 
 use super::console;
@@ -39,6 +40,17 @@ pub(super) fn site_of_terminal() -> Result<Site, String> {
 /// The same with files that are known.
 pub(super) fn site_of(keys: &OpenedKeys) -> Result<Site, String> {
     let site = Site::of_files(keys.identity.as_deref(), keys.revoked.as_deref())?;
+    let now = calendar();
+    let ends_soon = |held: &&Held| (held.claim.expires - now) / DAY < SOON;
+    let soon: Vec<&Held> = site.passes().held().iter().filter(ends_soon).collect();
+    let with_identity = |held: &Held| site.identity().is_some_and(|own| own.expires == held.claim.expires);
+    if let Some(held) = soon.iter().find(|held| !with_identity(held)) {
+        let days = (held.claim.expires - now) / DAY;
+        console::warn(&format!(
+            "the pass for robot {} counts for {days} more days: copy the file of passes that `downbeat keys renew` has written",
+            held.robot
+        ));
+    }
     if let Some(identity) = site.identity() {
         let days = (identity.expires - calendar()) / DAY;
         if days < SOON {

@@ -10,7 +10,7 @@ use downbeat_scripts::shown::shown;
 use urrcp::RobotId;
 
 use super::{Exit, Format, console};
-use crate::keys::{Authority, Entry, KeysError, Kind, calendar};
+use crate::keys::{Authority, Entry, IfThere, KeysError, Kind, calendar};
 use crate::report::table::Rows;
 
 /// Days for which a certificate counts unless something else is asked for.
@@ -29,6 +29,7 @@ Examples:
   downbeat keys init
   downbeat keys robot cf1 cf2 cf3
   downbeat keys operator anna --role observe,drive,stop
+  downbeat keys secret cf4
   downbeat keys revoke cf2"
 )]
 pub(super) enum KeysCommand {
@@ -38,11 +39,13 @@ pub(super) enum KeysCommand {
     Robot(RobotKeysArgs),
     /// Make a key for an operator.
     Operator(OperatorArgs),
+    /// Make secrets for robots without TLS, such as microcontrollers at `hmac://` addresses.
+    Secret(SecretArgs),
     /// Make a new key for a robot or an operator; the old one counts until it expires or is revoked.
     Renew(RenewArgs),
-    /// Revoke all keys of a robot or an operator.
+    /// Revoke all keys of a robot or an operator, its secret and passes among them.
     Revoke(NamedArgs),
-    /// List all certificates.
+    /// List all certificates and secrets.
     List(FolderArgs),
 }
 
@@ -69,6 +72,24 @@ pub(super) struct RobotKeysArgs {
     folder: FolderArgs,
     #[command(flatten)]
     days: DaysArgs,
+    /// The robots' ids.
+    #[arg(required = true, value_name = "ID")]
+    robots: Vec<RobotId>,
+}
+
+#[derive(Debug, clap::Args)]
+#[command(
+    after_help = "Copy each file to its robot, with `revoked.serials`, and give each operator the file NAME.passes next to NAME.pem.
+
+Example:
+  downbeat keys secret cf4 cf5"
+)]
+pub(super) struct SecretArgs {
+    #[command(flatten)]
+    folder: FolderArgs,
+    /// Put a new secret in place of the one that a robot has.
+    #[arg(long)]
+    renew: bool,
     /// The robots' ids.
     #[arg(required = true, value_name = "ID")]
     robots: Vec<RobotId>,
@@ -146,6 +167,7 @@ pub(super) fn keys(command: &KeysCommand, format: Format) -> Exit {
             let names = BTreeSet::from([Name::Operator(args.name.clone())]);
             issue(&args.folder, &names, &roles, args.days.days, format)
         }
+        KeysCommand::Secret(args) => secret(args, format),
         KeysCommand::Renew(args) => renew(args, format),
         KeysCommand::Revoke(args) => revoke(args, format),
         KeysCommand::List(args) => list(args, format),
@@ -155,7 +177,10 @@ pub(super) fn keys(command: &KeysCommand, format: Format) -> Exit {
         Err(error) => {
             console::error(&error.to_string());
             match error {
-                KeysError::Taken(_) | KeysError::RevokedAlready(_) | KeysError::Exists(_) => Exit::Failed,
+                KeysError::Taken(_)
+                | KeysError::SecretTaken(_)
+                | KeysError::RevokedAlready(_)
+                | KeysError::Exists(_) => Exit::Failed,
                 _ => Exit::Usage,
             }
         }
@@ -193,6 +218,25 @@ fn issue(
     Ok(())
 }
 
+fn secret(args: &SecretArgs, format: Format) -> Result<(), KeysError> {
+    let authority = Authority::open(&args.folder.keys)?;
+    let if_there = if args.renew { IfThere::Replace } else { IfThere::Keep };
+    for robot in &args.robots {
+        let path = authority.make_secret(robot, if_there)?;
+        match format {
+            Format::Json => {
+                console::print_json(&serde_json::json!({ "name": format!("robot {robot}"), "secret": path }));
+            }
+            Format::Text => console::print(&format!(
+                "robot {}: {}; operators have passes for it\n",
+                shown(robot.as_str()),
+                shown(&path.display().to_string())
+            )),
+        }
+    }
+    Ok(())
+}
+
 fn renew(args: &RenewArgs, format: Format) -> Result<(), KeysError> {
     let authority = Authority::open(&args.named.folder.keys)?;
     let Some(name) = args.named.name() else { return Ok(()) };
@@ -218,29 +262,36 @@ fn revoke(args: &NamedArgs, format: Format) -> Result<(), KeysError> {
     let authority = Authority::open(&args.folder.keys)?;
     let Some(name) = args.name() else { return Ok(()) };
     let revoked = authority.revoke(&name, calendar())?;
-    let list = authority.revoked();
+    let (list, serials) = (authority.revoked(), authority.revoked_serials());
     match format {
         Format::Json => console::print_json(
-            &serde_json::json!({ "name": name.to_string(), "revoked": revoked, "list": list }),
+            &serde_json::json!({ "name": name.to_string(), "revoked": revoked, "list": list, "serials": serials }),
         ),
         Format::Text => console::print(&format!(
-            "revoked {revoked} of {}; now copy {} to every robot: one that has the old list still accepts it\n",
+            "revoked {revoked} of {}; now copy {} to every robot, and {} to those with a secret: one that has the old list still accepts it\n",
             shown(&name.to_string()),
-            shown(&list.display().to_string())
+            shown(&list.display().to_string()),
+            shown(&serials.display().to_string())
         )),
     }
     Ok(())
 }
 
 fn list(args: &FolderArgs, format: Format) -> Result<(), KeysError> {
-    let issued = Authority::open(&args.keys)?.issued()?;
+    let authority = Authority::open(&args.keys)?;
+    let (issued, secrets) = (authority.issued()?, authority.robots_with_secret()?);
     match format {
-        Format::Json => console::print_json(&serde_json::json!({ "certificates": issued.entries() })),
+        Format::Json => {
+            console::print_json(&serde_json::json!({ "certificates": issued.entries(), "secrets": secrets }));
+        }
         Format::Text => {
             let mut rows = Rows::new(&["name", "of a", "roles", "state"], 4);
             for entry in issued.entries() {
                 let kind = if entry.kind == Kind::Robot { "robot" } else { "operator" };
                 rows.add([&entry.name, kind, &entry.roles.join(", "), &state(entry)]);
+            }
+            for robot in &secrets {
+                rows.add([robot.as_str(), "robot", "", "has a secret"]);
             }
             console::print(&rows.text(console::columns()));
         }

@@ -1,13 +1,14 @@
 //! `downbeat robot`: one simulated robot as a process of its own.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use clap::ValueEnum;
+use downbeat_robot::sealed::{self, RevokedSerials, Secret};
 use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
-use downbeat_robot::tls::{Credentials, Guard, Name, Revoked};
-use downbeat_robot::{Host, HostError, HostOptions, Hosted, serve, serve_guarded};
+use downbeat_robot::tls::{self, Credentials, Name, Revoked};
+use downbeat_robot::{Door, Host, HostError, HostOptions, Hosted, serve_behind};
 use downbeat_scripts::shown::{self, shown};
 use downbeat_scripts::{Attempt, Refusal};
 use tokio::net::TcpListener;
@@ -28,7 +29,8 @@ use crate::signals::{OnHangUp, Signals};
 Examples:
   downbeat robot --init robots/arm.yaml --listen 127.0.0.1:7401
   downbeat robot --init arm.yaml --id arm-2 --clock-offset 120ms
-  downbeat robot --init arm.yaml --listen 0.0.0.0:7401 --identity keys/robots/arm.pem")]
+  downbeat robot --init arm.yaml --listen 0.0.0.0:7401 --identity keys/robots/arm.pem
+  downbeat robot --init arm.yaml --listen 0.0.0.0:7401 --secret keys/secrets/arm.secret")]
 pub(super) struct RobotArgs {
     #[command(flatten)]
     process: ProcessArgs,
@@ -82,30 +84,43 @@ pub(super) struct GuardArgs {
     /// Hear only operators of the authority that made this identity file (`downbeat keys robot`), by TLS.
     #[arg(long, value_name = "FILE")]
     identity: Option<PathBuf>,
-    /// Refuse the certificates on this list (`downbeat keys revoke`). It is read again when it changes.
-    #[arg(long, value_name = "FILE", requires = "identity")]
+    /// Hear only operators with a pass that is made from the secret in this file (`downbeat keys secret`): for robots without TLS.
+    #[arg(long, value_name = "FILE", conflicts_with = "identity")]
+    secret: Option<PathBuf>,
+    /// Refuse those on this list (`downbeat keys revoke`): revoked.pem with --identity, revoked.serials with --secret. It is
+    /// read again when it changes.
+    #[arg(long, value_name = "FILE")]
     revoked: Option<PathBuf>,
     /// Let anyone drive the robot who reaches its port, without TLS: for a network of its own.
-    #[arg(long, conflicts_with = "identity")]
+    #[arg(long, conflicts_with_all = ["identity", "secret"])]
     insecure: bool,
 }
 
 impl GuardArgs {
-    /// The robot's door; `None` where it is open. What listens for more than this machine needs one.
-    pub(super) fn guard(
-        &self,
-        robot: &RobotId,
-        listener: &TcpListener,
-    ) -> Result<Option<Arc<Guard>>, String> {
-        let Some(path) = &self.identity else {
-            return match listener.local_addr() {
+    /// The robot's door. What listens for more than this machine needs one that is not open.
+    pub(super) fn door(&self, robot: &RobotId, listener: &TcpListener) -> Result<Door, String> {
+        match (&self.identity, &self.secret) {
+            (Some(path), _) => self.by_identity(robot, path),
+            (None, Some(path)) => {
+                let secret = Secret::read(path).map_err(|error| error.to_string())?;
+                let revoked = self.revoked.as_deref().map(RevokedSerials::in_file).transpose();
+                let revoked = revoked.map_err(|error| error.to_string())?;
+                Ok(Door::Sealed(Arc::new(sealed::Guard::new(robot.clone(), secret, revoked))))
+            }
+            (None, None) if self.revoked.is_some() => {
+                Err("--revoked needs --identity or --secret: nobody is asked who he is".to_owned())
+            }
+            (None, None) => match listener.local_addr() {
                 Ok(address) if !address.ip().to_canonical().is_loopback() && !self.insecure => Err(format!(
                     "anyone who reaches {address} could drive the robot; give --identity FILE, which `downbeat keys robot` makes, \
                      or --insecure in a network of its own"
                 )),
-                _ => Ok(None),
-            };
-        };
+                _ => Ok(Door::Open),
+            },
+        }
+    }
+
+    fn by_identity(&self, robot: &RobotId, path: &Path) -> Result<Door, String> {
         let own = Credentials::read(path).map_err(|error| error.to_string())?;
         if own.identity().name != Name::Robot(robot.clone()) {
             let name = &own.identity().name;
@@ -115,8 +130,8 @@ impl GuardArgs {
             ));
         }
         let revoked = self.revoked.as_deref().map(Revoked::in_file).transpose();
-        let guard = Guard::new(own, revoked.map_err(|error| error.to_string())?)?;
-        Ok(Some(Arc::new(guard)))
+        let guard = tls::Guard::new(own, revoked.map_err(|error| error.to_string())?)?;
+        Ok(Door::Tls(Arc::new(guard)))
     }
 }
 
@@ -148,8 +163,8 @@ impl ProcessArgs {
                 Ok(listener) => listener,
                 Err(error) => return failed(&not_listening(&self.listen, &error)),
             };
-            let guard = match self.guard.guard(&id, &listener) {
-                Ok(guard) => guard,
+            let door = match self.guard.door(&id, &listener) {
+                Ok(door) => door,
                 Err(error) => return failed(&error),
             };
             let mut host = match Host::start(vec![robot], options) {
@@ -159,7 +174,7 @@ impl ProcessArgs {
             let log = LogWatch::of(&mut host);
             self.realtime.tell(&host, format);
             announce(&host, 0, &listener, format);
-            let exit = serve_until_asked_to_end(vec![(listener, 0, guard)], &host, signals).await;
+            let exit = serve_until_asked_to_end(vec![(listener, 0, door)], &host, signals).await;
             if stop(host) { log.spoils(exit).await } else { Exit::Unconfirmed }
         })
     }
@@ -300,19 +315,13 @@ pub(super) fn announce(host: &Host, index: usize, listener: &TcpListener, format
 
 /// Serves robots until a signal asks the program to end.
 pub(super) async fn serve_until_asked_to_end(
-    listeners: Vec<(TcpListener, usize, Option<Arc<Guard>>)>,
+    listeners: Vec<(TcpListener, usize, Door)>,
     host: &Host,
     mut signals: Signals,
 ) -> Exit {
     let mut serving = tokio::task::JoinSet::new();
-    for (listener, index, guard) in listeners {
-        let host = host.handle();
-        serving.spawn(async move {
-            match guard {
-                Some(guard) => serve_guarded(listener, host, index, guard).await,
-                None => serve(listener, host, index).await,
-            }
-        });
+    for (listener, index, door) in listeners {
+        serving.spawn(serve_behind(listener, host.handle(), index, door));
     }
     tokio::select! {
         _ = signals.next() => Exit::Done,

@@ -1,10 +1,9 @@
 //! `downbeat sim`: all TCP robots of a fleet as simulated ones in this process.
 
 use std::path::PathBuf;
-use std::sync::Arc;
 
 use downbeat_robot::{Host, HostOptions};
-use downbeat_scripts::Address;
+use downbeat_scripts::{Address, Protection};
 use tokio::net::TcpListener;
 
 use super::realtime::RealtimeArgs;
@@ -22,7 +21,7 @@ pub(super) struct SimArgs {
     /// The fleet file.
     #[arg(default_value = "fleet.yaml")]
     fleet: PathBuf,
-    /// The folder of `downbeat keys` with the identities of robots at `tls://` addresses.
+    /// The folder of `downbeat keys` with the keys of robots at `tls://` and `hmac://` addresses.
     #[arg(long, value_name = "FOLDER")]
     keys: Option<PathBuf>,
     #[command(flatten)]
@@ -34,8 +33,8 @@ pub(super) struct SimArgs {
     realtime: RealtimeArgs,
 }
 
-fn speaks_tls(address: &Address) -> bool {
-    matches!(address, Address::Tcp { tls: true, .. })
+fn takes_keys(address: &Address) -> bool {
+    matches!(address, Address::Tcp { protection: Protection::Tls | Protection::Hmac, .. })
 }
 
 pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
@@ -43,7 +42,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
         Ok(fleet) => fleet,
         Err(exit) => return exit,
     };
-    if let (None, Some(robot)) = (&args.keys, fleet.robots.iter().find(|robot| speaks_tls(&robot.address))) {
+    if let (None, Some(robot)) = (&args.keys, fleet.robots.iter().find(|robot| takes_keys(&robot.address))) {
         console::error(&format!(
             "`{}` is at {}: name the folder of the keys with --keys, or simulate it with `address: sim`",
             robot.id, robot.address
@@ -53,7 +52,7 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
     let mut machines = Vec::new();
     let mut addresses = Vec::new();
     for (seed, robot) in fleet.robots.iter().enumerate() {
-        let Address::Tcp { host, port, tls } = &robot.address else { continue };
+        let Address::Tcp { host, port, protection } = &robot.address else { continue };
         match fleet::simulated(robot, seed as u64) {
             Ok(machine) => machines.push(machine),
             Err(error) => {
@@ -62,9 +61,9 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
             }
         }
         let own_id = robot.init.as_ref().map_or(&robot.id, |init| &init.id);
-        let guard = args.keys.as_ref().filter(|_| *tls).map(|keys| keys::guard_of(keys, own_id));
-        match guard.transpose() {
-            Ok(guard) => addresses.push((host.clone(), *port, guard.map(Arc::new))),
+        let door = args.keys.as_ref().map(|keys| keys::door_of(keys, own_id, *protection));
+        match door.transpose() {
+            Ok(door) => addresses.push((host.clone(), *port, door.unwrap_or_default())),
             Err(error) => {
                 console::error(&error);
                 return Exit::Usage;
@@ -94,11 +93,11 @@ pub(super) fn sim(args: &SimArgs, format: Format) -> Exit {
         };
         let log = robot::LogWatch::of(&mut host);
         let mut listeners = Vec::new();
-        for (index, (name, port, guard)) in addresses.into_iter().enumerate() {
+        for (index, (name, port, door)) in addresses.into_iter().enumerate() {
             match TcpListener::bind((name.as_str(), port)).await {
                 Ok(listener) => {
                     robot::announce(&host, index, &listener, format);
-                    listeners.push((listener, index, guard));
+                    listeners.push((listener, index, door));
                 }
                 Err(error) => {
                     console::error(&robot::not_listening(&format!("{name}:{port}"), &error));

@@ -31,8 +31,8 @@ command stops the robots directly: the journal names them, and no other file is 
 drove a robot, `downbeat resume` starts it again and brings the robot to rest. The command says which robots \
 confirmed the stop, which did not, and when their leases end. A mission can be stopped again, even after it has ended.
 
-With --fleet no journal is needed: all robots with a `tcp://` or `tls://` address are stopped, in missions of all operators, \
-from any machine. Robots with TLS do so if your certificate has the role `stop`; robots without obey while they are free.
+With --fleet no journal is needed: all robots with a `tcp://`, `tls://` or `hmac://` address are stopped, in missions of all \
+operators, from any machine. Robots at tls:// and hmac:// obey if you have the role `stop`, others while they are free.
 
 Examples:
   downbeat stop

@@ -2,7 +2,6 @@
 
 use std::collections::VecDeque;
 use std::io::{ErrorKind, Read, Write};
-use std::net::TcpStream;
 use std::time::Duration;
 
 use urrcp::{
@@ -12,6 +11,7 @@ use urrcp::{
 
 use super::heard::{Asked, Exchanges, Heard, Ticket, says_malformed};
 use super::requirement::{Unmet, differs, shown};
+use super::stream::Stream;
 use super::trial::Trial;
 
 /// Longest line that a robot may send: the block of one with 32,000 devices is shorter.
@@ -22,7 +22,7 @@ const SLICE: Duration = Duration::from_millis(50);
 /// A connection with what came on it. Dropping it breaks the connection.
 pub(super) struct Line<'a> {
     trial: &'a Trial,
-    stream: TcpStream,
+    stream: Stream,
     buffer: Vec<u8>,
     /// Up to where no newline is known to stand.
     searched: usize,
@@ -48,7 +48,7 @@ impl Inquired {
 }
 
 impl<'a> Line<'a> {
-    pub(super) fn over(trial: &'a Trial, stream: TcpStream) -> Self {
+    pub(super) fn over(trial: &'a Trial, stream: Stream) -> Self {
         Self {
             trial,
             stream,
@@ -86,7 +86,7 @@ impl<'a> Line<'a> {
     /// Writes bytes; gives the instant before the first of them.
     pub(super) fn send(&mut self, bytes: &[u8]) -> Result<Timestamp<Server>, Unmet> {
         let sent = self.trial.now();
-        self.stream.write_all(bytes).map_err(|error| {
+        self.stream.write_all(bytes).and_then(|()| self.stream.flush()).map_err(|error| {
             let text = String::from_utf8_lossy(&bytes[..bytes.len().min(2_000)]);
             Unmet::Failed(format!(
                 "the connection broke while {} bytes were sent ({error}): {}; expected the robot to read on",
@@ -95,6 +95,20 @@ impl<'a> Line<'a> {
             ))
         })?;
         Ok(sent)
+    }
+
+    /// A message as it would travel, which counts as if it had been sent.
+    pub(super) fn wrapped(&mut self, message: &Message) -> Result<Vec<u8>, Unmet> {
+        let mut line = Vec::new();
+        encode(message, &mut line);
+        let broke = |error| Unmet::Failed(format!("nothing can be encrypted or sealed: {error}"));
+        self.stream.wrapped(&line).map_err(broke)
+    }
+
+    /// Sends bytes past what encrypts or seals them.
+    pub(super) fn send_past(&mut self, bytes: &[u8]) -> Result<(), Unmet> {
+        let broke = |error| Unmet::Failed(format!("the connection broke while bytes were sent: {error}"));
+        self.stream.socket().write_all(bytes).map_err(broke)
     }
 
     /// Sends a message.
@@ -131,7 +145,8 @@ impl<'a> Line<'a> {
     fn read(&mut self, limit: Duration) -> Result<(), Unmet> {
         let mut bytes = [0; 64 * 1024];
         // A limit of zero would mean none.
-        let _unlimited_never = self.stream.set_read_timeout(Some(limit.max(Duration::from_micros(100))));
+        let _unlimited_never =
+            self.stream.socket().set_read_timeout(Some(limit.max(Duration::from_micros(100))));
         let read = match self.stream.read(&mut bytes) {
             Ok(0) => return self.end("the robot hung up"),
             Ok(read) => read,
@@ -358,7 +373,7 @@ impl<'a> Line<'a> {
 
     /// Asks for the block again and again without reading, until the peer takes no more for a while, or hangs up, or
     /// enough has been asked for. How often it was.
-    pub(super) fn overfill(&self) -> Result<usize, Unmet> {
+    pub(super) fn overfill(&mut self) -> Result<usize, Unmet> {
         const ANSWERS_BYTES_MAX: usize = 32 * 1024 * 1024;
         const REQUESTS_MAX: usize = 100_000;
         const IN_ONE_WRITE: usize = 100;
@@ -367,12 +382,12 @@ impl<'a> Line<'a> {
         let requests = request.repeat(IN_ONE_WRITE);
         let block = serde_json::to_vec(self.trial.block()?).map_or(1, |block| block.len().max(1));
         let wanted = (ANSWERS_BYTES_MAX / block).clamp(IN_ONE_WRITE, REQUESTS_MAX);
-        if self.stream.set_write_timeout(Some(Duration::from_millis(200))).is_err() {
+        if self.stream.socket().set_write_timeout(Some(Duration::from_millis(200))).is_err() {
             return Ok(0);
         }
         for asked in (0..wanted).step_by(IN_ONE_WRITE) {
             self.trial.go_on()?;
-            if (&self.stream).write_all(&requests).is_err() {
+            if self.stream.write_all(&requests).is_err() {
                 return Ok(asked);
             }
         }

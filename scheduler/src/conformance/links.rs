@@ -66,7 +66,7 @@ fn many_messages(trial: &Trial) -> Checked {
 
 fn slow_reader(trial: &Trial) -> Checked {
     let mut other = trial.connect_beside()?;
-    let deaf = trial.connect()?;
+    let mut deaf = trial.connect()?;
     let asked = deaf.overfill()?;
     let what = format!("{asked} initialization requests on another connection, whose answers are not read,");
     // It takes a while until all that lies between the two is full.

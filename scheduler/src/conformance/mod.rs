@@ -14,8 +14,10 @@ mod line;
 mod links;
 mod requirement;
 mod scripts;
+mod security;
 mod starting;
 mod stopping;
+mod stream;
 mod trial;
 mod values;
 mod wire;
@@ -28,6 +30,7 @@ use urrcp::{InitializationBlock, Span};
 
 pub use requirement::{Judged, Requirement, Verdict};
 
+use crate::link::Security;
 use crate::server_clock::ServerClock;
 use requirement::Unmet;
 use trial::Trial;
@@ -46,6 +49,10 @@ pub struct Options {
     pub clock_measured: bool,
     /// Only these requirements, by name; all when empty.
     pub only: Vec<String>,
+    /// How the test proves who it is.
+    pub security: Security,
+    /// How another operator does who may do nothing but observe; without one it is not tried what that is good for.
+    pub observer: Option<Security>,
 }
 
 impl Default for Options {
@@ -56,6 +63,8 @@ impl Default for Options {
             device: None,
             clock_measured: false,
             only: Vec::new(),
+            security: Security::Plain,
+            observer: None,
         }
     }
 }
@@ -86,7 +95,7 @@ pub enum NotExamined {
 pub fn requirements() -> impl Iterator<Item = &'static Requirement> {
     let of_robot = greeting::ALL.iter().chain(&values::ALL).chain(&starting::ALL).chain(&scripts::ALL);
     let of_server = leases::ALL.iter().chain(&stopping::ALL).chain(&identity::ALL).chain(&inquiries::ALL);
-    of_robot.chain(of_server).chain(&wire::ALL).chain(&links::ALL)
+    of_robot.chain(of_server).chain(&wire::ALL).chain(&links::ALL).chain(&security::ALL)
 }
 
 /// Judges a robot. `tell` hears of each requirement before it is checked, and the verdict after.
@@ -95,10 +104,13 @@ pub fn requirements() -> impl Iterator<Item = &'static Requirement> {
 /// [`NotExamined`] if no robot answers at the address, or the robot lacks the device that is to be moved.
 pub fn examine(
     address: SocketAddr,
-    options: Options,
+    mut options: Options,
     interrupted: Arc<AtomicBool>,
     tell: &mut dyn FnMut(&Requirement, Option<&Judged>),
 ) -> Result<Examined, NotExamined> {
+    let patience = options.patience.to_duration();
+    options.security = stream::for_robot_at(address, options.security, patience);
+    options.observer = options.observer.map(|of| stream::for_robot_at(address, of, patience));
     let clock = ServerClock::anchored(Span::ZERO);
     let mut trial = Trial::new(address, options, clock, interrupted);
     if let Err(unmet) = trial.connect() {
@@ -114,8 +126,10 @@ pub fn examine(
     trial.greets = matches!(greeting::skip_handshake(&trial), Err(Unmet::Failed(_)));
     let mut examined = Examined { judged: Vec::new(), interrupted: false, at_rest: true };
     let chosen = |r: &&Requirement| {
-        let only = &trial.options().only;
-        only.is_empty() || only.iter().any(|name| name == r.name)
+        let Options { only, security, .. } = trial.options();
+        // At a tcp:// address nothing is asked for.
+        let asked_for = !security::is_among(r) || !matches!(security, Security::Plain);
+        (only.is_empty() && asked_for) || only.iter().any(|name| name == r.name)
     };
     let answered = trial.is_alive();
     // Since which requirement the robot answers nothing any more.

@@ -1,7 +1,7 @@
 //! What every check has available: the robot's address and block, clocks, connections, requests.
 
 use std::cell::Cell;
-use std::net::{SocketAddr, TcpStream};
+use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
@@ -16,6 +16,8 @@ use super::Options;
 use super::actor::Actor;
 use super::line::Line;
 use super::requirement::{Unmet, not_applicable};
+use super::stream::Stream;
+use crate::link::{Security, denial};
 use crate::server_clock::ServerClock;
 
 /// A start that never comes, because the check is over before.
@@ -75,6 +77,10 @@ impl Trial {
         self.block = block;
     }
 
+    pub(super) const fn address(&self) -> SocketAddr {
+        self.address
+    }
+
     pub(super) const fn options(&self) -> &Options {
         &self.options
     }
@@ -130,14 +136,17 @@ impl Trial {
 
     /// A new connection on which nothing has been said.
     pub(super) fn connect_silently(&self) -> Result<Line<'_>, Unmet> {
-        let patience = self.options.patience.to_duration();
-        let connected = TcpStream::connect_timeout(&self.address, patience).and_then(|stream| {
-            stream.set_nodelay(true)?;
-            stream.set_write_timeout(Some(patience))?;
-            Ok(stream)
-        });
+        self.connect_as(&self.options.security)
+    }
+
+    /// The same as somebody else.
+    pub(super) fn connect_as(&self, security: &Security) -> Result<Line<'_>, Unmet> {
+        let connected = Stream::connect(self.address, security, self.options.patience.to_duration());
         connected.map(|stream| Line::over(self, stream)).map_err(|error| {
-            let refusal = Refusal::of(Attempt::Connect, &error);
+            let refusal = match denial(&error) {
+                Some(denial) => denial,
+                None => Refusal::of(Attempt::Connect, &error).to_string(),
+            };
             Unmet::Failed(format!(
                 "no connection to {} within {}: {refusal}",
                 self.address, self.options.patience

@@ -6,7 +6,8 @@ use std::os::unix::fs::{DirBuilderExt, OpenOptionsExt, PermissionsExt};
 use std::path::{Path, PathBuf};
 
 use downbeat_robot::tls::Name;
-use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, utf8_percent_encode};
+use percent_encoding::{AsciiSet, NON_ALPHANUMERIC, percent_decode_str, utf8_percent_encode};
+use urrcp::RobotId;
 
 use super::KeysError;
 
@@ -39,6 +40,42 @@ pub(super) fn identity_path(folder: &Path, name: &Name) -> PathBuf {
         Name::Operator(name) => ("operators", name.as_str()),
     };
     folder.join(kind).join(format!("{}.pem", utf8_percent_encode(name, KEPT)))
+}
+
+/// The folder of robots' secrets.
+fn secrets(folder: &Path) -> PathBuf {
+    folder.join("secrets")
+}
+
+/// Where a robot's secret is.
+pub(super) fn secret_path(folder: &Path, robot: &RobotId) -> PathBuf {
+    secrets(folder).join(format!("{}.secret", utf8_percent_encode(robot.as_str(), KEPT)))
+}
+
+/// The robots that have a secret, in their order.
+pub(super) fn robots_with_secret(folder: &Path) -> Result<Vec<RobotId>, KeysError> {
+    let folder = secrets(folder);
+    if !folder.exists() {
+        return Ok(Vec::new());
+    }
+    let mut robots = Vec::new();
+    for entry in fs::read_dir(&folder).map_err(at(&folder))? {
+        let name = entry.map_err(at(&folder))?.file_name();
+        let name = name.to_str().and_then(|name| name.strip_suffix(".secret"));
+        let name = name.and_then(|name| percent_decode_str(name).decode_utf8().ok());
+        robots.extend(name.and_then(|name| name.parse::<RobotId>().ok()));
+    }
+    robots.sort();
+    Ok(robots)
+}
+
+/// Deletes a file if it is there; returns whether it was.
+pub(super) fn delete(path: &Path) -> Result<bool, KeysError> {
+    match fs::remove_file(path) {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(false),
+        Err(error) => Err(at(path)(error)),
+    }
 }
 
 /// Reads a file whole; a pipe or a device in its place is refused, not waited for.

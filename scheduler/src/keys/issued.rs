@@ -117,6 +117,15 @@ impl Issued {
         counts.map(|entry| entry.revoked = Some(now)).count()
     }
 
+    /// The last ones of operators, as far as they are not revoked.
+    pub(super) fn operators(&self) -> impl Iterator<Item = &Entry> + '_ {
+        let is_last = |entry: &&Entry| {
+            self.latest(&Name::Operator(entry.name.clone())).is_some_and(|last| last.serial == entry.serial)
+        };
+        let operators = self.entries.iter().filter(|entry| entry.kind == Kind::Operator);
+        operators.filter(|entry| entry.revoked.is_none()).filter(is_last)
+    }
+
     /// Number and instant of each that is revoked.
     pub(super) fn revoked(&self) -> impl Iterator<Item = (Vec<u8>, i64)> + '_ {
         self.entries.iter().filter_map(|entry| entry.serial().zip(entry.revoked))

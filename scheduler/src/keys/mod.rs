@@ -2,10 +2,12 @@
 //!
 //! The folder is its owner's alone. It holds `authority.key`, `authority.pem`, the list of revoked certificates
 //! `revoked.pem`, a record of all that were issued (`issued.rs`), and an identity file for each robot and operator: the private key,
-//! its certificate, and behind it the authority's. What is in a certificate is defined in `downbeat_robot::tls`.
+//! its certificate, and behind it the authority's. What is in a certificate is defined in `downbeat_robot::tls`. For robots without
+//! TLS it holds secrets, and operators' passes made from them (`secrets.rs`).
 
 mod files;
 mod issued;
+mod secrets;
 #[cfg(test)]
 mod tests;
 
@@ -13,10 +15,13 @@ use std::collections::BTreeSet;
 use std::fs::File;
 use std::io;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::{SystemTime, UNIX_EPOCH};
 
-use downbeat_robot::Roles;
-use downbeat_robot::tls::{Credentials, Guard, Identity, Name, Revoked, SERVER_NAME};
+use downbeat_robot::sealed::{self, RevokedSerials, Secret, SecretError};
+use downbeat_robot::tls::{self, Credentials, Identity, Name, Revoked, SERVER_NAME};
+use downbeat_robot::{Door, Roles};
+use downbeat_scripts::Protection;
 use rcgen::{
     BasicConstraints, CertificateParams, CertificateRevocationListParams, DistinguishedName, DnType,
     ExtendedKeyUsagePurpose, IsCa, Issuer, KeyIdMethod, KeyPair, KeyUsagePurpose, RevokedCertParams, SanType,
@@ -26,10 +31,12 @@ use time::OffsetDateTime;
 use urrcp::RobotId;
 
 pub use issued::{Entry, Issued, Kind};
+pub use secrets::IfThere;
 
 const AUTHORITY_KEY: &str = "authority.key";
 const AUTHORITY: &str = "authority.pem";
 const REVOKED: &str = "revoked.pem";
+const REVOKED_SERIALS: &str = "revoked.serials";
 /// How long an authority lasts.
 const AUTHORITY_DAYS: i64 = 3_650;
 /// A list of revoked certificates says when the next one comes. It is made when something is revoked, so this is far away.
@@ -69,6 +76,12 @@ pub enum KeysError {
     /// These names have a key already.
     #[error("{} already: `downbeat keys renew` makes a new one", have_keys(.0))]
     Taken(Vec<Name>),
+    /// This robot has a secret already.
+    #[error("robot {0} has a secret already: with --renew it gets another, and the old one counts no more")]
+    SecretTaken(RobotId),
+    /// A secret or a pass cannot be read or made.
+    #[error(transparent)]
+    Secret(#[from] SecretError),
     /// No key was issued under this name.
     #[error("{name} has no key here; those that have one: {known}")]
     Unknown {
@@ -178,22 +191,28 @@ impl Authority {
         self.write_identity(name, &known.roles(), now, days)
     }
 
-    /// Revokes all certificates of a name, and writes the list of revoked ones. Returns how many.
+    /// Revokes all certificates of a name, and writes the list of revoked ones. Passes that were made for an operator are revoked with
+    /// them; the secret of a robot is deleted, with the passes made from it. Returns how many keys that were.
     ///
     /// # Errors
     /// [`KeysError`], also where the name has no key, or none that counts.
     pub fn revoke(&self, name: &Name, now: i64) -> Result<usize, KeysError> {
         let mut issued = self.issued()?;
-        if issued.latest(name).is_none() {
+        let secret = match name {
+            Name::Robot(robot) => self.delete_secret(robot)?,
+            Name::Operator(_) => 0,
+        };
+        if issued.latest(name).is_none() && secret == 0 {
             return Err(issued.unknown(name));
         }
-        let revoked = issued.revoke(name, now);
+        let revoked = issued.revoke(name, now) + secret;
         if revoked == 0 {
             return Err(KeysError::RevokedAlready(name.clone()));
         }
         // First the list that robots obey: a record without it would promise too much.
         self.write_revoked(&issued, now)?;
         issued.write(&self.folder)?;
+        self.write_passes(&issued)?;
         Ok(revoked)
     }
 
@@ -201,6 +220,12 @@ impl Authority {
     #[must_use]
     pub fn revoked(&self) -> PathBuf {
         self.path(REVOKED)
+    }
+
+    /// Where the list of revoked passes is.
+    #[must_use]
+    pub fn revoked_serials(&self) -> PathBuf {
+        self.path(REVOKED_SERIALS)
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -245,6 +270,7 @@ impl Authority {
         issued.add(&identity, now);
         issued.write(&self.folder)?;
         files::write_private(&path, &format!("{}{}{authority}", key.serialize_pem(), certificate.pem()))?;
+        self.write_passes(&issued)?;
         Ok(path)
     }
 
@@ -267,7 +293,8 @@ impl Authority {
             revoked_certs: issued.revoked().map(revoked).collect::<Result<_, _>>()?,
             key_identifier_method: KeyIdMethod::Sha256,
         };
-        files::write_public(&self.path(REVOKED), &list.signed_by(&issuer)?.pem()?)
+        files::write_public(&self.path(REVOKED), &list.signed_by(&issuer)?.pem()?)?;
+        self.write_revoked_serials(issued)
     }
 }
 
@@ -283,11 +310,23 @@ pub fn calendar() -> i64 {
 ///
 /// # Errors
 /// The robot has no key there, or one that cannot be used, as a sentence.
-pub fn guard_of(folder: &Path, robot: &RobotId) -> Result<Guard, String> {
-    let path = files::identity_path(folder, &Name::Robot(robot.clone()));
-    let own = Credentials::read(&path).map_err(|error| error.to_string())?;
-    let revoked = Revoked::in_file(&folder.join(REVOKED)).map_err(|error| error.to_string())?;
-    Guard::new(own, Some(revoked))
+pub fn door_of(folder: &Path, robot: &RobotId, protection: Protection) -> Result<Door, String> {
+    match protection {
+        Protection::Open => Ok(Door::Open),
+        Protection::Tls => {
+            let path = files::identity_path(folder, &Name::Robot(robot.clone()));
+            let own = Credentials::read(&path).map_err(|error| error.to_string())?;
+            let revoked = Revoked::in_file(&folder.join(REVOKED)).map_err(|error| error.to_string())?;
+            Ok(Door::Tls(Arc::new(tls::Guard::new(own, Some(revoked))?)))
+        }
+        Protection::Hmac => {
+            let secret =
+                Secret::read(&files::secret_path(folder, robot)).map_err(|error| error.to_string())?;
+            let revoked = RevokedSerials::in_file(&folder.join(REVOKED_SERIALS));
+            let revoked = revoked.map_err(|error| error.to_string())?;
+            Ok(Door::Sealed(Arc::new(sealed::Guard::new(robot.clone(), secret, Some(revoked)))))
+        }
+    }
 }
 
 fn params(common_name: &str, now: i64, days: i64) -> Result<CertificateParams, KeysError> {

@@ -7,7 +7,7 @@ use std::sync::Arc;
 use downbeat_robot::tls::{
     Credentials, CredentialsError, Identity, Name, Revoked, SERVER_NAME, client_config, server_config,
 };
-use downbeat_robot::{Role, Roles};
+use downbeat_robot::{KeyFileError, Role, Roles};
 use rustix::fs::{CWD, FileType, Mode, mknodat};
 use rustls::pki_types::ServerName;
 use tempfile::TempDir;
@@ -171,7 +171,10 @@ fn keys_are_private_and_not_made_twice() {
     let taken = issue(&["cf4", "cf3", "cf2"]).unwrap_err().to_string();
     assert!(taken.starts_with("robot cf2, robot cf3 have keys already"), "{taken}");
     std::fs::set_permissions(&path, std::fs::Permissions::from_mode(0o640)).unwrap();
-    assert!(matches!(Credentials::read(&path), Err(CredentialsError::NotPrivate { mode: 0o640, .. })));
+    assert!(matches!(
+        Credentials::read(&path),
+        Err(CredentialsError::File(KeyFileError::NotPrivate { mode: 0o640, .. }))
+    ));
     let unknown = site.authority.revoke(&robot("cf9"), calendar()).unwrap_err().to_string();
     assert_eq!(unknown, "robot cf9 has no key here; those that have one: ../cf1, cf2, cf3");
 }
@@ -210,4 +213,48 @@ fn a_list_of_revoked_certificates_is_not_taken_for_an_identity() {
     let authority = site.folder.path().join("keys/authority.pem");
     let no_list = Revoked::in_file(&authority).unwrap_err().to_string();
     assert!(no_list.ends_with("expected the file `revoked.pem` that `downbeat keys` wrote"), "{no_list}");
+}
+
+fn passes(site: &Site, operator: &str) -> Option<String> {
+    std::fs::read_to_string(site.folder.path().join(format!("keys/operators/{operator}.passes"))).ok()
+}
+
+#[test]
+fn operators_have_a_pass_for_each_robot_with_a_secret_until_either_is_revoked() {
+    let site = Site::new();
+    site.of(&operator(), &[Role::Drive]);
+    assert!(passes(&site, OPERATOR).is_none());
+    let (cf1, cf2) = ("cf 1/ö".parse().unwrap(), "cf2".parse().unwrap());
+    let secret = site.authority.make_secret(&cf1, IfThere::Keep).unwrap();
+    site.authority.make_secret(&cf2, IfThere::Keep).unwrap();
+    // One who comes later has them as well.
+    site.of(&Name::Operator("bert".into()), &[Role::Observe]);
+    let path = site.folder.path().join("keys/operators/anna.passes");
+    for private in [&secret, &path] {
+        assert_eq!(std::fs::metadata(private).unwrap().permissions().mode() & 0o777, 0o600);
+    }
+    let read = sealed::Passes::read(&path).unwrap();
+    assert_eq!(read.held().len(), 2);
+    let held = read.of(&cf1).unwrap();
+    let certificate = site.authority.issued().unwrap().latest(&operator()).unwrap().clone();
+    assert_eq!((held.claim.expires, &held.claim.serial), (certificate.expires, &certificate.serial));
+    assert_eq!(held.claim.to_string().split(' ').nth(2), Some("drive"));
+    assert_eq!(site.authority.robots_with_secret().unwrap(), [cf1.clone(), cf2.clone()]);
+
+    assert!(matches!(site.authority.make_secret(&cf1, IfThere::Keep), Err(KeysError::SecretTaken(_))));
+    let (before, anna) = (std::fs::read(&secret).unwrap(), passes(&site, OPERATOR));
+    site.authority.make_secret(&cf1, IfThere::Replace).unwrap();
+    assert!(std::fs::read(&secret).unwrap() != before && passes(&site, OPERATOR) != anna);
+
+    assert_eq!(site.authority.revoke(&Name::Robot(cf1), calendar()).unwrap(), 1);
+    assert!(!secret.exists());
+    assert_eq!(sealed::Passes::read(&path).unwrap().held().len(), 1);
+
+    let serials = || std::fs::read_to_string(site.authority.revoked_serials()).unwrap();
+    assert!(!serials().contains(&certificate.serial));
+    site.authority.revoke(&operator(), calendar()).unwrap();
+    assert!(serials().contains(&format!("\n{}\n", certificate.serial)));
+    assert!(passes(&site, OPERATOR).is_none() && passes(&site, "bert").is_some());
+    site.authority.renew(&operator(), calendar(), 10).unwrap();
+    assert!(passes(&site, OPERATOR).is_some_and(|passes| !passes.contains(&certificate.serial)));
 }

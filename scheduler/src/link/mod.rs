@@ -12,8 +12,8 @@ use std::time::Duration;
 
 pub(crate) use budget::{Asked, Budget};
 pub use encoding::LinkEncoding;
+pub use secure::{Hmac, Security, Site, Tls};
 pub(crate) use secure::{ReadEnd, WriteEnd, denial, secured};
-pub use secure::{Security, Site, Tls};
 
 use downbeat_robot::HostHandle;
 use tokio::sync::{OwnedSemaphorePermit, Semaphore, mpsc};

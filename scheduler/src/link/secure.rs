@@ -1,11 +1,12 @@
-//! What lies between a link and its bytes: nothing, or TLS with certificates on both sides.
+//! What lies between a link and its bytes: nothing, TLS with certificates on both sides, or records with codes by a shared secret.
 
 use std::io;
 use std::path::Path;
 use std::sync::Arc;
 
+use downbeat_robot::sealed::{self, Held, NotSealed, Passes, Refused, Sealed};
 use downbeat_robot::tls::{Credentials, Identity, Name, Revoked, SERVER_NAME, client_config};
-use downbeat_scripts::Fleet;
+use downbeat_scripts::{Fleet, Protection};
 use rustls::ClientConfig;
 use rustls::pki_types::ServerName;
 use tokio::io::{ReadHalf, WriteHalf};
@@ -17,15 +18,18 @@ use tokio_util::either::Either;
 use urrcp::RobotId;
 
 /// The end of a connection from which is read.
-pub(crate) type ReadEnd = Either<OwnedReadHalf, ReadHalf<TlsStream<TcpStream>>>;
-/// The end of a connection to which is written.
-pub(crate) type WriteEnd = Either<OwnedWriteHalf, WriteHalf<TlsStream<TcpStream>>>;
+pub(crate) type ReadEnd =
+    Either<OwnedReadHalf, Either<ReadHalf<TlsStream<TcpStream>>, ReadHalf<Sealed<TcpStream>>>>;
+/// The end of a connection to which is written, and then flushed: what is encrypted or sealed may wait in it.
+pub(crate) type WriteEnd =
+    Either<OwnedWriteHalf, Either<WriteHalf<TlsStream<TcpStream>>, WriteHalf<Sealed<TcpStream>>>>;
 
 /// How a site's robots are spoken to.
 #[derive(Clone, Debug, Default)]
 pub struct Site {
     config: Option<Arc<ClientConfig>>,
     identity: Option<Identity>,
+    passes: Arc<Passes>,
 }
 
 impl Site {
@@ -52,7 +56,10 @@ impl Site {
         }
         let revoked = revoked.map(Revoked::in_file).transpose().map_err(|error| error.to_string())?;
         let config = client_config(&own, revoked.as_ref())?;
-        Ok(Self { config: Some(Arc::new(config)), identity: Some(own.identity().clone()) })
+        let passes = Passes::next_to(path);
+        let passes = if passes.exists() { Passes::read(&passes) } else { Ok(Passes::default()) };
+        let passes = Arc::new(passes.map_err(|error| error.to_string())?);
+        Ok(Self { config: Some(Arc::new(config)), identity: Some(own.identity().clone()), passes })
     }
 
     /// Who speaks; `None` without an identity.
@@ -61,25 +68,25 @@ impl Site {
         self.identity.as_ref()
     }
 
-    /// For a robot that calls itself so.
+    /// The operator's passes for robots with a secret.
     #[must_use]
-    pub fn with(&self, robot: &RobotId) -> Security {
-        match &self.config {
-            Some(config) => {
-                Security::Tls(Arc::new(Tls { config: Arc::clone(config), robot: Some(robot.clone()) }))
-            }
-            None => Security::Nameless,
-        }
+    pub fn passes(&self) -> &Passes {
+        &self.passes
     }
-}
 
-impl Site {
-    /// For a robot of the authority, whichever it is.
+    /// For a robot that calls itself so; `None`: whichever robot it is.
     #[must_use]
-    pub fn with_any(&self) -> Security {
-        match &self.config {
-            Some(config) => Security::Tls(Arc::new(Tls { config: Arc::clone(config), robot: None })),
-            None => Security::Nameless,
+    pub fn with(&self, protection: Protection, robot: Option<&RobotId>) -> Security {
+        let robot = robot.cloned();
+        match (protection, &self.config) {
+            (Protection::Open, _) => Security::Plain,
+            (_, None) => Security::Nameless,
+            (Protection::Tls, Some(config)) => {
+                Security::Tls(Arc::new(Tls { config: Arc::clone(config), robot }))
+            }
+            (Protection::Hmac, Some(_)) => {
+                Security::Hmac(Arc::new(Hmac { passes: Arc::clone(&self.passes), robot }))
+            }
         }
     }
 }
@@ -87,12 +94,64 @@ impl Site {
 /// How one robot is spoken to.
 #[derive(Clone, Debug)]
 pub enum Security {
-    /// Without TLS.
+    /// As it is.
     Plain,
     /// With TLS, by a certificate that says so.
     Tls(Arc<Tls>),
-    /// With TLS, for which there is no identity: nothing can be said.
+    /// In records with codes, by a pass that says so.
+    Hmac(Arc<Hmac>),
+    /// Not as it is, but there is no identity: nothing can be said.
     Nameless,
+}
+
+/// What it takes to seal what is said to one robot.
+#[derive(Debug)]
+pub struct Hmac {
+    passes: Arc<Passes>,
+    /// Whose secret its pass is made from; `None`: any robot's.
+    robot: Option<RobotId>,
+}
+
+impl Hmac {
+    /// The same for one robot alone.
+    pub(crate) fn for_robot(&self, robot: RobotId) -> Self {
+        Self { passes: Arc::clone(&self.passes), robot: Some(robot) }
+    }
+
+    /// The pass to begin with, or why there is none.
+    pub(crate) fn pass(&self) -> io::Result<&Held> {
+        self.first().map_err(io::Error::other)
+    }
+
+    fn first(&self) -> Result<&Held, Denied> {
+        let none = |of: String| {
+            Denied(format!(
+                "you have no pass for {of}: `downbeat keys secret` makes one, in a file next to your identity file"
+            ))
+        };
+        match &self.robot {
+            Some(robot) => self.passes.of(robot).ok_or_else(|| none(format!("robot {robot}"))),
+            None => self.passes.held().first().ok_or_else(|| none("any robot".to_owned())),
+        }
+    }
+
+    /// Connects. A robot that refuses the pass of another names itself; if any robot is meant, it is asked again with its own.
+    async fn connect(&self, stream: TcpStream) -> io::Result<Sealed<TcpStream>> {
+        let address = stream.peer_addr()?;
+        let held = self.pass()?;
+        let error = match sealed::connect(stream, held).await {
+            Err(error) if self.robot.is_none() => error,
+            connected => return connected,
+        };
+        let named = match error.get_ref().and_then(|inner| inner.downcast_ref()) {
+            Some(NotSealed::Refused(Refused::OtherRobot(own))) => self.passes.of(own),
+            _ => None,
+        };
+        let Some(held) = named else { return Err(error) };
+        let stream = TcpStream::connect(address).await?;
+        stream.set_nodelay(true)?;
+        sealed::connect(stream, held).await
+    }
 }
 
 /// What TLS with one robot takes.
@@ -101,6 +160,13 @@ pub struct Tls {
     config: Arc<ClientConfig>,
     /// Whom its certificate has to name; `None`: any robot of the authority.
     robot: Option<RobotId>,
+}
+
+impl Tls {
+    /// How this side proves who it is.
+    pub(crate) const fn config(&self) -> &Arc<ClientConfig> {
+        &self.config
+    }
 }
 
 /// Connects to a robot, makes sure that it is this one, and says whose certificate it has shown.
@@ -120,7 +186,11 @@ pub(crate) async fn secured(
         }
         Security::Nameless => {
             let hint = "name your identity file: `identity` in the fleet file, or DOWNBEAT_IDENTITY";
-            return Err(denied(format!("TLS needs to know who you are: {hint}")));
+            return Err(denied(format!("the robot needs to know who you are: {hint}")));
+        }
+        Security::Hmac(hmac) => {
+            let (reader, writer) = tokio::io::split(hmac.connect(stream).await?);
+            return Ok(((Either::Right(Either::Right(reader)), Either::Right(Either::Right(writer))), None));
         }
         Security::Tls(tls) => tls,
     };
@@ -134,7 +204,7 @@ pub(crate) async fn secured(
         return Err(denied(format!("its certificate is that of {}, expected robot {robot}", met.name)));
     }
     let (reader, writer) = tokio::io::split(stream);
-    Ok(((Either::Right(reader), Either::Right(writer)), Some(met)))
+    Ok(((Either::Right(Either::Left(reader)), Either::Right(Either::Left(writer))), Some(met)))
 }
 
 /// Why one side was not let in, in words of keys and certificates; `None` where the connection failed otherwise.
@@ -143,6 +213,9 @@ pub(crate) fn denial(error: &io::Error) -> Option<String> {
     let inner = error.get_ref()?;
     if let Some(Denied(why)) = inner.downcast_ref() {
         return Some(why.clone());
+    }
+    if let Some(why) = inner.downcast_ref::<NotSealed>() {
+        return Some(why.to_string());
     }
     let why = match inner.downcast_ref::<Error>()? {
         Error::InvalidCertificate(Certificate::UnknownIssuer | Certificate::BadSignature) => {
@@ -165,7 +238,7 @@ pub(crate) fn denial(error: &io::Error) -> Option<String> {
     Some(why.to_owned())
 }
 
-/// Not let in, for a reason of our own.
+/// Not let in, for a reason of this side.
 #[derive(Debug, thiserror::Error)]
 #[error("{0}")]
 struct Denied(String);

@@ -125,19 +125,26 @@ async fn write(mut writer: WriteEnd, mut queue: Queue, peer: &Peer) -> Option<(L
         if bytes.len() >= WRITE_BATCH {
             long_until = Some(clock.now() + LONG_UPLOAD);
         }
-        let mut write = std::pin::pin!(writer.write_all(&bytes));
-        loop {
-            tokio::select! {
-                written = &mut write => match written {
-                    Ok(()) => break,
-                    Err(error) => return Some(ended(&error)),
-                },
-                Some(first) = queue.urgent.recv() => peer.overtake(&first, &mut queue.urgent),
+        {
+            let mut write = std::pin::pin!(write_out(&mut writer, &bytes));
+            loop {
+                tokio::select! {
+                    written = &mut write => match written {
+                        Ok(()) => break,
+                        Err(error) => return Some(ended(&error)),
+                    },
+                    Some(first) = queue.urgent.recv() => peer.overtake(&first, &mut queue.urgent),
+                }
             }
         }
         bytes.clear();
     }
     None
+}
+
+async fn write_out(writer: &mut WriteEnd, bytes: &[u8]) -> io::Result<()> {
+    writer.write_all(bytes).await?;
+    writer.flush().await
 }
 
 /// What the error of an established connection says.
@@ -179,7 +186,7 @@ impl Peer {
         tokio::spawn(async move {
             let connected = tokio::time::timeout(CONNECT_TIMEOUT, peer.connect()).await;
             let Ok(Ok(((reader, mut writer), _))) = connected else { return };
-            if let Err(error) = writer.write_all(&bytes).await {
+            if let Err(error) = write_out(&mut writer, &bytes).await {
                 return tracing::debug!("the stop that overtakes: {error}");
             }
             let _robot_closed = tokio::time::timeout(OVERTAKING_LISTENS, read(&peer, reader)).await;

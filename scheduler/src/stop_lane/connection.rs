@@ -131,6 +131,7 @@ impl Tcp {
             self.asked.note(message, bytes.len() - before);
         }
         self.writer.write_all(&bytes).await?;
+        self.writer.flush().await?;
         self.torn = false;
         Ok(())
     }

@@ -1,0 +1,68 @@
+//! Files that hold a key: nobody else may read them.
+
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use rustix::fs::{Mode, OFlags, Stat};
+
+/// Bytes of such a file at most: a key and two certificates are some three thousand.
+const BYTES_MAX: u64 = 64 * 1024;
+
+/// A file with a key cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum KeyFileError {
+    /// It cannot be read.
+    #[error("{}: {error}", path.display())]
+    Unreadable {
+        /// Which file.
+        path: PathBuf,
+        /// The error of the system.
+        error: io::Error,
+    },
+    /// Others may read the key.
+    #[error("{}: others may read this key (mode {mode:03o}); make it yours alone: chmod 600 {}", path.display(), path.display())]
+    NotPrivate {
+        /// Which file.
+        path: PathBuf,
+        /// Its permissions.
+        mode: u32,
+    },
+}
+
+/// What is in the file, if it is a regular one that others cannot read.
+pub(crate) fn read_private(path: &Path) -> Result<Vec<u8>, KeyFileError> {
+    let (file, stat) = open_regular(path)?;
+    let mode = stat.st_mode & 0o777;
+    // A file of root may be handed to a service by its group, as systemd does with credentials.
+    let handed_over = stat.st_uid == 0 && !rustix::process::geteuid().is_root();
+    if mode & if handed_over { 0o037 } else { 0o077 } != 0 {
+        return Err(KeyFileError::NotPrivate { path: path.into(), mode });
+    }
+    read(path, file, BYTES_MAX)
+}
+
+/// What is in the file, so many bytes at most, if it is a regular one. It may be public.
+pub(crate) fn read_regular(path: &Path, bytes_max: u64) -> Result<Vec<u8>, KeyFileError> {
+    read(path, open_regular(path)?.0, bytes_max)
+}
+
+fn read(path: &Path, file: File, bytes_max: u64) -> Result<Vec<u8>, KeyFileError> {
+    let mut bytes = Vec::new();
+    let read = file.take(bytes_max).read_to_end(&mut bytes);
+    read.map_err(|error| KeyFileError::Unreadable { path: path.into(), error })?;
+    Ok(bytes)
+}
+
+/// Opens a file, and nothing else in its place: a pipe would not be waited for.
+fn open_regular(path: &Path) -> Result<(File, Stat), KeyFileError> {
+    let unreadable = |error: io::Error| KeyFileError::Unreadable { path: path.into(), error };
+    let flags = OFlags::RDONLY | OFlags::CLOEXEC | OFlags::NONBLOCK;
+    let file = rustix::fs::open(path, flags, Mode::empty()).map_err(|error| unreadable(error.into()))?;
+    let stat = rustix::fs::fstat(&file).map_err(|error| unreadable(error.into()))?;
+    if !rustix::fs::FileType::from_raw_mode(stat.st_mode).is_file() {
+        return Err(unreadable(io::Error::other("it is no regular file")));
+    }
+    Ok((file.into(), stat))
+}

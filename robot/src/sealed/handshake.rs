@@ -1,0 +1,210 @@
+//! The three lines with which a connection begins. Each side answers a number that the other has drawn, so what was said on an
+//! earlier connection proves nothing on this one.
+
+use hmac::Mac;
+use urrcp::RobotId;
+
+use super::claim::{Claim, encoded, robot_id};
+use super::hex;
+use super::record::{Opening, Sealing};
+use super::secret::{Pass, code};
+
+/// How all lines begin but the last.
+const VERSION: &str = "URRCP-HMAC 1 ";
+/// Bytes of a line at most, with its end: a robot's id and an operator's name have 256 characters each at most, of up to twelve
+/// bytes when encoded.
+pub(super) const LINE_BYTES_MAX: usize = 8 * 1024;
+/// Bytes of the number that each side draws.
+pub const NONCE_BYTES: usize = 16;
+/// A number that is drawn for one connection.
+pub type Nonce = [u8; NONCE_BYTES];
+
+/// A new one.
+///
+/// # Errors
+/// The system gives no random bytes.
+pub fn fresh_nonce() -> std::io::Result<Nonce> {
+    let mut nonce = [0; NONCE_BYTES];
+    getrandom::fill(&mut nonce).map_err(std::io::Error::other)?;
+    Ok(nonce)
+}
+
+/// Why a robot refuses a claim.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Refused {
+    /// It counts no more.
+    Expired,
+    /// It was revoked.
+    Revoked,
+    /// Another robot is meant than this one.
+    OtherRobot(RobotId),
+    /// It cannot be read.
+    Unreadable,
+}
+
+impl Refused {
+    /// The robot's line that says so.
+    #[must_use]
+    pub fn line(&self) -> String {
+        let why = match self {
+            Self::Expired => "expired".to_owned(),
+            Self::Revoked => "revoked".to_owned(),
+            Self::OtherRobot(own) => format!("robot {}", encoded(own.as_str())),
+            Self::Unreadable => "claim".to_owned(),
+        };
+        format!("{VERSION}refused {why}\n")
+    }
+
+    fn parse(why: &str) -> Option<Self> {
+        match why.split_once(' ') {
+            None if why == "expired" => Some(Self::Expired),
+            None if why == "revoked" => Some(Self::Revoked),
+            None if why == "claim" => Some(Self::Unreadable),
+            Some(("robot", own)) => Some(Self::OtherRobot(robot_id(own)?)),
+            _ => None,
+        }
+    }
+}
+
+/// Why there is no sealed connection.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NotSealed {
+    /// What came is no line of this handshake.
+    #[error("what listens there does not speak hmac")]
+    NotSpoken,
+    /// The robot refuses what the operator claims.
+    #[error("{}", sentence(.0))]
+    Refused(Refused),
+    /// The robot proves another secret than the one that the pass is from, or none.
+    #[error(
+        "the robot does not know the secret that your pass is made from: copy its secret to it, or use the passes as `downbeat keys` wrote them last"
+    )]
+    OtherSecret,
+    /// The peer of a robot proves nothing.
+    #[error("the peer does not prove what it claims")]
+    NotProven,
+}
+
+fn sentence(refused: &Refused) -> String {
+    match refused {
+        Refused::Expired => "your pass has expired: `downbeat keys renew` makes a new one".to_owned(),
+        Refused::Revoked => "your pass is revoked".to_owned(),
+        Refused::OtherRobot(own) => format!("it is robot {own}, another than your pass is for"),
+        Refused::Unreadable => "the robot cannot read your claim".to_owned(),
+    }
+}
+
+/// The operator's first line.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Hello {
+    /// The operator's number.
+    pub nonce: Nonce,
+    /// The robot that is meant.
+    pub robot: RobotId,
+    /// What the operator claims to be.
+    pub claim: Claim,
+}
+
+impl Hello {
+    /// As it is sent.
+    #[must_use]
+    pub fn line(&self) -> String {
+        let Self { nonce, robot, claim } = self;
+        format!("{VERSION}{} {} {claim}\n", hex::hex(nonce), encoded(robot.as_str()))
+    }
+
+    /// Reads it, with its end.
+    ///
+    /// # Errors
+    /// [`NotSealed::NotSpoken`] for a line of something else, and [`Refused::Unreadable`] for one that claims nothing.
+    pub fn read(line: &str) -> Result<Self, NotSealed> {
+        let rest = line.strip_prefix(VERSION).and_then(|rest| rest.strip_suffix('\n'));
+        let rest = rest.ok_or(NotSealed::NotSpoken)?;
+        let mut words = rest.splitn(3, ' ');
+        let mut word = || words.next().ok_or(NotSealed::Refused(Refused::Unreadable));
+        let (nonce, robot, claim) = (word()?, word()?, word()?);
+        let read = || {
+            let claim = claim.parse().ok()?;
+            Some(Self { nonce: hex::bytes(nonce)?, robot: robot_id(robot)?, claim })
+        };
+        read().ok_or(NotSealed::Refused(Refused::Unreadable))
+    }
+
+    /// The robot's answer to it, which proves that it knows the secret.
+    #[must_use]
+    pub fn answer(&self, pass: &Pass, nonce: &Nonce) -> String {
+        let begun = format!("{VERSION}{}", hex::hex(nonce));
+        let proof = code(&pass.0, &[b"robot\n", self.line().as_bytes(), begun.as_bytes()]);
+        format!("{begun} {}\n", hex::hex(&proof.finalize().into_bytes()))
+    }
+
+    /// Checks the robot's answer.
+    ///
+    /// # Errors
+    /// [`NotSealed`], also where the robot refuses the claim.
+    pub fn check_answer(&self, pass: &Pass, answer: &str) -> Result<(), NotSealed> {
+        let rest = answer.strip_prefix(VERSION).and_then(|rest| rest.strip_suffix('\n'));
+        let rest = rest.ok_or(NotSealed::NotSpoken)?;
+        if let Some(why) = rest.strip_prefix("refused ") {
+            return Err(Refused::parse(why).map_or(NotSealed::NotSpoken, NotSealed::Refused));
+        }
+        let (nonce, proof) = rest.split_once(' ').ok_or(NotSealed::NotSpoken)?;
+        hex::bytes::<NONCE_BYTES>(nonce).ok_or(NotSealed::NotSpoken)?;
+        let proof = hex::bytes::<32>(proof).ok_or(NotSealed::NotSpoken)?;
+        let begun = format!("{VERSION}{nonce}");
+        let expected = code(&pass.0, &[b"robot\n", self.line().as_bytes(), begun.as_bytes()]);
+        expected.verify(&proof.into()).map_err(|_| NotSealed::OtherSecret)
+    }
+}
+
+fn operators_code(pass: &Pass, hello: &str, answer: &str) -> hmac::Hmac<sha2::Sha256> {
+    code(&pass.0, &[b"operator\n", hello.as_bytes(), answer.as_bytes()])
+}
+
+/// The operator's second line, which proves that it has the pass. Both lines before it are given with their ends.
+#[must_use]
+pub fn proof_of_operator(pass: &Pass, hello: &str, answer: &str) -> String {
+    format!("{}\n", hex::hex(&operators_code(pass, hello, answer).finalize().into_bytes()))
+}
+
+/// Checks the operator's second line.
+pub(super) fn check_operator(pass: &Pass, hello: &str, answer: &str, proof: &str) -> Result<(), NotSealed> {
+    let proof = proof.strip_suffix('\n').and_then(hex::bytes::<32>).ok_or(NotSealed::NotProven)?;
+    operators_code(pass, hello, answer).verify(&proof.into()).map_err(|_| NotSealed::NotProven)
+}
+
+/// The keys of a connection, one for each direction. They follow from all that was said, so no two connections share one.
+#[derive(Clone)]
+pub struct Keys {
+    to_robot: [u8; 32],
+    to_operator: [u8; 32],
+}
+
+impl Keys {
+    /// From the first two lines, with their ends.
+    #[must_use]
+    pub fn of(pass: &Pass, hello: &str, answer: &str) -> Self {
+        let of = |direction: &[u8]| {
+            code(&pass.0, &[direction, hello.as_bytes(), answer.as_bytes()]).finalize().into_bytes().into()
+        };
+        Self { to_robot: of(b"to robot\n"), to_operator: of(b"to operator\n") }
+    }
+
+    /// The operator's end.
+    #[must_use]
+    pub const fn of_operator(&self) -> (Sealing, Opening) {
+        (Sealing::new(self.to_robot), Opening::new(self.to_operator))
+    }
+
+    /// The robot's end.
+    #[must_use]
+    pub const fn of_robot(&self) -> (Sealing, Opening) {
+        (Sealing::new(self.to_operator), Opening::new(self.to_robot))
+    }
+}
+
+impl std::fmt::Debug for Keys {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Keys")
+    }
+}

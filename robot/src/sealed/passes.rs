@@ -1,0 +1,81 @@
+//! The passes of an operator: a file next to its identity file.
+
+use std::path::{Path, PathBuf};
+
+use urrcp::RobotId;
+
+use super::claim::{Claim, encoded, robot_id};
+use super::secret::Pass;
+use super::{SecretError, hex};
+use crate::key_file::read_private;
+
+/// One of them.
+#[derive(Clone, Debug)]
+pub struct Held {
+    /// The robot that it is for.
+    pub robot: RobotId,
+    /// What it proves.
+    pub claim: Claim,
+    /// The pass itself.
+    pub pass: Pass,
+}
+
+/// All passes of an operator, one for each robot with a secret.
+#[derive(Clone, Debug, Default)]
+pub struct Passes {
+    held: Vec<Held>,
+}
+
+impl Passes {
+    /// Those of these robots.
+    #[must_use]
+    pub const fn new(held: Vec<Held>) -> Self {
+        Self { held }
+    }
+
+    /// Where those of the operator with this identity file are.
+    #[must_use]
+    pub fn next_to(identity: &Path) -> PathBuf {
+        identity.with_extension("passes")
+    }
+
+    /// Reads their file: in each line a robot, a claim and a pass.
+    ///
+    /// # Errors
+    /// It cannot be read, others may read it, or it is something else.
+    pub fn read(path: &Path) -> Result<Self, SecretError> {
+        let none = || SecretError::NoPasses(path.into());
+        let text = String::from_utf8(read_private(path)?).map_err(|_| none())?;
+        let lines = text.lines().filter(|line| !line.starts_with('#') && !line.is_empty());
+        let held: Option<Vec<Held>> = lines.map(held).collect();
+        held.map(Self::new).ok_or_else(none)
+    }
+
+    /// What is in their file.
+    #[must_use]
+    pub fn text(&self) -> String {
+        let head = "# Passes for robots with a secret, written by `downbeat keys`: robot, claim, pass.\n";
+        let line = |Held { robot, claim, pass }: &Held| {
+            format!("{} {claim} {}\n", encoded(robot.as_str()), hex::hex(&pass.0))
+        };
+        std::iter::once(head.to_owned()).chain(self.held.iter().map(line)).collect()
+    }
+
+    /// All of them.
+    #[must_use]
+    pub fn held(&self) -> &[Held] {
+        &self.held
+    }
+
+    /// The one for a robot.
+    #[must_use]
+    pub fn of(&self, robot: &RobotId) -> Option<&Held> {
+        self.held.iter().find(|held| held.robot == *robot)
+    }
+}
+
+fn held(line: &str) -> Option<Held> {
+    let (robot, rest) = line.split_once(' ')?;
+    let (claim, pass) = rest.rsplit_once(' ')?;
+    Some(Held { robot: robot_id(robot)?, claim: claim.parse().ok()?, pass: Pass(hex::bytes(pass)?) })
+}

@@ -1,0 +1,117 @@
+//! The secret of a robot, and the passes that follow from it.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use hmac::{Hmac, KeyInit, Mac};
+use sha2::Sha256;
+use urrcp::RobotId;
+
+use super::claim::Claim;
+use super::hex;
+use crate::key_file::{KeyFileError, read_private};
+
+/// Bytes of a secret, of a pass and of a whole code.
+const BYTES: usize = 32;
+/// Ahead of a claim whose code is a pass.
+const OF_A_PASS: &[u8] = b"urrcp pass 1\n";
+
+/// A code over several parts, one behind the other.
+pub(super) fn code(key: &[u8; BYTES], parts: &[&[u8]]) -> Hmac<Sha256> {
+    // RFC 2104 fills a shorter key with zeros to the block of its hash.
+    let mut block = [0; 64];
+    block[..BYTES].copy_from_slice(key);
+    let mut code = Hmac::<Sha256>::new(&block.into());
+    parts.iter().for_each(|part| code.update(part));
+    code
+}
+
+/// A secret cannot be used.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum SecretError {
+    /// Its file cannot be read, or others may read it too.
+    #[error(transparent)]
+    File(#[from] KeyFileError),
+    /// What is in the file is none.
+    #[error("{}: expected a file that `downbeat keys secret` wrote: one line of 64 hexadecimal digits, and lines that begin with #", .0.display())]
+    NoSecret(PathBuf),
+    /// What is in the file are no passes.
+    #[error("{}: expected a file of passes that `downbeat keys` wrote: in each line a robot, a claim and 64 hexadecimal digits", .0.display())]
+    NoPasses(PathBuf),
+    /// The system gives no random bytes.
+    #[error("no random bytes: {0}")]
+    NoRandomBytes(#[from] getrandom::Error),
+}
+
+/// What a robot and its authority know, and nobody else.
+#[derive(Clone)]
+pub struct Secret([u8; BYTES]);
+
+impl Secret {
+    /// A new one.
+    ///
+    /// # Errors
+    /// The system gives no random bytes.
+    pub fn generate() -> Result<Self, SecretError> {
+        let mut bytes = [0; BYTES];
+        getrandom::fill(&mut bytes)?;
+        Ok(Self(bytes))
+    }
+
+    /// One that is known.
+    #[must_use]
+    pub const fn of_bytes(bytes: [u8; BYTES]) -> Self {
+        Self(bytes)
+    }
+
+    /// Reads the file of one.
+    ///
+    /// # Errors
+    /// [`SecretError`], also where others may read the file.
+    pub fn read(path: &Path) -> Result<Self, SecretError> {
+        let none = || SecretError::NoSecret(path.into());
+        let text = String::from_utf8(read_private(path)?).map_err(|_| none())?;
+        let mut lines = text.lines().filter(|line| !line.starts_with('#') && !line.is_empty());
+        let secret = lines.next().and_then(hex::bytes).ok_or_else(none)?;
+        if lines.next().is_none() { Ok(Self(secret)) } else { Err(none()) }
+    }
+
+    /// What is in its file.
+    #[must_use]
+    pub fn text(&self, robot: &RobotId) -> String {
+        let robot = super::claim::encoded(robot.as_str());
+        format!("# The secret of robot {robot}. Copy it to this robot alone.\n{}\n", hex::hex(&self.0))
+    }
+
+    /// What an operator with this claim proves it with to this robot.
+    #[must_use]
+    pub fn pass(&self, claim: &Claim) -> Pass {
+        let claim = claim.to_string();
+        Pass(code(&self.0, &[OF_A_PASS, claim.as_bytes()]).finalize().into_bytes().into())
+    }
+}
+
+impl fmt::Debug for Secret {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Secret")
+    }
+}
+
+/// What an operator proves a claim with, to one robot.
+#[derive(Clone)]
+pub struct Pass(pub(super) [u8; BYTES]);
+
+impl Pass {
+    /// One that is known.
+    #[must_use]
+    pub const fn of_bytes(bytes: [u8; BYTES]) -> Self {
+        Self(bytes)
+    }
+}
+
+impl fmt::Debug for Pass {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Pass")
+    }
+}

@@ -1,0 +1,217 @@
+//! Both ends of a connection in one process, and what lies between them.
+
+use proptest::prelude::*;
+use tokio::io::{AsyncReadExt, AsyncWriteExt, duplex};
+
+use super::*;
+use crate::role::{Role, Roles};
+use crate::sealed::handshake::NotSealed;
+use crate::sealed::passes::Held;
+use crate::sealed::{Claim, Keys, connect};
+
+const LATER: i64 = 4_000_000_000;
+
+fn claim(roles: &[Role]) -> Claim {
+    let roles: Roles = roles.iter().copied().collect();
+    Claim { name: "anna".into(), roles, expires: LATER, serial: "0a:1b".into() }
+}
+
+fn held(secret: &Secret, robot: &str, claim: Claim) -> Held {
+    Held { robot: robot.parse().unwrap(), pass: secret.pass(&claim), claim }
+}
+
+fn guard(secret: &Secret) -> Guard {
+    Guard::new("cf 1/ö".parse().unwrap(), secret.clone(), None)
+}
+
+/// Whom the robot has met, or why it let nobody in; and what the operator says of it.
+fn meet(guard: &Guard, held: &Held) -> (Result<Proof, String>, Result<(), String>) {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let (near, far) = duplex(64 * 1024);
+        let accepted = async {
+            let (mut stream, proof) = guard.accept(far).await.map_err(|error| error.to_string())?;
+            let mut word = [0; 8];
+            stream.read_exact(&mut word).await.map_err(|error| error.to_string())?;
+            assert_eq!(&word, b"operator");
+            stream.write_all(b"robot").await.unwrap();
+            stream.flush().await.unwrap();
+            Ok(proof)
+        };
+        let connected = async {
+            let mut stream = connect(near, held).await.map_err(|error| error.to_string())?;
+            stream.write_all(b"operator").await.map_err(|error| error.to_string())?;
+            stream.flush().await.unwrap();
+            let mut word = [0; 5];
+            stream.read_exact(&mut word).await.map_err(|error| error.to_string())?;
+            assert_eq!(&word, b"robot");
+            Ok(())
+        };
+        tokio::join!(accepted, connected)
+    })
+}
+
+#[test]
+fn a_robot_and_an_operator_of_one_secret_know_each_other() {
+    let secret = Secret::generate().unwrap();
+    let (proof, connected) =
+        meet(&guard(&secret), &held(&secret, "cf 1/ö", claim(&[Role::Stop, Role::Observe])));
+    let proof = proof.unwrap();
+    assert_eq!((proof.name.as_str(), proof.roles.to_string()), ("operator anna", "observe, stop".to_owned()));
+    connected.unwrap();
+}
+
+#[track_caller]
+fn refused(guard: &Guard, held: &Held, why: &NotSealed) {
+    let (robots, operators) = meet(guard, held);
+    assert!(robots.is_err());
+    assert_eq!(operators, Err(why.to_string()));
+}
+
+#[test]
+fn who_does_not_prove_a_pass_that_counts_is_refused() {
+    let (secret, other) = (Secret::generate().unwrap(), Secret::generate().unwrap());
+    let guard = guard(&secret);
+    let right = held(&secret, "cf 1/ö", claim(&[Role::Drive]));
+    refused(&guard, &held(&other, "cf 1/ö", claim(&[Role::Drive])), &NotSealed::OtherSecret);
+    let own = "cf 1/ö".parse().unwrap();
+    let of_another = held(&secret, "cf2", claim(&[Role::Drive]));
+    refused(&guard, &of_another, &NotSealed::Refused(Refused::OtherRobot(own)));
+    let expired = Claim { expires: 1_700_000_000, ..claim(&[Role::Drive]) };
+    refused(&guard, &held(&secret, "cf 1/ö", expired), &NotSealed::Refused(Refused::Expired));
+    // A claim that was made greater than the pass vouches for.
+    let more = Held { claim: claim(&[Role::Drive, Role::Stop]), ..right.clone() };
+    refused(&guard, &more, &NotSealed::OtherSecret);
+    let longer = Held { claim: Claim { expires: LATER + 1, ..claim(&[Role::Drive]) }, ..right.clone() };
+    refused(&guard, &longer, &NotSealed::OtherSecret);
+    assert!(meet(&guard, &right).0.is_ok());
+}
+
+#[test]
+fn the_list_of_revoked_passes_is_read_for_each_connection_and_a_damaged_one_opens_no_door() {
+    let folder = std::env::temp_dir().join(format!("downbeat-sealed-{}", std::process::id()));
+    std::fs::create_dir_all(&folder).unwrap();
+    let path = folder.join("revoked.serials");
+    std::fs::write(&path, "# none\n").unwrap();
+    let secret = Secret::generate().unwrap();
+    let list = RevokedSerials::in_file(&path).unwrap();
+    let guard = Guard::new("cf1".parse().unwrap(), secret.clone(), Some(list));
+    let anna = held(&secret, "cf1", claim(&[Role::Drive]));
+    assert!(meet(&guard, &anna).0.is_ok());
+    std::fs::write(&path, "# one\n0a:1b\n").unwrap();
+    refused(&guard, &anna, &NotSealed::Refused(Refused::Revoked));
+    for damaged in ["not a list\n", "-----BEGIN X509 CRL-----\n"] {
+        std::fs::write(&path, damaged).unwrap();
+        refused(&guard, &anna, &NotSealed::Refused(Refused::Revoked));
+        assert!(RevokedSerials::in_file(&path).is_err());
+    }
+    std::fs::remove_dir_all(&folder).unwrap();
+    refused(&guard, &anna, &NotSealed::Refused(Refused::Revoked));
+}
+
+#[test]
+fn a_whole_connection_that_is_repeated_proves_nothing() {
+    let secret = Secret::generate().unwrap();
+    let guard = guard(&secret);
+    let anna = held(&secret, "cf 1/ö", claim(&[Role::Drive]));
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    let recorded = runtime.block_on(async {
+        let (near, mut between) = duplex(64 * 1024);
+        let (mut further, far) = duplex(64 * 1024);
+        let accepted = guard.accept(far);
+        let connected = async {
+            let mut stream = connect(near, &anna).await.unwrap();
+            stream.write_all(b"move\n").await.unwrap();
+            stream.flush().await.unwrap();
+            stream
+        };
+        let passed_on = async {
+            let (mut recorded, mut bytes) = (Vec::new(), [0; 4096]);
+            // The first line, the proof, and the record.
+            while recorded.iter().filter(|byte| **byte == b'\n').count() < 2 || !recorded.ends_with(b"move\n") {
+                tokio::select! {
+                    n = between.read(&mut bytes) => {
+                        let n = n.unwrap();
+                        recorded.extend_from_slice(&bytes[..n]);
+                        further.write_all(&bytes[..n]).await.unwrap();
+                    }
+                    line = async { let mut answer = vec![0; 4096]; let n = further.read(&mut answer).await.unwrap(); answer.truncate(n); answer } => {
+                        between.write_all(&line).await.unwrap();
+                    }
+                }
+            }
+            recorded
+        };
+        let (accepted, _connected, recorded) = tokio::join!(accepted, connected, passed_on);
+        assert!(accepted.is_ok());
+        recorded
+    });
+    runtime.block_on(async {
+        let (mut near, far) = duplex(64 * 1024);
+        near.write_all(&recorded).await.unwrap();
+        let Err(error) = guard.accept(far).await else { panic!("a repeated connection was let in") };
+        assert_eq!(error.to_string(), NotSealed::NotProven.to_string());
+    });
+}
+
+#[test]
+fn what_speaks_something_else_is_not_waited_for() {
+    let guard = guard(&Secret::generate().unwrap());
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let hello: &[&[u8]] = &[
+            b"{\"availability_request\":{}}\n",
+            b"\x16\x03\x01\x02",
+            b"URRCP-HMAC 2 ",
+            b"URRCP-HMAC 1 \xff\n",
+            &[b"URRCP-HMAC 1 ".as_slice(), &[b'a'; 9000]].concat(),
+        ];
+        for said in hello {
+            let (mut near, far) = duplex(64 * 1024);
+            near.write_all(said).await.unwrap();
+            let Err(error) = guard.accept(far).await else { panic!() };
+            assert_eq!(error.to_string(), NotSealed::NotSpoken.to_string());
+        }
+        let (mut near, far) = duplex(64 * 1024);
+        near.write_all(b"URRCP-HMAC 1 00 cf1 claim\n").await.unwrap();
+        assert!(guard.accept(far).await.is_err());
+        let mut said = String::new();
+        near.read_to_string(&mut said).await.unwrap();
+        assert_eq!(said, "URRCP-HMAC 1 refused claim\n");
+    });
+}
+
+proptest! {
+    #[test]
+    fn a_first_line_is_read_as_it_was_written_whatever_the_names_are(
+        nonce in any::<[u8; 16]>(),
+        robot in "\\PC{1,40}",
+        name in "[^\\x00]{1,40}",
+        roles in proptest::sample::subsequence(Role::ALL.to_vec(), 0..=4),
+        expires in any::<i64>(),
+        serial in "[0-9a-f:]{1,60}",
+    ) {
+        let claim = Claim { name, roles: roles.into_iter().collect(), expires, serial };
+        let hello = Hello { nonce, robot: robot.parse().unwrap(), claim };
+        let line = hello.line();
+        prop_assert_eq!(line.matches('\n').count(), 1);
+        prop_assert_eq!(Hello::read(&line), Ok(hello));
+    }
+
+    #[test]
+    fn what_no_peer_has_sealed_is_never_heard(raw in proptest::collection::vec(any::<u8>(), 0..200), begin in 0_u8..40) {
+        let secret = Secret::of_bytes([1; 32]);
+        let (_, mut opening) = Keys::of(&secret.pass(&claim(&[])), "hello\n", "answer\n").of_robot();
+        opening.push(&[0, 0, 0, begin]);
+        opening.push(&raw);
+        let mut opened = Vec::new();
+        prop_assert_ne!(opening.open(&mut opened), Ok(true));
+        prop_assert!(opened.is_empty());
+    }
+
+    #[test]
+    fn any_line_is_judged_without_a_panic(line in "\\PC{0,200}", begun in any::<bool>()) {
+        let line = if begun { format!("URRCP-HMAC 1 {line}\n") } else { line };
+        let _judged = Hello::read(&line);
+    }
+}

@@ -1,0 +1,347 @@
+//! What a robot at a `tls://` or `hmac://` address does about those who do not prove who they are, and about what is altered on its
+//! way.
+
+use std::io::{self, ErrorKind, Read, Write};
+use std::net::TcpStream;
+use std::time::Duration;
+
+use downbeat_robot::Role;
+use downbeat_robot::sealed::{Held, Hello, Keys, NotSealed, Pass, Refused, proof_of_operator};
+use urrcp::{AvailabilityRequest, ErrorCode, Message, Server, Span, Timestamp, encode};
+
+use super::line::Line;
+use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
+use super::stream::{dial, hello, line};
+use super::trial::Trial;
+use crate::link::Security;
+
+const SECTION: &str = "Proving who one is (D)";
+/// Within which a robot hangs up on a peer that has not proven who it is.
+const DEADLINE: Span = Span::from_millis(5_000);
+
+pub(super) const ALL: [Requirement; 11] = [
+    Requirement {
+        name: "no-plain",
+        demands: "A message of a peer that has proven nothing is not answered, and the connection is closed.",
+        section: SECTION,
+        check: no_plain,
+    },
+    Requirement {
+        name: "proven-in-time",
+        demands: "A peer that has not proven who it is within 5 s is hung up on.",
+        section: SECTION,
+        check: proven_in_time,
+    },
+    Requirement {
+        name: "altered",
+        demands: "Bytes that were altered on their way end the connection, and are not heard.",
+        section: SECTION,
+        check: altered,
+    },
+    Requirement {
+        name: "repeated",
+        demands: "A record that is repeated on its way is not heard again, and ends the connection.",
+        section: SECTION,
+        check: repeated,
+    },
+    Requirement {
+        name: "reordered",
+        demands: "Records in another order than they were sent in are not heard, and end the connection.",
+        section: SECTION,
+        check: reordered,
+    },
+    Requirement {
+        name: "wrong-secret",
+        demands: "With `hmac`: an operator that does not prove its pass is hung up on.",
+        section: SECTION,
+        check: wrong_secret,
+    },
+    Requirement {
+        name: "expired-claim",
+        demands: "With `hmac`: a claim that has expired is refused.",
+        section: SECTION,
+        check: expired_claim,
+    },
+    Requirement {
+        name: "other-robot",
+        demands: "With `hmac`: a claim to another robot is refused, with the robot's own id.",
+        section: SECTION,
+        check: other_robot,
+    },
+    Requirement {
+        name: "forged-roles",
+        demands: "With `hmac`: the robot's proof follows from the claim, so roles cannot be added to it.",
+        section: SECTION,
+        check: forged_roles,
+    },
+    Requirement {
+        name: "repeated-connection",
+        demands: "With `hmac`: what was said on an earlier connection proves nothing.",
+        section: SECTION,
+        check: repeated_connection,
+    },
+    Requirement {
+        name: "roles",
+        demands: "An operator that may only observe is answered, and moves nothing: `forbidden`.",
+        section: "Errors",
+        check: roles,
+    },
+];
+
+/// Whether a requirement is one of these.
+pub(super) fn is_among(requirement: &Requirement) -> bool {
+    ALL.iter().any(|own| own.name == requirement.name)
+}
+
+fn protected(trial: &Trial) -> Result<(), Unmet> {
+    match trial.options().security {
+        Security::Plain => {
+            Err(not_applicable("the robot has a tcp:// address, so it asks nobody who they are"))
+        }
+        _ => Ok(()),
+    }
+}
+
+fn held(trial: &Trial) -> Result<&Held, Unmet> {
+    protected(trial)?;
+    match &trial.options().security {
+        Security::Hmac(hmac) => hmac.pass().map_err(|error| not_applicable(error.to_string())),
+        _ => Err(not_applicable("the robot has no hmac:// address")),
+    }
+}
+
+fn availability() -> Message {
+    Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session: None })
+}
+
+/// A connection on which nothing has been proven.
+fn unproven(trial: &Trial) -> Result<TcpStream, Unmet> {
+    let failed = |error: io::Error| Unmet::Failed(format!("no connection to {}: {error}", trial.address()));
+    dial(trial.address(), trial.options().patience.to_duration()).map_err(failed)
+}
+
+/// What comes until the robot hangs up; `None` if it has not by then.
+fn until_hung_up(
+    trial: &Trial,
+    socket: &mut TcpStream,
+    until: Timestamp<Server>,
+) -> Result<Option<Vec<u8>>, Unmet> {
+    let (mut came, mut bytes) = (Vec::new(), [0; 4096]);
+    let _unlimited_never = socket.set_read_timeout(Some(Duration::from_millis(50)));
+    while trial.now() < until {
+        trial.go_on()?;
+        match socket.read(&mut bytes) {
+            Ok(0) => return Ok(Some(came)),
+            Ok(n) => came.extend_from_slice(&bytes[..n]),
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {}
+            Err(_reset) => return Ok(Some(came)),
+        }
+    }
+    Ok(None)
+}
+
+/// Until when a robot has to have hung up on who proves nothing.
+fn deadline(trial: &Trial) -> Timestamp<Server> {
+    trial.now() + DEADLINE + trial.options().patience
+}
+
+fn no_plain(trial: &Trial) -> Checked {
+    protected(trial)?;
+    let mut socket = unproven(trial)?;
+    let mut said = Vec::new();
+    encode(&availability(), &mut said);
+    let text = format!("{} without proving anything", String::from_utf8_lossy(&said).trim_end());
+    let _hung_up = socket.write_all(&said);
+    match until_hung_up(trial, &mut socket, deadline(trial))? {
+        None => Err(differs(&text, "no end of the connection", "the robot to hang up")),
+        Some(came) if came.contains(&b'{') => {
+            Err(differs(&text, &String::from_utf8_lossy(&came), "no answer, and the robot to hang up"))
+        }
+        Some(_) => pass(),
+    }
+}
+
+fn proven_in_time(trial: &Trial) -> Checked {
+    protected(trial)?;
+    let mut socket = unproven(trial)?;
+    let begun = trial.now();
+    match until_hung_up(trial, &mut socket, deadline(trial))? {
+        Some(_) => Ok(format!("hung up on after {}", trial.now() - begun)),
+        None => {
+            let waited = format!("no end within {}", trial.now() - begun);
+            Err(differs("nothing on a connection", &waited, "the robot to hang up after 5 s"))
+        }
+    }
+}
+
+/// Whether the connection ends, and is answered on at most so often before that.
+fn ends(trial: &Trial, line: &mut Line<'_>, what: &str, answers_max: usize) -> Checked {
+    let until = trial.patience();
+    line.listen(until, |line| line.has_ended())?;
+    if !line.has_ended() {
+        return Err(differs(what, "no end of the connection", "the robot to close the connection"));
+    }
+    let mut answers = 0;
+    while let Some(heard) = line.other(trial.now())? {
+        answers += 1;
+        if answers > answers_max {
+            return Err(differs(what, &heard.text, &format!("{answers_max} answers, and the end")));
+        }
+    }
+    pass()
+}
+
+fn altered(trial: &Trial) -> Checked {
+    protected(trial)?;
+    let mut line = trial.connect()?;
+    let mut record = line.wrapped(&availability())?;
+    if let Some(byte) = record.iter_mut().rev().nth(1) {
+        *byte ^= 1;
+    }
+    line.send_past(&record)?;
+    ends(trial, &mut line, "an availability request with a bit changed on its way", 0)
+}
+
+fn repeated(trial: &Trial) -> Checked {
+    protected(trial)?;
+    let mut line = trial.connect()?;
+    let record = line.wrapped(&availability())?;
+    line.send_past(&record.repeat(2))?;
+    ends(trial, &mut line, "an availability request that comes twice on its way", 1)
+}
+
+fn reordered(trial: &Trial) -> Checked {
+    protected(trial)?;
+    let mut line = trial.connect()?;
+    let records = [line.wrapped(&availability())?, line.wrapped(&availability())?];
+    line.send_past(&[records[1].as_slice(), &records[0]].concat())?;
+    ends(trial, &mut line, "two availability requests that change places on their way", 0)
+}
+
+/// Says the first line to the robot, and hears its answer.
+fn greeted(trial: &Trial, hello: &Hello) -> Result<(TcpStream, String), Unmet> {
+    let mut socket = unproven(trial)?;
+    let said = hello.line();
+    let answer = socket.write_all(said.as_bytes()).and_then(|()| line(&mut socket));
+    let answer = answer.map_err(|error| {
+        differs(said.trim_end(), &format!("no line ({error})"), "the robot's line of the handshake")
+    })?;
+    Ok((socket, answer))
+}
+
+fn fresh(held: &Held) -> Result<Hello, Unmet> {
+    hello(held).map_err(|error| not_applicable(error.to_string()))
+}
+
+fn refused(trial: &Trial, hello: &Hello, expected: &Refused) -> Checked {
+    let (mut socket, answer) = greeted(trial, hello)?;
+    let (said, expected) = (hello.line(), expected.line());
+    if answer != expected {
+        return Err(differs(said.trim_end(), answer.trim_end(), expected.trim_end()));
+    }
+    match until_hung_up(trial, &mut socket, deadline(trial))? {
+        Some(_) => pass(),
+        None => Err(differs(said.trim_end(), answer.trim_end(), "the robot to hang up after that")),
+    }
+}
+
+fn wrong_secret(trial: &Trial) -> Checked {
+    let held = held(trial)?;
+    let hello = fresh(held)?;
+    let (mut socket, answer) = greeted(trial, &hello)?;
+    let forged = proof_of_operator(&Pass::of_bytes([0; 32]), &hello.line(), &answer);
+    let _hung_up = socket.write_all(forged.as_bytes());
+    match until_hung_up(trial, &mut socket, deadline(trial))? {
+        Some(came) if came.is_empty() => pass(),
+        Some(came) => Err(differs(
+            "a wrong proof of a right claim",
+            &String::from_utf8_lossy(&came),
+            "the robot to hang up without a word",
+        )),
+        None => Err(differs("a wrong proof of a right claim", "no end", "the robot to hang up")),
+    }
+}
+
+fn expired_claim(trial: &Trial) -> Checked {
+    let mut hello = fresh(held(trial)?)?;
+    hello.claim.expires = 1;
+    refused(trial, &hello, &Refused::Expired)
+}
+
+fn other_robot(trial: &Trial) -> Checked {
+    let mut hello = fresh(held(trial)?)?;
+    let own = hello.robot.clone();
+    let another = format!("not {own}").chars().take(200).collect::<String>();
+    hello.robot = another.parse().map_err(|_| not_applicable("there is no other id"))?;
+    refused(trial, &hello, &Refused::OtherRobot(own))
+}
+
+fn forged_roles(trial: &Trial) -> Checked {
+    let held = held(trial)?;
+    let mut hello = fresh(held)?;
+    let all: downbeat_robot::Roles = Role::ALL.into_iter().collect();
+    hello.claim.roles = match hello.claim.roles == all {
+        true => [Role::Observe].into_iter().collect(),
+        false => all,
+    };
+    let (_, answer) = greeted(trial, &hello)?;
+    match hello.check_answer(&held.pass, &answer) {
+        Err(NotSealed::OtherSecret) => pass(),
+        Err(other) => {
+            Err(differs(hello.line().trim_end(), &other.to_string(), "a line with the robot's proof"))
+        }
+        Ok(()) => Err(differs(
+            hello.line().trim_end(),
+            answer.trim_end(),
+            "a proof by another pass than that of fewer roles",
+        )),
+    }
+}
+
+fn repeated_connection(trial: &Trial) -> Checked {
+    let held = held(trial)?;
+    let hello = fresh(held)?;
+    let said = hello.line();
+    let (mut socket, answer) = greeted(trial, &hello)?;
+    hello.check_answer(&held.pass, &answer).map_err(|why| Unmet::Failed(why.to_string()))?;
+    let proof = proof_of_operator(&held.pass, &said, &answer);
+    let (mut sealing, _) = Keys::of(&held.pass, &said, &answer).of_operator();
+    let (mut message, mut record) = (Vec::new(), proof.into_bytes());
+    encode(&availability(), &mut message);
+    sealing.seal(&message, &mut record);
+    let _hung_up = socket.write_all(&record);
+    let mut first = [0];
+    if socket.read(&mut first).is_err() {
+        return Err(differs("an availability request after the handshake", "nothing", "an answer"));
+    }
+    let (mut again, second) = greeted(trial, &hello)?;
+    if second == answer {
+        return Err(differs(
+            said.trim_end(),
+            second.trim_end(),
+            "another number than on the connection before",
+        ));
+    }
+    let _hung_up = again.write_all(&record);
+    match until_hung_up(trial, &mut again, deadline(trial))? {
+        Some(came) if came.is_empty() => pass(),
+        Some(_) => {
+            Err(differs("all that was said on an earlier connection", "an answer", "the robot to hang up"))
+        }
+        None => Err(differs("all that was said on an earlier connection", "no end", "the robot to hang up")),
+    }
+}
+
+fn roles(trial: &Trial) -> Checked {
+    protected(trial)?;
+    let Some(observer) = &trial.options().observer else {
+        return Err(not_applicable("no other operator is known: --observer names the identity of one"));
+    };
+    let mut line = trial.connect_as(observer)?;
+    line.availability()?;
+    let actor = trial.actor()?;
+    line.refuses(&trial.set(actor, actor.rest), ErrorCode::Forbidden)?;
+    line.refuses(&trial.cancel(actor), ErrorCode::Forbidden)?;
+    line.goes_on_after("what its peer may not do")?;
+    pass()
+}

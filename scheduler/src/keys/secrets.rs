@@ -1,0 +1,100 @@
+//! Secrets of robots without TLS, and the passes of operators that are made from them.
+//!
+//! A pass has the name, the roles, the end and the number of the operator's certificate, so both end and are revoked together.
+
+use std::path::PathBuf;
+
+use downbeat_robot::sealed::{Claim, Held, Passes, Secret};
+use downbeat_robot::tls::Name;
+use urrcp::RobotId;
+
+use super::{Authority, Entry, Issued, KeysError, Kind, files};
+
+/// What becomes of a secret that is there already.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum IfThere {
+    /// It stays, and another is refused.
+    Keep,
+    /// Another takes its place, and passes made from it count no more once the robot has that.
+    Replace,
+}
+
+impl Authority {
+    /// Makes the secret of a robot, and each operator a pass for it. Returns the file of the secret.
+    ///
+    /// # Errors
+    /// [`KeysError`], also where the robot has a secret already.
+    pub fn make_secret(&self, robot: &RobotId, if_there: IfThere) -> Result<PathBuf, KeysError> {
+        let path = files::secret_path(&self.folder, robot);
+        if if_there == IfThere::Keep && path.exists() {
+            return Err(KeysError::SecretTaken(robot.clone()));
+        }
+        path.parent().map(files::make_private_folder).transpose()?;
+        files::write_private(&path, &Secret::generate()?.text(robot))?;
+        let issued = self.issued()?;
+        self.write_revoked_serials(&issued)?;
+        self.write_passes(&issued)?;
+        Ok(path)
+    }
+
+    /// The robots that have a secret, in the order of their ids.
+    ///
+    /// # Errors
+    /// The folder cannot be read.
+    pub fn robots_with_secret(&self) -> Result<Vec<RobotId>, KeysError> {
+        files::robots_with_secret(&self.folder)
+    }
+
+    /// Deletes a robot's secret; returns how many there were.
+    pub(super) fn delete_secret(&self, robot: &RobotId) -> Result<usize, KeysError> {
+        Ok(usize::from(files::delete(&files::secret_path(&self.folder, robot))?))
+    }
+
+    /// Writes the passes of all operators: for each robot with a secret one. Who is revoked has none.
+    pub(super) fn write_passes(&self, issued: &Issued) -> Result<(), KeysError> {
+        let robots = self.robots_with_secret()?.into_iter().map(|robot| {
+            let secret = Secret::read(&files::secret_path(&self.folder, &robot))?;
+            Ok((robot, secret))
+        });
+        let robots: Vec<(RobotId, Secret)> = robots.collect::<Result<_, KeysError>>()?;
+        let file = |name: &str| {
+            Passes::next_to(&files::identity_path(&self.folder, &Name::Operator(name.to_owned())))
+        };
+        for entry in issued.operators() {
+            let held = |(robot, secret): &(RobotId, Secret)| {
+                let claim = claim(entry);
+                Held { robot: robot.clone(), pass: secret.pass(&claim), claim }
+            };
+            match robots.is_empty() {
+                true => drop(files::delete(&file(&entry.name))?),
+                false => files::write_private(
+                    &file(&entry.name),
+                    &Passes::new(robots.iter().map(held).collect()).text(),
+                )?,
+            }
+        }
+        for entry in issued.entries().iter().filter(|entry| entry.kind == Kind::Operator) {
+            if issued.operators().all(|counts| counts.name != entry.name) {
+                files::delete(&file(&entry.name))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// The list of revoked passes as robots without TLS read it.
+    pub(super) fn write_revoked_serials(&self, issued: &Issued) -> Result<(), KeysError> {
+        let head = "# Numbers of revoked passes, written by `downbeat keys`.\n".to_owned();
+        let is_revoked = |entry: &&Entry| entry.kind == Kind::Operator && entry.revoked.is_some();
+        let lines = issued.entries().iter().filter(is_revoked).map(|entry| format!("{}\n", entry.serial));
+        files::write_public(&self.revoked_serials(), &std::iter::once(head).chain(lines).collect::<String>())
+    }
+}
+
+fn claim(entry: &Entry) -> Claim {
+    Claim {
+        name: entry.name.clone(),
+        roles: entry.roles(),
+        expires: entry.expires,
+        serial: entry.serial.clone(),
+    }
+}

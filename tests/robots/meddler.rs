@@ -1,0 +1,152 @@
+//! A machine on the way to a robot, which alters, repeats or reorders what is said to it. It knows the keys of neither side.
+
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// How bytes are cut into records.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wire {
+    /// A type, a version and a length of two bytes.
+    Tls,
+    /// Two lines, and then a length of four bytes and a code of sixteen.
+    Hmac,
+}
+
+/// What becomes of the record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Deed {
+    Pass,
+    /// Its last byte but one changes.
+    Alter,
+    /// It comes twice.
+    Repeat,
+    /// It comes behind the one that follows it.
+    Reorder,
+}
+
+#[derive(Default)]
+struct Told {
+    deed: Option<Deed>,
+    done: usize,
+    /// The most that was said to the robot on one connection.
+    said: Vec<u8>,
+}
+
+/// Carries connections to one robot.
+pub struct Meddler {
+    /// Where it listens.
+    pub port: u16,
+    robot: u16,
+    told: Arc<Mutex<Told>>,
+}
+
+/// Records that are longer than this count: they carry scripts.
+const LONG: usize = 500;
+
+impl Meddler {
+    /// It does its deed to the long record of this number, from 1, of each connection that has one.
+    pub fn to(robot: u16, wire: Wire, number: usize) -> Self {
+        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
+        let port = listener.local_addr().unwrap().port();
+        let told: Arc<Mutex<Told>> = Arc::default();
+        let own = Self { port, robot, told: Arc::clone(&told) };
+        // Ends with the process.
+        std::thread::spawn(move || {
+            for stream in listener.incoming() {
+                let (near, far) = (stream.unwrap(), TcpStream::connect(("127.0.0.1", robot)).unwrap());
+                near.set_nodelay(true).unwrap();
+                far.set_nodelay(true).unwrap();
+                let (mut from, mut to) = (far.try_clone().unwrap(), near.try_clone().unwrap());
+                std::thread::spawn(move || {
+                    let _ended = std::io::copy(&mut from, &mut to);
+                    let _gone = to.shutdown(Shutdown::Both);
+                });
+                let told = Arc::clone(&told);
+                std::thread::spawn(move || {
+                    let said = carry(near, &far, wire, number, &told);
+                    let mut told = told.lock().unwrap();
+                    if said.len() > told.said.len() {
+                        told.said = said;
+                    }
+                    drop(told);
+                    let _gone = far.shutdown(Shutdown::Both);
+                });
+            }
+        });
+        own
+    }
+
+    pub fn does(&self, deed: Deed) {
+        let mut told = self.told.lock().unwrap();
+        (told.deed, told.done) = (Some(deed), 0);
+    }
+
+    /// How often it has done its deed since it was told to.
+    pub fn done(&self) -> usize {
+        self.told.lock().unwrap().done
+    }
+
+    /// Says to the robot all that was said to it on an earlier connection; returns what it says once it has been greeted.
+    pub fn said_again(&self) -> Vec<u8> {
+        let said = self.told.lock().unwrap().said.clone();
+        assert!(said.len() > LONG);
+        let mut stream = TcpStream::connect(("127.0.0.1", self.robot)).unwrap();
+        stream.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        let _hung_up = stream.write_all(&said);
+        let mut answer = Vec::new();
+        // The robot hangs up, perhaps by a reset.
+        let _hung_up = stream.read_to_end(&mut answer);
+        let greeting = answer.iter().position(|byte| *byte == b'\n').map_or(0, |end| end + 1);
+        answer.split_off(greeting)
+    }
+}
+
+/// Returns all that came.
+fn carry(mut from: TcpStream, mut to: &TcpStream, wire: Wire, number: usize, told: &Mutex<Told>) -> Vec<u8> {
+    let (mut said, mut came, mut bytes) = (Vec::new(), Vec::new(), [0; 16 * 1024]);
+    let (mut lines, mut long, mut held) = (0, 0, None::<Vec<u8>>);
+    while let Ok(n @ 1..) = from.read(&mut bytes) {
+        said.extend_from_slice(&bytes[..n]);
+        came.extend_from_slice(&bytes[..n]);
+        while let Some(end) = end_of_record(&came, wire, lines) {
+            let rest = came.split_off(end);
+            let mut record = std::mem::replace(&mut came, rest);
+            lines += usize::from(wire == Wire::Hmac && lines < 2);
+            long += usize::from(record.len() > LONG);
+            let mut told = told.lock().unwrap();
+            let meant = record.len() > LONG && long == number;
+            let mut parts = match told.deed.filter(|_| meant).unwrap_or(Deed::Pass) {
+                Deed::Pass => vec![record],
+                Deed::Alter => {
+                    let at = record.len() - 2;
+                    record[at] ^= 1;
+                    vec![record]
+                }
+                Deed::Repeat => vec![record.clone(), record],
+                Deed::Reorder => {
+                    held = Some(record);
+                    told.done += 1;
+                    continue;
+                }
+            };
+            told.done += usize::from(meant && told.deed.is_some_and(|deed| deed != Deed::Pass));
+            drop(told);
+            parts.extend(held.take());
+            if to.write_all(&parts.concat()).is_err() {
+                return said;
+            }
+        }
+    }
+    said
+}
+
+fn end_of_record(came: &[u8], wire: Wire, lines: usize) -> Option<usize> {
+    let end = match wire {
+        Wire::Tls => 5 + usize::from(u16::from_be_bytes(*came.get(3..)?.first_chunk()?)),
+        Wire::Hmac if lines < 2 => came.iter().position(|byte| *byte == b'\n')? + 1,
+        Wire::Hmac => 20 + usize::try_from(u32::from_be_bytes(*came.first_chunk()?)).unwrap(),
+    };
+    (came.len() >= end).then_some(end)
+}
