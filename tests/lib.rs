@@ -45,6 +45,7 @@ mod refills;
 mod require;
 mod robots;
 mod schema;
+mod seize;
 mod session;
 mod silence;
 mod stop_command;

@@ -13,14 +13,14 @@ cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 300ms, t
 ";
 
 /// Three robots with keys, and operators.
-struct Site {
-    session: Session,
+pub struct Site {
+    pub session: Session,
     ports: Vec<u16>,
     robots: Vec<Process>,
 }
 
 impl Site {
-    fn new() -> Self {
+    pub fn new() -> Self {
         let session = Session::new();
         session.file("arm.yaml", ARM).file("test.yaml", SCENARIO);
         session.run(&["keys", "init"]).says(0, &["keys/authority.key"]);
@@ -45,17 +45,18 @@ impl Site {
         command.args(["robot", "--init", "arm.yaml", "--id", &format!("r{id}"), "--listen", &listen]);
         command.args(["--identity", &format!("keys/robots/r{id}.pem"), "--revoked", "keys/revoked.pem"]);
         command.args(["--log-file", &format!("r{id}.jsonl")]).current_dir(self.session.path(""));
-        let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
+        let log = std::fs::File::create(self.session.path(&format!("r{id}.log"))).unwrap();
+        let mut child = command.stdout(Stdio::piped()).stderr(log).spawn().unwrap();
         listens(&mut child);
         self.ports.push(port);
         self.robots.push(Process(child));
     }
 
-    fn addresses(&self, scheme: &str) -> Vec<String> {
+    pub fn addresses(&self, scheme: &str) -> Vec<String> {
         self.ports.iter().map(|port| format!("{scheme}://127.0.0.1:{port}")).collect()
     }
 
-    fn fleet(&self, addresses: &[String], operator: &str) {
+    pub fn fleet(&self, addresses: &[String], operator: &str) {
         let robot = |(id, address)| format!("  r{id}: {{init: arm.yaml, address: '{address}'}}\n");
         let robots: String = addresses.iter().enumerate().map(robot).collect();
         let head = format!("identity: keys/operators/{operator}.pem\nrevoked: keys/revoked.pem\n");
@@ -63,12 +64,12 @@ impl Site {
         self.session.file("fleet.yaml", fleet);
     }
 
-    fn run(&self) -> Ran {
+    pub fn run(&self) -> Ran {
         self.session.run(&["run", "test.yaml", "--patience", "3s"])
     }
 
     /// How often the robots have set anything.
-    fn moved(&self) -> usize {
+    pub fn moved(&self) -> usize {
         let lines =
             |id| std::fs::read_to_string(self.session.path(&format!("r{id}.jsonl"))).unwrap().lines().count();
         (0..3).map(lines).sum()

@@ -193,7 +193,7 @@ impl Bench {
     fn ask(&mut self, link: u8, session: u8) -> Result<(), Violation> {
         let (link, session) = (self.link(link), operation::session(session));
         let timestamp = Some(Timestamp::from_nanos(BEGIN));
-        let request = AvailabilityRequest { timestamp, session: session.clone() };
+        let request = AvailabilityRequest { timestamp, session: session.clone(), seize: false };
         let out = self.handle(link, Input::Message(Message::AvailabilityRequest(request)))?;
         self.judge.heard(self.now, link, session.as_ref());
         let answered = matches!(&out[..], [Output::Send { link: to, message: Message::AvailabilityResponse(r) }]

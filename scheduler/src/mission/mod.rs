@@ -37,6 +37,7 @@ mod resume;
 pub(crate) mod robot_state;
 mod rounds;
 mod script;
+mod seize;
 mod skew;
 mod stop;
 

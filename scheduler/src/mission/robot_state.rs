@@ -12,6 +12,7 @@ use super::exchanges::Exchanges;
 use super::failure_kind::FailureKind;
 use super::failures::Failures;
 use super::script::ScriptRef;
+use super::seize::Ownership;
 use super::{Loss, MissionSettings, Participant};
 use crate::clock::{ClockEstimate, ClockReading};
 
@@ -191,6 +192,8 @@ pub(crate) struct RobotState {
     pub(crate) own_id: RobotId,
     /// Until when its certificate counts, if it has shown one.
     pub(crate) certified_until: Option<Timestamp<Server>>,
+    /// To whom it belongs, while robots are greeted.
+    pub(crate) ownership: Ownership,
     pub(crate) link: Link,
     /// Attempts to reach it since it was last heard.
     attempts: u32,
@@ -246,6 +249,7 @@ impl RobotState {
         Self {
             own_id: participant.own_id().clone(),
             certified_until: None,
+            ownership: Ownership::default(),
             id: participant.id,
             link: Link::Connecting,
             attempts: 0,
@@ -400,6 +404,11 @@ impl RobotState {
 
     pub(crate) fn has_failed(&self) -> bool {
         !self.failures.is_empty()
+    }
+
+    /// Whether it belongs to another session and is to be taken from that.
+    pub(crate) const fn is_of_another(&self) -> bool {
+        matches!(self.ownership, Ownership::OfAnother(_))
     }
 
     /// Its clock at an instant.
