@@ -1398,7 +1398,7 @@ static void malformed(struct link *link, int64_t received, int body, const char 
 static void take(struct link *link, char *line, size_t length, int64_t received)
 {
     int name, body;
-    bool control_request, ping, inquiry, mine, has_sent, has_session;
+    bool control_request, ping, inquiry, mine, has_sent, has_session, seize;
     double limit;
     static struct text sent, session, until;
     int64_t at;
@@ -1436,11 +1436,18 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
     }
     has_sent = timestamp_at(body, "timestamp", &sent, &at);
     has_session = (ping || inquiry) && text_at(body, "session", 1, &session);
+    seize = ping && boolean_at(body, "seize");
     if (inquiry && names_at(body, "requests", 0) && names_at(body, "devices", 1)
         && (period_at(body, "pending_lease", &limit) || !fault))
         timestamp_at(body, "pending_until", &until, &at);
     if (fault) {
         malformed(link, received, JSON_NONE, fault);
+        return;
+    }
+    if (seize) { /* it would take a robot from another session: nobody proves here who that is */
+        availability(link, received, has_sent ? &sent : NULL, has_session ? "forbidden" : "malformed",
+            has_session ? "seizing takes the role seize, and on this connection nothing is proven"
+                        : "`seize` takes the robot for a session, and there is no `session`");
         return;
     }
     mine = hear(link, has_session ? &session : NULL, !inquiry);

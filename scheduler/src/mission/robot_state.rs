@@ -452,9 +452,15 @@ impl RobotState {
         !matches!(self.stop, Stop::None)
     }
 
-    /// Whether a stop is on its way that has not been confirmed.
+    /// Whether a stop is on its way that has not been confirmed, to a robot that may hold something of this mission. One that has
+    /// refused it because it belongs to another session is not asked again: once free, it would come to rest for nobody.
     pub(crate) const fn awaits_stop(&self) -> bool {
-        matches!(self.stop, Stop::Sent(_))
+        matches!(self.stop, Stop::Sent(SentStop { taken_over: None, .. }))
+    }
+
+    /// Whether it has refused its stop because it belongs to another session.
+    pub(crate) const fn is_taken_over(&self) -> bool {
+        matches!(self.stop, Stop::Sent(SentStop { taken_over: Some(_), .. }))
     }
 
     /// What it said could not be read.

@@ -192,7 +192,8 @@ impl Mission {
         // A robot that takes no inquiries reported before it answered what it was asked after its stop, or its report is lost.
         let answered = |at| self.stopped_at.is_some_and(|stopped| at > stopped);
         let lost = !state.takes_inquiries() && state.questions.answered().is_some_and(answered);
-        state.tells_fates() && !state.is_garbled() && !lost && !state.is_gone() && self.acts.iter().any(out)
+        let can = !state.is_garbled() && !state.is_taken_over();
+        state.tells_fates() && can && !lost && !state.is_gone() && self.acts.iter().any(out)
     }
 
     fn stop_interval(&self) -> Span {
@@ -205,7 +206,7 @@ impl Mission {
         if !matches!(self.phase, Phase::Stopping { .. }) {
             return;
         }
-        let all = self.robots.iter().all(RobotState::is_settled);
+        let all = self.robots.iter().all(|robot| robot.is_settled() || robot.is_taken_over());
         let known = all && !(0..self.robots.len()).any(|robot| self.owes_a_fate(robot));
         if known {
             self.stopped(now);
