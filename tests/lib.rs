@@ -11,6 +11,7 @@ mod compiled;
 mod conformance;
 mod copied;
 mod course;
+mod desk;
 mod diagnostics;
 mod display;
 mod documents;

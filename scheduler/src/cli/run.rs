@@ -26,6 +26,7 @@ use crate::mission::{Greeting, Join, Mission, MissionOptions};
 use crate::recording::{Recorder, Recording};
 use crate::report::{HostWakeUp, Outcome, Report, report_text};
 use crate::run::control::Control;
+use crate::run::desk::Desk;
 use crate::run::{Keep, Operator};
 use crate::server_clock::{self, NTP_WATCH_INTERVAL, NtpWatch, ServerClock};
 use crate::session::{Session, SessionKey};
@@ -324,8 +325,9 @@ impl Work<'_> {
             let opened =
                 self.opened((session, key), &choreography.scenario, (fleet, fleet_path), clock, &robots);
             let folder = state.join(opened.session.as_str());
+            let desk = identity::desk(&opened.keys);
             keep.journal = Some(opening::begin(state, opened, clock, &mut operator).await?);
-            control = listen(&folder, &lane);
+            control = listen(&folder, &lane, desk);
         }
         let choreography = Arc::new(choreography);
         self.perform(Prepared { choreography, fleet, robots, clock, options, keep, lane, operator, control })
@@ -476,8 +478,8 @@ impl StartAt {
 }
 
 /// Where it fails, the mission still plays.
-pub(super) fn listen(folder: &Path, lane: &StopLane) -> Option<Control> {
-    let listening = Control::listen(folder, lane);
+pub(super) fn listen(folder: &Path, lane: &StopLane, desk: Option<Desk>) -> Option<Control> {
+    let listening = Control::listen(folder, lane, desk);
     let failed = |error: &std::io::Error| {
         console::warn(&format!(
             "`downbeat go` will not reach this mission, `downbeat stop` only its robots: {error}"

@@ -15,10 +15,17 @@ use super::{Mission, Outcome, Phase, Progress, StoppedBy};
 const STOP_AGAIN: Span = Span::from_millis(200);
 
 impl Mission {
-    pub(super) fn request_stop(&mut self, now: Timestamp<Server>, rest: Rest) {
+    pub(super) fn request_stop(&mut self, now: Timestamp<Server>, rest: Rest, by: Option<String>) {
+        if self.phase != Phase::Ended && by.is_some() {
+            self.because = by.as_ref().map(|by| format!("stopped by {by}"));
+            self.said_stop = by;
+        }
         match self.phase {
             Phase::Greeting { .. } => self.refuse(Outcome::Stopped),
-            Phase::Performing => self.abort(now, Outcome::Stopped, rest, None),
+            Phase::Performing => {
+                let reason = self.because.clone().unwrap_or_else(|| Outcome::Stopped.to_string());
+                self.abort_because(now, (Outcome::Stopped, reason), rest, None);
+            }
             // Whatever was to follow the stop does not.
             Phase::Stopping { by, .. } => {
                 self.then = None;
@@ -45,7 +52,8 @@ impl Mission {
             self.robots[robot].stop = Stop::None;
             self.stop_robot(now, robot, rest);
         }
-        self.record(Record::Stopping { outcome: Outcome::Stopped, rest });
+        let by = self.said_stop.clone();
+        self.record(Record::Stopping { outcome: Outcome::Stopped, rest, by });
     }
 
     fn stopping_from(&self, now: Timestamp<Server>, by: StoppedBy) -> Phase {
@@ -95,7 +103,8 @@ impl Mission {
             self.stop_robot(now, robot, rest);
         }
         // A stop promises nothing: it is sent first and recorded afterwards.
-        self.record(Record::Stopping { outcome: outcome.clone(), rest });
+        let by = self.said_stop.clone();
+        self.record(Record::Stopping { outcome: outcome.clone(), rest, by });
         self.outcome = Some(outcome);
         for robot in 0..self.robots.len() {
             if matches!(self.robots[robot].link, Link::Lost(_)) && self.robots[robot].awaits_stop() {
