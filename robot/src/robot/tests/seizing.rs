@@ -8,13 +8,16 @@ use urrcp::SessionId;
 const DRIVES: [Role; 2] = [Role::Observe, Role::Drive];
 const SEIZES: [Role; 3] = [Role::Observe, Role::Drive, Role::Seize];
 
+/// Who has proven its name and roles; nobody where nothing is proven.
+type Proven<'a> = Option<(&'a str, &'a [Role])>;
+
 fn seize(session: Option<&str>) -> Message {
     let session = session.map(|session| SessionId::new(session).unwrap());
     Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session, seize: true })
 }
 
 /// Anna's arm plays, and her ramp waits; the other link is an operator with these roles.
-fn anna_plays(other: Option<(&str, &[Role])>) -> Bench {
+fn anna_plays(other: Proven<'_>) -> Bench {
     let mut bench = Bench::new();
     bench.robot.handle(bench.now, LINK, operator("operator anna", &DRIVES), &mut bench.out);
     if let Some((name, roles)) = other {
@@ -77,7 +80,7 @@ fn who_may_seize_takes_a_robot_that_plays_and_it_rests_before_it_is_said_to_be_a
 
 #[test]
 fn who_may_not_seize_changes_nothing() {
-    let attempts: [(Option<(&str, &[Role])>, Option<&str>, &str); 4] = [
+    let attempts: [(Proven<'_>, Option<&str>, &str); 4] = [
         (
             Some(("operator bert", &DRIVES)),
             Some("bert's"),
