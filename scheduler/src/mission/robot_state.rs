@@ -75,6 +75,8 @@ pub(crate) struct SentStop {
     pub(crate) unconfirmed: HashMap<RequestId, DeviceId>,
     /// Why the robot has refused it, where it belongs to another session: it holds nothing of this one any more.
     pub(crate) taken_over: Option<ControlError>,
+    /// It is not sent again: nobody but this mission, which has lost the robot to another session, wants it to rest.
+    pub(crate) given_up: bool,
 }
 
 /// How a stopped device comes to rest.
@@ -452,15 +454,14 @@ impl RobotState {
         !matches!(self.stop, Stop::None)
     }
 
-    /// Whether a stop is on its way that has not been confirmed, to a robot that may hold something of this mission. One that has
-    /// refused it because it belongs to another session is not asked again: once free, it would come to rest for nobody.
+    /// Whether a stop is on its way that has not been confirmed and is not given up.
     pub(crate) const fn awaits_stop(&self) -> bool {
-        matches!(self.stop, Stop::Sent(SentStop { taken_over: None, .. }))
+        matches!(self.stop, Stop::Sent(SentStop { given_up: false, .. }))
     }
 
-    /// Whether it has refused its stop because it belongs to another session.
-    pub(crate) const fn is_taken_over(&self) -> bool {
-        matches!(self.stop, Stop::Sent(SentStop { taken_over: Some(_), .. }))
+    /// Whether it has refused its stop because it belongs to another session, and is left to that.
+    pub(crate) const fn is_left_to_others(&self) -> bool {
+        matches!(self.stop, Stop::Sent(SentStop { given_up: true, .. }))
     }
 
     /// What it said could not be read.

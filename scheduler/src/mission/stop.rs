@@ -128,7 +128,7 @@ impl Mission {
             Some((id.ok()?, device.clone()))
         };
         let unconfirmed: HashMap<_, _> = state.touched.iter().enumerate().filter_map(named).collect();
-        let stop = Stop::Sent(SentStop { at: now, rest, unconfirmed, taken_over: None });
+        let stop = Stop::Sent(SentStop { at: now, rest, unconfirmed, taken_over: None, given_up: false });
         self.end_leases(now, robot);
         self.robots[robot].stop = stop;
         self.send_stops(now, robot);
@@ -201,7 +201,7 @@ impl Mission {
         // A robot that takes no inquiries reported before it answered what it was asked after its stop, or its report is lost.
         let answered = |at| self.stopped_at.is_some_and(|stopped| at > stopped);
         let lost = !state.takes_inquiries() && state.questions.answered().is_some_and(answered);
-        let can = !state.is_garbled() && !state.is_taken_over();
+        let can = !state.is_garbled() && !state.is_left_to_others();
         state.tells_fates() && can && !lost && !state.is_gone() && self.acts.iter().any(out)
     }
 
@@ -215,7 +215,7 @@ impl Mission {
         if !matches!(self.phase, Phase::Stopping { .. }) {
             return;
         }
-        let all = self.robots.iter().all(|robot| robot.is_settled() || robot.is_taken_over());
+        let all = self.robots.iter().all(|robot| robot.is_settled() || robot.is_left_to_others());
         let known = all && !(0..self.robots.len()).any(|robot| self.owes_a_fate(robot));
         if known {
             self.stopped(now);
