@@ -26,7 +26,7 @@ pub struct Site {
 }
 
 impl Site {
-    fn new() -> Self {
+    pub fn new() -> Self {
         Self::with("tls")
     }
 
@@ -54,15 +54,25 @@ impl Site {
         let port = free_port();
         let mut command = Command::new(PROGRAM);
         let listen = format!("127.0.0.1:{port}");
-        command.args(["robot", "--init", "arm.yaml", "--id", &format!("r{id}"), "--listen", &listen]);
+        command.args([
+            "--log",
+            "warn",
+            "robot",
+            "--init",
+            "arm.yaml",
+            "--id",
+            &format!("r{id}"),
+            "--listen",
+            &listen,
+        ]);
         match self.scheme {
             "tls" => command.args(["--identity", &format!("keys/robots/r{id}.pem")]),
             _ => command.args(["--secret", &format!("keys/secrets/r{id}.secret")]),
         };
         let list = if self.scheme == "tls" { "keys/revoked.pem" } else { "keys/revoked.serials" };
-        command.args(["--revoked", list, "--log-file", &format!("r{id}.jsonl"), "--log", "warn"]);
+        command.args(["--revoked", list, "--log-file", &format!("r{id}.jsonl")]);
         command.current_dir(self.session.path(""));
-        command.stderr(std::fs::File::create(self.session.path(&format!("r{id}.err"))).unwrap());
+        command.stderr(std::fs::File::create(self.session.path(&format!("r{id}.log"))).unwrap());
         let mut child = command.stdout(Stdio::piped()).spawn().unwrap();
         listens(&mut child);
         self.ports.push(port);
@@ -87,7 +97,7 @@ impl Site {
 
     /// What a robot has logged.
     pub fn logged(&self, id: usize) -> String {
-        std::fs::read_to_string(self.session.path(&format!("r{id}.err"))).unwrap()
+        std::fs::read_to_string(self.session.path(&format!("r{id}.log"))).unwrap()
     }
 
     /// How often the robots have set anything but their default state.
@@ -292,6 +302,18 @@ fn certificates_that_end_soon_are_told_of_weeks_ahead() {
     session.run(&["keys", "list"]).says(0, &["counts for 11 days", "counts for 8 days"]);
 }
 
+/// The robot to copy in Python, with the keys of `arm-1`, and its address.
+pub fn python_robot(session: &Session) -> (Process, String) {
+    let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let robot = root().join("robot/starters/python/robot.py");
+    let mut command = Command::new(python);
+    command.arg(robot).args(["--identity", "keys/robots/arm-1.pem", "--revoked", "keys/revoked.pem"]);
+    command.env("PYTHONDONTWRITEBYTECODE", "1").current_dir(session.path("")).stdout(Stdio::piped());
+    let mut child = command.spawn().unwrap();
+    let said = listens(&mut child);
+    (Process(child), format!("tls://{}", said.rsplit(' ').next().unwrap().trim()))
+}
+
 #[test]
 fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
     let session = Session::new();
@@ -300,15 +322,7 @@ fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
     for (name, roles) in [("anna", "observe,drive"), ("bert", "observe"), ("dora", "stop")] {
         session.run(&["keys", "operator", name, "--role", roles]).says(0, &[]);
     }
-    let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    let robot = root().join("robot/starters/python/robot.py");
-    let mut command = Command::new(python);
-    command.arg(robot).args(["--identity", "keys/robots/arm-1.pem", "--revoked", "keys/revoked.pem"]);
-    command.env("PYTHONDONTWRITEBYTECODE", "1").current_dir(session.path("")).stdout(Stdio::piped());
-    let mut child = command.spawn().unwrap();
-    let said = listens(&mut child);
-    let _robot = Process(child);
-    let address = format!("tls://{}", said.rsplit(' ').next().unwrap().trim());
+    let (_robot, address) = python_robot(&session);
     let by = |operator: &str, args: &[&str]| {
         let mut command = session.command(args);
         Ran(command.env("DOWNBEAT_IDENTITY", format!("keys/operators/{operator}.pem")).output().unwrap())

@@ -3,8 +3,9 @@
 //!
 //! After every operation: no value outside the limits or off the granularity is set; nothing starts before its time or
 //! late; no lease is outlived, and none ends early; no device holds more than its queue; every accepted request ends
-//! once, and sets nothing afterwards; every answer names its request; no session touches what belongs to another one; an
-//! inquiry is answered truthfully and changes nothing but leases.
+//! once, and sets nothing afterwards; every answer names its request; no session touches what belongs to another one, unless
+//! an operator who may seizes the robot: then all that is held ends first; an inquiry is answered truthfully and changes
+//! nothing but leases.
 
 mod answers;
 mod described;
@@ -17,10 +18,11 @@ mod tests;
 
 use urrcp::{
     AvailabilityRequest, AvailabilityResponse, ControlRequest, DecodeError, DecodeErrorKind, DeviceId,
-    InitializationBlock, InitializationRequest, Message, Status, Timestamp,
+    InitializationBlock, InitializationRequest, Label, Message, SessionId, Status, Timestamp,
 };
 
 use crate::robot::{Input, LinkId, Output, Robot};
+use crate::role::{Proof, Role};
 pub use described::drive_all;
 use judge::Judge;
 pub use operation::{Operation, Pause, Question, Request, operations};
@@ -34,6 +36,8 @@ pub struct Violation(String);
 const WAKEUPS_MAX: usize = 100_000;
 /// Links at a time.
 const LINKS: usize = 4;
+/// The link of an operator who may seize the robot. It stands all the time.
+const OPERATOR: LinkId = LinkId(1 << 32);
 /// Begin of time, in nanoseconds.
 const BEGIN: i64 = 1_000_000_000_000;
 
@@ -105,6 +109,10 @@ struct Bench {
 impl Bench {
     fn new() -> Result<Self, Violation> {
         let block: InitializationBlock = serde_json::from_str(BLOCK).map_err(|e| Violation(e.to_string()))?;
+        let mut robot = Robot::new(block.clone());
+        let name = Label::new("operator").map_err(|e| Violation(e.to_string()))?;
+        let proof = Proof { name, roles: [Role::Drive, Role::Seize].into_iter().collect() };
+        robot.handle(Timestamp::from_nanos(BEGIN), OPERATOR, Input::Proven(proof), &mut Vec::new());
         Ok(Self {
             judge: Judge::new(&block),
             now: Timestamp::from_nanos(BEGIN),
@@ -112,7 +120,7 @@ impl Bench {
             links_opened: LINKS as u64,
             devices: block.devices.iter().map(|device| device.id.clone()).collect(),
             sent: Vec::new(),
-            robot: Robot::new(block),
+            robot,
         })
     }
 
@@ -138,6 +146,8 @@ impl Bench {
             Operation::Ask { link, session } => self.ask(*link, *session),
             Operation::Inquire(question) => self.inquire(question),
             Operation::Describe { link } => self.describe(*link),
+            Operation::Seize { link: Some(link), session } => self.seize_in_vain(*link, *session),
+            Operation::Seize { link: None, .. } => self.seize(),
             Operation::Stray { link } => self.stray(*link),
             Operation::Noise { link, device } => self.noise(*link, *device),
             Operation::Break { link } => {
@@ -193,12 +203,36 @@ impl Bench {
     fn ask(&mut self, link: u8, session: u8) -> Result<(), Violation> {
         let (link, session) = (self.link(link), operation::session(session));
         let timestamp = Some(Timestamp::from_nanos(BEGIN));
-        let request = AvailabilityRequest { timestamp, session: session.clone() };
+        let request = AvailabilityRequest { timestamp, session: session.clone(), seize: false };
         let out = self.handle(link, Input::Message(Message::AvailabilityRequest(request)))?;
         self.judge.heard(self.now, link, session.as_ref());
         let answered = matches!(&out[..], [Output::Send { link: to, message: Message::AvailabilityResponse(r) }]
             if *to == link && r.originate_timestamp == timestamp && r.timestamp == self.now);
         hold(answered, || format!("an availability request was answered by {out:?}"))
+    }
+
+    /// Where nothing is proven nobody seizes a robot, and who tries renews nothing.
+    fn seize_in_vain(&mut self, link: u8, session: u8) -> Result<(), Violation> {
+        let link = self.link(link);
+        let request =
+            AvailabilityRequest { timestamp: None, session: operation::session(session), seize: true };
+        let out = self.handle(link, Input::Message(Message::AvailabilityRequest(request)))?;
+        let refused = matches!(&out[..], [Output::Send { link: to, message: Message::AvailabilityResponse(r) }]
+            if *to == link && r.status == Status::Failed && r.error.is_some());
+        hold(refused, || format!("a stranger that seizes was answered by {out:?}"))
+    }
+
+    /// An operator who may seizes the robot.
+    fn seize(&mut self) -> Result<(), Violation> {
+        let session = SessionId::new("an operator's").ok();
+        let request = AvailabilityRequest { timestamp: None, session: session.clone(), seize: true };
+        let mut out = self.handle(OPERATOR, Input::Message(Message::AvailabilityRequest(request)))?;
+        let answer = out.pop();
+        let taken = matches!(&answer, Some(Output::Send { link: OPERATOR, message: Message::AvailabilityResponse(r) })
+            if r.status == Status::Ok);
+        hold(taken, || format!("who may seize was answered by {answer:?} behind {out:?}"))?;
+        self.judge.seized(self.now, OPERATOR, session.as_ref(), &out)?;
+        self.judge.check_settled(self.now, &self.robot)
     }
 
     fn inquire(&mut self, question: &Question) -> Result<(), Violation> {

@@ -34,6 +34,8 @@ pub(crate) struct Parties {
     /// Where a party was last heard.
     route: BTreeMap<LinkId, LinkId>,
     owner: Option<(Claimant, LinkId)>,
+    /// From whom the robot was seized last, and by whom.
+    seized: Option<(Claimant, Label)>,
     /// How often the owner has changed.
     changes: u64,
     /// Parties that were given a name of their own, counted down from the largest so that no link has it.
@@ -135,6 +137,23 @@ impl Parties {
             self.owner = Some((claimant, party));
             self.changes += 1;
         }
+    }
+
+    /// What the peer has proven to be called to whose session the robot belongs, or belonged last.
+    pub(crate) fn owner_name(&self) -> Option<&Label> {
+        self.owner.as_ref().and_then(|(owner, _)| owner.peer.as_ref())
+    }
+
+    /// From now on the robot belongs to this session, whose peer has proven this name, whoever had it before.
+    pub(crate) fn seize(&mut self, claimant: Claimant, party: LinkId, by: Label) {
+        self.seized = self.owner.take().map(|(before, _)| (before, by));
+        self.claim(claimant, party);
+    }
+
+    /// By whom the robot was seized from the one who names this session on this link.
+    pub(crate) fn seized_by(&self, link: LinkId, session: &SessionId) -> Option<&Label> {
+        let (_, by) = self.seized.as_ref().filter(|(from, _)| self.is_claimant(link, session, from))?;
+        Some(by)
     }
 
     /// It belongs to no session any more.

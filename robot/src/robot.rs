@@ -4,6 +4,7 @@ mod control;
 mod driven;
 mod inquiry;
 mod permission;
+mod seize;
 
 use std::collections::{BTreeSet, HashMap};
 
@@ -270,6 +271,9 @@ impl Robot {
     fn handle_message(&mut self, now: Now, link: LinkId, message: Message, out: &mut Vec<Output>) {
         match message {
             Message::AvailabilityRequest(request) => {
+                if let Some(session) = request.session.as_ref().filter(|_| request.seize) {
+                    self.seize(now, link, session, out);
+                }
                 let taken = self.claim(now, link, request.session.as_ref()).err();
                 let status = if taken.is_some() { Status::Failed } else { Status::Ok };
                 let response = AvailabilityResponse {

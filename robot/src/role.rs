@@ -15,7 +15,7 @@ pub enum Role {
     Drive,
     /// Stop any robot, whichever session it belongs to.
     Stop,
-    /// Take a robot from the session to which it belongs.
+    /// Take a robot from the session to which it belongs, together with [`Role::Drive`].
     Seize,
 }
 
@@ -35,7 +35,7 @@ impl Role {
     }
 
     /// What a message to a robot takes: any of these. A reading and a question without a session observe; what claims a robot or
-    /// moves it drives.
+    /// moves it drives. What seizes a robot takes [`Role::Seize`] as well.
     #[must_use]
     pub fn needed_for(message: &Message) -> &'static [Self] {
         match message {

@@ -1,6 +1,6 @@
 //! Steps 1 and 2: is the equipment there, and what does its clock say?
 
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize};
 
 use super::Status;
 use crate::error::ControlError;
@@ -18,6 +18,21 @@ pub struct AvailabilityRequest {
     /// Claims the robot for this session; a robot that belongs to another answers `Failed` with `busy` (our extension).
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub session: Option<SessionId>,
+    /// With a session: takes the robot from the session to which it belongs, whose commands end (our extension). A robot does
+    /// so for a peer that has proven by TLS that it has the role `seize`, and refuses all others.
+    #[serde(default, deserialize_with = "flag", skip_serializing_if = "is_off")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<bool>"))]
+    pub seize: bool,
+}
+
+/// `null` is as good as nothing.
+fn flag<'de, D: Deserializer<'de>>(deserializer: D) -> Result<bool, D::Error> {
+    Option::deserialize(deserializer).map(Option::unwrap_or_default)
+}
+
+#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde hands over a reference")]
+const fn is_off(flag: &bool) -> bool {
+    !*flag
 }
 
 /// Step 2. With the instant of its arrival the three times in it give offset and delay as in NTP (RFC 5905, section 8).

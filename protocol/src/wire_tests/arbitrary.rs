@@ -146,9 +146,9 @@ fn control_response() -> impl Strategy<Value = ControlResponse> {
 }
 
 fn availability_request() -> impl Strategy<Value = AvailabilityRequest> {
-    (option::of(timestamp()), option::of(text())).prop_map(|(timestamp, session)| AvailabilityRequest {
-        timestamp,
-        session: session.map(|id| SessionId::new(id).unwrap()),
+    (option::of(timestamp()), option::of(text()), any::<bool>()).prop_map(|(timestamp, session, seize)| {
+        let session = session.map(|id| SessionId::new(id).unwrap());
+        AvailabilityRequest { timestamp, session, seize }
     })
 }
 

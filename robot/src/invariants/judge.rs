@@ -88,6 +88,47 @@ impl Judge {
         hold(self.cancelled.is_empty(), || "a command was cancelled without a request".to_owned())
     }
 
+    /// An operator has seized the robot: if it held anything, all of that has ended, and what has gone to rest did so for that.
+    pub(super) fn seized(
+        &mut self,
+        now: Now,
+        link: LinkId,
+        session: Option<&SessionId>,
+        out: &[Output],
+    ) -> Result<(), Violation> {
+        self.heard.message(now, link, session);
+        self.judge_stopped(now, out)?;
+        let held = self.devices.values().find(|device| !device.queue.is_empty() || !device.guards.is_empty());
+        hold(held.is_none(), || format!("the robot was seized and still holds {held:?}"))
+    }
+
+    /// Without a request: what may come is that all devices are stopped.
+    fn judge_stopped(&mut self, now: Now, out: &[Output]) -> Result<(), Violation> {
+        self.forget_the_last();
+        self.cancels_from = None;
+        for output in out {
+            match output {
+                Output::Set(set) if set.step.is_none() => self.moved(now, set)?,
+                Output::Send { message: Message::ControlResponse(report), .. }
+                    if report.status == Status::Failed && report.event_timestamp.is_some() =>
+                {
+                    self.reported(now, report)?;
+                }
+                _ => return Err(Violation(format!("a robot that is seized brings {output:?}"))),
+            }
+        }
+        self.check_lost(true)?;
+        self.devices.values_mut().for_each(|device| device.released.clear());
+        Ok(())
+    }
+
+    fn forget_the_last(&mut self) {
+        self.cancelled.clear();
+        self.lost.clear();
+        self.rested.clear();
+        self.acted.clear();
+    }
+
     /// A request came, after everything that was due.
     pub(super) fn asked(
         &mut self,
@@ -110,10 +151,7 @@ impl Judge {
     }
 
     fn judge(&mut self, now: Now, out: &[Output], asked: Option<&Asked<'_>>) -> Result<(), Violation> {
-        self.cancelled.clear();
-        self.lost.clear();
-        self.rested.clear();
-        self.acted.clear();
+        self.forget_the_last();
         self.cancels_from = asked.and_then(|asked| cancels_from(now, asked.request));
         let mut answers = 0;
         for output in out {

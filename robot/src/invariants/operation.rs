@@ -47,6 +47,13 @@ pub enum Operation {
         /// On which link.
         link: u8,
     },
+    /// An availability request comes that would take the robot from its session.
+    Seize {
+        /// On which link, where nothing is proven; `None`: on that of an operator who may.
+        link: Option<u8>,
+        /// On whose behalf, where nothing is proven.
+        session: u8,
+    },
     /// A message comes that only a robot sends.
     Stray {
         /// On which link.
@@ -199,6 +206,7 @@ chosen!(Operation, bytes,
     242 => Self::Noise { link: bytes.arbitrary()?, device: bytes.arbitrary()? },
     247 => Self::Break { link: bytes.arbitrary()? },
     252 => Self::Describe { link: bytes.arbitrary()? },
+    254 => Self::Seize { link: bytes.arbitrary()?, session: bytes.arbitrary()? },
     else Self::Stray { link: bytes.arbitrary()? });
 chosen!(Id, bytes, 150 => Self::Fresh, 210 => Self::None, else Self::Used(bytes.arbitrary()?));
 chosen!(Start, bytes,

@@ -80,9 +80,11 @@ impl Robot {
             && device.is_some_and(|spec| spec.available_control_types.sensor().is_some())
     }
 
-    /// Whether its sender may stop the robot, whichever session that belongs to.
+    /// Whether its sender stops the robot, whichever session that belongs to. A stop that names a session means what this has on
+    /// the robot: the mission from which the robot was seized does not stop the one that has it now.
     fn stops_others(&self, link: LinkId, request: &ControlRequest) -> bool {
-        is_stop(request) && self.parties.proof(link).is_some_and(|proof| proof.roles.has(Role::Stop))
+        let may = || self.parties.proof(link).is_some_and(|proof| proof.roles.has(Role::Stop));
+        is_stop(request) && request.session.is_none() && may()
     }
 
     /// Takes the robot for a session, if it is free. Without a session nothing is taken, and what another session has
@@ -123,7 +125,11 @@ impl Robot {
                 Owner::Asker
             }
             Some(_) => {
-                let message = format!("`{}` belongs to another session until that ends", self.block.id);
+                let id = &self.block.id;
+                let message = match session.and_then(|session| self.parties.seized_by(link, session)) {
+                    Some(by) => format!("`{id}` was taken by {by}"),
+                    None => format!("`{id}` belongs to another session until that ends"),
+                };
                 Owner::Another(ControlError::new(ErrorCode::Busy, message))
             }
         }

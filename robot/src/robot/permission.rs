@@ -1,8 +1,8 @@
 //! What a peer may ask of the robot that has proven who it is. Where nothing is asked for a proof, sessions alone decide.
 
 use urrcp::{
-    AvailabilityResponse, ControlError, ControlRequest, ControlResponse, ErrorCode, InquiryResponse, Message,
-    Status,
+    AvailabilityRequest, AvailabilityResponse, ControlError, ControlRequest, ControlResponse, ErrorCode,
+    InquiryResponse, Message, Status,
 };
 
 use super::{LinkId, Now, Output, Robot, tell};
@@ -11,7 +11,27 @@ use crate::role::Role;
 impl Robot {
     /// Why the peer of this link may not send this.
     pub(super) fn forbids(&self, link: LinkId, message: &Message) -> Option<ControlError> {
-        self.lacks(link, Role::needed_for(message))
+        self.lacks(link, Role::needed_for(message)).or_else(|| match message {
+            Message::AvailabilityRequest(request) if request.seize => self.forbids_seizing(link, request),
+            _ => None,
+        })
+    }
+
+    /// The same of a request to seize the robot, of a peer that may claim it. Where nothing is proven nobody may.
+    fn forbids_seizing(&self, link: LinkId, request: &AvailabilityRequest) -> Option<ControlError> {
+        if request.session.is_none() {
+            let message = "`seize` takes the robot for a session, and there is no `session`";
+            return Some(ControlError::new(ErrorCode::Malformed, message));
+        }
+        if self.parties.proof(link).is_none() {
+            let message = format!(
+                "`{}` is seized only by an operator who proves by TLS to have the role seize; on this connection nothing is proven",
+                self.block.id
+            );
+            tracing::warn!(robot = %self.block.id, "refused: {message}");
+            return Some(ControlError::new(ErrorCode::Forbidden, message));
+        }
+        self.lacks(link, &[Role::Seize])
     }
 
     /// The same of a control request.

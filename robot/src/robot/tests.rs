@@ -4,6 +4,7 @@ mod hardware;
 mod inquiries;
 mod instants;
 mod leases;
+mod seizing;
 mod sessions;
 
 use proptest::prelude::*;

@@ -41,7 +41,11 @@ fn paper(start_ms: f64, id: &str) -> Input {
 
 fn ping(sent: i64) -> Input {
     let timestamp = Some(Timestamp::from_nanos(sent));
-    Input::Message(Message::AvailabilityRequest(AvailabilityRequest { timestamp, session: None }))
+    Input::Message(Message::AvailabilityRequest(AvailabilityRequest {
+        timestamp,
+        session: None,
+        seize: false,
+    }))
 }
 
 /// Jumps from wake-up to wake-up, and notes what leaves when.

@@ -6,6 +6,7 @@ use rustls::client::WebPkiServerVerifier;
 use rustls::crypto::CryptoProvider;
 use rustls::pki_types::CertificateDer;
 use rustls::server::WebPkiClientVerifier;
+use rustls::server::danger::ClientCertVerifier;
 use rustls::version::TLS13;
 use rustls::{ClientConfig, RootCertStore, ServerConfig};
 
@@ -16,7 +17,7 @@ use super::revoked::Revoked;
 /// robot it is, its URI says, since ids need not be DNS names. `.invalid` is no real domain (RFC 2606).
 pub const SERVER_NAME: &str = "robot.urrcp.invalid";
 
-fn provider() -> Arc<CryptoProvider> {
+pub(super) fn provider() -> Arc<CryptoProvider> {
     Arc::new(rustls::crypto::ring::default_provider())
 }
 
@@ -26,19 +27,27 @@ fn roots(authority: &CertificateDer<'static>) -> Result<Arc<RootCertStore>, rust
     Ok(Arc::new(roots))
 }
 
+/// Knows operators of the authority that are not revoked.
+pub(super) fn client_verifier(
+    own: &Credentials,
+    revoked: Option<&Revoked>,
+) -> Result<Arc<dyn ClientCertVerifier>, String> {
+    let roots = roots(&own.authority).map_err(|error| error.to_string())?;
+    let mut verifier = WebPkiClientVerifier::builder_with_provider(roots, provider());
+    if let Some(revoked) = revoked {
+        let list = revoked.read().map_err(|error| error.to_string())?;
+        verifier = verifier.with_crls([list]).only_check_end_entity_revocation();
+    }
+    verifier.build().map_err(|error| error.to_string())
+}
+
 /// What a robot needs to accept operators of its authority.
 ///
 /// # Errors
 /// The key does not belong to the certificate, or what is in the files cannot be used.
 pub fn server_config(own: &Credentials, revoked: Option<&Revoked>) -> Result<ServerConfig, String> {
     let of_tls = |error: rustls::Error| error.to_string();
-    let roots = roots(&own.authority).map_err(of_tls)?;
-    let mut verifier = WebPkiClientVerifier::builder_with_provider(roots, provider());
-    if let Some(revoked) = revoked {
-        let list = revoked.read().map_err(|error| error.to_string())?;
-        verifier = verifier.with_crls([list]).only_check_end_entity_revocation();
-    }
-    let verifier = verifier.build().map_err(|error| error.to_string())?;
+    let verifier = client_verifier(own, revoked)?;
     let mut config = ServerConfig::builder_with_provider(provider())
         .with_protocol_versions(&[&TLS13])
         .map_err(of_tls)?

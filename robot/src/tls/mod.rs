@@ -6,9 +6,11 @@ mod credentials;
 mod guard;
 mod identity;
 mod revoked;
+mod statement;
 
 pub use config::{SERVER_NAME, client_config, server_config};
 pub use credentials::{Credentials, CredentialsError};
 pub use guard::Guard;
 pub use identity::{Identity, IdentityError, Name};
 pub use revoked::Revoked;
+pub use statement::{Signed, Witness};

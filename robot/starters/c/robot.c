@@ -1119,6 +1119,23 @@ static const char *busy_message(void)
     return message;
 }
 
+/* An operator with the role seize takes the robot from another session: what that holds ends and comes to rest. */
+static void take_from_others(struct link *link, const struct text *session)
+{
+    static char message[SEALED_NAME + 32];
+    int64_t now = now_ns();
+    int i;
+    if (!owned || owns(link, session))
+        return;
+    snprintf(message, sizeof message, "taken by operator %.*s", (int)link->sealed.name_length, link->sealed.name);
+    fprintf(stderr, "%s\n", message);
+    for (i = 0; i < device_count; i++)
+        rest(&devices[i], false, "cancelled", message, now);
+    owned = false;
+    for (i = 0; i < MAX_LINKS; i++)
+        links[i].of_owner = false;
+}
+
 static struct answer *new_answer(void)
 {
     struct answer *oldest = NULL, *a;
@@ -1426,7 +1443,7 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
 {
     static char message[SEALED_NAME + 160];
     int name, body;
-    bool control_request, ping, inquiry, mine, has_sent, has_session;
+    bool control_request, ping, inquiry, mine, has_sent, has_session, seize;
     double limit;
     static struct text sent, session, until;
     int64_t at;
@@ -1469,11 +1486,20 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
     }
     has_sent = timestamp_at(body, "timestamp", &sent, &at);
     has_session = (ping || inquiry) && text_at(body, "session", 1, &session);
+    seize = ping && boolean_at(body, "seize");
     if (inquiry && names_at(body, "requests", 0) && names_at(body, "devices", 1)
         && (period_at(body, "pending_lease", &limit) || !fault))
         timestamp_at(body, "pending_until", &until, &at);
     if (fault) {
         malformed(link, received, JSON_NONE, fault);
+        return;
+    }
+    if (seize && !has_session) {
+        malformed(link, received, JSON_NONE, "`seize` takes the robot for a session, and there is no `session`");
+        return;
+    }
+    if (seize && !secured) { /* it would take a robot from another session: nobody proves here who that is */
+        availability(link, received, has_sent ? &sent : NULL, "forbidden", "seizing takes the role seize, and on this connection nothing is proven");
         return;
     }
     if (!permits(link, has_session ? ROLE_DRIVE : inquiry ? ROLE_OBSERVE | ROLE_DRIVE : ROLE_OBSERVE | ROLE_DRIVE | ROLE_STOP,
@@ -1484,6 +1510,12 @@ static void take(struct link *link, char *line, size_t length, int64_t received)
             availability(link, received, has_sent ? &sent : NULL, "forbidden", message);
         return;
     }
+    if (seize && !permits(link, ROLE_SEIZE, message, sizeof message)) {
+        availability(link, received, has_sent ? &sent : NULL, "forbidden", message);
+        return;
+    }
+    if (seize)
+        take_from_others(link, &session);
     mine = hear(link, has_session ? &session : NULL, !inquiry);
     if (inquiry) {
         inquire(link, body, received, mine, has_sent ? &sent : NULL, has_session);

@@ -52,7 +52,7 @@ def phases(value): return [value.get("pending"), value.get("running")] if isinst
 STEP = {"time_offset_to_start": period, "control_type": string, "control_value": number, "stop_condition": lease}
 CONTROL = {"time_offset_to_start": period, "control_type": string, "stop_condition": lease, "timestamp": timestamp,
            "device_id": ident, "request_id": string, "content_hash": digest, "session": ident, "hold": boolean}
-REQUESTS = {"availability_request": {"timestamp": timestamp, "session": ident}, "control_request": CONTROL,
+REQUESTS = {"availability_request": {"timestamp": timestamp, "session": ident, "seize": boolean}, "control_request": CONTROL,
             "initialization_request": {"timestamp": timestamp},
             "inquiry": {"timestamp": timestamp, "session": ident, "pending_lease": period,
                         "pending_until": timestamp, "requests": names(string), "devices": names(ident)}}
@@ -143,6 +143,7 @@ def check(c, device, now):
 class Robot:
     def __init__(self, arm):
         self.arm, self.links, self.owner, self.owner_heard = arm, [], None, 0
+        self.seized = None, None                # from which session, and by whom
         self.answers, self.facts = {}, {}       # by request_id: the last answer, and what else inquiries tell
         self.devices = {spec["id"]: Device(spec) for spec in BLOCK["devices"]}
         self.timer = asyncio.get_running_loop().call_soon(self.run)
@@ -233,8 +234,19 @@ class Robot:
         link.heard, link.session = now, session or link.session
         if link.session == self.owner:
             self.owner_heard = now
+        if self.owner not in (None, session) and session and self.seized[0] == session:
+            return f"`{BLOCK['id']}` was taken by {self.seized[1]}"
         if self.owner not in (None, session):
             return f"`{BLOCK['id']}` belongs to another session until that ends"    # whose name is a secret
+    def seize(self, link, session):
+        """Takes the robot from another session: all that others hold ends and comes to rest, then it is this session's."""
+        devices = self.devices.values()
+        others = any(c.session != session for device in devices for c in device.held + device.left_on)
+        if self.hear(link, session) or others:
+            self.seized = self.owner if self.owner != session else None, link.who
+            for device in devices:
+                self.rest(device, "cancelled", f"taken by {link.who}", time.time_ns())
+            self.owner = None
     def take(self, link, line, received):
         """The answer to a line."""
         def permit(*roles):                     # of someone who has proven who it is; before anything is renewed or claimed
@@ -252,12 +264,18 @@ class Robot:
                 c = Command(body, line, link)
                 stops = not c.sensor and not c.steps and (not c.timestamp or c.time_offset_to_start is None)
                 permit(*["observe", "drive"] if c.sensor else ["stop", "drive"] if stops else ["drive"])
-                return self.control(link, c, stops and "stop" in (link.roles or ()))
+                return self.control(link, c, stops and not c.session and "stop" in (link.roles or ()))
             request = Fields(body, REQUESTS[name])
             asks = name == "initialization_request" or request.session is None
             permit(*["drive"] if not asks else ["observe", "drive"] if name == "inquiry" else ["observe", "drive", "stop"])
+            if name == "availability_request" and request.seize:
+                need(request.session, "`seize` takes the robot for a session, and there is no `session`")
+                need(link.roles is not None, "seizing takes the role seize, and on this connection nothing is proven", "forbidden")
+                permit("seize")
             if name != "initialization_request":
                 request.session = own(link, request.session)
+            if name == "availability_request" and request.seize:
+                self.seize(link, request.session)
             result.update({"originate_timestamp": request.timestamp} if request.timestamp else {})
             busy = self.hear(link, getattr(request, "session", None), name != "inquiry")
             if name == "initialization_request":

@@ -334,7 +334,7 @@ async fn ask(
 }
 
 fn ping(link: &Link, clock: &ServerClock) {
-    let request = AvailabilityRequest { timestamp: Some(clock.now()), session: None };
+    let request = AvailabilityRequest { timestamp: Some(clock.now()), session: None, seize: false };
     let _never_full = link.send(Message::AvailabilityRequest(request), Urgency::InOrder);
 }
 

@@ -3,7 +3,7 @@
 use urrcp::SessionId;
 
 use super::missions::{failed, one};
-use super::{Exit, Format, console};
+use super::{Exit, Format, console, identity};
 use crate::journal::Life;
 use crate::run::control;
 
@@ -16,7 +16,8 @@ that you name, nothing happens: the command says why and ends with exit code 1.
 Examples:
   downbeat go
   downbeat go finale
-  downbeat go --mission swap@stage-4711-20261121T193000000"
+  downbeat go --mission swap@stage-4711-20261121T193000000
+  DOWNBEAT_IDENTITY=keys/operators/cleo.pem downbeat go finale"
 )]
 pub(super) struct GoArgs {
     /// The act to begin. By default the one that waits.
@@ -32,8 +33,12 @@ pub(super) fn go(args: &GoArgs, format: Format) -> Exit {
         Err(exit) => return exit,
     };
     let name = &found.opened.session;
+    let presented = match identity::presented() {
+        Ok(presented) => presented,
+        Err(error) => return refused(name, &error, format),
+    };
     super::with_runtime(async {
-        match control::go(&found.folder, args.act.as_deref()).await {
+        match control::go(&found.folder, args.act.as_deref(), presented.as_ref()).await {
             Ok(Ok(act)) => {
                 match format {
                     Format::Json => {

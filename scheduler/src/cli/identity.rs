@@ -3,12 +3,14 @@
 use std::path::PathBuf;
 
 use downbeat_robot::sealed::Held;
+use downbeat_robot::tls::Credentials;
 use downbeat_scripts::Fleet;
 
 use super::console;
 use crate::journal::OpenedKeys;
 use crate::keys::calendar;
 use crate::link::Site;
+use crate::run::desk::{Desk, Presented};
 
 /// Names an operator's identity file: several people may use one fleet file.
 const IDENTITY: &str = "DOWNBEAT_IDENTITY";
@@ -35,6 +37,24 @@ pub(super) fn site(fleet: &Fleet) -> Result<Site, String> {
 /// How a robot is spoken to that no fleet file names: the environment names the files.
 pub(super) fn site_of_terminal() -> Result<Site, String> {
     site(&Fleet::default())
+}
+
+/// Who decides at the socket of a mission with these keys. Where they cannot be used, nobody that presents itself is heard as such.
+pub(super) fn desk(keys: &OpenedKeys) -> Option<Desk> {
+    Desk::of(keys).unwrap_or_else(|error| {
+        console::warn(&format!("what operators say from other terminals is not told apart: {error}"));
+        None
+    })
+}
+
+/// The identity that this terminal presents to missions: what the environment names.
+///
+/// # Errors
+/// The file cannot be used, as a sentence.
+pub(super) fn presented() -> Result<Option<Presented>, String> {
+    let own = std::env::var_os(IDENTITY).filter(|path| !path.is_empty()).map(PathBuf::from);
+    let own = own.map(|path| Credentials::read(&path).map(Presented::new)).transpose();
+    own.map_err(|error| error.to_string())
 }
 
 /// The same with files that are known.

@@ -263,7 +263,7 @@ async fn go_on(
     format: Format,
 ) -> Result<Report, Exit> {
     let (lane, operator) = stop_lane(OnHangUp::End).map_err(|error| failed(&error))?;
-    let control = listen(&found.folder, &lane);
+    let control = listen(&found.folder, &lane, identity::desk(&found.opened.keys));
     let choreography = Arc::new(mission.choreography().clone());
     let ids: Vec<_> = mission.robots().iter().map(|robot| robot.id.clone()).collect();
     let live = Live::start(format, clock, choreography, ids, Speaker::of(&lane));

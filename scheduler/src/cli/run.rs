@@ -22,10 +22,11 @@ use super::realtime::{self, RealtimeArgs};
 use super::{Exit, Format, ScenarioArgs, console, detach, identity, robot};
 use crate::fleet::{self, StartPrograms};
 use crate::journal::{self, Asked, Missions, Opened};
-use crate::mission::{Join, Mission, MissionOptions};
+use crate::mission::{Greeting, Join, Mission, MissionOptions};
 use crate::recording::{Recorder, Recording};
 use crate::report::{HostWakeUp, Outcome, Report, report_text};
 use crate::run::control::Control;
+use crate::run::desk::Desk;
 use crate::run::{Keep, Operator};
 use crate::server_clock::{self, NTP_WATCH_INTERVAL, NtpWatch, ServerClock};
 use crate::session::{Session, SessionKey};
@@ -46,6 +47,7 @@ Examples:
   downbeat run show.yaml --at 19:30 --detach
   downbeat run show.yaml --speed 0.25 --only arm-1,arm-2
   downbeat run show.yaml --from finale --format json
+  downbeat run show.yaml --seize
   downbeat run show.yaml --require-certificate show.cert.json"
 )]
 pub(super) struct RunArgs {
@@ -68,6 +70,10 @@ pub(super) struct RunArgs {
     /// What to do if robots do not answer at first.
     #[arg(long, value_enum, default_value_t = JoinArg::Refuse)]
     join: JoinArg,
+    /// Take robots from other missions: their commands end, and they go to their default state first. Your certificate needs the
+    /// role `seize`, and the robots `tls://` addresses.
+    #[arg(long)]
+    seize: bool,
     /// Record all messages and movements in an MCAP file, for Foxglove and other tools.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
@@ -169,6 +175,7 @@ pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
             JoinArg::Refuse => Join::Refuse,
             JoinArg::NextAct => Join::NextAct,
         },
+        seize: args.seize,
         record: args.record.as_deref(),
         journal: !args.no_journal,
         preflight_only: false,
@@ -189,6 +196,7 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
         at: None,
         lead: None,
         join: Join::Refuse,
+        seize: false,
         record: None,
         journal: false,
         preflight_only: true,
@@ -242,6 +250,7 @@ struct Work<'a> {
     at: Option<StartAt>,
     lead: Option<Span>,
     join: Join,
+    seize: bool,
     record: Option<&'a Path>,
     journal: bool,
     preflight_only: bool,
@@ -262,6 +271,12 @@ impl Work<'_> {
         };
         if let Err(exit) = self.certified.check(&choreography, &fleet, &self.asked, self.format) {
             return exit;
+        }
+        if self.seize && fleet::greeting(&fleet) == Greeting::Skip {
+            console::error(
+                "--seize takes robots when they are greeted, and this fleet file says `handshake: skip`; expected `handshake: full`",
+            );
+            return Exit::Usage;
         }
         if matches!(self.place, Place::Detaching) {
             let session = session_name(&choreography.scenario, &ServerClock::anchored(Span::ZERO));
@@ -310,8 +325,9 @@ impl Work<'_> {
             let opened =
                 self.opened((session, key), &choreography.scenario, (fleet, fleet_path), clock, &robots);
             let folder = state.join(opened.session.as_str());
+            let desk = identity::desk(&opened.keys);
             keep.journal = Some(opening::begin(state, opened, clock, &mut operator).await?);
-            control = listen(&folder, &lane);
+            control = listen(&folder, &lane, desk);
         }
         let choreography = Arc::new(choreography);
         self.perform(Prepared { choreography, fleet, robots, clock, options, keep, lane, operator, control })
@@ -326,7 +342,7 @@ impl Work<'_> {
         });
         match read {
             Ok((state, missions)) => {
-                others::look_at(&missions, robots).map_err(failed)?;
+                others::look_at(&missions, robots, self.seize).map_err(failed)?;
                 Ok(Some(state))
             }
             Err(error) if self.journal => Err(usage(format!("{error}, or run with --no-journal"))),
@@ -355,6 +371,7 @@ impl Work<'_> {
             first_act,
             acts_max: None,
             join: self.join,
+            seize: self.seize,
             preflight_only: self.preflight_only,
             utc_offset,
         }
@@ -461,8 +478,8 @@ impl StartAt {
 }
 
 /// Where it fails, the mission still plays.
-pub(super) fn listen(folder: &Path, lane: &StopLane) -> Option<Control> {
-    let listening = Control::listen(folder, lane);
+pub(super) fn listen(folder: &Path, lane: &StopLane, desk: Option<Desk>) -> Option<Control> {
+    let listening = Control::listen(folder, lane, desk);
     let failed = |error: &std::io::Error| {
         console::warn(&format!(
             "`downbeat go` will not reach this mission, `downbeat stop` only its robots: {error}"

@@ -1,6 +1,7 @@
 //! `downbeat stop`: missions that run, from any terminal; those whose scheduler is gone or does not answer, by their journals.
 
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use downbeat_scripts::shown;
 use rustix::process::Pid;
@@ -14,12 +15,13 @@ use super::withdraw::{
     How, Inside, InsideWhat, NotTaken, Programs, Scheduler, Taken, Unconfirmed, Withdrawn, stop_fleet,
     withdraw, withdraw_and_record,
 };
-use super::{Exit, Format, ProjectArgs, console, load};
+use super::{Exit, Format, ProjectArgs, console, identity, load};
 use crate::journal::{Found, Kept, Life};
 use crate::mission::Rest;
 use crate::report::local::time_of_day;
 use crate::report::{TAKEN_OVER, Withdrawal};
-use crate::run::control;
+use crate::run::control::{self, Unheard};
+use crate::run::desk::Presented;
 use crate::signals;
 
 /// Stop missions and bring their robots to rest.
@@ -38,7 +40,8 @@ Examples:
   downbeat stop
   downbeat stop --fleet fleet.yaml
   downbeat stop --hold
-  downbeat stop swap@stage-4711-20261121T193000000 --patience 2s"
+  downbeat stop swap@stage-4711-20261121T193000000 --patience 2s
+  DOWNBEAT_IDENTITY=keys/operators/dora.pem downbeat stop"
 )]
 pub(super) struct StopArgs {
     /// The mission. By default all missions.
@@ -103,7 +106,12 @@ pub(super) fn stop(args: &StopArgs, format: Format) -> Exit {
     let rest = if args.hold { Rest::Hold } else { Rest::Default };
     let patience = args.how.patience;
     let how = How { scheduler: Scheduler::Gone, unconfirmed: forgotten, rest, patience, told };
-    let stops = stop_all(found, unread, how, shown, format);
+    // A stop waits for no key.
+    let presented = identity::presented().unwrap_or_else(|error| {
+        console::warn(&format!("the stop names nobody: {error}"));
+        None
+    });
+    let stops = stop_all(found, unread, (how, presented.map(Arc::new)), shown, format);
     worst(unreadable, super::with_runtime(LocalSet::new().run_until(stops)))
 }
 
@@ -140,9 +148,10 @@ impl Unread {
         Some(Self { mission: SessionId::new(name).ok().filter(|_| meant)?, folder })
     }
 
-    async fn stop(self, rest: Rest) -> Stopped {
-        match control::stop(&self.folder, rest).await {
+    async fn stop(self, rest: Rest, presented: Option<Arc<Presented>>) -> Stopped {
+        match control::stop(&self.folder, rest, presented.as_deref()).await {
             Ok(report) => Stopped::by_itself(self.mission, &report),
+            Err(refused @ Unheard::Refused(_)) => Stopped::of(self.mission, Err(refused.to_string())),
             Err(unheard) => {
                 let reason =
                     format!("its journal cannot be read, and its process does not answer: {unheard}");
@@ -159,13 +168,19 @@ enum Shown {
     Several,
 }
 
-async fn stop_all(found: Vec<Found>, unread: Vec<Unread>, how: How, shown: Shown, format: Format) -> Exit {
+async fn stop_all(
+    found: Vec<Found>,
+    unread: Vec<Unread>,
+    (how, presented): (How, Option<Arc<Presented>>),
+    shown: Shown,
+    format: Format,
+) -> Exit {
     let mut stops = JoinSet::new();
     for unread in unread {
-        stops.spawn_local(unread.stop(how.rest));
+        stops.spawn_local(unread.stop(how.rest, presented.clone()));
     }
     for found in found {
-        stops.spawn_local(stop_one(found, how));
+        stops.spawn_local(stop_one(found, how, presented.clone()));
     }
     let mut exit = Exit::Done;
     let mut documents = Vec::new();
@@ -200,10 +215,14 @@ fn worst(one: Exit, other: Exit) -> Exit {
     if rank(other) > rank(one) { other } else { one }
 }
 
-async fn stop_one(found: Found, how: How) -> Stopped {
+async fn stop_one(found: Found, how: How, presented: Option<Arc<Presented>>) -> Stopped {
     match found.life {
-        Life::Running => match control::stop(&found.folder, how.rest).await {
+        Life::Running => match control::stop(&found.folder, how.rest, presented.as_deref()).await {
             Ok(report) => Stopped::by_itself(found.opened.session.clone(), &report),
+            // It is not stopped by its journal instead.
+            Err(refused @ Unheard::Refused(_)) => {
+                Stopped::of(found.opened.session.clone(), Err(refused.to_string()))
+            }
             Err(unheard) => unanswered(&found, &unheard.to_string(), how).await,
         },
         Life::CutOff => cut_off(&found, how).await,
@@ -239,7 +258,7 @@ async fn cut_off(found: &Found, how: How) -> Stopped {
     match Taken::of(found) {
         Ok(taken) => Stopped::of(mission, withdraw_and_record(taken, &Programs::new(), how).await),
         // By another stop, most likely, which is told of by its socket.
-        Err(NotTaken::Held) => match control::stop(&found.folder, how.rest).await {
+        Err(NotTaken::Held) => match control::stop(&found.folder, how.rest, None).await {
             Ok(report) => Stopped::by_itself(mission, &report),
             Err(unheard) => {
                 directly(found, how, &format!("another process has its journal: {unheard}")).await

@@ -178,7 +178,7 @@ pub(super) async fn withdraw_and_record(
 ) -> Result<Withdrawn, String> {
     let (lane, operator) = stop_lane(OnHangUp::End)?;
     // A stop from another terminal meanwhile is answered with the result of this one.
-    let control = listen(&taken.folder, &lane);
+    let control = listen(&taken.folder, &lane, None);
     let mut withdrawn = withdraw_as(&taken.kept, programs, how, (lane, operator)).await?;
     let (begun, records) = (withdrawn.begun, records_of(&withdrawn, how));
     let recorded = tokio::task::spawn_blocking(move || write_down(taken, begun, &records));
@@ -350,7 +350,7 @@ fn records_of(withdrawn: &Withdrawn, How { unconfirmed, rest, .. }: How) -> Vec<
     let report = &withdrawn.report;
     let confirmed =
         |robot: &&crate::report::RobotReport| matches!(robot.stop, StopState::Confirmed | StopState::Held);
-    let mut records = vec![Record::Stopping { outcome: report.outcome.clone(), rest }];
+    let mut records = vec![Record::Stopping { outcome: report.outcome.clone(), rest, by: None }];
     let robots = report.robots.iter().filter(confirmed);
     records.extend(robots.map(|robot| Record::StopConfirmed { robot: robot.robot.clone() }));
     if withdrawn.is_confirmed() || unconfirmed == Unconfirmed::Forgotten {

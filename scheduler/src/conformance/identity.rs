@@ -153,7 +153,8 @@ fn claim(
     line: &mut Line,
     name: &SessionId,
 ) -> Result<(String, Heard<AvailabilityResponse>), Unmet> {
-    let request = AvailabilityRequest { timestamp: Some(trial.stamp()), session: Some(name.clone()) };
+    let request =
+        AvailabilityRequest { timestamp: Some(trial.stamp()), session: Some(name.clone()), seize: false };
     let sent = line.say(&Message::AvailabilityRequest(request))?;
     match line.other(trial.patience())? {
         Some(Heard { at, text, message: Message::AvailabilityResponse(message) }) => {

@@ -200,7 +200,7 @@ fn chatter(trial: &Trial, line: &mut Line, bytes: &dyn Fn() -> Vec<u8>, span: Sp
 
 fn presence(trial: &Trial) -> Vec<u8> {
     let mut bytes = Vec::new();
-    let request = AvailabilityRequest { timestamp: Some(trial.stamp()), session: None };
+    let request = AvailabilityRequest { timestamp: Some(trial.stamp()), session: None, seize: false };
     urrcp::encode(&Message::AvailabilityRequest(request), &mut bytes);
     bytes
 }

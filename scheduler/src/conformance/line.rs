@@ -316,7 +316,8 @@ impl<'a> Line<'a> {
     pub(super) fn availability(
         &mut self,
     ) -> Result<(String, Timestamp<Server>, Heard<AvailabilityResponse>), Unmet> {
-        let request = AvailabilityRequest { timestamp: Some(self.trial.stamp()), session: None };
+        let request =
+            AvailabilityRequest { timestamp: Some(self.trial.stamp()), session: None, seize: false };
         let sent_at = self.trial.now();
         let sent = self.say(&Message::AvailabilityRequest(request))?;
         let until = self.trial.patience();

@@ -111,7 +111,7 @@ fn held(trial: &Trial) -> Result<&Held, Unmet> {
 }
 
 fn availability() -> Message {
-    Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session: None })
+    Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session: None, seize: false })
 }
 
 /// A connection on which nothing has been proven.

@@ -121,7 +121,7 @@ fn no_lease_is_renewed_after_the_first_stop_unless_something_is_promised_after_i
     let path = written(folder.path());
     let renewed_until = || read(&path).unwrap().left().renewed_until;
     let append = |millis, record| Journal::open(folder.path()).unwrap().append(at(millis), &record).unwrap();
-    let stopping = || Record::Stopping { outcome: Outcome::Stopped, rest: Rest::Default };
+    let stopping = || Record::Stopping { outcome: Outcome::Stopped, rest: Rest::Default, by: None };
     assert_eq!(renewed_until(), None);
     append(5, stopping());
     append(9, stopping());

@@ -208,11 +208,13 @@ impl Mission {
     }
 
     /// The operator says go: it counts for the act that waits for it, and not ahead of that.
-    pub(super) fn go(&mut self, now: Timestamp<Server>, named: Option<&str>) {
+    pub(super) fn go(&mut self, now: Timestamp<Server>, named: Option<&str>, by: Option<String>) {
         let answer = match self.awaits_go(named) {
             Ok(index) => {
                 self.acts[index].go();
-                Ok(self.acts[index].name())
+                let act = self.acts[index].name();
+                self.record(Record::Go { act: act.clone(), by });
+                Ok(act)
             }
             Err(reason) => Err(reason),
         };

@@ -52,11 +52,15 @@ pub enum Event {
     StopRequested {
         /// How the robots come to rest.
         rest: Rest,
+        /// Who says so, for people, where that is another than who began the mission.
+        by: Option<String>,
     },
     /// The operator lets the act begin that waits for it. Answered by [`Action::Answer`].
     Go {
         /// Which act is meant; `None`: whichever waits.
         act: Option<String>,
+        /// Who says so, for people, where that is another than who began the mission.
+        by: Option<String>,
     },
     /// What NTP says of this machine's clock by now.
     ServerTime(NtpState),

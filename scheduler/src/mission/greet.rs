@@ -42,6 +42,9 @@ impl Mission {
     ) {
         if response.status == Status::Failed {
             let error = error_of_status(response.error.as_ref());
+            if self.is_to_be_seized(robot, &error) {
+                return self.greeting_progress(now);
+            }
             return self.fail(now, robot, FailureKind::NotAvailable { error });
         }
         let times = Times {
@@ -51,6 +54,7 @@ impl Mission {
             arrived: self.arrived,
         };
         let Some(sample) = self.robots[robot].exchanges.answered(times) else { return };
+        self.is_ours(now, robot);
         self.take_times(now, robot, sample);
         self.question_reached(now, robot, response.receive_timestamp);
         match self.phase {
@@ -110,7 +114,7 @@ impl Mission {
     }
 
     /// Asks the devices that can tell where they stand before the first act.
-    fn read_positions(&mut self, now: Timestamp<Server>, robot: usize) {
+    pub(super) fn read_positions(&mut self, now: Timestamp<Server>, robot: usize) {
         let state = &self.robots[robot];
         let Some(block) = &state.block else { return };
         let plan = &self.choreography.acts[self.options.first_act].plan;
@@ -190,12 +194,12 @@ impl Mission {
         }
         let full = self.options.greeting == Greeting::Full;
         let heard = |robot: &RobotState| {
-            let greeted =
-                robot.introduced && robot.clock.samples() >= CLOCK_SAMPLES && robot.reads.is_empty();
+            let sampled = robot.clock.samples() >= CLOCK_SAMPLES || robot.is_of_another();
+            let greeted = robot.introduced && sampled && robot.reads.is_empty();
             let absent = robot.standing != Standing::In;
             robot.has_failed() || absent || (robot.is_up() && (!full || greeted))
         };
-        if !self.robots.iter().all(heard) || self.still_sampling(now) {
+        if !self.robots.iter().all(heard) || self.seize_others(now) || self.still_sampling(now) {
             return;
         }
         self.check_links();
@@ -228,7 +232,8 @@ impl Mission {
         if self.robots.iter().any(RobotState::has_failed) {
             return false;
         }
-        let fits = self.skew_of_first_act(now).is_none_or(|skew| skew.fits());
+        let settled = !(0..self.robots.len()).any(|robot| self.is_on_its_way(robot));
+        let fits = settled && self.skew_of_first_act(now).is_none_or(|skew| skew.fits());
         let Phase::Greeting { deadline } = self.phase else { return false };
         let until = deadline.min(now + SAMPLING);
         let (until, next) = *self.sampling.get_or_insert((until, now + SAMPLING_INTERVAL));
@@ -252,6 +257,7 @@ impl Mission {
             if unsure && state.is_up() {
                 self.ask_further(now, robot);
             }
+            self.follow_on_its_way(now, robot);
         }
         if now >= until {
             self.greeting_progress(now);
@@ -332,7 +338,7 @@ impl Mission {
     }
 
     /// Devices that would have to jump at the first keyframe.
-    fn misplaced(&self, index: usize) -> Vec<FailureKind> {
+    pub(super) fn misplaced(&self, index: usize) -> Vec<FailureKind> {
         let expected = |device: &DeviceId| self.expected_position(index, device);
         let robot = &self.robots[index];
         let mut kinds = Vec::new();
@@ -365,6 +371,7 @@ impl Mission {
 
     pub(super) fn greeting_overdue(&mut self, now: Timestamp<Server>) {
         let within = self.options.patience;
+        self.leave_to_others();
         let full = self.options.greeting == Greeting::Full;
         for index in 0..self.robots.len() {
             self.robots[index].reads.retain(|_, what| !matches!(what, Reading::Shown(_)));

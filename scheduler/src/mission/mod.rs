@@ -37,6 +37,7 @@ mod resume;
 pub(crate) mod robot_state;
 mod rounds;
 mod script;
+mod seize;
 mod skew;
 mod stop;
 
@@ -136,6 +137,8 @@ pub struct Mission {
     outcome: Option<Outcome>,
     /// Why it was stopped, where neither its outcome nor a failure of a robot says so.
     because: Option<String>,
+    /// Which operator has stopped it, where that is another than who began it.
+    said_stop: Option<String>,
     /// Something failed on the way, whatever follows.
     flawed: Option<Outcome>,
     /// An act whose starts were too far apart.
@@ -201,6 +204,7 @@ impl Mission {
             ntp: None,
             outcome: None,
             because: None,
+            said_stop: None,
             flawed: None,
             flaw_of_starts: None,
             reports: VecDeque::new(),
@@ -243,8 +247,8 @@ impl Mission {
             Event::LinkDown { robot, loss, reason } => self.link_down(now, robot, loss, reason),
             Event::Received { robot, message } => self.receive(now, robot, message),
             Event::Garbled { robot, reason } => self.fail(now, robot, FailureKind::Garbled { reason }),
-            Event::StopRequested { rest } => self.request_stop(now, rest),
-            Event::Go { act } => self.go(now, act.as_deref()),
+            Event::StopRequested { rest, by } => self.request_stop(now, rest, by),
+            Event::Go { act, by } => self.go(now, act.as_deref(), by),
             Event::ServerTime(state) => self.server_time(state),
             Event::Recorded { count } => self.recorded(now, count),
             Event::JournalLost { reason } => self.journal_lost(now, reason),

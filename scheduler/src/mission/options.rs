@@ -77,6 +77,8 @@ pub struct MissionOptions {
     pub acts_max: Option<u32>,
     /// What becomes of robots that are not there at first.
     pub join: Join,
+    /// Takes robots that belong to other sessions, where they let it: they have proven who they are, and this operator has the role.
+    pub seize: bool,
     /// Ends once the fleet is checked.
     pub preflight_only: bool,
     /// The server's local time minus UTC, for acts that wait for a time of day.
@@ -112,6 +114,7 @@ impl Default for MissionOptions {
             first_act: 0,
             acts_max: None,
             join: Join::Refuse,
+            seize: false,
             preflight_only: false,
             utc_offset: Span::ZERO,
         }

@@ -6,6 +6,7 @@ use urrcp::{DeviceId, ErrorCode, Millis, RobotId, Server, Span, Timestamp};
 
 use super::failure_kind::FailureKind;
 use super::robot_state::{Link, RobotState};
+use super::seize::Ownership;
 use super::{ClockMode, Greeting, Mission};
 
 /// What is checked.
@@ -211,6 +212,9 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
             false => Verdict::NotChecked,
         },
         Check::Free => match greeted && mission.options.session.is_some() && robot.is_up() {
+            true if robot.ownership == Ownership::Seized => {
+                Verdict::Warning("ours, taken from another session".to_owned())
+            }
             true => Verdict::Pass("ours".to_owned()),
             false => Verdict::NotChecked,
         },

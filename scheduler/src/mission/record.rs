@@ -14,6 +14,14 @@ pub enum Record {
     Begun,
     /// The fleet is checked: acts begin, or wait.
     Checked,
+    /// The operator lets an act begin that waited for that.
+    Go {
+        /// Which act.
+        act: String,
+        /// Who has said so, where that is another operator than who began the mission.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        by: Option<String>,
+    },
     /// Requests of an act are about to be sent.
     Prepared(Promise),
     /// All have accepted.
@@ -44,6 +52,9 @@ pub enum Record {
         outcome: Outcome,
         /// How robots come to rest.
         rest: Rest,
+        /// Who has said so, where that is another operator than who began the mission.
+        #[serde(skip_serializing_if = "Option::is_none")]
+        by: Option<String>,
     },
     /// A robot has confirmed its stop.
     StopConfirmed {
@@ -82,6 +93,7 @@ impl Record {
             | Self::Stopping { .. }
             | Self::Ended { .. } => true,
             Self::Checked
+            | Self::Go { .. }
             | Self::Decided { .. }
             | Self::Dropped { .. }
             | Self::StopConfirmed { .. }

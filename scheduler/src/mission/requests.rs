@@ -7,7 +7,7 @@ use super::failure_kind::FailureKind;
 use super::record::Record;
 use super::robot_state::{SentStop, Stop};
 use super::script::{ScriptRef, ScriptState};
-use super::{Action, Mission, Phase, ledger};
+use super::{Action, Mission, Phase, StoppedBy, ledger};
 
 /// What a durable record is expected to take at least.
 const RECORDING: Span = Span::from_millis(30);
@@ -85,8 +85,13 @@ impl Mission {
         }
     }
 
-    /// A robot that belongs to another session by now refuses the stop: it is told once.
+    /// A robot that belongs to another session by now refuses the stop: it is told once. What the operator says is repeated, as the
+    /// robot may become free; a mission that has failed leaves it to the other session, so that nothing stops it behind that.
     fn stop_refused(&mut self, robot: usize) {
+        let by_operator = matches!(self.phase, Phase::Stopping { by: StoppedBy::Operator, .. });
+        if let Stop::Sent(sent) = &mut self.robots[robot].stop {
+            sent.given_up |= sent.taken_over.is_some() && !by_operator;
+        }
         let state = &self.robots[robot];
         let told = |failure: &super::Failure| matches!(failure.kind, FailureKind::NotAvailable { .. });
         let Stop::Sent(SentStop { taken_over: Some(error), .. }) = &state.stop else { return };

@@ -12,6 +12,7 @@ use super::exchanges::Exchanges;
 use super::failure_kind::FailureKind;
 use super::failures::Failures;
 use super::script::ScriptRef;
+use super::seize::Ownership;
 use super::{Loss, MissionSettings, Participant};
 use crate::clock::{ClockEstimate, ClockReading};
 
@@ -74,6 +75,8 @@ pub(crate) struct SentStop {
     pub(crate) unconfirmed: HashMap<RequestId, DeviceId>,
     /// Why the robot has refused it, where it belongs to another session: it holds nothing of this one any more.
     pub(crate) taken_over: Option<ControlError>,
+    /// It is not sent again: nobody but this mission, which has lost the robot to another session, wants it to rest.
+    pub(crate) given_up: bool,
 }
 
 /// How a stopped device comes to rest.
@@ -191,6 +194,8 @@ pub(crate) struct RobotState {
     pub(crate) own_id: RobotId,
     /// Until when its certificate counts, if it has shown one.
     pub(crate) certified_until: Option<Timestamp<Server>>,
+    /// To whom it belongs, while robots are greeted.
+    pub(crate) ownership: Ownership,
     pub(crate) link: Link,
     /// Attempts to reach it since it was last heard.
     attempts: u32,
@@ -246,6 +251,7 @@ impl RobotState {
         Self {
             own_id: participant.own_id().clone(),
             certified_until: None,
+            ownership: Ownership::default(),
             id: participant.id,
             link: Link::Connecting,
             attempts: 0,
@@ -402,6 +408,11 @@ impl RobotState {
         !self.failures.is_empty()
     }
 
+    /// Whether it belongs to another session and is to be taken from that.
+    pub(crate) const fn is_of_another(&self) -> bool {
+        matches!(self.ownership, Ownership::OfAnother(_))
+    }
+
     /// Its clock at an instant.
     pub(crate) fn clock_at(&self, at: Timestamp<Server>) -> Option<ClockReading> {
         self.clock.reading_at(at)
@@ -443,9 +454,14 @@ impl RobotState {
         !matches!(self.stop, Stop::None)
     }
 
-    /// Whether a stop is on its way that has not been confirmed.
+    /// Whether a stop is on its way that has not been confirmed and is not given up.
     pub(crate) const fn awaits_stop(&self) -> bool {
-        matches!(self.stop, Stop::Sent(_))
+        matches!(self.stop, Stop::Sent(SentStop { given_up: false, .. }))
+    }
+
+    /// Whether it has refused its stop because it belongs to another session, and is left to that.
+    pub(crate) const fn is_left_to_others(&self) -> bool {
+        matches!(self.stop, Stop::Sent(SentStop { given_up: true, .. }))
     }
 
     /// What it said could not be read.

@@ -12,6 +12,7 @@ use super::act::Act;
 use super::exchanges::Times;
 use super::failure_kind::FailureKind;
 use super::lead::LeadTime;
+use super::seize::Ownership;
 use super::{Mission, Phase, Progress, error_of_status};
 use crate::clock::ClockSample;
 
@@ -111,7 +112,7 @@ impl Mission {
         state.exchanges.asked(now, named.len().max(1));
         let session = self.options.session_on_the_wire();
         if !state.takes_inquiries() {
-            let request = AvailabilityRequest { timestamp: Some(now), session };
+            let request = AvailabilityRequest { timestamp: Some(now), session, seize: false };
             return self.post(now, robot, Message::AvailabilityRequest(request));
         }
         let plain = Inquiry { timestamp: Some(now), session, ..Inquiry::default() };
@@ -126,12 +127,14 @@ impl Mission {
         }
     }
 
-    /// Asks for the robot's times and claims it for the session, which also renews all leases.
+    /// Asks for the robot's times and claims it for the session, which also renews all leases. Takes it from another session where
+    /// it is to be taken.
     pub(super) fn ask_availability(&mut self, now: Timestamp<Server>, robot: usize) {
         self.robots[robot].questions.asked(now);
         self.robots[robot].exchanges.asked(now, 1);
         let session = self.options.session_on_the_wire();
-        let request = AvailabilityRequest { timestamp: Some(now), session };
+        let seize = self.robots[robot].ownership == Ownership::Seizing;
+        let request = AvailabilityRequest { timestamp: Some(now), session, seize };
         self.post(now, robot, Message::AvailabilityRequest(request));
     }
 

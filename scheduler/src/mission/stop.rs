@@ -15,10 +15,17 @@ use super::{Mission, Outcome, Phase, Progress, StoppedBy};
 const STOP_AGAIN: Span = Span::from_millis(200);
 
 impl Mission {
-    pub(super) fn request_stop(&mut self, now: Timestamp<Server>, rest: Rest) {
+    pub(super) fn request_stop(&mut self, now: Timestamp<Server>, rest: Rest, by: Option<String>) {
+        if self.phase != Phase::Ended && by.is_some() {
+            self.because = by.as_ref().map(|by| format!("stopped by {by}"));
+            self.said_stop = by;
+        }
         match self.phase {
             Phase::Greeting { .. } => self.refuse(Outcome::Stopped),
-            Phase::Performing => self.abort(now, Outcome::Stopped, rest, None),
+            Phase::Performing => {
+                let reason = self.because.clone().unwrap_or_else(|| Outcome::Stopped.to_string());
+                self.abort_because(now, (Outcome::Stopped, reason), rest, None);
+            }
             // Whatever was to follow the stop does not.
             Phase::Stopping { by, .. } => {
                 self.then = None;
@@ -45,7 +52,8 @@ impl Mission {
             self.robots[robot].stop = Stop::None;
             self.stop_robot(now, robot, rest);
         }
-        self.record(Record::Stopping { outcome: Outcome::Stopped, rest });
+        let by = self.said_stop.clone();
+        self.record(Record::Stopping { outcome: Outcome::Stopped, rest, by });
     }
 
     fn stopping_from(&self, now: Timestamp<Server>, by: StoppedBy) -> Phase {
@@ -95,7 +103,8 @@ impl Mission {
             self.stop_robot(now, robot, rest);
         }
         // A stop promises nothing: it is sent first and recorded afterwards.
-        self.record(Record::Stopping { outcome: outcome.clone(), rest });
+        let by = self.said_stop.clone();
+        self.record(Record::Stopping { outcome: outcome.clone(), rest, by });
         self.outcome = Some(outcome);
         for robot in 0..self.robots.len() {
             if matches!(self.robots[robot].link, Link::Lost(_)) && self.robots[robot].awaits_stop() {
@@ -119,7 +128,7 @@ impl Mission {
             Some((id.ok()?, device.clone()))
         };
         let unconfirmed: HashMap<_, _> = state.touched.iter().enumerate().filter_map(named).collect();
-        let stop = Stop::Sent(SentStop { at: now, rest, unconfirmed, taken_over: None });
+        let stop = Stop::Sent(SentStop { at: now, rest, unconfirmed, taken_over: None, given_up: false });
         self.end_leases(now, robot);
         self.robots[robot].stop = stop;
         self.send_stops(now, robot);
@@ -192,7 +201,8 @@ impl Mission {
         // A robot that takes no inquiries reported before it answered what it was asked after its stop, or its report is lost.
         let answered = |at| self.stopped_at.is_some_and(|stopped| at > stopped);
         let lost = !state.takes_inquiries() && state.questions.answered().is_some_and(answered);
-        state.tells_fates() && !state.is_garbled() && !lost && !state.is_gone() && self.acts.iter().any(out)
+        let can = !state.is_garbled() && !state.is_left_to_others();
+        state.tells_fates() && can && !lost && !state.is_gone() && self.acts.iter().any(out)
     }
 
     fn stop_interval(&self) -> Span {
@@ -205,7 +215,7 @@ impl Mission {
         if !matches!(self.phase, Phase::Stopping { .. }) {
             return;
         }
-        let all = self.robots.iter().all(RobotState::is_settled);
+        let all = self.robots.iter().all(|robot| robot.is_settled() || robot.is_left_to_others());
         let known = all && !(0..self.robots.len()).any(|robot| self.owes_a_fate(robot));
         if known {
             self.stopped(now);

@@ -35,7 +35,7 @@ fn waits_in(waiting: usize) -> Mission {
 
 #[track_caller]
 fn answers(mission: &mut Mission, act: Option<&str>, expected: Result<&str, &str>) {
-    let actions = mission.handle(at(1), Event::Go { act: act.map(str::to_owned) });
+    let actions = mission.handle(at(1), Event::Go { act: act.map(str::to_owned), by: None });
     let answer = actions.into_iter().find_map(|action| match action {
         Action::Answer(answer) => Some(answer),
         _ => None,
@@ -54,7 +54,7 @@ fn a_go_counts_for_the_act_that_waits_for_it_and_otherwise_says_why_not() {
     answers(&mut mission, Some("one"), Err("`one` does not wait for the operator now"));
     answers(&mut mission, None, Err("no act waits for the operator"));
     // Nothing was sent that would have to be stopped.
-    let _ended = mission.handle(at(2), Event::StopRequested { rest: Rest::Default });
+    let _ended = mission.handle(at(2), Event::StopRequested { rest: Rest::Default, by: None });
     answers(&mut mission, None, Err("the mission is over"));
 }
 
@@ -280,7 +280,7 @@ fn an_act_tells_how_far_its_starts_may_be_apart() {
 fn a_mission_that_stops_sends_no_script_that_an_act_still_wants() {
     let mut mission = begins_at_once(Everything);
     let _sent = happens(&mut mission, at(0), Event::LinkUp { robot: 0 });
-    let _stops = mission.handle(at(1), Event::StopRequested { rest: Rest::Default });
+    let _stops = mission.handle(at(1), Event::StopRequested { rest: Rest::Default, by: None });
     assert!(matches!(mission.phase, Phase::Stopping { .. }), "{:?}", mission.phase);
     let script = ScriptRef { act: 0, member: 0, script: 0 };
     mission.carry_out(at(2), 0, vec![ActAction::Send(script)]);
@@ -473,7 +473,7 @@ fn the_stops_of_two_devices_come_behind_a_question_that_ends_the_leases_of_both(
     let mut mission = Mission::new(Arc::new(choreography(scripts)), participants, options, at(0)).unwrap();
     let sent = scripts_in(&happens(&mut mission, at(0), Event::LinkUp { robot: 0 }));
     assert_eq!(sent.len(), 2);
-    let actions = mission.handle(at(1), Event::StopRequested { rest: Rest::Default });
+    let actions = mission.handle(at(1), Event::StopRequested { rest: Rest::Default, by: None });
     let kinds: Vec<&str> = actions
         .iter()
         .filter_map(|action| match action {

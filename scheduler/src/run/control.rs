@@ -3,11 +3,15 @@
 //! The mission says `ready` on every connection. `go`, or `go ACT`, is answered by `started ACT` or `refused: REASON`. `stop`,
 //! or `hold`, which leaves robots where they are, is answered by `heard` once the mission has taken it, by `alive` four times a second as long as it stops, and in the end
 //! by its report, a line of JSON. So a client knows within a second whether the mission listens.
+//!
+//! A mission with an identity says `ready NONCE`. Then a client that presents an identity of its own says so by a line ahead of its
+//! word, `as CERTIFICATE SIGNATURE`, and may do what its roles permit ([`super::desk`]); what they do not is answered by `refused: REASON`.
 
 use std::fs::Permissions;
 use std::io;
 use std::os::unix::fs::PermissionsExt;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 use std::time::Duration;
 
 use tokio::io::{AsyncBufReadExt, AsyncReadExt, AsyncWriteExt, BufReader};
@@ -18,12 +22,15 @@ use tokio::task::AbortHandle;
 use tokio::time::timeout;
 
 use super::Operator;
+use super::desk::{Challenge, Desk, Presented};
 use crate::journal::private;
 use crate::mission::Rest;
 use crate::stop_lane::{StopLane, Voice};
 
-/// Longest line that is listened to, in bytes: a word and the name of an act.
+/// Longest word that is listened to, in bytes: a word and the name of an act.
 const LINE_MAX: u64 = 4_096;
+/// The same with a certificate and a signature ahead of it.
+const PRESENTED_MAX: u64 = 16_384;
 /// A scheduler that is silent for this long does not listen.
 const SILENCE_MAX: Duration = Duration::from_secs(1);
 /// How often a mission that stops says that it is alive.
@@ -47,6 +54,11 @@ fn is_ours(stream: &UnixStream) -> bool {
     stream.peer_cred().is_ok_and(|peer| peer.uid() == own || peer.uid() == 0)
 }
 
+/// Whether it is one of root, to a mission of another user.
+fn is_root(stream: &UnixStream) -> bool {
+    !rustix::process::geteuid().is_root() && stream.peer_cred().is_ok_and(|peer| peer.uid() == 0)
+}
+
 /// Listens for other terminals as long as a mission runs.
 #[derive(Debug)]
 pub struct Control {
@@ -57,11 +69,11 @@ pub struct Control {
 }
 
 impl Control {
-    /// Listens until [`Control::end`].
+    /// Listens until [`Control::end`]. With a desk, operators that present themselves may do what their roles permit.
     ///
     /// # Errors
     /// The socket cannot be made, as where its path is too long.
-    pub fn listen(folder: &Path, lane: &StopLane) -> io::Result<Self> {
+    pub fn listen(folder: &Path, lane: &StopLane, desk: Option<Desk>) -> io::Result<Self> {
         let path = socket(folder);
         // Left behind by a process that was killed: the process that holds the journal's lock owns the folder.
         let _absent = std::fs::remove_file(&path);
@@ -73,13 +85,16 @@ impl Control {
         std::fs::set_permissions(&path, Permissions::from_mode(0o600))?;
         let (report, reported) = watch::channel(None);
         let (telling, told) = mpsc::channel(1);
+        let (desk, mission) = (desk.map(Arc::new), mission_of(folder));
         let accepting = tokio::spawn(async move {
             while let Ok((stream, _)) = listener.accept().await {
                 if !is_ours(&stream) {
                     continue;
                 }
+                let by = is_root(&stream).then(|| "root".to_owned());
                 let (reader, writer) = stream.into_split();
-                let listener = Listener { writer, voice: voice.clone(), report: reported.clone() };
+                let desk = desk.clone().map(|desk| (desk, Challenge::new(&mission)));
+                let listener = Listener { writer, voice: voice.clone(), report: reported.clone(), desk, by };
                 let telling = telling.clone();
                 // Ends with the mission, or with the other process.
                 tokio::spawn(async move {
@@ -105,13 +120,37 @@ struct Listener {
     writer: OwnedWriteHalf,
     voice: Voice,
     report: watch::Receiver<Option<String>>,
+    /// Checks who presents itself, and what it has to sign.
+    desk: Option<(Arc<Desk>, Challenge)>,
+    /// Who speaks, where that is another than who began the mission.
+    by: Option<String>,
 }
 
 impl Listener {
     async fn converse(mut self, reader: OwnedReadHalf) -> io::Result<()> {
-        self.say("ready").await?;
+        match &self.desk {
+            Some((_, challenge)) => self.say(&format!("ready {}", challenge.nonce())).await?,
+            None => self.say("ready").await?,
+        }
+        let limit = if self.desk.is_some() { PRESENTED_MAX } else { LINE_MAX };
+        let mut reader = BufReader::new(reader.take(limit));
         let mut line = String::new();
-        BufReader::new(reader.take(LINE_MAX)).read_line(&mut line).await?;
+        reader.read_line(&mut line).await?;
+        if let (Some(presented), Some((desk, challenge))) = (line.strip_prefix("as "), &self.desk) {
+            let presented = presented.trim().to_owned();
+            line.clear();
+            reader.read_line(&mut line).await?;
+            match desk.admits(challenge, &presented, line.trim()) {
+                Ok(name) => self.by = name,
+                Err(reason) => {
+                    tracing::warn!("refused at the mission's socket: `{}`: {reason}", line.trim());
+                    return self.say(&format!("refused: {reason}")).await;
+                }
+            }
+        }
+        if let Some(by) = &self.by {
+            tracing::warn!("`{}` by {by}", line.trim());
+        }
         match line.trim().split_once(' ').unwrap_or((line.trim(), "")) {
             ("go", act) => self.go(act).await,
             ("stop", "") => self.stop(Rest::Default).await,
@@ -127,7 +166,7 @@ impl Listener {
     async fn go(&mut self, act: &str) -> io::Result<()> {
         let act = Some(act).filter(|act| !act.is_empty()).map(str::to_owned);
         let (answer, answered) = oneshot::channel();
-        let _over = self.voice.say(Operator::Go { act, answer }).await;
+        let _over = self.voice.say(Operator::Go { act, by: self.by.take(), answer }).await;
         match answered.await {
             Ok(Ok(act)) => self.say(&format!("started {act}")).await,
             Ok(Err(reason)) => self.say(&format!("refused: {reason}")).await,
@@ -136,7 +175,7 @@ impl Listener {
     }
 
     async fn stop(&mut self, rest: Rest) -> io::Result<()> {
-        let _over = self.voice.say(Operator::Stop(rest)).await;
+        let _over = self.voice.say(Operator::Stop { rest, by: self.by.take() }).await;
         while !self.voice.is_heard() {
             tokio::time::sleep(TAKEN_RETRY).await;
         }
@@ -173,6 +212,14 @@ pub enum Unheard {
     /// It hung up without an answer.
     #[error("it ended without an answer")]
     Ended,
+    /// It does not let this operator do that.
+    #[error("refused: {0}")]
+    Refused(String),
+}
+
+/// The name of the mission with this folder.
+fn mission_of(folder: &Path) -> String {
+    folder.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
 }
 
 /// Lets the act begin that waits for the operator, of this name if one is given. Returns the name of the act, or why the go
@@ -180,14 +227,20 @@ pub enum Unheard {
 ///
 /// # Errors
 /// [`Unheard`]; nothing begins then, unless the scheduler fell silent in the middle of it.
-pub async fn go(folder: &Path, act: Option<&str>) -> Result<Result<String, String>, Unheard> {
+pub async fn go(
+    folder: &Path,
+    act: Option<&str>,
+    presented: Option<&Presented>,
+) -> Result<Result<String, String>, Unheard> {
     if act.is_some_and(|act| act.contains(['\n', '\r']) || act.len() as u64 > LINE_MAX / 2) {
         return Ok(Err("no act has such a name".to_owned()));
     }
     let mut speaker = Speaker::to(folder).await?;
     // A go that a scheduler finds when it wakes up from standing still would come at any time.
-    speaker.hear().await?;
-    speaker.say(&format!("go {}", act.unwrap_or_default())).await?;
+    let ready = speaker.hear().await?;
+    let word = format!("go {}", act.unwrap_or_default());
+    speaker.present(folder, &ready, presented, word.trim()).await?;
+    speaker.say(&word).await?;
     let answer = speaker.hear().await?;
     match (answer.strip_prefix("started "), answer.strip_prefix("refused: ")) {
         (Some(act), _) => Ok(Ok(act.to_owned())),
@@ -199,17 +252,25 @@ pub async fn go(folder: &Path, act: Option<&str>) -> Result<Result<String, Strin
 ///
 /// # Errors
 /// [`Unheard`], as soon as it is silent for 1 s. What was said to it may still count then.
-pub async fn stop(folder: &Path, rest: Rest) -> Result<String, Unheard> {
+pub async fn stop(folder: &Path, rest: Rest, presented: Option<&Presented>) -> Result<String, Unheard> {
     let mut speaker = Speaker::to(folder).await?;
     let word = match rest {
         Rest::Default => "stop",
         Rest::Hold => "hold",
     };
+    // Who presents nothing waits for nothing.
+    if presented.is_some() {
+        let ready = speaker.hear().await?;
+        speaker.present(folder, &ready, presented, word).await?;
+    }
     speaker.say(word).await?;
     loop {
         let line = speaker.hear().await?;
         if line.starts_with('{') {
             return Ok(line);
+        }
+        if let Some(reason) = line.strip_prefix("refused: ") {
+            return Err(Unheard::Refused(reason.to_owned()));
         }
     }
 }
@@ -229,6 +290,19 @@ impl Speaker {
         }
         let (reader, writer) = stream.into_split();
         Ok(Self { reader: BufReader::new(reader), writer })
+    }
+
+    /// Says who speaks, to a mission that asks for that.
+    async fn present(
+        &mut self,
+        folder: &Path,
+        ready: &str,
+        presented: Option<&Presented>,
+        word: &str,
+    ) -> Result<(), Unheard> {
+        let (Some(presented), Some(nonce)) = (presented, ready.strip_prefix("ready ")) else { return Ok(()) };
+        let signed = presented.signed(&Challenge::of(&mission_of(folder), nonce), word);
+        self.say(&format!("as {}", signed.map_err(Unheard::Refused)?)).await
     }
 
     async fn say(&mut self, line: &str) -> Result<(), Unheard> {

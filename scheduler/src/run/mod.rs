@@ -1,6 +1,7 @@
 //! A mission in real time: robots behind sockets or in this process, a journal and a recording on the disk, an operator.
 
 pub mod control;
+pub mod desk;
 mod world;
 
 use std::collections::BTreeSet;
@@ -27,11 +28,18 @@ pub enum Operator {
     Go {
         /// Which act is meant; `None`: whichever waits.
         act: Option<String>,
+        /// Who says so, where that is another than who began the mission.
+        by: Option<String>,
         /// Hears which act it lets begin, or why it counts for none; nothing when the mission ends before.
         answer: oneshot::Sender<Result<String, String>>,
     },
     /// Stop all robots and wait for their confirmation.
-    Stop(Rest),
+    Stop {
+        /// How they come to rest.
+        rest: Rest,
+        /// Who says so, where that is another than who began the mission.
+        by: Option<String>,
+    },
     /// Leave at once.
     Leave,
 }

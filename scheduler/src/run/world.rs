@@ -133,10 +133,10 @@ impl<T: FnMut(Timestamp<Server>, &Progress)> World for RealWorld<T> {
         tokio::select! {
             biased;
             word = self.operator.recv() => match word {
-                Some(Operator::Stop(rest)) => self.event(Event::StopRequested { rest }),
-                Some(Operator::Go { act, answer }) => {
+                Some(Operator::Stop { rest, by }) => self.event(Event::StopRequested { rest, by }),
+                Some(Operator::Go { act, by, answer }) => {
                     self.unanswered.push_back(answer);
-                    self.event(Event::Go { act })
+                    self.event(Event::Go { act, by })
                 }
                 Some(Operator::Leave) | None => Some(Happened::Left),
             },

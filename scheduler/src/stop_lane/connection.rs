@@ -103,7 +103,11 @@ impl Connection {
     /// Asks for signs of life until there is none.
     pub(super) async fn stay(&mut self) {
         // Without a session it claims nothing and renews no lease.
-        let ask = Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session: None });
+        let ask = Message::AvailabilityRequest(AvailabilityRequest {
+            timestamp: None,
+            session: None,
+            seize: false,
+        });
         loop {
             let asked = self.send(std::iter::once(&ask)).await.is_ok();
             let answered = async { asked && self.next().await.is_some() };

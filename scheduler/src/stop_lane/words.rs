@@ -58,7 +58,7 @@ impl Voice {
     /// [`MissionOver`].
     pub async fn say(&self, word: Operator) -> Result<(), MissionOver> {
         let rest = match word {
-            Operator::Stop(rest) => Some(rest),
+            Operator::Stop { rest, .. } => Some(rest),
             _ => None,
         };
         let tried = self.mission.try_send(word);
@@ -101,7 +101,7 @@ pub(super) async fn hear(mut signals: Signals, voice: Voice) {
             tokio::spawn(die_soon(asked));
         }
         // A terminal that closes, or a supervisor, sends no robot on its way that was told to stay.
-        if !(voice.holds() && matches!(word, Operator::Stop(_))) {
+        if !(voice.holds() && matches!(word, Operator::Stop { .. })) {
             let voice = voice.clone();
             tokio::spawn(async move { voice.say(word).await });
         }
@@ -117,9 +117,9 @@ async fn die_soon(asked: Asked) {
 /// closes.
 const fn word_of(asked: Asked, before: Option<Asked>) -> Operator {
     match (before, asked) {
-        (_, Asked::Hold) => Operator::Stop(Rest::Hold),
+        (_, Asked::Hold) => Operator::Stop { rest: Rest::Hold, by: None },
         (Some(_), Asked::Interrupt) => Operator::Leave,
-        _ => Operator::Stop(Rest::Default),
+        _ => Operator::Stop { rest: Rest::Default, by: None },
     }
 }
 
@@ -145,12 +145,13 @@ mod tests {
             let voice = Voice::new(mission, alarm);
             voice.say(Operator::Leave).await.unwrap();
             assert_eq!(*ringing.borrow(), Alarm::Quiet);
-            let speaking = tokio::spawn(async move { voice.say(Operator::Stop(Rest::Hold)).await });
+            let speaking =
+                tokio::spawn(async move { voice.say(Operator::Stop { rest: Rest::Hold, by: None }).await });
             tokio::task::yield_now().await;
             assert_eq!(*ringing.borrow(), Alarm::Ringing(Rest::Hold));
             assert!(!speaking.is_finished());
             assert!(matches!(words.recv().await, Some(Operator::Leave)));
-            assert!(matches!(words.recv().await, Some(Operator::Stop(Rest::Hold))));
+            assert!(matches!(words.recv().await, Some(Operator::Stop { rest: Rest::Hold, .. })));
             assert_eq!(speaking.await.unwrap(), Ok(()));
         });
     }

@@ -334,6 +334,7 @@ fn an_availability_request_is_answered_with_its_own_time_and_the_robots() {
     bench.send(Message::AvailabilityRequest(AvailabilityRequest {
         session: None,
         timestamp: Some(Timestamp::from_nanos(7)),
+        seize: false,
     }));
     let Some(Output::Send { message: Message::AvailabilityResponse(response), .. }) = bench.out.last() else {
         panic!()

@@ -4,25 +4,26 @@ use super::*;
 use crate::role::{Proof, Role};
 use urrcp::SessionId;
 
-const OTHER: LinkId = LinkId(2);
+pub(super) const OTHER: LinkId = LinkId(2);
 
-fn of(session: &str, request: ControlRequest) -> Message {
+pub(super) fn of(session: &str, request: ControlRequest) -> Message {
     Message::ControlRequest(ControlRequest { session: SessionId::new(session).ok(), ..request })
 }
 
-fn hello(session: &str) -> Message {
+pub(super) fn hello(session: &str) -> Message {
     Message::AvailabilityRequest(AvailabilityRequest {
         timestamp: None,
         session: SessionId::new(session).ok(),
+        seize: false,
     })
 }
 
 impl Bench {
-    fn send_on(&mut self, link: LinkId, message: Message) {
+    pub(super) fn send_on(&mut self, link: LinkId, message: Message) {
         self.robot.handle(self.now, link, Input::Message(message), &mut self.out);
     }
 
-    fn last_said(&self) -> String {
+    pub(super) fn last_said(&self) -> String {
         match self.out.iter().rfind(|output| matches!(output, Output::Send { .. })) {
             Some(Output::Send { link, message: Message::ControlResponse(r) }) => {
                 format!("{} {} {}", link.0, r.status, r.error.as_ref().map_or("", |e| e.message.as_str()))
@@ -249,7 +250,7 @@ fn a_stranger_learns_the_sessions_name_by_no_question() {
     bench.send_on(LINK, of("a-secret", timed("arm", "a", 900.0, script(ControlType::Position, &PAPER))));
     bench.out.clear();
     for session in [None, SessionId::new("guess").ok()] {
-        let availability = AvailabilityRequest { timestamp: None, session: session.clone() };
+        let availability = AvailabilityRequest { timestamp: None, session: session.clone(), seize: false };
         bench.send_on(OTHER, Message::AvailabilityRequest(availability));
         let inquiry = urrcp::Inquiry {
             session: session.clone(),
@@ -405,17 +406,18 @@ fn what_follows_another_command_of_its_device_needs_no_lease_of_its_own_before_i
 }
 
 /// An operator on a link with these roles.
-fn operator(name: &str, roles: &[Role]) -> Input {
+pub(super) fn operator(name: &str, roles: &[Role]) -> Input {
     Input::Proven(Proof { name: Label::new(name).unwrap(), roles: roles.iter().copied().collect() })
 }
 
-fn stop_of(device: &str) -> ControlRequest {
+pub(super) fn stop_of(device: &str) -> ControlRequest {
     ControlRequest::immediate(DeviceId::new(device).unwrap(), Command::Script(Script::cancel()))
 }
 
 #[test]
 fn an_operator_does_what_its_roles_allow_and_nothing_else() {
-    let ask = || Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session: None });
+    let ask =
+        || Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session: None, seize: false });
     let set = || {
         of(
             "s",

@@ -64,7 +64,7 @@ impl Speaker {
         let (voice, lane) = (self.voice.clone(), self.lane.clone());
         self.asking = Some(std::thread::spawn(move || {
             let (answer, answered) = oneshot::channel();
-            let _over = lane.block_on(voice.say(Operator::Go { act: None, answer }));
+            let _over = lane.block_on(voice.say(Operator::Go { act: None, by: None, answer }));
             if let Ok(Err(reason)) = answered.blocking_recv() {
                 console::note(&format!("no go: {reason}"));
             }
@@ -76,7 +76,8 @@ impl Speaker {
     /// Stops all robots. The lane has the first such word at once; a mission that stands still takes it later.
     fn stop(&self, rest: Rest) {
         let (voice, lane) = (self.voice.clone(), self.lane.clone());
-        let _until_it_is_taken = std::thread::spawn(move || lane.block_on(voice.say(Operator::Stop(rest))));
+        let stop = Operator::Stop { rest, by: None };
+        let _until_it_is_taken = std::thread::spawn(move || lane.block_on(voice.say(stop)));
     }
 }
 

@@ -38,7 +38,7 @@ async fn unless_stopped<T: Send + 'static>(
     loop {
         tokio::select! {
             done = &mut working => return done.map_err(|error| failed(error.to_string())),
-            Some(word) = operator.recv() => if matches!(word, Operator::Stop(_) | Operator::Leave) {
+            Some(word) = operator.recv() => if matches!(word, Operator::Stop { .. } | Operator::Leave) {
                 let message = "stopped by the operator while the journal was opened; nothing was sent";
                 return Err((message.to_owned(), Exit::Stopped));
             },

@@ -1,22 +1,26 @@
 //! Other missions of this machine that have robots of the one that is about to begin.
 
-use downbeat_scripts::{Address, FleetRobot};
+use downbeat_scripts::{Address, FleetRobot, Protection};
 use urrcp::RobotId;
 
 use crate::cli::console;
 use crate::journal::{Found, Life, Missions};
 
 /// Refuses robots that a mission of this machine drives already, each by its name; robots tell so themselves, too, also to
-/// schedulers on other machines. Warns of missions that were cut off.
+/// schedulers on other machines. Where robots are seized, those with a `tls://` or `hmac://` address decide themselves. Warns of missions that
+/// were cut off.
 ///
 /// # Errors
 /// Which robots are taken, and by whom.
-pub(super) fn look_at(missions: &Missions, robots: &[&FleetRobot]) -> Result<(), String> {
+pub(super) fn look_at(missions: &Missions, robots: &[&FleetRobot], seize: bool) -> Result<(), String> {
     for refused in &missions.refused {
         console::warn(&format!("{refused}; if a mission runs there, its robots are not known"));
     }
     warn_of_unfinished(&missions.found, robots);
-    taken_here(&missions.found, robots)
+    let proves = |robot: &&FleetRobot| matches!(&robot.address, Address::Tcp { protection, .. } if *protection != Protection::Open);
+    let decides = |robot: &&FleetRobot| seize && proves(robot);
+    let others: Vec<&FleetRobot> = robots.iter().copied().filter(|robot| !decides(robot)).collect();
+    taken_here(&missions.found, &others)
 }
 
 fn taken_here(missions: &[Found], robots: &[&FleetRobot]) -> Result<(), String> {

@@ -81,7 +81,8 @@ fn stopped(rest: Rest) -> RobotState {
     let mut robot = bench::robot("r0", Tells::Everything, 2);
     robot.touched = ["a", "b"].map(|device| device.parse().unwrap()).into();
     let unconfirmed = ["a", "b"].map(|device| (id(device), device.parse().unwrap())).into();
-    robot.stop = Stop::Sent(SentStop { at: at(STOPPED), rest, unconfirmed, taken_over: None });
+    robot.stop =
+        Stop::Sent(SentStop { at: at(STOPPED), rest, unconfirmed, taken_over: None, given_up: false });
     robot
 }
 

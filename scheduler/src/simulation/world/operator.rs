@@ -19,7 +19,7 @@ impl World {
 
     pub(super) fn comes(&mut self, act: usize) {
         match &self.drawn.choreography.acts[act].wait {
-            Wait::Operator => self.tell(Event::Go { act: None }),
+            Wait::Operator => self.tell(Event::Go { act: None, by: None }),
             Wait::Sensor { robot, .. } => {
                 let robots = self.drawn.robots.iter();
                 let read = robots.map(|drawn| drawn.block.id.as_str()).position(|id| id == robot);

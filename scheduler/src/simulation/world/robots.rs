@@ -274,7 +274,7 @@ impl World {
         let taken = side.link.is_some() && self.drawn.robots[robot].connections == Connections::One;
         let Some(machine) = side.machine.as_mut().filter(|_| !taken) else { return };
         let session = SessionId::new("another").ok();
-        let ask = AvailabilityRequest { timestamp: Some(now), session: session.clone() };
+        let ask = AvailabilityRequest { timestamp: Some(now), session: session.clone(), seize: false };
         machine.receive(now.assume_clock(), link, Input::Message(Message::AvailabilityRequest(ask)));
         if let Some(request) = foreign_script(&self.drawn.robots[robot].block, now, session) {
             machine.receive(now.assume_clock(), link, Input::Message(Message::ControlRequest(request)));

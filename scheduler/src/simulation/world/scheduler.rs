@@ -230,7 +230,7 @@ impl World {
     /// Asks the scheduler of a running mission to stop; withdraws a mission that was cut off.
     pub(super) fn stop_by_journal(&mut self) {
         match self.scheduler.is_running() {
-            true => self.tell(Event::StopRequested { rest: Rest::Default }),
+            true => self.tell(Event::StopRequested { rest: Rest::Default, by: None }),
             false => self.take_up(Intention::Stop),
         }
     }

@@ -1,0 +1,36 @@
+//! A robot that changes hands: an operator with the role takes it from the session to which it belongs.
+
+use urrcp::SessionId;
+
+use super::control::Owner;
+use super::{LinkId, Now, Output, Robot};
+use crate::device::DeviceMachine;
+
+impl Robot {
+    /// Takes the robot for this session, whose peer may do so. What others hold ends and every device goes to its default state
+    /// first, so that the answer comes behind that. A robot that is free, or belongs to the session, is left as it is, and so is
+    /// one whose hardware is away: it holds nothing, and what it was sent last may still be on the way to the hardware.
+    pub(super) fn seize(&mut self, now: Now, link: LinkId, session: &SessionId, out: &mut Vec<Output>) {
+        let Some(by) = self.parties.proof(link).map(|proof| proof.name.clone()) else { return };
+        let holds = || !self.devices.iter().all(DeviceMachine::is_idle);
+        let is_taken = match self.owner(now, link, Some(session)) {
+            Owner::Asker => false,
+            Owner::Another(_) => true,
+            // Without a session whoever reaches a free robot can command it.
+            Owner::Nobody => holds(),
+        };
+        if !is_taken || self.hardware.away().is_some() {
+            return;
+        }
+        self.release_if_over(now);
+        let from =
+            self.parties.owner_name().map_or_else(|| "another session".to_owned(), ToString::to_string);
+        tracing::warn!(robot = %self.block.id, "seized by {by}, taken from {from}");
+        let why = format!("taken by {by}");
+        for index in 0..self.devices.len() {
+            self.stop(now, index, &why, false, out);
+        }
+        let claimant = self.parties.claimant(link, session);
+        self.parties.seize(claimant, self.parties.party(link), by);
+    }
+}

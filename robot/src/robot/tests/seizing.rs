@@ -1,0 +1,188 @@
+//! A robot that an operator takes from the session to which it belongs.
+
+use super::sessions::{OTHER, hello, of, operator, stop_of};
+use super::*;
+use crate::role::Role;
+use urrcp::SessionId;
+
+const DRIVES: [Role; 2] = [Role::Observe, Role::Drive];
+const SEIZES: [Role; 3] = [Role::Observe, Role::Drive, Role::Seize];
+
+/// Who has proven its name and roles; nobody where nothing is proven.
+type Proven<'a> = Option<(&'a str, &'a [Role])>;
+
+fn seize(session: Option<&str>) -> Message {
+    let session = session.map(|session| SessionId::new(session).unwrap());
+    Message::AvailabilityRequest(AvailabilityRequest { timestamp: None, session, seize: true })
+}
+
+/// Anna's arm plays, and her ramp waits; the other link is an operator with these roles.
+fn anna_plays(other: Proven<'_>) -> Bench {
+    let mut bench = Bench::new();
+    bench.robot.handle(bench.now, LINK, operator("operator anna", &DRIVES), &mut bench.out);
+    if let Some((name, roles)) = other {
+        bench.robot.handle(bench.now, OTHER, operator(name, roles), &mut bench.out);
+    }
+    for (device, id, start) in [("arm", "a", 100.0), ("ramp", "b", 1_500.0)] {
+        let mut request = timed(device, id, start, script(ControlType::Position, &PAPER));
+        request.stop_condition = lease(5_000.0, 5_000.0);
+        bench.send_on(LINK, of("anna's", request));
+    }
+    bench.until(1_200);
+    bench
+}
+
+#[test]
+fn who_may_seize_takes_a_robot_that_plays_and_it_rests_before_it_is_said_to_be_available() {
+    let mut bench = anna_plays(Some(("operator eva", &SEIZES)));
+    assert_eq!(bench.values(), [(100, 45.0), (1_100, 0.0)]);
+    bench.out.clear();
+    bench.send_on(OTHER, seize(Some("eva's")));
+    let told: Vec<String> = bench
+        .out
+        .iter()
+        .map(|output| match output {
+            Output::Set(set) => format!("{} {:?}", set.device, set.request_id),
+            Output::Send { link, message: Message::ControlResponse(r) } => {
+                let error = r.error.as_ref().map(ToString::to_string).unwrap_or_default();
+                format!("{} {} {} {error}", link.0, r.device_id, r.status)
+            }
+            Output::Send { link, message: Message::AvailabilityResponse(r) } => {
+                format!("{} {}", link.0, r.status)
+            }
+            other => format!("{other:?}"),
+        })
+        .collect();
+    assert_eq!(told.last().map(String::as_str), Some("2 OK"));
+    for expected in [
+        "arm None",
+        "1 arm Failed cancelled: taken by operator eva",
+        "1 ramp Failed cancelled: taken by operator eva",
+        "wheel None",
+    ] {
+        assert!(told.iter().any(|line| line == expected), "{expected}: {told:?}");
+    }
+    assert!(bench.robot.is_idle());
+    assert_eq!(bench.robot.value("arm", ControlType::Position, bench.now), Some(10.0), "its default value");
+    // It is eva's now. Anna hears from whom it was taken, and no other.
+    bench.send_on(LINK, hello("anna's"));
+    assert_eq!(bench.last_said(), "1 Failed `r` was taken by operator eva");
+    let third = LinkId(3);
+    bench.robot.handle(bench.now, third, operator("operator bert", &DRIVES), &mut bench.out);
+    bench.send_on(third, hello("anna's"));
+    assert_eq!(bench.last_said(), "3 Failed `r` belongs to another session until that ends");
+    bench.send_on(OTHER, of("eva's", timed("arm", "e", 1_300.0, script(ControlType::Position, &PAPER))));
+    assert_eq!(bench.last_said(), "2 Accepted ");
+    bench.until(5_000);
+    let played: Vec<_> = bench.values().into_iter().filter(|(at, _)| *at >= 1_300).collect();
+    assert_eq!(played, [(1_300, 45.0), (2_300, 0.0), (3_300, 45.0)]);
+}
+
+#[test]
+fn who_may_not_seize_changes_nothing() {
+    let attempts: [(Proven<'_>, Option<&str>, &str); 4] = [
+        (
+            Some(("operator bert", &DRIVES)),
+            Some("bert's"),
+            "operator bert may observe, drive, and this takes seize",
+        ),
+        (
+            Some(("operator cleo", &[Role::Seize])),
+            Some("cleo's"),
+            "operator cleo may seize, and this takes drive",
+        ),
+        (
+            Some(("operator eva", &SEIZES)),
+            None,
+            "`seize` takes the robot for a session, and there is no `session`",
+        ),
+        (None, Some("a stranger's"), "on this connection nothing is proven"),
+    ];
+    for (other, session, refusal) in attempts {
+        let mut bench = anna_plays(other);
+        bench.out.clear();
+        bench.send_on(OTHER, seize(session));
+        assert!(bench.last_said().starts_with("2 Failed"), "{}", bench.last_said());
+        assert!(bench.last_said().contains(refusal), "{}", bench.last_said());
+        assert_eq!(bench.out.len(), 1, "{:?}", bench.out);
+        bench.send_on(LINK, hello("anna's"));
+        assert_eq!(bench.last_said(), "1 OK ");
+        bench.until(5_000);
+        assert_eq!(
+            bench.values(),
+            [(1_500, 45.0), (2_100, 45.0), (2_500, 0.0), (3_500, 45.0)],
+            "the arm goes on, and the ramp begins"
+        );
+    }
+}
+
+#[test]
+fn a_robot_that_is_free_or_ones_own_is_not_moved_by_a_seizure() {
+    let mut bench = Bench::new();
+    bench.robot.handle(bench.now, OTHER, operator("operator eva", &SEIZES), &mut bench.out);
+    bench.send_on(OTHER, seize(Some("eva's")));
+    assert_eq!(bench.last_said(), "2 OK ");
+    bench.send_on(OTHER, of("eva's", timed("arm", "e", 100.0, script(ControlType::Position, &PAPER))));
+    bench.until(500);
+    bench.send_on(OTHER, seize(Some("eva's")));
+    bench.until(5_000);
+    assert_eq!(bench.values(), [(100, 45.0), (1_100, 0.0), (2_100, 45.0)]);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "OK"]);
+}
+
+#[test]
+fn what_one_without_a_session_has_a_free_robot_do_ends_when_it_is_seized() {
+    let mut bench = Bench::new();
+    bench.request(timed("arm", "a", 100.0, script(ControlType::Position, &PAPER)));
+    bench.until(200);
+    bench.robot.handle(bench.now, OTHER, operator("operator eva", &SEIZES), &mut bench.out);
+    bench.send_on(OTHER, seize(Some("eva's")));
+    assert_eq!(bench.statuses().last().map(String::as_str), Some("Failed cancelled"));
+    assert!(bench.robot.is_idle());
+}
+
+#[test]
+fn the_mission_that_lost_a_robot_does_not_stop_the_one_that_has_it_whatever_its_roles() {
+    let mut bench = Bench::new();
+    let all: Vec<Role> = Role::ALL.to_vec();
+    bench.robot.handle(bench.now, LINK, operator("operator anna", &all), &mut bench.out);
+    bench.robot.handle(bench.now, OTHER, operator("operator eva", &SEIZES), &mut bench.out);
+    bench.send_on(LINK, hello("anna's"));
+    bench.send_on(OTHER, seize(Some("eva's")));
+    bench.send_on(OTHER, of("eva's", timed("arm", "e", 100.0, script(ControlType::Position, &PAPER))));
+    bench.until(500);
+    bench.send_on(LINK, of("anna's", stop_of("arm")));
+    assert_eq!(bench.last_said(), "1 Failed `r` was taken by operator eva");
+    assert!(!bench.robot.is_idle());
+    // A stop that names no session means whichever has it.
+    bench.send_on(LINK, Message::ControlRequest(stop_of("arm")));
+    assert_eq!(bench.last_said(), "1 OK ");
+    assert!(bench.robot.is_idle());
+}
+
+const TROLLEY: &str = r#"{"id": "t", "api_version": "1", "reports": true, "devices": [
+  {"id": "wheel", "available_control_types": {
+     "speed": {"min_value": -10, "max_value": 10, "granularity": 1},
+     "acceleration": {"min_value": -5, "max_value": 5, "granularity": 1},
+     "script": {"min_value": -10, "max_value": 10, "granularity": 1, "max_number_of_steps": 4, "control_types": ["speed"]}}}]}"#;
+
+#[test]
+fn what_was_left_moving_slows_down_when_the_robot_is_seized_and_the_next_session_begins_from_there() {
+    let mut bench = Bench::new();
+    bench.robot = Robot::new(serde_json::from_str(TROLLEY).unwrap());
+    bench.robot.handle(bench.now, LINK, operator("operator anna", &DRIVES), &mut bench.out);
+    bench.robot.handle(bench.now, OTHER, operator("operator eva", &SEIZES), &mut bench.out);
+    // Its command ends at once, without a lease, and the wheel turns on.
+    bench.send_on(LINK, of("anna's", timed("wheel", "a", 100.0, script(ControlType::Speed, &[(0.0, 10.0)]))));
+    bench.until(1_000);
+    assert!(bench.robot.is_idle());
+    bench.send_on(OTHER, seize(Some("eva's")));
+    assert_eq!(bench.last_said(), "2 OK ");
+    bench.until(2_000);
+    let speed = bench.robot.value("wheel", ControlType::Speed, bench.now);
+    assert_eq!(speed, Some(5.0), "by 5 a second");
+    bench
+        .send_on(OTHER, of("eva's", timed("wheel", "e", 2_500.0, script(ControlType::Speed, &[(0.0, 4.0)]))));
+    bench.until(6_000);
+    assert_eq!(bench.robot.value("wheel", ControlType::Speed, bench.now), Some(4.0));
+}

@@ -1,0 +1,85 @@
+//! A statement that an operator signs where there is no TLS, as on a socket of this machine, and the check of who did.
+
+use rustls::SignatureScheme;
+use rustls::pki_types::{CertificateDer, UnixTime};
+use x509_parser::prelude::{FromDer, X509Certificate};
+
+use super::config::{client_verifier, provider};
+use super::credentials::Credentials;
+use super::identity::{Identity, Name};
+use super::revoked::Revoked;
+
+/// ECDSA on P-256 with SHA-256, as all keys of `downbeat keys` have it.
+const SCHEME: SignatureScheme = SignatureScheme::ECDSA_NISTP256_SHA256;
+
+/// Who has signed a statement, and how.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Signed {
+    /// The certificate of the one who signed, in DER.
+    pub certificate: Vec<u8>,
+    /// The signature, in the form that X.509 gives it (ASN.1).
+    pub signature: Vec<u8>,
+}
+
+impl Credentials {
+    /// Signs a statement.
+    ///
+    /// # Errors
+    /// The key is of another kind, as a sentence.
+    pub fn sign(&self, statement: &[u8]) -> Result<Signed, String> {
+        let key = provider().key_provider.load_private_key(self.key.clone_key());
+        let key = key.map_err(|error| error.to_string())?;
+        let signer = key.choose_scheme(&[SCHEME]).ok_or("the key is of another kind than ECDSA P-256")?;
+        let signature = signer.sign(statement).map_err(|error| error.to_string())?;
+        Ok(Signed { certificate: self.certificate.to_vec(), signature })
+    }
+}
+
+/// Knows whose statements count: those of operators of one authority.
+#[derive(Debug)]
+pub struct Witness {
+    own: Credentials,
+    revoked: Option<Revoked>,
+}
+
+impl Witness {
+    /// Of the authority of this identity, and with its list of revoked certificates.
+    #[must_use]
+    pub const fn new(own: Credentials, revoked: Option<Revoked>) -> Self {
+        Self { own, revoked }
+    }
+
+    /// Whose authority it is.
+    #[must_use]
+    pub const fn identity(&self) -> &Identity {
+        self.own.identity()
+    }
+
+    /// Who has signed this statement. The list of revoked certificates counts as it is now.
+    ///
+    /// # Errors
+    /// Why the statement is nobody's, as a sentence.
+    pub fn who(&self, statement: &[u8], signed: &Signed) -> Result<Identity, String> {
+        let certificate = CertificateDer::from(signed.certificate.as_slice());
+        let verifier = client_verifier(&self.own, self.revoked.as_ref())?;
+        verifier
+            .verify_client_cert(&certificate, &[], UnixTime::now())
+            .map_err(|error| format!("its certificate does not count here: {error}"))?;
+        let (_, parsed) = X509Certificate::from_der(&certificate)
+            .map_err(|_| "its certificate cannot be read".to_owned())?;
+        let algorithms = provider().signature_verification_algorithms.mapping;
+        let key = &parsed.public_key().subject_public_key.data;
+        let of_scheme = algorithms.iter().filter(|(scheme, _)| *scheme == SCHEME).flat_map(|(_, all)| *all);
+        let right = of_scheme
+            .into_iter()
+            .any(|algorithm| algorithm.verify_signature(key, statement, &signed.signature).is_ok());
+        if !right {
+            return Err("it has not signed what it says".to_owned());
+        }
+        let identity = Identity::of_certificate(&certificate).map_err(|error| error.to_string())?;
+        match identity.name {
+            Name::Operator(_) => Ok(identity),
+            Name::Robot(_) => Err(format!("{} is no operator", identity.name)),
+        }
+    }
+}
