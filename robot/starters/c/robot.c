@@ -1191,7 +1191,7 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
     for (i = 0; i < device_count; i++)
         if (same(&devices[i].id, &r->device_id))
             device = &devices[i];
-    if (!mine && !(r->sensor && (!device || device->sensor)) && !(stops() && link->sealed.roles & ROLE_STOP)) {
+    if (!mine && !(r->sensor && (!device || device->sensor)) && !(stops() && !r->has_session && link->sealed.roles & ROLE_STOP)) {
         refuse(&passing, "busy", busy_message());
         send_answer(link, &passing);
         return;
