@@ -18,7 +18,7 @@ pub(super) struct Heard<T> {
 pub(super) struct Ticket(usize);
 
 /// A request with everything that was said to it.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Asked {
     pub(super) id: Option<String>,
     pub(super) device: String,

@@ -83,6 +83,11 @@ impl<'a> Line<'a> {
         Ok(())
     }
 
+    /// Names a request that was sent on another connection, whose reports may come on this one.
+    pub(super) fn expect_for(&mut self, asked: &Asked) -> Ticket {
+        self.exchanges.ask(asked.id.clone(), asked.device.clone(), asked.text.clone(), asked.sent)
+    }
+
     /// Writes bytes; gives the instant before the first of them.
     pub(super) fn send(&mut self, bytes: &[u8]) -> Result<Timestamp<Server>, Unmet> {
         let sent = self.trial.now();
