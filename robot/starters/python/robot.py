@@ -24,7 +24,9 @@ class Arm:
     def read(self, device): return 42.5
 
 MAX_LINE, MAX_UNREAD = 1 << 18, 1 << 20         # bytes, room for 1000 steps; a peer beyond either is hung up on
-MAX_LINKS, MAX_NAMES, KEPT = 32, 1000, 512      # names in an inquiry; last answers, the protocol asks for 256
+MAX_NAMES, KEPT = 1000, 512                     # names in an inquiry; last answers, the protocol asks for 256
+MAX_LINKS, STRANGERS = 32, 16                   # connections, and those of them whose session does not own the robot
+FIRST, BEGUN = 5, 10                            # s for the first message, and for a stranger to end what it has begun
 MS, NEVER = 1_000_000, 1 << 100                 # all times are nanoseconds
 LATE_STEP, LATE_START, SILENCE, FUTURE = 1 * MS, 50 * MS, 5000 * MS, 5000 * MS
 SPIN = 1.5 * MS                                 # so long before it is due, a step is waited for without sleeping
@@ -227,7 +229,7 @@ class Robot:
         if gone and not any(device.held or device.left_on for device in devices):
             self.owner = None
         self.owner = self.owner or (session if claims else None)
-        link.heard, link.session = now, session or link.session
+        link.heard, link.spoken, link.session = now, True, session or link.session
         if link.session == self.owner:
             self.owner_heard = now
         if self.owner not in (None, session):
@@ -321,22 +323,38 @@ class Robot:
             device.taken_back = max(device.taken_back, min(c.sent, now + FUTURE))
             self.rest(device, *why, hold=c.hold)
         return self.respond(c, "OK")
+    def owns(self, link): return self.owner is not None and link.session == self.owner
+    def let_in(self, link):
+        """Of the strangers the one that has said nothing, or that has been silent for longest, gives way to a new one."""
+        strangers = [other for other in self.links if not self.owns(other)]
+        if len(strangers) >= STRANGERS:
+            self.let_go(min(strangers, key=lambda other: (other.spoken, other.heard)))
+        self.links += [link] if len(self.links) < MAX_LINKS else []
+        return link in self.links
+    def let_go(self, link):
+        self.links = [other for other in self.links if other is not link]
+        link.writer.transport.abort()
+    async def line(self, link, reader):
+        """The next line. The first must be whole in time; so must one of a stranger from its first byte on."""
+        left = None if link.spoken else max(0, FIRST - (time.monotonic_ns() - link.heard) / 1e9)
+        line = await asyncio.wait_for(reader.readexactly(1), left)
+        left = None if self.owns(link) else BEGUN if link.spoken else left
+        return line if line == b"\n" else line + await asyncio.wait_for(reader.readuntil(b"\n"), left)
     async def converse(self, reader, writer):
-        link = types.SimpleNamespace(writer=writer, session=None, heard=0)
+        link = types.SimpleNamespace(writer=writer, session=None, heard=time.monotonic_ns(), spoken=False)
         link.who, link.roles = proven(writer.get_extra_info("peercert"))
-        if len(self.links) >= MAX_LINKS:
+        if not self.let_in(link):
             return writer.transport.abort()
-        self.links.append(link)
-        with contextlib.ExitStack() as at_end, contextlib.suppress(OSError, EOFError, asyncio.LimitOverrunError):
-            at_end.callback(self.links.remove, link)
-            at_end.callback(writer.close)
-            while not writer.is_closing():
-                line = await reader.readuntil(b"\n")
+        at_end = OSError, EOFError, asyncio.TimeoutError, asyncio.LimitOverrunError
+        with contextlib.closing(writer), contextlib.suppress(*at_end):
+            while link in self.links and not writer.is_closing():
+                line = await self.line(link, reader)
                 self.run()                      # what was due before the message comes first
                 if line.strip():
                     send(link, self.take(link, line, time.time_ns()))
                 self.run()                      # and what it brings
                 await asyncio.sleep(0)          # the turn of the others
+        self.links = [other for other in self.links if other is not link]
 
 def own(link, session):
     """A session belongs to who has proven a name with it; to others the same name of a session is another session."""
