@@ -47,6 +47,7 @@ mod robots;
 mod schema;
 mod session;
 mod silence;
+mod starters;
 mod stop_command;
 mod stops;
 mod terminal;

@@ -84,7 +84,7 @@ impl Site {
 }
 
 /// Waits until a robot says where it listens.
-fn listens(child: &mut Child) -> String {
+pub fn listens(child: &mut Child) -> String {
     use std::io::{BufRead, BufReader};
     let mut line = String::new();
     BufReader::new(child.stdout.as_mut().unwrap()).read_line(&mut line).unwrap();

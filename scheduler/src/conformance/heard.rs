@@ -57,6 +57,12 @@ impl Exchanges {
         Ticket(self.0.len() - 1)
     }
 
+    /// Takes over a request of another line, with what was said to it there.
+    pub(super) fn adopt(&mut self, asked: Asked) -> Ticket {
+        self.0.push(Asked { unanswered: 0, ..asked });
+        Ticket(self.0.len() - 1)
+    }
+
     pub(super) fn ask_again(&mut self, ticket: Ticket, sent: Timestamp<Server>) {
         let asked = &mut self.0[ticket.0];
         asked.unanswered += 1;

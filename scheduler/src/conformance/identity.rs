@@ -149,10 +149,10 @@ fn kept_answers(trial: &Trial) -> Checked {
     let mut line = trial.connect()?;
     let ends = |line: &mut Line, ticket| match trial.reports() {
         true => line.report(ticket, &Status::Ok, trial.patience()).map(drop),
-        false => trial.pause(urrcp::Span::from_millis(400)),
+        false => trial.pause(urrcp::Span::from_millis(500)),
     };
     // A robot that has forgotten it would refuse it as late.
-    let first = line.held(&trial.set(actor, actor.rest).starting_in(200.0).leased(LEASE_MS))?;
+    let first = line.held(&trial.set(actor, actor.rest).starting_in(300.0).leased(LEASE_MS))?;
     ends(&mut line, first)?;
     let mut others = 1;
     while others < KEPT {

@@ -7,7 +7,8 @@ use std::time::Duration;
 
 use urrcp::{
     AvailabilityRequest, AvailabilityResponse, ControlRequest, ControlResponse, Decoder, ErrorCode,
-    InitializationBlock, Inquiry, InquiryResponse, Message, Server, Span, Status, Timestamp, encode,
+    InitializationBlock, Inquiry, InquiryResponse, Message, Server, SessionId, Span, Status, Timestamp,
+    encode,
 };
 
 use super::heard::{Asked, Exchanges, Heard, Ticket, says_malformed};
@@ -27,6 +28,8 @@ pub(super) struct Line<'a> {
     /// Up to where no newline is known to stand.
     searched: usize,
     exchanges: Exchanges,
+    /// The session that was named last, to which belongs what is held.
+    session: Option<SessionId>,
     others: VecDeque<Heard<Message>>,
     /// Set when the peer has hung up: why.
     ended: Option<String>,
@@ -55,6 +58,7 @@ impl<'a> Line<'a> {
             buffer: Vec::new(),
             searched: 0,
             exchanges: Exchanges::default(),
+            session: None,
             others: VecDeque::new(),
             ended: None,
         }
@@ -66,6 +70,7 @@ impl<'a> Line<'a> {
         encode(&Message::ControlRequest(request.clone()), &mut line);
         let text = String::from_utf8_lossy(&line).into_owned();
         let id = request.request_id.as_ref().map(ToString::to_string);
+        self.names(request.session.as_ref());
         self.ask_text(id, request.device_id.as_str(), &text)
     }
 
@@ -85,7 +90,7 @@ impl<'a> Line<'a> {
 
     /// Names a request that was sent on another connection, whose reports may come on this one.
     pub(super) fn expect_for(&mut self, asked: &Asked) -> Ticket {
-        self.exchanges.ask(asked.id.clone(), asked.device.clone(), asked.text.clone(), asked.sent)
+        self.exchanges.adopt(asked.clone())
     }
 
     /// Writes bytes; gives the instant before the first of them.
@@ -102,10 +107,17 @@ impl<'a> Line<'a> {
         Ok(sent)
     }
 
+    fn names(&mut self, session: Option<&SessionId>) {
+        self.session = session.cloned().or_else(|| self.session.take());
+    }
+
     /// Sends a message.
     pub(super) fn say(&mut self, message: &Message) -> Result<String, Unmet> {
         let mut line = Vec::new();
         encode(message, &mut line);
+        if let Message::AvailabilityRequest(request) = message {
+            self.names(request.session.as_ref());
+        }
         self.send(&line)?;
         Ok(String::from_utf8_lossy(&line).into_owned())
     }
@@ -405,7 +417,8 @@ impl Line<'_> {
 
     /// Ends what is still held; whether that is certain.
     fn wind_up(&mut self) -> Result<bool, Unmet> {
-        let ticket = self.ask(&self.trial.cancel(self.trial.actor()?))?;
+        let cancel = self.trial.cancel(self.trial.actor()?);
+        let ticket = self.ask(&ControlRequest { session: self.session.clone(), ..cancel })?;
         let answer = self.answer(ticket)?;
         if !self.trial.reports() {
             return Ok(self.trial.confirms_rest(&answer.message));

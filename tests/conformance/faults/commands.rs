@@ -58,7 +58,7 @@ pub fn of_values() -> Vec<Mutant> {
         }),
         mutant("steps out of range are cut to it", &["script-range"], |_, passing| {
             edit(passing, |request| {
-                for step in request["control_value"].as_array_mut().into_iter().flatten() {
+                for step in steps_of(request) {
                     step["control_value"] = json!(step["control_value"].as_f64().unwrap_or(0.0).min(90.0));
                 }
             })
@@ -116,7 +116,7 @@ pub fn of_values() -> Vec<Mutant> {
         ),
         mutant("every step is taken for a position", &["script-control-types"], |_, passing| {
             edit(passing, |request| {
-                for step in request["control_value"].as_array_mut().into_iter().flatten() {
+                for step in steps_of(request) {
                     step["control_type"] = json!("position");
                 }
             })
@@ -177,6 +177,12 @@ pub fn of_values() -> Vec<Mutant> {
     all
 }
 
+/// The steps of a script.
+fn steps_of(request: &mut Value) -> impl Iterator<Item = &mut Value> {
+    let listed = request["control_value"].as_array_mut().into_iter().flatten();
+    listed.filter(|step| step.is_object())
+}
+
 /// How long ago the start of a request was, if it has passed.
 fn passed_by(request: &Value) -> Option<urrcp::Span> {
     let sent: urrcp::Timestamp<urrcp::Server> = serde_json::from_value(request["timestamp"].clone()).ok()?;
@@ -195,7 +201,9 @@ pub fn of_times() -> Vec<Mutant> {
         })
     }
     vec![
-        mutant("starts come 400 ms late", &["deferred-start"], |_, passing| shifted(passing, 400.0)),
+        mutant("starts come 400 ms late", &["deferred-start", "late-by-little"], |_, passing| {
+            shifted(passing, 400.0)
+        }),
         mutant("starts come 200 ms early", &["deferred-start"], |_, passing| shifted(passing, -200.0)),
         // Without the time of the start neither it nor the script's length can be judged.
         mutant("starts are told without their time", &["deferred-start", "script-timing"], |_, passing| {
@@ -212,7 +220,7 @@ pub fn of_times() -> Vec<Mutant> {
                 }
             })
         }),
-        mutant("late commands are played at once", &["late"], |_, passing| {
+        mutant("late commands are played at once", &["late", "late-by-little"], |_, passing| {
             edit(passing, |request| {
                 if offset(request) == 1_000.0 {
                     remove(request, "time_offset_to_start");

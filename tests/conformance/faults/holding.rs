@@ -99,13 +99,18 @@ pub fn of_leases() -> Vec<Mutant> {
         }),
         Mutant {
             robot: Robot::Rover,
-            ..mutant("a speed that is left on has no lease", &["lease-left-on"], |_, passing| {
-                edit(passing, |request| {
-                    if request["control_type"] == "speed" && request.get("time_offset_to_start").is_none() {
-                        remove(request, "stop_condition");
-                    }
-                })
-            })
+            ..mutant(
+                "a speed that is left on has no lease",
+                &["lease-left-on", "lease-left-on-kept"],
+                |_, passing| {
+                    edit(passing, |request| {
+                        if request["control_type"] == "speed" && request.get("time_offset_to_start").is_none()
+                        {
+                            remove(request, "stop_condition");
+                        }
+                    })
+                },
+            )
         },
         Mutant {
             robot: Robot::Rover,
