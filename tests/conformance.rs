@@ -245,7 +245,8 @@ fn a_session_at_a_terminal_shows_the_table_and_ends_with_the_right_code() {
     session
         .run(&["conformance", &right, "--device", "elbow"])
         .says(2, &["no device `elbow`", "one of `shoulder`"]);
-    let late: proxy::Fault = faults::all().into_iter().find(|mutant| mutant.fails.contains(&"late")).unwrap().fault;
+    let late: proxy::Fault =
+        faults::all().into_iter().find(|mutant| mutant.fails.contains(&"late")).unwrap().fault;
     let wrong = format!("tcp://{}", proxy::faulty(robot, proxy::Serving::All, late));
     session.run(&["conformance", &wrong, "--only", "late"]).says(
         1,

@@ -103,13 +103,11 @@ fn session_silence(trial: &Trial) -> Checked {
 fn reports_follow(trial: &Trial) -> Checked {
     trial.reporting()?;
     let ours = session(trial)?;
-    let first = trial.connect()?;
-    let mut lines = [first, trial.connect_beside()?];
     for route in [&[0, 1][..], &[0, 1, 0]] {
         // A session that was heard only when the command had begun shows nothing.
-        let heard_in_time = follows(trial, &mut lines, &ours, route, 500.0)?;
+        let heard_in_time = follows(trial, &ours, route, 500.0)?;
         if !heard_in_time {
-            follows(trial, &mut lines, &ours, route, 1_000.0)?;
+            follows(trial, &ours, route, 1_000.0)?;
         }
     }
     pass()
@@ -117,14 +115,10 @@ fn reports_follow(trial: &Trial) -> Checked {
 
 /// Sends a command on the first connection of the route and is heard on the others, one after the other. Its reports must
 /// come on the last; `false` if it began before that.
-fn follows(
-    trial: &Trial,
-    lines: &mut [Line; 2],
-    session: &SessionId,
-    route: &[usize],
-    millis: f64,
-) -> Result<bool, Unmet> {
+fn follows(trial: &Trial, session: &SessionId, route: &[usize], millis: f64) -> Result<bool, Unmet> {
     let actor = trial.actor()?;
+    let first = trial.connect()?;
+    let mut lines = [first, trial.connect_beside()?];
     let (from, to) = (route[0], route[route.len() - 1]);
     let starts = trial.now() + Span::from_millis_f64(millis);
     let command = of(session, trial.set(actor, actor.rest)).starting_in(millis).leased(LEASE_MS);
@@ -151,5 +145,7 @@ fn follows(
             other => other.map(drop)?,
         }
     }
+    // All has ended, also what was told elsewhere.
+    lines.into_iter().for_each(Line::cut);
     Ok(true)
 }
