@@ -26,9 +26,9 @@ class Arm:
 MAX_LINE, MAX_UNREAD = 1 << 18, 1 << 20         # bytes, room for 1000 steps; a peer beyond either is hung up on
 MAX_NAMES, KEPT = 1000, 512                     # names in an inquiry; last answers, the protocol asks for 256
 MAX_LINKS, STRANGERS = 32, 16                   # connections, and those of them whose session does not own the robot
-FIRST, BEGUN = 5, 10                            # s for the first message, and for a stranger to end what it has begun
 MS, NEVER = 1_000_000, 1 << 100                 # all times are nanoseconds
 LATE_STEP, LATE_START, SILENCE, FUTURE = 1 * MS, 50 * MS, 5000 * MS, 5000 * MS
+FIRST, BEGUN = 5000 * MS, 10000 * MS            # for the first message, and for a stranger to end what it has begun
 SPIN = 1.5 * MS                                 # so long before it is due, a step is waited for without sleeping
 
 class Refused(ValueError):
@@ -148,6 +148,7 @@ class Robot:
         self.answers, self.facts = {}, {}       # by request_id: the last answer, and what else inquiries tell
         self.devices = {spec["id"]: Device(spec) for spec in BLOCK["devices"]}
         self.timer = asyncio.get_running_loop().call_soon(self.run)
+        self.watching = asyncio.get_running_loop().create_task(self.watch())
     def run(self):
         """Does what is due, by time, at one instant leases before steps; comes back when the next thing is due. Once the
         lease of what runs has ended it comes first: a robot that was held up would do now what was due before."""
@@ -334,21 +335,25 @@ class Robot:
     def let_go(self, link):
         self.links = [other for other in self.links if other is not link]
         link.writer.transport.abort()
-    async def line(self, link, reader):
-        """The next line. The first must be whole in time; so must one of a stranger from its first byte on."""
-        left = None if link.spoken else max(0, FIRST - (time.monotonic_ns() - link.heard) / 1e9)
-        line = await asyncio.wait_for(reader.readexactly(1), left)
-        left = None if self.owns(link) else BEGUN if link.spoken else left
-        return line if line == b"\n" else line + await asyncio.wait_for(reader.readuntil(b"\n"), left)
+    async def watch(self):
+        """Lets go of peers that take too long for their first message or, as strangers, to end one."""
+        while True:
+            now = time.monotonic_ns()
+            for link in list(self.links):
+                if now - link.heard > FIRST if not link.spoken else not self.owns(link) and now - link.begun > BEGUN:
+                    self.let_go(link)
+            await asyncio.sleep(0.25)
     async def converse(self, reader, writer):
-        link = types.SimpleNamespace(writer=writer, session=None, heard=time.monotonic_ns(), spoken=False)
+        link = types.SimpleNamespace(writer=writer, session=None, heard=time.monotonic_ns(), spoken=False, begun=NEVER)
         link.who, link.roles = proven(writer.get_extra_info("peercert"))
         if not self.let_in(link):
             return writer.transport.abort()
-        at_end = OSError, EOFError, asyncio.TimeoutError, asyncio.LimitOverrunError
-        with contextlib.closing(writer), contextlib.suppress(*at_end):
+        with contextlib.closing(writer), contextlib.suppress(OSError, EOFError, asyncio.LimitOverrunError):
             while link in self.links and not writer.is_closing():
-                line = await self.line(link, reader)
+                link.begun = NEVER
+                line = await reader.readexactly(1)
+                link.begun = time.monotonic_ns()
+                line += await reader.readuntil(b"\n") if line != b"\n" else b""
                 self.run()                      # what was due before the message comes first
                 if line.strip():
                     send(link, self.take(link, line, time.time_ns()))
@@ -394,7 +399,8 @@ async def main():
     given = arguments.parse_args()
     host, _, port = given.listen.rpartition(":")
     tls = guard(given.identity, given.revoked) if given.identity else None
-    server = await asyncio.start_server(Robot(Arm()).converse, host.strip("[]"), int(port), limit=MAX_LINE, ssl=tls)
+    server = await asyncio.start_server(Robot(Arm()).converse, host.strip("[]"), int(port), limit=MAX_LINE, ssl=tls,
+                                        ssl_handshake_timeout=FIRST / 1e9 if tls else None)
     print("listening on %s:%d" % server.sockets[0].getsockname()[:2], flush=True)
     await server.serve_forever()
 
