@@ -27,7 +27,7 @@ impl Peer {
         self
     }
 
-    fn is_told_ok(mut self) -> Self {
+    fn told_ok(mut self) -> Self {
         let mut bytes = [0; 4096];
         let read = self.0.read(&mut bytes).unwrap();
         let told = String::from_utf8_lossy(&bytes[..read]);
@@ -48,7 +48,7 @@ impl Peer {
         }
     }
 
-    fn is_open(mut self) -> bool {
+    fn stays_open(mut self) -> bool {
         self.0.set_read_timeout(Some(Duration::from_millis(20))).unwrap();
         match self.0.read(&mut [0; 1]) {
             Err(error) => matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut),
@@ -65,18 +65,18 @@ fn check(mut robot: Command, strangers_max: usize) {
     let address = said.rsplit(' ').next().unwrap().trim();
     let began = Instant::now();
     let silent = Peer::new(address);
-    let half = Peer::new(address).says("{\"availability_request\":{}}\n").is_told_ok().says(HALF);
-    let owner = Peer::new(address).says(&format!("{HALF}{REST}")).is_told_ok().says(HALF);
+    let half = Peer::new(address).says("{\"availability_request\":{}}\n").told_ok().says(HALF);
+    let owner = Peer::new(address).says(&format!("{HALF}{REST}")).told_ok().says(HALF);
     for (peer, seconds) in [(silent, 5), (half, 10)] {
         let took = peer.ended() - began;
         let limit = Duration::from_secs(seconds);
         assert!(took >= limit && took < limit + Duration::from_secs(3), "{took:?}, not {limit:?}");
     }
-    let owner = owner.says(REST).is_told_ok();
+    let owner = owner.says(REST).told_ok();
     let strangers: Vec<_> = (0..40).map(|_| Peer::new(address)).collect();
-    owner.says(&format!("{HALF}{REST}")).is_told_ok();
-    Peer::new(address).says(&format!("{HALF}{REST}")).is_told_ok();
-    let open = strangers.into_iter().map(Peer::is_open).filter(|open| *open).count();
+    owner.says(&format!("{HALF}{REST}")).told_ok();
+    Peer::new(address).says(&format!("{HALF}{REST}")).told_ok();
+    let open = strangers.into_iter().map(Peer::stays_open).filter(|open| *open).count();
     assert!(open < strangers_max && open > 0, "{open} strangers");
 }
 

@@ -8,7 +8,6 @@ use downbeat_scripts::{Attempt, Refusal};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
-use tokio::time::Instant;
 use urrcp::{Decoder, Encoding, Message, Server, Span, Timestamp, encode_as};
 
 use super::{Budget, EventSink, Peer, Queue, ReadEnd, WriteEnd, denial, secured};
@@ -61,18 +60,18 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
 }
 
 /// So long a line that is no message is held back: a robot that floods its link with such lines is named for that alone.
-const GARBLED_AFTER: Duration = Duration::from_millis(50);
+const GARBLED_AFTER: Span = Span::from_millis(50);
 
 /// What is wrong with the lines that are held back.
 #[derive(Debug, Default)]
 struct Garbled {
     reasons: Vec<String>,
-    until: Option<Instant>,
+    until: Option<Timestamp<Server>>,
 }
 
 impl Garbled {
-    fn hold(&mut self, reason: String) {
-        self.until.get_or_insert_with(|| Instant::now() + GARBLED_AFTER);
+    fn hold(&mut self, now: Timestamp<Server>, reason: String) {
+        self.until.get_or_insert(now + GARBLED_AFTER);
         self.reasons.push(reason);
     }
 
@@ -92,15 +91,17 @@ async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
     let mut bytes = vec![0; 8 * 1024];
     let mut garbled = Garbled::default();
     loop {
+        let left = garbled.until.map(|until| until - sink.clock.now());
+        if left.is_some_and(|left| left <= Span::ZERO) {
+            garbled.tell(sink).await;
+            continue;
+        }
         let read = reader.read(&mut bytes);
-        let read = match garbled.until {
+        let read = match left {
             None => read.await,
-            Some(until) => match tokio::time::timeout_at(until, read).await {
+            Some(left) => match tokio::time::timeout(left.to_duration(), read).await {
                 Ok(read) => read,
-                Err(_) => {
-                    garbled.tell(sink).await;
-                    continue;
-                }
+                Err(_) => continue,
             },
         };
         let came = match read {
@@ -136,7 +137,7 @@ async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
                     peer.encoding.hear(&message);
                     sink.received(message, length).await;
                 }
-                Err(error) => garbled.hold(error.to_string()),
+                Err(error) => garbled.hold(sink.clock.now(), error.to_string()),
             }
         }
     }
