@@ -51,6 +51,7 @@ mod schema;
 mod seize;
 mod session;
 mod silence;
+mod starters;
 mod stop_command;
 mod stops;
 mod terminal;

@@ -4,11 +4,14 @@ mod asking;
 mod codes;
 mod commands;
 mod holding;
+mod owning;
 mod talking;
+
+use std::time::Duration;
 
 use serde_json::{Value, json};
 
-use super::proxy::{Fault, Memory, Passing, Serving, Then};
+use super::proxy::{Fault, Memory, More, Passing, Serving, Then};
 
 /// A robot with a fault.
 pub struct Mutant {
@@ -118,6 +121,17 @@ fn declare(passing: &mut Passing, edit: impl Fn(&mut Value)) -> Then {
     Then::Pass
 }
 
+/// What the proxy asks on its own, whose answers `unasked` tells from others.
+fn presence(link: u64, after: Duration) -> More {
+    More { after, link, line: json!({"availability_request": {}}) }
+}
+
+/// Whether this answers what the proxy has asked.
+fn unasked(passing: &Passing) -> bool {
+    let response = passing.json.get("availability_response");
+    response.is_some_and(|r| r.get("originate_timestamp").is_none() && r["status"] == "OK")
+}
+
 /// Every line from the server that holds this text is passed as `to`.
 fn replace(passing: &mut Passing, text: &str, to: &str) -> Then {
     match passing.is_from_server(text) {
@@ -128,16 +142,23 @@ fn replace(passing: &mut Passing, text: &str, to: &str) -> Then {
 
 /// All of them.
 pub fn all() -> Vec<Mutant> {
-    let waiting = [commands::of_times(), holding::of_leases(), asking::of_leases(), codes::lease()]
-        .into_iter()
-        .flatten()
-        .map(|mutant| Mutant { waits: true, ..mutant });
+    let waiting = [
+        commands::of_times(),
+        holding::of_leases(),
+        owning::of_leases(),
+        asking::of_leases(),
+        codes::lease(),
+    ]
+    .into_iter()
+    .flatten()
+    .map(|mutant| Mutant { waits: true, ..mutant });
     let quick = [
         commands::of_greeting(),
         codes::all(),
         commands::of_values(),
         holding::of_stops(),
         asking::of_inquiries(),
+        owning::of_sessions(),
         talking::of_identity(),
         talking::of_lines(),
         talking::of_links(),

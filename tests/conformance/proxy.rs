@@ -3,8 +3,9 @@
 use std::collections::{HashMap, HashSet};
 use std::io::{Read, Write};
 use std::net::{Shutdown, SocketAddr, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, OnceLock};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use downbeat_robot::simulated::{Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostOptions, serve};
@@ -53,7 +54,19 @@ pub enum Then {
     /// Passed in place of it.
     Instead(Vec<u8>),
     After(Duration),
+    /// Passed, and more with it.
+    With(Vec<More>),
+    /// Passed the same way on another connection instead.
+    On(u64),
     HangUp,
+}
+
+/// A line that the proxy sends to the robot of its own accord.
+pub struct More {
+    pub after: Duration,
+    /// On which connection.
+    pub link: u64,
+    pub line: Value,
 }
 
 /// What a fault remembers.
@@ -62,6 +75,10 @@ pub struct Memory {
     pub seen: HashSet<(u64, String)>,
     pub count: HashMap<u64, usize>,
     pub running: bool,
+    /// Names in the order in which they came.
+    pub order: Vec<String>,
+    /// On which connection a name was heard, and when last.
+    pub heard: HashMap<String, (u64, Instant)>,
 }
 
 pub type Fault = fn(&mut Memory, &mut Passing) -> Then;
@@ -74,6 +91,8 @@ pub enum Serving {
     OneByOne,
     /// So many connections, then none.
     AtMost(u64),
+    /// So many connections at the same time, until their peers close them.
+    AtATime(usize),
     /// What comes in one piece is taken for a line.
     WithoutBuffer,
     /// While one peer does not read, no other is served.
@@ -104,15 +123,21 @@ pub fn faulty(robot: SocketAddr, serving: Serving, fault: Fault) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").unwrap();
     let address = listener.local_addr().unwrap();
     let memory = Arc::new(Mutex::new(Memory::default()));
-    let one_lock = Arc::new(Mutex::new(()));
+    let (one_lock, links) = (Arc::new(Mutex::new(())), Links::default());
+    let open = Arc::new(AtomicUsize::new(0));
     std::thread::spawn(move || {
         for (link, server) in (1..).zip(listener.incoming()) {
             if matches!(serving, Serving::AtMost(most) if link > most) {
                 return;
             }
             let Ok(server) = server else { continue };
+            if matches!(serving, Serving::AtATime(most) if open.load(Ordering::Relaxed) >= most) {
+                continue;
+            }
+            open.fetch_add(1, Ordering::Relaxed);
             let lock = (serving == Serving::UnderOneLock).then(|| Arc::clone(&one_lock));
-            let carrier = Carrier { serving, fault, link, memory: Arc::clone(&memory), lock };
+            let (memory, links, open) = (Arc::clone(&memory), Arc::clone(&links), Arc::clone(&open));
+            let carrier = Carrier { serving, fault, link, memory, links, open, lock };
             let carrying = carrier.start(server, robot);
             if serving == Serving::OneByOne {
                 carrying.join().unwrap();
@@ -128,6 +153,8 @@ struct Carrier {
     fault: Fault,
     link: u64,
     memory: Arc<Mutex<Memory>>,
+    links: Links,
+    open: Arc<AtomicUsize>,
     lock: Option<Arc<Mutex<()>>>,
 }
 
@@ -135,6 +162,8 @@ struct Carrier {
 pub const TWICE: &str = "{\"control_request\":{\"control_value\":0,";
 
 type Writer = Arc<Mutex<TcpStream>>;
+/// By connection: the way to the robot and the way to the server.
+type Links = Arc<Mutex<HashMap<u64, (Writer, Writer)>>>;
 
 impl Carrier {
     /// Ends when both ways have ended.
@@ -144,6 +173,7 @@ impl Carrier {
         robot.set_nodelay(true).unwrap();
         let to_robot = Arc::new(Mutex::new(robot.try_clone().unwrap()));
         let to_server = Arc::new(Mutex::new(server.try_clone().unwrap()));
+        self.links.lock().unwrap().insert(self.link, (Arc::clone(&to_robot), Arc::clone(&to_server)));
         let (inward, writers) = (self.clone(), (Arc::clone(&to_robot), Arc::clone(&to_server)));
         let reading = std::thread::spawn(move || inward.carry(Way::ToRobot, server, &writers.0, &writers.1));
         std::thread::spawn(move || {
@@ -179,6 +209,13 @@ impl Carrier {
             }
             buffer = rest.to_vec();
         }
+        self.links.lock().unwrap().remove(&self.link);
+        match way {
+            Way::ToRobot => drop(self.open.fetch_sub(1, Ordering::Relaxed)),
+            // Its place stays taken.
+            Way::ToServer if matches!(self.serving, Serving::AtATime(_)) => return,
+            Way::ToServer => {}
+        }
         for stream in [to, back] {
             let _closed = stream.lock().unwrap().shutdown(Shutdown::Both);
         }
@@ -205,6 +242,28 @@ impl Carrier {
             Then::After(delay) => {
                 std::thread::sleep(delay);
                 write(to, &edited())
+            }
+            Then::With(more) => {
+                let passed = write(to, &edited());
+                for more in more {
+                    let robot = self.links.lock().unwrap().get(&more.link).map(|link| Arc::clone(&link.0));
+                    let Some(robot) = robot else { continue };
+                    std::thread::spawn(move || {
+                        std::thread::sleep(more.after);
+                        let _gone = robot.lock().unwrap().write_all(format!("{}\n", more.line).as_bytes());
+                    });
+                }
+                passed
+            }
+            Then::On(link) => {
+                let other = self.links.lock().unwrap().get(&link).map(|(robot, server)| match way {
+                    Way::ToRobot => Arc::clone(robot),
+                    Way::ToServer => Arc::clone(server),
+                });
+                other.is_some_and(|other| {
+                    let _gone = write(&other, &edited());
+                    true
+                })
             }
             Then::HangUp => false,
         }

@@ -33,6 +33,7 @@
 #define MAX_QUEUE 2       /* script_queue of a device */
 #define MAX_STEPS 256     /* max_number_of_steps of a script */
 #define MAX_LINKS 8
+#define STRANGERS 6       /* of them, those whose session does not own the robot */
 #define MAX_LINE (96 * 1024)
 #define MAX_OUT (160 * 1024) /* bytes left unread at which a peer is cut off; from MAX_UNREAD on it is not listened to */
 #define MAX_UNREAD (48 * 1024)
@@ -94,7 +95,8 @@ static bool arm_read(int device, double *value)
 #define LATE_START (50 * MS)
 #define SILENCE (5 * SECOND)  /* after which a session without commands ends */
 #define FUTURE (5 * SECOND)   /* how far ahead of the clock a stop takes back */
-#define HANDSHAKE (5 * SECOND) /* within which a peer proves who it is, where the robot has a secret */
+#define FIRST (5 * SECOND)    /* for a peer to prove who it is, if it has to, and to send its first message */
+#define BEGUN (10 * SECOND)   /* for a stranger to end a message that it has begun */
 #define SPIN MS               /* so long before it is due, a step is waited for without sleeping */
 
 struct text {
@@ -178,8 +180,9 @@ struct device {
 struct link {
     int socket;                    /* -1: free */
     uint64_t number;
-    bool of_owner, skipping, dead, more;
-    int64_t heard, since;
+    bool of_owner, skipping, dead, more, spoken;
+    int64_t heard;                 /* the last message; before the first, when the peer connected */
+    int64_t begun;                 /* when the line began that has not ended; 0: none has */
     size_t in_length, out_length, ready; /* ready: bytes of `out` that are records already */
     struct sealed sealed;
     char in[MAX_LINE + 2 + SEALED_RECORD], out[MAX_OUT];
@@ -1098,6 +1101,7 @@ static bool hear(struct link *link, const struct text *session, bool claims)
     if (session) /* a message without one counts for the session that its connection named last */
         link->of_owner = owned && owns(link, session);
     link->heard = now;
+    link->spoken = true;
     renews = link->of_owner && (!session || owns(link, session));
     if (renews)
         owner_heard = now;
@@ -1559,6 +1563,8 @@ static void link_lines(struct link *link)
     }
     link->in_length -= from;
     memmove(link->in, link->in + from, link->in_length);
+    if (from)
+        link->begun = 0;
     link->more = link->in_length && memchr(link->in, '\n', link->in_length);
     if (link->in_length > MAX_LINE && !link->more) {
         if (!link->skipping)
@@ -1566,6 +1572,17 @@ static void link_lines(struct link *link)
         link->skipping = true;
         link->in_length = 0;
     }
+    if (!link->begun && (link->in_length || link->skipping) && !link->more)
+        link->begun = silence_ns();
+}
+
+/* Whether a peer has taken longer than it may to say its first message, or to end one if it is no owner's. */
+static bool is_slow(const struct link *link)
+{
+    int64_t now = silence_ns();
+    if (!link->spoken)
+        return now - link->heard > FIRST;
+    return link->begun && !link->of_owner && now - link->begun > BEGUN;
 }
 
 /* Hands on what records carry, once the peer has proven who it is. */
@@ -1610,11 +1627,35 @@ static void link_read(struct link *link)
         *length += (size_t)got;
 }
 
+static void link_close(struct link *link)
+{
+    close(link->socket);
+    link->socket = -1;
+    link->of_owner = false;
+}
+
+/* Of the strangers the one that has said nothing, or that has been silent for longest, gives way to a new one. */
+static void make_room(void)
+{
+    struct link *link, *least = NULL;
+    int strangers = 0;
+    for (link = links; link < links + MAX_LINKS; link++) {
+        if (link->socket < 0 || link->of_owner)
+            continue;
+        strangers++;
+        if (!least || (link->spoken != least->spoken ? !link->spoken : link->heard < least->heard))
+            least = link;
+    }
+    if (strangers >= STRANGERS)
+        link_close(least);
+}
+
 static void link_accept(int listener)
 {
     int socket = accept(listener, NULL, NULL), one = 1, i;
     if (socket < 0)
         return;
+    make_room();
     for (i = 0; i < MAX_LINKS && links[i].socket >= 0; i++)
         ;
     if (i == MAX_LINKS || fcntl(socket, F_SETFL, O_NONBLOCK) < 0) {
@@ -1626,7 +1667,7 @@ static void link_accept(int listener)
     memset(&links[i], 0, offsetof(struct link, in));
     links[i].socket = socket;
     links[i].number = ++numbers;
-    links[i].since = silence_ns();
+    links[i].heard = silence_ns();
 }
 
 static int listen_at(const char *address)
@@ -1783,15 +1824,10 @@ int main(int argc, char **argv)
                 link->dead = true;
             if (secured && !link->dead)
                 link_open(link);
-            if (secured && link->sealed.stage != SEALED_OPEN && silence_ns() - link->since > HANDSHAKE)
-                link->dead = true;
             if (!link->dead && link->in_length)
                 link_lines(link);
-            if (link->dead) {
-                close(link->socket);
-                link->socket = -1;
-                link->of_owner = false;
-            }
+            if (link->dead || is_slow(link))
+                link_close(link);
         }
         if (polls[MAX_LINKS].revents & POLLIN)
             link_accept(listener);

@@ -24,9 +24,11 @@ class Arm:
     def read(self, device): return 42.5
 
 MAX_LINE, MAX_UNREAD = 1 << 18, 1 << 20         # bytes, room for 1000 steps; a peer beyond either is hung up on
-MAX_LINKS, MAX_NAMES, KEPT = 32, 1000, 512      # names in an inquiry; last answers, the protocol asks for 256
+MAX_NAMES, KEPT = 1000, 512                     # names in an inquiry; last answers, the protocol asks for 256
+MAX_LINKS, STRANGERS = 32, 16                   # connections, and those of them whose session does not own the robot
 MS, NEVER = 1_000_000, 1 << 100                 # all times are nanoseconds
 LATE_STEP, LATE_START, SILENCE, FUTURE = 1 * MS, 50 * MS, 5000 * MS, 5000 * MS
+FIRST, BEGUN = 5000 * MS, 10000 * MS            # for the first message, and for a stranger to end what it has begun
 SPIN = 1.5 * MS                                 # so long before it is due, a step is waited for without sleeping
 
 class Refused(ValueError):
@@ -147,6 +149,7 @@ class Robot:
         self.answers, self.facts = {}, {}       # by request_id: the last answer, and what else inquiries tell
         self.devices = {spec["id"]: Device(spec) for spec in BLOCK["devices"]}
         self.timer = asyncio.get_running_loop().call_soon(self.run)
+        self.watching = asyncio.get_running_loop().create_task(self.watch())
     def run(self):
         """Does what is due, by time, at one instant leases before steps; comes back when the next thing is due. Once the
         lease of what runs has ended it comes first: a robot that was held up would do now what was due before."""
@@ -231,7 +234,7 @@ class Robot:
             self.owner = session
             for device in devices:      # strangers may have stopped a free robot by a timestamp of the future
                 device.taken_back = min(device.taken_back, time.time_ns())
-        link.heard, link.session = now, session or link.session
+        link.heard, link.spoken, link.session = now, True, session or link.session
         if link.session == self.owner:
             self.owner_heard = now
         if self.owner not in (None, session) and session and self.seized[0] == session:
@@ -342,22 +345,42 @@ class Robot:
             device.taken_back = max(device.taken_back, min(c.sent, now + FUTURE))
             self.rest(device, *why, hold=c.hold)
         return self.respond(c, "OK")
+    def owns(self, link): return self.owner is not None and link.session == self.owner
+    def let_in(self, link):
+        """Of the strangers the one that has said nothing, or that has been silent for longest, gives way to a new one."""
+        strangers = [other for other in self.links if not self.owns(other)]
+        if len(strangers) >= STRANGERS:
+            self.let_go(min(strangers, key=lambda other: (other.spoken, other.heard)))
+        self.links += [link] if len(self.links) < MAX_LINKS else []
+        return link in self.links
+    def let_go(self, link):
+        self.links = [other for other in self.links if other is not link]
+        link.writer.transport.abort()
+    async def watch(self):
+        """Lets go of peers that take too long for their first message or, as strangers, to end one."""
+        while True:
+            now = time.monotonic_ns()
+            for link in list(self.links):
+                if now - link.heard > FIRST if not link.spoken else not self.owns(link) and now - link.begun > BEGUN:
+                    self.let_go(link)
+            await asyncio.sleep(0.25)
     async def converse(self, reader, writer):
-        link = types.SimpleNamespace(writer=writer, session=None, heard=0)
+        link = types.SimpleNamespace(writer=writer, session=None, heard=time.monotonic_ns(), spoken=False, begun=NEVER)
         link.who, link.roles = proven(writer.get_extra_info("peercert"))
-        if len(self.links) >= MAX_LINKS:
+        if not self.let_in(link):
             return writer.transport.abort()
-        self.links.append(link)
-        with contextlib.ExitStack() as at_end, contextlib.suppress(OSError, EOFError, asyncio.LimitOverrunError):
-            at_end.callback(self.links.remove, link)
-            at_end.callback(writer.close)
-            while not writer.is_closing():
-                line = await reader.readuntil(b"\n")
+        with contextlib.closing(writer), contextlib.suppress(OSError, EOFError, asyncio.LimitOverrunError):
+            while link in self.links and not writer.is_closing():
+                link.begun = NEVER
+                line = await reader.readexactly(1)
+                link.begun = time.monotonic_ns()
+                line += await reader.readuntil(b"\n") if line != b"\n" else b""
                 self.run()                      # what was due before the message comes first
                 if line.strip():
                     send(link, self.take(link, line, time.time_ns()))
                 self.run()                      # and what it brings
                 await asyncio.sleep(0)          # the turn of the others
+        self.links = [other for other in self.links if other is not link]
 
 def own(link, session):
     """A session belongs to who has proven a name with it; to others the same name of a session is another session."""
@@ -398,7 +421,7 @@ async def main():
     host, _, port = given.listen.rpartition(":")
     tls = guard(given.identity, given.revoked) if given.identity else None
     server = await asyncio.start_server(Robot(Arm()).converse, host.strip("[]"), int(port), limit=MAX_LINE, ssl=tls,
-                                        ssl_handshake_timeout=5 if tls else None)
+                                        ssl_handshake_timeout=FIRST / 1e9 if tls else None)
     print("listening on %s:%d" % server.sockets[0].getsockname()[:2], flush=True)
     await server.serve_forever()
 

@@ -18,7 +18,7 @@ pub(super) struct Heard<T> {
 pub(super) struct Ticket(usize);
 
 /// A request with everything that was said to it.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub(super) struct Asked {
     pub(super) id: Option<String>,
     pub(super) device: String,
@@ -54,6 +54,12 @@ impl Exchanges {
         sent: Timestamp<Server>,
     ) -> Ticket {
         self.0.push(Asked { id, device, text, sent, unanswered: 1, heard: Vec::new() });
+        Ticket(self.0.len() - 1)
+    }
+
+    /// Takes over a request of another line, with what was said to it there.
+    pub(super) fn adopt(&mut self, asked: Asked) -> Ticket {
+        self.0.push(Asked { unanswered: 0, ..asked });
         Ticket(self.0.len() - 1)
     }
 

@@ -10,7 +10,7 @@ use super::line::Line;
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
 use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 
-pub(super) const ALL: [Requirement; 6] = [
+pub(super) const ALL: [Requirement; 8] = [
     Requirement {
         name: "request-id",
         demands: "Every response carries the request_id of its request: acceptances, reports, refusals.",
@@ -22,6 +22,18 @@ pub(super) const ALL: [Requirement; 6] = [
         demands: "A request that is repeated with its request_id is answered again and not executed again.",
         section: "Asked twice (D)",
         check: repeated_request,
+    },
+    Requirement {
+        name: "repeated-refusal",
+        demands: "A refused request that is repeated is refused again with the same code, whatever else the second one says.",
+        section: "Asked twice (D)",
+        check: repeated_refusal,
+    },
+    Requirement {
+        name: "kept-answers",
+        demands: "The last answer to a request is kept until 256 others have ended: repeated before that, it is answered as it ended and not executed again.",
+        section: "Asked twice (D)",
+        check: kept_answers,
     },
     Requirement {
         name: "no-request-id",
@@ -116,6 +128,68 @@ fn repeated_request(trial: &Trial) -> Checked {
     }
 }
 
+fn repeated_refusal(trial: &Trial) -> Checked {
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let refused = trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(LEASE_MS);
+    line.refuses(&refused, ErrorCode::OutOfRange)?;
+    let right = ControlRequest { request_id: refused.request_id, ..trial.pending(actor) };
+    line.refuses(&right, ErrorCode::OutOfRange).map_err(|unmet| {
+        unmet.within(|why| format!("the same request_id has just been refused with `out_of_range`: {why}"))
+    })?;
+    pass()
+}
+
+/// Ended requests whose answers a robot keeps.
+const KEPT: usize = 256;
+
+fn kept_answers(trial: &Trial) -> Checked {
+    const AT_A_TIME: usize = 15;
+    let actor = trial.actor()?;
+    let mut line = trial.connect()?;
+    let ends = |line: &mut Line, ticket| match trial.reports() {
+        true => line.report(ticket, &Status::Ok, trial.patience()).map(drop),
+        false => trial.pause(urrcp::Span::from_millis(500)),
+    };
+    // A robot that has forgotten it would refuse it as late.
+    let first = line.held(&trial.set(actor, actor.rest).starting_in(300.0).leased(LEASE_MS))?;
+    ends(&mut line, first)?;
+    let mut others = 1;
+    while others < KEPT {
+        let set = line.held(&trial.set(actor, actor.rest).leased(LEASE_MS))?;
+        others += 1;
+        if trial.reports() {
+            ends(&mut line, set)?;
+        }
+        let refused = || trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(LEASE_MS);
+        let some = (KEPT - others).min(AT_A_TIME);
+        let tickets: Result<Vec<_>, _> = (0..some).map(|_| line.ask(&refused())).collect();
+        for ticket in tickets? {
+            line.answer(ticket)?;
+        }
+        others += some;
+    }
+    let heard = line.asked(first).heard.clone();
+    line.ask_again(first)?;
+    let again = line.nth_answer(first, heard.len())?;
+    // Without `reports` nobody has told how it ended.
+    let same = match heard.last() {
+        Some(last) if trial.reports() => {
+            (&last.message.status, last.message.event_timestamp)
+                == (&again.message.status, again.message.event_timestamp)
+        }
+        _ => again.message.status != Status::Failed,
+    };
+    match same {
+        true => Ok(format!("known after {} others", KEPT - 1)),
+        false => Err(differs(
+            &format!("again, after {} others: {}", KEPT - 1, line.asked(first).text),
+            &again.text,
+            &format!("what it was told at its end: {}", heard.last().map_or("", |last| &last.text)),
+        )),
+    }
+}
+
 fn no_request_id(trial: &Trial) -> Checked {
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
@@ -148,7 +222,7 @@ fn content_hash(trial: &Trial) -> Checked {
 }
 
 /// Asks for availability in the name of a session.
-fn claim(
+pub(super) fn claim(
     trial: &Trial,
     line: &mut Line,
     name: &SessionId,

@@ -1,16 +1,17 @@
 //! The lease: what a device does when the server falls silent.
 
 use urrcp::{
-    AvailabilityRequest, Command, ControlRequest, ErrorCode, Message, Millis, Script, Span, Status, Step,
-    StopCondition,
+    AvailabilityRequest, Command, ControlRequest, ControlType, ErrorCode, Inquiry, Message, Millis, Script,
+    SessionId, Setpoint, Span, Status, Step, StopCondition,
 };
 
 use super::heard::Ticket;
 use super::line::Line;
+use super::owners::session;
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
 use super::trial::{LATER_MS, Shaped, Trial};
 
-pub(super) const ALL: [Requirement; 10] = [
+pub(super) const ALL: [Requirement; 13] = [
     Requirement {
         name: "lease-pending",
         demands: "What is pending ends `Failed`, `link_lost` once the server has been silent for stop_condition, not before and not much later.",
@@ -22,6 +23,12 @@ pub(super) const ALL: [Requirement; 10] = [
         demands: "What runs ends `Failed`, `link_lost` once the server has been silent for stop_condition.",
         section: "The lease",
         check: lease_running,
+    },
+    Requirement {
+        name: "lease-silence",
+        demands: "Silence before a start or a step counts after it: where the lease that follows would be over by then, nothing starts, and the step is not done.",
+        section: "The lease",
+        check: lease_silence,
     },
     Requirement {
         name: "lease-queued",
@@ -48,6 +55,12 @@ pub(super) const ALL: [Requirement; 10] = [
         check: lease_left_on,
     },
     Requirement {
+        name: "lease-left-on-kept",
+        demands: "Commands that do not drive what goes on after its command leave it under its lease.",
+        section: "The lease",
+        check: lease_left_on_kept,
+    },
+    Requirement {
         name: "lease-renewal",
         demands: "Every message of the server renews the lease, availability requests among them.",
         section: "The lease",
@@ -71,6 +84,12 @@ pub(super) const ALL: [Requirement; 10] = [
         section: "Sessions and connections (D)",
         check: lease_two_links,
     },
+    Requirement {
+        name: "lease-stranger",
+        demands: "What a session to which the robot does not belong asks in vain renews no lease of the owner.",
+        section: "Sessions and connections (D)",
+        check: lease_stranger,
+    },
 ];
 
 /// The lease that is waited for.
@@ -89,12 +108,18 @@ fn long(trial: &Trial) -> Result<ControlRequest, Unmet> {
 
 /// Waits in silence for the report that the lease ran out, and judges when it came.
 fn runs_out(trial: &Trial, line: &mut Line, ticket: Ticket) -> Checked {
-    let accepted = line.answer(ticket)?;
-    trial.saw_round_trip(accepted.at - line.asked(ticket).sent);
+    runs_out_after(trial, line, ticket, ticket)
+}
+
+/// The same where another request was the last that was sent.
+fn runs_out_after(trial: &Trial, line: &mut Line, ticket: Ticket, last: Ticket) -> Checked {
+    let answered = line.answer(last)?;
+    let sent = line.asked(last).sent;
+    trial.saw_round_trip(answered.at - sent);
     let until = trial.patience() + PERIOD;
     let lost = line.failure(ticket, ErrorCode::LinkLost, until)?;
     let asked = line.asked(ticket);
-    let silent = lost.at - asked.sent;
+    let silent = lost.at - sent;
     let (earliest, latest) = (PERIOD - EARLY_MAX, PERIOD + trial.slack());
     match silent >= earliest && silent <= latest {
         true => Ok(format!("link_lost after {silent} of silence, {PERIOD} allowed")),
@@ -123,6 +148,48 @@ fn lease_running(trial: &Trial) -> Checked {
     let ticket = line.held(&ControlRequest { stop_condition: Some(lease), ..request })?;
     line.report(ticket, &Status::Started, trial.patience())?;
     runs_out(trial, &mut line, ticket)
+}
+
+fn lease_silence(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let actor = trial.actor()?;
+    let starts = trial.set(actor, actor.rest).starting_in(SILENT_MS);
+    let lease = StopCondition { pending: Some(millis(20_000)), running: Some(millis(300)) };
+    not_done(trial, &ControlRequest { stop_condition: Some(lease), ..starts }, SILENT_MS, 0)?;
+    if !actor.in_script {
+        return pass();
+    }
+    let steps = trial.script(actor, &[(0.0, actor.rest), (SILENT_MS, actor.near)]).starting_in(100.0);
+    let Command::Script(script) = &steps.command else { return pass() };
+    let mut own: Vec<Step> = script.steps().to_vec();
+    own[1].stop_condition = Some(StopCondition::both(millis(300)));
+    let command = Command::Script(Script::new(own).unwrap_or_default());
+    not_done(trial, &ControlRequest { command, ..steps }.leased(20_000.0), 100.0 + SILENT_MS, 1)?;
+    pass()
+}
+
+/// How long the server says nothing until a start or a step, of which less than half would be too much.
+const SILENT_MS: f64 = 700.0;
+
+/// Sends a request whose lease is over by `at_ms` after its timestamp: what is due then is not done.
+fn not_done(trial: &Trial, request: &ControlRequest, at_ms: f64, steps_done: u32) -> Result<(), Unmet> {
+    let mut line = trial.connect()?;
+    let ticket = line.held(request)?;
+    let until = trial.patience() + Span::from_millis_f64(at_ms);
+    let lost = line.failure(ticket, ErrorCode::LinkLost, until)?;
+    let asked = line.asked(ticket);
+    let silent = lost.at - asked.sent;
+    let started = asked.heard.iter().any(|heard| heard.message.status == Status::Started);
+    let right = started == (steps_done > 0) && lost.message.steps_done == Some(steps_done);
+    // Until then another lease applies, which is long.
+    if right && silent > PERIOD + PERIOD / 2 {
+        return Ok(());
+    }
+    let came = format!("{} after {silent} of silence", lost.text);
+    let expected = format!(
+        "it after {at_ms} ms with steps_done {steps_done}: the lease of {PERIOD} that applies from then on counts the silence before it"
+    );
+    Err(differs(&asked.text, &came, &expected))
 }
 
 fn lease_queued(trial: &Trial) -> Checked {
@@ -173,7 +240,8 @@ fn lease_step(trial: &Trial) -> Checked {
     runs_out(trial, &mut line, ticket)
 }
 
-fn lease_left_on(trial: &Trial) -> Checked {
+/// A speed or an acceleration that goes on, with the command that has set it and ended.
+fn left_on(trial: &Trial) -> Result<(Line<'_>, Ticket), Unmet> {
     trial.reporting()?;
     let actor = trial.actor()?;
     if !actor.is_rate() || actor.near == actor.rest || actor.near == 0.0 {
@@ -185,7 +253,38 @@ fn lease_left_on(trial: &Trial) -> Checked {
     let mut line = trial.connect()?;
     let ticket = line.held(&short(trial.set(actor, actor.near)))?;
     line.report(ticket, &Status::Ok, trial.patience())?;
+    Ok((line, ticket))
+}
+
+fn lease_left_on(trial: &Trial) -> Checked {
+    let (mut line, ticket) = left_on(trial)?;
     runs_out(trial, &mut line, ticket)
+}
+
+fn lease_left_on_kept(trial: &Trial) -> Checked {
+    let (mut line, ticket) = left_on(trial)?;
+    let actor = trial.actor()?;
+    let refused = trial.set(actor, actor.beyond().1).starting_in(LATER_MS).leased(20_000.0);
+    line.refuses(&refused, ErrorCode::OutOfRange)?;
+    let others = actor.device.available_control_types.iter().map(|(control_type, _)| control_type);
+    let mut rates = others.filter(|t| matches!(t, ControlType::Speed | ControlType::Acceleration));
+    if let Some(other) = rates.find(|control_type| *control_type != actor.control_type) {
+        let still = trial.request(&actor.device.id, Command::Set(Setpoint::new(other, 0.0)));
+        let still = line.held(&still.leased(20_000.0))?;
+        line.report(still, &Status::Ok, trial.patience())?;
+    }
+    if actor.in_script {
+        let nothing = ControlRequest { timestamp: Some(trial.stamp()), ..trial.cancel(actor) };
+        let nothing = line.ask(&nothing.starting_in(2.0 * LATER_MS))?;
+        line.answer(nothing)?;
+    }
+    let later = line.held(&trial.pending(actor).leased(20_000.0))?;
+    let note = runs_out_after(trial, &mut line, ticket, later).map_err(|unmet| {
+        unmet.within(|why| format!("it went on when commands came that did not drive it: {why}"))
+    })?;
+    // With what goes on all ends that is held.
+    line.failure(later, ErrorCode::LinkLost, trial.patience())?;
+    Ok(note)
 }
 
 /// Sends this again and again for this long.
@@ -264,6 +363,39 @@ fn lease_two_links(trial: &Trial) -> Checked {
         unmet.within(|why| {
             format!("silent for 900 ms, while another connection sent availability requests: {why}")
         })
+    })?;
+    pass()
+}
+
+/// All that a server may ask of a robot that belongs to another session.
+fn asks_in_vain(trial: &Trial, session: &SessionId) -> Result<Vec<u8>, Unmet> {
+    let actor = trial.actor()?;
+    let (named, timestamp) = (Some(session.clone()), Some(trial.stamp()));
+    let mut messages = vec![
+        Message::AvailabilityRequest(AvailabilityRequest { timestamp, session: named.clone(), seize: false }),
+        Message::ControlRequest(ControlRequest { session: named.clone(), ..trial.pending(actor) }),
+        Message::ControlRequest(trial.cancel(actor)),
+    ];
+    if trial.block()?.inquiry {
+        messages.push(Message::Inquiry(Inquiry { timestamp, session: named, ..Inquiry::default() }));
+    }
+    let mut bytes = Vec::new();
+    messages.iter().for_each(|message| urrcp::encode(message, &mut bytes));
+    Ok(bytes)
+}
+
+fn lease_stranger(trial: &Trial) -> Checked {
+    trial.reporting()?;
+    let (ours, theirs) = (session(trial)?, session(trial)?);
+    let mut line = trial.connect()?;
+    let mut stranger = trial.connect_beside()?;
+    let request = short(trial.pending(trial.actor()?));
+    let ticket = line.held(&ControlRequest { session: Some(ours), ..request })?;
+    asks_in_vain(trial, &theirs)?;
+    let asks = || asks_in_vain(trial, &theirs).unwrap_or_default();
+    chatter(trial, &mut stranger, &asks, Span::from_millis(900))?;
+    line.failure(ticket, ErrorCode::LinkLost, trial.now() + trial.slack()).map_err(|unmet| {
+        unmet.within(|why| format!("silent for 900 ms, while another session was refused: {why}"))
     })?;
     pass()
 }

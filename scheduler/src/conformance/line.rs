@@ -6,7 +6,8 @@ use std::time::Duration;
 
 use urrcp::{
     AvailabilityRequest, AvailabilityResponse, ControlRequest, ControlResponse, Decoder, ErrorCode,
-    InitializationBlock, Inquiry, InquiryResponse, Message, Server, Span, Status, Timestamp, encode,
+    InitializationBlock, Inquiry, InquiryResponse, Message, Server, SessionId, Span, Status, Timestamp,
+    encode,
 };
 
 use super::heard::{Asked, Exchanges, Heard, Ticket, says_malformed};
@@ -27,6 +28,8 @@ pub(super) struct Line<'a> {
     /// Up to where no newline is known to stand.
     searched: usize,
     exchanges: Exchanges,
+    /// The session that was named last, to which belongs what is held.
+    session: Option<SessionId>,
     others: VecDeque<Heard<Message>>,
     /// Set when the peer has hung up: why.
     ended: Option<String>,
@@ -55,6 +58,7 @@ impl<'a> Line<'a> {
             buffer: Vec::new(),
             searched: 0,
             exchanges: Exchanges::default(),
+            session: None,
             others: VecDeque::new(),
             ended: None,
         }
@@ -66,6 +70,7 @@ impl<'a> Line<'a> {
         encode(&Message::ControlRequest(request.clone()), &mut line);
         let text = String::from_utf8_lossy(&line).into_owned();
         let id = request.request_id.as_ref().map(ToString::to_string);
+        self.names(request.session.as_ref());
         self.ask_text(id, request.device_id.as_str(), &text)
     }
 
@@ -83,6 +88,11 @@ impl<'a> Line<'a> {
         Ok(())
     }
 
+    /// Names a request that was sent on another connection, whose reports may come on this one.
+    pub(super) fn expect_for(&mut self, asked: &Asked) -> Ticket {
+        self.exchanges.adopt(asked.clone())
+    }
+
     /// Writes bytes; gives the instant before the first of them.
     pub(super) fn send(&mut self, bytes: &[u8]) -> Result<Timestamp<Server>, Unmet> {
         let sent = self.trial.now();
@@ -95,6 +105,10 @@ impl<'a> Line<'a> {
             ))
         })?;
         Ok(sent)
+    }
+
+    fn names(&mut self, session: Option<&SessionId>) {
+        self.session = session.cloned().or_else(|| self.session.take());
     }
 
     /// A message as it would travel, which counts as if it had been sent.
@@ -115,6 +129,9 @@ impl<'a> Line<'a> {
     pub(super) fn say(&mut self, message: &Message) -> Result<String, Unmet> {
         let mut line = Vec::new();
         encode(message, &mut line);
+        if let Message::AvailabilityRequest(request) = message {
+            self.names(request.session.as_ref());
+        }
         self.send(&line)?;
         Ok(String::from_utf8_lossy(&line).into_owned())
     }
@@ -416,7 +433,8 @@ impl Line<'_> {
 
     /// Ends what is still held; whether that is certain.
     fn wind_up(&mut self) -> Result<bool, Unmet> {
-        let ticket = self.ask(&self.trial.cancel(self.trial.actor()?))?;
+        let cancel = self.trial.cancel(self.trial.actor()?);
+        let ticket = self.ask(&ControlRequest { session: self.session.clone(), ..cancel })?;
         let answer = self.answer(ticket)?;
         if !self.trial.reports() {
             return Ok(self.trial.confirms_rest(&answer.message));

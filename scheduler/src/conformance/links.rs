@@ -1,11 +1,12 @@
 //! Connections: many messages at once, peers that do not read, one connection after another and at the same time as another.
 
+use serde_json::json;
 use urrcp::{Message, Span};
 
-use super::requirement::{Checked, Requirement, differs, pass};
+use super::requirement::{Checked, Requirement, Unmet, differs, pass};
 use super::trial::Trial;
 
-pub(super) const ALL: [Requirement; 4] = [
+pub(super) const ALL: [Requirement; 5] = [
     Requirement {
         name: "many-messages",
         demands: "A thousand messages in one write are all answered, in their order.",
@@ -29,6 +30,12 @@ pub(super) const ALL: [Requirement; 4] = [
         demands: "A second connection is served while the first one stands.",
         section: "Sessions and connections (D)",
         check: two_links,
+    },
+    Requirement {
+        name: "silent-peers",
+        demands: "Sixteen connections that say nothing, or half a message, keep a server out for 10 s at most.",
+        section: "Strangers (D)",
+        check: silent_peers,
     },
 ];
 
@@ -98,4 +105,34 @@ fn two_links(trial: &Trial) -> Checked {
     first.goes_on_after("a second connection was opened")?;
     second.goes_on_after("both connections were served once")?;
     pass()
+}
+
+fn silent_peers(trial: &Trial) -> Checked {
+    const PEERS: usize = 16;
+    const OUT_MAX: Span = Span::from_millis(10_000);
+    drop(trial.connect_beside()?);
+    let half = json!({"availability_request": {"timestamp": trial.stamp()}}).to_string();
+    let mut peers = Vec::new();
+    for n in 0..PEERS {
+        // A robot may refuse them, or hang up.
+        let Ok(mut peer) = trial.connect_silently() else { break };
+        if n % 2 == 1 {
+            let _hung_up = peer.send(&half.as_bytes()[..half.len() / 2]);
+        }
+        peers.push(peer);
+    }
+    let began = trial.now();
+    loop {
+        let served = trial.connect().and_then(|mut line| line.availability().map(drop));
+        let out = trial.now() - began;
+        match served {
+            Ok(()) => return Ok(format!("served {out} after {} of them", peers.len())),
+            Err(Unmet::Failed(why)) if out > OUT_MAX + trial.slack() => {
+                let silent = format!("{PEERS} connections say nothing or half a message");
+                return Err(Unmet::Failed(format!("{silent}, and {out} later: {why}")));
+            }
+            Err(Unmet::Failed(_)) => trial.pause(Span::from_millis(100))?,
+            Err(other) => return Err(other),
+        }
+    }
 }

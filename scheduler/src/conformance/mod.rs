@@ -12,6 +12,7 @@ mod inquiries;
 mod leases;
 mod line;
 mod links;
+mod owners;
 mod requirement;
 mod scripts;
 mod security;
@@ -94,8 +95,13 @@ pub enum NotExamined {
 /// All requirements, in the order in which they are checked.
 pub fn requirements() -> impl Iterator<Item = &'static Requirement> {
     let of_robot = greeting::ALL.iter().chain(&values::ALL).chain(&starting::ALL).chain(&scripts::ALL);
-    let of_server = leases::ALL.iter().chain(&stopping::ALL).chain(&identity::ALL).chain(&inquiries::ALL);
-    of_robot.chain(of_server).chain(&wire::ALL).chain(&links::ALL).chain(&security::ALL)
+    let of_server = leases::ALL.iter().chain(&stopping::ALL).chain(&identity::ALL).chain(&owners::ALL);
+    of_robot
+        .chain(of_server)
+        .chain(&inquiries::ALL)
+        .chain(&wire::ALL)
+        .chain(&links::ALL)
+        .chain(&security::ALL)
 }
 
 /// Judges a robot. `tell` hears of each requirement before it is checked, and the verdict after.

@@ -2,10 +2,13 @@
 
 use urrcp::{ErrorCode, Span, Status, StatusValue};
 
+use super::greeting::compare_clocks;
+use super::heard::Ticket;
+use super::line::Line;
 use super::requirement::{Checked, Requirement, Unmet, differs, pass};
 use super::trial::{LATER_MS, LEASE_MS, Shaped, Trial};
 
-pub(super) const ALL: [Requirement; 4] = [
+pub(super) const ALL: [Requirement; 5] = [
     Requirement {
         name: "deferred-start",
         demands: "A command starts at timestamp + time_offset_to_start by the robot's clock, within the tolerance and never before.",
@@ -23,6 +26,12 @@ pub(super) const ALL: [Requirement; 4] = [
         demands: "A command whose start has passed when it arrives is refused with `late` and not executed.",
         section: "Time (D)",
         check: late,
+    },
+    Requirement {
+        name: "late-by-little",
+        demands: "A command whose start has passed by a few milliseconds is refused with `late` as well, also a script whose other steps are still ahead.",
+        section: "Time (D)",
+        check: late_by_little,
     },
     Requirement {
         name: "status-value",
@@ -89,12 +98,41 @@ fn late(trial: &Trial) -> Checked {
     let mut request = trial.set(actor, actor.rest).starting_in(1_000.0).leased(LEASE_MS);
     request.timestamp = Some(trial.stamp() - Span::from_millis(5_000));
     let ticket = line.ask(&request)?;
+    refused_for_good(trial, &mut line, ticket)?;
+    pass()
+}
+
+fn refused_for_good(trial: &Trial, line: &mut Line, ticket: Ticket) -> Result<(), Unmet> {
     line.refused(ticket, &[ErrorCode::Late])?;
     line.listen(trial.soon(150), |line| line.asked(ticket).heard.len() > 1)?;
     match line.asked(ticket).heard.get(1) {
-        None => pass(),
+        None => Ok(()),
         Some(more) => Err(differs(&line.asked(ticket).text, &more.text, "nothing more after the refusal")),
     }
+}
+
+/// How much a start must have passed for any reading of the clock to agree that it has.
+const JUST_PASSED: Span = Span::from_millis(10);
+
+fn late_by_little(trial: &Trial) -> Checked {
+    const AHEAD_MS: i64 = 1_000;
+    let actor = trial.actor()?;
+    let reading = compare_clocks(trial)?;
+    let passed = reading.uncertainty + JUST_PASSED;
+    let mut requests = vec![trial.set(actor, actor.rest)];
+    if actor.in_script {
+        requests.push(trial.there_and_back(actor, 1_000.0));
+    }
+    let mut line = trial.connect()?;
+    for mut request in requests {
+        let robot_now = trial.now() + reading.offset;
+        request.timestamp = Some(robot_now - passed - Span::from_millis(AHEAD_MS));
+        let ticket = line.ask(&request.starting_in(1_000.0).leased(LEASE_MS))?;
+        refused_for_good(trial, &mut line, ticket).map_err(|unmet| {
+            unmet.within(|why| format!("the start had passed {passed} before it was sent: {why}"))
+        })?;
+    }
+    Ok(format!("refused {passed} after its start"))
 }
 
 fn status_value(trial: &Trial) -> Checked {

@@ -39,7 +39,7 @@ pub(super) const ALL: [Requirement; 9] = [
     },
     Requirement {
         name: "unknown-control-type",
-        demands: "A control type that the protocol does not know is one that the device lacks, with the same consequences.",
+        demands: "A control type that the protocol does not know is one that the device lacks, with the same consequences, whatever its control_value is, also a list or a text.",
         section: "Refusing",
         check: unknown_control_type,
     },
@@ -136,15 +136,19 @@ fn unknown_device(trial: &Trial) -> Checked {
 }
 
 fn unsupported_control_type(trial: &Trial) -> Checked {
-    lacking(trial, &trial.actor()?.lacks().to_string())
+    lacking(trial, &trial.actor()?.lacks().to_string(), "0")
 }
 
 fn unknown_control_type(trial: &Trial) -> Checked {
-    lacking(trial, "no_such_control")
+    let mut note = pass();
+    for value in ["0", "[1,2]", "\"forwards\""] {
+        note = Ok(lacking(trial, "no_such_control", value)?);
+    }
+    note
 }
 
 /// A command of a control type that the device lacks is refused, and ends what the device held.
-fn lacking(trial: &Trial, control_type: &str) -> Checked {
+fn lacking(trial: &Trial, control_type: &str, value: &str) -> Checked {
     let actor = trial.actor()?;
     let mut line = trial.connect()?;
     let pending = line.held(&trial.pending(actor))?;
@@ -153,9 +157,11 @@ fn lacking(trial: &Trial, control_type: &str) -> Checked {
     let id = request.request_id.as_ref().map(ToString::to_string);
     let mut text = Vec::new();
     encode(&Message::ControlRequest(request), &mut text);
-    // Its name alone is another, also where no type of ours could bear it.
+    // Its name and value alone are others, also where no type of ours could bear them.
     let named = format!("\"control_type\":\"{control_type}\"");
+    let valued = format!("\"control_value\":{value}");
     let text = String::from_utf8_lossy(&text).replace("\"control_type\":\"position\"", &named);
+    let text = text.replace("\"control_value\":0", &valued);
     let ticket = line.ask_text(id, actor.device.id.as_str(), &text)?;
     line.refused(ticket, &[ErrorCode::UnsupportedControlType])?;
     if !trial.reports() {

@@ -10,7 +10,7 @@ use tokio::net::TcpStream;
 use tokio::sync::mpsc;
 use urrcp::{Decoder, Encoding, Message, Server, Span, Timestamp, encode_as};
 
-use super::{Budget, Peer, Queue, ReadEnd, WriteEnd, denial, secured};
+use super::{Budget, EventSink, Peer, Queue, ReadEnd, WriteEnd, denial, secured};
 use crate::mission::{Event, Loss};
 use crate::server_clock::ServerClock;
 
@@ -59,17 +59,60 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
     }
 }
 
+/// So long a line that is no message is held back: a robot that floods its link with such lines is named for that alone.
+const GARBLED_AFTER: Span = Span::from_millis(50);
+
+/// What is wrong with the lines that are held back.
+#[derive(Debug, Default)]
+struct Garbled {
+    reasons: Vec<String>,
+    until: Option<Timestamp<Server>>,
+}
+
+impl Garbled {
+    fn hold(&mut self, now: Timestamp<Server>, reason: String) {
+        self.until.get_or_insert(now + GARBLED_AFTER);
+        self.reasons.push(reason);
+    }
+
+    async fn tell(&mut self, sink: &EventSink) {
+        self.until = None;
+        for reason in self.reasons.drain(..) {
+            sink.put(Event::Garbled { robot: sink.robot, reason }).await;
+        }
+    }
+}
+
 /// Ends with the reason for which no more can be read.
 async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
     let sink = &peer.sink;
     let mut decoder = Decoder::default();
     let mut budget = Budget::new(peer.asked.clone());
     let mut bytes = vec![0; 8 * 1024];
+    let mut garbled = Garbled::default();
     loop {
-        let came = match reader.read(&mut bytes).await {
-            Ok(0) => return (Loss::Closed, "the robot closed the connection".to_owned()),
-            Ok(came) => came,
-            Err(error) => return ended(&error),
+        let left = garbled.until.map(|until| until - sink.clock.now());
+        if left.is_some_and(|left| left <= Span::ZERO) {
+            garbled.tell(sink).await;
+            continue;
+        }
+        let read = reader.read(&mut bytes);
+        let read = match left {
+            None => read.await,
+            Some(left) => match tokio::time::timeout(left.to_duration(), read).await {
+                Ok(read) => read,
+                Err(_) => continue,
+            },
+        };
+        let came = match read {
+            Ok(came @ 1..) => came,
+            ended_or_failed => {
+                garbled.tell(sink).await;
+                return match ended_or_failed {
+                    Err(error) => ended(&error),
+                    Ok(_) => (Loss::Closed, "the robot closed the connection".to_owned()),
+                };
+            }
         };
         if let Err(loss) = budget.take_bytes(sink.clock.now(), came) {
             return flooding(loss);
@@ -90,12 +133,11 @@ async fn read(peer: &Peer, mut reader: ReadEnd) -> (Loss, String) {
                 Ok(message) if !budget.passes(&message) => {}
                 Err(_) if budget.is_sifted() => {}
                 Ok(message) => {
+                    garbled.tell(sink).await;
                     peer.encoding.hear(&message);
                     sink.received(message, length).await;
                 }
-                Err(error) => {
-                    sink.put(Event::Garbled { robot: sink.robot, reason: error.to_string() }).await;
-                }
+                Err(error) => garbled.hold(sink.clock.now(), error.to_string()),
             }
         }
     }

@@ -6,10 +6,12 @@ use super::{Mutant, mutant, recode};
 /// Those that are found out at once.
 pub fn all() -> Vec<Mutant> {
     vec![
-        mutant("`late` has another code", &["late"], |_, passing| recode(passing, "late")),
-        mutant("`out_of_range` has another code", &["range", "script-range"], |_, passing| {
-            recode(passing, "out_of_range")
-        }),
+        mutant("`late` has another code", &["late", "late-by-little"], |_, passing| recode(passing, "late")),
+        mutant(
+            "`out_of_range` has another code",
+            &["range", "script-range", "repeated-refusal"],
+            |_, passing| recode(passing, "out_of_range"),
+        ),
         mutant("`off_granularity` has another code", &["granularity", "script-range"], |_, passing| {
             recode(passing, "off_granularity")
         }),
@@ -20,9 +22,11 @@ pub fn all() -> Vec<Mutant> {
         mutant("`unknown_device` has another code", &["unknown-device"], |_, passing| {
             recode(passing, "unknown_device")
         }),
-        mutant("`busy` has another code", &["queue", "session", "session-reading"], |_, passing| {
-            recode(passing, "busy")
-        }),
+        mutant(
+            "`busy` has another code",
+            &["queue", "session", "session-reading", "session-stop"],
+            |_, passing| recode(passing, "busy"),
+        ),
         mutant(
             "`cancelled` has another code",
             &[
@@ -61,11 +65,13 @@ pub fn lease() -> Vec<Mutant> {
         &[
             "lease-pending",
             "lease-running",
+            "lease-silence",
             "lease-queued",
             "lease-step",
             "lease-noise",
             "lease-link-down",
             "lease-two-links",
+            "lease-stranger",
         ],
         |_, passing| recode(passing, "link_lost"),
     )]

@@ -40,9 +40,15 @@ pub fn of_greeting() -> Vec<Mutant> {
 pub fn of_values() -> Vec<Mutant> {
     let mut all = vec![
         // What lies beyond for a plain value lies beyond for a step.
-        mutant("less is declared than it takes", &["range", "script-range"], |_, passing| {
-            declare(passing, |device| device["available_control_types"]["position"]["max_value"] = json!(80))
-        }),
+        mutant(
+            "less is declared than it takes",
+            &["range", "script-range", "repeated-refusal", "kept-answers"],
+            |_, passing| {
+                declare(passing, |device| {
+                    device["available_control_types"]["position"]["max_value"] = json!(80)
+                })
+            },
+        ),
         mutant("more is declared than it takes", &["range"], |_, passing| {
             declare(passing, |device| device["available_control_types"]["position"]["max_value"] = json!(120))
         }),
@@ -52,7 +58,7 @@ pub fn of_values() -> Vec<Mutant> {
         }),
         mutant("steps out of range are cut to it", &["script-range"], |_, passing| {
             edit(passing, |request| {
-                for step in request["control_value"].as_array_mut().into_iter().flatten() {
+                for step in steps_of(request) {
                     step["control_value"] = json!(step["control_value"].as_f64().unwrap_or(0.0).min(90.0));
                 }
             })
@@ -82,9 +88,35 @@ pub fn of_values() -> Vec<Mutant> {
             }
             _ => Then::Pass,
         }),
+        mutant(
+            "an unknown control type with a list or a text is malformed",
+            &["unknown-control-type"],
+            |_, passing| match passing.request() {
+                Some(request)
+                    if request["control_type"] == "no_such_control"
+                        && !request["control_value"].is_number() =>
+                {
+                    Then::Answer(answer(request, "Failed", "malformed"))
+                }
+                _ => Then::Pass,
+            },
+        ),
+        mutant(
+            "an unknown control type with a text leaves what is pending",
+            &["unknown-control-type"],
+            |_, passing| match passing.request() {
+                Some(request)
+                    if request["control_type"] == "no_such_control"
+                        && request["control_value"].is_string() =>
+                {
+                    Then::Answer(answer(request, "Failed", "unsupported_control_type"))
+                }
+                _ => Then::Pass,
+            },
+        ),
         mutant("every step is taken for a position", &["script-control-types"], |_, passing| {
             edit(passing, |request| {
-                for step in request["control_value"].as_array_mut().into_iter().flatten() {
+                for step in steps_of(request) {
                     step["control_type"] = json!("position");
                 }
             })
@@ -145,6 +177,21 @@ pub fn of_values() -> Vec<Mutant> {
     all
 }
 
+/// The steps of a script.
+fn steps_of(request: &mut Value) -> impl Iterator<Item = &mut Value> {
+    let listed = request["control_value"].as_array_mut().into_iter().flatten();
+    listed.filter(|step| step.is_object())
+}
+
+/// How long ago the start of a request was, if it has passed.
+fn passed_by(request: &Value) -> Option<urrcp::Span> {
+    let sent: urrcp::Timestamp<urrcp::Server> = serde_json::from_value(request["timestamp"].clone()).ok()?;
+    let start = sent + urrcp::Span::from_millis_f64(Some(offset(request)).filter(|ms| *ms >= 0.0)?);
+    let since = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).ok()?;
+    let now = urrcp::Timestamp::from_nanos(i64::try_from(since.as_nanos()).ok()?);
+    Some(now - start).filter(|passed| *passed > urrcp::Span::ZERO)
+}
+
 pub fn of_times() -> Vec<Mutant> {
     fn shifted(passing: &mut Passing, by: f64) -> Then {
         edit(passing, |request| {
@@ -154,7 +201,9 @@ pub fn of_times() -> Vec<Mutant> {
         })
     }
     vec![
-        mutant("starts come 400 ms late", &["deferred-start"], |_, passing| shifted(passing, 400.0)),
+        mutant("starts come 400 ms late", &["deferred-start", "late-by-little"], |_, passing| {
+            shifted(passing, 400.0)
+        }),
         mutant("starts come 200 ms early", &["deferred-start"], |_, passing| shifted(passing, -200.0)),
         // Without the time of the start neither it nor the script's length can be judged.
         mutant("starts are told without their time", &["deferred-start", "script-timing"], |_, passing| {
@@ -171,9 +220,23 @@ pub fn of_times() -> Vec<Mutant> {
                 }
             })
         }),
-        mutant("late commands are played at once", &["late"], |_, passing| {
+        mutant("late commands are played at once", &["late", "late-by-little"], |_, passing| {
             edit(passing, |request| {
                 if offset(request) == 1_000.0 {
+                    remove(request, "time_offset_to_start");
+                }
+            })
+        }),
+        mutant("starts are taken up to 150 ms late", &["late-by-little"], |_, passing| {
+            edit(passing, |request| {
+                if passed_by(request).is_some_and(|passed| passed <= urrcp::Span::from_millis(150)) {
+                    remove(request, "time_offset_to_start");
+                }
+            })
+        }),
+        mutant("late scripts begin in their middle", &["late-by-little"], |_, passing| {
+            edit(passing, |request| {
+                if is_script(request) && passed_by(request).is_some() {
                     remove(request, "time_offset_to_start");
                 }
             })

@@ -20,14 +20,16 @@ pub fn of_leases() -> Vec<Mutant> {
             &[
                 "lease-pending",
                 "lease-running",
+                "lease-silence",
                 "lease-queued",
                 "lease-noise",
                 "lease-link-down",
                 "lease-two-links",
+                "lease-stranger",
             ],
             |_, passing| edit(passing, |request| remove(request, "stop_condition")),
         ),
-        mutant("leases end with the start", &["lease-running"], |_, passing| {
+        mutant("leases end with the start", &["lease-running", "lease-silence"], |_, passing| {
             with_lease(passing, |lease| {
                 if !lease.is_object() {
                     *lease = json!({"pending": lease, "running": null});
@@ -38,7 +40,7 @@ pub fn of_leases() -> Vec<Mutant> {
         }),
         mutant(
             "leases begin with the start",
-            &["lease-pending", "lease-noise", "lease-link-down", "lease-two-links"],
+            &["lease-pending", "lease-noise", "lease-link-down", "lease-two-links", "lease-stranger"],
             |_, passing| {
                 with_lease(passing, |lease| {
                     if !lease.is_object() {
@@ -54,6 +56,33 @@ pub fn of_leases() -> Vec<Mutant> {
                 }
             })
         }),
+        mutant("leases count from the start", &["lease-silence"], |_, passing| {
+            if unasked(passing) {
+                return Then::Drop;
+            }
+            let link = passing.link;
+            match passing.request() {
+                Some(request)
+                    if offset(request) >= 500.0 && offset(request) < 5_000.0 && !is_cancel(request) =>
+                {
+                    let start = Duration::from_secs_f64((offset(request) - 5.0) / 1e3);
+                    Then::With(vec![presence(link, start)])
+                }
+                _ => Then::Pass,
+            }
+        }),
+        mutant("a step's lease counts from the step", &["lease-silence"], |_, passing| {
+            if unasked(passing) {
+                return Then::Drop;
+            }
+            let link = passing.link;
+            let Some(request) = passing.request() else { return Then::Pass };
+            let start = offset(request);
+            let steps = request["control_value"].as_array().into_iter().flatten();
+            let leased = steps.filter(|step| step.get("stop_condition").is_some() && offset(step) > 0.0);
+            let before = |step: &Value| Duration::from_secs_f64((start + offset(step) - 5.0) / 1e3);
+            Then::With(leased.map(|step| presence(link, before(step))).collect())
+        }),
         mutant("running null means as pending", &["lease-pair"], |_, passing| {
             with_lease(passing, |lease| {
                 if lease.get("running").is_some_and(Value::is_null) {
@@ -61,7 +90,7 @@ pub fn of_leases() -> Vec<Mutant> {
                 }
             })
         }),
-        mutant("a step's own lease is not read", &["lease-step"], |_, passing| {
+        mutant("a step's own lease is not read", &["lease-silence", "lease-step"], |_, passing| {
             edit(passing, |request| {
                 for step in request["control_value"].as_array_mut().into_iter().flatten() {
                     remove(step, "stop_condition");
@@ -70,13 +99,40 @@ pub fn of_leases() -> Vec<Mutant> {
         }),
         Mutant {
             robot: Robot::Rover,
-            ..mutant("a speed that is left on has no lease", &["lease-left-on"], |_, passing| {
-                edit(passing, |request| {
-                    if request["control_type"] == "speed" && request.get("time_offset_to_start").is_none() {
-                        remove(request, "stop_condition");
+            ..mutant(
+                "a speed that is left on has no lease",
+                &["lease-left-on", "lease-left-on-kept"],
+                |_, passing| {
+                    edit(passing, |request| {
+                        if request["control_type"] == "speed" && request.get("time_offset_to_start").is_none()
+                        {
+                            remove(request, "stop_condition");
+                        }
+                    })
+                },
+            )
+        },
+        Mutant {
+            robot: Robot::Rover,
+            ..mutant(
+                "any other command ends the lease of what is left on",
+                &["lease-left-on-kept"],
+                |memory, passing| {
+                    if let Some(request) = passing.request() {
+                        memory.order.extend(request["request_id"].as_str().map(str::to_owned));
+                        return Then::Pass;
                     }
-                })
-            })
+                    let Some(response) = passing.response() else { return Then::Pass };
+                    let id = response["request_id"].as_str().unwrap_or_default().to_owned();
+                    let last = memory.order.last() == Some(&id);
+                    match response["status"].as_str() {
+                        Some("OK") => drop(memory.seen.insert((0, id))),
+                        Some("Failed") if memory.seen.contains(&(0, id)) && !last => return Then::Drop,
+                        _ => {}
+                    }
+                    Then::Pass
+                },
+            )
         },
         mutant("availability requests renew nothing", &["lease-renewal"], |_, passing| {
             match passing.json.get("availability_request") {
@@ -96,46 +152,47 @@ pub fn of_leases() -> Vec<Mutant> {
             if passing.is_from_server("noise on the line") {
                 return Then::Instead(b"{\"availability_request\":{}}\n".to_vec());
             }
-            let unasked = passing
-                .json
-                .get("availability_response")
-                .is_some_and(|r| r.get("originate_timestamp").is_none() && r["status"] == "OK");
-            match unasked {
+            match unasked(passing) {
                 true => Then::Instead(format!("{}\n", malformed()).into_bytes()),
                 false => Then::Pass,
             }
         }),
-        mutant("what was asked on another connection is forgotten", &["lease-link-down"], |_, passing| {
-            let mark = format!("#{}", passing.link);
-            let way = passing.way;
-            for id in passing
-                .json
-                .pointer_mut("/inquiry/requests")
-                .and_then(Value::as_array_mut)
-                .into_iter()
-                .flatten()
-            {
-                *id = json!(format!("{}{mark}", id.as_str().unwrap_or_default()));
-            }
-            let told = passing.json.pointer_mut("/inquiry_response/requests").and_then(Value::as_array_mut);
-            for report in told.into_iter().flatten() {
-                let id = report["request_id"].as_str().unwrap_or_default();
-                report["request_id"] = json!(id.replace(&mark, ""));
-            }
-            let key = if way == Way::ToRobot { "control_request" } else { "control_response" };
-            if let Some(id) = passing.json.pointer_mut(&format!("/{key}/request_id")) {
-                let text = id.as_str().unwrap_or_default();
-                // The longest ids leave no room for a mark.
-                if text.chars().count() < 200 {
-                    *id = json!(if way == Way::ToRobot {
-                        format!("{text}{mark}")
-                    } else {
-                        text.replace(&mark, "")
-                    });
+        mutant(
+            "what was asked on another connection is forgotten",
+            &["lease-link-down", "reports-follow"],
+            |_, passing| {
+                let mark = format!("#{}", passing.link);
+                let way = passing.way;
+                for id in passing
+                    .json
+                    .pointer_mut("/inquiry/requests")
+                    .and_then(Value::as_array_mut)
+                    .into_iter()
+                    .flatten()
+                {
+                    *id = json!(format!("{}{mark}", id.as_str().unwrap_or_default()));
                 }
-            }
-            Then::Pass
-        }),
+                let told =
+                    passing.json.pointer_mut("/inquiry_response/requests").and_then(Value::as_array_mut);
+                for report in told.into_iter().flatten() {
+                    let id = report["request_id"].as_str().unwrap_or_default();
+                    report["request_id"] = json!(id.replace(&mark, ""));
+                }
+                let key = if way == Way::ToRobot { "control_request" } else { "control_response" };
+                if let Some(id) = passing.json.pointer_mut(&format!("/{key}/request_id")) {
+                    let text = id.as_str().unwrap_or_default();
+                    // The longest ids leave no room for a mark.
+                    if text.chars().count() < 200 {
+                        *id = json!(if way == Way::ToRobot {
+                            format!("{text}{mark}")
+                        } else {
+                            text.replace(&mark, "")
+                        });
+                    }
+                }
+                Then::Pass
+            },
+        ),
         // By a session that everybody shares, so that `session` itself cannot be judged.
         Mutant {
             only: &[

@@ -24,24 +24,63 @@ pub fn of_identity() -> Vec<Mutant> {
         }),
         mutant(
             "repeated requests are not answered",
-            &["repeated-request"],
+            &["repeated-request", "repeated-refusal", "kept-answers"],
             |memory, passing| match repeated(memory, passing) {
                 true => Then::Drop,
                 false => Then::Pass,
             },
         ),
-        mutant("repeated requests are executed again", &["repeated-request"], |memory, passing| {
-            if repeated(memory, passing) {
-                return edit(passing, |request| {
-                    request["request_id"] =
-                        json!(format!("{}#2", request["request_id"].as_str().unwrap_or_default()));
-                });
-            }
-            edit_response(passing, |response| {
-                if let Some(id) = response["request_id"].as_str().and_then(|id| id.strip_suffix("#2")) {
-                    response["request_id"] = json!(id);
+        mutant(
+            "repeated requests are executed again",
+            &["repeated-request", "repeated-refusal", "kept-answers"],
+            |memory, passing| {
+                if repeated(memory, passing) {
+                    return edit(passing, |request| {
+                        request["request_id"] =
+                            json!(format!("{}#2", request["request_id"].as_str().unwrap_or_default()));
+                    });
                 }
-            })
+                edit_response(passing, |response| {
+                    if let Some(id) = response["request_id"].as_str().and_then(|id| id.strip_suffix("#2")) {
+                        response["request_id"] = json!(id);
+                    }
+                })
+            },
+        ),
+        mutant("eight answers are kept", &["kept-answers"], |memory, passing| {
+            if let Some(request) = passing.request() {
+                let id = request["request_id"].as_str().unwrap_or_default().to_owned();
+                let behind = memory.order.iter().rposition(|ended| *ended == id);
+                if behind.is_some_and(|index| memory.order.len() - index > 8) {
+                    request["request_id"] = json!(format!("{id}#again"));
+                }
+                return Then::Pass;
+            }
+            let Some(response) = passing.response() else { return Then::Pass };
+            let id = response["request_id"].as_str().unwrap_or_default().to_owned();
+            if let Some(id) = id.strip_suffix("#again") {
+                response["request_id"] = json!(id);
+            } else if ["OK", "Failed"].contains(&response["status"].as_str().unwrap_or_default()) {
+                memory.order.push(id);
+            }
+            Then::Pass
+        }),
+        mutant("refusals are not kept", &["repeated-refusal"], |memory, passing| {
+            if let Some(request) = passing.request() {
+                let id = request["request_id"].as_str().unwrap_or_default().to_owned();
+                if memory.order.contains(&id) {
+                    request["request_id"] = json!(format!("{id}#again"));
+                }
+                return Then::Pass;
+            }
+            let Some(response) = passing.response() else { return Then::Pass };
+            let id = response["request_id"].as_str().unwrap_or_default().to_owned();
+            if let Some(id) = id.strip_suffix("#again") {
+                response["request_id"] = json!(id);
+            } else if response["status"] == "Failed" && response.get("steps_done").is_none() {
+                memory.order.push(id);
+            }
+            Then::Pass
         }),
         mutant("a request must have an id", &["no-request-id"], |_, passing| match passing.request() {
             Some(request) if request.is_object() && request.get("request_id").is_none() => {
@@ -70,17 +109,21 @@ pub fn of_identity() -> Vec<Mutant> {
                 }
             })
         }),
-        mutant("sessions are not known", &["session", "session-reading", "inquiry-session"], |_, passing| {
-            for message in ["availability_request", "control_request"] {
-                if let Some(inside) = passing.json.get_mut(message)
+        mutant(
+            "sessions are not known",
+            &["session", "session-reading", "session-stop", "reports-follow", "inquiry-session"],
+            |_, passing| {
+                for message in ["availability_request", "control_request"] {
+                    if let Some(inside) = passing.json.get_mut(message)
                     // A session that is too long is still a string that is too long.
                     && inside["session"].as_str().is_some_and(|session| session.len() <= 256)
-                {
-                    remove(inside, "session");
+                    {
+                        remove(inside, "session");
+                    }
                 }
-            }
-            Then::Pass
-        }),
+                Then::Pass
+            },
+        ),
         mutant("who has the robot is told", &["session"], |memory, passing| {
             if let Some(session) =
                 passing.json.pointer("/availability_request/session").and_then(Value::as_str)
@@ -192,6 +235,11 @@ pub fn of_links() -> Vec<Mutant> {
             serving: Serving::AtMost(15),
             only: &["availability", "reconnect"],
             ..mutant("it is tired after fifteen connections", &["reconnect"], pass)
+        },
+        Mutant {
+            serving: Serving::AtATime(16),
+            only: &["availability", "two-links", "silent-peers"],
+            ..mutant("sixteen silent peers are all it serves", &["silent-peers"], pass)
         },
         // What needs a second connection is not applicable then.
         Mutant { serving: Serving::OneByOne, ..mutant("one connection at a time", &["two-links"], pass) },
