@@ -31,7 +31,7 @@ command stops the robots directly: the journal names them, and no other file is 
 drove a robot, `downbeat resume` starts it again and brings the robot to rest. The command says which robots \
 confirmed the stop, which did not, and when their leases end. A mission can be stopped again, even after it has ended.
 
-With --fleet no journal is needed: all robots with a `tcp://`, `tls://` or `hmac://` address are stopped, whoever plays on them and from \
+With --fleet no journal is needed: all robots with a `tcp://`, `tls://` or `hmac://` address are stopped, whichever mission they play and from \
 which machine. Robots at tls:// and hmac:// obey if you have the role `stop`, others while they are free.
 
 Examples:
