@@ -3,10 +3,15 @@
 
 pub mod sloppy;
 
+use std::io::{Read, Write};
+use std::net::TcpStream;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
+use std::time::Duration;
 
-use downbeat_robot::sealed::{Claim, Hello, Keys, NotSealed, Pass, Refused, Secret, proof_of_operator};
+use downbeat_robot::sealed::{
+    Claim, Hello, Keys, NotSealed, Opening, Pass, Passes, Refused, Sealing, Secret, proof_of_operator,
+};
 use serde_json::Value;
 
 use crate::robots::meddler::Wire;
@@ -246,6 +251,94 @@ fn the_robot_to_copy_in_c_hears_its_operators_and_no_others() {
     by("anna", &["run", "short.yaml"]).says(1, &["your pass is revoked"]);
     let logged = std::fs::read_to_string(session.path("err")).unwrap();
     assert!(logged.contains("a peer that does not prove who it is is hung up on"), "{logged}");
+}
+
+/// An operator who says lines to a robot, and hears lines.
+struct Spoken {
+    socket: TcpStream,
+    sealing: Sealing,
+    opening: Opening,
+    heard: Vec<u8>,
+}
+
+impl Spoken {
+    fn by(session: &Session, operator: &str, robot: &str, address: &str) -> Self {
+        let identity = session.path(&format!("keys/operators/{operator}.pem"));
+        let passes = Passes::read(&Passes::next_to(&identity)).unwrap();
+        let held = passes.of(&robot.parse().unwrap()).unwrap();
+        let hello = Hello { nonce: [9; 16], robot: held.robot.clone(), claim: held.claim.clone() };
+        let mut socket = TcpStream::connect(address).unwrap();
+        socket.set_read_timeout(Some(Duration::from_secs(10))).unwrap();
+        socket.write_all(hello.line().as_bytes()).unwrap();
+        let (mut answer, mut byte) = (String::new(), [0]);
+        while !answer.ends_with('\n') {
+            socket.read_exact(&mut byte).unwrap();
+            answer.push(char::from(byte[0]));
+        }
+        hello.check_answer(&held.pass, &answer).unwrap();
+        socket.write_all(proof_of_operator(&held.pass, &hello.line(), &answer).as_bytes()).unwrap();
+        let (sealing, opening) = Keys::of(&held.pass, &hello.line(), &answer).of_operator();
+        Self { socket, sealing, opening, heard: Vec::new() }
+    }
+
+    /// The answer to a line.
+    fn says(&mut self, line: &str) -> String {
+        let mut records = Vec::new();
+        self.sealing.seal(format!("{line}\n").as_bytes(), &mut records);
+        self.socket.write_all(&records).unwrap();
+        let mut raw = [0; 4096];
+        loop {
+            if let Some(end) = self.heard.iter().position(|byte| *byte == b'\n') {
+                let rest = self.heard.split_off(end + 1);
+                return String::from_utf8(std::mem::replace(&mut self.heard, rest)).unwrap();
+            }
+            let n = self.socket.read(&mut raw).unwrap();
+            assert!(n > 0, "hung up");
+            self.opening.push(&raw[..n]);
+            while self.opening.open(&mut self.heard).unwrap() {}
+        }
+    }
+}
+
+#[test]
+fn a_session_that_was_read_on_the_way_is_of_no_use_to_another_operator() {
+    let session = Session::new();
+    session.run(&["keys", "init"]).says(0, &[]);
+    for operator in ["anna", "cleo"] {
+        session.run(&["keys", "operator", operator, "--role", "drive"]).says(0, &[]);
+    }
+    session.run(&["keys", "secret", "arm", "arm-2"]).says(0, &[]);
+    let mut ours = session.command(&["robot", "--init", "arm.yaml", "--listen", "127.0.0.1:0"]);
+    ours.args(["--secret", "keys/secrets/arm.secret"]);
+    let mut copied = Command::new(built(&session, "robot"));
+    copied.args(["--listen", "127.0.0.1:0", "--secret", "keys/secrets/arm-2.secret"]);
+    copied.current_dir(session.path(""));
+    for (id, mut robot) in [("arm", ours), ("arm-2", copied)] {
+        let mut robot = robot.stdout(Stdio::piped()).spawn().unwrap();
+        let address = listens(&mut robot).rsplit(' ').next().unwrap().trim().to_owned();
+        let _robot = Process(robot);
+        let of = |request: &str| {
+            format!(
+                r#"{{"control_request":{{"device_id":"shoulder","session":"s@1","stop_condition":{{"pending":9000,"running":9000}},{request}}}}}"#
+            )
+        };
+        let long = of(
+            r#""request_id":"a","control_type":"script","control_value":[{"time_offset_to_start":60000,"control_type":"position","control_value":10}]"#,
+        );
+        let mut anna = Spoken::by(&session, "anna", id, &address);
+        let accepted = anna.says(&long);
+        assert!(accepted.contains("Accepted"), "{accepted}");
+        let mut cleo = Spoken::by(&session, "cleo", id, &address);
+        for request in [
+            r#""request_id":"b","control_type":"script","control_value":[]"#,
+            r#""request_id":"c","control_type":"position","control_value":10"#,
+        ] {
+            let refused = cleo.says(&of(request));
+            assert!(refused.contains("busy"), "{id}: {refused}");
+        }
+        let asked = cleo.says(r#"{"inquiry":{"session":"s@1","requests":["a"]}}"#);
+        assert!(asked.contains("busy"), "{id}: {asked}");
+    }
 }
 
 fn vectors() -> Value {

@@ -14,7 +14,7 @@ cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 0s, to: 45}, {at: 300ms, t
 ";
 
 /// What the conformance test asks of robots that ask who one is.
-const REQUIREMENTS: &str = "no-plain,proven-in-time,altered,repeated,reordered,roles";
+const REQUIREMENTS: &str = "no-plain,proven-in-time,altered,repeated,reordered,no-certificate,roles";
 
 /// Three robots with keys, and operators.
 pub struct Site {
@@ -137,7 +137,7 @@ fn a_mission_by_tls_is_played_and_every_attempt_of_others_is_refused() {
         ["conformance", address, "--observer", "keys/operators/bert.pem", "--only", REQUIREMENTS];
     let mut command = site.session.command(&conformance);
     let ran = Ran(command.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").output().unwrap());
-    ran.says(0, &["6 pass, 0 fail"]);
+    ran.says(0, &["7 pass, 0 fail"]);
 
     // Without the role.
     site.fleet(&site.addresses("tls"), "bert");
@@ -341,7 +341,7 @@ fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
     by("bert", &["fleet", "ping"]).says(0, &["arm-1"]);
     let conformance =
         ["conformance", &address, "--observer", "keys/operators/bert.pem", "--only", REQUIREMENTS];
-    by("anna", &conformance).says(0, &["6 pass, 0 fail"]);
+    by("anna", &conformance).says(0, &["7 pass, 0 fail"]);
     session.run(&["run", "short.yaml"]).says(1, &["name your identity file"]);
     let mut playing = session.command(&["run", "long.yaml"]);
     playing.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").stdout(Stdio::piped()).stderr(Stdio::piped());
@@ -408,4 +408,45 @@ pub fn on_the_way(site: &Site, wire: Wire, long_record: usize) {
     assert_eq!(site.moved(), before);
     meddler.does(Deed::Pass);
     site.run().says(0, &["test: done"]);
+}
+
+/// A robot whose TLS asks nobody for a certificate: it answers the first line of each connection.
+fn asks_nobody(identity: &std::path::Path) -> std::net::SocketAddr {
+    use std::io::{BufRead, BufReader, Write};
+
+    use rustls::pki_types::pem::PemObject;
+    use rustls::pki_types::{CertificateDer, PrivateKeyDer};
+    let certificate = CertificateDer::from_pem_file(identity).unwrap();
+    let key = PrivateKeyDer::from_pem_file(identity).unwrap();
+    let provider = std::sync::Arc::new(rustls::crypto::ring::default_provider());
+    let config = rustls::ServerConfig::builder_with_provider(provider).with_safe_default_protocol_versions();
+    let config = config.unwrap().with_no_client_auth().with_single_cert(vec![certificate], key).unwrap();
+    let config = std::sync::Arc::new(config);
+    let listener = std::net::TcpListener::bind("127.0.0.1:0").unwrap();
+    let address = listener.local_addr().unwrap();
+    // Ends with the process.
+    std::thread::spawn(move || {
+        for socket in listener.incoming() {
+            let server = rustls::ServerConnection::new(std::sync::Arc::clone(&config)).unwrap();
+            let mut stream = BufReader::new(rustls::StreamOwned::new(server, socket.unwrap()));
+            let answer = "{\"availability_response\":{\"receive_timestamp\":\"2026-11-20T19:00:00Z\",\"timestamp\":\"2026-11-20T19:00:00Z\",\"status\":\"OK\"}}\n";
+            if stream.read_line(&mut String::new()).is_ok_and(|n| n > 0) {
+                let _hung_up = stream.get_mut().write_all(answer.as_bytes());
+            }
+        }
+    });
+    address
+}
+
+#[test]
+fn a_robot_that_asks_for_no_certificate_fails_the_conformance_test() {
+    let session = Session::new();
+    session.run(&["keys", "init"]).says(0, &[]);
+    session.run(&["keys", "robot", "arm"]).says(0, &[]);
+    session.run(&["keys", "operator", "anna", "--role", "drive"]).says(0, &[]);
+    let address = format!("tls://{}", asks_nobody(&session.path("keys/robots/arm.pem")));
+    let mut command =
+        session.command(&["conformance", &address, "--only", "no-certificate", "--patience", "1s"]);
+    let ran = Ran(command.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").output().unwrap());
+    ran.says(1, &["no answer, and the robot to hang up", "0 pass, 1 fail"]);
 }

@@ -181,6 +181,32 @@ fn what_speaks_something_else_is_not_waited_for() {
     });
 }
 
+#[test]
+fn a_long_message_comes_whole_through_a_narrow_way() {
+    let secret = Secret::generate().unwrap();
+    let (guard, anna) = (guard(&secret), held(&secret, "cf 1/ö", claim(&[Role::Drive])));
+    let long: Vec<u8> = (0..200_000_u32).map(|n| n as u8).collect();
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap();
+    runtime.block_on(async {
+        let (near, far) = duplex(100);
+        let sent = async {
+            let mut stream = connect(near, &anna).await.unwrap();
+            stream.write_all(&long).await.unwrap();
+            stream.flush().await.unwrap();
+            stream
+        };
+        let heard = async {
+            let (mut stream, _) = guard.accept(far).await.unwrap();
+            let mut heard = vec![0; long.len()];
+            stream.read_exact(&mut heard).await.unwrap();
+            heard
+        };
+        // The sender stays, and says nothing more.
+        let (_stream, heard) = tokio::join!(sent, heard);
+        assert!(heard == long);
+    });
+}
+
 proptest! {
     #[test]
     fn a_first_line_is_read_as_it_was_written_whatever_the_names_are(

@@ -11,7 +11,7 @@ use urrcp::{AvailabilityRequest, ErrorCode, Message, Server, Span, Timestamp, en
 
 use super::line::Line;
 use super::requirement::{Checked, Requirement, Unmet, differs, not_applicable, pass};
-use super::stream::{dial, hello, line};
+use super::stream::{Stream, dial, hello, line};
 use super::trial::Trial;
 use crate::link::Security;
 
@@ -19,7 +19,7 @@ const SECTION: &str = "Proving who one is (D)";
 /// Within which a robot hangs up on a peer that has not proven who it is.
 const DEADLINE: Span = Span::from_millis(5_000);
 
-pub(super) const ALL: [Requirement; 11] = [
+pub(super) const ALL: [Requirement; 12] = [
     Requirement {
         name: "no-plain",
         demands: "A message of a peer that has proven nothing is not answered, and the connection is closed.",
@@ -49,6 +49,12 @@ pub(super) const ALL: [Requirement; 11] = [
         demands: "Records in another order than they were sent in are not heard, and end the connection.",
         section: SECTION,
         check: reordered,
+    },
+    Requirement {
+        name: "no-certificate",
+        demands: "With `tls`: a peer without a certificate is not answered, and the connection is closed.",
+        section: SECTION,
+        check: no_certificate,
     },
     Requirement {
         name: "wrong-secret",
@@ -216,6 +222,30 @@ fn reordered(trial: &Trial) -> Checked {
     let records = [line.wrapped(&availability())?, line.wrapped(&availability())?];
     line.send_past(&[records[1].as_slice(), &records[0]].concat())?;
     ends(trial, &mut line, "two availability requests that change places on their way", 0)
+}
+
+fn no_certificate(trial: &Trial) -> Checked {
+    protected(trial)?;
+    let Security::Tls(tls) = &trial.options().security else {
+        return Err(not_applicable("the robot has no tls:// address"));
+    };
+    let mut said = Vec::new();
+    encode(&availability(), &mut said);
+    let text = format!("{} by TLS without a certificate", String::from_utf8_lossy(&said).trim_end());
+    // With TLS 1.3 the robot refuses what this side takes for a whole handshake, so the message may be sent.
+    let answered = Stream::without_certificate(trial.address(), tls, trial.options().patience.to_duration())
+        .and_then(|mut stream| {
+            stream.write_all(&said)?;
+            let mut came = [0; 4096];
+            stream.read(&mut came).map(|n| String::from_utf8_lossy(&came[..n]).into_owned())
+        });
+    match answered {
+        Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::TimedOut) => {
+            Err(differs(&text, "no end of the connection", "the robot to hang up"))
+        }
+        Ok(came) if !came.is_empty() => Err(differs(&text, &came, "no answer, and the robot to hang up")),
+        Ok(_) | Err(_) => pass(),
+    }
 }
 
 /// Says the first line to the robot, and hears its answer.

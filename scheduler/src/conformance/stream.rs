@@ -10,10 +10,12 @@ use downbeat_robot::sealed::{
     Held, Hello, Keys, NotSealed, Opening, Refused, Sealing, fresh_nonce, proof_of_operator,
 };
 use downbeat_robot::tls::SERVER_NAME;
+use rustls::client::ResolvesClientCert;
 use rustls::pki_types::ServerName;
-use rustls::{ClientConnection, StreamOwned};
+use rustls::sign::CertifiedKey;
+use rustls::{ClientConfig, ClientConnection, SignatureScheme, StreamOwned};
 
-use crate::link::Security;
+use crate::link::{Security, Tls};
 
 /// Bytes of a line of the handshake at most.
 const LINE_BYTES_MAX: usize = 8 * 1024;
@@ -41,15 +43,28 @@ impl Stream {
         match security {
             Security::Plain => Ok(Self::Plain(socket)),
             Security::Nameless => Err(io::Error::other("name your identity file: DOWNBEAT_IDENTITY")),
-            Security::Tls(tls) => {
-                let name = ServerName::try_from(SERVER_NAME).map_err(io::Error::other)?;
-                let client = ClientConnection::new(Arc::clone(tls.config()), name);
-                let mut stream = StreamOwned::new(client.map_err(io::Error::other)?, socket);
-                stream.conn.complete_io(&mut stream.sock)?;
-                Ok(Self::Tls(Box::new(stream)))
-            }
+            Security::Tls(tls) => Self::by_tls(socket, Arc::clone(tls.config())),
             Security::Hmac(hmac) => Ok(Self::Hmac(Box::new(greet(socket, hmac.pass()?)?))),
         }
+    }
+
+    /// The same by TLS, without proving who this is.
+    pub(super) fn without_certificate(
+        address: SocketAddr,
+        tls: &Tls,
+        patience: Duration,
+    ) -> io::Result<Self> {
+        let mut config = ClientConfig::clone(tls.config());
+        config.client_auth_cert_resolver = Arc::new(NoCertificate);
+        Self::by_tls(dial(address, patience)?, Arc::new(config))
+    }
+
+    fn by_tls(socket: TcpStream, config: Arc<ClientConfig>) -> io::Result<Self> {
+        let name = ServerName::try_from(SERVER_NAME).map_err(io::Error::other)?;
+        let client = ClientConnection::new(config, name).map_err(io::Error::other)?;
+        let mut stream = StreamOwned::new(client, socket);
+        stream.conn.complete_io(&mut stream.sock)?;
+        Ok(Self::Tls(Box::new(stream)))
     }
 
     pub(super) fn socket(&self) -> &TcpStream {
@@ -74,6 +89,20 @@ impl Stream {
             Self::Hmac(sealed) => sealed.sealing.seal(bytes, &mut wrapped),
         }
         Ok(wrapped)
+    }
+}
+
+/// Has none to show.
+#[derive(Debug)]
+struct NoCertificate;
+
+impl ResolvesClientCert for NoCertificate {
+    fn resolve(&self, _issuers: &[&[u8]], _schemes: &[SignatureScheme]) -> Option<Arc<CertifiedKey>> {
+        None
+    }
+
+    fn has_certs(&self) -> bool {
+        false
     }
 }
 

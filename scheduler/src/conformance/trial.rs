@@ -139,7 +139,7 @@ impl Trial {
         self.connect_as(&self.options.security)
     }
 
-    /// The same as somebody else.
+    /// The same by another proof of who this is.
     pub(super) fn connect_as(&self, security: &Security) -> Result<Line<'_>, Unmet> {
         let connected = Stream::connect(self.address, security, self.options.patience.to_duration());
         connected.map(|stream| Line::over(self, stream)).map_err(|error| {
