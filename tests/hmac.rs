@@ -14,6 +14,7 @@ use downbeat_robot::sealed::{
 };
 use serde_json::Value;
 
+use crate::operators::{Operators, fails_with};
 use crate::robots::meddler::Wire;
 use crate::robots::{Process, free_port};
 use crate::session::{Ran, Session, root};
@@ -191,52 +192,30 @@ fn the_robot_to_copy_in_c_hears_its_operators_and_no_others() {
     let said = listens(&mut robot);
     let _robot = Process(robot);
     let address = format!("hmac://{}", said.rsplit(' ').next().unwrap().trim());
-    let by = |operator: &str, args: &[&str]| {
-        let mut command = session.command(args);
-        Ran(command.env("DOWNBEAT_IDENTITY", format!("keys/operators/{operator}.pem")).output().unwrap())
-    };
     // Which robot it is, it says itself.
-    session.file("arm-2.yaml", by("anna", &["fleet", "describe", &address]).out());
-    let fleet = |address: &str| {
-        session
-            .file("fleet.yaml", format!("robots: {{arm-2: {{init: arm-2.yaml, address: '{address}'}}}}\n"));
-    };
-    fleet(&address);
-    let scenario = |last: &str| {
-        let track = format!("shoulder: [{{at: 100ms, to: 45}}, {{at: {last}, to: 0}}]");
-        format!(
-            "scenario: test\nstart_tolerance: 1s\ncues: [{{at: 0s, robots: arm-2, tracks: {{{track}}}}}]\n"
-        )
-    };
-    session.file("short.yaml", scenario("400ms")).file("long.yaml", scenario("60s"));
-    by("anna", &["run", "short.yaml"]).says(0, &["test: done"]);
+    let operators = Operators::of(&session, "arm-2", &address, "anna");
+    let by = |operator: &str, args: &[&str]| operators.by(operator, args);
+    operators.scenario("short", "400ms");
+    operators.scenario("long", "60s");
+    by("anna", &["run", "short.yaml"]).says(0, &["short: done"]);
     by("bert", &["run", "short.yaml"]).says(1, &["operator bert may observe, and this takes drive"]);
     by("dora", &["run", "short.yaml"]).says(1, &["operator dora may stop, and this takes drive"]);
     by("bert", &["fleet", "ping"]).says(0, &["arm-2"]);
     session.run(&["run", "short.yaml"]).says(1, &["name your identity file"]);
-    fleet(&address.replace("hmac", "tcp"));
+    operators.fleet(&address.replace("hmac", "tcp"));
     by("anna", &["run", "short.yaml", "--patience", "2s"]).says(1, &["arm-2"]);
-    fleet(&address);
+    operators.fleet(&address);
 
     let conformance = ["conformance", &address, "--observer", "keys/operators/bert.pem", "--only"];
     let requirements = "no-plain,altered,repeated,reordered,wrong-secret,expired-claim,other-robot,forged-roles,repeated-connection,roles";
     by("anna", &[&conformance[..], &[requirements]].concat()).says(0, &["10 pass, 0 fail"]);
 
     // Who may stop stops the mission of another, and is named.
-    let mut playing = session.command(&["run", "long.yaml"]);
-    playing.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").stdout(Stdio::piped()).stderr(Stdio::piped());
-    let mut playing = playing.spawn().unwrap();
-    std::io::BufRead::lines(std::io::BufReader::new(playing.stderr.as_mut().unwrap()))
-        .map_while(Result::ok)
-        .find(|line| line.contains("all have accepted"))
-        .unwrap();
+    let playing = operators.playing("anna", "long.yaml");
     by("bert", &["stop", "--fleet", "fleet.yaml", "--patience", "1s"]).says(4, &["arm-2"]);
     by("dora", &["stop", "--fleet", "fleet.yaml", "--patience", "5s"])
         .says(0, &["arm-2: default state confirmed"]);
-    let mut report = String::new();
-    std::io::Read::read_to_string(playing.stdout.as_mut().unwrap(), &mut report).unwrap();
-    assert!(report.contains("stopped by operator dora"), "{report}");
-    assert!(!playing.wait().unwrap().success());
+    fails_with(playing, "stopped by operator dora");
 
     // The authority has made another secret, which the robot does not have.
     let passes = std::fs::read(session.path("keys/operators/anna.passes")).unwrap();

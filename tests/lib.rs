@@ -37,6 +37,7 @@ mod measured;
 mod missions;
 mod mistakes;
 mod ntp;
+mod operators;
 mod output;
 mod page;
 mod picture;

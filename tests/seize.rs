@@ -5,6 +5,7 @@ use std::time::{Duration, Instant};
 
 use serde_json::Value;
 
+use crate::operators::{Operators, fails_with};
 use crate::session::{Ran, Session};
 use crate::tls::Site;
 
@@ -117,31 +118,13 @@ fn the_robot_to_copy_in_python_is_seized_by_who_may() {
     session.run(&["keys", "robot", "arm-1"]).says(0, &[]);
     session.run(&["keys", "operator", "eva", "--role", "drive,seize"]).says(0, &[]);
     let (_robot, address) = crate::tls::python_robot(session);
-    session.file("arm-1.yaml", by(session, "cleo", &["fleet", "describe", &address]).out());
-    session.file("fleet.yaml", format!("robots: {{arm-1: {{init: arm-1.yaml, address: '{address}'}}}}\n"));
-    let scenario = |name: &str, last: &str| {
-        let track = format!("shoulder: [{{at: 100ms, to: 45}}, {{at: {last}, to: 0}}]");
-        let head = format!("scenario: {name}\nstart_tolerance: 1s\n");
-        session.file(
-            &format!("{name}.yaml"),
-            format!("{head}cues: [{{at: 0s, robots: arm-1, tracks: {{{track}}}}}]\n"),
-        );
-    };
-    scenario("long", "60s");
-    scenario("short", "400ms");
-    let mut playing = session.command(&["run", "long.yaml"]);
-    playing.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").stdout(Stdio::piped()).stderr(Stdio::piped());
-    let mut playing = playing.spawn().unwrap();
-    std::io::BufRead::lines(std::io::BufReader::new(playing.stderr.as_mut().unwrap()))
-        .map_while(Result::ok)
-        .find(|line| line.contains("all have accepted"))
-        .unwrap();
+    let operators = Operators::of(session, "arm-1", &address, "cleo");
+    operators.scenario("long", "60s");
+    operators.scenario("short", "400ms");
+    let mut playing = operators.playing("anna", "long.yaml");
     by(session, "cleo", &["run", "short.yaml", "--seize"])
         .says(1, &["operator cleo may drive, observe, and this takes seize"]);
     assert!(playing.try_wait().unwrap().is_none(), "anna's mission goes on");
     by(session, "eva", &["run", "short.yaml", "--seize"]).says(0, &["short: done"]);
-    let mut report = String::new();
-    std::io::Read::read_to_string(playing.stdout.as_mut().unwrap(), &mut report).unwrap();
-    assert!(report.contains("taken by operator eva"), "{report}");
-    assert!(!playing.wait().unwrap().success());
+    fails_with(playing, "taken by operator eva");
 }

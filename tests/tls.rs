@@ -5,6 +5,7 @@ use std::process::{Child, Command, Stdio};
 
 use rustix::process::Signal;
 
+use crate::operators::{Operators, fails_with};
 use crate::robots::meddler::{Deed, Meddler, Wire};
 use crate::robots::{Process, free_port};
 use crate::session::{ARM, PROGRAM, Ran, Session, root};
@@ -323,39 +324,21 @@ fn the_robot_to_copy_in_python_hears_its_operators_and_no_others() {
         session.run(&["keys", "operator", name, "--role", roles]).says(0, &[]);
     }
     let (_robot, address) = python_robot(&session);
-    let by = |operator: &str, args: &[&str]| {
-        let mut command = session.command(args);
-        Ran(command.env("DOWNBEAT_IDENTITY", format!("keys/operators/{operator}.pem")).output().unwrap())
-    };
-    session.file("arm-1.yaml", by("anna", &["fleet", "describe", &address]).out());
-    session.file("fleet.yaml", format!("robots: {{arm-1: {{init: arm-1.yaml, address: '{address}'}}}}\n"));
-    let scenario = |last: &str| {
-        let track = format!("shoulder: [{{at: 100ms, to: 45}}, {{at: {last}, to: 0}}]");
-        format!(
-            "scenario: test\nstart_tolerance: 1s\ncues: [{{at: 0s, robots: arm-1, tracks: {{{track}}}}}]\n"
-        )
-    };
-    session.file("short.yaml", scenario("400ms")).file("long.yaml", scenario("60s"));
-    by("anna", &["run", "short.yaml"]).says(0, &["test: done"]);
+    let operators = Operators::of(&session, "arm-1", &address, "anna");
+    let by = |operator: &str, args: &[&str]| operators.by(operator, args);
+    operators.scenario("short", "400ms");
+    operators.scenario("long", "60s");
+    by("anna", &["run", "short.yaml"]).says(0, &["short: done"]);
     by("bert", &["run", "short.yaml"]).says(1, &["operator bert may observe, and this takes drive"]);
     by("bert", &["fleet", "ping"]).says(0, &["arm-1"]);
     let conformance =
         ["conformance", &address, "--observer", "keys/operators/bert.pem", "--only", REQUIREMENTS];
     by("anna", &conformance).says(0, &["7 pass, 0 fail"]);
     session.run(&["run", "short.yaml"]).says(1, &["name your identity file"]);
-    let mut playing = session.command(&["run", "long.yaml"]);
-    playing.env("DOWNBEAT_IDENTITY", "keys/operators/anna.pem").stdout(Stdio::piped()).stderr(Stdio::piped());
-    let mut playing = playing.spawn().unwrap();
-    std::io::BufRead::lines(std::io::BufReader::new(playing.stderr.as_mut().unwrap()))
-        .map_while(Result::ok)
-        .find(|line| line.contains("all have accepted"))
-        .unwrap();
+    let playing = operators.playing("anna", "long.yaml");
     by("dora", &["stop", "--fleet", "fleet.yaml", "--patience", "5s"])
         .says(0, &["arm-1: default state confirmed"]);
-    let mut report = String::new();
-    std::io::Read::read_to_string(playing.stdout.as_mut().unwrap(), &mut report).unwrap();
-    assert!(report.contains("stopped by operator dora"), "{report}");
-    assert!(!playing.wait().unwrap().success());
+    fails_with(playing, "stopped by operator dora");
 }
 
 #[test]

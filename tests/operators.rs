@@ -1,0 +1,62 @@
+//! One robot with keys, and the operators who drive it, stop it and take it from each other.
+
+use std::io::{BufRead, BufReader, Read};
+use std::process::{Child, Stdio};
+
+use crate::session::{Ran, Session};
+
+/// The commands of operators to one robot.
+pub struct Operators<'a> {
+    session: &'a Session,
+    robot: &'a str,
+}
+
+impl<'a> Operators<'a> {
+    /// Has an operator ask the robot what it is, and makes it the fleet.
+    pub fn of(session: &'a Session, robot: &'a str, address: &str, asking: &str) -> Self {
+        let own = Self { session, robot };
+        session.file(&format!("{robot}.yaml"), own.by(asking, &["fleet", "describe", address]).out());
+        own.fleet(address);
+        own
+    }
+
+    /// The fleet has the robot at this address.
+    pub fn fleet(&self, address: &str) {
+        let robot = self.robot;
+        let fleet = format!("robots: {{{robot}: {{init: {robot}.yaml, address: '{address}'}}}}\n");
+        self.session.file("fleet.yaml", fleet);
+    }
+
+    /// What an operator's command says.
+    pub fn by(&self, operator: &str, args: &[&str]) -> Ran {
+        let mut command = self.session.command(args);
+        Ran(command.env("DOWNBEAT_IDENTITY", format!("keys/operators/{operator}.pem")).output().unwrap())
+    }
+
+    /// Writes a scenario whose last keyframe is at this time.
+    pub fn scenario(&self, name: &str, last: &str) {
+        let track = format!("shoulder: [{{at: 100ms, to: 45}}, {{at: {last}, to: 0}}]");
+        let cue = format!("{{at: 0s, robots: {}, tracks: {{{track}}}}}", self.robot);
+        let text = format!("scenario: {name}\nstart_tolerance: 1s\ncues: [{cue}]\n");
+        self.session.file(&format!("{name}.yaml"), text);
+    }
+
+    /// A mission of an operator, once the robot has accepted its scripts.
+    pub fn playing(&self, operator: &str, scenario: &str) -> Child {
+        let mut command = self.session.command(&["run", scenario]);
+        command.env("DOWNBEAT_IDENTITY", format!("keys/operators/{operator}.pem"));
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().unwrap();
+        let mut said = BufReader::new(child.stderr.as_mut().unwrap()).lines().map_while(Result::ok);
+        said.find(|line| line.contains("all have accepted")).unwrap();
+        child
+    }
+}
+
+/// A mission that was to play on fails, and its report says this.
+#[track_caller]
+pub fn fails_with(mut playing: Child, words: &str) {
+    let mut report = String::new();
+    playing.stdout.as_mut().unwrap().read_to_string(&mut report).unwrap();
+    assert!(report.contains(words), "{report}");
+    assert!(!playing.wait().unwrap().success(), "{report}");
+}
