@@ -33,6 +33,13 @@ pub enum Flood {
     Blocks,
     /// One line without an end.
     Line,
+    /// Answers to questions that were never asked, a minute ago, and would make leads and leases long.
+    Answers,
+}
+
+impl Flood {
+    pub const ALL: [Self; 6] =
+        [Self::Garbage, Self::Failures, Self::Responses, Self::Blocks, Self::Line, Self::Answers];
 }
 
 /// A robot with the device `d`, on a port of its own. Its threads end with their connections.
@@ -158,6 +165,13 @@ impl Own {
             }
             Flood::Blocks => format!("{}\n", block(&self.id)).repeat(64),
             Flood::Line => "x".repeat(65_536),
+            Flood::Answers => {
+                let before = super::epoch_nanos() - 60_000_000_000;
+                let before =
+                    serde_json::to_value(urrcp::Timestamp::<urrcp::Server>::from_nanos(before)).unwrap();
+                let answer = json!({"originate_timestamp": before, "receive_timestamp": before, "timestamp": before, "status": "OK"});
+                format!("{}\n", json!({"availability_response": answer})).repeat(128)
+            }
         };
         loop {
             out.write_all(bytes.as_bytes())?;
