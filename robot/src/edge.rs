@@ -105,7 +105,7 @@ impl Edge {
                 }
             }
             News::Away { reason } => {
-                self.tell(now, |machine, now, out| machine.hardware_lost(now, &reason, out));
+                self.tell(now, |machine, now, out| machine.hardware_failed(now, &reason, out));
             }
             News::Stale { device, late } => {
                 self.tell(now, |machine, now, out| machine.value_stale(now, &device, late.into(), out));

@@ -6,6 +6,7 @@
 
 #[cfg(feature = "thrift")]
 mod described;
+mod grid;
 mod lifeline;
 mod mailbox;
 mod program;
@@ -41,8 +42,8 @@ pub enum DriverError {
     /// It is not there, or no longer: it is connected again before anything else is asked of it.
     #[error("{0}")]
     Away(String),
-    /// It is there and says no. A reading fails alone; a refused value counts as [`DriverError::Away`], since the device
-    /// is not where the robot said that it would be.
+    /// It is there and says no. A reading fails alone; after a refused value everything ends and the driver is connected
+    /// again, as after [`DriverError::Away`], since the device is not where the robot said that it would be.
     #[error("{0}")]
     Refused(String),
 }

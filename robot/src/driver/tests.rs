@@ -48,6 +48,8 @@ const HEAVY: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
 #[derive(Default)]
 struct Bench {
     broken: AtomicBool,
+    /// It takes no value.
+    refuses: AtomicBool,
     panics: AtomicBool,
     takes_ramps: bool,
     /// Until a test lets it, a `set` does not return.
@@ -77,6 +79,9 @@ impl Driver for Fake {
     }
 
     fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError> {
+        if self.bench.refuses.load(Ordering::SeqCst) {
+            return Err(DriverError::Refused("too hot".to_owned()));
+        }
         self.act(format!("{device} {}", setpoint.value))?;
         while self.bench.busy.load(Ordering::SeqCst) {
             std::thread::yield_now();
@@ -362,6 +367,17 @@ async fn hardware_that_fails_under_a_script_fails_it_and_starts_again_from_its_d
     rig.next_done(&["connect", "arm 3", "wheel 0"]);
     rig.script("wheel", "c", &[(0.0, 5.0)], ControlType::Speed);
     rig.responses(&PLAYED).await;
+}
+
+#[tokio::test]
+async fn a_value_that_the_hardware_refuses_reads_as_refused_and_not_as_away() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 4.0), (300.0, 8.0), (60_000.0, 0.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 4"]);
+    rig.bench.refuses.store(true, Ordering::SeqCst);
+    let error = rig.response().await.error.unwrap();
+    assert_eq!(error.message, "the hardware refused speed 8 of `wheel`: too hot");
 }
 
 #[tokio::test]

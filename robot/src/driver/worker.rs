@@ -7,6 +7,7 @@ use std::time::{Duration, Instant};
 
 use urrcp::{InitializationBlock, Setpoint};
 
+use super::grid::on_grid;
 use super::lifeline::Watcher;
 use super::mailbox::{Movement, Sign, Value, Work};
 use super::{Driver, DriverError, Key, Mailbox, Ramp};
@@ -25,12 +26,39 @@ const REST_WAIT_MAX: Duration = Duration::from_secs(3);
 pub(crate) enum News {
     /// The hardware is there, by its so-many-th connection.
     There { connection: u64 },
-    /// It is not, or no longer.
+    /// It is not, or no longer, as this sentence says.
     Away { reason: String },
     /// A value came so late that it was not set.
     Stale { device: urrcp::DeviceId, late: Duration },
     /// A sensor was read.
     Reading { id: ReadingId, reading: Result<f64, String> },
+}
+
+/// Why nothing more is asked of the hardware until it is connected again.
+#[derive(Debug, thiserror::Error)]
+enum Lost {
+    #[error("the hardware is away: {0}")]
+    Away(String),
+    #[error("the hardware refused {0}")]
+    Refused(String),
+}
+
+impl From<DriverError> for Lost {
+    fn from(error: DriverError) -> Self {
+        Self::Away(error.to_string())
+    }
+}
+
+impl Lost {
+    /// A device did not take what it was told.
+    fn untaken(error: DriverError, (device, control_type): &Key, value: f64) -> Self {
+        match error {
+            DriverError::Away(reason) => Self::Away(reason),
+            DriverError::Refused(reason) => {
+                Self::Refused(format!("{control_type} {value} of `{device}`: {reason}"))
+            }
+        }
+    }
 }
 
 /// A driver with what it needs to know of its robot.
@@ -111,13 +139,13 @@ impl Worker {
                     }
                     error
                 }
-                Err(error) => error,
+                Err(error) => error.into(),
             };
             self.moving.clear();
             self.handed_over.clear();
             // First nothing more is taken, then it is told: no order of before reaches the next connection.
             self.mailbox.disconnected();
-            tracing::warn!(robot = %self.block.id, "hardware away: {reason}");
+            tracing::warn!(robot = %self.block.id, "{reason}");
             away = reason.to_string();
             (self.tell)(News::Away { reason: away.clone() });
             self.mailbox.tried();
@@ -126,12 +154,12 @@ impl Worker {
         }
         match self.touched {
             Touched::Never => Ok(()),
-            Touched::Before | Touched::Now => Err(format!("the hardware is away: {away}")),
+            Touched::Before | Touched::Now => Err(away),
         }
     }
 
     /// Does what comes until the hardware fails or nothing more will come; then, what had to be cut short.
-    fn serve(&mut self) -> Result<Result<(), String>, DriverError> {
+    fn serve(&mut self) -> Result<Result<(), String>, Lost> {
         let mut closing: Option<Instant> = None;
         loop {
             let sample = (!self.moving.is_empty()).then_some(self.next_sample);
@@ -139,7 +167,7 @@ impl Worker {
                 Work::Drive(key, value, movement) => self.drive(key, value, movement)?,
                 Work::Read(id, sensor) => self.read(id, &sensor)?,
                 Work::Ping => self.ping()?,
-                Work::HungUp(reason) => return Err(DriverError::Away(reason)),
+                Work::HungUp(reason) => return Err(Lost::Away(reason)),
                 Work::Nothing => {}
                 Work::Closed => {
                     let end = *closing.get_or_insert_with(|| Instant::now() + REST_WAIT_MAX);
@@ -188,7 +216,7 @@ impl Worker {
         key: Key,
         value: Option<Value>,
         movement: Option<Movement>,
-    ) -> Result<(), DriverError> {
+    ) -> Result<(), Lost> {
         if let Some(late) = value.as_ref().and_then(|value| value.stale(Instant::now())) {
             (self.tell)(News::Stale { device: key.0, late });
             return Ok(());
@@ -197,22 +225,28 @@ impl Worker {
         movement.map_or(Ok(()), |movement| self.follow(key, movement))
     }
 
-    fn set(&mut self, key: &Key, setpoint: &Setpoint) -> Result<(), DriverError> {
+    fn set(&mut self, key: &Key, setpoint: &Setpoint) -> Result<(), Lost> {
         self.moving.remove(key);
         self.handed_over.remove(key);
         self.touched = Touched::Now;
-        let value = self.on_grid(key, setpoint.value);
+        let value = on_grid(&self.block, key, setpoint.value);
         let setpoint = Setpoint { value, ..setpoint.clone() };
-        self.call(Sign::Unknown, |driver| driver.set(&key.0, &setpoint))
+        self.tell_value(key, &setpoint)
     }
 
-    fn follow(&mut self, key: Key, movement: Movement) -> Result<(), DriverError> {
+    fn tell_value(&mut self, key: &Key, setpoint: &Setpoint) -> Result<(), Lost> {
+        let told = self.call(Sign::Unknown, |driver| driver.set(&key.0, setpoint));
+        told.map_err(|error| Lost::untaken(error, key, setpoint.value))
+    }
+
+    fn follow(&mut self, key: Key, movement: Movement) -> Result<(), Lost> {
         self.touched = Touched::Now;
         if self.driver.takes_ramps() && movement.signal.is_linear() {
             self.moving.remove(&key);
-            let to = self.on_grid(&key, movement.signal.target());
+            let to = on_grid(&self.block, &key, movement.signal.target());
             let ramp = Ramp { control_type: key.1, to, duration: movement.left() };
-            self.call(Sign::Unknown, |driver| driver.ramp(&key.0, ramp))?;
+            let told = self.call(Sign::Unknown, |driver| driver.ramp(&key.0, ramp));
+            told.map_err(|error| Lost::untaken(error, &key, to))?;
             self.handed_over.insert(key, movement);
             return Ok(());
         }
@@ -225,16 +259,16 @@ impl Worker {
     }
 
     /// Sends where each movement is now, as far as that differs from what was sent, and ends it on its target.
-    fn sample(&mut self) -> Result<(), DriverError> {
+    fn sample(&mut self) -> Result<(), Lost> {
         let keys: Vec<Key> = self.moving.keys().cloned().collect();
         for key in keys {
             let Some(moving) = self.moving.get(&key) else { continue };
             let now = moving.movement.now();
-            let value = self.on_grid(&key, moving.movement.signal.value(now));
+            let value = on_grid(&self.block, &key, moving.movement.signal.value(now));
             let rests = now >= moving.movement.signal.rests_at();
             if moving.sent != Some(value) {
                 let setpoint = Setpoint::new(key.1, value);
-                self.call(Sign::Unknown, |driver| driver.set(&key.0, &setpoint))?;
+                self.tell_value(&key, &setpoint)?;
             }
             match self.moving.get_mut(&key) {
                 Some(moving) if !rests => moving.sent = Some(value),
@@ -250,15 +284,15 @@ impl Worker {
 
     /// What went to rest by itself is told so, and what has taken too long is ended where it is: rates go to zero, a
     /// position has been set by its last sample and stays, since the rest of its way would be one jump.
-    fn end_movements(&mut self) -> Result<Result<(), String>, DriverError> {
+    fn end_movements(&mut self) -> Result<Result<(), String>, Lost> {
         let sampled =
             std::mem::take(&mut self.moving).into_iter().map(|(key, moving)| (key, moving.movement));
         let ended: Vec<_> = sampled.chain(std::mem::take(&mut self.handed_over)).collect();
         let mut cut_short = Ok(());
         for (key, movement) in ended {
             if is_rate(key.1) {
-                let value = self.on_grid(&key, movement.signal.target());
-                self.driver.set(&key.0, &Setpoint::new(key.1, value))?;
+                let value = on_grid(&self.block, &key, movement.signal.target());
+                self.tell_value(&key, &Setpoint::new(key.1, value))?;
             } else if !movement.left().is_zero() {
                 let seconds = REST_WAIT_MAX.as_secs();
                 cut_short =
@@ -272,14 +306,14 @@ impl Worker {
         Ok(cut_short)
     }
 
-    fn read(&mut self, id: ReadingId, sensor: &urrcp::DeviceId) -> Result<(), DriverError> {
+    fn read(&mut self, id: ReadingId, sensor: &urrcp::DeviceId) -> Result<(), Lost> {
         self.mailbox.reading(true);
         let reading = self.driver.read(sensor);
         self.mailbox.reading(false);
         let reading = match reading {
             Err(DriverError::Away(reason)) => {
                 (self.tell)(News::Reading { id, reading: Err(reason.clone()) });
-                return Err(DriverError::Away(reason));
+                return Err(Lost::Away(reason));
             }
             Err(DriverError::Refused(reason)) => Err(reason),
             Ok(reading) => Ok(reading),
@@ -289,20 +323,8 @@ impl Worker {
         Ok(())
     }
 
-    fn ping(&mut self) -> Result<(), DriverError> {
-        self.call(Sign::Answered, |driver| driver.ping())
-    }
-
-    /// A value as the device can take it: values between those of scripts come from movements and stops.
-    fn on_grid(&self, (device, control_type): &Key, value: f64) -> f64 {
-        let device = self.block.device(device.as_str());
-        let limits = device.and_then(|device| device.available_control_types.limits(*control_type));
-        match limits {
-            Some(limits) if !limits.on_grid(value) && device.and_then(|d| d.default_value) != Some(value) => {
-                limits.nearest(value).clamp(limits.min_value, limits.max_value)
-            }
-            _ => value,
-        }
+    fn ping(&mut self) -> Result<(), Lost> {
+        Ok(self.call(Sign::Answered, |driver| driver.ping())?)
     }
 }
 
@@ -311,7 +333,7 @@ impl Drop for Worker {
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.mailbox.disconnected();
-            (self.tell)(News::Away { reason: "its driver panicked".to_owned() });
+            (self.tell)(News::Away { reason: "the hardware is away: its driver panicked".to_owned() });
             self.mailbox.tried();
         }
     }

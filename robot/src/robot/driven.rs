@@ -43,8 +43,13 @@ impl Robot {
 
     /// The hardware is gone: everything that is held or runs ends as `Failed`, code `internal`, and so do open readings.
     pub fn hardware_lost(&mut self, now: Now, reason: &str, out: &mut Vec<Output>) {
-        self.hardware.lost(reason);
-        let error = ControlError::new(ErrorCode::Internal, format!("the hardware is away: {reason}"));
+        self.hardware_failed(now, &format!("the hardware is away: {reason}"), out);
+    }
+
+    /// [`Robot::hardware_lost`] with a whole sentence, since hardware that refuses a value is not away.
+    pub(crate) fn hardware_failed(&mut self, now: Now, why: &str, out: &mut Vec<Output>) {
+        self.hardware.lost(why);
+        let error = ControlError::new(ErrorCode::Internal, why);
         for index in 0..self.devices.len() {
             self.devices[index].fail(now, &error, &mut self.effects);
             self.settle(now, index, out);
