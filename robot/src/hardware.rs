@@ -137,9 +137,7 @@ impl Hardware {
     /// Why nothing can be driven now. Hardware that may be there is still to be stopped.
     pub(crate) fn away(&self) -> Option<ControlError> {
         match &self.presence {
-            Presence::Away(reason) => {
-                Some(ControlError::new(ErrorCode::Internal, reason.clone()))
-            }
+            Presence::Away(reason) => Some(ControlError::new(ErrorCode::Internal, reason.clone())),
             Presence::Simulated | Presence::There | Presence::Silent(_) => None,
         }
     }

@@ -5,19 +5,24 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use urrcp::{InitializationBlock, Setpoint};
+use urrcp::{DeviceId, InitializationBlock, Setpoint};
 
 use super::grid::on_grid;
 use super::lifeline::Watcher;
-use super::mailbox::{Movement, Sign, Value, Work};
-use super::{Driver, DriverError, Key, Mailbox, Ramp};
+use super::mailbox::{Drive, Manners, Movement, Sign, Value, Work};
+use super::{Driver, DriverError, Key, Mailbox, Pushes, Ramp};
+use crate::confirmation::Ticket;
 use crate::hardware::ReadingId;
 use crate::signal::is_rate;
 
 /// Between two tries to connect, at first and at most; it doubles.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
+/// A reading that was told unasked answers requests for so long, if the sensor has no `max_delay`.
+const PUSHED_COUNTS: Duration = Duration::from_secs(1);
 /// How often it is looked at the mailbox while nothing is due.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
+/// Of a frame that was refused, so many values are named.
+const UNTAKEN_SHOWN: usize = 8;
 /// How long the devices may take to come to rest when the edge ends. Then speeds go to zero at once, and positions stay.
 const REST_WAIT_MAX: Duration = Duration::from_secs(3);
 
@@ -25,11 +30,17 @@ const REST_WAIT_MAX: Duration = Duration::from_secs(3);
 #[derive(Debug)]
 pub(crate) enum News {
     /// The hardware is there, by its so-many-th connection.
-    There { connection: u64 },
+    There {
+        connection: u64,
+        /// As the driver declares it.
+        latency: BTreeMap<DeviceId, Duration>,
+    },
     /// It is not, or no longer, as this sentence says.
     Away { reason: String },
     /// A value came so late that it was not set.
     Stale { device: urrcp::DeviceId, late: Duration },
+    /// The hardware has taken what these ask about.
+    Confirmed(Vec<Ticket>),
     /// A sensor was read.
     Reading { id: ReadingId, reading: Result<f64, String> },
 }
@@ -41,6 +52,8 @@ enum Lost {
     Away(String),
     #[error("the hardware refused {0}")]
     Refused(String),
+    #[error("the hardware reports a fault: {0}")]
+    Fault(String),
 }
 
 impl From<DriverError> for Lost {
@@ -50,12 +63,16 @@ impl From<DriverError> for Lost {
 }
 
 impl Lost {
-    /// A device did not take what it was told.
-    fn untaken(error: DriverError, (device, control_type): &Key, value: f64) -> Self {
+    /// Devices did not take what they were told.
+    fn untaken(error: DriverError, values: &[(DeviceId, Setpoint)]) -> Self {
         match error {
             DriverError::Away(reason) => Self::Away(reason),
             DriverError::Refused(reason) => {
-                Self::Refused(format!("{control_type} {value} of `{device}`: {reason}"))
+                let told = |(device, setpoint): &(DeviceId, Setpoint)| {
+                    format!("{} {} of `{device}`", setpoint.control_type, setpoint.value)
+                };
+                let values: Vec<_> = values.iter().take(UNTAKEN_SHOWN).map(told).collect();
+                Self::Refused(format!("{}: {reason}", values.join(", ")))
             }
         }
     }
@@ -91,12 +108,13 @@ struct Moving {
 
 impl Worker {
     pub(crate) fn new(
-        driver: Box<dyn Driver>,
+        mut driver: Box<dyn Driver>,
         block: InitializationBlock,
         mailbox: Arc<Mailbox>,
         samples_per_second: f64,
         tell: Box<dyn Fn(News) + Send>,
     ) -> Self {
+        driver.take_pushes(Pushes::into(Arc::clone(&mailbox)));
         let now = Instant::now();
         let period = Duration::from_secs_f64(1.0 / samples_per_second.clamp(0.1, 1_000.0));
         let (moving, handed_over) = (BTreeMap::new(), BTreeMap::new());
@@ -119,8 +137,12 @@ impl Worker {
                     if self.touched == Touched::Now {
                         self.touched = Touched::Before;
                     }
-                    self.mailbox.connected(connection);
-                    (self.tell)(News::There { connection });
+                    let manners = Manners {
+                        acknowledges: self.driver.set_is_acknowledged(),
+                        takes_frames: self.driver.takes_frames(),
+                    };
+                    self.mailbox.connected(connection, manners);
+                    (self.tell)(News::There { connection, latency: self.driver.latency() });
                     self.mailbox.tried();
                     let since = Instant::now();
                     // Goes before the driver connects again: hardware may take one connection at a time.
@@ -164,10 +186,12 @@ impl Worker {
         loop {
             let sample = (!self.moving.is_empty()).then_some(self.next_sample);
             match self.mailbox.next(sample.unwrap_or_else(|| Instant::now() + LOOK_EVERY)) {
-                Work::Drive(key, value, movement) => self.drive(key, value, movement)?,
+                Work::Drive(drives) => self.drive(drives)?,
                 Work::Read(id, sensor) => self.read(id, &sensor)?,
+                Work::Confirm(tickets) => (self.tell)(News::Confirmed(tickets)),
                 Work::Ping => self.ping()?,
                 Work::HungUp(reason) => return Err(Lost::Away(reason)),
+                Work::Fault(reason) => return Err(Lost::Fault(reason)),
                 Work::Nothing => {}
                 Work::Closed => {
                     let end = *closing.get_or_insert_with(|| Instant::now() + REST_WAIT_MAX);
@@ -211,32 +235,40 @@ impl Worker {
     }
 
     /// What has become stale is told and not set, and neither is what follows from it: the machine ends both.
-    fn drive(
-        &mut self,
-        key: Key,
-        value: Option<Value>,
-        movement: Option<Movement>,
-    ) -> Result<(), Lost> {
-        if let Some(late) = value.as_ref().and_then(|value| value.stale(Instant::now())) {
-            (self.tell)(News::Stale { device: key.0, late });
+    fn drive(&mut self, drives: Vec<Drive>) -> Result<(), Lost> {
+        let mut values = Vec::new();
+        let mut movements = Vec::new();
+        for (key, value, movement) in drives {
+            if let Some(late) = value.as_ref().and_then(|value| value.stale(Instant::now())) {
+                (self.tell)(News::Stale { device: key.0, late });
+                continue;
+            }
+            if let Some(Value { setpoint, .. }) = value {
+                self.moving.remove(&key);
+                self.handed_over.remove(&key);
+                let value = on_grid(&self.block, &key, setpoint.value);
+                values.push((key.0.clone(), Setpoint { value, ..setpoint }));
+            }
+            movements.extend(movement.map(|movement| (key, movement)));
+        }
+        self.set(&values)?;
+        movements.into_iter().try_for_each(|(key, movement)| self.follow(key, movement))
+    }
+
+    /// By one call, if the driver takes several values at a time.
+    fn set(&mut self, values: &[(DeviceId, Setpoint)]) -> Result<(), Lost> {
+        if values.is_empty() {
             return Ok(());
         }
-        value.map_or(Ok(()), |value| self.set(&key, &value.setpoint))?;
-        movement.map_or(Ok(()), |movement| self.follow(key, movement))
-    }
-
-    fn set(&mut self, key: &Key, setpoint: &Setpoint) -> Result<(), Lost> {
-        self.moving.remove(key);
-        self.handed_over.remove(key);
         self.touched = Touched::Now;
-        let value = on_grid(&self.block, key, setpoint.value);
-        let setpoint = Setpoint { value, ..setpoint.clone() };
-        self.tell_value(key, &setpoint)
-    }
-
-    fn tell_value(&mut self, key: &Key, setpoint: &Setpoint) -> Result<(), Lost> {
-        let told = self.call(Sign::Unknown, |driver| driver.set(&key.0, setpoint));
-        told.map_err(|error| Lost::untaken(error, key, setpoint.value))
+        if self.driver.takes_frames() {
+            let told = self.call(Sign::Unknown, |driver| driver.set_frame(values));
+            return told.map_err(|error| Lost::untaken(error, values));
+        }
+        values.iter().try_for_each(|value| {
+            let told = self.call(Sign::Unknown, |driver| driver.set(&value.0, &value.1));
+            told.map_err(|error| Lost::untaken(error, std::slice::from_ref(value)))
+        })
     }
 
     fn follow(&mut self, key: Key, movement: Movement) -> Result<(), Lost> {
@@ -246,7 +278,7 @@ impl Worker {
             let to = on_grid(&self.block, &key, movement.signal.target());
             let ramp = Ramp { control_type: key.1, to, duration: movement.left() };
             let told = self.call(Sign::Unknown, |driver| driver.ramp(&key.0, ramp));
-            told.map_err(|error| Lost::untaken(error, &key, to))?;
+            told.map_err(|error| Lost::untaken(error, &[(key.0.clone(), Setpoint::new(key.1, to))]))?;
             self.handed_over.insert(key, movement);
             return Ok(());
         }
@@ -260,23 +292,17 @@ impl Worker {
 
     /// Sends where each movement is now, as far as that differs from what was sent, and ends it on its target.
     fn sample(&mut self) -> Result<(), Lost> {
-        let keys: Vec<Key> = self.moving.keys().cloned().collect();
-        for key in keys {
-            let Some(moving) = self.moving.get(&key) else { continue };
+        let mut values = Vec::new();
+        let block = &self.block;
+        self.moving.retain(|key, moving| {
             let now = moving.movement.now();
-            let value = on_grid(&self.block, &key, moving.movement.signal.value(now));
-            let rests = now >= moving.movement.signal.rests_at();
-            if moving.sent != Some(value) {
-                let setpoint = Setpoint::new(key.1, value);
-                self.tell_value(&key, &setpoint)?;
+            let value = on_grid(block, key, moving.movement.signal.value(now));
+            if moving.sent.replace(value) != Some(value) {
+                values.push((key.0.clone(), Setpoint::new(key.1, value)));
             }
-            match self.moving.get_mut(&key) {
-                Some(moving) if !rests => moving.sent = Some(value),
-                _ => {
-                    self.moving.remove(&key);
-                }
-            }
-        }
+            now < moving.movement.signal.rests_at()
+        });
+        self.set(&values)?;
         // On a fixed beat; beats that a slow device missed are left out.
         self.next_sample = (self.next_sample + self.period).max(Instant::now());
         Ok(())
@@ -292,7 +318,7 @@ impl Worker {
         for (key, movement) in ended {
             if is_rate(key.1) {
                 let value = on_grid(&self.block, &key, movement.signal.target());
-                self.tell_value(&key, &Setpoint::new(key.1, value))?;
+                self.set(&[(key.0, Setpoint::new(key.1, value))])?;
             } else if !movement.left().is_zero() {
                 let seconds = REST_WAIT_MAX.as_secs();
                 cut_short =
@@ -307,6 +333,10 @@ impl Worker {
     }
 
     fn read(&mut self, id: ReadingId, sensor: &urrcp::DeviceId) -> Result<(), Lost> {
+        if let Some(reading) = self.mailbox.pushed(sensor, self.reading_counts_for(sensor)) {
+            (self.tell)(News::Reading { id, reading: Ok(reading) });
+            return Ok(());
+        }
         self.mailbox.reading(true);
         let reading = self.driver.read(sensor);
         self.mailbox.reading(false);
@@ -321,6 +351,15 @@ impl Worker {
         self.mailbox.called(Duration::ZERO, Sign::Answered);
         (self.tell)(News::Reading { id, reading });
         Ok(())
+    }
+
+    /// For how long a reading that was told unasked answers requests.
+    fn reading_counts_for(&self, sensor: &DeviceId) -> Duration {
+        let sensor = self.block.device(sensor.as_str());
+        let parameters = sensor.and_then(|device| device.available_control_types.sensor());
+        let max_delay = parameters.and_then(|sensor| sensor.max_delay);
+        max_delay
+            .map_or(PUSHED_COUNTS, |ms| Duration::try_from_secs_f64(ms / 1_000.0).unwrap_or(PUSHED_COUNTS))
     }
 
     fn ping(&mut self) -> Result<(), Lost> {
