@@ -46,7 +46,9 @@ impl Unconfirmed {
 
     /// What waits for the hardware to move a device: it will not be confirmed.
     pub(crate) fn give_up(&mut self, device: usize) -> Vec<Said> {
-        let given_up = self.waiting.extract_if(.., |_, (of, _)| *of == device);
-        given_up.map(|(_, (_, said))| said).collect()
+        let all = std::mem::take(&mut self.waiting).into_iter();
+        let (given_up, left): (BTreeMap<_, _>, _) = all.partition(|(_, (of, _))| *of == device);
+        self.waiting = left;
+        given_up.into_values().map(|(_, said)| said).collect()
     }
 }

@@ -31,7 +31,8 @@ Drivers:
 
 Examples:
   downbeat edge --init robot.yaml --listen 0.0.0.0:7401 --driver thrift://tank.local:9090
-  downbeat edge --init robot.yaml --driver 'program:python3 drive.py' --realtime required"
+  downbeat edge --init robot.yaml --driver 'program:python3 drive.py' --realtime required
+  downbeat edge --init robot.yaml --driver 'program:python3 drive.py' --driver-start-timeout 60s"
 )]
 pub(super) struct EdgeArgs {
     #[command(flatten)]
