@@ -173,7 +173,9 @@ fn an_edge_outlives_the_restart_of_its_robot_and_does_not_go_on_in_the_middle() 
     session.file("tanks.yaml", SCENARIO);
     let ran = session.run(&["run", "tanks.yaml", "--lead", LEAD]);
     assert_eq!(ran.code(), 0, "{}", ran.text());
-    edge.terminate();
+    let (code, said) = edge.end();
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("tank-1: the hardware is back"), "{said}");
     let sets = sets(&session, "2.log");
     assert_eq!(of("left", &sets), [0.0, 40.0, -20.0, 0.0, 0.0], "{sets:?}");
     assert_eq!(of("right", &sets), [0.0, 0.0, 10.0, 0.0], "{sets:?}");

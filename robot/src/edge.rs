@@ -29,7 +29,7 @@ impl Edge {
     /// Around a machine whose hardware is yet to be found by the driver behind the mailbox.
     pub(crate) fn new(machine: Robot, mailbox: Arc<Mailbox>, at_start: AtStart) -> Self {
         Self {
-            machine,
+            machine: machine.confirmed_by_its_driver(),
             mailbox,
             connection: 0,
             at_start,
@@ -97,7 +97,7 @@ impl Edge {
     /// Takes what its driver's thread says.
     pub(crate) fn hear(&mut self, now: Timestamp<HostTime>, news: News) {
         match news {
-            News::There { connection } => {
+            News::There { connection, .. } => {
                 self.connection = connection;
                 self.tell(now, Robot::hardware_found);
                 if connection == 1 && self.at_start == AtStart::Default {
@@ -105,10 +105,15 @@ impl Edge {
                 }
             }
             News::Away { reason } => {
-                self.tell(now, |machine, now, out| machine.hardware_lost(now, &reason, out));
+                self.tell(now, |machine, now, out| machine.hardware_failed(now, &reason, out));
             }
             News::Stale { device, late } => {
                 self.tell(now, |machine, now, out| machine.value_stale(now, &device, late.into(), out));
+            }
+            News::Confirmed(tickets) => {
+                for ticket in tickets {
+                    self.tell(now, |machine, now, out| machine.confirmed(now, ticket, out));
+                }
             }
             News::Reading { id, reading } => {
                 self.tell(now, |machine, now, out| machine.reading_came(now, id, reading, out));
@@ -123,6 +128,7 @@ impl Edge {
             held: !self.machine.is_idle(),
             start: self.machine.next_start(Span::ZERO).map(instant),
             next_due: self.machine.next_wakeup().map(instant),
+            confirmation: self.machine.awaits_confirmation(),
         };
         let orders = self.wanted.drain(..).map(|wanted| wanted.on_clock(*clock));
         self.mailbox.post(self.connection, orders, demand);
@@ -146,6 +152,7 @@ impl Edge {
         tell(&mut self.machine, now.assume_clock(), &mut self.outputs);
         for output in self.outputs.drain(..) {
             match output {
+                Output::Confirm { ticket, device } => self.wanted.push(Wanted::Confirm(ticket, device)),
                 Output::Read { reading, sensor } => self.wanted.push(Wanted::Read(reading, sensor)),
                 Output::Send { link, message } => self.leaving.push(Outgoing::Message { link, message }),
                 Output::Set(set) => {

@@ -73,6 +73,7 @@ enum Presence {
     There,
     /// It should have answered, and has not for this long.
     Silent(Span),
+    /// As this sentence says.
     Away(String),
 }
 
@@ -102,7 +103,7 @@ impl Hardware {
 
     /// It is yet to say that it is there.
     pub(crate) fn awaited() -> Self {
-        let presence = Presence::Away("the hardware has not answered yet".to_owned());
+        let presence = Presence::Away("the hardware is away: the hardware has not answered yet".to_owned());
         Self { presence, ..Self::simulated() }
     }
 
@@ -136,9 +137,7 @@ impl Hardware {
     /// Why nothing can be driven now. Hardware that may be there is still to be stopped.
     pub(crate) fn away(&self) -> Option<ControlError> {
         match &self.presence {
-            Presence::Away(reason) => {
-                Some(ControlError::new(ErrorCode::Internal, format!("the hardware is away: {reason}")))
-            }
+            Presence::Away(reason) => Some(ControlError::new(ErrorCode::Internal, reason.clone())),
             Presence::Simulated | Presence::There | Presence::Silent(_) => None,
         }
     }

@@ -74,6 +74,7 @@
 
 mod answers;
 pub mod clock;
+mod confirmation;
 mod device;
 #[cfg(feature = "host")]
 pub mod driver;
@@ -116,6 +117,7 @@ pub mod tls;
 #[cfg(feature = "host")]
 mod wake_up;
 
+pub use confirmation::Ticket;
 pub use device::Motion;
 pub use hardware::{AtEnd, ReadingId};
 #[cfg(feature = "host")]

@@ -15,6 +15,7 @@ use urrcp::{
 };
 
 use crate::answers::Answers;
+use crate::confirmation::{Said, Ticket, Unconfirmed};
 use crate::device::{DeviceMachine, Effect, Motion};
 use crate::hardware::{Hardware, ReadingId};
 use crate::lease::LastHeard;
@@ -69,6 +70,14 @@ pub enum Output {
     },
     /// Drive a device.
     Set(SetValue),
+    /// Say by [`Robot::confirmed`] when the hardware has taken what it was told of this device so far. Only for a robot that is
+    /// [`Robot::confirmed_by_its_driver`].
+    Confirm {
+        /// Names the question.
+        ticket: Ticket,
+        /// Which device.
+        device: DeviceId,
+    },
     /// Read a sensor of the hardware; [`Robot::reading_came`] takes what it reads.
     Read {
         /// Names the reading.
@@ -108,6 +117,8 @@ pub struct Robot {
     answers: Answers,
     readings: HashMap<DeviceId, f64>,
     hardware: Hardware,
+    /// Ends that the hardware has yet to confirm; `None` if they are told at once.
+    unconfirmed: Option<Unconfirmed>,
     /// Something has been set since the start.
     moved: bool,
     effects: Vec<Effect>,
@@ -135,6 +146,7 @@ impl Robot {
             block,
             readings: HashMap::new(),
             hardware: Hardware::simulated(),
+            unconfirmed: None,
             moved: false,
             effects: Vec::new(),
             reports: Vec::new(),
@@ -150,7 +162,9 @@ impl Robot {
     /// Whether nothing is held and no lease runs.
     #[must_use]
     pub fn is_idle(&self) -> bool {
-        self.wakeups.is_empty() && self.devices.iter().all(DeviceMachine::is_idle)
+        self.wakeups.is_empty()
+            && !self.awaits_confirmation()
+            && self.devices.iter().all(DeviceMachine::is_idle)
     }
 
     /// The value of a signal, linear movements included.
@@ -375,7 +389,12 @@ impl Robot {
     pub(crate) fn send_reports(&mut self, now: Now, out: &mut Vec<Output>) {
         let mut reports = std::mem::take(&mut self.reports);
         for (index, happened, report) in reports.drain(..) {
-            self.report(now, index, happened, report, out);
+            if let (Effect::Ended { .. }, Some(unconfirmed)) = (&report, &mut self.unconfirmed) {
+                let ticket = unconfirmed.add(index, Said::Report(happened, report));
+                out.push(Output::Confirm { ticket, device: self.devices[index].spec.id.clone() });
+            } else {
+                self.report(now, index, happened, report, out);
+            }
         }
         // Back goes the empty vector, so that its memory serves again.
         self.reports = reports;

@@ -366,6 +366,8 @@ impl SimulatedRobot {
         let mut outputs = std::mem::take(&mut self.outputs);
         for output in outputs.drain(..) {
             match output {
+                // Its hardware takes everything at once, so nothing is asked.
+                Output::Confirm { .. } => {}
                 Output::Read { reading, sensor } => self.hardware_reads(now, reading, &sensor),
                 Output::Set(set) if !self.kept.keeps(&set) => {}
                 Output::Set(set) => {

@@ -1,15 +1,29 @@
-"""Drives by writing values to the file argv[1]; in their place would stand a GPIO library."""
+"""Drives by writing values to the file argv[1]; in its place would stand the library of your hardware."""
 
 import sys
 
-with open(sys.argv[1], "a", buffering=1) as driven:
-    for line in sys.stdin:
-        verb, *words = line.split()
-        if verb == "set":
-            device, control_type, value = words
-            driven.write(f"{device} {control_type} {value}\n")
-            print("ok", flush=True)
-        elif verb == "read":
-            print("error no sensor is connected", flush=True)
-        else:  # hello, ping
-            print("ok", flush=True)
+from downbeat_driver import Driver, Refused, Robot
+
+
+class Tank(Driver):
+    latency_ms = None  # milliseconds from a value to visible motion, once you have measured it
+
+    def start(self, robot: Robot) -> None:
+        self.driven = open(sys.argv[1], "a", buffering=1)
+        self.log.debug("drives %s", ", ".join(robot.devices))
+
+    def set(self, device: str, control_type: str, value: float, *more: float) -> None:
+        self.driven.write(f"{device} {control_type} {value}\n")
+
+    def read(self, sensor: str) -> float:
+        raise Refused("no sensor is connected")
+
+    def ping(self) -> None:
+        """Raise an exception here if the hardware could not be moved."""
+
+    def stop(self) -> None:
+        self.driven.close()
+
+
+if __name__ == "__main__":
+    Tank().run()

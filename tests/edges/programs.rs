@@ -34,7 +34,10 @@ fn a_shell_script_drives_a_robot_and_is_restarted_when_it_dies() {
     assert!(ran.text().contains("the program `sh drive.sh driven.txt` has ended"), "{}", ran.text());
     let restarted = "set left position 66\nhello\nset left position 0\nset right position 0\n";
     await_that("the restart", || driven().contains(restarted));
-    edge.terminate();
+    let (code, said) = edge.end();
+    assert_eq!(code, Some(0), "{said}");
+    let away = "tank-1: the hardware is away: the program `sh drive.sh driven.txt` has ended";
+    assert!(said.contains(away) && said.contains("tank-1: the hardware is back"), "{said}");
     let expected = "hello\nset left position 0\nset right position 0\nread battery\nset left position 40\nset left position -20\nset left position 0\n";
     assert!(driven().starts_with(expected), "{}", driven());
     assert!(driven().ends_with("set left position 0\nset right position 0\n"), "{}", driven());
@@ -155,19 +158,150 @@ fn signals_that_ask_for_nothing_do_not_end_an_edge() {
     assert_eq!(code, Some(0));
 }
 
+/// A Python with the package for drivers on its path; `None` where Rust alone has to do for these tests.
+fn python() -> Option<String> {
+    let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    Command::new(&python).arg("--version").output().ok()?;
+    let package = root().join("robot/drivers/python");
+    Some(format!("PYTHONDONTWRITEBYTECODE=1 PYTHONPATH='{}' {python}", package.display()))
+}
+
 #[test]
 fn the_python_program_of_the_documents_drives_too() {
-    let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
-    if Command::new(&python).arg("--version").output().is_err() {
-        // Rust alone has to do for these tests; where everything has to hold there is a Python.
-        return;
-    }
+    let Some(python) = python() else { return };
     let session = session();
     session.file("drive.py", include_str!("../drivers/drive.py"));
     let edge = Edge::start(&session, "tank.json", &format!("program:{python} drive.py driven.txt"));
     let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
-    await_that("the default state", || driven() == "left position 0\nright position 0\n");
+    await_that("the default state", || driven() == "left position 0.0\nright position 0.0\n");
     edge.terminate();
+}
+
+#[test]
+fn the_python_package_for_drivers_passes_its_own_tests() {
+    let Some(python) = python() else { return };
+    let tests = root().join("robot/drivers/python");
+    let command = format!("{python} -m unittest discover tests");
+    let ran = Command::new("sh").arg("-c").arg(command).current_dir(tests).output().unwrap();
+    let said = String::from_utf8_lossy(&ran.stderr);
+    assert!(ran.status.success() && said.contains("OK"), "{said}");
+}
+
+/// Tells its latency and a reading, takes frames, and fails when it is told 66.
+const SECOND: &str = r#"
+import sys, threading, time
+from downbeat_driver import Driver
+
+class Second(Driver):
+    latency_ms = 42
+
+    def start(self, robot):
+        print("the SDK greets", robot.devices["left"].id)
+        threading.Thread(target=self.tell, daemon=True).start()
+
+    def set_frame(self, values):
+        with open(sys.argv[1], "a") as driven:
+            driven.write(" ".join(f"{of.device}={of.value:g}" for of in values) + "\n")
+        if any(of.value == 66 for of in values):
+            self.fault("emergency stop")
+
+    def tell(self):
+        while True:
+            self.push_reading("battery", 13.5)
+            time.sleep(0.01)
+
+Second().run()
+"#;
+
+#[test]
+fn a_program_of_version_2_takes_frames_tells_readings_and_faults_and_declares_its_latency() {
+    let Some(python) = python() else { return };
+    let session = session();
+    session.file("second.py", SECOND);
+    let edge = Edge::start(&session, "tank.json", &format!("program:{python} second.py driven.txt"));
+    let driven = || std::fs::read_to_string(session.path("driven.txt")).unwrap_or_default();
+    await_that("the default state as one frame", || driven() == "left=0 right=0\n");
+    let fleet = format!(
+        "robots: {{tank-1: {{init: tank.json, address: 'tcp://127.0.0.1:{}', require: {{battery: above 13}}}}}}\n",
+        edge.1
+    );
+    let play = |left: i32| {
+        format!(
+            "scenario: play\nstart_tolerance: 1s\ncues: [{{at: 0s, robots: tank-1, tracks: {{left: [{{at: 0s, to: 1}}, \
+             {{at: 300ms, to: {left}}}, {{at: 900ms, to: 0}}], right: [{{at: 0s, to: 2}}, {{at: 300ms, to: 3}}]}}}}]\n"
+        )
+    };
+    session.file("fleet.yaml", fleet).file("play.yaml", play(20));
+    session.run(&["run", "play.yaml", "--lead", LEAD]).says(0, &["play: done"]);
+    assert_eq!(driven(), "left=0 right=0\nleft=1 right=2\nleft=20 right=3\nleft=0\n");
+    session.file("play.yaml", play(66));
+    let ran = session.run(&["run", "play.yaml", "--lead", LEAD]);
+    assert!([1, 4].contains(&ran.code()), "{}", ran.text());
+    assert!(ran.text().contains("the hardware reports a fault: emergency stop"), "{}", ran.text());
+    let (_, said) = edge.end();
+    for expected in [
+        "latency, which is not compensated: left 42 ms, right 42 ms",
+        "the SDK greets left",
+        "fault: emergency stop",
+    ] {
+        assert!(said.contains(expected), "{expected}: {said}");
+    }
+}
+
+#[test]
+fn a_program_that_declares_what_it_cannot_is_told_what_is_wrong() {
+    let session = session();
+    session.file(
+        "drive.sh",
+        "read -r hello\necho ok 2\nread -r init\necho 'ok {\"latency_ms\": {\"wing\": 3}}'\nread -r end\n",
+    );
+    let edge = Edge::start(&session, "tank.json", "program:sh drive.sh");
+    std::thread::sleep(Duration::from_millis(500));
+    let (_, said) = edge.end();
+    assert!(said.contains("a latency of `wing`, which this robot does not have"), "{said}");
+}
+
+/// Answers nothing more after the value 66, and refuses the value 55.
+const MOODY: &str = r#"while read -r verb device control value; do
+    case "$value" in
+        66) sleep 60 ;;
+        55) echo error too hot ;;
+        *) echo ok ;;
+    esac
+done
+"#;
+
+/// Plays one value on `left`, the last one of its script, with the program `MOODY`. What the mission and the edge say.
+fn one_value(value: i32) -> (Ran, String) {
+    let session = session();
+    session.file("moody.sh", MOODY);
+    let edge = Edge::start(&session, "tank.json", "program:sh moody.sh");
+    let fleet = format!("robots: {{tank-1: {{init: tank.json, address: 'tcp://127.0.0.1:{}'}}}}\n", edge.1);
+    let play = format!(
+        "scenario: play\nstart_tolerance: 1s\ncues: [{{at: 0s, robots: tank-1, tracks: {{left: [{{at: 0s, to: 1}}, {{at: 300ms, to: {value}}}]}}}}]\n"
+    );
+    session.file("fleet.yaml", fleet).file("play.yaml", play);
+    let ran = session.run(&["run", "play.yaml", "--lead", LEAD]);
+    (ran, edge.end().1)
+}
+
+#[test]
+fn a_program_that_never_acknowledges_its_last_value_leaves_the_mission_unknown_and_not_done() {
+    let (ran, said) = one_value(66);
+    assert!([1, 4].contains(&ran.code()), "{}", ran.text());
+    // The edge waits for an answer as long as the mission waits for the end, so either may be the first to give up.
+    let why = ["it is unknown whether the hardware took the last value", "no report of the end of `left`"];
+    assert!(why.iter().any(|why| ran.text().contains(why)), "{}", ran.text());
+    assert!(said.contains("did not answer `set left position 66` within 1 s"), "{said}");
+}
+
+#[test]
+fn a_value_that_a_program_refuses_reads_as_refused() {
+    let (ran, said) = one_value(55);
+    let refused = "the hardware refused position 55 of `left`: the program says: too hot";
+    assert!([1, 4].contains(&ran.code()), "{}", ran.text());
+    assert!(ran.text().contains(refused) && !ran.text().contains("hardware is away"), "{}", ran.text());
+    assert!(said.contains(&format!("tank-1: {refused}")), "{said}");
 }
 
 #[test]

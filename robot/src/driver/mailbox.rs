@@ -13,6 +13,7 @@ use urrcp::{ControlType, DeviceId, Setpoint};
 
 use super::pulse::{Demand, Pulse, QUIET};
 use crate::clock::HostClock;
+use crate::confirmation::Ticket;
 use crate::hardware::{READINGS_MAX, ReadingId, STALE};
 use crate::signal::Signal;
 
@@ -48,25 +49,44 @@ pub(crate) enum Order {
     Set(Key, Value),
     Follow(Key, Movement),
     Read(ReadingId, DeviceId),
+    /// Say when all that was put in before for the device has been done.
+    Confirm(Ticket, DeviceId),
+}
+
+/// A signal, the value that is set, and the movement that begins then.
+pub(crate) type Drive = (Key, Option<Value>, Option<Movement>);
+
+/// What the mailbox has to know of the driver of a connection.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Manners {
+    /// The hardware has a value once the driver's call has returned.
+    pub(crate) acknowledges: bool,
+    /// It is told all values that wait at one instant.
+    pub(crate) takes_frames: bool,
 }
 
 /// What a driver's thread does next.
 #[derive(Debug)]
-#[expect(clippy::large_enum_variant, reason = "nearly every one is to drive something")]
 pub(crate) enum Work {
-    /// Set this, then follow that.
-    Drive(Key, Option<Value>, Option<Movement>),
+    /// Set these, then follow those. Several only for a driver that takes frames.
+    Drive(Vec<Drive>),
     Read(ReadingId, DeviceId),
+    /// Tell that the hardware has taken what these ask about.
+    Confirm(Vec<Ticket>),
     /// Ask the hardware for a sign of life.
     Ping,
     /// The connection has ended, as this tells.
     HungUp(String),
+    /// The hardware has said that it failed.
+    Fault(String),
     /// Nothing until the time that was asked for.
     Nothing,
     /// Nothing is left, and nothing more will come.
     Closed,
 }
 
+/// Sensors whose readings are kept unasked.
+const PUSHED_MAX: usize = 10_000;
 /// A reading waits for a time without movements, but no longer than this.
 const READ_WAIT_MAX: Duration = Duration::from_millis(200);
 /// Before it is looked again whether a ping would be in no movement's way.
@@ -89,6 +109,15 @@ struct State {
     /// The keys of `values`, the longest waiting first.
     order: VecDeque<Key>,
     readings: VecDeque<(ReadingId, DeviceId, Instant)>,
+    /// Counts orders.
+    orders: u64,
+    /// What the driver was given last, until it asks for more.
+    in_hand: Vec<(DeviceId, u64)>,
+    confirms: Vec<Confirm>,
+    manners: Manners,
+    /// What sensors read by themselves, and when.
+    pushed: HashMap<DeviceId, (f64, Instant)>,
+    fault: Option<String>,
     demand: Demand,
     /// There while there is a connection.
     pulse: Option<Pulse>,
@@ -104,6 +133,18 @@ struct State {
 struct Waiting {
     set: Option<Value>,
     follow: Option<Movement>,
+    /// The number of the oldest order that it stands for.
+    since: u64,
+}
+
+/// A question whether the hardware has taken the orders for a device up to this number.
+#[derive(Debug)]
+struct Confirm {
+    ticket: Ticket,
+    device: DeviceId,
+    up_to: u64,
+    /// The hardware has answered since they were done.
+    answered: bool,
 }
 
 /// Orders that wait for a driver.
@@ -148,14 +189,16 @@ impl Mailbox {
     }
 
     /// A connection stands; orders are taken for it alone.
-    pub(crate) fn connected(&self, connection: u64) {
+    pub(crate) fn connected(&self, connection: u64, manners: Manners) {
         let now = Instant::now();
         let mut state = self.lock();
         let mut pulse = Pulse::new(now);
         pulse.demand(now, state.demand);
         state.connection = connection;
+        state.manners = manners;
         state.pulse = Some(pulse);
         state.hung_up = None;
+        state.fault = None;
     }
 
     /// The connection is gone, and everything that waited for it.
@@ -167,6 +210,10 @@ impl Mailbox {
         state.values.clear();
         state.order.clear();
         state.readings.clear();
+        state.confirms.clear();
+        state.in_hand.clear();
+        state.pushed.clear();
+        state.fault = None;
     }
 
     pub(crate) fn tried(&self) {
@@ -209,14 +256,45 @@ impl Mailbox {
         }
     }
 
+    /// The hardware has said that it failed.
+    pub(super) fn failed_by_itself(&self, reason: String) {
+        let mut state = self.lock();
+        if state.connection > 0 {
+            state.fault = Some(reason);
+            drop(state);
+            self.changed.notify_all();
+        }
+    }
+
+    /// A sensor has told what it reads.
+    pub(super) fn read_by_itself(&self, sensor: &DeviceId, reading: f64) {
+        let now = Instant::now();
+        let mut state = self.lock();
+        let room = state.pushed.len() < PUSHED_MAX || state.pushed.contains_key(sensor);
+        if state.connection > 0 && room {
+            state.pushed.insert(sensor.clone(), (reading, now));
+        }
+    }
+
+    /// What a sensor has told within this time.
+    pub(super) fn pushed(&self, sensor: &DeviceId, within: Duration) -> Option<f64> {
+        let now = Instant::now();
+        let (reading, at) = *self.lock().pushed.get(sensor)?;
+        (now.saturating_duration_since(at) <= within).then_some(reading)
+    }
+
     /// Notes what a call took, and whether it shows that the hardware lives.
     pub(crate) fn called(&self, took: Duration, sign: Sign) {
         let now = Instant::now();
-        if let Some(pulse) = &mut self.lock().pulse {
+        let mut state = self.lock();
+        if let Some(pulse) = &mut state.pulse {
             pulse.called(took);
             if sign == Sign::Answered {
                 pulse.seen(now);
             }
+        }
+        if sign == Sign::Answered {
+            state.answered();
         }
     }
 
@@ -236,16 +314,25 @@ impl Mailbox {
     /// The next thing to do: values first, then signs of life, then readings where no movement is near.
     pub(crate) fn next(&self, until: Instant) -> Work {
         let mut state = self.lock();
+        state.in_hand.clear();
         loop {
             let now = Instant::now();
+            if let Some(reason) = state.fault.take() {
+                return Work::Fault(reason);
+            }
             if let Some(reason) = state.hung_up.take() {
                 return Work::HungUp(reason);
+            }
+            let confirmed = state.confirmed();
+            if !confirmed.is_empty() {
+                return Work::Confirm(confirmed);
             }
             if state.pulse.as_ref().is_some_and(|pulse| pulse.is_overdue(now)) {
                 return Work::Ping;
             }
-            if let Some((key, Waiting { set, follow })) = state.take() {
-                return Work::Drive(key, set, follow);
+            let drives = state.take();
+            if !drives.is_empty() {
+                return Work::Drive(drives);
             }
             let ping = state.pulse.as_ref().map(|pulse| (pulse.next_ping(now), pulse.is_quiet(now)));
             if ping.is_some_and(|(ping, quiet)| ping <= now && quiet) {
@@ -275,9 +362,11 @@ impl Mailbox {
 
 impl State {
     fn put(&mut self, order: Order) {
+        self.orders += 1;
         match order {
             Order::Set(key, value) => {
-                *self.waiting(key) = Waiting { set: Some(value), follow: None };
+                let waiting = self.waiting(key);
+                (waiting.set, waiting.follow) = (Some(value), None);
             }
             // A value that is due at the same instant is still set first.
             Order::Follow(key, movement) => self.waiting(key).follow = Some(movement),
@@ -286,7 +375,39 @@ impl State {
                 self.readings.push_back((id, sensor, Instant::now()));
             }
             Order::Read(..) => {}
+            Order::Confirm(ticket, device) => {
+                let confirm = Confirm { ticket, device, up_to: self.orders, answered: false };
+                self.confirms.push(confirm);
+            }
         }
+    }
+
+    /// Whether all has been done that a question asks about.
+    fn is_done(&self, confirm: &Confirm) -> bool {
+        let waits = |(device, _): &Key, since: u64| *device == confirm.device && since <= confirm.up_to;
+        let in_hand =
+            self.in_hand.iter().any(|(device, since)| *device == confirm.device && *since <= confirm.up_to);
+        !in_hand && !self.values.iter().any(|(key, waiting)| waits(key, waiting.since))
+    }
+
+    /// The hardware has just answered.
+    fn answered(&mut self) {
+        let mut confirms = std::mem::take(&mut self.confirms);
+        confirms.iter_mut().for_each(|confirm| confirm.answered |= self.is_done(confirm));
+        self.confirms = confirms;
+    }
+
+    /// The questions that can be answered with yes.
+    fn confirmed(&mut self) -> Vec<Ticket> {
+        if self.confirms.is_empty() {
+            return Vec::new();
+        }
+        let all = std::mem::take(&mut self.confirms);
+        let (confirmed, left): (Vec<_>, Vec<_>) = all
+            .into_iter()
+            .partition(|confirm| confirm.answered || (self.manners.acknowledges && self.is_done(confirm)));
+        self.confirms = left;
+        confirmed.into_iter().map(|confirm| confirm.ticket).collect()
     }
 
     fn waiting(&mut self, key: Key) -> &mut Waiting {
@@ -294,14 +415,19 @@ impl State {
             Entry::Occupied(waiting) => waiting.into_mut(),
             Entry::Vacant(place) => {
                 self.order.push_back(place.key().clone());
-                place.insert(Waiting::default())
+                place.insert(Waiting { since: self.orders, ..Waiting::default() })
             }
         }
     }
 
-    fn take(&mut self) -> Option<(Key, Waiting)> {
-        let key = self.order.pop_front()?;
-        let value = self.values.remove(&key)?;
-        Some((key, value))
+    fn take(&mut self) -> Vec<Drive> {
+        let most = if self.manners.takes_frames { self.order.len() } else { 1 };
+        let mut taken = Vec::new();
+        for key in self.order.drain(..most.min(self.order.len())) {
+            let Some(Waiting { set, follow, since }) = self.values.remove(&key) else { continue };
+            self.in_hand.push((key.0.clone(), since));
+            taken.push((key, set, follow));
+        }
+        taken
     }
 }

@@ -6,31 +6,39 @@
 
 #[cfg(feature = "thrift")]
 mod described;
+mod grid;
 mod lifeline;
 mod mailbox;
 mod program;
 mod pulse;
+mod pushes;
+mod running;
 mod simulated;
 mod spec;
 #[cfg(feature = "thrift")]
 mod thrift;
+mod watched;
 mod worker;
 
+use std::collections::BTreeMap;
 use std::time::Duration;
 
 use urrcp::{ControlType, DeviceId, Robot, Setpoint, Timestamp};
 
 pub use self::lifeline::Lifeline;
 pub(crate) use self::mailbox::{Key, Mailbox};
-pub use self::program::Program;
+pub use self::program::{Program, Timeouts};
 pub(crate) use self::pulse::Demand;
+pub use self::pushes::Pushes;
 pub use self::simulated::SimulatedDriver;
 pub use self::spec::{DriverSpec, DriverSpecError};
 #[cfg(feature = "thrift")]
 pub use self::thrift::{ThriftRobot, describe as describe_thrift};
+pub use self::watched::HardwareEvent;
 pub(crate) use self::worker::{News, Worker};
 
 use crate::clock::HostClock;
+use crate::confirmation::Ticket;
 use crate::hardware::ReadingId;
 use crate::signal::Signal;
 
@@ -41,8 +49,8 @@ pub enum DriverError {
     /// It is not there, or no longer: it is connected again before anything else is asked of it.
     #[error("{0}")]
     Away(String),
-    /// It is there and says no. A reading fails alone; a refused value counts as [`DriverError::Away`], since the device
-    /// is not where the robot said that it would be.
+    /// It is there and says no. A reading fails alone; after a refused value everything ends and the driver is connected
+    /// again, as after [`DriverError::Away`], since the device is not where the robot said that it would be.
     #[error("{0}")]
     Refused(String),
 }
@@ -123,6 +131,37 @@ pub trait Driver: Send {
         None
     }
 
+    /// Whether the hardware itself has a value once [`Driver::set`] returns; asked after each [`Driver::connect`]. Without that,
+    /// which is the default, the end of a command is told once the hardware has answered a later call.
+    fn set_is_acknowledged(&self) -> bool {
+        false
+    }
+
+    /// Sets the values of several signals that are due at one instant. Only called where [`Driver::takes_frames`]; others are told
+    /// one value after another.
+    ///
+    /// # Errors
+    /// Why not all of them were set.
+    fn set_frame(&mut self, values: &[(DeviceId, Setpoint)]) -> Result<(), DriverError> {
+        values.iter().try_for_each(|(device, setpoint)| self.set(device, setpoint))
+    }
+
+    /// Whether it is told all values that are due at one instant by one call; asked after each [`Driver::connect`].
+    fn takes_frames(&self) -> bool {
+        false
+    }
+
+    /// How long each device takes from a value to its first visible motion, as far as the driver declares it; asked after each
+    /// [`Driver::connect`]. It is shown, not compensated.
+    fn latency(&self) -> BTreeMap<DeviceId, Duration> {
+        BTreeMap::new()
+    }
+
+    /// Takes the handle by which it tells what it was not asked for. Called once, before the first [`Driver::connect`].
+    fn take_pushes(&mut self, pushes: Pushes) {
+        let _ = pushes;
+    }
+
     /// Begins a linear movement and returns at once. A value or a further ramp takes its place.
     /// Only called where [`Driver::takes_ramps`]; others are sent samples.
     ///
@@ -190,6 +229,8 @@ pub(crate) enum Wanted {
     Set(Key, Setpoint, Option<Timestamp<Robot>>),
     Follow(Key, Signal),
     Read(ReadingId, DeviceId),
+    /// To be told when all that was wanted before of the device has been done.
+    Confirm(Ticket, DeviceId),
 }
 
 impl Wanted {
@@ -202,6 +243,7 @@ impl Wanted {
             }
             Self::Follow(key, signal) => mailbox::Order::Follow(key, mailbox::Movement { signal, clock }),
             Self::Read(reading, sensor) => mailbox::Order::Read(reading, sensor),
+            Self::Confirm(ticket, device) => mailbox::Order::Confirm(ticket, device),
         }
     }
 }

@@ -8,34 +8,62 @@
 //! | `read SENSOR` | the reading, a number |
 //! | `ping` | `ok` |
 //!
+//! A program that answers `hello` with `ok 2` speaks version 2. It is then told `init JSON` with the robot's description, answers
+//! `ok JSON` with what it can do, and may write `reading SENSOR VALUE` and `fault REASON` at any time. If it takes frames, it is told
+//! `frame JSON` in place of `set`.
+//!
 //! Anything may be answered with `error REASON`. What it writes to its standard error goes to the edge's.
 
+use std::collections::{BTreeMap, HashSet};
 use std::fmt::Write as _;
-use std::io::{BufRead, BufReader, Read, Write};
-use std::os::fd::{AsFd, OwnedFd};
-use std::os::unix::process::CommandExt;
-use std::process::{Child, ChildStdin, Command, Stdio};
-use std::sync::mpsc::{Receiver, RecvTimeoutError, sync_channel};
+use std::sync::Arc;
 use std::time::Duration;
 
+use serde::Deserialize;
+use serde_json::json;
 use urrcp::{DeviceId, InitializationBlock, Setpoint};
 
-use super::{Driver, DriverError, Lifeline, Ramp};
+use super::running::{Ear, Running};
+use super::{Driver, DriverError, Lifeline, Pushes, Ramp};
 
-/// How long the program may take to answer its first line: interpreters start slowly.
-const START_WAIT: Duration = Duration::from_secs(10);
-/// How long it may take to answer any other.
-const ANSWER_WAIT: Duration = Duration::from_secs(1);
-/// Longest answer, in bytes.
-const ANSWER_BYTES_MAX: u64 = 4_096;
-/// How long it may take to end once its input has ended.
-const END_WAIT: Duration = Duration::from_secs(1);
+/// How long a program may take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Timeouts {
+    /// To answer its first line, and to start its hardware in version 2: interpreters start slowly.
+    pub start: Duration,
+    /// To answer any other line.
+    pub answer: Duration,
+}
+
+impl Default for Timeouts {
+    fn default() -> Self {
+        Self { start: Duration::from_secs(10), answer: Duration::from_secs(1) }
+    }
+}
+
+/// What a program of version 2 can do.
+#[derive(Debug, Default, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+struct Declared {
+    /// It moves linearly by itself.
+    ramps: bool,
+    /// It takes all values of one instant at a time.
+    frames: bool,
+    /// From a value to visible motion, in milliseconds, by device.
+    latency_ms: BTreeMap<DeviceId, f64>,
+}
+
+/// Longest latency that a program may declare, in milliseconds.
+const LATENCY_MS_MAX: f64 = 10_000.0;
 
 /// A program that drives a robot's devices.
 pub struct Program {
     command: String,
+    block: InitializationBlock,
+    timeouts: Timeouts,
     running: Option<Running>,
-    takes_ramps: bool,
+    declared: Declared,
+    ear: Option<Ear>,
 }
 
 impl Program {
@@ -52,7 +80,21 @@ impl Program {
                 format!("device `{}` has a space in its id, which a program's lines cannot carry", device.id);
             return Err(DriverError::Refused(message));
         }
-        Ok(Self { command: command.to_owned(), running: None, takes_ramps: false })
+        Ok(Self {
+            command: command.to_owned(),
+            block: block.clone(),
+            timeouts: Timeouts::default(),
+            running: None,
+            declared: Declared::default(),
+            ear: None,
+        })
+    }
+
+    /// The same with other times to answer.
+    #[must_use]
+    pub const fn within(mut self, timeouts: Timeouts) -> Self {
+        self.timeouts = timeouts;
+        self
     }
 
     /// Sends a line and returns the answer. The program is ended when it gives none.
@@ -70,7 +112,7 @@ impl Program {
     }
 
     fn ask_ok(&mut self, line: &str) -> Result<(), DriverError> {
-        match self.ask(line, ANSWER_WAIT)?.as_str() {
+        match self.ask(line, self.timeouts.answer)?.as_str() {
             "ok" => Ok(()),
             answer => Err(self.misunderstood(line, answer)),
         }
@@ -82,18 +124,53 @@ impl Program {
         let command = &self.command;
         DriverError::Away(format!("the program `{command}` answers `{line}` with `{answer}`"))
     }
+
+    /// Tells a program of version 2 what it drives, and learns what it can do.
+    fn introduce(&mut self) -> Result<Declared, DriverError> {
+        if let Some(running) = &self.running {
+            running.may_tell();
+        }
+        let init = json!({ "version": 2, "block": self.block });
+        let answer = self.ask(&format!("init {init}"), self.timeouts.start)?;
+        let declared = match answer.strip_prefix("ok").map(str::trim) {
+            Some("") => Ok(Declared::default()),
+            Some(json) => serde_json::from_str(json).map_err(|error| error.to_string()),
+            None => Err("expected `ok` and a JSON object".to_owned()),
+        };
+        let declared = declared.and_then(|declared| declared.checked(&self.block));
+        declared.map_err(|error| {
+            self.running = None;
+            let command = &self.command;
+            DriverError::Away(format!("the program `{command}` answers `init` with `{answer}`: {error}"))
+        })
+    }
+}
+
+impl Declared {
+    fn checked(self, block: &InitializationBlock) -> Result<Self, String> {
+        for (device, ms) in &self.latency_ms {
+            if block.device(device.as_str()).is_none() {
+                return Err(format!("a latency of `{device}`, which this robot does not have"));
+            }
+            if !(*ms >= 0.0 && *ms <= LATENCY_MS_MAX) {
+                return Err(format!("a latency of {ms} ms, expected 0 to {LATENCY_MS_MAX} ms"));
+            }
+        }
+        Ok(self)
+    }
 }
 
 impl Driver for Program {
     fn connect(&mut self) -> Result<(), DriverError> {
         self.running = None;
-        let started = Running::start(&self.command);
+        let started = Running::start(&self.command, self.ear.clone());
         self.running = Some(started.map_err(|error| {
             DriverError::Away(format!("the program `{}` does not start: {error}", self.command))
         })?);
-        self.takes_ramps = match self.ask("hello", START_WAIT)?.as_str() {
-            "ok" => false,
-            "ok ramps" => true,
+        self.declared = match self.ask("hello", self.timeouts.start)?.as_str() {
+            "ok" => Declared::default(),
+            "ok ramps" => Declared { ramps: true, ..Declared::default() },
+            "ok 2" => self.introduce()?,
             answer => return Err(self.misunderstood("hello", answer)),
         };
         Ok(())
@@ -109,7 +186,7 @@ impl Driver for Program {
 
     fn read(&mut self, sensor: &DeviceId) -> Result<f64, DriverError> {
         let line = format!("read {sensor}");
-        let answer = self.ask(&line, ANSWER_WAIT)?;
+        let answer = self.ask(&line, self.timeouts.answer)?;
         answer.parse().map_err(|_| self.misunderstood(&line, &answer))
     }
 
@@ -127,75 +204,37 @@ impl Driver for Program {
         Lifeline::of(&self.running.as_ref()?.output, ended)
     }
 
+    fn set_frame(&mut self, values: &[(DeviceId, Setpoint)]) -> Result<(), DriverError> {
+        let value = |(device, setpoint): &(DeviceId, Setpoint)| {
+            let values: Vec<f64> =
+                std::iter::once(setpoint.value).chain(setpoint.more.iter().copied()).collect();
+            json!({ "device": device, "control_type": setpoint.control_type, "values": values })
+        };
+        let frame: Vec<_> = values.iter().map(value).collect();
+        self.ask_ok(&format!("frame {}", serde_json::Value::from(frame)))
+    }
+
+    fn takes_frames(&self) -> bool {
+        self.declared.frames
+    }
+
+    fn latency(&self) -> BTreeMap<DeviceId, Duration> {
+        let time = |(device, ms): (&DeviceId, &f64)| (device.clone(), Duration::from_secs_f64(ms / 1_000.0));
+        self.declared.latency_ms.iter().map(time).collect()
+    }
+
+    fn take_pushes(&mut self, pushes: Pushes) {
+        let sensors =
+            self.block.devices.iter().filter(|device| device.available_control_types.sensor().is_some());
+        let sensors = Arc::new(sensors.map(|device| device.id.clone()).collect::<HashSet<_>>());
+        self.ear = Some(Ear { pushes, sensors });
+    }
+
+    fn set_is_acknowledged(&self) -> bool {
+        true
+    }
+
     fn takes_ramps(&self) -> bool {
-        self.takes_ramps
-    }
-}
-
-/// The program at work. Dropping it ends the program.
-struct Running {
-    child: Child,
-    input: Option<ChildStdin>,
-    /// A copy of its output, to be watched alone.
-    output: OwnedFd,
-    answers: Receiver<String>,
-}
-
-impl Running {
-    fn start(command: &str) -> std::io::Result<Self> {
-        let mut shell = Command::new("sh");
-        shell.arg("-c").arg(command).stdin(Stdio::piped()).stdout(Stdio::piped());
-        // A group of its own: Ctrl-C is for the edge, which then has its devices brought to rest.
-        let mut child = shell.process_group(0).spawn()?;
-        let no_pipe = || std::io::Error::other("no pipe");
-        let output = child.stdout.take().ok_or_else(no_pipe)?;
-        let input = Some(child.stdin.take().ok_or_else(no_pipe)?);
-        let watched = output.as_fd().try_clone_to_owned()?;
-        // One answer belongs to one line; a program that says more is soon out of step.
-        let (sender, answers) = sync_channel(1);
-        // Ends with the program's output, or when the receiver is gone.
-        std::thread::Builder::new().name("program".into()).spawn(move || {
-            let mut output = BufReader::new(output);
-            loop {
-                let mut line = Vec::new();
-                match output.by_ref().take(ANSWER_BYTES_MAX).read_until(b'\n', &mut line) {
-                    Ok(0) | Err(_) => return,
-                    Ok(_) => {}
-                }
-                let line = String::from_utf8_lossy(&line).trim().to_owned();
-                if sender.send(line).is_err() {
-                    return;
-                }
-            }
-        })?;
-        Ok(Self { child, input, output: watched, answers })
-    }
-
-    /// One line at a time is on the way, so a pipe is never full and this never hangs.
-    fn ask(&mut self, line: &str, wait: Duration) -> Result<String, String> {
-        let Some(input) = &mut self.input else { return Err("has ended".to_owned()) };
-        // Together in one write: a program may read in pieces.
-        let written = input.write_all(format!("{line}\n").as_bytes()).and_then(|()| input.flush());
-        written.map_err(|error| format!("takes no line: {error}"))?;
-        self.answers.recv_timeout(wait).map_err(|error| match error {
-            RecvTimeoutError::Timeout => format!("did not answer `{line}` within {} s", wait.as_secs()),
-            RecvTimeoutError::Disconnected => "has ended".to_owned(),
-        })
-    }
-}
-
-impl Drop for Running {
-    fn drop(&mut self) {
-        self.input = None;
-        // Its output ends with it; what it still says is of no more use, and too much of it is no end.
-        let last = (0..16).find_map(|_| self.answers.recv_timeout(END_WAIT).err());
-        let ended = last == Some(RecvTimeoutError::Disconnected);
-        if !ended
-            && let Some(group) = i32::try_from(self.child.id()).ok().and_then(rustix::process::Pid::from_raw)
-        {
-            let _already_gone = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
-        }
-        let _already_gone = self.child.kill();
-        let _reaped = self.child.wait();
+        self.declared.ramps
     }
 }

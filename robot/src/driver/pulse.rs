@@ -29,6 +29,8 @@ pub(crate) struct Demand {
     pub(crate) start: Option<Instant>,
     /// When the machine next does anything.
     pub(crate) next_due: Option<Instant>,
+    /// An end is not told before the hardware has answered.
+    pub(crate) confirmation: bool,
 }
 
 /// The signs of life of one connection.
@@ -46,7 +48,7 @@ pub(super) struct Pulse {
 
 impl Pulse {
     pub(super) const fn new(now: Instant) -> Self {
-        let demand = Demand { held: false, start: None, next_due: None };
+        let demand = Demand { held: false, start: None, next_due: None, confirmation: false };
         Self { seen: now, took: Duration::ZERO, demand, held_since: None, reading: false }
     }
 
@@ -54,7 +56,8 @@ impl Pulse {
     pub(super) fn demand(&mut self, now: Instant, demand: Demand) -> bool {
         let before = std::mem::replace(&mut self.demand, demand);
         self.held_since = demand.held.then(|| self.held_since.unwrap_or(now));
-        (before.held, before.start) != (demand.held, demand.start)
+        let asks = |demand: Demand| (demand.held, demand.start, demand.confirmation);
+        asks(before) != asks(demand)
     }
 
     /// It has just answered.
@@ -75,7 +78,7 @@ impl Pulse {
     pub(super) fn next_ping(&self, now: Instant) -> Instant {
         let every = match self.demand {
             Demand { held: false, .. } => IDLE,
-            _ if self.start_is_near(now) => NEAR,
+            _ if self.demand.confirmation || self.start_is_near(now) => NEAR,
             _ => HELD,
         };
         self.seen + every.max(self.took)
@@ -83,7 +86,7 @@ impl Pulse {
 
     /// Whether it is to be asked although a movement is near.
     pub(super) fn is_overdue(&self, now: Instant) -> bool {
-        let overdue = if self.start_is_near(now) { OVERDUE.0 } else { OVERDUE.1 };
+        let overdue = if self.demand.confirmation || self.start_is_near(now) { OVERDUE.0 } else { OVERDUE.1 };
         now.saturating_duration_since(self.seen) >= overdue.max(self.took * 2)
     }
 
@@ -128,7 +131,7 @@ mod tests {
         let begin = Instant::now();
         let mut pulse = Pulse::new(begin);
         let start = start.map(|start| begin + start);
-        pulse.demand(begin, Demand { held: true, start, next_due: start });
+        pulse.demand(begin, Demand { held: true, start, next_due: start, confirmation: false });
         (pulse, begin)
     }
 
@@ -137,7 +140,7 @@ mod tests {
         let begin = Instant::now();
         let mut pulse = Pulse::new(begin);
         assert_eq!(pulse.next_ping(begin), begin + IDLE);
-        let far = Demand { held: true, start: Some(begin + 2 * START_NEAR), next_due: None };
+        let far = Demand { held: true, start: Some(begin + 2 * START_NEAR), ..Demand::default() };
         assert!(pulse.demand(begin, far));
         assert_eq!(pulse.next_ping(begin), begin + HELD);
         assert_eq!(pulse.next_ping(begin + START_NEAR), begin + NEAR);

@@ -40,6 +40,10 @@ impl Driver for SimulatedDriver {
         reading.ok_or_else(|| DriverError::Refused(format!("`{sensor}` is no sensor")))
     }
 
+    fn set_is_acknowledged(&self) -> bool {
+        true
+    }
+
     fn ping(&mut self) -> Result<(), DriverError> {
         Ok(())
     }

@@ -6,7 +6,7 @@ use urrcp::InitializationBlock;
 
 #[cfg(feature = "thrift")]
 use super::ThriftRobot;
-use super::{Driver, DriverError, Program, SimulatedDriver};
+use super::{Driver, DriverError, Program, SimulatedDriver, Timeouts};
 
 /// Names a driver and what it drives.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -62,6 +62,18 @@ impl DriverSpec {
     /// # Errors
     /// [`DriverError::Refused`] when this driver cannot drive such a robot, or is not part of this build.
     pub fn driver(&self, block: &InitializationBlock) -> Result<Box<dyn Driver>, DriverError> {
+        self.driver_within(block, Timeouts::default())
+    }
+
+    /// The driver for a robot; a program has to answer within these times.
+    ///
+    /// # Errors
+    /// As [`DriverSpec::driver`].
+    pub fn driver_within(
+        &self,
+        block: &InitializationBlock,
+        timeouts: Timeouts,
+    ) -> Result<Box<dyn Driver>, DriverError> {
         Ok(match self {
             Self::Simulated => Box::new(SimulatedDriver::new(block)),
             #[cfg(feature = "thrift")]
@@ -70,7 +82,7 @@ impl DriverSpec {
             Self::Thrift { .. } => {
                 return Err(DriverError::Refused("this program is built without Thrift".to_owned()));
             }
-            Self::Program { command } => Box::new(Program::new(command, block)?),
+            Self::Program { command } => Box::new(Program::new(command, block)?.within(timeouts)),
         })
     }
 }

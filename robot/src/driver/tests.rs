@@ -48,6 +48,8 @@ const HEAVY: &str = r#"{"id": "r", "api_version": "1", "reports": true, "devices
 #[derive(Default)]
 struct Bench {
     broken: AtomicBool,
+    /// It takes no value.
+    refuses: AtomicBool,
     panics: AtomicBool,
     takes_ramps: bool,
     /// Until a test lets it, a `set` does not return.
@@ -77,6 +79,9 @@ impl Driver for Fake {
     }
 
     fn set(&mut self, device: &DeviceId, setpoint: &Setpoint) -> Result<(), DriverError> {
+        if self.bench.refuses.load(Ordering::SeqCst) {
+            return Err(DriverError::Refused("too hot".to_owned()));
+        }
         self.act(format!("{device} {}", setpoint.value))?;
         while self.bench.busy.load(Ordering::SeqCst) {
             std::thread::yield_now();
@@ -312,10 +317,14 @@ async fn a_slow_device_skips_what_is_out_of_date_and_the_machine_does_not_wait()
     rig.bench.busy.store(true, Ordering::SeqCst);
     let steps: Vec<_> = (0..8_u32).map(|i| (f64::from(i) * 10.0, f64::from(i))).collect();
     rig.script("wheel", "a", &steps, ControlType::Speed);
-    // All is reported while the first value still hangs in the driver.
-    rig.responses(&PLAYED).await;
+    // The machine goes on while the first value still hangs in the driver, but does not tell that all is done.
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 0"]);
+    let early = tokio::time::timeout(Duration::from_millis(150), rig.response()).await;
+    assert!(early.is_err(), "told before the hardware has it: {early:?}");
     rig.bench.busy.store(false, Ordering::SeqCst);
-    rig.next_done(&["connect", "wheel 0", "wheel 7"]);
+    rig.next_done(&["wheel 7"]);
+    rig.responses(&PLAYED[2..]).await;
 }
 
 #[tokio::test]
@@ -362,6 +371,49 @@ async fn hardware_that_fails_under_a_script_fails_it_and_starts_again_from_its_d
     rig.next_done(&["connect", "arm 3", "wheel 0"]);
     rig.script("wheel", "c", &[(0.0, 5.0)], ControlType::Speed);
     rig.responses(&PLAYED).await;
+}
+
+#[tokio::test]
+async fn hardware_that_fails_in_the_last_value_of_a_script_leaves_its_end_unknown() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.bench.busy.store(true, Ordering::SeqCst);
+    rig.script("wheel", "a", &[(0.0, 4.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 4"]);
+    rig.bench.broken.store(true, Ordering::SeqCst);
+    rig.bench.busy.store(false, Ordering::SeqCst);
+    let error = rig.response().await.error.unwrap();
+    let expected = "it is unknown whether the hardware took the last value: the hardware is away: pulled out";
+    assert_eq!((error.code, error.message.as_str()), (ErrorCode::Internal, expected));
+}
+
+#[tokio::test]
+async fn a_stop_is_confirmed_once_the_hardware_has_taken_it() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 4.0), (60_000.0, 8.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 4"]);
+    rig.bench.busy.store(true, Ordering::SeqCst);
+    let wheel = DeviceId::new("wheel").unwrap();
+    let stop = Command::Script(Script::new(Vec::new()).unwrap());
+    rig.link.send(Message::ControlRequest(ControlRequest::immediate(wheel, stop)));
+    assert_eq!(rig.response().await.error.unwrap().code, ErrorCode::Cancelled);
+    rig.next_done(&["wheel 0"]);
+    let early = tokio::time::timeout(Duration::from_millis(150), rig.response()).await;
+    assert!(early.is_err(), "told before the hardware has it: {early:?}");
+    rig.bench.busy.store(false, Ordering::SeqCst);
+    rig.responses(&PLAYED[2..]).await;
+}
+
+#[tokio::test]
+async fn a_value_that_the_hardware_refuses_reads_as_refused_and_not_as_away() {
+    let mut rig = Rig::new(Bench::default(), DriverOptions::default());
+    rig.script("wheel", "a", &[(0.0, 4.0), (300.0, 8.0), (60_000.0, 0.0)], ControlType::Speed);
+    rig.responses(&PLAYED[..2]).await;
+    rig.next_done(&["connect", "wheel 4"]);
+    rig.bench.refuses.store(true, Ordering::SeqCst);
+    let error = rig.response().await.error.unwrap();
+    assert_eq!(error.message, "the hardware refused speed 8 of `wheel`: too hot");
 }
 
 #[tokio::test]
@@ -413,25 +465,65 @@ fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_o
         mailbox::Order::Set(key(device), mailbox::Value { setpoint, due: None })
     };
     mailbox.post(0, [set("a", 1.0)].into_iter(), Demand::default());
-    mailbox.connected(1);
+    mailbox.connected(1, mailbox::Manners::default());
     mailbox.post(0, [set("a", 2.0)].into_iter(), Demand::default());
     mailbox.post(1, [set("a", 3.0), set("b", 4.0), set("a", 5.0)].into_iter(), Demand::default());
     mailbox.close();
     let values: Vec<_> = std::iter::from_fn(|| {
         match mailbox.next(HostClock::anchored().instant_of(Timestamp::from_nanos(0))) {
-            mailbox::Work::Drive(key, Some(value), None) => Some((key.0.to_string(), value.setpoint.value)),
+            mailbox::Work::Drive(drives) => {
+                let [(key, Some(value), None)] = drives.as_slice() else { panic!("{drives:?}") };
+                Some((key.0.to_string(), value.setpoint.value))
+            }
             _ => None,
         }
     })
     .collect();
     assert_eq!(values, [("a".to_owned(), 5.0), ("b".to_owned(), 4.0)]);
-    mailbox.connected(1);
+    mailbox.connected(1, mailbox::Manners::default());
     mailbox.post(1, [set("a", 6.0)].into_iter(), Demand::default());
     mailbox.disconnected();
-    mailbox.connected(2);
+    mailbox.connected(2, mailbox::Manners::default());
     mailbox.post(1, [set("a", 7.0)].into_iter(), Demand::default());
     assert!(matches!(
         mailbox.next(HostClock::anchored().instant_of(Timestamp::from_nanos(0))),
         mailbox::Work::Closed
     ));
+}
+
+#[test]
+fn a_driver_that_takes_frames_is_given_at_once_what_waits_at_once() {
+    let mailbox = Mailbox::default();
+    mailbox.connected(1, mailbox::Manners { acknowledges: true, takes_frames: true });
+    let set = |device: &str, value| {
+        let setpoint = Setpoint::new(ControlType::Speed, value);
+        let key = (DeviceId::new(device).unwrap(), ControlType::Speed);
+        mailbox::Order::Set(key, mailbox::Value { setpoint, due: None })
+    };
+    mailbox.post(1, [set("a", 1.0), set("b", 2.0)].into_iter(), Demand::default());
+    let soon = || HostClock::anchored().instant_of(Timestamp::from_nanos(0));
+    let mailbox::Work::Drive(frame) = mailbox.next(soon()) else { panic!("nothing to drive") };
+    let frame: Vec<_> = frame.iter().map(|(key, ..)| key.0.as_str()).collect();
+    assert_eq!(frame, ["a", "b"]);
+    mailbox.close();
+    assert!(matches!(mailbox.next(soon()), mailbox::Work::Closed));
+}
+
+#[tokio::test]
+async fn what_was_told_unasked_counts_for_its_time_and_its_connection() {
+    let mailbox = Arc::new(Mailbox::default());
+    let pushes = Pushes::into(Arc::clone(&mailbox));
+    let eye = DeviceId::new("eye").unwrap();
+    pushes.reading(&eye, 1.0);
+    assert_eq!(mailbox.pushed(&eye, Duration::MAX), None, "nothing is connected");
+    mailbox.connected(1, mailbox::Manners::default());
+    pushes.reading(&eye, 2.0);
+    assert_eq!(mailbox.pushed(&eye, Duration::from_secs(600)), Some(2.0));
+    tokio::time::sleep(Duration::from_millis(2)).await;
+    assert_eq!(mailbox.pushed(&eye, Duration::from_millis(1)), None, "too old");
+    pushes.fault("stuck");
+    let soon = HostClock::anchored().instant_of(Timestamp::from_nanos(0));
+    assert!(matches!(mailbox.next(soon), mailbox::Work::Fault(reason) if reason == "stuck"));
+    mailbox.disconnected();
+    assert_eq!(mailbox.pushed(&eye, Duration::MAX), None);
 }

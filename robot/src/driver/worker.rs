@@ -5,18 +5,24 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use urrcp::{InitializationBlock, Setpoint};
+use urrcp::{DeviceId, InitializationBlock, Setpoint};
 
+use super::grid::on_grid;
 use super::lifeline::Watcher;
-use super::mailbox::{Movement, Sign, Value, Work};
-use super::{Driver, DriverError, Key, Mailbox, Ramp};
+use super::mailbox::{Drive, Manners, Movement, Sign, Value, Work};
+use super::{Driver, DriverError, Key, Mailbox, Pushes, Ramp};
+use crate::confirmation::Ticket;
 use crate::hardware::ReadingId;
 use crate::signal::is_rate;
 
 /// Between two tries to connect, at first and at most; it doubles.
 const PAUSE: (Duration, Duration) = (Duration::from_millis(100), Duration::from_secs(5));
+/// A reading that was told unasked answers requests for so long, if the sensor has no `max_delay`.
+const PUSHED_COUNTS: Duration = Duration::from_secs(1);
 /// How often it is looked at the mailbox while nothing is due.
 const LOOK_EVERY: Duration = Duration::from_millis(500);
+/// Of a frame that was refused, so many values are named.
+const UNTAKEN_SHOWN: usize = 8;
 /// How long the devices may take to come to rest when the edge ends. Then speeds go to zero at once, and positions stay.
 const REST_WAIT_MAX: Duration = Duration::from_secs(3);
 
@@ -24,13 +30,52 @@ const REST_WAIT_MAX: Duration = Duration::from_secs(3);
 #[derive(Debug)]
 pub(crate) enum News {
     /// The hardware is there, by its so-many-th connection.
-    There { connection: u64 },
-    /// It is not, or no longer.
+    There {
+        connection: u64,
+        /// As the driver declares it.
+        latency: BTreeMap<DeviceId, Duration>,
+    },
+    /// It is not, or no longer, as this sentence says.
     Away { reason: String },
     /// A value came so late that it was not set.
     Stale { device: urrcp::DeviceId, late: Duration },
+    /// The hardware has taken what these ask about.
+    Confirmed(Vec<Ticket>),
     /// A sensor was read.
     Reading { id: ReadingId, reading: Result<f64, String> },
+}
+
+/// Why nothing more is asked of the hardware until it is connected again.
+#[derive(Debug, thiserror::Error)]
+enum Lost {
+    #[error("the hardware is away: {0}")]
+    Away(String),
+    #[error("the hardware refused {0}")]
+    Refused(String),
+    #[error("the hardware reports a fault: {0}")]
+    Fault(String),
+}
+
+impl From<DriverError> for Lost {
+    fn from(error: DriverError) -> Self {
+        Self::Away(error.to_string())
+    }
+}
+
+impl Lost {
+    /// Devices did not take what they were told.
+    fn untaken(error: DriverError, values: &[(DeviceId, Setpoint)]) -> Self {
+        match error {
+            DriverError::Away(reason) => Self::Away(reason),
+            DriverError::Refused(reason) => {
+                let told = |(device, setpoint): &(DeviceId, Setpoint)| {
+                    format!("{} {} of `{device}`", setpoint.control_type, setpoint.value)
+                };
+                let values: Vec<_> = values.iter().take(UNTAKEN_SHOWN).map(told).collect();
+                Self::Refused(format!("{}: {reason}", values.join(", ")))
+            }
+        }
+    }
 }
 
 /// A driver with what it needs to know of its robot.
@@ -63,12 +108,13 @@ struct Moving {
 
 impl Worker {
     pub(crate) fn new(
-        driver: Box<dyn Driver>,
+        mut driver: Box<dyn Driver>,
         block: InitializationBlock,
         mailbox: Arc<Mailbox>,
         samples_per_second: f64,
         tell: Box<dyn Fn(News) + Send>,
     ) -> Self {
+        driver.take_pushes(Pushes::into(Arc::clone(&mailbox)));
         let now = Instant::now();
         let period = Duration::from_secs_f64(1.0 / samples_per_second.clamp(0.1, 1_000.0));
         let (moving, handed_over) = (BTreeMap::new(), BTreeMap::new());
@@ -91,8 +137,12 @@ impl Worker {
                     if self.touched == Touched::Now {
                         self.touched = Touched::Before;
                     }
-                    self.mailbox.connected(connection);
-                    (self.tell)(News::There { connection });
+                    let manners = Manners {
+                        acknowledges: self.driver.set_is_acknowledged(),
+                        takes_frames: self.driver.takes_frames(),
+                    };
+                    self.mailbox.connected(connection, manners);
+                    (self.tell)(News::There { connection, latency: self.driver.latency() });
                     self.mailbox.tried();
                     let since = Instant::now();
                     // Goes before the driver connects again: hardware may take one connection at a time.
@@ -111,13 +161,13 @@ impl Worker {
                     }
                     error
                 }
-                Err(error) => error,
+                Err(error) => error.into(),
             };
             self.moving.clear();
             self.handed_over.clear();
             // First nothing more is taken, then it is told: no order of before reaches the next connection.
             self.mailbox.disconnected();
-            tracing::warn!(robot = %self.block.id, "hardware away: {reason}");
+            tracing::warn!(robot = %self.block.id, "{reason}");
             away = reason.to_string();
             (self.tell)(News::Away { reason: away.clone() });
             self.mailbox.tried();
@@ -126,20 +176,22 @@ impl Worker {
         }
         match self.touched {
             Touched::Never => Ok(()),
-            Touched::Before | Touched::Now => Err(format!("the hardware is away: {away}")),
+            Touched::Before | Touched::Now => Err(away),
         }
     }
 
     /// Does what comes until the hardware fails or nothing more will come; then, what had to be cut short.
-    fn serve(&mut self) -> Result<Result<(), String>, DriverError> {
+    fn serve(&mut self) -> Result<Result<(), String>, Lost> {
         let mut closing: Option<Instant> = None;
         loop {
             let sample = (!self.moving.is_empty()).then_some(self.next_sample);
             match self.mailbox.next(sample.unwrap_or_else(|| Instant::now() + LOOK_EVERY)) {
-                Work::Drive(key, value, movement) => self.drive(key, value, movement)?,
+                Work::Drive(drives) => self.drive(drives)?,
                 Work::Read(id, sensor) => self.read(id, &sensor)?,
+                Work::Confirm(tickets) => (self.tell)(News::Confirmed(tickets)),
                 Work::Ping => self.ping()?,
-                Work::HungUp(reason) => return Err(DriverError::Away(reason)),
+                Work::HungUp(reason) => return Err(Lost::Away(reason)),
+                Work::Fault(reason) => return Err(Lost::Fault(reason)),
                 Work::Nothing => {}
                 Work::Closed => {
                     let end = *closing.get_or_insert_with(|| Instant::now() + REST_WAIT_MAX);
@@ -183,36 +235,50 @@ impl Worker {
     }
 
     /// What has become stale is told and not set, and neither is what follows from it: the machine ends both.
-    fn drive(
-        &mut self,
-        key: Key,
-        value: Option<Value>,
-        movement: Option<Movement>,
-    ) -> Result<(), DriverError> {
-        if let Some(late) = value.as_ref().and_then(|value| value.stale(Instant::now())) {
-            (self.tell)(News::Stale { device: key.0, late });
+    fn drive(&mut self, drives: Vec<Drive>) -> Result<(), Lost> {
+        let mut values = Vec::new();
+        let mut movements = Vec::new();
+        for (key, value, movement) in drives {
+            if let Some(late) = value.as_ref().and_then(|value| value.stale(Instant::now())) {
+                (self.tell)(News::Stale { device: key.0, late });
+                continue;
+            }
+            if let Some(Value { setpoint, .. }) = value {
+                self.moving.remove(&key);
+                self.handed_over.remove(&key);
+                let value = on_grid(&self.block, &key, setpoint.value);
+                values.push((key.0.clone(), Setpoint { value, ..setpoint }));
+            }
+            movements.extend(movement.map(|movement| (key, movement)));
+        }
+        self.set(&values)?;
+        movements.into_iter().try_for_each(|(key, movement)| self.follow(key, movement))
+    }
+
+    /// By one call, if the driver takes several values at a time.
+    fn set(&mut self, values: &[(DeviceId, Setpoint)]) -> Result<(), Lost> {
+        if values.is_empty() {
             return Ok(());
         }
-        value.map_or(Ok(()), |value| self.set(&key, &value.setpoint))?;
-        movement.map_or(Ok(()), |movement| self.follow(key, movement))
-    }
-
-    fn set(&mut self, key: &Key, setpoint: &Setpoint) -> Result<(), DriverError> {
-        self.moving.remove(key);
-        self.handed_over.remove(key);
         self.touched = Touched::Now;
-        let value = self.on_grid(key, setpoint.value);
-        let setpoint = Setpoint { value, ..setpoint.clone() };
-        self.call(Sign::Unknown, |driver| driver.set(&key.0, &setpoint))
+        if self.driver.takes_frames() {
+            let told = self.call(Sign::Unknown, |driver| driver.set_frame(values));
+            return told.map_err(|error| Lost::untaken(error, values));
+        }
+        values.iter().try_for_each(|value| {
+            let told = self.call(Sign::Unknown, |driver| driver.set(&value.0, &value.1));
+            told.map_err(|error| Lost::untaken(error, std::slice::from_ref(value)))
+        })
     }
 
-    fn follow(&mut self, key: Key, movement: Movement) -> Result<(), DriverError> {
+    fn follow(&mut self, key: Key, movement: Movement) -> Result<(), Lost> {
         self.touched = Touched::Now;
         if self.driver.takes_ramps() && movement.signal.is_linear() {
             self.moving.remove(&key);
-            let to = self.on_grid(&key, movement.signal.target());
+            let to = on_grid(&self.block, &key, movement.signal.target());
             let ramp = Ramp { control_type: key.1, to, duration: movement.left() };
-            self.call(Sign::Unknown, |driver| driver.ramp(&key.0, ramp))?;
+            let told = self.call(Sign::Unknown, |driver| driver.ramp(&key.0, ramp));
+            told.map_err(|error| Lost::untaken(error, &[(key.0.clone(), Setpoint::new(key.1, to))]))?;
             self.handed_over.insert(key, movement);
             return Ok(());
         }
@@ -225,24 +291,18 @@ impl Worker {
     }
 
     /// Sends where each movement is now, as far as that differs from what was sent, and ends it on its target.
-    fn sample(&mut self) -> Result<(), DriverError> {
-        let keys: Vec<Key> = self.moving.keys().cloned().collect();
-        for key in keys {
-            let Some(moving) = self.moving.get(&key) else { continue };
+    fn sample(&mut self) -> Result<(), Lost> {
+        let mut values = Vec::new();
+        let block = &self.block;
+        self.moving.retain(|key, moving| {
             let now = moving.movement.now();
-            let value = self.on_grid(&key, moving.movement.signal.value(now));
-            let rests = now >= moving.movement.signal.rests_at();
-            if moving.sent != Some(value) {
-                let setpoint = Setpoint::new(key.1, value);
-                self.call(Sign::Unknown, |driver| driver.set(&key.0, &setpoint))?;
+            let value = on_grid(block, key, moving.movement.signal.value(now));
+            if moving.sent.replace(value) != Some(value) {
+                values.push((key.0.clone(), Setpoint::new(key.1, value)));
             }
-            match self.moving.get_mut(&key) {
-                Some(moving) if !rests => moving.sent = Some(value),
-                _ => {
-                    self.moving.remove(&key);
-                }
-            }
-        }
+            now < moving.movement.signal.rests_at()
+        });
+        self.set(&values)?;
         // On a fixed beat; beats that a slow device missed are left out.
         self.next_sample = (self.next_sample + self.period).max(Instant::now());
         Ok(())
@@ -250,15 +310,15 @@ impl Worker {
 
     /// What went to rest by itself is told so, and what has taken too long is ended where it is: rates go to zero, a
     /// position has been set by its last sample and stays, since the rest of its way would be one jump.
-    fn end_movements(&mut self) -> Result<Result<(), String>, DriverError> {
+    fn end_movements(&mut self) -> Result<Result<(), String>, Lost> {
         let sampled =
             std::mem::take(&mut self.moving).into_iter().map(|(key, moving)| (key, moving.movement));
         let ended: Vec<_> = sampled.chain(std::mem::take(&mut self.handed_over)).collect();
         let mut cut_short = Ok(());
         for (key, movement) in ended {
             if is_rate(key.1) {
-                let value = self.on_grid(&key, movement.signal.target());
-                self.driver.set(&key.0, &Setpoint::new(key.1, value))?;
+                let value = on_grid(&self.block, &key, movement.signal.target());
+                self.set(&[(key.0, Setpoint::new(key.1, value))])?;
             } else if !movement.left().is_zero() {
                 let seconds = REST_WAIT_MAX.as_secs();
                 cut_short =
@@ -272,14 +332,18 @@ impl Worker {
         Ok(cut_short)
     }
 
-    fn read(&mut self, id: ReadingId, sensor: &urrcp::DeviceId) -> Result<(), DriverError> {
+    fn read(&mut self, id: ReadingId, sensor: &urrcp::DeviceId) -> Result<(), Lost> {
+        if let Some(reading) = self.mailbox.pushed(sensor, self.reading_counts_for(sensor)) {
+            (self.tell)(News::Reading { id, reading: Ok(reading) });
+            return Ok(());
+        }
         self.mailbox.reading(true);
         let reading = self.driver.read(sensor);
         self.mailbox.reading(false);
         let reading = match reading {
             Err(DriverError::Away(reason)) => {
                 (self.tell)(News::Reading { id, reading: Err(reason.clone()) });
-                return Err(DriverError::Away(reason));
+                return Err(Lost::Away(reason));
             }
             Err(DriverError::Refused(reason)) => Err(reason),
             Ok(reading) => Ok(reading),
@@ -289,20 +353,17 @@ impl Worker {
         Ok(())
     }
 
-    fn ping(&mut self) -> Result<(), DriverError> {
-        self.call(Sign::Answered, |driver| driver.ping())
+    /// For how long a reading that was told unasked answers requests.
+    fn reading_counts_for(&self, sensor: &DeviceId) -> Duration {
+        let sensor = self.block.device(sensor.as_str());
+        let parameters = sensor.and_then(|device| device.available_control_types.sensor());
+        let max_delay = parameters.and_then(|sensor| sensor.max_delay);
+        max_delay
+            .map_or(PUSHED_COUNTS, |ms| Duration::try_from_secs_f64(ms / 1_000.0).unwrap_or(PUSHED_COUNTS))
     }
 
-    /// A value as the device can take it: values between those of scripts come from movements and stops.
-    fn on_grid(&self, (device, control_type): &Key, value: f64) -> f64 {
-        let device = self.block.device(device.as_str());
-        let limits = device.and_then(|device| device.available_control_types.limits(*control_type));
-        match limits {
-            Some(limits) if !limits.on_grid(value) && device.and_then(|d| d.default_value) != Some(value) => {
-                limits.nearest(value).clamp(limits.min_value, limits.max_value)
-            }
-            _ => value,
-        }
+    fn ping(&mut self) -> Result<(), Lost> {
+        Ok(self.call(Sign::Answered, |driver| driver.ping())?)
     }
 }
 
@@ -311,7 +372,7 @@ impl Drop for Worker {
     fn drop(&mut self) {
         if std::thread::panicking() {
             self.mailbox.disconnected();
-            (self.tell)(News::Away { reason: "its driver panicked".to_owned() });
+            (self.tell)(News::Away { reason: "the hardware is away: its driver panicked".to_owned() });
             self.mailbox.tried();
         }
     }

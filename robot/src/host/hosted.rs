@@ -8,7 +8,7 @@ use urrcp::{InitializationBlock, RobotId};
 
 use super::Order;
 use super::body::Body;
-use crate::driver::{Driver, DriverOptions, Mailbox, Worker};
+use crate::driver::{Driver, DriverOptions, HardwareEvent, Mailbox, Worker};
 use crate::edge::Edge;
 use crate::robot::Robot;
 use crate::simulated::SimulatedRobot;
@@ -19,9 +19,11 @@ pub(super) type DriverThread = JoinHandle<Result<(), String>>;
 /// A robot for a host: with hardware behind a driver, by [`Hosted::driven`], or made from a simulated one by `into`.
 pub struct Hosted(Surroundings);
 
+type Watch = Box<dyn Fn(&HardwareEvent) + Send>;
+
 #[expect(clippy::large_enum_variant, reason = "there are a few hundred at most, and none is moved often")]
 enum Surroundings {
-    Hardware { block: InitializationBlock, driver: Box<dyn Driver>, options: DriverOptions },
+    Hardware { block: InitializationBlock, driver: Box<dyn Driver>, options: DriverOptions, watch: Watch },
     World(SimulatedRobot),
 }
 
@@ -38,7 +40,16 @@ impl Hosted {
     pub fn driven(mut block: InitializationBlock, driver: Box<dyn Driver>, options: DriverOptions) -> Self {
         // The machine reports, whatever the hardware can.
         block.reports = true;
-        Self(Surroundings::Hardware { block, driver, options })
+        Self(Surroundings::Hardware { block, driver, options, watch: Box::new(|_| {}) })
+    }
+
+    /// Tells this of the hardware's events, on the driver's thread. A robot in a simulated world has none.
+    #[must_use]
+    pub fn watched(mut self, watch: impl Fn(&HardwareEvent) + Send + 'static) -> Self {
+        if let Surroundings::Hardware { watch: watched, .. } = &mut self.0 {
+            *watched = Box::new(watch);
+        }
+        self
     }
 
     pub(super) fn id(&self) -> &RobotId {
@@ -54,14 +65,17 @@ impl Hosted {
         index: usize,
         orders: &flume::Sender<Order>,
     ) -> io::Result<(Body, Option<DriverThread>)> {
-        let (block, driver, options) = match self.0 {
+        let (block, driver, options, watch) = match self.0 {
             Surroundings::World(robot) => return Ok((Body::Simulated(Box::new(robot)), None)),
-            Surroundings::Hardware { block, driver, options } => (block, driver, options),
+            Surroundings::Hardware { block, driver, options, watch } => (block, driver, options, watch),
         };
         let mailbox = Arc::new(Mailbox::default());
         let orders = orders.clone();
         // At most the open readings and a word a connection are on the way; a host that has stopped hears nothing.
-        let tell = move |news| drop(orders.send(Order::Hardware { robot: index, news }));
+        let tell = move |news| {
+            HardwareEvent::of(&news).iter().for_each(&watch);
+            drop(orders.send(Order::Hardware { robot: index, news }));
+        };
         let worker = Worker::new(
             driver,
             block.clone(),

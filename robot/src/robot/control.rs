@@ -241,7 +241,7 @@ impl Robot {
             content_hash,
             ..ControlResponse::new(now, request.device_id.clone(), Status::Ok)
         };
-        self.answer(link, answer, out);
+        self.answer_stop(link, index, answer, out);
     }
 }
 

@@ -7,6 +7,8 @@ use urrcp::{
 
 use super::control::Owner;
 use super::{LinkId, Now, Output, Robot, tell};
+use crate::confirmation::{Said, Ticket, Unconfirmed};
+use crate::device::Effect;
 use crate::hardware::{
     Asker, AtEnd, Hardware, OpenReading, ReadingId, STALE, START_NEAR, Standing, unanswered,
 };
@@ -22,6 +24,62 @@ impl Robot {
     #[must_use]
     pub fn driven(block: InitializationBlock) -> Self {
         Self { hardware: Hardware::awaited(), ..Self::new(block.and_answers_inquiries()) }
+    }
+
+    /// The same robot, but it tells the end of a command, and confirms a stop, only once [`Robot::confirmed`] says that the
+    /// hardware has taken its last value.
+    #[must_use]
+    pub fn confirmed_by_its_driver(self) -> Self {
+        Self { unconfirmed: Some(Unconfirmed::default()), ..self }
+    }
+
+    /// The hardware has taken what it was told before [`Output::Confirm`].
+    pub fn confirmed(&mut self, now: Now, ticket: Ticket, out: &mut Vec<Output>) {
+        let Some((index, said)) = self.unconfirmed.as_mut().and_then(|all| all.take(ticket)) else { return };
+        match said {
+            Said::Report(happened, report) => self.report(now, index, happened, report, out),
+            Said::Answer(link, answer) => self.answer(link, answer, out),
+        }
+    }
+
+    /// Whether the hardware has yet to confirm something.
+    pub(crate) fn awaits_confirmation(&self) -> bool {
+        self.unconfirmed.as_ref().is_some_and(|unconfirmed| !unconfirmed.is_empty())
+    }
+
+    /// Answers a stop, once the hardware has taken it.
+    pub(super) fn answer_stop(
+        &mut self,
+        link: LinkId,
+        index: usize,
+        answer: ControlResponse,
+        out: &mut Vec<Output>,
+    ) {
+        let Some(unconfirmed) = &mut self.unconfirmed else { return self.answer(link, answer, out) };
+        let device = answer.device_id.clone();
+        let ticket = unconfirmed.add(index, Said::Answer(link, answer));
+        out.push(Output::Confirm { ticket, device });
+    }
+
+    /// What waits for the hardware to confirm it fails: whether the hardware has taken the last value is unknown.
+    fn fail_unconfirmed(&mut self, now: Now, index: usize, error: &ControlError, out: &mut Vec<Output>) {
+        let given_up = self.unconfirmed.as_mut().map(|unconfirmed| unconfirmed.give_up(index));
+        let message = format!("it is unknown whether the hardware took the last value: {}", error.message);
+        let error = ControlError::new(error.code.clone(), message);
+        for said in given_up.into_iter().flatten() {
+            match said {
+                Said::Report(_, Effect::Ended { link, request_id, steps_done, .. }) => {
+                    let error = error.clone();
+                    let failed = Effect::Failed { link, request_id, error, steps_done };
+                    self.report(now, index, now, failed, out);
+                }
+                Said::Report(happened, report) => self.report(now, index, happened, report, out),
+                Said::Answer(link, answer) => {
+                    let error = Some(error.clone());
+                    self.answer(link, ControlResponse { status: Status::Failed, error, ..answer }, out);
+                }
+            }
+        }
     }
 
     /// The hardware is there. If something has been set before, its devices go to their default state: what they did
@@ -43,9 +101,15 @@ impl Robot {
 
     /// The hardware is gone: everything that is held or runs ends as `Failed`, code `internal`, and so do open readings.
     pub fn hardware_lost(&mut self, now: Now, reason: &str, out: &mut Vec<Output>) {
-        self.hardware.lost(reason);
-        let error = ControlError::new(ErrorCode::Internal, format!("the hardware is away: {reason}"));
+        self.hardware_failed(now, &format!("the hardware is away: {reason}"), out);
+    }
+
+    /// [`Robot::hardware_lost`] with a whole sentence, since hardware that refuses a value is not away.
+    pub(crate) fn hardware_failed(&mut self, now: Now, why: &str, out: &mut Vec<Output>) {
+        self.hardware.lost(why);
+        let error = ControlError::new(ErrorCode::Internal, why);
         for index in 0..self.devices.len() {
+            self.fail_unconfirmed(now, index, &error, out);
             self.devices[index].fail(now, &error, &mut self.effects);
             self.settle(now, index, out);
         }
@@ -103,12 +167,9 @@ impl Robot {
     /// as `Failed`, code `late`, and the device goes to its default state.
     pub fn value_stale(&mut self, now: Now, device: &DeviceId, late: Span, out: &mut Vec<Output>) {
         if let Some(&index) = self.index_of.get(device) {
-            self.fail_late(
-                now,
-                index,
-                &format!("a value reached the hardware {late} late and was not set"),
-                out,
-            );
+            let why = format!("a value reached the hardware {late} late and was not set");
+            self.fail_unconfirmed(now, index, &ControlError::new(ErrorCode::Late, why.clone()), out);
+            self.fail_late(now, index, &why, out);
         }
     }
 

@@ -1,10 +1,21 @@
 //! `downbeat edge`: a real robot behind a driver, as a process of its own.
+#![expect(
+    clippy::disallowed_methods,
+    reason = "repetitions on the terminal are left out by the time between them"
+)]
+
+use std::collections::VecDeque;
+use std::sync::{Mutex, PoisonError};
+use std::time::{Duration, Instant};
 
 use downbeat_robot::Hosted;
-use downbeat_robot::driver::{AtStart, DriverOptions, DriverSpec, SAMPLES_PER_SECOND};
+use downbeat_robot::driver::{
+    AtStart, DriverOptions, DriverSpec, HardwareEvent, SAMPLES_PER_SECOND, Timeouts,
+};
 
 use super::robot::{ProcessArgs, failed};
-use super::{Exit, Format};
+use super::run::parse_span;
+use super::{Exit, Format, console};
 
 /// Run a real robot behind a driver.
 #[derive(Debug, clap::Args)]
@@ -20,7 +31,8 @@ Drivers:
 
 Examples:
   downbeat edge --init robot.yaml --listen 0.0.0.0:7401 --driver thrift://tank.local:9090
-  downbeat edge --init robot.yaml --driver 'program:python3 drive.py' --realtime required"
+  downbeat edge --init robot.yaml --driver 'program:python3 drive.py' --realtime required
+  downbeat edge --init robot.yaml --driver 'program:python3 drive.py' --driver-start-timeout 60s"
 )]
 pub(super) struct EdgeArgs {
     #[command(flatten)]
@@ -31,6 +43,18 @@ pub(super) struct EdgeArgs {
     /// Samples per second of a linear movement, if the hardware does not move linearly by itself; at most 1000.
     #[arg(long, value_name = "NUMBER", default_value_t = SAMPLES_PER_SECOND, value_parser = rate)]
     samples_per_second: f64,
+    /// Time for a program to answer its first line, and for a program of version 2 to start its hardware.
+    #[arg(long, value_parser = timeout, default_value = "10s", value_name = "TIME")]
+    driver_start_timeout: Duration,
+    /// Time for a program to answer any other line; after that the hardware counts as away.
+    #[arg(long, value_parser = timeout, default_value = "1s", value_name = "TIME")]
+    driver_answer_timeout: Duration,
+}
+
+fn timeout(text: &str) -> Result<Duration, String> {
+    let time = parse_span(text)?.to_duration();
+    let fits = time >= Duration::from_millis(10) && time <= Duration::from_secs(600);
+    if fits { Ok(time) } else { Err("expected 10ms to 600s".to_owned()) }
 }
 
 fn rate(text: &str) -> Result<f64, String> {
@@ -47,7 +71,8 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
     if let Some(missing) = missing_program(&args.driver) {
         return failed(&format!("the program `{missing}` of --driver does not exist; correct its path"));
     }
-    let driver = match args.driver.driver(&block) {
+    let timeouts = Timeouts { start: args.driver_start_timeout, answer: args.driver_answer_timeout };
+    let driver = match args.driver.driver_within(&block, timeouts) {
         Ok(driver) => driver,
         Err(error) => return failed(&error.to_string()),
     };
@@ -55,7 +80,58 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
         .with_samples_per_second(args.samples_per_second)
         .with_at_start(AtStart::Default);
     let id = block.id.clone();
-    args.process.run(id, Hosted::driven(block, driver, used), format)
+    let told = Mutex::new(Told::default());
+    let name = id.to_string();
+    let watch = move |event: &HardwareEvent| {
+        let mut told = told.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(line) = told.line(&name, event, Instant::now()) {
+            match event {
+                HardwareEvent::There { .. } => console::note(&line),
+                _ => console::warn(&line),
+            }
+        }
+    };
+    args.process.run(id, Hosted::driven(block, driver, used).watched(watch), format)
+}
+
+/// The same line is not printed again within this time, and no more than so many lines.
+const QUIET: (Duration, usize) = (Duration::from_secs(10), 8);
+
+/// What the terminal was told of the hardware.
+#[derive(Debug, Default)]
+struct Told {
+    /// Of the last ten seconds.
+    lines: VecDeque<(Instant, String)>,
+    /// The last line of those that say whether the hardware is there says that it is not.
+    lost: bool,
+    latency_told: bool,
+}
+
+impl Told {
+    /// The line to print of an event, if any. That hardware is back is always printed if it was printed that it is not there.
+    fn line(&mut self, robot: &str, event: &HardwareEvent, now: Instant) -> Option<String> {
+        let line = match event {
+            HardwareEvent::There { .. } if std::mem::take(&mut self.lost) => {
+                return Some(format!("{robot}: the hardware is back"));
+            }
+            // That it is there is no news without a latency.
+            HardwareEvent::There { latency } if latency.is_empty() || self.latency_told => return None,
+            HardwareEvent::There { .. } => {
+                self.latency_told = true;
+                return Some(format!("{robot}: {event}"));
+            }
+            _ => format!("{robot}: {}", event),
+        };
+        while self.lines.front().is_some_and(|(at, _)| now.saturating_duration_since(*at) >= QUIET.0) {
+            self.lines.pop_front();
+        }
+        if self.lines.len() >= QUIET.1 || self.lines.iter().any(|(_, told)| *told == line) {
+            return None;
+        }
+        self.lines.push_back((now, line.clone()));
+        self.lost |= matches!(event, HardwareEvent::Lost(_));
+        Some(line)
+    }
 }
 
 /// The file that a program's command begins with, if there is no such file. What the shell finds elsewhere it finds itself.
@@ -64,4 +140,34 @@ fn missing_program(driver: &DriverSpec) -> Option<&str> {
     let file = command.split_whitespace().next()?;
     let plain = file.contains('/') && !file.contains(['$', '~', '\'', '"', ';', '|', '&', '(']);
     (plain && !std::path::Path::new(file).exists()).then_some(file)
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use super::*;
+
+    #[test]
+    fn the_terminal_is_told_once_that_hardware_is_lost_and_once_that_it_is_back() {
+        let (begin, mut told) = (Instant::now(), Told::default());
+        let lost = HardwareEvent::Lost("the hardware is away: no port".to_owned());
+        let there = HardwareEvent::There { latency: BTreeMap::new() };
+        let mut at = |seconds, event| told.line("r", event, begin + Duration::from_secs(seconds));
+        assert_eq!(at(0, &there), None, "that it is there at first is no news");
+        assert_eq!(at(1, &lost).as_deref(), Some("r: the hardware is away: no port"));
+        assert_eq!(at(2, &lost), None);
+        assert_eq!(at(3, &there).as_deref(), Some("r: the hardware is back"));
+        assert_eq!(at(4, &lost), None);
+        assert_eq!(at(5, &there), None, "that it was away again was not told");
+        assert_eq!(at(6, &lost), None);
+        assert_eq!(at(11, &lost).as_deref(), Some("r: the hardware is away: no port"));
+    }
+
+    #[test]
+    fn however_many_different_things_go_wrong_few_lines_are_printed() {
+        let (now, mut told) = (Instant::now(), Told::default());
+        let events = (0..100).map(|i| HardwareEvent::Unread(format!("fault {i}")));
+        assert_eq!(events.filter_map(|event| told.line("r", &event, now)).count(), QUIET.1);
+    }
 }

@@ -1,0 +1,93 @@
+"""Simulated hardware: a device that moves late, slowly and not exactly, and a driver of such devices."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import random
+import time
+from typing import Optional
+
+from .driver import Driver, Refused
+from .robot import Robot
+
+
+class SimulatedDevice:
+    """Follows its target after a delay, by a time constant; what it reads has noise. Times are seconds."""
+
+    def __init__(
+        self,
+        position: float = 0.0,
+        *,
+        delay: float = 0.0,
+        time_constant: float = 0.0,
+        noise: float = 0.0,
+        seed: Optional[int] = None,
+    ) -> None:
+        if delay < 0 or time_constant < 0 or noise < 0:
+            raise ValueError("delay, time_constant and noise are at least 0")
+        self.delay, self.time_constant, self.noise = delay, time_constant, noise
+        self._random = random.Random(seed)
+        self._from, self._target, self._since = position, position, -math.inf
+        self._waiting: list[tuple[float, float]] = []
+
+    def set(self, value: float, now: Optional[float] = None) -> None:
+        """Gives it a target."""
+        now = time.monotonic() if now is None else now
+        self._waiting.append((now + self.delay, value))
+
+    def position(self, now: Optional[float] = None) -> float:
+        """Where it is, without noise."""
+        now = time.monotonic() if now is None else now
+        while self._waiting and self._waiting[0][0] <= now:
+            since, target = self._waiting.pop(0)
+            self._from, self._target, self._since = self._at(since), target, since
+        return self._at(now)
+
+    def read(self, now: Optional[float] = None) -> float:
+        """Where its sensor sees it."""
+        position = self.position(now)
+        return position + self._random.gauss(0.0, self.noise) if self.noise else position
+
+    def _at(self, now: float) -> float:
+        if self.time_constant == 0 or self._since == -math.inf:
+            return self._target
+        left = math.exp(-(now - self._since) / self.time_constant)
+        return self._target + (self._from - self._target) * left
+
+
+class SimulatedDriver(Driver):
+    """Drives a simulated device for each device of the robot. A sensor reads the middle of its range."""
+
+    def __init__(self, *, delay: float = 0.0, time_constant: float = 0.0, noise: float = 0.0) -> None:
+        super().__init__()
+        self._physics = {"delay": delay, "time_constant": time_constant, "noise": noise}
+        self.devices: dict[str, SimulatedDevice] = {}
+
+    def start(self, robot: Robot) -> None:
+        for device in robot.devices.values():
+            sensor = device.control_types.get("sensor", {})
+            middle = (float(sensor.get("min_value", 0)) + float(sensor.get("max_value", 0))) / 2
+            at = device.default_value if device.default_value is not None else middle
+            self.devices[device.id] = SimulatedDevice(at, **self._physics)
+
+    def set(self, device: str, control_type: str, value: float, *more: float) -> None:
+        if control_type in ("position", "speed"):
+            self.devices[device].set(value)
+        self.log.info("%s %s %s", device, control_type, " ".join(map(str, (value, *more))))
+
+    def read(self, sensor: str) -> float:
+        if sensor not in self.devices:
+            raise Refused(f"there is no `{sensor}`")
+        return self.devices[sensor].read()
+
+
+if __name__ == "__main__":
+    arguments = argparse.ArgumentParser(description="Drives simulated hardware for `downbeat edge`.")
+    arguments.add_argument("--delay-ms", type=float, default=0.0, help="from a value to the first motion")
+    arguments.add_argument("--time-constant-ms", type=float, default=0.0, help="how slowly it follows")
+    arguments.add_argument("--noise", type=float, default=0.0, help="standard deviation of its readings")
+    given = arguments.parse_args()
+    SimulatedDriver(
+        delay=given.delay_ms / 1000, time_constant=given.time_constant_ms / 1000, noise=given.noise
+    ).run()

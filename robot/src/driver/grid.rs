@@ -1,0 +1,71 @@
+//! Values as a device can take them, in the decimal digits in which its grid is written.
+
+use urrcp::{Device, InitializationBlock};
+
+use super::Key;
+
+/// More digits than a number has behind its point say nothing.
+const DIGITS_MAX: usize = 17;
+
+/// The value of a signal on the grid of its device: values between those of scripts come from movements and stops. 82 steps of
+/// 0.02 are 1.64, not 1.6400000000000001.
+pub(super) fn on_grid(block: &InitializationBlock, (device, control_type): &Key, value: f64) -> f64 {
+    let device = block.device(device.as_str());
+    let Some(limits) = device.and_then(|device| device.available_control_types.limits(*control_type)) else {
+        return value;
+    };
+    if is_default(device, value) && !limits.on_grid(value) {
+        return value;
+    }
+    as_written(limits.nearest(value).clamp(limits.min_value, limits.max_value), limits.granularity)
+}
+
+fn is_default(device: Option<&Device>, value: f64) -> bool {
+    device.and_then(|device| device.default_value) == Some(value)
+}
+
+/// The number with as many digits behind its point as the granularity has, if that is nearly the same number.
+fn as_written(value: f64, granularity: f64) -> f64 {
+    let digits = granularity.to_string().split_once('.').map_or(0, |(_, digits)| digits.len());
+    let written = format!("{value:.*}", digits.min(DIGITS_MAX)).parse().unwrap_or(value);
+    // A limit may lie off the grid.
+    if (written - value).abs() <= granularity * 1e-6 { written } else { value }
+}
+
+#[cfg(test)]
+mod tests {
+    use urrcp::{ControlType, DeviceId};
+
+    use super::*;
+
+    #[track_caller]
+    fn check(granularity: f64, value: f64, expected: &str) {
+        let block = serde_json::from_value(serde_json::json!({"id": "r", "api_version": "1", "devices": [
+            {"id": "arm", "name": "arm", "default_value": 0.123, "available_control_types":
+                {"position": {"min_value": -9.05, "max_value": 9, "granularity": granularity}}}]}));
+        let key = (DeviceId::new("arm").unwrap(), ControlType::Position);
+        assert_eq!(on_grid(&block.unwrap(), &key, value).to_string(), expected);
+    }
+
+    #[test]
+    fn a_value_has_no_more_digits_than_its_grid() {
+        check(0.02, 82.0 * 0.02, "1.64");
+        check(0.02, 1.633, "1.64");
+        check(0.1, 3.0 * 0.1, "0.3");
+        check(1e-7, 3.0 * 1e-7, "0.0000003");
+        check(0.25, -1.3, "-1.25");
+        check(1.0, 3.2, "3");
+    }
+
+    #[test]
+    fn a_limit_or_a_default_value_off_the_grid_is_left_as_it_is() {
+        check(0.1, -9.05, "-9.05");
+        check(0.02, 0.123, "0.123");
+    }
+
+    #[test]
+    fn a_grid_that_no_decimal_digits_write_is_left_as_it_is() {
+        let third = 1.0 / 3.0;
+        check(third, 2.0 * third, &(2.0 * third).to_string());
+    }
+}

@@ -1,0 +1,168 @@
+//! A program at work: lines to it, answers from it, and what it tells unasked.
+
+use std::collections::HashSet;
+use std::io::{BufRead, BufReader, ErrorKind, Read, Write};
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::process::CommandExt;
+use std::process::{Child, ChildStdin, Command, Stdio};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::time::Duration;
+
+use rustix::event::{PollFd, PollFlags, Timespec, poll};
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+use urrcp::DeviceId;
+
+use super::Pushes;
+
+/// Longest answer, in bytes.
+const ANSWER_BYTES_MAX: u64 = 16_384;
+/// How long it may take to end once its input has ended.
+const END_WAIT: Duration = Duration::from_secs(1);
+
+/// Takes what a program tells unasked.
+#[derive(Clone, Debug)]
+pub(super) struct Ear {
+    pub(super) pushes: Pushes,
+    pub(super) sensors: Arc<HashSet<DeviceId>>,
+}
+
+impl Ear {
+    /// Takes the line, if it is no answer.
+    fn hears(&self, line: &str) -> bool {
+        match line.split_once(' ') {
+            Some(("fault", reason)) => self.pushes.fault(reason.trim()),
+            Some(("reading", reading)) => {
+                let read = reading.split_once(' ').and_then(|(sensor, value)| {
+                    Some((self.sensors.get(sensor.trim())?, value.trim().parse().ok()?))
+                });
+                match read {
+                    Some((sensor, value)) => self.pushes.reading(sensor, value),
+                    None => self.pushes.fault(format!(
+                        "the program says `{line}`, expected `reading SENSOR NUMBER` with a sensor of this robot"
+                    )),
+                }
+            }
+            _ => return false,
+        }
+        true
+    }
+}
+
+/// The program at work. Dropping it ends the program.
+pub(super) struct Running {
+    child: Child,
+    input: Option<ChildStdin>,
+    /// A copy of its output, to be watched alone.
+    pub(super) output: OwnedFd,
+    answers: Receiver<String>,
+    /// It may tell what it was not asked for.
+    tells: Arc<AtomicBool>,
+}
+
+impl Running {
+    pub(super) fn start(command: &str, ear: Option<Ear>) -> std::io::Result<Self> {
+        let mut shell = Command::new("sh");
+        shell.arg("-c").arg(command).stdin(Stdio::piped()).stdout(Stdio::piped());
+        // A group of its own: Ctrl-C is for the edge, which then has its devices brought to rest.
+        let mut child = shell.process_group(0).spawn()?;
+        let no_pipe = || std::io::Error::other("no pipe");
+        let output = child.stdout.take().ok_or_else(no_pipe)?;
+        let input = child.stdin.take().ok_or_else(no_pipe)?;
+        // A description may be longer than a pipe, and a program need not read it.
+        fcntl_setfl(&input, fcntl_getfl(&input)? | OFlags::NONBLOCK)?;
+        let watched = output.as_fd().try_clone_to_owned()?;
+        // One answer belongs to one line; a program that says more is soon out of step.
+        let (sender, answers) = sync_channel(1);
+        let tells = Arc::new(AtomicBool::new(false));
+        let ear = ear.map(|ear| (ear, Arc::clone(&tells)));
+        // Ends with the program's output, or when the receiver is gone.
+        std::thread::Builder::new()
+            .name("program".into())
+            .spawn(move || hear(BufReader::new(output), ear.as_ref(), &sender))?;
+        Ok(Self { child, input: Some(input), output: watched, answers, tells })
+    }
+
+    /// From now on it may tell what it was not asked for.
+    pub(super) fn may_tell(&self) {
+        self.tells.store(true, Ordering::SeqCst);
+    }
+
+    /// Sends a line and returns the answer.
+    pub(super) fn ask(&mut self, line: &str, wait: Duration) -> Result<String, String> {
+        let Some(input) = &mut self.input else { return Err("has ended".to_owned()) };
+        // Together in one write: a program may read in pieces.
+        let verb = line.split(' ').next().unwrap_or(line);
+        let shown = if line.len() > SHOWN_MAX { verb } else { line };
+        match write_within(input, format!("{line}\n").as_bytes(), wait) {
+            Ok(true) => {}
+            Ok(false) => return Err(format!("did not read `{shown}` within {}", seconds(wait))),
+            Err(error) => return Err(format!("takes no line: {error}")),
+        }
+        self.answers.recv_timeout(wait).map_err(|error| match error {
+            RecvTimeoutError::Timeout => format!("did not answer `{shown}` within {}", seconds(wait)),
+            RecvTimeoutError::Disconnected => "has ended".to_owned(),
+        })
+    }
+}
+
+/// Of longer lines a reason names the first word alone.
+const SHOWN_MAX: usize = 200;
+
+fn seconds(wait: Duration) -> String {
+    format!("{} s", wait.as_secs_f64())
+}
+
+/// False if the program has not read for that long.
+fn write_within(input: &mut ChildStdin, mut bytes: &[u8], wait: Duration) -> std::io::Result<bool> {
+    let wait = Timespec::try_from(wait).map_err(std::io::Error::other)?;
+    while !bytes.is_empty() {
+        match input.write(bytes) {
+            Ok(0) => return Err(ErrorKind::WriteZero.into()),
+            Ok(written) => bytes = &bytes[written..],
+            Err(error) if error.kind() == ErrorKind::Interrupted => {}
+            Err(error) if error.kind() == ErrorKind::WouldBlock => {
+                if poll(&mut [PollFd::new(&*input, PollFlags::OUT)], Some(&wait))? == 0 {
+                    return Ok(false);
+                }
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(true)
+}
+
+/// Passes on each line, as an answer or as what was told unasked.
+fn hear(mut output: impl BufRead, ear: Option<&(Ear, Arc<AtomicBool>)>, answers: &SyncSender<String>) {
+    loop {
+        let mut line = Vec::new();
+        match output.by_ref().take(ANSWER_BYTES_MAX).read_until(b'\n', &mut line) {
+            Ok(0) | Err(_) => return,
+            Ok(_) => {}
+        }
+        let line = String::from_utf8_lossy(&line).trim().to_owned();
+        let told = ear.is_some_and(|(ear, tells)| tells.load(Ordering::SeqCst) && ear.hears(&line));
+        if !told && answers.send(line).is_err() {
+            return;
+        }
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        // The next one would pay for what this one says now.
+        self.tells.store(false, Ordering::SeqCst);
+        self.input = None;
+        // Its output ends with it; what it still says is of no more use, and too much of it is no end.
+        let last = (0..16).find_map(|_| self.answers.recv_timeout(END_WAIT).err());
+        let ended = last == Some(RecvTimeoutError::Disconnected);
+        if !ended
+            && let Some(group) = i32::try_from(self.child.id()).ok().and_then(rustix::process::Pid::from_raw)
+        {
+            let _already_gone = rustix::process::kill_process_group(group, rustix::process::Signal::KILL);
+        }
+        let _already_gone = self.child.kill();
+        let _reaped = self.child.wait();
+    }
+}

@@ -1,0 +1,65 @@
+//! What people at the edge's terminal want to know of the hardware.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::time::Duration;
+
+use urrcp::DeviceId;
+
+use super::News;
+
+/// Something happened to the hardware of an edge.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum HardwareEvent {
+    /// It has answered, for the first time or again.
+    There {
+        /// How long devices take from a value to visible motion, as the driver declares it.
+        latency: BTreeMap<DeviceId, Duration>,
+    },
+    /// It is away, or refused a value, as this sentence says. The edge connects to it again, and this comes again for each try
+    /// that fails.
+    Lost(String),
+    /// A sensor gave no reading.
+    Unread(String),
+    /// A value came to the driver so late that it was not set.
+    Late {
+        /// The device that was to take it.
+        device: DeviceId,
+        /// How late it was.
+        late: Duration,
+    },
+}
+
+impl HardwareEvent {
+    /// What this piece of news is for people, if anything.
+    pub(crate) fn of(news: &News) -> Option<Self> {
+        match news {
+            News::There { latency, .. } => Some(Self::There { latency: latency.clone() }),
+            News::Away { reason } => Some(Self::Lost(reason.clone())),
+            News::Stale { device, late } => Some(Self::Late { device: device.clone(), late: *late }),
+            News::Reading { reading: Err(reason), .. } => Some(Self::Unread(reason.clone())),
+            News::Reading { .. } | News::Confirmed(_) => None,
+        }
+    }
+}
+
+impl fmt::Display for HardwareEvent {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::There { latency } if latency.is_empty() => f.write_str("the hardware answers"),
+            Self::There { latency } => {
+                let of = |(device, latency): (&DeviceId, &Duration)| {
+                    format!("{device} {} ms", latency.as_secs_f64() * 1_000.0)
+                };
+                let all: Vec<_> = latency.iter().map(of).collect();
+                write!(f, "its driver declares a latency, which is not compensated: {}", all.join(", "))
+            }
+            Self::Lost(why) => f.write_str(why),
+            Self::Unread(why) => write!(f, "a sensor gave no reading: {why}"),
+            Self::Late { device, late } => {
+                write!(f, "a value for `{device}` came {} ms late and was not set", late.as_millis())
+            }
+        }
+    }
+}
