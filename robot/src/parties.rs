@@ -144,7 +144,7 @@ impl Parties {
         self.owner.as_ref().and_then(|(owner, _)| owner.peer.as_ref())
     }
 
-    /// From now on the robot belongs to this session, whose peer has proven this name, whoever had it before.
+    /// From now on the robot belongs to this session, whose peer has proven this name, and no longer to the one that had it.
     pub(crate) fn seize(&mut self, claimant: Claimant, party: LinkId, by: Label) {
         self.seized = self.owner.take().map(|(before, _)| (before, by));
         self.claim(claimant, party);

@@ -16,7 +16,7 @@ impl Robot {
         let is_taken = match self.owner(now, link, Some(session)) {
             Owner::Asker => false,
             Owner::Another(_) => true,
-            // Without a session whoever reaches a free robot can command it.
+            // Without a session any peer that reaches a free robot can command it.
             Owner::Nobody => holds(),
         };
         if !is_taken || self.hardware.away().is_some() {

@@ -1,7 +1,7 @@
 //! Who says `go` and `stop` at a mission's socket, where several operators share a computer: an operator presents its certificate and
 //! signs what it says, and its roles decide.
 //!
-//! This keeps accounts; it is no wall. Whoever is the mission's user, or root, can end its process by other means, and counts as the
+//! This keeps accounts; it is no wall. A process of the mission's user, or of root, can end the mission by other means, and counts as the
 //! mission's own operator where it presents nothing: a stop never waits for a key.
 
 use base64::Engine as _;
