@@ -6,7 +6,7 @@ use std::time::{Duration, Instant};
 use serde_json::Value;
 
 use crate::operators::{Operators, fails_with};
-use crate::session::{Ran, Session};
+use crate::session::{ARM, Ran, Session};
 use crate::tls::Site;
 
 /// Anna's: the arms go up and stay there for a minute.
@@ -19,8 +19,8 @@ cues: [{at: 0s, robots: all, tracks: {shoulder: [{at: 100ms, to: 30}, {at: 400ms
 ";
 
 /// Anna plays on all robots, and eva may seize.
-fn anna_plays() -> (Site, Child) {
-    let site = Site::new();
+fn anna_plays(scheme: &'static str) -> (Site, Child) {
+    let site = Site::with(scheme);
     site.session.run(&["keys", "operator", "eva", "--role", "drive,seize"]).says(0, &["eva"]);
     site.session.file("long.yaml", LONG).file("other.yaml", OTHER);
     let mut playing = site.session.command(&["run", "long.yaml", "--format", "json"]);
@@ -47,7 +47,16 @@ fn said(site: &Site, name: &str) -> String {
 
 #[test]
 fn who_may_seize_takes_robots_from_a_mission_and_others_do_not() {
-    let (site, mut playing) = anna_plays();
+    robots_are_taken("tls");
+}
+
+#[test]
+fn robots_with_a_secret_are_taken_by_who_may_seize_too() {
+    robots_are_taken("hmac");
+}
+
+fn robots_are_taken(scheme: &'static str) {
+    let (site, mut playing) = anna_plays(scheme);
     let moved = site.moved();
     let session = &site.session;
     by(session, "bert", &["preflight", "other.yaml"]).says(1, &["bert may observe, and this takes drive"]);
@@ -59,11 +68,19 @@ fn who_may_seize_takes_robots_from_a_mission_and_others_do_not() {
     // Without asking for it eva takes none either, nor for a mission that would not start.
     by(session, "eva", &["run", "other.yaml"]).says(1, &["belongs to another session"]);
     let fleet = said(&site, "fleet.yaml");
-    let mut elsewhere = site.addresses("tls");
-    elsewhere[2] = "tls://127.0.0.1:1".to_owned();
+    let mut elsewhere = site.addresses(scheme);
+    elsewhere[2] = format!("{scheme}://127.0.0.1:1");
     site.fleet(&elsewhere, "eva");
     by(session, "eva", &["run", "other.yaml", "--seize"])
         .says(1, &["r2: link down", "r0: not available", "belongs to another session"]);
+    let sensor = "  - id: battery\n    name: battery\n    available_control_types:\n      sensor: {min_value: 0, max_value: 100}\n";
+    session.file("weak.yaml", format!("{ARM}{sensor}"));
+    let weak = "  s3: {init: weak.yaml, address: sim, require: {battery: above 60}}\ngroups: {all: [s3, ";
+    let with_weak = fleet.replacen("groups: {all: [", weak, 1);
+    assert_ne!(with_weak, fleet);
+    session.file("fleet.yaml", with_weak);
+    by(session, "eva", &["run", "other.yaml", "--seize"])
+        .says(1, &["s3: `battery` reads 50", "r0: not available", "belongs to another session"]);
     session.file("fleet.yaml", fleet);
     assert_eq!(site.moved(), moved, "no robot was moved");
     assert!(playing.try_wait().unwrap().is_none(), "anna's mission goes on");

@@ -31,8 +31,13 @@ pub enum KeyFileError {
     },
 }
 
-/// What is in the file, if it is a regular one that others cannot read.
+/// What is in the file with a key, if it is a regular one that others cannot read.
 pub(crate) fn read_private(path: &Path) -> Result<Vec<u8>, KeyFileError> {
+    read_private_of(path, BYTES_MAX)
+}
+
+/// The same with so many bytes at most.
+pub(crate) fn read_private_of(path: &Path, bytes_max: u64) -> Result<Vec<u8>, KeyFileError> {
     let (file, stat) = open_regular(path)?;
     let mode = stat.st_mode & 0o777;
     // A file of root may be handed to a service by its group, as systemd does with credentials.
@@ -40,7 +45,7 @@ pub(crate) fn read_private(path: &Path) -> Result<Vec<u8>, KeyFileError> {
     if mode & if handed_over { 0o037 } else { 0o077 } != 0 {
         return Err(KeyFileError::NotPrivate { path: path.into(), mode });
     }
-    read(path, file, BYTES_MAX)
+    read(path, file, bytes_max)
 }
 
 /// What is in the file, so many bytes at most, if it is a regular one. It may be public.
@@ -49,9 +54,13 @@ pub(crate) fn read_regular(path: &Path, bytes_max: u64) -> Result<Vec<u8>, KeyFi
 }
 
 fn read(path: &Path, file: File, bytes_max: u64) -> Result<Vec<u8>, KeyFileError> {
+    let unreadable = |error| KeyFileError::Unreadable { path: path.into(), error };
     let mut bytes = Vec::new();
-    let read = file.take(bytes_max).read_to_end(&mut bytes);
-    read.map_err(|error| KeyFileError::Unreadable { path: path.into(), error })?;
+    let read = file.take(bytes_max + 1).read_to_end(&mut bytes).map_err(unreadable)?;
+    // A part would say something else than the whole.
+    if u64::try_from(read).is_ok_and(|read| read > bytes_max) {
+        return Err(unreadable(io::Error::other(format!("it has more than {bytes_max} bytes"))));
+    }
     Ok(bytes)
 }
 

@@ -252,7 +252,12 @@ impl Worker {
             movements.extend(movement.map(|movement| (key, movement)));
         }
         self.set(&values)?;
-        movements.into_iter().try_for_each(|(key, movement)| self.follow(key, movement))
+        movements.into_iter().try_for_each(|(key, movement)| self.follow(key, movement))?;
+        // The hardware is told at once: what is confirmed behind it must not be an intention of this process alone.
+        if self.moving.values().any(|moving| moving.sent.is_none()) {
+            self.sample()?;
+        }
+        Ok(())
     }
 
     /// By one call, if the driver takes several values at a time.

@@ -74,9 +74,10 @@ impl Robot {
                     self.report(now, index, now, failed, out);
                 }
                 Said::Report(happened, report) => self.report(now, index, happened, report, out),
+                // Not remembered: the same stop may succeed when it is sent again.
                 Said::Answer(link, answer) => {
                     let error = Some(error.clone());
-                    self.answer(link, ControlResponse { status: Status::Failed, error, ..answer }, out);
+                    tell(link, ControlResponse { status: Status::Failed, error, ..answer }, out);
                 }
             }
         }

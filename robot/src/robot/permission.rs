@@ -25,7 +25,7 @@ impl Robot {
         }
         if self.parties.proof(link).is_none() {
             let message = format!(
-                "`{}` is seized only by an operator who proves by TLS to have the role seize; on this connection nothing is proven",
+                "`{}` is seized only by an operator who proves to have the role seize; on this connection nothing is proven",
                 self.block.id
             );
             tracing::warn!(robot = %self.block.id, "refused: {message}");

@@ -30,6 +30,7 @@ impl Robot {
         for index in 0..self.devices.len() {
             self.stop(now, index, &why, false, out);
         }
+        self.devices.iter_mut().for_each(|device| device.claimed(now));
         let claimant = self.parties.claimant(link, session);
         self.parties.seize(claimant, self.parties.party(link), by);
     }

@@ -7,7 +7,10 @@ use urrcp::RobotId;
 use super::claim::{Claim, encoded, robot_id};
 use super::secret::Pass;
 use super::{SecretError, hex};
-use crate::key_file::read_private;
+use crate::key_file::read_private_of;
+
+/// Bytes of a file of passes at most: a pass takes some 200.
+const BYTES_MAX: u64 = 16 * 1024 * 1024;
 
 /// One of them.
 #[derive(Clone, Debug)]
@@ -45,7 +48,7 @@ impl Passes {
     /// It cannot be read, others may read it, or it is something else.
     pub fn read(path: &Path) -> Result<Self, SecretError> {
         let none = || SecretError::NoPasses(path.into());
-        let text = String::from_utf8(read_private(path)?).map_err(|_| none())?;
+        let text = String::from_utf8(read_private_of(path, BYTES_MAX)?).map_err(|_| none())?;
         let lines = text.lines().filter(|line| !line.starts_with('#') && !line.is_empty());
         let held: Option<Vec<Held>> = lines.map(held).collect();
         held.map(Self::new).ok_or_else(none)

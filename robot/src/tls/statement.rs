@@ -1,7 +1,10 @@
 //! A statement that an operator signs where there is no TLS, as on a socket of this machine, and the check of who did.
 
+use std::sync::{Arc, Mutex, PoisonError};
+
 use rustls::SignatureScheme;
 use rustls::pki_types::{CertificateDer, UnixTime};
+use rustls::server::danger::ClientCertVerifier;
 use x509_parser::prelude::{FromDer, X509Certificate};
 
 use super::config::{client_verifier, provider};
@@ -40,13 +43,30 @@ impl Credentials {
 pub struct Witness {
     own: Credentials,
     revoked: Option<Revoked>,
+    /// The last that could be made: a list that cannot be read any more keeps nobody from a stop.
+    verifier: Mutex<Arc<dyn ClientCertVerifier>>,
 }
 
 impl Witness {
     /// Of the authority of this identity, and with its list of revoked certificates.
-    #[must_use]
-    pub const fn new(own: Credentials, revoked: Option<Revoked>) -> Self {
-        Self { own, revoked }
+    ///
+    /// # Errors
+    /// The files cannot be used, as a sentence.
+    pub fn new(own: Credentials, revoked: Option<Revoked>) -> Result<Self, String> {
+        let verifier = Mutex::new(client_verifier(&own, revoked.as_ref())?);
+        Ok(Self { own, revoked, verifier })
+    }
+
+    /// With the list as it is now, or as it was when it could be read last.
+    fn verifier(&self) -> Arc<dyn ClientCertVerifier> {
+        let mut last = self.verifier.lock().unwrap_or_else(PoisonError::into_inner);
+        match client_verifier(&self.own, self.revoked.as_ref()) {
+            Ok(verifier) => *last = verifier,
+            Err(error) => {
+                tracing::warn!("the list of revoked certificates counts as it was read last: {error}")
+            }
+        }
+        Arc::clone(&last)
     }
 
     /// Whose authority it is.
@@ -55,14 +75,13 @@ impl Witness {
         self.own.identity()
     }
 
-    /// Who has signed this statement. The list of revoked certificates counts as it is now.
+    /// Who has signed this statement. The list of revoked certificates counts as it is now, or was when it could be read last.
     ///
     /// # Errors
     /// Why the statement is nobody's, as a sentence.
     pub fn who(&self, statement: &[u8], signed: &Signed) -> Result<Identity, String> {
         let certificate = CertificateDer::from(signed.certificate.as_slice());
-        let verifier = client_verifier(&self.own, self.revoked.as_ref())?;
-        verifier
+        self.verifier()
             .verify_client_cert(&certificate, &[], UnixTime::now())
             .map_err(|error| format!("its certificate does not count here: {error}"))?;
         let (_, parsed) = X509Certificate::from_der(&certificate)

@@ -38,7 +38,7 @@
 #define MAX_OUT (160 * 1024) /* bytes left unread at which a peer is cut off; from MAX_UNREAD on it is not listened to */
 #define MAX_UNREAD (48 * 1024)
 #define KEPT 300          /* last answers of requests that have ended; the protocol asks for 256 */
-#define AUTHORS 16        /* operators whose stops answers name */
+#define AUTHORS 16        /* reasons with the name of an operator */
 #define MAX_ID 256        /* characters of a string */
 #define MAX_NAMES 128     /* requests, and devices, of an inquiry; its answer must fit into MAX_OUT */
 
@@ -1070,11 +1070,10 @@ static bool owns(const struct link *link, const struct text *session)
         && !memcmp(link->sealed.name, owner_name, owner_name_length);
 }
 
-/* Renews leases and settles whose the robot is; false if it is another session's. */
-static bool hear(struct link *link, const struct text *session, bool claims)
+/* Whether the robot does or holds anything. A session that is over by then owns it no more. */
+static bool is_busy(void)
 {
-    int64_t now = silence_ns(), received = now_ns();
-    bool busy = false, open = false, renews;
+    bool busy = false, open = false;
     struct device *device;
     int i;
     for (device = devices; device < devices + device_count; device++) {
@@ -1085,11 +1084,22 @@ static bool hear(struct link *link, const struct text *session, bool claims)
     }
     for (i = 0; i < MAX_LINKS; i++)
         open = open || (links[i].socket >= 0 && links[i].of_owner);
-    if (owned && !busy && (!open || now - owner_heard >= SILENCE)) {
+    if (owned && !busy && (!open || silence_ns() - owner_heard >= SILENCE)) {
         owned = false;
         for (i = 0; i < MAX_LINKS; i++)
             links[i].of_owner = false;
     }
+    return busy;
+}
+
+/* Renews leases and settles whose the robot is; false if it is another session's. */
+static bool hear(struct link *link, const struct text *session, bool claims)
+{
+    int64_t now = silence_ns(), received = now_ns();
+    bool renews;
+    struct device *device;
+    int i;
+    is_busy();
     if (session && claims && !owned) {
         owned = true;
         owner = *session;
@@ -1123,18 +1133,34 @@ static const char *busy_message(void)
     return message;
 }
 
-/* An operator with the role seize takes the robot from another session: what that holds ends and comes to rest. */
+/* Why something ended. Answers keep it, so each operator has reasons of its own, up to the last AUTHORS of them. */
+static const char *done_by(const char *what, const struct link *link)
+{
+    static char authors[AUTHORS][SEALED_NAME + 32];
+    static int next;
+    char text[SEALED_NAME + 32];
+    int i;
+    snprintf(text, sizeof text, "%s by operator %.*s", what, (int)link->sealed.name_length, link->sealed.name);
+    for (i = 0; i < AUTHORS; i++)
+        if (!strcmp(authors[i], text))
+            return authors[i];
+    i = next++ % AUTHORS;
+    return strcpy(authors[i], text);
+}
+
+/* An operator with the role seize takes the robot from others: what they hold ends and comes to rest. */
 static void take_from_others(struct link *link, const struct text *session)
 {
-    static char message[SEALED_NAME + 32];
+    bool busy = is_busy();
+    const char *why;
     int64_t now = now_ns();
     int i;
-    if (!owned || owns(link, session))
+    if (owned ? owns(link, session) : !busy)
         return;
-    snprintf(message, sizeof message, "taken by operator %.*s", (int)link->sealed.name_length, link->sealed.name);
-    fprintf(stderr, "%s\n", message);
+    why = done_by("taken", link);
+    fprintf(stderr, "%s\n", why);
     for (i = 0; i < device_count; i++)
-        rest(&devices[i], false, "cancelled", message, now);
+        rest(&devices[i], false, "cancelled", why, now);
     owned = false;
     for (i = 0; i < MAX_LINKS; i++)
         links[i].of_owner = false;
@@ -1156,21 +1182,6 @@ static struct answer *new_answer(void)
 static bool stops(void)
 {
     return request.script && !request.size && !request.has_start;
-}
-
-/* The reason for a stop. Answers keep it, so each operator has one of its own, up to the last AUTHORS of them. */
-static const char *stopped_by(const struct link *link)
-{
-    static char authors[AUTHORS][SEALED_NAME + 32];
-    static int next;
-    char text[SEALED_NAME + 32];
-    int i;
-    snprintf(text, sizeof text, "stopped by operator %.*s", (int)link->sealed.name_length, link->sealed.name);
-    for (i = 0; i < AUTHORS; i++)
-        if (!strcmp(authors[i], text))
-            return authors[i];
-    i = next++ % AUTHORS;
-    return strcpy(authors[i], text);
 }
 
 static void control(struct link *link, int body, int64_t heard, int64_t now)
@@ -1201,7 +1212,7 @@ static void control(struct link *link, int body, int64_t heard, int64_t now)
         return;
     }
     if (secured && r->script && !r->size)
-        why = stopped_by(link);
+        why = done_by("stopped", link);
     if (refused(r, device, body, now, &passing)) {
         if (!strcmp(passing.code, "unsupported_control_type"))
             rest(device, false, "cancelled", "default state after an unsupported control type", now);
@@ -1592,6 +1603,7 @@ static void link_open(struct link *link)
     unsigned char nonce[SEALED_NONCE];
     struct sealed *s = &link->sealed;
     int got = 0;
+    answer[0] = '\0';
     while (s->stage != SEALED_OPEN && !link->dead) {
         size_t before = s->raw_length;
         bool good = sealed_random(nonce, sizeof nonce) && sealed_greet(&key, s, time(NULL), nonce, answer);

@@ -91,6 +91,7 @@ static bool is_revoked(const char *path, const char *serial, size_t length)
         return path != NULL; /* a list that cannot be read opens no door */
     while (fgets(line, sizeof line, file))
         found = found || (strcspn(line, "\r\n") == length && !memcmp(line, serial, length));
+    found = found || ferror(file);
     fclose(file);
     return found;
 }

@@ -176,7 +176,7 @@ impl Tls {
 pub(crate) async fn secured(
     stream: TcpStream,
     security: &Security,
-) -> io::Result<((ReadEnd, WriteEnd), Option<Identity>)> {
+) -> io::Result<((ReadEnd, WriteEnd), Option<Met>)> {
     let denied = |what: String| io::Error::other(Denied(what));
     stream.set_nodelay(true)?;
     let tls = match security {
@@ -190,7 +190,10 @@ pub(crate) async fn secured(
         }
         Security::Hmac(hmac) => {
             let (reader, writer) = tokio::io::split(hmac.connect(stream).await?);
-            return Ok(((Either::Right(Either::Right(reader)), Either::Right(Either::Right(writer))), None));
+            return Ok((
+                (Either::Right(Either::Right(reader)), Either::Right(Either::Right(writer))),
+                Some(Met { until: None }),
+            ));
         }
         Security::Tls(tls) => tls,
     };
@@ -204,7 +207,10 @@ pub(crate) async fn secured(
         return Err(denied(format!("its certificate is that of {}, expected robot {robot}", met.name)));
     }
     let (reader, writer) = tokio::io::split(stream);
-    Ok(((Either::Right(Either::Left(reader)), Either::Right(Either::Left(writer))), Some(met)))
+    Ok((
+        (Either::Right(Either::Left(reader)), Either::Right(Either::Left(writer))),
+        Some(Met { until: Some(met.expires) }),
+    ))
 }
 
 /// Why one side was not let in, in words of keys and certificates; `None` where the connection failed otherwise.
@@ -236,6 +242,12 @@ pub(crate) fn denial(error: &io::Error) -> Option<String> {
         other => return Some(format!("no TLS with the robot: {other}")),
     };
     Some(why.to_owned())
+}
+
+/// A robot that has proven who it is.
+pub(crate) struct Met {
+    /// Until when its certificate counts, if it has one, in seconds since 1970.
+    pub(crate) until: Option<i64>,
 }
 
 /// Not let in, for a reason of this side.

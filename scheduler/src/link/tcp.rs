@@ -3,13 +3,13 @@
 use std::io::{self, ErrorKind};
 use std::time::Duration;
 
-use downbeat_robot::tls::Identity;
 use downbeat_scripts::{Attempt, Refusal};
 use tokio::io::{AsyncReadExt, AsyncWriteExt};
 use tokio::net::TcpStream;
 use tokio::sync::mpsc;
 use urrcp::{Decoder, Encoding, Message, Server, Span, Timestamp, encode_as};
 
+use super::secure::Met;
 use super::{Budget, EventSink, Peer, Queue, ReadEnd, WriteEnd, denial, secured};
 use crate::mission::{Event, Loss};
 use crate::server_clock::ServerClock;
@@ -46,8 +46,8 @@ pub(super) async fn carry(peer: Peer, queue: Queue) {
         }
     };
     if let Some(met) = met {
-        let until = Timestamp::from_nanos(met.expires.saturating_mul(1_000_000_000));
-        sink.put(Event::Certified { robot: sink.robot, until }).await;
+        let until = met.until.map(|until| Timestamp::from_nanos(until.saturating_mul(1_000_000_000)));
+        sink.put(Event::Proven { robot: sink.robot, until }).await;
     }
     sink.up().await;
     let reason = tokio::select! {
@@ -202,7 +202,7 @@ fn ended(error: &io::Error) -> (Loss, String) {
 }
 
 impl Peer {
-    async fn connect(&self) -> io::Result<((ReadEnd, WriteEnd), Option<Identity>)> {
+    async fn connect(&self) -> io::Result<((ReadEnd, WriteEnd), Option<Met>)> {
         secured(TcpStream::connect((self.host.as_str(), self.port)).await?, &self.security).await
     }
 

@@ -19,11 +19,11 @@ pub enum Event {
         robot: usize,
     },
     /// A robot has proven who it is, on the link that stands next.
-    Certified {
+    Proven {
         /// Index of the robot.
         robot: usize,
-        /// Until when its certificate counts.
-        until: Timestamp<Server>,
+        /// Until when its certificate counts, if it has shown one.
+        until: Option<Timestamp<Server>>,
     },
     /// A link broke or could not be made.
     LinkDown {

@@ -223,7 +223,7 @@ fn remedy_of_silence(awaited: &str) -> &'static str {
 fn remedy_of_busy(error: &ControlError) -> &'static str {
     match error.code {
         ErrorCode::Busy => {
-            "; wait for its end, or end it with `downbeat stop` on the machine where it runs; an operator with the role `seize` takes robots with a `tls://` address by `downbeat run --seize`"
+            "; wait for its end, or end it with `downbeat stop` on the machine where it runs; an operator with the role `seize` takes robots with a `tls://` or `hmac://` address by `downbeat run --seize`"
         }
         _ => "",
     }

@@ -199,13 +199,25 @@ impl Mission {
             let absent = robot.standing != Standing::In;
             robot.has_failed() || absent || (robot.is_up() && (!full || greeted))
         };
-        if !self.robots.iter().all(heard) || self.seize_others(now) || self.still_sampling(now) {
+        if !self.robots.iter().all(heard) {
             return;
         }
-        self.check_links();
-        self.check_clocks(now);
-        self.check_sensors();
-        self.check_refills(now);
+        let others = self.robots.iter().any(RobotState::is_of_another);
+        if others {
+            // A mission that would not start takes no robot from another.
+            self.check_links();
+            self.check_clocks(now);
+            self.check_sensors();
+        }
+        if self.seize_others(now) || self.still_sampling(now) {
+            return;
+        }
+        if !others {
+            self.check_links();
+            self.check_clocks(now);
+            self.check_sensors();
+            self.check_refills(now);
+        }
         let preflight = preflight::table(self, now);
         self.preflight = Some(preflight.clone());
         let failed = self.robots.iter().any(RobotState::has_failed);
@@ -284,7 +296,7 @@ impl Mission {
         for index in 0..self.robots.len() {
             let robot = &self.robots[index];
             let round_trip = robot.round_trip();
-            if robot.standing == Standing::In && round_trip > ROUND_TRIP_LONGEST {
+            if robot.standing == Standing::In && !robot.is_of_another() && round_trip > ROUND_TRIP_LONGEST {
                 let slow = Slow::RoundTrip { round_trip, longest: ROUND_TRIP_LONGEST };
                 self.note_failure(index, FailureKind::TooSlow { slow });
             }
@@ -296,7 +308,8 @@ impl Mission {
         let tolerance = self.choreography.acts[self.options.first_act].plan.start_tolerance;
         for index in 0..self.robots.len() {
             let robot = &self.robots[index];
-            let Some(reading) = robot.clock_at(now).filter(|_| robot.settings.clock == ClockMode::Ntp) else {
+            let follows = robot.settings.clock == ClockMode::Ntp && !robot.is_of_another();
+            let Some(reading) = robot.clock_at(now).filter(|_| follows) else {
                 continue;
             };
             let uncertainty = reading.uncertainty + self.options.server_uncertainty;
@@ -305,7 +318,8 @@ impl Mission {
                 self.note_failure(index, kind);
             }
         }
-        if self.robots.iter().any(RobotState::has_failed) {
+        // The fleet is judged as a whole.
+        if self.robots.iter().any(|robot| robot.has_failed() || robot.is_of_another()) {
             return;
         }
         let offenders = self.skew_of_first_act(now).map(|skew| skew.offenders()).unwrap_or_default();
@@ -319,7 +333,10 @@ impl Mission {
     fn check_sensors(&mut self) {
         for index in 0..self.robots.len() {
             let robot = &self.robots[index];
-            if robot.standing != Standing::In || self.options.greeting == Greeting::Skip {
+            if robot.standing != Standing::In
+                || self.options.greeting == Greeting::Skip
+                || robot.is_of_another()
+            {
                 continue;
             }
             let short = robot.settings.require.iter().zip(&robot.readings).filter(|(required, reading)| {

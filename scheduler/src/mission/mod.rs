@@ -243,7 +243,10 @@ impl Mission {
         self.notice_hold_up(now);
         match event {
             Event::LinkUp { robot } => self.link_up(now, robot),
-            Event::Certified { robot, until } => self.robots[robot].certified_until = Some(until),
+            Event::Proven { robot, until } => {
+                self.robots[robot].proven = true;
+                self.robots[robot].certified_until = until;
+            }
             Event::LinkDown { robot, loss, reason } => self.link_down(now, robot, loss, reason),
             Event::Received { robot, message } => self.receive(now, robot, message),
             Event::Garbled { robot, reason } => self.fail(now, robot, FailureKind::Garbled { reason }),

@@ -192,6 +192,8 @@ pub(crate) struct RobotState {
     pub(crate) id: RobotId,
     /// What it has to call itself.
     pub(crate) own_id: RobotId,
+    /// It has proven who it is, and so does this mission to it.
+    pub(crate) proven: bool,
     /// Until when its certificate counts, if it has shown one.
     pub(crate) certified_until: Option<Timestamp<Server>>,
     /// To whom it belongs, while robots are greeted.
@@ -250,6 +252,7 @@ impl RobotState {
     pub(crate) fn new(participant: Participant) -> Self {
         Self {
             own_id: participant.own_id().clone(),
+            proven: false,
             certified_until: None,
             ownership: Ownership::default(),
             id: participant.id,

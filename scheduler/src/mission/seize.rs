@@ -29,7 +29,7 @@ impl Mission {
         let is_to_be = self.options.seize
             && greeting
             && error.code == ErrorCode::Busy
-            && state.certified_until.is_some()
+            && state.proven
             && state.clock.samples() == 0
             && matches!(state.ownership, Ownership::Asked | Ownership::OfAnother(_));
         if is_to_be {

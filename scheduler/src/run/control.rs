@@ -31,6 +31,8 @@ use crate::stop_lane::{StopLane, Voice};
 const LINE_MAX: u64 = 4_096;
 /// The same with a certificate and a signature ahead of it.
 const PRESENTED_MAX: u64 = 16_384;
+/// After which connections are taken again where the system refused one.
+const ACCEPT_AGAIN: Duration = Duration::from_millis(50);
 /// A scheduler that is silent for this long does not listen.
 const SILENCE_MAX: Duration = Duration::from_secs(1);
 /// How often a mission that stops says that it is alive.
@@ -87,7 +89,12 @@ impl Control {
         let (telling, told) = mpsc::channel(1);
         let (desk, mission) = (desk.map(Arc::new), mission_of(folder));
         let accepting = tokio::spawn(async move {
-            while let Ok((stream, _)) = listener.accept().await {
+            loop {
+                let Ok((stream, _)) = listener.accept().await else {
+                    // As where there are too many open files: it may be over soon.
+                    tokio::time::sleep(ACCEPT_AGAIN).await;
+                    continue;
+                };
                 if !is_ours(&stream) {
                     continue;
                 }
@@ -301,8 +308,15 @@ impl Speaker {
         word: &str,
     ) -> Result<(), Unheard> {
         let (Some(presented), Some(nonce)) = (presented, ready.strip_prefix("ready ")) else { return Ok(()) };
-        let signed = presented.signed(&Challenge::of(&mission_of(folder), nonce), word);
-        self.say(&format!("as {}", signed.map_err(Unheard::Refused)?)).await
+        match presented.signed(&Challenge::of(&mission_of(folder), nonce), word) {
+            Ok(signed) => self.say(&format!("as {signed}")).await,
+            Err(error) if word.starts_with("go") => Err(Unheard::Refused(error)),
+            // A stop waits for no key.
+            Err(error) => {
+                tracing::warn!("the stop is said without a name: {error}");
+                Ok(())
+            }
+        }
     }
 
     async fn say(&mut self, line: &str) -> Result<(), Unheard> {

@@ -81,7 +81,7 @@ impl Desk {
         let own = Credentials::read(identity).map_err(|error| error.to_string())?;
         let revoked = keys.revoked.as_deref().map(Revoked::in_file).transpose();
         let revoked = revoked.map_err(|error| error.to_string())?;
-        Ok(Some(Self { witness: Witness::new(own, revoked) }))
+        Ok(Some(Self { witness: Witness::new(own, revoked)? }))
     }
 
     /// Who says this word; `None`: the operator that began the mission, which may say all.
@@ -95,6 +95,10 @@ impl Desk {
         word: &str,
     ) -> Result<Option<String>, String> {
         let unreadable = || "what it presents cannot be read".to_owned();
+        let is_stop = matches!(word.split(' ').next(), Some("stop" | "hold"));
+        if challenge.nonce.is_empty() && is_stop {
+            return Ok(None);
+        }
         if challenge.nonce.is_empty() {
             return Err("this machine has no random bits to sign".to_owned());
         }
@@ -106,10 +110,7 @@ impl Desk {
         if identity.name == self.witness.identity().name {
             return Ok(None);
         }
-        let (takes, role) = match word.split(' ').next() {
-            Some("stop" | "hold") => ("a stop", Role::Stop),
-            _ => ("a go", Role::Drive),
-        };
+        let (takes, role) = if is_stop { ("a stop", Role::Stop) } else { ("a go", Role::Drive) };
         if !identity.roles.has(role) {
             let roles = identity.roles.to_string();
             return Err(format!("{} may {roles}, and {takes} takes {role}", identity.name));
