@@ -258,3 +258,20 @@ fn operators_have_a_pass_for_each_robot_with_a_secret_until_either_is_revoked() 
     site.authority.renew(&operator(), calendar(), 10).unwrap();
     assert!(passes(&site, OPERATOR).is_some_and(|passes| !passes.contains(&certificate.serial)));
 }
+
+#[test]
+fn the_passes_for_a_thousand_robots_are_read_whole() {
+    let site = Site::new();
+    site.of(&operator(), &[Role::Drive]);
+    site.authority.make_secret(&"r0".parse().unwrap(), IfThere::Keep).unwrap();
+    let path = site.folder.path().join("keys/operators/anna.passes");
+    let text = std::fs::read_to_string(&path).unwrap();
+    let line = text.lines().find(|line| line.starts_with("r0 ")).unwrap();
+    let lines: String =
+        (0..1_000).map(|i| format!("{}\n", line.replacen("r0 ", &format!("r{i} "), 1))).collect();
+    std::fs::write(&path, lines).unwrap();
+    assert_eq!(sealed::Passes::read(&path).unwrap().held().len(), 1_000);
+    std::fs::write(&path, "#".repeat(17 * 1024 * 1024)).unwrap();
+    let too_long = sealed::Passes::read(&path).unwrap_err().to_string();
+    assert!(too_long.ends_with("it has more than 16777216 bytes"), "{too_long}");
+}

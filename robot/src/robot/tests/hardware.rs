@@ -145,6 +145,32 @@ fn when_the_edge_ends_what_runs_is_told_and_devices_go_to_their_default_state() 
 }
 
 #[test]
+fn a_stop_that_the_hardware_never_confirmed_may_succeed_when_it_is_sent_again() {
+    let mut bench = driven();
+    bench.robot = bench.robot.confirmed_by_its_driver();
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
+    bench.until(10);
+    let cancel = || ControlRequest {
+        request_id: Some(RequestId::new("stop").unwrap()),
+        ..ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::cancel()))
+    };
+    bench.request(cancel());
+    assert!(!bench.statuses().contains(&"OK".to_owned()), "nobody has confirmed it");
+    bench.robot.hardware_lost(bench.now, "unplugged", &mut bench.out);
+    assert_eq!(bench.statuses().last().unwrap(), "Failed internal");
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    bench.request(cancel());
+    let tickets = bench.out.iter().filter_map(|output| match output {
+        Output::Confirm { ticket, .. } => Some(*ticket),
+        _ => None,
+    });
+    let last = tickets.last().unwrap();
+    bench.robot.confirmed(bench.now, last, &mut bench.out);
+    assert_eq!(bench.statuses().last().unwrap(), "OK");
+}
+
+#[test]
 fn a_stop_is_not_confirmed_while_it_is_unknown_where_the_devices_are() {
     let mut bench = ready();
     bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &PAPER)));
