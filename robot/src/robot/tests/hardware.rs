@@ -161,11 +161,11 @@ fn a_stop_that_the_hardware_never_confirmed_may_succeed_when_it_is_sent_again() 
     assert_eq!(bench.statuses().last().unwrap(), "Failed internal");
     bench.robot.hardware_found(bench.now, &mut bench.out);
     bench.request(cancel());
-    let tickets = bench.out.iter().filter_map(|output| match output {
+    let mut tickets = bench.out.iter().filter_map(|output| match output {
         Output::Confirm { ticket, .. } => Some(*ticket),
         _ => None,
     });
-    let last = tickets.last().unwrap();
+    let last = tickets.next_back().unwrap();
     bench.robot.confirmed(bench.now, last, &mut bench.out);
     assert_eq!(bench.statuses().last().unwrap(), "OK");
 }
