@@ -17,7 +17,7 @@ impl Robot {
         })
     }
 
-    /// The same of a request to seize the robot, of a peer that may claim it. Where nothing is proven nobody may.
+    /// Why a peer that may claim the robot may not seize it. On a connection on which nothing is proven, no peer may.
     fn forbids_seizing(&self, link: LinkId, request: &AvailabilityRequest) -> Option<ControlError> {
         if request.session.is_none() {
             let message = "`seize` takes the robot for a session, and there is no `session`";

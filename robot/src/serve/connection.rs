@@ -67,27 +67,9 @@ pub(super) struct Shared {
     pub(super) patience: Patience,
 }
 
-/// Carries both ways until either side closes or the connection has to give way.
+/// Carries both ways until either side closes or the connection has to give way. While the peer does not read, nothing more is
+/// read from it either.
 pub(super) async fn carry<R, W>(
-    ends: (R, W),
-    peer: Peer,
-    link: RobotLink,
-    ticket: Ticket,
-    shared: Shared,
-) -> io::Result<()>
-where
-    R: AsyncRead + Unpin,
-    W: AsyncWrite + Unpin,
-{
-    let hung_up = ticket.hung_up();
-    tokio::select! {
-        ended = converse(ends, peer, link, ticket, shared) => ended,
-        () = hung_up => Ok(()),
-    }
-}
-
-/// While the peer does not read, nothing more is read from it either.
-async fn converse<R, W>(
     (reader, writer): (R, W),
     peer: Peer,
     mut link: RobotLink,
@@ -98,6 +80,7 @@ where
     R: AsyncRead + Unpin,
     W: AsyncWrite + Unpin,
 {
+    let hung_up = ticket.hung_up();
     // How the peer wrote last is how it is answered.
     let (heard, encoding) = watch::channel(Encoding::Json);
     let (writes, being_written) = watch::channel(false);
@@ -134,6 +117,7 @@ where
     tokio::select! {
         ended = reading.run() => ended,
         ended = writing => ended,
+        () = hung_up => Ok(()),
     }
 }
 

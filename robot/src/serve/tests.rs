@@ -33,6 +33,14 @@ impl Peer {
         Self(BufReader::new(TcpStream::connect(address).await.unwrap()))
     }
 
+    /// One that has claimed the robot.
+    async fn owner(address: SocketAddr) -> Self {
+        let mut owner = Self::connected(address).await;
+        owner.write(CLAIM).await;
+        owner.soon().await;
+        owner
+    }
+
     async fn write(&mut self, bytes: &[u8]) {
         self.0.get_mut().write_all(bytes).await.unwrap();
     }
@@ -223,9 +231,7 @@ fn with_session(message: Message, session: &str) -> Message {
 async fn strangers_that_hold_all_places_keep_neither_the_owner_out_nor_its_stop() {
     let log = LogFile::new("owner-first");
     let (host, address) = served(&log).await;
-    let mut first = Peer::connected(address).await;
-    first.write(CLAIM).await;
-    first.soon().await;
+    let first = Peer::owner(address).await;
     // Its connection breaks, and strangers take all that there is, and keep talking.
     drop(first);
     let mut strangers = Vec::new();
@@ -288,9 +294,7 @@ async fn a_stranger_ends_each_message_in_time_and_the_owner_takes_its_time() {
     let host = Host::start(arms(1, &Settings::default()), HostOptions::default()).unwrap();
     let patience = Patience { message: Duration::from_millis(200), ..Patience::default() };
     let (host, address) = served_as(host, patience).await;
-    let mut owner = Peer::connected(address).await;
-    owner.write(CLAIM).await;
-    owner.soon().await;
+    let mut owner = Peer::owner(address).await;
     owner.write(&CLAIM[..20]).await;
     let mut stranger = Peer::connected(address).await;
     stranger.write(ASK).await;
@@ -328,9 +332,7 @@ async fn the_owners_own_dead_connections_give_their_places_up() {
     let (_host, address) = served_as(host, patience).await;
     let mut connections = Vec::new();
     for _ in 0..PLACES + OWNER_PLACES + 2 {
-        let mut owner = Peer::connected(address).await;
-        owner.write(CLAIM).await;
-        owner.soon().await;
+        let owner = Peer::owner(address).await;
         connections.push(owner);
     }
 }
@@ -420,9 +422,7 @@ async fn a_claim_with_a_long_line_behind_it_is_waited_for_on_a_slow_link() {
 async fn strangers_that_flood_a_robot_are_read_slowly_and_its_owner_is_not() {
     let log = LogFile::new("flooded");
     let (host, address) = served(&log).await;
-    let mut owner = Peer::connected(address).await;
-    owner.write(CLAIM).await;
-    owner.soon().await;
+    let mut owner = Peer::owner(address).await;
     let mut floods = Vec::new();
     for lines in
         [ASK.repeat(200), b"noise\n".repeat(1_000), b"{\"initialization_request\": {}}\n".repeat(200)]

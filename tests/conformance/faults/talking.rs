@@ -5,6 +5,31 @@ use serde_json::{Value, json};
 use super::super::proxy::{Memory, Passing, Serving, TWICE, Then, Way};
 use super::*;
 
+/// The robot is asked under another id what it has forgotten, so that it takes the request for a new one. `is_noted` says of which
+/// answers the ids are remembered in their order.
+fn forgets(
+    memory: &mut Memory,
+    passing: &mut Passing,
+    is_forgotten: fn(&[String], &str) -> bool,
+    is_noted: fn(&Value) -> bool,
+) -> Then {
+    if let Some(request) = passing.request() {
+        let id = request["request_id"].as_str().unwrap_or_default().to_owned();
+        if is_forgotten(&memory.order, &id) {
+            request["request_id"] = json!(format!("{id}#again"));
+        }
+        return Then::Pass;
+    }
+    let Some(response) = passing.response() else { return Then::Pass };
+    let id = response["request_id"].as_str().unwrap_or_default().to_owned();
+    if let Some(id) = id.strip_suffix("#again") {
+        response["request_id"] = json!(id);
+    } else if is_noted(response) {
+        memory.order.push(id);
+    }
+    Then::Pass
+}
+
 pub fn of_identity() -> Vec<Mutant> {
     fn repeated(memory: &mut Memory, passing: &mut Passing) -> bool {
         let link = passing.link;
@@ -48,39 +73,23 @@ pub fn of_identity() -> Vec<Mutant> {
             },
         ),
         mutant("eight answers are kept", &["kept-answers"], |memory, passing| {
-            if let Some(request) = passing.request() {
-                let id = request["request_id"].as_str().unwrap_or_default().to_owned();
-                let behind = memory.order.iter().rposition(|ended| *ended == id);
-                if behind.is_some_and(|index| memory.order.len() - index > 8) {
-                    request["request_id"] = json!(format!("{id}#again"));
-                }
-                return Then::Pass;
-            }
-            let Some(response) = passing.response() else { return Then::Pass };
-            let id = response["request_id"].as_str().unwrap_or_default().to_owned();
-            if let Some(id) = id.strip_suffix("#again") {
-                response["request_id"] = json!(id);
-            } else if ["OK", "Failed"].contains(&response["status"].as_str().unwrap_or_default()) {
-                memory.order.push(id);
-            }
-            Then::Pass
+            forgets(
+                memory,
+                passing,
+                |order, id| {
+                    let behind = order.iter().rposition(|ended| ended == id);
+                    behind.is_some_and(|index| order.len() - index > 8)
+                },
+                |response| ["OK", "Failed"].contains(&response["status"].as_str().unwrap_or_default()),
+            )
         }),
         mutant("refusals are not kept", &["repeated-refusal"], |memory, passing| {
-            if let Some(request) = passing.request() {
-                let id = request["request_id"].as_str().unwrap_or_default().to_owned();
-                if memory.order.contains(&id) {
-                    request["request_id"] = json!(format!("{id}#again"));
-                }
-                return Then::Pass;
-            }
-            let Some(response) = passing.response() else { return Then::Pass };
-            let id = response["request_id"].as_str().unwrap_or_default().to_owned();
-            if let Some(id) = id.strip_suffix("#again") {
-                response["request_id"] = json!(id);
-            } else if response["status"] == "Failed" && response.get("steps_done").is_none() {
-                memory.order.push(id);
-            }
-            Then::Pass
+            forgets(
+                memory,
+                passing,
+                |order, id| order.iter().any(|refused| refused == id),
+                |response| response["status"] == "Failed" && response.get("steps_done").is_none(),
+            )
         }),
         mutant("a request must have an id", &["no-request-id"], |_, passing| match passing.request() {
             Some(request) if request.is_object() && request.get("request_id").is_none() => {
