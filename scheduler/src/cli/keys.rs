@@ -212,26 +212,25 @@ fn issue(
     format: Format,
 ) -> Result<(), KeysError> {
     let paths = Authority::open(&folder.keys)?.issue(names, roles, calendar(), days)?;
-    for (name, path) in names.iter().zip(&paths) {
-        tell(name, path, days, format);
-    }
+    tell(names.iter().zip(&paths), days, format);
     Ok(())
 }
 
 fn secret(args: &SecretArgs, format: Format) -> Result<(), KeysError> {
-    let authority = Authority::open(&args.folder.keys)?;
     let if_there = if args.renew { IfThere::Replace } else { IfThere::Keep };
-    for robot in &args.robots {
-        let path = authority.make_secret(robot, if_there)?;
-        match format {
-            Format::Json => {
-                console::print_json(&serde_json::json!({ "name": format!("robot {robot}"), "secret": path }));
+    let robots = args.robots.iter().cloned().collect();
+    let paths = Authority::open(&args.folder.keys)?.make_secrets(&robots, if_there)?;
+    match format {
+        Format::Json => {
+            let made = |(robot, path): (&RobotId, &PathBuf)| serde_json::json!({ "name": format!("robot {robot}"), "secret": path });
+            let made: Vec<_> = robots.iter().zip(&paths).map(made).collect();
+            console::print_json(&serde_json::json!({ "secrets": made }));
+        }
+        Format::Text => {
+            for (robot, path) in robots.iter().zip(&paths) {
+                let line = format!("robot {robot}: {}; operators have passes for it", path.display());
+                console::print(&format!("{}\n", shown(&line)));
             }
-            Format::Text => console::print(&format!(
-                "robot {}: {}; operators have passes for it\n",
-                shown(robot.as_str()),
-                shown(&path.display().to_string())
-            )),
         }
     }
     Ok(())
@@ -241,20 +240,24 @@ fn renew(args: &RenewArgs, format: Format) -> Result<(), KeysError> {
     let authority = Authority::open(&args.named.folder.keys)?;
     let Some(name) = args.named.name() else { return Ok(()) };
     let path = authority.renew(&name, calendar(), args.days.days)?;
-    tell(&name, &path, args.days.days, format);
+    tell(std::iter::once((&name, &path)), args.days.days, format);
     Ok(())
 }
 
-fn tell(name: &Name, path: &std::path::Path, days: i64, format: Format) {
+fn tell<'a>(made: impl Iterator<Item = (&'a Name, &'a PathBuf)>, days: i64, format: Format) {
     match format {
         Format::Json => {
-            console::print_json(&serde_json::json!({ "name": name.to_string(), "file": path, "days": days }))
+            let made = made.map(
+                |(name, path)| serde_json::json!({ "name": name.to_string(), "file": path, "days": days }),
+            );
+            console::print_json(&serde_json::json!({ "keys": made.collect::<Vec<_>>() }));
         }
-        Format::Text => console::print(&format!(
-            "{}: {}, counts for {days} days\n",
-            shown(&name.to_string()),
-            shown(&path.display().to_string())
-        )),
+        Format::Text => {
+            for (name, path) in made {
+                let line = format!("{name}: {}, counts for {days} days", path.display());
+                console::print(&format!("{}\n", shown(&line)));
+            }
+        }
     }
 }
 

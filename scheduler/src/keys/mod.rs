@@ -76,9 +76,9 @@ pub enum KeysError {
     /// These names have a key already.
     #[error("{} already: `downbeat keys renew` makes a new one", have_keys(.0))]
     Taken(Vec<Name>),
-    /// This robot has a secret already.
-    #[error("robot {0} has a secret already: with --renew it gets another, and the old one counts no more")]
-    SecretTaken(RobotId),
+    /// These robots have a secret already.
+    #[error("{} already: with --renew another takes its place, and the old one counts no more", have_secrets(.0))]
+    SecretTaken(Vec<RobotId>),
     /// A secret or a pass cannot be read or made.
     #[error(transparent)]
     Secret(#[from] SecretError),
@@ -99,11 +99,19 @@ pub enum KeysError {
 }
 
 fn have_keys(names: &[Name]) -> String {
-    let listed: Vec<String> = names.iter().map(Name::to_string).collect();
+    have(names.iter().map(Name::to_string), "key")
+}
+
+fn have_secrets(robots: &[RobotId]) -> String {
+    have(robots.iter().map(|robot| format!("robot {robot}")), "secret")
+}
+
+fn have(names: impl Iterator<Item = String>, what: &str) -> String {
+    let listed: Vec<String> = names.collect();
     if let [one] = listed.as_slice() {
-        format!("{one} has a key")
+        format!("{one} has a {what}")
     } else {
-        format!("{} have keys", listed.join(", "))
+        format!("{} have {what}s", listed.join(", "))
     }
 }
 

@@ -2,6 +2,7 @@
 //!
 //! A pass has the name, the roles, the end and the number of the operator's certificate, so both end and are revoked together.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 
 use downbeat_robot::sealed::{Claim, Held, Passes, Secret};
@@ -20,21 +21,32 @@ pub enum IfThere {
 }
 
 impl Authority {
-    /// Makes the secret of a robot, and each operator a pass for it. Returns the file of the secret.
+    /// Makes the secrets of robots, and each operator a pass for each of them. Returns the files of the secrets.
     ///
     /// # Errors
-    /// [`KeysError`], also where the robot has a secret already.
-    pub fn make_secret(&self, robot: &RobotId, if_there: IfThere) -> Result<PathBuf, KeysError> {
-        let path = files::secret_path(&self.folder, robot);
-        if if_there == IfThere::Keep && path.exists() {
-            return Err(KeysError::SecretTaken(robot.clone()));
+    /// [`KeysError`], also where any of the robots has a secret already: then nothing is made.
+    pub fn make_secrets(
+        &self,
+        robots: &BTreeSet<RobotId>,
+        if_there: IfThere,
+    ) -> Result<Vec<PathBuf>, KeysError> {
+        let path = |robot: &RobotId| files::secret_path(&self.folder, robot);
+        let taken: Vec<RobotId> = robots.iter().filter(|robot| path(robot).exists()).cloned().collect();
+        if if_there == IfThere::Keep && !taken.is_empty() {
+            return Err(KeysError::SecretTaken(taken));
         }
-        path.parent().map(files::make_private_folder).transpose()?;
-        files::write_private(&path, &Secret::generate()?.text(robot))?;
+        let make = |robot: &RobotId| {
+            let path = path(robot);
+            path.parent().map(files::make_private_folder).transpose()?;
+            files::write_private(&path, &Secret::generate()?.text(robot))?;
+            Ok(path)
+        };
+        let made = robots.iter().map(make).collect::<Result<_, KeysError>>();
+        // Also where one of them could not be written: the others are there.
         let issued = self.issued()?;
         self.write_revoked_serials(&issued)?;
         self.write_passes(&issued)?;
-        Ok(path)
+        made
     }
 
     /// The robots that have a secret, in the order of their ids.

@@ -36,6 +36,11 @@ impl Site {
         self.until(name, roles, calendar(), 10)
     }
 
+    fn of_secret(&self, robot: &RobotId, if_there: IfThere) -> Result<PathBuf, KeysError> {
+        let made = self.authority.make_secrets(&BTreeSet::from([robot.clone()]), if_there);
+        made.map(|mut files| files.remove(0))
+    }
+
     fn until(&self, name: &Name, roles: &[Role], from: i64, days: i64) -> Credentials {
         let roles = roles.iter().copied().collect();
         let paths = self.authority.issue(&BTreeSet::from([name.clone()]), &roles, from, days).unwrap();
@@ -225,8 +230,8 @@ fn operators_have_a_pass_for_each_robot_with_a_secret_until_either_is_revoked() 
     site.of(&operator(), &[Role::Drive]);
     assert!(passes(&site, OPERATOR).is_none());
     let (cf1, cf2) = ("cf 1/ö".parse().unwrap(), "cf2".parse().unwrap());
-    let secret = site.authority.make_secret(&cf1, IfThere::Keep).unwrap();
-    site.authority.make_secret(&cf2, IfThere::Keep).unwrap();
+    let secret = site.of_secret(&cf1, IfThere::Keep).unwrap();
+    site.of_secret(&cf2, IfThere::Keep).unwrap();
     // One who comes later has them as well.
     site.of(&Name::Operator("bert".into()), &[Role::Observe]);
     let path = site.folder.path().join("keys/operators/anna.passes");
@@ -241,9 +246,13 @@ fn operators_have_a_pass_for_each_robot_with_a_secret_until_either_is_revoked() 
     assert_eq!(held.claim.to_string().split(' ').nth(2), Some("drive"));
     assert_eq!(site.authority.robots_with_secret().unwrap(), [cf1.clone(), cf2.clone()]);
 
-    assert!(matches!(site.authority.make_secret(&cf1, IfThere::Keep), Err(KeysError::SecretTaken(_))));
+    let cf3: RobotId = "cf3".parse().unwrap();
+    let both = [cf1.clone(), cf3].into();
+    let taken = site.authority.make_secrets(&both, IfThere::Keep).unwrap_err().to_string();
+    assert!(taken.starts_with("robot cf 1/ö has a secret already: "), "{taken}");
+    assert_eq!(site.authority.robots_with_secret().unwrap(), [cf1.clone(), cf2.clone()], "none of them");
     let (before, anna) = (std::fs::read(&secret).unwrap(), passes(&site, OPERATOR));
-    site.authority.make_secret(&cf1, IfThere::Replace).unwrap();
+    site.of_secret(&cf1, IfThere::Replace).unwrap();
     assert!(std::fs::read(&secret).unwrap() != before && passes(&site, OPERATOR) != anna);
 
     assert_eq!(site.authority.revoke(&Name::Robot(cf1), calendar()).unwrap(), 1);
@@ -263,7 +272,7 @@ fn operators_have_a_pass_for_each_robot_with_a_secret_until_either_is_revoked() 
 fn the_passes_for_a_thousand_robots_are_read_whole() {
     let site = Site::new();
     site.of(&operator(), &[Role::Drive]);
-    site.authority.make_secret(&"r0".parse().unwrap(), IfThere::Keep).unwrap();
+    site.of_secret(&"r0".parse().unwrap(), IfThere::Keep).unwrap();
     let path = site.folder.path().join("keys/operators/anna.passes");
     let text = std::fs::read_to_string(&path).unwrap();
     let line = text.lines().find(|line| line.starts_with("r0 ")).unwrap();
