@@ -240,7 +240,7 @@ fn a_program_of_version_2_takes_frames_tells_readings_and_faults_and_declares_it
     assert!(ran.text().contains("the hardware reports a fault: emergency stop"), "{}", ran.text());
     let (_, said) = edge.end();
     for expected in [
-        "latency, which is not compensated: left 42 ms, right 42 ms",
+        "latency, which missions are told: left 42 ms, right 42 ms",
         "the SDK greets left",
         "fault: emergency stop",
     ] {

@@ -116,10 +116,12 @@ fn named<const N: usize>(settings: [(&str, Value); N]) -> BTreeMap<String, Value
 }
 
 fn certified_act(act: &Act, choreography: &Choreography) -> CertifiedAct {
-    // What cues are called, how steps came about and where bodies are follows from the rest, or moves nothing.
+    // Latencies are among what is certified of robots, and scripts start ahead by them. What cues are called, how steps came about and where bodies are follows from the rest, or moves nothing.
     let Act {
         name,
         plan,
+        lead_in: _,
+        latencies: _,
         cues: _,
         devices: _,
         in_space: _,

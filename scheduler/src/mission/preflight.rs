@@ -201,7 +201,10 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
         Check::Version => {
             Verdict::Pass(robot.block.as_ref().map(|block| block.api_version.to_string()).unwrap_or_default())
         }
-        Check::Description => Verdict::Pass("fits".to_owned()),
+        Check::Description => match &robot.latency_differs {
+            Some(differs) => Verdict::Warning(differs.to_string()),
+            None => Verdict::Pass("fits".to_owned()),
+        },
         Check::Clock => clock(robot, now),
         Check::Position => match robot.positions.len() {
             0 => Verdict::NotChecked,
@@ -257,7 +260,7 @@ fn column(kind: &FailureKind) -> Check {
         | FailureKind::Silent { .. } => Check::Link,
         FailureKind::WrongVersion { .. } => Check::Version,
         FailureKind::Unfit { .. } | FailureKind::NoTimeToSend { .. } => Check::Description,
-        FailureKind::Clock { .. } => Check::Clock,
+        FailureKind::Clock { .. } | FailureKind::LatencySpread { .. } => Check::Clock,
         FailureKind::Requirement { .. } => Check::Sensors,
         FailureKind::Position { .. } => Check::Position,
         FailureKind::AnotherRobot { .. } => Check::Identity,

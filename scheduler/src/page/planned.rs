@@ -232,9 +232,10 @@ pub(super) fn lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) 
         for script in &planned.scripts {
             let Some(device) = places.device(robot, &script.device) else { continue };
             let used = used.get(&(&planned.robot, &script.device));
+            let start = act.moves_at(&planned.robot, script).as_millis_f64();
             for (value, (control, steps)) in values_of(&script.script).into_iter().enumerate() {
                 let control = named(control, value);
-                let script = Script { start: script.start.get(), steps: columns.series(&steps) };
+                let script = Script { start, steps: columns.series(&steps) };
                 let of_device = |lane: &&mut Lane| {
                     lane.robot == robot && lane.device == device && lane.control == control
                 };
