@@ -184,6 +184,15 @@ impl Act {
         script.start.span() + self.latency_of(robot, &script.device)
     }
 
+    /// From the start of the act to the end of its last motion.
+    #[must_use]
+    pub fn duration(&self) -> Span {
+        let ends = self.plan.robots.iter().flat_map(|robot| {
+            robot.scripts.iter().map(|script| self.moves_at(&robot.robot, script) + script.script.duration())
+        });
+        ends.max().unwrap_or_default()
+    }
+
     /// Whether people know it by this name; a scenario without acts of its own is known by the scenario's.
     #[must_use]
     pub fn is_named(&self, name: &str) -> bool {

@@ -289,7 +289,7 @@ impl Mission {
         }
     }
 
-    fn skew_of_first_act(&self, now: Timestamp<Server>) -> Option<SkewBudget> {
+    pub(super) fn skew_of_first_act(&self, now: Timestamp<Server>) -> Option<SkewBudget> {
         let plan = &self.choreography.acts[self.options.first_act].plan;
         let members = act::members(plan, &self.robots);
         SkewBudget::of(members.iter(), &self.robots, plan.start_tolerance, now)

@@ -7,6 +7,7 @@ use urrcp::{DeviceId, ErrorCode, Millis, RobotId, Server, Span, Timestamp};
 use super::failure_kind::FailureKind;
 use super::robot_state::{Link, RobotState};
 use super::seize::Ownership;
+use super::skew::SkewBudget;
 use super::{ClockMode, Greeting, Mission};
 
 /// What is checked.
@@ -117,6 +118,9 @@ pub struct Preflight {
     pub greeting: Greeting,
     /// A row a robot.
     pub rows: Vec<PreflightRow>,
+    /// How far apart the motions of the first act may begin, by what is known so far.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub skew: Option<SkewBudget>,
 }
 
 pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
@@ -126,7 +130,8 @@ pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
         let clock_offset = mission.robots[index].clock_at(now).map(|reading| reading.offset);
         PreflightRow { robot, checks: checks.to_vec(), clock_offset, readings: readings(mission, index) }
     };
-    Preflight { greeting: mission.options.greeting, rows: (0..mission.robots.len()).map(row).collect() }
+    let rows = (0..mission.robots.len()).map(row).collect();
+    Preflight { greeting: mission.options.greeting, rows, skew: mission.skew_of_first_act(now) }
 }
 
 /// Everything that was read: what the fleet file requires, then where devices stand, then what is only shown.

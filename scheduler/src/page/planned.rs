@@ -200,7 +200,7 @@ fn plan(act: &scripts::Act, written: &[WrittenCue], places: &Places, columns: &m
     });
     Plan {
         name: act.name.clone(),
-        duration: act.plan.duration().as_millis_f64(),
+        duration: act.duration().as_millis_f64(),
         start_tolerance: act.plan.start_tolerance.as_millis_f64(),
         cues: act.cues.iter().zip(written).map(|(cue, written)| self::cue(cue, written, places)).collect(),
         lanes: lanes(act, places, columns),

@@ -12,7 +12,7 @@ use super::table::{Rows, wrapped};
 use super::{
     ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState, course_lines, requirements_table,
 };
-use crate::mission::{Check, Failure, FailureKind, Greeting, Preflight, PreflightRow, Verdict};
+use crate::mission::{Check, Failure, FailureKind, Greeting, Preflight, PreflightRow, SkewBudget, Verdict};
 
 /// Removed by the printing end where that is no terminal.
 const RED: Style = AnsiColor::Red.on_default().bold();
@@ -171,6 +171,10 @@ pub fn preflight_table(preflight: &Preflight, told: bool, columns: usize) -> Str
         text.push_str(&readings_table(preflight, columns));
         let wrong = preflight.rows.iter().flat_map(wrong_lines);
         wrong.for_each(|line| say(&mut text, columns, &line));
+        // The clocks alone are in the table.
+        if let Some(skew) = preflight.skew.as_ref().filter(|skew| skew.predicted != skew.clocks) {
+            say(&mut text, columns, &budget_text(skew));
+        }
     }
     if preflight.greeting == Greeting::Skip {
         let asks = "with `handshake: skip` no robot is asked which one it is: `downbeat fleet ping` asks";
@@ -307,6 +311,11 @@ fn acts_table(report: &Report, columns: usize) -> String {
     rows.text(columns)
 }
 
+fn budget_text(skew: &SkewBudget) -> String {
+    let parts = skew.parts();
+    format!("predicted start spread {} at most, {} allowed{parts}", skew.predicted, skew.tolerance)
+}
+
 fn act_sentences(act: &ActReport) -> Vec<String> {
     let lead = act.lead;
     let mut sentences = vec![format!(
@@ -318,12 +327,7 @@ fn act_sentences(act: &ActReport) -> Vec<String> {
         lead.margin
     )];
     if let Some(skew) = &act.skew {
-        sentences.push(format!(
-            "predicted start spread {} at most, {} allowed{}",
-            skew.predicted,
-            skew.tolerance,
-            skew.parts()
-        ));
+        sentences.push(budget_text(skew));
     }
     if let (Some(margin), Some(window)) = (act.margin_left, act.window) {
         sentences.push(format!(

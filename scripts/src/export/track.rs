@@ -78,10 +78,7 @@ pub(super) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (V
                 }
             }
         }
-        let motions = act.plan.robots.iter().flat_map(|plan| {
-            plan.scripts.iter().map(|script| act.moves_at(&plan.robot, script) + script.script.duration())
-        });
-        begin_ms += (motions.max().unwrap_or_default() - act.lead_in).as_millis_f64();
+        begin_ms += (act.duration() - act.lead_in).as_millis_f64();
     }
     robots.retain(|robot| !robot.tracks.is_empty());
     let mut notes = Vec::new();
