@@ -289,3 +289,20 @@ fn what_runs_fails_if_its_next_step_is_overdue_for_longer_than_is_borne() {
     bench.robot.give_up_overdue(at(301), borne, &mut bench.out);
     assert_eq!(bench.statuses().last().map(String::as_str), Some("Failed late"));
 }
+
+#[cfg(feature = "host")]
+#[test]
+fn what_its_driver_declares_of_latencies_is_in_its_description() {
+    use std::time::Duration;
+    let mut bench = ready();
+    let id = bench.robot.block().devices[0].id.clone();
+    let unknown = DeviceId::new("no-such-device").unwrap();
+    let latency = Duration::from_micros(41_200);
+    bench.robot.declare_latencies(&[(id.clone(), latency), (unknown, latency)].into());
+    bench.send(Message::InitializationRequest(urrcp::InitializationRequest::default()));
+    let Some(Output::Send { message: Message::InitializationBlock(block), .. }) = bench.out.last() else {
+        panic!("{:?}", bench.out)
+    };
+    assert_eq!(block.device(id.as_str()).unwrap().latency, Some(Span::from_micros(41_200)));
+    assert_eq!(block.devices.iter().filter(|device| device.latency.is_some()).count(), 1);
+}
