@@ -1,0 +1,155 @@
+"""How far apart the robots of `together.yaml` began to move, from the logs of their simulators alone: `motion.py FOLDER`.
+
+FOLDER has a folder for each mission, with `run.json`, the report of `downbeat run --format json`, and the logs of the robots that live
+for one mission; logs of robots that live longer are in FOLDER itself. From Downbeat's report only the time of the act's start is read,
+to know where in the logs to look. With `--write FILE`, the median latency of each robot is written there as JSON, in milliseconds.
+"""
+
+from __future__ import annotations
+
+import argparse
+import bisect
+import csv
+import datetime
+import json
+import pathlib
+import statistics
+from typing import Optional
+
+# Where each robot is logged, and which joint moves.
+ROBOTS = {
+    "ur5e": ("ur5e.csv", "elbow"),
+    "g1": ("g1.csv", "r_elbow_pitch"),
+    "reachy": ("reachy.csv", "right_antenna"),
+    "simulated": ("simulated.jsonl", "elbow"),
+}
+STARTS_MS = (1000, 3000, 5000)
+"""When the cues begin, after the act's start."""
+BEFORE_MS, AFTER_MS = 300, 500
+"""A motion is sought from so long before the cue to so long after it."""
+VISIBLE_DEG = 0.1
+"""A joint that has turned by so much from where it rested has begun to move."""
+
+Log = tuple[list[float], list[float]]
+"""Milliseconds of the host's clock since 1970, and degrees."""
+
+
+def read_csv(path: pathlib.Path, joint: str) -> Log:
+    """The log of a simulator: a line for each of its steps."""
+    times, degrees = [], []
+    with open(path, newline="") as lines:
+        rows = csv.reader(lines)
+        header = next(rows)
+        column = header.index(joint)
+        for row in rows:
+            if len(row) == len(header):  # The last line may be cut off.
+                times.append(int(row[0]) / 1e6)
+                degrees.append(float(row[column]))
+    return times, degrees
+
+
+def read_jsonl(path: pathlib.Path, device: str) -> Log:
+    """The log of `downbeat robot`, which says where its linear movements begin and end: drawn every millisecond."""
+    times, degrees = [], []
+    begun = None
+    for line in path.read_text().splitlines():
+        entry = json.loads(line)
+        at, value = entry["true_ns"] / 1e6, entry["value"]
+        if entry["device"] != device or entry["motion"] not in ("set", "ramp"):
+            continue
+        if entry["motion"] == "ramp":
+            begun = (at, degrees[-1]) if degrees else None
+            continue
+        if begun is not None:
+            since, rest = begun
+            for millisecond in range(1, int(at - since)):
+                times.append(since + millisecond)
+                degrees.append(rest + (value - rest) * millisecond / (at - since))
+        begun = None
+        times.append(at)
+        degrees.append(value)
+    return times, degrees
+
+
+def onset(log: Log, cue_ms: float, visible: float) -> Optional[float]:
+    """When the motion near this time became visible; nothing if none did."""
+    times, degrees = log
+    first = bisect.bisect_left(times, cue_ms - BEFORE_MS)
+    last = bisect.bisect_right(times, cue_ms + AFTER_MS)
+    # A log of changes has no line while the robot rests.
+    first = max(first - 1, 0) if first == last or times[first] > cue_ms else first
+    rest = degrees[first]
+    for i in range(first + 1, last):
+        moved = abs(degrees[i] - rest)
+        if moved > visible:
+            before = abs(degrees[i - 1] - rest)
+            share = (visible - before) / (moved - before)
+            return times[i - 1] + share * (times[i] - times[i - 1])
+    return None
+
+
+def start_ms(report: dict) -> float:
+    """The act's start, in milliseconds since 1970."""
+    whole, _, fraction = report["start"].rstrip("Z").partition(".")
+    seconds = datetime.datetime.fromisoformat(whole + "+00:00").timestamp()
+    return seconds * 1e3 + float("0." + (fraction or "0")) * 1e3
+
+
+def p95(values: list[float]) -> float:
+    ordered = sorted(values)
+    return ordered[min(len(ordered) - 1, -(-len(ordered) * 95 // 100) - 1)]
+
+
+def read(folder: pathlib.Path) -> list[tuple[float, dict[str, Log]]]:
+    """The start of each mission that was played, and the logs of its robots."""
+    lasting = {}
+    for robot, (name, joint) in ROBOTS.items():
+        if (folder / name).exists():
+            lasting[robot] = read_csv(folder / name, joint) if name.endswith(".csv") else read_jsonl(folder / name, joint)
+    missions = []
+    for mission in sorted(path.parent for path in folder.glob("*/run.json")):
+        report = json.loads((mission / "run.json").read_text())
+        if report["outcome"] != "done":
+            print(f"{mission.name}: {report['outcome']}, left out")
+            continue
+        own = {robot: read_csv(mission / name, joint) for robot, (name, joint) in ROBOTS.items() if (mission / name).exists()}
+        missions.append((start_ms(report), {**lasting, **own}))
+    return missions
+
+
+def main() -> None:
+    arguments = argparse.ArgumentParser(description=__doc__)
+    arguments.add_argument("folder", type=pathlib.Path)
+    arguments.add_argument("--write", type=pathlib.Path)
+    arguments.add_argument("--visible", type=float, default=VISIBLE_DEG, help="degrees; %(default)s by default")
+    given = arguments.parse_args()
+
+    missions = read(given.folder)
+    latencies: dict[str, list[float]] = {}
+    of_missions, of_starts = [], []
+    for start, logs in missions:
+        spreads = []
+        for cue in STARTS_MS:
+            began = {robot: onset(log, start + cue, given.visible) for robot, log in logs.items()}
+            for robot, at in began.items():
+                if at is None:
+                    raise SystemExit(f"{robot} did not move within {AFTER_MS} ms of its cue at {cue} ms")
+                latencies.setdefault(robot, []).append(at - start - cue)
+            spreads.append(max(began.values()) - min(began.values()))
+        of_missions.append(max(spreads))
+        of_starts.extend(spreads)
+    if not of_missions:
+        raise SystemExit("no mission was played")
+
+    print(f"{len(missions)} missions, {len(of_starts)} starts; a joint that has turned by {given.visible} degrees has begun to move")
+    print("robot       began after its cue: median, least to most [ms]")
+    for robot, values in latencies.items():
+        print(f"{robot:10}  {statistics.median(values):6.1f}   {min(values):6.1f} to {max(values):6.1f}")
+    for what, values in (("a start", of_starts), ("a mission (the worst of its starts)", of_missions)):
+        print(f"motion spread of {what}: median {statistics.median(values):.1f} ms, p95 {p95(values):.1f} ms, most {max(values):.1f} ms")
+    if given.write:
+        given.write.write_text(json.dumps({robot: round(statistics.median(values), 1) for robot, values in latencies.items()}))
+
+
+if __name__ == "__main__":
+    main()
