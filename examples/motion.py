@@ -23,10 +23,12 @@ ROBOTS = {
     "reachy": ("reachy.csv", "right_antenna"),
     "simulated": ("simulated.jsonl", "elbow"),
 }
-STARTS_MS = (1000, 3000, 5000)
+STARTS_MS = (1000, 3000, 5000, 7000)
 """When the cues begin, after the act's start."""
-BEFORE_MS, AFTER_MS = 300, 500
+BEFORE_MS, AFTER_MS = 40, 500
 """A motion is sought from so long before the cue to so long after it."""
+RESTED_MS = 80
+"""Where a joint rests is the mean of this time before."""
 VISIBLE_DEG = 0.1
 """A joint that has turned by so much from where it rested has begun to move."""
 
@@ -58,13 +60,13 @@ def read_jsonl(path: pathlib.Path, device: str) -> Log:
         if entry["device"] != device or entry["motion"] not in ("set", "ramp"):
             continue
         if entry["motion"] == "ramp":
-            begun = (at, degrees[-1]) if degrees else None
+            begun = at
             continue
-        if begun is not None:
-            since, rest = begun
-            for millisecond in range(1, int(at - since)):
-                times.append(since + millisecond)
-                degrees.append(rest + (value - rest) * millisecond / (at - since))
+        rest = degrees[-1] if degrees else value
+        since = at if begun is None else begun
+        for millisecond in range(int(at - since)):
+            times.append(since + millisecond)
+            degrees.append(rest + (value - rest) * millisecond / (at - since))
         begun = None
         times.append(at)
         degrees.append(value)
@@ -76,15 +78,16 @@ def onset(log: Log, cue_ms: float, visible: float) -> Optional[float]:
     times, degrees = log
     first = bisect.bisect_left(times, cue_ms - BEFORE_MS)
     last = bisect.bisect_right(times, cue_ms + AFTER_MS)
-    # A log of changes has no line while the robot rests.
-    first = max(first - 1, 0) if first == last or times[first] > cue_ms else first
-    rest = degrees[first]
-    for i in range(first + 1, last):
+    # A log of changes alone has no line while the joint rests.
+    rested = bisect.bisect_left(times, cue_ms - BEFORE_MS - RESTED_MS, hi=first)
+    rest = statistics.fmean(degrees[rested:first] or degrees[max(first - 1, 0) : max(first, 1)])
+    before = 0.0
+    for i in range(first, last):
         moved = abs(degrees[i] - rest)
         if moved > visible:
-            before = abs(degrees[i - 1] - rest)
             share = (visible - before) / (moved - before)
-            return times[i - 1] + share * (times[i] - times[i - 1])
+            return times[i - 1] + share * (times[i] - times[i - 1]) if i > first else times[i]
+        before = moved
     return None
 
 

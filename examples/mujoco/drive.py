@@ -4,8 +4,6 @@ LOG becomes a CSV file with a line for each step of the simulation: nanoseconds 
 the degrees of each joint.
 """
 
-import importlib.util
-import pathlib
 import sys
 import threading
 import time
@@ -13,56 +11,43 @@ import time
 import mujoco
 import numpy as np
 from downbeat_driver import Driver, Refused, Robot
-
-# The package with the model, its file, and the stiffness of its servos in newton metres for a radian: this example's choice, as stiff as
-# the steps of the simulation allow. Each servo is damped critically.
-MODELS = {
-    "ur5e": ("robosuite", "models/assets/robots/ur5e/robot.xml", [10000] * 3 + [500] * 3),
-    "g1": ("robosuite_models", "assets/robots/g1/robot.xml", [200] * 23),
-}
-
-
-def model_of(name: str) -> mujoco.MjModel:
-    package, path, stiffness = MODELS[name]
-    spec = mujoco.MjSpec.from_file(str(pathlib.Path(importlib.util.find_spec(package).origin).parent / path))
-    for motor, kp in zip(spec.actuators, stiffness):
-        motor.forcelimited, motor.forcerange, motor.ctrllimited = True, motor.ctrlrange, False
-        motor.set_to_position(kp=kp, dampratio=1)
-    for joint in spec.joints:
-        if joint.type == mujoco.mjtJoint.mjJNT_FREE:  # The humanoid hangs at its pelvis.
-            spec.delete(joint)
-    for body in spec.bodies:  # As controllers of arms do, the servos carry the weight.
-        body.gravcomp = 1
-    spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
-    return spec.compile()
-
+from models import model_of
 
 class Simulated(Driver):
     def start(self, robot: Robot) -> None:
         self.model = model_of(sys.argv[1])
         self.data = mujoco.MjData(self.model)
-        self.joints = [device for device in robot.devices.values() if not device.is_sensor]
-        self.at = {joint.id: self.model.joint(joint.id + "_joint").qposadr[0] for joint in self.joints}
-        self.servos = {self.model.joint(i).name: a for a, i in enumerate(self.model.actuator_trnid[:, 0])}
-        for joint in self.joints:
-            self.set(joint.id, "position", joint.default_value)
+        self.ended, self.thread = threading.Event(), threading.Thread(target=self.simulate)
+        self.moves: dict[str, tuple] = {}  # when each joint began to move, from where to where, and in how many seconds
+        self.at = {}
+        for joint in (device for device in robot.devices.values() if not device.is_sensor):
+            self.at[joint.id] = self.model.joint(joint.id + "_joint").qposadr[0]
             self.data.qpos[self.at[joint.id]] = np.radians(joint.default_value)
-        self.ended = threading.Event()
-        self.thread = threading.Thread(target=self.simulate)
+            self.set(joint.id, "position", joint.default_value)
         self.thread.start()
 
     def simulate(self) -> None:
         columns, begin = list(self.at.values()), time.monotonic() - self.data.time
+        servo = {self.model.joint(i).qposadr[0]: a for a, i in enumerate(self.model.actuator_trnid[:, 0])}
         with open(sys.argv[2], "w") as log:
             print("host_ns,simulated_s", *self.at, sep=",", file=log)
             while not self.ended.is_set():
+                for joint, column in self.at.items():
+                    self.data.ctrl[servo[column]] = np.radians(self.target(joint))
                 mujoco.mj_step(self.model, self.data)
-                degrees = np.degrees(self.data.qpos[columns])
-                print(time.time_ns(), f"{self.data.time:.3f}", *np.round(degrees, 4), sep=",", file=log)
+                degrees = np.round(np.degrees(self.data.qpos[columns]), 4)
+                print(time.time_ns(), f"{self.data.time:.3f}", *degrees, sep=",", file=log)
                 time.sleep(max(0, begin + self.data.time - time.monotonic()))
 
+    def target(self, joint: str) -> float:
+        since, at, to, seconds = self.moves[joint]
+        return at + (to - at) * min(1, (time.monotonic() - since) / seconds) if seconds else to
+
     def set(self, device: str, control_type: str, value: float, *more: float) -> None:
-        self.data.ctrl[self.servos[device + "_joint"]] = np.radians(value)
+        self.moves[device] = (0, value, value, 0)
+
+    def ramp(self, device: str, control_type: str, value: float, seconds: float) -> None:
+        self.moves[device] = (time.monotonic(), self.target(device), value, seconds)
 
     def read(self, sensor: str) -> float:
         return round(float(np.degrees(self.data.qpos[self.at[sensor.removesuffix("_angle")]])), 4)
