@@ -1,7 +1,7 @@
 """How far apart the robots of `together.yaml` began to move, from the logs of their simulators alone: `motion.py FOLDER`.
 
 FOLDER has a folder for each mission, with `run.json`, the report of `downbeat run --format json`, and the logs of the robots that live
-for one mission; logs of robots that live longer are in FOLDER itself. From Downbeat's report only the time of the act's start is read,
+for one mission; logs of robots that live longer are next to FOLDER. From Downbeat's report only the time of the act's start is read,
 to know where in the logs to look. With `--write FILE`, the median latency of each robot is written there as JSON, in milliseconds.
 """
 
@@ -107,8 +107,9 @@ def read(folder: pathlib.Path) -> list[tuple[float, dict[str, Log]]]:
     """The start of each mission that was played, and the logs of its robots."""
     lasting = {}
     for robot, (name, joint) in ROBOTS.items():
-        if (folder / name).exists():
-            lasting[robot] = read_csv(folder / name, joint) if name.endswith(".csv") else read_jsonl(folder / name, joint)
+        path = folder.parent / name
+        if path.exists():
+            lasting[robot] = read_csv(path, joint) if name.endswith(".csv") else read_jsonl(path, joint)
     missions = []
     for mission in sorted(path.parent for path in folder.glob("*/run.json")):
         report = json.loads((mission / "run.json").read_text())
