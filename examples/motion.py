@@ -112,24 +112,55 @@ def read(folder: pathlib.Path) -> list[tuple[float, dict[str, Log]]]:
             lasting[robot] = read_csv(path, joint) if name.endswith(".csv") else read_jsonl(path, joint)
     missions = []
     for mission in sorted(path.parent for path in folder.glob("*/run.json")):
-        report = json.loads((mission / "run.json").read_text())
+        text = (mission / "run.json").read_text()
+        report = json.loads(text) if text else {"outcome": "not reported"}
         if report["outcome"] != "done":
             print(f"{mission.name}: {report['outcome']}, left out")
             continue
         own = {robot: read_csv(mission / name, joint) for robot, (name, joint) in ROBOTS.items() if (mission / name).exists()}
-        missions.append((start_ms(report), {**lasting, **own}))
+        logs = {**lasting, **own}
+        if missing := ROBOTS.keys() - logs.keys():
+            raise SystemExit(f"{mission.name}: no log of {', '.join(sorted(missing))}")
+        missions.append((start_ms(report), logs))
     return missions
+
+
+def picture(latencies: dict[str, list[float]]) -> str:
+    """An SVG: a row for each robot, in it a mark for each of its motions."""
+    least = min(0.0, *(min(values) for values in latencies.values())) // 10 * 10
+    most = max(max(values) for values in latencies.values()) // 10 * 10 + 10
+    left, width, high = 90, 560, 24
+
+    def x(at: float) -> float:
+        return round(left + (at - least) / (most - least) * width, 1)
+
+    bottom = 20 + high * len(latencies)
+    parts = [f'<rect width="{left + width + 20}" height="{bottom + 40}" fill="white"/>']
+    every = 10 if most - least <= 120 else 50
+    for at in range(int(least), int(most) + 1, every):
+        parts.append(f'<path d="M{x(at)} 20V{bottom}" stroke="{"#888" if at == 0 else "#ddd"}"/>')
+        parts.append(f'<text x="{x(at)}" y="{bottom + 14}" text-anchor="middle">{at}</text>')
+    for row, (robot, values) in enumerate(latencies.items()):
+        middle = 20 + high * row + high / 2
+        parts.append(f'<text x="8" y="{middle + 4}">{robot}</text>')
+        marks = "".join(f"M{x(at)} {middle - 8}v16" for at in sorted(values))
+        parts.append(f'<path d="{marks}" stroke="#0b63a5" stroke-opacity="0.5"/>')
+    parts.append(f'<text x="{left}" y="{bottom + 32}">milliseconds from the cue to the motion, a mark for each</text>')
+    size = f'width="{left + width + 20}" height="{bottom + 40}"'
+    body = "\n".join(parts)
+    return f'<svg xmlns="http://www.w3.org/2000/svg" {size} font-family="sans-serif" font-size="11">\n{body}\n</svg>\n'
 
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__)
     arguments.add_argument("folder", type=pathlib.Path)
     arguments.add_argument("--write", type=pathlib.Path)
+    arguments.add_argument("--picture", type=pathlib.Path, help="an SVG of when each motion began")
     arguments.add_argument("--visible", type=float, default=VISIBLE_DEG, help="degrees; %(default)s by default")
     given = arguments.parse_args()
 
     missions = read(given.folder)
-    latencies: dict[str, list[float]] = {}
+    latencies: dict[str, list[float]] = {robot: [] for robot in ROBOTS}
     of_missions, of_starts = [], []
     for start, logs in missions:
         spreads = []
@@ -138,7 +169,7 @@ def main() -> None:
             for robot, at in began.items():
                 if at is None:
                     raise SystemExit(f"{robot} did not move within {AFTER_MS} ms of its cue at {cue} ms")
-                latencies.setdefault(robot, []).append(at - start - cue)
+                latencies[robot].append(at - start - cue)
             spreads.append(max(began.values()) - min(began.values()))
         of_missions.append(max(spreads))
         of_starts.extend(spreads)
@@ -151,6 +182,8 @@ def main() -> None:
         print(f"{robot:10}  {statistics.median(values):6.1f}   {min(values):6.1f} to {max(values):6.1f}")
     for what, values in (("a start", of_starts), ("a mission (the worst of its starts)", of_missions)):
         print(f"motion spread of {what}: median {statistics.median(values):.1f} ms, p95 {p95(values):.1f} ms, most {max(values):.1f} ms")
+    if given.picture:
+        given.picture.write_text(picture(latencies))
     if given.write:
         given.write.write_text(json.dumps({robot: round(statistics.median(values), 1) for robot, values in latencies.items()}))
 

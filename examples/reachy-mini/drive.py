@@ -46,6 +46,11 @@ class Reachy(Driver):
         self.moves[device] = (time.monotonic(), self.target(device), value, seconds)
 
     def read(self, sensor: str) -> float:
+        # The daemon tells 50 times a second where the joints are; the answer is the next of these, so that it is fresh.
+        told = self.reachy.client.joint_position_received
+        told.clear()
+        if not told.wait(0.5):
+            raise Refused("the daemon does not tell where the joints are")
         head, (right, left) = self.reachy.get_current_joint_positions()
         angles = {"body_yaw_angle": head[0], "right_antenna_angle": right, "left_antenna_angle": left}
         if sensor not in angles:
