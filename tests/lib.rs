@@ -33,6 +33,7 @@ mod import;
 mod import_real;
 mod language;
 mod large_show;
+mod latency;
 mod measured;
 mod missions;
 mod mistakes;

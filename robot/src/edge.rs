@@ -97,8 +97,9 @@ impl Edge {
     /// Takes what its driver's thread says.
     pub(crate) fn hear(&mut self, now: Timestamp<HostTime>, news: News) {
         match news {
-            News::There { connection, .. } => {
+            News::There { connection, latency } => {
                 self.connection = connection;
+                self.machine.declare_latencies(&latency);
                 self.tell(now, Robot::hardware_found);
                 if connection == 1 && self.at_start == AtStart::Default {
                     self.tell(now, Robot::restore);

@@ -1,8 +1,11 @@
 //! What a scenario compiles to: acts, and for each the scripts of every robot.
 
+use std::collections::BTreeMap;
+
 use serde::Serialize;
 use urrcp::{ControlType, DeviceId, Millis, RobotId, Script, Span, StopCondition};
 
+use crate::fleet::DeviceLatency;
 use crate::space::{Closest, InSpace};
 
 pub use crate::requirements::{Ceiling, Floor, Requirements, Share};
@@ -24,8 +27,13 @@ pub struct Choreography {
 pub struct Act {
     /// Unique in the scenario; empty where the scenario has no acts of its own.
     pub name: String,
-    /// What is sent.
+    /// What is sent. Starts are those of commands, ahead of their motions by the latency of the device.
     pub plan: Plan,
+    /// How much later than its start the act's motions begin than they are written, so that devices with a latency can be
+    /// commanded before they have to move. Every time below is that of motions, counted from the act's start: it is later by this.
+    pub lead_in: Span,
+    /// The latencies that are compensated: of devices that it moves and whose latency is known.
+    pub latencies: BTreeMap<RobotId, BTreeMap<DeviceId, DeviceLatency>>,
     /// Its cues in the order of the file, with the times at which they take place.
     pub cues: Vec<PlannedCue>,
     /// How each device's steps came about.
@@ -163,6 +171,28 @@ impl Act {
         if self.name.is_empty() { &self.plan.scenario } else { &self.name }
     }
 
+    /// How long a device takes from a command to visible motion, as far as that is known.
+    #[must_use]
+    pub fn latency_of(&self, robot: &RobotId, device: &DeviceId) -> Span {
+        let known = self.latencies.get(robot).and_then(|devices| devices.get(device));
+        known.map_or(Span::ZERO, |known| known.latency.median)
+    }
+
+    /// When the motion of one of its scripts begins, from the act's start.
+    #[must_use]
+    pub fn moves_at(&self, robot: &RobotId, script: &DeviceScript) -> Span {
+        script.start.span() + self.latency_of(robot, &script.device)
+    }
+
+    /// From the start of the act to the end of its last motion.
+    #[must_use]
+    pub fn duration(&self) -> Span {
+        let ends = self.plan.robots.iter().flat_map(|robot| {
+            robot.scripts.iter().map(|script| self.moves_at(&robot.robot, script) + script.script.duration())
+        });
+        ends.max().unwrap_or_default()
+    }
+
     /// Whether people know it by this name; a scenario without acts of its own is known by the scenario's.
     #[must_use]
     pub fn is_named(&self, name: &str) -> bool {
@@ -171,7 +201,7 @@ impl Act {
 }
 
 impl Plan {
-    /// From the start of the act to its last step.
+    /// From the start of the act to its last command.
     #[must_use]
     pub fn duration(&self) -> Span {
         let scripts = self.robots.iter().flat_map(|robot| &robot.scripts);
@@ -185,6 +215,8 @@ impl Choreography {
     pub fn of_plan(plan: Plan) -> Self {
         let act = Act {
             name: String::new(),
+            lead_in: Span::ZERO,
+            latencies: BTreeMap::new(),
             cues: Vec::new(),
             devices: Vec::new(),
             in_space: InSpace::default(),

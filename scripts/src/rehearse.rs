@@ -2,6 +2,7 @@
 
 use urrcp::{ControlType, Device, Interpolation, Millis, RobotId, Script, Span, Step};
 
+use crate::compile::compensate;
 use crate::fleet::{Fleet, FleetRobot};
 use crate::plan::{Act, Choreography, DeviceScript, Way};
 use crate::scenario::Wait;
@@ -55,8 +56,11 @@ impl Choreography {
     pub fn at_speed(mut self, speed: f64, fleet: &Fleet) -> Result<Self, Vec<String>> {
         let mut faults = Vec::new();
         for act in &mut self.acts {
+            // A device takes as long to move at any speed of the show.
+            compensate::undo(act);
             stretch_act(act, speed, fleet, &mut faults);
         }
+        compensate::apply(&mut self.acts);
         faults.truncate(SHOWN);
         if faults.is_empty() { Ok(self) } else { Err(faults) }
     }

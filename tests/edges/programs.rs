@@ -231,16 +231,23 @@ fn a_program_of_version_2_takes_frames_tells_readings_and_faults_and_declares_it
              {{at: 300ms, to: {left}}}, {{at: 900ms, to: 0}}], right: [{{at: 0s, to: 2}}, {{at: 300ms, to: 3}}]}}}}]\n"
         )
     };
-    session.file("fleet.yaml", fleet).file("play.yaml", play(20));
-    session.run(&["run", "play.yaml", "--lead", LEAD]).says(0, &["play: done"]);
+    session.file("fleet.yaml", &fleet).file("play.yaml", play(20));
+    let line = "give it `latency: {left: 42ms, right: 42ms}` in the fleet file";
+    let declares = ["it declares another latency: `left` 42 ms where 0 ms is compensated", line];
+    session.run(&["preflight", "play.yaml"]).says(0, &declares);
+    session.run(&["run", "play.yaml", "--lead", LEAD]).says(0, &[&["play: done"][..], &declares].concat());
     assert_eq!(driven(), "left=0 right=0\nleft=1 right=2\nleft=20 right=3\nleft=0\n");
+    session.file("fleet.yaml", fleet.replace("tank.json,", "tank.json, latency: {left: 42ms, right: 42ms},"));
+    let same = session.run(&["preflight", "play.yaml"]);
+    assert!(same.code() == 0 && !same.text().contains("declares another latency"), "{}", same.text());
+    session.file("fleet.yaml", &fleet);
     session.file("play.yaml", play(66));
     let ran = session.run(&["run", "play.yaml", "--lead", LEAD]);
     assert!([1, 4].contains(&ran.code()), "{}", ran.text());
     assert!(ran.text().contains("the hardware reports a fault: emergency stop"), "{}", ran.text());
     let (_, said) = edge.end();
     for expected in [
-        "latency, which is not compensated: left 42 ms, right 42 ms",
+        "latency, which missions are told: left 42 ms, right 42 ms",
         "the SDK greets left",
         "fault: emergency stop",
     ] {

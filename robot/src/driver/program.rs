@@ -21,7 +21,7 @@ use std::time::Duration;
 
 use serde::Deserialize;
 use serde_json::json;
-use urrcp::{DeviceId, InitializationBlock, Setpoint};
+use urrcp::{DeviceId, InitializationBlock, LATENCY_MS_MAX, Setpoint};
 
 use super::running::{Ear, Running};
 use super::{Driver, DriverError, Lifeline, Pushes, Ramp};
@@ -52,9 +52,6 @@ struct Declared {
     /// From a value to visible motion, in milliseconds, by device.
     latency_ms: BTreeMap<DeviceId, f64>,
 }
-
-/// Longest latency that a program may declare, in milliseconds.
-const LATENCY_MS_MAX: f64 = 10_000.0;
 
 /// A program that drives a robot's devices.
 pub struct Program {

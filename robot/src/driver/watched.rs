@@ -53,7 +53,7 @@ impl fmt::Display for HardwareEvent {
                     format!("{device} {} ms", latency.as_secs_f64() * 1_000.0)
                 };
                 let all: Vec<_> = latency.iter().map(of).collect();
-                write!(f, "its driver declares a latency, which is not compensated: {}", all.join(", "))
+                write!(f, "its driver declares a latency, which missions are told: {}", all.join(", "))
             }
             Self::Lost(why) => f.write_str(why),
             Self::Unread(why) => write!(f, "a sensor gave no reading: {why}"),

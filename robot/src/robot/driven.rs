@@ -1,5 +1,10 @@
 //! A robot with hardware: what changes when that comes and goes, and readings that are answered later.
 
+#[cfg(feature = "host")]
+use std::collections::BTreeMap;
+#[cfg(feature = "host")]
+use std::time::Duration;
+
 use urrcp::{
     ControlError, ControlRequest, ControlResponse, DeviceId, ErrorCode, InitializationBlock, Span, Status,
     StatusValue,
@@ -24,6 +29,19 @@ impl Robot {
     #[must_use]
     pub fn driven(block: InitializationBlock) -> Self {
         Self { hardware: Hardware::awaited(), ..Self::new(block.and_answers_inquiries()) }
+    }
+
+    /// Takes over what its driver declares: its initialization block says so from now on. A spread that the block has stays; of
+    /// devices that the driver says nothing of, all stays.
+    #[cfg(feature = "host")]
+    pub(crate) fn declare_latencies(&mut self, declared: &BTreeMap<DeviceId, Duration>) {
+        for (id, latency) in declared {
+            let Some(index) = self.index_of.get(id) else { continue };
+            let latency = Some(Span::from(*latency));
+            if self.block.devices[*index].latency != latency {
+                self.block.devices[*index].latency = latency;
+            }
+        }
     }
 
     /// The same robot, but it tells the end of a command, and confirms a stop, only once [`Robot::confirmed`] says that the

@@ -72,6 +72,9 @@ pub(super) fn check(args: &CheckArgs, format: Format) -> Exit {
                 let errors = if denied { "warnings denied" } else { "no errors" };
                 let figures = crate::report::choreography_figures(choreography);
                 console::print(&format!("{}: {errors}, {figures}\n", shown(&scenario)));
+                if let Some(latencies) = crate::report::latencies_text(choreography) {
+                    console::print(&format!("{latencies}\n"));
+                }
                 console::print(&requirements_table(&requirements, console::columns()));
             }
         }

@@ -1,10 +1,13 @@
 //! `downbeat plan`: the control requests that a scenario compiles to.
 
+use std::collections::BTreeMap;
+
 use downbeat_scripts::{
-    Act, BodyUse, Choreography, Closest, DeviceUse, OnDoubt, OnFailure, PlannedCue, PlannedReading, Wait, Way,
+    Act, BodyUse, Choreography, Closest, DeviceLatency, DeviceUse, OnDoubt, OnFailure, PlannedCue,
+    PlannedReading, Wait, Way,
 };
 use serde::Serialize;
-use urrcp::{Command, ControlRequest, Message, Millis, Server, Span, Timestamp};
+use urrcp::{Command, ControlRequest, DeviceId, Message, Millis, RobotId, Server, Span, Timestamp};
 
 use super::load;
 use super::{Exit, Format, ScenarioArgs, console};
@@ -96,6 +99,11 @@ struct PlannedAct<'a> {
 pub(super) struct ActFigures<'a> {
     act: &'a str,
     duration_ms: Span,
+    /// How much later the act's motions are than written, where devices have a latency.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    lead_in_ms: Option<Span>,
+    #[serde(skip_serializing_if = "BTreeMap::is_empty")]
+    latencies: &'a BTreeMap<RobotId, BTreeMap<DeviceId, DeviceLatency>>,
     cues: &'a [PlannedCue],
     devices: &'a [DeviceUse],
     /// Where the fleet file describes bodies.
@@ -113,6 +121,8 @@ fn act_figures(act: &Act) -> ActFigures<'_> {
     ActFigures {
         act: &act.name,
         duration_ms: act.plan.duration(),
+        lead_in_ms: (!act.latencies.is_empty() || act.lead_in > Span::ZERO).then_some(act.lead_in),
+        latencies: &act.latencies,
         cues: &act.cues,
         devices: &act.devices,
         closest: act.in_space.closest.as_ref(),

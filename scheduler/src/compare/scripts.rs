@@ -34,6 +34,7 @@ pub(crate) struct DeviceDifferences {
 
 /// The scripts of the devices of an act, and what they are for.
 pub(super) struct Devices<'a> {
+    act: &'a Act,
     scripts: HashMap<(&'a RobotId, &'a DeviceId), Vec<&'a DeviceScript>>,
     uses: HashMap<(&'a RobotId, &'a DeviceId), &'a DeviceUse>,
     fleet: &'a Fleet,
@@ -48,7 +49,7 @@ impl<'a> Devices<'a> {
             }
         }
         let uses = act.devices.iter().map(|used| ((&used.robot, &used.device), used)).collect();
-        Self { scripts, uses, fleet }
+        Self { act, scripts, uses, fleet }
     }
 
     fn described(&self, robot: &RobotId, device: &DeviceId) -> Option<&'a urrcp::Device> {
@@ -63,7 +64,7 @@ impl<'a> Devices<'a> {
         for script in self.scripts.get(&(robot, device)).into_iter().flatten() {
             let of_script = script.script.steps();
             steps.extend(of_script.iter().enumerate().map(|(index, step)| TimedStep {
-                at: script.start.span() + step.offset.span(),
+                at: self.act.moves_at(robot, script) + step.offset.span(),
                 setpoint: step.setpoint.clone(),
                 lease: step.stop_condition,
                 ends: index + 1 == of_script.len(),

@@ -132,6 +132,19 @@ pub enum FailureKind {
         #[serde(rename = "tolerance_ms")]
         tolerance: Span,
     },
+    /// Its devices begin to move at instants that vary by more than the scenario tolerates.
+    #[error(
+        "the latency of its devices varies by +-{spread}, the scenario tolerates {tolerance} with the clocks: measure it again with \
+         `downbeat calibrate`, or raise start_tolerance"
+    )]
+    LatencySpread {
+        /// 95 % of the motions begin within the latency ± this.
+        #[serde(rename = "spread_ms")]
+        spread: Span,
+        /// The scenario's start_tolerance.
+        #[serde(rename = "tolerance_ms")]
+        tolerance: Span,
+    },
     /// A sensor does not read what the fleet file requires.
     #[error("`{sensor}` reads {reading}, the fleet file requires {range}", reading = reading.map_or_else(|| "nothing".to_owned(), |r| r.to_string()))]
     Requirement {
@@ -270,7 +283,8 @@ mod tests {
             FailureKind::NoTimeToSend { .. } => {
                 FailureKind::Clock { offset: span, uncertainty: span, tolerance: span }
             }
-            FailureKind::Clock { .. } => {
+            FailureKind::Clock { .. } => FailureKind::LatencySpread { spread: span, tolerance: span },
+            FailureKind::LatencySpread { .. } => {
                 let range = SensorRange::Above(1.0);
                 FailureKind::Requirement { sensor: device(), reading: None, range }
             }

@@ -8,6 +8,7 @@ use urrcp::{
 
 use super::exchanges::Times;
 use super::failure_kind::{FailureKind, Slow};
+use super::latency::LatencyDiffers;
 use super::lead::{self, ROUND_TRIP_LONGEST};
 use super::preflight;
 use super::record::Record;
@@ -82,6 +83,9 @@ impl Mission {
             self.fail(now, robot, FailureKind::WrongVersion { version });
         }
         let unfit = self.unfit(robot, &block);
+        let state = &self.robots[robot];
+        let differs = LatencyDiffers::of(&self.choreography, &state.id, state.block.as_ref(), &block);
+        self.robots[robot].latency_differs = differs;
         self.robots[robot].block = Some(block);
         for reason in unfit {
             self.fail(now, robot, FailureKind::Unfit { reason });
@@ -285,7 +289,7 @@ impl Mission {
         }
     }
 
-    fn skew_of_first_act(&self, now: Timestamp<Server>) -> Option<SkewBudget> {
+    pub(super) fn skew_of_first_act(&self, now: Timestamp<Server>) -> Option<SkewBudget> {
         let plan = &self.choreography.acts[self.options.first_act].plan;
         let members = act::members(plan, &self.robots);
         SkewBudget::of(members.iter(), &self.robots, plan.start_tolerance, now)

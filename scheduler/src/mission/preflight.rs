@@ -7,6 +7,7 @@ use urrcp::{DeviceId, ErrorCode, Millis, RobotId, Server, Span, Timestamp};
 use super::failure_kind::FailureKind;
 use super::robot_state::{Link, RobotState};
 use super::seize::Ownership;
+use super::skew::SkewBudget;
 use super::{ClockMode, Greeting, Mission};
 
 /// What is checked.
@@ -117,6 +118,9 @@ pub struct Preflight {
     pub greeting: Greeting,
     /// A row a robot.
     pub rows: Vec<PreflightRow>,
+    /// How far apart the motions of the first act may begin, by what is known so far.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub skew: Option<SkewBudget>,
 }
 
 pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
@@ -126,7 +130,8 @@ pub(super) fn table(mission: &Mission, now: Timestamp<Server>) -> Preflight {
         let clock_offset = mission.robots[index].clock_at(now).map(|reading| reading.offset);
         PreflightRow { robot, checks: checks.to_vec(), clock_offset, readings: readings(mission, index) }
     };
-    Preflight { greeting: mission.options.greeting, rows: (0..mission.robots.len()).map(row).collect() }
+    let rows = (0..mission.robots.len()).map(row).collect();
+    Preflight { greeting: mission.options.greeting, rows, skew: mission.skew_of_first_act(now) }
 }
 
 /// Everything that was read: what the fleet file requires, then where devices stand, then what is only shown.
@@ -201,7 +206,10 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
         Check::Version => {
             Verdict::Pass(robot.block.as_ref().map(|block| block.api_version.to_string()).unwrap_or_default())
         }
-        Check::Description => Verdict::Pass("fits".to_owned()),
+        Check::Description => match &robot.latency_differs {
+            Some(differs) => Verdict::Warning(differs.to_string()),
+            None => Verdict::Pass("fits".to_owned()),
+        },
         Check::Clock => clock(robot, now),
         Check::Position => match robot.positions.len() {
             0 => Verdict::NotChecked,
@@ -257,7 +265,7 @@ fn column(kind: &FailureKind) -> Check {
         | FailureKind::Silent { .. } => Check::Link,
         FailureKind::WrongVersion { .. } => Check::Version,
         FailureKind::Unfit { .. } | FailureKind::NoTimeToSend { .. } => Check::Description,
-        FailureKind::Clock { .. } => Check::Clock,
+        FailureKind::Clock { .. } | FailureKind::LatencySpread { .. } => Check::Clock,
         FailureKind::Requirement { .. } => Check::Sensors,
         FailureKind::Position { .. } => Check::Position,
         FailureKind::AnotherRobot { .. } => Check::Identity,

@@ -11,6 +11,7 @@ use urrcp::{
 use super::exchanges::Exchanges;
 use super::failure_kind::FailureKind;
 use super::failures::Failures;
+use super::latency::LatencyDiffers;
 use super::script::ScriptRef;
 use super::seize::Ownership;
 use super::{Loss, MissionSettings, Participant};
@@ -205,6 +206,8 @@ pub(crate) struct RobotState {
     pub(crate) block: Option<InitializationBlock>,
     /// The robot has given its own block in this mission.
     pub(crate) introduced: bool,
+    /// What it declares of latencies, where that is not what was compensated.
+    pub(crate) latency_differs: Option<LatencyDiffers>,
     /// What the fleet file says of it.
     pub(crate) settings: MissionSettings,
     /// What was last added to a timestamp so that it is right by its own clock.
@@ -261,6 +264,7 @@ impl RobotState {
             standing: Standing::In,
             block: participant.block,
             introduced: false,
+            latency_differs: None,
             shift: Span::ZERO,
             clock: ClockEstimate::default(),
             questions: Questions::default(),

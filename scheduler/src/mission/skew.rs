@@ -1,4 +1,4 @@
-//! How far apart the robots of an act may start, as far as their clocks are known.
+//! How far apart the robots of an act may start, as far as their clocks and the latencies of their devices are known.
 
 use std::collections::HashMap;
 
@@ -9,13 +9,17 @@ use super::ClockMode;
 use super::act::Member;
 use super::failure_kind::FailureKind;
 use super::robot_state::RobotState;
+use super::script::Script;
 
 /// The predicted spread of starts with its parts.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct SkewBudget {
-    /// Latest possible start minus earliest possible.
+    /// Latest possible start of a motion minus earliest possible.
     #[serde(rename = "predicted_ms")]
     pub predicted: Span,
+    /// The same of commands: what clocks and wake-ups alone allow.
+    #[serde(rename = "clocks_ms")]
+    pub clocks: Span,
     /// The scenario's start_tolerance.
     #[serde(rename = "tolerance_ms")]
     pub tolerance: Span,
@@ -26,7 +30,8 @@ pub struct SkewBudget {
     place: HashMap<RobotId, usize>,
 }
 
-/// When a robot may start, relative to the plan: from `offset` - `uncertainty` to `offset` + `uncertainty` + `wake_up`.
+/// When a robot may start, relative to the plan: from `offset` - `uncertainty` to `offset` + `uncertainty` + `wake_up`. The motions
+/// of its devices may begin earlier and later by `latency_spread`.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct RobotSkew {
     /// The robot's id.
@@ -41,6 +46,9 @@ pub struct RobotSkew {
     /// How late it may wake up.
     #[serde(rename = "wake_up_ms")]
     pub wake_up: Span,
+    /// 95 % of the motions of the devices that the act moves begin within their latency ± this.
+    #[serde(rename = "latency_spread_ms")]
+    pub latency_spread: Span,
 }
 
 impl RobotSkew {
@@ -50,6 +58,12 @@ impl RobotSkew {
             Span::ZERO - self.offset - self.uncertainty,
             Span::ZERO - self.offset + self.uncertainty + self.wake_up,
         )
+    }
+
+    /// The same of motions.
+    fn range_of_motions(&self) -> (Span, Span) {
+        let (earliest, latest) = self.range();
+        (earliest - self.latency_spread, latest + self.latency_spread)
     }
 }
 
@@ -107,20 +121,24 @@ impl SkewBudget {
                 ClockMode::Ntp => reading.offset,
                 ClockMode::Measured => strayed(member, reading.offset),
             };
+            let spread = |script: &Script| robot.settings.latencies.get(&script.plan.device);
+            let spreads = member.firsts().filter_map(spread).map(|known| known.latency.spread);
+            let latency_spread = spreads.max().unwrap_or_default();
             let (robot, wake_up) = (robot.id.clone(), robot.settings.wake_up);
-            Some(RobotSkew { robot, offset, uncertainty: reading.uncertainty, wake_up })
+            Some(RobotSkew { robot, offset, uncertainty: reading.uncertainty, wake_up, latency_spread })
         };
         let robots: Option<Vec<_>> = members.map(skew).collect();
         let robots = robots.filter(|robots| !robots.is_empty())?;
-        let latest = robots.iter().map(|robot| robot.range().1).max().unwrap_or_default();
-        let earliest = robots.iter().map(|robot| robot.range().0).min().unwrap_or_default();
-        // The devices of one robot share its clock; each may still wake up late.
-        let predicted = match robots.as_slice() {
-            [alone] => alone.wake_up,
-            _ => latest - earliest,
+        // The devices of one robot share its clock; each may still wake up late, and vary by itself.
+        let (predicted, clocks) = match robots.as_slice() {
+            [alone] => (alone.wake_up + alone.latency_spread * 2, alone.wake_up),
+            _ => (
+                width(robots.iter().map(RobotSkew::range_of_motions)),
+                width(robots.iter().map(RobotSkew::range)),
+            ),
         };
         let place = robots.iter().enumerate().map(|(place, robot)| (robot.robot.clone(), place)).collect();
-        Some(Self { predicted, tolerance, robots, place })
+        Some(Self { predicted, clocks, tolerance, robots, place })
     }
 
     /// How much earlier, and how much later, than planned this robot may start.
@@ -145,6 +163,14 @@ impl SkewBudget {
     fn failure(&self, robot: &RobotSkew) -> (RobotId, FailureKind) {
         let (offset, uncertainty) = (robot.offset, robot.uncertainty);
         (robot.robot.clone(), FailureKind::Clock { offset, uncertainty, tolerance: self.tolerance })
+    }
+
+    /// What is in it besides the clocks, to stand behind the whole; empty without latencies that vary.
+    pub(crate) fn parts(&self) -> String {
+        match self.predicted == self.clocks {
+            true => String::new(),
+            false => format!(" ({} by the clocks alone, the rest by latencies that vary)", self.clocks),
+        }
     }
 
     pub(crate) fn fits(&self) -> bool {
@@ -174,16 +200,31 @@ impl SkewBudget {
         }
         let middle = self.middle();
         let half = self.tolerance / 2;
-        let far = |robot: &&RobotSkew| {
-            let (earliest, latest) = robot.range();
+        let is_far = |(earliest, latest): (Span, Span)| {
             (Span::ZERO - middle) - earliest > half || latest - (Span::ZERO - middle) > half
         };
-        self.robots.iter().filter(far).map(|robot| self.failure(robot)).collect()
+        let of = |robot: &RobotSkew| {
+            if is_far(robot.range()) {
+                return Some(self.failure(robot));
+            }
+            let kind = FailureKind::LatencySpread { spread: robot.latency_spread, tolerance: self.tolerance };
+            is_far(robot.range_of_motions()).then(|| (robot.robot.clone(), kind))
+        };
+        self.robots.iter().filter_map(of).collect()
     }
+}
+
+/// From the earliest to the latest instant of any of these ranges.
+fn width(ranges: impl Iterator<Item = (Span, Span)> + Clone) -> Span {
+    let latest = ranges.clone().map(|range| range.1).max().unwrap_or_default();
+    let earliest = ranges.map(|range| range.0).min().unwrap_or_default();
+    latest - earliest
 }
 
 #[cfg(test)]
 mod tests {
+    use downbeat_scripts::{DeviceLatency, LatencySource};
+
     use super::*;
     use crate::clock::ClockSample;
     use crate::mission::bench::{self, Tells, at, ms};
@@ -205,6 +246,40 @@ mod tests {
             let offenders: Vec<_> = budget.offenders().into_iter().map(|(id, _)| id.to_string()).collect();
             assert_eq!(offenders, [off], "{first} and {second} ms ahead");
         }
+    }
+
+    #[test]
+    fn a_latency_that_varies_widens_the_budget_and_is_told_apart_from_the_clocks() {
+        let scripts: [&[bench::Planned]; 2] = [&[("a", 0, 400)]; 2];
+        let choreography = bench::played(&scripts);
+        let mut robots = ["r0", "r1"].map(|name| bench::robot(name, Tells::Everything, 2));
+        for robot in &mut robots {
+            let instant = at(10).assume_clock();
+            robot.clock.add(ClockSample::from_exchange(at(9), instant, instant, at(11)));
+        }
+        let budget = |robots: &[RobotState; 2], tolerance| {
+            let members = crate::mission::act::members(&choreography.acts[0].plan, robots);
+            SkewBudget::of(members.iter(), robots, tolerance, at(11)).unwrap()
+        };
+        let plain = budget(&robots, ms(60));
+        assert_eq!((plain.predicted, plain.parts().as_str()), (plain.clocks, ""));
+        for (device, spread) in [("a", 20), ("other", 500)] {
+            let latency = urrcp::Latency { median: ms(40), spread: ms(spread) };
+            let latency = DeviceLatency { latency, from: LatencySource::File };
+            robots[1].settings.latencies.insert(device.parse().unwrap(), latency);
+        }
+        let wide = budget(&robots, ms(60));
+        assert_eq!((wide.clocks, wide.predicted), (plain.predicted, plain.predicted + ms(40)));
+        assert!(wide.fits() && wide.parts().contains("by the clocks alone"), "{wide:?}");
+        // What the commands keep to is as before.
+        let late = |budget: &SkewBudget| budget.late_of(&robots[1].id);
+        assert_eq!(late(&wide), late(&plain));
+        let tight = budget(&robots, ms(30));
+        let offenders = tight.offenders();
+        let [(robot, FailureKind::LatencySpread { spread, .. })] = offenders.as_slice() else {
+            panic!("{offenders:?}")
+        };
+        assert_eq!((robot.as_str(), *spread), ("r1", ms(20)));
     }
 
     #[test]

@@ -60,6 +60,11 @@ impl Points {
         self.times.push(at);
         self.values.push(value);
     }
+
+    /// All of them later by so many milliseconds.
+    pub(super) fn shift(&mut self, by: f64) {
+        self.times.iter_mut().for_each(|at| *at += by);
+    }
 }
 
 impl FromIterator<(f64, f64)> for Points {

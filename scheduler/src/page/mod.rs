@@ -156,7 +156,7 @@ impl Rehearsed<'_> {
             acts,
             events: events::of_values(&values, &places, epoch),
             findings: planned::findings(findings, outline),
-            set: played::set(played, &places, epoch, columns),
+            set: played::set(played, choreography, &places, epoch, columns),
             read: played::read(report, &places, epoch, columns),
             clocks: played::clocks(report, &places, (from, to), columns),
             compared: None,

@@ -200,7 +200,7 @@ fn plan(act: &scripts::Act, written: &[WrittenCue], places: &Places, columns: &m
     });
     Plan {
         name: act.name.clone(),
-        duration: act.plan.duration().as_millis_f64(),
+        duration: act.duration().as_millis_f64(),
         start_tolerance: act.plan.start_tolerance.as_millis_f64(),
         cues: act.cues.iter().zip(written).map(|(cue, written)| self::cue(cue, written, places)).collect(),
         lanes: lanes(act, places, columns),
@@ -232,9 +232,10 @@ pub(super) fn lanes(act: &scripts::Act, places: &Places, columns: &mut Columns) 
         for script in &planned.scripts {
             let Some(device) = places.device(robot, &script.device) else { continue };
             let used = used.get(&(&planned.robot, &script.device));
+            let start = act.moves_at(&planned.robot, script).as_millis_f64();
             for (value, (control, steps)) in values_of(&script.script).into_iter().enumerate() {
                 let control = named(control, value);
-                let script = Script { start: script.start.get(), steps: columns.series(&steps) };
+                let script = Script { start, steps: columns.series(&steps) };
                 let of_device = |lane: &&mut Lane| {
                     lane.robot == robot && lane.device == device && lane.control == control
                 };

@@ -39,7 +39,7 @@ pub(super) fn acts(
     let mut acts: Vec<Played> = Vec::with_capacity(played.report.acts.len());
     for act in &played.report.acts {
         let plan = choreography.acts.iter().position(|planned| planned.is_named(&act.act));
-        let duration = plan.map_or(0.0, |plan| choreography.acts[plan].plan.duration().as_millis_f64());
+        let duration = plan.map_or(0.0, |plan| choreography.acts[plan].duration().as_millis_f64());
         let told = &told[told.partition_point(|(at, _)| *at < act.timestamp)..];
         let report = serde_json::to_value(act).ok();
         let over = fate::over(told, &act.act, act.number, act.timestamp);
@@ -135,14 +135,19 @@ pub(super) fn finished(
     told.iter().find(|(_, told)| of_robot(told)).map(|(at, _)| *at)
 }
 
-/// What robots set, each device of each act by itself, in true time.
+/// What robots set, each device of each act by itself, at the true time at which that is to be seen.
 pub(super) fn set(
     played: &dry_run::Played,
+    choreography: &Choreography,
     places: &Places,
     epoch: Epoch,
     columns: &mut Columns,
 ) -> Vec<DeviceSeries> {
     let mut all = Vec::new();
+    let planned_as = |number: Option<u32>| {
+        let act = played.report.acts.iter().find(|act| Some(act.number) == number)?;
+        choreography.acts.iter().find(|planned| planned.is_named(&act.act))
+    };
     for (row, log) in played.report.robots.iter().zip(&played.logs) {
         let Some(robot) = places.robot(&row.robot) else { continue };
         let mut of_device: BTreeMap<(Option<u32>, &DeviceId), Points> = BTreeMap::new();
@@ -151,7 +156,10 @@ pub(super) fn set(
             let at = epoch.millis(Timestamp::from_nanos(entry.true_ns));
             of_device.entry((act, &entry.device)).or_default().push(at, entry.value);
         }
-        for ((act, device), points) in of_device {
+        for ((act, device), mut points) in of_device {
+            if let Some(planned) = planned_as(act).filter(|planned| !planned.latencies.is_empty()) {
+                points.shift(planned.latency_of(&row.robot, device).as_millis_f64());
+            }
             let Some(device) = places.device(robot, device) else { continue };
             all.push(DeviceSeries { robot, device, act, series: columns.series(&points) });
         }

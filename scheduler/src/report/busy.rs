@@ -16,7 +16,10 @@ pub(super) fn busy<'a>(act: &'a Act, robots: &[&FleetRobot]) -> Vec<Busy<'a>> {
     let moves = |(index, plan): (usize, &'a downbeat_scripts::RobotPlan)| {
         let robot = robots.get(index).copied();
         let scripts = plan.scripts.iter();
-        let moves = scripts.flat_map(|script| moves_of(script, interpolation(robot, &script.device)));
+        let moves = scripts.flat_map(|script| {
+            let begin = act.moves_at(&plan.robot, script).as_millis_f64();
+            moves_of(script, begin, interpolation(robot, &script.device))
+        });
         Busy { robot: &plan.robot, moves: moves.collect() }
     };
     act.plan.robots.iter().enumerate().map(moves).collect()
@@ -28,8 +31,8 @@ pub(super) fn interpolation(robot: Option<&FleetRobot>, device: &DeviceId) -> Op
     Some(block.device(device.as_str())?.interpolation)
 }
 
-fn moves_of(script: &DeviceScript, interpolation: Option<Interpolation>) -> Vec<(f64, f64)> {
-    let begin = script.start.get();
+/// `begin`: when its motion begins, in milliseconds.
+fn moves_of(script: &DeviceScript, begin: f64, interpolation: Option<Interpolation>) -> Vec<(f64, f64)> {
     let steps = script.script.steps();
     let first = steps.first().map(|step| step.offset.get()).map(|at| (begin + at, begin + at));
     let between = steps.windows(2).filter_map(|pair| {
@@ -73,7 +76,7 @@ mod tests {
             stop_condition: StopCondition::default(),
             script: Script::new(values.iter().enumerate().map(step).collect()).unwrap(),
         };
-        let found: Vec<_> = moves_of(&script, Some(interpolation)).into_iter().collect();
+        let found: Vec<_> = moves_of(&script, script.start.get(), Some(interpolation)).into_iter().collect();
         let seconds: Vec<_> = found.iter().map(|(from, to)| (from / 1_000.0, to / 1_000.0)).collect();
         assert_eq!(seconds, expected);
     }

@@ -22,7 +22,7 @@ use urrcp::{RobotId, Server, SessionId, Span, Timestamp};
 use crate::clock::ClockReading;
 use crate::mission::robot_state::{Rest, RobotState, SentStop, Standing, Stop};
 pub use crate::mission::{ActCourse, ActFate, ActReport, ActRobot, DeviceReport, DeviceState, Outcome};
-use crate::mission::{ClockMode, Failure, LeadTime, Mission, Preflight};
+use crate::mission::{ClockMode, Failure, LatencyDiffers, LeadTime, Mission, Preflight};
 use crate::recording::Recorded;
 use crate::requirements::Judged;
 use crate::server_clock::NtpState;
@@ -30,7 +30,7 @@ pub(crate) use course::course_lines;
 pub(crate) use required::requirements_table;
 pub use text::report_text;
 pub(crate) use text::{
-    TAKEN_OVER, UNBOUNDED, choreography_figures, main_duration, plan_table, preflight_table,
+    TAKEN_OVER, UNBOUNDED, choreography_figures, latencies_text, main_duration, plan_table, preflight_table,
 };
 pub use wake_up::HostWakeUp;
 pub use withdrawal::Withdrawal;
@@ -133,6 +133,9 @@ pub struct RobotReport {
     pub clock_mode: ClockMode,
     /// Its clock against the server's.
     pub clock: Option<ClockReading>,
+    /// Devices that declare another latency than was compensated.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub latency_differs: Option<LatencyDiffers>,
     /// After a stop: whether it is known to be in its default state.
     pub stop: StopState,
 }
@@ -236,6 +239,7 @@ fn robot_report(robot: &RobotState) -> RobotReport {
         failures_omitted: robot.failures.omitted(),
         clock_mode: robot.settings.clock,
         clock: robot.clock.reading(),
+        latency_differs: robot.latency_differs.clone(),
         stop: stop_state(robot),
     }
 }

@@ -48,7 +48,7 @@ pub(super) struct Tick {
 /// Milliseconds that a ruler of this act shows: until its last step or the end of its last cue, at least one.
 pub(super) fn length(act: &Act) -> f64 {
     let ends = act.cues.iter().map(|cue| cue.end).max().unwrap_or_default();
-    act.plan.duration().max(ends).as_millis_f64().max(1.0)
+    act.duration().max(ends).as_millis_f64().max(1.0)
 }
 
 /// The ticks of an act that lasts `total` milliseconds: one at zero, and at most `most` more.

@@ -1,9 +1,11 @@
 //! The report and the plan as tables for people.
 
+use std::collections::BTreeMap;
+
 use anstyle::{AnsiColor, Style};
 use downbeat_scripts::shown::shown;
 use downbeat_scripts::{Act, Choreography, Plan, RobotPlan, counted};
-use urrcp::Span;
+use urrcp::{Latency, Span};
 
 use super::local::{date_and_time, time_of_day};
 use super::reading::reading_text;
@@ -11,7 +13,7 @@ use super::table::{Rows, wrapped};
 use super::{
     ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState, course_lines, requirements_table,
 };
-use crate::mission::{Check, Failure, FailureKind, Greeting, Preflight, PreflightRow, Verdict};
+use crate::mission::{Check, Failure, FailureKind, Greeting, Preflight, PreflightRow, SkewBudget, Verdict};
 
 /// Removed by the printing end where that is no terminal.
 const RED: Style = AnsiColor::Red.on_default().bold();
@@ -66,12 +68,49 @@ pub fn plan_table(act: &Act, columns: usize) -> String {
         let [a, b] = &closest.robots;
         format!("closest: `{a}` and `{b}`, {:.3} m at {}\n", closest.distance, closest.at)
     });
-    format!("{}\n{cues}\n{rows}\n{closest}", act_line(act))
+    let latencies = latencies_table(act, columns);
+    format!("{}\n{cues}\n{rows}\n{closest}{latencies}", act_line(act))
 }
 
 /// The name of an act, and how large it is.
 pub(super) fn act_line(act: &Act) -> String {
-    format!("{}: {}", shown(&act.plan.scenario), plan_figures(&act.plan))
+    let lead_in = match act.lead_in {
+        Span::ZERO => String::new(),
+        lead_in => format!(", first commands {lead_in} ahead of motions"),
+    };
+    format!("{}: {}{lead_in}", shown(&act.plan.scenario), plan_figures(&act.plan))
+}
+
+/// The latencies that are compensated, and where each is from.
+fn latencies_table(act: &Act, columns: usize) -> String {
+    let mut rows = Rows::new(&["robot", "device", "latency", "spread", "from"], 2);
+    for (robot, devices) in &act.latencies {
+        for (device, known) in devices {
+            let Latency { median, spread } = known.latency;
+            let (median, spread) = (median.to_string(), format!("±{spread}"));
+            rows.add([robot.to_string(), device.to_string(), median, spread, known.from.to_string()]);
+        }
+    }
+    if act.latencies.is_empty() { String::new() } else { rows.text(columns) }
+}
+
+/// How many devices have a latency that is compensated, in a few words.
+#[must_use]
+pub fn latencies_text(choreography: &Choreography) -> Option<String> {
+    let known = choreography.acts.iter().flat_map(|act| &act.latencies);
+    let known: BTreeMap<_, _> = known
+        .flat_map(|(robot, devices)| devices.iter().map(move |(device, of)| ((robot, device), of)))
+        .collect();
+    let largest = known.values().map(|of| of.latency.median).max()?;
+    let mut from: Vec<_> = known.values().map(|of| of.from).collect();
+    from.sort_unstable();
+    let counts = from.chunk_by(|a, b| a == b).map(|same| format!("{} from the {}", same.len(), same[0]));
+    let counts: Vec<_> = counts.collect();
+    Some(format!(
+        "latency compensated for {}, {largest} at most ({})",
+        counted(known.len(), "device"),
+        counts.join(", ")
+    ))
 }
 
 /// How long the acts last one after another.
@@ -133,6 +172,10 @@ pub fn preflight_table(preflight: &Preflight, told: bool, columns: usize) -> Str
         text.push_str(&readings_table(preflight, columns));
         let wrong = preflight.rows.iter().flat_map(wrong_lines);
         wrong.for_each(|line| say(&mut text, columns, &line));
+        // The clocks alone are in the table.
+        if let Some(skew) = preflight.skew.as_ref().filter(|skew| skew.predicted != skew.clocks) {
+            say(&mut text, columns, &budget_text(skew));
+        }
     }
     if preflight.greeting == Greeting::Skip {
         let asks = "with `handshake: skip` no robot is asked which one it is: `downbeat fleet ping` asks";
@@ -271,6 +314,11 @@ fn acts_table(report: &Report, columns: usize) -> String {
     rows.text(columns)
 }
 
+fn budget_text(skew: &SkewBudget) -> String {
+    let parts = skew.parts();
+    format!("predicted start spread {} at most, {} allowed{parts}", skew.predicted, skew.tolerance)
+}
+
 fn act_sentences(act: &ActReport) -> Vec<String> {
     let lead = act.lead;
     let mut sentences = vec![format!(
@@ -282,8 +330,7 @@ fn act_sentences(act: &ActReport) -> Vec<String> {
         lead.margin
     )];
     if let Some(skew) = &act.skew {
-        sentences
-            .push(format!("predicted start spread {} at most, {} allowed", skew.predicted, skew.tolerance));
+        sentences.push(budget_text(skew));
     }
     if let (Some(margin), Some(window)) = (act.margin_left, act.window) {
         sentences.push(format!(
@@ -345,6 +392,10 @@ fn closing_sentences(report: &Report) -> Vec<String> {
             }
         }
     }
+    sentences.extend(report.robots.iter().filter_map(|robot| {
+        let told = robot.latency_differs.as_ref()?;
+        Some(format!("{}: {told}", robot.robot))
+    }));
     if let Some(spread) = report.true_spread {
         sentences.push(format!("true start spread {spread}, by the one clock of the virtual world"));
     }

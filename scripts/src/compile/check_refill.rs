@@ -111,7 +111,7 @@ impl Lines<'_> {
             .flat_map(|robot| &robot.scripts)
             .filter(|script| script.device == refill.device)
             .nth(refill.script)
-            .map_or(Span::ZERO, |script| script.start.span());
+            .map_or(Span::ZERO, |script| act.moves_at(&refill.robot, script));
         let cues = written.cues.iter().zip(&act.cues).filter_map(|(cue, planned)| {
             let members = self.cast.members(&mut Reader::default(), cue, self.scenario.horizon());
             let own = |member: &&super::cast::Member| *self.cast.id(member.robot) == refill.robot;

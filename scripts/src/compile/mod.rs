@@ -1,7 +1,7 @@
 //! From a scenario and a fleet to a choreography, checked against what each robot declares.
 //!
 //! The way of an act: `cast` (which robots a cue is for), `schedule` (when it takes place), `perform` (the steps of each
-//! device for each cue), `join` (one chain of scripts a device). `check_*` hold the rules, `acts` the graph of acts.
+//! device for each cue), `join` (one chain of scripts a device). Then all acts: `compensate` (commands ahead of motions). `check_*` hold the rules, `acts` the graph of acts.
 
 mod acts;
 mod ahead;
@@ -12,6 +12,7 @@ mod check_require;
 mod check_safety;
 mod check_space;
 mod check_values;
+pub(crate) mod compensate;
 mod conflict;
 mod courses;
 mod join;
@@ -22,7 +23,7 @@ mod segment;
 mod together;
 mod vectors;
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 
 use urrcp::Span;
 
@@ -146,6 +147,8 @@ impl Compiler {
             acts.push(Some(Act {
                 name: act.name.clone(),
                 plan,
+                lead_in: Span::ZERO,
+                latencies: BTreeMap::new(),
                 cues: schedule::planned(act, &times.times),
                 devices,
                 in_space,
@@ -159,10 +162,11 @@ impl Compiler {
             }));
         }
         check_safety::check(&mut self.findings, &scenario, &acts);
-        let acts: Option<Vec<Act>> = acts.into_iter().collect();
+        let mut acts: Vec<Act> = acts.into_iter().collect::<Option<_>>()?;
+        compensate::compensate(&mut acts, fleet);
         let choreography = Choreography {
             scenario: scenario.name.clone(),
-            acts: acts?,
+            acts,
             requirements: scenario.requirements.clone(),
         };
         check_require::check(&mut self.findings, &scenario, &choreography);

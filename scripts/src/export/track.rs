@@ -70,13 +70,15 @@ pub(super) fn robots<'a>(choreography: &'a Choreography, fleet: &'a Fleet) -> (V
                 robots.len() - 1
             });
             for script in &plan.scripts {
-                match add(&mut robots[place], script, begin_ms, fleet) {
+                // A file of movements knows no latency: what it holds is what is to be seen.
+                let moves_ms = (act.moves_at(&plan.robot, script) - act.lead_in).as_millis_f64();
+                match add(&mut robots[place], script, begin_ms + moves_ms, fleet) {
                     true => {}
                     false => drop(rates.insert(format!("{name}/{}", script.device), ())),
                 }
             }
         }
-        begin_ms += act.plan.duration().as_millis_f64();
+        begin_ms += (act.duration() - act.lead_in).as_millis_f64();
     }
     robots.retain(|robot| !robot.tracks.is_empty());
     let mut notes = Vec::new();
@@ -116,7 +118,7 @@ fn add<'a>(robot: &mut Robot<'a>, script: &'a DeviceScript, begin_ms: f64, fleet
     });
     let track = &mut robot.tracks[place];
     for step in steps {
-        let at_ms = begin_ms + script.start.get() + step.offset.get();
+        let at_ms = begin_ms + step.offset.get();
         let values: Vec<f64> = step.setpoint.values().collect();
         match track.points.last_mut().filter(|last| last.0 >= at_ms) {
             Some(last) => last.1 = values,

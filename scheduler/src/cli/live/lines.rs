@@ -64,5 +64,5 @@ pub(super) fn table_worth_showing(progress: &Progress) -> Option<&Preflight> {
 }
 
 fn skew_text(skew: &SkewBudget) -> String {
-    format!("; starts within {} of each other, {} allowed", skew.predicted, skew.tolerance)
+    format!("; starts within {} of each other, {} allowed{}", skew.predicted, skew.tolerance, skew.parts())
 }

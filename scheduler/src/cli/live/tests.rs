@@ -75,7 +75,7 @@ fn a_robot_that_is_greeted_shows_its_clock_s_offset_as_it_does_later() {
         clock_offset: Some(Span::from_nanos(1_250_000)),
         readings: Vec::new(),
     };
-    let preflight = Preflight { greeting: Greeting::Full, rows: vec![row] };
+    let preflight = Preflight { greeting: Greeting::Full, rows: vec![row], skew: None };
     model.tell(at(10), &Progress::Greeted { clock_offset_max: None, preflight });
     let text = drawn(&model, 20, 100, 20);
     check(&text, &["ready", "+1.25 ms"]);

@@ -31,6 +31,8 @@ struct Lane<'a> {
     robot: &'a RobotId,
     device: &'a DeviceId,
     scripts: Vec<&'a DeviceScript>,
+    /// From a command to its motion: the lane is on the time of motions.
+    latency_ms: f64,
     holds: bool,
 }
 
@@ -49,7 +51,9 @@ impl<'a> Lanes<'a> {
             for of_device in plan.scripts.chunk_by(|a, b| a.device == b.device) {
                 let device = &of_device[0].device;
                 let holds = interpolation(robots.get(index).copied(), device) == Some(Interpolation::Hold);
-                lanes.push(Lane { robot: &plan.robot, device, scripts: of_device.iter().collect(), holds });
+                let latency_ms = act.latency_of(&plan.robot, device).as_millis_f64();
+                let scripts = of_device.iter().collect();
+                lanes.push(Lane { robot: &plan.robot, device, scripts, latency_ms, holds });
             }
         }
         let left_out = lanes.len().saturating_sub(LANES_MAX);
@@ -153,7 +157,8 @@ impl Lane<'_> {
         for script in &self.scripts {
             for step in script.script.steps() {
                 let Some(value) = step.setpoint.values().nth(which) else { continue };
-                let point = (frame.offset(script.start.get() + step.offset.get()), scale.y(value));
+                let point =
+                    (frame.offset(self.latency_ms + script.start.get() + step.offset.get()), scale.y(value));
                 let held = points.last().filter(|_| self.holds).map(|before| (point.0, before.1));
                 points.extend(held);
                 points.push(point);
@@ -162,14 +167,15 @@ impl Lane<'_> {
         points
     }
 
-    /// What the robot set, at its true time.
+    /// What the robot set, at the true time at which that is to be seen.
     fn set(&self, frame: &Frame, scale: &Scale, reported: &ActReport, played: &Played) -> Vec<(f64, f64)> {
         let log = played.log_of(self.robot).unwrap_or_default().iter().filter(|entry| {
             let of_act = entry.request_id.as_deref().and_then(act_of) == Some(reported.number);
             of_act && entry.motion == "set" && entry.device == *self.device
         });
         let millis = |true_ns: i64| (true_ns - reported.start.as_nanos()) as f64 / 1e6;
-        log.map(|entry| (frame.offset(millis(entry.true_ns)), scale.y(entry.value))).collect()
+        log.map(|entry| (frame.offset(self.latency_ms + millis(entry.true_ns)), scale.y(entry.value)))
+            .collect()
     }
 }
 
