@@ -67,14 +67,15 @@ pub use control_type::ControlType;
 pub use error::{ControlError, ErrorCode};
 pub use exchange::OpenRequests;
 pub use limits::{
-    CONTROL_VALUES_MAX, DEVICES_MAX, ENCODINGS_MAX, INQUIRY_NAMES_MAX, LINE_BYTES_MAX, LimitError,
-    OFFSET_MS_MAX, PARAMETERS_MAX, ROBOT_PARAMETERS_MAX, SCRIPT_STEPS_MAX, STRING_CHARS_MAX,
+    CONTROL_VALUES_MAX, DEVICES_MAX, ENCODINGS_MAX, INQUIRY_NAMES_MAX, LATENCY_MS_MAX, LINE_BYTES_MAX,
+    LimitError, OFFSET_MS_MAX, PARAMETERS_MAX, ROBOT_PARAMETERS_MAX, SCRIPT_STEPS_MAX, STRING_CHARS_MAX,
 };
 pub use message::{
     API_VERSION, AvailabilityRequest, AvailabilityResponse, Command, ControlParameters, ControlRequest,
     ControlResponse, ControlTypes, Device, DeviceRoom, Devices, InitializationBlock, InitializationRequest,
-    Inquiry, InquiryResponse, Interpolation, Limits, Message, RequestReport, RequestState, RobotType, Script,
-    ScriptParameters, SensorParameters, Setpoint, Status, StatusValue, Step, StopCondition,
+    Inquiry, InquiryResponse, Interpolation, Latency, Limits, Message, RequestReport, RequestState,
+    RobotType, Script, ScriptParameters, SensorParameters, Setpoint, Status, StatusValue, Step,
+    StopCondition,
 };
 #[cfg(feature = "schema")]
 pub use schema::message_schema;

@@ -24,6 +24,9 @@ pub const LINE_BYTES_MAX: usize = 16 * 1024 * 1024;
 /// Largest offset or period in milliseconds (ours): 1e11 ms, a little over three years.
 pub const OFFSET_MS_MAX: f64 = 1e11;
 
+/// Longest actuation latency of a device, and largest spread of one, in milliseconds (ours).
+pub const LATENCY_MS_MAX: f64 = 10_000.0;
+
 /// A value lies outside what the protocol allows.
 #[derive(Clone, Debug, PartialEq, Error)]
 #[non_exhaustive]
@@ -84,6 +87,18 @@ pub enum LimitError {
         min: f64,
         /// Upper bound.
         max: f64,
+    },
+    /// An actuation latency, or its spread, is negative or beyond [`LATENCY_MS_MAX`].
+    #[error("a latency of {millis} ms, expected 0 to {LATENCY_MS_MAX} ms")]
+    Latency {
+        /// The offending number of milliseconds.
+        millis: f64,
+    },
+    /// A device has a spread of its latency, but no latency.
+    #[error("`latency_spread` of device `{id}` without a `latency`")]
+    SpreadAlone {
+        /// Which device.
+        id: String,
     },
     /// The lower bound lies above the upper one.
     #[error("min_value {min} lies above max_value {max}")]

@@ -107,6 +107,7 @@ codes! {
     Unmet = "DB0056", Warning, "a requirement that is not met";
     OutsideProject = "DB0057", Error, "a file outside the project";
     OpenNetwork = "DB0058", Error, "a robot that anyone on the network can move";
+    StaleLatency = "DB0059", Warning, "a latency of a robot or device that is not there";
     ImportTable = "DB0060", Error, "a table that does not match its format";
     ImportNumber = "DB0061", Error, "an imported value is not a finite number";
     ImportTime = "DB0062", Error, "imported times that do not go forward";

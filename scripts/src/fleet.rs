@@ -7,7 +7,7 @@ use urrcp::{ControlType, Device, DeviceId, InitializationBlock, RobotId, Span};
 
 use crate::address::{ADDRESS, Address, Reached, address_fault};
 use crate::fields::{At, Reader};
-use crate::finding::{Code, Finding};
+use crate::finding::{Code, Finding, Severity};
 use crate::identify::{self, Document};
 use crate::init::{Init, read_supplements};
 use crate::keys::keys;
@@ -21,13 +21,20 @@ use crate::tags::foreign_tags;
 mod body;
 mod drive;
 mod joints;
+mod latency;
 mod mission_settings;
 mod urdf;
 
+pub use latency::{
+    DeviceLatency, LatencyFile, LatencySource, MeasuredLatency, latency_file_of, latency_text,
+    read_latency_file,
+};
 pub use mission_settings::{ClockMode, MissionSettings, Requirement};
 
-const FLEET_KEYS: [&str; 8] =
-    ["ntp", "handshake", "identity", "revoked", "insecure", "space", "robots", "groups"];
+const FLEET_KEYS: [&str; 9] =
+    ["ntp", "handshake", "identity", "revoked", "insecure", "latency", "space", "robots", "groups"];
+/// The place of the file of measured latencies among the files of findings; the fleet file is 0.
+const LATENCY_FILE: u16 = 1;
 const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
 const SIMULATE_KEYS: [&str; 7] =
     ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault", "readings"];
@@ -38,7 +45,7 @@ const FAULT_WORDS: [(&str, Fault); 3] =
 keys! {
     /// What is said of one robot.
     RobotKeys, ROBOT_KEYS {
-        init, devices, address, robot_id, simulate, limits, clock, wake_up, require, encoding, body,
+        init, devices, address, robot_id, simulate, limits, clock, wake_up, latency, require, encoding, body,
     }
 }
 
@@ -230,14 +237,17 @@ fn of_source(
         project,
         inits: HashMap::new(),
         urdfs: urdf::Urdfs::new(folder_of(path), project.clone()),
+        latencies: LatencyFile::new(),
+        sources: vec![source],
         findings: Reader::default(),
         elsewhere: Vec::new(),
     };
     let fleet = reader.fleet(&At::document(&document, 0));
-    let mut findings = locate(std::slice::from_ref(&source), reader.findings.finish());
+    let mut findings = locate(&reader.sources, reader.findings.finish());
     findings.append(&mut reader.elsewhere);
     findings.append(&mut reader.urdfs.elsewhere);
-    (fleet.filter(|_| findings.is_empty()), findings)
+    let sound = findings.iter().all(|finding| finding.severity == Severity::Warning);
+    (fleet.filter(|_| sound), findings)
 }
 
 struct FleetReader<'a> {
@@ -247,6 +257,10 @@ struct FleetReader<'a> {
     inits: HashMap<PathBuf, Option<Init>>,
     /// Descriptions of arms.
     urdfs: urdf::Urdfs,
+    /// What was measured of the devices.
+    latencies: LatencyFile,
+    /// The fleet file, then [`LATENCY_FILE`] if there is one.
+    sources: Vec<Source>,
     findings: Reader,
     /// Findings in other files.
     elsewhere: Vec<Finding>,
@@ -254,7 +268,7 @@ struct FleetReader<'a> {
 
 impl FleetReader<'_> {
     fn fleet(&mut self, at: &At<'_>) -> Option<Fleet> {
-        let [ntp, handshake, identity, revoked, insecure, space, robots, groups] =
+        let [ntp, handshake, identity, revoked, insecure, latency, space, robots, groups] =
             self.findings.map(at, "the fleet file", FLEET_KEYS, &["robots"])?;
         let mut fleet = Fleet::default();
         if let Some(ntp) = ntp.filter(|at| *at.node != Node::Null) {
@@ -272,7 +286,9 @@ impl FleetReader<'_> {
             file(revoked, "the path of a list of revoked certificates, which `downbeat keys` writes");
         let insecure = insecure.and_then(|at| self.findings.truth(&at)).unwrap_or(false);
         fleet.space = space.map(|at| body::read_space(&mut self.findings, &at)).unwrap_or_default();
+        self.latencies = latency.map(|at| self.latency_file(&at)).unwrap_or_default();
         let robots = robots?;
+        latency::warn_of_robots(&mut self.findings, LATENCY_FILE, &self.latencies, robots.node);
         for (name, at) in self.findings.entries(&robots, "robot id to its address and init file") {
             let robot = self.robot(name, &at, fleet.handshake);
             fleet.robots.extend(robot);
@@ -318,8 +334,48 @@ impl FleetReader<'_> {
         let limits = keys.limits.map(|at| self.limits(&at, &init)).unwrap_or_default();
         let body =
             keys.body.as_ref().and_then(|at| body::read_body(&mut self.findings, at, &init, &mut self.urdfs));
-        let mission = mission_settings::read(&mut self.findings, &keys, &init, handshake);
+        let measured = self.latencies.get(&id);
+        if let Some(measured) = measured {
+            latency::warn_of_devices(&mut self.findings, LATENCY_FILE, &id, measured, &init);
+        }
+        let latencies = latency::read(&mut self.findings, &keys, &init, measured);
+        let settings = mission_settings::read(&mut self.findings, &keys, &init, handshake);
+        let mission = MissionSettings { latencies, ..settings };
         Some(FleetRobot { simulation, limits, body, mission, ..FleetRobot::new(id, address?, Some(init)) })
+    }
+
+    /// What was measured, from the file that the fleet file names.
+    fn latency_file(&mut self, at: &At<'_>) -> LatencyFile {
+        let expected = "the path of a latency file, which `downbeat calibrate` writes";
+        let Some(path) = self.findings.text(at, expected) else { return LatencyFile::new() };
+        let path = self.folder.join(path.as_ref());
+        let source = match self.project.read(&path) {
+            Ok(source) => source,
+            Err(finding) if finding.code == Code::OutsideProject => {
+                self.findings.add_named(at.place(), finding);
+                return LatencyFile::new();
+            }
+            Err(finding) => {
+                let message =
+                    format!("cannot read the latency file `{}`: {}", path.display(), finding.message);
+                let hint = finding.hint.filter(|hint| !hint.starts_with("name a ")).unwrap_or_else(|| {
+                    "`downbeat calibrate` writes one; the path counts from the folder of the fleet file"
+                        .to_owned()
+                });
+                self.findings.add(Code::Unreadable, at.place(), message, "a readable file", Some(hint));
+                return LatencyFile::new();
+            }
+        };
+        match node::parse(&source) {
+            Ok(document) => {
+                self.sources.push(source);
+                latency::read_file(&mut self.findings, &At::document(&document, LATENCY_FILE))
+            }
+            Err(finding) => {
+                self.elsewhere.push(finding);
+                LatencyFile::new()
+            }
+        }
     }
 
     /// What the robot itself has as its id, where that differs from its name here.

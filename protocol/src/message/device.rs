@@ -4,11 +4,15 @@ use serde::{Deserialize, Serialize};
 
 use super::Setpoint;
 use super::control_types::{ControlParameters, ControlTypes, Limits, ScriptParameters, SensorParameters};
+use super::latency::{self, Latency};
 use crate::control_type::ControlType;
 use crate::error::{ControlError, ErrorCode};
+#[cfg(feature = "schema")]
+use crate::limits::LATENCY_MS_MAX;
 use crate::limits::LimitError;
 use crate::number;
 use crate::text::{DeviceId, Label};
+use crate::time::Span;
 
 /// How a device gets from one script step's value to the next (our extension).
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -44,6 +48,14 @@ pub struct Device {
     /// How many scripts that have not ended the device holds (our extension).
     #[serde(default = "one_script")]
     pub script_queue: u32,
+    /// From the instant at which a value is handed over to the first visible motion, in the middle (our extension).
+    #[serde(default, with = "latency::wire", skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0, max = LATENCY_MS_MAX)))]
+    pub latency: Option<Span>,
+    /// 95 % of all trials lie within the latency ± this; only with a latency (our extension).
+    #[serde(default, with = "latency::wire", skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(with = "Option<f64>", range(min = 0, max = LATENCY_MS_MAX)))]
+    pub latency_spread: Option<Span>,
     /// How it can be driven.
     pub available_control_types: ControlTypes,
 }
@@ -75,6 +87,8 @@ impl Device {
             default_value: None,
             interpolation: Interpolation::Hold,
             script_queue: one_script(),
+            latency: None,
+            latency_spread: None,
             available_control_types: ControlTypes::default(),
         }
     }
@@ -125,6 +139,27 @@ impl Device {
     pub fn primary_control_type(&self) -> Option<ControlType> {
         let mut types = self.available_control_types.iter().map(|(control_type, _)| control_type);
         types.find(|t| !matches!(t, ControlType::Script | ControlType::Sensor))
+    }
+
+    /// Its actuation latency, if the robot declares one.
+    #[must_use]
+    pub fn actuation_latency(&self) -> Option<Latency> {
+        Some(Latency { median: self.latency?, spread: self.latency_spread.unwrap_or_default() })
+    }
+
+    /// The same device, which declares this actuation latency.
+    #[must_use]
+    pub const fn with_latency(mut self, latency: Latency) -> Self {
+        (self.latency, self.latency_spread) = (Some(latency.median), Some(latency.spread));
+        self
+    }
+
+    /// A spread is that of a latency.
+    pub(super) fn check_latency(&self) -> Result<(), LimitError> {
+        match (self.latency, self.latency_spread) {
+            (None, Some(_)) => Err(LimitError::SpreadAlone { id: self.id.to_string() }),
+            _ => Ok(()),
+        }
     }
 
     /// A stop must not lead where no command may.

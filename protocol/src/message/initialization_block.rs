@@ -147,6 +147,7 @@ impl TryFrom<Object<RawBlock>> for InitializationBlock {
             return Err(LimitError::DuplicateDevice { id: twice.0.id.to_string() });
         }
         raw.devices.iter().try_for_each(|Object(device)| device.check_default())?;
+        raw.devices.iter().try_for_each(|Object(device)| device.check_latency())?;
         Ok(Self {
             id: raw.id,
             name: raw.name,
@@ -167,8 +168,8 @@ impl InitializationBlock {
     /// need them. A robot of the crate `downbeat-robot` sets those that it keeps by itself.
     ///
     /// # Errors
-    /// [`LimitError`] when there is no device or there are more than [`DEVICES_MAX`], two have the same id, or a default value
-    /// lies outside what its device takes.
+    /// [`LimitError`] when there is no device or there are more than [`DEVICES_MAX`], two have the same id, a default value lies
+    /// outside what its device takes, or a device has a spread of a latency without a latency.
     pub fn new(id: RobotId, devices: Vec<Device>) -> Result<Self, LimitError> {
         let devices = devices.into_iter().map(Object).collect();
         Self::try_from(Object(RawBlock {

@@ -4,8 +4,8 @@
 use std::collections::BTreeMap;
 
 use downbeat_scripts::{
-    Act, Choreography, DeviceScript, FailurePolicy, Fleet, FleetRobot, Handshake, MissionSettings, Plan,
-    RateLimits, Way,
+    Act, Choreography, DeviceLatency, DeviceScript, FailurePolicy, Fleet, FleetRobot, Handshake,
+    MissionSettings, Plan, RateLimits, Way,
 };
 use serde::{Deserialize, Serialize};
 use serde_json::{Value, json};
@@ -167,13 +167,16 @@ fn certified_act(act: &Act, choreography: &Choreography) -> CertifiedAct {
 fn certified_robot(robot: &FleetRobot) -> CertifiedRobot {
     // A robot may move to another address, and real ones are not simulated.
     let FleetRobot { id: _, address: _, init, simulation: _, limits, body, mission } = robot;
-    let MissionSettings { clock, wake_up, encoding, require } = mission;
+    let MissionSettings { clock, wake_up, encoding, require, latencies } = mission;
     let mut settings = named([
         ("clock", json!(clock)),
         ("wake_up_ms", json!(wake_up)),
         ("encoding", json!(encoding.as_str())),
         ("require", json!(require)),
     ]);
+    for (device, DeviceLatency { latency, from: _ }) in latencies {
+        settings.insert(format!("latency of `{device}`"), sorted(json!(latency)));
+    }
     for (device, RateLimits { speed, acceleration }) in limits {
         let value = sorted(json!({ "speed": speed, "acceleration": acceleration }));
         settings.insert(format!("limits of `{device}`"), value);

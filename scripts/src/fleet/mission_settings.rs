@@ -1,10 +1,13 @@
-//! The keys of a robot in the fleet file that a mission uses: `clock`, `wake_up`, `encoding`, `require`. The mission is handed
+//! The keys of a robot in the fleet file that a mission uses: `clock`, `wake_up`, `encoding`, `require`; `latency` is read in
+//! `latency.rs`. The mission is handed
 //! them as one struct, so that a new one is added here and where it is used.
+
+use std::collections::BTreeMap;
 
 use serde::Serialize;
 use urrcp::{DeviceId, Encoding, InitializationBlock, Span};
 
-use super::{Handshake, RobotKeys, sensor};
+use super::{DeviceLatency, Handshake, RobotKeys, sensor};
 use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::node::{self, Node};
@@ -25,12 +28,20 @@ pub struct MissionSettings {
     pub encoding: Encoding,
     /// What the robot's sensors have to read before a mission.
     pub require: Vec<Requirement>,
+    /// How long its devices take from a command to visible motion, where that is known.
+    pub latencies: BTreeMap<DeviceId, DeviceLatency>,
 }
 
 impl Default for MissionSettings {
     fn default() -> Self {
         let (clock, encoding) = (ClockMode::default(), Encoding::default());
-        Self { clock, wake_up: Span::from_millis(1), encoding, require: Vec::new() }
+        Self {
+            clock,
+            wake_up: Span::from_millis(1),
+            encoding,
+            require: Vec::new(),
+            latencies: BTreeMap::new(),
+        }
     }
 }
 
@@ -70,6 +81,7 @@ pub(super) fn read(
         wake_up: wake_up.unwrap_or(default.wake_up),
         encoding: encoding.unwrap_or(default.encoding),
         require: require.unwrap_or(default.require),
+        latencies: default.latencies,
     }
 }
 

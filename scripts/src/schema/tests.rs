@@ -101,6 +101,7 @@ handshake: full
 identity: anna.pem
 revoked: revoked.pem
 insecure: false
+latency: latency.yaml
 space: {distance: 1, keep_in: {x: [0, 1], y: [0, 1], z: [0, 1]}, keep_out: {pillar: {x: [0, 1]}}}
 robots:
   thrift:
@@ -117,6 +118,7 @@ robots:
     limits: {wheel: {speed: 1, acceleration: 1}}
     clock: measured
     wake_up: 1ms
+    latency: {wheel: {median: 41ms, spread: 3ms}}
     encoding: json
     body: {x: {device: wheel, scale: 1, offset: 1}, y: wheel, z: 1, yaw: 0, radius: 1, size: [1, 1, 1], speed: 1, acceleration: 1,
       joints: [{device: wheel, value: 0, scale: 1, offset: 0, axis: -z, at: [0, 0, 1], rpy: [0, 0, 0], kind: prismatic, radius: 1}],
