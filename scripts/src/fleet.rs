@@ -19,25 +19,29 @@ use crate::space::{Body, Space};
 use crate::tags::foreign_tags;
 
 mod body;
+mod calibration;
 mod drive;
 mod joints;
 mod latency;
 mod mission_settings;
+mod moves;
 mod urdf;
 
 pub use latency::{
     DeviceLatency, LatencyFile, LatencySource, MeasuredLatency, latency_file_of, latency_text,
     read_latency_file,
 };
+pub use calibration::{Calibration, Taken};
 pub use mission_settings::{ClockMode, MissionSettings, Requirement};
+pub use moves::SimulatedMoves;
 
 const FLEET_KEYS: [&str; 9] =
     ["ntp", "handshake", "identity", "revoked", "insecure", "latency", "space", "robots", "groups"];
 /// The place of the file of measured latencies among the files of findings; the fleet file is 0.
 const LATENCY_FILE: u16 = 1;
 const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
-const SIMULATE_KEYS: [&str; 7] =
-    ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault", "readings"];
+const SIMULATE_KEYS: [&str; 8] =
+    ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault", "readings", "moves"];
 const HANDSHAKE_WORDS: [(&str, Handshake); 2] = [("full", Handshake::Full), ("skip", Handshake::Skip)];
 const FAULT_WORDS: [(&str, Fault); 3] =
     [("refuse", Fault::Refuse), ("silent", Fault::Silent), ("disconnect", Fault::Disconnect)];
@@ -46,6 +50,7 @@ keys! {
     /// What is said of one robot.
     RobotKeys, ROBOT_KEYS {
         init, devices, address, robot_id, simulate, limits, clock, wake_up, latency, require, encoding, body,
+        calibrate,
     }
 }
 
@@ -93,6 +98,8 @@ pub struct FleetRobot {
     pub limits: BTreeMap<String, RateLimits>,
     /// What its devices mean in space.
     pub body: Option<Body>,
+    /// How the latency of its devices is measured, by device.
+    pub calibrate: BTreeMap<DeviceId, Calibration>,
     /// What a mission needs to know of it.
     pub mission: MissionSettings,
 }
@@ -108,6 +115,7 @@ impl FleetRobot {
             simulation: SimulationSettings::default(),
             limits: BTreeMap::new(),
             body: None,
+            calibrate: BTreeMap::new(),
             mission: MissionSettings::default(),
         }
     }
@@ -160,6 +168,8 @@ pub struct SimulationSettings {
     pub fault: Option<Fault>,
     /// What its sensors read, in their units; others read nothing.
     pub readings: Vec<(DeviceId, f64)>,
+    /// How the body follows its devices, as far as it does not at once.
+    pub moves: Vec<SimulatedMoves>,
 }
 
 impl Default for SimulationSettings {
@@ -172,6 +182,7 @@ impl Default for SimulationSettings {
             delay: None,
             fault: None,
             readings: Vec::new(),
+            moves: Vec::new(),
         }
     }
 }
@@ -341,7 +352,10 @@ impl FleetReader<'_> {
         let latencies = latency::read(&mut self.findings, &keys, &init, measured);
         let settings = mission_settings::read(&mut self.findings, &keys, &init, handshake);
         let mission = MissionSettings { latencies, ..settings };
-        Some(FleetRobot { simulation, limits, body, mission, ..FleetRobot::new(id, address?, Some(init)) })
+        let calibrate = keys.calibrate.map(|at| calibration::read(&mut self.findings, &at, &init));
+        let calibrate = calibrate.unwrap_or_default();
+        let robot = FleetRobot::new(id, address?, Some(init));
+        Some(FleetRobot { simulation, limits, body, calibrate, mission, ..robot })
     }
 
     /// What was measured, from the file that the fleet file names.
@@ -471,7 +485,7 @@ impl FleetReader<'_> {
 
     fn simulation(&mut self, at: &At<'_>, init: &InitializationBlock) -> SimulationSettings {
         let mut settings = SimulationSettings::default();
-        let Some([offset, drift, jitter, ntp_error, delay, fault, readings]) =
+        let Some([offset, drift, jitter, ntp_error, delay, fault, readings, moves]) =
             self.findings.map(at, "`simulate`", SIMULATE_KEYS, &[])
         else {
             return settings;
@@ -489,6 +503,7 @@ impl FleetReader<'_> {
         settings.delay = delay.and_then(|at| delay_range(findings, &at));
         settings.fault = fault.and_then(|at| findings.word(&at, &FAULT_WORDS));
         settings.readings = readings.map(|at| self.readings(&at, init)).unwrap_or_default();
+        settings.moves = moves.map(|at| moves::read(&mut self.findings, &at, init)).unwrap_or_default();
         settings
     }
 

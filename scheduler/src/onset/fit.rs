@@ -8,8 +8,10 @@ const TIME_CONSTANTS: [f64; 11] = [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 12
 const GOLDEN_STEPS: u32 = 20;
 /// The smaller part of the golden section.
 const GOLDEN: f64 = 0.381_966_011_250_105;
+/// The 99 % quantile of chi squared with one degree of freedom: a likelihood ratio beyond it is significant.
+const SIGNIFICANT: f64 = 6.63;
 /// Latencies that are tried at first, at most.
-const GRID_MAX: f64 = 400.0;
+const GRID_MAX: f64 = 48.0;
 
 /// The latency that fits one trial best.
 #[derive(Clone, Copy, Debug)]
@@ -23,6 +25,7 @@ pub(super) struct Fitted {
     pub(super) noise: f64,
 }
 
+#[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
 /// The time constant that fits all trials best, and its standard error, in milliseconds.
 pub(super) fn time_constant(trials: &[&Readings]) -> (f64, f64) {
     let cost = |constant: f64| -> f64 {
@@ -32,6 +35,13 @@ pub(super) fn time_constant(trials: &[&Readings]) -> (f64, f64) {
     let best = (0..costs.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or_default();
     let (low, high) = (best.saturating_sub(1), (best + 1).min(costs.len() - 1));
     let constant = golden(TIME_CONSTANTS[low], TIME_CONSTANTS[high], 12, cost);
+    let readings: usize = trials.iter().map(|trial| trial.at.len()).sum();
+    let free = (readings as f64 - 3.0 * trials.len() as f64 - 1.0).max(1.0);
+    let (with, without) = (cost(constant), costs[0]);
+    // A time constant that explains no more than chance would only shift the latency to the other side.
+    if without - with < SIGNIFICANT * with / free {
+        return (0.0, error_of_constant(trials, 0.0, &cost));
+    }
     (constant, error_of_constant(trials, constant, &cost))
 }
 

@@ -68,7 +68,8 @@ pub fn quantile_bound(trials: usize, mean: f64, deviation: f64) -> f64 {
     let b = Z95 * Z95 - Z95 * Z95 / n;
     // Below three trials `a` would be negative.
     let factor = (Z95 + (Z95 * Z95 - a * b).max(0.0).sqrt()) / a;
-    mean + factor * deviation
+    // The formula is below the exact factor by 1.3 % at 10 trials, and by less at more.
+    mean + 1.013 * factor * deviation
 }
 
 /// Half the width of the interval around the mean that holds 95 % with 95 % confidence: the two-sided tolerance limit of a normal

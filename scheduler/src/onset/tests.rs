@@ -62,13 +62,13 @@ const READABLE: Readable = Readable { range: Some((-180.0, 180.0)), movement: MO
 
 #[test]
 fn explore() {
-    for lasts_in in [0.0, 8.0] {
-        for delay in [0.0, 30.0] {
-            for time_constant in [0.0, 20.0] {
+    for lasts_in in [1.5, 2.0, 3.2] {
+        for delay in [30.0] {
+            for time_constant in [0.0, 5.0, 20.0] {
                 let device = Device { latency: 40.0, deviation: 1.5, time_constant, noise: 0.01, delay, delay_varies: 0.0,
                     lasts: lasts_in * (delay + LINK) };
                 let (mut worst, mut constant_worst, mut within, mut n, mut sum) = (0.0_f64, 0.0_f64, 0, 0, 0.0);
-                for seed in 0..6 {
+                for seed in 0..30 {
                     let trials = device.trials(seed, 20);
                     let found = estimate(&trials, READABLE);
                     let Some(l) = found.latencies else { println!("{:?}", found.onsets[0]); continue };
