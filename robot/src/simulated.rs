@@ -4,8 +4,8 @@ use std::cell::Cell;
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use urrcp::{
-    Command, ControlError, ControlResponse, ControlType, DEVICES_MAX, DeviceId, Encoding, ErrorCode, InitializationBlock,
-    Message, Robot as RobotClock, Span, Status, Timestamp,
+    Command, ControlError, ControlResponse, ControlType, DEVICES_MAX, DeviceId, Encoding, ErrorCode,
+    InitializationBlock, Message, Robot as RobotClock, Span, Status, Timestamp,
 };
 
 use crate::hardware::{ReadingId, SILENCE_MAX};
@@ -359,7 +359,9 @@ impl SimulatedRobot {
 
     /// A sensor that shows a body has its reading from it.
     fn look_at_body(&mut self, now: Timestamp<True>, input: &Input) {
-        let (Input::Message(Message::ControlRequest(request)) | Input::Hashed(request, _)) = input else { return };
+        let (Input::Message(Message::ControlRequest(request)) | Input::Hashed(request, _)) = input else {
+            return;
+        };
         if request.command != Command::ReadSensor {
             return;
         }
@@ -461,7 +463,11 @@ impl SimulatedRobot {
             response.timestamp = response.timestamp + delay;
         }
         // Other answers do not wait for the sensor.
-        self.dispatch(now + delay, (link, Way::OutOfSensor), InFlight::Out(Outgoing::Message { link, message }));
+        self.dispatch(
+            now + delay,
+            (link, Way::OutOfSensor),
+            InFlight::Out(Outgoing::Message { link, message }),
+        );
     }
 
     /// Sends something on its way, behind what travels there already.

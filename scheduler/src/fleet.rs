@@ -3,7 +3,9 @@
 use downbeat_robot::driver::{Driver, DriverError, DriverOptions, DriverSpec};
 use downbeat_robot::simulated::{Fault, Moves, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostError, HostOptions, Hosted};
-use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, SimulatedMoves, Wait};
+use downbeat_scripts::{
+    Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, SimulatedMoves, Wait,
+};
 use urrcp::{DeviceId, Encoding, RobotId, Setpoint, Span};
 
 use crate::link::{Endpoint, LinkEncoding, Site};

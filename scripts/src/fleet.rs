@@ -27,11 +27,11 @@ mod mission_settings;
 mod moves;
 mod urdf;
 
+pub use calibration::{Calibration, Taken};
 pub use latency::{
     DeviceLatency, LatencyFile, LatencySource, MeasuredLatency, latency_file_of, latency_text,
     read_latency_file,
 };
-pub use calibration::{Calibration, Taken};
 pub use mission_settings::{ClockMode, MissionSettings, Requirement};
 pub use moves::SimulatedMoves;
 

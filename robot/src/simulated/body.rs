@@ -89,7 +89,8 @@ impl MovedBody {
             Motion::Set(setpoint) | Motion::Default(setpoint) => {
                 (setpoint.control_type, setpoint.value, setpoint.value, Span::ZERO)
             }
-            Motion::Ramp { control_type, from, to, until } | Motion::Slow { control_type, from, to, until } => {
+            Motion::Ramp { control_type, from, to, until }
+            | Motion::Slow { control_type, from, to, until } => {
                 (*control_type, *from, *to, (*until - set.due).max(Span::ZERO))
             }
         };

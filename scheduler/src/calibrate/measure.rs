@@ -3,18 +3,18 @@
 use downbeat_scripts::Taken as Declared;
 use urrcp::{ControlType, Interpolation, Millis, Script, Setpoint, Span, Step};
 
+use super::NotMeasured;
 use super::plan::PlannedDevice;
 use super::talk::{Talk, TalkError};
-use super::NotMeasured;
 use crate::onset::{Commanded, Estimate, Latencies, Readable, Sample, Taken, Trial, Unclear, estimate};
 
 /// Readings before anything moves.
 const AT_REST: usize = 24;
 /// The noise at rest times this has to be less than the movement.
 const NOISE_RATIO: f64 = 5.0;
-/// Readings that fall on a movement, at least: a slow sensor has a slow movement. More would make the movement slower, and so its begin
-/// less sharp.
-const READINGS_ON_MOVEMENT: i64 = 2;
+/// A movement lasts at least so many halves of the time between two readings, so that one falls on it. More would make the movement
+/// slower, and its begin less sharp.
+const HALF_READINGS_ON_MOVEMENT: i64 = 3;
 /// Readings before a movement, at least.
 const READINGS_BEFORE: i64 = 10;
 /// The sensor is not asked more often.
@@ -89,7 +89,7 @@ pub async fn measure(
     if (rest.position - from).abs() > planned.how.by.abs() {
         return Err(NotMeasured::Elsewhere { at: rest.position, from });
     }
-    let lasts = planned.lasts.max(rest.interval * READINGS_ON_MOVEMENT);
+    let lasts = planned.lasts.max(rest.interval * HALF_READINGS_ON_MOVEMENT / 2);
     let mut mover = Mover { talk, planned, rest: &rest, lasts, watched: WATCHED_FIRST, at_from: true };
     let was = planned.on_grid(rest.position);
     mover.settle(was, from).await?;
@@ -272,7 +272,8 @@ fn measured(estimate: &Estimate, rest: &AtRest) -> Result<Measured, NotMeasured>
     let Some(latencies) = estimate.latencies else {
         return Err(NotMeasured::Unclear { of: unclear, trials: estimate.onsets.len(), why: too_few });
     };
-    let mut uncertainties: Vec<Span> = estimate.onsets.iter().flatten().map(|onset| onset.uncertainty).collect();
+    let mut uncertainties: Vec<Span> =
+        estimate.onsets.iter().flatten().map(|onset| onset.uncertainty).collect();
     uncertainties.sort_unstable();
     Ok(Measured {
         latencies,

@@ -38,7 +38,9 @@ pub enum NotMeasured {
         why: Unclear,
     },
     /// The noise of the sensor at rest is too large.
-    #[error("its sensor `{sensor}` has a noise of {noise:.4} at rest, too much for a movement of {by}: declare a larger one if that is safe")]
+    #[error(
+        "its sensor `{sensor}` has a noise of {noise:.4} at rest, too much for a movement of {by}: declare a larger one if that is safe"
+    )]
     Noise {
         /// The sensor.
         sensor: String,
@@ -48,7 +50,9 @@ pub enum NotMeasured {
         by: f64,
     },
     /// It is not where the movement is to begin.
-    #[error("it is at {at:.4}, and the movement is to begin at {from}: move it there first, or correct `from`")]
+    #[error(
+        "it is at {at:.4}, and the movement is to begin at {from}: move it there first, or correct `from`"
+    )]
     Elsewhere {
         /// Where its sensor shows it.
         at: f64,

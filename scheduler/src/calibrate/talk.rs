@@ -60,7 +60,9 @@ pub enum TalkError {
         expected: String,
     },
     /// A device is not as its description says.
-    #[error("the robot describes `{0}` in another way than its init file: `downbeat fleet describe` shows how")]
+    #[error(
+        "the robot describes `{0}` in another way than its init file: `downbeat fleet describe` shows how"
+    )]
     Different(DeviceId),
     /// Its clock is wrong.
     #[error("its clock is off by {0}: check its NTP")]
@@ -144,7 +146,9 @@ impl Talk {
         match tokio::time::timeout_at(at.into(), self.happened.recv()).await {
             Err(_) => Ok(None),
             Ok(Some(Happened::OnLink { at, event, .. })) => match *event {
-                Event::LinkDown { reason, .. } | Event::Garbled { reason, .. } => Err(TalkError::Link(reason)),
+                Event::LinkDown { reason, .. } | Event::Garbled { reason, .. } => {
+                    Err(TalkError::Link(reason))
+                }
                 event => Ok(Some((at, event))),
             },
             Ok(Some(Happened::Event { at, event })) => Ok(Some((at, *event))),
@@ -182,7 +186,11 @@ impl Talk {
     pub async fn ping(&mut self) -> Result<(), TalkError> {
         let sent = self.now();
         let session = Some(self.session.on_the_wire().clone());
-        self.say(Message::AvailabilityRequest(AvailabilityRequest { timestamp: Some(sent), session, seize: false }))?;
+        self.say(Message::AvailabilityRequest(AvailabilityRequest {
+            timestamp: Some(sent),
+            session,
+            seize: false,
+        }))?;
         let until = sent + self.patience;
         while let Some((at, event)) = self.next(until).await? {
             match event {
@@ -217,7 +225,10 @@ impl Talk {
     }
 
     /// Sends a request and waits for its first answer.
-    async fn ask(&mut self, mut request: ControlRequest) -> Result<(Timestamp<Server>, Timestamp<Server>, ControlResponse), TalkError> {
+    async fn ask(
+        &mut self,
+        mut request: ControlRequest,
+    ) -> Result<(Timestamp<Server>, Timestamp<Server>, ControlResponse), TalkError> {
         let name = self.name();
         request.request_id = Some(name.clone());
         request.session = Some(self.session.on_the_wire().clone());
@@ -241,7 +252,10 @@ impl Talk {
     ///
     /// # Errors
     /// [`TalkError`].
-    pub async fn read(&mut self, sensor: &DeviceId) -> Result<(Timestamp<Server>, Timestamp<Server>, f64), TalkError> {
+    pub async fn read(
+        &mut self,
+        sensor: &DeviceId,
+    ) -> Result<(Timestamp<Server>, Timestamp<Server>, f64), TalkError> {
         let request = ControlRequest::immediate(sensor.clone(), Command::ReadSensor);
         let (sent, at, response) = self.ask(request).await?;
         match (response.status, response.status_value) {
@@ -272,7 +286,12 @@ impl Talk {
         };
         let request = ControlRequest {
             stop_condition: Some(StopCondition::both(Millis::from_span(lead + LEASE))),
-            ..ControlRequest::deferred(timestamp, Millis::from_span(lead), device.clone(), Command::Script(script))
+            ..ControlRequest::deferred(
+                timestamp,
+                Millis::from_span(lead),
+                device.clone(),
+                Command::Script(script),
+            )
         };
         let (_, _, response) = self.ask(request).await?;
         match response.status {
@@ -305,7 +324,10 @@ impl Talk {
     /// # Errors
     /// [`TalkError`]: it is not known to be at rest.
     pub async fn hold(&mut self, device: &DeviceId) -> Result<(), TalkError> {
-        let stop = ControlRequest { hold: true, ..ControlRequest::immediate(device.clone(), Command::Script(Script::cancel())) };
+        let stop = ControlRequest {
+            hold: true,
+            ..ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()))
+        };
         let (_, _, response) = self.ask(stop).await?;
         match response.status {
             Status::Ok => Ok(()),

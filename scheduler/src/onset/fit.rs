@@ -149,9 +149,8 @@ fn standard_error(
         .collect();
     let mean = |of: fn(&(f64, f64)) -> f64| rows.iter().map(of).sum::<f64>() / rows.len().max(1) as f64;
     let (r_mean, d_mean) = (mean(|row| row.0), mean(|row| row.1));
-    let sum = |of: &dyn Fn(f64, f64) -> f64| -> f64 {
-        rows.iter().map(|(r, d)| of(r - r_mean, d - d_mean)).sum()
-    };
+    let sum =
+        |of: &dyn Fn(f64, f64) -> f64| -> f64 { rows.iter().map(|(r, d)| of(r - r_mean, d - d_mean)).sum() };
     let (rr, rd, dd) = (sum(&|r, _| r * r), sum(&|r, d| r * d), sum(&|_, d| d * d));
     let left = if rr > 0.0 { dd - rd * rd / rr } else { dd };
     if left > 0.0 { noise / left.sqrt() } else { between }

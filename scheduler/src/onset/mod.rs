@@ -35,7 +35,9 @@ use urrcp::Span;
 #[non_exhaustive]
 pub enum Unclear {
     /// Too few readings before the movement, or after it began.
-    #[error("the sensor gave too few readings: {before} before the movement and {after} from then on, at least {least} each are needed")]
+    #[error(
+        "the sensor gave too few readings: {before} before the movement and {after} from then on, at least {least} each are needed"
+    )]
     TooSparse {
         /// Readings before the movement was commanded.
         before: usize,
@@ -45,7 +47,9 @@ pub enum Unclear {
         least: usize,
     },
     /// The movement does not stand out from the noise.
-    #[error("the sensor's noise of {noise:.4} is too large for a movement of {movement:.4}: it has to be {ratio} times as large as the noise")]
+    #[error(
+        "the sensor's noise of {noise:.4} is too large for a movement of {movement:.4}: it has to be {ratio} times as large as the noise"
+    )]
     Noisy {
         /// Standard deviation of the readings around the fit, in the sensor's unit.
         noise: f64,
@@ -55,7 +59,9 @@ pub enum Unclear {
         ratio: f64,
     },
     /// The readings stay where they were.
-    #[error("the sensor shows no movement: its readings changed by {seen:.4} where {movement:.4} was commanded")]
+    #[error(
+        "the sensor shows no movement: its readings changed by {seen:.4} where {movement:.4} was commanded"
+    )]
     NothingMoved {
         /// By how much the readings changed, in the sensor's unit.
         seen: f64,
@@ -71,7 +77,9 @@ pub enum Unclear {
         limit: f64,
     },
     /// The device moved before it was told to.
-    #[error("the sensor shows motion {early} before the movement was commanded: does something else move the device?")]
+    #[error(
+        "the sensor shows motion {early} before the movement was commanded: does something else move the device?"
+    )]
     MovedBefore {
         /// How much earlier.
         early: Span,

@@ -47,12 +47,10 @@ pub(super) struct Agreement {
     pub(super) squares: f64,
     /// Of the whole movement, in the sensor's unit.
     pub(super) gain: f64,
-    /// Where the device was before.
-    pub(super) rest: f64,
 }
 
 impl Readings {
-    /// The best rest and gain at this latency and time constant.
+    /// The best fit at this latency and time constant.
     #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
     pub(super) fn agreement(&self, latency: f64, time_constant: f64) -> Agreement {
         let n = self.at.len() as f64;
@@ -68,7 +66,7 @@ impl Readings {
         // A response that is the same at all readings explains nothing.
         let gain = if s_rr > 1e-12 * n { s_rv / s_rr } else { 0.0 };
         let squares = (s_vv - gain * s_rv).max(0.0);
-        Agreement { squares, gain, rest: origin + (v_sum - gain * r_sum) / n }
+        Agreement { squares, gain }
     }
 
     /// Milliseconds between the first reading and the last.

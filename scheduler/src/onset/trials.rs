@@ -104,8 +104,7 @@ pub fn estimate(trials: &[Trial], readable: Readable) -> Estimate {
     let onsets: Vec<_> = (trials.iter().zip(readings))
         .map(|(trial, readings)| readable.judged(trial, &readings?, constant))
         .collect();
-    let known: Vec<f64> =
-        onsets.iter().flatten().map(|onset| onset.latency.as_millis_f64()).collect();
+    let known: Vec<f64> = onsets.iter().flatten().map(|onset| onset.latency.as_millis_f64()).collect();
     let latencies = Latencies::of(&known);
     let lasted = trials.iter().map(|trial| trial.commanded.lasts_ms()).fold(0.0, f64::max);
     let steady = lasted > 0.0 && lasted >= RAMP_STEADY * constant;

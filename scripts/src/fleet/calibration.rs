@@ -50,21 +50,34 @@ pub(super) fn read(
         let device = device_by_position(findings, name, &at, init);
         let keys = findings.map(&at, "the calibration of a device", CALIBRATE_KEYS, &["by"]);
         let (Some([sensor, from, by, taken]), Some(device)) = (keys, device) else { continue };
-        let limits = init.device(device.as_str()).and_then(|device| {
-            device.available_control_types.limits(ControlType::Position)
-        });
+        let limits = init
+            .device(device.as_str())
+            .and_then(|device| device.available_control_types.limits(ControlType::Position));
         let expected = "a number, in the unit of the device";
         let from_value = from.as_ref().and_then(|at| findings.number(at, expected));
         let by_value = by.as_ref().and_then(|at| findings.number(at, expected));
         if let (Some(by), Some(limits)) = (&by, &limits) {
             let ends = [from_value, from_value.zip(by_value).map(|(from, by)| from + by)];
-            let beyond = ends.into_iter().flatten().find(|v| !(limits.min_value..=limits.max_value).contains(v));
+            let beyond =
+                ends.into_iter().flatten().find(|v| !(limits.min_value..=limits.max_value).contains(v));
             let expected = format!("{} to {}, which the device declares", limits.min_value, limits.max_value);
             if let Some(beyond) = beyond {
-                findings.add(Code::OutOfRange, by.place(), format!("the movement would reach {beyond}"), expected, None);
+                findings.add(
+                    Code::OutOfRange,
+                    by.place(),
+                    format!("the movement would reach {beyond}"),
+                    expected,
+                    None,
+                );
             } else if by_value == Some(0.0) {
                 let hint = Some("a movement that can be seen, and that nothing is in the way of".to_owned());
-                findings.add(Code::WrongType, by.place(), "the device would not move", "a number other than 0", hint);
+                findings.add(
+                    Code::WrongType,
+                    by.place(),
+                    "the device would not move",
+                    "a number other than 0",
+                    hint,
+                );
             }
         }
         let taken = taken.and_then(|at| findings.word(&at, &TAKEN_WORDS)).unwrap_or_default();
@@ -82,7 +95,8 @@ pub(super) fn device_by_position(
     at: &At<'_>,
     init: &InitializationBlock,
 ) -> Option<DeviceId> {
-    let driven = || init.devices.iter().filter(|device| is_positioned(device)).map(|device| device.id.as_str());
+    let driven =
+        || init.devices.iter().filter(|device| is_positioned(device)).map(|device| device.id.as_str());
     let found = init.device(name).filter(|device| is_positioned(device)).map(|device| device.id.clone());
     if found.is_none() {
         let message = format!("the robot has no device `{}` that takes positions", shortened(name));
