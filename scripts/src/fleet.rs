@@ -211,16 +211,38 @@ pub fn read_fleet_within(path: &Path, project: &Project) -> (Option<Fleet>, Vec<
     of_source(path, Source::read(path), project)
 }
 
+/// The same for a fleet whose latencies are yet to be measured: the file with them that it names may not be there.
+#[must_use]
+pub fn read_fleet_to_measure(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
+    read_with(path, Source::read(path), project, Latencies::Awaited)
+}
+
 /// The same for a fleet file that a scenario names, which has to be in the project, too.
 #[must_use]
 pub fn read_fleet_named(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
     of_source(path, project.read(path), project)
 }
 
+/// Whether the file of measured latencies has to be there.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Latencies {
+    Measured,
+    Awaited,
+}
+
 fn of_source(
     path: &Path,
     source: Result<Source, Finding>,
     project: &Project,
+) -> (Option<Fleet>, Vec<Finding>) {
+    read_with(path, source, project, Latencies::Measured)
+}
+
+fn read_with(
+    path: &Path,
+    source: Result<Source, Finding>,
+    project: &Project,
+    awaited: Latencies,
 ) -> (Option<Fleet>, Vec<Finding>) {
     let source = match source {
         Ok(source) => source,
@@ -246,6 +268,7 @@ fn of_source(
     let mut reader = FleetReader {
         folder: folder_of(path).to_path_buf(),
         project,
+        awaited,
         inits: HashMap::new(),
         urdfs: urdf::Urdfs::new(folder_of(path), project.clone()),
         latencies: LatencyFile::new(),
@@ -264,6 +287,7 @@ fn of_source(
 struct FleetReader<'a> {
     folder: PathBuf,
     project: &'a Project,
+    awaited: Latencies,
     /// Descriptions read so far, by path: many robots share one.
     inits: HashMap<PathBuf, Option<Init>>,
     /// Descriptions of arms.
@@ -369,6 +393,7 @@ impl FleetReader<'_> {
                 self.findings.add_named(at.place(), finding);
                 return LatencyFile::new();
             }
+            Err(_) if self.awaited == Latencies::Awaited && !path.exists() => return LatencyFile::new(),
             Err(finding) => {
                 let message =
                     format!("cannot read the latency file `{}`: {}", path.display(), finding.message);

@@ -80,7 +80,7 @@ enum Ended {
 }
 
 pub(super) fn calibrate(args: &CalibrateArgs, format: Format) -> Exit {
-    let fleet = match load::load_fleet(&args.fleet, &args.project, format) {
+    let fleet = match load::load_fleet_to_measure(&args.fleet, &args.project, format) {
         Ok(fleet) => fleet,
         Err(exit) => return exit,
     };
