@@ -197,6 +197,18 @@ fn every_command_of_the_readme_exists() {
 }
 
 #[test]
+fn the_description_of_a_robot_behind_an_edge_is_one() {
+    let descriptions = blocks(&read("docs/edge.md"), "```yaml edge");
+    assert_eq!(descriptions.len(), 1);
+    let session = Session::new();
+    session.file("robot.yaml", &descriptions[0]);
+    session.file("fleet.yaml", "robots: {tank-1: {init: robot.yaml, address: sim}}\n");
+    let cue = "{cue: turn, at: 0s, robots: tank-1, tracks: {turret: [{at: 0s, to: 0}, {at: 1s, to: 45}]}, read: {turret_angle: 1s}}";
+    session.file("show.yaml", &format!("scenario: show\ncues:\n  - {cue}\n"));
+    session.run(&["check", "show.yaml"]).says(0, &["no errors"]);
+}
+
+#[test]
 fn every_page_is_in_the_table_of_contents_of_the_book() {
     let contents = read("book/SUMMARY.md");
     for entry in std::fs::read_dir(root().join("docs")).unwrap() {

@@ -22,6 +22,16 @@ fn every_example_is_sound_and_plays_in_virtual_time() {
 }
 
 #[test]
+fn the_examples_with_robots_of_other_makers_are_sound() {
+    for name in ["mujoco/greeting", "reachy-mini/nod", "together"] {
+        let scenario = format!("examples/{name}.yaml");
+        downbeat(&["check", &scenario]).says(0, &["no errors"]);
+        let report = downbeat(&["dry-run", &scenario, "--format", "json"]).json();
+        assert_eq!(report["outcome"], "done", "{name}");
+    }
+}
+
+#[test]
 fn the_swap_has_432_steps_in_4250_ms_18_a_device() {
     let plan = downbeat(&["plan", "scripts/examples/swap.yaml", "--format", "json"]).json();
     assert_eq!(plan["duration_ms"], 4_250);

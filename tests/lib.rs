@@ -4,6 +4,7 @@
 
 mod agree;
 mod attacks;
+mod calibrate;
 mod certificates;
 mod claims;
 mod commands;

@@ -4,15 +4,20 @@ use std::cell::Cell;
 use std::collections::{BTreeMap, HashMap, VecDeque};
 
 use urrcp::{
-    Command, ControlError, ControlResponse, DEVICES_MAX, DeviceId, Encoding, ErrorCode, InitializationBlock,
-    Message, Robot as RobotClock, Span, Status, Timestamp,
+    Command, ControlError, ControlResponse, ControlType, DEVICES_MAX, DeviceId, Encoding, ErrorCode,
+    InitializationBlock, Message, Robot as RobotClock, Span, Status, Timestamp,
 };
 
 use crate::hardware::{ReadingId, SILENCE_MAX};
 use crate::robot::{Input, LinkId, Output, Robot};
 use crate::set_log::{Kept, LogEntry};
 
+use body::MovedBody;
+
 pub use crate::outgoing::Outgoing;
+pub use body::Moves;
+
+mod body;
 
 /// The one true clock of a simulated world: on a host, the host's.
 #[derive(Clone, Copy, Debug)]
@@ -33,6 +38,8 @@ pub struct Settings {
     pub delay: Option<(Span, Span)>,
     /// What it does wrong.
     pub fault: Option<Fault>,
+    /// How its body follows its devices, as far as it does not at once.
+    pub moves: Vec<Moves>,
     /// Seed of its random draws.
     pub seed: u64,
 }
@@ -46,6 +53,7 @@ impl Default for Settings {
             ntp_error: Some(Span::ZERO),
             delay: None,
             fault: None,
+            moves: Vec::new(),
             seed: 0,
         }
     }
@@ -122,6 +130,7 @@ pub struct SimulatedRobot {
     gone: bool,
     /// `None`: the robot itself moves.
     hands: Option<Hands>,
+    bodies: Vec<MovedBody>,
 }
 
 impl SimulatedRobot {
@@ -130,6 +139,7 @@ impl SimulatedRobot {
     pub fn new(block: InitializationBlock, settings: Settings) -> Self {
         let mut rng = fastrand::Rng::with_seed(settings.seed);
         let ntp_residue = draw_symmetric(&mut rng, settings.ntp_error.unwrap_or_default());
+        let bodies = bodies(&block, &settings);
         Self {
             robot: Robot::new(block.and_understands(Encoding::MessagePack).and_answers_inquiries()),
             settings,
@@ -145,6 +155,7 @@ impl SimulatedRobot {
             outputs: Vec::new(),
             gone: false,
             hands: None,
+            bodies,
         }
     }
 
@@ -214,6 +225,7 @@ impl SimulatedRobot {
         robot.ntp_residue = self.ntp_residue;
         robot.rng = self.rng.clone();
         robot.kept = self.kept;
+        robot.bodies.clone_from(&self.bodies);
         for (sensor, reading) in self.robot.readings() {
             robot.robot.set_reading(sensor.clone(), reading);
         }
@@ -336,12 +348,38 @@ impl SimulatedRobot {
         match in_flight {
             InFlight::Out(outgoing) => out.push(outgoing),
             InFlight::In(link, input) => {
+                self.look_at_body(now, &input);
                 if let Some(input) = self.through_fault(now, link, input) {
                     self.robot.handle(self.robot_from_true(now), link, input, &mut self.outputs);
                     self.perform(now);
                 }
             }
         }
+    }
+
+    /// A sensor that shows a body has its reading from it.
+    fn look_at_body(&mut self, now: Timestamp<True>, input: &Input) {
+        let (Input::Message(Message::ControlRequest(request)) | Input::Hashed(request, _)) = input else {
+            return;
+        };
+        if request.command != Command::ReadSensor {
+            return;
+        }
+        let at = self.robot_from_true(now);
+        let body = self.bodies.iter_mut().find(|body| body.moves.sensor == request.device_id);
+        let Some(body) = body else { return };
+        let told = self.robot.value(body.moves.device.as_str(), ControlType::Position, at);
+        let reading = body.shown(now, told.unwrap_or_default());
+        let sensor = body.moves.sensor.clone();
+        self.set_reading(sensor, reading);
+    }
+
+    /// How long the sensor takes whose reading this is.
+    fn sensor_delay(&self, message: &Message) -> Option<Span> {
+        let Message::ControlResponse(response) = message else { return None };
+        let of = |body: &&MovedBody| body.moves.sensor == response.device_id && body.moves.delay > Span::ZERO;
+        let body = self.bodies.iter().find(of).filter(|_| response.status == Status::Provide)?;
+        Some(body.moves.delay)
     }
 
     /// What is left of an input after the robot's own fault.
@@ -369,8 +407,14 @@ impl SimulatedRobot {
                 // Its hardware takes everything at once, so nothing is asked.
                 Output::Confirm { .. } => {}
                 Output::Read { reading, sensor } => self.hardware_reads(now, reading, &sensor),
-                Output::Set(set) if !self.kept.keeps(&set) => {}
                 Output::Set(set) => {
+                    let mut bodies = self.bodies.iter_mut();
+                    if let Some(body) = bodies.find(|body| body.moves.device == set.device) {
+                        body.told(now, &set);
+                    }
+                    if !self.kept.keeps(&set) {
+                        continue;
+                    }
                     let at = self.robot_from_true(now);
                     self.log.push(LogEntry::new(now.assume_clock(), at, set));
                 }
@@ -412,7 +456,18 @@ impl SimulatedRobot {
             *received = *received + error;
             *sent = *sent + error;
         }
-        self.dispatch(now, (link, Way::Out), InFlight::Out(Outgoing::Message { link, message }));
+        let Some(delay) = self.sensor_delay(&message) else {
+            return self.dispatch(now, (link, Way::Out), InFlight::Out(Outgoing::Message { link, message }));
+        };
+        if let Message::ControlResponse(response) = &mut message {
+            response.timestamp = response.timestamp + delay;
+        }
+        // Other answers do not wait for the sensor.
+        self.dispatch(
+            now + delay,
+            (link, Way::OutOfSensor),
+            InFlight::Out(Outgoing::Message { link, message }),
+        );
     }
 
     /// Sends something on its way, behind what travels there already.
@@ -522,6 +577,18 @@ impl SimulatedRobot {
 enum Way {
     In,
     Out,
+    OutOfSensor,
+}
+
+fn bodies(block: &InitializationBlock, settings: &Settings) -> Vec<MovedBody> {
+    let body = |(index, moves): (usize, &Moves)| {
+        let sensor = block.device(moves.sensor.as_str()).and_then(|d| d.available_control_types.sensor());
+        let range = sensor.map_or((f64::MIN, f64::MAX), |sensor| (sensor.min_value, sensor.max_value));
+        // Draws of their own, so that other draws stay as they are.
+        let seed = settings.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(index as u64 + 1);
+        MovedBody::new(moves.clone(), range, fastrand::Rng::with_seed(seed))
+    };
+    settings.moves.iter().enumerate().map(body).collect()
 }
 
 fn draw_symmetric(rng: &mut fastrand::Rng, largest: Span) -> Span {

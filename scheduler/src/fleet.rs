@@ -1,9 +1,11 @@
 //! From the fleet file to robots that can be talked to.
 
 use downbeat_robot::driver::{Driver, DriverError, DriverOptions, DriverSpec};
-use downbeat_robot::simulated::{Fault, Settings, SimulatedRobot};
+use downbeat_robot::simulated::{Fault, Moves, Settings, SimulatedRobot};
 use downbeat_robot::{Host, HostError, HostOptions, Hosted};
-use downbeat_scripts::{Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, Wait};
+use downbeat_scripts::{
+    Address, Choreography, Fleet, FleetRobot, Handshake, MissionSettings, Plan, SimulatedMoves, Wait,
+};
 use urrcp::{DeviceId, Encoding, RobotId, Setpoint, Span};
 
 use crate::link::{Endpoint, LinkEncoding, Site};
@@ -148,8 +150,14 @@ fn settings(robot: &FleetRobot, seed: u64) -> Settings {
             downbeat_scripts::Fault::Silent => Fault::Silent,
             downbeat_scripts::Fault::Disconnect => Fault::Disconnect,
         }),
+        moves: from.moves.iter().map(moves).collect(),
         seed,
     }
+}
+
+fn moves(of: &SimulatedMoves) -> Moves {
+    let SimulatedMoves { device, latency, spread, time_constant, sensor, noise, delay } = of.clone();
+    Moves { device, latency, spread, time_constant, sensor, noise, delay }
 }
 
 /// How long the hardware of all robots in this process may take to be found before the mission begins without it.

@@ -32,9 +32,11 @@
 //! | [`measured`] | the network and the clocks of a mission that was recorded, as a world file |
 //! | [`dry_run`], [`simulation`] | the same in virtual time, and under random faults |
 //! | [`conformance`] | whether a robot does what the protocol demands |
+//! | [`calibrate`], [`onset`] | how long devices take from a command to visible motion |
 //! | [`session`] | on whose behalf robots are driven |
 //! | [`clock`], [`open_files`] | how far a robot's clock is off; room for many sockets |
 
+pub mod calibrate;
 pub mod certificate;
 mod cli;
 pub mod clock;
@@ -48,6 +50,7 @@ pub mod keys;
 pub mod link;
 pub mod measured;
 pub mod mission;
+pub mod onset;
 pub mod open_files;
 pub mod page;
 pub mod recording;

@@ -19,25 +19,29 @@ use crate::space::{Body, Space};
 use crate::tags::foreign_tags;
 
 mod body;
+mod calibration;
 mod drive;
 mod joints;
 mod latency;
 mod mission_settings;
+mod moves;
 mod urdf;
 
+pub use calibration::{Calibration, Taken};
 pub use latency::{
     DeviceLatency, LatencyFile, LatencySource, MeasuredLatency, latency_file_of, latency_text,
     read_latency_file,
 };
 pub use mission_settings::{ClockMode, MissionSettings, Requirement};
+pub use moves::SimulatedMoves;
 
 const FLEET_KEYS: [&str; 9] =
     ["ntp", "handshake", "identity", "revoked", "insecure", "latency", "space", "robots", "groups"];
 /// The place of the file of measured latencies among the files of findings; the fleet file is 0.
 const LATENCY_FILE: u16 = 1;
 const LIMIT_KEYS: [&str; 2] = ["speed", "acceleration"];
-const SIMULATE_KEYS: [&str; 7] =
-    ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault", "readings"];
+const SIMULATE_KEYS: [&str; 8] =
+    ["clock_offset", "drift", "jitter", "ntp_error", "delay", "fault", "readings", "moves"];
 const HANDSHAKE_WORDS: [(&str, Handshake); 2] = [("full", Handshake::Full), ("skip", Handshake::Skip)];
 const FAULT_WORDS: [(&str, Fault); 3] =
     [("refuse", Fault::Refuse), ("silent", Fault::Silent), ("disconnect", Fault::Disconnect)];
@@ -46,6 +50,7 @@ keys! {
     /// What is said of one robot.
     RobotKeys, ROBOT_KEYS {
         init, devices, address, robot_id, simulate, limits, clock, wake_up, latency, require, encoding, body,
+        calibrate,
     }
 }
 
@@ -93,6 +98,8 @@ pub struct FleetRobot {
     pub limits: BTreeMap<String, RateLimits>,
     /// What its devices mean in space.
     pub body: Option<Body>,
+    /// How the latency of its devices is measured, by device.
+    pub calibrate: BTreeMap<DeviceId, Calibration>,
     /// What a mission needs to know of it.
     pub mission: MissionSettings,
 }
@@ -108,6 +115,7 @@ impl FleetRobot {
             simulation: SimulationSettings::default(),
             limits: BTreeMap::new(),
             body: None,
+            calibrate: BTreeMap::new(),
             mission: MissionSettings::default(),
         }
     }
@@ -160,6 +168,8 @@ pub struct SimulationSettings {
     pub fault: Option<Fault>,
     /// What its sensors read, in their units; others read nothing.
     pub readings: Vec<(DeviceId, f64)>,
+    /// How the body follows its devices, as far as it does not at once.
+    pub moves: Vec<SimulatedMoves>,
 }
 
 impl Default for SimulationSettings {
@@ -172,6 +182,7 @@ impl Default for SimulationSettings {
             delay: None,
             fault: None,
             readings: Vec::new(),
+            moves: Vec::new(),
         }
     }
 }
@@ -200,16 +211,38 @@ pub fn read_fleet_within(path: &Path, project: &Project) -> (Option<Fleet>, Vec<
     of_source(path, Source::read(path), project)
 }
 
+/// The same for a fleet whose latencies are yet to be measured: the file with them that it names may not be there.
+#[must_use]
+pub fn read_fleet_to_measure(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
+    read_with(path, Source::read(path), project, Latencies::Awaited)
+}
+
 /// The same for a fleet file that a scenario names, which has to be in the project, too.
 #[must_use]
 pub fn read_fleet_named(path: &Path, project: &Project) -> (Option<Fleet>, Vec<Finding>) {
     of_source(path, project.read(path), project)
 }
 
+/// Whether the file of measured latencies has to be there.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Latencies {
+    Measured,
+    Awaited,
+}
+
 fn of_source(
     path: &Path,
     source: Result<Source, Finding>,
     project: &Project,
+) -> (Option<Fleet>, Vec<Finding>) {
+    read_with(path, source, project, Latencies::Measured)
+}
+
+fn read_with(
+    path: &Path,
+    source: Result<Source, Finding>,
+    project: &Project,
+    awaited: Latencies,
 ) -> (Option<Fleet>, Vec<Finding>) {
     let source = match source {
         Ok(source) => source,
@@ -235,6 +268,7 @@ fn of_source(
     let mut reader = FleetReader {
         folder: folder_of(path).to_path_buf(),
         project,
+        awaited,
         inits: HashMap::new(),
         urdfs: urdf::Urdfs::new(folder_of(path), project.clone()),
         latencies: LatencyFile::new(),
@@ -253,6 +287,7 @@ fn of_source(
 struct FleetReader<'a> {
     folder: PathBuf,
     project: &'a Project,
+    awaited: Latencies,
     /// Descriptions read so far, by path: many robots share one.
     inits: HashMap<PathBuf, Option<Init>>,
     /// Descriptions of arms.
@@ -341,7 +376,10 @@ impl FleetReader<'_> {
         let latencies = latency::read(&mut self.findings, &keys, &init, measured);
         let settings = mission_settings::read(&mut self.findings, &keys, &init, handshake);
         let mission = MissionSettings { latencies, ..settings };
-        Some(FleetRobot { simulation, limits, body, mission, ..FleetRobot::new(id, address?, Some(init)) })
+        let calibrate = keys.calibrate.map(|at| calibration::read(&mut self.findings, &at, &init));
+        let calibrate = calibrate.unwrap_or_default();
+        let robot = FleetRobot::new(id, address?, Some(init));
+        Some(FleetRobot { simulation, limits, body, calibrate, mission, ..robot })
     }
 
     /// What was measured, from the file that the fleet file names.
@@ -355,6 +393,7 @@ impl FleetReader<'_> {
                 self.findings.add_named(at.place(), finding);
                 return LatencyFile::new();
             }
+            Err(_) if self.awaited == Latencies::Awaited && !path.exists() => return LatencyFile::new(),
             Err(finding) => {
                 let message =
                     format!("cannot read the latency file `{}`: {}", path.display(), finding.message);
@@ -471,7 +510,7 @@ impl FleetReader<'_> {
 
     fn simulation(&mut self, at: &At<'_>, init: &InitializationBlock) -> SimulationSettings {
         let mut settings = SimulationSettings::default();
-        let Some([offset, drift, jitter, ntp_error, delay, fault, readings]) =
+        let Some([offset, drift, jitter, ntp_error, delay, fault, readings, moves]) =
             self.findings.map(at, "`simulate`", SIMULATE_KEYS, &[])
         else {
             return settings;
@@ -489,6 +528,7 @@ impl FleetReader<'_> {
         settings.delay = delay.and_then(|at| delay_range(findings, &at));
         settings.fault = fault.and_then(|at| findings.word(&at, &FAULT_WORDS));
         settings.readings = readings.map(|at| self.readings(&at, init)).unwrap_or_default();
+        settings.moves = moves.map(|at| moves::read(&mut self.findings, &at, init)).unwrap_or_default();
         settings
     }
 

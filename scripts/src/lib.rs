@@ -67,9 +67,9 @@ pub use duration::parse_duration;
 pub use files::{Files, Folder, NoFiles};
 pub use finding::{Code, Finding, Related, Severity};
 pub use fleet::{
-    ClockMode, DeviceLatency, Fault, Fleet, FleetRobot, Handshake, LatencyFile, LatencySource,
-    MeasuredLatency, MissionSettings, RateLimits, Requirement, SimulationSettings, latency_file_of,
-    latency_text, read_fleet, read_fleet_named, read_fleet_within, read_latency_file,
+    Calibration, ClockMode, DeviceLatency, Fault, Fleet, FleetRobot, Handshake, LatencyFile, LatencySource,
+    MeasuredLatency, MissionSettings, RateLimits, Requirement, SimulatedMoves, SimulationSettings, Taken,
+    latency_file_of, latency_text, read_fleet, read_fleet_named, read_fleet_to_measure, read_fleet_within, read_latency_file,
 };
 pub use init::{init_of, init_text, read_init};
 pub use open::open;

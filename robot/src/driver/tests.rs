@@ -243,6 +243,18 @@ async fn a_linear_movement_is_sampled_on_the_grid_and_ends_on_its_target() {
 }
 
 #[tokio::test]
+async fn the_second_sample_of_a_movement_comes_one_period_after_its_first() {
+    let options = DriverOptions { samples_per_second: 2.0, ..DriverOptions::default() };
+    let mut rig = Rig::new(Bench::default(), options);
+    rig.script("arm", "a", &[(1_000.0, 30.0)], ControlType::Position);
+    rig.responses(&PLAYED).await;
+    let done = rig.stop();
+    let values = done.iter().filter_map(|what| what.strip_prefix("arm ")?.parse::<f64>().ok());
+    let on_the_way: Vec<f64> = values.filter(|value| (10.0..29.0).contains(value)).collect();
+    assert_eq!(on_the_way.len(), 1, "{done:?}");
+}
+
+#[tokio::test]
 async fn an_edge_that_ends_lets_its_devices_slow_down_to_their_default_state() {
     // It would take ramps, but this way is none.
     let bench = Bench { takes_ramps: true, ..Bench::default() };

@@ -289,7 +289,7 @@ impl Worker {
         }
         self.handed_over.remove(&key);
         if self.moving.is_empty() {
-            self.next_sample = Instant::now() + self.period;
+            self.next_sample = Instant::now();
         }
         self.moving.insert(key, Moving { movement, sent: None });
         Ok(())

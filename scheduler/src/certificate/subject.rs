@@ -168,7 +168,7 @@ fn certified_act(act: &Act, choreography: &Choreography) -> CertifiedAct {
 
 fn certified_robot(robot: &FleetRobot) -> CertifiedRobot {
     // A robot may move to another address, and real ones are not simulated.
-    let FleetRobot { id: _, address: _, init, simulation: _, limits, body, mission } = robot;
+    let FleetRobot { id: _, address: _, init, simulation: _, limits, body, calibrate: _, mission } = robot;
     let MissionSettings { clock, wake_up, encoding, require, latencies } = mission;
     let mut settings = named([
         ("clock", json!(clock)),

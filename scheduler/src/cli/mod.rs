@@ -6,6 +6,7 @@
 //! or the recording could not be written.
 
 mod advice;
+mod calibrate;
 mod certify;
 mod check;
 mod choice;
@@ -134,6 +135,8 @@ enum Command {
     Diff(diff::DiffArgs),
     /// Write a world file from a recording: delays, losses and clocks as they were measured.
     World(world::WorldArgs),
+    /// Measure how long devices take from a command to visible motion.
+    Calibrate(calibrate::CalibrateArgs),
     /// Check whether a robot does what the protocol demands.
     Conformance(conformance::ConformanceArgs),
     /// Run one simulated robot that listens on TCP.
@@ -261,6 +264,7 @@ pub fn main() -> ExitCode {
         Command::Report(args) => report::report(&args, format),
         Command::Diff(args) => diff::diff(&args, format),
         Command::World(args) => world::world(&args, format),
+        Command::Calibrate(args) => calibrate::calibrate(&args, format),
         Command::Conformance(args) => conformance::conformance(&args, format),
         Command::Robot(args) => robot::robot(&args, format),
         Command::Edge(args) => edge::edge(&args, format),

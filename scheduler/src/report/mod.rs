@@ -8,6 +8,7 @@ pub(crate) mod graph;
 mod kinds;
 pub(crate) mod local;
 pub mod picture;
+mod reading;
 mod required;
 mod ruler;
 pub(crate) mod table;

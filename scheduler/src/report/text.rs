@@ -8,6 +8,7 @@ use downbeat_scripts::{Act, Choreography, Plan, RobotPlan, counted};
 use urrcp::{Latency, Span};
 
 use super::local::{date_and_time, time_of_day};
+use super::reading::reading_text;
 use super::table::{Rows, wrapped};
 use super::{
     ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState, course_lines, requirements_table,
@@ -219,7 +220,9 @@ fn readings_table(preflight: &Preflight, columns: usize) -> String {
     for row in &preflight.rows {
         for reading in &row.readings {
             let unit = reading.unit.as_ref().map(|unit| format!(" {unit}")).unwrap_or_default();
-            let read = reading.reading.map_or("nothing".to_owned(), |value| format!("{value}{unit}"));
+            let read = reading
+                .reading
+                .map_or("nothing".to_owned(), |value| format!("{}{unit}", reading_text(value)));
             let expected = reading.expected.as_ref().map(|expected| format!("{expected}{unit}"));
             rows.add([row.robot.to_string(), reading.device.to_string(), read, or_dash(expected)]);
         }

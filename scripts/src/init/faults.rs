@@ -63,13 +63,15 @@ fn check<T: DeserializeOwned>(findings: &mut Reader, place: &Place, map: &Mappin
     check_as::<T>(findings, place, map, map);
 }
 
-/// Whether a map can be read; the key that the fault names is where it stands, if there is one, else what leads to the map.
+/// Whether a map can be read; where the fault stands is the key that it names, or whose value it names, or else what leads to the map.
 fn check_as<T: DeserializeOwned>(findings: &mut Reader, place: &Place, map: &Mapping, keys: &Mapping) {
     let Err(error) = serde_yaml::from_value::<T>(Value::Mapping(map.clone())) else { return };
     let message = error.to_string();
     let is_word = |c: char| c.is_alphanumeric() || c == '_';
     let mut words = message.split(|c: char| !is_word(c));
-    let named = words.find_map(|word| keys.keys().find(|key| key.as_str() == Some(word))?.as_str());
+    let is = |value: &Value, word| value.as_str() == Some(word);
+    let named =
+        words.find_map(|word| keys.iter().find(|(key, value)| is(key, word) || is(value, word))?.0.as_str());
     let place = match named {
         Some(key) => place.of_key(key),
         None => Place { key: true, ..place.clone() },

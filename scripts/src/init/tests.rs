@@ -118,3 +118,11 @@ fn all_faults_of_a_block_are_found_where_they_stand() {
     let places: Vec<_> = findings.iter().map(|finding| (finding.line, finding.column)).collect();
     assert_eq!(places, [(1, 1), (6, 62), (11, 7)], "{findings:#?}");
 }
+
+#[test]
+fn a_word_that_is_none_of_those_expected_is_found_where_it_stands() {
+    let wrong = SHORT.replace("api_version: \"1\"\n", "api_version: \"1\"\ntype: Humanoid\n");
+    let findings = init_of(&source(&wrong)).unwrap_err();
+    let places: Vec<_> = findings.iter().map(|finding| (finding.line, finding.column)).collect();
+    assert_eq!(places, [(3, 7)], "{findings:#?}");
+}

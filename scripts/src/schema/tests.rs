@@ -126,7 +126,8 @@ robots:
       drive: {left: wheel, right: {device: wheel, scale: 1}, wheel_radius: 1, track: 1, start: [0, 0, 0]}}
     require: {range: {above: 1, below: 2, within: [0, 1]}}
     simulate: {clock_offset: 1ms, drift: 5ppm, jitter: 1us, ntp_error: none, delay: [0ms, 1ms], fault: refuse,
-      readings: {range: 1}}
+      readings: {range: 1}, moves: {wheel: {latency: 1ms, spread: 1ms, time_constant: 1ms, sensor: range, noise: 0, delay: 1ms}}}
+    calibrate: {wheel: {sensor: range, from: 0, by: 1, taken: request}}
 groups: {all: [rover]}
 ";
 

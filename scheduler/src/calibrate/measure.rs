@@ -1,0 +1,287 @@
+//! The measurement of one device: readings at rest, movements to and fro until the spread is known, and back.
+
+use downbeat_scripts::Taken as Declared;
+use urrcp::{ControlType, Interpolation, Millis, Script, Setpoint, Span, Step};
+
+use super::NotMeasured;
+use super::plan::PlannedDevice;
+use super::talk::{Talk, TalkError};
+use crate::onset::{Commanded, Estimate, Latencies, Readable, Sample, Taken, Trial, Unclear, estimate};
+
+/// Readings before anything moves.
+const AT_REST: usize = 24;
+/// The noise at rest times this has to be less than the movement.
+const NOISE_RATIO: f64 = 5.0;
+/// A movement lasts at least so many halves of the time between two readings, so that one falls on it. More would make the movement
+/// slower, and its begin less sharp.
+const HALF_READINGS_ON_MOVEMENT: i64 = 3;
+/// Readings before a movement, at least.
+const READINGS_BEFORE: i64 = 10;
+/// The sensor is not asked more often.
+const BETWEEN_READINGS: std::time::Duration = std::time::Duration::from_millis(1);
+/// How long the first movement is watched after its end.
+const WATCHED_FIRST: Span = Span::from_millis(1_000);
+/// How long later ones are watched at most.
+const WATCHED_MAX: Span = Span::from_millis(3_000);
+/// Steps by which a device that holds values is moved.
+const STAIRS_MAX: u32 = 20;
+/// The median is known to within this: then the trials that were asked for are enough.
+const MEDIAN_ERROR_MAX: Span = Span::from_millis(1);
+/// More trials than asked for, until it is.
+const TRIALS_FACTOR: usize = 3;
+/// If so many movements cannot be judged, and none can, there is no use in more.
+const UNCLEAR_MAX: usize = 3;
+
+/// What was measured of a device.
+#[derive(Clone, Debug)]
+pub struct Measured {
+    /// What all trials say together.
+    pub latencies: Latencies,
+    /// Of the first-order lag, if it is known.
+    pub time_constant: Option<Span>,
+    /// How far behind a ramp the device is.
+    pub tracking_lag: Option<Span>,
+    /// How far all latencies together may be off, since it is not known when within its round trip the sensor takes its value.
+    pub systematic: Span,
+    /// The time between two readings, the median.
+    pub interval: Span,
+    /// How long the sensor itself takes to answer, the median.
+    pub sensor_delay: Span,
+    /// Movements that could not be judged.
+    pub unclear: usize,
+}
+
+/// How far a measurement is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Progress {
+    /// Movements so far.
+    pub trials: usize,
+    /// Movements that were asked for.
+    pub of: usize,
+}
+
+/// The sensor while nothing moves.
+struct AtRest {
+    position: f64,
+    interval: Span,
+    own_delay: Span,
+    link: Span,
+}
+
+/// Measures one device and brings it back to where it was.
+///
+/// # Errors
+/// [`NotMeasured`]. The device may not be where it was: have it [`hold`](Talk::hold).
+pub async fn measure(
+    talk: &mut Talk,
+    planned: &PlannedDevice,
+    trials: usize,
+    mut tell: impl FnMut(Progress),
+) -> Result<Measured, NotMeasured> {
+    let rest = at_rest(talk, planned).await?;
+    let from = planned.on_grid(planned.how.from.unwrap_or(rest.position));
+    let to = planned.on_grid(from + planned.how.by);
+    let (least, largest) = (planned.limits.min_value, planned.limits.max_value);
+    let wanted = from + planned.how.by;
+    if !(wanted >= least && wanted <= largest) || to == from {
+        return Err(NotMeasured::BeyondLimits { from, to: wanted, least, largest });
+    }
+    if (rest.position - from).abs() > planned.how.by.abs() {
+        return Err(NotMeasured::Elsewhere { at: rest.position, from });
+    }
+    let lasts = planned.lasts.max(rest.interval * HALF_READINGS_ON_MOVEMENT / 2);
+    let mut mover = Mover { talk, planned, rest: &rest, lasts, watched: WATCHED_FIRST, at_from: true };
+    let was = planned.on_grid(rest.position);
+    mover.settle(was, from).await?;
+    let result = mover.trials((from, to), trials, &mut tell).await;
+    // It goes back whatever was found. If this fails, too, the first reason says more.
+    let here = if mover.at_from { from } else { to };
+    let back = mover.settle(here, was).await;
+    let estimate = result?;
+    back?;
+    measured(&estimate, &rest)
+}
+
+async fn at_rest(talk: &mut Talk, planned: &PlannedDevice) -> Result<AtRest, NotMeasured> {
+    let mut readings = Vec::new();
+    let began = talk.now();
+    for _ in 0..AT_REST {
+        readings.push(Talk::reading_since(began, talk.read(&planned.how.sensor).await?));
+        talk.ping().await?;
+    }
+    let link = talk.clock_reading().map_or(Span::ZERO, |reading| reading.delay_min);
+    let values: Vec<f64> = readings.iter().map(|reading| reading.value).collect();
+    let count = f64::from(u32::try_from(values.len()).unwrap_or(u32::MAX));
+    let mean = values.iter().sum::<f64>() / count;
+    let noise = (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (count - 1.0)).sqrt();
+    let by = planned.how.by;
+    if noise * NOISE_RATIO > by.abs() {
+        return Err(NotMeasured::Noise { sensor: planned.how.sensor.to_string(), noise, by });
+    }
+    let median = |mut spans: Vec<Span>| {
+        spans.sort_unstable();
+        spans[spans.len() / 2]
+    };
+    let round_trip = median(readings.iter().map(|reading| reading.answered - reading.asked).collect());
+    let own_delay = median(readings.iter().map(|reading| reading.own_delay(link)).collect());
+    let interval = round_trip + Span::from_millis(1);
+    Ok(AtRest { position: mean, interval, own_delay, link })
+}
+
+struct Mover<'a> {
+    talk: &'a mut Talk,
+    planned: &'a PlannedDevice,
+    rest: &'a AtRest,
+    lasts: Span,
+    watched: Span,
+    /// Where the last movement of the trials ended.
+    at_from: bool,
+}
+
+impl Mover<'_> {
+    /// To and fro.
+    async fn trials(
+        &mut self,
+        (from, to): (f64, f64),
+        wanted: usize,
+        tell: &mut impl FnMut(Progress),
+    ) -> Result<Estimate, NotMeasured> {
+        let (least, largest) = self.planned.sensor_range;
+        let readable = Readable { range: Some((least, largest)), movement: to - from };
+        let mut trials: Vec<Trial> = Vec::new();
+        loop {
+            let (here, there) = if self.at_from { (from, to) } else { (to, from) };
+            let trial = self.movement(here, there).await?;
+            self.at_from = !self.at_from;
+            trials.push(trial);
+            tell(Progress { trials: trials.len(), of: wanted });
+            if trials.len() == 2 || trials.len() == UNCLEAR_MAX {
+                let first = estimate(&trials, readable);
+                unclear(&first, UNCLEAR_MAX)?;
+                self.watched = self.enough(&first);
+            }
+            // An even number of movements ends where it began.
+            if trials.len() < wanted || !self.at_from {
+                continue;
+            }
+            let found = estimate(&trials, readable);
+            let known = found.latencies.is_some_and(|known| known.median_error <= MEDIAN_ERROR_MAX);
+            if known || trials.len() >= wanted * TRIALS_FACTOR {
+                return Ok(found);
+            }
+        }
+    }
+}
+
+impl Mover<'_> {
+    /// How long later movements are watched: until the device has settled, with time for one that takes longer.
+    fn enough(&self, found: &Estimate) -> Span {
+        let slowest = found.onsets.iter().flatten().map(|onset| onset.latency).max();
+        let Some(slowest) = slowest else { return self.watched };
+        let settled = found.time_constant.unwrap_or_default() * 8;
+        let spare = self.rest.interval * READINGS_BEFORE + Span::from_millis(100);
+        (slowest + settled + spare).max(Span::from_millis(200)).min(WATCHED_MAX)
+    }
+
+    /// A movement that is not measured.
+    async fn settle(&mut self, here: f64, there: f64) -> Result<(), NotMeasured> {
+        if here != there {
+            self.movement(here, there).await?;
+        }
+        Ok(())
+    }
+
+    /// One movement, and what the sensor shows meanwhile.
+    async fn movement(&mut self, here: f64, there: f64) -> Result<Trial, NotMeasured> {
+        let (script, commanded) = self.script(here, there)?;
+        // Readings before the start show where the device rests.
+        let lead = self.rest.interval * READINGS_BEFORE;
+        let device = &self.planned.device;
+        let (start, request) = self.talk.command(device, script, lead).await?;
+        let until = start + self.lasts + self.watched;
+        let mut samples = Vec::new();
+        while self.talk.now() < until {
+            let read = self.talk.read(&self.planned.how.sensor).await?;
+            let reading = Talk::reading_since(start, read);
+            let (at, uncertainty) = reading.instant(self.rest.link, taken(self.planned.how.taken));
+            samples.push(Sample { at, uncertainty, value: reading.value });
+            tokio::time::sleep(BETWEEN_READINGS).await;
+        }
+        // The clocks drift meanwhile.
+        self.talk.ping().await?;
+        self.talk.check(device, request.as_ref())?;
+        Ok(Trial { commanded, samples })
+    }
+
+    /// The movement as a script, and as the estimator takes it.
+    fn script(&self, here: f64, there: f64) -> Result<(Script, Commanded), NotMeasured> {
+        let step = |at: Span, value: f64| {
+            Step::new(Millis::from_span(at), Setpoint::new(ControlType::Position, value))
+        };
+        let (steps, commanded) = match self.planned.interpolation {
+            // From where the device is, so that it never jumps.
+            Interpolation::Linear => (vec![step(self.lasts, there)], Commanded::ramp(self.lasts)),
+            _ => self.stairs(here, there, step),
+        };
+        let script = Script::new(steps).map_err(|error| TalkError::Refused(error.to_string()))?;
+        Ok((script, commanded))
+    }
+
+    /// A device that holds each value is moved by many small steps, each at the middle of its part of the way.
+    fn stairs(&self, here: f64, there: f64, step: impl Fn(Span, f64) -> Step) -> (Vec<Step>, Commanded) {
+        let count = STAIRS_MAX.min(self.planned.steps_max).max(1);
+        let share = |index: u32| f64::from(index) / f64::from(count);
+        let (mut steps, mut shares, mut last) = (Vec::new(), Vec::new(), here);
+        for index in 1..=count {
+            let value = self.planned.on_grid(here + (there - here) * share(index));
+            if value != last {
+                let at = Span::from_millis_f64(self.lasts.as_millis_f64() * share(index - 1));
+                steps.push(step(at, value));
+                shares.push((at, (value - last) / (there - here)));
+                last = value;
+            }
+        }
+        (steps, Commanded::stairs(shares))
+    }
+}
+
+const fn taken(declared: Declared) -> Taken {
+    match declared {
+        Declared::AtRequest => Taken::AtRequest,
+        Declared::AtAnswer => Taken::AtAnswer,
+        Declared::Between => Taken::Between,
+    }
+}
+
+/// Where many movements cannot be judged, why most of them cannot.
+fn unclear(estimate: &Estimate, at_least: usize) -> Result<usize, NotMeasured> {
+    let reasons: Vec<Unclear> = estimate.onsets.iter().filter_map(|onset| onset.err()).collect();
+    let (count, trials) = (reasons.len(), estimate.onsets.len());
+    match reasons.first() {
+        Some(why) if count >= at_least || estimate.latencies.is_none() && trials >= at_least => {
+            Err(NotMeasured::Unclear { of: count, trials, why: *why })
+        }
+        _ => Ok(count),
+    }
+}
+
+fn measured(estimate: &Estimate, rest: &AtRest) -> Result<Measured, NotMeasured> {
+    // A quarter may be spoilt, by a reading that took too long.
+    let unclear = unclear(estimate, (estimate.onsets.len() / 4).max(1))?;
+    let too_few = Unclear::TooSparse { before: 0, after: 0, least: 1 };
+    let Some(latencies) = estimate.latencies else {
+        return Err(NotMeasured::Unclear { of: unclear, trials: estimate.onsets.len(), why: too_few });
+    };
+    let mut uncertainties: Vec<Span> =
+        estimate.onsets.iter().flatten().map(|onset| onset.uncertainty).collect();
+    uncertainties.sort_unstable();
+    Ok(Measured {
+        latencies,
+        time_constant: estimate.time_constant,
+        tracking_lag: estimate.tracking_lag,
+        systematic: uncertainties.get(uncertainties.len() / 2).copied().unwrap_or_default(),
+        interval: rest.interval,
+        sensor_delay: rest.own_delay,
+        unclear,
+    })
+}

@@ -1,0 +1,387 @@
+//! A conversation with one robot on behalf of a session: one link, one question at a time.
+
+use std::collections::VecDeque;
+
+use downbeat_scripts::{ClockMode, FleetRobot};
+use tokio::sync::mpsc;
+use urrcp::{
+    AvailabilityRequest, Command, ControlRequest, ControlResponse, ControlType, DeviceId, ErrorCode,
+    InitializationBlock, InitializationRequest, Message, Millis, RequestId, Script, Server, Span, Status,
+    StatusValue, StopCondition, Timestamp,
+};
+
+use crate::clock::{ClockEstimate, ClockReading, ClockSample};
+use crate::drive::{Happened, LinkNumber, Urgency};
+use crate::link::{Endpoint, Link};
+use crate::mission::Event;
+use crate::onset::Reading;
+use crate::server_clock::ServerClock;
+use crate::session::Session;
+
+/// Exchanges from which the clock is known.
+const EXCHANGES: u32 = 16;
+/// How far a clock that follows NTP may be off.
+const CLOCK_OFF_MAX: Span = Span::from_millis(10);
+/// A robot that hears nothing for so long ends the movement by itself.
+const LEASE: Span = Span::from_millis(1_000);
+/// How much later than asked a start may lie at least, so that the request is there in time.
+const LEAD: Span = Span::from_millis(150);
+
+/// A robot cannot be measured.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum TalkError {
+    /// The link broke, or the robot was not reached.
+    #[error("{0}")]
+    Link(String),
+    /// It does not answer.
+    #[error("no answer within {0}")]
+    Silent(Span),
+    /// Another session drives it.
+    #[error("the robot belongs to another session: wait until its mission has ended")]
+    Busy,
+    /// It refuses.
+    #[error("the robot refuses: {0}")]
+    Refused(String),
+    /// A movement ended early.
+    #[error("a movement of `{device}` failed: {reason}")]
+    Failed {
+        /// The device.
+        device: DeviceId,
+        /// As the robot says.
+        reason: String,
+    },
+    /// Another robot answers.
+    #[error("another robot: it calls itself `{found}`, expected `{expected}`")]
+    Another {
+        /// What it calls itself.
+        found: String,
+        /// What the fleet file says.
+        expected: String,
+    },
+    /// A device is not as its description says.
+    #[error(
+        "the robot describes `{0}` in another way than its init file: `downbeat fleet describe` shows how"
+    )]
+    Different(DeviceId),
+    /// Its clock is wrong.
+    #[error("its clock is off by {0}: check its NTP")]
+    Clock(Span),
+}
+
+/// A conversation with one robot.
+pub struct Talk {
+    link: Link,
+    happened: mpsc::Receiver<Happened>,
+    clock: ServerClock,
+    mode: ClockMode,
+    session: Session,
+    estimate: ClockEstimate,
+    patience: Span,
+    asked: u64,
+    /// What came while something else was waited for: reports of movements.
+    reports: VecDeque<ControlResponse>,
+}
+
+/// Reports that are kept.
+const REPORTS_MAX: usize = 256;
+
+impl Talk {
+    /// Reaches a robot, checks that it is the one that the fleet file describes and that its clock is right, and claims it.
+    ///
+    /// # Errors
+    /// [`TalkError`].
+    pub async fn begin(
+        robot: &FleetRobot,
+        endpoint: Endpoint,
+        clock: ServerClock,
+        session: Session,
+        patience: Span,
+    ) -> Result<Self, TalkError> {
+        let (events, happened) = mpsc::channel(256);
+        let link = Link::open((0, LinkNumber(0)), endpoint, clock, events, std::time::Duration::ZERO);
+        let mut talk = Self {
+            link,
+            happened,
+            clock,
+            mode: robot.mission.clock,
+            session,
+            estimate: ClockEstimate::default(),
+            patience,
+            asked: 0,
+            reports: VecDeque::new(),
+        };
+        let block = talk.block().await?;
+        check_identity(robot, &block)?;
+        for _ in 0..EXCHANGES {
+            talk.ping().await?;
+        }
+        if let Some(reading) = talk.estimate.reading() {
+            let beyond = reading.offset.abs() - reading.uncertainty;
+            if talk.mode == ClockMode::Ntp && beyond > CLOCK_OFF_MAX {
+                return Err(TalkError::Clock(reading.offset));
+            }
+        }
+        Ok(talk)
+    }
+
+    /// What is known of the robot's clock and of the way to it.
+    #[must_use]
+    pub fn clock_reading(&self) -> Option<ClockReading> {
+        self.estimate.reading()
+    }
+
+    /// Now, by the server's clock.
+    #[must_use]
+    pub fn now(&self) -> Timestamp<Server> {
+        self.clock.now()
+    }
+
+    /// The next thing that the robot says; `None` at `until`.
+    async fn next(
+        &mut self,
+        until: Timestamp<Server>,
+    ) -> Result<Option<(Timestamp<Server>, Event)>, TalkError> {
+        let at = self.clock.instant_of(until);
+        match tokio::time::timeout_at(at.into(), self.happened.recv()).await {
+            Err(_) => Ok(None),
+            Ok(Some(Happened::OnLink { at, event, .. })) => match *event {
+                Event::LinkDown { reason, .. } | Event::Garbled { reason, .. } => {
+                    Err(TalkError::Link(reason))
+                }
+                event => Ok(Some((at, event))),
+            },
+            Ok(Some(Happened::Event { at, event })) => Ok(Some((at, *event))),
+            Ok(_) => Err(TalkError::Link("the link ended".to_owned())),
+        }
+    }
+
+    fn say(&self, message: Message) -> Result<(), TalkError> {
+        let full = |_| TalkError::Link("the robot does not read what it is sent".to_owned());
+        self.link.send(message, Urgency::InOrder).map_err(full)
+    }
+
+    async fn block(&mut self) -> Result<InitializationBlock, TalkError> {
+        let until = self.now() + self.patience;
+        while let Some((_, event)) = self.next(until).await? {
+            match event {
+                Event::LinkUp { .. } => {
+                    let timestamp = Some(self.now());
+                    self.say(Message::InitializationRequest(InitializationRequest { timestamp }))?;
+                }
+                Event::Received { message: Message::InitializationBlock(block), .. } => return Ok(block),
+                Event::Received { message: Message::AvailabilityResponse(response), .. } => {
+                    available(response.status, response.error.as_ref())?;
+                }
+                _ => {}
+            }
+        }
+        Err(TalkError::Silent(self.patience))
+    }
+
+    /// Asks for availability, which claims the robot, renews its leases and measures its clock.
+    ///
+    /// # Errors
+    /// [`TalkError`].
+    pub async fn ping(&mut self) -> Result<(), TalkError> {
+        let sent = self.now();
+        let session = Some(self.session.on_the_wire().clone());
+        self.say(Message::AvailabilityRequest(AvailabilityRequest {
+            timestamp: Some(sent),
+            session,
+            seize: false,
+        }))?;
+        let until = sent + self.patience;
+        while let Some((at, event)) = self.next(until).await? {
+            match event {
+                Event::Received { message: Message::AvailabilityResponse(response), .. } => {
+                    available(response.status, response.error.as_ref())?;
+                    if response.originate_timestamp == Some(sent) {
+                        let (received, answered) = (response.receive_timestamp, response.timestamp);
+                        self.estimate.add(ClockSample::from_exchange(sent, received, answered, at));
+                        return Ok(());
+                    }
+                }
+                other => self.keep(other),
+            }
+        }
+        Err(TalkError::Silent(self.patience))
+    }
+
+    fn keep(&mut self, event: Event) {
+        if let Event::Received { message: Message::ControlResponse(response), .. } = event {
+            if self.reports.len() >= REPORTS_MAX {
+                self.reports.pop_front();
+            }
+            self.reports.push_back(response);
+        }
+    }
+
+    /// Names of a session's requests differ, also from those of another run against the same robot.
+    fn name(&mut self) -> RequestId {
+        self.asked += 1;
+        let name = format!("{}/{}", self.session.name(), self.asked);
+        RequestId::new(name).unwrap_or_else(|_| unreachable_name())
+    }
+
+    /// Sends a request and waits for its first answer.
+    async fn ask(
+        &mut self,
+        mut request: ControlRequest,
+    ) -> Result<(Timestamp<Server>, Timestamp<Server>, ControlResponse), TalkError> {
+        let name = self.name();
+        request.request_id = Some(name.clone());
+        request.session = Some(self.session.on_the_wire().clone());
+        let sent = self.now();
+        self.say(Message::ControlRequest(request))?;
+        let until = sent + self.patience;
+        while let Some((at, event)) = self.next(until).await? {
+            match event {
+                Event::Received { message: Message::ControlResponse(response), .. }
+                    if response.request_id.as_ref() == Some(&name) =>
+                {
+                    return Ok((sent, at, response));
+                }
+                other => self.keep(other),
+            }
+        }
+        Err(TalkError::Silent(self.patience))
+    }
+
+    /// Reads a sensor.
+    ///
+    /// # Errors
+    /// [`TalkError`].
+    pub async fn read(
+        &mut self,
+        sensor: &DeviceId,
+    ) -> Result<(Timestamp<Server>, Timestamp<Server>, f64), TalkError> {
+        let request = ControlRequest::immediate(sensor.clone(), Command::ReadSensor);
+        let (sent, at, response) = self.ask(request).await?;
+        match (response.status, response.status_value) {
+            (Status::Provide, StatusValue::Number(value)) => Ok((sent, at, value)),
+            _ => Err(refusal(response.error.as_ref())),
+        }
+    }
+
+    /// Sends a movement that starts by itself a little later; returns when that is by the server's clock, and the name of the request.
+    ///
+    /// # Errors
+    /// [`TalkError`].
+    pub async fn command(
+        &mut self,
+        device: &DeviceId,
+        script: Script,
+        lead: Span,
+    ) -> Result<(Timestamp<Server>, Option<RequestId>), TalkError> {
+        let reading = self.estimate.reading();
+        let offset = reading.as_ref().map_or(Span::ZERO, |reading| reading.offset);
+        let usual = reading.map_or(Span::ZERO, |reading| reading.delay_high);
+        let lead = lead.max(LEAD) + usual * 2;
+        let now = self.now();
+        // A robot without NTP is sent its own time. One with NTP is off by as much as was measured, and starts by as much earlier.
+        let (timestamp, start) = match self.mode {
+            ClockMode::Measured => (now + offset, now + lead),
+            ClockMode::Ntp => (now, now + lead - offset),
+        };
+        let request = ControlRequest {
+            stop_condition: Some(StopCondition::both(Millis::from_span(lead + LEASE))),
+            ..ControlRequest::deferred(
+                timestamp,
+                Millis::from_span(lead),
+                device.clone(),
+                Command::Script(script),
+            )
+        };
+        let (_, _, response) = self.ask(request).await?;
+        match response.status {
+            Status::Accepted => Ok((start, response.request_id)),
+            _ => Err(refusal(response.error.as_ref())),
+        }
+    }
+
+    /// What a movement has failed of, as far as the robot has said so.
+    ///
+    /// # Errors
+    /// [`TalkError::Failed`].
+    pub fn check(&mut self, device: &DeviceId, request: Option<&RequestId>) -> Result<(), TalkError> {
+        let failed = |report: &ControlResponse| {
+            report.status == Status::Failed && request.is_some() && report.request_id.as_ref() == request
+        };
+        let failed = self.reports.iter().find(|report| failed(report));
+        let reason = failed.map(|report| {
+            report.error.as_ref().map_or_else(|| "it gives no reason".to_owned(), ToString::to_string)
+        });
+        self.reports.clear();
+        match reason {
+            Some(reason) => Err(TalkError::Failed { device: device.clone(), reason }),
+            None => Ok(()),
+        }
+    }
+
+    /// Has a device stay where it is.
+    ///
+    /// # Errors
+    /// [`TalkError`]: it is not known to be at rest.
+    pub async fn hold(&mut self, device: &DeviceId) -> Result<(), TalkError> {
+        let stop = ControlRequest {
+            hold: true,
+            ..ControlRequest::immediate(device.clone(), Command::Script(Script::cancel()))
+        };
+        let (_, _, response) = self.ask(stop).await?;
+        match response.status {
+            Status::Ok => Ok(()),
+            _ => Err(refusal(response.error.as_ref())),
+        }
+    }
+
+    /// The reading as the estimator takes it: times since a start.
+    #[must_use]
+    pub fn reading_since(
+        start: Timestamp<Server>,
+        (asked, answered, value): (Timestamp<Server>, Timestamp<Server>, f64),
+    ) -> Reading {
+        Reading { asked: asked - start, answered: answered - start, value }
+    }
+}
+
+#[expect(clippy::expect_used, reason = "a constant below every limit")]
+fn unreachable_name() -> RequestId {
+    RequestId::new("calibrate").expect("a constant below every limit")
+}
+
+fn available(status: Status, error: Option<&urrcp::ControlError>) -> Result<(), TalkError> {
+    match status {
+        Status::Failed => Err(refusal(error)),
+        _ => Ok(()),
+    }
+}
+
+fn refusal(error: Option<&urrcp::ControlError>) -> TalkError {
+    match error {
+        Some(error) if error.code == ErrorCode::Busy => TalkError::Busy,
+        Some(error) => TalkError::Refused(error.to_string()),
+        None => TalkError::Refused("it gives no reason".to_owned()),
+    }
+}
+
+/// Another robot is not to be moved, nor one whose devices are others than planned.
+fn check_identity(robot: &FleetRobot, block: &InitializationBlock) -> Result<(), TalkError> {
+    let Some(expected) = &robot.init else { return Ok(()) };
+    if block.id != expected.id {
+        let (found, expected) = (block.id.to_string(), expected.id.to_string());
+        return Err(TalkError::Another { found, expected });
+    }
+    for (device, how) in &robot.calibrate {
+        let limits = |block: &InitializationBlock| {
+            let device = block.device(device.as_str())?;
+            device.available_control_types.limits(ControlType::Position).cloned()
+        };
+        let is_sensor = block.device(how.sensor.as_str());
+        let is_sensor = is_sensor.is_some_and(|sensor| sensor.available_control_types.sensor().is_some());
+        if limits(block) != limits(expected) || !is_sensor {
+            return Err(TalkError::Different(device.clone()));
+        }
+    }
+    Ok(())
+}

@@ -1,0 +1,157 @@
+//! The fit: a latency for each trial, and one time constant for all.
+
+use super::model::{Agreement, Readings, response};
+
+/// Time constants that are tried at first, in milliseconds: from none, in steps of a factor of two.
+const TIME_CONSTANTS: [f64; 11] = [0.0, 1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0, 128.0, 256.0, 512.0];
+/// Steps of a golden-section search: together a factor of 10 000.
+const GOLDEN_STEPS: u32 = 20;
+/// The smaller part of the golden section.
+const GOLDEN: f64 = 0.381_966_011_250_105;
+/// The 99 % quantile of chi squared with one degree of freedom: a likelihood ratio beyond it is significant.
+const SIGNIFICANT: f64 = 6.63;
+/// Latencies that are tried at first, at most.
+const GRID_MAX: f64 = 48.0;
+
+/// The latency that fits one trial best.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Fitted {
+    /// In milliseconds.
+    pub(super) latency: f64,
+    /// Of the latency alone, from the noise, in milliseconds.
+    pub(super) standard_error: f64,
+    pub(super) agreement: Agreement,
+    /// Standard deviation of the readings around the fit.
+    pub(super) noise: f64,
+}
+
+#[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
+/// The time constant that fits all trials best, and its standard error, in milliseconds.
+pub(super) fn time_constant(trials: &[&Readings]) -> (f64, f64) {
+    let cost = |constant: f64| -> f64 {
+        trials.iter().map(|trial| trial.agreement(latency(trial, constant), constant).squares).sum()
+    };
+    let costs: Vec<f64> = TIME_CONSTANTS.iter().map(|constant| cost(*constant)).collect();
+    let best = (0..costs.len()).min_by(|a, b| costs[*a].total_cmp(&costs[*b])).unwrap_or_default();
+    let (low, high) = (best.saturating_sub(1), (best + 1).min(costs.len() - 1));
+    let constant = golden(TIME_CONSTANTS[low], TIME_CONSTANTS[high], 12, cost);
+    let readings: usize = trials.iter().map(|trial| trial.at.len()).sum();
+    let free = (readings as f64 - 3.0 * trials.len() as f64 - 1.0).max(1.0);
+    let (with, without) = (cost(constant), costs[0]);
+    // A time constant that explains no more than chance would only shift the latency to the other side.
+    if without - with < SIGNIFICANT * with / free {
+        return (0.0, error_of_constant(trials, 0.0, &cost));
+    }
+    (constant, error_of_constant(trials, constant, &cost))
+}
+
+/// From the curvature of the cost: where it has risen by the variance of a reading (profile likelihood; Venzon, Moolgavkar: A method
+/// for computing profile-likelihood-based confidence intervals, Applied Statistics 37(1), 1988).
+#[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
+fn error_of_constant(trials: &[&Readings], constant: f64, cost: impl Fn(f64) -> f64) -> f64 {
+    let readings: usize = trials.iter().map(|trial| trial.at.len()).sum();
+    let free = readings as f64 - 3.0 * trials.len() as f64 - 1.0;
+    let least = cost(constant);
+    let variance = least / free.max(1.0);
+    let step = (constant * 0.2).max(1.0);
+    let curvature = (cost(constant + step) - least) / (step * step);
+    if curvature > 0.0 { (variance / curvature).sqrt() } else { f64::INFINITY }
+}
+
+/// The best latency of one trial for this time constant.
+pub(super) fn latency(trial: &Readings, time_constant: f64) -> f64 {
+    let cost = |latency: f64| trial.agreement(latency, time_constant).squares;
+    let (first, last) = trial.span();
+    let step = (trial.interval() / 2.0).max((last - first) / GRID_MAX);
+    let mut best = (first, f64::INFINITY);
+    let mut at = first;
+    while at <= last {
+        let squares = cost(at);
+        if squares < best.1 {
+            best = (at, squares);
+        }
+        at += step;
+    }
+    let found = golden(best.0 - step, best.0 + step, GOLDEN_STEPS, cost);
+    middle_of_flat(found, trial.interval(), cost)
+}
+
+/// A step that falls between two readings fits equally well anywhere between them: the middle is nearest to all of it.
+fn middle_of_flat(found: f64, interval: f64, cost: impl Fn(f64) -> f64) -> f64 {
+    let least = cost(found);
+    let is_flat = |at: f64| cost(at) <= least * (1.0 + 1e-9) + f64::MIN_POSITIVE;
+    let edge = |sign: f64| {
+        // Bisects for the end of what is as good.
+        let (mut inside, mut outside) = (0.0, interval * 1.5);
+        if is_flat(found + sign * outside) {
+            return outside;
+        }
+        for _ in 0..12 {
+            let middle = (inside + outside) / 2.0;
+            if is_flat(found + sign * middle) { inside = middle } else { outside = middle }
+        }
+        inside
+    };
+    if !is_flat(found + interval / 64.0) && !is_flat(found - interval / 64.0) {
+        return found;
+    }
+    found + (edge(1.0) - edge(-1.0)) / 2.0
+}
+
+fn golden(low: f64, high: f64, steps: u32, cost: impl Fn(f64) -> f64) -> f64 {
+    let (mut low, mut high) = (low, high);
+    let (mut left, mut right) = (low + GOLDEN * (high - low), high - GOLDEN * (high - low));
+    let (mut at_left, mut at_right) = (cost(left), cost(right));
+    for _ in 0..steps {
+        if at_left <= at_right {
+            (high, right, at_right) = (right, left, at_left);
+            left = low + GOLDEN * (high - low);
+            at_left = cost(left);
+        } else {
+            (low, left, at_left) = (left, right, at_right);
+            right = high - GOLDEN * (high - low);
+            at_right = cost(right);
+        }
+    }
+    if at_left <= at_right { left } else { right }
+}
+
+/// The latency with its standard error, for this time constant.
+#[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
+pub(super) fn fitted(trial: &Readings, time_constant: f64) -> Fitted {
+    let latency = latency(trial, time_constant);
+    let agreement = trial.agreement(latency, time_constant);
+    let free = (trial.at.len() as f64 - 3.0).max(1.0);
+    let noise = (agreement.squares / free).sqrt();
+    let standard_error = standard_error(trial, latency, time_constant, &agreement, noise);
+    Fitted { latency, standard_error, agreement, noise }
+}
+
+/// Of the latency in the linearized fit of rest, gain and latency. Where no reading lies on the movement, it is that of an instant
+/// anywhere between two readings: their interval over the root of 12.
+fn standard_error(
+    trial: &Readings,
+    latency: f64,
+    time_constant: f64,
+    agreement: &Agreement,
+    noise: f64,
+) -> f64 {
+    let between = trial.interval() / 12.0_f64.sqrt();
+    let step = (trial.interval() / 8.0).max(0.05);
+    let shape = |after: f64| response(&trial.commanded, time_constant, after);
+    // What a later latency changes, with what rest and gain could explain of that taken out.
+    let rows: Vec<(f64, f64)> = (trial.at.iter())
+        .map(|at| {
+            let after = at - latency;
+            let slope = (shape(after + step) - shape(after - step)) / (2.0 * step);
+            (shape(after), -agreement.gain * slope)
+        })
+        .collect();
+    let mean = |of: fn(&(f64, f64)) -> f64| rows.iter().map(of).sum::<f64>() / rows.len().max(1) as f64;
+    let (r_mean, d_mean) = (mean(|row| row.0), mean(|row| row.1));
+    let sum =
+        |of: &dyn Fn(f64, f64) -> f64| -> f64 { rows.iter().map(|(r, d)| of(r - r_mean, d - d_mean)).sum() };
+    let (rr, rd, dd) = (sum(&|r, _| r * r), sum(&|r, d| r * d), sum(&|_, d| d * d));
+    let left = if rr > 0.0 { dd - rd * rd / rr } else { dd };
+    if left > 0.0 { noise / left.sqrt() } else { between }
+}

@@ -1,0 +1,186 @@
+//! The estimator against devices that are known.
+
+use urrcp::Span;
+
+use super::*;
+
+/// A device and its sensor, in milliseconds and in shares of the movement.
+#[derive(Clone, Copy, Debug)]
+struct Device {
+    latency: f64,
+    /// Standard deviation of the latency from trial to trial.
+    deviation: f64,
+    time_constant: f64,
+    noise: f64,
+    /// Of the sensor, between request and answer; the value is taken at the request.
+    delay: f64,
+    /// Its delay varies by as much more.
+    delay_varies: f64,
+    /// How long the movement takes.
+    lasts: f64,
+}
+
+const LINK: f64 = 0.8;
+/// Between an answer and the next question.
+const BETWEEN: f64 = 1.0;
+const MOVEMENT: f64 = 2.0;
+const REST: f64 = 30.0;
+
+impl Device {
+    fn trial(&self, rng: &mut fastrand::Rng, taken: Taken) -> (Trial, f64) {
+        let latency = (self.latency + self.deviation * normal(rng)).max(0.0);
+        let commanded = Commanded::ramp(Span::from_millis_f64(self.lasts));
+        let interval = LINK + self.delay + BETWEEN;
+        let mut asked = -(20.0 * interval).max(100.0) + rng.f64() * interval;
+        let until = self.lasts + self.latency + 6.0 * self.time_constant + 10.0 * interval + 50.0;
+        let mut samples = Vec::new();
+        while asked < until {
+            let arrived = asked + LINK / 2.0;
+            let at_device = model::response(&commanded, self.time_constant, arrived - latency);
+            let value = REST + MOVEMENT * (at_device + self.noise * normal(rng));
+            let answered = asked + LINK + self.delay + self.delay_varies * rng.f64();
+            let reading = Reading {
+                asked: Span::from_millis_f64(asked),
+                answered: Span::from_millis_f64(answered),
+                value,
+            };
+            let (at, uncertainty) = reading.instant(Span::from_millis_f64(LINK), taken);
+            samples.push(Sample { at, uncertainty, value });
+            asked = answered + BETWEEN;
+        }
+        (Trial { commanded, samples }, latency)
+    }
+
+    fn trials(&self, seed: u64, count: usize) -> Vec<Trial> {
+        let mut rng = fastrand::Rng::with_seed(seed);
+        (0..count).map(|_| self.trial(&mut rng, Taken::AtRequest).0).collect()
+    }
+}
+
+/// By Box and Muller.
+fn normal(rng: &mut fastrand::Rng) -> f64 {
+    let radius = (-2.0 * (1.0 - rng.f64()).ln()).sqrt();
+    radius * (std::f64::consts::TAU * rng.f64()).cos()
+}
+
+const READABLE: Readable = Readable { range: Some((-180.0, 180.0)), movement: MOVEMENT };
+
+/// As `downbeat calibrate` chooses it.
+fn lasts(interval: f64) -> f64 {
+    (1.5 * interval).max(40.0)
+}
+
+/// The latency that 95 % of the device's movements do not exceed.
+fn true_p95(device: &Device) -> f64 {
+    device.latency + 1.645 * device.deviation
+}
+
+#[test]
+fn devices_with_any_lag_noise_and_sensor_delay_are_measured_to_two_milliseconds() {
+    let mut rng = fastrand::Rng::with_seed(19);
+    let (mut worst, mut covered, mut within) = (0.0_f64, 0, 0);
+    for seed in 0..100 {
+        let delay = 30.0 * rng.f64();
+        let device = Device {
+            latency: 5.0 + 195.0 * rng.f64(),
+            deviation: 0.3 + 2.0 * rng.f64(),
+            time_constant: if seed % 2 == 0 { 0.0 } else { 5.0 + 35.0 * rng.f64() },
+            noise: 0.01,
+            delay,
+            delay_varies: 0.1 * delay,
+            lasts: lasts(LINK + delay + BETWEEN),
+        };
+        let found = estimate(&device.trials(seed, 20), READABLE);
+        let latencies = found.latencies.unwrap_or_else(|| panic!("{device:?}: {:?}", found.onsets));
+        let error = (latencies.median.as_millis_f64() - device.latency).abs();
+        assert!(error < 2.0, "off by {error} ms: {device:?}, {found:?}");
+        worst = worst.max(error);
+        covered += usize::from(latencies.p95.as_millis_f64() >= true_p95(&device));
+        within += usize::from(latencies.spread.as_millis_f64() >= 1.96 * device.deviation);
+    }
+    println!("largest error {worst:.2} ms; p95 holds in {covered} of 100, spread in {within} of 100");
+    assert!(covered >= 95, "the stated p95 holds in {covered} of 100");
+    assert!(within >= 90, "the stated spread holds in {within} of 100");
+}
+
+#[test]
+fn a_time_constant_and_the_lag_behind_a_ramp_are_told() {
+    let device = Device { time_constant: 20.0, lasts: 120.0, ..DEVICE };
+    let found = estimate(&device.trials(7, 20), READABLE);
+    let constant = found.time_constant.unwrap().as_millis_f64();
+    let lag = found.tracking_lag.unwrap().as_millis_f64();
+    assert!((constant - 20.0).abs() < 2.0 && (lag - 60.0).abs() < 2.0, "{constant}, {lag}");
+    let none = estimate(&DEVICE.trials(7, 20), READABLE);
+    assert_eq!(none.time_constant, None);
+}
+
+#[test]
+fn where_the_value_is_taken_is_half_of_the_sensor_delay_if_it_is_not_known() {
+    let reading = Reading { asked: Span::ZERO, answered: Span::from_millis(31), value: 0.0 };
+    let link = Span::from_millis(1);
+    let half = Span::from_millis_f64(0.5);
+    assert_eq!(reading.instant(link, Taken::AtRequest), (half, half));
+    assert_eq!(reading.instant(link, Taken::AtAnswer), (Span::from_millis_f64(30.5), half));
+    assert_eq!(
+        reading.instant(link, Taken::Between),
+        (Span::from_millis_f64(15.5), Span::from_millis_f64(15.5))
+    );
+    // The device takes its values at the request, so the middle is 15 ms late: that is what it says.
+    let device = Device { delay: 30.0, lasts: lasts(31.0), ..DEVICE };
+    let mut rng = fastrand::Rng::with_seed(3);
+    let trials: Vec<Trial> = (0..20).map(|_| device.trial(&mut rng, Taken::Between).0).collect();
+    let found = estimate(&trials, READABLE);
+    let latency = found.latencies.unwrap().median.as_millis_f64();
+    let systematic = found.onsets[0].unwrap().uncertainty.as_millis_f64();
+    assert!((latency - 55.0).abs() < 2.0 && systematic >= 15.0, "{latency} +-{systematic}");
+}
+
+const DEVICE: Device = Device {
+    latency: 40.0,
+    deviation: 1.0,
+    time_constant: 0.0,
+    noise: 0.01,
+    delay: 2.0,
+    delay_varies: 0.0,
+    lasts: 40.0,
+};
+
+/// One movement of a device whose readings are changed.
+#[track_caller]
+fn refused(device: Device, change: impl Fn(&mut Sample), expected: fn(&Unclear) -> bool) {
+    let mut trial = device.trials(5, 1).remove(0);
+    trial.samples.iter_mut().for_each(change);
+    let found = onset(&trial, READABLE, None);
+    assert!(found.as_ref().is_err_and(expected), "{found:?}");
+}
+
+#[test]
+fn what_cannot_be_judged_is_refused_with_the_reason() {
+    refused(Device { noise: 0.4, ..DEVICE }, |_| {}, |why| matches!(why, Unclear::Noisy { .. }));
+    refused(DEVICE, |sample| sample.value = REST, |why| matches!(why, Unclear::NothingMoved { .. }));
+    let saturated = |sample: &mut Sample| sample.value = sample.value.max(180.0);
+    refused(DEVICE, saturated, |why| matches!(why, Unclear::Saturated { .. }));
+    let early = |sample: &mut Sample| sample.at = sample.at - Span::from_millis(70);
+    refused(DEVICE, early, |why| matches!(why, Unclear::MovedBefore { .. }));
+    refused(
+        Device { delay: 400.0, ..DEVICE },
+        |sample| sample.at = sample.at.max(Span::ZERO),
+        |why| matches!(why, Unclear::TooSparse { before: 0, .. }),
+    );
+}
+
+#[test]
+fn a_device_that_still_moves_at_the_last_reading_is_refused() {
+    let mut trial = Device { time_constant: 200.0, ..DEVICE }.trials(5, 1).remove(0);
+    trial.samples.retain(|sample| sample.at < Span::from_millis(250));
+    let found = onset(&trial, READABLE, Some(Span::from_millis(200)));
+    assert!(matches!(found, Err(Unclear::NotSettled { .. })), "{found:?}");
+}
+
+#[test]
+fn bounds_are_those_of_the_tables() {
+    // Natrella's formula gives 2.66 for 20 trials at 97.5 %; Howe's factor is 2.752 (NIST/SEMATECH e-Handbook, section 7.2.6.3).
+    assert!((quantile_bound(20, 0.0, 1.0) - 2.6).abs() < 0.15, "{}", quantile_bound(20, 0.0, 1.0));
+    assert!((spread_bound(20, 1.0) - 2.752).abs() < 0.02, "{}", spread_bound(20, 1.0));
+    assert_eq!(Latencies::of(&[1.0, 2.0]), None);
+}

@@ -1,0 +1,169 @@
+//! From the readings of several trials to the latency of each, or why it cannot be told.
+
+use urrcp::Span;
+
+use super::commanded::Commanded;
+use super::fit::{self, Fitted};
+use super::model::Readings;
+use super::{Latencies, Unclear};
+
+/// Readings that are needed before the movement, and from its command on.
+const READINGS_LEAST: usize = 4;
+/// So many times the noise a movement has to be.
+const NOISE_RATIO: f64 = 5.0;
+/// A device that moves less than this share of what it was told to does not follow.
+const MOVED_LEAST: f64 = 0.2;
+/// Of readings that are at one end of the range, so many make the sensor saturated.
+const SATURATED_SHARE: f64 = 0.2;
+/// After so many time constants a movement is over but for 2 %.
+const SETTLED: f64 = 4.0;
+/// A ramp has to last so many time constants for the lag behind it to become steady.
+const RAMP_STEADY: f64 = 3.0;
+/// Motion may seem this much earlier than the command, by errors of clocks.
+const EARLY_MAX: f64 = 5.0;
+
+/// A reading around a movement.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sample {
+    /// When the value was taken, since the first step of the movement was due.
+    pub at: Span,
+    /// How far off that may be.
+    pub uncertainty: Span,
+    /// The value, in the sensor's unit.
+    pub value: f64,
+}
+
+/// One movement and what the sensor showed.
+#[derive(Clone, Debug)]
+pub struct Trial {
+    /// What was commanded.
+    pub commanded: Commanded,
+    /// In any order.
+    pub samples: Vec<Sample>,
+}
+
+/// What is known of the sensor and the movement before any trial.
+#[derive(Clone, Copy, Debug)]
+pub struct Readable {
+    /// Lowest and highest reading of the sensor; `None` without limits.
+    pub range: Option<(f64, f64)>,
+    /// By how much the device is to move, in the sensor's unit.
+    pub movement: f64,
+}
+
+/// The begin of one motion.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Onset {
+    /// From the instant at which the first step was due to the first motion.
+    pub latency: Span,
+    /// Its standard error from the noise of the readings.
+    pub standard_error: Span,
+    /// How far all readings together may be off: the largest uncertainty of a sample. It does not average out.
+    pub uncertainty: Span,
+    /// By how much the readings changed in all, in the sensor's unit.
+    pub moved: f64,
+    /// Standard deviation of the readings around the fit, in the sensor's unit.
+    pub noise: f64,
+}
+
+/// What the trials say of a device.
+#[derive(Clone, Debug)]
+pub struct Estimate {
+    /// Of each trial, in order.
+    pub onsets: Vec<Result<Onset, Unclear>>,
+    /// Of those that could be judged; `None` of fewer than three.
+    pub latencies: Option<Latencies>,
+    /// The time constant of the first-order lag; `None` where the readings do not tell it from none.
+    pub time_constant: Option<Span>,
+    /// How far the device is behind a ramp once it follows: latency and time constant together, which is exact for the model. `None`
+    /// where no movement lasted long enough.
+    pub tracking_lag: Option<Span>,
+}
+
+/// The begin of a single motion, with a time constant that is known, or else fitted to this motion alone.
+///
+/// # Errors
+/// [`Unclear`]: why it cannot be told.
+pub fn onset(trial: &Trial, readable: Readable, time_constant: Option<Span>) -> Result<Onset, Unclear> {
+    let readings = readable.readings(trial)?;
+    let constant =
+        time_constant.map_or_else(|| fit::time_constant(&[&readings]).0, urrcp::Span::as_millis_f64);
+    readable.judged(trial, &readings, constant)
+}
+
+/// The latency of each of several motions of one device, and what they have in common.
+#[must_use]
+pub fn estimate(trials: &[Trial], readable: Readable) -> Estimate {
+    let readings: Vec<Result<Readings, Unclear>> =
+        trials.iter().map(|trial| readable.readings(trial)).collect();
+    let usable: Vec<&Readings> = readings.iter().filter_map(|readings| readings.as_ref().ok()).collect();
+    let (constant, error) = match usable.is_empty() {
+        true => (0.0, f64::INFINITY),
+        false => fit::time_constant(&usable),
+    };
+    let onsets: Vec<_> = (trials.iter().zip(readings))
+        .map(|(trial, readings)| readable.judged(trial, &readings?, constant))
+        .collect();
+    let known: Vec<f64> = onsets.iter().flatten().map(|onset| onset.latency.as_millis_f64()).collect();
+    let latencies = Latencies::of(&known);
+    let lasted = trials.iter().map(|trial| trial.commanded.lasts_ms()).fold(0.0, f64::max);
+    let steady = lasted > 0.0 && lasted >= RAMP_STEADY * constant;
+    let time_constant = (constant > 2.0 * error).then(|| Span::from_millis_f64(constant));
+    let lag = |latencies: Latencies| latencies.median + Span::from_millis_f64(constant);
+    Estimate { onsets, latencies, time_constant, tracking_lag: latencies.filter(|_| steady).map(lag) }
+}
+
+impl Readable {
+    fn readings(&self, trial: &Trial) -> Result<Readings, Unclear> {
+        let mut samples: Vec<&Sample> =
+            trial.samples.iter().filter(|sample| sample.value.is_finite()).collect();
+        samples.sort_by_key(|sample| sample.at);
+        let before = samples.iter().filter(|sample| sample.at < Span::ZERO).count();
+        let after = samples.len() - before;
+        if before < READINGS_LEAST || after < READINGS_LEAST {
+            return Err(Unclear::TooSparse { before, after, least: READINGS_LEAST });
+        }
+        let values: Vec<f64> = samples.iter().map(|sample| sample.value).collect();
+        self.saturated(&values)?;
+        let at = samples.iter().map(|sample| sample.at.as_millis_f64()).collect();
+        Ok(Readings { commanded: trial.commanded.clone(), at, values })
+    }
+
+    #[expect(clippy::cast_precision_loss, reason = "readings are below 2^53")]
+    fn saturated(&self, values: &[f64]) -> Result<(), Unclear> {
+        let Some((least, largest)) = self.range else { return Ok(()) };
+        let share = |count: usize| count as f64 / values.len() as f64;
+        let at_end = |limit: f64, share: f64| match share >= SATURATED_SHARE {
+            true => Err(Unclear::Saturated { share: share * 100.0, limit }),
+            false => Ok(()),
+        };
+        at_end(least, share(values.iter().filter(|value| **value <= least).count()))?;
+        at_end(largest, share(values.iter().filter(|value| **value >= largest).count()))
+    }
+
+    fn judged(&self, trial: &Trial, readings: &Readings, constant: f64) -> Result<Onset, Unclear> {
+        let Fitted { latency, standard_error, agreement, noise } = fit::fitted(readings, constant);
+        let (movement, seen) = (self.movement.abs(), agreement.gain.abs());
+        if noise * NOISE_RATIO > movement.max(seen.min(movement * 2.0)) {
+            return Err(Unclear::Noisy { noise, movement, ratio: NOISE_RATIO });
+        }
+        if seen < (movement * MOVED_LEAST).max(noise * 2.0) {
+            return Err(Unclear::NothingMoved { seen, movement });
+        }
+        if latency < -EARLY_MAX - 4.0 * standard_error {
+            return Err(Unclear::MovedBefore { early: Span::from_millis_f64(-latency) });
+        }
+        let (_, last) = readings.span();
+        if last - latency < readings.commanded.lasts_ms() + SETTLED * constant {
+            return Err(Unclear::NotSettled { watched: Span::from_millis_f64(last) });
+        }
+        let uncertainty = trial.samples.iter().map(|sample| sample.uncertainty).max().unwrap_or_default();
+        Ok(Onset {
+            latency: Span::from_millis_f64(latency),
+            standard_error: Span::from_millis_f64(standard_error),
+            uncertainty,
+            moved: agreement.gain,
+            noise,
+        })
+    }
+}
