@@ -12,14 +12,38 @@ use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
-use urrcp::DeviceId;
+use urrcp::{DeviceId, Timestamp};
 
 use super::Pushes;
+use crate::clock::SystemClock;
+use crate::plans::{PlanEvent, PlanId};
 
 /// Longest answer, in bytes.
 const ANSWER_BYTES_MAX: u64 = 16_384;
 /// How long it may take to end once its input has ended.
 const END_WAIT: Duration = Duration::from_secs(1);
+
+const PLAN_WORDS: &str = "`started PLAN NS`, `step PLAN INDEX NS`, `done PLAN NS`, `failed PLAN NS REASON` or `cancelled PLAN NS`, \
+                          with NS in nanoseconds since 1970";
+
+/// What a program says of a script that it times by itself.
+fn plan_word(word: &str, rest: &str) -> Option<(PlanId, Timestamp<SystemClock>, PlanEvent)> {
+    let mut parts = rest.splitn(3, ' ');
+    let plan = PlanId(parts.next()?.parse().ok()?);
+    let next = parts.next()?;
+    let last = parts.next().map(str::trim);
+    let (at, event) = match (word, last) {
+        ("step", Some(at)) => (at, PlanEvent::Step(next.parse().ok()?)),
+        ("started", None) => (next, PlanEvent::Began),
+        ("done", None) => (next, PlanEvent::Done),
+        ("cancelled", _) => (next, PlanEvent::Cancelled),
+        ("failed", reason) => (next, PlanEvent::Failed(reason.unwrap_or("it gives no reason").to_owned())),
+        _ => return None,
+    };
+    // Times of the years 1970 to 2255, so that none is beyond what is counted with.
+    let at = at.parse().ok().filter(|at| (0..=9_000_000_000_000_000_000).contains(at))?;
+    Some((plan, Timestamp::from_nanos(at), event))
+}
 
 /// Takes what a program tells unasked.
 #[derive(Clone, Debug)]
@@ -42,6 +66,12 @@ impl Ear {
                     None => self.pushes.fault(format!(
                         "the program says `{line}`, expected `reading SENSOR NUMBER` with a sensor of this robot"
                     )),
+                }
+            }
+            Some((word @ ("started" | "step" | "done" | "failed" | "cancelled"), rest)) => {
+                match plan_word(word, rest) {
+                    Some((plan, at, event)) => self.pushes.plan(plan, at, event),
+                    None => self.pushes.fault(format!("the program says `{line}`, expected {PLAN_WORDS}")),
                 }
             }
             _ => return false,
