@@ -140,6 +140,8 @@ struct State {
     /// With the numbers of their orders, the oldest first.
     plans: VecDeque<(u64, PlanOrder)>,
     words: Vec<PlanWord>,
+    /// Words were passed on last: a driver that says many does not keep others waiting.
+    words_were_last: bool,
     /// Counts orders.
     orders: u64,
     /// What the driver was given last, until it asks for more.
@@ -374,9 +376,10 @@ impl Mailbox {
         loop {
             let now = Instant::now();
             // What was said before a fault or an end was so.
-            if !state.words.is_empty() {
+            if !state.words.is_empty() && !std::mem::replace(&mut state.words_were_last, true) {
                 return Work::Words(std::mem::take(&mut state.words));
             }
+            state.words_were_last = false;
             if let Some(reason) = state.fault.take() {
                 return Work::Fault(reason);
             }
@@ -400,6 +403,9 @@ impl Mailbox {
             let ping = state.pulse.as_ref().map(|pulse| (pulse.next_ping(now), pulse.is_quiet(now)));
             if ping.is_some_and(|(ping, quiet)| ping <= now && quiet) {
                 return Work::Ping;
+            }
+            if !state.words.is_empty() {
+                return Work::Words(std::mem::take(&mut state.words));
             }
             if state.closed {
                 return Work::Closed;

@@ -71,7 +71,7 @@ struct Declared {
 
 /// Something of all devices, or of some by their ids.
 #[derive(Debug, Deserialize)]
-#[serde(untagged)]
+#[serde(untagged, expecting = "expected a value for all devices, or an object with one for each device")]
 enum Of<T> {
     All(T),
     Each(BTreeMap<DeviceId, T>),
@@ -378,5 +378,53 @@ impl Driver for Program {
 
     fn takes_ramps(&self) -> bool {
         self.declared.ramps
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BLOCK: &str = r#"{"id": "r", "api_version": "1", "devices": [
+      {"id": "arm", "name": "arm", "available_control_types": {
+         "position": {"min_value": 0, "max_value": 9, "granularity": 1}}},
+      {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
+
+    fn declared(json: &str) -> Result<(Declared, InitializationBlock), String> {
+        let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+        let declared: Declared = serde_json::from_str(json).map_err(|error| error.to_string())?;
+        Ok((declared.checked(&block)?, block))
+    }
+
+    #[test]
+    fn look_ahead_is_of_all_devices_that_move_or_of_those_that_are_named() {
+        let arm = DeviceId::new("arm").unwrap();
+        for (json, expected) in [
+            (r#"{"lookahead": "script"}"#, Lookahead::Script),
+            (r#"{"lookahead": {"arm": "script"}}"#, Lookahead::Script),
+            (r#"{"lookahead_ms": 500}"#, Lookahead::Horizon(Span::from_millis(500))),
+        ] {
+            let (declared, block) = declared(json).unwrap();
+            assert_eq!(declared.lookahead(&block), BTreeMap::from([(arm.clone(), expected)]), "{json}");
+        }
+        let (none, block) = declared("{}").unwrap();
+        assert!(none.lookahead(&block).is_empty());
+    }
+
+    #[test]
+    fn what_a_program_cannot_declare_is_told() {
+        for (json, why) in [
+            (r#"{"lookahead": "film"}"#, "expected a value for all devices"),
+            (r#"{"lookahead": {"eye": "script"}}"#, "no device of this robot that moves"),
+            (r#"{"lookahead": "script", "lookahead_ms": 500}"#, "`arm` has both"),
+            (r#"{"lookahead_ms": 1}"#, "expected 20 to 60000"),
+            (r#"{"samples_per_second": {"leg": 5}}"#, "which this robot does not have"),
+            (r#"{"samples_per_second": 5000}"#, "expected 0.1 to 1000"),
+            (r#"{"readings_per_second": {"eye": 0}}"#, "expected 0.01 to 1000"),
+            (r#"{"pings_per_second": 1}"#, "expected 10 to 200"),
+        ] {
+            let error = declared(json).map(|_| ()).unwrap_err();
+            assert!(error.contains(why), "{json}: {error}");
+        }
     }
 }

@@ -196,3 +196,41 @@ impl Drop for Running {
         let _reaped = self.child.wait();
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[track_caller]
+    fn check(line: &str, expected: Option<(u64, i64, PlanEvent)>) {
+        let (word, rest) = line.split_once(' ').unwrap();
+        let expected = expected.map(|(plan, at, event)| (PlanId(plan), Timestamp::from_nanos(at), event));
+        assert_eq!(plan_word(word, rest), expected, "{line}");
+    }
+
+    #[test]
+    fn what_a_program_says_of_a_plan_is_read() {
+        check("started 7 1790000000000000001", Some((7, 1_790_000_000_000_000_001, PlanEvent::Began)));
+        check("step 7 2 5", Some((7, 5, PlanEvent::Step(2))));
+        check("done 7 5", Some((7, 5, PlanEvent::Done)));
+        check("failed 7 5 too much torque", Some((7, 5, PlanEvent::Failed("too much torque".to_owned()))));
+        check("failed 7 5", Some((7, 5, PlanEvent::Failed("it gives no reason".to_owned()))));
+        check("cancelled 7 5", Some((7, 5, PlanEvent::Cancelled)));
+    }
+
+    #[test]
+    fn what_is_not_a_word_about_a_plan_is_none() {
+        for line in [
+            "started 7",
+            "started x 5",
+            "started 7 5 6",
+            "step 7 5",
+            "step 7 -1 5",
+            "done 7 1.5",
+            "done 7 -5",
+        ] {
+            check(line, None);
+        }
+        check("done 7 9223372036854775807", None);
+    }
+}

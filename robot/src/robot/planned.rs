@@ -164,12 +164,12 @@ impl Robot {
         if !rest.is_empty() {
             failed.extend(self.left_over(index, &failed));
         }
-        let any = !failed.is_empty();
+        let (any, at_rest) = (!failed.is_empty(), !rest.is_empty());
         rest.retain(|set| !any || !self.stays(index, set));
         let then = match rest.is_empty() {
             _ if rest.iter().any(|set| matches!(set.motion, Motion::Slow { .. })) => Then::Slow,
             false => Then::Default,
-            true if self.devices[index].is_idle() => Then::Hold,
+            true if at_rest => Then::Hold,
             true => Then::Keep,
         };
         for (id, error) in failed {
