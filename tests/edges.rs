@@ -5,6 +5,7 @@
 
 mod descriptions;
 mod failing;
+mod lookahead;
 mod processes;
 mod programs;
 mod server;

@@ -10,6 +10,10 @@ use urrcp::{Span, Timestamp};
 #[derive(Clone, Copy, Debug)]
 pub enum HostTime {}
 
+/// The system's clock, `CLOCK_REALTIME`, which other programs read.
+#[derive(Clone, Copy, Debug)]
+pub enum SystemClock {}
+
 /// Reads the host's time.
 #[derive(Clone, Copy, Debug)]
 pub struct HostClock {
@@ -36,6 +40,20 @@ impl HostClock {
     #[must_use]
     pub fn now(&self) -> Timestamp<HostTime> {
         self.timestamp + Span::from(self.instant.elapsed())
+    }
+
+    /// How far the system's clock is ahead of the host's: nothing, unless it was set to another time since the anchor.
+    #[must_use]
+    pub fn system_ahead(&self) -> Span {
+        Self::anchored().timestamp_at(self.instant) - self.timestamp
+    }
+
+    /// What it shows at an instant, also at one before its anchor.
+    fn timestamp_at(&self, instant: Instant) -> Timestamp<HostTime> {
+        match instant.checked_duration_since(self.instant) {
+            Some(after) => self.timestamp + Span::from(after),
+            None => self.timestamp - Span::from(self.instant.duration_since(instant)),
+        }
     }
 
     /// The monotonic instant of a timestamp; instants before the anchor become the anchor.

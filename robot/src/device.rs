@@ -16,6 +16,7 @@ use urrcp::{
 
 use crate::held::{Held, Limit, Steps};
 use crate::lease::{LastHeard, Lease};
+use crate::plans::Lookahead;
 use crate::reach::Reach;
 use crate::robot::LinkId;
 use crate::signal::{Rates, Signal, default_of, first_value, is_rate, resting_value};
@@ -54,11 +55,38 @@ pub enum Motion {
 /// What a device machine wants done or told.
 #[derive(Clone, Debug)]
 pub(crate) enum Effect {
-    Move { motion: Motion, due: Timestamp<Robot>, request_id: Option<RequestId>, step: Option<u32> },
-    Started { link: LinkId, request_id: Option<RequestId>, value: f64 },
-    Ended { link: LinkId, request_id: Option<RequestId>, value: f64, steps_done: u32, late_steps: u32 },
-    Failed { link: LinkId, request_id: Option<RequestId>, error: ControlError, steps_done: u32 },
+    Move {
+        motion: Motion,
+        due: Timestamp<Robot>,
+        request_id: Option<RequestId>,
+        step: Option<u32>,
+    },
+    Started {
+        command: CommandId,
+        link: LinkId,
+        request_id: Option<RequestId>,
+        value: f64,
+    },
+    Ended {
+        command: CommandId,
+        link: LinkId,
+        request_id: Option<RequestId>,
+        value: f64,
+        steps_done: u32,
+        late_steps: u32,
+    },
+    Failed {
+        command: CommandId,
+        link: LinkId,
+        request_id: Option<RequestId>,
+        error: ControlError,
+        steps_done: u32,
+    },
 }
+
+/// Counts the commands that a device has accepted.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct CommandId(u64);
 
 /// A robot that was delayed longer than this over a start, for example by a stopped process, drops the command: late is
 /// out of sync.
@@ -76,6 +104,7 @@ const LATE: Span = Span::from_millis(1);
 struct Guard {
     rates: Vec<ControlType>,
     lease: Lease,
+    command: CommandId,
     request_id: Option<RequestId>,
     steps_done: u32,
 }
@@ -94,6 +123,9 @@ pub(crate) struct DeviceMachine {
     taken_back: Option<Timestamp<Server>>,
     /// The same for what the party of the last stop has sent, whose clock may be ahead.
     taken_back_by: Option<(LinkId, Timestamp<Server>)>,
+    /// If the driver times scripts by itself, this far ahead: what this machine is late with is late only here.
+    pub(crate) lookahead: Option<Lookahead>,
+    accepted: CommandId,
 }
 
 impl DeviceMachine {
@@ -106,7 +138,9 @@ impl DeviceMachine {
             .map(|(control_type, _)| (control_type, Signal::resting(first_value(&spec, control_type), begin)))
             .collect();
         let (driven, queue, guards) = (BTreeMap::new(), VecDeque::new(), Vec::new());
-        Self { spec, signals, driven, queue, guards, taken_back: None, taken_back_by: None }
+        let (taken_back, taken_back_by, lookahead) = (None, None, None);
+        let accepted = CommandId::default();
+        Self { spec, signals, driven, queue, guards, taken_back, taken_back_by, lookahead, accepted }
     }
 
     pub(crate) fn value(&self, control_type: ControlType, now: Timestamp<Robot>) -> Option<f64> {
@@ -142,7 +176,7 @@ impl DeviceMachine {
 
     /// By how much the next step of what runs is late.
     pub(crate) fn overdue(&self, now: Timestamp<Robot>) -> Option<Span> {
-        let at = self.queue.front().filter(|held| held.began)?.next_event()?;
+        let at = self.queue.front().filter(|held| held.began && self.lookahead.is_none())?.next_event()?;
         (at < now).then(|| now - at)
     }
 
@@ -186,7 +220,7 @@ impl DeviceMachine {
     /// Begins the front command or does its next step.
     fn step(&mut self, at: Timestamp<Robot>, now: Timestamp<Robot>, effects: &mut Vec<Effect>) {
         let Some(mut held) = self.queue.pop_front() else { return };
-        if !held.began && now - at > START_LATE_MAX {
+        if !held.began && now - at > START_LATE_MAX && self.lookahead.is_none() {
             let message = format!("woke up {} after the start; a late command is never started", now - at);
             return effects.push(failed(held, &ControlError::new(ErrorCode::Late, message)));
         }
@@ -196,13 +230,13 @@ impl DeviceMachine {
             let value = held.setpoint(0).map_or(0.0, |setpoint| setpoint.value);
             if held.time_of(0) > Some(at) {
                 self.ramp_to(&held, 0, at, effects);
-                effects.push(Effect::Started { link: held.link, request_id: held.request_id.clone(), value });
+                effects.push(started(&held, value));
                 self.queue.push_front(held);
                 return;
             }
             held.late_steps += late;
             self.set_step(&mut held, at, effects);
-            effects.push(Effect::Started { link: held.link, request_id: held.request_id.clone(), value });
+            effects.push(started(&held, value));
         } else {
             held.late_steps += late;
             self.set_step(&mut held, at, effects);
@@ -264,12 +298,13 @@ impl DeviceMachine {
         let value = held.setpoint(last).map_or(0.0, |setpoint| setpoint.value);
         let (link, request_id) = (held.link, held.request_id.clone());
         let (steps_done, late_steps) = (held.steps_done(), held.late_steps);
-        effects.push(Effect::Ended { link, request_id, value, steps_done, late_steps });
+        let command = held.command;
+        effects.push(Effect::Ended { command, link, request_id, value, steps_done, late_steps });
         let lease = held.lease();
         let rates: Vec<_> = self.rates_left_on().filter(|rate| held.drives(*rate)).collect();
         if lease.silence.is_some() && !rates.is_empty() {
             let (request_id, steps_done) = (held.request_id.clone(), held.steps_done());
-            self.guards.push(Guard { rates, lease, request_id, steps_done });
+            self.guards.push(Guard { rates, lease, command, request_id, steps_done });
         }
     }
 
@@ -301,8 +336,9 @@ impl DeviceMachine {
     }
 
     fn link_lost(&mut self, at: Timestamp<Robot>, error: &ControlError, effects: &mut Vec<Effect>) {
-        for Guard { lease, request_id, steps_done, .. } in self.guards.drain(..) {
-            effects.push(Effect::Failed { link: lease.link, request_id, error: error.clone(), steps_done });
+        for Guard { lease, command, request_id, steps_done, .. } in self.guards.drain(..) {
+            let (link, error) = (lease.link, error.clone());
+            effects.push(Effect::Failed { command, link, request_id, error, steps_done });
         }
         self.drop_all(error, effects);
         self.come_to_rest(at, false, effects);
@@ -363,6 +399,11 @@ impl DeviceMachine {
     pub(crate) fn room(&self) -> u32 {
         let held = u32::try_from(self.queue.len()).unwrap_or(u32::MAX);
         self.spec.script_queue.saturating_sub(held)
+    }
+
+    /// A command that it holds.
+    pub(crate) fn command(&self, id: CommandId) -> Option<&Held> {
+        self.queue.iter().find(|held| held.command == id)
     }
 
     /// The command under way.
@@ -458,7 +499,7 @@ impl DeviceMachine {
         start: Timestamp<Robot>,
         link: LinkId,
         request: &urrcp::ControlRequest,
-    ) -> Result<(), ControlError> {
+    ) -> Result<CommandId, ControlError> {
         let (steps, duration) = self.checked_steps(&request.command)?;
         if start < now {
             let message = format!("the start passed {} ago; a late command is never started", now - start);
@@ -490,7 +531,10 @@ impl DeviceMachine {
             return Err(ControlError::new(ErrorCode::Busy, message));
         }
         let place = self.queue.partition_point(|held| (held.start, held.end) <= (start, end));
+        self.accepted.0 += 1;
+        let command = self.accepted;
         let held = Held {
+            command,
             link,
             request_id: request.request_id.clone(),
             accepted: now,
@@ -505,7 +549,7 @@ impl DeviceMachine {
             limited_by: None,
         };
         self.queue.insert(place, held);
-        Ok(())
+        Ok(command)
     }
 
     fn checked_steps(&self, command: &Command) -> Result<(Steps, Span), ControlError> {
@@ -572,7 +616,13 @@ fn rates(spec: &Device, control_type: ControlType) -> Option<Rates> {
     }
 }
 
+fn started(held: &Held, value: f64) -> Effect {
+    let (command, link, request_id) = (held.command, held.link, held.request_id.clone());
+    Effect::Started { command, link, request_id, value }
+}
+
 fn failed(held: Held, error: &ControlError) -> Effect {
     let steps_done = held.steps_done();
-    Effect::Failed { link: held.link, request_id: held.request_id, error: error.clone(), steps_done }
+    let (command, link, request_id) = (held.command, held.link, held.request_id);
+    Effect::Failed { command, link, request_id, error: error.clone(), steps_done }
 }

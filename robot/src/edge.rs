@@ -6,7 +6,7 @@ use urrcp::{Robot as RobotClock, Span, Timestamp};
 
 use crate::clock::{HostClock, HostTime};
 use crate::device::Motion;
-use crate::driver::{AtStart, Demand, Mailbox, News, Wanted};
+use crate::driver::{AtStart, Demand, Mailbox, News, PlanNews, Wanted};
 use crate::hardware::AtEnd;
 use crate::outgoing::Outgoing;
 use crate::robot::{Input, LinkId, Output, Robot, SetValue};
@@ -97,9 +97,10 @@ impl Edge {
     /// Takes what its driver's thread says.
     pub(crate) fn hear(&mut self, now: Timestamp<HostTime>, news: News) {
         match news {
-            News::There { connection, latency } => {
+            News::There { connection, latency, lookahead } => {
                 self.connection = connection;
                 self.machine.declare_latencies(&latency);
+                self.machine.plans_ahead(&lookahead);
                 self.tell(now, Robot::hardware_found);
                 if connection == 1 && self.at_start == AtStart::Default {
                     self.tell(now, Robot::restore);
@@ -111,6 +112,7 @@ impl Edge {
             News::Stale { device, late } => {
                 self.tell(now, |machine, now, out| machine.value_stale(now, &device, late.into(), out));
             }
+            News::Plan(news) => self.hear_of_plan(now, news),
             News::Confirmed(tickets) => {
                 for ticket in tickets {
                     self.tell(now, |machine, now, out| machine.confirmed(now, ticket, out));
@@ -119,6 +121,21 @@ impl Edge {
             News::Reading { id, reading } => {
                 self.tell(now, |machine, now, out| machine.reading_came(now, id, reading, out));
             }
+        }
+    }
+
+    /// Takes what its driver says of a script that it times by itself. What cannot be true is a fault of the driver.
+    fn hear_of_plan(&mut self, now: Timestamp<HostTime>, news: PlanNews) {
+        let mut untrue = None;
+        self.tell(now, |machine, now, out| match news {
+            PlanNews::Word { plan, at, event } => {
+                untrue = machine.plan_reported(now, plan, at.assume_clock(), &event, out).err();
+            }
+            PlanNews::Refused { plan, first, error } => machine.plan_refused(now, plan, first, error, out),
+            PlanNews::Cancelled(plan) => machine.plan_cancelled(now, plan, out),
+        });
+        if let Some(untrue) = untrue {
+            self.mailbox.failed_by_itself(format!("what it says cannot be true: {untrue}"));
         }
     }
 
@@ -156,6 +173,9 @@ impl Edge {
                 Output::Confirm { ticket, device } => self.wanted.push(Wanted::Confirm(ticket, device)),
                 Output::Read { reading, sensor } => self.wanted.push(Wanted::Read(reading, sensor)),
                 Output::Send { link, message } => self.leaving.push(Outgoing::Message { link, message }),
+                Output::Plan(part) => self.wanted.push(Wanted::Plan(part)),
+                Output::Cancel(cancel) => self.wanted.push(Wanted::Cancel(cancel)),
+                Output::Played { set, at } => self.log.push(LogEntry::new(at.assume_clock(), at, set)),
                 Output::Set(set) => {
                     self.wanted.extend(wanted(&self.machine, &set));
                     self.log.push(LogEntry::new(now, now.assume_clock(), set));

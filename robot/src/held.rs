@@ -2,12 +2,14 @@
 
 use urrcp::{ControlType, Millis, RequestId, Robot, Script, Server, Setpoint, StopCondition, Timestamp};
 
+use crate::device::CommandId;
 use crate::lease::{self, LastHeard, Lease};
 use crate::robot::LinkId;
 
 /// A command that has been accepted and has not ended.
 #[derive(Clone, Debug)]
 pub(crate) struct Held {
+    pub(crate) command: CommandId,
     pub(crate) link: LinkId,
     pub(crate) request_id: Option<RequestId>,
     pub(crate) accepted: Timestamp<Robot>,

@@ -92,6 +92,7 @@ mod lease;
 mod outgoing;
 mod parties;
 mod peer;
+mod plans;
 #[cfg(feature = "host")]
 mod precise_wait;
 mod reach;
@@ -125,6 +126,7 @@ pub use host::{Host, HostError, HostHandle, HostOptions, Hosted, LinkEvent, NotA
 #[cfg(any(feature = "sealed", feature = "tls"))]
 pub use key_file::KeyFileError;
 pub use peer::Peer;
+pub use plans::{Lookahead, PlanCancel, PlanEvent, PlanId, PlanPart, PlanStep, Then};
 #[cfg(feature = "host")]
 pub use refusals::{Reason, Refusals};
 pub use robot::{Input, LinkId, Output, Robot, SetValue};

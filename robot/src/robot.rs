@@ -4,6 +4,7 @@ mod control;
 mod driven;
 mod inquiry;
 mod permission;
+mod planned;
 mod seize;
 
 use std::collections::{BTreeSet, HashMap};
@@ -22,6 +23,7 @@ use crate::lease::LastHeard;
 #[cfg(feature = "host")]
 use crate::parties::Claimant;
 use crate::parties::Parties;
+use crate::plans::{PlanCancel, PlanPart, Plans};
 use crate::role::Proof;
 
 /// One connection of a server with this robot.
@@ -85,6 +87,18 @@ pub enum Output {
         /// Which sensor.
         sensor: DeviceId,
     },
+    /// Hand over steps of a script to a driver that times them by itself, see [`Robot::plans_ahead`]. [`Robot::plan_reported`]
+    /// takes what it says of them, [`Robot::plan_refused`] that it does not take them.
+    Plan(PlanPart<urrcp::Robot>),
+    /// Have the driver end such a script. [`Robot::plan_cancelled`] takes that it has.
+    Cancel(PlanCancel),
+    /// The driver has said that a step of such a script was done: for a log.
+    Played {
+        /// What was set.
+        set: SetValue,
+        /// When, as the driver says.
+        at: Timestamp<urrcp::Robot>,
+    },
 }
 
 /// One movement of one device.
@@ -119,6 +133,8 @@ pub struct Robot {
     hardware: Hardware,
     /// Ends that the hardware has yet to confirm; `None` if they are told at once.
     unconfirmed: Option<Unconfirmed>,
+    /// Scripts that the driver times by itself.
+    plans: Plans,
     /// Something has been set since the start.
     moved: bool,
     effects: Vec<Effect>,
@@ -147,6 +163,7 @@ impl Robot {
             readings: HashMap::new(),
             hardware: Hardware::simulated(),
             unconfirmed: None,
+            plans: Plans::default(),
             moved: false,
             effects: Vec::new(),
             reports: Vec::new(),
@@ -164,6 +181,7 @@ impl Robot {
     pub fn is_idle(&self) -> bool {
         self.wakeups.is_empty()
             && !self.awaits_confirmation()
+            && self.plans.is_empty()
             && self.devices.iter().all(DeviceMachine::is_idle)
     }
 
@@ -187,12 +205,13 @@ impl Robot {
     #[must_use]
     pub fn next_wakeup(&self) -> Option<Now> {
         let device = self.wakeups.first().map(|(at, _)| *at);
-        device.into_iter().chain(self.hardware.next_wakeup()).min()
+        device.into_iter().chain(self.hardware.next_wakeup()).chain(self.plans.next_wakeup()).min()
     }
 
     /// Does everything due at or before `now`: all movements stand ahead of all reports.
     pub fn advance(&mut self, now: Now, out: &mut Vec<Output>) {
         self.advance_movements(now, out);
+        self.give_up_unreported(now, out);
         self.send_reports(now, out);
         self.give_up_readings(now, out);
     }
@@ -208,6 +227,7 @@ impl Robot {
             self.refresh_wakeup(index);
             self.move_device(now, index, out);
         }
+        self.hand_over(now, out);
     }
 
     /// Takes what reached the robot at `now`, after everything that was due until then.
@@ -374,6 +394,9 @@ impl Robot {
 
     /// Puts out a device's movements and keeps its reports for later, so that no movement waits for a report.
     fn move_device(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
+        if self.devices[index].lookahead.is_some() {
+            return self.plan_effects(now, index, out);
+        }
         let device = &self.devices[index].spec.id;
         for effect in self.effects.drain(..) {
             match effect {
@@ -389,7 +412,10 @@ impl Robot {
     pub(crate) fn send_reports(&mut self, now: Now, out: &mut Vec<Output>) {
         let mut reports = std::mem::take(&mut self.reports);
         for (index, happened, report) in reports.drain(..) {
-            if let (Effect::Ended { .. }, Some(unconfirmed)) = (&report, &mut self.unconfirmed) {
+            // Where the driver itself has said that a script is over, nothing is left to be confirmed.
+            let is_told = self.devices[index].lookahead.is_some();
+            let unconfirmed = self.unconfirmed.as_mut().filter(|_| !is_told);
+            if let (Effect::Ended { .. }, Some(unconfirmed)) = (&report, unconfirmed) {
                 let ticket = unconfirmed.add(index, Said::Report(happened, report));
                 out.push(Output::Confirm { ticket, device: self.devices[index].spec.id.clone() });
             } else {
@@ -408,17 +434,17 @@ impl Robot {
         };
         let (link, report) = match effect {
             Effect::Move { .. } => return,
-            Effect::Started { link, request_id, value } => {
+            Effect::Started { link, request_id, value, .. } => {
                 let status_value = StatusValue::Number(value);
                 (link, ControlResponse { request_id, status_value, ..base(Status::Started) })
             }
-            Effect::Ended { link, request_id, value, steps_done, late_steps } => {
+            Effect::Ended { link, request_id, value, steps_done, late_steps, .. } => {
                 let status_value = StatusValue::Number(value);
                 let steps_done = Some(steps_done);
                 let base = ControlResponse { late_steps: Some(late_steps), ..base(Status::Ok) };
                 (link, ControlResponse { request_id, status_value, steps_done, ..base })
             }
-            Effect::Failed { link, request_id, error, steps_done } => {
+            Effect::Failed { link, request_id, error, steps_done, .. } => {
                 let (error, steps_done) = (Some(error), Some(steps_done));
                 (link, ControlResponse { request_id, error, steps_done, ..base(Status::Failed) })
             }

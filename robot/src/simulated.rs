@@ -406,6 +406,8 @@ impl SimulatedRobot {
             match output {
                 // Its hardware takes everything at once, so nothing is asked.
                 Output::Confirm { .. } => {}
+                // It times everything by itself.
+                Output::Plan(_) | Output::Cancel(_) | Output::Played { .. } => {}
                 Output::Read { reading, sensor } => self.hardware_reads(now, reading, &sensor),
                 Output::Set(set) => {
                     let mut bodies = self.bodies.iter_mut();

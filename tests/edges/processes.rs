@@ -76,10 +76,15 @@ pub struct Edge(pub Child, pub u16);
 
 impl Edge {
     pub fn start(session: &Session, init: &str, driver: &str) -> Self {
+        Self::start_with(session, init, driver, &[])
+    }
+
+    /// With further arguments.
+    pub fn start_with(session: &Session, init: &str, driver: &str, args: &[&str]) -> Self {
         let mut command = ended_by_a_hang_up();
         command.args(["edge", "--listen", "127.0.0.1:0", "--init", init, "--driver", driver]);
         // What permission there is differs from machine to machine, and is told.
-        command.args(["--realtime", "off"]);
+        command.args(["--realtime", "off"]).args(args);
         let command = command.current_dir(session.path(".")).stdout(Stdio::piped()).stderr(Stdio::piped());
         let mut child = command.spawn().unwrap();
         let line = first_line(&mut child);

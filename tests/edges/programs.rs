@@ -159,7 +159,7 @@ fn signals_that_ask_for_nothing_do_not_end_an_edge() {
 }
 
 /// A Python with the package for drivers on its path; `None` where Rust alone has to do for these tests.
-fn python() -> Option<String> {
+pub fn python() -> Option<String> {
     let python = std::env::var("DOWNBEAT_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     Command::new(&python).arg("--version").output().ok()?;
     let package = root().join("robot/drivers/python");

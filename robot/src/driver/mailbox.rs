@@ -9,12 +9,14 @@ use std::collections::{HashMap, VecDeque};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, Instant};
 
-use urrcp::{ControlType, DeviceId, Setpoint};
+use urrcp::{ControlType, DeviceId, Robot, Setpoint};
 
+use super::PlanWord;
 use super::pulse::{Demand, Pulse, QUIET};
 use crate::clock::HostClock;
 use crate::confirmation::Ticket;
 use crate::hardware::{READINGS_MAX, ReadingId, STALE};
+use crate::plans::{PlanCancel, PlanPart};
 use crate::signal::Signal;
 
 /// One signal of one device.
@@ -51,18 +53,38 @@ pub(crate) enum Order {
     Read(ReadingId, DeviceId),
     /// Say when all that was put in before for the device has been done.
     Confirm(Ticket, DeviceId),
+    Plan(PlanOrder),
+}
+
+/// What a driver is to do with a script that it times by itself.
+#[derive(Clone, Debug)]
+pub(crate) enum PlanOrder {
+    /// Take steps of it, with the clock of their times.
+    Take(PlanPart<Robot>, HostClock),
+    Cancel(PlanCancel),
+}
+
+impl PlanOrder {
+    const fn device(&self) -> &DeviceId {
+        match self {
+            Self::Take(part, _) => &part.device,
+            Self::Cancel(cancel) => &cancel.device,
+        }
+    }
 }
 
 /// A signal, the value that is set, and the movement that begins then.
 pub(crate) type Drive = (Key, Option<Value>, Option<Movement>);
 
 /// What the mailbox has to know of the driver of a connection.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 pub(crate) struct Manners {
     /// The hardware has a value once the driver's call has returned.
     pub(crate) acknowledges: bool,
     /// It is told all values that wait at one instant.
     pub(crate) takes_frames: bool,
+    /// Between two pings in the second before a start.
+    pub(crate) ping_period: Duration,
 }
 
 /// What a driver's thread does next.
@@ -71,6 +93,10 @@ pub(crate) enum Work {
     /// Set these, then follow those. Several only for a driver that takes frames.
     Drive(Vec<Drive>),
     Read(ReadingId, DeviceId),
+    /// Take a script, or end one.
+    Plan(PlanOrder),
+    /// Pass on what the driver says of scripts that it times by itself.
+    Words(Vec<PlanWord>),
     /// Tell that the hardware has taken what these ask about.
     Confirm(Vec<Ticket>),
     /// Ask the hardware for a sign of life.
@@ -85,6 +111,8 @@ pub(crate) enum Work {
     Closed,
 }
 
+/// Words of a driver about scripts that may wait to be passed on.
+const WORDS_MAX: usize = 10_000;
 /// Sensors whose readings are kept unasked.
 const PUSHED_MAX: usize = 10_000;
 /// A reading waits for a time without movements, but no longer than this.
@@ -109,12 +137,18 @@ struct State {
     /// The keys of `values`, the longest waiting first.
     order: VecDeque<Key>,
     readings: VecDeque<(ReadingId, DeviceId, Instant)>,
+    /// With the numbers of their orders, the oldest first.
+    plans: VecDeque<(u64, PlanOrder)>,
+    words: Vec<PlanWord>,
+    /// Words were passed on last: a driver that says many does not keep others waiting.
+    words_were_last: bool,
     /// Counts orders.
     orders: u64,
     /// What the driver was given last, until it asks for more.
     in_hand: Vec<(DeviceId, u64)>,
     confirms: Vec<Confirm>,
-    manners: Manners,
+    /// There while there is a connection.
+    manners: Option<Manners>,
     /// What sensors read by themselves, and when.
     pushed: HashMap<DeviceId, (f64, Instant)>,
     fault: Option<String>,
@@ -192,13 +226,14 @@ impl Mailbox {
     pub(crate) fn connected(&self, connection: u64, manners: Manners) {
         let now = Instant::now();
         let mut state = self.lock();
-        let mut pulse = Pulse::new(now);
+        let mut pulse = Pulse::new(now, manners.ping_period);
         pulse.demand(now, state.demand);
         state.connection = connection;
-        state.manners = manners;
+        state.manners = Some(manners);
         state.pulse = Some(pulse);
         state.hung_up = None;
         state.fault = None;
+        state.words.clear();
     }
 
     /// The connection is gone, and everything that waited for it.
@@ -209,6 +244,9 @@ impl Mailbox {
         state.hung_up = None;
         state.values.clear();
         state.order.clear();
+        state.plans.clear();
+        state.words.clear();
+        state.manners = None;
         state.readings.clear();
         state.confirms.clear();
         state.in_hand.clear();
@@ -257,13 +295,33 @@ impl Mailbox {
     }
 
     /// The hardware has said that it failed.
-    pub(super) fn failed_by_itself(&self, reason: String) {
+    pub(crate) fn failed_by_itself(&self, reason: String) {
         let mut state = self.lock();
         if state.connection > 0 {
             state.fault = Some(reason);
             drop(state);
             self.changed.notify_all();
         }
+    }
+
+    /// The driver has said something of a script.
+    pub(super) fn told_of_plan(&self, word: PlanWord) {
+        let mut state = self.lock();
+        if state.connection == 0 {
+            return;
+        }
+        if state.words.len() < WORDS_MAX {
+            state.words.push(word);
+        } else {
+            state.fault = Some(format!("it says more than {WORDS_MAX} things of scripts at a time"));
+        }
+        drop(state);
+        self.changed.notify_all();
+    }
+
+    /// What the driver has said of scripts since this was asked last.
+    pub(super) fn words(&self) -> Vec<PlanWord> {
+        std::mem::take(&mut self.lock().words)
     }
 
     /// A sensor has told what it reads.
@@ -317,6 +375,11 @@ impl Mailbox {
         state.in_hand.clear();
         loop {
             let now = Instant::now();
+            // What was said before a fault or an end was so.
+            if !state.words.is_empty() && !std::mem::replace(&mut state.words_were_last, true) {
+                return Work::Words(std::mem::take(&mut state.words));
+            }
+            state.words_were_last = false;
             if let Some(reason) = state.fault.take() {
                 return Work::Fault(reason);
             }
@@ -330,6 +393,9 @@ impl Mailbox {
             if state.pulse.as_ref().is_some_and(|pulse| pulse.is_overdue(now)) {
                 return Work::Ping;
             }
+            if let Some(plan) = state.take_plan() {
+                return Work::Plan(plan);
+            }
             let drives = state.take();
             if !drives.is_empty() {
                 return Work::Drive(drives);
@@ -337,6 +403,9 @@ impl Mailbox {
             let ping = state.pulse.as_ref().map(|pulse| (pulse.next_ping(now), pulse.is_quiet(now)));
             if ping.is_some_and(|(ping, quiet)| ping <= now && quiet) {
                 return Work::Ping;
+            }
+            if !state.words.is_empty() {
+                return Work::Words(std::mem::take(&mut state.words));
             }
             if state.closed {
                 return Work::Closed;
@@ -375,6 +444,15 @@ impl State {
                 self.readings.push_back((id, sensor, Instant::now()));
             }
             Order::Read(..) => {}
+            Order::Plan(plan) => {
+                if let PlanOrder::Cancel(PlanCancel { plan, .. }) = &plan {
+                    // What the driver has not been told it need not be told any more.
+                    let of =
+                        |order: &PlanOrder| matches!(order, PlanOrder::Take(part, _) if part.plan == *plan);
+                    self.plans.retain(|(_, order)| !of(order));
+                }
+                self.plans.push_back((self.orders, plan));
+            }
             Order::Confirm(ticket, device) => {
                 let confirm = Confirm { ticket, device, up_to: self.orders, answered: false };
                 self.confirms.push(confirm);
@@ -387,7 +465,10 @@ impl State {
         let waits = |(device, _): &Key, since: u64| *device == confirm.device && since <= confirm.up_to;
         let in_hand =
             self.in_hand.iter().any(|(device, since)| *device == confirm.device && *since <= confirm.up_to);
-        !in_hand && !self.values.iter().any(|(key, waiting)| waits(key, waiting.since))
+        let planned =
+            |(since, plan): &(u64, PlanOrder)| *plan.device() == confirm.device && *since <= confirm.up_to;
+        let waits_for_plan = self.plans.iter().any(planned);
+        !in_hand && !waits_for_plan && !self.values.iter().any(|(key, waiting)| waits(key, waiting.since))
     }
 
     /// The hardware has just answered.
@@ -402,10 +483,10 @@ impl State {
         if self.confirms.is_empty() {
             return Vec::new();
         }
+        let acknowledges = self.manners.is_some_and(|manners| manners.acknowledges);
         let all = std::mem::take(&mut self.confirms);
-        let (confirmed, left): (Vec<_>, Vec<_>) = all
-            .into_iter()
-            .partition(|confirm| confirm.answered || (self.manners.acknowledges && self.is_done(confirm)));
+        let (confirmed, left): (Vec<_>, Vec<_>) =
+            all.into_iter().partition(|confirm| confirm.answered || (acknowledges && self.is_done(confirm)));
         self.confirms = left;
         confirmed.into_iter().map(|confirm| confirm.ticket).collect()
     }
@@ -420,8 +501,21 @@ impl State {
         }
     }
 
+    /// The next thing to do with a script, unless a value waits that was put in before.
+    fn take_plan(&mut self) -> Option<PlanOrder> {
+        let since = self.plans.front()?.0;
+        let value = self.order.front().and_then(|key| self.values.get(key));
+        if value.is_some_and(|value| value.since < since) {
+            return None;
+        }
+        let (since, plan) = self.plans.pop_front()?;
+        self.in_hand.push((plan.device().clone(), since));
+        Some(plan)
+    }
+
     fn take(&mut self) -> Vec<Drive> {
-        let most = if self.manners.takes_frames { self.order.len() } else { 1 };
+        let takes_frames = self.manners.is_some_and(|manners| manners.takes_frames);
+        let most = if takes_frames { self.order.len() } else { 1 };
         let mut taken = Vec::new();
         for key in self.order.drain(..most.min(self.order.len())) {
             let Some(Waiting { set, follow, since }) = self.values.remove(&key) else { continue };

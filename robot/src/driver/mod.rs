@@ -9,9 +9,11 @@ mod described;
 mod grid;
 mod lifeline;
 mod mailbox;
+mod planned;
 mod program;
 mod pulse;
 mod pushes;
+mod rates;
 mod running;
 mod simulated;
 mod spec;
@@ -27,9 +29,14 @@ use urrcp::{ControlType, DeviceId, Robot, Setpoint, Timestamp};
 
 pub use self::lifeline::Lifeline;
 pub(crate) use self::mailbox::{Key, Mailbox};
+pub(crate) use self::planned::PlanNews;
 pub use self::program::{Program, Timeouts};
 pub(crate) use self::pulse::Demand;
+pub(crate) use self::pushes::PlanWord;
 pub use self::pushes::Pushes;
+pub use self::rates::{
+    PINGS_BOUNDS, PINGS_PER_SECOND, READINGS_BOUNDS, Rates, SAMPLES_BOUNDS, SAMPLES_PER_SECOND,
+};
 pub use self::simulated::SimulatedDriver;
 pub use self::spec::{DriverSpec, DriverSpecError};
 #[cfg(feature = "thrift")]
@@ -37,9 +44,10 @@ pub use self::thrift::{ThriftRobot, describe as describe_thrift};
 pub use self::watched::HardwareEvent;
 pub(crate) use self::worker::{News, Worker};
 
-use crate::clock::HostClock;
+use crate::clock::{HostClock, SystemClock};
 use crate::confirmation::Ticket;
 use crate::hardware::ReadingId;
+use crate::plans::{Lookahead, PlanCancel, PlanPart};
 use crate::signal::Signal;
 
 /// Hardware did not do what it should.
@@ -49,7 +57,7 @@ pub enum DriverError {
     /// It is not there, or no longer: it is connected again before anything else is asked of it.
     #[error("{0}")]
     Away(String),
-    /// It is there and says no. A reading fails alone; after a refused value everything ends and the driver is connected
+    /// It is there and says no. A reading fails alone, and so does a script that is handed over; after a refused value everything ends and the driver is connected
     /// again, as after [`DriverError::Away`], since the device is not where the robot said that it would be.
     #[error("{0}")]
     Refused(String),
@@ -70,7 +78,7 @@ pub struct Ramp {
 /// Drives the hardware of one robot.
 ///
 /// All calls come from one thread and may block, for a second or so: a call that may hang needs a time limit of its own.
-/// After an error nothing but [`Driver::connect`] is called, with growing pauses, until it succeeds. A driver is dropped
+/// After an error, other than of a reading or a script, nothing but [`Driver::connect`] is called, with growing pauses, until it succeeds. A driver is dropped
 /// when its edge ends, after its devices were sent to their default state and a last [`Driver::ping`].
 ///
 /// ```
@@ -157,6 +165,39 @@ pub trait Driver: Send {
         BTreeMap::new()
     }
 
+    /// Which devices' scripts it is told ahead of their time, to time them by itself; asked after each [`Driver::connect`]. For
+    /// these devices [`Driver::plan`] is called, and [`Driver::set`] only for the way to rest.
+    fn lookahead(&self) -> BTreeMap<DeviceId, Lookahead> {
+        BTreeMap::new()
+    }
+
+    /// Takes a script, or its continuation, and returns at once; a single value is a script of one step. What becomes of it is told by
+    /// [`Pushes::plan`]: that it began, steps if the driver knows of them, and that it is done. Without these words the script counts
+    /// as failed. It must not begin after `begin_by`. A connection that ends takes its scripts with it: after
+    /// [`Driver::connect`] none of them may go on.
+    ///
+    /// # Errors
+    /// [`DriverError::Refused`] why it was not taken: this script alone ends.
+    fn plan(&mut self, part: &PlanPart<SystemClock>) -> Result<(), DriverError> {
+        let _ = part;
+        Err(DriverError::Refused("this driver times no scripts".to_owned()))
+    }
+
+    /// Ends a script, which may be waiting or under way. Returns once the hardware does not follow it any more: after that nothing of
+    /// it may be set.
+    ///
+    /// # Errors
+    /// Why it may still be under way. The driver is connected again then.
+    fn cancel(&mut self, cancel: &PlanCancel) -> Result<(), DriverError> {
+        let _ = cancel;
+        Err(DriverError::Refused("this driver times no scripts".to_owned()))
+    }
+
+    /// How often it wants to be called; asked after each [`Driver::connect`].
+    fn rates(&self) -> Rates {
+        Rates::default()
+    }
+
     /// Takes the handle by which it tells what it was not asked for. Called once, before the first [`Driver::connect`].
     fn take_pushes(&mut self, pushes: Pushes) {
         let _ = pushes;
@@ -188,21 +229,32 @@ pub enum AtStart {
 }
 
 /// How a driver is used.
-#[derive(Clone, Copy, Debug, PartialEq)]
+#[derive(Clone, Debug, PartialEq)]
 #[non_exhaustive]
 pub struct DriverOptions {
-    /// Samples of a movement a second, for a driver that takes no ramps.
-    pub samples_per_second: f64,
+    /// Samples of a movement a second, for a driver that takes no ramps; `None`: as the driver declares, or [`SAMPLES_PER_SECOND`].
+    pub samples_per_second: Option<f64>,
+    /// The same of single devices, which comes first.
+    pub samples_of: BTreeMap<DeviceId, f64>,
+    /// Pings a second in the second before a start, half as many while something is held; `None`: as the driver declares, or
+    /// [`PINGS_PER_SECOND`].
+    pub pings_per_second: Option<f64>,
+    /// So often a second each sensor is read at most; requests in between are answered with the last reading. `None`: as the driver
+    /// declares, or as often as it is asked for.
+    pub readings_per_second: Option<f64>,
     /// What the devices do at the start.
     pub at_start: AtStart,
 }
 
-/// Samples a second by default: as often as hobby servos take a value.
-pub const SAMPLES_PER_SECOND: f64 = 50.0;
-
 impl Default for DriverOptions {
     fn default() -> Self {
-        Self { samples_per_second: SAMPLES_PER_SECOND, at_start: AtStart::Untouched }
+        Self {
+            samples_per_second: None,
+            samples_of: BTreeMap::new(),
+            pings_per_second: None,
+            readings_per_second: None,
+            at_start: AtStart::Untouched,
+        }
     }
 }
 
@@ -210,7 +262,28 @@ impl DriverOptions {
     /// The same with so many samples a second.
     #[must_use]
     pub const fn with_samples_per_second(mut self, samples_per_second: f64) -> Self {
-        self.samples_per_second = samples_per_second;
+        self.samples_per_second = Some(samples_per_second);
+        self
+    }
+
+    /// The same with so many samples a second of one device.
+    #[must_use]
+    pub fn with_samples_of(mut self, device: DeviceId, samples_per_second: f64) -> Self {
+        self.samples_of.insert(device, samples_per_second);
+        self
+    }
+
+    /// The same with so many pings a second.
+    #[must_use]
+    pub const fn with_pings_per_second(mut self, pings_per_second: f64) -> Self {
+        self.pings_per_second = Some(pings_per_second);
+        self
+    }
+
+    /// The same with at most so many readings of each sensor a second.
+    #[must_use]
+    pub const fn with_readings_per_second(mut self, readings_per_second: f64) -> Self {
+        self.readings_per_second = Some(readings_per_second);
         self
     }
 
@@ -231,6 +304,9 @@ pub(crate) enum Wanted {
     Read(ReadingId, DeviceId),
     /// To be told when all that was wanted before of the device has been done.
     Confirm(Ticket, DeviceId),
+    /// Steps of a script that the driver times by itself.
+    Plan(PlanPart<Robot>),
+    Cancel(PlanCancel),
 }
 
 impl Wanted {
@@ -244,6 +320,8 @@ impl Wanted {
             Self::Follow(key, signal) => mailbox::Order::Follow(key, mailbox::Movement { signal, clock }),
             Self::Read(reading, sensor) => mailbox::Order::Read(reading, sensor),
             Self::Confirm(ticket, device) => mailbox::Order::Confirm(ticket, device),
+            Self::Plan(part) => mailbox::Order::Plan(mailbox::PlanOrder::Take(part, clock)),
+            Self::Cancel(cancel) => mailbox::Order::Plan(mailbox::PlanOrder::Cancel(cancel)),
         }
     }
 }

@@ -12,6 +12,9 @@
 //! `ok JSON` with what it can do, and may write `reading SENSOR VALUE` and `fault REASON` at any time. If it takes frames, it is told
 //! `frame JSON` in place of `set`.
 //!
+//! If it times scripts by itself, it is told `plan JSON`, `more JSON` and `cancel JSON`, and says `started PLAN NS`, `step PLAN INDEX NS`,
+//! `done PLAN NS`, `failed PLAN NS REASON` and `cancelled PLAN NS`.
+//!
 //! Anything may be answered with `error REASON`. What it writes to its standard error goes to the edge's.
 
 use std::collections::{BTreeMap, HashSet};
@@ -21,10 +24,14 @@ use std::time::Duration;
 
 use serde::Deserialize;
 use serde_json::json;
-use urrcp::{DeviceId, InitializationBlock, LATENCY_MS_MAX, Setpoint};
+use urrcp::{ControlType, DeviceId, InitializationBlock, LATENCY_MS_MAX, Setpoint, Span};
 
 use super::running::{Ear, Running};
-use super::{Driver, DriverError, Lifeline, Pushes, Ramp};
+use super::{
+    Driver, DriverError, Lifeline, PINGS_BOUNDS, Pushes, READINGS_BOUNDS, Ramp, Rates, SAMPLES_BOUNDS,
+};
+use crate::clock::SystemClock;
+use crate::plans::{Lookahead, PlanCancel, PlanPart, PlanStep};
 
 /// How long a program may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -51,7 +58,45 @@ struct Declared {
     frames: bool,
     /// From a value to visible motion, in milliseconds, by device.
     latency_ms: BTreeMap<DeviceId, f64>,
+    /// It times scripts by itself, and wants them whole.
+    lookahead: Option<Of<Whole>>,
+    /// It times scripts by itself, and wants their steps this many milliseconds ahead.
+    lookahead_ms: Option<Of<f64>>,
+    /// Samples of a movement a second.
+    samples_per_second: Option<Of<f64>>,
+    pings_per_second: Option<f64>,
+    /// Readings of a sensor a second at most.
+    readings_per_second: Option<Of<f64>>,
 }
+
+/// Something of all devices, or of some by their ids.
+#[derive(Debug, Deserialize)]
+#[serde(untagged, expecting = "expected a value for all devices, or an object with one for each device")]
+enum Of<T> {
+    All(T),
+    Each(BTreeMap<DeviceId, T>),
+}
+
+#[derive(Clone, Copy, Debug, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum Whole {
+    Script,
+}
+
+impl<T: Copy> Of<T> {
+    /// By device; what holds of all holds of these.
+    fn each<'a>(&self, all: impl Iterator<Item = &'a DeviceId>) -> BTreeMap<DeviceId, T> {
+        match self {
+            Self::All(of_all) => all.map(|device| (device.clone(), *of_all)).collect(),
+            Self::Each(each) => each.clone(),
+        }
+    }
+}
+
+/// How far ahead a program may want the steps of scripts, in milliseconds.
+const LOOKAHEAD_MS: (f64, f64) = (20.0, 60_000.0);
+/// After such silences of the edge a program does not begin a script, and ends one that runs.
+const EDGE_SILENCE_MS: (u32, u32) = (400, 3_000);
 
 /// A program that drives a robot's devices.
 pub struct Program {
@@ -144,7 +189,64 @@ impl Program {
 }
 
 impl Declared {
+    /// How far ahead it is told each device's scripts.
+    fn lookahead(&self, block: &InitializationBlock) -> BTreeMap<DeviceId, Lookahead> {
+        let whole = self.lookahead.iter().flat_map(|of| of.each(driven(block)));
+        let whole = whole.map(|(device, Whole::Script)| (device, Lookahead::Script));
+        let ahead = self.lookahead_ms.iter().flat_map(|of| of.each(driven(block)));
+        let ahead = ahead.map(|(device, ms)| (device, Lookahead::Horizon(Span::from_millis_f64(ms))));
+        whole.chain(ahead).collect()
+    }
+
+    fn rates(&self, block: &InitializationBlock) -> Rates {
+        let all = || block.devices.iter().map(|device| &device.id);
+        let each = |of: &Option<Of<f64>>| of.as_ref().map(|of| of.each(all())).unwrap_or_default();
+        Rates {
+            samples_per_second: each(&self.samples_per_second),
+            pings_per_second: self.pings_per_second,
+            readings_per_second: each(&self.readings_per_second),
+        }
+    }
+
+    /// Whether what it says of look-ahead and rates names devices that are there, and numbers that can be.
+    fn check_numbers(&self, block: &InitializationBlock) -> Result<(), String> {
+        let rates = self.rates(block);
+        let ms = self.lookahead_ms.iter().flat_map(|of| of.each(driven(block)));
+        let numbers = [
+            ("lookahead_ms", LOOKAHEAD_MS, ms.collect()),
+            ("samples_per_second", SAMPLES_BOUNDS, rates.samples_per_second),
+            ("readings_per_second", READINGS_BOUNDS, rates.readings_per_second),
+        ];
+        for (key, (least, most), numbers) in numbers {
+            for (device, number) in numbers {
+                if block.device(device.as_str()).is_none() {
+                    return Err(format!("{key} of `{device}`, which this robot does not have"));
+                }
+                if !(number >= least && number <= most) {
+                    return Err(format!("{key} of `{device}` is {number}, expected {least} to {most}"));
+                }
+            }
+        }
+        let (least, most) = PINGS_BOUNDS;
+        if let Some(pings) = self.pings_per_second.filter(|pings| !(*pings >= least && *pings <= most)) {
+            return Err(format!("pings_per_second is {pings}, expected {least} to {most}"));
+        }
+        let each = |device: &DeviceId| driven(block).any(|driven| driven == device);
+        if let Some(device) = self.lookahead(block).keys().find(|device| !each(device)) {
+            return Err(format!("lookahead of `{device}`, which is no device of this robot that moves"));
+        }
+        let whole = self.lookahead.as_ref().map(|of| of.each(driven(block))).unwrap_or_default();
+        let ahead = self.lookahead_ms.as_ref().map(|of| of.each(driven(block))).unwrap_or_default();
+        match whole.keys().find(|device| ahead.contains_key(*device)) {
+            Some(device) => {
+                Err(format!("`{device}` has both lookahead and lookahead_ms, expected one of them"))
+            }
+            None => Ok(()),
+        }
+    }
+
     fn checked(self, block: &InitializationBlock) -> Result<Self, String> {
+        self.check_numbers(block)?;
         for (device, ms) in &self.latency_ms {
             if block.device(device.as_str()).is_none() {
                 return Err(format!("a latency of `{device}`, which this robot does not have"));
@@ -155,6 +257,19 @@ impl Declared {
         }
         Ok(self)
     }
+}
+
+/// The devices that can be moved.
+fn driven(block: &InitializationBlock) -> impl Iterator<Item = &DeviceId> {
+    let moves = |device: &&urrcp::Device| {
+        let mut types = device.available_control_types.iter().map(|(control_type, _)| control_type);
+        types.any(|control_type| !matches!(control_type, ControlType::Script | ControlType::Sensor))
+    };
+    block.devices.iter().filter(moves).map(|device| &device.id)
+}
+
+fn all_values(setpoint: &Setpoint) -> Vec<f64> {
+    std::iter::once(setpoint.value).chain(setpoint.more.iter().copied()).collect()
 }
 
 impl Driver for Program {
@@ -202,11 +317,7 @@ impl Driver for Program {
     }
 
     fn set_frame(&mut self, values: &[(DeviceId, Setpoint)]) -> Result<(), DriverError> {
-        let value = |(device, setpoint): &(DeviceId, Setpoint)| {
-            let values: Vec<f64> =
-                std::iter::once(setpoint.value).chain(setpoint.more.iter().copied()).collect();
-            json!({ "device": device, "control_type": setpoint.control_type, "values": values })
-        };
+        let value = |(device, setpoint): &(DeviceId, Setpoint)| json!({ "device": device, "control_type": setpoint.control_type, "values": all_values(setpoint) });
         let frame: Vec<_> = values.iter().map(value).collect();
         self.ask_ok(&format!("frame {}", serde_json::Value::from(frame)))
     }
@@ -218,6 +329,38 @@ impl Driver for Program {
     fn latency(&self) -> BTreeMap<DeviceId, Duration> {
         let time = |(device, ms): (&DeviceId, &f64)| (device.clone(), Duration::from_secs_f64(ms / 1_000.0));
         self.declared.latency_ms.iter().map(time).collect()
+    }
+
+    fn lookahead(&self) -> BTreeMap<DeviceId, Lookahead> {
+        self.declared.lookahead(&self.block)
+    }
+
+    fn rates(&self) -> Rates {
+        self.declared.rates(&self.block)
+    }
+
+    fn plan(&mut self, part: &PlanPart<SystemClock>) -> Result<(), DriverError> {
+        let step = |(index, step): (usize, &PlanStep<SystemClock>)| {
+            json!({ "step": index, "at": step.at.as_nanos(), "control_type": step.setpoint.control_type,
+                    "values": all_values(&step.setpoint) })
+        };
+        let steps: Vec<_> = (part.first..).zip(&part.steps).map(step).collect();
+        if part.first > 0 {
+            let more = json!({ "plan": part.plan.0, "steps": steps, "last": part.is_last });
+            return self.ask_ok(&format!("more {more}"));
+        }
+        let plan = json!({
+            "plan": part.plan.0, "device": part.device, "start": part.start.as_nanos(),
+            "begin_by": part.begin_by.as_nanos(), "interpolation": part.interpolation,
+            "silence_ms": { "start": EDGE_SILENCE_MS.0, "running": EDGE_SILENCE_MS.1 },
+            "steps": steps, "last": part.is_last,
+        });
+        self.ask_ok(&format!("plan {plan}"))
+    }
+
+    fn cancel(&mut self, cancel: &PlanCancel) -> Result<(), DriverError> {
+        let cancel = json!({ "plan": cancel.plan.0, "then": cancel.then.as_str(), "why": cancel.why });
+        self.ask_ok(&format!("cancel {cancel}"))
     }
 
     fn take_pushes(&mut self, pushes: Pushes) {
@@ -233,5 +376,53 @@ impl Driver for Program {
 
     fn takes_ramps(&self) -> bool {
         self.declared.ramps
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const BLOCK: &str = r#"{"id": "r", "api_version": "1", "devices": [
+      {"id": "arm", "name": "arm", "available_control_types": {
+         "position": {"min_value": 0, "max_value": 9, "granularity": 1}}},
+      {"id": "eye", "name": "eye", "available_control_types": {"sensor": {"min_value": 0, "max_value": 9}}}]}"#;
+
+    fn declared(json: &str) -> Result<(Declared, InitializationBlock), String> {
+        let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+        let declared: Declared = serde_json::from_str(json).map_err(|error| error.to_string())?;
+        Ok((declared.checked(&block)?, block))
+    }
+
+    #[test]
+    fn look_ahead_is_of_all_devices_that_move_or_of_those_that_are_named() {
+        let arm = DeviceId::new("arm").unwrap();
+        for (json, expected) in [
+            (r#"{"lookahead": "script"}"#, Lookahead::Script),
+            (r#"{"lookahead": {"arm": "script"}}"#, Lookahead::Script),
+            (r#"{"lookahead_ms": 500}"#, Lookahead::Horizon(Span::from_millis(500))),
+        ] {
+            let (declared, block) = declared(json).unwrap();
+            assert_eq!(declared.lookahead(&block), BTreeMap::from([(arm.clone(), expected)]), "{json}");
+        }
+        let (none, block) = declared("{}").unwrap();
+        assert!(none.lookahead(&block).is_empty());
+    }
+
+    #[test]
+    fn what_a_program_cannot_declare_is_told() {
+        for (json, why) in [
+            (r#"{"lookahead": "film"}"#, "expected a value for all devices"),
+            (r#"{"lookahead": {"eye": "script"}}"#, "no device of this robot that moves"),
+            (r#"{"lookahead": "script", "lookahead_ms": 500}"#, "`arm` has both"),
+            (r#"{"lookahead_ms": 1}"#, "expected 20 to 60000"),
+            (r#"{"samples_per_second": {"leg": 5}}"#, "which this robot does not have"),
+            (r#"{"samples_per_second": 5000}"#, "expected 0.1 to 1000"),
+            (r#"{"readings_per_second": {"eye": 0}}"#, "expected 0.01 to 1000"),
+            (r#"{"pings_per_second": 1}"#, "expected 10 to 200"),
+        ] {
+            let error = declared(json).map(|_| ()).unwrap_err();
+            assert!(error.contains(why), "{json}: {error}");
+        }
     }
 }

@@ -8,12 +8,10 @@ use std::time::{Duration, Instant};
 
 use crate::hardware::{SILENCE_MAX, START_NEAR};
 
-/// While nothing is held.
+/// While nothing is held, at least.
 const IDLE: Duration = Duration::from_millis(500);
-/// While something is held or runs.
-const HELD: Duration = Duration::from_millis(50);
-/// While a start is near.
-const NEAR: Duration = Duration::from_millis(25);
+/// While something is held or runs, in times of those while a start is near.
+const HELD: u32 = 2;
 /// A question is not begun so shortly before a movement, or less where the answers come fast.
 pub(crate) const QUIET: Duration = Duration::from_millis(20);
 const QUIET_LEAST: Duration = Duration::from_millis(2);
@@ -36,6 +34,8 @@ pub(crate) struct Demand {
 /// The signs of life of one connection.
 #[derive(Debug)]
 pub(super) struct Pulse {
+    /// Between two questions while a start is near.
+    near: Duration,
     /// When it last answered.
     seen: Instant,
     /// The longest of its recent calls.
@@ -47,9 +47,9 @@ pub(super) struct Pulse {
 }
 
 impl Pulse {
-    pub(super) const fn new(now: Instant) -> Self {
+    pub(super) const fn new(now: Instant, near: Duration) -> Self {
         let demand = Demand { held: false, start: None, next_due: None, confirmation: false };
-        Self { seen: now, took: Duration::ZERO, demand, held_since: None, reading: false }
+        Self { near, seen: now, took: Duration::ZERO, demand, held_since: None, reading: false }
     }
 
     /// True when this changes when it is asked next.
@@ -77,16 +77,17 @@ impl Pulse {
     /// When it is to be asked next.
     pub(super) fn next_ping(&self, now: Instant) -> Instant {
         let every = match self.demand {
-            Demand { held: false, .. } => IDLE,
-            _ if self.demand.confirmation || self.start_is_near(now) => NEAR,
-            _ => HELD,
+            Demand { held: false, .. } => IDLE.max(self.near * HELD),
+            _ if self.demand.confirmation || self.start_is_near(now) => self.near,
+            _ => self.near * HELD,
         };
         self.seen + every.max(self.took)
     }
 
     /// Whether it is to be asked although a movement is near.
     pub(super) fn is_overdue(&self, now: Instant) -> bool {
-        let overdue = if self.demand.confirmation || self.start_is_near(now) { OVERDUE.0 } else { OVERDUE.1 };
+        let near = OVERDUE.0.max(self.near * 2);
+        let overdue = if self.demand.confirmation || self.start_is_near(now) { near } else { OVERDUE.1 };
         now.saturating_duration_since(self.seen) >= overdue.max(self.took * 2)
     }
 
@@ -115,7 +116,8 @@ impl Pulse {
     /// For how long it has not answered, where that is longer than it should be under what is held.
     pub(super) fn silence(&self, now: Instant) -> Option<Duration> {
         let asked = self.seen.max(self.held_since.filter(|_| !self.reading)?);
-        let too_long = now.saturating_duration_since(asked) > SILENCE_MAX + 2 * self.took;
+        let most = SILENCE_MAX.max(self.near * 3);
+        let too_long = now.saturating_duration_since(asked) > most + 2 * self.took;
         too_long.then(|| now.saturating_duration_since(self.seen))
     }
 }
@@ -125,11 +127,13 @@ impl Pulse {
 mod tests {
     use super::*;
 
+    const NEAR: Duration = Duration::from_millis(25);
+
     const MS: Duration = Duration::from_millis(1);
 
     fn holding(start: Option<Duration>) -> (Pulse, Instant) {
         let begin = Instant::now();
-        let mut pulse = Pulse::new(begin);
+        let mut pulse = Pulse::new(begin, NEAR);
         let start = start.map(|start| begin + start);
         pulse.demand(begin, Demand { held: true, start, next_due: start, confirmation: false });
         (pulse, begin)
@@ -138,11 +142,11 @@ mod tests {
     #[test]
     fn hardware_is_asked_more_often_the_more_depends_on_it_and_at_most_half_of_its_time() {
         let begin = Instant::now();
-        let mut pulse = Pulse::new(begin);
+        let mut pulse = Pulse::new(begin, NEAR);
         assert_eq!(pulse.next_ping(begin), begin + IDLE);
         let far = Demand { held: true, start: Some(begin + 2 * START_NEAR), ..Demand::default() };
         assert!(pulse.demand(begin, far));
-        assert_eq!(pulse.next_ping(begin), begin + HELD);
+        assert_eq!(pulse.next_ping(begin), begin + 2 * NEAR);
         assert_eq!(pulse.next_ping(begin + START_NEAR), begin + NEAR);
         pulse.called(200 * MS);
         assert_eq!(pulse.next_ping(begin + START_NEAR), begin + 200 * MS);

@@ -2,9 +2,19 @@
 
 use std::sync::Arc;
 
-use urrcp::DeviceId;
+use urrcp::{DeviceId, Timestamp};
 
 use super::Mailbox;
+use crate::clock::SystemClock;
+use crate::plans::{PlanEvent, PlanId};
+
+/// What a driver says of a script that it times by itself.
+#[derive(Clone, Debug)]
+pub(crate) struct PlanWord {
+    pub(super) plan: PlanId,
+    pub(super) at: Timestamp<SystemClock>,
+    pub(super) event: PlanEvent,
+}
 
 /// By this a driver tells readings and faults that nobody asked for, from any thread.
 #[derive(Clone, Debug)]
@@ -19,6 +29,12 @@ impl Pushes {
     /// none, is answered with it. Nothing while the hardware is not connected.
     pub fn reading(&self, sensor: &DeviceId, reading: f64) {
         self.0.read_by_itself(sensor, reading);
+    }
+
+    /// This happened then to a script that the driver times by itself. Times are those of the clock by which the script was handed
+    /// over: if that clock is set to another time, they go on as before. Nothing while the hardware is not connected.
+    pub fn plan(&self, plan: PlanId, at: Timestamp<SystemClock>, event: PlanEvent) {
+        self.0.told_of_plan(PlanWord { plan, at, event });
     }
 
     /// The hardware has failed: everything that runs or waits ends, and the driver is connected again. Nothing while the hardware

@@ -12,14 +12,38 @@ use std::time::Duration;
 
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
-use urrcp::DeviceId;
+use urrcp::{DeviceId, Timestamp};
 
 use super::Pushes;
+use crate::clock::SystemClock;
+use crate::plans::{PlanEvent, PlanId};
 
 /// Longest answer, in bytes.
 const ANSWER_BYTES_MAX: u64 = 16_384;
 /// How long it may take to end once its input has ended.
 const END_WAIT: Duration = Duration::from_secs(1);
+
+const PLAN_WORDS: &str = "`started PLAN NS`, `step PLAN INDEX NS`, `done PLAN NS`, `failed PLAN NS REASON` or `cancelled PLAN NS`, \
+                          with NS in nanoseconds since 1970";
+
+/// What a program says of a script that it times by itself.
+fn plan_word(word: &str, rest: &str) -> Option<(PlanId, Timestamp<SystemClock>, PlanEvent)> {
+    let mut parts = rest.splitn(3, ' ');
+    let plan = PlanId(parts.next()?.parse().ok()?);
+    let next = parts.next()?;
+    let last = parts.next().map(str::trim);
+    let (at, event) = match (word, last) {
+        ("step", Some(at)) => (at, PlanEvent::Step(next.parse().ok()?)),
+        ("started", None) => (next, PlanEvent::Began),
+        ("done", None) => (next, PlanEvent::Done),
+        ("cancelled", _) => (next, PlanEvent::Cancelled),
+        ("failed", reason) => (next, PlanEvent::Failed(reason.unwrap_or("it gives no reason").to_owned())),
+        _ => return None,
+    };
+    // Times of the years 1970 to 2255, so that none is beyond what is counted with.
+    let at = at.parse().ok().filter(|at| (0..=9_000_000_000_000_000_000).contains(at))?;
+    Some((plan, Timestamp::from_nanos(at), event))
+}
 
 /// Takes what a program tells unasked.
 #[derive(Clone, Debug)]
@@ -42,6 +66,12 @@ impl Ear {
                     None => self.pushes.fault(format!(
                         "the program says `{line}`, expected `reading SENSOR NUMBER` with a sensor of this robot"
                     )),
+                }
+            }
+            Some((word @ ("started" | "step" | "done" | "failed" | "cancelled"), rest)) => {
+                match plan_word(word, rest) {
+                    Some((plan, at, event)) => self.pushes.plan(plan, at, event),
+                    None => self.pushes.fault(format!("the program says `{line}`, expected {PLAN_WORDS}")),
                 }
             }
             _ => return false,
@@ -164,5 +194,43 @@ impl Drop for Running {
         }
         let _already_gone = self.child.kill();
         let _reaped = self.child.wait();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[track_caller]
+    fn check(line: &str, expected: Option<(u64, i64, PlanEvent)>) {
+        let (word, rest) = line.split_once(' ').unwrap();
+        let expected = expected.map(|(plan, at, event)| (PlanId(plan), Timestamp::from_nanos(at), event));
+        assert_eq!(plan_word(word, rest), expected, "{line}");
+    }
+
+    #[test]
+    fn what_a_program_says_of_a_plan_is_read() {
+        check("started 7 1790000000000000001", Some((7, 1_790_000_000_000_000_001, PlanEvent::Began)));
+        check("step 7 2 5", Some((7, 5, PlanEvent::Step(2))));
+        check("done 7 5", Some((7, 5, PlanEvent::Done)));
+        check("failed 7 5 too much torque", Some((7, 5, PlanEvent::Failed("too much torque".to_owned()))));
+        check("failed 7 5", Some((7, 5, PlanEvent::Failed("it gives no reason".to_owned()))));
+        check("cancelled 7 5", Some((7, 5, PlanEvent::Cancelled)));
+    }
+
+    #[test]
+    fn what_is_not_a_word_about_a_plan_is_none() {
+        for line in [
+            "started 7",
+            "started x 5",
+            "started 7 5 6",
+            "step 7 5",
+            "step 7 -1 5",
+            "done 7 1.5",
+            "done 7 -5",
+        ] {
+            check(line, None);
+        }
+        check("done 7 9223372036854775807", None);
     }
 }

@@ -193,6 +193,10 @@ impl Rig {
     }
 }
 
+/// Of a driver that is told one value after another.
+const MANNERS: mailbox::Manners =
+    mailbox::Manners { acknowledges: false, takes_frames: false, ping_period: Duration::from_millis(25) };
+
 const PLAYED: [Status; 3] = [Status::Accepted, Status::Started, Status::Ok];
 
 #[tokio::test]
@@ -228,7 +232,7 @@ async fn an_edge_of_its_own_brings_its_devices_to_rest_when_it_finds_them() {
 
 #[tokio::test]
 async fn a_linear_movement_is_sampled_on_the_grid_and_ends_on_its_target() {
-    let options = DriverOptions { samples_per_second: 200.0, ..DriverOptions::default() };
+    let options = DriverOptions { samples_per_second: Some(200.0), ..DriverOptions::default() };
     let mut rig = Rig::new(Bench::default(), options);
     rig.script("arm", "a", &[(600.0, 30.0)], ControlType::Position);
     rig.responses(&PLAYED).await;
@@ -477,7 +481,7 @@ fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_o
         mailbox::Order::Set(key(device), mailbox::Value { setpoint, due: None })
     };
     mailbox.post(0, [set("a", 1.0)].into_iter(), Demand::default());
-    mailbox.connected(1, mailbox::Manners::default());
+    mailbox.connected(1, MANNERS);
     mailbox.post(0, [set("a", 2.0)].into_iter(), Demand::default());
     mailbox.post(1, [set("a", 3.0), set("b", 4.0), set("a", 5.0)].into_iter(), Demand::default());
     mailbox.close();
@@ -492,10 +496,10 @@ fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_o
     })
     .collect();
     assert_eq!(values, [("a".to_owned(), 5.0), ("b".to_owned(), 4.0)]);
-    mailbox.connected(1, mailbox::Manners::default());
+    mailbox.connected(1, MANNERS);
     mailbox.post(1, [set("a", 6.0)].into_iter(), Demand::default());
     mailbox.disconnected();
-    mailbox.connected(2, mailbox::Manners::default());
+    mailbox.connected(2, MANNERS);
     mailbox.post(1, [set("a", 7.0)].into_iter(), Demand::default());
     assert!(matches!(
         mailbox.next(HostClock::anchored().instant_of(Timestamp::from_nanos(0))),
@@ -506,7 +510,7 @@ fn orders_of_an_earlier_connection_are_void_and_newer_values_take_the_place_of_o
 #[test]
 fn a_driver_that_takes_frames_is_given_at_once_what_waits_at_once() {
     let mailbox = Mailbox::default();
-    mailbox.connected(1, mailbox::Manners { acknowledges: true, takes_frames: true });
+    mailbox.connected(1, mailbox::Manners { acknowledges: true, takes_frames: true, ..MANNERS });
     let set = |device: &str, value| {
         let setpoint = Setpoint::new(ControlType::Speed, value);
         let key = (DeviceId::new(device).unwrap(), ControlType::Speed);
@@ -528,7 +532,7 @@ async fn what_was_told_unasked_counts_for_its_time_and_its_connection() {
     let eye = DeviceId::new("eye").unwrap();
     pushes.reading(&eye, 1.0);
     assert_eq!(mailbox.pushed(&eye, Duration::MAX), None, "nothing is connected");
-    mailbox.connected(1, mailbox::Manners::default());
+    mailbox.connected(1, MANNERS);
     pushes.reading(&eye, 2.0);
     assert_eq!(mailbox.pushed(&eye, Duration::from_secs(600)), Some(2.0));
     tokio::time::sleep(Duration::from_millis(2)).await;

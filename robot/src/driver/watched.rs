@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use urrcp::DeviceId;
 
-use super::News;
+use super::{News, PlanNews};
 
 /// Something happened to the hardware of an edge.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -20,6 +20,8 @@ pub enum HardwareEvent {
     /// It is away, or refused a value, as this sentence says. The edge connects to it again, and this comes again for each try
     /// that fails.
     Lost(String),
+    /// It did not take a script, as this sentence says.
+    Refused(String),
     /// A sensor gave no reading.
     Unread(String),
     /// A value came to the driver so late that it was not set.
@@ -39,7 +41,8 @@ impl HardwareEvent {
             News::Away { reason } => Some(Self::Lost(reason.clone())),
             News::Stale { device, late } => Some(Self::Late { device: device.clone(), late: *late }),
             News::Reading { reading: Err(reason), .. } => Some(Self::Unread(reason.clone())),
-            News::Reading { .. } | News::Confirmed(_) => None,
+            News::Plan(PlanNews::Refused { error, .. }) => Some(Self::Refused(error.message.to_string())),
+            News::Reading { .. } | News::Confirmed(_) | News::Plan(_) => None,
         }
     }
 }
@@ -55,7 +58,7 @@ impl fmt::Display for HardwareEvent {
                 let all: Vec<_> = latency.iter().map(of).collect();
                 write!(f, "its driver declares a latency, which missions are told: {}", all.join(", "))
             }
-            Self::Lost(why) => f.write_str(why),
+            Self::Lost(why) | Self::Refused(why) => f.write_str(why),
             Self::Unread(why) => write!(f, "a sensor gave no reading: {why}"),
             Self::Late { device, late } => {
                 write!(f, "a value for `{device}` came {} ms late and was not set", late.as_millis())

@@ -10,9 +10,11 @@ use urrcp::{DeviceId, InitializationBlock, Setpoint};
 use super::grid::on_grid;
 use super::lifeline::Watcher;
 use super::mailbox::{Drive, Manners, Movement, Sign, Value, Work};
-use super::{Driver, DriverError, Key, Mailbox, Pushes, Ramp};
+use super::planned::{Given, PlanNews};
+use super::{Driver, DriverError, DriverOptions, Key, Mailbox, PlanWord, Pushes, Ramp, Rates};
 use crate::confirmation::Ticket;
 use crate::hardware::ReadingId;
+use crate::plans::Lookahead;
 use crate::signal::is_rate;
 
 /// Between two tries to connect, at first and at most; it doubles.
@@ -34,11 +36,15 @@ pub(crate) enum News {
         connection: u64,
         /// As the driver declares it.
         latency: BTreeMap<DeviceId, Duration>,
+        /// Whose scripts the driver times by itself.
+        lookahead: BTreeMap<DeviceId, Lookahead>,
     },
     /// It is not, or no longer, as this sentence says.
     Away { reason: String },
     /// A value came so late that it was not set.
     Stale { device: urrcp::DeviceId, late: Duration },
+    /// Something about a script that the driver times by itself.
+    Plan(PlanNews),
     /// The hardware has taken what these ask about.
     Confirmed(Vec<Ticket>),
     /// A sensor was read.
@@ -47,7 +53,7 @@ pub(crate) enum News {
 
 /// Why nothing more is asked of the hardware until it is connected again.
 #[derive(Debug, thiserror::Error)]
-enum Lost {
+pub(super) enum Lost {
     #[error("the hardware is away: {0}")]
     Away(String),
     #[error("the hardware refused {0}")]
@@ -84,12 +90,18 @@ pub(crate) struct Worker {
     block: InitializationBlock,
     mailbox: Arc<Mailbox>,
     tell: Box<dyn Fn(News) + Send>,
-    period: Duration,
+    options: DriverOptions,
+    /// As the driver declares them.
+    rates: Rates,
     moving: BTreeMap<Key, Moving>,
     /// Ramps that the hardware goes by itself.
     handed_over: BTreeMap<Key, Movement>,
     touched: Touched,
-    next_sample: Instant,
+    /// When what is sampled with each period is sampled next.
+    beats: BTreeMap<Duration, Instant>,
+    pub(super) given: Given,
+    /// What sensors read last, where they are not to be read more often.
+    readings: BTreeMap<DeviceId, (f64, Instant)>,
 }
 
 /// What a driver was told to move.
@@ -104,6 +116,8 @@ enum Touched {
 struct Moving {
     movement: Movement,
     sent: Option<f64>,
+    /// Between two samples.
+    period: Duration,
 }
 
 impl Worker {
@@ -111,15 +125,24 @@ impl Worker {
         mut driver: Box<dyn Driver>,
         block: InitializationBlock,
         mailbox: Arc<Mailbox>,
-        samples_per_second: f64,
+        options: DriverOptions,
         tell: Box<dyn Fn(News) + Send>,
     ) -> Self {
         driver.take_pushes(Pushes::into(Arc::clone(&mailbox)));
-        let now = Instant::now();
-        let period = Duration::from_secs_f64(1.0 / samples_per_second.clamp(0.1, 1_000.0));
-        let (moving, handed_over) = (BTreeMap::new(), BTreeMap::new());
-        let (touched, next_sample) = (Touched::Never, now);
-        Self { driver, block, mailbox, tell, period, moving, handed_over, touched, next_sample }
+        Self {
+            driver,
+            block,
+            mailbox,
+            tell,
+            options,
+            rates: Rates::default(),
+            moving: BTreeMap::new(),
+            handed_over: BTreeMap::new(),
+            touched: Touched::Never,
+            beats: BTreeMap::new(),
+            given: Given::default(),
+            readings: BTreeMap::new(),
+        }
     }
 
     /// Runs until the mailbox is closed and empty, or closed while there is no hardware.
@@ -137,12 +160,15 @@ impl Worker {
                     if self.touched == Touched::Now {
                         self.touched = Touched::Before;
                     }
+                    self.rates = self.driver.rates();
                     let manners = Manners {
+                        ping_period: self.rates.ping_period(&self.options),
                         acknowledges: self.driver.set_is_acknowledged(),
                         takes_frames: self.driver.takes_frames(),
                     };
                     self.mailbox.connected(connection, manners);
-                    (self.tell)(News::There { connection, latency: self.driver.latency() });
+                    let (latency, lookahead) = (self.driver.latency(), self.driver.lookahead());
+                    (self.tell)(News::There { connection, latency, lookahead });
                     self.mailbox.tried();
                     let since = Instant::now();
                     // Goes before the driver connects again: hardware may take one connection at a time.
@@ -165,6 +191,8 @@ impl Worker {
             };
             self.moving.clear();
             self.handed_over.clear();
+            self.given.clear();
+            self.readings.clear();
             // First nothing more is taken, then it is told: no order of before reaches the next connection.
             self.mailbox.disconnected();
             tracing::warn!(robot = %self.block.id, "{reason}");
@@ -184,10 +212,12 @@ impl Worker {
     fn serve(&mut self) -> Result<Result<(), String>, Lost> {
         let mut closing: Option<Instant> = None;
         loop {
-            let sample = (!self.moving.is_empty()).then_some(self.next_sample);
+            let sample = self.next_sample();
             match self.mailbox.next(sample.unwrap_or_else(|| Instant::now() + LOOK_EVERY)) {
                 Work::Drive(drives) => self.drive(drives)?,
                 Work::Read(id, sensor) => self.read(id, &sensor)?,
+                Work::Plan(order) => self.do_plan(order)?,
+                Work::Words(words) => self.pass_on(words)?,
                 Work::Confirm(tickets) => (self.tell)(News::Confirmed(tickets)),
                 Work::Ping => self.ping()?,
                 Work::HungUp(reason) => return Err(Lost::Away(reason)),
@@ -200,18 +230,43 @@ impl Worker {
                     std::thread::sleep(next.min(end).saturating_duration_since(Instant::now()));
                 }
             }
-            if !self.moving.is_empty() && Instant::now() >= self.next_sample {
-                self.sample()?;
+            let now = Instant::now();
+            if self.next_sample().is_some_and(|at| at <= now) {
+                self.sample(now)?;
             }
         }
     }
 
     /// When to look again, while something is on its way to rest.
     fn next_until_rest(&self) -> Option<Instant> {
-        let sample = (!self.moving.is_empty()).then_some(self.next_sample);
+        let sample = self.next_sample();
         let left = self.handed_over.values().map(Movement::left).max().filter(|left| !left.is_zero());
         let look = left.map(|left| Instant::now() + left.min(LOOK_EVERY));
         sample.into_iter().chain(look).min()
+    }
+
+    /// When anything is sampled next.
+    fn next_sample(&self) -> Option<Instant> {
+        let at = |moving: &Moving| self.beats.get(&moving.period).copied();
+        self.moving.values().filter_map(at).min()
+    }
+
+    pub(super) fn tell(&self, news: News) {
+        (self.tell)(news);
+    }
+
+    pub(super) const fn block(&self) -> &InitializationBlock {
+        &self.block
+    }
+
+    /// The driver is told to move something.
+    pub(super) const fn touch(&mut self) {
+        self.touched = Touched::Now;
+    }
+
+    /// What the driver has said of scripts and was not passed on.
+    pub(super) fn words(&self) -> Vec<PlanWord> {
+        self.mailbox.words()
     }
 
     /// Has the end of the connection noticed, where the driver can name what ends with it.
@@ -221,7 +276,7 @@ impl Worker {
     }
 
     /// Calls the driver and notes how long it took.
-    fn call<T>(
+    pub(super) fn call<T>(
         &mut self,
         sign: Sign,
         call: impl FnOnce(&mut dyn Driver) -> Result<T, DriverError>,
@@ -255,7 +310,7 @@ impl Worker {
         movements.into_iter().try_for_each(|(key, movement)| self.follow(key, movement))?;
         // The hardware is told at once: what is confirmed behind it must not be an intention of this process alone.
         if self.moving.values().any(|moving| moving.sent.is_none()) {
-            self.sample()?;
+            self.sample(Instant::now())?;
         }
         Ok(())
     }
@@ -288,18 +343,29 @@ impl Worker {
             return Ok(());
         }
         self.handed_over.remove(&key);
-        if self.moving.is_empty() {
-            self.next_sample = Instant::now();
+        let period = self.rates.sample_period(&self.options, &key.0);
+        if !self.moving.values().any(|moving| moving.period == period) {
+            self.beats.insert(period, Instant::now());
         }
-        self.moving.insert(key, Moving { movement, sent: None });
+        self.moving.insert(key, Moving { movement, sent: None, period });
         Ok(())
     }
 
     /// Sends where each movement is now, as far as that differs from what was sent, and ends it on its target.
-    fn sample(&mut self) -> Result<(), Lost> {
+    fn sample(&mut self, now: Instant) -> Result<(), Lost> {
         let mut values = Vec::new();
-        let block = &self.block;
+        let unsent = self.moving.values().filter(|moving| moving.sent.is_none()).map(|moving| moving.period);
+        let unsent: Vec<_> = unsent.collect();
+        let is_due = |(period, at): (&Duration, &Instant)| *at <= now || unsent.contains(period);
+        let due: Vec<_> = self.beats.iter().filter(|beat| is_due(*beat)).map(|(period, _)| *period).collect();
+        let (block, given) = (&self.block, &self.given);
         self.moving.retain(|key, moving| {
+            if given.is_followed_by(&key.0, now) {
+                return false;
+            }
+            if !due.contains(&moving.period) {
+                return true;
+            }
             let now = moving.movement.now();
             let value = on_grid(block, key, moving.movement.signal.value(now));
             if moving.sent.replace(value) != Some(value) {
@@ -309,7 +375,12 @@ impl Worker {
         });
         self.set(&values)?;
         // On a fixed beat; beats that a slow device missed are left out.
-        self.next_sample = (self.next_sample + self.period).max(Instant::now());
+        let now = Instant::now();
+        for period in due {
+            if let Some(at) = self.beats.get_mut(&period) {
+                *at = (*at + period).max(now);
+            }
+        }
         Ok(())
     }
 
@@ -342,6 +413,13 @@ impl Worker {
             (self.tell)(News::Reading { id, reading: Ok(reading) });
             return Ok(());
         }
+        let kept = self.rates.reading_period(&self.options, sensor);
+        let fresh = |(_, at): &&(f64, Instant)| kept.is_some_and(|kept| at.elapsed() < kept);
+        if let Some((reading, _)) = self.readings.get(sensor).filter(fresh) {
+            (self.tell)(News::Reading { id, reading: Ok(*reading) });
+            return Ok(());
+        }
+        let begin = Instant::now();
         self.mailbox.reading(true);
         let reading = self.driver.read(sensor);
         self.mailbox.reading(false);
@@ -351,7 +429,12 @@ impl Worker {
                 return Err(Lost::Away(reason));
             }
             Err(DriverError::Refused(reason)) => Err(reason),
-            Ok(reading) => Ok(reading),
+            Ok(reading) => {
+                if kept.is_some() {
+                    self.readings.insert(sensor.clone(), (reading, begin));
+                }
+                Ok(reading)
+            }
         };
         self.mailbox.called(Duration::ZERO, Sign::Answered);
         (self.tell)(News::Reading { id, reading });

@@ -76,13 +76,8 @@ impl Hosted {
             HardwareEvent::of(&news).iter().for_each(&watch);
             drop(orders.send(Order::Hardware { robot: index, news }));
         };
-        let worker = Worker::new(
-            driver,
-            block.clone(),
-            Arc::clone(&mailbox),
-            options.samples_per_second,
-            Box::new(tell),
-        );
+        let worker =
+            Worker::new(driver, block.clone(), Arc::clone(&mailbox), options.clone(), Box::new(tell));
         let thread = std::thread::Builder::new().name("driver".into()).spawn(move || worker.run())?;
         let edge = Edge::new(Robot::driven(block), mailbox, options.at_start);
         Ok((Body::Edge(Box::new(edge)), Some(thread)))

@@ -6,7 +6,7 @@ use urrcp::{
 };
 
 use super::{LinkId, Now, Output, Robot, tell};
-use crate::device::DeviceMachine;
+use crate::device::{CommandId, DeviceMachine};
 use crate::role::{Role, is_stop};
 
 /// The party to which the robot belongs.
@@ -61,7 +61,10 @@ impl Robot {
             Command::Set(_) | Command::Script(_) | Command::Unknown(_) => {}
         }
         match self.accept(now, link, index, &request) {
-            Ok(()) => self.confirm(now, link, index, &request, content_hash, out),
+            Ok(command) => {
+                self.plan(index, command);
+                self.confirm(now, link, index, &request, content_hash, out);
+            }
             Err(error) => {
                 if error.code == ErrorCode::UnsupportedControlType {
                     let why =
@@ -141,7 +144,7 @@ impl Robot {
         link: LinkId,
         index: usize,
         request: &ControlRequest,
-    ) -> Result<(), ControlError> {
+    ) -> Result<CommandId, ControlError> {
         self.devices[index].accept(now, start_of(now, request), self.parties.party(link), request)
     }
 

@@ -86,9 +86,9 @@ impl Robot {
         let error = ControlError::new(error.code.clone(), message);
         for said in given_up.into_iter().flatten() {
             match said {
-                Said::Report(_, Effect::Ended { link, request_id, steps_done, .. }) => {
+                Said::Report(_, Effect::Ended { command, link, request_id, steps_done, .. }) => {
                     let error = error.clone();
-                    let failed = Effect::Failed { link, request_id, error, steps_done };
+                    let failed = Effect::Failed { command, link, request_id, error, steps_done };
                     self.report(now, index, now, failed, out);
                 }
                 Said::Report(happened, report) => self.report(now, index, happened, report, out),
@@ -130,6 +130,8 @@ impl Robot {
         for index in 0..self.devices.len() {
             self.fail_unconfirmed(now, index, &error, out);
             self.devices[index].fail(now, &error, &mut self.effects);
+            self.move_device(now, index, out);
+            self.abandon_plans(now, index, &error);
             self.settle(now, index, out);
         }
         for open in self.hardware.abandon() {

@@ -70,6 +70,15 @@ impl Robot {
     fn running_report(&self, known: &Known, report: RequestReport) -> RequestReport {
         let device = self.index_of.get(&known.answer.device_id).map(|index| &self.devices[*index]);
         let running = device.and_then(|device| device.running());
+        if let Some(plan) = known.answer.request_id.as_ref().and_then(|id| self.plans.of_request(id)) {
+            return RequestReport {
+                state: RequestState::Running,
+                start_timestamp: known.start,
+                steps_done: Some(plan.steps_done),
+                late_steps: Some(plan.late_steps),
+                ..report
+            };
+        }
         RequestReport {
             state: RequestState::Running,
             start_timestamp: known.start,

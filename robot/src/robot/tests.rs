@@ -4,6 +4,7 @@ mod hardware;
 mod inquiries;
 mod instants;
 mod leases;
+mod planned;
 mod seizing;
 mod sessions;
 

@@ -10,8 +10,11 @@ use std::time::{Duration, Instant};
 
 use downbeat_robot::Hosted;
 use downbeat_robot::driver::{
-    AtStart, DriverOptions, DriverSpec, HardwareEvent, SAMPLES_PER_SECOND, Timeouts,
+    AtStart, DriverOptions, DriverSpec, HardwareEvent, PINGS_BOUNDS, READINGS_BOUNDS, SAMPLES_BOUNDS,
+    Timeouts,
 };
+
+use urrcp::{DeviceId, InitializationBlock};
 
 use super::robot::{ProcessArgs, failed};
 use super::run::parse_span;
@@ -32,7 +35,8 @@ Drivers:
 Examples:
   downbeat edge --init robot.yaml --listen 0.0.0.0:7401 --driver thrift://tank.local:9090
   downbeat edge --init robot.yaml --driver 'program:python3 drive.py' --realtime required
-  downbeat edge --init robot.yaml --driver 'program:python3 drive.py' --driver-start-timeout 60s"
+  downbeat edge --init robot.yaml --driver 'program:python3 drive.py' --driver-start-timeout 60s
+  downbeat edge --init robot.yaml --driver sim --samples-per-second 25 --samples-per-second arm=100"
 )]
 pub(super) struct EdgeArgs {
     #[command(flatten)]
@@ -40,9 +44,18 @@ pub(super) struct EdgeArgs {
     /// The driver of the hardware.
     #[arg(long)]
     driver: DriverSpec,
-    /// Samples per second of a linear movement, if the hardware does not move linearly by itself; at most 1000.
-    #[arg(long, value_name = "NUMBER", default_value_t = SAMPLES_PER_SECOND, value_parser = rate)]
-    samples_per_second: f64,
+    /// Samples per second of a linear movement, if the hardware does not move linearly by itself: of all devices, or
+    /// DEVICE=NUMBER; 0.1 to 1000. Without it, as the driver declares, or 50.
+    #[arg(long, value_name = "[DEVICE=]NUMBER", value_parser = samples)]
+    samples_per_second: Vec<Samples>,
+    /// Pings per second in the second before a start, half as many while a script is held; 10 to 200. Without it, as the driver
+    /// declares, or 40.
+    #[arg(long, value_name = "NUMBER", value_parser = pings)]
+    pings_per_second: Option<f64>,
+    /// How often per second each sensor is read at most; requests in between are answered with the last reading. 0.01 to
+    /// 1000. Without it, as the driver declares, or as often as a reading is asked for.
+    #[arg(long, value_name = "NUMBER", value_parser = readings)]
+    readings_per_second: Option<f64>,
     /// Time for a program to answer its first line, and for a program of version 2 to start its hardware.
     #[arg(long, value_parser = timeout, default_value = "10s", value_name = "TIME")]
     driver_start_timeout: Duration,
@@ -57,10 +70,57 @@ fn timeout(text: &str) -> Result<Duration, String> {
     if fits { Ok(time) } else { Err("expected 10ms to 600s".to_owned()) }
 }
 
-fn rate(text: &str) -> Result<f64, String> {
+/// Samples per second of one device, or of all.
+#[derive(Clone, Debug, PartialEq)]
+struct Samples {
+    device: Option<DeviceId>,
+    rate: f64,
+}
+
+fn samples(text: &str) -> Result<Samples, String> {
+    let (device, number) = match text.rsplit_once('=') {
+        Some((device, number)) => (Some(device), number),
+        None => (None, text),
+    };
+    let device = device.map(DeviceId::new).transpose().map_err(|error| error.to_string())?;
+    Ok(Samples { device, rate: rate(number, SAMPLES_BOUNDS)? })
+}
+
+fn pings(text: &str) -> Result<f64, String> {
+    rate(text, PINGS_BOUNDS)
+}
+
+fn readings(text: &str) -> Result<f64, String> {
+    rate(text, READINGS_BOUNDS)
+}
+
+fn rate(text: &str, (least, most): (f64, f64)) -> Result<f64, String> {
     let rate: Option<f64> = text.parse().ok();
-    rate.filter(|rate| *rate >= 0.1 && *rate <= 1_000.0)
-        .ok_or_else(|| "expected a number from 0.1 to 1000".to_owned())
+    rate.filter(|rate| *rate >= least && *rate <= most)
+        .ok_or_else(|| format!("expected a number from {least} to {most}"))
+}
+
+/// How the driver is used, as the arguments say.
+fn options(args: &EdgeArgs, block: &InitializationBlock) -> Result<DriverOptions, String> {
+    let mut options = DriverOptions::default().with_at_start(AtStart::Default);
+    options.pings_per_second = args.pings_per_second;
+    options.readings_per_second = args.readings_per_second;
+    for Samples { device, rate } in &args.samples_per_second {
+        options = match device {
+            None => options.with_samples_per_second(*rate),
+            Some(device) if block.device(device.as_str()).is_some() => {
+                options.with_samples_of(device.clone(), *rate)
+            }
+            Some(device) => {
+                let devices: Vec<_> = block.devices.iter().map(|device| device.id.as_str()).collect();
+                return Err(format!(
+                    "--samples-per-second names the device `{device}`, expected one of {}",
+                    devices.join(", ")
+                ));
+            }
+        };
+    }
+    Ok(options)
 }
 
 pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
@@ -76,9 +136,10 @@ pub(super) fn edge(args: &EdgeArgs, format: Format) -> Exit {
         Ok(driver) => driver,
         Err(error) => return failed(&error.to_string()),
     };
-    let used = DriverOptions::default()
-        .with_samples_per_second(args.samples_per_second)
-        .with_at_start(AtStart::Default);
+    let used = match options(args, &block) {
+        Ok(used) => used,
+        Err(why) => return failed(&why),
+    };
     let id = block.id.clone();
     let told = Mutex::new(Told::default());
     let name = id.to_string();
@@ -162,6 +223,18 @@ mod tests {
         assert_eq!(at(5, &there), None, "that it was away again was not told");
         assert_eq!(at(6, &lost), None);
         assert_eq!(at(11, &lost).as_deref(), Some("r: the hardware is away: no port"));
+    }
+
+    #[test]
+    fn samples_are_of_all_devices_or_of_one_and_within_bounds() {
+        assert_eq!(samples("25"), Ok(Samples { device: None, rate: 25.0 }));
+        let arm = DeviceId::new("arm").unwrap();
+        assert_eq!(samples("arm=100"), Ok(Samples { device: Some(arm), rate: 100.0 }));
+        for wrong in ["", "arm=", "=3", "nan", "0", "arm=1001"] {
+            assert!(samples(wrong).is_err(), "{wrong}");
+        }
+        assert_eq!(pings("5"), Err("expected a number from 10 to 200".to_owned()));
+        assert_eq!(readings("0.001"), Err("expected a number from 0.01 to 1000".to_owned()));
     }
 
     #[test]

@@ -1,6 +1,7 @@
 """Drivers of hardware for `downbeat edge`: subclass `Driver`, and call `run`."""
 
 from .driver import Driver, Refused
+from .plan import Plan, PlanEnded, Step
 from .robot import Device, Robot, Value
 
-__all__ = ["Device", "Driver", "Refused", "Robot", "Value"]
+__all__ = ["Device", "Driver", "Plan", "PlanEnded", "Refused", "Robot", "Step", "Value"]

@@ -7,10 +7,14 @@ import logging
 import math
 import os
 import sys
+import threading
+import time
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Optional, Union
 
 from .output import Lines, protected_stdout
+from .plan import Plan, Step
+from .playing import Plans
 from .robot import Robot, Value
 
 
@@ -24,12 +28,29 @@ class Driver:
     latency_ms: Union[float, Mapping[str, float], None] = None
     """From a value to the first visible motion, in milliseconds: of all devices, or by their ids."""
 
+    lookahead: Union[str, float, Mapping[str, Union[str, float]], None] = None
+    """How far ahead it is told scripts, to time them by itself in `play`: `"script"` for all of a script as soon as it is accepted, or
+    milliseconds; of all devices, or by their ids. Without it each value is told when it is due."""
+
+    samples_per_second: Union[float, Mapping[str, float], None] = None
+    """How often a device is told where to be while it moves linearly, and slows down: of all devices, or by their ids."""
+
+    pings_per_second: Optional[float] = None
+    """How often `ping` is called at most, 10 to 200."""
+
+    readings_per_second: Union[float, Mapping[str, float], None] = None
+    """How often `read` is called at most, of each sensor."""
+
     robot: Robot
     """The robot that is driven; there from `start` on."""
 
     def __init__(self) -> None:
         self.log = logging.getLogger(type(self).__module__ + "." + type(self).__name__)
         self._lines: Optional[Lines] = None
+        self._setting = threading.RLock()
+        self._heard = time.monotonic()
+        self._is_obeying = False
+        self._plans = Plans(self.play, self._push, self._silence, self.log)
 
     # What you write.
 
@@ -48,6 +69,31 @@ class Driver:
     def ramp(self, device: str, control_type: str, value: float, seconds: float) -> None:
         """Begins a linear movement to a value and returns at once. Written only for hardware that moves by itself."""
         raise Refused("this driver takes no ramps")
+
+    def play(self, plan: Plan) -> None:
+        """Plays a plan of one device, on a thread of its own; called if `lookahead` asks for it, before the plan starts.
+
+        Returns when the last step is done, and raises an exception if the hardware fails. By default it calls `set` for each step at its
+        time, and in between for a device that moves linearly. Write your own for hardware that takes trajectories: give it the plan,
+        then tell what it does by `plan.started` and `plan.reached`. `plan.wait_until` raises `PlanEnded` when the plan is cancelled: stop
+        the hardware then, for example in `finally`.
+        """
+        plan.begin()
+        before = None
+        for step in plan:
+            if plan.is_linear:
+                self._move(plan, before, step)
+            plan.wait_until(step.at)
+            with self._setting:
+                plan.wait_until(step.at)
+                self.set_frame([step.value])
+            plan.reached(step)
+            before = step
+
+    def where(self, device: str, control_type: str) -> Optional[float]:
+        """Where a device is, as far as the driver knows: from there the default `play` moves to the first step of a plan. `None` lets it
+        be set at the step's time."""
+        return None
 
     def read(self, sensor: str) -> float:
         """What a sensor reads now, in its unit."""
@@ -79,13 +125,52 @@ class Driver:
         try:
             for line in sys.stdin if lines is None else lines:
                 line = line.strip()
+                self._heard, self._is_obeying = time.monotonic(), True
                 answer = self._answer(line)
                 self.log.debug("%s -> %s", line, answer)
                 self._lines.write(answer)
+                self._heard, self._is_obeying = time.monotonic(), False
         except BrokenPipeError:
             self.log.warning("the edge has gone")
         finally:
+            self._end_plans()
             self.stop()
+
+    def _move(self, plan: Plan, before: Optional[Step], step: Step) -> None:
+        """Moves linearly up to shortly before a step."""
+        of_device = self.samples_per_second
+        rate = of_device.get(plan.device) if isinstance(of_device, Mapping) else of_device
+        begin = plan.start if before is None else before.at
+        if before is None:
+            origin = self.where(plan.device, step.value.control_type)
+        else:
+            origin = before.value.value if before.value.control_type == step.value.control_type else None
+        if origin is None or step.value.more:
+            return
+        sample = 1
+        while (at := begin + sample / (rate or 50.0)) < step.at:
+            plan.wait_until(at)
+            part = min(1.0, max(0.0, (time.monotonic() - begin) / (step.at - begin)))
+            value = origin + (step.value.value - origin) * part
+            with self._setting:
+                plan.wait_until(at)
+                self.set_frame([Value(plan.device, step.value.control_type, value)])
+            # Samples that a slow device has missed are left out.
+            sample = max(sample + 1, math.ceil((time.monotonic() - begin) * (rate or 50.0)))
+
+    def _end_plans(self) -> None:
+        """The edge is gone: plans end, positions stay, and speeds that a plan has set go to zero."""
+        for plan in self._plans.cancel_all("hold", "the edge has gone"):
+            rates = {step.value.control_type for step in plan.steps()} & {"speed", "acceleration"}
+            try:
+                for rate in sorted(rates):
+                    self.set_frame([Value(plan.device, rate, 0.0)])
+            except Exception:
+                self.log.exception("%s may still be moving", plan.device)
+
+    def _silence(self) -> float:
+        """For how long the edge has said nothing, in seconds; nothing while it waits for an answer itself."""
+        return 0.0 if self._is_obeying else time.monotonic() - self._heard
 
     # The lines.
 
@@ -112,13 +197,24 @@ class Driver:
             self.start(self.robot)
             return "ok " + json.dumps(self._declared())
         if verb == "frame":
-            self.set_frame([
+            values = [
                 Value(of["device"], of["control_type"], of["values"][0], tuple(of["values"][1:]))
                 for of in json.loads(rest)
-            ])
+            ]
+            with self._setting:
+                self.set_frame(values)
+        elif verb == "plan":
+            self._plans.take(json.loads(rest))
+        elif verb == "more":
+            self._plans.take_more(json.loads(rest))
+        elif verb == "cancel":
+            told = json.loads(rest)
+            if not self._plans.cancel(int(told["plan"]), told["then"], told["why"]):
+                raise Refused(f"plan {told['plan']} does not end")
         elif verb == "set":
             device, control_type, *values = rest.split()
-            self.set_frame([Value(device, control_type, float(values[0]), tuple(map(float, values[1:])))])
+            with self._setting:
+                self.set_frame([Value(device, control_type, float(values[0]), tuple(map(float, values[1:])))])
         elif verb == "ramp":
             device, control_type, value, milliseconds = rest.split()
             self.ramp(device, control_type, float(value), float(milliseconds) / 1000)
@@ -140,4 +236,24 @@ class Driver:
             driven = [device.id for device in self.robot.devices.values() if not device.is_sensor]
             by_device = dict(latency) if isinstance(latency, Mapping) else dict.fromkeys(driven, latency)
             declared["latency_ms"] = by_device
+        declared.update(self._declared_ahead())
+        rates = {
+            "samples_per_second": self.samples_per_second,
+            "pings_per_second": self.pings_per_second,
+            "readings_per_second": self.readings_per_second,
+        }
+        declared.update({
+            key: dict(rate) if isinstance(rate, Mapping) else rate for key, rate in rates.items() if rate is not None
+        })
         return declared
+
+    def _declared_ahead(self) -> dict[str, object]:
+        ahead = self.lookahead
+        if ahead is None:
+            return {}
+        if not isinstance(ahead, Mapping):
+            return {"lookahead": ahead} if isinstance(ahead, str) else {"lookahead_ms": ahead}
+        whole = {device: of for device, of in ahead.items() if isinstance(of, str)}
+        horizons = {device: of for device, of in ahead.items() if not isinstance(of, str)}
+        both = {"lookahead": whole, "lookahead_ms": horizons}
+        return {key: of_devices for key, of_devices in both.items() if of_devices}

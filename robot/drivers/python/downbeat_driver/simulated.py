@@ -6,9 +6,10 @@ import argparse
 import math
 import random
 import time
-from typing import Optional
+from typing import Optional, Union
 
 from .driver import Driver, Refused
+from .plan import Plan
 from .robot import Robot
 
 
@@ -57,10 +58,20 @@ class SimulatedDevice:
 
 
 class SimulatedDriver(Driver):
-    """Drives a simulated device for each device of the robot. A sensor reads the middle of its range."""
+    """Drives a simulated device for each device of the robot. A sensor reads the middle of its range.
 
-    def __init__(self, *, delay: float = 0.0, time_constant: float = 0.0, noise: float = 0.0) -> None:
+    With `lookahead` it follows plans, and logs what it does with the time in nanoseconds."""
+
+    def __init__(
+        self,
+        *,
+        delay: float = 0.0,
+        time_constant: float = 0.0,
+        noise: float = 0.0,
+        lookahead: Union[str, float, None] = None,
+    ) -> None:
         super().__init__()
+        self.lookahead = lookahead
         self._physics = {"delay": delay, "time_constant": time_constant, "noise": noise}
         self.devices: dict[str, SimulatedDevice] = {}
 
@@ -76,6 +87,17 @@ class SimulatedDriver(Driver):
             self.devices[device].set(value)
         self.log.info("%s %s %s", device, control_type, " ".join(map(str, (value, *more))))
 
+    def play(self, plan: Plan) -> None:
+        self.log.info("plan %d of %s starts at %d", plan.id, plan.device, plan.start_ns)
+        try:
+            super().play(plan)
+        finally:
+            end = "ends before its end" if plan.is_cancelled else "is over"
+            self.log.info("plan %d of %s %s", plan.id, plan.device, end)
+
+    def where(self, device: str, control_type: str) -> Optional[float]:
+        return self.devices[device].position() if control_type == "position" else None
+
     def read(self, sensor: str) -> float:
         if sensor not in self.devices:
             raise Refused(f"there is no `{sensor}`")
@@ -87,7 +109,12 @@ if __name__ == "__main__":
     arguments.add_argument("--delay-ms", type=float, default=0.0, help="from a value to the first motion")
     arguments.add_argument("--time-constant-ms", type=float, default=0.0, help="how slowly it follows")
     arguments.add_argument("--noise", type=float, default=0.0, help="standard deviation of its readings")
+    arguments.add_argument("--lookahead", metavar="script|MS", help="follow scripts by itself, told whole or so far ahead")
     given = arguments.parse_args()
+    ahead = given.lookahead
     SimulatedDriver(
-        delay=given.delay_ms / 1000, time_constant=given.time_constant_ms / 1000, noise=given.noise
+        delay=given.delay_ms / 1000,
+        time_constant=given.time_constant_ms / 1000,
+        noise=given.noise,
+        lookahead=ahead if ahead in (None, "script") else float(ahead),
     ).run()

@@ -1,0 +1,195 @@
+"""Scripts that a driver is told ahead of their time, to time them by itself."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any, Optional
+
+from .robot import Value
+
+#: A wait looks this often whether the edge is still there, in seconds.
+_LOOK_EVERY = 0.05
+#: The next step of a plan that is handed over piece by piece may come this much too late, in seconds.
+_STEP_LATE_MAX = 0.25
+
+
+class PlanEnded(Exception):
+    """The plan is over before its end: it was cancelled, the edge is gone, or it would begin too late."""
+
+
+@dataclass(frozen=True)
+class Step:
+    """A step of a plan."""
+
+    index: int
+    at: float
+    """When its value is due, in seconds of `time.monotonic()`. A device that moves linearly arrives then."""
+    at_ns: int
+    """The same in nanoseconds of `time.time_ns()`, as that clock was when the plan came."""
+    value: Value
+
+
+class Plan:
+    """A script of one device. `Driver.play` is given it before it starts."""
+
+    def __init__(self, told: dict[str, Any], say: Callable[[str], None], silence: Callable[[], float]) -> None:
+        self.id = int(told["plan"])
+        self.device: str = told["device"]
+        self.is_linear: bool = told["interpolation"] == "linear"
+        """Whether the device moves linearly from step to step; else each value is set at its time and held."""
+        self._clock = _Clock()
+        self.start_ns = int(told["start"])
+        """When it starts, in nanoseconds of `time.time_ns()`, as that clock was when the plan came."""
+        self.start = self._clock.monotonic(self.start_ns)
+        """When it starts, in seconds of `time.monotonic()`."""
+        self.begin_by = self._clock.monotonic(int(told["begin_by"]))
+        """After this it must not begin."""
+        self.then: Optional[str] = None
+        """What the device does after a cancellation: `keep`, `hold`, `default` or `slow`; `None` while there is none."""
+        allowed = told.get("silence_ms", {})
+        self._silence_at_start = float(allowed.get("start", 400)) / 1000
+        self._silence_running = float(allowed.get("running", 3000)) / 1000
+        self._say, self._silence = say, silence
+        self._changed = threading.Condition()
+        self._steps: list[Step] = []
+        self._is_whole = False
+        self._ended: Optional[str] = None
+        self._started = False
+        self._finished_ns: Optional[int] = None
+        self.add(told)
+
+    # What `play` uses.
+
+    def begin(self) -> None:
+        """Waits for the start, and says that the plan has started. Raises `PlanEnded` if it must not."""
+        self.wait_until(self.start)
+        silence = self._silence()
+        if silence > self._silence_at_start:
+            raise PlanEnded(f"the edge has said nothing for {silence * 1000:.0f} ms before the start")
+        late = time.monotonic() - self.begin_by
+        if late > 0:
+            raise PlanEnded(f"it is {late * 1000:.0f} ms too late to begin")
+        with self._changed:
+            self._raise_if_ended()
+            self.started()
+
+    def started(self, at_ns: Optional[int] = None) -> None:
+        """Says that the first value is set, or that the device has begun to move: now, or then."""
+        self._started = True
+        self._say(f"started {self.id} {self._now_ns() if at_ns is None else at_ns}")
+
+    def reached(self, step: Step, at_ns: Optional[int] = None) -> None:
+        """Says that a step is done, and with it all before: now, or then."""
+        self._say(f"step {self.id} {step.index} {self._now_ns() if at_ns is None else at_ns}")
+
+    def finished(self, at_ns: int) -> None:
+        """Notes when all steps were done. Without it, that is when `play` returns, which says so to the edge."""
+        self._finished_ns = at_ns
+
+    def __iter__(self) -> Iterator[Step]:
+        """The steps in the order of their times, also those that are handed over later. Raises `PlanEnded`."""
+        index = 0
+        while (step := self._step(index)) is not None:
+            yield step
+            index += 1
+
+    def steps(self) -> list[Step]:
+        """All steps that have been handed over so far: all there are, if the driver asked for whole scripts."""
+        with self._changed:
+            return list(self._steps)
+
+    def wait_until(self, at: float) -> None:
+        """Waits for an instant of `time.monotonic()`. Raises `PlanEnded` as soon as the plan is over."""
+        with self._changed:
+            while True:
+                self._raise_if_ended()
+                left = at - time.monotonic()
+                if left <= 0:
+                    return
+                self._changed.wait(min(left, _LOOK_EVERY))
+
+    @property
+    def is_started(self) -> bool:
+        """Whether it has been said to have started."""
+        return self._started
+
+    @property
+    def is_cancelled(self) -> bool:
+        """Whether it is over before its end."""
+        with self._changed:
+            return self._ended is not None
+
+    # What the driver uses.
+
+    def add(self, told: dict[str, Any]) -> None:
+        """Takes further steps."""
+        with self._changed:
+            for step in told["steps"]:
+                values = step["values"]
+                value = Value(self.device, step["control_type"], values[0], tuple(values[1:]))
+                at_ns = int(step["at"])
+                self._steps.append(Step(int(step["step"]), self._clock.monotonic(at_ns), at_ns, value))
+            self._is_whole = bool(told["last"])
+            self._changed.notify_all()
+
+    def cancel(self, then: str, why: str) -> None:
+        """Ends it before its end."""
+        with self._changed:
+            self.then = then
+            self._ended = self._ended or why
+            self._changed.notify_all()
+
+    def say_end(self, failed: Optional[str] = None) -> None:
+        """Says that it is over, well or not."""
+        now = self._now_ns()
+        if failed is not None:
+            self._say(f"failed {self.id} {now} {failed}")
+        elif self.then is not None:
+            self._say(f"cancelled {self.id} {now}")
+        else:
+            if not self._started:
+                self.started(now)
+            self._say(f"done {self.id} {now if self._finished_ns is None else self._finished_ns}")
+
+    def _step(self, index: int) -> Optional[Step]:
+        with self._changed:
+            while index >= len(self._steps):
+                if self._is_whole:
+                    return None
+                self._raise_if_ended()
+                if index > 0 and time.monotonic() > self._steps[index - 1].at + _STEP_LATE_MAX:
+                    raise PlanEnded(f"step {index + 1} was not handed over in time")
+                self._changed.wait(_LOOK_EVERY)
+            return self._steps[index]
+
+    def _raise_if_ended(self) -> None:
+        silence = self._silence()
+        if self._ended is None and silence > self._silence_running:
+            self._ended = f"the edge has said nothing for {silence:.1f} s"
+        if self._ended is not None:
+            raise PlanEnded(self._ended)
+
+    def _now_ns(self) -> int:
+        return self._clock.system_ns(time.monotonic())
+
+
+class _Clock:
+    """Relates the system's clock to the monotonic one, once, so that a clock that is set moves nothing."""
+
+    def __init__(self) -> None:
+        readings = []
+        for _ in range(5):
+            before = time.monotonic_ns()
+            system = time.time_ns()
+            after = time.monotonic_ns()
+            readings.append((after - before, system - (before + after) // 2))
+        self._ahead = min(readings)[1]
+
+    def monotonic(self, system_ns: int) -> float:
+        return (system_ns - self._ahead) / 1e9
+
+    def system_ns(self, monotonic: float) -> int:
+        return round(monotonic * 1e9) + self._ahead

@@ -1,0 +1,135 @@
+//! Scripts that the driver of a connection times by itself: handing them over, ending them, passing on what it says of them.
+
+use std::collections::BTreeMap;
+use std::time::Instant;
+
+use urrcp::{ControlError, DeviceId, ErrorCode, Robot, Span, Timestamp};
+
+use super::grid::on_grid;
+use super::mailbox::{PlanOrder, Sign};
+use super::worker::{Lost, News, Worker};
+use super::{DriverError, PlanWord};
+use crate::clock::{HostClock, HostTime};
+use crate::hardware::STALE;
+use crate::plans::{PlanCancel, PlanEvent, PlanId, PlanPart};
+
+/// What a driver's thread tells the machine of a script that the driver times.
+#[derive(Debug)]
+pub(crate) enum PlanNews {
+    /// The driver says what happened, and when.
+    Word { plan: PlanId, at: Timestamp<HostTime>, event: PlanEvent },
+    /// It did not take the part that begins with this step.
+    Refused { plan: PlanId, first: usize, error: ControlError },
+    /// It has ended the script, as it was asked to.
+    Cancelled(PlanId),
+}
+
+/// Scripts that the driver has.
+#[derive(Debug, Default)]
+pub(super) struct Given {
+    plans: BTreeMap<PlanId, Have>,
+    last: PlanId,
+}
+
+#[derive(Debug)]
+struct Have {
+    device: DeviceId,
+    start: Instant,
+    /// How far the driver's clock was ahead when it was handed over.
+    ahead: Span,
+}
+
+impl Given {
+    pub(super) fn clear(&mut self) {
+        self.plans.clear();
+    }
+
+    /// Whether a device follows a script, so that it does not follow what it did before.
+    pub(super) fn is_followed_by(&self, device: &DeviceId, now: Instant) -> bool {
+        self.plans.values().any(|have| have.device == *device && have.start <= now)
+    }
+}
+
+impl Worker {
+    pub(super) fn do_plan(&mut self, order: PlanOrder) -> Result<(), Lost> {
+        match order {
+            PlanOrder::Take(part, clock) => self.hand_over(part, clock),
+            PlanOrder::Cancel(cancel) => self.cancel(&cancel),
+        }
+    }
+
+    /// What comes too late is not handed over: the machine ends it.
+    fn hand_over(&mut self, mut part: PlanPart<Robot>, clock: HostClock) -> Result<(), Lost> {
+        let (plan, first) = (part.plan, part.first);
+        let now: Timestamp<Robot> = clock.now().assume_clock();
+        let stale = part.steps.first().map(|step| step.at + STALE.into());
+        let latest = if first == 0 { Some(part.begin_by) } else { stale };
+        if let Some(late) = latest.filter(|latest| *latest < now).map(|latest| now - latest) {
+            let why = format!("a script reached the hardware {late} after it could have been played");
+            self.refused(plan, first, ControlError::new(ErrorCode::Late, why));
+            return Ok(());
+        }
+        for step in &mut part.steps {
+            let key = (part.device.clone(), step.setpoint.control_type);
+            step.setpoint.value = on_grid(self.block(), &key, step.setpoint.value);
+        }
+        let ahead = self.given.plans.get(&plan).map_or_else(|| clock.system_ahead(), |have| have.ahead);
+        let (device, start) = (part.device.clone(), clock.instant_of(part.start.assume_clock()));
+        let part = part.on_clock(ahead);
+        self.touch();
+        self.given.last = self.given.last.max(plan);
+        // Before it is called: the driver may say at once that it has begun.
+        self.given.plans.insert(plan, Have { device: device.clone(), start, ahead });
+        match self.call(Sign::Unknown, |driver| driver.plan(&part)) {
+            Ok(()) => Ok(()),
+            Err(DriverError::Refused(reason)) => {
+                if first == 0 {
+                    self.given.plans.remove(&plan);
+                }
+                let why = format!("the hardware refused a script of `{device}`: {reason}");
+                self.refused(plan, first, ControlError::new(ErrorCode::Internal, why));
+                Ok(())
+            }
+            Err(DriverError::Away(reason)) => Err(Lost::Away(reason)),
+        }
+    }
+
+    fn refused(&self, plan: PlanId, first: usize, error: ControlError) {
+        self.tell(News::Plan(PlanNews::Refused { plan, first, error }));
+    }
+
+    /// What the driver does not have, or has ended by itself, is over already.
+    fn cancel(&mut self, cancel: &PlanCancel) -> Result<(), Lost> {
+        if self.given.plans.contains_key(&cancel.plan) {
+            self.call(Sign::Unknown, |driver| driver.cancel(cancel)).map_err(|error| match error {
+                DriverError::Away(reason) => Lost::Away(reason),
+                DriverError::Refused(reason) => {
+                    Lost::Refused(format!("to end a script of `{}`: {reason}", cancel.device))
+                }
+            })?;
+            let words = self.words();
+            self.pass_on(words)?;
+            self.given.plans.remove(&cancel.plan);
+        }
+        self.tell(News::Plan(PlanNews::Cancelled(cancel.plan)));
+        Ok(())
+    }
+
+    /// Passes on what the driver says of scripts. Of one that is over it may still speak.
+    pub(super) fn pass_on(&mut self, words: Vec<PlanWord>) -> Result<(), Lost> {
+        for PlanWord { plan, at, event } in words {
+            let Some(have) = self.given.plans.get(&plan) else {
+                if plan > self.given.last || plan.0 == 0 {
+                    return Err(Lost::Fault(format!("it speaks of plan {}, which it does not have", plan.0)));
+                }
+                continue;
+            };
+            let at = (at - have.ahead).assume_clock();
+            if matches!(event, PlanEvent::Done | PlanEvent::Failed(_) | PlanEvent::Cancelled) {
+                self.given.plans.remove(&plan);
+            }
+            self.tell(News::Plan(PlanNews::Word { plan, at, event }));
+        }
+        Ok(())
+    }
+}

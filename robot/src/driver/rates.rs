@@ -1,0 +1,86 @@
+//! How often a driver is called: as it declares it, and as its user says.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use urrcp::DeviceId;
+
+use super::DriverOptions;
+
+/// Samples a second by default: as often as hobby servos take a value.
+pub const SAMPLES_PER_SECOND: f64 = 50.0;
+/// Pings a second at most by default, in the second before a start.
+pub const PINGS_PER_SECOND: f64 = 40.0;
+
+/// Samples a second of one device: least and most.
+pub const SAMPLES_BOUNDS: (f64, f64) = (0.1, 1_000.0);
+/// Pings a second: with fewer a start would rest on an old sign of life, more only cost time.
+pub const PINGS_BOUNDS: (f64, f64) = (10.0, 200.0);
+/// Readings a second of one sensor.
+pub const READINGS_BOUNDS: (f64, f64) = (0.01, 1_000.0);
+
+/// How often a driver wants to be called. What the [`DriverOptions`] say comes first.
+#[derive(Clone, Debug, Default, PartialEq)]
+#[non_exhaustive]
+pub struct Rates {
+    /// Samples of a movement a second, by device; [`SAMPLES_PER_SECOND`] for others.
+    pub samples_per_second: BTreeMap<DeviceId, f64>,
+    /// Pings a second at most; [`PINGS_PER_SECOND`] if it does not say.
+    pub pings_per_second: Option<f64>,
+    /// Calls for a reading a second at most, by sensor; no limit for others.
+    pub readings_per_second: BTreeMap<DeviceId, f64>,
+}
+
+impl Rates {
+    /// Between two samples of a device.
+    pub(super) fn sample_period(&self, options: &DriverOptions, device: &DeviceId) -> Duration {
+        let option = options.samples_of.get(device).copied().or(options.samples_per_second);
+        let rate = option.or_else(|| self.samples_per_second.get(device).copied());
+        period(rate.unwrap_or(SAMPLES_PER_SECOND), SAMPLES_BOUNDS)
+    }
+
+    /// Between two pings in the second before a start.
+    pub(super) fn ping_period(&self, options: &DriverOptions) -> Duration {
+        let rate = options.pings_per_second.or(self.pings_per_second);
+        period(rate.unwrap_or(PINGS_PER_SECOND), PINGS_BOUNDS)
+    }
+
+    /// For how long a reading of a sensor answers further requests.
+    pub(super) fn reading_period(&self, options: &DriverOptions, sensor: &DeviceId) -> Option<Duration> {
+        let rate = options.readings_per_second.or_else(|| self.readings_per_second.get(sensor).copied());
+        rate.map(|rate| period(rate, READINGS_BOUNDS))
+    }
+}
+
+fn period(rate: f64, (least, most): (f64, f64)) -> Duration {
+    Duration::from_secs_f64(1.0 / rate.clamp(least, most))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_option_for_a_device_comes_before_that_for_all_and_both_before_what_the_driver_declares() {
+        let id = |id: &str| DeviceId::new(id).unwrap();
+        let rates = Rates {
+            samples_per_second: BTreeMap::from([(id("arm"), 100.0), (id("leg"), 20.0)]),
+            ..Rates::default()
+        };
+        let none = DriverOptions::default();
+        let millis = |options: &DriverOptions, device| rates.sample_period(options, &id(device)).as_millis();
+        assert_eq!(["arm", "leg", "eye"].map(|device| millis(&none, device)), [10, 50, 20]);
+        let all = none.clone().with_samples_per_second(25.0);
+        assert_eq!(millis(&all, "arm"), 40);
+        let arm = all.with_samples_of(id("arm"), 200.0);
+        assert_eq!(["arm", "leg"].map(|device| millis(&arm, device)), [5, 40]);
+    }
+
+    #[test]
+    fn rates_out_of_bounds_are_taken_as_far_as_they_go() {
+        let rates = Rates { pings_per_second: Some(1e9), ..Rates::default() };
+        assert_eq!(rates.ping_period(&DriverOptions::default()), Duration::from_millis(5));
+        let slow = DriverOptions { pings_per_second: Some(0.0), ..DriverOptions::default() };
+        assert_eq!(rates.ping_period(&slow), Duration::from_millis(100));
+    }
+}

@@ -1,0 +1,437 @@
+//! Scripts that a driver is told ahead of their time and times by itself, and what it has said of them so far.
+//!
+//! The device's machine plays the same script in thought: it decides on leases, overlaps and stops. What is reported is what the
+//! driver says.
+
+use std::collections::BTreeMap;
+
+use urrcp::{ControlError, DeviceId, Interpolation, RequestId, Robot, Setpoint, Span, Timestamp};
+
+use crate::device::{CommandId, START_LATE_MAX};
+use crate::held::Held;
+
+/// Names a script, or a single value, that was handed over to a driver.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PlanId(pub u64);
+
+/// How far ahead a driver is told the steps of a device's scripts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Lookahead {
+    /// All of them as soon as the script is accepted.
+    Script,
+    /// Each of them at least this long before the way to it begins, or as soon as the script is accepted.
+    Horizon(Span),
+}
+
+/// Steps of a script that are handed over together. Times are those of the clock `C`.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct PlanPart<C> {
+    /// Names the script.
+    pub plan: PlanId,
+    /// Which device.
+    pub device: DeviceId,
+    /// When the script starts.
+    pub start: Timestamp<C>,
+    /// After this instant it must not begin.
+    pub begin_by: Timestamp<C>,
+    /// What the device does between two steps.
+    pub interpolation: Interpolation,
+    /// Index of the first of these steps in the script; 0 begins a plan, anything else continues it.
+    pub first: usize,
+    /// The steps, in the order of their times. At least one.
+    pub steps: Vec<PlanStep<C>>,
+    /// Whether the script ends with these steps.
+    pub is_last: bool,
+}
+
+/// A step of a script with its absolute time.
+#[derive(Debug)]
+#[non_exhaustive]
+pub struct PlanStep<C> {
+    /// When the value is due. With linear interpolation the device arrives at it then.
+    pub at: Timestamp<C>,
+    /// What is to be set.
+    pub setpoint: Setpoint,
+}
+
+/// A script that a driver has is over before its end.
+#[derive(Clone, Debug, PartialEq, Eq)]
+#[non_exhaustive]
+pub struct PlanCancel {
+    /// Names the script.
+    pub plan: PlanId,
+    /// Which device.
+    pub device: DeviceId,
+    /// What the device does instead.
+    pub then: Then,
+    /// Why, for people.
+    pub why: String,
+}
+
+/// What a device does when one of its scripts is over before its end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Then {
+    /// The same as without that script: another one may run.
+    Keep,
+    /// It stays where it is.
+    Hold,
+    /// It goes to its default state, by values that follow.
+    Default,
+    /// It slows down as it can, by values that follow.
+    Slow,
+}
+
+impl Then {
+    /// Its word in the protocol for programs.
+    #[must_use]
+    pub const fn as_str(self) -> &'static str {
+        match self {
+            Self::Keep => "keep",
+            Self::Hold => "hold",
+            Self::Default => "default",
+            Self::Slow => "slow",
+        }
+    }
+}
+
+/// What a driver says of a script that it times by itself.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum PlanEvent {
+    /// The first value is set, or the device has begun to move.
+    Began,
+    /// The step of this index is done, and with it all before.
+    Step(u32),
+    /// All steps are done.
+    Done,
+    /// It is over before its end, for this reason.
+    Failed(String),
+    /// It was cancelled.
+    Cancelled,
+}
+
+/// How far a driver may be off when it names a time: what it says was not later than now.
+const GRAIN: Span = Span::from_millis(10);
+/// So long after a start or an end the driver must have said that it was.
+const REPORT_WAIT: Span = Span::from_millis(750);
+/// An edge that looks for a report so much too late was itself held up, and the report may still wait for it.
+const HELD_UP: Span = Span::from_millis(100);
+/// A step that is done later than this after its deadline counts as late.
+const LATE: Span = Span::from_millis(1);
+
+/// How far a script is, as the device's machine sees it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(crate) enum Stage {
+    Waiting,
+    Begun,
+    /// Its last step was due.
+    Over,
+    /// The driver is asked to end it; then this is told.
+    Cancelling(ControlError),
+}
+
+/// A script that the driver of a device times by itself.
+#[derive(Clone, Debug)]
+pub(crate) struct Plan {
+    pub(crate) index: usize,
+    pub(crate) command: CommandId,
+    /// As it was accepted.
+    held: Held,
+    device: DeviceId,
+    interpolation: Interpolation,
+    lookahead: Lookahead,
+    /// So many steps were handed over.
+    pub(crate) given: usize,
+    pub(crate) stage: Stage,
+    pub(crate) began: Option<Timestamp<Robot>>,
+    pub(crate) began_told: bool,
+    pub(crate) done: Option<Timestamp<Robot>>,
+    pub(crate) steps_done: u32,
+    pub(crate) late_steps: u32,
+    /// The driver has ended it by itself, or never took it.
+    pub(crate) is_over_there: bool,
+    /// Reports are awaited until then, because the edge was held up.
+    extended: Option<Timestamp<Robot>>,
+}
+
+impl Plan {
+    pub(crate) const fn held(&self) -> &Held {
+        &self.held
+    }
+
+    pub(crate) const fn device(&self) -> &DeviceId {
+        &self.device
+    }
+
+    /// When the device sets out for a step.
+    fn sets_out(&self, step: usize) -> Option<Timestamp<Robot>> {
+        self.held.time_of(step)?;
+        step.checked_sub(1).map_or(Some(self.held.start), |before| self.held.time_of(before))
+    }
+
+    const fn is_open(&self) -> bool {
+        matches!(self.stage, Stage::Waiting | Stage::Begun)
+    }
+
+    /// When the next steps are to be handed over.
+    fn next_handover(&self) -> Option<Timestamp<Robot>> {
+        let sets_out = self.sets_out(self.given).filter(|_| self.is_open() && !self.is_over_there)?;
+        Some(match self.lookahead {
+            Lookahead::Script => self.held.accepted,
+            Lookahead::Horizon(horizon) => sets_out - horizon,
+        })
+    }
+
+    /// By how much it is too late to hand over the next steps.
+    pub(crate) fn handover_late(&self, now: Timestamp<Robot>, stale: Span) -> Option<Span> {
+        self.next_handover()?;
+        let sets_out = self.sets_out(self.given)?;
+        let most = if self.given == 0 { START_LATE_MAX } else { stale };
+        (now - sets_out > most).then(|| now - sets_out)
+    }
+
+    /// The steps that are to be handed over now: a quarter of a horizon at a time, or what is left of it.
+    pub(crate) fn hand_over(&mut self, id: PlanId, now: Timestamp<Robot>) -> Option<PlanPart<Robot>> {
+        self.next_handover().filter(|at| *at <= now)?;
+        let first = self.given;
+        let within = |sets_out: Timestamp<Robot>| match self.lookahead {
+            Lookahead::Script => true,
+            Lookahead::Horizon(horizon) => sets_out - horizon <= now + horizon / 4,
+        };
+        let steps = (first..).map_while(|step| {
+            self.sets_out(step).filter(|sets_out| within(*sets_out))?;
+            Some(PlanStep { at: self.held.time_of(step)?, setpoint: self.held.setpoint(step)?.clone() })
+        });
+        let steps: Vec<_> = steps.collect();
+        self.given += steps.len();
+        Some(PlanPart {
+            plan: id,
+            device: self.device.clone(),
+            start: self.held.start,
+            begin_by: self.held.start + START_LATE_MAX,
+            interpolation: self.interpolation,
+            first,
+            steps,
+            is_last: self.held.time_of(self.given).is_none(),
+        })
+    }
+
+    /// By when the driver must have said more.
+    fn report_due(&self) -> Option<Timestamp<Robot>> {
+        let due = match (&self.stage, self.began, self.done) {
+            (Stage::Cancelling(_), ..) | (_, _, Some(_)) => return None,
+            (_, None, None) => self.held.start + REPORT_WAIT,
+            (_, Some(_), None) => self.held.end + REPORT_WAIT,
+        };
+        Some(self.extended.map_or(due, |extended| due.max(extended)))
+    }
+
+    /// Whether the driver has not said in time what it had to say. One look that comes too late itself grants more time.
+    fn is_unreported(&mut self, now: Timestamp<Robot>) -> bool {
+        let Some(due) = self.report_due().filter(|due| *due <= now) else { return false };
+        if now - due > HELD_UP {
+            self.extended = Some(now + REPORT_WAIT);
+            return false;
+        }
+        true
+    }
+
+    /// Takes what the driver says, with the instant at which the step was to be done if it is one.
+    ///
+    /// # Errors
+    /// Why it cannot be true.
+    pub(crate) fn note(
+        &mut self,
+        now: Timestamp<Robot>,
+        at: Timestamp<Robot>,
+        event: &PlanEvent,
+    ) -> Result<Timestamp<Robot>, String> {
+        if at > now + GRAIN {
+            return Err(format!("it names a time that is {} ahead", at - now));
+        }
+        if at < self.held.accepted - GRAIN {
+            return Err(format!("it names a time that is {} before it had it", self.held.accepted - at));
+        }
+        let at = at.min(now);
+        match event {
+            PlanEvent::Began => self.began = self.began.or(Some(at)),
+            PlanEvent::Step(_) | PlanEvent::Done if self.began.is_none() => {
+                return Err("it goes on, and was not said to have started".to_owned());
+            }
+            PlanEvent::Step(step) => self.note_step(at, *step)?,
+            PlanEvent::Done if self.held.time_of(self.given).is_some() => {
+                return Err(format!("it is done, and only {} of its steps were handed over", self.given));
+            }
+            PlanEvent::Done => {
+                self.done = self.done.or(Some(at));
+                self.steps_done = u32::try_from(self.given).unwrap_or(u32::MAX);
+                self.is_over_there = true;
+            }
+            PlanEvent::Failed(_) | PlanEvent::Cancelled => self.is_over_there = true,
+        }
+        Ok(at)
+    }
+
+    fn note_step(&mut self, at: Timestamp<Robot>, step: u32) -> Result<(), String> {
+        let due = self.held.time_of(step as usize).filter(|_| (step as usize) < self.given);
+        let Some(due) = due else {
+            return Err(format!("it names step {step}, and {} were handed over", self.given));
+        };
+        if step >= self.steps_done {
+            self.steps_done = step + 1;
+            self.late_steps += u32::from(at - due > LATE);
+        }
+        Ok(())
+    }
+
+    /// In which step it is, for people.
+    pub(crate) fn place(&self) -> String {
+        match self.began {
+            None => "before its start".to_owned(),
+            Some(_) => format!("in step {}", self.steps_done + 1),
+        }
+    }
+}
+
+/// The scripts that drivers time by themselves, of one robot.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Plans {
+    plans: BTreeMap<PlanId, Plan>,
+    last: u64,
+    /// What the machine thinks to be over, and is to be cancelled with the device's next change.
+    failing: Vec<(PlanId, ControlError)>,
+}
+
+impl Plans {
+    pub(crate) fn is_empty(&self) -> bool {
+        self.plans.is_empty()
+    }
+
+    /// A command was accepted whose steps the driver times.
+    pub(crate) fn add(
+        &mut self,
+        index: usize,
+        device: (DeviceId, Interpolation, Lookahead),
+        command: CommandId,
+        held: Held,
+    ) {
+        self.last += 1;
+        let (device, interpolation, lookahead) = device;
+        let plan = Plan {
+            index,
+            command,
+            held,
+            device,
+            interpolation,
+            lookahead,
+            given: 0,
+            stage: Stage::Waiting,
+            began: None,
+            began_told: false,
+            done: None,
+            steps_done: 0,
+            late_steps: 0,
+            is_over_there: false,
+            extended: None,
+        };
+        self.plans.insert(PlanId(self.last), plan);
+    }
+
+    /// Whether there has been such a plan.
+    pub(crate) const fn has_been(&self, id: PlanId) -> bool {
+        id.0 >= 1 && id.0 <= self.last
+    }
+
+    pub(crate) fn get(&self, id: PlanId) -> Option<&Plan> {
+        self.plans.get(&id)
+    }
+
+    pub(crate) fn get_mut(&mut self, id: PlanId) -> Option<&mut Plan> {
+        self.plans.get_mut(&id)
+    }
+
+    pub(crate) fn remove(&mut self, id: PlanId) -> Option<Plan> {
+        self.plans.remove(&id)
+    }
+
+    pub(crate) fn find(&self, index: usize, command: CommandId) -> Option<PlanId> {
+        let is_it = |plan: &Plan| plan.index == index && plan.command == command;
+        self.plans.iter().find(|(_, plan)| is_it(plan)).map(|(id, _)| *id)
+    }
+
+    /// Of a request that has not ended.
+    pub(crate) fn of_request(&self, id: &RequestId) -> Option<&Plan> {
+        self.plans.values().find(|plan| plan.held.request_id.as_ref() == Some(id))
+    }
+
+    /// Of a device, the oldest first.
+    pub(crate) fn of_device(&self, index: usize) -> Vec<PlanId> {
+        self.plans.iter().filter(|(_, plan)| plan.index == index).map(|(id, _)| *id).collect()
+    }
+
+    /// The machine has begun a command, or has come to its end.
+    pub(crate) fn come_to(&mut self, index: usize, command: CommandId, stage: Stage) {
+        let Some(plan) = self.find(index, command).and_then(|id| self.plans.get_mut(&id)) else { return };
+        plan.stage = stage;
+    }
+
+    pub(crate) fn next_wakeup(&self) -> Option<Timestamp<Robot>> {
+        let at = |plan: &Plan| plan.next_handover().into_iter().chain(plan.report_due()).min();
+        self.plans.values().filter_map(at).min()
+    }
+
+    /// Those with steps that are to be handed over now.
+    pub(crate) fn to_hand_over(&self, now: Timestamp<Robot>) -> Vec<PlanId> {
+        let due = |plan: &Plan| plan.next_handover().is_some_and(|at| at <= now);
+        self.plans.iter().filter(|(_, plan)| due(plan)).map(|(id, _)| *id).collect()
+    }
+
+    /// Those of which the driver has not said in time what it had to say.
+    pub(crate) fn unreported(&mut self, now: Timestamp<Robot>) -> Vec<PlanId> {
+        self.plans.iter_mut().filter_map(|(id, plan)| plan.is_unreported(now).then_some(*id)).collect()
+    }
+
+    /// It is to be cancelled with the next change of its device.
+    pub(crate) fn will_fail(&mut self, id: PlanId, error: ControlError) {
+        self.failing.push((id, error));
+    }
+
+    pub(crate) fn take_failing(&mut self) -> Vec<(PlanId, ControlError)> {
+        std::mem::take(&mut self.failing)
+    }
+}
+
+impl<C> PlanPart<C> {
+    /// The same on another clock, which shows this much more.
+    #[cfg(feature = "host")]
+    pub(crate) fn on_clock<D>(self, ahead: Span) -> PlanPart<D> {
+        let there = |at: Timestamp<C>| (at + ahead).assume_clock();
+        PlanPart {
+            start: there(self.start),
+            begin_by: there(self.begin_by),
+            steps: self
+                .steps
+                .into_iter()
+                .map(|step| PlanStep { at: there(step.at), setpoint: step.setpoint })
+                .collect(),
+            plan: self.plan,
+            device: self.device,
+            interpolation: self.interpolation,
+            first: self.first,
+            is_last: self.is_last,
+        }
+    }
+}
+
+// By hand: a clock in the type needs neither.
+impl<C> Clone for PlanPart<C> {
+    fn clone(&self) -> Self {
+        Self { device: self.device.clone(), steps: self.steps.clone(), ..*self }
+    }
+}
+
+impl<C> Clone for PlanStep<C> {
+    fn clone(&self) -> Self {
+        Self { at: self.at, setpoint: self.setpoint.clone() }
+    }
+}

@@ -1,0 +1,289 @@
+//! Devices whose driver times scripts by itself: what it is told and when, and what is reported of what it says.
+
+use std::collections::BTreeMap;
+
+use urrcp::{ControlError, ControlType, DeviceId, ErrorCode, Setpoint, Timestamp};
+
+use super::{Now, Output, Robot, SetValue};
+use crate::device::{CommandId, Effect, Motion};
+use crate::hardware::STALE;
+use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, Stage, Then};
+use crate::signal::default_of;
+
+impl Robot {
+    /// Which devices' scripts the driver is told ahead of their time, to time them by itself. To be said before
+    /// [`Robot::hardware_found`], of each connection.
+    pub fn plans_ahead(&mut self, lookahead: &BTreeMap<DeviceId, Lookahead>) {
+        for device in &mut self.devices {
+            device.lookahead = lookahead.get(&device.spec.id).copied();
+        }
+    }
+
+    /// A command of a device was accepted: it is a plan if the driver times it.
+    pub(super) fn plan(&mut self, index: usize, command: CommandId) {
+        let device = &self.devices[index];
+        let (Some(lookahead), Some(held)) = (device.lookahead, device.command(command)) else { return };
+        let held = held.clone();
+        let told = (device.spec.id.clone(), device.spec.interpolation, lookahead);
+        self.plans.add(index, told, command, held);
+    }
+
+    /// Hands over the steps that are due to be told. What comes too late is not begun, and not continued.
+    pub(super) fn hand_over(&mut self, now: Now, out: &mut Vec<Output>) {
+        for id in self.plans.to_hand_over(now) {
+            let Some(plan) = self.plans.get_mut(id) else { continue };
+            if let Some(late) = plan.handover_late(now, STALE.into()) {
+                let why = format!("the edge was held up: it was to hand over a step {late} ago");
+                self.fail_plan(now, id, ControlError::new(ErrorCode::Late, why), out);
+            } else if let Some(part) = plan.hand_over(id, now) {
+                self.moved = true;
+                out.push(Output::Plan(part));
+            }
+        }
+    }
+
+    /// Ends what the driver should have spoken of by now.
+    pub(super) fn give_up_unreported(&mut self, now: Now, out: &mut Vec<Output>) {
+        for id in self.plans.unreported(now) {
+            let Some(plan) = self.plans.get(id) else { continue };
+            let what = if plan.began.is_some() { "that it was over" } else { "that it had started" };
+            let message = format!(
+                "it is unknown what became of the script of `{}`: its driver did not say {what}",
+                plan.device()
+            );
+            self.fail_plan(now, id, ControlError::new(ErrorCode::Internal, message), out);
+        }
+    }
+
+    /// The driver says what happened to a script that it times, and when.
+    ///
+    /// # Errors
+    /// Why that cannot be true. Nothing is reported then.
+    pub fn plan_reported(
+        &mut self,
+        now: Now,
+        id: PlanId,
+        at: Now,
+        event: &PlanEvent,
+        out: &mut Vec<Output>,
+    ) -> Result<(), String> {
+        let Some(plan) = self.plans.get_mut(id).filter(|plan| plan.given > 0) else {
+            // One that is over may still be spoken of.
+            return match self.plans.has_been(id) {
+                true => Ok(()),
+                false => Err(format!("plan {} was never handed over", id.0)),
+            };
+        };
+        let done_before = plan.steps_done;
+        let at = plan.note(now, at, event).map_err(|why| format!("of plan {}: {why}", id.0))?;
+        self.log_steps(id, at, done_before, out);
+        let failed = match event {
+            PlanEvent::Failed(reason) => Some(format!("the hardware failed {{place}}: {reason}")),
+            PlanEvent::Cancelled => Some("the hardware was stopped {place}, by itself".to_owned()),
+            PlanEvent::Began | PlanEvent::Step(_) | PlanEvent::Done => None,
+        };
+        match (failed, self.plans.get(id)) {
+            (Some(why), Some(plan)) if !matches!(plan.stage, Stage::Cancelling(_)) => {
+                let error = ControlError::new(ErrorCode::Internal, why.replace("{place}", &plan.place()));
+                self.fail_plan(now, id, error, out);
+            }
+            (_, Some(plan)) => self.tell_plans(plan.index),
+            (_, None) => {}
+        }
+        self.send_reports(now, out);
+        Ok(())
+    }
+
+    /// For the log of what was set: the steps that the driver has just said to be done.
+    fn log_steps(&self, id: PlanId, at: Now, done_before: u32, out: &mut Vec<Output>) {
+        let Some(plan) = self.plans.get(id) else { return };
+        let sets = (done_before..plan.steps_done).filter_map(|step| {
+            let (due, setpoint) = (plan.held().time_of(step as usize)?, plan.held().setpoint(step as usize)?);
+            let motion = Motion::Set(setpoint.clone());
+            let (device, request_id) = (plan.device().clone(), plan.held().request_id.clone());
+            let set = SetValue { device, motion, due, request_id, step: Some(step) };
+            Some(Output::Played { set, at })
+        });
+        out.extend(sets);
+    }
+
+    /// The driver did not take the part of a script that begins with this step, or not in time: then this is told.
+    pub fn plan_refused(
+        &mut self,
+        now: Now,
+        id: PlanId,
+        first: usize,
+        error: ControlError,
+        out: &mut Vec<Output>,
+    ) {
+        let Some(plan) = self.plans.get_mut(id) else { return };
+        // What it was told before it still has.
+        plan.is_over_there |= first == 0;
+        self.fail_plan(now, id, error, out);
+    }
+
+    /// The driver has ended a script because it was asked to.
+    pub fn plan_cancelled(&mut self, now: Now, id: PlanId, out: &mut Vec<Output>) {
+        if let Some(Stage::Cancelling(error)) = self.plans.get(id).map(|plan| plan.stage.clone()) {
+            self.tell_failed(now, id, error);
+            self.send_reports(now, out);
+        }
+    }
+
+    /// The device cannot go on with this script: all that it holds ends, and it goes to its default state.
+    fn fail_plan(&mut self, now: Now, id: PlanId, error: ControlError, out: &mut Vec<Output>) {
+        let Some(plan) = self.plans.get(id) else { return };
+        let (index, is_over) = (plan.index, plan.stage == Stage::Over);
+        if is_over {
+            self.plans.will_fail(id, error.clone());
+        }
+        self.devices[index].stop(now, &error, false, &mut self.effects);
+        self.settle(now, index, out);
+    }
+
+    /// What a device's machine wants, if its driver times scripts: movements of scripts are the driver's, ends are asked for, and
+    /// reports wait for what the driver says.
+    pub(super) fn plan_effects(&mut self, now: Now, index: usize, out: &mut Vec<Output>) {
+        let mut failed = self.plans.take_failing();
+        let mut rest = Vec::new();
+        let device = self.devices[index].spec.id.clone();
+        for effect in self.effects.drain(..) {
+            match effect {
+                Effect::Move { motion, due, request_id, step } if is_rest(&motion) => {
+                    rest.push(SetValue { device: device.clone(), motion, due, request_id, step });
+                }
+                Effect::Move { .. } => {}
+                Effect::Started { command, .. } => self.plans.come_to(index, command, Stage::Begun),
+                Effect::Ended { command, .. } => self.plans.come_to(index, command, Stage::Over),
+                Effect::Failed { command, ref error, .. } => match self.plans.find(index, command) {
+                    Some(id) => failed.push((id, error.clone())),
+                    None => self.reports.push((index, now, effect)),
+                },
+            }
+        }
+        if !rest.is_empty() {
+            failed.extend(self.left_over(index, &failed));
+        }
+        let (any, at_rest) = (!failed.is_empty(), !rest.is_empty());
+        rest.retain(|set| !any || !self.stays(index, set));
+        let then = match rest.is_empty() {
+            _ if rest.iter().any(|set| matches!(set.motion, Motion::Slow { .. })) => Then::Slow,
+            false => Then::Default,
+            true if at_rest => Then::Hold,
+            true => Then::Keep,
+        };
+        for (id, error) in failed {
+            self.end_plan(now, id, error, then, out);
+        }
+        self.moved |= !rest.is_empty();
+        out.extend(rest.into_iter().map(Output::Set));
+        self.tell_plans(index);
+    }
+
+    /// Scripts whose end was due and that the driver has not said to be over: with their device they end as well.
+    fn left_over(&self, index: usize, failed: &[(PlanId, ControlError)]) -> Vec<(PlanId, ControlError)> {
+        let error = || {
+            let message = "the device was stopped before its driver had said that the script was over";
+            ControlError::new(ErrorCode::Cancelled, message)
+        };
+        let is_left = |id: &PlanId| {
+            let over =
+                self.plans.get(*id).is_some_and(|plan| plan.stage == Stage::Over && plan.done.is_none());
+            over && !failed.iter().any(|(failed, _)| failed == id)
+        };
+        self.plans.of_device(index).into_iter().filter(is_left).map(|id| (id, error())).collect()
+    }
+
+    /// Whether the machine would set a position where it thinks the device to be: the driver knows better where it is.
+    fn stays(&self, index: usize, set: &SetValue) -> bool {
+        let Motion::Default(Setpoint { control_type: ControlType::Position, value, .. }) = &set.motion else {
+            return false;
+        };
+        default_of(&self.devices[index].spec, ControlType::Position) != Some(*value)
+    }
+
+    /// A script is over for the machine: the driver ends it first, if it has it.
+    fn end_plan(&mut self, now: Now, id: PlanId, error: ControlError, then: Then, out: &mut Vec<Output>) {
+        let is_away = self.hardware.away().is_some();
+        let Some(plan) = self.plans.get_mut(id) else { return };
+        if plan.given == 0 || plan.is_over_there || is_away {
+            return self.tell_failed(now, id, error);
+        }
+        if !matches!(plan.stage, Stage::Cancelling(_)) {
+            let (device, why) = (plan.device().clone(), error.message.to_string());
+            plan.stage = Stage::Cancelling(error);
+            out.push(Output::Cancel(PlanCancel { plan: id, device, then, why }));
+        }
+    }
+
+    /// The hardware is gone, and with it what it had of a device's scripts.
+    pub(super) fn abandon_plans(&mut self, now: Now, index: usize, error: &ControlError) {
+        for id in self.plans.of_device(index) {
+            let Some(plan) = self.plans.get(id) else { continue };
+            let error = match &plan.stage {
+                Stage::Cancelling(why) => {
+                    let message = format!(
+                        "{}; it is unknown whether the hardware stopped: {}",
+                        why.message, error.message
+                    );
+                    ControlError::new(why.code.clone(), message)
+                }
+                _ => {
+                    let message =
+                        format!("it is unknown whether the hardware played it to its end: {}", error.message);
+                    ControlError::new(error.code.clone(), message)
+                }
+            };
+            self.tell_failed(now, id, error);
+        }
+    }
+
+    /// Tells what the driver has said, as far as the machine is there as well.
+    fn tell_plans(&mut self, index: usize) {
+        for id in self.plans.of_device(index) {
+            let Some(plan) = self.plans.get(id) else { continue };
+            if plan.stage != Stage::Waiting {
+                self.tell_began(id);
+            }
+            let Some(plan) = self.plans.get(id).filter(|plan| plan.stage == Stage::Over) else { continue };
+            let Some(done) = plan.done else { continue };
+            let (held, last) = (plan.held(), plan.steps_done.saturating_sub(1));
+            let ended = Effect::Ended {
+                command: plan.command,
+                link: held.link,
+                request_id: held.request_id.clone(),
+                value: held.setpoint(last as usize).map_or(0.0, |setpoint| setpoint.value),
+                steps_done: plan.steps_done,
+                late_steps: plan.late_steps,
+            };
+            self.reports.push((index, done, ended));
+            self.plans.remove(id);
+        }
+    }
+
+    fn tell_began(&mut self, id: PlanId) {
+        let Some(plan) = self.plans.get_mut(id).filter(|plan| !plan.began_told) else { return };
+        let Some(began) = plan.began else { return };
+        plan.began_told = true;
+        let held = plan.held();
+        let value = held.setpoint(0).map_or(0.0, |setpoint| setpoint.value);
+        let (link, request_id) = (held.link, held.request_id.clone());
+        let started = Effect::Started { command: plan.command, link, request_id, value };
+        self.reports.push((plan.index, began, started));
+    }
+
+    /// That it began is told first, if the driver has said so.
+    fn tell_failed(&mut self, now: Timestamp<urrcp::Robot>, id: PlanId, error: ControlError) {
+        self.tell_began(id);
+        let Some(plan) = self.plans.remove(id) else { return };
+        let (link, request_id) = (plan.held().link, plan.held().request_id.clone());
+        let (command, steps_done) = (plan.command, plan.steps_done);
+        let failed = Effect::Failed { command, link, request_id, error, steps_done };
+        self.reports.push((plan.index, now, failed));
+    }
+}
+
+/// Whether it brings a device to rest, so that it is no movement of a script.
+const fn is_rest(motion: &Motion) -> bool {
+    matches!(motion, Motion::Default(_) | Motion::Slow { .. })
+}

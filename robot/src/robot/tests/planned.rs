@@ -1,0 +1,392 @@
+//! Devices whose driver times scripts by itself: what it is told and when, and what is reported of what it says.
+
+use std::collections::BTreeMap;
+
+use super::*;
+use crate::hardware::AtEnd;
+use crate::plans::{Lookahead, PlanCancel, PlanEvent, PlanId, PlanPart, Then};
+
+const P1: PlanId = PlanId(1);
+const P2: PlanId = PlanId(2);
+
+/// A robot whose driver times the scripts of these devices, so far ahead.
+fn planned(devices: &[(&str, Lookahead)]) -> Bench {
+    let block: InitializationBlock = serde_json::from_str(BLOCK).unwrap();
+    let mut bench = Bench { robot: Robot::driven(block).confirmed_by_its_driver(), ..Bench::new() };
+    let lookahead = devices.iter().map(|(device, ahead)| (DeviceId::new(*device).unwrap(), *ahead));
+    bench.robot.plans_ahead(&lookahead.collect::<BTreeMap<_, _>>());
+    bench.robot.hardware_found(bench.now, &mut bench.out);
+    bench
+}
+
+fn whole(device: &str) -> Bench {
+    planned(&[(device, Lookahead::Script)])
+}
+
+impl Bench {
+    fn parts(&self) -> Vec<&PlanPart<urrcp::Robot>> {
+        self.out.iter().filter_map(|o| if let Output::Plan(part) = o { Some(part) } else { None }).collect()
+    }
+
+    fn cancels(&self) -> Vec<(u64, Then)> {
+        let cancel = |output: &Output| match output {
+            Output::Cancel(PlanCancel { plan, then, .. }) => Some((plan.0, *then)),
+            _ => None,
+        };
+        self.out.iter().filter_map(cancel).collect()
+    }
+
+    /// The driver says that this happened, now and then in milliseconds.
+    fn says(&mut self, id: PlanId, at_ms: i64, event: PlanEvent) -> Result<(), String> {
+        let at = at(at_ms);
+        self.robot.plan_reported(self.now, id, at, &event, &mut self.out)
+    }
+
+    #[track_caller]
+    fn hears(&mut self, id: PlanId, at_ms: i64, event: PlanEvent) {
+        assert_eq!(self.says(id, at_ms, event), Ok(()));
+    }
+
+    fn last(&self) -> &ControlResponse {
+        self.responses().last().unwrap()
+    }
+
+    /// Sends the script of the paper to `arm`, to start after a second.
+    fn paper(&mut self) {
+        self.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER)));
+    }
+
+    fn stop_arm(&mut self, hold: bool) {
+        let stop = ControlRequest {
+            request_id: Some(RequestId::new("stop").unwrap()),
+            hold,
+            ..ControlRequest::immediate(DeviceId::new("arm").unwrap(), Command::Script(Script::default()))
+        };
+        self.request(stop);
+    }
+}
+
+fn milliseconds(at: Timestamp<urrcp::Robot>) -> f64 {
+    (at - Timestamp::from_nanos(BEGIN)).as_millis_f64()
+}
+
+#[test]
+fn a_whole_script_is_handed_over_when_it_is_accepted_with_absolute_times() {
+    let mut bench = whole("arm");
+    bench.paper();
+    let [part] = bench.parts()[..] else { panic!("{:?}", bench.out) };
+    assert_eq!((part.plan, part.first, part.is_last), (P1, 0, true));
+    assert_eq!((milliseconds(part.start), milliseconds(part.begin_by)), (1_000.0, 1_050.0));
+    let steps: Vec<_> = part.steps.iter().map(|step| (milliseconds(step.at), step.setpoint.value)).collect();
+    let planned: Vec<_> = PAPER.iter().map(|(ms, value)| (1_000.0 + ms, *value)).collect();
+    assert_eq!(steps, planned);
+    bench.until(5_000);
+    assert!(bench.values().is_empty(), "set by the edge as well: {:?}", bench.values());
+}
+
+#[test]
+fn what_is_reported_is_what_the_driver_says() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_010);
+    assert_eq!(bench.statuses(), ["Accepted"], "the machine alone says nothing");
+    bench.hears(P1, 1_007, PlanEvent::Began);
+    assert_eq!(bench.last().event_timestamp, Some(at(1_007)));
+    bench.hears(P1, 1_008, PlanEvent::Step(0));
+    bench.until(2_000);
+    bench.hears(P1, 2_000, PlanEvent::Step(1));
+    bench.until(3_020);
+    bench.hears(P1, 3_019, PlanEvent::Done);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "OK"]);
+    let ended = bench.last();
+    assert_eq!((ended.event_timestamp, ended.steps_done), (Some(at(3_019)), Some(3)));
+    assert_eq!(ended.late_steps, Some(1), "the first step");
+    assert_eq!(ended.status_value, StatusValue::Number(PAPER[2].1));
+    assert!(bench.robot.is_idle());
+}
+
+#[test]
+fn an_end_that_the_driver_says_early_is_told_when_the_script_is_over() {
+    let mut bench = whole("arm");
+    bench.request(timed("arm", "a", 1_000.0, script(ControlType::Position, &[(0.0, 5.0), (500.0, 6.0)])));
+    bench.until(999);
+    bench.hears(P1, 999, PlanEvent::Began);
+    assert_eq!(bench.statuses(), ["Accepted"]);
+    bench.until(1_400);
+    bench.hears(P1, 1_400, PlanEvent::Done);
+    assert_eq!(bench.statuses(), ["Accepted", "Started"]);
+    bench.until(1_500);
+    assert_eq!(bench.last().event_timestamp, Some(at(1_400)), "as the driver says");
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "OK"]);
+}
+
+#[test]
+fn a_driver_that_never_says_that_it_began_or_ended_leaves_the_script_failed_and_is_told_to_end_it() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_800);
+    assert_eq!(bench.cancels(), [(1, Then::Default)]);
+    assert_eq!(bench.statuses(), ["Accepted"], "whether it has ended is not known yet");
+    bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
+    assert_eq!(bench.statuses(), ["Accepted", "Failed internal"]);
+    let message = bench.last().error.as_ref().unwrap().message.to_string();
+    assert!(message.contains("did not say that it had started"), "{message}");
+
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_100);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.until(3_700);
+    assert_eq!(bench.cancels(), [], "it may still say so");
+    bench.until(3_800);
+    bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed internal"]);
+    assert_eq!(bench.last().steps_done, Some(0));
+}
+
+#[test]
+fn an_edge_that_was_held_up_itself_waits_for_reports_that_are_on_their_way() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.now = at(4_900);
+    bench.robot.advance(bench.now, &mut bench.out);
+    assert_eq!(bench.statuses(), ["Accepted"]);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.hears(P1, 3_000, PlanEvent::Done);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "OK"]);
+}
+
+#[test]
+fn a_stop_is_confirmed_and_the_end_told_once_the_driver_has_ended_the_script() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_500);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.hears(P1, 1_000, PlanEvent::Step(0));
+    bench.stop_arm(false);
+    assert_eq!(bench.cancels(), [(1, Then::Default)]);
+    assert_eq!(bench.statuses(), ["Accepted", "Started"]);
+    let place = |wanted: fn(&Output) -> bool| bench.out.iter().position(wanted).unwrap();
+    let cancel = place(|output| matches!(output, Output::Cancel(_)));
+    let rest = place(|output| matches!(output, Output::Set(_)));
+    let confirm = place(|output| matches!(output, Output::Confirm { .. }));
+    assert!(cancel < rest && rest < confirm, "{:?}", bench.out);
+    bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed cancelled"]);
+    assert_eq!(bench.last().steps_done, Some(1));
+    bench.robot.confirmed(bench.now, crate::confirmation::Ticket(1), &mut bench.out);
+    assert_eq!(bench.last().status, Status::Ok);
+}
+
+#[test]
+fn a_device_that_is_to_hold_is_left_where_its_driver_has_it() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_500);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.stop_arm(true);
+    let positions = bench
+        .sets()
+        .into_iter()
+        .filter(|set| matches!(&set.motion, Motion::Default(to) if to.control_type == ControlType::Position));
+    assert_eq!(positions.count(), 0, "{:?}", bench.out);
+    assert_eq!(bench.cancels().len(), 1);
+}
+
+#[test]
+fn hardware_that_goes_away_while_a_script_is_being_ended_leaves_the_stop_unconfirmed() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_500);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.stop_arm(false);
+    bench.robot.hardware_lost(bench.now, "it did not answer `cancel`", &mut bench.out);
+    let failed: Vec<_> = bench.responses().iter().filter(|r| r.status == Status::Failed).cloned().collect();
+    let messages: Vec<_> = failed.iter().map(|r| r.error.as_ref().unwrap().message.to_string()).collect();
+    assert_eq!(messages.len(), 2, "{messages:?}");
+    assert!(messages.iter().any(|m| m.contains("unknown whether the hardware took the last value")));
+    assert!(messages.iter().any(|m| m.contains("unknown whether the hardware stopped")));
+    assert!(bench.robot.is_idle());
+}
+
+#[test]
+fn a_script_that_is_withdrawn_before_its_start_is_ended_alone() {
+    let mut bench = whole("arm");
+    bench.request(timed("arm", "a", 0.0, script(ControlType::Position, &[(0.0, 5.0), (900.0, 6.0)])));
+    bench.hears(P1, 0, PlanEvent::Began);
+    bench.request(timed("arm", "b", 1_000.0, script(ControlType::Position, &PAPER)));
+    bench.request(timed("arm", "withdraw", 1_000.0, Command::Script(Script::default())));
+    assert_eq!(bench.cancels(), [(2, Then::Keep)]);
+    bench.robot.plan_cancelled(bench.now, P2, &mut bench.out);
+    bench.robot.confirmed(bench.now, crate::confirmation::Ticket(1), &mut bench.out);
+    bench.until(900);
+    bench.hears(P1, 900, PlanEvent::Done);
+    let ends: Vec<_> = bench.responses().iter().map(|r| r.status.clone()).collect();
+    assert!(ends.contains(&Status::Ok) && bench.robot.is_idle(), "{:?}", bench.statuses());
+}
+
+#[test]
+fn a_lease_that_ends_before_the_start_ends_the_script_at_the_driver() {
+    let mut bench = whole("arm");
+    let lease = StopCondition { pending: Some(Millis::new(300.0).unwrap()), running: None };
+    bench.request(ControlRequest {
+        stop_condition: Some(lease),
+        ..timed("arm", "a", 1_000.0, script(ControlType::Position, &PAPER))
+    });
+    bench.until(400);
+    assert_eq!(bench.cancels().len(), 1);
+    bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
+    assert_eq!(bench.statuses(), ["Accepted", "Failed link_lost"]);
+}
+
+#[test]
+fn a_failure_that_the_driver_reports_is_told_with_the_step() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_100);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.until(2_100);
+    bench.hears(P1, 2_000, PlanEvent::Step(1));
+    bench.hears(P1, 2_050, PlanEvent::Failed("torque".to_owned()));
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed internal"]);
+    let failed = bench.last();
+    assert_eq!(failed.error.as_ref().unwrap().message.to_string(), "the hardware failed in step 3: torque");
+    assert_eq!(failed.steps_done, Some(2));
+    assert_eq!(bench.cancels(), [], "it has ended it by itself");
+    assert!(bench.sets().iter().any(|set| set.step.is_none()), "the device goes to its default state");
+}
+
+#[test]
+fn a_failure_behind_the_planned_end_is_told_too() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_100);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.until(3_100);
+    bench.hears(P1, 3_050, PlanEvent::Failed("torque".to_owned()));
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "Failed internal"]);
+    assert!(bench.robot.is_idle());
+}
+
+#[test]
+fn a_script_that_the_driver_refuses_fails_alone() {
+    let mut bench = whole("arm");
+    bench.paper();
+    let error = urrcp::ControlError::new(ErrorCode::Internal, "the hardware refused a script of `arm`: no");
+    bench.robot.plan_refused(bench.now, P1, 0, error, &mut bench.out);
+    assert_eq!(bench.statuses(), ["Accepted", "Failed internal"]);
+    assert_eq!(bench.cancels(), []);
+    bench.request(timed("arm", "b", 1_000.0, script(ControlType::Position, &PAPER)));
+    assert_eq!(bench.last().status, Status::Accepted);
+}
+
+#[test]
+fn what_a_driver_cannot_truly_say_is_not_reported() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_100);
+    for (id, at_ms, event, why) in [
+        (P2, 1_000, PlanEvent::Began, "never handed over"),
+        (P1, 1_200, PlanEvent::Began, "ahead"),
+        (P1, -50, PlanEvent::Began, "before it had it"),
+        (P1, 1_050, PlanEvent::Done, "not said to have started"),
+        (P1, 1_050, PlanEvent::Step(0), "not said to have started"),
+    ] {
+        let said = bench.says(id, at_ms, event);
+        assert!(said.as_ref().is_err_and(|said| said.contains(why)), "{why}: {said:?}");
+    }
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    assert!(bench.says(P1, 1_100, PlanEvent::Step(3)).is_err());
+    assert_eq!(bench.statuses(), ["Accepted", "Started"]);
+}
+
+#[test]
+fn of_a_script_that_is_over_a_driver_may_still_speak() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.stop_arm(false);
+    bench.robot.plan_cancelled(bench.now, P1, &mut bench.out);
+    let said = bench.out.len();
+    bench.hears(P1, 0, PlanEvent::Began);
+    assert_eq!(bench.out.len(), said);
+}
+
+#[test]
+fn a_horizon_hands_over_each_step_that_far_before_the_device_sets_out_for_it() {
+    let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
+    bench.paper();
+    assert!(bench.parts().is_empty());
+    bench.until(599);
+    assert!(bench.parts().is_empty());
+    bench.until(600);
+    // The way to the second step begins with the first.
+    let told = |bench: &Bench| -> Vec<_> {
+        bench.parts().iter().map(|part| (part.first, part.steps.len(), part.is_last)).collect()
+    };
+    assert_eq!(told(&bench), [(0, 2, false)]);
+    bench.until(1_000);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    assert!(bench.says(P1, 1_000, PlanEvent::Done).is_err(), "not all was handed over");
+    bench.until(1_600);
+    assert_eq!(told(&bench), [(0, 2, false), (2, 1, true)]);
+    bench.until(3_000);
+    bench.hears(P1, 3_000, PlanEvent::Done);
+    assert_eq!(bench.statuses(), ["Accepted", "Started", "OK"]);
+}
+
+#[test]
+fn an_edge_that_is_held_up_over_a_start_hands_over_nothing_that_is_past() {
+    let mut bench = planned(&[("arm", Lookahead::Horizon(Span::from_millis(400)))]);
+    bench.paper();
+    bench.now = at(1_100);
+    bench.robot.advance(bench.now, &mut bench.out);
+    assert!(bench.parts().is_empty());
+    assert_eq!(bench.statuses(), ["Accepted", "Failed late"]);
+}
+
+#[test]
+fn a_whole_script_goes_on_although_the_edge_was_held_up() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.now = at(2_400);
+    let silence = || None;
+    bench.robot.look_after(bench.now, silence, &mut bench.out);
+    bench.robot.advance(bench.now, &mut bench.out);
+    assert_eq!((bench.statuses(), bench.cancels()), (vec!["Accepted".to_owned()], vec![]));
+}
+
+#[test]
+fn an_edge_that_ends_has_its_driver_end_what_it_has() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.robot.shut_down(bench.now, AtEnd::Default, &mut bench.out);
+    assert_eq!(bench.cancels(), [(1, Then::Default)]);
+}
+
+#[test]
+fn devices_of_one_robot_may_be_timed_by_the_driver_and_by_the_edge() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.request(timed("wheel", "w", 1_000.0, script(ControlType::Speed, &[(0.0, 3.0)])));
+    bench.until(1_001);
+    assert_eq!(bench.values(), [(1_000, 3.0)]);
+    assert_eq!(bench.parts().len(), 1);
+}
+
+#[test]
+fn an_inquiry_tells_the_steps_that_the_driver_has_done() {
+    let mut bench = whole("arm");
+    bench.paper();
+    bench.until(1_100);
+    bench.hears(P1, 1_000, PlanEvent::Began);
+    bench.hears(P1, 1_000, PlanEvent::Step(0));
+    bench.until(2_100);
+    bench.send(Message::Inquiry(urrcp::Inquiry {
+        requests: vec![RequestId::new("a").unwrap()],
+        ..urrcp::Inquiry::default()
+    }));
+    let Some(Output::Send { message: Message::InquiryResponse(response), .. }) = bench.out.last() else {
+        panic!("{:?}", bench.out.last())
+    };
+    assert_eq!(response.requests[0].steps_done, Some(1), "the machine itself would be two steps on");
+}
