@@ -21,6 +21,7 @@ mod compile;
 mod duration;
 mod events;
 mod exact;
+mod expression;
 pub mod export;
 mod fields;
 mod files;
