@@ -133,7 +133,8 @@ pub(super) fn of_two(two: Two, a: f64, b: f64) -> f64 {
         Two::Minus => a - b,
         Two::Times => a * b,
         Two::Over => a / b,
-        Two::Modulo => a - b * (a / b).floor(),
+        // As in intervals, so that both jump at the same nanosecond.
+        Two::Modulo => a - b * (a * (1.0 / b)).floor(),
         Two::Less => truth(a < b),
         Two::LessOrEqual => truth(a <= b),
         Two::Greater => truth(a > b),

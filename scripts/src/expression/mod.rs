@@ -14,6 +14,7 @@ mod unit;
 
 #[cfg(test)]
 mod tests;
+mod tried;
 
 use crate::exact::Fraction;
 use crate::finding::Code;
@@ -23,6 +24,7 @@ pub(crate) use grammar::{FUNCTIONS, Span};
 pub(crate) use number::Num;
 pub(crate) use pieces::{Piece, Trouble, pieces};
 pub(crate) use reading::{Robot, Robots};
+pub use tried::tried;
 pub(crate) use unit::Unit;
 
 /// What an expression may amount to.

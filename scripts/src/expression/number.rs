@@ -118,10 +118,6 @@ impl Num {
         Self::ZERO.minus(self)
     }
 
-    pub(crate) fn absolute(self) -> Self {
-        if self.compared(Self::ZERO) == Ordering::Less { self.negated() } else { self }
-    }
-
     pub(crate) fn floor(self) -> Self {
         match self {
             Self::Exact(value) => Self::kept(value.floor()),
