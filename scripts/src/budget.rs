@@ -9,6 +9,8 @@ pub(crate) const STEPS_MAX: usize = 25_000_000;
 /// Most times that an act moves a device: robots of its cues, and the devices that they move.
 pub(crate) const USES_MAX: usize = 5_000_000;
 
+/// Most steps of expressions that are taken.
+pub(crate) const EVALUATIONS_MAX: usize = 10_000_000;
 /// Most names that wrong ones are compared with.
 pub(crate) const COMPARISONS_MAX: usize = 1_000_000;
 /// Most errors that are reported, and as many warnings.

@@ -1,4 +1,4 @@
-//! Durations as people write them: `2s`, `250ms`, `1m30s`, `1.5s`.
+//! Durations as people write them: `2s`, `250ms`, `1m30s`, `1.5s`, `00:01:30`.
 
 use urrcp::Span;
 
@@ -10,14 +10,17 @@ const DIGITS_MAX: usize = 15;
 /// Parts of a nanosecond that are told apart before a time is rounded.
 const PARTS: i128 = 1_000_000_000;
 
-/// Reads a time: numbers with h, m, s, ms or us, added up, to the nearest nanosecond. `None` if it is anything else or longer
-/// than 1e11 ms.
+/// Reads a time: numbers with h, m, s, ms or us, added up, or hours, minutes and seconds as `00:01:30.5`, to the nearest
+/// nanosecond. `None` if it is anything else or longer than 1e11 ms.
 #[must_use]
 pub fn parse_duration(text: &str) -> Option<Span> {
     let mut rest = text.trim();
     let mut parts: i128 = 0;
     if rest.is_empty() {
         return None;
+    }
+    if rest.contains(':') {
+        return of_clock(rest);
     }
     while !rest.is_empty() {
         let digits = rest.find(|c: char| !c.is_ascii_digit() && c != '.')?;
@@ -44,7 +47,7 @@ fn parts_of(number: &str, unit_nanos: i128) -> Option<i128> {
     Some(value(whole)? * unit_nanos * PARTS + value(fraction)? * unit_nanos * PARTS / scale)
 }
 
-/// How a time is written that a person would understand: `00:01:30`, `1 second`, `0,3s`.
+/// How a time is written that a person would understand: `1:30`, `1 second`, `0,3s`.
 pub(crate) fn hint(text: &str) -> Option<String> {
     let text = text.trim();
     if let Some(rest) = text.strip_prefix('-').filter(|rest| parse_duration(rest).is_some()) {
@@ -54,21 +57,42 @@ pub(crate) fn hint(text: &str) -> Option<String> {
     if with_point != text && parse_duration(&with_point).is_some() {
         return Some(format!("write a decimal point: `{with_point}`"));
     }
-    let span = of_clock(text).or_else(|| in_words(&with_point))?;
+    if text.contains(':') {
+        return almost_of_clock(text);
+    }
+    let span = in_words(&with_point)?;
     Some(format!("write `{}`", written(span)))
 }
 
-/// `1:30` and `00:01:30`.
+/// Hours, minutes and seconds, all three, so that nobody has to guess which of them two numbers are: `00:01:30`, `00:01:30.5`.
 fn of_clock(text: &str) -> Option<Span> {
     let parts: Vec<&str> = text.split(':').collect();
-    let units: &[&str] = match parts.len() {
-        2 => &["m", "s"],
-        3 => &["h", "m", "s"],
-        _ => return None,
-    };
-    parse_duration(
-        &parts.iter().zip(units).map(|(number, unit)| format!("{number}{unit}")).collect::<String>(),
-    )
+    let [hours, minutes, seconds] = parts.as_slice() else { return None };
+    let (whole, _) = seconds.split_once('.').unwrap_or((seconds, ""));
+    let below_60 = |digits: &str| digits.len() == 2 && digits < "60";
+    let digits = |text: &str| !text.is_empty() && text.bytes().all(|byte| byte.is_ascii_digit());
+    let sound = [*hours, *minutes, whole].iter().all(|part| digits(part));
+    if !sound || !below_60(minutes) || !below_60(whole) {
+        return None;
+    }
+    parse_duration(&format!("{hours}h{minutes}m{seconds}s"))
+}
+
+/// `1:30`: minutes and seconds, or hours and minutes; or three numbers that are not all of two digits.
+fn almost_of_clock(text: &str) -> Option<String> {
+    let with_point = text.replace(',', ".");
+    if of_clock(&with_point).is_some() {
+        return Some(format!("write a decimal point: `{with_point}`"));
+    }
+    let numbers: Vec<u32> = text.split(':').map(|part| part.parse().ok()).collect::<Option<_>>()?;
+    match numbers.as_slice() {
+        [a, b] if *b < 60 => {
+            Some(format!("write hours, minutes and seconds, `00:{a:02}:{b:02}` or `{a:02}:{b:02}:00`"))
+        }
+        [h, m, s] => parse_duration(&format!("{h}h{m}m{s}s"))
+            .map(|_| format!("write two digits below 60 each, or `{h}h{m}m{s}s`")),
+        _ => None,
+    }
 }
 
 /// `1 second`, `250 milliseconds`, `2 S`.
@@ -140,8 +164,9 @@ mod tests {
     #[test]
     fn a_time_in_another_form_is_shown_in_this_one() {
         for (text, right) in [
-            ("00:01:30", "write `90s`"),
-            ("1:30", "write `90s`"),
+            ("1:30", "write hours, minutes and seconds, `00:01:30` or `01:30:00`"),
+            ("0:1:90", "write two digits below 60 each, or `0h1m90s`"),
+            ("00:01:30,5", "write a decimal point: `00:01:30.5`"),
             ("1 second", "write `1s`"),
             ("2 S", "write `2s`"),
             ("0,3s", "write a decimal point: `0.3s`"),
@@ -160,6 +185,12 @@ mod tests {
         assert_eq!(millis("1m30s"), Some(90_000.0));
         assert_eq!(millis("1.5s"), Some(1_500.0));
         assert_eq!(millis("200us"), Some(0.2));
+        assert_eq!(millis("00:01:30"), Some(90_000.0));
+        assert_eq!(millis("1:02:03.25"), Some(3_723_250.0));
+        assert_eq!(millis("100:00:00"), Some(360_000_000.0));
+        for wrong in ["01:30", "00:60:00", "00:00:60", "0:1:30", "::", "00:01:30s", "-00:00:01", "00:01:3.0"] {
+            assert_eq!(millis(wrong), None, "{wrong}");
+        }
         for wrong in ["", "2", "s", "2 parsecs", "-1s", "1..5s", "1e9s", "9999999999999s"] {
             assert_eq!(millis(wrong), None, "{wrong}");
         }

@@ -47,6 +47,16 @@ impl Exact {
         self.plus(Self(-other.0))
     }
 
+    /// So many nanoseconds.
+    pub(crate) const fn of_nanos(nanos: Fraction) -> Self {
+        Self(nanos)
+    }
+
+    /// In nanoseconds.
+    pub(crate) const fn nanos(self) -> Fraction {
+        self.0
+    }
+
     /// In seconds.
     pub(crate) fn seconds(self) -> f64 {
         to_f64(self.0) / 1e9
@@ -122,6 +132,12 @@ pub(crate) fn decimal(text: &str) -> Option<Fraction> {
 /// A number of the language as it was written: doubles are shown by the shortest text that reads as the same one.
 pub(crate) fn fraction(value: f64) -> Fraction {
     decimal(&value.to_string()).unwrap_or_else(|| near(value))
+}
+
+/// The same of any sign; of very small and large numbers the nearest millionth.
+pub(crate) fn near_fraction(value: f64) -> Fraction {
+    let size = decimal(&value.abs().to_string()).unwrap_or_else(|| near(value.abs()));
+    if value < 0.0 { -size } else { size }
 }
 
 /// Whether a fraction lies within bounds.

@@ -3,9 +3,10 @@
 use std::borrow::Cow;
 use std::cell::Cell;
 
-use crate::budget::{Budget, COMPARISONS_MAX, FINDINGS_MAX, KNOTS_MAX, longest};
+use crate::budget::{Budget, COMPARISONS_MAX, EVALUATIONS_MAX, FINDINGS_MAX, KNOTS_MAX, longest};
 use crate::duration;
 use crate::exact::{Exact, Laps};
+use crate::expression::{self, Robots};
 use crate::finding::{
     Code, Finding, Part, Pending, Place, Severity, did_you_mean_this, names, nearest, one_of,
 };
@@ -47,13 +48,13 @@ impl<'a> At<'a> {
     /// The place of this node.
     pub(crate) fn place(&self) -> Place {
         let (file, path) = self.path();
-        Place { file, path, key: false }
+        Place { file, path, key: false, within: None }
     }
 
     /// The place of the key that leads to it.
     pub(crate) fn key_place(&self) -> Place {
         let (file, path) = self.path();
-        Place { file, path, key: true }
+        Place { file, path, key: true, within: None }
     }
 
     fn path(&self) -> (u16, Vec<Part>) {
@@ -82,6 +83,10 @@ pub(crate) struct Reader {
     pub(crate) knots: Budget,
     /// Parameters without a value in the movement that is being read.
     pub(crate) unset: Vec<Unset>,
+    /// For expressions.
+    pub(crate) evaluations: Budget,
+    /// Whose movement is being read.
+    pub(crate) robots: Robots,
     /// Values that a decimal comma cut in two, of which that is told already.
     cut: Vec<Place>,
     /// Comparisons of names that are left.
@@ -99,6 +104,13 @@ struct Told {
     more: usize,
 }
 
+/// How many findings there were at some time.
+pub(crate) struct FindingsMark {
+    found: usize,
+    told: [Told; 2],
+    unset: usize,
+}
+
 impl Default for Reader {
     fn default() -> Self {
         Self {
@@ -107,6 +119,8 @@ impl Default for Reader {
             music: Music::default(),
             knots: Budget::new(KNOTS_MAX),
             unset: Vec::new(),
+            evaluations: Budget::new(EVALUATIONS_MAX),
+            robots: Robots::default(),
             cut: Vec::new(),
             comparisons: Cell::new(COMPARISONS_MAX),
             told: [Told::default(); 2],
@@ -155,6 +169,18 @@ impl Reader {
         let before = self.found.len();
         self.add(code, place, message, expected, hint);
         self.found.iter_mut().skip(before).for_each(|found| found.related.clone_from(&related));
+    }
+
+    /// How far the findings have come, for [`Self::forget`].
+    pub(crate) fn mark(&self) -> FindingsMark {
+        FindingsMark { found: self.found.len(), told: self.told, unset: self.unset.len() }
+    }
+
+    /// Takes back every finding after the mark.
+    pub(crate) fn forget(&mut self, mark: &FindingsMark) {
+        self.found.truncate(mark.found);
+        self.unset.truncate(mark.unset);
+        self.told = mark.told;
     }
 
     /// Takes back some of the findings because there were too many.
@@ -227,10 +253,19 @@ impl Reader {
         #[cfg(test)]
         crate::known::keys(at, &known);
         let mut values: [Option<At<'a>>; N] = [None; N];
+        let mut open = None;
         for (index, (key, node)) in entries.iter().enumerate() {
             let before = index.checked_sub(1).map(|before| &entries[before]);
             if let Some(number) = before.and_then(|before| cut_by_comma(before, key, node)) {
                 self.cut_by_comma(at, number, key);
+                continue;
+            }
+            if open.is_some() || before.is_some_and(|before| cut_in_brackets(before, node).is_some()) {
+                let begun = before.and_then(|before| cut_in_brackets(before, node));
+                if let (None, Some((key, text))) = (open, begun) {
+                    self.cut_in_brackets(at, key, text);
+                }
+                open = open.or(begun).filter(|_| !key.contains(')'));
                 continue;
             }
             match known.iter().position(|name| name == key) {
@@ -279,13 +314,22 @@ impl Reader {
     }
 
     /// `{at: 0,3s}` is the number 0 and a key `3s`: one fault, one finding.
-    fn cut_by_comma(&mut self, at: &At<'_>, (key, whole): (&str, f64), rest: &str) {
+    fn cut_by_comma(&mut self, at: &At<'_>, (key, whole): (&str, String), rest: &str) {
         let place = at.entry(rest, 0, &Node::Null).key_place();
         let message =
             format!("a comma ends the value of `{}`, and `{}` is left over", shortened(key), shortened(rest));
         let hint = Some(format!("write a decimal point: `{whole}.{}`", shortened(rest)));
         self.add(Code::UnknownKey, place, message, "a decimal point", hint);
         self.cut.push(at.place().of_key(key));
+    }
+
+    /// `{to: max(1, 2)}` is the text `max(1` and a key `2)`: one fault, one finding.
+    fn cut_in_brackets(&mut self, at: &At<'_>, key: &str, text: &str) {
+        let place = at.entry(key, 0, &Node::Null).place();
+        let message = format!("a comma ends the expression `{}`", shortened(text));
+        let hint = Some("within `{` and `[`, write an expression that has a comma in quotes: `\"max(1, 2)\"`".to_owned());
+        self.add(Code::Expression, place.clone(), message, "an expression in quotes", hint);
+        self.cut.push(place);
     }
 
     /// The entries of a map with free keys, each key once.
@@ -321,13 +365,35 @@ impl Reader {
         }
     }
 
-    /// The node itself, or the value of the variable that is there.
+    /// The node itself, or the value of the variable that is there. Expressions are left as they are.
     pub(crate) fn scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
+        match at.node {
+            Node::Text(text) if self.is_variable(text) => self.variable(at, text).map(Cow::Owned),
+            node => Some(Cow::Borrowed(node)),
+        }
+    }
+
+    /// The same where an expression has no place: whatever begins like a variable is one.
+    fn plain_scalar<'a>(&mut self, at: &At<'a>) -> Option<Cow<'a, Node>> {
         match at.node {
             Node::Text(text) if text.starts_with('$') || text.starts_with("-$") => {
                 self.variable(at, text).map(Cow::Owned)
             }
             node => Some(Cow::Borrowed(node)),
+        }
+    }
+
+    /// Whether a text is a variable, or its negative, and nothing else.
+    pub(crate) fn is_variable(&self, text: &str) -> bool {
+        let Some(name) = text.strip_prefix('$').or_else(|| text.strip_prefix("-$")) else { return false };
+        let is_word = !name.is_empty() && name.chars().all(|c| c.is_alphanumeric() || c == '_');
+        match self.scope.get(name) {
+            // A time is negated as an expression.
+            Some(Node::Text(value)) if text.starts_with('-') => {
+                !expression::is_one(value) && duration::parse_duration(value).is_none()
+            }
+            Some(_) => true,
+            None => is_word && !matches!(name, "index" | "count"),
         }
     }
 
@@ -357,7 +423,7 @@ impl Reader {
     }
 
     pub(crate) fn text<'a>(&mut self, at: &At<'a>, expected: &str) -> Option<Cow<'a, str>> {
-        match self.scalar(at)? {
+        match self.plain_scalar(at)? {
             Cow::Borrowed(Node::Text(text)) => Some(Cow::Borrowed(text)),
             Cow::Owned(Node::Text(text)) => Some(Cow::Owned(text)),
             _ => {
@@ -369,7 +435,7 @@ impl Reader {
 
     /// A name: text, or a number that someone uses as one.
     pub(crate) fn name(&mut self, at: &At<'_>, expected: &str) -> Option<String> {
-        match self.scalar(at)?.as_ref() {
+        match self.plain_scalar(at)?.as_ref() {
             Node::Number(value) => Some(value.to_string()),
             Node::Text(text) => Some(text.clone()),
             _ => {
@@ -382,6 +448,7 @@ impl Reader {
     pub(crate) fn number(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
         match self.scalar(at)?.as_ref() {
             Node::Number(value) if value.is_finite() => Some(*value),
+            Node::Text(text) if expression::is_one(text) => self.number_of(at, text, expected),
             _ => {
                 self.wrong_type(at, expected);
                 None
@@ -414,6 +481,7 @@ impl Reader {
     pub(crate) fn truth(&mut self, at: &At<'_>) -> Option<bool> {
         match self.scalar(at)?.as_ref() {
             Node::Bool(value) => Some(*value),
+            Node::Text(text) if expression::is_one(text) => self.truth_of(at, text),
             _ => {
                 self.wrong_type(at, "true or false");
                 None
@@ -453,7 +521,7 @@ impl Reader {
     /// The same before it is rounded.
     pub(crate) fn exact_time(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
         let text = text.trim();
-        if let Some(name) = text.strip_prefix('$') {
+        if let Some(name) = text.strip_prefix('$').filter(|_| self.is_variable(text)) {
             let value = self.scope.get(name).cloned();
             return match value {
                 Some(node @ (Node::Text(_) | Node::Number(_))) => self.exact(&At { node: &node, ..*at }),
@@ -469,6 +537,7 @@ impl Reader {
                 let expected = "a `tempo`, and a fixed start where it changes";
                 self.add(Code::Music, at.place(), why.message(text), expected, Some(why.hint().to_owned()));
             }
+            None if expression::is_one(text) && !text.starts_with("-.") => return self.time_of(at, text),
             None => {
                 let found = format!("the time `{}` cannot be read", shortened(text));
                 self.add(Code::BadDuration, at.place(), found, duration::EXPECTED, duration::hint(text));
@@ -515,10 +584,34 @@ impl Reader {
 }
 
 /// The entry and its number if a decimal comma made this key of its decimals.
-fn cut_by_comma<'a>((key, value): &'a (String, Node), rest: &str, node: &Node) -> Option<(&'a str, f64)> {
+fn cut_by_comma<'a>((key, value): &'a (String, Node), rest: &str, node: &Node) -> Option<(&'a str, String)> {
     let decimals = rest.starts_with(|c: char| c.is_ascii_digit()) && *node == Node::Null;
     match value {
-        Node::Number(whole) if decimals && whole.fract() == 0.0 => Some((key, *whole)),
+        Node::Number(whole) if decimals && whole.fract() == 0.0 => Some((key, whole.to_string())),
+        // `00:01:30,5` and `$a * 1,5`.
+        Node::Text(text) if decimals && is_open(text) == 0 => {
+            let begins = text.rfind(|c: char| !c.is_ascii_digit() && c != ':').map_or(0, |at| at + 1);
+            let whole = &text[begins..];
+            (whole.ends_with(|c: char| c.is_ascii_digit()) && (begins == 0 || expression::is_one(text)))
+                .then(|| (key.as_str(), whole.to_owned()))
+        }
+        _ => None,
+    }
+}
+
+/// How many brackets are open at the end of a text.
+fn is_open(text: &str) -> usize {
+    text.chars().fold(0, |open: usize, c| match c {
+        '(' => open + 1,
+        ')' => open.saturating_sub(1),
+        _ => open,
+    })
+}
+
+/// Whether a comma within the brackets of an expression ended the value, which leaves the rest as a key.
+fn cut_in_brackets<'a>((key, value): &'a (String, Node), node: &Node) -> Option<(&'a str, &'a str)> {
+    match value {
+        Node::Text(text) if *node == Node::Null && is_open(text) > 0 && expression::is_one(text) => Some((key, text)),
         _ => None,
     }
 }

@@ -118,6 +118,7 @@ codes! {
     ImportNames = "DB0067", Error, "imported robots, devices or scenes with names that are not allowed";
     ImportLimit = "DB0068", Error, "an import is larger than its limit";
     FileExists = "DB0069", Error, "a file exists already";
+    Expression = "DB0070", Error, "an expression without a value";
 }
 
 impl Code {
@@ -234,6 +235,16 @@ pub(crate) struct Place {
     pub(crate) file: u16,
     pub(crate) path: Vec<Part>,
     pub(crate) key: bool,
+    /// Some characters of the text that stands there.
+    pub(crate) within: Option<Within>,
+}
+
+/// Characters of a text: which ones, and the whole text, by which they are found in the file.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Within {
+    pub(crate) text: Box<str>,
+    pub(crate) from: usize,
+    pub(crate) width: usize,
 }
 
 impl Place {
@@ -241,7 +252,7 @@ impl Place {
     pub(crate) fn below(&self, part: Part) -> Self {
         let mut path = self.path.clone();
         path.push(part);
-        Self { file: self.file, path, key: false }
+        Self { file: self.file, path, key: false, within: None }
     }
 
     /// The place of a key's value below this one.

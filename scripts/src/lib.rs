@@ -21,6 +21,7 @@ mod compile;
 mod duration;
 mod events;
 mod exact;
+mod expression;
 pub mod export;
 mod fields;
 mod files;
@@ -64,6 +65,8 @@ pub use compile::{
     Compiled, Gap, Moment, Outline, WrittenAct, WrittenCue, WrittenRelation, compile, outline,
 };
 pub use duration::parse_duration;
+#[doc(hidden)]
+pub use expression::tried as try_expression;
 pub use files::{Files, Folder, NoFiles};
 pub use finding::{Code, Finding, Related, Severity};
 pub use fleet::{

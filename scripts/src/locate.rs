@@ -7,7 +7,7 @@ use std::collections::HashMap;
 use saphyr_parser::Event;
 
 use crate::events::{Events, Extent};
-use crate::finding::{Finding, Part, Pending, Place, Related};
+use crate::finding::{Finding, Part, Pending, Place, Related, Within};
 use crate::render::line_starts;
 use crate::source::Source;
 
@@ -60,6 +60,10 @@ fn locate_in(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {
         .zip(related)
         .map(|((pending, node), related)| {
             let place = lines.within(wanted.spot(node, pending.place.key));
+            let place = match &pending.place.within {
+                Some(within) => lines.part(&source.text, place, within),
+                None => place,
+            };
             let others = related.iter().zip(&pending.related).map(|(node, (place, message))| {
                 related_place(source, &lines, lines.within(wanted.spot(*node, place.key)), message, &mut room)
             });
@@ -136,6 +140,18 @@ impl LineStarts {
             true => Spot { line: self.0.len(), column: 1, width: 1 },
             false => spot,
         }
+    }
+
+    /// Some characters of a text, if it stands in one line as it is meant.
+    fn part(&self, text: &str, spot: Spot, within: &Within) -> Spot {
+        let ahead = spot.column.saturating_sub(1);
+        let found: String = self.line(text, spot.line).chars().skip(ahead).take(spot.width).collect();
+        let quotes = match found.strip_prefix(['"', '\'']) {
+            _ if found == *within.text => 0,
+            Some(rest) if rest.get(..rest.len().saturating_sub(1)) == Some(&*within.text) => 1,
+            _ => return spot,
+        };
+        Spot { line: spot.line, column: spot.column + quotes + within.from, width: within.width }
     }
 
     fn line<'a>(&self, text: &'a str, number: usize) -> &'a str {

@@ -137,7 +137,8 @@ impl Music {
         Some(self.length(bars, beats))
     }
 
-    fn length(&self, bars: Fraction, beats: Fraction) -> Result<Exact, Unmusical> {
+    /// How long so many bars and beats last from here on.
+    pub(crate) fn length(&self, bars: Fraction, beats: Fraction) -> Result<Exact, Unmusical> {
         let tempo = self.tempo.as_ref().ok_or(Unmusical::WithoutTempo)?;
         let start = match (self.start.0, tempo.changes()) {
             (Some(start), _) => start,

@@ -118,7 +118,15 @@ proptest! {
 }
 
 /// Values that may stand somewhere, right and wrong ones.
-const VALUES: [&str; 40] = [
+const VALUES: [&str; 48] = [
+    "$v * 2",
+    "$index * 500ms",
+    "2 * $w / 3",
+    "if($index < 1, 1, 2)",
+    "$index % 2 == 0",
+    "360 * $index / $count",
+    "$v / ($v - 3)",
+    "00:00:01.5",
     "0s",
     "1s",
     "250ms",
@@ -160,7 +168,10 @@ const VALUES: [&str; 40] = [
     "{}",
     "~",
 ];
-const TRACKS: [&str; 9] = [
+const TRACKS: [&str; 12] = [
+    "{formula: '$v + 10 * sin(360 * t / 2s)', for: 3s}",
+    "{formula: 'abs(10 * t / 1s - $index) % 7', for: $w + 1s}",
+    "{formula: '1 / t', for: 2s, tolerance: 1}",
     "[{at: 0s, to: 0}, {at: 1s, to: 45, ease: smooth}]",
     "[{at: 1s, to: 10}, {at: 2s, to: $v, ease: step}]",
     "{wave: {amplitude: 10, period: 1s, center: 45, for: 3s}}",
@@ -210,6 +221,7 @@ proptest! {
     }
 }
 
+mod expressions;
 mod hints;
 mod numbers;
 mod told;

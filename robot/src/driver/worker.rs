@@ -377,7 +377,7 @@ impl Worker {
         // On a fixed beat; beats that a slow device missed are left out.
         let now = Instant::now();
         for period in due {
-            if let Some(at) = self.beats.get_mut(&period) {
+            if let Some(at) = self.beats.get_mut(&period).filter(|at| **at <= now) {
                 *at = (*at + period).max(now);
             }
         }

@@ -31,6 +31,7 @@ pub(super) struct Timed<'a> {
 /// Ways of a cue between two knots that have to be fitted.
 fn ways(cue: &Cue) -> usize {
     let movements = std::iter::once(&cue.movement).chain(cue.overrides.iter().map(|(_, movement)| movement));
+    let movements = movements.chain(&cue.own);
     let fitted = movements.flat_map(|movement| &movement.tracks).filter_map(|track| match &track.motion {
         Motion::Curve(curve) => {
             let thinned = track.tolerance.is_some() || track.steps_max.is_some();

@@ -29,7 +29,7 @@ pub(super) struct Cast<'a> {
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Member {
     pub(super) robot: usize,
-    /// 0 for the cue's own movement, else one more than the index of its override.
+    /// 0 for the cue's own movement, then one more than the index of its override, then its very own ones.
     pub(super) movement: usize,
     /// Later than the cue.
     pub(super) delay: Span,
@@ -49,7 +49,10 @@ impl Cue {
     pub(super) fn movement_of(&self, member: &Member) -> &Movement {
         match member.movement.checked_sub(1) {
             None => &self.movement,
-            Some(index) => &self.overrides[index].1,
+            Some(index) => match index.checked_sub(self.overrides.len()) {
+                None => &self.overrides[index].1,
+                Some(own) => &self.own[own],
+            },
         }
     }
 }
@@ -168,7 +171,8 @@ impl<'a> Cast<'a> {
         let mut members = Members::default();
         let mut unset = HashSet::new();
         for (index, &robot) in robots.iter().enumerate() {
-            let movement = overridden.get(&robot).copied().unwrap_or(0);
+            let own = cue.own_of.get(index).copied().flatten().map(|own| 1 + cue.overrides.len() + own);
+            let movement = own.or_else(|| overridden.get(&robot).copied()).unwrap_or(0);
             let stagger = canon.begin(u32::try_from(index).unwrap_or(u32::MAX));
             let mut member = Member { robot, movement, delay: stagger };
             let movement = cue.movement_of(&member);

@@ -99,7 +99,9 @@ pub fn outline(source: &Source, fleet: &Fleet, files: &dyn Files) -> Outline {
     let Ok(documents) = scenario::documents(source, files) else { return Outline::default() };
     let mut reader = Reader::default();
     reader.knots = Budget::new(knots_max(fleet));
-    let Some(scenario) = scenario::read(&mut reader, &documents, files) else { return Outline::default() };
+    let Some(scenario) = scenario::read(&mut reader, &documents, files, fleet) else {
+        return Outline::default();
+    };
     let Documents { sources, .. } = documents;
     let cast = Cast::new(fleet, &scenario.roles);
     let places: Vec<&Place> = scenario.acts.iter().flat_map(|act| &act.cues).map(|cue| &cue.place).collect();

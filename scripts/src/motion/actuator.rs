@@ -483,6 +483,10 @@ impl<'a> Actuator<'a> {
                         Some(Function::Sine { cycles, phase }) => {
                             key.extend([cycles.to_bits(), phase.to_bits()])
                         }
+                        Some(Function::Formula(part)) => {
+                            key.extend([part.from.to_bits(), part.to.to_bits()]);
+                            key.extend(part.formula.key());
+                        }
                         None => {}
                     }
                 }

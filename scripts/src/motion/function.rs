@@ -2,6 +2,8 @@
 
 use std::f64::consts::TAU;
 
+use crate::expression::Formula;
+
 /// A function of s from 0 to 1.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Function {
@@ -9,6 +11,25 @@ pub(crate) enum Function {
     Polynomial(Box<[f64]>),
     /// sin(2 pi (cycles s + phase)); the phase in turns.
     Sine { cycles: f64, phase: f64 },
+    Formula(Box<FormulaPart>),
+}
+
+/// What lies between two times of a formula.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct FormulaPart {
+    pub(crate) formula: Formula,
+    /// In seconds.
+    pub(crate) from: f64,
+    pub(crate) to: f64,
+    /// Bounds of its first two derivatives, a second.
+    pub(crate) slope_max: f64,
+    pub(crate) curvature_max: f64,
+}
+
+impl FormulaPart {
+    fn length(&self) -> f64 {
+        self.to - self.from
+    }
 }
 
 impl Function {
@@ -16,6 +37,7 @@ impl Function {
         match self {
             Self::Polynomial(coefficients) => horner(coefficients, s),
             Self::Sine { cycles, phase } => (TAU * (cycles * s + phase)).sin(),
+            Self::Formula(part) => part.formula.at(part.from + part.length() * s),
         }
     }
 
@@ -24,11 +46,16 @@ impl Function {
         match self {
             Self::Polynomial(coefficients) => weighted(coefficients, |k| k),
             Self::Sine { cycles, .. } => TAU * cycles,
+            Self::Formula(part) => part.slope_max * part.length(),
         }
     }
 
     /// The largest first and second derivative among many samples; of a wave its bounds.
     pub(crate) fn peak_rates(&self) -> (f64, f64) {
+        if let Self::Formula(part) = self {
+            let (slope, curvature) = part.formula.peak_rates(part.from, part.to);
+            return (slope * part.length(), curvature * part.length().powi(2));
+        }
         let Self::Polynomial(coefficients) = self else { return (self.slope_max(), self.curvature_max()) };
         let slope = derivative(coefficients);
         let curvature = derivative(&slope);
@@ -44,6 +71,7 @@ impl Function {
         match self {
             Self::Polynomial(coefficients) => weighted(coefficients, |k| k * (k - 1.0)),
             Self::Sine { cycles, .. } => (TAU * cycles).powi(2),
+            Self::Formula(part) => part.curvature_max * part.length().powi(2),
         }
     }
 }

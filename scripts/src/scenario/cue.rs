@@ -4,9 +4,10 @@ use urrcp::{Millis, StopCondition};
 
 use super::acts::Defaults;
 use super::library::Library;
-use super::movement::{Shaping, movement};
+use super::each::movements;
+use super::movement::Shaping;
 use super::when::{When, range};
-use super::{Bounds, Cue, Movement, Name, OffGrid, Order, Reading, nothing};
+use super::{Bounds, Cue, Name, OffGrid, Order, Reading, nothing};
 use crate::exact::{Beginning, Laps};
 use crate::fields::{At, Reader};
 use crate::finding::Code;
@@ -102,8 +103,12 @@ pub(super) fn read(
             reader.add(Code::MissingKey, at.place(), message, format!("a key `{key}`"), hint);
         }
     }
-    let movement = movement(reader, library, &shaping);
-    let overrides = overrides.map(|at| read_overrides(reader, library, &shaping, &at)).unwrap_or_default();
+    let robots_place = robots.map_or_else(|| at.place(), |at| at.place());
+    let robots = robots.map(|at| robot_names(reader, &at)).unwrap_or_default();
+    let entries = overrides.as_ref().map(|at| reader.entries(at, "robot to what is different for it"));
+    let entries = entries.unwrap_or_default();
+    let overriding = read_overrides(reader, &shaping, &entries);
+    let read = movements(reader, library, &shaping, &overriding, &robots);
     let cue = Cue {
         name: name
             .and_then(|at| reader.name(&at, "the cue's name"))
@@ -111,10 +116,12 @@ pub(super) fn read(
         place: at.place(),
         relations,
         duration: duration.and_then(|at| bounds(reader, &at)),
-        robots: robots.map(|at| robot_names(reader, &at)).unwrap_or_default(),
-        robots_place: robots.map_or_else(|| at.place(), |at| at.place()),
-        movement,
-        overrides,
+        robots,
+        robots_place,
+        movement: read.shared,
+        overrides: read.overrides,
+        own: read.own,
+        own_of: read.own_of,
         canon: canon
             .and_then(|at| reader.exact(&at))
             .map_or_else(Laps::default, |length| reader.laps(length)),
@@ -186,20 +193,25 @@ fn read_readings(reader: &mut Reader, at: &At<'_>) -> Vec<Reading> {
     readings
 }
 
-fn read_overrides(
+/// What some robots of a cue do otherwise.
+pub(super) struct Overriding<'a> {
+    pub(super) name: Name,
+    pub(super) shaping: Shaping<'a>,
+}
+
+fn read_overrides<'a>(
     reader: &mut Reader,
-    library: &Library<'_>,
-    base: &Shaping<'_>,
-    at: &At<'_>,
-) -> Vec<(Name, Movement)> {
+    base: &Shaping<'a>,
+    entries: &'a [(&'a str, At<'a>)],
+) -> Vec<Overriding<'a>> {
     let mut overrides = Vec::new();
-    for (robot, at) in reader.entries(at, "robot to what is different for it") {
+    for (robot, at) in entries {
         let Some([named, parameters, tracks, devices, mirror, scale, reverse, repeat, delay]) =
-            reader.map(&at, "an override", OVERRIDE_KEYS, &[])
+            reader.map(at, "an override", OVERRIDE_KEYS, &[])
         else {
             continue;
         };
-        let own = Shaping {
+        let shaping = Shaping {
             named: named.or(base.named),
             parameters: parameters.or(base.parameters),
             tracks: tracks.or(base.tracks),
@@ -211,8 +223,8 @@ fn read_overrides(
             delay,
             tolerance: base.tolerance,
         };
-        let name = Name { text: robot.to_owned(), place: at.key_place() };
-        overrides.push((name, movement(reader, library, &own)));
+        let name = Name { text: (*robot).to_owned(), place: at.key_place() };
+        overrides.push(Overriding { name, shaping });
     }
     overrides
 }

@@ -6,10 +6,12 @@ use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use super::Name;
+use super::each::Roster;
 use crate::exact::{Fraction, fraction};
 use crate::fields::{At, Reader};
 use crate::files::Files;
 use crate::finding::{Code, Finding, Place, one_of};
+use crate::fleet::Fleet;
 use crate::locate::locate;
 use crate::music::{Section, Tempo, position};
 use crate::node::{self, Node, shortened};
@@ -112,6 +114,7 @@ pub(crate) struct Library<'a> {
     pub(super) moves: HashMap<String, (u16, &'a Node)>,
     pub(super) roles: HashMap<String, Vec<Name>>,
     pub(super) files: &'a dyn Files,
+    roster: Roster<'a>,
     used: RefCell<HashSet<String>>,
     /// Names of all moves, in order; made for the first finding that lists them.
     names: OnceCell<Vec<String>>,
@@ -119,7 +122,7 @@ pub(crate) struct Library<'a> {
 
 impl<'a> Library<'a> {
     /// With the moves of all files; what is wrong with them is found by [`Self::include`] and [`Self::add`].
-    pub(super) fn new(nodes: &'a [Node], files: &'a dyn Files) -> Self {
+    pub(super) fn new(nodes: &'a [Node], files: &'a dyn Files, fleet: &'a Fleet) -> Self {
         let mut moves = HashMap::new();
         for (file, node) in (0u16..).zip(nodes) {
             let Node::Map(entries) = node else { continue };
@@ -131,7 +134,13 @@ impl<'a> Library<'a> {
                 moves.entry(name.clone()).or_insert((file, node));
             }
         }
-        Self { moves, roles: HashMap::new(), files, used: RefCell::default(), names: OnceCell::new() }
+        let (roster, roles) = (Roster::new(fleet), HashMap::new());
+        Self { moves, roles, files, roster, used: RefCell::default(), names: OnceCell::new() }
+    }
+
+    /// The robots that names stand for, as far as they are known.
+    pub(super) fn robots(&self, names: &[Name]) -> Vec<usize> {
+        self.roster.robots(&self.roles, names)
     }
 
     /// Takes an included file.
@@ -226,7 +235,7 @@ fn include_kind(reader: &mut Reader, at: &At<'_>) {
 
 /// A number, a text or a truth value.
 pub(super) fn scalar(reader: &mut Reader, at: &At<'_>) -> Option<Node> {
-    match reader.scalar(at)?.into_owned() {
+    match reader.defined(at)? {
         node @ (Node::Number(_) | Node::Text(_) | Node::Bool(_)) => Some(node),
         _ => {
             reader.wrong_type(at, "a number, a time or a word");

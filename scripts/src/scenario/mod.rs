@@ -5,6 +5,8 @@
 pub(crate) mod acts;
 mod cue;
 mod data;
+mod each;
+mod formulas;
 mod library;
 mod movement;
 mod require;
@@ -23,6 +25,7 @@ use crate::exact::{Exact, Laps};
 use crate::fields::{At, Reader};
 use crate::files::Files;
 use crate::finding::{Code, Finding, Place};
+use crate::fleet::Fleet;
 use crate::locate::locate;
 use crate::motion::Curve;
 use crate::node::{self, Node};
@@ -106,6 +109,10 @@ pub(crate) struct Cue {
     /// What the robots do that no override names.
     pub(crate) movement: Movement,
     pub(crate) overrides: Vec<(Name, Movement)>,
+    /// The movements of robots that have one of their own, because it depends on which of them it is.
+    pub(crate) own: Vec<Movement>,
+    /// Which of them each robot of the cue has, in their order; empty where none has.
+    pub(crate) own_of: Vec<Option<usize>>,
     /// How much later each robot begins than the one before.
     pub(crate) canon: Laps,
     pub(crate) uses: Vec<Name>,
@@ -258,12 +265,17 @@ pub fn place_at_fleet(source: &Source, about: Finding) -> Finding {
 }
 
 /// Reads the trees of a scenario and its includes. What is wrong is left out and found.
-pub(crate) fn read(reader: &mut Reader, documents: &Documents<'_>, files: &dyn Files) -> Option<Scenario> {
+pub(crate) fn read(
+    reader: &mut Reader,
+    documents: &Documents<'_>,
+    files: &dyn Files,
+    fleet: &Fleet,
+) -> Option<Scenario> {
     let (root, included) = documents.nodes.split_first()?;
     let at = At::document(root, 0);
     let [
         name,
-        fleet,
+        fleet_file,
         _include,
         variables,
         moves,
@@ -282,8 +294,8 @@ pub(crate) fn read(reader: &mut Reader, documents: &Documents<'_>, files: &dyn F
         cues,
         acts,
     ] = reader.map(&at, "the scenario", SCENARIO_KEYS, &["scenario"])?;
-    fleet.and_then(|at| reader.text(&at, "the path of a fleet file").map(drop));
-    let mut library = library::Library::new(&documents.nodes, files);
+    fleet_file.and_then(|at| reader.text(&at, "the path of a fleet file").map(drop));
+    let mut library = library::Library::new(&documents.nodes, files, fleet);
     for (index, node) in included.iter().enumerate() {
         let file = u16::try_from(index + 1).unwrap_or(u16::MAX);
         library.include(reader, node, file);

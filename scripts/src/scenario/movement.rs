@@ -9,6 +9,7 @@ use super::when::instant;
 use super::{Motion, Movement, Name, Track, Unset};
 use crate::budget::longest;
 use crate::exact::Exact;
+use crate::expression::Robot;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, one_of};
 use crate::node::{Node, shortened};
@@ -151,7 +152,9 @@ pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, name: &st
     if complete || !entries.iter().all(|(key, _)| known(key)) {
         let own = Node::Text(name.to_owned());
         let at = body.entry("tracks", 0, &own);
+        reader.robots.current = Some(Robot { index: 0, count: 1 });
         drop(of_move(reader, library, &at, None));
+        reader.robots.current = None;
         reader.unset.clear();
     }
 }
@@ -330,8 +333,13 @@ fn repeats(reader: &mut Reader, at: &At<'_>, cycle: Exact) -> Option<u32> {
     let [until, during] = reader.map(at, "`repeat`", ["until", "for"], &[])?;
     let time = match (until, during) {
         (Some(until), None) => {
-            let text = reader.text(&until, "a time of the act, such as 20s or `bar 9`")?;
-            let end = instant(reader, &until, &text)?;
+            let end = match reader.scalar(&until)?.as_ref() {
+                Node::Text(text) => instant(reader, &until, text)?,
+                _ => {
+                    reader.wrong_type(&until, "a time of the act, such as 20s or `bar 9`");
+                    return None;
+                }
+            };
             let Some(start) = reader.music.start.0 else {
                 let message = "how often it fits depends on when the cue begins";
                 let hint = Some("give the cue a fixed `at`, or use `for`".to_owned());

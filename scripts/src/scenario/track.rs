@@ -3,7 +3,7 @@
 use urrcp::{ControlType, Span};
 
 use super::library::Library;
-use super::{Items, Motion, Track, Vector, Vectors, data, nothing};
+use super::{Items, Motion, Track, Vector, Vectors, data, formulas, nothing};
 use crate::exact::{Exact, fraction, to_f64};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Part};
@@ -11,8 +11,19 @@ use crate::motion::{Between, Curve, Easing, Function, Knot, Shape, spline};
 use crate::node::{self, Node};
 use crate::rows::{self, Rows, Width};
 
-const TRACK_KEYS: [&str; 9] =
-    ["control", "tolerance", "max_steps", "keyframes", "spline", "polynomial", "wave", "travel", "samples"];
+const TRACK_KEYS: [&str; 11] = [
+    "control",
+    "tolerance",
+    "max_steps",
+    "keyframes",
+    "spline",
+    "polynomial",
+    "wave",
+    "travel",
+    "samples",
+    "formula",
+    "for",
+];
 const WAVE_KEYS: [&str; 6] = ["amplitude", "frequency", "period", "phase", "center", "for"];
 const TRAVEL_KEYS: [&str; 4] = ["from", "speed", "acceleration", "for"];
 const KEYFRAME_KEYS: [&str; 3] = ["at", "to", "ease"];
@@ -31,13 +42,13 @@ pub(super) fn read_tracks(reader: &mut Reader, library: &Library<'_>, at: &At<'_
 }
 
 /// A movement with its length before it is laid on the clock.
-struct Written {
+pub(super) struct Written {
     motion: Motion,
     length: Exact,
 }
 
 impl Written {
-    fn new(curve: Curve, length: Exact) -> Self {
+    pub(super) fn new(curve: Curve, length: Exact) -> Self {
         Self { motion: Motion::Curve(curve), length }
     }
 
@@ -61,24 +72,29 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
         list: list.place(),
     };
     let Node::Map(_) = at.node else { return Some(new(keyframes(reader, at), at)) };
-    let [control, tolerance, steps_max, keys, points, pieces, wave, travel, samples] =
+    let [control, tolerance, steps_max, keys, points, pieces, wave, travel, samples, formula, length] =
         reader.map(at, "a track", TRACK_KEYS, &[])?;
-    let forms = [keys, points, pieces, wave, travel, samples];
+    let forms = [keys, points, pieces, wave, travel, samples, formula];
     let forms: Vec<_> = forms.into_iter().flatten().collect();
     let [form] = forms.as_slice() else {
-        let expected = "exactly one of `keyframes`, `spline`, `polynomial`, `wave`, `travel`, `samples`";
+        let expected = "exactly one of `keyframes`, `spline`, `polynomial`, `wave`, `travel`, `samples`, `formula`";
         let code = if forms.is_empty() { Code::MissingKey } else { Code::UnknownKey };
         let message = format!("a track with {} movements", forms.len());
         reader.add(code, at.place(), message, expected, None);
         return None;
     };
-    let motion = match (keys, points, pieces, wave, travel, samples) {
+    if let (None, Some(length)) = (formula, length) {
+        let message = "`for` at a track without a formula";
+        reader.add(Code::UnknownKey, length.key_place(), message, "a `formula` that lasts so long", None);
+    }
+    let motion = match (keys, points, pieces, wave, travel, samples, formula) {
+        (.., Some(formula)) => formulas::moved(reader, at, &formula, length),
         (Some(at), ..) => Some(keyframes(reader, &at)),
         (_, Some(at), ..) => Some(splined(reader, &at)),
         (_, _, Some(at), ..) => Some(polynomial(reader, &at)),
         (_, _, _, Some(at), ..) => waved(reader, &at),
-        (_, _, _, _, Some(at), _) => travelled(reader, &at),
-        (_, _, _, _, _, Some(at)) => data::samples(reader, library.files, &at).map(Written::of),
+        (_, _, _, _, Some(at), ..) => travelled(reader, &at),
+        (_, _, _, _, _, Some(at), _) => data::samples(reader, library.files, &at).map(Written::of),
         _ => None,
     };
     Some(Track {
@@ -324,7 +340,7 @@ fn add_function(
     functions.push(function);
 }
 
-fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
+pub(super) fn positive_time(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
     let length = reader.exact(at)?;
     if length.rounded_down() > Span::ZERO {
         return Some(length);
@@ -348,7 +364,7 @@ fn waved(reader: &mut Reader, at: &At<'_>) -> Option<Written> {
             None
         }
     };
-    let phase = phase.and_then(|at| reader.number(&at, "a phase in degrees")).unwrap_or(0.0);
+    let phase = phase.and_then(|at| reader.degrees(&at, "a phase in degrees")).unwrap_or(0.0);
     let center = center.and_then(|at| reader.number(&at, "a value in the device's unit")).unwrap_or(0.0);
     let (amplitude, length, hertz) = (amplitude?, length?, hertz?);
     let exact = length;

@@ -81,6 +81,7 @@ cues:
       d: {wave: {amplitude: 1, period: 1s, phase: 0, center: 0, for: 1s}}
       e: {travel: {from: 0, speed: 1, acceleration: 1, for: 1s}}
       f: {samples: {file: a.csv, time: t, value: v, time_unit: ms, scale: 1, ease: step}}
+      g: {formula: t / 1s, for: 1s}
 ",
     "
 scenario: an include

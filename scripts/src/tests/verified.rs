@@ -35,6 +35,10 @@ pub(super) enum Form {
     Polynomial(Vec<f64>),
     /// Amplitude, period in seconds, phase in turns, center.
     Wave([f64; 4]),
+    /// |a + b t| + c, with t in seconds from the way's start.
+    Bent([f64; 3]),
+    /// a t sin(2 pi t / b) + c
+    Growing([f64; 3]),
 }
 
 impl Form {
@@ -53,6 +57,10 @@ impl Form {
             Self::Polynomial(c) => c.iter().enumerate().map(|(k, c)| c * (s * seconds).powi(k as i32)).sum(),
             Self::Wave([amplitude, period, phase, center]) => {
                 center + amplitude * (std::f64::consts::TAU * (s * seconds / period + phase)).sin()
+            }
+            Self::Bent([a, b, c]) => (a + b * s * seconds).abs() + c,
+            Self::Growing([a, b, c]) => {
+                a * s * seconds * (std::f64::consts::TAU * s * seconds / b).sin() + c
             }
         }
     }
@@ -190,7 +198,11 @@ fn keyframes(linear: bool) -> impl Strategy<Value = Movement> {
                 Ease::Cubic => ", ease: cubic",
                 Ease::Step => ", ease: step",
             };
-            yaml.push(format!("{{at: {now}ms, to: {value}{word}}}"));
+            // Every third one as an expression.
+            yaml.push(match index % 3 {
+                2 => format!("{{at: {now} * 1ms, to: {halves} / 4 * 2{word}}}"),
+                _ => format!("{{at: {now}ms, to: {value}{word}}}"),
+            });
             if index > 0 {
                 let ease = if ease == Ease::Own && !linear { Ease::Step } else { ease };
                 ways.push(Way { begin, end: f64::from(now), form: Form::Eased(ease, before, value) });
@@ -333,6 +345,59 @@ fn solved(mut rows: Vec<Vec<f64>>) -> Vec<f64> {
     (0..count).map(|index| rows[index][count] / rows[index][index]).collect()
 }
 
+/// Formulas with one way, with a corner, with a jump, with many jumps.
+fn formula() -> impl Strategy<Value = Movement> {
+    (0usize..6, -12i32..13, 1i32..9, -20i32..20, 400i32..5_000).prop_map(|(kind, a, b, c, millis)| {
+        let (whole, at) = (f64::from(millis), f64::from(millis) * 0.37);
+        let way = |begin: f64, end: f64, form: Form| Way { begin, end, form };
+        let (a_, b_, c_) = (f64::from(a), f64::from(b), f64::from(c));
+        let (text, ways) = match kind {
+            0 => {
+                let form = Form::Wave([a_, b_, 0.125, c_]);
+                (format!("{a} * sin(2 * pi * t / {b}s + pi / 4) + {c}"), vec![way(0.0, whole, form)])
+            }
+            1 => {
+                let form = Form::Growing([a_, b_, c_]);
+                (format!("{a} * t / 1s * sin(360 * t / {b}s) + {c}"), vec![way(0.0, whole, form)])
+            }
+            2 => {
+                let form = Form::Bent([a_, b_, c_]);
+                // The corner is looked at as well.
+                let corner = (-a_ / b_ * 1_000.0).clamp(0.0, whole);
+                let ways = match corner > 0.0 && corner < whole {
+                    true => vec![
+                        way(0.0, corner, form),
+                        way(corner, whole, Form::Bent([a_ + b_ * corner / 1_000.0, b_, c_])),
+                    ],
+                    false => vec![way(0.0, whole, form)],
+                };
+                (format!("abs({a} + {b} * t / 1s) + {c}"), ways)
+            }
+            3 => {
+                let ways = vec![
+                    way(0.0, at, Form::Polynomial(vec![c_, b_])),
+                    way(at, whole, Form::Polynomial(vec![a_])),
+                ];
+                (format!("if(t < {}us, {c} + {b} * t / 1s, {a})", at * 1_000.0), ways)
+            }
+            4 => {
+                let period = f64::from(b) * 150.0;
+                let mut ways = Vec::new();
+                while period * (ways.len() as f64) < whole - 1e-6 {
+                    let begin = period * ways.len() as f64;
+                    ways.push(way(begin, (begin + period).min(whole), Form::Polynomial(vec![c_, a_])));
+                }
+                (format!("{a} * (t % {}ms) / 1s + {c}", b * 150), ways)
+            }
+            _ => {
+                let form = Form::Polynomial(vec![c_, a_, b_ / 2.0]);
+                (format!("{c} + {a} * t / 1s + {b} * t * t / (2 * 1s * 1s)"), vec![way(0.0, whole, form)])
+            }
+        };
+        Movement { yaml: format!("formula: \"{text}\", for: {millis}ms"), csv: String::new(), ways }
+    })
+}
+
 pub(super) fn movements(linear: bool) -> impl Strategy<Value = Movement> {
     prop_oneof![
         4 => keyframes(linear).boxed(),
@@ -341,6 +406,7 @@ pub(super) fn movements(linear: bool) -> impl Strategy<Value = Movement> {
         2 => wave().boxed(),
         1 => travel().boxed(),
         2 => spline().boxed(),
+        3 => formula().boxed(),
     ]
 }
 

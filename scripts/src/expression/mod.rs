@@ -1,0 +1,152 @@
+//! Expressions in the place of numbers, times and truth values: `2 * $height`, `sin(360 * $index / $count)`, `8s / 4`.
+//!
+//! `grammar` reads them, `evaluate` finds their value, `number` keeps it exact, `unit` says what can be added to what, `reading`
+//! puts variables in, `formula` is an expression over time, `pieces` cuts it where it has corners and jumps.
+
+mod evaluate;
+mod formula;
+mod grammar;
+mod interval;
+mod number;
+mod pieces;
+mod reading;
+mod unit;
+
+#[cfg(test)]
+mod tests;
+mod tried;
+
+use crate::exact::Fraction;
+use crate::finding::Code;
+
+pub(crate) use formula::Formula;
+pub(crate) use grammar::{FUNCTIONS, Span};
+pub(crate) use number::Num;
+pub(crate) use pieces::{Piece, Trouble, pieces};
+pub(crate) use reading::{Robot, Robots};
+pub use tried::tried;
+pub(crate) use unit::Unit;
+
+/// What an expression may amount to.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Quantity {
+    Truth(bool),
+    Amount(Amount),
+}
+
+/// A number with its unit: nanoseconds, half turns, parts of one. A time may have musical parts besides.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Amount {
+    pub(crate) number: Num,
+    pub(crate) bars: Num,
+    pub(crate) beats: Num,
+    pub(crate) unit: Unit,
+}
+
+impl PartialEq for Amount {
+    fn eq(&self, other: &Self) -> bool {
+        let equal = |a: Num, b: Num| a.compared(b).is_eq();
+        self.unit == other.unit
+            && equal(self.number, other.number)
+            && equal(self.bars, other.bars)
+            && equal(self.beats, other.beats)
+    }
+}
+
+impl Amount {
+    pub(crate) const fn of(number: Num, unit: Unit) -> Self {
+        Self { number, bars: Num::ZERO, beats: Num::ZERO, unit }
+    }
+
+    pub(crate) const fn musical(bars: Num, beats: Num) -> Self {
+        Self { number: Num::ZERO, bars, beats, unit: Unit::TIME }
+    }
+
+    pub(crate) fn is_musical(&self) -> bool {
+        !self.bars.is_zero() || !self.beats.is_zero()
+    }
+
+    /// Each part of it changed.
+    fn each(&self, change: impl Fn(Num) -> Num) -> Self {
+        Self { number: change(self.number), bars: change(self.bars), beats: change(self.beats), ..*self }
+    }
+
+    /// As an expression that amounts to the same.
+    pub(crate) fn written(&self) -> String {
+        match self.unit {
+            Unit::TIME => {}
+            Unit::PERCENT => return format!("{} * 100%", fraction(self.number.as_fraction())),
+            Unit::ANGLE => return format!("{} * pi", fraction(self.number.as_fraction())),
+            _ => return fraction(self.number.as_fraction()),
+        }
+        let mut parts = Vec::new();
+        if !self.number.is_zero() || !self.is_musical() {
+            parts.push(format!("1us * {}", fraction(self.number.as_fraction() / 1_000)));
+        }
+        for (number, unit) in [(self.bars, "bar"), (self.beats, "beat")] {
+            if !number.is_zero() {
+                parts.push(format!("1 {unit} * {}", fraction(number.as_fraction())));
+            }
+        }
+        parts.join(" + ")
+    }
+}
+
+fn fraction(value: Fraction) -> String {
+    let (sign, size) = if *value.numer() < 0 { ("0 - ", -value) } else { ("", value) };
+    match size.is_integer() {
+        true => format!("({sign}{})", size.numer()),
+        false => format!("({sign}{} / {})", size.numer(), size.denom()),
+    }
+}
+
+/// What is wrong with an expression, and at which of its characters.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Fault {
+    pub(crate) span: Span,
+    pub(crate) code: Code,
+    pub(crate) message: String,
+    pub(crate) expected: String,
+    pub(crate) hint: Option<String>,
+}
+
+impl Fault {
+    pub(crate) fn new(span: Span, message: impl Into<String>, expected: impl Into<String>) -> Self {
+        Self { span, code: Code::Expression, message: message.into(), expected: expected.into(), hint: None }
+    }
+
+    pub(crate) fn hint(self, hint: impl Into<String>) -> Self {
+        Self { hint: Some(hint.into()), ..self }
+    }
+
+    pub(crate) fn hint_or(self, hint: Option<String>) -> Self {
+        Self { hint, ..self }
+    }
+}
+
+/// Whether a text is meant as an expression where a number, a time or a truth value is wanted: it has a variable, an operator or
+/// a bracket, or names a constant.
+pub(crate) fn is_one(text: &str) -> bool {
+    let text = text.trim();
+    let begins = text.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '$' | '(' | '-' | '.'));
+    let minus = text.get(1..).is_some_and(|rest| rest.contains('-'));
+    text.contains(['$', '(', '+', '*', '/', '%', '<', '>', '='])
+        || text.contains(" - ")
+        || (begins && minus)
+        || matches!(text, "pi" | "-pi" | "true" | "false")
+        || text.starts_with("not ")
+}
+
+/// Whether the value of a variable or a parameter is an expression that has to be found at once, because it names others. Texts
+/// that only contain a `$` are texts.
+pub(crate) fn names_variables(text: &str) -> bool {
+    let text = text.trim();
+    let names = text.match_indices('$').any(|(at, _)| {
+        text[at + 1..].starts_with(|c: char| c.is_alphabetic() || c == '_')
+    });
+    let word: String = text.chars().take_while(|c| c.is_alphanumeric()).collect();
+    let begins = text.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '$' | '(' | '-' | '.'))
+        || (text[word.len()..].starts_with('(') && FUNCTIONS.iter().any(|(name, ..)| *name == word))
+        || matches!(word.as_str(), "pi" | "not");
+    names && begins
+}

@@ -1,0 +1,173 @@
+//! The numbers of expressions: exact fractions as long as they are rational and short enough, else doubles.
+
+use std::cmp::Ordering;
+
+use num_traits::{CheckedAdd, CheckedDiv, CheckedMul, CheckedSub, Zero};
+
+use crate::exact::{Fraction, decimal, near_fraction, to_f64};
+
+/// Longer fractions become doubles.
+const BITS_MAX: u32 = 110;
+
+/// A number.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Num {
+    Exact(Fraction),
+    Real(f64),
+}
+
+impl Num {
+    pub(crate) const ZERO: Self = Self::Exact(Fraction::ZERO);
+    pub(crate) const ONE: Self = Self::Exact(Fraction::ONE);
+
+    /// As it is written: doubles are shown by the shortest text that reads as the same one.
+    pub(crate) fn of(value: f64) -> Self {
+        match decimal(&value.abs().to_string()) {
+            Some(size) => Self::Exact(if value < 0.0 { -size } else { size }),
+            None => Self::Real(value),
+        }
+    }
+
+    pub(crate) fn whole(value: i128) -> Self {
+        Self::kept(Fraction::from_integer(value))
+    }
+
+    pub(crate) fn fraction(value: Fraction) -> Self {
+        Self::kept(value)
+    }
+
+    fn kept(value: Fraction) -> Self {
+        let short = |part: &i128| 128 - part.unsigned_abs().leading_zeros() <= BITS_MAX;
+        match short(value.numer()) && short(value.denom()) {
+            true => Self::Exact(value),
+            false => Self::Real(to_f64(value)),
+        }
+    }
+
+    /// The nearest double.
+    #[expect(clippy::cast_precision_loss, reason = "both are below 2^53, or rounded as doubles are")]
+    pub(crate) fn f64(self) -> f64 {
+        match self {
+            Self::Real(value) => value,
+            Self::Exact(value) => {
+                let small = |part: &i128| part.unsigned_abs() < 1 << 53;
+                match small(value.numer()) && small(value.denom()) {
+                    true => *value.numer() as f64 / *value.denom() as f64,
+                    false => to_f64(value),
+                }
+            }
+        }
+    }
+
+    /// As a fraction, of doubles the nearest one that is written with few digits.
+    pub(crate) fn as_fraction(self) -> Fraction {
+        match self {
+            Self::Exact(value) => value,
+            Self::Real(value) => near_fraction(value),
+        }
+    }
+
+    pub(crate) fn is_zero(self) -> bool {
+        match self {
+            Self::Exact(value) => value.is_zero(),
+            Self::Real(value) => value == 0.0,
+        }
+    }
+
+    pub(crate) fn is_finite(self) -> bool {
+        self.f64().is_finite()
+    }
+
+    fn both(
+        self,
+        other: Self,
+        exact: impl Fn(&Fraction, &Fraction) -> Option<Fraction>,
+        real: impl Fn(f64, f64) -> f64,
+    ) -> Self {
+        if let (Self::Exact(a), Self::Exact(b)) = (self, other)
+            && let Some(value) = exact(&a, &b)
+        {
+            return Self::kept(value);
+        }
+        Self::Real(real(self.f64(), other.f64()))
+    }
+
+    pub(crate) fn plus(self, other: Self) -> Self {
+        self.both(other, CheckedAdd::checked_add, |a, b| a + b)
+    }
+
+    pub(crate) fn minus(self, other: Self) -> Self {
+        self.both(other, CheckedSub::checked_sub, |a, b| a - b)
+    }
+
+    pub(crate) fn times(self, other: Self) -> Self {
+        self.both(other, CheckedMul::checked_mul, |a, b| a * b)
+    }
+
+    /// None if the other is zero.
+    pub(crate) fn over(self, other: Self) -> Option<Self> {
+        (!other.is_zero()).then(|| self.both(other, CheckedDiv::checked_div, |a, b| a / b))
+    }
+
+    /// What is left of it after as many whole others as fit, with the sign of the other. None if that is zero.
+    pub(crate) fn modulo(self, other: Self) -> Option<Self> {
+        Some(self.minus(other.times(self.over(other)?.floor())))
+    }
+
+    pub(crate) fn negated(self) -> Self {
+        Self::ZERO.minus(self)
+    }
+
+    pub(crate) fn floor(self) -> Self {
+        match self {
+            Self::Exact(value) => Self::kept(value.floor()),
+            Self::Real(value) => Self::Real(value.floor()),
+        }
+    }
+
+    pub(crate) fn ceil(self) -> Self {
+        self.negated().floor().negated()
+    }
+
+    /// To the nearest whole number; halves away from zero.
+    pub(crate) fn round(self) -> Self {
+        match self {
+            Self::Exact(value) => Self::kept(value.round()),
+            Self::Real(value) => Self::Real(value.round()),
+        }
+    }
+
+    pub(crate) fn compared(self, other: Self) -> Ordering {
+        match (self, other) {
+            (Self::Exact(a), Self::Exact(b)) => a.cmp(&b),
+            _ => self.f64().total_cmp(&other.f64()),
+        }
+    }
+
+    /// Exactly where the square root is a fraction.
+    pub(crate) fn square_root(self) -> Self {
+        let root = self.f64().sqrt();
+        let exact = Self::of(root);
+        if exact.times(exact).compared(self).is_eq() { exact } else { Self::Real(root) }
+    }
+}
+
+/// The sine of an angle in degrees: exact where it is 0, a half or 1.
+pub(crate) fn sine(degrees: Num) -> Num {
+    let turn = Num::whole(360);
+    let Some(within) = degrees.modulo(turn) else { return Num::ZERO };
+    if let Num::Exact(value) = within
+        && value.is_integer()
+    {
+        let half = Fraction::new(1, 2);
+        match *value.numer() {
+            0 | 180 => return Num::ZERO,
+            30 | 150 => return Num::Exact(half),
+            90 => return Num::ONE,
+            210 | 330 => return Num::Exact(-half),
+            270 => return Num::Exact(-Fraction::ONE),
+            _ => {}
+        }
+    }
+    Num::Real(within.f64().to_radians().sin())
+}

@@ -1,0 +1,136 @@
+//! A formula cut into smooth pieces: each with bounds of its slope and curvature, from which follows how densely it has to be sampled.
+//! Between two of them there may be a corner or a jump, which is found to the nanosecond.
+
+use urrcp::Span;
+
+use super::Formula;
+use super::interval::jet;
+
+/// Most pieces of a formula.
+const PIECES_MAX: usize = 4_096;
+/// Most intervals that are looked at.
+const LOOKS_MAX: usize = 100_000;
+/// How much larger than what is found at some places the bound of a curvature may be.
+const LOOSE: f64 = 1.5;
+/// Smooth pieces are not made shorter than this part of the whole for a better bound.
+const SHORTEST_PART: i64 = 512;
+/// A piece bends no more than this: its length times the root of its curvature over the range of its values.
+const BENDS_MAX: f64 = 200.0;
+/// Values beyond this are none.
+const VALUE_MAX: f64 = 1e12;
+
+/// A part of a formula from one time to another.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Piece {
+    pub(crate) begin: Span,
+    pub(crate) end: Span,
+    /// Largest slope in units a second, and its largest slope. None of a nanosecond or two with a corner or a jump.
+    pub(crate) rates: Option<(f64, f64)>,
+}
+
+/// Why a formula is no movement.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Trouble {
+    NoValue(Span),
+    TooMany,
+}
+
+/// The pieces one after another.
+pub(crate) fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trouble> {
+    let whole = length.as_nanos();
+    let mut done: Vec<Piece> = Vec::new();
+    let mut left = vec![(0, whole)];
+    let mut looks = 0;
+    while let Some((begin, end)) = left.pop() {
+        looks += 1;
+        if looks > LOOKS_MAX || done.len() > PIECES_MAX {
+            return Err(Trouble::TooMany);
+        }
+        let (from, to) = (seconds(begin), seconds(end));
+        let found = jet(formula, (from, to)).map(|jet| {
+            (jet.value.1 - jet.value.0, jet.slope.largest(), jet.curvature.largest() * (1.0 + 1e-9))
+        });
+        let rates = found.filter(|(range, _, curvature)| {
+            let bends = (to - from) * (curvature / range.max(f64::MIN_POSITIVE)).sqrt();
+            *curvature == 0.0
+                || (bends <= BENDS_MAX
+                    && (end - begin <= (whole / SHORTEST_PART).max(1)
+                        || *curvature <= LOOSE * sampled_curvature(formula, from, to)))
+        });
+        let valued = |nanos: i64| formula.at(seconds(nanos)).abs() <= VALUE_MAX;
+        for nanos in [begin, end] {
+            if !valued(nanos) {
+                return Err(Trouble::NoValue(Span::from_nanos(nanos)));
+            }
+        }
+        if rates.is_none() && end - begin > 1 {
+            let middle = begin + (end - begin) / 2;
+            left.push((middle, end));
+            left.push((begin, middle));
+            continue;
+        }
+        let (begin, end) = (Span::from_nanos(begin), Span::from_nanos(end));
+        join(&mut done, (formula, whole), Piece { begin, end, rates: rates.map(|(_, slope, curvature)| (slope, curvature)) });
+    }
+    Ok(done)
+}
+
+/// Adds a piece, to the last one if they are alike.
+fn join(done: &mut Vec<Piece>, (formula, whole): (&Formula, i64), piece: Piece) {
+    if let Some(last) = done.last_mut() {
+        let joined = match (last.rates, piece.rates) {
+            (None, None) => Some(None),
+            (Some((slope, curvature)), Some((next_slope, next_curvature))) => {
+                let (one, other) = (last.end - last.begin, piece.end - piece.begin);
+                let bends = |length: Span, curvature: f64| length.as_millis_f64() * curvature.sqrt();
+                let high = curvature.max(next_curvature);
+                let most = bends(one, curvature).max(bends(other, next_curvature));
+                // What is short next to a corner is not worth a piece of its own.
+                let short = 4 * one.min(other).as_nanos() <= one.max(other).as_nanos()
+                    || 64 * (one + other).as_nanos() <= whole;
+                let alike = short && bends(one + other, high) <= 2.0 * most && is_smooth(formula, last.end);
+                alike.then_some(Some((slope.max(next_slope), high)))
+            }
+            _ => None,
+        };
+        if let Some(rates) = joined {
+            (last.end, last.rates) = (piece.end, rates);
+            return;
+        }
+    }
+    done.push(piece);
+}
+
+/// Whether a corner does not lie exactly here, where two pieces meet.
+fn is_smooth(formula: &Formula, at: Span) -> bool {
+    let nanos = at.as_nanos();
+    let slope = |from: i64, to: i64| jet(formula, (seconds(from), seconds(to))).map(|jet| jet.slope);
+    let Some((before, after)) = slope(nanos - 1, nanos).zip(slope(nanos, nanos + 1)) else { return false };
+    let dust = 1e-9 * before.largest().max(after.largest());
+    before.0 <= after.1 + dust && after.0 <= before.1 + dust
+}
+
+/// The largest curvature at some places of an interval.
+fn sampled_curvature(formula: &Formula, from: f64, to: f64) -> f64 {
+    let at = |part: f64| {
+        let time = from + (to - from) * part;
+        jet(formula, (time, time)).map_or(0.0, |jet| jet.curvature.largest())
+    };
+    [0.0, 0.17, 0.34, 0.5, 0.63, 0.81, 1.0].into_iter().map(at).fold(0.0, f64::max)
+}
+
+#[expect(clippy::cast_precision_loss, reason = "a track is shorter than 2^53 ns")]
+fn seconds(nanos: i64) -> f64 {
+    nanos as f64 / 1e9
+}
+
+impl Formula {
+    /// The largest slope a second and its slope at many places between two times in seconds.
+    pub(crate) fn peak_rates(&self, from: f64, to: f64) -> (f64, f64) {
+        let at = |part: u32| {
+            let time = from + (to - from) * f64::from(part) / 256.0;
+            jet(self, (time, time)).map_or((0.0, 0.0), |jet| (jet.slope.largest(), jet.curvature.largest()))
+        };
+        (0..=256).map(at).fold((0.0, 0.0), |most, found| (most.0.max(found.0), most.1.max(found.1)))
+    }
+}

@@ -1,0 +1,419 @@
+//! Expressions in a document: variables are put in, and what is wrong is found at its character.
+
+use super::evaluate::{Known, evaluate};
+use super::grammar::{Expression, Span, parse};
+use super::number::Num;
+use super::unit::Unit;
+use super::{Amount, Fault, Formula, Quantity, fraction, names_variables};
+use crate::duration::{self, parse_duration};
+use crate::exact::Exact;
+use crate::fields::{At, Reader};
+use crate::finding::{Code, Place, Within, names};
+use crate::node::{Node, shortened};
+
+/// Longest expression that a variable may become when others are put into it.
+const WRITTEN_MAX: usize = 2_000;
+/// Most bars and beats, and most nanoseconds, that are laid on the clock.
+const BEATS_MAX: f64 = 1e9;
+const NANOS_MAX: f64 = 1e20;
+
+/// The number of a robot among those of its cue, from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Robot {
+    pub(crate) index: usize,
+    pub(crate) count: usize,
+}
+
+/// Whose movement is read, and what of it depends on that.
+#[derive(Debug, Default)]
+pub(crate) struct Robots {
+    pub(crate) current: Option<Robot>,
+    /// Whether `$index` or `$count` was asked for.
+    pub(crate) asked: bool,
+    /// What came out where it was: robots for which that is the same share a movement.
+    pub(crate) results: Vec<u64>,
+}
+
+/// How `$index` is not to be used.
+const ONE_ROBOT: &str = "use it in what each robot does: tracks, parameters, scale, mirror, repeat";
+
+struct Here<'r> {
+    reader: &'r mut Reader,
+    /// The value of a variable names no others.
+    inner: bool,
+}
+
+impl Known for Here<'_> {
+    fn variable(&mut self, name: &str, span: Span) -> Result<Quantity, Fault> {
+        let value = if self.inner { None } else { self.reader.scope.get(name).cloned() };
+        match (value, self.reader.robots.current) {
+            (Some(node), _) => self.of_node(&node, name, span),
+            (None, Some(robot)) if matches!(name, "index" | "count") => {
+                self.reader.robots.asked = true;
+                let number = if name == "index" { robot.index } else { robot.count };
+                let number = Num::whole(i128::try_from(number).unwrap_or(i128::MAX));
+                Ok(Quantity::Amount(Amount::of(number, Unit::PLAIN)))
+            }
+            (None, None) if matches!(name, "index" | "count") => {
+                let message = format!("`${name}` differs from robot to robot, and this is for all of them");
+                Err(Fault::new(span, message, "a value that all robots share").hint(ONE_ROBOT))
+            }
+            (None, _) => Err(self.reader.unknown(name, span)),
+        }
+    }
+
+    fn on_the_clock(&self, amount: &Amount, span: Span) -> Result<Num, Fault> {
+        let length = self.reader.on_the_clock(amount, span)?;
+        Ok(Num::fraction(length.nanos()))
+    }
+}
+
+impl Here<'_> {
+    fn of_node(&mut self, node: &Node, name: &str, span: Span) -> Result<Quantity, Fault> {
+        let text = match node {
+            Node::Number(value) if value.is_finite() => {
+                return Ok(Quantity::Amount(Amount::of(Num::of(*value), Unit::PLAIN)));
+            }
+            Node::Bool(value) => return Ok(Quantity::Truth(*value)),
+            Node::Text(text) => text,
+            _ => return Err(no_quantity(node, name, span)),
+        };
+        let known = |name: &str| matches!(name, "index" | "count");
+        let Ok(expression) = parse(text, &known) else { return Err(no_quantity(node, name, span)) };
+        if !self.reader.evaluations.take(expression.steps.len()) {
+            return Err(too_many(span));
+        }
+        // What is wrong within is told at the name.
+        let mut inner = Here { reader: self.reader, inner: true };
+        evaluate(&expression, &mut inner).map_err(|fault| Fault {
+            span,
+            message: format!("`${name}` is `{}`: {}", shortened(text), fault.message),
+            ..fault
+        })
+    }
+}
+
+fn no_quantity(node: &Node, name: &str, span: Span) -> Fault {
+    let message = format!("`${}` is {}", shortened(name), node.kind());
+    Fault { code: Code::Variable, ..Fault::new(span, message, "a variable that is a number or a time") }
+}
+
+fn too_many(span: Span) -> Fault {
+    let most = crate::budget::EVALUATIONS_MAX;
+    let fault = Fault::new(span, "too many expressions", format!("at most {most} steps in all"));
+    Fault { code: Code::TooMuch, ..fault.hint("cut the scenario into several") }
+}
+
+impl Reader {
+    fn unknown(&self, name: &str, span: Span) -> Fault {
+        let known = || self.scope.names().chain(["index", "count"]);
+        let message = format!("no variable `{}` is known here", shortened(name));
+        let expected = match self.scope.names().next() {
+            Some(_) => format!("one of the variables {}", names(self.scope.names())),
+            None => "a name under `variables`".to_owned(),
+        };
+        let hint = self.did_you_mean(name, known());
+        Fault { code: Code::Variable, ..Fault::new(span, message, expected).hint_or(hint) }
+    }
+
+    fn on_the_clock(&self, amount: &Amount, span: Span) -> Result<Exact, Fault> {
+        let [number, bars, beats] = [amount.number, amount.bars, amount.beats].map(Num::f64);
+        if number.abs() > NANOS_MAX || bars.abs() > BEATS_MAX || beats.abs() > BEATS_MAX {
+            let expected = format!("at most {}", crate::budget::longest());
+            return Err(Fault::new(span, "too long a time", expected));
+        }
+        let clock = Exact::of_nanos(amount.number.as_fraction());
+        if !amount.is_musical() {
+            return Ok(clock);
+        }
+        match self.music.length(amount.bars.as_fraction(), amount.beats.as_fraction()) {
+            Ok(length) => Ok(clock.plus(length)),
+            Err(why) => {
+                let expected = "a `tempo`, and a fixed start where it changes";
+                let fault = Fault::new(span, why.message("beats and bars"), expected).hint(why.hint());
+                Err(Fault { code: Code::Music, ..fault })
+            }
+        }
+    }
+
+    fn parsed(&self, text: &str) -> Result<Expression, Fault> {
+        let known = |name: &str| self.scope.get(name).is_some() || matches!(name, "index" | "count");
+        parse(text, &known)
+    }
+
+    fn evaluated(&mut self, text: &str) -> Result<Quantity, Fault> {
+        let expression = self.parsed(text)?;
+        self.value_of(&expression)
+    }
+
+    fn value_of(&mut self, expression: &Expression) -> Result<Quantity, Fault> {
+        if !self.evaluations.take(expression.steps.len()) {
+            return Err(too_many((0, 1)));
+        }
+        let asked = std::mem::take(&mut self.robots.asked);
+        let found = evaluate(expression, &mut Here { reader: self, inner: false });
+        if self.robots.asked {
+            let bits = match found {
+                Ok(Quantity::Truth(truth)) => [u64::from(truth), 0, 0],
+                Ok(Quantity::Amount(Amount { number, bars, beats, .. })) => {
+                    [number, bars, beats].map(|part| part.f64().to_bits())
+                }
+                Err(_) => [u64::MAX; 3],
+            };
+            self.robots.results.extend(bits);
+        }
+        self.robots.asked |= asked;
+        found
+    }
+
+    /// The value of an expression that stands here, or within the text that stands here.
+    pub(crate) fn quantity(&mut self, at: &At<'_>, text: &str) -> Option<Quantity> {
+        let text = text.trim();
+        let told = self.evaluations.is_overdrawn();
+        match self.evaluated(text) {
+            Ok(value) => Some(value),
+            Err(fault) => {
+                if !(told && fault.code == Code::TooMuch) {
+                    self.faulty(at, text, fault);
+                }
+                None
+            }
+        }
+    }
+
+    /// Adds a finding at the characters of a text that stands here, or at all of what stands here.
+    fn faulty(&mut self, at: &At<'_>, text: &str, fault: Fault) {
+        let Fault { span: (from, to), code, message, expected, hint } = fault;
+        let place = match at.node {
+            Node::Text(whole) => {
+                let ahead = whole.find(text).map(|at| whole[..at].chars().count());
+                let within = ahead.map(|ahead| Within {
+                    text: whole.as_str().into(),
+                    from: ahead + from,
+                    width: to.saturating_sub(from).max(1),
+                });
+                Place { within, ..at.place() }
+            }
+            _ => at.place(),
+        };
+        self.add(code, place, message, expected, hint);
+    }
+
+    fn whole(text: &str) -> Span {
+        (0, text.trim().chars().count())
+    }
+
+    fn wrong_quantity(&mut self, at: &At<'_>, text: &str, found: &str, expected: &str, hint: Option<&str>) {
+        let message = format!("the expression gives {found}");
+        let fault = Fault::new(Self::whole(text), message, expected).hint_or(hint.map(str::to_owned));
+        self.faulty(at, text.trim(), fault);
+    }
+
+    /// A plain number; an angle counts in radians.
+    pub(crate) fn number_of(&mut self, at: &At<'_>, text: &str, expected: &str) -> Option<f64> {
+        let value = self.quantity(at, text)?;
+        self.plain(at, text, value, expected, std::f64::consts::PI)
+    }
+
+    /// An angle in degrees: a plain number, or a multiple of `pi`.
+    pub(crate) fn degrees(&mut self, at: &At<'_>, expected: &str) -> Option<f64> {
+        let node = self.scalar(at)?.into_owned();
+        match &node {
+            Node::Text(text) if super::is_one(text) => {
+                let value = self.quantity(at, text)?;
+                self.plain(at, text, value, expected, 180.0)
+            }
+            _ => self.number(at, expected),
+        }
+    }
+
+    fn plain(&mut self, at: &At<'_>, text: &str, value: Quantity, expected: &str, half_turn: f64) -> Option<f64> {
+        let amount = match value {
+            Quantity::Amount(amount) => amount,
+            Quantity::Truth(truth) => {
+                self.wrong_quantity(at, text, &format!("the truth value {truth}"), expected, None);
+                return None;
+            }
+        };
+        let Unit { time, angle, percent } = amount.unit;
+        if time == 0 && !percent {
+            let number = amount.number.f64() * half_turn.powi(i32::from(angle));
+            if number.is_finite() {
+                return Some(number);
+            }
+        }
+        let hint = match amount.unit {
+            Unit::PERCENT => Some("take it of something: `50% * 90`, or write `0.5`"),
+            Unit::TIME => Some("divide the time by another one: `$a / 1s`"),
+            _ => None,
+        };
+        self.wrong_quantity(at, text, amount.unit.name(), expected, hint);
+        None
+    }
+
+    pub(crate) fn truth_of(&mut self, at: &At<'_>, text: &str) -> Option<bool> {
+        match self.quantity(at, text)? {
+            Quantity::Truth(truth) => Some(truth),
+            Quantity::Amount(amount) => {
+                let hint = Some("compare it: `$index % 2 == 1`");
+                self.wrong_quantity(at, text, amount.unit.name(), "true or false", hint);
+                None
+            }
+        }
+    }
+
+    /// A length of time that is not negative.
+    pub(crate) fn time_of(&mut self, at: &At<'_>, text: &str) -> Option<Exact> {
+        let amount = match self.quantity(at, text)? {
+            Quantity::Amount(amount) if amount.unit == Unit::TIME => amount,
+            Quantity::Amount(amount) => {
+                let hint = (amount.unit == Unit::PLAIN).then_some("multiply by a time: `$index * 500ms`");
+                self.wrong_quantity(at, text, amount.unit.name(), duration::EXPECTED, hint);
+                return None;
+            }
+            Quantity::Truth(truth) => {
+                self.wrong_quantity(at, text, &format!("the truth value {truth}"), duration::EXPECTED, None);
+                return None;
+            }
+        };
+        let length = match self.on_the_clock(&amount, Self::whole(text)) {
+            Ok(length) => length,
+            Err(fault) => {
+                self.faulty(at, text.trim(), fault);
+                return None;
+            }
+        };
+        if length < Exact::ZERO {
+            let span = length.rounded();
+            self.wrong_quantity(at, text, &format!("the negative time {span}"), "a time from 0 on", None);
+            return None;
+        }
+        self.no_longer(at, text, length)
+    }
+
+    /// The value of a variable or a parameter: an expression that names others becomes a value at once, or, where it differs from
+    /// robot to robot, an expression that names none but `$index` and `$count`.
+    pub(crate) fn defined(&mut self, at: &At<'_>) -> Option<Node> {
+        if let Node::Text(text) = at.node
+            && names_variables(text)
+            && !self.is_variable(text)
+        {
+            return match self.definition(text.trim()) {
+                Ok(node) => Some(node),
+                Err(fault) => {
+                    self.faulty(at, text.trim(), fault);
+                    None
+                }
+            };
+        }
+        self.scalar(at).map(std::borrow::Cow::into_owned)
+    }
+
+    fn definition(&mut self, text: &str) -> Result<Node, Fault> {
+        let expression = self.parsed(text)?;
+        let differs = |name: &str| match self.scope.get(name) {
+            Some(Node::Text(value)) => value.contains('$'),
+            Some(_) => false,
+            None => matches!(name, "index" | "count"),
+        };
+        if self.robots.current.is_none() && expression.variables().any(|(name, _)| differs(name)) {
+            return self.put_in(text, &expression);
+        }
+        match self.value_of(&expression) {
+            // The tempo may be known later, or only where the cue has its start.
+            Err(fault) if fault.code == Code::Music => self.put_in(text, &expression),
+            value => node_of(value?, Self::whole(text)),
+        }
+    }
+
+    /// The same expression with the values of its variables in the place of their names.
+    fn put_in(&self, text: &str, expression: &Expression) -> Result<Node, Fault> {
+        let chars: Vec<char> = text.chars().collect();
+        let (mut written, mut done) = (String::new(), 0);
+        for (name, span) in expression.variables() {
+            written.extend(&chars[done..span.0]);
+            done = span.1;
+            match self.scope.get(name) {
+                Some(Node::Number(value)) if value.is_finite() => {
+                    written.push_str(&fraction(Num::of(*value).as_fraction()));
+                }
+                Some(Node::Bool(value)) => written.push_str(&value.to_string()),
+                Some(Node::Text(value)) => written.push_str(&format!("({value})")),
+                Some(node) => return Err(no_quantity(node, name, span)),
+                None if matches!(name, "index" | "count") => written.extend(&chars[span.0..span.1]),
+                None => return Err(self.unknown(name, span)),
+            }
+            if written.chars().count() > WRITTEN_MAX {
+                let message = "an expression that becomes too long with its variables";
+                return Err(Fault::new(span, message, format!("at most {WRITTEN_MAX} characters")));
+            }
+        }
+        written.extend(&chars[done..]);
+        Ok(Node::Text(written))
+    }
+
+    /// A formula of the time, with its variables put in.
+    pub(crate) fn formula(&mut self, at: &At<'_>) -> Option<Formula> {
+        let text = match self.scalar(at)?.into_owned() {
+            Node::Number(value) if value.is_finite() => value.to_string(),
+            Node::Text(text) => text,
+            _ => {
+                self.wrong_type(at, "a formula such as \"90 * sin(360 * t / 8s)\"");
+                return None;
+            }
+        };
+        let text = text.trim();
+        let made = self.parsed(text).and_then(|expression| {
+            if !self.evaluations.take(expression.steps.len()) {
+                return Err(too_many((0, 1)));
+            }
+            let asked = std::mem::take(&mut self.robots.asked);
+            let formula = Formula::new(&expression, &mut Here { reader: self, inner: false });
+            if let (true, Some(robot)) = (self.robots.asked, self.robots.current) {
+                self.robots.results.push(robot.index as u64);
+            }
+            self.robots.asked |= asked;
+            formula
+        });
+        match made {
+            Ok(formula) => Some(formula),
+            Err(fault) => {
+                self.faulty(at, text, fault);
+                None
+            }
+        }
+    }
+}
+
+/// What a variable keeps of a value.
+fn node_of(value: Quantity, span: Span) -> Result<Node, Fault> {
+    let amount = match value {
+        Quantity::Truth(truth) => return Ok(Node::Bool(truth)),
+        Quantity::Amount(amount) => amount,
+    };
+    Ok(match amount.unit {
+        Unit::PLAIN => {
+            let double = amount.number.f64();
+            match Num::of(double).compared(amount.number).is_eq() {
+                true => Node::Number(double),
+                false => Node::Text(amount.written()),
+            }
+        }
+        Unit::TIME => {
+            let written = amount.written();
+            let short = match amount.number {
+                Num::Exact(nanos) if !amount.is_musical() && nanos.is_integer() => {
+                    i64::try_from(*nanos.numer()).ok().filter(|nanos| *nanos >= 0)
+                }
+                _ => None,
+            };
+            let short = short.map(|nanos| duration::written(urrcp::Span::from_nanos(nanos)));
+            Node::Text(short.filter(|short| parse_duration(short).is_some()).unwrap_or(written))
+        }
+        Unit::PERCENT | Unit::ANGLE => Node::Text(amount.written()),
+        unit => {
+            let message = format!("the value of a variable is {}", unit.name());
+            return Err(Fault::new(span, message, "a number, a time, an angle or a percentage"));
+        }
+    })
+}

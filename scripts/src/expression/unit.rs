@@ -1,0 +1,70 @@
+//! What values of expressions are measured in, and what becomes of it when they are multiplied and divided.
+
+/// A product of powers of time and angle, or a percentage.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Unit {
+    pub(crate) time: i8,
+    /// Of half turns: `pi`. Angles in degrees are plain numbers.
+    pub(crate) angle: i8,
+    pub(crate) percent: bool,
+}
+
+/// Highest power of a time or an angle on the way to a result.
+const POWER_MAX: i8 = 8;
+
+impl Unit {
+    pub(crate) const PLAIN: Self = Self { time: 0, angle: 0, percent: false };
+    pub(crate) const TIME: Self = Self { time: 1, ..Self::PLAIN };
+    pub(crate) const ANGLE: Self = Self { angle: 1, ..Self::PLAIN };
+    pub(crate) const PERCENT: Self = Self { percent: true, ..Self::PLAIN };
+
+    /// What it is, for messages.
+    pub(crate) const fn name(self) -> &'static str {
+        match (self.time, self.angle, self.percent) {
+            (0, 0, false) => "a plain number",
+            (_, _, true) => "a percentage",
+            (1, 0, _) => "a time",
+            (0, 1, _) => "an angle",
+            (-1, 0, _) => "something per time",
+            (-1, 1, _) => "an angle per time",
+            (1, 1, _) => "an angle times a time",
+            _ => "a product of times and angles",
+        }
+    }
+
+    /// Of a product. None where the powers become too high.
+    pub(crate) fn times(self, other: Self) -> Option<Self> {
+        match (self.percent, other.percent) {
+            (true, _) => Some(other),
+            (_, true) => Some(self),
+            _ => Self::of(self.time + other.time, self.angle + other.angle),
+        }
+    }
+
+    /// Of a quotient.
+    pub(crate) fn over(self, other: Self) -> Option<Self> {
+        match (self.percent, other.percent) {
+            (true, true) => Some(Self::PLAIN),
+            (true, false) if other == Self::PLAIN => Some(self),
+            (_, true) => Some(self),
+            _ => Self::of(self.time - other.time, self.angle - other.angle),
+        }
+    }
+
+    fn of(time: i8, angle: i8) -> Option<Self> {
+        (time.abs() <= POWER_MAX && angle.abs() <= POWER_MAX).then_some(Self { time, angle, percent: false })
+    }
+
+    /// Why two cannot be added or compared, as a hint.
+    pub(crate) fn hint_of_two(self, other: Self) -> Option<&'static str> {
+        let is = |unit: Self| self == unit || other == unit;
+        match () {
+            () if is(Self::PERCENT) => Some("a percentage is taken of something: `50% * 90`"),
+            () if is(Self::TIME) && is(Self::PLAIN) => Some("give the number a unit, such as `5s`"),
+            () if is(Self::ANGLE) && is(Self::PLAIN) => {
+                Some("`pi` makes an angle; a plain number is degrees: write `90 * pi / 180` for one of them")
+            }
+            () => None,
+        }
+    }
+}

@@ -1,0 +1,120 @@
+//! The movements of a cue: one for all of its robots, or, where it asks for `$index` or `$count`, one for each.
+
+use std::collections::HashMap;
+
+use super::cue::Overriding;
+use super::library::Library;
+use super::movement::{Shaping, movement};
+use super::{Movement, Name};
+use crate::expression::Robot;
+use crate::fields::Reader;
+use crate::fleet::Fleet;
+
+/// The robots that names stand for, before they are checked.
+pub(super) struct Roster<'a> {
+    fleet: &'a Fleet,
+    index_of: HashMap<&'a str, usize>,
+}
+
+impl<'a> Roster<'a> {
+    pub(super) fn new(fleet: &'a Fleet) -> Self {
+        let index_of = fleet.robots.iter().enumerate().map(|(i, robot)| (robot.id.as_str(), i)).collect();
+        Self { fleet, index_of }
+    }
+
+    /// Each robot once, in the order in which they are named; names of none are left out.
+    pub(super) fn robots(&self, roles: &HashMap<String, Vec<Name>>, names: &[Name]) -> Vec<usize> {
+        let mut seen = std::collections::HashSet::new();
+        let of_role = |name: &Name| roles.get(&name.text).cloned().unwrap_or_else(|| vec![name.clone()]);
+        let all = names.iter().flat_map(of_role).flat_map(|name| self.of_fleet(&name.text));
+        all.filter(|robot| seen.insert(*robot)).collect()
+    }
+
+    fn of_fleet(&self, name: &str) -> Vec<usize> {
+        if let Some(&index) = self.index_of.get(name) {
+            return vec![index];
+        }
+        let members = self.fleet.groups.get(name).into_iter().flatten();
+        members.filter_map(|id| self.index_of.get(id.as_str()).copied()).collect()
+    }
+}
+
+/// What the robots of a cue do.
+#[derive(Default)]
+pub(super) struct Movements {
+    pub(super) shared: Movement,
+    pub(super) overrides: Vec<(Name, Movement)>,
+    /// Those of single robots, and which one each robot of the cue has.
+    pub(super) own: Vec<Movement>,
+    pub(super) own_of: Vec<Option<usize>>,
+}
+
+/// Reads the movement of a cue and its overrides.
+pub(super) fn movements(
+    reader: &mut Reader,
+    library: &Library<'_>,
+    base: &Shaping<'_>,
+    overriding: &[Overriding<'_>],
+    names: &[Name],
+) -> Movements {
+    let (shared, differs) = probe(reader, library, base);
+    let mut read = Movements { shared, ..Movements::default() };
+    let mut differ = Vec::with_capacity(overriding.len());
+    for Overriding { name, shaping } in overriding {
+        let (movement, differs) = probe(reader, library, shaping);
+        differ.push(differs);
+        read.overrides.push((name.clone(), movement));
+    }
+    if !differs && !differ.contains(&true) {
+        return read;
+    }
+    let mut override_of = HashMap::new();
+    for (index, Overriding { name, .. }) in overriding.iter().enumerate() {
+        let robots = library.robots(std::slice::from_ref(name));
+        override_of.extend(robots.into_iter().map(|robot| (robot, index)));
+    }
+    let mut known: HashMap<(Option<usize>, Vec<u64>), usize> = HashMap::new();
+    let robots = library.robots(names);
+    let faults = reader.found.len();
+    for (index, robot) in robots.iter().enumerate() {
+        let overridden = override_of.get(robot).copied();
+        let (shaping, differs) = match overridden {
+            Some(index) => (&overriding[index].shaping, differ[index]),
+            None => (base, differs),
+        };
+        // What is wrong for one robot is likely to be wrong for all.
+        if !differs || reader.found.len() > faults {
+            read.own_of.push(None);
+            continue;
+        }
+        let own = of_robot(reader, library, shaping, Robot { index, count: robots.len() });
+        let results = std::mem::take(&mut reader.robots.results);
+        let number = *known.entry((overridden, results)).or_insert_with(|| {
+            read.own.push(own);
+            read.own.len() - 1
+        });
+        read.own_of.push(Some(number));
+    }
+    read
+}
+
+/// Reads a movement as that of the only robot; and whether it is another one for others, when nothing is kept of it.
+fn probe(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> (Movement, bool) {
+    let before = (reader.mark(), reader.knots);
+    let movement = of_robot(reader, library, shaping, Robot { index: 0, count: 1 });
+    if !reader.robots.asked {
+        return (movement, false);
+    }
+    reader.forget(&before.0);
+    reader.knots = before.1;
+    (Movement::default(), true)
+}
+
+fn of_robot(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>, robot: Robot) -> Movement {
+    reader.robots.current = Some(robot);
+    reader.robots.asked = false;
+    reader.robots.results.clear();
+    let movement = movement(reader, library, shaping);
+    reader.robots.current = None;
+    movement
+}

@@ -1,0 +1,102 @@
+//! A track that is a formula: `formula: "90 * sin(360 * t / 8s)", for: 8s`.
+
+use urrcp::Span;
+
+use super::track::{Written, positive_time};
+use crate::expression::{Formula, Piece, Trouble, pieces};
+use crate::fields::{At, Reader};
+use crate::finding::Code;
+use crate::motion::{Between, Curve, FormulaPart, Function, Knot, Shape};
+
+/// What the file does not number.
+const NO_ITEM: u32 = u32::MAX;
+/// Steps of the formula times places at which it is looked at, in the budget of all expressions.
+const LOOKS: usize = 64;
+/// Values that lie nearer than this part of the largest one are one value.
+const GAP: f64 = 1e-6;
+
+/// Reads the formula of a track, which is at `at`, and how long it lasts.
+pub(super) fn moved(
+    reader: &mut Reader,
+    at: &At<'_>,
+    formula_at: &At<'_>,
+    length: Option<At<'_>>,
+) -> Option<Written> {
+    let formula = reader.formula(formula_at);
+    let Some(length) = length else {
+        let hint = Some("say how long it lasts, as in `for: 8s`".to_owned());
+        reader.add(Code::MissingKey, at.place(), "a formula has no `for`", "a key `for`", hint);
+        return None;
+    };
+    let exact = positive_time(reader, &length)?;
+    let formula = formula?;
+    let length = reader.music.start.lay(exact);
+    if !reader.evaluations.take(formula.len().saturating_mul(LOOKS)) {
+        return None;
+    }
+    match pieces(&formula, length) {
+        Ok(pieces) => Some(Written::new(curve(&formula, &pieces), exact)),
+        Err(trouble) => {
+            let (message, expected) = match trouble {
+                Trouble::NoValue(time) => (format!("the formula has no value at {time}"), "a number at every time"),
+                Trouble::TooMany => {
+                    ("the formula has too many corners and jumps".to_owned(), "a movement of fewer pieces")
+                }
+            };
+            let hint = match trouble {
+                Trouble::NoValue(_) => "a division by zero, or the root of a negative number: choose with `if`",
+                Trouble::TooMany => "let it last a shorter time and `repeat` it",
+            };
+            reader.add(Code::BadMotion, formula_at.place(), message, expected, Some(hint.to_owned()));
+            None
+        }
+    }
+}
+
+/// Smooth pieces as functions; at jumps two knots.
+fn curve(formula: &Formula, pieces: &[Piece]) -> Curve {
+    let at = |time: Span| formula.at(time.as_millis_f64() / 1_000.0);
+    let largest = pieces.iter().map(|piece| at(piece.begin).abs()).fold(at(length_of(pieces)).abs(), f64::max);
+    let begin = Shape::Sampled(Between::Linear);
+    let mut knots = vec![Knot { at: Span::ZERO, to: at(Span::ZERO), shape: begin, item: NO_ITEM }];
+    let mut functions = Vec::new();
+    for (index, piece) in pieces.iter().enumerate() {
+        let (before, to) = (knots.last().map_or(0.0, |knot| knot.to), at(piece.end));
+        let Some((slope_max, curvature_max)) = piece.rates else {
+            let slopes = pieces.iter().skip(index.saturating_sub(1)).take(3).filter_map(|piece| piece.rates);
+            let steep = slopes.map(|(slope, _)| slope).fold(0.0, f64::max);
+            let moved = 2.0 * steep * (piece.end - piece.begin).as_millis_f64() / 1_000.0;
+            let jumps = (to - before).abs() > moved + GAP * largest;
+            match jumps {
+                false => {}
+                // At the very beginning a formula has the value that it goes on from, at the very end the one that it comes from.
+                true if index == 0 => knots[0].to = to,
+                true if index + 1 == pieces.len() => {}
+                true => {
+                    knots.push(Knot { at: piece.begin, to, shape: Shape::Meets, item: NO_ITEM });
+                    continue;
+                }
+            }
+            let to = if jumps && index + 1 == pieces.len() { before } else { to };
+            knots.push(Knot { at: piece.end, to, shape: begin, item: NO_ITEM });
+            continue;
+        };
+        let seconds = |time: Span| time.as_millis_f64() / 1_000.0;
+        let part = FormulaPart {
+            formula: formula.clone(),
+            from: seconds(piece.begin),
+            to: seconds(piece.end),
+            slope_max,
+            curvature_max,
+        };
+        let number = u32::try_from(functions.len()).unwrap_or(u32::MAX);
+        functions.push(Function::Formula(Box::new(part)));
+        let shape = Shape::Function { index: number, gain: 1.0, offset: 0.0, reversed: false };
+        knots.push(Knot { at: piece.end, to, shape, item: NO_ITEM });
+    }
+    Curve::new(knots, functions)
+}
+
+fn length_of(pieces: &[Piece]) -> Span {
+    pieces.last().map_or(Span::ZERO, |piece| piece.end)
+}
