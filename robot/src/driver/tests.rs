@@ -248,7 +248,7 @@ async fn a_linear_movement_is_sampled_on_the_grid_and_ends_on_its_target() {
 
 #[tokio::test]
 async fn the_second_sample_of_a_movement_comes_one_period_after_its_first() {
-    let options = DriverOptions { samples_per_second: 2.0, ..DriverOptions::default() };
+    let options = DriverOptions { samples_per_second: Some(2.0), ..DriverOptions::default() };
     let mut rig = Rig::new(Bench::default(), options);
     rig.script("arm", "a", &[(1_000.0, 30.0)], ControlType::Position);
     rig.responses(&PLAYED).await;
