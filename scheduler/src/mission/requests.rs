@@ -6,7 +6,7 @@ use super::act::Act;
 use super::failure_kind::FailureKind;
 use super::record::Record;
 use super::robot_state::{SentStop, Stop};
-use super::script::{ScriptRef, ScriptState};
+use super::script::{Script, ScriptRef, ScriptState};
 use super::{Action, Mission, Phase, StoppedBy, ledger};
 
 /// What a durable record is expected to take at least.
@@ -245,6 +245,8 @@ pub(super) fn open_without_name(
     if response.request_id.is_some() {
         return None;
     }
+    let is_start = response.status == Status::Started;
+    let all = || acts.iter().flat_map(|act| of_device(act, robot, device));
     let fits = |state: &ScriptState| match response.status {
         Status::Accepted => *state == ScriptState::Sent,
         Status::Started => matches!(state, ScriptState::Sent | ScriptState::Held),
@@ -253,14 +255,16 @@ pub(super) fn open_without_name(
         _ if says == Says::Answers => *state == ScriptState::Sent,
         _ => matches!(state, ScriptState::Sent | ScriptState::Held | ScriptState::Running),
     };
-    let mut open =
-        acts.iter().flat_map(|act| of_device(act, robot, device)).filter(|(.., state)| fits(state));
+    // To a request that came again it repeats its last answer.
+    let repeats =
+        |script: &Script| is_start && *script.state() == ScriptState::Running && script.came_again();
+    let mut open = all().filter(|(.., script)| fits(script.state()) || repeats(script));
     // What it was sent earlier may be lost, as after a restart: what it begins or ends now is what is due now.
-    let off = |(act, script, state): &(&Act, ScriptRef, &ScriptState)| {
-        (**state != ScriptState::Running, act.off_its_time(*script, response))
+    let off = |(act, at, script): &(&Act, ScriptRef, &Script)| {
+        (*script.state() != ScriptState::Running && !is_start, act.off_its_time(*at, response))
     };
     // What waits under a short lease is lost before what stands ahead of it under a longer one.
-    let lease = |(act, script, _): &(&Act, ScriptRef, &ScriptState)| {
+    let lease = |(act, script, _): &(&Act, ScriptRef, &Script)| {
         let lease = act.shortest_lease_of(*script);
         (lease.is_none(), lease)
     };
@@ -278,11 +282,11 @@ fn of_device<'a>(
     act: &'a Act,
     robot: usize,
     device: &'a DeviceId,
-) -> impl Iterator<Item = (&'a Act, ScriptRef, &'a ScriptState)> {
+) -> impl Iterator<Item = (&'a Act, ScriptRef, &'a Script)> {
     let places = act.place_of(robot).into_iter();
     places.flat_map(move |member| {
         let scripts = act.members()[member].on(device);
         scripts
-            .map(move |(script, state)| (act, ScriptRef { act: act.number(), member, script }, state.state()))
+            .map(move |(index, script)| (act, ScriptRef { act: act.number(), member, script: index }, script))
     })
 }

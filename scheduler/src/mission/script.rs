@@ -131,6 +131,11 @@ impl Script {
         self.content_hash
     }
 
+    /// Its request was sent more than once, as far as is known.
+    pub(crate) fn came_again(&self) -> bool {
+        self.perhaps_sent || self.first_sent_at != self.sent_at
+    }
+
     /// From its start to its last step.
     pub(crate) const fn duration(&self) -> Span {
         self.duration

@@ -147,7 +147,19 @@ fn left_out_on_the_way(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> Op
     let (_, late) = early_and_late(facts, robot);
     let first = act.first_start(robot)? + late;
     let dropped = facts.dropped[robot].filter(|at| *at >= act.promise.start && *at < first)?;
-    own_fault(facts, robot, (dropped - AWAITED, dropped), |_| true)
+    let before = (dropped - AWAITED, dropped);
+    own_fault(facts, robot, before, |_| true).or_else(|| told_nobody(facts, robot, before))
+}
+
+/// It tells what it does only once, and the scheduler's process had ended when it did.
+fn told_nobody(
+    facts: &Facts<'_>,
+    robot: usize,
+    (from, until): (Timestamp<Server>, Timestamp<Server>),
+) -> Option<Cause> {
+    let ended = |hit: &&Hit| hit.cause == Cause::SchedulerCrash && hit.overlaps(from, until);
+    let found = facts.hits.iter().find(ended).filter(|_| !facts.counts_steps(robot));
+    found.map(|hit| hit.cause)
 }
 
 /// Hardware died, and its edge was not told.
@@ -207,8 +219,12 @@ fn heard_the_commitment(facts: &Facts<'_>, act: &SentAct<'_>, robot: usize) -> b
         let Happened::AtRobot(r, Message::Inquiry(inquiry)) = happened else { continue };
         let Some(named) = inquiry.requests.first().filter(|_| *r == robot) else { continue };
         match inquiry.pending_until {
+            // A lease that has ended is not renewed any more.
+            Some(_) if leases_end.get(named).is_some_and(|(ends, _)| at > ends) => {}
             Some(until) => {
-                let ends = (until - offset).assume_clock::<Server>() - DRIFT * 2;
+                let lease = inquiry.pending_lease.map_or(act.promise.lease, urrcp::Millis::span);
+                let until = (until - offset).assume_clock::<Server>();
+                let ends = until.min(*at + lease) - DRIFT * 2;
                 leases_end.insert(named, (ends, inquiry.timestamp));
             }
             None => {

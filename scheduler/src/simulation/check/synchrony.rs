@@ -5,12 +5,13 @@
 //! process that stands still, excuses its own robot alone. A clock that was set before the act became doubtful has to be noticed:
 //! then the start is still within the scenario's tolerance, or there is none.
 
-use urrcp::{Server, Span, Timestamp};
+use urrcp::{Message, Server, Span, Timestamp};
 
 use super::Verdict;
 use super::cause::Cause;
 use super::facts::{Facts, SentAct, SentScript};
 use crate::mission::RobotSkew;
+use crate::simulation::Happened;
 
 /// The simulated world counts in nanoseconds, and clocks are read by dividing.
 const GRAIN: Span = Span::from_micros(1);
@@ -104,7 +105,8 @@ fn excuse(
         Cause::ClockSet => {
             let shows = |at| hit.by.abs() > hidden + held_up(facts, script.robot, at);
             let seen = facts.asked(script.robot, hit.from, act.at).any(shows);
-            !seen && hit.from <= due + START_LATE_MAX
+            // A script that comes after its start begins all the same by a clock that was set back meanwhile.
+            !seen && hit.from <= (due + START_LATE_MAX).max(arrived(facts, script))
         }
         Cause::RobotPause => told.is_some_and(|told| {
             let (earliest, latest) = range(told);
@@ -113,6 +115,18 @@ fn excuse(
         _ => false,
     });
     excuses.map(|hit| hit.cause).min()
+}
+
+/// When a script was first there.
+fn arrived(facts: &Facts<'_>, script: &SentScript<'_>) -> Timestamp<Server> {
+    let named = |happened: &Happened| match happened {
+        Happened::AtRobot(robot, Message::ControlRequest(request)) => {
+            *robot == script.robot && request.request_id.as_ref() == Some(&script.promised.request_id)
+        }
+        _ => false,
+    };
+    let first = facts.ran.history.iter().find(|(_, happened)| named(happened));
+    first.map_or(Timestamp::from_nanos(0), |(at, _)| *at)
 }
 
 /// For how long messages of an exchange were under way whose question reached a robot at an instant, if that was longer than usual.
