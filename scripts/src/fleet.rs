@@ -98,8 +98,6 @@ pub struct FleetRobot {
     pub limits: BTreeMap<String, RateLimits>,
     /// What its devices mean in space.
     pub body: Option<Body>,
-    /// How the latency of its devices is measured, by device.
-    pub calibrate: BTreeMap<DeviceId, Calibration>,
     /// What a mission needs to know of it.
     pub mission: MissionSettings,
 }
@@ -115,7 +113,6 @@ impl FleetRobot {
             simulation: SimulationSettings::default(),
             limits: BTreeMap::new(),
             body: None,
-            calibrate: BTreeMap::new(),
             mission: MissionSettings::default(),
         }
     }
@@ -375,11 +372,10 @@ impl FleetReader<'_> {
         }
         let latencies = latency::read(&mut self.findings, &keys, &init, measured);
         let settings = mission_settings::read(&mut self.findings, &keys, &init, handshake);
-        let mission = MissionSettings { latencies, ..settings };
         let calibrate = keys.calibrate.map(|at| calibration::read(&mut self.findings, &at, &init));
-        let calibrate = calibrate.unwrap_or_default();
+        let mission = MissionSettings { latencies, calibrate: calibrate.unwrap_or_default(), ..settings };
         let robot = FleetRobot::new(id, address?, Some(init));
-        Some(FleetRobot { simulation, limits, body, calibrate, mission, ..robot })
+        Some(FleetRobot { simulation, limits, body, mission, ..robot })
     }
 
     /// What was measured, from the file that the fleet file names.

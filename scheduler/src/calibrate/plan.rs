@@ -80,7 +80,7 @@ pub fn plan<'a>(fleet: &'a Fleet, only: Option<&[RobotId]>) -> (Vec<PlannedRobot
 /// `None` for what is driven by no position.
 fn of_device(robot: &FleetRobot, device: &Device) -> Result<Option<PlannedDevice>, String> {
     let Some(limits) = device.available_control_types.limits(ControlType::Position) else { return Ok(None) };
-    let Some(how) = robot.calibrate.get(&device.id) else {
+    let Some(how) = robot.mission.calibrate.get(&device.id) else {
         return Err("no sensor shows where it is: name one under `calibrate`, and the amount by which it may be moved".to_owned());
     };
     let sensor = robot.init.as_ref().and_then(|block| block.device(how.sensor.as_str()));

@@ -372,7 +372,7 @@ fn check_identity(robot: &FleetRobot, block: &InitializationBlock) -> Result<(),
         let (found, expected) = (block.id.to_string(), expected.id.to_string());
         return Err(TalkError::Another { found, expected });
     }
-    for (device, how) in &robot.calibrate {
+    for (device, how) in &robot.mission.calibrate {
         let limits = |block: &InitializationBlock| {
             let device = block.device(device.as_str())?;
             device.available_control_types.limits(ControlType::Position).cloned()

@@ -168,8 +168,8 @@ fn certified_act(act: &Act, choreography: &Choreography) -> CertifiedAct {
 
 fn certified_robot(robot: &FleetRobot) -> CertifiedRobot {
     // A robot may move to another address, and real ones are not simulated.
-    let FleetRobot { id: _, address: _, init, simulation: _, limits, body, calibrate: _, mission } = robot;
-    let MissionSettings { clock, wake_up, encoding, require, latencies } = mission;
+    let FleetRobot { id: _, address: _, init, simulation: _, limits, body, mission } = robot;
+    let MissionSettings { clock, wake_up, encoding, require, latencies, calibrate: _ } = mission;
     let mut settings = named([
         ("clock", json!(clock)),
         ("wake_up_ms", json!(wake_up)),

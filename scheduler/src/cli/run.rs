@@ -48,6 +48,7 @@ Examples:
   downbeat run show.yaml --speed 0.25 --only arm-1,arm-2
   downbeat run show.yaml --from finale --format json
   downbeat run show.yaml --seize
+  downbeat run show.yaml --verify-motion
   downbeat run show.yaml --require-certificate show.cert.json"
 )]
 pub(super) struct RunArgs {
@@ -74,6 +75,9 @@ pub(super) struct RunArgs {
     /// role `seize`, and the robots `tls://` addresses.
     #[arg(long)]
     seize: bool,
+    /// Read the sensors of devices with the key `calibrate` around the first movement of each act, and report when motions began.
+    #[arg(long)]
+    verify_motion: bool,
     /// Record all messages and movements in an MCAP file, for Foxglove and other tools.
     #[arg(long, value_name = "FILE")]
     record: Option<PathBuf>,
@@ -176,6 +180,7 @@ pub(super) fn run(args: &RunArgs, format: Format) -> Exit {
             JoinArg::NextAct => Join::NextAct,
         },
         seize: args.seize,
+        verify_motion: args.verify_motion,
         record: args.record.as_deref(),
         journal: !args.no_journal,
         preflight_only: false,
@@ -197,6 +202,7 @@ pub(super) fn preflight(args: &PreflightArgs, format: Format) -> Exit {
         lead: None,
         join: Join::Refuse,
         seize: false,
+        verify_motion: false,
         record: None,
         journal: false,
         preflight_only: true,
@@ -251,6 +257,7 @@ struct Work<'a> {
     lead: Option<Span>,
     join: Join,
     seize: bool,
+    verify_motion: bool,
     record: Option<&'a Path>,
     journal: bool,
     preflight_only: bool,
@@ -372,6 +379,7 @@ impl Work<'_> {
             acts_max: None,
             join: self.join,
             seize: self.seize,
+            verify_motion: self.verify_motion,
             preflight_only: self.preflight_only,
             utc_offset,
         }

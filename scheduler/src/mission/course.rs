@@ -92,7 +92,7 @@ impl Mission {
                 ActAction::TimedOut(way) => self.skip_act(now, number, way),
                 ActAction::Read { robot, sensor, what } => {
                     // An answer that was lost must not be waited for.
-                    if matches!(what, Reading::Wait(_)) {
+                    if matches!(what, Reading::Wait(_) | Reading::Motion(..)) {
                         self.robots[robot].reads.retain(|_, waits| *waits != what);
                     }
                     self.read(now, robot, sensor, what);
@@ -192,6 +192,9 @@ impl Mission {
         let before = self.acts.last().and_then(Act::timing).map(|timing| timing.end);
         let choreography = Arc::clone(&self.choreography);
         let mut act = Act::new(choreography, index, self.acts_begun, &self.robots, now, before);
+        if self.options.verify_motion {
+            act.verify_motions(&self.robots);
+        }
         if self.acts.is_empty() {
             act.comes_next(now);
         }

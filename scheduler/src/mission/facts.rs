@@ -5,6 +5,7 @@ use urrcp::{DeviceId, Robot, RobotId, Server, Span, Timestamp};
 
 use super::act::{Act, Member};
 use super::events::TakenReading;
+use super::motion::{MotionReport, MotionSpread};
 use super::robot_state::RobotState;
 use super::script::{Ending, Script, ScriptState};
 use super::{LeadTime, SkewBudget};
@@ -46,6 +47,12 @@ pub struct ActReport {
     /// Readings that the scenario asked for.
     #[serde(skip_serializing_if = "Vec::is_empty")]
     pub readings: Vec<TakenReading>,
+    /// When devices began to move, where that was verified.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub motions: Vec<MotionReport>,
+    /// How far apart these motions began.
+    #[serde(rename = "motion", skip_serializing_if = "Option::is_none")]
+    pub motion_spread: Option<MotionSpread>,
     /// Robots in the order of the plan.
     pub robots: Vec<ActRobot>,
 }
@@ -116,7 +123,10 @@ impl ActReport {
             left_out: !member.takes_part(),
             devices: member.scripts().iter().map(|script| device_report(act, member, script)).collect(),
         };
+        let motions = act.motions(robots);
         Some(Self {
+            motion_spread: MotionSpread::of(&motions),
+            motions,
             act: act.name(),
             number: act.number(),
             timestamp: timing.timestamp,

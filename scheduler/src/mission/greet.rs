@@ -184,6 +184,10 @@ impl Mission {
                 let act = self.acts.iter_mut().find(|act| act.number() == number);
                 act.into_iter().for_each(|act| act.read(index, &self.robots[robot], value));
             }
+            Reading::Motion(number, index) => {
+                let act = self.acts.iter_mut().find(|act| act.number() == number);
+                act.into_iter().for_each(|act| act.motion_read(index, self.arrived, value));
+            }
         }
         if matches!(self.phase, Phase::Greeting { .. }) {
             self.greeting_progress(now);

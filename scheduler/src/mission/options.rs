@@ -79,6 +79,8 @@ pub struct MissionOptions {
     pub join: Join,
     /// Takes robots that belong to other sessions, where they let it: they have proven who they are, and this operator has the role.
     pub seize: bool,
+    /// Reads the sensors that show positions around the first movement of each device in an act, and tells when motions began.
+    pub verify_motion: bool,
     /// Ends once the fleet is checked.
     pub preflight_only: bool,
     /// The server's local time minus UTC, for acts that wait for a time of day.
@@ -115,6 +117,7 @@ impl Default for MissionOptions {
             acts_max: None,
             join: Join::Refuse,
             seize: false,
+            verify_motion: false,
             preflight_only: false,
             utc_offset: Span::ZERO,
         }

@@ -104,6 +104,8 @@ pub(crate) enum Reading {
     Wait(u32),
     /// The scenario reads it: the act's number, and which of its readings.
     Planned(u32, usize),
+    /// It shows when a device begins to move: the act's number, and which of the devices that it watches.
+    Motion(u32, usize),
 }
 
 /// Sums over the acts that have ended.

@@ -1,6 +1,7 @@
 //! Missions without links, as far as they can be seen by what they answer.
 
 mod hostile;
+mod motions;
 
 use std::sync::Arc;
 

@@ -13,7 +13,10 @@ use super::table::{Rows, wrapped};
 use super::{
     ActReport, HostWakeUp, Outcome, Report, RobotReport, StopState, course_lines, requirements_table,
 };
-use crate::mission::{Check, Failure, FailureKind, Greeting, Preflight, PreflightRow, SkewBudget, Verdict};
+use crate::mission::{
+    Check, Failure, FailureKind, Greeting, MotionReport, MotionSpread, Preflight, PreflightRow, SkewBudget,
+    Verdict,
+};
 
 /// Removed by the printing end where that is no terminal.
 const RED: Style = AnsiColor::Red.on_default().bold();
@@ -396,6 +399,7 @@ fn closing_sentences(report: &Report) -> Vec<String> {
         let told = robot.latency_differs.as_ref()?;
         Some(format!("{}: {told}", robot.robot))
     }));
+    sentences.extend(report.acts.iter().flat_map(|act| motions(act, report.acts.len() > 1)));
     if let Some(spread) = report.true_spread {
         sentences.push(format!("true start spread {spread}, by the one clock of the virtual world"));
     }
@@ -404,6 +408,25 @@ fn closing_sentences(report: &Report) -> Vec<String> {
     if let Some(failure) = report.recording.as_ref().and_then(|recording| recording.failure.as_ref()) {
         sentences.push(format!("the recording is not whole: {failure}"));
     }
+    sentences
+}
+
+/// When devices began to move, as their sensors showed it.
+fn motions(act: &ActReport, named: bool) -> Vec<String> {
+    let of_act = if named { format!("act `{}`: ", act.act) } else { String::new() };
+    let mut sentences = Vec::new();
+    for motion in &act.motions {
+        let MotionReport { robot, device, error, uncertainty, unclear, .. } = motion;
+        let when = match (error, uncertainty, unclear) {
+            (Some(error), Some(uncertainty), _) => format!("{} ±{uncertainty} from the plan", signed(*error)),
+            (.., Some(unclear)) => format!("at an unknown time: {unclear}"),
+            _ => "at an unknown time".to_owned(),
+        };
+        sentences.push(format!("{of_act}`{device}` of {robot} began to move {when}"));
+    }
+    sentences.extend(act.motion_spread.map(|MotionSpread { spread, uncertainty, motions }| {
+        format!("{of_act}motion spread {spread} ±{uncertainty} over {motions} motions, by their sensors")
+    }));
     sentences
 }
 

@@ -70,7 +70,11 @@ pub(crate) fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trou
             continue;
         }
         let (begin, end) = (Span::from_nanos(begin), Span::from_nanos(end));
-        join(&mut done, (formula, whole), Piece { begin, end, rates: rates.map(|(_, slope, curvature)| (slope, curvature)) });
+        join(
+            &mut done,
+            (formula, whole),
+            Piece { begin, end, rates: rates.map(|(_, slope, curvature)| (slope, curvature)) },
+        );
     }
     Ok(done)
 }

@@ -1,13 +1,12 @@
 //! The keys of a robot in the fleet file that a mission uses: `clock`, `wake_up`, `encoding`, `require`; `latency` is read in
-//! `latency.rs`. The mission is handed
-//! them as one struct, so that a new one is added here and where it is used.
+//! `latency.rs`, `calibrate` in `calibration.rs`. The mission is handed them as one struct, so that a new one is added here and where it is used.
 
 use std::collections::BTreeMap;
 
 use serde::Serialize;
 use urrcp::{DeviceId, Encoding, InitializationBlock, Span};
 
-use super::{DeviceLatency, Handshake, RobotKeys, sensor};
+use super::{Calibration, DeviceLatency, Handshake, RobotKeys, sensor};
 use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::node::{self, Node};
@@ -30,6 +29,8 @@ pub struct MissionSettings {
     pub require: Vec<Requirement>,
     /// How long its devices take from a command to visible motion, where that is known.
     pub latencies: BTreeMap<DeviceId, DeviceLatency>,
+    /// How the latency of its devices may be measured, and which sensor shows where they are.
+    pub calibrate: BTreeMap<DeviceId, Calibration>,
 }
 
 impl Default for MissionSettings {
@@ -41,6 +42,7 @@ impl Default for MissionSettings {
             encoding,
             require: Vec::new(),
             latencies: BTreeMap::new(),
+            calibrate: BTreeMap::new(),
         }
     }
 }
@@ -81,7 +83,7 @@ pub(super) fn read(
         wake_up: wake_up.unwrap_or(default.wake_up),
         encoding: encoding.unwrap_or(default.encoding),
         require: require.unwrap_or(default.require),
-        latencies: default.latencies,
+        ..default
     }
 }
 

@@ -10,7 +10,10 @@ pub(crate) enum Function {
     /// c0 + c1 s + c2 s^2 + ...
     Polynomial(Box<[f64]>),
     /// sin(2 pi (cycles s + phase)); the phase in turns.
-    Sine { cycles: f64, phase: f64 },
+    Sine {
+        cycles: f64,
+        phase: f64,
+    },
     Formula(Box<FormulaPart>),
 }
 

@@ -38,13 +38,17 @@ pub(super) fn moved(
         Ok(pieces) => Some(Written::new(curve(&formula, &pieces), exact)),
         Err(trouble) => {
             let (message, expected) = match trouble {
-                Trouble::NoValue(time) => (format!("the formula has no value at {time}"), "a number at every time"),
+                Trouble::NoValue(time) => {
+                    (format!("the formula has no value at {time}"), "a number at every time")
+                }
                 Trouble::TooMany => {
                     ("the formula has too many corners and jumps".to_owned(), "a movement of fewer pieces")
                 }
             };
             let hint = match trouble {
-                Trouble::NoValue(_) => "a division by zero, or the root of a negative number: choose with `if`",
+                Trouble::NoValue(_) => {
+                    "a division by zero, or the root of a negative number: choose with `if`"
+                }
                 Trouble::TooMany => "let it last a shorter time and `repeat` it",
             };
             reader.add(Code::BadMotion, formula_at.place(), message, expected, Some(hint.to_owned()));
@@ -56,7 +60,8 @@ pub(super) fn moved(
 /// Smooth pieces as functions; at jumps two knots.
 fn curve(formula: &Formula, pieces: &[Piece]) -> Curve {
     let at = |time: Span| formula.at(time.as_millis_f64() / 1_000.0);
-    let largest = pieces.iter().map(|piece| at(piece.begin).abs()).fold(at(length_of(pieces)).abs(), f64::max);
+    let largest =
+        pieces.iter().map(|piece| at(piece.begin).abs()).fold(at(length_of(pieces)).abs(), f64::max);
     let begin = Shape::Sampled(Between::Linear);
     let mut knots = vec![Knot { at: Span::ZERO, to: at(Span::ZERO), shape: begin, item: NO_ITEM }];
     let mut functions = Vec::new();

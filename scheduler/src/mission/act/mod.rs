@@ -5,6 +5,7 @@
 
 mod approaching;
 mod member;
+mod motions;
 mod playing;
 mod preparing;
 mod resumed;
@@ -22,6 +23,7 @@ use urrcp::{ControlRequest, DeviceId, RequestId, Robot, Server, SessionId, Span,
 
 use super::events::TakenReading;
 use super::failure_kind::FailureKind;
+use super::motion::Watched;
 use super::robot_state::{Reading, RobotState};
 use super::script::{Script, ScriptRef};
 use super::{Outcome, Progress, Record};
@@ -125,6 +127,8 @@ pub(crate) struct Act {
     place: HashMap<usize, usize>,
     readings_asked: usize,
     readings: Vec<TakenReading>,
+    /// The devices whose motions are verified, once the act is committed.
+    watched: Vec<Watched>,
 }
 
 impl Act {
@@ -151,6 +155,7 @@ impl Act {
             members,
             readings_asked: 0,
             readings: Vec::new(),
+            watched: Vec::new(),
             choreography,
         }
     }
@@ -317,7 +322,8 @@ impl Act {
         robots: &[RobotState],
         options: &super::MissionOptions,
     ) -> Vec<ActAction> {
-        match &self.stage {
+        let mut actions = self.watch_motions(now);
+        actions.extend(match &self.stage {
             Stage::Waiting(_) => self.wait(now, robots, options),
             Stage::Ready { .. } => self.leave_if_deserted(),
             Stage::Promised => self.await_promise(now),
@@ -326,7 +332,8 @@ impl Act {
             Stage::Committed(_) => self.begin_if_due(now, robots),
             Stage::Playing(_) => self.watch(now, robots),
             Stage::Over => Vec::new(),
-        }
+        });
+        actions
     }
 
     /// When [`Act::advance`] is next due; `None`: when something happens.
@@ -338,9 +345,10 @@ impl Act {
             Stage::Promised => timing.map(|timing| timing.decision),
             Stage::Preparing(preparing) => timing.map(|timing| preparing.wakeup(timing)),
             Stage::Approaching(approach) => Some(approach.wakeup()),
-            Stage::Committed(commitment) => Some(commitment.wakeup()),
+            Stage::Committed(commitment) => self.motion_due().into_iter().chain([commitment.wakeup()]).min(),
             Stage::Playing(playing) => {
-                self.reading_due().into_iter().chain([playing.wakeup(self.since)]).min()
+                let due = self.reading_due().into_iter().chain(self.motion_due());
+                due.chain([playing.wakeup(self.since)]).min()
             }
             Stage::Over => None,
         }
