@@ -30,7 +30,7 @@ fn a_robot_that_moves_60_ms_late_is_commanded_60_ms_earlier() {
     }
     let report: serde_json::Value = serde_json::from_str(&ran.out).unwrap();
     // Starts are told relative to the plan: they are simultaneous.
-    assert!(report["spread_ms"].as_f64().unwrap() < BUSY as f64 / 1e6, "{ran}");
+    assert!(report["spread_ms"].as_f64().unwrap() < 30.0, "{ran}");
 }
 
 #[test]

@@ -120,7 +120,7 @@ pub(super) fn figures(choreography: &Choreography) -> Vec<ActFigures<'_>> {
 fn act_figures(act: &Act) -> ActFigures<'_> {
     ActFigures {
         act: &act.name,
-        duration_ms: act.plan.duration(),
+        duration_ms: act.duration(),
         lead_in_ms: (!act.latencies.is_empty() || act.lead_in > Span::ZERO).then_some(act.lead_in),
         latencies: &act.latencies,
         cues: &act.cues,

@@ -206,10 +206,7 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
         Check::Version => {
             Verdict::Pass(robot.block.as_ref().map(|block| block.api_version.to_string()).unwrap_or_default())
         }
-        Check::Description => match &robot.latency_differs {
-            Some(differs) => Verdict::Warning(differs.to_string()),
-            None => Verdict::Pass("fits".to_owned()),
-        },
+        Check::Description => description(robot),
         Check::Clock => clock(robot, now),
         Check::Position => match robot.positions.len() {
             0 => Verdict::NotChecked,
@@ -237,6 +234,13 @@ fn verdict(mission: &Mission, index: usize, check: Check, now: Timestamp<Server>
                 Verdict::Pass(readings.collect::<Vec<_>>().join(", "))
             }
         },
+    }
+}
+
+fn description(robot: &RobotState) -> Verdict {
+    match &robot.latency_differs {
+        Some(differs) => Verdict::Warning(differs.to_string()),
+        None => Verdict::Pass("fits".to_owned()),
     }
 }
 

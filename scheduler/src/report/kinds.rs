@@ -3,6 +3,7 @@
 
 use std::collections::BTreeSet;
 
+use downbeat_scripts::LatencySource;
 use serde_json::Value;
 use strum::VariantNames;
 
@@ -25,6 +26,7 @@ fn listed_in_schema() -> Vec<(String, &'static [&'static str])> {
         (at("stop"), StopState::VARIANTS),
         (at("robot/properties/standing"), Standing::VARIANTS),
         (at("robot/properties/clock_mode"), &CLOCK_MODES),
+        (at("robot/properties/latency_differs/items/properties/from"), &LATENCY_SOURCES),
         (at("failure/properties/failure"), FailureKind::VARIANTS),
         (at("failure/properties/claim"), Claim::VARIANTS),
         (at("failure/properties/slow"), Slow::VARIANTS),
@@ -44,6 +46,21 @@ const fn clock_mode(mode: ClockMode) -> &'static str {
     match mode {
         ClockMode::Ntp => "ntp",
         ClockMode::Measured => "measured",
+    }
+}
+
+/// The same.
+const LATENCY_SOURCES: [&str; 3] = [
+    latency_source(LatencySource::Fleet),
+    latency_source(LatencySource::File),
+    latency_source(LatencySource::Robot),
+];
+
+const fn latency_source(source: LatencySource) -> &'static str {
+    match source {
+        LatencySource::Fleet => "fleet",
+        LatencySource::File => "file",
+        LatencySource::Robot => "robot",
     }
 }
 

@@ -81,7 +81,7 @@ pub(super) fn act_line(act: &Act) -> String {
         Span::ZERO => String::new(),
         lead_in => format!(", first commands {lead_in} ahead of motions"),
     };
-    format!("{}: {}{lead_in}", shown(&act.plan.scenario), plan_figures(&act.plan))
+    format!("{}: {}{lead_in}", shown(&act.plan.scenario), plan_figures(act))
 }
 
 /// The latencies that are compensated, and where each is from.
@@ -119,7 +119,7 @@ pub fn latencies_text(choreography: &Choreography) -> Option<String> {
 /// How long the acts last one after another.
 #[must_use]
 pub fn main_duration(choreography: &Choreography) -> Span {
-    let acts = choreography.main_line().into_iter().map(|act| choreography.acts[act].plan.duration());
+    let acts = choreography.main_line().into_iter().map(|act| choreography.acts[act].duration());
     acts.fold(Span::ZERO, |sum, duration| sum + duration)
 }
 
@@ -127,7 +127,7 @@ pub fn main_duration(choreography: &Choreography) -> Span {
 #[must_use]
 pub fn choreography_figures(choreography: &Choreography) -> String {
     if let [act] = choreography.acts.as_slice() {
-        return plan_figures(&act.plan);
+        return plan_figures(act);
     }
     let plans = || choreography.acts.iter().map(|act| &act.plan);
     let robots: std::collections::BTreeSet<_> =
@@ -149,7 +149,8 @@ fn steps_of(plan: &Plan) -> usize {
 
 /// How large a plan is, in one line.
 #[must_use]
-fn plan_figures(plan: &Plan) -> String {
+fn plan_figures(act: &Act) -> String {
+    let plan = &act.plan;
     let devices = |robot: &RobotPlan| {
         let mut devices: Vec<_> = robot.scripts.iter().map(|script| &script.device).collect();
         devices.dedup();
@@ -160,7 +161,7 @@ fn plan_figures(plan: &Plan) -> String {
         counted(plan.robots.len(), "robot"),
         counted(plan.robots.iter().map(devices).sum(), "device"),
         counted(steps_of(plan), "step"),
-        plan.duration()
+        act.duration()
     )
 }
 

@@ -3,6 +3,8 @@
 //!
 //! Before, a script's start is when its motion begins; after, when it is commanded. [`Act::moves_at`] is the way back.
 
+use std::collections::{BTreeMap, HashMap};
+
 use urrcp::{Millis, Span};
 
 use crate::fleet::Fleet;
@@ -13,14 +15,15 @@ pub(super) fn compensate(acts: &mut [Act], fleet: &Fleet) {
     if fleet.robots.iter().all(|robot| robot.mission.latencies.is_empty()) {
         return;
     }
+    let robots: HashMap<_, _> = fleet.robots.iter().map(|robot| (&robot.id, robot)).collect();
     for act in &mut *acts {
         for planned in &act.plan.robots {
-            let Some(robot) = fleet.robots.iter().find(|robot| robot.id == planned.robot) else { continue };
+            let Some(robot) = robots.get(&planned.robot) else { continue };
             let known = planned.scripts.iter().filter_map(|script| {
                 let latency = robot.mission.latencies.get(&script.device)?;
                 Some((script.device.clone(), *latency))
             });
-            let known: std::collections::BTreeMap<_, _> = known.collect();
+            let known: BTreeMap<_, _> = known.collect();
             if !known.is_empty() {
                 act.latencies.insert(planned.robot.clone(), known);
             }
@@ -118,8 +121,6 @@ fn shift(act: &mut Act, by: Span) {
 
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
     use proptest::prelude::*;
     use urrcp::Latency;
 

@@ -1,7 +1,7 @@
 //! How long devices take from a command to visible motion: the key `latency` of a robot, and the file of measured latencies that
 //! `downbeat calibrate` writes. Here they are read, written, and brought together; the compiler compensates them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashSet};
 use std::fmt;
 use std::path::Path;
 
@@ -256,7 +256,8 @@ fn place_in_file(file: u16, robot: &RobotId, device: Option<&DeviceId>) -> Place
 pub(super) fn warn_of_robots(findings: &mut Reader, file: u16, measured: &LatencyFile, fleet: &Node) {
     let Node::Map(robots) = fleet else { return };
     let known = || robots.iter().map(|(name, _)| name.as_str());
-    for robot in measured.keys().filter(|robot| !known().any(|name| name == robot.as_str())) {
+    let names: HashSet<&str> = known().collect();
+    for robot in measured.keys().filter(|robot| !names.contains(robot.as_str())) {
         let message = format!("a latency of `{robot}`, which the fleet does not have");
         let hint = findings.did_you_mean(robot.as_str(), known());
         let expected = crate::finding::one_of(known());
