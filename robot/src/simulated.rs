@@ -611,4 +611,6 @@ fn is_acceptance(message: &Message) -> bool {
 }
 
 #[cfg(test)]
+mod body_tests;
+#[cfg(test)]
 mod tests;

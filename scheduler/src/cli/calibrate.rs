@@ -311,7 +311,7 @@ async fn one(
         outcomes.push(Outcome { robot: robot.clone(), device: device.device.to_string(), result });
         if let Err(error) = held {
             console::error(&format!(
-                "{name}: not known to be at rest: {error}; its lease ends what it does within 2 s"
+                "{name}: not known to be at rest: {error}; its movement ends within 2 s, with its script or its lease"
             ));
             return Exit::Unconfirmed;
         }

@@ -49,7 +49,9 @@ pub(super) fn read(
     for (name, at) in findings.entries(at, "device to the movement by which it is measured") {
         let device = device_by_position(findings, name, &at, init);
         let keys = findings.map(&at, "the calibration of a device", CALIBRATE_KEYS, &["by"]);
-        let (Some([sensor, from, by, taken]), Some(device)) = (keys, device) else { continue };
+        let Some([sensor, from, by, taken]) = keys else { continue };
+        let taken = taken.and_then(|at| findings.word(&at, &TAKEN_WORDS)).unwrap_or_default();
+        let Some(device) = device else { continue };
         let limits = init
             .device(device.as_str())
             .and_then(|device| device.available_control_types.limits(ControlType::Position));
@@ -80,7 +82,6 @@ pub(super) fn read(
                 );
             }
         }
-        let taken = taken.and_then(|at| findings.word(&at, &TAKEN_WORDS)).unwrap_or_default();
         let Some(sensor) = sensor_of(findings, sensor.as_ref(), &device, &at, init) else { continue };
         let Some(by) = by_value else { continue };
         all.insert(device, Calibration { sensor, from: from_value, by, taken });

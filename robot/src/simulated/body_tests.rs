@@ -1,0 +1,138 @@
+//! The body of a simulated robot: its lag, its sensor, in virtual time.
+
+use urrcp::{
+    ControlRequest, ControlType, DeviceId, InitializationBlock, Millis, RequestId, Script, Setpoint,
+    StatusValue, Step,
+};
+
+use super::*;
+
+const LINK: LinkId = LinkId(1);
+const BEGIN: i64 = 1_000_000_000_000;
+
+fn at(millis: i64) -> Timestamp<True> {
+    Timestamp::from_nanos(BEGIN + millis * 1_000_000)
+}
+
+fn id(name: &str) -> DeviceId {
+    DeviceId::new(name).unwrap()
+}
+
+/// An arm with a body and its angle as a sensor, told at 0 to move to 10 within 100 ms.
+fn moving(interpolation: &str, change: impl FnOnce(&mut Moves)) -> SimulatedRobot {
+    let block = r#"{"id": "r", "api_version": "1", "reports": true, "devices": [
+        {"id": "arm", "interpolation": "INTERPOLATION", "default_value": 0, "available_control_types": {
+          "position": {"min_value": 0, "max_value": 90, "granularity": 1},
+          "script": {"min_value": 0, "max_value": 90, "granularity": 1, "max_number_of_steps": 4}}},
+        {"id": "angle", "available_control_types": {"sensor": {"min_value": -1, "max_value": 20}}}]}"#;
+    let block: InitializationBlock =
+        serde_json::from_str(&block.replace("INTERPOLATION", interpolation)).unwrap();
+    let mut moves = Moves {
+        device: id("arm"),
+        latency: Span::from_millis(40),
+        spread: Span::ZERO,
+        time_constant: Span::ZERO,
+        sensor: id("angle"),
+        noise: 0.0,
+        delay: Span::ZERO,
+    };
+    change(&mut moves);
+    let mut robot = SimulatedRobot::new(block, Settings { moves: vec![moves], ..Settings::default() });
+    let step = Step::new(Millis::new(100.0).unwrap(), Setpoint::new(ControlType::Position, 10.0));
+    let script = Command::Script(Script::new(vec![step]).unwrap());
+    let request = ControlRequest::immediate(id("arm"), script).with_request_id(RequestId::new("m").unwrap());
+    robot.receive(at(0), LINK, Input::Message(Message::ControlRequest(request)));
+    robot
+}
+
+/// What the sensor says when it is asked at an instant, and when the answer is there.
+fn read(robot: &mut SimulatedRobot, millis: i64) -> (f64, Timestamp<True>) {
+    let mut out = Vec::new();
+    while let Some(now) = robot.next_wakeup().filter(|wakeup| *wakeup <= at(millis)) {
+        robot.advance(now, &mut out);
+    }
+    out.clear();
+    let request = ControlRequest::immediate(id("angle"), Command::ReadSensor);
+    robot.receive(at(millis), LINK, Input::Message(Message::ControlRequest(request)));
+    let mut now = at(millis);
+    loop {
+        robot.advance(now, &mut out);
+        let reading = out.drain(..).find_map(|outgoing| match outgoing {
+            Outgoing::Message { message: Message::ControlResponse(response), .. }
+                if response.status == Status::Provide =>
+            {
+                Some((response.status_value, response.timestamp))
+            }
+            _ => None,
+        });
+        if let Some((StatusValue::Number(value), told)) = reading {
+            assert_eq!(told.as_nanos(), now.as_nanos(), "the answer has the time of its sending");
+            return (value, now);
+        }
+        now = robot.next_wakeup().unwrap();
+    }
+}
+
+#[track_caller]
+fn shows(robot: &mut SimulatedRobot, expected: &[(i64, f64)]) {
+    for (millis, value) in expected {
+        let (shown, _) = read(robot, *millis);
+        assert!((shown - value).abs() < 1e-6, "{shown} after {millis} ms, expected {value}");
+    }
+}
+
+#[test]
+fn a_ramp_is_followed_after_the_latency() {
+    let mut robot = moving("linear", |_| {});
+    shows(&mut robot, &[(0, 0.0), (39, 0.0), (40, 0.0), (65, 2.5), (140, 10.0), (500, 10.0)]);
+}
+
+#[test]
+fn a_first_order_lag_stays_behind_a_ramp_by_its_time_constant() {
+    let mut robot = moving("linear", |moves| moves.time_constant = Span::from_millis(10));
+    // 10 * (t - T + T exp(-t/T)) / 100 on the ramp.
+    let on_ramp = |t: f64| 0.1 * (t - 10.0 + 10.0 * (-t / 10.0).exp());
+    let end = on_ramp(100.0);
+    let after = 10.0 - (10.0 - end) * (-2.0_f64).exp();
+    shows(&mut robot, &[(40, 0.0), (60, on_ramp(20.0)), (120, on_ramp(80.0)), (160, after)]);
+}
+
+#[test]
+fn a_step_is_followed_by_a_first_order_lag() {
+    let mut robot = moving("hold", |moves| moves.time_constant = Span::from_millis(10));
+    let lagged = 10.0 * (1.0 - (-1.0_f64).exp());
+    shows(&mut robot, &[(139, 0.0), (140, 0.0), (150, lagged), (400, 10.0)]);
+}
+
+#[test]
+fn the_sensor_shows_the_body_of_when_it_was_asked_and_answers_later() {
+    let mut robot = moving("linear", |moves| moves.delay = Span::from_millis(30));
+    let (value, answered) = read(&mut robot, 65);
+    assert!((value - 2.5).abs() < 1e-6 && answered == at(95), "{value} at {answered:?}");
+}
+
+#[test]
+fn noise_has_its_deviation_and_the_sensor_its_range() {
+    let mut robot = moving("linear", |moves| moves.noise = 0.5);
+    let values: Vec<f64> = (0..400).map(|index| read(&mut robot, 500 + index).0).collect();
+    let mean = values.iter().sum::<f64>() / 400.0;
+    let deviation = (values.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / 399.0).sqrt();
+    assert!((mean - 10.0).abs() < 0.15 && (deviation - 0.5).abs() < 0.1, "{mean} +-{deviation}");
+    let mut wild = moving("linear", |moves| moves.noise = 1e6);
+    assert!((0..20).all(|index| (-1.0..=20.0).contains(&read(&mut wild, 500 + index).0)));
+}
+
+#[test]
+fn movements_begin_within_the_spread_and_each_seed_draws_the_same() {
+    let begin = |seed: u64| {
+        let mut robot = moving("linear", |moves| moves.spread = Span::from_millis(6));
+        robot.bodies[0] =
+            body::MovedBody::new(robot.bodies[0].moves.clone(), (-1.0, 20.0), fastrand::Rng::with_seed(seed));
+        // On the ramp, where it is says when it began.
+        65.0 - read(&mut robot, 65).0 * 10.0
+    };
+    let begins: Vec<f64> = (0..200).map(begin).collect();
+    let within = begins.iter().filter(|begin| (**begin - 40.0).abs() <= 6.0).count();
+    assert!((182..=198).contains(&within), "{within} of 200");
+    assert_eq!(begin(3), begins[3]);
+}
