@@ -13,7 +13,6 @@ use downbeat_robot::driver::{
     AtStart, DriverOptions, DriverSpec, HardwareEvent, PINGS_BOUNDS, READINGS_BOUNDS, SAMPLES_BOUNDS,
     Timeouts,
 };
-
 use urrcp::{DeviceId, InitializationBlock};
 
 use super::robot::{ProcessArgs, failed};
