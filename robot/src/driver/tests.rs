@@ -114,7 +114,8 @@ impl Driver for Fake {
         arm.into_iter().collect()
     }
 
-    /// Says at once what it will do: it begins on time, and is done when it has to be.
+    /// Begins on time, and is done when it has to be.
+    #[expect(clippy::disallowed_methods, reason = "hardware takes its time")]
     fn plan(&mut self, part: &PlanPart<SystemClock>) -> Result<(), DriverError> {
         if self.bench.refuses.load(Ordering::SeqCst) {
             return Err(DriverError::Refused("too hot".to_owned()));
@@ -668,7 +669,6 @@ async fn a_program_that_times_scripts_reports_what_it_logs() {
         let at = |index: usize| all[index].event_timestamp.unwrap().as_nanos();
         // It says that it begins right before the first value, and that it is done right behind the last one.
         assert!(at(1) <= log[0].0 && log[2].0 <= at(2), "{mode}: {all:?} {log:?}");
-        println!("{mode}: the program set its first value {} us after it began", (log[0].0 - at(1)) / 1_000);
         assert!(host.stop().is_empty());
         let _left = std::fs::remove_dir_all(folder);
     }
@@ -678,8 +678,6 @@ async fn a_program_that_times_scripts_reports_what_it_logs() {
 async fn a_program_that_fails_in_a_step_or_dies_leaves_its_script_failed() {
     for (value, why) in [(66.0, "the hardware failed in step 2: RuntimeError: torque"), (77.0, "has ended")] {
         let Some((host, mut link, folder)) = ahead("script") else { return };
-        let wide = BLOCK.contains("\"max_value\": 90");
-        assert!(wide, "the arm takes these values");
         link.send(request(
             "arm",
             2_000.0,
