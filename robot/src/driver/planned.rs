@@ -24,11 +24,16 @@ pub(crate) enum PlanNews {
     Cancelled(PlanId),
 }
 
+/// The system's clock was set to another time if it is off by more than this.
+const CLOCK_SET: Span = Span::from_micros(100);
+
 /// Scripts that the driver has.
 #[derive(Debug, Default)]
 pub(super) struct Given {
     plans: BTreeMap<PlanId, Have>,
     last: PlanId,
+    /// How far the driver's clock was ahead last.
+    ahead: Span,
 }
 
 #[derive(Debug)]
@@ -42,6 +47,15 @@ struct Have {
 impl Given {
     pub(super) fn clear(&mut self) {
         self.plans.clear();
+    }
+
+    /// How far the driver's clock is ahead of that of the plans. Two that start together are told the same instant: how exactly
+    /// clocks are read is no difference between them.
+    fn ahead(&mut self, measured: Span) -> Span {
+        if (measured - self.ahead).abs() > CLOCK_SET {
+            self.ahead = measured;
+        }
+        self.ahead
     }
 
     /// Whether a device follows a script, so that it does not follow what it did before.
@@ -73,7 +87,8 @@ impl Worker {
             let key = (part.device.clone(), step.setpoint.control_type);
             step.setpoint.value = on_grid(self.block(), &key, step.setpoint.value);
         }
-        let ahead = self.given.plans.get(&plan).map_or_else(|| clock.system_ahead(), |have| have.ahead);
+        let known = self.given.plans.get(&plan).map(|have| have.ahead);
+        let ahead = known.unwrap_or_else(|| self.given.ahead(clock.system_ahead()));
         let (device, start) = (part.device.clone(), clock.instant_of(part.start.assume_clock()));
         let part = part.on_clock(ahead);
         self.touch();

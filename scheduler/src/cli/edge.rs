@@ -13,7 +13,6 @@ use downbeat_robot::driver::{
     AtStart, DriverOptions, DriverSpec, HardwareEvent, PINGS_BOUNDS, READINGS_BOUNDS, SAMPLES_BOUNDS,
     Timeouts,
 };
-
 use urrcp::{DeviceId, InitializationBlock};
 
 use super::robot::{ProcessArgs, failed};
@@ -44,9 +43,9 @@ pub(super) struct EdgeArgs {
     /// The driver of the hardware.
     #[arg(long)]
     driver: DriverSpec,
-    /// Samples per second of a linear movement, if the hardware does not move linearly by itself: of all devices, or
-    /// DEVICE=NUMBER; 0.1 to 1000. Without it, as the driver declares, or 50.
-    #[arg(long, value_name = "[DEVICE=]NUMBER", value_parser = samples)]
+    /// Samples per second of a linear movement, if the hardware does not move linearly by itself: NUMBER for all
+    /// devices, or DEVICE=NUMBER; 0.1 to 1000. Without it, as the driver declares, or 50.
+    #[arg(long, value_name = "RATE", value_parser = samples)]
     samples_per_second: Vec<Samples>,
     /// Pings per second in the second before a start, half as many while a script is held; 10 to 200. Without it, as the driver
     /// declares, or 40.
