@@ -137,7 +137,8 @@ impl Reader {
         expected: impl Into<String>,
         hint: Option<String>,
     ) {
-        if self.cut.contains(&place) {
+        if self.cut.iter().any(|cut| cut.file == place.file && cut.path == place.path && cut.key == place.key)
+        {
             return;
         }
         let told = &mut self.told[usize::from(code.severity() == Severity::Warning)];
@@ -327,7 +328,9 @@ impl Reader {
     fn cut_in_brackets(&mut self, at: &At<'_>, key: &str, text: &str) {
         let place = at.entry(key, 0, &Node::Null).place();
         let message = format!("a comma ends the expression `{}`", shortened(text));
-        let hint = Some("within `{` and `[`, write an expression that has a comma in quotes: `\"max(1, 2)\"`".to_owned());
+        let hint = Some(
+            "within `{` and `[`, write an expression that has a comma in quotes: `\"max(1, 2)\"`".to_owned(),
+        );
         self.add(Code::Expression, place.clone(), message, "an expression in quotes", hint);
         self.cut.push(place);
     }
@@ -611,7 +614,9 @@ fn is_open(text: &str) -> usize {
 /// Whether a comma within the brackets of an expression ended the value, which leaves the rest as a key.
 fn cut_in_brackets<'a>((key, value): &'a (String, Node), node: &Node) -> Option<(&'a str, &'a str)> {
     match value {
-        Node::Text(text) if *node == Node::Null && is_open(text) > 0 && expression::is_one(text) => Some((key, text)),
+        Node::Text(text) if *node == Node::Null && is_open(text) > 0 && expression::is_one(text) => {
+            Some((key, text))
+        }
         _ => None,
     }
 }

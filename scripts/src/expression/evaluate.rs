@@ -137,11 +137,13 @@ fn of_amounts(two: Two, a: Amount, b: Amount, span: Span, known: &dyn Known) -> 
         Two::Plus => Ok(Quantity::Amount(sum(&a, &b, Num::plus))),
         Two::Minus => Ok(Quantity::Amount(sum(&a, &b, Num::minus))),
         // So many times a time is so many times its beats.
-        Two::Times if b.unit.is_factor() => Ok(Quantity::Amount(scaled(&a, unit, |part| part.times(b.number)))),
-        Two::Times if a.unit.is_factor() => Ok(Quantity::Amount(scaled(&b, unit, |part| part.times(a.number)))),
-        Two::Times => {
-            plain(on_clock(&a, span, known)?.number.times(on_clock(&b, span, known)?.number), unit)
+        Two::Times if b.unit.is_factor() => {
+            Ok(Quantity::Amount(scaled(&a, unit, |part| part.times(b.number))))
         }
+        Two::Times if a.unit.is_factor() => {
+            Ok(Quantity::Amount(scaled(&b, unit, |part| part.times(a.number))))
+        }
+        Two::Times => plain(on_clock(&a, span, known)?.number.times(on_clock(&b, span, known)?.number), unit),
         Two::Over if b.unit.is_factor() => {
             let by = divisor(b.number, span)?;
             Ok(Quantity::Amount(scaled(&a, unit, |part| part.over(by).unwrap_or(part))))
@@ -243,7 +245,8 @@ pub(super) fn angle_only(name: &str, unit: Unit, span: Span) -> Result<(), Fault
         0 => None,
         _ => Some("divide times by times: `sin(360 * t / 8s)`".to_owned()),
     };
-    Err(Fault::new(span, message, "an angle: a plain number of degrees, or something times `pi`").hint_or(hint))
+    Err(Fault::new(span, message, "an angle: a plain number of degrees, or something times `pi`")
+        .hint_or(hint))
 }
 
 fn called(function: Function, arguments: Vec<Found>, span: Span, known: &dyn Known) -> Found {
@@ -316,7 +319,8 @@ fn called(function: Function, arguments: Vec<Found>, span: Span, known: &dyn Kno
 /// The branch that is taken; both have to be of one kind.
 fn chosen(arguments: Vec<Found>, span: Span) -> Found {
     let mut arguments = arguments.into_iter();
-    let (Some(condition), Some(yes), Some(no)) = (arguments.next(), arguments.next(), arguments.next()) else {
+    let (Some(condition), Some(yes), Some(no)) = (arguments.next(), arguments.next(), arguments.next())
+    else {
         return Err(incomplete(span));
     };
     let condition = truth(condition?, span)?;
@@ -325,7 +329,8 @@ fn chosen(arguments: Vec<Found>, span: Span) -> Found {
             let message = format!("`if` chooses between {} and {}", a.unit.name(), b.unit.name());
             return Err(Fault::new(span, message, "two of the same kind"));
         }
-        (Ok(Quantity::Amount(_)), Ok(Quantity::Truth(_))) | (Ok(Quantity::Truth(_)), Ok(Quantity::Amount(_))) => {
+        (Ok(Quantity::Amount(_)), Ok(Quantity::Truth(_)))
+        | (Ok(Quantity::Truth(_)), Ok(Quantity::Amount(_))) => {
             let message = "`if` chooses between a number and a truth value";
             return Err(Fault::new(span, message, "two of the same kind"));
         }

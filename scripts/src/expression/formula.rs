@@ -39,7 +39,9 @@ impl Formula {
         for (step, span) in &expression.steps {
             match step {
                 Step::Amount(amount) => maker.amount(amount, *span, known)?,
-                Step::Truth(truth) => maker.put(Operation::Constant(f64::from(u8::from(*truth))), Kind::Truth),
+                Step::Truth(truth) => {
+                    maker.put(Operation::Constant(f64::from(u8::from(*truth))), Kind::Truth)
+                }
                 Step::Variable(name) => match known.variable(name, *span)? {
                     Quantity::Truth(truth) => {
                         maker.put(Operation::Constant(f64::from(u8::from(truth))), Kind::Truth);
@@ -264,7 +266,11 @@ impl Maker {
                 self.truth(span)?;
                 let (Some(no), Some(yes)) = (no, yes) else { return Ok(()) };
                 if no != yes {
-                    return Err(Fault::new(span, "`if` chooses between different kinds", "two of the same kind"));
+                    return Err(Fault::new(
+                        span,
+                        "`if` chooses between different kinds",
+                        "two of the same kind",
+                    ));
                 }
                 self.put(Operation::Call(function), yes);
             }

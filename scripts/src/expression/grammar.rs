@@ -119,7 +119,9 @@ pub(crate) fn parse(text: &str, known: &dyn Fn(&str) -> bool) -> Result<Expressi
     let chars: Vec<char> = text.chars().take(LENGTH_MAX + 1).collect();
     if chars.len() > LENGTH_MAX {
         let message = format!("an expression of more than {LENGTH_MAX} characters");
-        return Err(Fault::new((0, 1), message, format!("at most {LENGTH_MAX}")).hint("cut it into variables"));
+        return Err(
+            Fault::new((0, 1), message, format!("at most {LENGTH_MAX}")).hint("cut it into variables")
+        );
     }
     let mut parser = Parser { chars, at: 0, depth: 0, known, steps: Vec::new() };
     parser.spaces();
@@ -243,9 +245,8 @@ impl Parser<'_> {
 
     fn compared(&mut self) -> Result<(), Fault> {
         self.sum()?;
-        let comparison = |parser: &mut Self| {
-            COMPARISONS.iter().find_map(|(sign, two)| Some((*two, parser.take(sign)?)))
-        };
+        let comparison =
+            |parser: &mut Self| COMPARISONS.iter().find_map(|(sign, two)| Some((*two, parser.take(sign)?)));
         if let Some((two, span)) = comparison(self) {
             self.sum()?;
             self.add(Step::Two(two), span);
@@ -278,7 +279,8 @@ impl Parser<'_> {
                 return Ok(());
             }
             let signs = [("*", Two::Times), ("/", Two::Over), ("%", Two::Modulo)];
-            let Some((two, span)) = signs.iter().find_map(|(sign, two)| Some((*two, self.take(sign)?))) else {
+            let Some((two, span)) = signs.iter().find_map(|(sign, two)| Some((*two, self.take(sign)?)))
+            else {
                 return Ok(());
             };
             self.sign()?;
@@ -311,7 +313,8 @@ impl Parser<'_> {
             Some(c) if c.is_ascii_digit() || c == '.' => self.number(),
             Some(c) if c.is_alphabetic() || c == '_' => self.named(),
             Some(',') => {
-                Err(Fault::new(self.here(), "a comma where a value belongs", VALUE).hint_or(self.comma_hint()))
+                Err(Fault::new(self.here(), "a comma where a value belongs", VALUE)
+                    .hint_or(self.comma_hint()))
             }
             Some(c) => {
                 let found = ELSEWHERE.iter().find(|(sign, _)| self.starts_with(sign));
@@ -346,8 +349,12 @@ impl Parser<'_> {
             true => (self.here(), found.to_string()),
             false => ((self.at, self.at + word.chars().count()), shortened(&word)),
         };
-        Fault::new(span, format!("`{found}` after a complete value"), "an operator such as `+` or `*`, or the end")
-            .hint_or(hint)
+        Fault::new(
+            span,
+            format!("`{found}` after a complete value"),
+            "an operator such as `+` or `*`, or the end",
+        )
+        .hint_or(hint)
     }
 
     /// For `1,5`.
@@ -368,7 +375,11 @@ impl Parser<'_> {
         let name = std::iter::once(longest.as_str()).chain(cuts).find(|name| (self.known)(name));
         let name = name.unwrap_or_else(|| longest.split('-').next().unwrap_or("")).to_owned();
         if name.is_empty() {
-            return Err(Fault::new((from, from + 1), "a `$` without a name", "the name of a variable, as in `$a`"));
+            return Err(Fault::new(
+                (from, from + 1),
+                "a `$` without a name",
+                "the name of a variable, as in `$a`",
+            ));
         }
         self.at = from + 1 + name.chars().count();
         let span = (from, self.at);
@@ -397,7 +408,8 @@ impl Parser<'_> {
     }
 
     fn call(&mut self, word: &str, span: Span, calls: bool) -> Result<(), Fault> {
-        let Some((_, function, least, most)) = FUNCTIONS.iter().find(|(name, ..)| *name == word).copied() else {
+        let Some((_, function, least, most)) = FUNCTIONS.iter().find(|(name, ..)| *name == word).copied()
+        else {
             return Err(self.unknown(word, span));
         };
         if !calls {

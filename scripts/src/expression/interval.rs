@@ -57,10 +57,7 @@ impl Bounds {
         // Whether a turn of so many degrees is passed.
         let passes = |peak: f64| ((self.1 - peak) / 360.0).floor() >= ((self.0 - peak) / 360.0).ceil();
         let (a, b) = (sine(self.0), sine(self.1));
-        Self(
-            if passes(270.0) { -1.0 } else { a.min(b) },
-            if passes(90.0) { 1.0 } else { a.max(b) },
-        )
+        Self(if passes(270.0) { -1.0 } else { a.min(b) }, if passes(90.0) { 1.0 } else { a.max(b) })
     }
 
     fn is_finite(self) -> bool {
@@ -102,11 +99,7 @@ impl Jet {
         Self {
             value: self.value.times(other.value),
             slope: self.slope.times(other.value).plus(self.value.times(other.slope)),
-            curvature: self
-                .curvature
-                .times(other.value)
-                .plus(slopes)
-                .plus(self.value.times(other.curvature)),
+            curvature: self.curvature.times(other.value).plus(slopes).plus(self.value.times(other.curvature)),
         }
     }
 

@@ -22,7 +22,7 @@ use crate::finding::Code;
 pub(crate) use formula::Formula;
 pub(crate) use grammar::{FUNCTIONS, Span};
 pub(crate) use number::Num;
-pub(crate) use pieces::{Piece, Trouble, pieces};
+pub(crate) use pieces::{Piece, Trouble, pieces, seconds_of};
 pub(crate) use reading::{Robot, Robots};
 pub use tried::tried;
 pub(crate) use unit::Unit;
@@ -141,9 +141,9 @@ pub(crate) fn is_one(text: &str) -> bool {
 /// that only contain a `$` are texts.
 pub(crate) fn names_variables(text: &str) -> bool {
     let text = text.trim();
-    let names = text.match_indices('$').any(|(at, _)| {
-        text[at + 1..].starts_with(|c: char| c.is_alphabetic() || c == '_')
-    });
+    let names = text
+        .match_indices('$')
+        .any(|(at, _)| text[at + 1..].starts_with(|c: char| c.is_alphabetic() || c == '_'));
     let word: String = text.chars().take_while(|c| c.is_alphanumeric()).collect();
     let begins = text.starts_with(|c: char| c.is_ascii_digit() || matches!(c, '$' | '(' | '-' | '.'))
         || (text[word.len()..].starts_with('(') && FUNCTIONS.iter().any(|(name, ..)| *name == word))

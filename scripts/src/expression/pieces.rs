@@ -70,7 +70,11 @@ pub(crate) fn pieces(formula: &Formula, length: Span) -> Result<Vec<Piece>, Trou
             continue;
         }
         let (begin, end) = (Span::from_nanos(begin), Span::from_nanos(end));
-        join(&mut done, (formula, whole), Piece { begin, end, rates: rates.map(|(_, slope, curvature)| (slope, curvature)) });
+        join(
+            &mut done,
+            (formula, whole),
+            Piece { begin, end, rates: rates.map(|(_, slope, curvature)| (slope, curvature)) },
+        );
     }
     Ok(done)
 }
@@ -122,6 +126,11 @@ fn sampled_curvature(formula: &Formula, from: f64, to: f64) -> f64 {
 #[expect(clippy::cast_precision_loss, reason = "a track is shorter than 2^53 ns")]
 fn seconds(nanos: i64) -> f64 {
     nanos as f64 / 1e9
+}
+
+/// The same for all that looks at a formula: a time that is off by a rounding may lie behind a jump.
+pub(crate) fn seconds_of(time: Span) -> f64 {
+    seconds(time.as_nanos())
 }
 
 impl Formula {

@@ -227,7 +227,14 @@ impl Reader {
         }
     }
 
-    fn plain(&mut self, at: &At<'_>, text: &str, value: Quantity, expected: &str, half_turn: f64) -> Option<f64> {
+    fn plain(
+        &mut self,
+        at: &At<'_>,
+        text: &str,
+        value: Quantity,
+        expected: &str,
+        half_turn: f64,
+    ) -> Option<f64> {
         let amount = match value {
             Quantity::Amount(amount) => amount,
             Quantity::Truth(truth) => {

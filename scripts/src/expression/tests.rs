@@ -181,15 +181,22 @@ fn the_value_of_a_variable_is_found_where_it_is_written() {
     reader.robots.current = None;
     let mut define = |name: &str, text: &str| {
         let node = Node::Text(text.to_owned());
-        let value = reader.defined(&At::document(&node, 0)).unwrap_or_else(|| panic!("{text}: {:?}", reader.found));
+        let value =
+            reader.defined(&At::document(&node, 0)).unwrap_or_else(|| panic!("{text}: {:?}", reader.found));
         reader.scope.set(name, value.clone());
         value
     };
     assert_eq!(define("b", "2 * $a"), Node::Number(6.0));
     assert_eq!(define("slow", "$pace * 2"), Node::Text("4s".into()));
     assert_eq!(define("third", "1 / $a"), Node::Text("(1 / 3)".into()));
-    assert_eq!(define("phase", "360 * $index / $count + $b"), Node::Text("360 * $index / $count + (6)".into()));
-    assert_eq!(define("late", "$phase / 360 * $slow"), Node::Text("(360 * $index / $count + (6)) / 360 * (4s)".into()));
+    assert_eq!(
+        define("phase", "360 * $index / $count + $b"),
+        Node::Text("360 * $index / $count + (6)".into())
+    );
+    assert_eq!(
+        define("late", "$phase / 360 * $slow"),
+        Node::Text("(360 * $index / $count + (6)) / 360 * (4s)".into())
+    );
     reader.robots.current = Some(Robot { index: 1, count: 4 });
     let node = Node::Text("$late * 2".to_owned());
     let late = reader.duration(&At::document(&node, 0));
@@ -249,7 +256,8 @@ fn formulas_are_values_over_time() {
 
 #[test]
 fn pieces_end_at_corners_and_jumps_to_the_nanosecond() {
-    let found = |text: &str, seconds: i64| pieces(&formula(text), Span::from_millis(1_000 * seconds)).unwrap();
+    let found =
+        |text: &str, seconds: i64| pieces(&formula(text), Span::from_millis(1_000 * seconds)).unwrap();
     // A piece ends or begins within two nanoseconds of each.
     let cut_at = |pieces: &[Piece], wanted: &[f64]| {
         for wanted in wanted {

@@ -46,7 +46,8 @@ pub fn tried(text: &str) {
     }
     let chars = text.chars().count();
     for found in &reader.found {
-        let inside = found.place.within.as_ref().is_none_or(|within| within.from + within.width <= chars.max(1));
+        let inside =
+            found.place.within.as_ref().is_none_or(|within| within.from + within.width <= chars.max(1));
         assert!(inside, "{found:?}");
     }
 }

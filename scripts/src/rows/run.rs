@@ -179,7 +179,8 @@ impl<'t> Run<'t> {
     fn time(&mut self) -> Option<Span> {
         let quoted = self.peek() == Some(b'"');
         self.at += usize::from(quoted);
-        let part = |byte: u8| byte.is_ascii_digit() || byte.is_ascii_lowercase() || matches!(byte, b'.' | b':');
+        let part =
+            |byte: u8| byte.is_ascii_digit() || byte.is_ascii_lowercase() || matches!(byte, b'.' | b':');
         let text = self.take_while(part)?;
         let time = short_time(text).or_else(|| parse_duration(text))?;
         if quoted {

@@ -3,8 +3,8 @@
 use urrcp::{Millis, StopCondition};
 
 use super::acts::Defaults;
-use super::library::Library;
 use super::each::movements;
+use super::library::Library;
 use super::movement::Shaping;
 use super::when::{When, range};
 use super::{Bounds, Cue, Name, OffGrid, Order, Reading, nothing};

@@ -3,7 +3,7 @@
 use urrcp::Span;
 
 use super::track::{Written, positive_time};
-use crate::expression::{Formula, Piece, Trouble, pieces};
+use crate::expression::{Formula, Piece, Trouble, pieces, seconds_of};
 use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::motion::{Between, Curve, FormulaPart, Function, Knot, Shape};
@@ -38,13 +38,17 @@ pub(super) fn moved(
         Ok(pieces) => Some(Written::new(curve(&formula, &pieces), exact)),
         Err(trouble) => {
             let (message, expected) = match trouble {
-                Trouble::NoValue(time) => (format!("the formula has no value at {time}"), "a number at every time"),
+                Trouble::NoValue(time) => {
+                    (format!("the formula has no value at {time}"), "a number at every time")
+                }
                 Trouble::TooMany => {
                     ("the formula has too many corners and jumps".to_owned(), "a movement of fewer pieces")
                 }
             };
             let hint = match trouble {
-                Trouble::NoValue(_) => "a division by zero, or the root of a negative number: choose with `if`",
+                Trouble::NoValue(_) => {
+                    "a division by zero, or the root of a negative number: choose with `if`"
+                }
                 Trouble::TooMany => "let it last a shorter time and `repeat` it",
             };
             reader.add(Code::BadMotion, formula_at.place(), message, expected, Some(hint.to_owned()));
@@ -55,8 +59,9 @@ pub(super) fn moved(
 
 /// Smooth pieces as functions; at jumps two knots.
 fn curve(formula: &Formula, pieces: &[Piece]) -> Curve {
-    let at = |time: Span| formula.at(time.as_millis_f64() / 1_000.0);
-    let largest = pieces.iter().map(|piece| at(piece.begin).abs()).fold(at(length_of(pieces)).abs(), f64::max);
+    let at = |time: Span| formula.at(seconds_of(time));
+    let largest =
+        pieces.iter().map(|piece| at(piece.begin).abs()).fold(at(length_of(pieces)).abs(), f64::max);
     let begin = Shape::Sampled(Between::Linear);
     let mut knots = vec![Knot { at: Span::ZERO, to: at(Span::ZERO), shape: begin, item: NO_ITEM }];
     let mut functions = Vec::new();
@@ -81,11 +86,10 @@ fn curve(formula: &Formula, pieces: &[Piece]) -> Curve {
             knots.push(Knot { at: piece.end, to, shape: begin, item: NO_ITEM });
             continue;
         };
-        let seconds = |time: Span| time.as_millis_f64() / 1_000.0;
         let part = FormulaPart {
             formula: formula.clone(),
-            from: seconds(piece.begin),
-            to: seconds(piece.end),
+            from: seconds_of(piece.begin),
+            to: seconds_of(piece.end),
             slope_max,
             curvature_max,
         };

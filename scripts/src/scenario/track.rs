@@ -77,7 +77,8 @@ fn track(reader: &mut Reader, library: &Library<'_>, device: &str, at: &At<'_>) 
     let forms = [keys, points, pieces, wave, travel, samples, formula];
     let forms: Vec<_> = forms.into_iter().flatten().collect();
     let [form] = forms.as_slice() else {
-        let expected = "exactly one of `keyframes`, `spline`, `polynomial`, `wave`, `travel`, `samples`, `formula`";
+        let expected =
+            "exactly one of `keyframes`, `spline`, `polynomial`, `wave`, `travel`, `samples`, `formula`";
         let code = if forms.is_empty() { Code::MissingKey } else { Code::UnknownKey };
         let message = format!("a track with {} movements", forms.len());
         reader.add(code, at.place(), message, expected, None);

@@ -115,7 +115,8 @@ fn robots_with_the_same_results_share_a_movement() {
 
 #[test]
 fn formulas_with_the_index_are_waves() {
-    let wave = |phase: u32| format!("{{d: {{wave: {{amplitude: 30, period: 8s, phase: {phase}, for: 8s}}}}}}");
+    let wave =
+        |phase: u32| format!("{{d: {{wave: {{amplitude: 30, period: 8s, phase: {phase}, for: 8s}}}}}}");
     let by_formula = "cues: [{robots: all, tracks: {d: {formula: \"30 * sin(2 * pi * t / 8s + 2 * pi * $index / $count)\", for: 8s}}}]\n";
     let by_wave = format!(
         "cues: [{{robots: all, tracks: {}, overrides: {{b: {{tracks: {}}}, c: {{tracks: {}}}, e: {{tracks: {}}}}}}}]\n",
@@ -152,7 +153,8 @@ fn what_is_wrong_with_one_robot_is_told_once_at_its_character() {
 #[test]
 fn a_decimal_comma_is_told() {
     let hint = |value: &str| {
-        let text = format!("cues: [{{robots: all, tracks: {{d: [{{at: 0s, to: 1}}, {{at: {value}, to: 2}}]}}}}]\n");
+        let text =
+            format!("cues: [{{robots: all, tracks: {{d: [{{at: 0s, to: 1}}, {{at: {value}, to: 2}}]}}}}]\n");
         let findings = of_four(&text).findings;
         assert_eq!(findings.len(), 1, "{value}: {findings:?}");
         findings[0].hint.clone().unwrap_or_default()
@@ -191,7 +193,9 @@ cues: [{robots: a, tracks: {d: [{at: 0s, to: $a-b}, {at: $t, to: -$a-b}, {at: 2s
 #[test]
 fn a_formula_that_is_no_movement_is_told() {
     let message = |formula: &str| {
-        let text = format!("cues: [{{at: 0s, robots: bot, tracks: {{pole: {{formula: \"{formula}\", for: 4s}}}}}}]\n");
+        let text = format!(
+            "cues: [{{at: 0s, robots: bot, tracks: {{pole: {{formula: \"{formula}\", for: 4s}}}}}}]\n"
+        );
         let findings = compiled(&text).findings;
         findings.iter().map(|finding| finding.message.clone()).collect::<Vec<_>>().join("; ")
     };

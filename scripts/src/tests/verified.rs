@@ -59,9 +59,7 @@ impl Form {
                 center + amplitude * (std::f64::consts::TAU * (s * seconds / period + phase)).sin()
             }
             Self::Bent([a, b, c]) => (a + b * s * seconds).abs() + c,
-            Self::Growing([a, b, c]) => {
-                a * s * seconds * (std::f64::consts::TAU * s * seconds / b).sin() + c
-            }
+            Self::Growing([a, b, c]) => a * s * seconds * (std::f64::consts::TAU * s * seconds / b).sin() + c,
         }
     }
 }
