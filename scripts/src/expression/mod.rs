@@ -34,7 +34,7 @@ pub(crate) enum Quantity {
     Amount(Amount),
 }
 
-/// A number with its unit: nanoseconds, half turns, parts of one. A time may have musical parts besides.
+/// A number with its unit: nanoseconds, half turns, parts of one. A time may have musical parts as well.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Amount {
     pub(crate) number: Num,
