@@ -177,7 +177,7 @@ impl Watched {
         let from = self.movement.from.or_else(|| samples.first().map(|sample| sample.value));
         let movement = from.map_or(0.0, |from| self.movement.to - from);
         let readable = Readable { range: self.range, movement };
-        let trial = Trial { commanded: Commanded::ramp(self.movement.lasts), samples };
+        let trial = Trial { commanded: Commanded::ramp(self.movement.lasts).begins(), samples };
         let found = onset::onset(&trial, readable, None);
         let uncertainty = found.as_ref().ok().map(|onset| {
             let error = onset.standard_error.as_millis_f64() * STANDARD_ERRORS;

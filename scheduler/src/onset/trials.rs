@@ -154,7 +154,7 @@ impl Readable {
             return Err(Unclear::MovedBefore { early: Span::from_millis_f64(-latency) });
         }
         let (_, last) = readings.span();
-        if last - latency < readings.commanded.lasts_ms() + SETTLED * constant {
+        if last - latency < readings.commanded.shown_ms() + SETTLED * constant {
             return Err(Unclear::NotSettled { watched: Span::from_millis_f64(last) });
         }
         let uncertainty = trial.samples.iter().map(|sample| sample.uncertainty).max().unwrap_or_default();

@@ -102,14 +102,16 @@ fn of_two(two: Two, left: Quantity, right: Found, span: Span, known: &dyn Known)
     }
 }
 
+/// One part of an amount.
+type Part = fn(&Amount) -> Num;
+
 /// Both on the clock, unless both are made of nothing but the same musical unit.
 fn comparable(a: &Amount, b: &Amount, span: Span, known: &dyn Known) -> Result<(Num, Num), Fault> {
-    let only = |of: fn(&Amount) -> Num, others: [fn(&Amount) -> Num; 2]| {
+    let only = |of: Part, others: [Part; 2]| {
         let alone = |amount: &Amount| others.iter().all(|other| other(amount).is_zero());
         (alone(a) && alone(b)).then(|| (of(a), of(b)))
     };
-    let (number, bars, beats): (fn(&Amount) -> Num, fn(&Amount) -> Num, fn(&Amount) -> Num) =
-        (|a| a.number, |a| a.bars, |a| a.beats);
+    let (number, bars, beats): (Part, Part, Part) = (|a| a.number, |a| a.bars, |a| a.beats);
     let same = only(number, [bars, beats])
         .or_else(|| only(bars, [number, beats]))
         .or_else(|| only(beats, [number, bars]));

@@ -22,7 +22,7 @@ use crate::finding::Code;
 pub(crate) use formula::Formula;
 pub(crate) use grammar::{FUNCTIONS, Span};
 pub(crate) use number::Num;
-pub(crate) use pieces::{Piece, Trouble, pieces};
+pub(crate) use pieces::{Piece, Trouble, pieces, seconds_of};
 pub(crate) use reading::{Robot, Robots};
 pub use tried::tried;
 pub(crate) use unit::Unit;
@@ -34,7 +34,7 @@ pub(crate) enum Quantity {
     Amount(Amount),
 }
 
-/// A number with its unit: nanoseconds, half turns, parts of one. A time may have musical parts besides.
+/// A number with its unit: nanoseconds, half turns, parts of one. A time may have musical parts as well.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Amount {
     pub(crate) number: Num,

@@ -128,6 +128,11 @@ fn seconds(nanos: i64) -> f64 {
     nanos as f64 / 1e9
 }
 
+/// The same for all that looks at a formula: a time that is off by a rounding may lie behind a jump.
+pub(crate) fn seconds_of(time: Span) -> f64 {
+    seconds(time.as_nanos())
+}
+
 impl Formula {
     /// The largest slope a second and its slope at many places between two times in seconds.
     pub(crate) fn peak_rates(&self, from: f64, to: f64) -> (f64, f64) {

@@ -40,7 +40,9 @@ impl Function {
         match self {
             Self::Polynomial(coefficients) => horner(coefficients, s),
             Self::Sine { cycles, phase } => (TAU * (cycles * s + phase)).sin(),
-            Self::Formula(part) => part.formula.at(part.from + part.length() * s),
+            // Its ends exactly: behind them the formula may jump.
+            Self::Formula(part) if s >= 1.0 => part.formula.at(part.to),
+            Self::Formula(part) => part.formula.at((part.from + part.length() * s).min(part.to)),
         }
     }
 

@@ -3,7 +3,7 @@
 use urrcp::Span;
 
 use super::track::{Written, positive_time};
-use crate::expression::{Formula, Piece, Trouble, pieces};
+use crate::expression::{Formula, Piece, Trouble, pieces, seconds_of};
 use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::motion::{Between, Curve, FormulaPart, Function, Knot, Shape};
@@ -59,7 +59,7 @@ pub(super) fn moved(
 
 /// Smooth pieces as functions; at jumps two knots.
 fn curve(formula: &Formula, pieces: &[Piece]) -> Curve {
-    let at = |time: Span| formula.at(time.as_millis_f64() / 1_000.0);
+    let at = |time: Span| formula.at(seconds_of(time));
     let largest =
         pieces.iter().map(|piece| at(piece.begin).abs()).fold(at(length_of(pieces)).abs(), f64::max);
     let begin = Shape::Sampled(Between::Linear);
@@ -86,11 +86,10 @@ fn curve(formula: &Formula, pieces: &[Piece]) -> Curve {
             knots.push(Knot { at: piece.end, to, shape: begin, item: NO_ITEM });
             continue;
         };
-        let seconds = |time: Span| time.as_millis_f64() / 1_000.0;
         let part = FormulaPart {
             formula: formula.clone(),
-            from: seconds(piece.begin),
-            to: seconds(piece.end),
+            from: seconds_of(piece.begin),
+            to: seconds_of(piece.end),
             slope_max,
             curvature_max,
         };
