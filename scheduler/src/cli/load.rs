@@ -165,14 +165,15 @@ pub(super) fn load_fleet(path: &Path, project: &ProjectArgs, format: Format) -> 
 }
 
 /// The same for a fleet whose latencies are yet to be measured.
-pub(super) fn load_fleet_to_measure(path: &Path, project: &ProjectArgs, format: Format) -> Result<Fleet, Exit> {
+pub(super) fn load_fleet_to_measure(
+    path: &Path,
+    project: &ProjectArgs,
+    format: Format,
+) -> Result<Fleet, Exit> {
     shown_fleet(downbeat_scripts::read_fleet_to_measure(path, &project.of(path)), format)
 }
 
-fn shown_fleet(
-    (fleet, mut findings): (Option<Fleet>, Vec<Finding>),
-    format: Format,
-) -> Result<Fleet, Exit> {
+fn shown_fleet((fleet, mut findings): (Option<Fleet>, Vec<Finding>), format: Format) -> Result<Fleet, Exit> {
     say_how_to_name_it(&mut findings, "or name one as the argument of this command");
     match format {
         Format::Text => show_findings(&findings),
