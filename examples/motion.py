@@ -2,7 +2,7 @@
 
 FOLDER has a folder for each mission, with `run.json`, the report of `downbeat run --format json`, and the logs of the robots that live
 for one mission; logs of robots that live longer are next to FOLDER. From Downbeat's report only the time of the act's start is read,
-to know where in the logs to look. With `--write FILE`, the median latency of each robot is written there as JSON, in milliseconds.
+to know where in the logs to look. With `--write FILE`, the median latencies are written there, as a fleet file can name them.
 """
 
 from __future__ import annotations
@@ -23,6 +23,8 @@ ROBOTS = {
     "reachy": ("reachy.csv", "right_antenna"),
     "simulated": ("simulated.jsonl", "elbow"),
 }
+DEVICES = {robot: joint for robot, (_, joint) in ROBOTS.items()}
+"""The device that moves; each is named as its joint."""
 STARTS_MS = (1000, 3000, 5000, 7000)
 """When the cues begin, after the act's start."""
 BEFORE_MS, AFTER_MS = 40, 500
@@ -185,7 +187,11 @@ def main() -> None:
     if given.picture:
         given.picture.write_text(picture(latencies))
     if given.write:
-        given.write.write_text(json.dumps({robot: round(statistics.median(values), 1) for robot, values in latencies.items()}))
+        lines = ["latency:\n"]
+        for robot, values in latencies.items():
+            device = DEVICES[robot]
+            lines.append(f"  {robot}: {{{device}: {{median: {max(0.0, statistics.median(values)):.1f}ms}}}}\n")
+        given.write.write_text("".join(lines))
 
 
 if __name__ == "__main__":
