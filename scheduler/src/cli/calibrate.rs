@@ -1,6 +1,5 @@
 //! `downbeat calibrate`: how long devices take from a command to visible motion, measured and written to a file.
 
-use std::collections::BTreeMap;
 use std::io::{BufRead, IsTerminal, Write};
 use std::path::{Path, PathBuf};
 
@@ -327,7 +326,7 @@ fn write(path: &Path, mut file: LatencyFile, outcomes: &[Outcome]) -> Result<boo
     let mut any = false;
     for Outcome { robot, device, result } in outcomes {
         let (Ok(measured), Ok(device)) = (result, urrcp::DeviceId::new(device.as_str())) else { continue };
-        file.entry(robot.clone()).or_insert_with(BTreeMap::new).insert(device, entry(measured));
+        file.entry(robot.clone()).or_default().insert(device, entry(measured));
         any = true;
     }
     if any {

@@ -40,9 +40,9 @@ pub(super) fn time_constant(trials: &[&Readings]) -> (f64, f64) {
     let (with, without) = (cost(constant), costs[0]);
     // A time constant that explains no more than chance would only shift the latency to the other side.
     if without - with < SIGNIFICANT * with / free {
-        return (0.0, error_of_constant(trials, 0.0, &cost));
+        return (0.0, error_of_constant(trials, 0.0, cost));
     }
-    (constant, error_of_constant(trials, constant, &cost))
+    (constant, error_of_constant(trials, constant, cost))
 }
 
 /// From the curvature of the cost: where it has risen by the variance of a reading (profile likelihood; Venzon, Moolgavkar: A method

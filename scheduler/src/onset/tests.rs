@@ -76,6 +76,7 @@ fn true_p95(device: &Device) -> f64 {
 }
 
 #[test]
+#[expect(clippy::print_stdout, reason = "figures for docs/latency.md")]
 fn devices_with_any_lag_noise_and_sensor_delay_are_measured_to_two_milliseconds() {
     let mut rng = fastrand::Rng::with_seed(19);
     let (mut worst, mut covered, mut within) = (0.0_f64, 0, 0);
