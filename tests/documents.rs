@@ -204,7 +204,7 @@ fn the_description_of_a_robot_behind_an_edge_is_one() {
     session.file("robot.yaml", &descriptions[0]);
     session.file("fleet.yaml", "robots: {tank-1: {init: robot.yaml, address: sim}}\n");
     let cue = "{cue: turn, at: 0s, robots: tank-1, tracks: {turret: [{at: 0s, to: 0}, {at: 1s, to: 45}]}, read: {turret_angle: 1s}}";
-    session.file("show.yaml", &format!("scenario: show\ncues:\n  - {cue}\n"));
+    session.file("show.yaml", format!("scenario: show\ncues:\n  - {cue}\n"));
     session.run(&["check", "show.yaml"]).says(0, &["no errors"]);
 }
 

@@ -125,6 +125,7 @@ impl Rig {
 }
 
 #[test]
+#[expect(clippy::print_stdout, reason = "figures for people")]
 fn a_whole_script_is_played_by_the_program_and_the_report_is_its_own_log() {
     let Some(rig) = Rig::start("script", &["--log-file", "edge.jsonl"]) else { return };
     let ran = rig.play(
