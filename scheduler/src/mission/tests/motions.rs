@@ -67,7 +67,7 @@ fn sensors_tell_that_motions_begin_apart_and_together_once_their_latencies_are_k
     let [left, right] = apart.as_slice() else { panic!("{apart:?}") };
     for (motion, latency) in [(left, 60.0), (right, 12.0)] {
         let uncertainty = motion.uncertainty.unwrap().as_millis_f64();
-        assert!((error(motion) - latency).abs() < uncertainty && uncertainty < 12.0, "{apart:?}");
+        assert!((error(motion) - latency).abs() < uncertainty && uncertainty < 20.0, "{apart:?}");
     }
     let spread = spread.unwrap();
     let off = (spread.spread.as_millis_f64() - 48.0).abs();
