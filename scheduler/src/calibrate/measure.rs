@@ -1,12 +1,11 @@
 //! The measurement of one device: readings at rest, movements to and fro until the spread is known, and back.
 
-use downbeat_scripts::Taken as Declared;
 use urrcp::{ControlType, Interpolation, Millis, Script, Setpoint, Span, Step};
 
 use super::NotMeasured;
 use super::plan::PlannedDevice;
 use super::talk::{Talk, TalkError};
-use crate::onset::{Commanded, Estimate, Latencies, Readable, Sample, Taken, Trial, Unclear, estimate};
+use crate::onset::{Commanded, Estimate, Latencies, Readable, Sample, Trial, Unclear, estimate};
 
 /// Readings before anything moves.
 const AT_REST: usize = 24;
@@ -203,7 +202,7 @@ impl Mover<'_> {
         while self.talk.now() < until {
             let read = self.talk.read(&self.planned.how.sensor).await?;
             let reading = Talk::reading_since(start, read);
-            let (at, uncertainty) = reading.instant(self.rest.link, taken(self.planned.how.taken));
+            let (at, uncertainty) = reading.instant(self.rest.link, self.planned.how.taken);
             samples.push(Sample { at, uncertainty, value: reading.value });
             tokio::time::sleep(BETWEEN_READINGS).await;
         }
@@ -242,14 +241,6 @@ impl Mover<'_> {
             }
         }
         (steps, Commanded::stairs(shares))
-    }
-}
-
-const fn taken(declared: Declared) -> Taken {
-    match declared {
-        Declared::AtRequest => Taken::AtRequest,
-        Declared::AtAnswer => Taken::AtAnswer,
-        Declared::Between => Taken::Between,
     }
 }
 

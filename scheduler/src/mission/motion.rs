@@ -35,6 +35,8 @@ pub(crate) struct Watched {
     movement: Movement,
     /// What is compensated: the motion should begin so long after the command.
     latency: Span,
+    /// As it was measured.
+    time_constant: Option<Span>,
     readings: Vec<(Timestamp<Server>, Timestamp<Server>, f64)>,
     /// When it was last asked, and whether the answer is awaited.
     asked: Option<(Timestamp<Server>, bool)>,
@@ -116,14 +118,26 @@ impl Watched {
                 let known = described(state, device);
                 let linear = known.is_none_or(|known| known.interpolation == Interpolation::Linear);
                 let Some(movement) = first_movement(steps.make_contiguous(), linear) else { continue };
-                let latency =
-                    state.settings.latencies.get(device).map_or(Span::ZERO, |known| known.latency.median);
+                let known = state.settings.latencies.get(device);
+                let latency = known.map_or(Span::ZERO, |known| known.latency.median);
+                let time_constant = known.and_then(|known| known.time_constant);
                 let range = described(state, &calibration.sensor).and_then(range_of);
                 let Calibration { sensor, taken, .. } = calibration.clone();
                 let device = device.clone();
                 let (readings, asked) = (Vec::new(), None);
                 let robot = member.robot;
-                all.push(Self { robot, device, sensor, taken, range, movement, latency, readings, asked });
+                all.push(Self {
+                    robot,
+                    device,
+                    sensor,
+                    taken,
+                    range,
+                    movement,
+                    latency,
+                    time_constant,
+                    readings,
+                    asked,
+                });
             }
         }
         all
@@ -163,14 +177,9 @@ impl Watched {
 
     pub(crate) fn report(&self, start: Timestamp<Server>, robot: &RobotState) -> MotionReport {
         let due = start + self.movement.due;
-        let taken = match self.taken {
-            Taken::AtRequest => onset::Taken::AtRequest,
-            Taken::AtAnswer => onset::Taken::AtAnswer,
-            Taken::Between => onset::Taken::Between,
-        };
         let sample = |(asked, answered, value): &(Timestamp<Server>, Timestamp<Server>, f64)| {
             let reading = Reading { asked: *asked - due, answered: *answered - due, value: *value };
-            let (at, uncertainty) = reading.instant(robot.round_trip(), taken);
+            let (at, uncertainty) = reading.instant(robot.round_trip(), self.taken);
             Sample { at, uncertainty, value: *value }
         };
         let samples: Vec<Sample> = self.readings.iter().map(sample).collect();
@@ -178,9 +187,12 @@ impl Watched {
         let movement = from.map_or(0.0, |from| self.movement.to - from);
         let readable = Readable { range: self.range, movement };
         let trial = Trial { commanded: Commanded::ramp(self.movement.lasts).begins(), samples };
-        let found = onset::onset(&trial, readable, None);
+        let found = onset::onset(&trial, readable, self.time_constant);
         // One motion alone hardly tells a late begin from a slow one.
-        let without_lag = onset::onset(&trial, readable, Some(Span::ZERO));
+        let without_lag = match self.time_constant {
+            Some(_) => found.clone(),
+            None => onset::onset(&trial, readable, Some(Span::ZERO)),
+        };
         let uncertainty = found.as_ref().ok().map(|onset| {
             let error = onset.standard_error.as_millis_f64() * STANDARD_ERRORS;
             let lag = without_lag.map_or(Span::ZERO, |other| (other.latency - onset.latency).abs());

@@ -28,6 +28,7 @@ pub use commanded::Commanded;
 pub use summary::{Latencies, quantile_bound, spread_bound};
 pub use trials::{Estimate, Onset, Readable, Sample, Trial, estimate, onset};
 
+pub use downbeat_scripts::Taken;
 use urrcp::Span;
 
 /// Why a motion's begin cannot be told.
@@ -90,18 +91,6 @@ pub enum Unclear {
         /// How long it was watched.
         watched: Span,
     },
-}
-
-/// Where within the round trip of a reading the sensor's value is taken, as far as that is known.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Taken {
-    /// When the robot receives the request: the sensor's delay lies between the value and the answer.
-    AtRequest,
-    /// When the robot sends its answer: it waits for the next value.
-    AtAnswer,
-    /// Anywhere in between, half of the sensor's delay is the uncertainty.
-    #[default]
-    Between,
 }
 
 /// One reading of a sensor as the one that asks sees it.

@@ -27,14 +27,14 @@ pub struct Calibration {
     pub taken: Taken,
 }
 
-/// Where between request and answer the value of a sensor is taken.
+/// Where between request and answer the value of a sensor is taken, as far as that is known.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Taken {
-    /// When the robot receives the request.
+    /// When the robot receives the request: the sensor's delay lies between the value and the answer.
     AtRequest,
-    /// When the robot answers.
+    /// When the robot sends its answer: it waits for the next value.
     AtAnswer,
-    /// This is not known.
+    /// Anywhere in between: half of the sensor's delay is the uncertainty.
     #[default]
     Between,
 }

@@ -34,6 +34,9 @@ pub struct DeviceLatency {
     pub latency: Latency,
     /// Who says so.
     pub from: LatencySource,
+    /// Of the lag with which the device follows from its first motion on, where it was measured. It is not compensated.
+    #[serde(skip)]
+    pub time_constant: Option<Span>,
 }
 
 /// Where a latency was found, the most trusted first.
@@ -230,13 +233,14 @@ pub(super) fn read(
 ) -> BTreeMap<DeviceId, DeviceLatency> {
     let own = keys.latency.as_ref().map(|at| read_own(findings, at, init)).unwrap_or_default();
     let of = |device: &Device| {
-        let from = |from| move |latency| DeviceLatency { latency, from };
-        let of_file = |measured: &MeasuredLatency| Latency {
-            median: measured.median,
-            spread: measured.spread.unwrap_or_default(),
+        let from = |from| move |latency| DeviceLatency { latency, from, time_constant: None };
+        let of_file = |measured: &MeasuredLatency| DeviceLatency {
+            latency: Latency { median: measured.median, spread: measured.spread.unwrap_or_default() },
+            from: LatencySource::File,
+            time_constant: measured.time_constant,
         };
         let fleet = || own.get(&device.id).copied().map(from(LatencySource::Fleet));
-        let file = || measured?.get(&device.id).map(of_file).map(from(LatencySource::File));
+        let file = || measured?.get(&device.id).map(of_file);
         let robot = || device.actuation_latency().map(from(LatencySource::Robot));
         Some((device.id.clone(), fleet().or_else(file).or_else(robot)?))
     };

@@ -27,7 +27,7 @@ cues:
 ";
 
 /// Plays with a left arm that moves 60 ms after its command and a right one that does so after 12 ms.
-fn motions(known: [&str; 2]) -> (Vec<MotionReport>, Option<MotionSpread>) {
+fn motions(known: [&str; 2], measured: &str) -> (Vec<MotionReport>, Option<MotionSpread>) {
     let folder = tempfile::tempdir().unwrap();
     let file = |name: &str, text: &str| {
         let path = folder.path().join(name);
@@ -35,6 +35,7 @@ fn motions(known: [&str; 2]) -> (Vec<MotionReport>, Option<MotionSpread>) {
         path
     };
     file("arm.yaml", ARM);
+    file("latency.yaml", &format!("latency: {measured}"));
     let robot = |name: &str, latency: &str, known: &str| {
         format!(
             "  {name}:\n    init: arm.yaml\n    address: sim\n    {known}\n    calibrate: {{elbow: {{sensor: angle, by: 2}}}}\n    \
@@ -42,7 +43,8 @@ fn motions(known: [&str; 2]) -> (Vec<MotionReport>, Option<MotionSpread>) {
         )
     };
     let robots = [robot("left", "60ms", known[0]), robot("right", "12ms", known[1])].concat();
-    let (fleet, findings) = read_fleet(&file("fleet.yaml", &format!("robots:\n{robots}")));
+    let (fleet, findings) =
+        read_fleet(&file("fleet.yaml", &format!("latency: latency.yaml\nrobots:\n{robots}")));
     let fleet = fleet.unwrap_or_else(|| panic!("{findings:?}"));
     let source = Source::read(&file("up.yaml", UP)).unwrap();
     let compiled = compile(&source, &fleet, &Folder::new(folder.path().to_path_buf()));
@@ -63,7 +65,7 @@ fn error(motion: &MotionReport) -> f64 {
 
 #[test]
 fn sensors_tell_that_motions_begin_apart_and_together_once_their_latencies_are_known() {
-    let (apart, spread) = motions(["clock: ntp", "clock: ntp"]);
+    let (apart, spread) = motions(["clock: ntp", "clock: ntp"], "{}");
     let [left, right] = apart.as_slice() else { panic!("{apart:?}") };
     for (motion, latency) in [(left, 60.0), (right, 12.0)] {
         let uncertainty = motion.uncertainty.unwrap().as_millis_f64();
@@ -73,10 +75,18 @@ fn sensors_tell_that_motions_begin_apart_and_together_once_their_latencies_are_k
     let off = (spread.spread.as_millis_f64() - 48.0).abs();
     assert!(off < spread.uncertainty.as_millis_f64() && spread.motions == 2, "{spread:?}");
 
-    let (together, spread) = motions(["latency: 60ms", "latency: 12ms"]);
+    let (together, spread) = motions(["latency: 60ms", "latency: 12ms"], "{}");
     let [left, right] = together.as_slice() else { panic!("{together:?}") };
     assert_eq!(left.planned, right.planned, "both are to begin at once");
     assert!(error(left).abs() < 6.0 && error(right).abs() < 6.0, "{together:?}");
     let spread = spread.unwrap();
     assert!(spread.spread < spread.uncertainty && spread.spread.as_millis_f64() < 10.0, "{spread:?}");
+
+    let file = "{left: {elbow: {median: 60ms, time_constant: 10ms}}, right: {elbow: {median: 12ms, time_constant: 10ms}}}";
+    let (measured, spread) = motions(["clock: ntp", "clock: ntp"], file);
+    for motion in &measured {
+        let uncertainty = motion.uncertainty.unwrap().as_millis_f64();
+        assert!(error(motion).abs() < uncertainty && uncertainty < 3.0, "{measured:?}");
+    }
+    assert!(spread.unwrap().spread.as_millis_f64() < 3.0, "{spread:?}");
 }
