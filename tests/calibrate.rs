@@ -146,6 +146,28 @@ fn what_cannot_be_judged_is_refused_before_anything_moves() {
     elsewhere.has_not_moved();
 }
 
+/// Every twentieth reading stays out.
+const FORGETFUL: &str = r#"
+value=0; count=0
+while read -r verb device control number rest; do
+    case "$verb" in
+        set) value=$number; echo ok ;;
+        read) count=$((count + 1)); if [ $((count % 20)) = 0 ]; then echo error busy; else echo "$value"; fi ;;
+        *) echo ok ;;
+    esac
+done
+"#;
+
+#[test]
+fn a_reading_that_stays_out_now_and_then_is_asked_for_again() {
+    let session = Session::new();
+    let robot = "robots:\n  arm: {init: robot.yaml, address: 'program:sh drive.sh', calibrate: {elbow: {sensor: angle, by: 2}}}\n";
+    session.file("robot.yaml", ARM).file("fleet.yaml", robot).file("drive.sh", FORGETFUL);
+    let ran = session.run(&["calibrate", "--yes", "--trials", "6"]);
+    ran.says(0, &["elbow"]);
+    assert!(session.path("latency.yaml").exists());
+}
+
 #[test]
 fn a_device_that_does_not_move_is_given_up_soon() {
     // The sensor of the body shows nothing of it for longer than anything is watched.

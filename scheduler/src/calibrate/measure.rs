@@ -105,7 +105,7 @@ async fn at_rest(talk: &mut Talk, planned: &PlannedDevice) -> Result<AtRest, Not
     let mut readings = Vec::new();
     let began = talk.now();
     for _ in 0..AT_REST {
-        readings.push(Talk::reading_since(began, talk.read(&planned.how.sensor).await?));
+        readings.push(Talk::reading_since(began, talk.read_again(&planned.how.sensor).await?));
         talk.ping().await?;
     }
     let link = talk.clock_reading().map_or(Span::ZERO, |reading| reading.delay_min);
@@ -200,7 +200,7 @@ impl Mover<'_> {
         let until = start + self.lasts + self.watched;
         let mut samples = Vec::new();
         while self.talk.now() < until {
-            let read = self.talk.read(&self.planned.how.sensor).await?;
+            let read = self.talk.read_again(&self.planned.how.sensor).await?;
             let reading = Talk::reading_since(start, read);
             let (at, uncertainty) = reading.instant(self.rest.link, self.planned.how.taken);
             samples.push(Sample { at, uncertainty, value: reading.value });

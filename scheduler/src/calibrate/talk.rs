@@ -83,6 +83,8 @@ pub struct Talk {
     reports: VecDeque<ControlResponse>,
 }
 
+/// So many readings in a row may stay out.
+const MISSED_MAX: u32 = 3;
 /// Reports that are kept.
 const REPORTS_MAX: usize = 256;
 
@@ -262,6 +264,23 @@ impl Talk {
             (Status::Provide, StatusValue::Number(value)) => Ok((sent, at, value)),
             _ => Err(refusal(response.error.as_ref())),
         }
+    }
+
+    /// The same, and asks again if a reading stays out, as of a busy sensor now and then.
+    ///
+    /// # Errors
+    /// [`TalkError`], also where several readings in a row stay out.
+    pub async fn read_again(
+        &mut self,
+        sensor: &DeviceId,
+    ) -> Result<(Timestamp<Server>, Timestamp<Server>, f64), TalkError> {
+        for _ in 0..MISSED_MAX {
+            match self.read(sensor).await {
+                Err(TalkError::Refused(_)) => {}
+                read => return read,
+            }
+        }
+        self.read(sensor).await
     }
 
     /// Sends a movement that starts by itself a little later; returns when that is by the server's clock, and the name of the request.
