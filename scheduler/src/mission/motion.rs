@@ -190,7 +190,7 @@ impl Watched {
         let found = onset::onset(&trial, readable, self.time_constant);
         // One motion alone hardly tells a late begin from a slow one.
         let without_lag = match self.time_constant {
-            Some(_) => found.clone(),
+            Some(_) => found,
             None => onset::onset(&trial, readable, Some(Span::ZERO)),
         };
         let uncertainty = found.as_ref().ok().map(|onset| {
