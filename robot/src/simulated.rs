@@ -588,7 +588,9 @@ fn bodies(block: &InitializationBlock, settings: &Settings) -> Vec<MovedBody> {
         let range = sensor.map_or((f64::MIN, f64::MAX), |sensor| (sensor.min_value, sensor.max_value));
         // Draws of their own, so that other draws stay as they are.
         let seed = settings.seed.wrapping_mul(0x9e37_79b9_7f4a_7c15).wrapping_add(index as u64 + 1);
-        MovedBody::new(moves.clone(), range, fastrand::Rng::with_seed(seed))
+        let device = block.device(moves.device.as_str());
+        let at_first = device.and_then(|device| device.default_value).unwrap_or_default();
+        MovedBody::new(moves.clone(), range, at_first, fastrand::Rng::with_seed(seed))
     };
     settings.moves.iter().enumerate().map(body).collect()
 }

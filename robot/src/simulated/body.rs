@@ -69,6 +69,8 @@ pub(super) struct MovedBody {
     pub(super) moves: Moves,
     /// What the sensor can show.
     range: (f64, f64),
+    /// Where it is before anything is set.
+    at_first: f64,
     rng: fastrand::Rng,
     current: Option<Piece>,
     coming: VecDeque<Piece>,
@@ -79,8 +81,8 @@ pub(super) struct MovedBody {
 }
 
 impl MovedBody {
-    pub(super) const fn new(moves: Moves, range: (f64, f64), rng: fastrand::Rng) -> Self {
-        Self { moves, range, rng, current: None, coming: VecDeque::new(), at: None, movement: None }
+    pub(super) const fn new(moves: Moves, range: (f64, f64), at_first: f64, rng: fastrand::Rng) -> Self {
+        Self { moves, range, at_first, rng, current: None, coming: VecDeque::new(), at: None, movement: None }
     }
 
     /// Its device was told something.
@@ -104,9 +106,8 @@ impl MovedBody {
             self.coming.pop_front();
         }
         // A body that has never been read begins where its first way does; a value that is set says nothing of what was before.
-        if lasts > Span::ZERO {
-            self.at.get_or_insert((now, from));
-        }
+        let before = if lasts > Span::ZERO { from } else { self.at_first };
+        self.at.get_or_insert((now, before));
         self.coming.push_back(Piece { begins, from, to, lasts });
     }
 

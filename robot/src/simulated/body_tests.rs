@@ -126,8 +126,12 @@ fn noise_has_its_deviation_and_the_sensor_its_range() {
 fn movements_begin_within_the_spread_and_each_seed_draws_the_same() {
     let begin = |seed: u64| {
         let mut robot = moving("linear", |moves| moves.spread = Span::from_millis(6));
-        robot.bodies[0] =
-            body::MovedBody::new(robot.bodies[0].moves.clone(), (-1.0, 20.0), fastrand::Rng::with_seed(seed));
+        robot.bodies[0] = body::MovedBody::new(
+            robot.bodies[0].moves.clone(),
+            (-1.0, 20.0),
+            0.0,
+            fastrand::Rng::with_seed(seed),
+        );
         // On the ramp, where it is says when it began.
         65.0 - read(&mut robot, 65).0 * 10.0
     };
