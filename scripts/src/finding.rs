@@ -119,6 +119,7 @@ codes! {
     ImportLimit = "DB0068", Error, "an import is larger than its limit";
     FileExists = "DB0069", Error, "a file exists already";
     Expression = "DB0070", Error, "an expression without a value";
+    NearPlaces = "DB0071", Warning, "places of a formation too near to each other";
 }
 
 impl Code {

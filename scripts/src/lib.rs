@@ -28,6 +28,7 @@ mod files;
 mod finding;
 pub mod fit;
 mod fleet;
+mod formation;
 mod identify;
 pub mod import;
 mod init;

@@ -6,6 +6,7 @@
 mod acts;
 mod ahead;
 mod cast;
+mod check_formations;
 mod check_motion;
 mod check_refill;
 mod check_require;
@@ -161,6 +162,7 @@ impl Compiler {
                 on_doubt: act.on_doubt,
             }));
         }
+        check_formations::check(&mut self.findings, &scenario, fleet);
         check_safety::check(&mut self.findings, &scenario, &acts);
         let mut acts: Vec<Act> = acts.into_iter().collect::<Option<_>>()?;
         compensate::compensate(&mut acts, fleet);
