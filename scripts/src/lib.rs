@@ -59,6 +59,7 @@ mod space;
 mod syntax;
 mod tags;
 pub mod timing;
+mod transit;
 mod world;
 
 pub use address::{Address, NoAddress, Protection};

@@ -113,6 +113,8 @@ impl Compiler {
             for ((cue, members), time) in act.cues.iter().zip(&times.members).zip(&times.times) {
                 performer.cue(cue, members, time);
             }
+            let ground = perform::Ground { formations: &scenario.formations, positions: &positions };
+            performer.groups(act, &times.members, &times.times, &ground);
             let (segments, readings) = (performer.segments, performer.readings);
             // Where times contradict each other, cues would seem to overlap.
             if !times.consistent {

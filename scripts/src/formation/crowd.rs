@@ -34,7 +34,7 @@ pub(crate) fn nearest_pair(places: &[Point]) -> Option<Pair> {
 }
 
 /// Metres between two points.
-pub(super) fn distance(a: Point, b: Point) -> f64 {
+pub(crate) fn distance(a: Point, b: Point) -> f64 {
     let square = |axis: usize| (a[axis] - b[axis]).powi(2);
     (square(0) + square(1) + square(2)).sqrt()
 }

@@ -11,7 +11,7 @@ mod tests;
 
 use std::sync::Arc;
 
-pub(crate) use crowd::nearest_pair;
+pub(crate) use crowd::{distance as metres_between, nearest_pair};
 pub(crate) use placing::{Placing, middle_of};
 pub(crate) use shapes::{Grid, Line, Ring};
 

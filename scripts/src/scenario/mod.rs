@@ -6,6 +6,7 @@ pub(crate) mod acts;
 mod cue;
 mod data;
 mod each;
+mod form;
 mod formations;
 mod formulas;
 mod library;
@@ -37,6 +38,7 @@ pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 #[cfg(test)]
 pub(crate) use cue::CUE_KEYS;
+pub(crate) use form::{Action, Form, Group, Spare, Sweep, Target, Thin};
 pub(crate) use formations::WrittenFormation;
 pub(crate) use library::Documents;
 pub(crate) use library::SCENARIO_KEYS;
@@ -123,6 +125,10 @@ pub(crate) struct Cue {
     pub(crate) stop_condition: Option<StopCondition>,
     pub(crate) off_grid: OffGrid,
     pub(crate) readings: Vec<Reading>,
+    /// What the robots do as a group, in space.
+    pub(crate) group: Option<Group>,
+    /// For its tracks without one.
+    pub(crate) tolerance: Option<f64>,
 }
 
 /// The tracks of a cue for some robots.
