@@ -13,7 +13,7 @@ use std::sync::Arc;
 
 pub(crate) use crowd::{distance as metres_between, nearest_pair};
 pub(crate) use placing::{Placing, middle_of};
-pub(crate) use shapes::{Grid, Line, Ring};
+pub(crate) use shapes::{Ball, Grid, Line, Ring, Vee};
 
 /// Most places of a formation.
 pub(crate) const PLACES_MAX: usize = 10_000;
@@ -36,6 +36,8 @@ pub(crate) enum Shape {
     Line(Line),
     Circle(Ring),
     Grid(Grid),
+    Vee(Vee),
+    Sphere(Ball),
 }
 
 /// More places than a formation may have.
@@ -60,6 +62,8 @@ impl Formation {
             Shape::Line(line) => line.places(count),
             Shape::Circle(ring) => ring.places(count),
             Shape::Grid(grid) => grid.places(count),
+            Shape::Vee(vee) => vee.places(count),
+            Shape::Sphere(ball) => ball.places(count),
         };
         Ok(places.into_iter().map(|place| self.placing.of(place)).collect())
     }
@@ -68,7 +72,7 @@ impl Formation {
     pub(crate) fn own_count(&self) -> Option<usize> {
         match &self.shape {
             Shape::Points(points) => Some(points.len()),
-            Shape::Line(_) | Shape::Circle(_) | Shape::Grid(_) => None,
+            Shape::Line(_) | Shape::Circle(_) | Shape::Grid(_) | Shape::Vee(_) | Shape::Sphere(_) => None,
         }
     }
 }

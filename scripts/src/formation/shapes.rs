@@ -33,6 +33,22 @@ pub(crate) struct Grid {
     pub(crate) rows: Option<u32>,
 }
 
+/// Two arms of equal length that meet at the tip, which is at 0; they open along the y axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Vee {
+    /// Metres between neighbours on an arm.
+    pub(crate) spacing: f64,
+    /// Degrees between the arms.
+    pub(crate) angle: f64,
+}
+
+/// All around the middle, from the top to the bottom.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Ball {
+    /// Metres from the middle.
+    pub(crate) radius: f64,
+}
+
 /// Steps of the numbers from 0 that lie around 0: -1, 0, 1 of three, -0.5, 0.5 of two.
 #[expect(clippy::cast_precision_loss, reason = "there are few places")]
 fn around(index: usize, count: usize) -> f64 {
@@ -86,6 +102,36 @@ impl Grid {
             let (row, column) = (index / columns, index % columns);
             let steps = [around(column, columns), around(row % rows, rows), around(row / rows, layers)];
             std::array::from_fn(|axis| steps[axis] * self.spacing[axis])
+        };
+        (0..count).map(place).collect()
+    }
+}
+
+impl Vee {
+    /// The tip, then one place of the left arm and one of the right arm after another.
+    pub(super) fn places(self, count: usize) -> Vec<Point> {
+        let (across, along) = (self.angle / 2.0).to_radians().sin_cos();
+        let place = |index: usize| {
+            let far = self.spacing * real(index.div_ceil(2));
+            let side = if index % 2 == 1 { -1.0 } else { 1.0 };
+            [side * far * across, far * along, 0.0]
+        };
+        (0..count).map(place).collect()
+    }
+}
+
+/// What the golden ratio leaves of a turn: successive places are turned by it, so that no two are above each other.
+const GOLDEN_TURN: f64 = 0.618_033_988_749_894_8;
+
+impl Ball {
+    /// The Fibonacci lattice: heights in the middles of equal slices, which have equal areas, each place a golden turn
+    /// further than the one before (Swinbank and Purser, Q. J. R. Meteorol. Soc. 132, 2006; González, Math. Geosci. 42, 2010).
+    pub(super) fn places(self, count: usize) -> Vec<Point> {
+        let place = |index: usize| {
+            let height = 1.0 - (2.0 * real(index) + 1.0) / real(count);
+            let across = (1.0 - height * height).max(0.0).sqrt();
+            let angle = TAU * (real(index) * GOLDEN_TURN).fract();
+            [across * angle.cos(), across * angle.sin(), height].map(|part| self.radius * part)
         };
         (0..count).map(place).collect()
     }

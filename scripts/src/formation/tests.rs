@@ -95,3 +95,25 @@ fn the_nearest_two_places_are_found() {
     assert_eq!(pair.distance, slow);
     assert_eq!(pair.places[1], 1_000);
 }
+
+#[test]
+fn a_v_has_its_tip_at_0_and_even_arms() {
+    let vee = Shape::Vee(Vee { spacing: 2.0, angle: 60.0 });
+    let up = 3_f64.sqrt();
+    check(vee.clone(), 1, &[[0.0; 3]]);
+    check(vee, 5, &[[0.0; 3], [-1.0, up, 0.0], [1.0, up, 0.0], [-2.0, 2.0 * up, 0.0], [2.0, 2.0 * up, 0.0]]);
+}
+
+#[test]
+fn a_sphere_is_covered_evenly() {
+    check(Shape::Sphere(Ball { radius: 2.0 }), 1, &[[2.0, 0.0, 0.0]]);
+    check(Shape::Sphere(Ball { radius: 2.0 }), 0, &[]);
+    for count in [2, 7, 30, 300, 3_000] {
+        let places = of(Shape::Sphere(Ball { radius: 3.0 })).places(count).unwrap();
+        assert!(places.iter().all(|place| (crowd::distance(*place, [0.0; 3]) - 3.0).abs() < 1e-9));
+        // The nearest two of n even places are about sqrt(4 pi / n) apart; the lattice reaches most of that.
+        let even = 3.0 * (4.0 * std::f64::consts::PI / f64::from(u32::try_from(count).unwrap())).sqrt();
+        let nearest = nearest_pair(&places).unwrap().distance;
+        assert!(nearest > 0.75 * even, "{count}: {nearest} of {even}");
+    }
+}

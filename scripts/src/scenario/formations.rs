@@ -5,7 +5,9 @@ use std::sync::Arc;
 use crate::fields::{At, Reader};
 use crate::files::Files;
 use crate::finding::{Code, Place};
-use crate::formation::{Formation, Grid, Line, PLACES_MAX, Placing, Point, Ring, Shape, middle_of};
+use crate::formation::{
+    Ball, Formation, Grid, Line, PLACES_MAX, Placing, Point, Ring, Shape, Vee, middle_of,
+};
 use crate::keys::keys;
 use crate::node::{Node, shortened};
 
@@ -14,13 +16,16 @@ const METRES_MAX: f64 = 1e6;
 /// Most columns and rows of a grid.
 const SIDE_MAX: u32 = 10_000;
 
+/// Degrees between the arms of a V, if nothing is said: neighbours on the two arms are as far apart as those on one.
+const VEE_ANGLE: f64 = 60.0;
+
 const LENGTH: &str = "a length above 0, in metres, up to 1000000";
 const POINT: &str = "a place in metres, as [1, 0, 2.5]";
 const ROTATION: &str = "degrees about the vertical, or [roll, pitch, yaw] in degrees, as [90, 0, 0]";
 
 keys! {
     /// What is said of a formation.
-    FormationKeys, FORMATION_KEYS { points, line, circle, grid, at, rotate, scale }
+    FormationKeys, FORMATION_KEYS { points, line, circle, grid, v, sphere, at, rotate, scale }
 }
 
 /// A formation as written.
@@ -76,7 +81,7 @@ fn shape(
     what: &str,
     keys: &FormationKeys<'_>,
 ) -> Option<Shaped> {
-    let shapes = [keys.points, keys.line, keys.circle, keys.grid];
+    let shapes = [keys.points, keys.line, keys.circle, keys.grid, keys.v, keys.sphere];
     let count = shapes.iter().flatten().count();
     if count != 1 {
         let names = &FORMATION_KEYS[..shapes.len()];
@@ -88,11 +93,13 @@ fn shape(
         }
         return None;
     }
-    let [points, line, circle, grid] = shapes;
+    let [points, line, circle, grid, vee, sphere] = shapes;
     None.or_else(|| points.map(|at| read_points(reader, &at)))
         .or_else(|| line.map(|at| read_line(reader, &at)))
         .or_else(|| circle.map(|at| read_circle(reader, &at)))
-        .or_else(|| grid.map(|at| read_grid(reader, &at)))?
+        .or_else(|| grid.map(|at| read_grid(reader, &at)))
+        .or_else(|| vee.map(|at| read_vee(reader, &at)))
+        .or_else(|| sphere.map(|at| read_sphere(reader, &at)))?
 }
 
 fn read_points(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
@@ -145,6 +152,30 @@ fn read_grid(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
     });
     let grid = Grid { spacing: spacing?, columns: columns?, rows: rows? };
     Some(Shaped::around_0(Shape::Grid(grid)))
+}
+
+/// `{spacing: 1, angle: 60}`
+fn read_vee(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
+    let [spacing, angle] = reader.map(at, "`v`", ["spacing", "angle"], &["spacing"])?;
+    let expected = "an angle between the arms above 0 and below 180 degrees";
+    let angle = angle.map_or(Some(VEE_ANGLE), |at| {
+        let angle = reader.degrees(&at, expected)?;
+        if angle > 0.0 && angle < 180.0 {
+            return Some(angle);
+        }
+        reader.add(Code::WrongType, at.place(), format!("found the number {angle}"), expected, None);
+        None
+    });
+    let spacing = spacing.and_then(|at| length(reader, &at));
+    let vee = Vee { spacing: spacing?, angle: angle? };
+    Some(Shaped::around_0(Shape::Vee(vee)))
+}
+
+/// `{radius: 2}`
+fn read_sphere(reader: &mut Reader, at: &At<'_>) -> Option<Shaped> {
+    let [radius] = reader.map(at, "`sphere`", ["radius"], &["radius"])?;
+    let radius = radius.and_then(|at| length(reader, &at))?;
+    Some(Shaped::around_0(Shape::Sphere(Ball { radius })))
 }
 
 fn one_of_two(reader: &mut Reader, at: &At<'_>, what: &str, keys: [&str; 2]) -> Option<Shaped> {

@@ -34,11 +34,6 @@ pub(crate) struct Price {
     pub(crate) longest: f64,
 }
 
-impl Price {
-    /// Metres as they are.
-    pub(crate) const WAY: Self = Self { exponent: 1.0, longest: f64::INFINITY };
-}
-
 /// The assignment with the least sum. As many starts as possible get a place; each place is taken at most once.
 pub(crate) fn cheapest(starts: &[Point], places: &[Point], price: Price) -> Assignment {
     let swapped = starts.len() > places.len();

@@ -6,6 +6,8 @@
 mod approach;
 mod assignment;
 mod crossing;
+#[cfg(test)]
+mod tests;
 mod way;
 
 pub(crate) use assignment::Least;
