@@ -119,6 +119,11 @@ codes! {
     ImportLimit = "DB0068", Error, "an import is larger than its limit";
     FileExists = "DB0069", Error, "a file exists already";
     Expression = "DB0070", Error, "an expression without a value";
+    NearPlaces = "DB0071", Warning, "places of a formation too near to each other";
+    NotInGroup = "DB0081", Error, "a robot that cannot move in a group";
+    PlacesCount = "DB0082", Error, "more or fewer robots than places";
+    NoWayPast = "DB0083", Error, "bodies that cannot pass each other";
+    UnknownFormation = "DB0084", Error, "no formation of this name";
 }
 
 impl Code {

@@ -28,6 +28,7 @@ mod files;
 mod finding;
 pub mod fit;
 mod fleet;
+mod formation;
 mod identify;
 pub mod import;
 mod init;
@@ -58,6 +59,7 @@ mod space;
 mod syntax;
 mod tags;
 pub mod timing;
+mod transit;
 mod world;
 
 pub use address::{Address, NoAddress, Protection};

@@ -6,6 +6,7 @@
 mod acts;
 mod ahead;
 mod cast;
+mod check_formations;
 mod check_motion;
 mod check_refill;
 mod check_require;
@@ -112,6 +113,8 @@ impl Compiler {
             for ((cue, members), time) in act.cues.iter().zip(&times.members).zip(&times.times) {
                 performer.cue(cue, members, time);
             }
+            let ground = perform::Ground { formations: &scenario.formations, positions: &positions };
+            performer.groups(act, &times.members, &times.times, &ground);
             let (segments, readings) = (performer.segments, performer.readings);
             // Where times contradict each other, cues would seem to overlap.
             if !times.consistent {
@@ -161,6 +164,7 @@ impl Compiler {
                 on_doubt: act.on_doubt,
             }));
         }
+        check_formations::check(&mut self.findings, &scenario, fleet);
         check_safety::check(&mut self.findings, &scenario, &acts);
         let mut acts: Vec<Act> = acts.into_iter().collect::<Option<_>>()?;
         compensate::compensate(&mut acts, fleet);

@@ -1,5 +1,7 @@
 //! What each robot does in a cue: its tracks on its devices, as steps.
 
+mod group;
+
 use std::borrow::Cow;
 use std::collections::HashMap;
 use std::sync::Arc;
@@ -22,6 +24,8 @@ use crate::scenario::{Cue, Motion, OffGrid, Reading, Track, Vectors};
 
 /// Up to this many steps the exact number of a movement is reported, whatever its device takes.
 const TOLD_MAX: usize = 1_000_000;
+
+pub(super) use group::Ground;
 
 /// Most tolerances that are tried for a hint.
 const TOLERANCES_MAX: usize = 16;

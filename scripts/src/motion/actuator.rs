@@ -487,6 +487,7 @@ impl<'a> Actuator<'a> {
                             key.extend([part.from.to_bits(), part.to.to_bits()]);
                             key.extend(part.formula.key());
                         }
+                        Some(Function::Swept(swept)) => key.extend(swept.key()),
                         None => {}
                     }
                 }

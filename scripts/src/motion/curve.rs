@@ -144,7 +144,7 @@ impl Curve {
     pub(crate) fn size(&self) -> usize {
         let coefficients = |function: &Function| match function {
             Function::Polynomial(coefficients) => coefficients.len(),
-            Function::Sine { .. } => 0,
+            Function::Sine { .. } | Function::Swept(_) => 0,
             Function::Formula(part) => part.formula.len(),
         };
         self.knots.len() + self.functions.iter().map(|function| 1 + coefficients(function) / 6).sum::<usize>()

@@ -2,6 +2,7 @@
 
 use std::f64::consts::TAU;
 
+use super::Easing;
 use crate::expression::Formula;
 
 /// A function of s from 0 to 1.
@@ -15,6 +16,83 @@ pub(crate) enum Function {
         phase: f64,
     },
     Formula(Box<FormulaPart>),
+    Swept(Box<Swept>),
+}
+
+/// One coordinate of a body that is moved with a group: along a line or a parabola, about a centre, away from it; or all of these
+/// together, as a function of u, the minimum jerk law of s.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Swept {
+    /// Coefficients of 1, u and u^2.
+    pub(crate) line: [f64; 3],
+    /// Coefficients of 1 and u of the radius.
+    pub(crate) radius: [f64; 2],
+    /// The angle in turns at u = 0, and how many turns it gains: its sine counts.
+    pub(crate) phase: f64,
+    pub(crate) turns: f64,
+}
+
+impl Swept {
+    /// Its value and its first two derivatives by u.
+    fn jet(&self, u: f64) -> [f64; 3] {
+        let [a, b, c] = self.line;
+        let (sine, cosine) = (TAU * (self.turns * u + self.phase)).sin_cos();
+        let (radius, growth, rate) = (self.radius[0] + self.radius[1] * u, self.radius[1], TAU * self.turns);
+        [
+            a + (b + c * u) * u + radius * sine,
+            b + 2.0 * c * u + growth * sine + radius * rate * cosine,
+            2.0 * c + 2.0 * growth * rate * cosine - radius * rate * rate * sine,
+        ]
+    }
+
+    /// Bounds of the first two derivatives by u.
+    fn bounds(&self) -> (f64, f64) {
+        let [_, b, c] = self.line.map(f64::abs);
+        let (radius, growth) = (self.radius[0].abs().max((self.radius[0] + self.radius[1]).abs()), self.radius[1].abs());
+        let rate = TAU * self.turns.abs();
+        (b + 2.0 * c + growth + radius * rate, 2.0 * c + 2.0 * growth * rate + radius * rate * rate)
+    }
+
+    /// Whether nothing moves.
+    pub(crate) fn is_still(&self) -> bool {
+        self.bounds().0 == 0.0
+    }
+
+    /// Everything that makes it.
+    pub(super) fn key(&self) -> impl Iterator<Item = u64> {
+        let Self { line, radius, phase, turns } = *self;
+        line.into_iter().chain(radius).chain([phase, turns]).map(f64::to_bits)
+    }
+
+    fn slope_max(&self) -> f64 {
+        self.bounds().0 * Easing::Smooth.slope_max()
+    }
+
+    fn curvature_max(&self) -> f64 {
+        let (slope, curvature) = self.bounds();
+        slope * Easing::Smooth.curvature_max() + curvature * Easing::Smooth.slope_max().powi(2)
+    }
+
+    /// The same of a body with this as one coordinate, in other units: `offset + scale * value` is what it is now.
+    pub(crate) fn in_units(&self, scale: f64, offset: f64) -> Self {
+        let [a, b, c] = self.line;
+        Self { line: [(a - offset) / scale, b / scale, c / scale], radius: self.radius.map(|r| r / scale), ..*self }
+    }
+
+    /// The largest speed and acceleration of a point with these coordinates, by s, among many samples.
+    pub(crate) fn together(axes: &[Self]) -> (f64, f64) {
+        let at = |i: u32| {
+            let s = f64::from(i) / 256.0;
+            let (law, slope, bend) = (Easing::Smooth.at(s), 30.0 * (s * (1.0 - s)).powi(2), 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s));
+            let add = |(speed, acceleration): (f64, f64), axis: &Self| {
+                let [_, first, second] = axis.jet(law);
+                (speed.hypot(first * slope), acceleration.hypot(second * slope * slope + first * bend))
+            };
+            axes.iter().fold((0.0, 0.0), add)
+        };
+        let larger = |a: (f64, f64), b: (f64, f64)| (a.0.max(b.0), a.1.max(b.1));
+        (0..=256).map(at).fold((0.0, 0.0), larger)
+    }
 }
 
 /// What lies between two times of a formula.
@@ -43,6 +121,7 @@ impl Function {
             // Its ends exactly: behind them the formula may jump.
             Self::Formula(part) if s >= 1.0 => part.formula.at(part.to),
             Self::Formula(part) => part.formula.at((part.from + part.length() * s).min(part.to)),
+            Self::Swept(swept) => swept.jet(Easing::Smooth.at(s))[0],
         }
     }
 
@@ -52,6 +131,7 @@ impl Function {
             Self::Polynomial(coefficients) => weighted(coefficients, |k| k),
             Self::Sine { cycles, .. } => TAU * cycles,
             Self::Formula(part) => part.slope_max * part.length(),
+            Self::Swept(swept) => swept.slope_max(),
         }
     }
 
@@ -60,6 +140,9 @@ impl Function {
         if let Self::Formula(part) = self {
             let (slope, curvature) = part.formula.peak_rates(part.from, part.to);
             return (slope * part.length(), curvature * part.length().powi(2));
+        }
+        if let Self::Swept(swept) = self {
+            return Swept::together(&[**swept]);
         }
         let Self::Polynomial(coefficients) = self else { return (self.slope_max(), self.curvature_max()) };
         let slope = derivative(coefficients);
@@ -77,6 +160,7 @@ impl Function {
             Self::Polynomial(coefficients) => weighted(coefficients, |k| k * (k - 1.0)),
             Self::Sine { cycles, .. } => (TAU * cycles).powi(2),
             Self::Formula(part) => part.curvature_max * part.length().powi(2),
+            Self::Swept(swept) => swept.curvature_max(),
         }
     }
 }

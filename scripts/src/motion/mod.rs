@@ -13,6 +13,6 @@ mod spline;
 pub(crate) use actuator::{Actuator, Fits, Played, Value};
 pub(crate) use curve::{Between, Curve, Knot, Shape, Stretch};
 pub(crate) use easing::Easing;
-pub(crate) use function::{FormulaPart, Function};
+pub(crate) use function::{FormulaPart, Function, Swept};
 pub(crate) use held::runs;
 pub(crate) use spline::spline;

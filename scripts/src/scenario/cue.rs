@@ -7,7 +7,7 @@ use super::each::movements;
 use super::library::Library;
 use super::movement::Shaping;
 use super::when::{When, range};
-use super::{Bounds, Cue, Name, OffGrid, Order, Reading, nothing};
+use super::{Bounds, Cue, form, Name, OffGrid, Order, Reading, nothing};
 use crate::exact::{Beginning, Laps};
 use crate::fields::{At, Reader};
 use crate::finding::Code;
@@ -16,7 +16,7 @@ use crate::node::Node;
 pub(super) const OFF_GRID: [(&str, OffGrid); 2] = [("refuse", OffGrid::Refuse), ("snap", OffGrid::Snap)];
 pub(super) const ORDER: [(&str, Order); 2] = [("given", Order::Given), ("auto", Order::Auto)];
 
-pub(crate) const CUE_KEYS: [&str; 24] = [
+pub(crate) const CUE_KEYS: [&str; 29] = [
     "cue",
     "at",
     "after",
@@ -41,6 +41,11 @@ pub(crate) const CUE_KEYS: [&str; 24] = [
     "off_grid",
     "tolerance",
     "read",
+    "form",
+    "turn",
+    "grow",
+    "shift",
+    "over",
 ];
 const OVERRIDE_KEYS: [&str; 9] =
     ["move", "parameters", "tracks", "devices", "mirror", "scale", "reverse", "repeat", "delay"];
@@ -77,6 +82,11 @@ pub(super) fn read(
         off_grid,
         tolerance,
         readings,
+        form,
+        turn,
+        grow,
+        shift,
+        over,
     ] = reader.map(at, "a cue", CUE_KEYS, &[])?;
     let when = When { at: start, after, with, before, end_by };
     let (relations, fixed) = when.read(reader);
@@ -94,7 +104,9 @@ pub(super) fn read(
         delay: None,
         tolerance,
     };
-    let moves = named.is_some() || tracks.is_some() || readings.is_some();
+    let group = form::read(reader, at, [form, turn, grow, shift, over], duration);
+    let grouped = [form, turn, grow, shift].iter().any(Option::is_some);
+    let moves = named.is_some() || tracks.is_some() || readings.is_some() || grouped;
     for (missing, key) in [(robots.is_none() && moves, "robots"), (robots.is_some() && !moves, "tracks")] {
         if missing && !reader.is_miswritten(at, key) {
             let message = format!("a cue has no `{key}`");
@@ -108,7 +120,10 @@ pub(super) fn read(
     let entries = overrides.as_ref().map(|at| reader.entries(at, "robot to what is different for it"));
     let entries = entries.unwrap_or_default();
     let overriding = read_overrides(reader, &shaping, &entries);
-    let read = movements(reader, library, &shaping, &overriding, &robots);
+    let mut read = movements(reader, library, &shaping, &overriding, &robots);
+    if let Some(group) = &group {
+        read.last_at_least(group.over);
+    }
     let cue = Cue {
         name: name
             .and_then(|at| reader.name(&at, "the cue's name"))
@@ -130,6 +145,8 @@ pub(super) fn read(
         stop_condition: stop_condition.and_then(|at| lease(reader, &at, defaults.lease)),
         off_grid: off_grid.and_then(|at| reader.word(&at, &OFF_GRID)).unwrap_or(defaults.off_grid),
         readings: readings.map(|at| read_readings(reader, &at)).unwrap_or_default(),
+        group,
+        tolerance,
     };
     reader.music.start = Beginning::default();
     Some(cue)

@@ -2,6 +2,8 @@
 
 use std::collections::HashMap;
 
+use urrcp::Span;
+
 use super::cue::Overriding;
 use super::library::Library;
 use super::movement::{Shaping, movement};
@@ -47,6 +49,16 @@ pub(super) struct Movements {
     /// Those of single robots, and which one each robot of the cue has.
     pub(super) own: Vec<Movement>,
     pub(super) own_of: Vec<Option<usize>>,
+}
+
+impl Movements {
+    /// What the robots do as a group may take longer than their tracks.
+    pub(super) fn last_at_least(&mut self, length: Span) {
+        let overrides = self.overrides.iter_mut().map(|(_, movement)| movement);
+        for movement in std::iter::once(&mut self.shared).chain(overrides).chain(&mut self.own) {
+            movement.length = movement.length.max(length);
+        }
+    }
 }
 
 /// Reads the movement of a cue and its overrides.

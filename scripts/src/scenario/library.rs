@@ -1,4 +1,4 @@
-//! What cues share: included files, variables, moves, roles, the tempo.
+//! What cues share: included files, variables, moves, roles, formations, the tempo.
 
 use std::borrow::Cow;
 use std::cell::{OnceCell, RefCell};
@@ -7,6 +7,7 @@ use std::sync::Arc;
 
 use super::Name;
 use super::each::Roster;
+use super::formations::{self, WrittenFormation};
 use crate::exact::{Fraction, fraction};
 use crate::fields::{At, Reader};
 use crate::files::Files;
@@ -21,13 +22,14 @@ use crate::tags::foreign_tags;
 /// Most files that a scenario may include, directly or through others.
 const INCLUDES_MAX: usize = 256;
 
-pub(crate) const SCENARIO_KEYS: [&str; 19] = [
+pub(crate) const SCENARIO_KEYS: [&str; 20] = [
     "scenario",
     "fleet",
     "include",
     "variables",
     "moves",
     "roles",
+    "formations",
     "tempo",
     "signature",
     "zones",
@@ -42,7 +44,7 @@ pub(crate) const SCENARIO_KEYS: [&str; 19] = [
     "cues",
     "acts",
 ];
-const INCLUDE_KEYS: [&str; 4] = ["include", "variables", "moves", "roles"];
+const INCLUDE_KEYS: [&str; 5] = ["include", "variables", "moves", "roles", "formations"];
 
 /// The scenario and its includes, as trees.
 #[derive(Debug, Default)]
@@ -109,10 +111,11 @@ fn includes(root: &Node, file: usize) -> Vec<(String, Place)> {
     }
 }
 
-/// Moves and roles by name, and where data files come from.
+/// Moves, roles and formations by name, and where data files come from.
 pub(crate) struct Library<'a> {
     pub(super) moves: HashMap<String, (u16, &'a Node)>,
     pub(super) roles: HashMap<String, Vec<Name>>,
+    pub(super) formations: HashMap<String, WrittenFormation>,
     pub(super) files: &'a dyn Files,
     roster: Roster<'a>,
     used: RefCell<HashSet<String>>,
@@ -134,8 +137,8 @@ impl<'a> Library<'a> {
                 moves.entry(name.clone()).or_insert((file, node));
             }
         }
-        let (roster, roles) = (Roster::new(fleet), HashMap::new());
-        Self { moves, roles, files, roster, used: RefCell::default(), names: OnceCell::new() }
+        let (roster, roles, formations) = (Roster::new(fleet), HashMap::new(), HashMap::new());
+        Self { moves, roles, formations, files, roster, used: RefCell::default(), names: OnceCell::new() }
     }
 
     /// The robots that names stand for, as far as they are known.
@@ -146,22 +149,28 @@ impl<'a> Library<'a> {
     /// Takes an included file.
     pub(super) fn include(&mut self, reader: &mut Reader, node: &Node, file: u16) {
         let at = At::document(node, file);
-        let Some([include, variables, moves, roles]) = reader.map(&at, "an included file", INCLUDE_KEYS, &[])
+        let Some([include, variables, moves, roles, formations]) =
+            reader.map(&at, "an included file", INCLUDE_KEYS, &[])
         else {
             return;
         };
         if let Some(at) = include {
             include_kind(reader, &at);
         }
-        self.add_from(reader, [variables, moves, roles], file);
+        self.add_from(reader, [variables, moves, roles, formations], file);
     }
 
     /// Takes what the scenario's own file holds.
-    pub(super) fn add(&mut self, reader: &mut Reader, parts: [Option<At<'_>>; 3]) {
+    pub(super) fn add(&mut self, reader: &mut Reader, parts: [Option<At<'_>>; 4]) {
         self.add_from(reader, parts, 0);
     }
 
-    fn add_from(&mut self, reader: &mut Reader, [variables, moves, roles]: [Option<At<'_>>; 3], file: u16) {
+    fn add_from(
+        &mut self,
+        reader: &mut Reader,
+        [variables, moves, roles, formations]: [Option<At<'_>>; 4],
+        file: u16,
+    ) {
         if let Some(at) = variables {
             for (name, at) in reader.entries(&at, "variable to its value") {
                 if let Some(value) = scalar(reader, &at) {
@@ -181,6 +190,14 @@ impl<'a> Library<'a> {
                 let robots = super::cue::robot_names(reader, &at);
                 if self.roles.insert(name.to_owned(), robots).is_some() {
                     twice(reader, &at, "role", name);
+                }
+            }
+        }
+        if let Some(at) = formations {
+            for (name, at) in reader.entries(&at, "formation to its places") {
+                let formation = formations::read(reader, self.files, name, &at);
+                if self.formations.insert(name.to_owned(), formation).is_some() {
+                    twice(reader, &at, "formation", name);
                 }
             }
         }

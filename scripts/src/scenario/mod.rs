@@ -1,11 +1,13 @@
 //! The scenario as written, variables and moves put in. Names of robots are resolved against the fleet in `compile`.
 //!
-//! `library` reads what cues share, `cue` a cue, `when` its times, `track` the movement of one device, `acts` the graph.
+//! `library` reads what cues share, `formations` places, `cue` a cue, `when` its times, `track` the movement of one device, `acts` the graph.
 
 pub(crate) mod acts;
 mod cue;
 mod data;
 mod each;
+mod form;
+mod formations;
 mod formulas;
 mod library;
 mod movement;
@@ -36,6 +38,8 @@ pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 #[cfg(test)]
 pub(crate) use cue::CUE_KEYS;
+pub(crate) use form::{Action, Form, Group, Spare, Sweep, Target, Thin};
+pub(crate) use formations::WrittenFormation;
 pub(crate) use library::Documents;
 pub(crate) use library::SCENARIO_KEYS;
 pub(crate) use vectors::{Vector, Vectors};
@@ -58,6 +62,7 @@ pub(crate) struct Scenario {
     /// Where the least distance of bodies is required.
     pub(crate) closest_place: Option<Place>,
     pub(crate) roles: HashMap<String, Vec<Name>>,
+    pub(crate) formations: HashMap<String, WrittenFormation>,
     pub(crate) acts: Vec<Act>,
 }
 
@@ -120,6 +125,10 @@ pub(crate) struct Cue {
     pub(crate) stop_condition: Option<StopCondition>,
     pub(crate) off_grid: OffGrid,
     pub(crate) readings: Vec<Reading>,
+    /// What the robots do as a group, in space.
+    pub(crate) group: Option<Group>,
+    /// For its tracks without one.
+    pub(crate) tolerance: Option<f64>,
 }
 
 /// The tracks of a cue for some robots.
@@ -280,6 +289,7 @@ pub(crate) fn read(
         variables,
         moves,
         roles,
+        formations,
         tempo,
         signature,
         zones,
@@ -300,7 +310,7 @@ pub(crate) fn read(
         let file = u16::try_from(index + 1).unwrap_or(u16::MAX);
         library.include(reader, node, file);
     }
-    library.add(reader, [variables, moves, roles]);
+    library.add(reader, [variables, moves, roles, formations]);
     library::music(reader, tempo, signature);
     let (requirements, closest_place) = require.map(|at| require::read(reader, &at)).unwrap_or_default();
     let default = StopCondition { pending: None, running: Millis::new(RUNNING_LEASE_MS).ok() };
@@ -326,7 +336,7 @@ pub(crate) fn read(
     for name in library.unused() {
         movement::check_unused(reader, &library, &name);
     }
-    scenario.roles = library.roles;
+    (scenario.roles, scenario.formations) = (library.roles, library.formations);
     Some(scenario)
 }
 

@@ -18,6 +18,13 @@ fleet: fleet.yaml
 variables: {v: 1}
 moves: {lift: {parameters: {to: 1}, tracks: {d: [{at: 0s, to: $to, ease: linear}]}}}
 roles: {leader: arm}
+formations:
+  spots: {points: [[0, 0, 1]], at: [0, 0, 0], rotate: 90, scale: 1}
+  row: {line: {spacing: 1, length: 1}, rotate: [0, 0, 90]}
+  ring: {circle: {radius: 1, spacing: 1}}
+  block: {grid: {spacing: 1, columns: 1, rows: 1}}
+  geese: {v: {spacing: 1, angle: 60}}
+  ball: {sphere: {radius: 1}}
 tempo: [{at: bar 1, bpm: 120, signature: 4/4}]
 signature: 4/4
 zones: {table: auto}

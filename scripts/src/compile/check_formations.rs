@@ -1,0 +1,51 @@
+//! Places of a formation that are too near to each other.
+
+use crate::fields::Reader;
+use crate::finding::{Code, Place};
+use crate::fleet::Fleet;
+use crate::formation::{Point, nearest_pair};
+use crate::node::shortened;
+use crate::scenario::Scenario;
+
+/// Places that are nearer to each other, in metres, count as one.
+const SAME: f64 = 1e-6;
+
+/// Formations that have places of their own; others depend on how many robots take part.
+pub(super) fn check(findings: &mut Reader, scenario: &Scenario, fleet: &Fleet) {
+    let mut written: Vec<_> = scenario.formations.iter().collect();
+    written.sort_unstable_by_key(|(name, _)| name.as_str());
+    for (name, written) in written {
+        let Some(formation) = &written.formation else { continue };
+        let places = formation.own_count().and_then(|count| formation.places(count).ok());
+        if let Some(places) = places {
+            near(findings, &written.place, name, &places, fleet);
+        }
+    }
+}
+
+/// A warning about the two places that are nearest to each other, if that is nearer than two bodies may be.
+pub(super) fn near(findings: &mut Reader, place: &Place, name: &str, places: &[Point], fleet: &Fleet) {
+    let Some(pair) = nearest_pair(places) else { return };
+    let least = fleet.space.distance.unwrap_or(0.0);
+    if pair.distance >= least.max(SAME) {
+        return;
+    }
+    let [a, b] = pair.places;
+    let [x, y, z] = places[a];
+    let apart = match pair.distance < SAME {
+        true => "are the same".to_owned(),
+        false => format!("are {:.3} m apart", pair.distance),
+    };
+    let message = format!(
+        "places {} and {} of `{}` {apart}, near [{x:.2}, {y:.2}, {z:.2}]",
+        a + 1,
+        b + 1,
+        shortened(name)
+    );
+    let expected = match fleet.space.distance {
+        Some(least) => format!("at least {least} m, the `distance` of the fleet's `space`"),
+        None => "every place once".to_owned(),
+    };
+    let hint = Some("make the formation larger, or let fewer robots take part".to_owned());
+    findings.add(Code::NearPlaces, place.clone(), message, expected, hint);
+}

@@ -1,0 +1,79 @@
+//! A group that turns, grows and shifts as one.
+
+use super::{Dancer, Moved, Performer};
+use crate::finding::Code;
+use crate::formation::Point;
+use crate::motion::Swept;
+use crate::scenario::{Group, Sweep};
+
+impl Performer<'_, '_> {
+    /// How each robot moves with the group.
+    pub(super) fn swept(
+        &mut self,
+        group: &Group,
+        sweep: Sweep,
+        dancers: &[Dancer<'_>],
+    ) -> Option<Vec<Moved>> {
+        let mut center = middle(dancers)?;
+        if let Some([x, y]) = sweep.about {
+            (center[0], center[1]) = (x, y);
+        }
+        let length = group.over.as_millis_f64() / 1_000.0;
+        let moved = |dancer: &Dancer<'_>| Moved {
+            begin: dancer.member.delay.as_millis_f64() / 1_000.0,
+            length,
+            axes: axes(dancer.from, center, sweep),
+        };
+        let all: Vec<Moved> = dancers.iter().map(moved).collect();
+        let needed = |(moved, dancer): (&Moved, &Dancer<'_>)| {
+            let limits = self.limits(dancer);
+            let own = moved.axes.iter().zip(limits.axes);
+            let whole = Swept::together(&moved.axes);
+            let own = own.map(|(swept, limits)| time(Swept::together(&[*swept]), limits));
+            (own.fold(time(whole, limits.body), f64::max), dancer.member.robot)
+        };
+        let times = all.iter().zip(dancers).map(needed);
+        let (shortest, robot) = times.max_by(|a, b| a.0.total_cmp(&b.0))?;
+        if shortest > length * (1.0 + 1e-9) {
+            self.tell_too_short(group, robot, shortest, Code::BodyTooFast);
+            return None;
+        }
+        Some(all)
+    }
+}
+
+/// The shortest time for a movement with these largest derivatives by its share of time.
+fn time((slope, curvature): (f64, f64), [speed, acceleration]: [f64; 2]) -> f64 {
+    (slope / speed).max((curvature / acceleration).sqrt())
+}
+
+/// The mean of all places.
+#[expect(clippy::cast_precision_loss, reason = "groups are small")]
+fn middle(dancers: &[Dancer<'_>]) -> Option<Point> {
+    let count = dancers.len() as f64;
+    let mean = |axis: usize| dancers.iter().map(|dancer| dancer.from[axis]).sum::<f64>() / count;
+    (!dancers.is_empty()).then(|| [mean(0), mean(1), mean(2)])
+}
+
+/// x, y and z of a body that is at a place when the group begins.
+fn axes(from: Point, center: Point, sweep: Sweep) -> [Swept; 3] {
+    let [x, y, z]: Point = std::array::from_fn(|axis| from[axis] - center[axis]);
+    let more = sweep.grow - 1.0;
+    let line = |center: f64, shift: f64| [center, shift, 0.0];
+    if sweep.turns == 0.0 {
+        let axis = |axis: usize, off: f64| Swept {
+            line: [from[axis], more * off + sweep.shift[axis], 0.0],
+            ..Swept::default()
+        };
+        return [axis(0, x), axis(1, y), axis(2, z)];
+    }
+    let (radius, phase) = (x.hypot(y), y.atan2(x) / std::f64::consts::TAU);
+    let about = |axis: usize, phase: f64| Swept {
+        line: line(center[axis], sweep.shift[axis]),
+        radius: [radius, more * radius],
+        phase,
+        turns: sweep.turns,
+    };
+    let up = Swept { line: [from[2], more * z + sweep.shift[2], 0.0], ..Swept::default() };
+    [about(0, phase + 0.25), about(1, phase), up]
+}

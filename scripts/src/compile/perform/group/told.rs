@@ -1,0 +1,116 @@
+//! What is wrong with a group, in words.
+
+use super::{COORDINATES, Dancer, Performer};
+use crate::compile::conflict::told;
+use crate::duration;
+use crate::finding::Code;
+use crate::node::shortened;
+use crate::render::counted;
+use crate::scenario::{Cue, Form, Group, Target};
+use crate::transit::{Blocked, Refused};
+use urrcp::Span;
+
+impl Performer<'_, '_> {
+    /// Robots that have no place in space, or none that is known.
+    pub(super) fn tell_excluded(&mut self, cue: &Cue, group: &Group, without: &[usize], unknown: &[usize]) {
+        if !without.is_empty() {
+            let message = format!("{} no `body` whose x and y are devices", self.cast.have(without));
+            let expected = "bodies that are moved by position, as in `body: {x: x, y: y, z: z}` of the fleet file";
+            self.findings.add(Code::NotInGroup, cue.robots_place.clone(), message, expected, None);
+        }
+        if !unknown.is_empty() {
+            let are = if unknown.len() == 1 { "is" } else { "are" };
+            let message = format!(
+                "nothing says where {} {are} when `{}` begins",
+                self.cast.names(unknown),
+                shortened(&cue.name)
+            );
+            let axes = COORDINATES.join(", ");
+            let expected = format!("a movement of {axes} before that, or a `default_value` of these devices");
+            let hint = "begin with a cue that sets them, as in `tracks: {x: [{at: 0s, to: 1}]}`".to_owned();
+            self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, Some(hint));
+        }
+    }
+
+    pub(super) fn tell_homeless(&mut self, group: &Group, robots: &[usize]) {
+        let message = format!("{} no `default_value` for each of its coordinates", self.cast.have(robots));
+        let expected = "devices with a `default_value`: that is where home is";
+        let hint = Some("add `default_value` in the initialization block, or name a formation".to_owned());
+        self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
+    }
+
+    pub(super) fn tell_flat(&mut self, group: &Group, name: &str, robot: usize) {
+        let id = self.cast.id(robot);
+        let message = format!("the places of `{}` differ in height, and `{id}` cannot change its own", shortened(name));
+        let expected = "places of one height, or bodies whose z is a device";
+        self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, None);
+    }
+
+    pub(super) fn tell_count(&mut self, group: &Group, name: &str, robots: usize, places: usize) {
+        let (robots_are, places_are) = (counted(robots, "robot"), counted(places, "place"));
+        let name = shortened(name);
+        let message = format!("{robots_are} for the {places_are} of `{name}`");
+        let hint = match robots > places {
+            true => format!(
+                "`form: {{to: {name}, spare: stay}}` lets those without a place stay where they are, `spare: home` sends them home"
+            ),
+            false => format!(
+                "`form: {{to: {name}, thin: evenly}}` leaves places free at even steps, `thin: nearest` those that are far"
+            ),
+        };
+        let expected = format!("{}, or a choice", counted(places, "robot"));
+        self.findings.add(Code::PlacesCount, group.place.clone(), message, expected, Some(hint));
+    }
+
+    pub(super) fn tell_refused(
+        &mut self,
+        cue: &Cue,
+        group: &Group,
+        form: &Form,
+        dancers: &[Dancer<'_>],
+        refused: &Refused,
+    ) {
+        match refused {
+            Refused::TooShort { body, seconds } => {
+                self.tell_too_short(group, dancers[*body].member.robot, *seconds, Code::BodyTooFast);
+            }
+            Refused::Blocked(blocked) => self.tell_blocked(cue, group, form, dancers, blocked),
+        }
+    }
+
+    pub(super) fn tell_too_short(&mut self, group: &Group, robot: usize, seconds: f64, code: Code) {
+        let needed = Span::from_millis_f64((seconds * 100.0 - 1e-6).ceil() * 10.0);
+        let needed = duration::written(needed);
+        let message = format!("`{}` needs {needed} for its way, and has {}", self.cast.id(robot), told(group.over));
+        let expected = format!("`over: {needed}` or more");
+        self.findings.add(code, group.over_place.clone(), message, expected, None);
+    }
+
+    fn tell_blocked(
+        &mut self,
+        cue: &Cue,
+        group: &Group,
+        form: &Form,
+        dancers: &[Dancer<'_>],
+        blocked: &Blocked,
+    ) {
+        let [a, b] = blocked.pair.map(|index| self.cast.id(dancers[index].member.robot));
+        let at = Span::from_millis_f64((blocked.at * 1_000.0).round());
+        let more = match blocked.pairs {
+            1 => String::new(),
+            pairs => format!("; {} more come too close", counted(pairs - 1, "pair")),
+        };
+        let message = format!(
+            "`{a}` and `{b}` come within {:.3} m of each other {} after `{}` begins, from middle to middle{more}",
+            blocked.distance,
+            told(at),
+            shortened(&cue.name)
+        );
+        let expected = format!("at least {:.3} m, on straight ways, with delays or in arcs", blocked.required);
+        let hint = match form.to {
+            Target::Home => "give it more time, let them begin one after another with `canon`, or form a row first",
+            Target::Formation(_) => "give it more time, make the formation larger, or form another one on the way",
+        };
+        self.findings.add(Code::NoWayPast, group.place.clone(), message, expected, Some(hint.to_owned()));
+    }
+}

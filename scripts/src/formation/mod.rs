@@ -1,0 +1,78 @@
+//! Formations: places in space for any number of bodies, in metres. `placing` moves a shape to where it stands.
+//!
+//! What a scenario says of them is read by `scenario::formations`; which body takes which place is decided elsewhere.
+
+mod crowd;
+mod placing;
+mod shapes;
+
+#[cfg(test)]
+mod tests;
+
+use std::sync::Arc;
+
+pub(crate) use crowd::{distance as metres_between, nearest_pair};
+pub(crate) use placing::{Placing, middle_of};
+pub(crate) use shapes::{Ball, Grid, Line, Ring, Vee};
+
+/// Most places of a formation.
+pub(crate) const PLACES_MAX: usize = 10_000;
+
+/// A place, or a vector: x, y, z in metres.
+pub(crate) type Point = [f64; 3];
+
+/// A set of places, for as many bodies as take part.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Formation {
+    pub(crate) shape: Shape,
+    pub(crate) placing: Placing,
+}
+
+/// Where the places are, before they are turned and moved.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) enum Shape {
+    /// These places.
+    Points(Arc<[Point]>),
+    Line(Line),
+    Circle(Ring),
+    Grid(Grid),
+    Vee(Vee),
+    Sphere(Ball),
+}
+
+/// More places than a formation may have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct TooManyPlaces {
+    pub(crate) count: usize,
+}
+
+impl Formation {
+    /// The places for this many bodies, in metres, in the order of the shape. A shape with places of its own has all of these
+    /// ([`Self::own_count`]), whatever the count: it is for the caller to compare the two.
+    ///
+    /// # Errors
+    /// There are more than [`PLACES_MAX`].
+    pub(crate) fn places(&self, count: usize) -> Result<Vec<Point>, TooManyPlaces> {
+        let count = self.own_count().unwrap_or(count);
+        if count > PLACES_MAX {
+            return Err(TooManyPlaces { count });
+        }
+        let places = match &self.shape {
+            Shape::Points(points) => points.to_vec(),
+            Shape::Line(line) => line.places(count),
+            Shape::Circle(ring) => ring.places(count),
+            Shape::Grid(grid) => grid.places(count),
+            Shape::Vee(vee) => vee.places(count),
+            Shape::Sphere(ball) => ball.places(count),
+        };
+        Ok(places.into_iter().map(|place| self.placing.of(place)).collect())
+    }
+
+    /// How many places it has, if that does not follow from the number of bodies.
+    pub(crate) fn own_count(&self) -> Option<usize> {
+        match &self.shape {
+            Shape::Points(points) => Some(points.len()),
+            Shape::Line(_) | Shape::Circle(_) | Shape::Grid(_) | Shape::Vee(_) | Shape::Sphere(_) => None,
+        }
+    }
+}

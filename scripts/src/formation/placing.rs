@@ -1,0 +1,81 @@
+//! How a shape is scaled and turned about its middle, and where this is.
+
+use super::Point;
+
+/// From a shape's own frame to the stage.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Placing {
+    /// The point of the shape that is scaled and turned about.
+    middle: Point,
+    /// Where the middle goes, in metres.
+    at: Point,
+    /// Rows of the rotation, times the factor.
+    rows: [Point; 3],
+}
+
+impl Default for Placing {
+    fn default() -> Self {
+        Self { middle: [0.0; 3], at: [0.0; 3], rows: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]] }
+    }
+}
+
+impl Placing {
+    /// A shape of which this point stays where it is.
+    pub(crate) fn about(middle: Point) -> Self {
+        Self { middle, at: middle, ..Self::default() }
+    }
+
+    /// With its middle there, in metres.
+    pub(crate) fn moved(self, at: Point) -> Self {
+        Self { at, ..self }
+    }
+
+    /// Scaled by a factor, and turned: roll, pitch and yaw about fixed axes in degrees, as in URDF.
+    pub(crate) fn turned(self, rpy: Point, factor: f64) -> Self {
+        let ([sr, sp, sy], [cr, cp, cy]) = (rpy.map(sine), rpy.map(cosine));
+        let rows = [
+            [cy * cp, cy * sp * sr - sy * cr, cy * sp * cr + sy * sr],
+            [sy * cp, sy * sp * sr + cy * cr, sy * sp * cr - cy * sr],
+            [-sp, cp * sr, cp * cr],
+        ];
+        Self { rows: rows.map(|row| row.map(|part| part * factor)), ..self }
+    }
+
+    /// Where a point of the shape is on the stage.
+    pub(crate) fn of(&self, point: Point) -> Point {
+        let from_middle: Point = std::array::from_fn(|axis| point[axis] - self.middle[axis]);
+        std::array::from_fn(|axis| {
+            let row = &self.rows[axis];
+            // Sums of zeros keep no sign.
+            self.at[axis]
+                + (0.0 + row[0] * from_middle[0] + row[1] * from_middle[1] + row[2] * from_middle[2])
+        })
+    }
+}
+
+/// Exact at quarter turns, so that upright shapes have round coordinates.
+fn sine(degrees: f64) -> f64 {
+    match degrees.rem_euclid(360.0) {
+        0.0 | 180.0 => 0.0,
+        90.0 => 1.0,
+        270.0 => -1.0,
+        within => within.to_radians().sin(),
+    }
+}
+
+fn cosine(degrees: f64) -> f64 {
+    sine(degrees.rem_euclid(360.0) + 90.0)
+}
+
+/// The middle of the smallest box around points, and the lengths of its sides.
+pub(crate) fn middle_of(points: &[Point]) -> (Point, Point) {
+    let extreme = |axis: usize, pick: fn(f64, f64) -> f64| {
+        points.iter().map(|point| point[axis]).reduce(pick).unwrap_or(0.0)
+    };
+    let least: Point = std::array::from_fn(|axis| extreme(axis, f64::min));
+    let most: Point = std::array::from_fn(|axis| extreme(axis, f64::max));
+    (
+        std::array::from_fn(|axis| f64::midpoint(least[axis], most[axis])),
+        std::array::from_fn(|axis| most[axis] - least[axis]),
+    )
+}

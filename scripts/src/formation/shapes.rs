@@ -1,0 +1,138 @@
+//! Shapes that have places for any number of bodies: flat ones lie on the floor, with their middle at 0.
+
+use std::f64::consts::{PI, TAU};
+
+use super::Point;
+
+/// Along the x axis, from left to right.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Line {
+    /// Metres between neighbours.
+    Spacing(f64),
+    /// Metres from the first to the last.
+    Length(f64),
+}
+
+/// Around the middle, from the x axis on and counterclockwise as seen from above.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Ring {
+    /// Metres from the middle.
+    Radius(f64),
+    /// Metres between neighbours, in a straight line.
+    Spacing(f64),
+}
+
+/// Row by row along the x axis, the rows along the y axis, layers of full rows along the z axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Grid {
+    /// Metres between columns, rows and layers.
+    pub(crate) spacing: Point,
+    /// By default as many as make the grid a square.
+    pub(crate) columns: Option<u32>,
+    /// By default all that are needed, in one layer.
+    pub(crate) rows: Option<u32>,
+}
+
+/// Two arms of equal length that meet at the tip, which is at 0; they open along the y axis.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Vee {
+    /// Metres between neighbours on an arm.
+    pub(crate) spacing: f64,
+    /// Degrees between the arms.
+    pub(crate) angle: f64,
+}
+
+/// All around the middle, from the top to the bottom.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Ball {
+    /// Metres from the middle.
+    pub(crate) radius: f64,
+}
+
+/// Steps of the numbers from 0 that lie around 0: -1, 0, 1 of three, -0.5, 0.5 of two.
+#[expect(clippy::cast_precision_loss, reason = "there are few places")]
+fn around(index: usize, count: usize) -> f64 {
+    index as f64 - (count.saturating_sub(1)) as f64 / 2.0
+}
+
+#[expect(clippy::cast_precision_loss, reason = "there are few places")]
+const fn real(count: usize) -> f64 {
+    count as f64
+}
+
+impl Line {
+    pub(super) fn places(self, count: usize) -> Vec<Point> {
+        let spacing = match self {
+            Self::Spacing(spacing) => spacing,
+            Self::Length(length) => length / real(count.saturating_sub(1).max(1)),
+        };
+        (0..count).map(|index| [spacing * around(index, count), 0.0, 0.0]).collect()
+    }
+}
+
+impl Ring {
+    pub(super) fn places(self, count: usize) -> Vec<Point> {
+        let radius = match self {
+            Self::Radius(radius) => radius,
+            // The chord of a part of the circle: 2 r sin(pi / n).
+            Self::Spacing(_) if count < 2 => 0.0,
+            Self::Spacing(spacing) => spacing / (2.0 * (PI / real(count)).sin()),
+        };
+        let place = |index: usize| {
+            let angle = TAU * real(index) / real(count);
+            [radius * angle.cos(), radius * angle.sin(), 0.0]
+        };
+        (0..count).map(place).collect()
+    }
+}
+
+impl Grid {
+    pub(super) fn places(self, count: usize) -> Vec<Point> {
+        let most = count.max(1);
+        let given = |number: u32| usize::try_from(number).unwrap_or(usize::MAX).clamp(1, most);
+        let square = || (1..=most).find(|side| side * side >= count).unwrap_or(most);
+        let columns = match (self.columns, self.rows) {
+            (Some(columns), _) => given(columns),
+            (None, Some(rows)) => count.div_ceil(given(rows)).max(1),
+            (None, None) => square(),
+        };
+        let rows = self.rows.map_or_else(|| count.div_ceil(columns), given).max(1);
+        let layers = count.div_ceil(columns * rows);
+        let place = |index: usize| {
+            let (row, column) = (index / columns, index % columns);
+            let steps = [around(column, columns), around(row % rows, rows), around(row / rows, layers)];
+            std::array::from_fn(|axis| steps[axis] * self.spacing[axis])
+        };
+        (0..count).map(place).collect()
+    }
+}
+
+impl Vee {
+    /// The tip, then one place of the left arm and one of the right arm after another.
+    pub(super) fn places(self, count: usize) -> Vec<Point> {
+        let (across, along) = (self.angle / 2.0).to_radians().sin_cos();
+        let place = |index: usize| {
+            let far = self.spacing * real(index.div_ceil(2));
+            let side = if index % 2 == 1 { -1.0 } else { 1.0 };
+            [side * far * across, far * along, 0.0]
+        };
+        (0..count).map(place).collect()
+    }
+}
+
+/// What the golden ratio leaves of a turn: successive places are turned by it, so that no two are above each other.
+const GOLDEN_TURN: f64 = 0.618_033_988_749_894_8;
+
+impl Ball {
+    /// The Fibonacci lattice: heights in the middles of equal slices, which have equal areas, each place a golden turn
+    /// further than the one before (Swinbank and Purser, Q. J. R. Meteorol. Soc. 132, 2006; González, Math. Geosci. 42, 2010).
+    pub(super) fn places(self, count: usize) -> Vec<Point> {
+        let place = |index: usize| {
+            let height = 1.0 - (2.0 * real(index) + 1.0) / real(count);
+            let across = (1.0 - height * height).max(0.0).sqrt();
+            let angle = TAU * (real(index) * GOLDEN_TURN).fract();
+            [across * angle.cos(), across * angle.sin(), height].map(|part| self.radius * part)
+        };
+        (0..count).map(place).collect()
+    }
+}

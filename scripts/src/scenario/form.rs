@@ -1,0 +1,212 @@
+//! What a group of bodies does together: moving into a formation, or turning, growing and shifting as one.
+
+use urrcp::Span;
+
+use super::track::positive_time;
+use crate::fields::{At, Reader};
+use crate::finding::{Code, Place};
+use crate::formation::Point;
+use crate::keys::keys;
+use crate::node::Node;
+use crate::transit::Least;
+
+/// Most turns: more would take more steps than any device holds.
+const DEGREES_MAX: f64 = 360_000.0;
+/// Largest factor.
+const GROW_MAX: f64 = 1_000.0;
+/// Furthest shift, in metres.
+const METRES_MAX: f64 = 1e6;
+
+const LEAST: [(&str, Least); 2] = [("total", Least::Total), ("longest", Least::Longest)];
+const SPARE: [(&str, Spare); 2] = [("stay", Spare::Stay), ("home", Spare::Home)];
+const THIN: [(&str, Thin); 2] = [("evenly", Thin::Evenly), ("nearest", Thin::Nearest)];
+const FORM_KEYS: [&str; 4] = ["to", "least", "spare", "thin"];
+const TURN_KEYS: [&str; 2] = ["by", "about"];
+
+keys! {
+    /// What a cue says of its robots as a group.
+    GroupKeys, GROUP_KEYS { form, turn, grow, shift, over }
+}
+
+/// What a group of bodies does together.
+#[derive(Clone, Debug)]
+pub(crate) struct Group {
+    pub(crate) action: Action,
+    /// How long each of them has.
+    pub(crate) over: Span,
+    pub(crate) over_place: Place,
+    /// Where it stands in the file.
+    pub(crate) place: Place,
+}
+
+#[derive(Clone, Debug)]
+pub(crate) enum Action {
+    Form(Form),
+    Sweep(Sweep),
+}
+
+/// Into a formation.
+#[derive(Clone, Debug)]
+pub(crate) struct Form {
+    pub(crate) to: Target,
+    pub(crate) least: Least,
+    pub(crate) spare: Option<Spare>,
+    pub(crate) thin: Option<Thin>,
+}
+
+/// Where the bodies go.
+#[derive(Clone, Debug)]
+pub(crate) enum Target {
+    /// Each to the default values of its devices.
+    Home,
+    Formation(String),
+}
+
+/// What robots do for which there is no place.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Spare {
+    Stay,
+    Home,
+}
+
+/// Which places stay empty if there are fewer robots.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Thin {
+    /// Those between places at even steps through the list.
+    Evenly,
+    /// Those that lead to the shortest ways.
+    Nearest,
+}
+
+/// A group moves as one body would, but for its size.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Sweep {
+    /// About the vertical, from x to y.
+    pub(crate) turns: f64,
+    /// x and y about which it turns and grows; the middle of the group if not given.
+    pub(crate) about: Option<[f64; 2]>,
+    pub(crate) grow: f64,
+    pub(crate) shift: Point,
+}
+
+/// What a cue says of its robots as a group.
+pub(super) fn read(
+    reader: &mut Reader,
+    cue: &At<'_>,
+    values: [Option<At<'_>>; GROUP_KEYS.len()],
+    duration: Option<At<'_>>,
+) -> Option<Group> {
+    let keys = GroupKeys::of(values);
+    let sweeps = [keys.turn, keys.grow, keys.shift];
+    let first = keys.form.or_else(|| sweeps.into_iter().flatten().next());
+    let Some(first) = first else {
+        let over = keys.over?;
+        let expected = "one of `form`, `turn`, `grow`, `shift` that takes so long";
+        let hint = Some("a cue with tracks has a `duration`".to_owned());
+        reader.add(Code::MissingKey, over.key_place(), "`over` in a cue without a `form`", expected, hint);
+        return None;
+    };
+    if let Some(at) = duration {
+        let expected = "`over` alone: it says how long the cue takes";
+        reader.add(Code::UnknownKey, at.key_place(), "a `duration` next to `over`", expected, None);
+    }
+    if keys.over.is_none() && !reader.is_miswritten(cue, "over") {
+        let hint = Some("say how long it takes, as in `over: 6s`".to_owned());
+        reader.add(Code::MissingKey, first.key_place(), "a way without its time", "a key `over`", hint);
+    }
+    let length = keys.over.and_then(|at| positive_time(reader, &at));
+    let action = match keys.form {
+        Some(form) => {
+            for other in sweeps.iter().flatten() {
+                let hint = Some("let a cue of its own follow with it".to_owned());
+                let message = "a group forms and turns in one cue";
+                reader.add(Code::UnknownKey, other.key_place(), message, "either of both", hint);
+            }
+            read_form(reader, &form).map(Action::Form)
+        }
+        None => read_sweep(reader, &keys).map(Action::Sweep),
+    };
+    let (length, over_place) = (length?, keys.over?.place());
+    let over = reader.music.start.lay(length);
+    Some(Group { action: action?, over, over_place, place: first.place() })
+}
+
+fn read_form(reader: &mut Reader, at: &At<'_>) -> Option<Form> {
+    const EXPECTED: &str = "the name of a formation, or `home`";
+    let target = |reader: &mut Reader, at: &At<'_>| {
+        let name = reader.name(at, EXPECTED)?;
+        Some(if name == "home" { Target::Home } else { Target::Formation(name) })
+    };
+    let Node::Map(_) = at.node else {
+        return Some(Form { to: target(reader, at)?, least: Least::Total, spare: None, thin: None });
+    };
+    let [to, least, spare, thin] = reader.map(at, "`form`", FORM_KEYS, &["to"])?;
+    let least = least.and_then(|at| reader.word(&at, &LEAST)).unwrap_or_default();
+    let spare = spare.and_then(|at| reader.word(&at, &SPARE));
+    let thin = thin.and_then(|at| reader.word(&at, &THIN));
+    Some(Form { to: target(reader, &to?)?, least, spare, thin })
+}
+
+fn read_sweep(reader: &mut Reader, keys: &GroupKeys<'_>) -> Option<Sweep> {
+    let (turn, about) = match keys.turn {
+        Some(at) if matches!(at.node, Node::Map(_)) => {
+            let [by, about] = reader.map(&at, "`turn`", TURN_KEYS, &["by"])?;
+            let about = match about {
+                Some(at) => Some(numbers::<2>(reader, &at, "x and y in metres, as [1, 0.5]", METRES_MAX)?),
+                None => None,
+            };
+            (degrees(reader, &by?)?, about)
+        }
+        Some(at) => (degrees(reader, &at)?, None),
+        None => (0.0, None),
+    };
+    let grow = match keys.grow {
+        Some(at) => {
+            let expected = "a factor above 0, up to 1000";
+            bounded(reader, &at, expected, GROW_MAX).filter(|factor| {
+                let sound = *factor > 0.0;
+                if !sound {
+                    reader.add(Code::WrongType, at.place(), format!("a factor of {factor}"), expected, None);
+                }
+                sound
+            })?
+        }
+        None => 1.0,
+    };
+    let shift = match keys.shift {
+        Some(at) => numbers::<3>(reader, &at, "metres along x, y and z, as [0, 0, 1.5]", METRES_MAX)?,
+        None => [0.0; 3],
+    };
+    Some(Sweep { turns: turn / 360.0, about, grow, shift })
+}
+
+fn degrees(reader: &mut Reader, at: &At<'_>) -> Option<f64> {
+    let expected = "degrees, up to 1000 turns";
+    let value = reader.degrees(at, expected)?;
+    in_bounds(reader, at, value, expected, DEGREES_MAX)
+}
+
+fn bounded(reader: &mut Reader, at: &At<'_>, expected: &str, most: f64) -> Option<f64> {
+    let value = reader.number(at, expected)?;
+    in_bounds(reader, at, value, expected, most)
+}
+
+fn in_bounds(reader: &mut Reader, at: &At<'_>, value: f64, expected: &str, most: f64) -> Option<f64> {
+    if value.abs() <= most {
+        return Some(value);
+    }
+    reader.add(Code::WrongType, at.place(), format!("found {value}"), expected, None);
+    None
+}
+
+fn numbers<const N: usize>(reader: &mut Reader, at: &At<'_>, expected: &str, most: f64) -> Option<[f64; N]> {
+    let items = reader.list(at, expected);
+    if items.len() != N {
+        if matches!(at.node, Node::List(_)) {
+            reader.add(Code::WrongType, at.place(), format!("found {} numbers", items.len()), expected, None);
+        }
+        return None;
+    }
+    let read: Vec<f64> = items.iter().filter_map(|at| bounded(reader, at, expected, most)).collect();
+    read.try_into().ok()
+}

@@ -1,0 +1,107 @@
+//! How close two bodies come to each other on their ways.
+
+use super::way::Way;
+use crate::formation::{Point, metres_between};
+use crate::motion::Easing;
+
+/// Metres by which a distance may be larger than stated, if it is not found by a formula.
+pub(crate) const SLACK: f64 = 1e-3;
+/// Most times at which two ways are looked at.
+const LOOKS_MAX: u32 = 50_000;
+
+/// The middles of two bodies at their closest.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Approach {
+    /// In metres; the true distance is no smaller.
+    pub(crate) distance: f64,
+    /// In seconds.
+    pub(crate) at: f64,
+}
+
+/// The closest approach of two ways if it is below `enough`, in metres. If it is not found, the ways are no closer than that but for
+/// [`SLACK`].
+pub(crate) fn closest(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
+    if apart(&a.bounds(), &b.bounds()) >= enough {
+        return None;
+    }
+    match a.is_even_with(b) {
+        true => Some(together(a, b)).filter(|found| found.distance < enough),
+        false => searched(a, b, enough),
+    }
+}
+
+/// The distance of two boxes.
+fn apart(a: &[Point; 2], b: &[Point; 2]) -> f64 {
+    let gap = |axis: usize| (a[0][axis] - b[1][axis]).max(b[0][axis] - a[1][axis]).max(0.0);
+    gap(0).hypot(gap(1)).hypot(gap(2))
+}
+
+/// Of straight ways with one time law: seen from one body, the other moves along a line.
+fn together(a: &Way, b: &Way) -> Approach {
+    let begin: Point = std::array::from_fn(|axis| b.from[axis] - a.from[axis]);
+    let (va, vb) = (a.vector(), b.vector());
+    let line: Point = std::array::from_fn(|axis| vb[axis] - va[axis]);
+    let dot = |a: &Point, b: &Point| a.iter().zip(b).map(|(a, b)| a * b).sum::<f64>();
+    let square = dot(&line, &line);
+    let u = if square > 0.0 { (-dot(&begin, &line) / square).clamp(0.0, 1.0) } else { 0.0 };
+    let between: Point = std::array::from_fn(|axis| begin[axis] + u * line[axis]);
+    Approach { distance: dot(&between, &between).sqrt(), at: a.begin + a.length * time_of(u) }
+}
+
+/// When the time law has this value, as a share of its length: by halving.
+fn time_of(u: f64) -> f64 {
+    let (mut early, mut late) = (0.0, 1.0);
+    for _ in 0..50 {
+        let middle = f64::midpoint(early, late);
+        if Easing::Smooth.at(middle) < u { early = middle } else { late = middle }
+    }
+    f64::midpoint(early, late)
+}
+
+/// Of any two ways, by halving their time where bounds of their speeds leave room for a closer approach.
+fn searched(a: &Way, b: &Way, enough: f64) -> Option<Approach> {
+    let (from, to) = (a.begin.min(b.begin), a.end().max(b.end()));
+    let best = Approach { distance: f64::INFINITY, at: from };
+    let mut search = Search { a, b, enough, best, left: LOOKS_MAX };
+    search.at(from);
+    search.at(to);
+    search.between(from, to);
+    let best = Some(search.best).filter(|best| best.distance < enough)?;
+    Some(Approach { distance: (best.distance - SLACK).max(0.0), ..best })
+}
+
+struct Search<'a> {
+    a: &'a Way,
+    b: &'a Way,
+    enough: f64,
+    best: Approach,
+    left: u32,
+}
+
+impl Search<'_> {
+    fn at(&mut self, at: f64) -> f64 {
+        let distance = metres_between(self.a.at(at), self.b.at(at));
+        if distance < self.best.distance {
+            self.best = Approach { distance, at };
+        }
+        distance
+    }
+
+    fn between(&mut self, from: f64, to: f64) {
+        let middle = f64::midpoint(from, to);
+        let distance = self.at(middle);
+        let speed = self.a.speed_max(from, to) + self.b.speed_max(from, to);
+        let least = distance - speed * (to - from) / 2.0;
+        if least >= self.enough || least >= self.best.distance - SLACK {
+            return;
+        }
+        self.left = self.left.saturating_sub(1);
+        if self.left == 0 {
+            // What is not looked at may be as close as that.
+            self.best.distance = self.best.distance.min(least.max(0.0));
+            return;
+        }
+        self.between(from, middle);
+        self.between(middle, to);
+    }
+}

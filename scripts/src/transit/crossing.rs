@@ -1,0 +1,277 @@
+//! Ways for a whole group: the assignment that needs no detour if it is nearly the shortest, otherwise delays and arcs.
+
+use super::approach::{Approach, SLACK, closest};
+use super::assignment::{Assignment, Least, Price, cheapest, shortest_longest};
+use super::way::{CURVATURE, SLOPE, Way};
+use crate::formation::{Point, metres_between};
+
+/// Prices that are tried one after another, as powers of the ways. The least sum of squares keeps straight ways apart if
+/// starts and places are far enough from each other (Turpin, Michael and Kumar, Int. J. Robotics Research 33, 2014).
+const EXPONENTS: [f64; 5] = [1.0, 1.05, 1.15, 1.4, 2.0];
+/// How much longer than the least the sum of all ways may be.
+const TOTAL_MAX: f64 = 1.01;
+/// A delay is so many of these parts of the time.
+const DELAY_PARTS: u8 = 8;
+/// Most parts of the time that a body waits.
+const WAITS_MAX: u8 = 5;
+/// Most layers above and below the straight way.
+const LAYERS_MAX: u8 = 4;
+/// How often all ways that come too close are looked at.
+const ROUNDS_MAX: usize = 8;
+/// What rounding may take from a distance, in metres.
+const DUST: f64 = 1e-9;
+
+/// How fast a body may be, in metres a second and a second squared; infinite if there is no limit.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Limits {
+    /// Speed and acceleration along x, y and z.
+    pub(crate) axes: [[f64; 2]; 3],
+    /// In all directions together.
+    pub(crate) body: [f64; 2],
+}
+
+impl Limits {
+    /// The shortest time for a way, in seconds.
+    fn time_for(&self, way: &Way) -> f64 {
+        let time = |reach: f64, lift: f64, [speed, acceleration]: [f64; 2]| {
+            let bend = CURVATURE * (reach + 4.0 * lift) + SLOPE * SLOPE * 8.0 * lift;
+            (SLOPE * (reach + 4.0 * lift) / speed).max((bend / acceleration).sqrt())
+        };
+        let (vector, lift) = (way.vector().map(f64::abs), way.lift.abs());
+        let lifts = [0.0, 0.0, lift];
+        let axes = (0..3).map(|axis| time(vector[axis], lifts[axis], self.axes[axis]));
+        let [x, y, z] = vector;
+        axes.fold(time(x.hypot(y).hypot(z), lift, self.body), f64::max)
+    }
+}
+
+/// A body that takes part.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Body {
+    pub(crate) from: Point,
+    /// The distance that another body keeps from its middle: half of what is required between both, its own radius, and by how
+    /// much its steps may be off.
+    pub(crate) keep: f64,
+    /// When its time begins, in seconds.
+    pub(crate) begin: f64,
+    pub(crate) limits: Limits,
+    /// Between which heights it can fly an arc; none if it cannot change its height.
+    pub(crate) heights: Option<[f64; 2]>,
+}
+
+/// Where bodies go.
+pub(crate) enum Goals<'a> {
+    /// Each to the place with its own index.
+    Own(&'a [Point]),
+    /// Each to one of these; bodies that are left over go to their place in the second list.
+    Any(&'a [Point], &'a [Point]),
+}
+
+/// What is asked.
+pub(crate) struct Crossing<'a> {
+    pub(crate) bodies: &'a [Body],
+    pub(crate) goals: Goals<'a>,
+    pub(crate) least: Least,
+    /// How long each body has, in seconds.
+    pub(crate) over: f64,
+}
+
+/// Two bodies for which there is no way past each other.
+#[derive(Clone, Debug)]
+pub(crate) struct Blocked {
+    /// Their indices.
+    pub(crate) pair: [usize; 2],
+    /// When they are closest, in seconds.
+    pub(crate) at: f64,
+    /// From middle to middle, in metres.
+    pub(crate) distance: f64,
+    /// The same with what is required.
+    pub(crate) required: f64,
+    /// How many pairs come too close.
+    pub(crate) pairs: usize,
+}
+
+/// Why there are no ways.
+#[derive(Clone, Debug)]
+pub(crate) enum Refused {
+    /// The shortest time that would do for all bodies, and the body that needs it.
+    TooShort { body: usize, seconds: f64 },
+    Blocked(Blocked),
+}
+
+/// Finds ways that keep all bodies apart, in their order.
+///
+/// # Errors
+/// There is too little time, or there are bodies for which no way past each other is found.
+pub(crate) fn cross(crossing: &Crossing<'_>) -> Result<Vec<Way>, Refused> {
+    let mut best: Option<(Vec<Way>, Vec<Near>)> = None;
+    let mut needed = (0, f64::INFINITY);
+    for goals in crossing.candidates() {
+        let ways = crossing.straight(&goals);
+        let times = crossing.bodies.iter().zip(&ways).map(|(body, way)| body.limits.time_for(way));
+        let (body, seconds) = times.enumerate().fold((0, 0.0), |most, time| if time.1 > most.1 { time } else { most });
+        if seconds > crossing.over {
+            if seconds < needed.1 {
+                needed = (body, seconds);
+            }
+            continue;
+        }
+        let near = crossing.near(&ways);
+        if near.is_empty() {
+            return Ok(ways);
+        }
+        if best.as_ref().is_none_or(|(_, known)| near.len() < known.len()) {
+            best = Some((ways, near));
+        }
+    }
+    let Some((mut ways, near)) = best else {
+        let (body, seconds) = needed;
+        return Err(Refused::TooShort { body, seconds });
+    };
+    match crossing.detours(&mut ways, near) {
+        None => Ok(ways),
+        Some(blocked) => Err(Refused::Blocked(blocked)),
+    }
+}
+
+/// Two bodies that come too close.
+#[derive(Clone, Copy, Debug)]
+struct Near {
+    pair: [usize; 2],
+    approach: Approach,
+}
+
+impl Crossing<'_> {
+    /// The goals of all bodies, for one assignment after another.
+    fn candidates(&self) -> Box<dyn Iterator<Item = Vec<Point>> + '_> {
+        let (places, spare) = match self.goals {
+            Goals::Own(own) => return Box::new(std::iter::once(own.to_vec())),
+            Goals::Any(places, spare) => (places, spare),
+        };
+        let starts: Vec<Point> = self.bodies.iter().map(|body| body.from).collect();
+        let longest = match self.least {
+            Least::Total => f64::INFINITY,
+            Least::Longest => shortest_longest(&starts, places) * (1.0 + DUST),
+        };
+        let total = {
+            let starts = starts.clone();
+            move |assignment: &Assignment| {
+                let way = |(start, place): (&Point, &Option<usize>)| {
+                    place.map_or(0.0, |place| metres_between(*start, places[place]))
+                };
+                starts.iter().zip(assignment).map(way).sum::<f64>()
+            }
+        };
+        let mut optimum = None;
+        let candidates = EXPONENTS.into_iter().filter_map(move |exponent| {
+            let assignment = cheapest(&starts, places, Price { exponent, longest });
+            let total = total(&assignment);
+            let optimum = *optimum.get_or_insert(total);
+            if self.least == Least::Total && total > optimum * TOTAL_MAX {
+                return None;
+            }
+            let goal = |(body, place): (usize, Option<usize>)| place.map_or(spare[body], |place| places[place]);
+            Some(assignment.into_iter().enumerate().map(goal).collect())
+        });
+        Box::new(candidates)
+    }
+
+    fn straight(&self, goals: &[Point]) -> Vec<Way> {
+        let way = |(body, goal): (&Body, &Point)| Way::straight(body.from, *goal, body.begin, self.over);
+        self.bodies.iter().zip(goals).map(way).collect()
+    }
+
+    /// What has to be between the middles of two bodies. Where they begin or end closer, the way between cannot help it.
+    fn required(&self, ways: &[Way], a: usize, b: usize) -> f64 {
+        let ends = metres_between(ways[a].from, ways[b].from).min(metres_between(ways[a].to, ways[b].to));
+        (self.bodies[a].keep + self.bodies[b].keep + SLACK).min(ends) - DUST
+    }
+
+    fn near(&self, ways: &[Way]) -> Vec<Near> {
+        let mut order: Vec<usize> = (0..ways.len()).collect();
+        let bounds: Vec<[Point; 2]> = ways.iter().map(Way::bounds).collect();
+        order.sort_by(|a, b| bounds[*a][0][0].total_cmp(&bounds[*b][0][0]));
+        let keep_max = self.bodies.iter().map(|body| body.keep).fold(0.0, f64::max);
+        let mut near = Vec::new();
+        for (index, &a) in order.iter().enumerate() {
+            let reaches = bounds[a][1][0] + self.bodies[a].keep + keep_max + SLACK;
+            for &b in order[index + 1..].iter().take_while(|b| bounds[**b][0][0] <= reaches) {
+                let pair = [a.min(b), a.max(b)];
+                let found = closest(&ways[pair[0]], &ways[pair[1]], self.required(ways, a, b));
+                near.extend(found.map(|approach| Near { pair, approach }));
+            }
+        }
+        near.sort_by_key(|near| near.pair);
+        near
+    }
+
+    fn is_clear(&self, ways: &[Way], body: usize) -> bool {
+        let mut others = (0..ways.len()).filter(|other| *other != body);
+        others.all(|other| closest(&ways[body], &ways[other], self.required(ways, body, other)).is_none())
+    }
+
+    /// Delays single bodies or leads them in an arc until all keep apart; otherwise the pair that comes closest.
+    fn detours(&self, ways: &mut [Way], mut near: Vec<Near>) -> Option<Blocked> {
+        for _ in 0..ROUNDS_MAX {
+            let mut crowded = vec![0usize; ways.len()];
+            near.iter().flat_map(|near| near.pair).for_each(|body| crowded[body] += 1);
+            let mut bodies: Vec<usize> = (0..ways.len()).filter(|body| crowded[*body] > 0).collect();
+            bodies.sort_by_key(|body| (std::cmp::Reverse(crowded[*body]), *body));
+            let mut moved = false;
+            for body in bodies {
+                if self.is_clear(ways, body) {
+                    continue;
+                }
+                let kept = ways[body];
+                let straight = Way::straight(kept.from, kept.to, self.bodies[body].begin, self.over);
+                let found = self.alternatives(&straight, body).into_iter().find(|way| {
+                    ways[body] = *way;
+                    self.is_clear(ways, body)
+                });
+                ways[body] = found.unwrap_or(kept);
+                moved |= found.is_some();
+            }
+            near = self.near(ways);
+            if near.is_empty() {
+                return None;
+            }
+            if !moved {
+                break;
+            }
+        }
+        let worst = near.iter().min_by(|a, b| a.approach.distance.total_cmp(&b.approach.distance))?;
+        let [a, b] = worst.pair;
+        Some(Blocked {
+            pair: worst.pair,
+            at: worst.approach.at,
+            distance: worst.approach.distance,
+            required: self.required(ways, a, b),
+            pairs: near.len(),
+        })
+    }
+
+    /// Other ways to the same place: later or earlier within its time, then over or below the others, then both.
+    fn alternatives(&self, straight: &Way, index: usize) -> Vec<Way> {
+        let body = &self.bodies[index];
+        let mut windows = vec![(straight.begin, straight.length)];
+        for parts in 1..=WAITS_MAX {
+            let wait = straight.length * f64::from(parts) / f64::from(DELAY_PARTS);
+            windows.push((straight.begin + wait, straight.length - wait));
+            windows.push((straight.begin, straight.length - wait));
+        }
+        let mut lifts = vec![0.0];
+        for layer in 1..=LAYERS_MAX {
+            // An arc is that much higher over its middle half at least.
+            let height = 2.0 * body.keep * f64::from(layer) * 4.0 / 3.0;
+            lifts.extend([height, -height]);
+        }
+        let within = |way: &Way| {
+            let [least, most] = way.bounds();
+            way.lift == 0.0 || body.heights.is_some_and(|[low, high]| least[2] >= low && most[2] <= high)
+        };
+        let ways = lifts.iter().flat_map(|lift| {
+            windows.iter().map(|(begin, length)| Way { begin: *begin, length: *length, lift: *lift, ..*straight })
+        });
+        ways.filter(|way| body.limits.time_for(way) <= way.length && within(way)).collect()
+    }
+}

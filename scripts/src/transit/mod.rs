@@ -1,0 +1,15 @@
+//! How a group of bodies gets from where it is to the places of a formation without a collision.
+//!
+//! `assignment` says which body takes which place, `way` how one body moves, `approach` how close two come to each other,
+//! `crossing` puts the three together. Lengths are in metres, times in seconds. Nothing here knows of robots and devices.
+
+mod approach;
+mod assignment;
+mod crossing;
+#[cfg(test)]
+mod tests;
+mod way;
+
+pub(crate) use assignment::Least;
+pub(crate) use crossing::{Blocked, Body, Crossing, Goals, Limits, Refused, cross};
+pub(crate) use way::Way;
