@@ -12,7 +12,7 @@ use crate::finding::{
 };
 use crate::music::Music;
 use crate::node::{Node, shortened};
-use crate::scenario::Unset;
+use crate::scenario::{Group, Unset, is_spread};
 use crate::scope::Scope;
 use crate::syntax;
 use urrcp::Span;
@@ -87,6 +87,8 @@ pub(crate) struct Reader {
     pub(crate) evaluations: Budget,
     /// Whose movement is being read.
     pub(crate) robots: Robots,
+    /// The robots of its cue.
+    pub(crate) group: Group,
     /// Values that a decimal comma cut in two, of which that is told already.
     cut: Vec<Place>,
     /// Comparisons of names that are left.
@@ -121,6 +123,7 @@ impl Default for Reader {
             unset: Vec::new(),
             evaluations: Budget::new(EVALUATIONS_MAX),
             robots: Robots::default(),
+            group: Group::default(),
             cut: Vec::new(),
             comparisons: Cell::new(COMPARISONS_MAX),
             told: [Told::default(); 2],
@@ -452,6 +455,10 @@ impl Reader {
         match self.scalar(at)?.as_ref() {
             Node::Number(value) if value.is_finite() => Some(*value),
             Node::Text(text) if expression::is_one(text) => self.number_of(at, text, expected),
+            node if is_spread(node) => {
+                let text = self.spread(at)?;
+                self.number_of(at, &text, expected)
+            }
             _ => {
                 self.wrong_type(at, expected);
                 None
@@ -504,6 +511,10 @@ impl Reader {
             Node::Number(value) => {
                 let hint = format!("add the unit: `{value}s` or `{value}ms`");
                 (format!("the time {value} has no unit"), Some(hint))
+            }
+            node if is_spread(node) => {
+                let text = self.spread(at)?;
+                return self.time_of(at, &text);
             }
             other => (format!("found {} where a time belongs", other.kind()), None),
         };

@@ -17,6 +17,7 @@
 mod address;
 mod aliases;
 mod budget;
+mod chance;
 mod compile;
 mod duration;
 mod events;

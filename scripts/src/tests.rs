@@ -224,6 +224,7 @@ proptest! {
 mod expressions;
 mod hints;
 mod numbers;
+mod patterns;
 mod told;
 mod verified;
 mod whole;

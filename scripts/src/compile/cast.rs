@@ -1,18 +1,18 @@
 //! Who plays: names of robots, groups and roles against the fleet, and what each robot's devices are.
 
+use std::borrow::Cow;
 use std::collections::{HashMap, HashSet};
 use std::sync::OnceLock;
 
 use urrcp::{ControlType, Device, RobotId, Span};
 
-use crate::exact::Laps;
 use crate::fields::Reader;
 use crate::finding::{Code, names, one_of};
 use crate::fleet::{Fleet, FleetRobot, RateLimits};
 use crate::node::shortened;
 use crate::plan::{Act, Way};
 use crate::render::counted;
-use crate::scenario::{Cue, Movement, Name, Unset};
+use crate::scenario::{Canon, Cue, Movement, Name, Unset};
 
 /// The fleet with the scenario's roles.
 pub(super) struct Cast<'a> {
@@ -173,8 +173,7 @@ impl<'a> Cast<'a> {
         for (index, &robot) in robots.iter().enumerate() {
             let own = cue.own_of.get(index).copied().flatten().map(|own| 1 + cue.overrides.len() + own);
             let movement = own.or_else(|| overridden.get(&robot).copied()).unwrap_or(0);
-            let stagger = canon.begin(u32::try_from(index).unwrap_or(u32::MAX));
-            let mut member = Member { robot, movement, delay: stagger };
+            let mut member = Member { robot, movement, delay: canon.delay(index) };
             let movement = cue.movement_of(&member);
             if unset.insert(member.movement) {
                 movement.unset.iter().for_each(|unset| unset_parameter(findings, unset));
@@ -220,17 +219,24 @@ fn unset_parameter(findings: &mut Reader, unset: &Unset) {
 }
 
 /// How much later each robot begins, if the last of them begins in time.
-fn canon(findings: &mut Reader, cue: &Cue, robots: usize, horizon: Span) -> Laps {
-    let after = u32::try_from(robots).unwrap_or(u32::MAX).saturating_sub(1).max(1);
-    let last = cue.canon.begin(after);
+fn canon<'c>(findings: &mut Reader, cue: &'c Cue, robots: usize, horizon: Span) -> Cow<'c, Canon> {
+    let last = match &cue.canon {
+        Canon::Even(_) => cue.canon.delay(robots.saturating_sub(1).max(1)),
+        Canon::Each { .. } => (0..robots).map(|robot| cue.canon.delay(robot)).max().unwrap_or_default(),
+    };
     if last <= horizon {
-        return cue.canon;
+        return Cow::Borrowed(&cue.canon);
     }
     let message = format!("the last of {} begins {last} after the cue", counted(robots, "robot"));
-    let hint = Some(format!("a canon of {} or less", horizon / i64::from(after)));
-    let place = cue.place.of_key("canon");
+    let (place, hint) = match &cue.canon {
+        Canon::Even(_) => {
+            let after = i64::try_from(robots).unwrap_or(i64::MAX).saturating_sub(1).max(1);
+            (cue.place.of_key("canon"), Some(format!("a canon of {} or less", horizon / after)))
+        }
+        Canon::Each { place, .. } => (place.clone(), None),
+    };
     findings.add(Code::TooMuch, place, message, format!("at most {horizon}"), hint);
-    Laps::default()
+    Cow::Owned(Canon::default())
 }
 
 pub(super) fn devices_of(robot: &FleetRobot) -> &[Device] {

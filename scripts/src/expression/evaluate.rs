@@ -4,6 +4,8 @@ use super::grammar::{Expression, Function, Span, Step, Two};
 use super::number::{Num, sine};
 use super::unit::Unit;
 use super::{Amount, Fault, Quantity};
+use crate::chance::share;
+use crate::exact::Fraction;
 
 /// What an expression needs to know of the place where it stands.
 pub(crate) trait Known {
@@ -313,6 +315,14 @@ fn called(function: Function, arguments: Vec<Found>, span: Span, known: &dyn Kno
         Function::Mod => {
             let Some(second) = amounts.get(1).copied() else { return Err(incomplete(span)) };
             of_two(Two::Modulo, Quantity::Amount(first), Ok(Quantity::Amount(second)), span, known)
+        }
+        Function::Random => {
+            for amount in &amounts {
+                plain_only(name, amount.unit, span)?;
+            }
+            let from: Vec<f64> = amounts.iter().map(|amount| amount.number.f64()).collect();
+            let (part, whole) = share(&from);
+            plain(Num::fraction(Fraction::new(part.into(), whole.into())))
         }
         Function::If => Err(incomplete(span)),
     }

@@ -158,7 +158,7 @@ pub(super) fn of_one(function: Function, value: f64) -> f64 {
         Function::Floor => value.floor(),
         Function::Ceil => value.ceil(),
         Function::Round => value.round(),
-        Function::Min | Function::Max | Function::Mod | Function::If => value,
+        Function::Min | Function::Max | Function::Mod | Function::Random | Function::If => value,
     }
 }
 
@@ -260,6 +260,12 @@ impl Maker {
                 // Of many, one after the other.
                 (1..count.max(1)).for_each(|_| self.steps.push(Operation::Call(function)));
                 self.kinds.push(Kind::In(unit));
+            }
+            Function::Random => {
+                let message = "`random` within a formula";
+                let hint = "give it a name under `variables`: `chance: random(7, $index)`";
+                let expected = "a number that does not depend on `t`";
+                return Err(Fault::new(span, message, expected).hint(hint));
             }
             Function::If => {
                 let (no, yes) = (self.kinds.pop(), self.kinds.pop());

@@ -77,11 +77,12 @@ pub(crate) enum Function {
     Ceil,
     Round,
     Mod,
+    Random,
     If,
 }
 
 /// Each with its fewest and most arguments.
-pub(crate) const FUNCTIONS: [(&str, Function, usize, usize); 12] = [
+pub(crate) const FUNCTIONS: [(&str, Function, usize, usize); 13] = [
     ("sin", Function::Sin, 1, 1),
     ("cos", Function::Cos, 1, 1),
     ("tan", Function::Tan, 1, 1),
@@ -93,6 +94,7 @@ pub(crate) const FUNCTIONS: [(&str, Function, usize, usize); 12] = [
     ("ceil", Function::Ceil, 1, 1),
     ("round", Function::Round, 1, 1),
     ("mod", Function::Mod, 2, 2),
+    ("random", Function::Random, 1, 8),
     ("if", Function::If, 3, 3),
 ];
 const WORDS: [&str; 7] = ["t", "pi", "true", "false", "and", "or", "not"];

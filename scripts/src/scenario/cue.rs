@@ -3,12 +3,13 @@
 use urrcp::{Millis, StopCondition};
 
 use super::acts::Defaults;
+use super::canon;
 use super::each::movements;
 use super::library::Library;
 use super::movement::Shaping;
-use super::when::{When, range};
+use super::when::{Timing, When, range};
 use super::{Bounds, Cue, form, Name, OffGrid, Order, Reading, nothing};
-use crate::exact::{Beginning, Laps};
+use crate::exact::Beginning;
 use crate::fields::{At, Reader};
 use crate::finding::Code;
 use crate::node::Node;
@@ -88,8 +89,11 @@ pub(super) fn read(
         shift,
         over,
     ] = reader.map(at, "a cue", CUE_KEYS, &[])?;
+    let robots_place = robots.map_or_else(|| at.place(), |at| at.place());
+    let names = robots.map(|at| robot_names(reader, &at)).unwrap_or_default();
+    reader.group.enter(library.robots(&names));
     let when = When { at: start, after, with, before, end_by };
-    let (relations, fixed) = when.read(reader);
+    let Timing { relations, start: fixed, late } = when.read(reader);
     reader.music.start = fixed;
     let tolerance = tolerance.and_then(|at| reader.positive(&at, "an error above 0, in the device's unit"));
     let shaping = Shaping {
@@ -115,12 +119,10 @@ pub(super) fn read(
             reader.add(Code::MissingKey, at.place(), message, format!("a key `{key}`"), hint);
         }
     }
-    let robots_place = robots.map_or_else(|| at.place(), |at| at.place());
-    let robots = robots.map(|at| robot_names(reader, &at)).unwrap_or_default();
     let entries = overrides.as_ref().map(|at| reader.entries(at, "robot to what is different for it"));
     let entries = entries.unwrap_or_default();
     let overriding = read_overrides(reader, &shaping, &entries);
-    let mut read = movements(reader, library, &shaping, &overriding, &robots);
+    let mut read = movements(reader, library, &shaping, &overriding, &names);
     if let Some(group) = &group {
         read.last_at_least(group.over);
     }
@@ -131,15 +133,13 @@ pub(super) fn read(
         place: at.place(),
         relations,
         duration: duration.and_then(|at| bounds(reader, &at)),
-        robots,
+        robots: names,
         robots_place,
         movement: read.shared,
         overrides: read.overrides,
         own: read.own,
         own_of: read.own_of,
-        canon: canon
-            .and_then(|at| reader.exact(&at))
-            .map_or_else(Laps::default, |length| reader.laps(length)),
+        canon: canon::read(reader, canon.as_ref()).delayed(late),
         uses: uses.map(|at| name_list(reader, &at, "a zone, or a list of them")).unwrap_or_default(),
         apart: apart.map(|at| name_list(reader, &at, "a cue, or a list of them")).unwrap_or_default(),
         stop_condition: stop_condition.and_then(|at| lease(reader, &at, defaults.lease)),
@@ -149,6 +149,7 @@ pub(super) fn read(
         tolerance,
     };
     reader.music.start = Beginning::default();
+    reader.group.leave(library, &cue);
     Some(cue)
 }
 

@@ -30,7 +30,7 @@ keys! {
 
 /// What a group of bodies does together.
 #[derive(Clone, Debug)]
-pub(crate) struct Group {
+pub(crate) struct Together {
     pub(crate) action: Action,
     /// How long each of them has.
     pub(crate) over: Span,
@@ -95,7 +95,7 @@ pub(super) fn read(
     cue: &At<'_>,
     values: [Option<At<'_>>; GROUP_KEYS.len()],
     duration: Option<At<'_>>,
-) -> Option<Group> {
+) -> Option<Together> {
     let keys = GroupKeys::of(values);
     let sweeps = [keys.turn, keys.grow, keys.shift];
     let first = keys.form.or_else(|| sweeps.into_iter().flatten().next());
@@ -128,7 +128,7 @@ pub(super) fn read(
     };
     let (length, over_place) = (length?, keys.over?.place());
     let over = reader.music.start.lay(length);
-    Some(Group { action: action?, over, over_place, place: first.place() })
+    Some(Together { action: action?, over, over_place, place: first.place() })
 }
 
 fn read_form(reader: &mut Reader, at: &At<'_>) -> Option<Form> {

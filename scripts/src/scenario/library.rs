@@ -5,6 +5,7 @@ use std::cell::{OnceCell, RefCell};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
+use super::across::is_spread;
 use super::Name;
 use super::each::Roster;
 use super::formations::{self, WrittenFormation};
@@ -252,6 +253,9 @@ fn include_kind(reader: &mut Reader, at: &At<'_>) {
 
 /// A number, a text or a truth value.
 pub(super) fn scalar(reader: &mut Reader, at: &At<'_>) -> Option<Node> {
+    if is_spread(at.node) {
+        return reader.spread(at).map(Node::Text);
+    }
     match reader.defined(at)? {
         node @ (Node::Number(_) | Node::Text(_) | Node::Bool(_)) => Some(node),
         _ => {

@@ -2,7 +2,9 @@
 //!
 //! `library` reads what cues share, `formations` places, `cue` a cue, `when` its times, `track` the movement of one device, `acts` the graph.
 
+mod across;
 pub(crate) mod acts;
+mod canon;
 mod cue;
 mod data;
 mod each;
@@ -23,7 +25,7 @@ use std::sync::Arc;
 use urrcp::{ControlType, Millis, Span, StopCondition};
 
 use crate::budget::{LEADS, longest};
-use crate::exact::{Exact, Laps};
+use crate::exact::Exact;
 use crate::fields::{At, Reader};
 use crate::files::Files;
 use crate::finding::{Code, Finding, Place};
@@ -35,10 +37,12 @@ use crate::requirements::Requirements;
 use crate::source::Source;
 
 pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
+pub(crate) use across::{Group, is_spread};
 pub(crate) use acts::{OnFailureRule, WrittenWait};
+pub(crate) use canon::Canon;
 #[cfg(test)]
 pub(crate) use cue::CUE_KEYS;
-pub(crate) use form::{Action, Form, Group, Spare, Sweep, Target, Thin};
+pub(crate) use form::{Action, Form, Together, Spare, Sweep, Target, Thin};
 pub(crate) use formations::WrittenFormation;
 pub(crate) use library::Documents;
 pub(crate) use library::SCENARIO_KEYS;
@@ -118,15 +122,15 @@ pub(crate) struct Cue {
     pub(crate) own: Vec<Movement>,
     /// Which of them each robot of the cue has, in their order; empty where none has.
     pub(crate) own_of: Vec<Option<usize>>,
-    /// How much later each robot begins than the one before.
-    pub(crate) canon: Laps,
+    /// How much later each robot begins than the cue.
+    pub(crate) canon: Canon,
     pub(crate) uses: Vec<Name>,
     pub(crate) apart: Vec<Name>,
     pub(crate) stop_condition: Option<StopCondition>,
     pub(crate) off_grid: OffGrid,
     pub(crate) readings: Vec<Reading>,
     /// What the robots do as a group, in space.
-    pub(crate) group: Option<Group>,
+    pub(crate) group: Option<Together>,
     /// For its tracks without one.
     pub(crate) tolerance: Option<f64>,
 }
@@ -306,6 +310,7 @@ pub(crate) fn read(
     ] = reader.map(&at, "the scenario", SCENARIO_KEYS, &["scenario"])?;
     fleet_file.and_then(|at| reader.text(&at, "the path of a fleet file").map(drop));
     let mut library = library::Library::new(&documents.nodes, files, fleet);
+    reader.group = Group::of(fleet);
     for (index, node) in included.iter().enumerate() {
         let file = u16::try_from(index + 1).unwrap_or(u16::MAX);
         library.include(reader, node, file);

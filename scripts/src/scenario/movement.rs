@@ -301,9 +301,13 @@ fn curves(
 }
 
 fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
-    let laps = reader.laps(tracks.iter().map(|track| track.length).max().unwrap_or_default());
-    let Some(times) = repeats(reader, at, laps.length) else { return };
-    let (cycle, whole) = (laps.begin(1), laps.begin(times));
+    let longest_track = length(tracks);
+    let once = tracks.iter().map(|track| track.length).max().unwrap_or_default();
+    let Some(Turns { times, cycle: every }) = repeats(reader, at, once) else { return };
+    let laps = reader.laps(every);
+    // Behind the last turn nothing waits for another one.
+    let rest = laps.begin(1) - longest_track;
+    let (cycle, whole) = (laps.begin(1), laps.begin(times) - rest);
     if whole > longest() {
         let message = format!("{times} times a movement of {cycle} lasts {whole}");
         let hint = Some("repeat it less often".to_owned());
@@ -327,40 +331,73 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
     }
 }
 
-/// A number of times, or as many whole cycles as fit.
-fn repeats(reader: &mut Reader, at: &At<'_>, cycle: Exact) -> Option<u32> {
-    let Node::Map(_) = at.node else { return reader.count(at, 1, REPEATS_MAX) };
-    let [until, during] = reader.map(at, "`repeat`", ["until", "for"], &[])?;
-    let time = match (until, during) {
-        (Some(until), None) => {
-            let end = match reader.scalar(&until)?.as_ref() {
-                Node::Text(text) => instant(reader, &until, text)?,
-                _ => {
-                    reader.wrong_type(&until, "a time of the act, such as 20s or `bar 9`");
-                    return None;
-                }
-            };
-            let Some(start) = reader.music.start.0 else {
-                let message = "how often it fits depends on when the cue begins";
-                let hint = Some("give the cue a fixed `at`, or use `for`".to_owned());
-                reader.add(Code::BadMotion, until.place(), message, "a cue with a fixed start", hint);
-                return None;
-            };
-            end.minus(start)
+/// How often a movement is done, and how long after each other its turns begin.
+struct Turns {
+    times: u32,
+    cycle: Exact,
+}
+
+/// A number of times, or as many whole turns as fit.
+fn repeats(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Turns> {
+    let Node::Map(_) = at.node else {
+        return reader.count(at, 1, REPEATS_MAX).map(|times| Turns { times, cycle: once });
+    };
+    let [times, every, until, during] =
+        reader.map(at, "`repeat`", ["times", "every", "until", "for"], &[])?;
+    let cycle = every.map_or(Some(once), |every| cycle(reader, &every, once));
+    let time = match (times, until, during) {
+        (Some(times), None, None) => {
+            let times = reader.count(&times, 1, REPEATS_MAX);
+            return Some(Turns { times: times?, cycle: cycle? });
         }
-        (None, Some(during)) => reader.exact(&during)?,
+        (None, Some(until), None) => until_time(reader, &until)?,
+        (None, None, Some(during)) => reader.exact(&during)?,
         _ => {
-            let expected = "a number of times, {until: 20s} or {for: 8s}";
-            reader.add(Code::WrongType, at.place(), "found both or neither of until and for", expected, None);
+            let expected = "a number of times, {times: 3, every: 4s}, {until: 20s} or {for: 8s}";
+            let message = "found none or several of times, until and for";
+            reader.add(Code::WrongType, at.place(), message, expected, None);
             return None;
         }
     };
-    let times = time.divided_by(cycle).and_then(|times| u32::try_from(times.to_integer()).ok());
+    let cycle = cycle?;
+    // The last turn has no wait behind it.
+    let times = time.minus(once).divided_by(cycle).map(|times| times.floor() + 1);
+    let times = times.and_then(|times| u32::try_from(times.to_integer()).ok());
     if let Some(times) = times.filter(|times| (1..=REPEATS_MAX).contains(times)) {
-        return Some(times);
+        return Some(Turns { times, cycle });
     }
-    let (time, cycle) = (time.rounded(), cycle.rounded());
-    let message = format!("{time} is not enough for a movement of {cycle}, or far too much");
+    let (time, once) = (time.rounded(), once.rounded());
+    let message = format!("{time} is not enough for a movement of {once}, or far too much");
     reader.add(Code::BadMotion, at.place(), message, "time for at least one whole cycle", None);
     None
+}
+
+/// A turn begins when the one before it has ended, or later.
+fn cycle(reader: &mut Reader, at: &At<'_>, once: Exact) -> Option<Exact> {
+    let cycle = reader.exact(at)?;
+    if cycle >= once {
+        return Some(cycle);
+    }
+    let (cycle, once) = (cycle.rounded(), once.rounded());
+    let message = format!("a movement of {once} would begin again after {cycle}");
+    let hint = Some("make the movement shorter, or let its turns begin less often".to_owned());
+    reader.add(Code::BadMotion, at.place(), message, format!("at least {once}"), hint);
+    None
+}
+
+fn until_time(reader: &mut Reader, until: &At<'_>) -> Option<Exact> {
+    let end = match reader.scalar(until)?.as_ref() {
+        Node::Text(text) => instant(reader, until, text)?,
+        _ => {
+            reader.wrong_type(until, "a time of the act, such as 20s or `bar 9`");
+            return None;
+        }
+    };
+    let Some(start) = reader.music.start.0 else {
+        let message = "how often it fits depends on when the cue begins";
+        let hint = Some("give the cue a fixed `at`, or use `for`".to_owned());
+        reader.add(Code::BadMotion, until.place(), message, "a cue with a fixed start", hint);
+        return None;
+    };
+    Some(end.minus(start))
 }

@@ -2,8 +2,10 @@
 
 use urrcp::Span;
 
+use super::canon::Late;
 use crate::duration;
 use crate::exact::{Beginning, Exact};
+use crate::expression::Robot;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place};
 use crate::node::{Node, shortened};
@@ -41,13 +43,21 @@ pub(super) struct When<'a> {
     pub(super) end_by: Option<At<'a>>,
 }
 
+/// When a cue takes place.
+pub(super) struct Timing {
+    pub(super) relations: Vec<Relation>,
+    /// The start, where it is one fixed time.
+    pub(super) start: Beginning,
+    /// How much later each robot begins, where `at` says so.
+    pub(super) late: Option<Late>,
+}
+
 impl When<'_> {
-    /// All relations; and the start, where it is one fixed time.
-    pub(super) fn read(&self, reader: &mut Reader) -> (Vec<Relation>, Beginning) {
+    pub(super) fn read(&self, reader: &mut Reader) -> Timing {
         let mut relations = Vec::new();
-        let mut fixed = None;
+        let (mut fixed, mut late) = (None, None);
         if let Some(at) = self.at
-            && let Some((min, max)) = instants(reader, &at)
+            && let Some((min, max)) = of_each(reader, &at, &mut late)
         {
             fixed = (max == Some(min)).then_some(min);
             let (from, to) = (Anchor::Origin, Anchor::Start);
@@ -74,8 +84,35 @@ impl When<'_> {
             let (min, max) = gap.unwrap_or((Span::ZERO, None));
             Relation { from: Anchor::End, to: target.or_start(), min: Some(min), max, place }
         });
-        (relations, Beginning(fixed))
+        Timing { relations, start: Beginning(fixed), late }
     }
+}
+
+/// The same as [`instants`]; where it differs from robot to robot, the earliest, and how much later each of them begins.
+fn of_each(reader: &mut Reader, at: &At<'_>, late: &mut Option<Late>) -> Option<(Exact, Option<Exact>)> {
+    let count = reader.group.count();
+    if count == 0 {
+        return instants(reader, at);
+    }
+    let mut all = Vec::with_capacity(1);
+    for index in 0..count {
+        let (found, differs) = reader.as_robot(Robot { index, count }, |reader| instants(reader, at));
+        let found = found?;
+        if !differs {
+            return Some(found);
+        }
+        if found.1 != Some(found.0) {
+            let message = "a range that differs from robot to robot";
+            let hint = Some("write one time for each robot, or the same range for all".to_owned());
+            reader.add(Code::WrongType, at.place(), message, "one time, such as `2s + 500ms * $index`", hint);
+            return None;
+        }
+        all.push(found.0);
+    }
+    let first = all.iter().min().copied()?;
+    let by = all.into_iter().map(|time| time.minus(first)).collect();
+    *late = Some(Late { by, from: Beginning(Some(first)), place: at.place() });
+    Some((first, Some(first)))
 }
 
 /// A cue, and which end of it where that is said.

@@ -11,7 +11,7 @@ use crate::known::{self, Known};
 use crate::{Fleet, NoFiles, Project, Source, compile, read_fleet_within, read_world};
 
 /// Documents in which every key of a scenario stands. They need not be sound.
-const SCENARIOS: [&str; 4] = [
+const SCENARIOS: [&str; 5] = [
     "
 scenario: all keys
 fleet: fleet.yaml
@@ -89,6 +89,14 @@ cues:
       e: {travel: {from: 0, speed: 1, acceleration: 1, for: 1s}}
       f: {samples: {file: a.csv, time: t, value: v, time_unit: ms, scale: 1, ease: step}}
       g: {formula: t / 1s, for: 1s}
+",
+    "
+scenario: patterns
+cues:
+  - robots: arm
+    canon: {step: 1s, speed: 1, over: 1s, by: x, seed: 1, direction: outward}
+    repeat: {times: 2, every: 1s}
+    tracks: {d: [{at: 0s, to: {from: 1, to: 2, across: group, by: index, seed: 1, direction: inward, ease: smooth}}]}
 ",
     "
 scenario: an include

@@ -143,8 +143,8 @@ fn what_is_wrong_with_one_robot_is_told_once_at_its_character() {
     assert_eq!(found(text), ["2:51-1 a division by zero"]);
     let text = "variables: {h: 2}\ncues: [{robots: all, tracks: {d: [{at: 0s, to: \"2 * $j\"}]}}]\n";
     assert_eq!(found(text), ["3:53-2 no variable `j` is known here"]);
-    let text = "cues: [{at: $index * 1s, robots: all, tracks: {d: [{at: 0s, to: 1}]}}]\n";
-    assert_eq!(found(text), ["2:13-6 `$index` differs from robot to robot, and this is for all of them"]);
+    let text = "cues: [{end_by: $index * 1s, robots: all, tracks: {d: [{at: 0s, to: 0}]}}]\n";
+    assert_eq!(found(text), ["2:17-6 `$index` differs from robot to robot, and this is for all of them"]);
     let text = "cues: [{robots: all, tracks: {d: [{at: 0s, to: max(1, $index, 3)}, {at: 1s, to: 2}]}}]\n";
     assert_eq!(found(text).len(), 1, "{:?}", found(text));
     assert!(found(text)[0].contains("a comma ends the expression `max(1`"), "{:?}", found(text));

@@ -16,7 +16,7 @@ use crate::motion::{Between, Curve, Function, Knot, Shape, Stretch, Swept};
 use crate::node::shortened;
 use crate::render::counted;
 use crate::scenario::{
-    Act, Action, Cue, Form, Group, Items, Motion, Spare, Target, Thin, Track, WrittenFormation,
+    Act, Action, Cue, Form, Together, Items, Motion, Spare, Target, Thin, Track, WrittenFormation,
 };
 use crate::space::{Body, Coordinate, Shape as BodyShape};
 use crate::transit;
@@ -119,7 +119,7 @@ impl<'a> Performer<'_, 'a> {
     fn group(
         &mut self,
         cue: &Cue,
-        group: &Group,
+        group: &Together,
         members: &Members,
         time: &CueTime,
         ground: &Ground<'_>,
@@ -146,7 +146,7 @@ impl<'a> Performer<'_, 'a> {
     fn dancers(
         &mut self,
         cue: &Cue,
-        group: &Group,
+        group: &Together,
         members: &Members,
         time: &CueTime,
         ground: &Ground<'_>,
@@ -201,7 +201,7 @@ impl<'a> Performer<'_, 'a> {
     fn formed(
         &mut self,
         cue: &Cue,
-        group: &Group,
+        group: &Together,
         form: &Form,
         dancers: &[Dancer<'_>],
         ground: &Ground<'_>,
@@ -230,7 +230,7 @@ impl<'a> Performer<'_, 'a> {
     /// The places of a formation, as many as there are robots or a choice is made.
     fn places(
         &mut self,
-        group: &Group,
+        group: &Together,
         form: &Form,
         name: &str,
         dancers: &[Dancer<'_>],
@@ -270,7 +270,7 @@ impl<'a> Performer<'_, 'a> {
     }
 
     /// Where the devices of each robot are in its default state.
-    fn homes(&mut self, group: &Group, dancers: &[Dancer<'_>]) -> Option<Vec<Point>> {
+    fn homes(&mut self, group: &Together, dancers: &[Dancer<'_>]) -> Option<Vec<Point>> {
         let of_axis = |axis: &Axis<'_>| match *axis {
             Axis::Fixed(value) => Some(value),
             Axis::Moved { device, scale, offset, .. } => device.default_value.map(|value| offset + scale * value),
@@ -325,7 +325,7 @@ impl<'a> Performer<'_, 'a> {
     }
 
     /// One robot's part in it: a movement of each of its devices that moves.
-    fn dance(&mut self, cue: &Cue, group: &Group, time: &CueTime, dancer: &Dancer<'_>, moved: &Moved) {
+    fn dance(&mut self, cue: &Cue, group: &Together, time: &CueTime, dancer: &Dancer<'_>, moved: &Moved) {
         for (axis, swept) in dancer.axes.iter().zip(&moved.axes) {
             let Axis::Moved { index, device, scale, offset } = *axis else { continue };
             if swept.is_still() {
@@ -397,7 +397,7 @@ fn curve(swept: Swept, length: Span) -> Curve {
     Curve::new(vec![begin, Knot { at: length, to, shape, item }], vec![function])
 }
 
-fn track(cue: &Cue, group: &Group, device: &Device, curve: Curve) -> Track {
+fn track(cue: &Cue, group: &Together, device: &Device, curve: Curve) -> Track {
     Track {
         device: device.id.to_string(),
         control: Some(ControlType::Position),

@@ -4,13 +4,13 @@ use super::{Dancer, Moved, Performer};
 use crate::finding::Code;
 use crate::formation::Point;
 use crate::motion::Swept;
-use crate::scenario::{Group, Sweep};
+use crate::scenario::{Together, Sweep};
 
 impl Performer<'_, '_> {
     /// How each robot moves with the group.
     pub(super) fn swept(
         &mut self,
-        group: &Group,
+        group: &Together,
         sweep: Sweep,
         dancers: &[Dancer<'_>],
     ) -> Option<Vec<Moved>> {

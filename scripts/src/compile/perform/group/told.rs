@@ -6,13 +6,13 @@ use crate::duration;
 use crate::finding::Code;
 use crate::node::shortened;
 use crate::render::counted;
-use crate::scenario::{Cue, Form, Group, Target};
+use crate::scenario::{Cue, Form, Together, Target};
 use crate::transit::{Blocked, Refused};
 use urrcp::Span;
 
 impl Performer<'_, '_> {
     /// Robots that have no place in space, or none that is known.
-    pub(super) fn tell_excluded(&mut self, cue: &Cue, group: &Group, without: &[usize], unknown: &[usize]) {
+    pub(super) fn tell_excluded(&mut self, cue: &Cue, group: &Together, without: &[usize], unknown: &[usize]) {
         if !without.is_empty() {
             let message = format!("{} no `body` whose x and y are devices", self.cast.have(without));
             let expected = "bodies that are moved by position, as in `body: {x: x, y: y, z: z}` of the fleet file";
@@ -32,21 +32,21 @@ impl Performer<'_, '_> {
         }
     }
 
-    pub(super) fn tell_homeless(&mut self, group: &Group, robots: &[usize]) {
+    pub(super) fn tell_homeless(&mut self, group: &Together, robots: &[usize]) {
         let message = format!("{} no `default_value` for each of its coordinates", self.cast.have(robots));
         let expected = "devices with a `default_value`: that is where home is";
         let hint = Some("add `default_value` in the initialization block, or name a formation".to_owned());
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, hint);
     }
 
-    pub(super) fn tell_flat(&mut self, group: &Group, name: &str, robot: usize) {
+    pub(super) fn tell_flat(&mut self, group: &Together, name: &str, robot: usize) {
         let id = self.cast.id(robot);
         let message = format!("the places of `{}` differ in height, and `{id}` cannot change its own", shortened(name));
         let expected = "places of one height, or bodies whose z is a device";
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, None);
     }
 
-    pub(super) fn tell_count(&mut self, group: &Group, name: &str, robots: usize, places: usize) {
+    pub(super) fn tell_count(&mut self, group: &Together, name: &str, robots: usize, places: usize) {
         let (robots_are, places_are) = (counted(robots, "robot"), counted(places, "place"));
         let name = shortened(name);
         let message = format!("{robots_are} for the {places_are} of `{name}`");
@@ -65,7 +65,7 @@ impl Performer<'_, '_> {
     pub(super) fn tell_refused(
         &mut self,
         cue: &Cue,
-        group: &Group,
+        group: &Together,
         form: &Form,
         dancers: &[Dancer<'_>],
         refused: &Refused,
@@ -78,7 +78,7 @@ impl Performer<'_, '_> {
         }
     }
 
-    pub(super) fn tell_too_short(&mut self, group: &Group, robot: usize, seconds: f64, code: Code) {
+    pub(super) fn tell_too_short(&mut self, group: &Together, robot: usize, seconds: f64, code: Code) {
         let needed = Span::from_millis_f64((seconds * 100.0 - 1e-6).ceil() * 10.0);
         let needed = duration::written(needed);
         let message = format!("`{}` needs {needed} for its way, and has {}", self.cast.id(robot), told(group.over));
@@ -89,7 +89,7 @@ impl Performer<'_, '_> {
     fn tell_blocked(
         &mut self,
         cue: &Cue,
-        group: &Group,
+        group: &Together,
         form: &Form,
         dancers: &[Dancer<'_>],
         blocked: &Blocked,

@@ -1,0 +1,60 @@
+//! Numbers that look random and are the same on every machine and in every version: the mixing of SplitMix64.
+//!
+//! G. L. Steele, D. Lea and C. H. Flood, "Fast splittable pseudorandom number generators", OOPSLA 2014,
+//! <https://doi.org/10.1145/2660193.2660195>; the constants of `mix` are David Stafford's variant 13.
+
+/// What the state grows by from number to number: 2^64 over the golden ratio, odd.
+const GAMMA: u64 = 0x9e37_79b9_7f4a_7c15;
+
+/// Bits of a double behind its point.
+const DRAWN_BITS: u32 = 53;
+
+const fn mix(z: u64) -> u64 {
+    let z = (z ^ (z >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let z = (z ^ (z >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    z ^ (z >> 31)
+}
+
+/// One number for all of these: of a single one what SplitMix64 gives first with it as seed, of several that of the result for
+/// all but the last, plus the last.
+pub(crate) fn drawn(from: &[f64]) -> u64 {
+    from.iter().fold(0, |state: u64, number| mix(state.wrapping_add(bits(*number)).wrapping_add(GAMMA)))
+}
+
+/// The same as a part of one, in units of 2^-53: from 0 to below 1.
+pub(crate) fn share(from: &[f64]) -> (u64, u64) {
+    (drawn(from) >> (u64::BITS - DRAWN_BITS), 1 << DRAWN_BITS)
+}
+
+/// Whole numbers as they are, so that -0 is 0; others by their bits.
+#[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a whole number of less than 63 bits")]
+fn bits(number: f64) -> u64 {
+    match number.fract() == 0.0 && number.abs() < 4e18 {
+        true => number as i64 as u64,
+        false => number.to_bits(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_seed_alone_gives_the_first_number_of_splitmix64() {
+        // From the reference implementation, splitmix64.c by Sebastiano Vigna, with the state 1234567.
+        assert_eq!(drawn(&[1_234_567.0]), 6_457_827_717_110_365_317);
+        assert_eq!(drawn(&[0.0]), 0xe220_a839_7b1d_cdaf);
+    }
+
+    #[test]
+    fn every_number_counts_and_shares_are_below_one() {
+        assert_ne!(drawn(&[7.0, 0.0]), drawn(&[7.0, 1.0]));
+        assert_ne!(drawn(&[7.0, 0.0]), drawn(&[7.0]));
+        assert_ne!(drawn(&[7.0, 0.5]), drawn(&[7.0, 0.25]));
+        assert_eq!(drawn(&[-0.0]), drawn(&[0.0]));
+        for index in 0..1_000 {
+            let (part, whole) = share(&[7.0, f64::from(index)]);
+            assert!(part < whole, "{part}");
+        }
+    }
+}

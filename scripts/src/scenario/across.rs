@@ -1,0 +1,428 @@
+//! Where each robot of a cue stands among them: by its number, by its place in the fleet, or at random. And values that are spread
+//! over them: `{from: 0, to: 90, across: group}`.
+
+use std::collections::HashMap;
+use std::sync::Arc;
+
+use urrcp::{ControlType, RobotId};
+
+use super::library::Library;
+use super::{Cue, Motion, Track};
+use crate::chance::{drawn, share};
+use crate::exact::{Fraction, sum, to_f64};
+use crate::expression::Robot;
+use crate::fields::{At, Reader};
+use crate::finding::{Code, names};
+use crate::fleet::{Fleet, FleetRobot};
+use crate::motion::Easing;
+use crate::node::Node;
+use crate::space::Coordinate;
+
+/// Places are told apart to the nanometre.
+const UNITS_A_METRE: f64 = 1e9;
+/// No robot is farther away, in metres.
+const FARTHEST: f64 = 1e8;
+/// Most robots without a place that a finding names.
+const NAMED_MAX: usize = 8;
+
+pub(super) const SPREAD_KEYS: [&str; 7] = ["from", "to", "across", "by", "seed", "direction", "ease"];
+
+/// The robots of the cue that is read.
+#[derive(Debug, Default)]
+pub(crate) struct Group {
+    /// By their index in the fleet, in the order of the cue.
+    pub(super) robots: Vec<usize>,
+    fleet: Vec<Standing>,
+    /// What has been asked of them before.
+    shares: Vec<(Across, Arc<[Fraction]>)>,
+}
+
+/// A robot and where it stands.
+#[derive(Debug)]
+struct Standing {
+    id: RobotId,
+    /// x, y and z; none without a body.
+    axes: Option<[Axis; 3]>,
+}
+
+#[derive(Debug)]
+struct Axis {
+    of: Coordinate,
+    /// In nanometres, if it is known.
+    at: Option<i128>,
+}
+
+/// The order of the robots.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) struct Across {
+    pub(super) by: By,
+    direction: Direction,
+}
+
+/// What the robots are ordered by.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) enum By {
+    /// Their number in the cue.
+    #[default]
+    Index,
+    /// A coordinate of their place: 0 for x, 1 for y, 2 for z.
+    Axis(usize),
+    /// How far they are from a point, in metres.
+    Point([f64; 3]),
+    /// Chance, with a seed.
+    Random(f64),
+}
+
+/// Which of them are first.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Direction {
+    #[default]
+    Forward,
+    Backward,
+    /// Those in the middle.
+    Outward,
+    /// Those at both ends.
+    Inward,
+}
+
+const BY: [(&str, Word); 5] = [
+    ("index", Word::Index),
+    ("x", Word::Axis(0)),
+    ("y", Word::Axis(1)),
+    ("z", Word::Axis(2)),
+    ("random", Word::Random),
+];
+const DIRECTION: [(&str, Direction); 4] = [
+    ("forward", Direction::Forward),
+    ("backward", Direction::Backward),
+    ("outward", Direction::Outward),
+    ("inward", Direction::Inward),
+];
+const EXPECTED_POINT: &str = "a point in metres, as [0, 0, 1.5]";
+
+#[derive(Clone, Copy)]
+enum Word {
+    Index,
+    Axis(usize),
+    Random,
+}
+
+impl Group {
+    pub(super) fn of(fleet: &Fleet) -> Self {
+        let standing = |robot: &FleetRobot| Standing { id: robot.id.clone(), axes: axes(robot) };
+        Self { fleet: fleet.robots.iter().map(standing).collect(), ..Self::default() }
+    }
+
+    pub(super) fn count(&self) -> usize {
+        self.robots.len()
+    }
+
+    /// From here on, these robots.
+    pub(super) fn enter(&mut self, robots: Vec<usize>) {
+        self.robots = robots;
+        self.shares.clear();
+    }
+
+    /// Robots are where their last cue in the file leaves them.
+    pub(super) fn leave(&mut self, library: &Library<'_>, cue: &Cue) {
+        let mut overridden = HashMap::new();
+        for (name, movement) in &cue.overrides {
+            let robots = library.robots(std::slice::from_ref(name));
+            overridden.extend(robots.into_iter().map(|robot| (robot, movement)));
+        }
+        for (index, robot) in self.robots.iter().enumerate() {
+            let Some(axes) = self.fleet.get_mut(*robot).and_then(|robot| robot.axes.as_mut()) else { continue };
+            let own = cue.own_of.get(index).copied().flatten().and_then(|own| cue.own.get(own));
+            // Which place a formation gives to which robot is known only once the cue is compiled.
+            if cue.group.is_some() {
+                axes.iter_mut().for_each(Axis::lose);
+                continue;
+            }
+            let movement = own.or_else(|| overridden.get(robot).copied()).unwrap_or(&cue.movement);
+            for track in &movement.tracks {
+                axes.iter_mut().for_each(|axis| axis.follow(track));
+            }
+        }
+    }
+}
+
+impl Axis {
+    fn lose(&mut self) {
+        if matches!(self.of, Coordinate::Device { .. }) {
+            self.at = None;
+        }
+    }
+
+    fn follow(&mut self, track: &Track) {
+        let Coordinate::Device { device, scale, offset } = &self.of else { return };
+        if device.as_str() != track.device {
+            return;
+        }
+        self.at = match (&track.motion, track.control) {
+            (Motion::Curve(curve), None | Some(ControlType::Position)) => {
+                curve.knots.last().map(|last| nanometres(offset + scale * last.to))
+            }
+            _ => None,
+        };
+    }
+}
+
+impl Standing {
+    fn place(&self) -> Option<[i128; 3]> {
+        let [x, y, z] = self.axes.as_ref()?;
+        Some([x.at?, y.at?, z.at?])
+    }
+}
+
+/// Where the body is in its default state.
+fn axes(robot: &FleetRobot) -> Option<[Axis; 3]> {
+    let [x, y, z, _] = &robot.body.as_ref()?.coordinates;
+    let axis = |coordinate: &Coordinate| {
+        let metres = match coordinate {
+            Coordinate::Fixed(metres) => Some(*metres),
+            Coordinate::Device { device, scale, offset } => {
+                let mut devices = robot.init.iter().flat_map(|block| &block.devices);
+                let default = devices.find(|known| known.id == *device).and_then(|known| known.default_value);
+                default.map(|value| offset + scale * value)
+            }
+        };
+        Axis { of: coordinate.clone(), at: metres.map(nanometres) }
+    };
+    Some([x, y, z].map(axis))
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "clamped")]
+fn nanometres(metres: f64) -> i128 {
+    (metres.clamp(-FARTHEST, FARTHEST) * UNITS_A_METRE).round() as i128
+}
+
+#[expect(clippy::cast_precision_loss, reason = "rounded to the nanometre again")]
+fn distance(place: [i128; 3], point: [f64; 3]) -> i128 {
+    let square = |(a, b): (i128, f64)| ((a - nanometres(b)) as f64 / UNITS_A_METRE).powi(2);
+    nanometres(place.into_iter().zip(point).map(square).sum::<f64>().sqrt())
+}
+
+impl Across {
+    pub(super) fn read(
+        reader: &mut Reader,
+        by: Option<At<'_>>,
+        seed: Option<At<'_>>,
+        direction: Option<At<'_>>,
+    ) -> Option<Self> {
+        let direction = direction.map_or(Some(Direction::default()), |at| reader.word(&at, &DIRECTION));
+        let read_seed = seed.and_then(|at| reader.number(&at, "a number"));
+        let by = match by {
+            None => Some(By::Index),
+            Some(at) if matches!(at.node, Node::List(_)) => point(reader, &at).map(By::Point),
+            Some(at) => match reader.word(&at, &BY)? {
+                Word::Index => Some(By::Index),
+                Word::Axis(axis) => Some(By::Axis(axis)),
+                Word::Random if seed.is_none() => {
+                    let hint = Some("choose any number: `seed: 7`".to_owned());
+                    reader.add(Code::MissingKey, at.place(), "`random` without a seed", "a key `seed`", hint);
+                    None
+                }
+                Word::Random => read_seed.map(By::Random),
+            },
+        };
+        if let (Some(at), Some(by)) = (seed, by)
+            && !matches!(by, By::Random(_))
+        {
+            let message = "a `seed` where nothing is random";
+            reader.add(Code::UnknownKey, at.key_place(), message, "`by: random` next to it", None);
+        }
+        Some(Self { by: by?, direction: direction? })
+    }
+
+    /// Where each robot of the cue stands along it, from 0 on; in metres, where places are asked for.
+    pub(super) fn along(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<Fraction>> {
+        let own = self.own(reader, at)?;
+        let metres = matches!(self.by, By::Axis(_) | By::Point(_));
+        let unit = |value: i128| Fraction::new(value, if metres { 1_000_000_000 } else { 1 });
+        Some(match self.by {
+            By::Random(_) => {
+                let part = |value: i128| Fraction::new(value >> 11, 1 << 53);
+                self.directed(&own.into_iter().map(part).collect::<Vec<_>>())
+            }
+            _ => self.directed(&own.into_iter().map(unit).collect::<Vec<_>>()),
+        })
+    }
+
+    /// Which place each robot has in the order, from 0 on. Robots that stand alike share one.
+    pub(super) fn ranks(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<usize>> {
+        let own = self.own(reader, at)?;
+        let mut sorted = own.clone();
+        sorted.sort_unstable();
+        sorted.dedup();
+        let rank = |value: &i128| sorted.partition_point(|other| other < value);
+        let ranks: Vec<_> = own.iter().map(|value| Fraction::from_integer(rank(value) as i128)).collect();
+        let whole = |rank: &Fraction| usize::try_from(rank.to_integer()).unwrap_or_default();
+        Some(self.directed(&ranks).iter().map(whole).collect())
+    }
+
+    /// What a robot is ordered by: whole numbers.
+    fn own(self, reader: &mut Reader, at: &At<'_>) -> Option<Vec<i128>> {
+        let Group { robots, fleet, .. } = &reader.group;
+        let count = robots.len();
+        match self.by {
+            By::Index => Some((0..count as i128).collect()),
+            By::Random(seed) => {
+                #[expect(clippy::cast_precision_loss, reason = "fewer robots than 2^53")]
+                let one = |index: usize| i128::from(drawn(&[seed, index as f64]));
+                Some((0..count).map(one).collect())
+            }
+            By::Axis(_) | By::Point(_) => {
+                let one = |robot: &usize| {
+                    let place = fleet.get(*robot)?.place()?;
+                    Some(match self.by {
+                        By::Point(point) => distance(place, point),
+                        By::Axis(axis) => place[axis],
+                        _ => 0,
+                    })
+                };
+                let found: Vec<Option<i128>> = robots.iter().map(one).collect();
+                let lost = robots.iter().zip(&found).filter(|(_, place)| place.is_none());
+                let lost: Vec<String> =
+                    lost.filter_map(|(robot, _)| Some(fleet.get(*robot)?.id.to_string())).collect();
+                if !lost.is_empty() {
+                    no_place(reader, at, &lost);
+                    return None;
+                }
+                Some(found.into_iter().flatten().collect())
+            }
+        }
+    }
+
+    fn directed(self, all: &[Fraction]) -> Vec<Fraction> {
+        let (Some(least), Some(most)) = (all.iter().min().copied(), all.iter().max().copied()) else {
+            return Vec::new();
+        };
+        let half = Fraction::new_raw(1, 2);
+        let middle = sum(least, most) * half;
+        let apart = |value: &Fraction| {
+            let apart = sum(*value, -middle);
+            if apart < Fraction::ZERO { -apart } else { apart }
+        };
+        let nearest = all.iter().map(apart).min().unwrap_or_default();
+        let farthest = sum(most, -middle);
+        let one = |value: &Fraction| match self.direction {
+            Direction::Forward => sum(*value, -least),
+            Direction::Backward => sum(most, -*value),
+            Direction::Outward => sum(apart(value), -nearest),
+            Direction::Inward => sum(farthest, -apart(value)),
+        };
+        all.iter().map(one).collect()
+    }
+
+    /// The part of the way from the first robot to the last at which each of them stands, from 0 to 1.
+    fn shares(self, reader: &mut Reader, at: &At<'_>) -> Option<Arc<[Fraction]>> {
+        if let Some((_, known)) = reader.group.shares.iter().find(|(across, _)| *across == self) {
+            return Some(known.clone());
+        }
+        let shares: Arc<[Fraction]> = match self.by {
+            By::Random(seed) => {
+                #[expect(clippy::cast_precision_loss, reason = "fewer robots than 2^53")]
+                let one = |index: usize| {
+                    let (part, whole) = share(&[seed, index as f64]);
+                    Fraction::new(part.into(), whole.into())
+                };
+                (0..reader.group.robots.len()).map(one).collect()
+            }
+            _ => parts(&self.along(reader, at)?).into(),
+        };
+        reader.group.shares.push((self, shares.clone()));
+        Some(shares)
+    }
+}
+
+/// Each as a part of the largest; 0 if all are.
+pub(super) fn parts(all: &[Fraction]) -> Vec<Fraction> {
+    let most = all.iter().max().copied().unwrap_or_default();
+    let part = |value: &Fraction| if most == Fraction::ZERO { Fraction::ZERO } else { *value / most };
+    all.iter().map(part).collect()
+}
+
+fn point(reader: &mut Reader, at: &At<'_>) -> Option<[f64; 3]> {
+    let items = reader.list(at, EXPECTED_POINT);
+    let numbers: Option<Vec<f64>> = items.iter().map(|item| reader.number(item, EXPECTED_POINT)).collect();
+    let numbers = numbers?;
+    if let Ok(point) = <[f64; 3]>::try_from(numbers.as_slice()) {
+        return Some(point);
+    }
+    let message = format!("found {} entries", numbers.len());
+    reader.add(Code::WrongType, at.place(), message, EXPECTED_POINT, None);
+    None
+}
+
+fn no_place(reader: &mut Reader, at: &At<'_>, lost: &[String]) {
+    let shown = names(lost.iter().take(NAMED_MAX).map(String::as_str));
+    let message = match lost.len() {
+        1 => format!("the place of robot {shown} is not known"),
+        count if count > NAMED_MAX => {
+            format!("the places of robots {shown} and {} more are not known", count - NAMED_MAX)
+        }
+        _ => format!("the places of robots {shown} are not known"),
+    };
+    let expected = "robots with a `body` in the fleet file, whose devices have a default value or are moved by a cue above this one";
+    let hint = Some("add `body: {x: 1.2}` to the robot in the fleet file, or order by `index`".to_owned());
+    reader.add(Code::MissingKey, at.place(), message, expected, hint);
+}
+
+/// Whether a node is meant as a value that is spread over the robots.
+pub(crate) fn is_spread(node: &Node) -> bool {
+    let Node::Map(entries) = node else { return false };
+    let has = |name: &str| entries.iter().any(|(key, _)| key == name);
+    has("across") || (has("from") && has("to"))
+}
+
+impl Reader {
+    /// Reads something for one robot; and whether it is something else for others.
+    pub(super) fn as_robot<T>(&mut self, robot: Robot, read: impl FnOnce(&mut Self) -> T) -> (T, bool) {
+        let before = self.robots.current.replace(robot);
+        self.robots.asked = false;
+        let found = read(self);
+        self.robots.current = before;
+        (found, std::mem::take(&mut self.robots.asked))
+    }
+
+    /// `{from: 0, to: 90, across: group}` for the robot whose movement is read, as an expression.
+    pub(crate) fn spread(&mut self, at: &At<'_>) -> Option<String> {
+        let required = ["from", "to", "across"];
+        let [from, to, across, by, seed, direction, ease] =
+            self.map(at, "a spread", SPREAD_KEYS, &required)?;
+        let across = across.and_then(|at| self.word(&at, &[("group", ())]));
+        let ease = ease.map_or(Some(Easing::Linear), |at| self.word(&at, &Easing::WORDS));
+        let order = Across::read(self, by, seed, direction);
+        let from = from.and_then(|at| self.written(&at));
+        let to = to.and_then(|at| self.written(&at));
+        let Some(robot) = self.robots.current else {
+            let message = "a value spread over the robots, and this is for all of them";
+            let hint = Some("use it in what each robot does: tracks, parameters, scale".to_owned());
+            self.add(Code::WrongType, at.place(), message, "a value that all robots share", hint);
+            return None;
+        };
+        self.robots.asked = true;
+        let ((), ease, order, from, to) = (across?, ease?, order?, from?, to?);
+        let shares = order.shares(self, at)?;
+        let share = shares.get(robot.index).copied().unwrap_or_default();
+        self.robots.results.push(to_f64(share).to_bits());
+        let share = match ease {
+            Easing::Linear => format!("{} / {}", share.numer(), share.denom()),
+            Easing::Step => share.to_integer().to_string(),
+            ease => ease.at(to_f64(share)).to_string(),
+        };
+        Some(format!("({from}) + (({to}) - ({from})) * {share}"))
+    }
+
+    /// A number or a time as it stands in an expression.
+    fn written(&mut self, at: &At<'_>) -> Option<String> {
+        match self.defined(at)? {
+            Node::Number(value) if value.is_finite() => Some(value.to_string()),
+            Node::Text(text) => Some(text),
+            _ => {
+                self.wrong_type(at, "a number or a time");
+                None
+            }
+        }
+    }
+}

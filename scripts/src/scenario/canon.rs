@@ -1,0 +1,160 @@
+//! How much later each robot of a cue begins: by its number, by its place, at random, or as its `at` says.
+
+use super::across::{Across, By, parts};
+use crate::exact::{Beginning, Exact, Fraction, Laps, fraction};
+use crate::expression::Robot;
+use crate::fields::{At, Reader};
+use crate::finding::{Code, Place};
+use crate::node::Node;
+
+const CANON_KEYS: [&str; 6] = ["step", "speed", "over", "by", "seed", "direction"];
+
+/// Speeds of a wave over the robots, in metres a second.
+const SPEED_MIN: f64 = 1e-3;
+const SPEED_MAX: f64 = 1e6;
+
+/// How much later each robot of a cue begins than the cue.
+#[derive(Clone, Debug)]
+pub(crate) enum Canon {
+    /// Each by so much later than the one before it.
+    Even(Laps),
+    /// One time for each robot, in their order.
+    Each { delays: Vec<Exact>, from: Beginning, place: Place },
+}
+
+impl Default for Canon {
+    fn default() -> Self {
+        Self::Even(Laps::default())
+    }
+}
+
+impl Canon {
+    /// How much later the robot of this number begins.
+    pub(crate) fn delay(&self, index: usize) -> urrcp::Span {
+        match self {
+            Self::Even(laps) => laps.begin(u32::try_from(index).unwrap_or(u32::MAX)),
+            Self::Each { delays, from, .. } => {
+                delays.get(index).map_or(urrcp::Span::ZERO, |delay| from.lay(*delay))
+            }
+        }
+    }
+
+    /// The same, with what `at` says of each robot.
+    pub(super) fn delayed(self, late: Option<Late>) -> Self {
+        let Some(Late { by, from, place }) = late else { return self };
+        let delays = by.iter().enumerate().map(|(index, late)| match &self {
+            Self::Even(laps) => late.plus(laps.length.times(Fraction::from_integer(index as i128))),
+            Self::Each { delays, .. } => late.plus(delays.get(index).copied().unwrap_or_default()),
+        });
+        Self::Each { delays: delays.collect(), from, place }
+    }
+}
+
+/// Robots whose `at` differs.
+pub(super) struct Late {
+    pub(super) by: Vec<Exact>,
+    pub(super) from: Beginning,
+    pub(super) place: Place,
+}
+
+/// `400ms`, or `{step: 400ms, by: x, direction: outward}`.
+pub(super) fn read(reader: &mut Reader, at: Option<&At<'_>>) -> Canon {
+    let Some(at) = at else { return Canon::default() };
+    let found = match at.node {
+        Node::Map(_) => in_order(reader, at),
+        _ => steps(reader, at).map(|steps| match steps {
+            Steps::Even(step) => Canon::Even(reader.laps(step)),
+            Steps::Each(begins) => each(reader, at, begins),
+        }),
+    };
+    found.unwrap_or_default()
+}
+
+fn each(reader: &Reader, at: &At<'_>, delays: Vec<Exact>) -> Canon {
+    Canon::Each { delays, from: reader.music.start, place: at.place() }
+}
+
+/// When the places of the order begin.
+enum Steps {
+    /// Each by so much later than the one before it.
+    Even(Exact),
+    /// One time for each place.
+    Each(Vec<Exact>),
+}
+
+impl Steps {
+    fn of(&self, rank: usize) -> Exact {
+        match self {
+            Self::Even(step) => step.times(Fraction::from_integer(rank as i128)),
+            Self::Each(begins) => begins.get(rank).or(begins.last()).copied().unwrap_or_default(),
+        }
+    }
+}
+
+/// How much later each place of the order begins than the one before it; `$index` is the number of the place.
+fn steps(reader: &mut Reader, at: &At<'_>) -> Option<Steps> {
+    let count = reader.group.count();
+    let mut begins = vec![Exact::ZERO];
+    // The step of a group of one is read as well: it may be wrong.
+    for index in 1..count.max(2) {
+        let robot = Robot { index, count: count.max(2) };
+        let (step, differs) = reader.as_robot(robot, |reader| reader.exact(at));
+        let step = step?;
+        if !differs {
+            return Some(Steps::Even(step));
+        }
+        begins.push(begins[index - 1].plus(step));
+    }
+    Some(Steps::Each(begins))
+}
+
+fn in_order(reader: &mut Reader, at: &At<'_>) -> Option<Canon> {
+    let [step, speed, over, by, seed, direction] = reader.map(at, "`canon`", CANON_KEYS, &[])?;
+    let across = Across::read(reader, by, seed, direction);
+    let delays = match (step, speed, over) {
+        (Some(step), None, None) => {
+            let steps = steps(reader, &step);
+            let ranks = across?.ranks(reader, at)?;
+            let steps = steps?;
+            ranks.into_iter().map(|rank| steps.of(rank)).collect()
+        }
+        (None, Some(speed), None) => {
+            let second = travelled(reader, &speed);
+            let across = across?;
+            if !matches!(across.by, By::Axis(_) | By::Point(_)) {
+                let message = "a speed without places";
+                let hint = Some("add `by: x`, or give a `step`".to_owned());
+                let expected = "`by: x`, `y`, `z` or a point";
+                reader.add(Code::MissingKey, speed.key_place(), message, expected, hint);
+                return None;
+            }
+            scaled(second?, &across.along(reader, at)?)
+        }
+        (None, None, Some(over)) => {
+            let over = reader.exact(&over);
+            let along = across?.along(reader, at)?;
+            scaled(over?, &parts(&along))
+        }
+        _ => {
+            let message = "a canon with none or several of `step`, `speed` and `over`";
+            reader.add(Code::MissingKey, at.place(), message, "exactly one of them", None);
+            return None;
+        }
+    };
+    Some(each(reader, at, delays))
+}
+
+fn scaled(unit: Exact, by: &[Fraction]) -> Vec<Exact> {
+    by.iter().map(|share| unit.times(*share)).collect()
+}
+
+/// The time that a metre takes.
+fn travelled(reader: &mut Reader, at: &At<'_>) -> Option<Exact> {
+    let expected = "a speed from 0.001 to 1000000 metres a second";
+    let speed = reader.positive(at, expected)?;
+    if (SPEED_MIN..=SPEED_MAX).contains(&speed) {
+        return Some(Exact::of_nanos(Fraction::from_integer(1_000_000_000) / fraction(speed)));
+    }
+    reader.add(Code::WrongType, at.place(), format!("found the number {speed}"), expected, None);
+    None
+}
