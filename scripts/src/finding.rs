@@ -120,10 +120,10 @@ codes! {
     FileExists = "DB0069", Error, "a file exists already";
     Expression = "DB0070", Error, "an expression without a value";
     NearPlaces = "DB0071", Warning, "places of a formation too near to each other";
-    NotInGroup = "DB0081", Error, "a robot that cannot move in a group";
-    PlacesCount = "DB0082", Error, "more or fewer robots than places";
-    NoWayPast = "DB0083", Error, "bodies that cannot pass each other";
-    UnknownFormation = "DB0084", Error, "no formation of this name";
+    NotInGroup = "DB0072", Error, "a robot that cannot move in a group";
+    PlacesCount = "DB0073", Error, "more or fewer robots than places";
+    NoWayPast = "DB0074", Error, "bodies that cannot pass each other";
+    UnknownFormation = "DB0075", Error, "no formation of this name";
 }
 
 impl Code {

@@ -222,6 +222,7 @@ proptest! {
 }
 
 mod expressions;
+mod groups;
 mod hints;
 mod numbers;
 mod patterns;

@@ -48,7 +48,8 @@ impl Swept {
     /// Bounds of the first two derivatives by u.
     fn bounds(&self) -> (f64, f64) {
         let [_, b, c] = self.line.map(f64::abs);
-        let (radius, growth) = (self.radius[0].abs().max((self.radius[0] + self.radius[1]).abs()), self.radius[1].abs());
+        let (radius, growth) =
+            (self.radius[0].abs().max((self.radius[0] + self.radius[1]).abs()), self.radius[1].abs());
         let rate = TAU * self.turns.abs();
         (b + 2.0 * c + growth + radius * rate, 2.0 * c + 2.0 * growth * rate + radius * rate * rate)
     }
@@ -76,14 +77,22 @@ impl Swept {
     /// The same of a body with this as one coordinate, in other units: `offset + scale * value` is what it is now.
     pub(crate) fn in_units(&self, scale: f64, offset: f64) -> Self {
         let [a, b, c] = self.line;
-        Self { line: [(a - offset) / scale, b / scale, c / scale], radius: self.radius.map(|r| r / scale), ..*self }
+        Self {
+            line: [(a - offset) / scale, b / scale, c / scale],
+            radius: self.radius.map(|r| r / scale),
+            ..*self
+        }
     }
 
     /// The largest speed and acceleration of a point with these coordinates, by s, among many samples.
     pub(crate) fn together(axes: &[Self]) -> (f64, f64) {
         let at = |i: u32| {
             let s = f64::from(i) / 256.0;
-            let (law, slope, bend) = (Easing::Smooth.at(s), 30.0 * (s * (1.0 - s)).powi(2), 60.0 * s * (1.0 - s) * (1.0 - 2.0 * s));
+            let (law, slope, bend) = (
+                Easing::Smooth.at(s),
+                30.0 * (s * (1.0 - s)).powi(2),
+                60.0 * s * (1.0 - s) * (1.0 - 2.0 * s),
+            );
             let add = |(speed, acceleration): (f64, f64), axis: &Self| {
                 let [_, first, second] = axis.jet(law);
                 (speed.hypot(first * slope), acceleration.hypot(second * slope * slope + first * bend))

@@ -8,7 +8,7 @@ use super::each::movements;
 use super::library::Library;
 use super::movement::Shaping;
 use super::when::{Timing, When, range};
-use super::{Bounds, Cue, form, Name, OffGrid, Order, Reading, nothing};
+use super::{Bounds, Cue, Name, OffGrid, Order, Reading, form, nothing};
 use crate::exact::Beginning;
 use crate::fields::{At, Reader};
 use crate::finding::Code;

@@ -77,13 +77,7 @@ pub(crate) fn shortest_longest(starts: &[Point], places: &[Point]) -> f64 {
 }
 
 /// Gives one more row a column, along the path whose longest edge is shortest: Dijkstra's search with maxima for sums.
-fn augment(
-    rows: &[Point],
-    columns: &[Point],
-    row_of: &mut [Option<usize>],
-    first: usize,
-    bound: f64,
-) -> f64 {
+fn augment(rows: &[Point], columns: &[Point], row_of: &mut [Option<usize>], first: usize, bound: f64) -> f64 {
     let mut reached = vec![f64::INFINITY; columns.len()];
     let mut from: Vec<Option<usize>> = vec![None; columns.len()];
     let mut done = vec![false; columns.len()];

@@ -95,7 +95,10 @@ pub(crate) struct Blocked {
 #[derive(Clone, Debug)]
 pub(crate) enum Refused {
     /// The shortest time that would do for all bodies, and the body that needs it.
-    TooShort { body: usize, seconds: f64 },
+    TooShort {
+        body: usize,
+        seconds: f64,
+    },
     Blocked(Blocked),
 }
 
@@ -109,7 +112,8 @@ pub(crate) fn cross(crossing: &Crossing<'_>) -> Result<Vec<Way>, Refused> {
     for goals in crossing.candidates() {
         let ways = crossing.straight(&goals);
         let times = crossing.bodies.iter().zip(&ways).map(|(body, way)| body.limits.time_for(way));
-        let (body, seconds) = times.enumerate().fold((0, 0.0), |most, time| if time.1 > most.1 { time } else { most });
+        let (body, seconds) =
+            times.enumerate().fold((0, 0.0), |most, time| if time.1 > most.1 { time } else { most });
         if seconds > crossing.over {
             if seconds < needed.1 {
                 needed = (body, seconds);
@@ -170,7 +174,8 @@ impl Crossing<'_> {
             if self.least == Least::Total && total > optimum * TOTAL_MAX {
                 return None;
             }
-            let goal = |(body, place): (usize, Option<usize>)| place.map_or(spare[body], |place| places[place]);
+            let goal =
+                |(body, place): (usize, Option<usize>)| place.map_or(spare[body], |place| places[place]);
             Some(assignment.into_iter().enumerate().map(goal).collect())
         });
         Box::new(candidates)
@@ -270,7 +275,12 @@ impl Crossing<'_> {
             way.lift == 0.0 || body.heights.is_some_and(|[low, high]| least[2] >= low && most[2] <= high)
         };
         let ways = lifts.iter().flat_map(|lift| {
-            windows.iter().map(|(begin, length)| Way { begin: *begin, length: *length, lift: *lift, ..*straight })
+            windows.iter().map(|(begin, length)| Way {
+                begin: *begin,
+                length: *length,
+                lift: *lift,
+                ..*straight
+            })
         });
         ways.filter(|way| body.limits.time_for(way) <= way.length && within(way)).collect()
     }

@@ -155,7 +155,8 @@ impl<'a> Performer<'_, 'a> {
         let (mut dancers, mut without, mut unknown) = (Vec::new(), Vec::new(), Vec::new());
         for member in &members.all {
             let robot = &cast.fleet.robots[member.robot];
-            let axes = robot.body.as_ref().and_then(|body| Some((body, axes(body, cast.devices(member.robot))?)));
+            let axes =
+                robot.body.as_ref().and_then(|body| Some((body, axes(body, cast.devices(member.robot))?)));
             let Some((body, axes)) = axes else {
                 without.push(member.robot);
                 continue;
@@ -174,13 +175,7 @@ impl<'a> Performer<'_, 'a> {
     }
 
     /// Where a coordinate is at a time of the act: where the last movement before that has left it. In metres.
-    fn standing(
-        &self,
-        robot: usize,
-        axis: &Axis<'_>,
-        at: Span,
-        positions: &Positions<'_>,
-    ) -> Option<f64> {
+    fn standing(&self, robot: usize, axis: &Axis<'_>, at: Span, positions: &Positions<'_>) -> Option<f64> {
         let (index, scale, offset) = match *axis {
             Axis::Fixed(value) => return Some(value),
             Axis::Moved { index, scale, offset, .. } => (index, scale, offset),
@@ -219,7 +214,9 @@ impl<'a> Performer<'_, 'a> {
         let goals = if own { transit::Goals::Own(&goals) } else { transit::Goals::Any(&goals, &spare) };
         let crossing = transit::Crossing { bodies: &bodies, goals, least: form.least, over };
         match transit::cross(&crossing) {
-            Ok(ways) => Some(ways.into_iter().zip(dancers).map(|(way, dancer)| Moved::of_way(&way, dancer)).collect()),
+            Ok(ways) => {
+                Some(ways.into_iter().zip(dancers).map(|(way, dancer)| Moved::of_way(&way, dancer)).collect())
+            }
             Err(refused) => {
                 self.tell_refused(cue, group, form, dancers, &refused);
                 None
@@ -273,7 +270,9 @@ impl<'a> Performer<'_, 'a> {
     fn homes(&mut self, group: &Together, dancers: &[Dancer<'_>]) -> Option<Vec<Point>> {
         let of_axis = |axis: &Axis<'_>| match *axis {
             Axis::Fixed(value) => Some(value),
-            Axis::Moved { device, scale, offset, .. } => device.default_value.map(|value| offset + scale * value),
+            Axis::Moved { device, scale, offset, .. } => {
+                device.default_value.map(|value| offset + scale * value)
+            }
         };
         let homes: Vec<Option<Point>> = dancers
             .iter()
@@ -318,7 +317,8 @@ impl<'a> Performer<'_, 'a> {
         let of_axis = |axis: &Axis<'_>| {
             let Axis::Moved { device, scale, .. } = axis else { return [f64::INFINITY; 2] };
             let limits = self.cast.limits(dancer.member.robot, device, ControlType::Position);
-            [limits.speed, limits.acceleration].map(|limit| limit.map_or(f64::INFINITY, |limit| limit * scale.abs()))
+            [limits.speed, limits.acceleration]
+                .map(|limit| limit.map_or(f64::INFINITY, |limit| limit * scale.abs()))
         };
         let body = [dancer.body.speed, dancer.body.acceleration].map(|limit| limit.unwrap_or(f64::INFINITY));
         transit::Limits { axes: dancer.axes.each_ref().map(of_axis), body }

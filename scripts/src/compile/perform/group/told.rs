@@ -15,7 +15,8 @@ impl Performer<'_, '_> {
     pub(super) fn tell_excluded(&mut self, cue: &Cue, group: &Together, without: &[usize], unknown: &[usize]) {
         if !without.is_empty() {
             let message = format!("{} no `body` whose x and y are devices", self.cast.have(without));
-            let expected = "bodies that are moved by position, as in `body: {x: x, y: y, z: z}` of the fleet file";
+            let expected =
+                "bodies that are moved by position, as in `body: {x: x, y: y, z: z}` of the fleet file";
             self.findings.add(Code::NotInGroup, cue.robots_place.clone(), message, expected, None);
         }
         if !unknown.is_empty() {
@@ -41,7 +42,8 @@ impl Performer<'_, '_> {
 
     pub(super) fn tell_flat(&mut self, group: &Together, name: &str, robot: usize) {
         let id = self.cast.id(robot);
-        let message = format!("the places of `{}` differ in height, and `{id}` cannot change its own", shortened(name));
+        let message =
+            format!("the places of `{}` differ in height, and `{id}` cannot change its own", shortened(name));
         let expected = "places of one height, or bodies whose z is a device";
         self.findings.add(Code::NotInGroup, group.place.clone(), message, expected, None);
     }
@@ -81,7 +83,8 @@ impl Performer<'_, '_> {
     pub(super) fn tell_too_short(&mut self, group: &Together, robot: usize, seconds: f64, code: Code) {
         let needed = Span::from_millis_f64((seconds * 100.0 - 1e-6).ceil() * 10.0);
         let needed = duration::written(needed);
-        let message = format!("`{}` needs {needed} for its way, and has {}", self.cast.id(robot), told(group.over));
+        let message =
+            format!("`{}` needs {needed} for its way, and has {}", self.cast.id(robot), told(group.over));
         let expected = format!("`over: {needed}` or more");
         self.findings.add(code, group.over_place.clone(), message, expected, None);
     }
@@ -106,10 +109,15 @@ impl Performer<'_, '_> {
             told(at),
             shortened(&cue.name)
         );
-        let expected = format!("at least {:.3} m, on straight ways, with delays or in arcs", blocked.required);
+        let expected =
+            format!("at least {:.3} m, on straight ways, with delays or in arcs", blocked.required);
         let hint = match form.to {
-            Target::Home => "give it more time, let them begin one after another with `canon`, or form a row first",
-            Target::Formation(_) => "give it more time, make the formation larger, or form another one on the way",
+            Target::Home => {
+                "give it more time, let them begin one after another with `canon`, or form a row first"
+            }
+            Target::Formation(_) => {
+                "give it more time, make the formation larger, or form another one on the way"
+            }
         };
         self.findings.add(Code::NoWayPast, group.place.clone(), message, expected, Some(hint.to_owned()));
     }

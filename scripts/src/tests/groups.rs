@@ -1,0 +1,265 @@
+//! Groups of bodies, evaluated a second time: positions sampled from the steps of the plan, without the compiler's own paths.
+
+use std::fmt::Write as _;
+
+use super::robot;
+use crate::space::{Body, Coordinate, Shape, Space};
+use crate::{Act, Address, Code, Compiled, Fleet, FleetRobot, NoFiles, Source, compile};
+
+/// How densely positions are looked at, in milliseconds.
+const EVERY_MS: f64 = 5.0;
+/// The error that the devices allow, in metres.
+const ERROR: f64 = 0.002;
+const RADIUS: f64 = 0.1;
+const DISTANCE: f64 = 0.2;
+
+fn device(id: &str, home: f64) -> String {
+    let limits = format!(r#""min_value": -50, "max_value": 50, "granularity": 0.001, "max_error": {ERROR}"#);
+    format!(
+        r#"{{"id": "{id}", "name": "{id}", "unit": "m", "interpolation": "linear", "default_value": {home}, "available_control_types": {{
+  "position": {{{limits}}}, "script": {{{limits}, "max_number_of_steps": 2000}}}}}}"#
+    )
+}
+
+/// A drone that begins at a place.
+fn drone(index: usize, [x, y, z]: [f64; 3]) -> FleetRobot {
+    let id = format!("d{index}");
+    let devices = [("x", x), ("y", y), ("z", z)].map(|(name, home)| device(name, home)).join(", ");
+    let block = format!(r#"{{"id": "{id}", "api_version": "1", "devices": [{devices}]}}"#);
+    let init: urrcp::InitializationBlock = serde_json::from_str(&block).unwrap();
+    let mut robot = FleetRobot::new(init.id.clone(), Address::Simulated, Some(init));
+    let device = |name: &str| Coordinate::Device { device: name.parse().unwrap(), scale: 1.0, offset: 0.0 };
+    let coordinates = [device("x"), device("y"), device("z"), Coordinate::Fixed(0.0)];
+    let shape = Shape::Ball { radius: RADIUS };
+    robot.body =
+        Some(Body { coordinates, shape, speed: Some(5.0), acceleration: Some(10.0), ..Body::default() });
+    robot
+}
+
+/// Drones on the ground, in rows of ten, with a group `all`.
+fn fleet(count: usize) -> Fleet {
+    let place = |index: usize| [(index % 10) as f64 * 0.7, (index / 10) as f64 * 0.7, 0.0];
+    let robots: Vec<FleetRobot> = (0..count).map(|index| drone(index, place(index))).collect();
+    let all = robots.iter().map(|robot| robot.id.clone()).collect();
+    let space = Space { distance: Some(DISTANCE), ..Space::default() };
+    Fleet { groups: [("all".to_owned(), all)].into(), robots, space, ..Fleet::default() }
+}
+
+fn compiled(count: usize, text: &str) -> Compiled {
+    let source = Source { name: "s.yaml".into(), text: text.to_owned() };
+    compile(&source, &fleet(count), &NoFiles)
+}
+
+fn sound(count: usize, text: &str) -> Act {
+    let compiled = compiled(count, text);
+    let mut choreography = compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings));
+    assert!(compiled.findings.is_empty(), "{:#?}", compiled.findings);
+    choreography.acts.remove(0)
+}
+
+/// The steps of each drone's x, y and z as times in milliseconds and values.
+type Steps = Vec<[Vec<(f64, f64)>; 3]>;
+
+fn steps(act: &Act, count: usize) -> Steps {
+    let fleet = fleet(count);
+    let of = |robot: &FleetRobot| {
+        ["x", "y", "z"].map(|axis| {
+            let device =
+                robot.init.as_ref().unwrap().devices.iter().find(|device| device.id.as_str() == axis);
+            let mut steps = vec![(0.0, device.unwrap().default_value.unwrap())];
+            let plan = act.plan.robots.iter().find(|plan| plan.robot == robot.id);
+            for script in
+                plan.iter().flat_map(|plan| &plan.scripts).filter(|script| script.device.as_str() == axis)
+            {
+                steps.push((script.start.get(), steps.last().unwrap().1));
+                let own = script.script.steps().iter();
+                steps.extend(own.map(|step| (script.start.get() + step.offset.get(), step.setpoint.value)));
+            }
+            steps
+        })
+    };
+    fleet.robots.iter().map(of).collect()
+}
+
+fn value(steps: &[(f64, f64)], at: f64) -> f64 {
+    let after = steps.partition_point(|(time, _)| *time <= at);
+    match (after.checked_sub(1).map(|before| steps[before]), steps.get(after)) {
+        (Some((from, a)), Some((to, b))) => a + (b - a) * (at - from) / (to - from),
+        (Some((_, last)), None) => last,
+        (None, _) => steps[0].1,
+    }
+}
+
+fn places(steps: &Steps, at: f64) -> Vec<[f64; 3]> {
+    steps.iter().map(|axes| axes.each_ref().map(|axis| value(axis, at))).collect()
+}
+
+fn apart(a: &[f64; 3], b: &[f64; 3]) -> f64 {
+    (0..3).map(|axis| (a[axis] - b[axis]).powi(2)).sum::<f64>().sqrt()
+}
+
+/// The least distance of all pairs at all times that are looked at, from surface to surface.
+fn closest(act: &Act, steps: &Steps) -> f64 {
+    let ends = act.cues.iter().map(|cue| cue.end.as_millis_f64()).fold(0.0, f64::max);
+    let mut least = f64::INFINITY;
+    let mut at = 0.0;
+    while at <= ends {
+        let places = places(steps, at);
+        for (index, a) in places.iter().enumerate() {
+            least = places[index + 1..].iter().map(|b| apart(a, b)).fold(least, f64::min);
+        }
+        at += EVERY_MS;
+    }
+    least - 2.0 * RADIUS
+}
+
+const SHOW: &str = "scenario: eight drones
+tempo: 120
+formations:
+  ring: {circle: {radius: 1.5}, at: [2, 0, 1.5]}
+  geese: {v: {spacing: 0.8}, at: [2, 0, 1.5]}
+cues:
+  - {cue: take off, at: 0s, robots: all, shift: [0, 0, 1.5], over: 4 beats, canon: 1 beat}
+  - {cue: circle, after: take off, robots: all, form: ring, over: 16 beats}
+  - {cue: round, after: circle, robots: all, turn: 720, over: 96 beats}
+  - {cue: vee, after: round, robots: all, form: geese, over: 16 beats}
+  - {cue: hold, after: vee + 8s, robots: all, shift: [0, 1, 0], over: 8 beats}
+  - {cue: land, after: hold, robots: all, form: home, over: 16 beats, canon: 1 beat}
+";
+
+#[test]
+fn eight_drones_take_off_in_turn_circle_form_a_v_and_land_in_thirteen_lines() {
+    assert!(SHOW.lines().count() < 50);
+    let act = sound(8, SHOW);
+    let (steps, stated) = (steps(&act, 8), act.in_space.closest.as_ref().unwrap().distance);
+    let sampled = closest(&act, &steps);
+    assert!(
+        stated >= DISTANCE - 1e-6 && sampled >= stated - 1e-6 && sampled <= stated + 0.02,
+        "{sampled} {stated}"
+    );
+    // The third drone takes off with the third beat.
+    assert_eq!((places(&steps, 1_000.0)[2][2], places(&steps, 1_000.0)[3][2]), (0.0, 0.0));
+    assert!(places(&steps, 1_600.0)[2][2] > 0.0 && places(&steps, 3_100.0)[2][2] > 1.49);
+    let cue = |name: &str| act.cues.iter().find(|cue| cue.name == name).unwrap();
+    let end = act.cues.iter().map(|cue| cue.end.as_millis_f64()).fold(0.0, f64::max);
+    let home: Vec<[f64; 3]> = (0..8).map(|index| [f64::from(index) * 0.7, 0.0, 0.0]).collect();
+    for (place, home) in places(&steps, end).iter().zip(&home) {
+        assert!(apart(place, home) < 1e-3, "{place:?} {home:?}");
+    }
+    // On their way round all of them stay on the circle, and come back after two turns.
+    let round = (cue("round").start.as_millis_f64(), cue("round").end.as_millis_f64());
+    for at in 0..=1_000 {
+        let at = round.0 + (round.1 - round.0) * f64::from(at) / 1_000.0;
+        for [x, y, z] in places(&steps, at) {
+            let radius = (x - 2.0).hypot(y);
+            assert!(
+                (radius - 1.5).abs() < 1.5 * ERROR + 1e-3 && (z - 1.5).abs() < 1e-6,
+                "{radius} {z} at {at}"
+            );
+        }
+    }
+    for (a, b) in places(&steps, round.0).iter().zip(places(&steps, round.1)) {
+        assert!(apart(a, &b) < 2.0 * ERROR);
+    }
+}
+
+#[test]
+fn a_hundred_drones_move_from_a_circle_through_a_v_to_a_grid_and_keep_apart() {
+    let text = "scenario: hundred
+formations:
+  ring: {circle: {spacing: 0.6}, at: [0, 0, 5], rotate: [90, 0, 0]}
+  geese: {v: {spacing: 0.8}, at: [0, 0, 5]}
+  block: {grid: {spacing: 0.7}, at: [0, 0, 3]}
+cues:
+  - {cue: up, at: 0s, robots: all, form: ring, over: 12s}
+  - {cue: vee, after: up, robots: all, form: geese, over: 20s}
+  - {cue: block, after: vee, robots: all, form: {to: block, least: longest}, over: 20s}
+";
+    let began = std::time::Instant::now();
+    let act = sound(100, text);
+    let took = began.elapsed();
+    let stated = act.in_space.closest.as_ref().unwrap().distance;
+    eprintln!("compiled in {took:?}, closest {stated}");
+    let sampled = closest(&act, &steps(&act, 100));
+    assert!(stated >= DISTANCE - 1e-6 && sampled >= stated - 1e-6, "{sampled} {stated}");
+}
+
+#[test]
+fn a_group_begins_where_movements_before_it_end_also_in_the_next_act() {
+    let text = "scenario: acts
+acts:
+  - act: one
+    cues:
+      - {cue: later, at: 2s, robots: d0, shift: [0, 0, 2], over: 2s}
+      - {cue: first, at: 0s, robots: d0, tracks: {x: [{at: 0s, to: 0}, {at: 1s, to: 3}]}}
+  - act: two
+    cues: [{cue: turn, at: 0s, robots: d0, turn: {by: 90, about: [0, 0]}, grow: 2, shift: [1, 0, 0], over: 4s}]
+";
+    let compiled = compiled(1, text);
+    let acts = compiled.choreography.unwrap_or_else(|| panic!("{:#?}", compiled.findings)).acts;
+    let last = |act: &Act, device: &str| {
+        let scripts = &act.plan.robots[0].scripts;
+        scripts
+            .iter()
+            .rfind(|script| script.device.as_str() == device)
+            .map(|script| script.script.steps().last().unwrap().setpoint.value)
+    };
+    assert_eq!((last(&acts[0], "x"), last(&acts[0], "y"), last(&acts[0], "z")), (Some(3.0), None, Some(2.0)));
+    // [3, 0] doubled and turned by 90 degrees is [0, 6].
+    assert_eq!((last(&acts[1], "x"), last(&acts[1], "y"), last(&acts[1], "z")), (Some(1.0), Some(6.0), None));
+}
+
+/// The codes of what is found, with the text of the first.
+fn found(count: usize, cue: &str) -> (Vec<Code>, String) {
+    let mut text =
+        "scenario: s\nformations: {three: {points: [[0, 0, 1], [2, 0, 1], [4, 0, 1]]}}\ncues:\n".to_owned();
+    writeln!(text, "  - {{cue: c, at: 0s, robots: all, {cue}}}").unwrap();
+    let findings = compiled(count, &text).findings;
+    let first =
+        findings.first().map(|first| format!("{} | {} | {:?}", first.message, first.expected, first.hint));
+    (findings.iter().map(|finding| finding.code).collect(), first.unwrap_or_default())
+}
+
+#[test]
+fn more_or_fewer_robots_than_places_are_a_choice() {
+    assert_eq!(found(4, "form: three, over: 5s").0, [Code::PlacesCount]);
+    assert_eq!(found(2, "form: three, over: 5s").0, [Code::PlacesCount]);
+    for (count, choice) in [(4, "spare: stay"), (4, "spare: home"), (2, "thin: evenly"), (2, "thin: nearest")]
+    {
+        let (codes, text) = found(count, &format!("form: {{to: three, {choice}}}, over: 5s"));
+        assert!(codes.is_empty(), "{choice}: {text}");
+    }
+    // A choice for the other case does not count.
+    assert_eq!(found(2, "form: {to: three, spare: stay}, over: 5s").0, [Code::PlacesCount]);
+}
+
+#[test]
+fn what_a_group_cannot_do_is_found() {
+    let (codes, text) = found(3, "form: three, over: 100ms");
+    assert_eq!(codes, [Code::BodyTooFast]);
+    assert!(text.contains("`over: "), "{text}");
+    for (cue, code) in [
+        ("form: tree, over: 5s", Code::UnknownFormation),
+        ("form: three", Code::MissingKey),
+        ("over: 3s", Code::MissingKey),
+        ("form: three, over: 0s", Code::BadMotion),
+        ("form: three, turn: 90, over: 5s", Code::UnknownKey),
+        ("form: three, over: 5s, duration: 5s", Code::UnknownKey),
+        ("form: {to: three, least: way}, over: 5s", Code::UnknownWord),
+        ("grow: 0, over: 5s", Code::WrongType),
+        ("shift: [1, 2], over: 5s", Code::WrongType),
+        ("shift: [0, 0, 1e300], over: 5s", Code::WrongType),
+        ("shift: [0, 0, 100], over: 100s", Code::OutOfRange),
+        ("turn: 1e9, over: 5s", Code::WrongType),
+        ("form: three, over: 5s, tracks: {x: [{at: 0s, to: 0}, {at: 1s, to: 0}]}", Code::Overlap),
+    ] {
+        let (codes, text) = found(3, cue);
+        assert!(codes.contains(&code), "{cue}: {codes:?} {text}");
+    }
+    // A robot without a body.
+    let fleet = Fleet { robots: vec![robot()], ..Fleet::default() };
+    let text = "scenario: s\ncues: [{at: 0s, robots: arm, shift: [0, 0, 1], over: 1s}]\n";
+    let source = Source { name: "s.yaml".into(), text: text.to_owned() };
+    let findings = compile(&source, &fleet, &NoFiles).findings;
+    assert_eq!(findings.iter().map(|found| found.code).collect::<Vec<_>>(), [Code::NotInGroup]);
+}

@@ -1,0 +1,231 @@
+//! Laws of groups on their way: assignments are permutations of least cost, and no two bodies come closer than stated.
+
+use proptest::prelude::*;
+
+use super::approach::{SLACK, closest};
+use super::assignment::{Price, cheapest, shortest_longest};
+use super::{Body, Crossing, Goals, Least, Limits, Refused, Way, cross};
+use crate::formation::{Point, metres_between};
+
+const FREE: Limits = Limits { axes: [[f64::INFINITY; 2]; 3], body: [f64::INFINITY; 2] };
+const WAYS: Price = Price { exponent: 1.0, longest: f64::INFINITY };
+
+fn body(from: Point, keep: f64) -> Body {
+    Body { from, keep, begin: 0.0, limits: FREE, heights: Some([0.0, 100.0]) }
+}
+
+fn points(count: impl Into<prop::collection::SizeRange>) -> impl Strategy<Value = Vec<Point>> {
+    prop::collection::vec(prop::array::uniform3(-10.0..10.0f64), count)
+}
+
+/// Every order of the numbers below `count`, by exchanging the last with each.
+fn orders(count: usize) -> Vec<Vec<usize>> {
+    match count {
+        0 => vec![Vec::new()],
+        _ => {
+            let put = |order: Vec<usize>| {
+                (0..count).map(move |at| {
+                    let mut order = order.clone();
+                    order.insert(at, count - 1);
+                    order
+                })
+            };
+            orders(count - 1).into_iter().flat_map(put).collect()
+        }
+    }
+}
+
+fn ways(starts: &[Point], places: &[Point], order: &[usize]) -> Vec<f64> {
+    starts.iter().zip(order).map(|(start, place)| metres_between(*start, places[*place])).collect()
+}
+
+/// The order that an assignment is, which has a place for every start.
+fn order_of(assignment: &[Option<usize>]) -> Vec<usize> {
+    let order: Vec<usize> = assignment.iter().map(|place| place.expect("a place for every start")).collect();
+    let mut sorted = order.clone();
+    sorted.sort_unstable();
+    sorted.dedup();
+    assert_eq!(sorted.len(), order.len(), "each place once");
+    order
+}
+
+/// Whether no exchange of places around any ring of bodies makes the sum smaller: that proves that it is the least one. The
+/// shortest exchanges are found as Bellman and Ford did.
+fn is_least(starts: &[Point], places: &[Point], order: &[usize]) -> bool {
+    let count = starts.len();
+    let gain = |a: usize, b: usize| {
+        metres_between(starts[a], places[order[b]]) - metres_between(starts[a], places[order[a]])
+    };
+    let mut reached = vec![0.0; count];
+    for _ in 0..=count {
+        let mut shorter = false;
+        for a in 0..count {
+            for b in 0..count {
+                let through = reached[a] + gain(a, b);
+                if through < reached[b] - 1e-7 {
+                    (reached[b], shorter) = (through, true);
+                }
+            }
+        }
+        if !shorter {
+            return true;
+        }
+    }
+    false
+}
+
+/// Many distances of two ways, the least of them.
+fn sampled(a: &Way, b: &Way) -> f64 {
+    let (from, to) = (a.begin.min(b.begin), a.end().max(b.end()));
+    let at = |i: u32| from + (to - from) * f64::from(i) / 4_000.0;
+    (0..=4_000).map(|i| metres_between(a.at(at(i)), b.at(at(i)))).fold(f64::INFINITY, f64::min)
+}
+
+#[test]
+fn a_ring_of_exchanges_that_shortens_the_sum_is_found() {
+    let starts = [[0.0; 3], [1.0, 0.0, 0.0], [2.0, 0.0, 0.0]];
+    let places = [[0.0, 1.0, 0.0], [1.0, 1.0, 0.0], [2.0, 1.0, 0.0]];
+    assert!(is_least(&starts, &places, &[0, 1, 2]));
+    assert!(!is_least(&starts, &places, &[1, 2, 0]));
+}
+
+#[test]
+fn ways_of_a_hundred_bodies_are_at_most_one_percent_longer_than_the_least_on_twenty_pairs() {
+    let mut runner = proptest::test_runner::TestRunner::deterministic();
+    for _ in 0..20 {
+        let tree = points(200).new_tree(&mut runner).unwrap();
+        let all = proptest::strategy::ValueTree::current(&tree);
+        let (starts, places) = all.split_at(100);
+        let order = order_of(&cheapest(starts, places, WAYS));
+        assert!(is_least(starts, places, &order));
+        let least: f64 = ways(starts, places, &order).iter().sum();
+        let bodies: Vec<Body> = starts.iter().map(|start| body(*start, 0.1)).collect();
+        let goals = Goals::Any(places, starts);
+        let crossing = Crossing { bodies: &bodies, goals, least: Least::Total, over: 10.0 };
+        let crossed = cross(&crossing).unwrap();
+        let total: f64 = crossed.iter().map(|way| metres_between(way.from, way.to)).sum();
+        assert!(total <= 1.01 * least, "{total} {least}");
+        for (index, a) in crossed.iter().enumerate() {
+            for b in &crossed[index + 1..] {
+                let ends = metres_between(a.from, b.from).min(metres_between(a.to, b.to));
+                let required = ends.min(0.2) - SLACK;
+                assert!(closest(a, b, required - SLACK).is_none(), "{a:?} {b:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn two_bodies_that_change_places_go_past_each_other_only_if_one_can_move_aside() {
+    let crossing = |heights: Option<[f64; 2]>| {
+        let at = |x: f64| Body { heights, ..body([x, 0.0, 1.0], 0.2) };
+        let (bodies, goals) = ([at(0.0), at(3.0)], [[3.0, 0.0, 1.0], [0.0, 0.0, 1.0]]);
+        cross(&Crossing { bodies: &bodies, goals: Goals::Own(&goals), least: Least::Total, over: 4.0 })
+    };
+    let ways = crossing(Some([1.0, 3.0])).unwrap();
+    assert!(sampled(&ways[0], &ways[1]) >= 0.4 - SLACK, "{ways:?}");
+    let Err(Refused::Blocked(blocked)) = crossing(None) else { panic!("they cannot change their height") };
+    assert_eq!((blocked.pair, blocked.pairs), ([0, 1], 1));
+    assert!(blocked.distance < 1e-6 && (blocked.at - 2.0).abs() < 0.1, "{blocked:?}");
+}
+
+#[test]
+fn the_shortest_time_that_is_named_is_enough_and_less_is_not() {
+    let limits = Limits { body: [1.5, 4.0], ..FREE };
+    let bodies = [Body { limits, ..body([0.0; 3], 0.1) }];
+    let over = |over| {
+        let goals = Goals::Own(&[[4.0, 3.0, 0.0]]);
+        cross(&Crossing { bodies: &bodies, goals, least: Least::Total, over })
+    };
+    let Err(Refused::TooShort { seconds, .. }) = over(1.0) else { panic!("5 m in 1 s") };
+    // The largest speed of minimum jerk is 15/8 of the mean one.
+    assert!((seconds - 1.875 * 5.0 / 1.5).abs() < 1e-9, "{seconds}");
+    assert!(over(seconds).is_ok() && over(seconds * 0.999).is_err());
+}
+
+#[test]
+fn a_thousand_bodies_get_their_places() {
+    let turn = |index: usize| {
+        let angle = std::f64::consts::TAU * index as f64 / 1_000.0;
+        [100.0 * angle.cos(), 100.0 * angle.sin(), 50.0]
+    };
+    let bodies: Vec<Body> = (0..1_000).map(|index| body(turn(index), 0.2)).collect();
+    let places: Vec<Point> =
+        (0..1_000).map(|index| [(index % 40) as f64 - 20.0, (index / 40) as f64 - 12.0, 50.0]).collect();
+    let starts: Vec<Point> = bodies.iter().map(|body| body.from).collect();
+    let began = std::time::Instant::now();
+    assert!(is_least(&starts, &places, &order_of(&cheapest(&starts, &places, WAYS))));
+    eprintln!("assigned in {:?}", began.elapsed());
+    let crossing =
+        Crossing { bodies: &bodies, goals: Goals::Any(&places, &starts), least: Least::Longest, over: 60.0 };
+    let crossed = cross(&crossing);
+    eprintln!("crossed in {:?}: {:?}", began.elapsed(), crossed.as_ref().map(Vec::len));
+    assert!(crossed.is_ok());
+}
+
+proptest! {
+    #[test]
+    fn the_least_sum_and_the_shortest_longest_way_are_those_of_all_orders(all in (1usize..=7).prop_flat_map(|n| points(2 * n))) {
+        let (starts, places) = all.split_at(all.len() / 2);
+        let every = orders(starts.len());
+        let sums = every.iter().map(|order| ways(starts, places, order).iter().sum::<f64>());
+        let longest = every.iter().map(|order| ways(starts, places, order).into_iter().fold(0.0, f64::max));
+        let (least, shortest) = (sums.fold(f64::INFINITY, f64::min), longest.fold(f64::INFINITY, f64::min));
+        let found = order_of(&cheapest(starts, places, WAYS));
+        prop_assert!((ways(starts, places, &found).iter().sum::<f64>() - least).abs() < 1e-6);
+        prop_assert!((shortest_longest(starts, places) - shortest).abs() < 1e-9);
+        let bound = Price { exponent: 1.0, longest: shortest * (1.0 + 1e-9) };
+        let bounded = order_of(&cheapest(starts, places, bound));
+        prop_assert!(ways(starts, places, &bounded).into_iter().fold(0.0, f64::max) <= shortest + 1e-6);
+    }
+
+    #[test]
+    fn with_fewer_places_or_bodies_each_place_is_taken_once(starts in points(0..12), places in points(0..12)) {
+        let assignment = cheapest(&starts, &places, WAYS);
+        prop_assert_eq!(assignment.len(), starts.len());
+        let taken: Vec<Option<usize>> = assignment.into_iter().filter(Option::is_some).collect();
+        prop_assert_eq!(order_of(&taken).len(), starts.len().min(places.len()));
+    }
+
+    #[test]
+    fn no_sample_is_closer_than_the_stated_approach(
+        ends in points(4), times in prop::array::uniform4(0.1..5.0f64), lifts in prop::array::uniform2(-2.0..2.0f64), even: bool
+    ) {
+        let way = |index: usize| Way {
+            from: ends[index], to: ends[index + 2], begin: times[index], length: times[index + 2], lift: lifts[index],
+        };
+        let (a, mut b) = (way(0), way(1));
+        let a = if even { Way { lift: 0.0, ..a } } else { a };
+        if even {
+            b = Way { begin: a.begin, length: a.length, lift: 0.0, ..b };
+        }
+        let found = closest(&a, &b, 1e3).unwrap();
+        let sampled = sampled(&a, &b);
+        prop_assert!(found.distance <= sampled + 1e-9, "{} {sampled}", found.distance);
+        prop_assert!(found.distance >= sampled - 2.0 * SLACK - 0.05, "{} {sampled}", found.distance);
+        prop_assert!(metres_between(a.at(found.at), b.at(found.at)) <= found.distance + SLACK + 1e-6);
+        prop_assert!(closest(&a, &b, found.distance - 1e-6).is_none());
+    }
+
+    #[test]
+    fn bodies_that_are_let_through_keep_apart(
+        starts in points(2..9), shift in prop::array::uniform3(-8.0..8.0f64), keep in 0.05..1.0f64, canon in 0.0..1.0f64,
+        longest: bool,
+    ) {
+        let goals: Vec<Point> = starts.iter().map(|[x, y, z]| [y + shift[0], -x + shift[1], z + shift[2]]).collect();
+        let begins = (0..starts.len()).map(|index| canon * index as f64);
+        let bodies: Vec<Body> =
+            starts.iter().zip(begins).map(|(start, begin)| Body { begin, ..body(*start, keep) }).collect();
+        let least = if longest { Least::Longest } else { Least::Total };
+        let crossing = Crossing { bodies: &bodies, goals: Goals::Any(&goals, &starts), least, over: 5.0 };
+        if let Ok(ways) = cross(&crossing) {
+            for (a, b) in ways.iter().enumerate().flat_map(|(i, a)| ways[i + 1..].iter().map(move |b| (a, b))) {
+                let ends = metres_between(a.from, b.from).min(metres_between(a.to, b.to));
+                prop_assert!(sampled(a, b) >= ends.min(2.0 * keep) - SLACK - 1e-6, "{a:?} {b:?}");
+            }
+            for (way, body) in ways.iter().zip(&bodies) {
+                prop_assert!(way.begin >= body.begin - 1e-9 && way.end() <= body.begin + 5.0 + 1e-9);
+            }
+        }
+    }
+}
