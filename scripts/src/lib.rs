@@ -31,6 +31,7 @@ mod fleet;
 mod identify;
 pub mod import;
 mod init;
+mod inventory;
 mod keys;
 #[cfg(test)]
 mod known;
@@ -76,6 +77,7 @@ pub use fleet::{
     read_latency_file,
 };
 pub use init::{init_of, init_text, read_init};
+pub use inventory::{Offer, Parameter, inventory};
 pub use open::open;
 pub use plan::{
     Act, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, Floor, OnDoubt, OnFailure, Plan,

@@ -16,7 +16,7 @@ use crate::node::Node;
 pub(super) const OFF_GRID: [(&str, OffGrid); 2] = [("refuse", OffGrid::Refuse), ("snap", OffGrid::Snap)];
 pub(super) const ORDER: [(&str, Order); 2] = [("given", Order::Given), ("auto", Order::Auto)];
 
-pub(crate) const CUE_KEYS: [&str; 24] = [
+pub(crate) const CUE_KEYS: [&str; 25] = [
     "cue",
     "at",
     "after",
@@ -26,6 +26,7 @@ pub(crate) const CUE_KEYS: [&str; 24] = [
     "duration",
     "robots",
     "move",
+    "sequence",
     "parameters",
     "tracks",
     "devices",
@@ -62,6 +63,8 @@ pub(super) fn read(
         duration,
         robots,
         named,
+        // Read by `sequence`, before there is a cue.
+        _sequence,
         parameters,
         tracks,
         devices,
@@ -80,7 +83,7 @@ pub(super) fn read(
     ] = reader.map(at, "a cue", CUE_KEYS, &[])?;
     let when = When { at: start, after, with, before, end_by };
     let (relations, fixed) = when.read(reader);
-    reader.music.start = fixed;
+    (reader.music.start, reader.nesting.began) = (fixed, fixed);
     let tolerance = tolerance.and_then(|at| reader.positive(&at, "an error above 0, in the device's unit"));
     let shaping = Shaping {
         named,
@@ -95,7 +98,10 @@ pub(super) fn read(
         tolerance,
     };
     let moves = named.is_some() || tracks.is_some() || readings.is_some();
-    for (missing, key) in [(robots.is_none() && moves, "robots"), (robots.is_some() && !moves, "tracks")] {
+    let cast = reader.nesting.robots.clone().filter(|_| robots.is_none() && moves);
+    for (missing, key) in
+        [(robots.is_none() && moves && cast.is_none(), "robots"), (robots.is_some() && !moves, "tracks")]
+    {
         if missing && !reader.is_miswritten(at, key) {
             let message = format!("a cue has no `{key}`");
             let hint =
@@ -104,10 +110,17 @@ pub(super) fn read(
         }
     }
     let robots_place = robots.map_or_else(|| at.place(), |at| at.place());
-    let robots = robots.map(|at| robot_names(reader, &at)).unwrap_or_default();
+    let robots = match cast {
+        Some(cast) => cast.to_vec(),
+        None => {
+            let names = robots.map(|at| robot_names(reader, &at)).unwrap_or_default();
+            library.cast(reader, names)
+        }
+    };
     let entries = overrides.as_ref().map(|at| reader.entries(at, "robot to what is different for it"));
     let entries = entries.unwrap_or_default();
-    let overriding = read_overrides(reader, &shaping, &entries);
+    let mut overriding = read_overrides(reader, &shaping, &entries);
+    overriding.iter_mut().for_each(|overriding| library.cast_name(reader, &mut overriding.name));
     let read = movements(reader, library, &shaping, &overriding, &robots);
     let cue = Cue {
         name: name
