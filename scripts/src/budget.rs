@@ -11,6 +11,14 @@ pub(crate) const USES_MAX: usize = 5_000_000;
 
 /// Most steps of expressions that are taken.
 pub(crate) const EVALUATIONS_MAX: usize = 10_000_000;
+/// Most moves that the movement of a cue plays, one within another or one after another.
+pub(crate) const PLAYS_MAX: usize = 10_000;
+/// Most moves that all movements of a scenario play.
+pub(crate) const PLAYS_IN_ALL_MAX: usize = 2_000_000;
+/// Most cues that all sequences of a scenario make.
+pub(crate) const SEQUENCE_CUES_MAX: usize = 20_000;
+/// Most moves, sequences or files within one another.
+pub(crate) const DEPTH_MAX: usize = 32;
 /// Most names that wrong ones are compared with.
 pub(crate) const COMPARISONS_MAX: usize = 1_000_000;
 /// Most errors that are reported, and as many warnings.
@@ -35,6 +43,11 @@ pub(crate) struct Budget {
 impl Budget {
     pub(crate) const fn new(most: usize) -> Self {
         Self { most, left: most, overdrawn: false }
+    }
+
+    /// Of which nothing is left, and this has been told.
+    pub(crate) const fn overdrawn(most: usize) -> Self {
+        Self { most, left: 0, overdrawn: true }
     }
 
     pub(crate) const fn most(&self) -> usize {

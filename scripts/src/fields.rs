@@ -2,17 +2,18 @@
 
 use std::borrow::Cow;
 use std::cell::Cell;
+use std::sync::Arc;
 
 use crate::budget::{Budget, COMPARISONS_MAX, EVALUATIONS_MAX, FINDINGS_MAX, KNOTS_MAX, longest};
 use crate::duration;
-use crate::exact::{Exact, Laps};
+use crate::exact::{Beginning, Exact, Laps};
 use crate::expression::{self, Robots};
 use crate::finding::{
-    Code, Finding, Part, Pending, Place, Severity, did_you_mean_this, names, nearest, one_of,
+    Code, Finding, Part, Pending, Place, Severity, Use, did_you_mean_this, names, nearest, one_of,
 };
 use crate::music::Music;
 use crate::node::{Node, shortened};
-use crate::scenario::{Group, Unset, is_spread};
+use crate::scenario::{Group, Nesting, Unset, is_spread};
 use crate::scope::Scope;
 use crate::syntax;
 use urrcp::Span;
@@ -26,7 +27,7 @@ pub(crate) struct At<'a> {
 
 #[derive(Clone, Copy)]
 enum Trail<'a> {
-    Document(u16),
+    Document(u16, Option<&'a Arc<Use>>),
     Key(&'a At<'a>, &'a str, usize),
     Index(&'a At<'a>, usize),
 }
@@ -34,7 +35,17 @@ enum Trail<'a> {
 impl<'a> At<'a> {
     /// The root of a file, counted from 0 for the scenario itself.
     pub(crate) fn document(node: &'a Node, file: u16) -> Self {
-        Self { node, trail: Trail::Document(file) }
+        Self { node, trail: Trail::Document(file, None) }
+    }
+
+    /// The root of a file for what is read of it because of a use.
+    pub(crate) fn used(node: &'a Node, file: u16, used: Option<&'a Arc<Use>>) -> Self {
+        Self { node, trail: Trail::Document(file, used) }
+    }
+
+    /// Another node at the same place.
+    pub(crate) fn with(&self, node: &'a Node) -> At<'a> {
+        At { node, trail: self.trail }
     }
 
     pub(crate) fn item(&'a self, index: usize, node: &'a Node) -> At<'a> {
@@ -47,28 +58,28 @@ impl<'a> At<'a> {
 
     /// The place of this node.
     pub(crate) fn place(&self) -> Place {
-        let (file, path) = self.path();
-        Place { file, path, key: false, within: None }
+        let (file, used, path) = self.path();
+        Place { file, path, key: false, within: None, used: used.cloned() }
     }
 
     /// The place of the key that leads to it.
     pub(crate) fn key_place(&self) -> Place {
-        let (file, path) = self.path();
-        Place { file, path, key: true, within: None }
+        let (file, used, path) = self.path();
+        Place { file, path, key: true, within: None, used: used.cloned() }
     }
 
-    fn path(&self) -> (u16, Vec<Part>) {
+    fn path(&self) -> (u16, Option<&'a Arc<Use>>, Vec<Part>) {
         match self.trail {
-            Trail::Document(file) => (file, Vec::new()),
+            Trail::Document(file, used) => (file, used, Vec::new()),
             Trail::Key(parent, key, occurrence) => {
-                let (file, mut path) = parent.path();
+                let (file, used, mut path) = parent.path();
                 path.push(Part::Key(key.to_owned(), occurrence));
-                (file, path)
+                (file, used, path)
             }
             Trail::Index(parent, index) => {
-                let (file, mut path) = parent.path();
+                let (file, used, mut path) = parent.path();
                 path.push(Part::Index(index));
-                (file, path)
+                (file, used, path)
             }
         }
     }
@@ -89,6 +100,10 @@ pub(crate) struct Reader {
     pub(crate) robots: Robots,
     /// The robots of its cue.
     pub(crate) group: Group,
+    /// Which moves and sequences are being read, one within another.
+    pub(crate) nesting: Nesting,
+    /// Where the times of cues count from, as far as that is known.
+    pub(crate) origin: Beginning,
     /// Values that a decimal comma cut in two, of which that is told already.
     cut: Vec<Place>,
     /// Comparisons of names that are left.
@@ -124,6 +139,8 @@ impl Default for Reader {
             evaluations: Budget::new(EVALUATIONS_MAX),
             robots: Robots::default(),
             group: Group::default(),
+            nesting: Nesting::default(),
+            origin: Beginning(Some(Exact::ZERO)),
             cut: Vec::new(),
             comparisons: Cell::new(COMPARISONS_MAX),
             told: [Told::default(); 2],

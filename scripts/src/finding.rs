@@ -1,5 +1,7 @@
 //! What a user did wrong: a code, a place, what was found and expected, how to fix it.
 
+use std::sync::Arc;
+
 use serde::Serialize;
 
 use crate::node::shortened;
@@ -124,6 +126,9 @@ codes! {
     PlacesCount = "DB0073", Error, "more or fewer robots than places";
     NoWayPast = "DB0074", Error, "bodies that cannot pass each other";
     UnknownFormation = "DB0075", Error, "no formation of this name";
+    PlaysItself = "DB0080", Error, "a move, a sequence or a file that leads back to itself";
+    UnknownSequence = "DB0081", Error, "no sequence of this name";
+    WrongKind = "DB0082", Error, "a value of another kind than its parameter";
 }
 
 impl Code {
@@ -242,6 +247,19 @@ pub(crate) struct Place {
     pub(crate) key: bool,
     /// Some characters of the text that stands there.
     pub(crate) within: Option<Within>,
+    /// For which use it was read, if it stands in something that is used from elsewhere.
+    pub(crate) used: Option<Arc<Use>>,
+}
+
+/// A place at which something is used that stands elsewhere: a move that another plays, a sequence, a file.
+#[derive(Clone, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Use {
+    /// What is used, as `the move `wave``.
+    pub(crate) what: String,
+    /// What uses it, if that has a name.
+    pub(crate) by: Option<String>,
+    /// Where; which may itself have been read for a use.
+    pub(crate) place: Place,
 }
 
 /// Characters of a text: which ones, and the whole text, by which they are found in the file.
@@ -257,7 +275,7 @@ impl Place {
     pub(crate) fn below(&self, part: Part) -> Self {
         let mut path = self.path.clone();
         path.push(part);
-        Self { file: self.file, path, key: false, within: None }
+        Self { file: self.file, path, key: false, within: None, used: self.used.clone() }
     }
 
     /// The place of a key's value below this one.

@@ -33,6 +33,7 @@ mod formation;
 mod identify;
 pub mod import;
 mod init;
+mod inventory;
 mod keys;
 #[cfg(test)]
 mod known;
@@ -79,6 +80,7 @@ pub use fleet::{
     read_fleet_to_measure, read_fleet_within, read_latency_file,
 };
 pub use init::{init_of, init_text, read_init};
+pub use inventory::{Offer, Parameter, inventory};
 pub use open::open;
 pub use plan::{
     Act, Ceiling, Choreography, DeviceScript, DeviceUse, FailurePolicy, Floor, OnDoubt, OnFailure, Plan,

@@ -1,6 +1,8 @@
 //! Where paths into the tree are in the text: one pass of a parser that keeps places, made only when there is something
 //! to report. What stands behind an alias is placed where the alias is used.
 
+mod uses;
+
 use std::borrow::Borrow;
 use std::collections::HashMap;
 
@@ -18,10 +20,11 @@ const LINES_BYTES_MAX: usize = 16 * 1024 * 1024;
 
 /// Gives every finding its line and column, and sorts them by place: the findings of each file together.
 pub(crate) fn locate<S: Borrow<Source>>(sources: &[S], pending: Vec<Pending>) -> Vec<Finding> {
-    let mut by_file: Vec<Vec<Pending>> = sources.iter().map(|_| Vec::new()).collect();
-    for finding in pending {
+    let mut by_file: Vec<Vec<(Pending, String)>> = sources.iter().map(|_| Vec::new()).collect();
+    let uses = uses::told(sources, &pending);
+    for (finding, use_) in pending.into_iter().zip(uses) {
         if let Some(file) = by_file.get_mut(usize::from(finding.place.file)) {
-            file.push(finding);
+            file.push((finding, use_));
         }
     }
     sources.iter().zip(by_file).flat_map(|(source, pending)| locate_in(source.borrow(), pending)).collect()
@@ -43,38 +46,43 @@ pub(crate) fn lines_of<S: Borrow<Source>>(sources: &[S], places: &[&Place]) -> V
     lines
 }
 
-fn locate_in(source: &Source, pending: Vec<Pending>) -> Vec<Finding> {
+/// Each finding comes with the uses that led to it, for the end of its message.
+fn locate_in(source: &Source, pending: Vec<(Pending, String)>) -> Vec<Finding> {
     if pending.is_empty() {
         return Vec::new();
     }
     let mut wanted = Wanted::default();
+    let (mut pending, uses): (Vec<Pending>, Vec<String>) = pending.into_iter().unzip();
+    for finding in &mut pending {
+        finding.related.retain(|(place, _)| place.file == finding.place.file);
+    }
     let nodes: Vec<usize> = pending.iter().map(|p| wanted.add(&p.place)).collect();
     let related: Vec<Vec<usize>> =
         pending.iter().map(|p| p.related.iter().map(|(place, _)| wanted.add(place)).collect()).collect();
     wanted.find(&source.text);
     let lines = LineStarts::of(&source.text);
     let mut room = LINES_BYTES_MAX;
-    let mut findings: Vec<_> = pending
-        .into_iter()
-        .zip(nodes)
-        .zip(related)
-        .map(|((pending, node), related)| {
-            let place = lines.within(wanted.spot(node, pending.place.key));
-            let place = match &pending.place.within {
-                Some(within) => lines.part(&source.text, place, within),
-                None => place,
-            };
-            let others = related.iter().zip(&pending.related).map(|(node, (place, message))| {
-                related_place(source, &lines, lines.within(wanted.spot(*node, place.key)), message, &mut room)
-            });
-            let others = others.collect();
-            finding(source, &lines, pending, place, others, &mut room)
-        })
-        .collect();
-    findings.sort_by_key(|finding| (finding.line, finding.column, finding.code));
-    // A move that several cues use is read once for each, and its faults found as often.
-    findings.dedup();
-    findings
+    let findings = pending.into_iter().zip(nodes).zip(related).map(|((pending, node), related)| {
+        let place = lines.within(wanted.spot(node, pending.place.key));
+        let place = match &pending.place.within {
+            Some(within) => lines.part(&source.text, place, within),
+            None => place,
+        };
+        let others = related.iter().zip(&pending.related).map(|(node, (place, message))| {
+            related_place(source, &lines, lines.within(wanted.spot(*node, place.key)), message, &mut room)
+        });
+        let others = others.collect();
+        finding(source, &lines, pending, place, others, &mut room)
+    });
+    let mut findings: Vec<_> = findings.zip(uses).collect();
+    findings.sort_by_key(|(finding, _)| (finding.line, finding.column, finding.code));
+    // A move that several cues use is read once for each, and its faults found as often: the first use is told.
+    findings.dedup_by(|(finding, _), (before, _)| finding == before);
+    let told = |(mut finding, uses): (Finding, String)| {
+        finding.message.push_str(&uses);
+        finding
+    };
+    findings.into_iter().map(told).collect()
 }
 
 fn related_place(

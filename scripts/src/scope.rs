@@ -33,6 +33,18 @@ impl Scope {
         self.all.len()
     }
 
+    /// Takes out everything set after the mark, to be put back by [`Self::restore`].
+    pub(crate) fn hide(&mut self, mark: usize) -> Vec<(String, Node)> {
+        let hidden = self.all.get(mark..).map(<[_]>::to_vec).unwrap_or_default();
+        self.forget(mark);
+        hidden
+    }
+
+    /// Puts back what was hidden.
+    pub(crate) fn restore(&mut self, hidden: Vec<(String, Node)>) {
+        hidden.into_iter().for_each(|(name, value)| self.set(name, value));
+    }
+
     /// Drops everything set after the mark.
     pub(crate) fn forget(&mut self, mark: usize) {
         for (name, _) in self.all.drain(mark.min(self.all.len())..) {

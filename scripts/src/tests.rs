@@ -221,6 +221,7 @@ proptest! {
     }
 }
 
+mod composed;
 mod expressions;
 mod groups;
 mod hints;

@@ -6,7 +6,7 @@ use urrcp::{ControlType, Limits, Span};
 
 use super::perform::{OnDevice, limits_of, snaps};
 use crate::fields::Reader;
-use crate::finding::{Code, Part, Place};
+use crate::finding::{Code, Place};
 use crate::motion::{Curve, Knot, Shape};
 use crate::scenario::{Track, Vectors};
 
@@ -15,16 +15,13 @@ const SAMPLES: u32 = 128;
 
 /// The place of an item of a track's list; of the list where the item has none.
 pub(super) fn item_place(track: &Track, item: u32) -> Place {
-    match item {
-        u32::MAX => track.list.clone(),
-        item => track.list.below(Part::Index(item as usize)),
-    }
+    track.item(item).2
 }
 
 fn value_place(track: &Track, item: u32) -> Place {
-    match item {
-        u32::MAX => track.list.clone(),
-        item => item_place(track, item).of_key("to"),
+    match track.item(item) {
+        (_, None, list) => list,
+        (_, Some(_), place) => place.of_key("to"),
     }
 }
 
@@ -183,9 +180,9 @@ fn snap(
 
 /// `keyframe 3: `, counted from 1, where the file has items.
 pub(super) fn named(track: &Track, item: u32) -> String {
-    match item {
-        u32::MAX => String::new(),
-        item => format!("{} {}: ", track.items.one(), item + 1),
+    match track.item(item) {
+        (_, None, _) => String::new(),
+        (items, Some(item), _) => format!("{} {}: ", items.one(), item + 1),
     }
 }
 

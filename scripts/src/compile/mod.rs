@@ -68,7 +68,7 @@ pub fn compile(source: &Source, fleet: &Fleet, files: &dyn Files) -> Compiled {
     let mut reader = Reader::default();
     reader.knots = Budget::new(knots_max(fleet));
     let scenario = scenario::read(&mut reader, &documents, files, fleet);
-    let Documents { sources, nodes } = documents;
+    let Documents { sources, nodes, .. } = documents;
     drop(nodes);
     let readable = reader.found.is_empty();
     let mut compiler = Compiler { scenario: scenario.unwrap_or_default(), findings: reader };

@@ -160,7 +160,7 @@ impl<'c, 'a> Performer<'c, 'a> {
                 let part = Arc::new(part);
                 for member in class.members {
                     let segment = Segment {
-                        begin: time.start + member.delay,
+                        begin: time.start + member.delay + time.stretch.of(track.starts),
                         cue: name.clone(),
                         stop_condition: cue.stop_condition,
                         part: part.clone(),
@@ -224,7 +224,7 @@ impl<'c, 'a> Performer<'c, 'a> {
         {
             return None;
         }
-        let curve = stretched(curve, stretch);
+        let curve = stretched(curve, stretch, on.track.starts);
         let curve = curve.as_ref();
         let actuator = Actuator::new(on.device, control_type, self.room(on.device));
         let before = self.findings.found.len();
@@ -498,12 +498,12 @@ pub(super) fn unknown_sensor(
 }
 
 /// A movement as its cue plays it.
-fn stretched(curve: &Curve, stretch: Stretch) -> Cow<'_, Curve> {
+fn stretched(curve: &Curve, stretch: Stretch, starts: Span) -> Cow<'_, Curve> {
     if stretch.from == stretch.to {
         return Cow::Borrowed(curve);
     }
     let mut curve = curve.clone();
-    curve.stretch(stretch);
+    curve.stretch(stretch, starts);
     Cow::Owned(curve)
 }
 

@@ -30,8 +30,9 @@ pub(super) fn thinned(on: &OnDevice<'_>, vectors: &Vectors, stretch: Stretch) ->
         },
     };
     let (worst, worst_at) = kept.worst;
-    let steps = kept.items.into_owned().moved(|at| stretch.of(at));
-    Thinned { steps, worst, worst_at: stretch.of(worst_at) }
+    let starts = on.track.starts;
+    let stretched = |at: Span| stretch.of(starts + at) - stretch.of(starts);
+    Thinned { steps: kept.items.into_owned().moved(stretched), worst, worst_at: stretched(worst_at) }
 }
 
 /// The error that a track allows: its own tolerance, or what the script's limits name.

@@ -265,7 +265,7 @@ pub(super) fn read(
 
 /// Where the file says something of a robot, or of one of its devices.
 fn place_in_file(file: u16, robot: &RobotId, device: Option<&DeviceId>) -> Place {
-    let of_file = Place { file, path: Vec::new(), key: true, within: None };
+    let of_file = Place { file, path: Vec::new(), key: true, within: None, used: None };
     let of_robot = of_file.of_key("latency").of_key(robot.as_str());
     let place = device.map_or(of_robot.clone(), |device| of_robot.of_key(device.as_str()));
     Place { key: true, ..place }

@@ -134,6 +134,20 @@ impl Shape {
     }
 }
 
+impl Knot {
+    /// The same later, with other numbers for items and functions.
+    fn moved(&self, by: Span, item: u32, function: u32) -> Self {
+        let shape = match self.shape {
+            Shape::Function { index, gain, offset, reversed } => {
+                Shape::Function { index: index.saturating_add(function), gain, offset, reversed }
+            }
+            shape => shape,
+        };
+        let item = if self.item == u32::MAX { item } else { item.saturating_add(self.item) };
+        Self { at: by + self.at, to: self.to, shape, item }
+    }
+}
+
 impl Curve {
     /// Knots with the functions that they refer to.
     pub(crate) fn new(knots: Vec<Knot>, functions: Vec<Function>) -> Self {
@@ -163,11 +177,39 @@ impl Curve {
         }
     }
 
-    /// All times, so that one length becomes another.
-    pub(crate) fn stretch(&mut self, stretch: Stretch) {
+    /// All times of a curve that begins at `starts`, so that one length becomes another.
+    pub(crate) fn stretch(&mut self, stretch: Stretch, starts: Span) {
+        let begin = stretch.of(starts);
         for knot in &mut self.knots {
-            knot.at = stretch.of(knot.at);
+            knot.at = stretch.of(starts + knot.at) - begin;
         }
+    }
+
+    /// Several movements one after another, each with the time from which its own times count and the number of its first item.
+    /// Until the next one begins the last value stays; where two do not meet, there is a jump.
+    pub(crate) fn joined<'a>(parts: impl Iterator<Item = (&'a Self, Span, u32)>) -> Self {
+        let (mut knots, mut functions): (Vec<Knot>, Vec<Function>) = (Vec::new(), Vec::new());
+        for (curve, begin, item) in parts {
+            let Some(first) = curve.knots.first() else { continue };
+            let offset = u32::try_from(functions.len()).unwrap_or(u32::MAX);
+            functions.extend(curve.functions.iter().cloned());
+            let moved = |knot: &Knot| knot.moved(begin, item, offset);
+            let last = knots.last().copied();
+            if let Some(last) = last.filter(|last| last.at < begin) {
+                knots.push(Knot { at: begin, shape: Shape::Eased(Easing::Step), ..last });
+            }
+            let meets = |last: Knot| first.at == Span::ZERO && first.to == last.to;
+            if !last.is_some_and(meets) {
+                let shape = match first.shape {
+                    shape if last.is_none() || first.at > Span::ZERO => shape,
+                    Shape::Sampled(_) => Shape::Meets,
+                    _ => Shape::Early,
+                };
+                knots.push(Knot { shape, ..moved(first) });
+            }
+            knots.extend(curve.knots[1..].iter().map(moved));
+        }
+        Self::new(knots, functions)
     }
 
     /// Backwards within a time of `length`, which is no shorter than the movement.

@@ -131,7 +131,9 @@ impl Group {
             overridden.extend(robots.into_iter().map(|robot| (robot, movement)));
         }
         for (index, robot) in self.robots.iter().enumerate() {
-            let Some(axes) = self.fleet.get_mut(*robot).and_then(|robot| robot.axes.as_mut()) else { continue };
+            let Some(axes) = self.fleet.get_mut(*robot).and_then(|robot| robot.axes.as_mut()) else {
+                continue;
+            };
             let own = cue.own_of.get(index).copied().flatten().and_then(|own| cue.own.get(own));
             // Which place a formation gives to which robot is known only once the cue is compiled.
             if cue.group.is_some() {

@@ -6,9 +6,9 @@ use serde::Serialize;
 use serde::de::IntoDeserializer;
 use urrcp::{Server, Span, StopCondition, Timestamp};
 
-use super::cue::{self, ORDER};
+use super::cue::ORDER;
 use super::library::{self, Library};
-use super::{Act, Name, OffGrid, Order};
+use super::{Act, Name, OffGrid, Order, sequence};
 use crate::fields::{At, Reader};
 use crate::finding::{Code, Place, names};
 use crate::node::{Node, shortened};
@@ -210,8 +210,8 @@ fn read_cues(
     if items.is_empty() && matches!(at.node, Node::List(_)) {
         super::nothing(reader, at, &format!("{whose} has no cues"), "at least one cue");
     }
-    let cue = |(index, item)| cue::read(reader, library, defaults, item, index);
-    items.iter().enumerate().filter_map(cue).collect()
+    let cue = |(index, item)| sequence::cues(reader, library, defaults, item, index);
+    items.iter().enumerate().flat_map(cue).collect()
 }
 
 fn act(

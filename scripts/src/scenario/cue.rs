@@ -17,7 +17,7 @@ use crate::node::Node;
 pub(super) const OFF_GRID: [(&str, OffGrid); 2] = [("refuse", OffGrid::Refuse), ("snap", OffGrid::Snap)];
 pub(super) const ORDER: [(&str, Order); 2] = [("given", Order::Given), ("auto", Order::Auto)];
 
-pub(crate) const CUE_KEYS: [&str; 29] = [
+pub(crate) const CUE_KEYS: [&str; 30] = [
     "cue",
     "at",
     "after",
@@ -27,6 +27,7 @@ pub(crate) const CUE_KEYS: [&str; 29] = [
     "duration",
     "robots",
     "move",
+    "sequence",
     "parameters",
     "tracks",
     "devices",
@@ -68,6 +69,8 @@ pub(super) fn read(
         duration,
         robots,
         named,
+        // Read by `sequence`, before there is a cue.
+        _sequence,
         parameters,
         tracks,
         devices,
@@ -89,12 +92,31 @@ pub(super) fn read(
         shift,
         over,
     ] = reader.map(at, "a cue", CUE_KEYS, &[])?;
+    let grouped = [form, turn, grow, shift].iter().any(Option::is_some);
+    let moves = named.is_some() || tracks.is_some() || readings.is_some() || grouped;
+    let cast = reader.nesting.robots.clone().filter(|_| robots.is_none() && moves);
+    for (missing, key) in
+        [(robots.is_none() && moves && cast.is_none(), "robots"), (robots.is_some() && !moves, "tracks")]
+    {
+        if missing && !reader.is_miswritten(at, key) {
+            let message = format!("a cue has no `{key}`");
+            let hint =
+                Some("a cue with neither robots nor tracks is a mark that others can refer to".to_owned());
+            reader.add(Code::MissingKey, at.place(), message, format!("a key `{key}`"), hint);
+        }
+    }
     let robots_place = robots.map_or_else(|| at.place(), |at| at.place());
-    let names = robots.map(|at| robot_names(reader, &at)).unwrap_or_default();
+    let names = match cast {
+        Some(cast) => cast.to_vec(),
+        None => {
+            let names = robots.map(|at| robot_names(reader, &at)).unwrap_or_default();
+            library.cast(reader, names)
+        }
+    };
     reader.group.enter(library.robots(&names));
     let when = When { at: start, after, with, before, end_by };
     let Timing { relations, start: fixed, late } = when.read(reader);
-    reader.music.start = fixed;
+    (reader.music.start, reader.nesting.began) = (fixed, fixed);
     let tolerance = tolerance.and_then(|at| reader.positive(&at, "an error above 0, in the device's unit"));
     let shaping = Shaping {
         named,
@@ -108,20 +130,14 @@ pub(super) fn read(
         delay: None,
         tolerance,
     };
-    let group = form::read(reader, at, [form, turn, grow, shift, over], duration);
-    let grouped = [form, turn, grow, shift].iter().any(Option::is_some);
-    let moves = named.is_some() || tracks.is_some() || readings.is_some() || grouped;
-    for (missing, key) in [(robots.is_none() && moves, "robots"), (robots.is_some() && !moves, "tracks")] {
-        if missing && !reader.is_miswritten(at, key) {
-            let message = format!("a cue has no `{key}`");
-            let hint =
-                Some("a cue with neither robots nor tracks is a mark that others can refer to".to_owned());
-            reader.add(Code::MissingKey, at.place(), message, format!("a key `{key}`"), hint);
-        }
+    let mut group = form::read(reader, at, [form, turn, grow, shift, over], duration);
+    if let Some(group) = &mut group {
+        library.form_name(reader, group);
     }
     let entries = overrides.as_ref().map(|at| reader.entries(at, "robot to what is different for it"));
     let entries = entries.unwrap_or_default();
-    let overriding = read_overrides(reader, &shaping, &entries);
+    let mut overriding = read_overrides(reader, &shaping, &entries);
+    overriding.iter_mut().for_each(|overriding| library.cast_name(reader, &mut overriding.name));
     let mut read = movements(reader, library, &shaping, &overriding, &names);
     if let Some(group) = &group {
         read.last_at_least(group.over);

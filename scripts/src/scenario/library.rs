@@ -5,14 +5,17 @@ use std::cell::{OnceCell, RefCell};
 use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
-use super::across::is_spread;
 use super::Name;
+use super::across::is_spread;
 use super::each::Roster;
+use super::form::{Action, Form, Target, Together};
 use super::formations::{self, WrittenFormation};
+use super::includes::{self, Included};
+use super::nesting::Used;
 use crate::exact::{Fraction, fraction};
 use crate::fields::{At, Reader};
 use crate::files::Files;
-use crate::finding::{Code, Finding, Place, one_of};
+use crate::finding::{Code, Finding, Place, Use, one_of};
 use crate::fleet::Fleet;
 use crate::locate::locate;
 use crate::music::{Section, Tempo, position};
@@ -21,14 +24,15 @@ use crate::source::Source;
 use crate::tags::foreign_tags;
 
 /// Most files that a scenario may include, directly or through others.
-const INCLUDES_MAX: usize = 256;
+pub(super) const INCLUDES_MAX: usize = 256;
 
-pub(crate) const SCENARIO_KEYS: [&str; 20] = [
+pub(crate) const SCENARIO_KEYS: [&str; 21] = [
     "scenario",
     "fleet",
     "include",
     "variables",
     "moves",
+    "sequences",
     "roles",
     "formations",
     "tempo",
@@ -45,31 +49,46 @@ pub(crate) const SCENARIO_KEYS: [&str; 20] = [
     "cues",
     "acts",
 ];
-const INCLUDE_KEYS: [&str; 5] = ["include", "variables", "moves", "roles", "formations"];
+pub(super) const INCLUDE_KEYS: [&str; 8] =
+    ["doc", "parameters", "include", "variables", "moves", "sequences", "roles", "formations"];
 
 /// The scenario and its includes, as trees.
 #[derive(Debug, Default)]
 pub(crate) struct Documents<'a> {
     pub(crate) sources: Vec<Cow<'a, Source>>,
     pub(crate) nodes: Vec<Node>,
+    /// The name by which each file is included; none of the scenario.
+    pub(super) names: Vec<String>,
+    /// For each file where it is included as it is, without a name and parameters of its own.
+    pub(super) plain: Vec<Option<Place>>,
 }
 
 /// Reads a scenario's file and everything that it includes, each file once.
 pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Documents<'a>, Vec<Finding>> {
     let root = node::parse(source).map_err(|finding| vec![finding])?;
-    let mut documents = Documents { sources: vec![Cow::Borrowed(source)], nodes: vec![root] };
-    let mut known = vec![String::new()];
+    let mut documents = Documents {
+        sources: vec![Cow::Borrowed(source)],
+        nodes: vec![root],
+        names: vec![String::new()],
+        plain: vec![Some(Place::default())],
+    };
     let mut findings = foreign_tags(source);
     let mut next = 0;
     while next < documents.nodes.len() {
-        for (name, place) in includes(&documents.nodes[next], next) {
-            if known.contains(&name) || known.len() > INCLUDES_MAX {
+        for Included { file: name, place, is_plain } in includes::named(&documents.nodes[next], next) {
+            let plain = is_plain.then(|| place.clone());
+            if let Some(index) = documents.names.iter().position(|known| *known == name) {
+                documents.plain[index] = documents.plain[index].take().or(plain);
+                continue;
+            }
+            if documents.names.len() > INCLUDES_MAX {
                 continue;
             }
             match files.read(&name).and_then(|source| node::parse(&source).map(|node| (source, node))) {
                 Ok((source, node)) => {
                     findings.extend(foreign_tags(&source));
-                    known.push(name);
+                    documents.names.push(name);
+                    documents.plain.push(plain);
                     documents.sources.push(Cow::Owned(source));
                     documents.nodes.push(node);
                 }
@@ -93,53 +112,103 @@ pub(super) fn documents<'a>(source: &'a Source, files: &dyn Files) -> Result<Doc
     if findings.is_empty() { Ok(documents) } else { Err(findings) }
 }
 
-/// The names under `include`; wrong kinds are found when the file is read.
-fn includes(root: &Node, file: usize) -> Vec<(String, Place)> {
-    let at = At::document(root, u16::try_from(file).unwrap_or(u16::MAX));
-    let Node::Map(entries) = root else { return Vec::new() };
-    let Some((_, node)) = entries.iter().find(|(key, _)| key == "include") else { return Vec::new() };
-    let list = at.entry("include", 0, node);
-    match node {
-        Node::Text(name) => vec![(name.clone(), list.place())],
-        Node::List(items) => {
-            let named = items.iter().enumerate().filter_map(|(index, item)| match item {
-                Node::Text(name) => Some((name.clone(), list.item(index, item).place())),
-                _ => None,
-            });
-            named.collect()
-        }
-        _ => Vec::new(),
-    }
+/// A move or a sequence as it is written.
+#[derive(Clone, Copy)]
+pub(crate) struct Shared<'a> {
+    pub(crate) file: u16,
+    /// Its name in its file.
+    pub(crate) name: &'a str,
+    pub(crate) node: &'a Node,
+    /// Index into [`Library::copies`].
+    pub(super) copy: usize,
 }
 
-/// Moves, roles and formations by name, and where data files come from.
+/// A file that is included under a name or with parameters; the first one is the scenario with all that it includes as it is.
+#[derive(Default)]
+pub(super) struct Copy {
+    /// What its names begin with, such as `left.`.
+    pub(super) prefix: String,
+    /// Its parameters and variables.
+    pub(super) values: Vec<(String, Node)>,
+    /// Where it is included.
+    pub(super) used: Option<Arc<Use>>,
+}
+
+/// Moves, sequences, roles and formations by name, and where data files come from.
 pub(crate) struct Library<'a> {
-    pub(super) moves: HashMap<String, (u16, &'a Node)>,
+    pub(super) moves: HashMap<String, Shared<'a>>,
+    pub(super) sequences: HashMap<String, Shared<'a>>,
     pub(super) roles: HashMap<String, Vec<Name>>,
     pub(super) formations: HashMap<String, WrittenFormation>,
     pub(super) files: &'a dyn Files,
+    pub(super) copies: Vec<Copy>,
+    /// How many variables all files see.
+    pub(super) globals: usize,
     roster: Roster<'a>,
-    used: RefCell<HashSet<String>>,
+    used: RefCell<HashSet<(&'static str, String)>>,
     /// Names of all moves, in order; made for the first finding that lists them.
     names: OnceCell<Vec<String>>,
 }
 
 impl<'a> Library<'a> {
-    /// With the moves of all files; what is wrong with them is found by [`Self::include`] and [`Self::add`].
-    pub(super) fn new(nodes: &'a [Node], files: &'a dyn Files, fleet: &'a Fleet) -> Self {
-        let mut moves = HashMap::new();
-        for (file, node) in (0u16..).zip(nodes) {
-            let Node::Map(entries) = node else { continue };
-            let named = entries.iter().filter(|(key, _)| key == "moves").filter_map(|(_, node)| match node {
-                Node::Map(moves) => Some(moves),
+    /// With the moves and sequences of all files that are included as they are; what is wrong with them is found by
+    /// [`Self::include`] and [`Self::add`].
+    pub(super) fn new(documents: &'a Documents<'_>, files: &'a dyn Files, fleet: &'a Fleet) -> Self {
+        let mut library = Self {
+            moves: HashMap::new(),
+            sequences: HashMap::new(),
+            roles: HashMap::new(),
+            formations: HashMap::new(),
+            files,
+            copies: vec![Copy::default()],
+            globals: 0,
+            roster: Roster::new(fleet),
+            used: RefCell::default(),
+            names: OnceCell::new(),
+        };
+        for (file, (node, plain)) in (0u16..).zip(documents.nodes.iter().zip(&documents.plain)) {
+            if plain.is_some() {
+                library.register(node, file, 0);
+            }
+        }
+        library
+    }
+
+    /// Takes the moves and sequences of a file under the names that they have in this copy.
+    pub(super) fn register(&mut self, node: &'a Node, file: u16, copy: usize) {
+        let Node::Map(entries) = node else { return };
+        let prefix = self.copies[copy].prefix.clone();
+        for (kind, parts) in [("moves", &mut self.moves), ("sequences", &mut self.sequences)] {
+            let named = entries.iter().filter(|(key, _)| key == kind).filter_map(|(_, node)| match node {
+                Node::Map(parts) => Some(parts),
                 _ => None,
             });
             for (name, node) in named.flatten() {
-                moves.entry(name.clone()).or_insert((file, node));
+                parts.entry(format!("{prefix}{name}")).or_insert(Shared { file, name, node, copy });
             }
         }
-        let (roster, roles, formations) = (Roster::new(fleet), HashMap::new(), HashMap::new());
-        Self { moves, roles, formations, files, roster, used: RefCell::default(), names: OnceCell::new() }
+    }
+
+    /// Roles of the copy that is read by the names that they have for all.
+    pub(super) fn cast(&self, reader: &Reader, mut names: Vec<Name>) -> Vec<Name> {
+        names.iter_mut().for_each(|name| self.cast_name(reader, name));
+        names
+    }
+
+    pub(super) fn cast_name(&self, reader: &Reader, name: &mut Name) {
+        let own = format!("{}{}", self.copies[reader.nesting.copy].prefix, name.text);
+        if self.roles.contains_key(&own) {
+            name.text = own;
+        }
+    }
+
+    /// A formation of the copy that is read by the name that it has for all.
+    pub(super) fn form_name(&self, reader: &Reader, group: &mut Together) {
+        let Action::Form(Form { to: Target::Formation(name), .. }) = &mut group.action else { return };
+        let own = format!("{}{name}", self.copies[reader.nesting.copy].prefix);
+        if self.formations.contains_key(&own) {
+            *name = own;
+        }
     }
 
     /// The robots that names stand for, as far as they are known.
@@ -147,30 +216,33 @@ impl<'a> Library<'a> {
         self.roster.robots(&self.roles, names)
     }
 
-    /// Takes an included file.
-    pub(super) fn include(&mut self, reader: &mut Reader, node: &Node, file: u16) {
+    /// Takes a file that is included as it is.
+    pub(super) fn include(&mut self, reader: &mut Reader, node: &Node, file: u16, named: (&str, &Place)) {
         let at = At::document(node, file);
-        let Some([include, variables, moves, roles, formations]) =
-            reader.map(&at, "an included file", INCLUDE_KEYS, &[])
-        else {
+        let known = reader.map(&at, "an included file", INCLUDE_KEYS, &[]);
+        let Some([_doc, parameters, include, variables, moves, sequences, roles, formations]) = known else {
             return;
         };
         if let Some(at) = include {
-            include_kind(reader, &at);
+            includes::check(reader, &at);
         }
-        self.add_from(reader, [variables, moves, roles, formations], file);
+        includes::defaults(reader, parameters, named);
+        self.add_from(reader, [variables, moves, sequences, roles, formations], (file, 0));
     }
 
     /// Takes what the scenario's own file holds.
-    pub(super) fn add(&mut self, reader: &mut Reader, parts: [Option<At<'_>>; 4]) {
-        self.add_from(reader, parts, 0);
+    pub(super) fn add(&mut self, reader: &mut Reader, include: Option<At<'_>>, parts: [Option<At<'_>>; 5]) {
+        if let Some(at) = include {
+            includes::check(reader, &at);
+        }
+        self.add_from(reader, parts, (0, 0));
     }
 
-    fn add_from(
+    pub(super) fn add_from(
         &mut self,
         reader: &mut Reader,
-        [variables, moves, roles, formations]: [Option<At<'_>>; 4],
-        file: u16,
+        [variables, moves, sequences, roles, formations]: [Option<At<'_>>; 5],
+        (file, copy): (u16, usize),
     ) {
         if let Some(at) = variables {
             for (name, at) in reader.entries(&at, "variable to its value") {
@@ -179,55 +251,99 @@ impl<'a> Library<'a> {
                 }
             }
         }
-        if let Some(at) = moves {
-            for (name, at) in reader.entries(&at, "move to its parameters and tracks") {
-                if self.moves.get(name).is_some_and(|(known, _)| *known != file) {
-                    twice(reader, &at, "move", name);
+        let parts = [
+            (moves, &self.moves, "move", "move to its parameters and tracks"),
+            (sequences, &self.sequences, "sequence", "sequence to its parameters and cues"),
+        ];
+        let prefix = &self.copies[copy].prefix;
+        for (at, known, kind, what) in parts {
+            let Some(at) = at else { continue };
+            for (name, at) in reader.entries(&at, what) {
+                let known = known.get(&format!("{prefix}{name}"));
+                if known.is_some_and(|known| (known.file, known.copy) != (file, copy)) {
+                    twice(reader, &at, kind, name);
                 }
             }
         }
         if let Some(at) = roles {
             for (name, at) in reader.entries(&at, "role to its robots") {
                 let robots = super::cue::robot_names(reader, &at);
-                if self.roles.insert(name.to_owned(), robots).is_some() {
-                    twice(reader, &at, "role", name);
+                let name = format!("{}{name}", self.copies[copy].prefix);
+                if self.roles.insert(name.clone(), robots).is_some() {
+                    twice(reader, &at, "role", &name);
                 }
             }
         }
         if let Some(at) = formations {
             for (name, at) in reader.entries(&at, "formation to its places") {
                 let formation = formations::read(reader, self.files, name, &at);
-                if self.formations.insert(name.to_owned(), formation).is_some() {
-                    twice(reader, &at, "formation", name);
+                let name = format!("{}{name}", self.copies[copy].prefix);
+                if self.formations.insert(name.clone(), formation).is_some() {
+                    twice(reader, &at, "formation", &name);
                 }
             }
         }
     }
 
-    /// The move of that name, with the file in which it stands.
-    pub(super) fn get(&self, reader: &mut Reader, at: &At<'_>, name: &str) -> Option<(u16, &'a Node)> {
-        let found = self.moves.get(name).copied();
-        self.used.borrow_mut().insert(name.to_owned());
+    /// The move of that name.
+    pub(super) fn get(&self, reader: &mut Reader, at: &At<'_>, name: &str) -> Option<Used<'a>> {
+        let found = self.find("move", reader, name);
         if found.is_none() {
-            let sorted = || {
-                let mut names: Vec<_> = self.moves.keys().cloned().collect();
-                names.sort_unstable();
-                names
-            };
-            let known = || self.names.get_or_init(sorted).iter().map(String::as_str);
+            let known = || self.names.get_or_init(|| sorted(&self.moves)).iter().map(String::as_str);
             let hint = reader.did_you_mean(name, known());
             let message = format!("no move `{}`", shortened(name));
             reader.add(Code::UnknownMove, at.place(), message, one_of(known()), hint);
         }
-        found
+        found.map(|(name, part)| Used { kind: "move", name, part, place: at.place() })
+    }
+
+    /// The sequence of that name.
+    pub(super) fn sequence(&self, reader: &mut Reader, at: &At<'_>, name: &str) -> Option<Used<'a>> {
+        let found = self.find("sequence", reader, name);
+        if found.is_none() {
+            let known = sorted(&self.sequences);
+            let known = || known.iter().map(String::as_str);
+            let hint = reader.did_you_mean(name, known());
+            let message = format!("no sequence `{}`", shortened(name));
+            reader.add(Code::UnknownSequence, at.place(), message, one_of(known()), hint);
+        }
+        found.map(|(name, part)| Used { kind: "sequence", name, part, place: at.place() })
+    }
+
+    /// First among the names of the copy that is read, then among all.
+    fn find(&self, kind: &'static str, reader: &Reader, name: &str) -> Option<(String, Shared<'a>)> {
+        let parts = self.parts(kind);
+        let own = format!("{}{name}", self.copies[reader.nesting.copy].prefix);
+        let name = if parts.contains_key(&own) { own } else { name.to_owned() };
+        let part = *parts.get(&name)?;
+        self.used.borrow_mut().insert((kind, name.clone()));
+        Some((name, part))
+    }
+
+    /// Everything that cues can use: its kind, its name, and where it stands.
+    pub(crate) fn offered(&self) -> impl Iterator<Item = (&'static str, String, Shared<'a>)> {
+        let of =
+            |kind: &'static str| self.parts(kind).iter().map(move |(name, part)| (kind, name.clone(), *part));
+        of("move").chain(of("sequence"))
+    }
+
+    fn parts(&self, kind: &str) -> &HashMap<String, Shared<'a>> {
+        if kind == "move" { &self.moves } else { &self.sequences }
     }
 }
 
+fn sorted(parts: &HashMap<String, Shared<'_>>) -> Vec<String> {
+    let mut names: Vec<_> = parts.keys().cloned().collect();
+    names.sort_unstable();
+    names
+}
+
 impl Library<'_> {
-    /// Moves that no cue uses: their faults are found as well.
-    pub(super) fn unused(&self) -> Vec<String> {
+    /// Moves or sequences that nothing uses: their faults are found as well.
+    pub(super) fn unused(&self, kind: &'static str) -> Vec<String> {
         let used = self.used.borrow();
-        let mut unused: Vec<_> = self.moves.keys().filter(|name| !used.contains(*name)).cloned().collect();
+        let names = self.parts(kind).keys().cloned();
+        let mut unused: Vec<_> = names.filter(|name| !used.contains(&(kind, name.clone()))).collect();
         unused.sort_unstable();
         unused
     }
@@ -237,18 +353,6 @@ fn twice(reader: &mut Reader, at: &At<'_>, what: &str, name: &str) {
     let message = format!("the {what} `{}` is in two files", shortened(name));
     let hint = Some("rename one of them".to_owned());
     reader.add(Code::NameTwice, at.key_place(), message, format!("each {what} once"), hint);
-}
-
-fn include_kind(reader: &mut Reader, at: &At<'_>) {
-    let expected = "the path of a file, or a list of them";
-    match at.node {
-        Node::List(_) => {
-            for item in reader.list(at, expected) {
-                reader.text(&item, expected);
-            }
-        }
-        _ => drop(reader.text(at, expected)),
-    }
 }
 
 /// A number, a text or a truth value.

@@ -11,9 +11,13 @@ mod each;
 mod form;
 mod formations;
 mod formulas;
+mod includes;
 mod library;
 mod movement;
+mod nesting;
+mod play;
 mod require;
+mod sequence;
 mod track;
 mod vectors;
 mod when;
@@ -28,7 +32,7 @@ use crate::budget::{LEADS, longest};
 use crate::exact::Exact;
 use crate::fields::{At, Reader};
 use crate::files::Files;
-use crate::finding::{Code, Finding, Place};
+use crate::finding::{Code, Finding, Part, Place};
 use crate::fleet::Fleet;
 use crate::locate::locate;
 use crate::motion::Curve;
@@ -36,16 +40,17 @@ use crate::node::{self, Node};
 use crate::requirements::Requirements;
 use crate::source::Source;
 
-pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
 pub(crate) use across::{Group, is_spread};
+pub use acts::{OnDoubt, OnFailure, SensorRange, Wait, parse_time};
 pub(crate) use acts::{OnFailureRule, WrittenWait};
 pub(crate) use canon::Canon;
 #[cfg(test)]
 pub(crate) use cue::CUE_KEYS;
-pub(crate) use form::{Action, Form, Together, Spare, Sweep, Target, Thin};
+pub(crate) use form::{Action, Form, Spare, Sweep, Target, Thin, Together};
 pub(crate) use formations::WrittenFormation;
-pub(crate) use library::Documents;
 pub(crate) use library::SCENARIO_KEYS;
+pub(crate) use library::{Documents, Shared};
+pub(crate) use nesting::Nesting;
 pub(crate) use vectors::{Vector, Vectors};
 pub(crate) use when::{Anchor, Relation};
 
@@ -170,6 +175,12 @@ pub(crate) struct Track {
     pub(crate) motion: Motion,
     /// How long it is, before it is laid on the clock.
     pub(crate) length: Exact,
+    /// How much later than the movement it begins, before that is laid on the clock.
+    pub(crate) begin: Exact,
+    /// The same on the clock.
+    pub(crate) starts: Span,
+    /// The movements that it consists of, if a move plays several.
+    pub(crate) pieces: Vec<Piece>,
     pub(crate) tolerance: Option<f64>,
     pub(crate) steps_max: Option<u32>,
     /// Place of the track's key.
@@ -179,6 +190,16 @@ pub(crate) struct Track {
     /// What its items are called: keyframes, points, pieces, rows.
     pub(crate) items: Items,
     /// Place of the list of its keyframes.
+    pub(crate) list: Place,
+}
+
+/// A movement of its own within a track.
+#[derive(Clone, Debug)]
+pub(crate) struct Piece {
+    /// The number of its first item among those of the track.
+    pub(crate) first: u32,
+    pub(crate) items: Items,
+    /// Place of the list of its items.
     pub(crate) list: Place,
 }
 
@@ -238,6 +259,26 @@ impl Scenario {
     }
 }
 
+impl Track {
+    /// The item of this number: what it is called, its own number from 0 unless it is a whole movement, and its place.
+    pub(crate) fn item(&self, item: u32) -> (Items, Option<u32>, Place) {
+        let (items, own, list) = match self.pieces.iter().rfind(|piece| piece.first <= item) {
+            Some(piece) if item != u32::MAX => (piece.items, item - piece.first, &piece.list),
+            _ => (self.items, item, &self.list),
+        };
+        match own {
+            u32::MAX => (items, None, list.clone()),
+            _ if items == Items::Whole => (items, None, list.clone()),
+            own => (items, Some(own), list.below(Part::Index(own as usize))),
+        }
+    }
+
+    /// When it ends, before that is laid on the clock.
+    pub(crate) fn end(&self) -> Exact {
+        self.begin.plus(self.length)
+    }
+}
+
 impl Motion {
     /// How much memory it takes, in knots.
     pub(crate) fn size(&self) -> usize {
@@ -284,14 +325,15 @@ pub(crate) fn read(
     files: &dyn Files,
     fleet: &Fleet,
 ) -> Option<Scenario> {
-    let (root, included) = documents.nodes.split_first()?;
+    let root = documents.nodes.first()?;
     let at = At::document(root, 0);
     let [
         name,
         fleet_file,
-        _include,
+        include,
         variables,
         moves,
+        sequences,
         roles,
         formations,
         tempo,
@@ -309,13 +351,9 @@ pub(crate) fn read(
         acts,
     ] = reader.map(&at, "the scenario", SCENARIO_KEYS, &["scenario"])?;
     fleet_file.and_then(|at| reader.text(&at, "the path of a fleet file").map(drop));
-    let mut library = library::Library::new(&documents.nodes, files, fleet);
     reader.group = Group::of(fleet);
-    for (index, node) in included.iter().enumerate() {
-        let file = u16::try_from(index + 1).unwrap_or(u16::MAX);
-        library.include(reader, node, file);
-    }
-    library.add(reader, [variables, moves, roles, formations]);
+    let parts = [variables, moves, sequences, roles, formations];
+    let library = shared(reader, documents, files, fleet, (include, parts));
     library::music(reader, tempo, signature);
     let (requirements, closest_place) = require.map(|at| require::read(reader, &at)).unwrap_or_default();
     let default = StopCondition { pending: None, running: Millis::new(RUNNING_LEASE_MS).ok() };
@@ -338,11 +376,48 @@ pub(crate) fn read(
         on_doubt: on_doubt.and_then(|at| reader.word(&at, &acts::ON_DOUBT)).unwrap_or_default(),
     };
     scenario.acts = acts::read(reader, &library, &defaults, &at, [cues, acts]);
-    for name in library.unused() {
+    for name in library.unused("move") {
         movement::check_unused(reader, &library, &name);
+    }
+    for name in library.unused("sequence") {
+        sequence::check_unused(reader, &library, &defaults, &name);
     }
     (scenario.roles, scenario.formations) = (library.roles, library.formations);
     Some(scenario)
+}
+
+/// What cues share, of all files.
+fn shared<'a>(
+    reader: &mut Reader,
+    documents: &'a Documents<'_>,
+    files: &'a dyn Files,
+    fleet: &'a Fleet,
+    (include, parts): (Option<At<'_>>, [Option<At<'_>>; 5]),
+) -> library::Library<'a> {
+    let mut library = library::Library::new(documents, files, fleet);
+    let included = documents.nodes.iter().zip(&documents.names).zip(&documents.plain);
+    for (file, ((node, name), place)) in (0u16..).zip(included).skip(1) {
+        if let Some(place) = place {
+            library.include(reader, node, file, (name, place));
+        }
+    }
+    library.add(reader, include, parts);
+    library.globals = reader.scope.mark();
+    includes::copies(reader, &mut library, documents);
+    library
+}
+
+/// What the cues of a scenario share, without the cues.
+pub(crate) fn library_of<'a>(
+    reader: &mut Reader,
+    documents: &'a Documents<'_>,
+    files: &'a dyn Files,
+    fleet: &'a Fleet,
+) -> Option<library::Library<'a>> {
+    let at = At::document(documents.nodes.first()?, 0);
+    let [_, _, include, variables, moves, sequences, roles, formations, ..] =
+        reader.map(&at, "the scenario", SCENARIO_KEYS, &[])?;
+    Some(shared(reader, documents, files, fleet, (include, [variables, moves, sequences, roles, formations])))
 }
 
 /// Scripts are sent that much ahead: what remains is for the act.

@@ -1,14 +1,14 @@
 //! What a cue's movement is made of: a move with its parameters, tracks, and what is done with them.
 
-use urrcp::Span;
-
 use super::cue::name_list;
 use super::library::Library;
+use super::nesting::{self, within};
+use super::play;
 use super::track::read_tracks;
 use super::when::instant;
-use super::{Motion, Movement, Name, Track, Unset};
+use super::{Motion, Movement, Name, Track};
 use crate::budget::longest;
-use crate::exact::Exact;
+use crate::exact::{Beginning, Exact, Laps};
 use crate::expression::Robot;
 use crate::fields::{At, Reader};
 use crate::finding::{Code, one_of};
@@ -16,6 +16,7 @@ use crate::node::{Node, shortened};
 
 /// Most times that a movement is repeated.
 const REPEATS_MAX: u32 = 10_000_000;
+pub(super) const MOVE_KEYS: [&str; 4] = ["doc", "parameters", "tracks", "play"];
 
 /// The keys that make a movement.
 #[derive(Clone, Copy, Default)]
@@ -32,11 +33,36 @@ pub(super) struct Shaping<'a> {
     pub(super) tolerance: Option<f64>,
 }
 
-/// Reads the tracks of a move and of the cue itself, then maps, scales, mirrors, reverses and repeats them.
+/// Reads the movement of a cue.
 pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Shaping<'_>) -> Movement {
     reader.unset.clear();
-    if reader.knots.is_overdrawn() || reader.is_full() {
+    reader.nesting.renew_plays();
+    let Some(mut tracks) = shaped(reader, library, shaping) else { return Movement::default() };
+    if reader.nesting.has_too_many_plays() {
         return Movement::default();
+    }
+    for track in &mut tracks {
+        track.starts = reader.music.start.lay(track.begin);
+    }
+    let delay = shaping.delay.and_then(|at| reader.duration(&at)).unwrap_or_default();
+    let length = tracks.iter().map(|track| track.starts + track.motion.length()).max().unwrap_or_default();
+    if let Some(at) = shaping.named.or(shaping.tracks).filter(|_| length > longest()) {
+        let message = format!("the movement lasts {length}");
+        let hint = Some("cut it into several".to_owned());
+        reader.add(Code::TooMuch, at.place(), message, format!("at most {}", longest()), hint);
+        return Movement::default();
+    }
+    Movement { tracks, delay, length, unset: std::mem::take(&mut reader.unset) }
+}
+
+/// Reads the tracks of a move and those next to it, then maps, scales, mirrors, reverses and repeats them.
+pub(super) fn shaped(
+    reader: &mut Reader,
+    library: &Library<'_>,
+    shaping: &Shaping<'_>,
+) -> Option<Vec<Track>> {
+    if reader.knots.is_overdrawn() || reader.is_full() {
+        return None;
     }
     let mut tracks =
         shaping.named.map(|at| of_move(reader, library, &at, shaping.parameters)).unwrap_or_default();
@@ -54,7 +80,7 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
         }
     }
     if !taken(reader, shaping, &tracks) {
-        return Movement::default();
+        return None;
     }
     for track in &mut tracks {
         track.tolerance = track.tolerance.or(shaping.tolerance);
@@ -76,35 +102,37 @@ pub(super) fn movement(reader: &mut Reader, library: &Library<'_>, shaping: &Sha
     if let Some(at) = shaping.repeat {
         repeat(reader, &at, &mut tracks);
     }
-    let delay = shaping.delay.and_then(|at| reader.duration(&at)).unwrap_or_default();
-    let length = length(&tracks);
-    if let Some(at) = shaping.named.or(shaping.tracks).filter(|_| length > longest()) {
-        let message = format!("the movement lasts {length}");
-        let hint = Some("cut it into several".to_owned());
-        reader.add(Code::TooMuch, at.place(), message, format!("at most {}", longest()), hint);
-        return Movement::default();
-    }
-    Movement { tracks, delay, length, unset: std::mem::take(&mut reader.unset) }
+    Some(tracks)
 }
 
-fn length(tracks: &[Track]) -> Span {
-    tracks.iter().map(|track| track.motion.length()).max().unwrap_or_default()
+/// Before it is laid on the clock.
+pub(super) fn length(tracks: &[Track]) -> Exact {
+    tracks.iter().map(Track::end).max().unwrap_or_default()
 }
 
 /// Backwards within the length of the longest track.
 fn reverse(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
-    let longest = length(tracks);
-    let exact = tracks.iter().map(|track| track.length).max().unwrap_or_default();
-    curves(tracks, at, reader, |curve| curve.reverse(longest));
+    let exact = length(tracks);
+    let starts = |track: &Track| reader.music.start.lay(track.begin);
+    let longest = tracks.iter().map(|track| starts(track) + track.motion.length()).max().unwrap_or_default();
     for track in tracks {
+        // What a move plays keeps its place: nothing moves the device before it and after it.
+        let is_played = !track.pieces.is_empty();
+        let within = if is_played { track.motion.length() } else { longest };
+        curves(std::slice::from_mut(track), at, reader, |curve| curve.reverse(within));
         let own = track.motion.length();
-        track.length = if own == longest { exact } else { own.into() };
+        match is_played {
+            true => track.begin = exact.minus(track.end()),
+            false => track.length = if own == longest { exact } else { own.into() },
+        }
     }
 }
 
 /// Whether there is room for the tracks: every cue has its own copy of a move.
 fn taken(reader: &mut Reader, shaping: &Shaping<'_>, tracks: &[Track]) -> bool {
-    let size = tracks.iter().map(|track| track.motion.size()).fold(0, usize::saturating_add);
+    // What is played was counted when it was read.
+    let own = tracks.iter().filter(|track| track.pieces.is_empty());
+    let size = own.map(|track| track.motion.size()).fold(0, usize::saturating_add);
     let sound = reader.knots.take(size);
     if let (false, Some(at)) = (sound, shaping.named.or(shaping.tracks)) {
         let most = reader.knots.most();
@@ -117,83 +145,58 @@ fn taken(reader: &mut Reader, shaping: &Shaping<'_>, tracks: &[Track]) -> bool {
 
 fn of_move(reader: &mut Reader, library: &Library<'_>, at: &At<'_>, given: Option<At<'_>>) -> Vec<Track> {
     let Some(name) = reader.name(at, "the name of a move") else { return Vec::new() };
-    let Some((file, node)) = library.get(reader, at, &name) else { return Vec::new() };
-    let root = At::document(&Node::Null, file);
+    let Some(used) = library.get(reader, at, &name) else { return Vec::new() };
+    let told = used.told(reader, library);
+    let root = At::used(&Node::Null, used.part.file, told.as_ref());
     let moves = root.entry("moves", 0, &Node::Null);
-    let body = moves.entry(&name, 0, node);
-    let what = format!("the move `{}`", shortened(&name));
-    let Some([parameters, tracks]) = reader.map(&body, &what, ["parameters", "tracks"], &["tracks"]) else {
+    let body = moves.entry(used.part.name, 0, used.part.node);
+    let Some([doc, parameters, tracks, play]) = reader.map(&body, &used.what(), MOVE_KEYS, &[]) else {
         return Vec::new();
     };
-    let mark = reader.scope.mark();
-    let values = arguments(reader, at, &name, parameters, given);
-    for (parameter, value) in values {
-        reader.scope.set(parameter, value);
+    if let Some(at) = doc {
+        reader.text(&at, "what the move does, in words");
     }
-    let tracks = tracks.map(|at| read_tracks(reader, library, &at)).unwrap_or_default();
-    reader.scope.forget(mark);
-    tracks
+    match (tracks, play) {
+        (Some(_), None) | (None, Some(_)) => {}
+        (Some(_), Some(play)) => {
+            let message = format!("{} has both `tracks` and `play`", used.what());
+            let hint = Some("write the tracks as one more entry under `play`".to_owned());
+            reader.add(Code::UnknownKey, play.key_place(), message, "one of the two", hint);
+        }
+        (None, None) if reader.is_miswritten(&body, "tracks") || reader.is_miswritten(&body, "play") => {}
+        (None, None) => {
+            let message = format!("{} has no `tracks`", used.what());
+            reader.add(Code::MissingKey, body.place(), message, "a key `tracks`, or `play`", None);
+        }
+    }
+    let read = |reader: &mut Reader| match (tracks, play) {
+        (Some(at), _) => read_tracks(reader, library, &at),
+        (None, Some(at)) => play::read(reader, library, &at, &used.what()),
+        (None, None) => Vec::new(),
+    };
+    within(reader, library, &used, [parameters, given], read).unwrap_or_default()
 }
 
 /// Reads a move that no cue uses, as far as its parameters have values.
 pub(super) fn check_unused(reader: &mut Reader, library: &Library<'_>, name: &str) {
-    let Some((file, node)) = library.moves.get(name).copied() else { return };
-    let root = At::document(&Node::Null, file);
+    let Some(part) = library.moves.get(name) else { return };
+    let root = At::document(&Node::Null, part.file);
     let moves = root.entry("moves", 0, &Node::Null);
-    let body = moves.entry(name, 0, node);
-    let Node::Map(entries) = node else {
+    let body = moves.entry(part.name, 0, part.node);
+    let Node::Map(entries) = part.node else {
         reader.wrong_type(&body, "a move: a map with `parameters` and `tracks`");
         return;
     };
-    let parameters = entries.iter().find(|(key, _)| key == "parameters").map(|(_, node)| node);
-    let known = |key: &str| matches!(key, "parameters" | "tracks");
-    let complete = matches!(parameters, None | Some(Node::Map(_)))
-        && !matches!(parameters, Some(Node::Map(all)) if all.iter().any(|(_, node)| *node == Node::Null));
-    if complete || !entries.iter().all(|(key, _)| known(key)) {
+    let known = |key: &str| MOVE_KEYS.contains(&key);
+    if nesting::is_complete(part.node) || !entries.iter().all(|(key, _)| known(key)) {
         let own = Node::Text(name.to_owned());
         let at = body.entry("tracks", 0, &own);
         reader.robots.current = Some(Robot { index: 0, count: 1 });
+        reader.nesting.renew_plays();
         drop(of_move(reader, library, &at, None));
         reader.robots.current = None;
         reader.unset.clear();
     }
-}
-
-/// The value of each parameter: the one that is given, or its default.
-fn arguments(
-    reader: &mut Reader,
-    at: &At<'_>,
-    name: &str,
-    parameters: Option<At<'_>>,
-    given: Option<At<'_>>,
-) -> Vec<(String, Node)> {
-    let declared =
-        parameters.as_ref().map(|at| reader.entries(at, "parameter to its default")).unwrap_or_default();
-    let given = given.as_ref().map(|at| reader.entries(at, "parameter to its value")).unwrap_or_default();
-    for (parameter, at) in &given {
-        if !declared.iter().any(|(known, _)| known == parameter) {
-            let known = || declared.iter().map(|(known, _)| *known);
-            let hint = reader.did_you_mean(parameter, known());
-            let message =
-                format!("the move `{}` has no parameter `{}`", shortened(name), shortened(parameter));
-            reader.add(Code::UnknownKey, at.key_place(), message, one_of(known()), hint);
-        }
-    }
-    let mut values = Vec::new();
-    for (parameter, default) in &declared {
-        let value = match given.iter().find(|(known, _)| known == parameter) {
-            Some((_, at)) => super::library::scalar(reader, at),
-            None if *default.node == Node::Null => {
-                let (place, of_move) = (at.place(), name.to_owned());
-                reader.unset.push(Unset { place, of_move, parameter: (*parameter).to_owned() });
-                None
-            }
-            None => super::library::scalar(reader, default),
-        };
-        // One fault, one finding: what uses the parameter shall not find it missing again.
-        values.push(((*parameter).to_owned(), value.unwrap_or(Node::Number(0.0))));
-    }
-    values
 }
 
 fn rename(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
@@ -301,8 +304,9 @@ fn curves(
 }
 
 fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
-    let longest_track = length(tracks);
-    let once = tracks.iter().map(|track| track.length).max().unwrap_or_default();
+    let once = length(tracks);
+    let end = |track: &Track| reader.music.start.lay(track.begin) + track.motion.length();
+    let longest_track = tracks.iter().map(end).max().unwrap_or_default();
     let Some(Turns { times, cycle: every }) = repeats(reader, at, once) else { return };
     let laps = reader.laps(every);
     // Behind the last turn nothing waits for another one.
@@ -325,8 +329,10 @@ fn repeat(reader: &mut Reader, at: &At<'_>, tracks: &mut [Track]) {
         reader.add(Code::TooMuch, at.place(), message, expected, Some("repeat it less often".to_owned()));
         return;
     }
-    curves(tracks, at, reader, |curve| curve.repeat(times, &laps));
     for track in tracks {
+        let from = Beginning(laps.from.0.map(|start| start.plus(track.begin)));
+        let laps = Laps { from, ..laps };
+        curves(std::slice::from_mut(track), at, reader, |curve| curve.repeat(times, &laps));
         (track.length, track.turns) = (track.motion.length().into(), times);
     }
 }
@@ -399,5 +405,5 @@ fn until_time(reader: &mut Reader, until: &At<'_>) -> Option<Exact> {
         reader.add(Code::BadMotion, until.place(), message, "a cue with a fixed start", hint);
         return None;
     };
-    Some(end.minus(start))
+    Some(reader.origin.0.map_or(end, |origin| origin.plus(end)).minus(start))
 }

@@ -38,6 +38,30 @@ impl Vectors {
         self.keys.push(Key { at: vector.at, item: vector.item, end: self.values.len() as u32 });
     }
 
+    /// Several lists one after another, each with the time from which its own times count and the number of its first item.
+    /// Of two keyframes at one time the later one counts.
+    pub(crate) fn joined<'a>(parts: impl Iterator<Item = (&'a Self, Span, u32)>) -> Self {
+        let mut joined = Self::default();
+        for (vectors, begin, first) in parts {
+            if joined
+                .keys
+                .last()
+                .is_some_and(|last| vectors.first().is_some_and(|next| last.at >= begin + next.at))
+            {
+                joined.keys.pop();
+                joined.values.truncate(joined.keys.last().map_or(0, |last| last.end as usize));
+            }
+            for vector in vectors.iter() {
+                joined.push(Vector {
+                    at: begin + vector.at,
+                    item: first.saturating_add(vector.item),
+                    ..vector
+                });
+            }
+        }
+        joined
+    }
+
     pub(crate) fn len(&self) -> usize {
         self.keys.len()
     }

@@ -59,16 +59,17 @@ impl When<'_> {
         if let Some(at) = self.at
             && let Some((min, max)) = of_each(reader, &at, &mut late)
         {
-            fixed = (max == Some(min)).then_some(min);
+            let origin = reader.origin;
+            fixed = origin.0.filter(|_| max == Some(min)).map(|origin| origin.plus(min));
             let (from, to) = (Anchor::Origin, Anchor::Start);
-            let (min, max) = (Some(min.rounded()), max.map(Exact::rounded));
+            let (min, max) = (Some(laid(origin, min)), max.map(|max| laid(origin, max)));
             relations.push(Relation { from, to, min, max, place: at.place() });
         }
         if let Some(at) = self.end_by
             && let Some((last, _)) = instants(reader, &at)
         {
             let (from, to) = (Anchor::Origin, Anchor::End);
-            let max = Some(last.rounded());
+            let max = Some(laid(reader.origin, last));
             relations.push(Relation { from, to, min: None, max, place: at.place() });
         }
         each(reader, self.after, '+', &mut relations, |target, gap, place| {
@@ -111,8 +112,20 @@ fn of_each(reader: &mut Reader, at: &At<'_>, late: &mut Option<Late>) -> Option<
     }
     let first = all.iter().min().copied()?;
     let by = all.into_iter().map(|time| time.minus(first)).collect();
-    *late = Some(Late { by, from: Beginning(Some(first)), place: at.place() });
+    *late = Some(Late {
+        by,
+        from: Beginning(reader.origin.0.map(|origin| origin.plus(first))),
+        place: at.place(),
+    });
     Some((first, Some(first)))
+}
+
+/// A time from where times count from, to the nearest nanosecond of the act's time where that is known.
+fn laid(origin: Beginning, time: Exact) -> Span {
+    match origin.0 {
+        Some(start) => start.plus(time).rounded() - start.rounded(),
+        None => time.rounded(),
+    }
 }
 
 /// A cue, and which end of it where that is said.
@@ -247,7 +260,14 @@ fn instants(reader: &mut Reader, at: &At<'_>) -> Option<(Exact, Option<Exact>)> 
 }
 
 pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Exact> {
-    match reader.music.position(text) {
+    let position = reader.music.position(text);
+    if position.is_some() && reader.nesting.is_in_sequence() {
+        let message = format!("the position `{}` stands in a sequence", shortened(text));
+        let hint = Some("in a sequence, times count from its beginning: `at: 2 bars`".to_owned());
+        reader.add(Code::Music, at.place(), message, "a time from the beginning of the sequence", hint);
+        return None;
+    }
+    match position {
         Some(Ok(time)) => reader.no_longer(at, text, time),
         Some(Err(why)) => {
             let hint = Some(why.hint().to_owned());
@@ -262,7 +282,7 @@ pub(super) fn instant(reader: &mut Reader, at: &At<'_>, text: &str) -> Option<Ex
         }
         None => {
             // From the act's start, whenever the cue itself begins.
-            let start = std::mem::replace(&mut reader.music.start, Beginning(Some(Exact::ZERO)));
+            let start = std::mem::replace(&mut reader.music.start, reader.origin);
             let time = match duration::parse_duration(text) {
                 Some(span) => Some(span.into()),
                 None => reader.exact_time(at, text),

@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::*;
 use crate::finding::Part;
 use crate::known::{self, Known};
-use crate::{Fleet, NoFiles, Project, Source, compile, read_fleet_within, read_world};
+use crate::{Files, Finding, Fleet, Project, Source, compile, read_fleet_within, read_world};
 
 /// Documents in which every key of a scenario stands. They need not be sound.
 const SCENARIOS: [&str; 5] = [
@@ -16,7 +16,12 @@ const SCENARIOS: [&str; 5] = [
 scenario: all keys
 fleet: fleet.yaml
 variables: {v: 1}
-moves: {lift: {parameters: {to: 1}, tracks: {d: [{at: 0s, to: $to, ease: linear}]}}}
+include: [{file: arm.yaml, as: left, parameters: {side: 1}}]
+moves:
+  lift: {doc: Lifts., parameters: {to: 1}, tracks: {d: [{at: 0s, to: $to, ease: linear}]}}
+  lifts: {play: [{move: lift, parameters: {to: 2}, tracks: {e: [{at: 0s, to: 1}]}, devices: {d: c}, scale: 1, mirror: true,
+    reverse: true, repeat: 2, duration: 1s, at: 1s, delay: 1s}]}
+sequences: {greet: {doc: Greets., parameters: {to: 1}, cues: [{cue: inner}]}}
 roles: {leader: arm}
 formations:
   spots: {points: [[0, 0, 1]], at: [0, 0, 0], rotate: 90, scale: 1}
@@ -78,6 +83,7 @@ acts:
         grow: 2
         shift: [0, 0, 1]
         over: 2s
+      - {cue: played, sequence: greet, parameters: {to: 2}}
   - {act: two, wait: {time: '19:30:00'}, cues: [{cue: last}]}
   - {act: three, wait: {sensor: arm/s, above: 1, below: 2, within: [0, 1]}, cues: [{cue: last}]}
   - {act: four, wait: done, cues: [{cue: last}]}
@@ -313,9 +319,18 @@ fn the_schema_of_scenarios_lists_what_is_read() {
     let _before = known::take();
     for text in SCENARIOS {
         let _compiled =
-            compile(&Source { name: "all.yaml".into(), text: text.to_owned() }, &fleet(), &NoFiles);
+            compile(&Source { name: "all.yaml".into(), text: text.to_owned() }, &fleet(), &OneFile);
     }
     check(Schema::Scenario, &SCENARIOS.map(str::to_owned), known::take());
+}
+
+/// The same file under every name.
+struct OneFile;
+
+impl Files for OneFile {
+    fn read(&self, name: &str) -> Result<Source, Finding> {
+        Ok(Source { name: name.to_owned(), text: "parameters: {side: 1}\n".to_owned() })
+    }
 }
 
 fn fleet() -> Fleet {

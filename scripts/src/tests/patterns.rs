@@ -123,8 +123,7 @@ fn valued(group: &str, value: &str, values: &[(&str, &str)]) {
 /// What is found: the text at its place, which of maps is the beginning of the first key, its code and message.
 fn found(text: &str) -> Vec<String> {
     let one = |finding: &crate::Finding| {
-        let at: String =
-            finding.source_line.chars().skip(finding.column - 1).take(finding.width).collect();
+        let at: String = finding.source_line.chars().skip(finding.column - 1).take(finding.width).collect();
         format!("`{at}` {} {}", finding.code.as_str(), finding.message)
     };
     compiled(text).findings.iter().map(one).collect()
@@ -173,9 +172,15 @@ fn a_wave_runs_over_the_places_of_the_robots() {
 fn a_canon_at_random_is_the_same_for_ever() {
     // SplitMix64 twice for each number, worked out by hand in another language.
     delayed("four", "{step: 1s, by: random, seed: 7}", &[("a", "1s"), ("c", "2s"), ("e", "3s")]);
-    delayed("four", "{step: 1s, by: random, seed: 7, direction: backward}", &[("a", "2s"), ("b", "3s"), ("c", "1s")]);
+    delayed(
+        "four",
+        "{step: 1s, by: random, seed: 7, direction: backward}",
+        &[("a", "2s"), ("b", "3s"), ("c", "1s")],
+    );
     let of = |seed: u32| {
-        scripts(&format!("cues: [{{robots: five, canon: {{over: 1s, by: random, seed: {seed}}}, tracks: {{d: [{{at: 0s, to: 0}}, {{at: 1s, to: 9}}]}}}}]\n"))
+        scripts(&format!(
+            "cues: [{{robots: five, canon: {{over: 1s, by: random, seed: {seed}}}, tracks: {{d: [{{at: 0s, to: 0}}, {{at: 1s, to: 9}}]}}}}]\n"
+        ))
     };
     assert_eq!(of(3), of(3));
     assert_ne!(of(3), of(4));
@@ -201,8 +206,14 @@ fn robots_of_a_cue_begin_at_times_of_their_own() {
         &format!("tempo: 100\ncues: [{{at: 2s, robots: four, canon: 250ms, {tracks}}}]\n"),
     );
     same(
-        &format!("cues: [{{cue: m, at: 3s - $index * 1s, canon: 100ms, robots: left, {}}}, {{after: m, robots: left, {0}}}]\n", tracks.replace("1 beat", "1s")),
-        &format!("cues: [{{cue: m, at: 2s, robots: left, overrides: {{a: {{delay: 1s}}, b: {{delay: 100ms}}}}, {}}}, {{after: m, robots: left, {0}}}]\n", tracks.replace("1 beat", "1s")),
+        &format!(
+            "cues: [{{cue: m, at: 3s - $index * 1s, canon: 100ms, robots: left, {}}}, {{after: m, robots: left, {0}}}]\n",
+            tracks.replace("1 beat", "1s")
+        ),
+        &format!(
+            "cues: [{{cue: m, at: 2s, robots: left, overrides: {{a: {{delay: 1s}}, b: {{delay: 100ms}}}}, {}}}, {{after: m, robots: left, {0}}}]\n",
+            tracks.replace("1 beat", "1s")
+        ),
     );
     same(
         &format!("cues: [{{at: 1s * $count, robots: four, {}}}]\n", tracks.replace("1 beat", "1s")),
@@ -264,7 +275,11 @@ cues:
 #[test]
 fn a_value_is_spread_from_the_first_robot_to_the_last() {
     valued("four", "{from: 0, to: 90, across: group}", &[("b", "30"), ("c", "60"), ("e", "90")]);
-    valued("four", "{from: 90, to: -90, across: group}", &[("a", "90"), ("b", "30"), ("c", "-30"), ("e", "-90")]);
+    valued(
+        "four",
+        "{from: 90, to: -90, across: group}",
+        &[("a", "90"), ("b", "30"), ("c", "-30"), ("e", "-90")],
+    );
     valued("a", "{from: 5, to: 90, across: group}", &[("a", "5")]);
     valued(
         "five",
@@ -277,10 +292,22 @@ fn a_value_is_spread_from_the_first_robot_to_the_last() {
         "{from: 0, to: 81, across: group, ease: smooth}",
         &[("b", "17"), ("c", "64"), ("e", "81")],
     );
-    valued("four", "{from: 3, to: 7, across: group, ease: step}", &[("a", "3"), ("b", "3"), ("c", "3"), ("e", "7")]);
-    valued("five", "{from: 0, to: 40, across: group, by: x}", &[("b", "10"), ("c", "40"), ("e", "3"), ("f", "20")]);
+    valued(
+        "four",
+        "{from: 3, to: 7, across: group, ease: step}",
+        &[("a", "3"), ("b", "3"), ("c", "3"), ("e", "7")],
+    );
+    valued(
+        "five",
+        "{from: 0, to: 40, across: group, by: x}",
+        &[("b", "10"), ("c", "40"), ("e", "3"), ("f", "20")],
+    );
     valued("[a, c]", "{from: 0, to: 50, across: group, by: [0, 0, 0]}", &[("c", "50")]);
-    valued("four", "{from: 1, to: 2 * $count, across: group}", &[("a", "1"), ("b", "10 / 3"), ("c", "17 / 3"), ("e", "8")]);
+    valued(
+        "four",
+        "{from: 1, to: 2 * $count, across: group}",
+        &[("a", "1"), ("b", "10 / 3"), ("c", "17 / 3"), ("e", "8")],
+    );
     valued(
         "four",
         "{from: 10, to: 50, across: group, by: random, seed: 7}",
@@ -327,7 +354,9 @@ fn robots_are_where_the_last_cue_above_leaves_them() {
     let nod = "tracks: {d: [{at: 0s, to: 0}, {at: 1s, to: 20}, {at: 2s, to: 0}]}";
     same(
         &format!("cues: [{moves}, {{after: m, robots: [a, b, c], canon: {{speed: 1, by: x}}, {nod}}}]\n"),
-        &format!("cues: [{moves}, {{after: m, robots: [a, b, c], overrides: {{a: {{delay: 3s}}, c: {{delay: 1s}}}}, {nod}}}]\n"),
+        &format!(
+            "cues: [{moves}, {{after: m, robots: [a, b, c], overrides: {{a: {{delay: 3s}}, c: {{delay: 1s}}}}, {nod}}}]\n"
+        ),
     );
 }
 
@@ -380,7 +409,9 @@ fn what_is_wrong_with_a_spread_is_found_at_its_place() {
         &["`f` DB0003 a value spread over the robots, and this is for all of them"],
     );
     let of = |robots: &str| {
-        found(&format!("cues: [{{robots: {robots}, canon: {{step: 1s, by: z}}, tracks: {{d: [{{at: 0s, to: {{from: 1, to: 2, across: group, by: x}}}}]}}}}]\n"))
+        found(&format!(
+            "cues: [{{robots: {robots}, canon: {{step: 1s, by: z}}, tracks: {{d: [{{at: 0s, to: {{from: 1, to: 2, across: group, by: x}}}}]}}}}]\n"
+        ))
     };
     assert_eq!(
         of("lost"),
@@ -395,7 +426,10 @@ fn what_is_wrong_with_a_spread_is_found_at_its_place() {
 #[test]
 fn turns_that_overlap_or_are_given_twice_are_found() {
     let repeat = |repeat: &str, expected: &str| {
-        finds(&format!("repeat: {repeat}, tracks: {{d: [{{at: 0s, to: 0}}, {{at: 2s, to: 0}}]}}"), &[expected]);
+        finds(
+            &format!("repeat: {repeat}, tracks: {{d: [{{at: 0s, to: 0}}, {{at: 2s, to: 0}}]}}"),
+            &[expected],
+        );
     };
     repeat("{times: 2, every: 1s}", "`1s` DB0041 a movement of 2 s would begin again after 1 s");
     repeat("{times: 2, for: 9s}", "`t` DB0003 found none or several of times, until and for");
@@ -414,7 +448,9 @@ fn large_groups_and_numbers_are_bounded() {
 #[test]
 fn chance_has_no_place_within_a_formula_but_by_a_variable() {
     let formula = |chance: &str| {
-        format!("variables: {{chance: 'random(7, $index)'}}\ncues: [{{robots: four, tracks: {{d: {{formula: '10 * {chance} * sin(90 * t / 1s)', for: 4s}}}}}}]\n")
+        format!(
+            "variables: {{chance: 'random(7, $index)'}}\ncues: [{{robots: four, tracks: {{d: {{formula: '10 * {chance} * sin(90 * t / 1s)', for: 4s}}}}}}]\n"
+        )
     };
     assert_eq!(found(&formula("random(7, 2)")), ["`random` DB0070 `random` within a formula"]);
     assert!(found(&formula("$chance")).is_empty(), "{:?}", found(&formula("$chance")));

@@ -10,13 +10,14 @@ use super::{OnDevice, Performer, limits_of};
 use crate::compile::cast::{Member, Members, Positions};
 use crate::compile::schedule::CueTime;
 use crate::compile::segment::{Segment, Steps};
+use crate::exact::Exact;
 use crate::finding::{Code, one_of};
 use crate::formation::Point;
 use crate::motion::{Between, Curve, Function, Knot, Shape, Stretch, Swept};
 use crate::node::shortened;
 use crate::render::counted;
 use crate::scenario::{
-    Act, Action, Cue, Form, Together, Items, Motion, Spare, Target, Thin, Track, WrittenFormation,
+    Act, Action, Cue, Form, Items, Motion, Spare, Target, Thin, Together, Track, WrittenFormation,
 };
 use crate::space::{Body, Coordinate, Shape as BodyShape};
 use crate::transit;
@@ -403,6 +404,9 @@ fn track(cue: &Cue, group: &Together, device: &Device, curve: Curve) -> Track {
         control: Some(ControlType::Position),
         length: curve.length().into(),
         motion: Motion::Curve(curve),
+        begin: Exact::ZERO,
+        starts: Span::ZERO,
+        pieces: Vec::new(),
         tolerance: cue.tolerance,
         steps_max: None,
         place: group.place.clone(),

@@ -4,7 +4,7 @@ use super::{Dancer, Moved, Performer};
 use crate::finding::Code;
 use crate::formation::Point;
 use crate::motion::Swept;
-use crate::scenario::{Together, Sweep};
+use crate::scenario::{Sweep, Together};
 
 impl Performer<'_, '_> {
     /// How each robot moves with the group.

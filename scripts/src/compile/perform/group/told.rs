@@ -6,13 +6,19 @@ use crate::duration;
 use crate::finding::Code;
 use crate::node::shortened;
 use crate::render::counted;
-use crate::scenario::{Cue, Form, Together, Target};
+use crate::scenario::{Cue, Form, Target, Together};
 use crate::transit::{Blocked, Refused};
 use urrcp::Span;
 
 impl Performer<'_, '_> {
     /// Robots that have no place in space, or none that is known.
-    pub(super) fn tell_excluded(&mut self, cue: &Cue, group: &Together, without: &[usize], unknown: &[usize]) {
+    pub(super) fn tell_excluded(
+        &mut self,
+        cue: &Cue,
+        group: &Together,
+        without: &[usize],
+        unknown: &[usize],
+    ) {
         if !without.is_empty() {
             let message = format!("{} no `body` whose x and y are devices", self.cast.have(without));
             let expected =

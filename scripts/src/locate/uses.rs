@@ -1,0 +1,57 @@
+//! For which uses something was read, as the end of a message: ` (in the move `wave`, used by the move `greet` in line 12)`.
+
+use std::borrow::Borrow;
+
+use super::lines_of;
+use crate::finding::{Pending, Place};
+use crate::source::Source;
+
+/// Most uses that are told of one finding: those nearest to it.
+const USES_MAX: usize = 8;
+
+/// What is said of each finding; nothing of most.
+pub(super) fn told<S: Borrow<Source>>(sources: &[S], pending: &[Pending]) -> Vec<String> {
+    let places: Vec<&Place> = pending.iter().flat_map(mentioned).collect();
+    if places.is_empty() {
+        return vec![String::new(); pending.len()];
+    }
+    let mut lines = lines_of(sources, &places).into_iter().map(|(first, _)| first);
+    let told = |finding: &Pending| {
+        let mut line = |place: &Place| {
+            let number = lines.next().unwrap_or(1);
+            match sources.get(usize::from(place.file)) {
+                Some(other) if place.file != finding.place.file => {
+                    format!("line {number} of {}", other.borrow().name)
+                }
+                _ => format!("line {number}"),
+            }
+        };
+        let mut parts: Vec<String> = Vec::new();
+        for (index, used) in uses(&finding.place).enumerate() {
+            let head = if index == 0 { format!("in {}", used.what) } else { String::new() };
+            let by = used.by.as_ref().map(|by| format!(" by {by}")).unwrap_or_default();
+            let use_ = format!("used{by} in {}", line(&used.place));
+            parts.extend((index == 0).then_some(head));
+            parts.push(use_);
+        }
+        for (place, message) in elsewhere(finding) {
+            parts.push(format!("{message} in {}", line(place)));
+        }
+        if parts.is_empty() { String::new() } else { format!(" ({})", parts.join(", ")) }
+    };
+    pending.iter().map(told).collect()
+}
+
+fn uses(place: &Place) -> impl Iterator<Item = &crate::finding::Use> {
+    std::iter::successors(place.used.as_deref(), |used| used.place.used.as_deref()).take(USES_MAX)
+}
+
+/// Related places of other files, which cannot be shown next to the finding.
+fn elsewhere(finding: &Pending) -> impl Iterator<Item = &(Place, String)> {
+    finding.related.iter().filter(|(place, _)| place.file != finding.place.file)
+}
+
+/// The places that are told, in their order.
+fn mentioned(finding: &Pending) -> impl Iterator<Item = &Place> {
+    uses(&finding.place).map(|used| &used.place).chain(elsewhere(finding).map(|(place, _)| place))
+}

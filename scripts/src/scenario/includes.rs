@@ -1,0 +1,191 @@
+//! Included files: as they are, or under a name and with parameters, so that one file can be there several times.
+
+use std::sync::Arc;
+
+use super::library::{Copy, Documents, INCLUDE_KEYS, INCLUDES_MAX, Library, Shared};
+use super::nesting::{Used, arguments, with_defaults};
+use crate::fields::{At, Reader};
+use crate::finding::{Code, Place, Use};
+use crate::node::{Node, shortened};
+
+const ENTRY_KEYS: [&str; 3] = ["file", "as", "parameters"];
+const EXPECTED: &str = "the path of a file, {file, as, parameters}, or a list of these";
+
+/// A file under `include`.
+pub(super) struct Included {
+    pub(super) file: String,
+    pub(super) place: Place,
+    /// Neither a name nor parameters: its names are those of all files.
+    pub(super) is_plain: bool,
+}
+
+/// The files under `include`; what is wrong there is found by [`check`].
+pub(super) fn named(root: &Node, file: usize) -> Vec<Included> {
+    let at = At::document(root, u16::try_from(file).unwrap_or(u16::MAX));
+    let mut all = Vec::new();
+    each(&at, |item| {
+        let (name, is_plain) = match item.node {
+            Node::Text(name) => (name, true),
+            Node::Map(entries) => {
+                let value = |key: &str| entries.iter().find(|(known, _)| known == key).map(|(_, node)| node);
+                let Some(Node::Text(name)) = value("file") else { return };
+                (name, value("as").is_none() && value("parameters").is_none())
+            }
+            _ => return,
+        };
+        all.push(Included { file: name.clone(), place: item.place(), is_plain });
+    });
+    all
+}
+
+/// What stands under `include` of a document, one by one.
+fn each(root: &At<'_>, mut take: impl FnMut(&At<'_>)) {
+    let Node::Map(entries) = root.node else { return };
+    let Some((_, node)) = entries.iter().find(|(key, _)| key == "include") else { return };
+    let list = root.entry("include", 0, node);
+    match node {
+        Node::List(items) => items.iter().enumerate().for_each(|(index, item)| take(&list.item(index, item))),
+        _ => take(&list),
+    }
+}
+
+/// Finds what is wrong under `include`.
+pub(super) fn check(reader: &mut Reader, at: &At<'_>) {
+    let items = match at.node {
+        Node::List(_) => reader.list(at, EXPECTED),
+        _ => vec![*at],
+    };
+    for item in items {
+        let Node::Map(_) = item.node else {
+            reader.text(&item, EXPECTED);
+            continue;
+        };
+        let Some([file, name, _]) = reader.map(&item, "an include", ENTRY_KEYS, &["file"]) else { continue };
+        file.and_then(|at| reader.text(&at, "the path of a file").map(drop));
+        name.and_then(|at| reader.name(&at, "the name of this copy").map(drop));
+    }
+}
+
+/// The parameters of a file that is included as it is: their defaults.
+pub(super) fn defaults(reader: &mut Reader, parameters: Option<At<'_>>, (name, place): (&str, &Place)) {
+    let used = of_file(name, (0, &Node::Null), place.clone());
+    let values = with_defaults(reader, &used, parameters.as_ref(), Vec::new());
+    values.into_iter().for_each(|(name, value)| reader.scope.set(name, value));
+}
+
+fn of_file<'a>(name: &str, (file, node): (u16, &'a Node), place: Place) -> Used<'a> {
+    Used { kind: "file", name: name.to_owned(), part: Shared { file, name: "", node, copy: 0 }, place }
+}
+
+/// Where copies are made.
+struct Within<'n> {
+    copy: usize,
+    /// The files that led here.
+    files: Vec<u16>,
+    used: Option<&'n Arc<Use>>,
+}
+
+/// Takes every file that is included under a name or with parameters, once for each such include.
+pub(super) fn copies<'a>(reader: &mut Reader, library: &mut Library<'a>, documents: &'a Documents<'_>) {
+    for (file, plain) in (0u16..).zip(&documents.plain) {
+        if plain.is_some() {
+            copies_in(reader, library, documents, &Within { copy: 0, files: vec![file], used: None });
+        }
+    }
+}
+
+fn copies_in<'a>(
+    reader: &mut Reader,
+    library: &mut Library<'a>,
+    documents: &'a Documents<'_>,
+    within: &Within<'_>,
+) {
+    let Some(file) = within.files.last().copied() else { return };
+    let root = At::used(&documents.nodes[usize::from(file)], file, within.used);
+    each(&root, |item| {
+        let Node::Map(entries) = item.node else { return };
+        let value = |key: &str| entries.iter().find(|(known, _)| known == key).map(|(_, node)| node);
+        let Some(Node::Text(name)) = value("file") else { return };
+        let Some(index) = documents.names.iter().position(|known| known == name) else { return };
+        let (own, given) = (value("as"), value("parameters"));
+        if own.is_none() && given.is_none() {
+            return;
+        }
+        let own = own.and_then(|node| reader.name(&item.entry("as", 0, node), "the name of this copy"));
+        let given = given.map(|node| item.entry("parameters", 0, node));
+        let target = u16::try_from(index).unwrap_or(u16::MAX);
+        if let Some(refused) = refused(within, library, target, name) {
+            let (code, message, hint) = refused;
+            let expected = "files that do not lead back to themselves, in moderate numbers";
+            reader.add(code, item.place(), message, expected, Some(hint.to_owned()));
+            return;
+        }
+        copy(reader, library, documents, within, &Wanted { item, name, own, given, target });
+    });
+}
+
+fn refused(
+    within: &Within<'_>,
+    library: &Library<'_>,
+    target: u16,
+    name: &str,
+) -> Option<(Code, String, &'static str)> {
+    let name = shortened(name);
+    if within.files.contains(&target) {
+        let message = format!("the file `{name}` includes itself again and again");
+        return Some((Code::PlaysItself, message, "take one of these includes out"));
+    }
+    let hint = "include fewer files under names of their own";
+    let message =
+        format!("with `{name}` more than {INCLUDES_MAX} files are included under names of their own");
+    (library.copies.len() > INCLUDES_MAX).then_some((Code::TooMuch, message, hint))
+}
+
+/// One include under a name or with parameters.
+struct Wanted<'n> {
+    item: &'n At<'n>,
+    name: &'n str,
+    own: Option<String>,
+    given: Option<At<'n>>,
+    target: u16,
+}
+
+fn copy<'a>(
+    reader: &mut Reader,
+    library: &mut Library<'a>,
+    documents: &'a Documents<'_>,
+    within: &Within<'_>,
+    wanted: &Wanted<'_>,
+) {
+    let &Wanted { item, name, ref own, given, target } = wanted;
+    let what = match own {
+        Some(own) => format!("`{}` as `{}`", shortened(name), shortened(own)),
+        None => format!("`{}`", shortened(name)),
+    };
+    let told = Arc::new(Use { what, by: None, place: item.place() });
+    let node = &documents.nodes[usize::from(target)];
+    let root = At::used(node, target, Some(&told));
+    let known = reader.map(&root, "an included file", INCLUDE_KEYS, &[]);
+    let Some([_doc, parameters, include, variables, moves, sequences, roles, formations]) = known else {
+        return;
+    };
+    if let Some(at) = include {
+        check(reader, &at);
+    }
+    let used = of_file(name, (target, node), item.place());
+    let arguments = arguments(reader, &used, parameters.as_ref(), given.as_ref());
+    let hidden = reader.scope.hide(library.globals);
+    let values = with_defaults(reader, &used, parameters.as_ref(), arguments);
+    values.into_iter().for_each(|(name, value)| reader.scope.set(name, value));
+    let prefix = own.as_ref().map(|own| format!("{own}.")).unwrap_or_default();
+    let prefix = format!("{}{prefix}", library.copies[within.copy].prefix);
+    library.copies.push(Copy { prefix, values: Vec::new(), used: Some(told.clone()) });
+    let copy = library.copies.len() - 1;
+    library.register(node, target, copy);
+    library.add_from(reader, [variables, moves, sequences, roles, formations], (target, copy));
+    let mut files = within.files.clone();
+    files.push(target);
+    copies_in(reader, library, documents, &Within { copy, files, used: Some(&told) });
+    library.copies[copy].values = reader.scope.hide(library.globals);
+    reader.scope.restore(hidden);
+}

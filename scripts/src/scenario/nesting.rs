@@ -1,0 +1,301 @@
+//! What is read because something else uses it: moves within moves, cues of sequences, files with parameters. Its parameters,
+//! the names that it sees, and the bounds that keep what leads back to itself, or doubles again and again, from being followed.
+
+use std::sync::Arc;
+
+use super::Name;
+use super::library::{Library, Shared, scalar};
+use crate::budget::{Budget, DEPTH_MAX, PLAYS_IN_ALL_MAX, PLAYS_MAX, SEQUENCE_CUES_MAX};
+use crate::duration::parse_duration;
+use crate::exact::Beginning;
+use crate::fields::{At, Reader};
+use crate::finding::{Code, Place, Use, one_of};
+use crate::node::{Node, shortened};
+
+/// Which moves and sequences are being read, one within another.
+#[derive(Debug)]
+pub(crate) struct Nesting {
+    /// The innermost last, each as it is told: `the move `wave``.
+    pub(super) inside: Vec<String>,
+    /// The copy of a file whose names are seen first.
+    pub(super) copy: usize,
+    /// Moves that the movement being read plays.
+    plays: Budget,
+    /// The same for all movements.
+    all_plays: Budget,
+    /// Cues that sequences make.
+    pub(super) cues: Budget,
+    /// Sequences that are being read.
+    pub(super) sequences: usize,
+    /// Robots for cues of a sequence that name none.
+    pub(super) robots: Option<Arc<[Name]>>,
+    /// Where the cue that was read last begins, as far as that is fixed.
+    pub(super) began: Beginning,
+}
+
+impl Default for Nesting {
+    fn default() -> Self {
+        Self {
+            inside: Vec::new(),
+            copy: 0,
+            plays: Budget::new(PLAYS_MAX),
+            all_plays: Budget::new(PLAYS_IN_ALL_MAX),
+            cues: Budget::new(SEQUENCE_CUES_MAX),
+            sequences: 0,
+            robots: None,
+            began: Beginning::default(),
+        }
+    }
+}
+
+impl Nesting {
+    /// Whether cues of a sequence are being read.
+    pub(super) const fn is_in_sequence(&self) -> bool {
+        self.sequences > 0
+    }
+
+    /// For the movement that is read next.
+    pub(super) fn renew_plays(&mut self) {
+        self.plays = Budget::new(PLAYS_MAX);
+    }
+
+    /// Whether the movement plays so many moves that nothing more of it is read.
+    pub(super) const fn has_too_many_plays(&self) -> bool {
+        self.plays.is_overdrawn() || self.all_plays.is_overdrawn()
+    }
+}
+
+/// A move or a sequence where it is used.
+pub(super) struct Used<'a> {
+    /// `move` or `sequence`.
+    pub(super) kind: &'static str,
+    pub(super) name: String,
+    pub(super) part: Shared<'a>,
+    /// Where its name stands.
+    pub(super) place: Place,
+}
+
+impl Used<'_> {
+    /// `the move `wave``.
+    pub(super) fn what(&self) -> String {
+        format!("the {} `{}`", self.kind, shortened(&self.name))
+    }
+
+    /// For findings in what is used. Of a move that a cue of the scenario uses nothing is told: it is the same for all cues.
+    pub(super) fn told(&self, reader: &Reader, library: &Library<'_>) -> Option<Arc<Use>> {
+        if self.kind == "move" && self.place.used.is_none() && reader.nesting.inside.is_empty() {
+            return library.copies[self.part.copy].used.clone();
+        }
+        let (by, place) = (reader.nesting.inside.last().cloned(), self.place.clone());
+        Some(Arc::new(Use { what: self.what(), by, place }))
+    }
+}
+
+/// Reads what is used, with its parameters in force and with the names that its own file sees. `None` where it leads back to
+/// itself or too deep, which is found.
+pub(super) fn within<R>(
+    reader: &mut Reader,
+    library: &Library<'_>,
+    used: &Used<'_>,
+    [parameters, given]: [Option<At<'_>>; 2],
+    read: impl FnOnce(&mut Reader) -> R,
+) -> Option<R> {
+    let what = used.what();
+    if leads_back(reader, used, &what) {
+        return None;
+    }
+    let arguments = arguments(reader, used, parameters.as_ref(), given.as_ref());
+    let hidden = reader.scope.hide(library.globals);
+    let copy = std::mem::replace(&mut reader.nesting.copy, used.part.copy);
+    library.copies[used.part.copy]
+        .values
+        .iter()
+        .for_each(|(name, value)| reader.scope.set(name, value.clone()));
+    let values = with_defaults(reader, used, parameters.as_ref(), arguments);
+    values.into_iter().for_each(|(name, value)| reader.scope.set(name, value));
+    reader.nesting.inside.push(what);
+    let result = read(reader);
+    reader.nesting.inside.pop();
+    reader.nesting.copy = copy;
+    reader.scope.forget(library.globals);
+    reader.scope.restore(hidden);
+    Some(result)
+}
+
+/// Whether it is being read already, or as deep as may be.
+fn leads_back(reader: &mut Reader, used: &Used<'_>, what: &str) -> bool {
+    let inside = &reader.nesting.inside;
+    let (place, depth) = (used.place.clone(), inside.len());
+    if let Some(first) = inside.iter().position(|known| known == what) {
+        let around =
+            inside[first..].iter().map(|what| what.split_once(' ').map_or(what.as_str(), |(_, rest)| rest));
+        let chain: Vec<&str> = around.collect();
+        let message = match chain.as_slice() {
+            [_] => format!("{what} uses itself"),
+            [_, others @ ..] => format!("{what} uses itself, by way of the {}", others.join(", the ")),
+            [] => what.to_owned(),
+        };
+        let hint = Some("take one of these uses out".to_owned());
+        reader.add(Code::PlaysItself, place, message, "no way back to where it began", hint);
+        return true;
+    }
+    if depth >= DEPTH_MAX {
+        let message = format!("{what} is used within {depth} others");
+        // What doubles so deep is not followed on its other ways.
+        (reader.nesting.plays, reader.nesting.cues) =
+            (Budget::overdrawn(PLAYS_MAX), Budget::overdrawn(SEQUENCE_CUES_MAX));
+        let hint = Some("write some of them out".to_owned());
+        reader.add(Code::TooMuch, place, message, format!("at most {DEPTH_MAX} within one another"), hint);
+        return true;
+    }
+    false
+}
+
+/// Whether one more move may be played; the first that may not is found.
+pub(super) fn may_play(reader: &mut Reader, at: &At<'_>) -> bool {
+    if reader.nesting.has_too_many_plays() {
+        return false;
+    }
+    let (one, all) = (reader.nesting.plays.take(1), reader.nesting.all_plays.take(1));
+    let most = match (one, all) {
+        (true, true) => return true,
+        (false, _) => format!("at most {PLAYS_MAX} in the movement of a cue"),
+        (_, false) => format!("at most {PLAYS_IN_ALL_MAX} in all cues"),
+    };
+    let hint = Some("moves that play several others grow fast: `repeat` a move instead".to_owned());
+    reader.add(Code::TooMuch, at.place(), "too many moves are played within one another", most, hint);
+    false
+}
+
+/// The values that are given to parameters, as they are where they are given.
+pub(super) fn arguments(
+    reader: &mut Reader,
+    used: &Used<'_>,
+    parameters: Option<&At<'_>>,
+    given: Option<&At<'_>>,
+) -> Vec<(String, Option<Node>)> {
+    let given = given.map(|at| reader.entries(at, "parameter to its value")).unwrap_or_default();
+    let mut values = Vec::with_capacity(given.len());
+    for (parameter, at) in &given {
+        match declared(parameters).find(|(known, _)| known == parameter) {
+            Some((_, default)) => {
+                let value = scalar(reader, at).filter(|value| suits(reader, at, parameter, default, value));
+                values.push(((*parameter).to_owned(), value));
+            }
+            None => {
+                let known = || declared(parameters).map(|(known, _)| known.as_str());
+                let hint = reader.did_you_mean(parameter, known());
+                let message = format!("{} has no parameter `{}`", used.what(), shortened(parameter));
+                reader.add(Code::UnknownKey, at.key_place(), message, one_of(known()), hint);
+            }
+        }
+    }
+    values
+}
+
+/// The names of parameters with their defaults.
+fn declared<'a>(parameters: Option<&'a At<'a>>) -> impl Iterator<Item = &'a (String, Node)> {
+    let entries: &[(String, Node)] = match parameters.map(|at| at.node) {
+        Some(Node::Map(entries)) => entries,
+        _ => &[],
+    };
+    entries.iter()
+}
+
+/// What a value is, as far as its form tells.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Kind {
+    Number,
+    Time,
+    Truth,
+}
+
+impl Kind {
+    fn of(node: &Node) -> Option<Self> {
+        match node {
+            Node::Number(_) => Some(Self::Number),
+            Node::Bool(_) => Some(Self::Truth),
+            Node::Text(text) if parse_duration(text).is_some() => Some(Self::Time),
+            _ => None,
+        }
+    }
+
+    const fn told(self) -> &'static str {
+        match self {
+            Self::Number => "a number",
+            Self::Time => "a time",
+            Self::Truth => "true or false",
+        }
+    }
+}
+
+/// Whether a value is of the kind of the parameter's default, where both are known by their form.
+fn suits(reader: &mut Reader, at: &At<'_>, parameter: &str, default: &Node, value: &Node) -> bool {
+    let (Some(wanted), Some(found)) = (Kind::of(default), Kind::of(value)) else { return true };
+    if wanted == found {
+        return true;
+    }
+    let hint = match (wanted, value) {
+        (Kind::Time, Node::Number(value)) => Some(format!("add the unit: `{value}s` or `{value}ms`")),
+        (Kind::Number, Node::Text(_)) => Some("write the number alone".to_owned()),
+        _ => None,
+    };
+    let message = format!(
+        "the parameter `{}` is {}, and this is {}",
+        shortened(parameter),
+        wanted.told(),
+        value.kind()
+    );
+    let expected = match default {
+        Node::Text(default) => format!("{}, as its default {default}", wanted.told()),
+        Node::Number(default) => format!("{}, as its default {default}", wanted.told()),
+        _ => wanted.told().to_owned(),
+    };
+    reader.add(Code::WrongKind, at.place(), message, expected, hint);
+    false
+}
+
+/// The value of each parameter: the one that is given, or its default.
+pub(super) fn with_defaults(
+    reader: &mut Reader,
+    used: &Used<'_>,
+    parameters: Option<&At<'_>>,
+    mut given: Vec<(String, Option<Node>)>,
+) -> Vec<(String, Node)> {
+    let declared = parameters.map(|at| reader.entries(at, "parameter to its default")).unwrap_or_default();
+    let mut values = Vec::with_capacity(declared.len());
+    for (parameter, default) in &declared {
+        let value = match given.iter_mut().find(|(known, _)| known == parameter) {
+            Some((_, Some(value))) => Some(std::mem::replace(value, Node::Null)),
+            Some((_, None)) if *default.node == Node::Null => None,
+            None if *default.node == Node::Null => {
+                missing(reader, used, parameter);
+                None
+            }
+            _ => scalar(reader, default),
+        };
+        // One fault, one finding: what uses the parameter shall not find it missing again.
+        values.push(((*parameter).to_owned(), value.unwrap_or(Node::Number(0.0))));
+    }
+    values
+}
+
+/// A move without a value is a fault only if some robot does it.
+fn missing(reader: &mut Reader, used: &Used<'_>, parameter: &str) {
+    let (place, parameter) = (used.place.clone(), parameter.to_owned());
+    if used.kind == "move" {
+        reader.unset.push(super::Unset { place, of_move: used.name.clone(), parameter });
+        return;
+    }
+    let message = format!("{} needs a value for `{parameter}`", used.what());
+    let hint = Some(format!("add `parameters: {{{parameter}: ...}}`"));
+    reader.add(Code::Variable, place, message, "every parameter without default", hint);
+}
+
+/// Whether everything in a move or a sequence has a value when nothing is given.
+pub(super) fn is_complete(node: &Node) -> bool {
+    let Node::Map(entries) = node else { return false };
+    let parameters = entries.iter().find(|(key, _)| key == "parameters").map(|(_, node)| node);
+    matches!(parameters, None | Some(Node::Map(_)))
+        && !matches!(parameters, Some(Node::Map(all)) if all.iter().any(|(_, node)| *node == Node::Null))
+}
