@@ -126,9 +126,9 @@ codes! {
     PlacesCount = "DB0073", Error, "more or fewer robots than places";
     NoWayPast = "DB0074", Error, "bodies that cannot pass each other";
     UnknownFormation = "DB0075", Error, "no formation of this name";
-    PlaysItself = "DB0080", Error, "a move, a sequence or a file that leads back to itself";
-    UnknownSequence = "DB0081", Error, "no sequence of this name";
-    WrongKind = "DB0082", Error, "a value of another kind than its parameter";
+    PlaysItself = "DB0076", Error, "a move, a sequence or a file that leads back to itself";
+    UnknownSequence = "DB0077", Error, "no sequence of this name";
+    WrongKind = "DB0078", Error, "a value of another kind than its parameter";
 }
 
 impl Code {
