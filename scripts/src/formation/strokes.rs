@@ -138,7 +138,7 @@ impl Strokes {
     /// Evenly along all parts one after another, wherever they end.
     fn along(&self, count: usize) -> Vec<Point> {
         let length = self.length();
-        if !(length > 0.0) {
+        if length <= 0.0 {
             let first = self.knots.first().copied().unwrap_or_default();
             return (0..count).map(|index| self.knots.get(index).copied().unwrap_or(first)).collect();
         }
